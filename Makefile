@@ -1,0 +1,31 @@
+# make compare: the main job.  make test: linters, types, fast tests.  Each sets up .venv by itself.
+PYTHON ?= python3
+BIN := .venv/bin
+export OMP_WAIT_POLICY := PASSIVE
+
+.PHONY: compare test test-slow lint clean
+.DEFAULT_GOAL := compare
+
+compare: .venv/installed
+	$(BIN)/rendezvous compare --out out/compare
+
+test: lint
+	$(BIN)/python -m pytest -q -n 2 --dist loadfile
+
+test-slow: .venv/installed
+	$(BIN)/python -m pytest -q -m slow
+
+lint: .venv/installed
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+.venv/installed: pyproject.toml constraints.txt
+	test -x $(BIN)/python || $(PYTHON) -m venv .venv
+	$(BIN)/pip install --quiet --constraint constraints.txt torch==2.13.0
+	$(BIN)/pip install --quiet --constraint constraints.txt --editable '.[train,render,dev]'
+	touch $@
+
+clean:
+	rm -rf .venv out build *.egg-info
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +

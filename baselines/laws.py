@@ -1,0 +1,204 @@
+"""The laws of the paper, with its equation numbers, and two policies that know nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rendezvous_env.heading import flexible_velocity
+from rendezvous_env.observations import ObservedRows
+from rendezvous_env.turning import yaw_rate_law
+
+from .policy import Policy, is_single_integrator, register, within_limits
+
+if TYPE_CHECKING:
+    from rendezvous_env.scenario import Scenario
+
+Array = NDArray[np.float64]
+
+__all__ = [
+    "LawPolicy",
+    "RandomPolicy",
+    "bearing_only_law",
+    "flexible_velocity",
+    "nonholonomic_3d_law",
+    "pitch_of",
+    "unicycle_cosine_law",
+    "unicycle_law",
+]
+
+
+# ---- what a robot sees --------------------------------------------------------------------------
+
+
+def pitch_of(gravity: NDArray[Any]) -> Array:
+    """Pitch β from the direction of gravity in the body frame, (−sin β, 0, −cos β).
+
+    Args:
+        gravity: (..., 3); the zero row of a robot that is gone gives 0.
+
+    Returns:
+        β, (...), rad, in (−π, π].
+    """
+    sin_pitch, cos_pitch = -gravity[..., 0], -gravity[..., 2]
+    pitch: Array = np.arctan2(sin_pitch, cos_pitch, dtype=np.float64)
+    return np.where(np.any(gravity, axis=-1), pitch, 0.0)
+
+
+# ---- laws ---------------------------------------------------------------------------------------
+
+
+def bearing_only_law(net_bearing: Array) -> Array:
+    """Velocity of the bearing-only law.
+
+        ṗᵢ = fᵢ                                                     (eq. 1)
+
+    Args:
+        net_bearing: fᵢ, (..., d), m/s, in the robot's own frame.
+
+    Returns:
+        Velocities, (..., d), m/s.
+    """
+    return net_bearing
+
+
+def unicycle_law(net_bearing: Array) -> Array:
+    """Speed and turn rate of the unicycle law.
+
+        v = hᵀf,   ω = (h^⊥)ᵀf,   h = (cos θ, sin θ)                  (eqs. 7, 8)
+
+    Args:
+        net_bearing: f, (..., 2), m/s, in the body frame, where h is the x axis and h^⊥ the y axis.
+
+    Returns:
+        (v, ω), (..., 2), m/s and rad/s.
+    """
+    v, omega = net_bearing[..., 0], net_bearing[..., 1]
+    return np.stack([v, omega], axis=-1)
+
+
+def unicycle_cosine_law(net_bearing: Array, time: ArrayLike) -> Array:
+    """Speed and turn rate of a unicycle that turns to and fro whatever it sees.
+
+        v = hᵀf,   ω = cos t                                        (eq. 7 and the remark after it)
+
+    Args:
+        net_bearing: f, (..., n, 2), m/s, in the body frame.
+        time: t, (...) for each team, s.
+
+    Returns:
+        (v, ω), (..., n, 2), m/s and rad/s.
+    """
+    v, t = net_bearing[..., 0], np.asarray(time, dtype=np.float64)[..., np.newaxis]
+    omega = np.broadcast_to(np.cos(t), v.shape)
+    return np.stack([v, omega], axis=-1)
+
+
+def nonholonomic_3d_law(net_bearing: Array, pitch: Array) -> Array:
+    """Speed, yaw rate and pitch rate of the 3-D nonholonomic law.
+
+        v = hᵀf,   (α̇, β̇) = (AᵀA)⁻¹ Aᵀ P_h f                         (eqs. 12, 17)
+
+    In the body frame (x = h, y = horizontal left, z = up-ish) this is v = f_x, α̇ = f_y/cos β,
+    β̇ = f_z. At β = ±π/2 it is singular, of which the paper says nothing: here α̇ grows until it is
+    saturated at the action bound, and it is 0 where f_y = 0.
+
+    Args:
+        net_bearing: f, (..., 3), m/s, in the body frame.
+        pitch: β, (...), rad.
+
+    Returns:
+        (v, ω_α, ω_β), (..., 3), m/s and rad/s, not yet saturated.
+    """
+    f_x, f_y, f_z = np.moveaxis(net_bearing, -1, 0)
+    return np.stack([f_x, yaw_rate_law(f_y, pitch), f_z], axis=-1)
+
+
+# ---- as policies --------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class LawPolicy:
+    """A law without memory as a policy; its actions are kept within the scenario's limits."""
+
+    scenario: Scenario
+    """Whose robots it steers."""
+    law: Callable[[Array, ObservedRows, ArrayLike], Array]
+    """Actions (..., n, a) from the net bearing (..., n, d), all that is seen, and the time in s."""
+
+    def __call__(self, observations: NDArray[Any], time: ArrayLike) -> NDArray[np.float32]:
+        """Actions (..., n, a); see ``Policy``."""
+        layout = self.scenario.observation_layout
+        seen = layout.split(observations)
+        return within_limits(self.law(layout.net_bearing(observations), seen, time), self.scenario)
+
+    def reset(self, mask: NDArray[np.bool_] | None = None) -> None:
+        """Nothing to forget."""
+
+
+@dataclass
+class RandomPolicy:
+    """Actions drawn uniformly from the action space by a generator of its own."""
+
+    scenario: Scenario
+    """Whose robots it steers."""
+    seed: int = 0
+    """Of the generator."""
+    _generator: np.random.Generator = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        """Start the stream."""
+        self.reset()
+
+    def __call__(self, observations: NDArray[Any], time: ArrayLike) -> NDArray[np.float32]:
+        """Actions (..., n, a); see ``Policy``."""
+        bounds = self.scenario.action_bounds
+        shape = (*np.shape(observations)[:-2], bounds.size)
+        drawn: Array = self._generator.uniform(-bounds, bounds, shape)
+        return drawn.astype(np.float32)
+
+    def reset(self, mask: NDArray[np.bool_] | None = None) -> None:
+        """Start the stream anew; the teams share it, so a mask that spares some changes nothing."""
+        if mask is None or np.all(mask):
+            self._generator = np.random.default_rng(self.seed)
+
+
+@register("bearing-only", fits=is_single_integrator)
+def _bearing_only(scenario: Scenario) -> Policy:
+    return LawPolicy(scenario, lambda f, seen, time: bearing_only_law(f))
+
+
+@register("unicycle", fits=lambda scenario: scenario.robot_model == "unicycle")
+def _unicycle(scenario: Scenario) -> Policy:
+    return LawPolicy(scenario, lambda f, seen, time: unicycle_law(f))
+
+
+@register("unicycle-cosine", fits=lambda scenario: scenario.robot_model == "unicycle")
+def _unicycle_cosine(scenario: Scenario) -> Policy:
+    return LawPolicy(scenario, lambda f, seen, time: unicycle_cosine_law(f, time))
+
+
+@register("nonholonomic-3d", fits=lambda scenario: scenario.robot_model == "nonholonomic_3d")
+def _nonholonomic_3d(scenario: Scenario) -> Policy:
+    def law(f: Array, seen: ObservedRows, time: ArrayLike) -> Array:
+        assert seen.gravity is not None  # these robots always sense it
+        return nonholonomic_3d_law(f, pitch_of(seen.gravity))
+
+    return LawPolicy(scenario, law)
+
+
+@register("random", fits=lambda scenario: True)
+def _random(scenario: Scenario, seed: int = 0) -> Policy:
+    return RandomPolicy(scenario, seed)
+
+
+@register("zero", fits=lambda scenario: True)
+def _zero(scenario: Scenario) -> Policy:
+    def law(f: Array, seen: ObservedRows, time: ArrayLike) -> Array:
+        return np.zeros((*f.shape[:-1], scenario.action_size))
+
+    return LawPolicy(scenario, law)

@@ -1,0 +1,225 @@
+"""Scripted heading policies for single integrators among obstacles.
+
+Each rule gives a heading h from the edges of obstacles; the velocity is law (4), h hᵀf. The
+certified form of a rule passes its heading through theorem C first.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rendezvous_env.heading import certified_heading, flexible_velocity, step_scale
+
+from .policy import Policy, is_single_integrator, register, within_limits
+from .silhouettes import joined_headings_2d, joined_headings_3d, tangent_headings
+
+if TYPE_CHECKING:
+    from rendezvous_env.scenario import Scenario
+
+Array = NDArray[np.float64]
+
+
+class HeadingRule(Protocol):
+    """A pure function from what robots see to headings."""
+
+    def __call__(self, net_bearing: Array, silhouettes: NDArray[Any]) -> Array:
+        """Headings hᵢ, (..., d), unit vectors.
+
+        Args:
+            net_bearing: fᵢ, (..., d), m/s.
+            silhouettes: unit bearings, (..., M, S, d); zero where no obstacle is seen.
+        """
+        ...
+
+
+def tangent_heading(net_bearing: Array, silhouettes: NDArray[Any]) -> Array:
+    """Section IV-C read literally: the edge nearest to f of the most prominent obstacle in sight.
+
+    The most prominent obstacle is the one with the largest angular width, whether it stands in the
+    way or not. With none in sight h = f/‖f‖ (the x axis where f = 0).
+
+    Args:
+        net_bearing: fᵢ, (..., d), m/s.
+        silhouettes: unit bearings, (..., M, S, d).
+
+    Returns:
+        Headings, (..., d).
+    """
+    return _over_robots(tangent_headings, net_bearing, silhouettes, False)
+
+
+def tangent_blocking_heading(net_bearing: Array, silhouettes: NDArray[Any]) -> Array:
+    """Section IV-C for obstacles in the way only: of those that f points into, the most prominent.
+
+    Args:
+        net_bearing: fᵢ, (..., d), m/s.
+        silhouettes: unit bearings, (..., M, S, d).
+
+    Returns:
+        Headings, (..., d); f/‖f‖ (the x axis where f = 0) if nothing is in the way.
+    """
+    return _over_robots(tangent_headings, net_bearing, silhouettes, True)
+
+
+def tangent_joined_heading(
+    net_bearing: Array, silhouettes: NDArray[Any], *, clearance: float = 0.05
+) -> Array:
+    """Overlapping silhouettes are one obstacle; pass it on the nearer side (theory 6).
+
+    Details are with ``silhouettes.joined_headings_2d`` and ``joined_headings_3d``.
+
+    Args:
+        net_bearing: fᵢ, (..., d), m/s.
+        silhouettes: unit bearings, (..., M, S, d).
+        clearance: angle by which to stay clear of an edge, rad.
+
+    Returns:
+        Headings, (..., d); f/‖f‖ (the x axis where f = 0) if nothing is in the way.
+    """
+    rule = joined_headings_2d if net_bearing.shape[-1] == 2 else joined_headings_3d
+    return _over_robots(rule, net_bearing, silhouettes, float(clearance))
+
+
+def _over_robots(
+    rule: Any, net_bearing: Array, silhouettes: NDArray[Any], option: bool | float
+) -> Array:
+    f = np.ascontiguousarray(net_bearing, dtype=np.float64)
+    points = np.ascontiguousarray(silhouettes)
+    headings = np.empty_like(f)
+    d = f.shape[-1]
+    rule(f.reshape(-1, d), points.reshape(-1, *points.shape[-3:]), option, headings.reshape(-1, d))
+    return headings
+
+
+@dataclass(frozen=True)
+class HeadingPolicy:
+    """A heading rule with law (4): ṗᵢ = hᵢ hᵢᵀ fᵢ."""
+
+    scenario: Scenario
+    """Whose robots it steers."""
+    rule: HeadingRule
+    """Where they head."""
+
+    def __call__(self, observations: NDArray[Any], time: ArrayLike) -> NDArray[np.float32]:
+        """Velocities (..., n, d); see ``Policy``."""
+        layout = self.scenario.observation_layout
+        f, seen = layout.net_bearing(observations), layout.split(observations)
+        return within_limits(flexible_velocity(f, self.rule(f, seen.obstacles)), self.scenario)
+
+    def reset(self, mask: NDArray[np.bool_] | None = None) -> None:
+        """Nothing to forget."""
+
+
+@dataclass
+class CertifiedHeadingPolicy:
+    """A heading rule made certain to meet: theorem C, and velocities scaled where the step is long.
+
+        vᵢ = min(1, r/(2 Dᵢ τ)) hᵢ hᵢᵀ fᵢ                             (theory 3 and 4)
+
+    The rule means a line, so its heading is flipped to the side of f before it is certified. The
+    policy remembers the headings of every robot, with the leading axes of the observations; other
+    leading axes are other teams, and start anew.
+    """
+
+    scenario: Scenario
+    """Whose robots it steers."""
+    rule: HeadingRule
+    """Where they would like to head."""
+    min_alignment: float = 0.1
+    """ε, the margin |hᵀf| ≥ ε‖f‖."""
+    max_turn_rate: float = 3.0
+    """ω_max of the heading, rad/s."""
+    _previous: Array = field(init=False, repr=False, default_factory=lambda: np.zeros(0))
+
+    def __call__(self, observations: NDArray[Any], time: ArrayLike) -> NDArray[np.float32]:
+        """Velocities (..., n, d); see ``Policy``."""
+        scenario, layout = self.scenario, self.scenario.observation_layout
+        f, seen = layout.net_bearing(observations), layout.split(observations)
+        if self._previous.shape != f.shape:
+            self._previous = np.zeros_like(f)
+        raw = self.rule(f, seen.obstacles)
+        raw = np.where(np.sum(raw * f, axis=-1, keepdims=True) < 0, -raw, raw)
+        h = self._previous = certified_heading(
+            raw,
+            f,
+            self._previous,
+            min_alignment=self.min_alignment,
+            dead_zone=scenario.dead_zone,
+            max_turn=self.max_turn_rate * scenario.tau,
+        )
+        degree = np.linalg.norm(seen.neighbours, axis=-1).sum(axis=-1, dtype=np.float64)
+        scale = step_scale(degree, scenario.merge_radius, scenario.tau)[..., np.newaxis]
+        return within_limits(scale * flexible_velocity(f, h), scenario)
+
+    @property
+    def headings(self) -> Array:
+        """The headings last taken, (..., n, d); zero for a robot that has none yet."""
+        return self._previous.copy()
+
+    def reset(self, mask: NDArray[np.bool_] | None = None) -> None:
+        """Forget the headings of the teams where ``mask`` is true, of all if it is None."""
+        if mask is None:
+            self._previous = np.zeros(0)
+        elif self._previous.size:
+            self._previous[np.asarray(mask, dtype=bool)] = 0.0
+
+
+# ---- registry -----------------------------------------------------------------------------------
+
+
+def _fits(scenario: Scenario) -> bool:
+    return is_single_integrator(scenario) and scenario.observation_layout.obstacle_slots > 0
+
+
+@register("tangent", fits=_fits)
+def _tangent(scenario: Scenario) -> Policy:
+    return HeadingPolicy(scenario, tangent_heading)
+
+
+@register("tangent-blocking", fits=_fits)
+def _tangent_blocking(scenario: Scenario) -> Policy:
+    return HeadingPolicy(scenario, tangent_blocking_heading)
+
+
+@register("tangent-joined", fits=_fits)
+def _tangent_joined(scenario: Scenario, clearance: float = 0.05) -> Policy:
+    return HeadingPolicy(scenario, _joined_with(clearance))
+
+
+@register("tangent-certified", fits=_fits)
+def _tangent_certified(
+    scenario: Scenario, min_alignment: float = 0.1, max_turn_rate: float = 3.0
+) -> Policy:
+    return CertifiedHeadingPolicy(scenario, tangent_heading, min_alignment, max_turn_rate)
+
+
+@register("tangent-blocking-certified", fits=_fits)
+def _tangent_blocking_certified(
+    scenario: Scenario, min_alignment: float = 0.1, max_turn_rate: float = 3.0
+) -> Policy:
+    return CertifiedHeadingPolicy(scenario, tangent_blocking_heading, min_alignment, max_turn_rate)
+
+
+@register("tangent-joined-certified", fits=_fits)
+def _tangent_joined_certified(
+    scenario: Scenario,
+    clearance: float = 0.05,
+    min_alignment: float = 0.1,
+    max_turn_rate: float = 3.0,
+) -> Policy:
+    rule = _joined_with(clearance)
+    return CertifiedHeadingPolicy(scenario, rule, min_alignment, max_turn_rate)
+
+
+def _joined_with(clearance: float) -> HeadingRule:
+    if not 0 <= clearance < np.pi:
+        raise ValueError(f"clearance is {clearance!r}; it must be an angle in [0, π) rad")
+
+    def rule(net_bearing: Array, silhouettes: NDArray[Any]) -> Array:
+        return tangent_joined_heading(net_bearing, silhouettes, clearance=clearance)
+
+    return rule

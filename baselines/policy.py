@@ -1,0 +1,123 @@
+"""What a policy is, and the registry of the scripted ones."""
+
+from __future__ import annotations
+
+import difflib
+import inspect
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+if TYPE_CHECKING:
+    from rendezvous_env.scenario import Scenario
+
+
+class Policy(Protocol):
+    """Chooses the actions of whole teams from what their robots see."""
+
+    def __call__(self, observations: NDArray[Any], time: ArrayLike) -> NDArray[np.float32]:
+        """Actions of all robots.
+
+        Args:
+            observations: (..., n, rows, d) as ``scenario.observation_layout`` says; the rows of a
+                robot that is gone are zero.
+            time: (...), s since the start of each team's episode; one number does for all.
+
+        Returns:
+            (..., n, a), float32, within ``scenario.action_bounds``.
+        """
+        ...
+
+    def reset(self, mask: NDArray[np.bool_] | None = None) -> None:
+        """Forget the state of the teams where ``mask`` (...) is true, of all if it is None."""
+        ...
+
+
+@dataclass(frozen=True)
+class _Entry:
+    build: Callable[..., Policy]
+    fits: Callable[[Scenario], bool]
+
+
+_registry: dict[str, _Entry] = {}
+_Builder = TypeVar("_Builder", bound=Callable[..., Policy])
+
+
+def register(name: str, fits: Callable[[Scenario], bool]) -> Callable[[_Builder], _Builder]:
+    """Enter the decorated builder ``(scenario, **options) -> Policy`` under a name.
+
+    Args:
+        name: what ``make`` calls it.
+        fits: whether the policy can steer the robots of a scenario.
+    """
+
+    def enter(build: _Builder) -> _Builder:
+        _registry[name] = _Entry(build, fits)
+        return build
+
+    return enter
+
+
+def names(scenario: Scenario | None = None) -> list[str]:
+    """Names of the policies that fit a scenario, or of all of them, sorted."""
+    fitting = (n for n, entry in _registry.items() if scenario is None or entry.fits(scenario))
+    return sorted(fitting)
+
+
+def make(name: str, scenario: Scenario, **options: Any) -> Policy:
+    """A new scripted policy for a scenario.
+
+    Args:
+        name: one of ``names(scenario)``.
+        scenario: whose robots it is to steer.
+        options: of that policy, e.g. ``clearance`` of "tangent-joined".
+
+    Raises:
+        ValueError: for an unknown name, one that does not fit the scenario, or an unknown option;
+            it lists the right ones.
+    """
+    fitting = names(scenario)
+    if name not in fitting:
+        known = f"does not fit {_describe(scenario)}" if name in _registry else "is unknown"
+        near = difflib.get_close_matches(name, fitting, n=1, cutoff=0.0)
+        hint = f"; did you mean {near[0]!r}?" if near else ""
+        raise ValueError(f"policy {name!r} {known}; those that fit are {', '.join(fitting)}{hint}")
+    build = _registry[name].build
+    allowed = [option for option in inspect.signature(build).parameters if option != "scenario"]
+    for option in options:
+        if option not in allowed:
+            raise ValueError(
+                f"policy {name!r} has no option {option!r}; it has {', '.join(allowed) or 'none'}"
+            )
+    return build(scenario, **options)
+
+
+def _describe(scenario: Scenario) -> str:
+    slots = scenario.observation_layout.obstacle_slots
+    return f"{scenario.robot_model} robots in {scenario.dim}-D with {slots} obstacle slots"
+
+
+def is_single_integrator(scenario: Scenario) -> bool:
+    """Whether actions are velocities."""
+    return scenario.robot_model == "single_integrator"
+
+
+def within_limits(actions: NDArray[np.float64], scenario: Scenario) -> NDArray[np.float32]:
+    """Actions that the scenario's robots can execute.
+
+    Velocities are scaled to the speed limit with their direction kept; speeds and turn rates of the
+    other models are clipped one by one.
+
+    Args:
+        actions: (..., a), m/s and rad/s.
+        scenario: whose limits apply.
+    """
+    bounds = scenario.action_bounds
+    if is_single_integrator(scenario):
+        speeds = np.linalg.norm(actions, axis=-1, keepdims=True)
+        actions = actions * (scenario.speed_limit / np.maximum(speeds, scenario.speed_limit))
+    limited: NDArray[np.float32] = np.clip(actions, -bounds, bounds).astype(np.float32)
+    return limited

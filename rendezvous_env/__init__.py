@@ -1,0 +1,39 @@
+"""Bearing-only multi-robot rendezvous: the environment.
+
+Robots see in which direction their neighbours and the edges of obstacles lie, never how far, and
+must all meet.
+"""
+
+from . import graphs, rendezvous_v0, scenarios
+from .lyapunov import Certificate, certificate
+from .observations import ObservationLayout
+from .obstacles import Disc, ObstacleField, Polygon, Sphere
+from .registration import register
+from .rendezvous_v0 import parallel_env
+from .rewards import RewardWeights
+from .scenario import Scenario, TimeStepWarning
+from .simulator import Simulator
+from .trajectory import Trajectory, rollout
+
+__version__ = "0.1.0"
+__all__ = [
+    "Certificate",
+    "Disc",
+    "ObservationLayout",
+    "ObstacleField",
+    "Polygon",
+    "RewardWeights",
+    "Scenario",
+    "Simulator",
+    "Sphere",
+    "TimeStepWarning",
+    "Trajectory",
+    "certificate",
+    "graphs",
+    "parallel_env",
+    "rendezvous_v0",
+    "rollout",
+    "scenarios",
+]
+
+register()

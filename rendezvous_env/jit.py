@@ -1,0 +1,70 @@
+"""How every kernel of this project is compiled: serial, cached on disk, IEEE arithmetic.
+
+numba notices a change in a kernel's own file, but not in another file whose kernels it has inlined.
+So compiled code is kept in a folder named after all the sources it can depend on: edit one, or
+install another version, and it is compiled anew.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import shutil
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numba
+
+_HERE = Path(__file__).parent
+_CONFIG: Any = numba.config
+
+
+def kernel(function: Callable[..., Any]) -> Any:
+    """Compile a function on first use: nogil, IEEE division, no fastmath; cached on disk."""
+    with _cache_in(_cache_folder(Path(function.__code__.co_filename).parent)):
+        return numba.njit(cache=True, nogil=True, error_model="numpy")(function)
+
+
+@lru_cache
+def _cache_folder(package: Path) -> str | None:
+    """Where compiled code of a package is kept; None leaves the choice to numba."""
+    digest = hashlib.sha256()
+    for folder in sorted({_HERE, package}):
+        for source in sorted(folder.glob("*.py")):
+            content = source.read_bytes()
+            if b"kernel" in content:
+                digest.update(source.name.encode() + content)
+    name = f"kernels-{digest.hexdigest()[:16]}"
+    for parent in (
+        package / "__pycache__",
+        Path.home() / ".cache" / "rendezvous-env" / package.name,
+    ):
+        try:
+            (parent / name).mkdir(parents=True, exist_ok=True)
+        except OSError:
+            continue
+        if os.access(parent / name, os.W_OK):
+            _remove_others(parent, name)
+            return str(parent / name)
+    return None
+
+
+def _remove_others(parent: Path, name: str) -> None:
+    for other in parent.glob("kernels-*"):
+        if other.name != name:
+            shutil.rmtree(other, ignore_errors=True)
+
+
+@contextmanager
+def _cache_in(folder: str | None) -> Iterator[None]:
+    """Let numba choose this folder, unless the user has set NUMBA_CACHE_DIR."""
+    before = _CONFIG.CACHE_DIR
+    if folder is not None and not before:
+        _CONFIG.CACHE_DIR = folder
+    try:
+        yield
+    finally:
+        _CONFIG.CACHE_DIR = before

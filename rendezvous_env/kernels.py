@@ -1,0 +1,491 @@
+"""The step of many teams at once, block by block: act, move, turn, observe, conclude.
+
+The arithmetic that every robot needs runs over the lanes of a block (``lanes.py``). The few teams
+in which something can meet in this step, two neighbours or a robot and an obstacle, are moved one
+by one by exact geometry instead.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .contact import IGNORE, move_curved, move_straight
+from .geometry import obstacle_distance, silhouette_2d, silhouette_3d
+from .jit import kernel
+from .kinematics import arc_displacement, body_frame
+from .lanes import LANES, add_displacements, mark_near_pairs, pair_rows, velocity_displacements
+from .lyapunov import team_net_bearing
+from .merging import merge_swept
+from .rewards import team_reward
+from .teams import (
+    FRESH,
+    LYAPUNOV_AFTER_MERGE,
+    LYAPUNOV_BEFORE_MERGE,
+    MERGE_EXCESS,
+    MERGE_RISE,
+    RENDEZVOUS,
+    REWARD,
+    RUNNING,
+    TIME_OUT,
+    Physics,
+    Results,
+    Teams,
+    read_positions,
+    read_weights,
+    write_frame,
+    write_positions,
+    write_weights,
+)
+
+
+class Scratch(NamedTuple):
+    """Lane buffers of the block at hand."""
+
+    action: NDArray[np.float64]
+    """(n, a·LANES), in the robots' own frames; clipped inputs of nonholonomic robots."""
+    displacement: NDArray[np.float64]
+    """(n, (d + 1)·LANES), m, and its length."""
+    near: NDArray[np.float64]
+    """(LANES,), whether something can meet in the team: 0 no, 1 yes, 2 it has merged."""
+    pair: NDArray[np.float64]
+    """((1 + 2d)·LANES,), see ``pair_rows``."""
+    rows: NDArray[np.float32]
+    """(n·rows·d, LANES), the observations."""
+
+
+@kernel
+def make_scratch(n, d, action_size, rows):
+    """Lane buffers for teams of n robots."""
+    return Scratch(
+        np.zeros((n, action_size * LANES)),
+        np.zeros((n, (d + 1) * LANES)),
+        np.zeros(LANES),
+        np.zeros((1 + 2 * d) * LANES),
+        np.zeros((n * rows * d, LANES), dtype=np.float32),
+    )
+
+
+@kernel
+def step_blocks(first, last, physics, axes, teams, actions, results):
+    """One step of the blocks ``first`` … ``last − 1``; finished teams stand still and earn nothing.
+
+    Args:
+        first: index of a block.
+        last: index behind the last block.
+        physics: the fields of Physics.
+        axes: (0, 1) or (0, 1, 2).
+        teams: the fields of Teams.
+        actions: (B, n, a), of all teams.
+        results: the fields of Results.
+
+    Returns:
+        Index of the first action of any block that is not finite, if there is one: then nothing has
+        changed. Otherwise −1.
+    """
+    # plain tuples cross the border from Python twice as fast as named ones
+    physics, teams, results = Physics(*physics), Teams(*teams), Results(*results)
+    wrong = _first_not_finite(actions.reshape(-1))
+    if wrong >= 0:
+        return wrong
+    batch, n, action_size = actions.shape
+    scratch = make_scratch(n, len(axes), action_size, physics.rows)
+    for block in range(first, last):
+        lanes = min(LANES, batch - block * LANES)
+        _load_actions(block, lanes, teams, actions, scratch)
+        _propose(block, lanes, physics, axes, teams, scratch)
+        _advance(block, lanes, physics, axes, teams, results, scratch)
+        _turn(block, lanes, physics, teams, scratch)
+        _observe(block, lanes, physics, axes, teams, results, scratch)
+        _conclude(block, lanes, physics, teams, results, scratch)
+    return -1
+
+
+@kernel
+def observe_blocks(blocks, physics, axes, teams, results):
+    """Observe these blocks as they are, and bring frames and V up to date; tuples as
+    ``step_blocks``.
+    """
+    physics, teams, results = Physics(*physics), Teams(*teams), Results(*results)
+    batch, n = teams.merged_into.shape
+    scratch = make_scratch(n, len(axes), 1, physics.rows)
+    for block in blocks:
+        lanes = min(LANES, batch - block * LANES)
+        if physics.n_angles > 0:
+            _write_body_frames(block, lanes, physics, len(axes), teams)
+        _observe(block, lanes, physics, axes, teams, results, scratch)
+        for lane in range(lanes):
+            teams.book[block * LANES + lane]["lyapunov"] = 2.0 * scratch.pair[lane]
+
+
+@kernel
+def _first_not_finite(values):
+    total = np.float32(0.0)
+    for k in range(values.shape[0]):
+        total += values[k] * np.float32(0.0)
+    if total == np.float32(0.0):
+        return -1
+    for k in range(values.shape[0]):
+        if not np.isfinite(values[k]):
+            return k
+    return -1
+
+
+@kernel
+def _load_actions(block, lanes, teams, actions, scratch):
+    """Copy a block's actions; those of finished teams and merged-away robots are zero."""
+    n, size = actions.shape[1:]
+    for lane in range(lanes):
+        team = block * LANES + lane
+        running = teams.book[team]["status"] == RUNNING
+        for i in range(n):
+            acts = running and teams.merged_into[team, i] == i
+            for k in range(size):
+                scratch.action[i, k * LANES + lane] = actions[team, i, k] if acts else 0.0
+
+
+@kernel
+def _propose(block, lanes, physics, axes, teams, scratch):
+    """The displacement of every robot, as if nothing were in its way."""
+    for i in range(scratch.action.shape[0]):
+        if physics.n_angles > 0:
+            _propose_arcs(block, lanes, i, physics, len(axes), teams, scratch)
+        else:
+            velocity_displacements(
+                scratch.action[i],
+                teams.frames[block, i],
+                physics.speed_limit,
+                physics.duration,
+                axes,
+                scratch.displacement[i],
+            )
+
+
+@kernel
+def _propose_arcs(block, lanes, i, physics, d, teams, scratch):
+    action, out = scratch.action[i], scratch.displacement[i]
+    arc = np.empty(d)
+    for lane in range(lanes):
+        team = block * LANES + lane
+        speed = _clip(action[lane], physics.speed_limit)
+        yaw_rate = _clip(action[LANES + lane], physics.yaw_rate_limit)
+        yaw, pitch, pitch_rate = teams.angles[team, i, 0], 0.0, 0.0
+        if physics.n_angles == 2:
+            pitch = teams.angles[team, i, 1]
+            pitch_rate = _clip(action[2 * LANES + lane], physics.pitch_rate_limit)
+            action[2 * LANES + lane] = pitch_rate
+        action[lane], action[LANES + lane] = speed, yaw_rate
+        arc_displacement(speed, yaw, pitch, yaw_rate, pitch_rate, physics.duration, arc)
+        for k in range(d):
+            out[k * LANES + lane] = arc[k]
+        out[d * LANES + lane] = abs(speed) * physics.duration
+
+
+@kernel
+def _clip(value, bound):
+    return min(max(value, -bound), bound)
+
+
+@kernel
+def _advance(block, lanes, physics, axes, teams, results, scratch):
+    """Carry out the displacements; teams in which something can meet go one by one."""
+    n, d = scratch.action.shape[0], len(axes)
+    _mark_near(block, lanes, physics, axes, teams, scratch)
+    for lane in range(lanes):
+        team = block * LANES + lane
+        for i in range(n):
+            results.contact[team, i] = False
+            results.clearance[team, i] = np.inf
+        results.scores[team, MERGE_RISE] = 0.0
+        results.scores[team, MERGE_EXCESS] = 0.0
+        if scratch.near[lane] > 0.0:
+            _advance_exactly(block, lane, physics, d, teams, results, scratch)
+        length = 0.0
+        for i in range(n):
+            length += scratch.displacement[i, d * LANES + lane]
+        teams.book[team]["path_length"] += length
+    for i in range(n):
+        add_displacements(scratch.displacement[i], scratch.near, axes, teams.positions[block, i])
+
+
+@kernel
+def _mark_near(block, lanes, physics, axes, teams, scratch):
+    """Mark teams where neighbours start within r + 2 v_max τ, or a robot within v_max τ of an
+    obstacle.
+    """
+    n = scratch.action.shape[0]
+    reach = physics.speed_limit * physics.duration * (1.0 + 1e-9)
+    square_reach = (physics.merge_radius * (1.0 + 1e-9) + 2.0 * reach) ** 2
+    positions, weights = teams.positions[block], teams.weights[block]
+    scratch.near[:] = 0.0
+    pair = 0
+    for i in range(n):
+        for j in range(i + 1, n):
+            mark_near_pairs(
+                positions[i], positions[j], weights[pair], square_reach, axes, scratch.near
+            )
+            pair += 1
+    if teams.obstacles.shape[1] > 0 and physics.contact_mode != IGNORE:
+        for lane in range(lanes):
+            obstacles = teams.obstacles[block * LANES + lane]
+            if _near_obstacle(lane, len(axes), positions, obstacles, reach):
+                scratch.near[lane] = 1.0
+
+
+@kernel
+def _near_obstacle(lane, d, positions, obstacles, reach):
+    """Whether a robot of the team is within ``reach`` of the bounding ball of an obstacle."""
+    for m in range(obstacles.shape[0]):
+        if obstacles[m, 0] < 0.0:
+            continue
+        square_touch = (obstacles[m, 1] + reach + 1e-9) ** 2
+        for i in range(positions.shape[0]):
+            square = 0.0
+            for k in range(d):
+                square += (obstacles[m, 2 + k] - positions[i, k * LANES + lane]) ** 2
+            if square < square_touch:
+                return True
+    return False
+
+
+@kernel
+def _advance_exactly(block, lane, physics, d, teams, results, scratch):
+    """Move one team with swept contacts and merges."""
+    n = scratch.action.shape[0]
+    team = block * LANES + lane
+    positions, weights = np.empty((n, d)), np.empty((n, n))
+    displacements, lengths = np.empty((n, d)), np.empty(n)
+    read_positions(block, lane, teams, positions)
+    read_weights(block, lane, teams, weights)
+    hindered = teams.obstacles.shape[1] > 0 and physics.contact_mode != IGNORE
+    for i in range(n):
+        for k in range(d):
+            displacements[i, k] = scratch.displacement[i, k * LANES + lane]
+        lengths[i] = scratch.displacement[i, d * LANES + lane]
+        if teams.merged_into[team, i] == i and hindered:
+            if _stay_outside(
+                i, lane, team, physics, teams, scratch, positions[i], displacements[i]
+            ):
+                results.contact[team, i] = True
+                teams.book[team]["contacts"] += 1
+                lengths[i] = math.sqrt(np.sum(displacements[i] ** 2))
+    report = np.zeros(4)
+    merges = merge_swept(
+        positions,
+        displacements,
+        lengths,
+        weights,
+        teams.merged_into[team],
+        teams.obstacles[team],
+        physics.merge_radius,
+        report,
+    )
+    write_positions(block, lane, teams, positions)
+    for i in range(n):
+        scratch.displacement[i, d * LANES + lane] = lengths[i]
+    if merges > 0:
+        scratch.near[lane] = 2.0
+        write_weights(block, lane, teams, weights)
+        results.scores[team, LYAPUNOV_BEFORE_MERGE] = report[0]
+        results.scores[team, LYAPUNOV_AFTER_MERGE] = report[1]
+        results.scores[team, MERGE_RISE] = report[2]
+        results.scores[team, MERGE_EXCESS] = report[3]
+
+
+@kernel
+def _stay_outside(i, lane, team, physics, teams, scratch, start, displacement):
+    """Replace a displacement by the one that obstacles leave; whether there was a contact."""
+    obstacles = teams.obstacles[team]
+    executed = np.empty(displacement.shape[0])
+    if physics.n_angles == 0:
+        contact = move_straight(start, displacement, obstacles, physics.contact_mode, executed)
+    else:
+        pitch, pitch_rate = 0.0, 0.0
+        if physics.n_angles == 2:
+            pitch, pitch_rate = teams.angles[team, i, 1], scratch.action[i, 2 * LANES + lane]
+        contact = move_curved(
+            start,
+            scratch.action[i, lane],
+            teams.angles[team, i, 0],
+            pitch,
+            scratch.action[i, LANES + lane],
+            pitch_rate,
+            physics.duration,
+            obstacles,
+            physics.contact_mode,
+            executed,
+        )
+    displacement[:] = executed
+    return contact
+
+
+@kernel
+def _turn(block, lanes, physics, teams, scratch):
+    """Turn nonholonomic robots by their held rates."""
+    if physics.n_angles == 0:
+        return
+    for lane in range(lanes):
+        team = block * LANES + lane
+        for i in range(scratch.action.shape[0]):
+            for k in range(physics.n_angles):
+                rate = scratch.action[i, (1 + k) * LANES + lane]
+                teams.angles[team, i, k] += rate * physics.duration
+    _write_body_frames(block, lanes, physics, 1 + physics.n_angles, teams)
+
+
+@kernel
+def _write_body_frames(block, lanes, physics, d, teams):
+    frame = np.empty((d, d))
+    for lane in range(lanes):
+        team = block * LANES + lane
+        for i in range(teams.angles.shape[1]):
+            pitch = teams.angles[team, i, 1] if physics.n_angles == 2 else 0.0
+            body_frame(teams.angles[team, i, 0], pitch, frame)
+            write_frame(block, lane, i, teams, frame)
+
+
+@kernel
+def _observe(block, lanes, physics, axes, teams, results, scratch):
+    """Write a block's observations; half of V is left in the first number of ``scratch.pair``."""
+    n, d = scratch.action.shape[0], len(axes)
+    width = physics.rows * d
+    positions, frames, weights = teams.positions[block], teams.frames[block], teams.weights[block]
+    scratch.pair[:LANES] = 0.0
+    pair = 0
+    for i in range(n):
+        for j in range(i + 1, n):
+            pair_rows(
+                positions[i], positions[j], frames[i], frames[j], weights[pair], axes, scratch.pair
+            )
+            # in index order robot j is row j − 1 of robot i < j, and robot i is row i of robot j
+            _store(scratch.pair, 1, d, i * width + (j - 1) * d, scratch.rows)
+            _store(scratch.pair, 1 + d, d, j * width + i * d, scratch.rows)
+            pair += 1
+    if teams.obstacles.shape[1] > 0:
+        _observe_obstacles(block, lanes, physics, d, teams, results, scratch)
+    if physics.n_angles == 2:
+        _observe_gravity(block, lanes, width, teams, scratch)
+    observations = results.observations[block * LANES : block * LANES + lanes]
+    for k in range(scratch.rows.shape[0]):
+        for lane in range(lanes):
+            observations[lane, k] = scratch.rows[k, lane]
+
+
+@kernel
+def _store(values, first, d, row, rows):
+    """Copy d numbers of a lane buffer into the observations."""
+    for axis in range(d):
+        for lane in range(LANES):
+            rows[row + axis, lane] = values[(first + axis) * LANES + lane]
+
+
+@kernel
+def _observe_obstacles(block, lanes, physics, d, teams, results, scratch):
+    n = scratch.action.shape[0]
+    points = np.empty((2 if d == 2 else 8, d))
+    positions = np.empty((n, d))
+    for lane in range(lanes):
+        team = block * LANES + lane
+        read_positions(block, lane, teams, positions)
+        least = teams.book[team]["min_clearance"]
+        for i in range(n):
+            nearest = np.inf
+            active = teams.merged_into[team, i] == i
+            for m in range(teams.obstacles.shape[1]):
+                distance = np.inf
+                if active:
+                    distance = obstacle_distance(teams.obstacles[team, m], positions[i])
+                nearest = min(nearest, distance)
+                seen = distance <= physics.obstacle_range
+                if seen:
+                    _see_obstacle(block, lane, i, m, positions, teams, points)
+                _store_silhouette(block, lane, i, m, seen, physics, teams, points, scratch.rows)
+            results.clearance[team, i] = nearest
+            least = min(least, nearest)
+        teams.book[team]["min_clearance"] = least
+
+
+@kernel
+def _see_obstacle(block, lane, i, m, positions, teams, points):
+    """Silhouette bearings of obstacle m as robot i sees it, in the global frame."""
+    n, d = positions.shape
+    obstacle = teams.obstacles[block * LANES + lane, m]
+    if d == 2:
+        silhouette_2d(obstacle, positions[i], points)
+        return
+    f, axis_x, axis_y, weights = np.empty(d), np.empty(d), np.empty(d), np.empty((n, n))
+    read_weights(block, lane, teams, weights)
+    team_net_bearing(positions, weights, i, f)
+    for k in range(d):
+        axis_x[k] = teams.frames[block, i, (k * d) * LANES + lane]
+        axis_y[k] = teams.frames[block, i, (k * d + 1) * LANES + lane]
+    silhouette_3d(obstacle, positions[i], f, axis_x, axis_y, points)
+
+
+@kernel
+def _store_silhouette(block, lane, i, m, seen, physics, teams, points, rows):
+    """Turn silhouette bearings into the local frame; an obstacle that is not seen is zero."""
+    n_points, d = points.shape
+    for s in range(n_points):
+        row = i * physics.rows + physics.neighbour_slots + m * n_points + s
+        for axis in range(d):
+            along = 0.0
+            if seen:
+                for k in range(d):
+                    along += teams.frames[block, i, (k * d + axis) * LANES + lane] * points[s, k]
+            rows[row * d + axis, lane] = along
+
+
+@kernel
+def _observe_gravity(block, lanes, width, teams, scratch):
+    """The last row of a 3-D nonholonomic robot: (−sin β, 0, −cos β) in its body frame."""
+    for lane in range(lanes):
+        team = block * LANES + lane
+        for i in range(teams.angles.shape[1]):
+            active = teams.merged_into[team, i] == i
+            pitch = teams.angles[team, i, 1]
+            last = (i + 1) * width - 3
+            scratch.rows[last, lane] = -math.sin(pitch) if active else 0.0
+            scratch.rows[last + 2, lane] = -math.cos(pitch) if active else 0.0
+
+
+@kernel
+def _conclude(block, lanes, physics, teams, results, scratch):
+    """Reward, rendezvous and time limit: the one place where an episode ends."""
+    for lane in range(lanes):
+        team = block * LANES + lane
+        book, score = teams.book[team], results.scores[team]
+        for i in range(teams.merged_into.shape[1]):
+            results.active[team, i] = teams.merged_into[team, i] == i
+        before, now = book["lyapunov"], 2.0 * scratch.pair[lane]
+        book["lyapunov"] = now
+        merged = scratch.near[lane] == 2.0
+        if not merged:
+            score[LYAPUNOV_BEFORE_MERGE] = now
+            score[LYAPUNOV_AFTER_MERGE] = now
+        score[REWARD] = 0.0
+        if book["status"] == RUNNING:
+            book["steps"] += 1
+            if merged and _all_in_one(teams.merged_into[team]):
+                book["status"] = RENDEZVOUS
+            elif book["steps"] >= physics.max_steps:
+                book["status"] = TIME_OUT
+            score[REWARD] = team_reward(
+                (before - now) / book["initial_lyapunov"] if before > 0.0 else 0.0,
+                1.0 / physics.max_steps,
+                np.sum(results.contact[team]),
+                book["status"] == RENDEZVOUS,
+                physics.reward_weights,
+            )
+        elif book["status"] == FRESH:
+            book["status"] = RUNNING
+        results.status[team] = book["status"]
+
+
+@kernel
+def _all_in_one(merged_into):
+    for i in range(merged_into.shape[0]):
+        if merged_into[i] != 0:
+            return False
+    return True

@@ -1,0 +1,103 @@
+"""Which row of an observation is what. Nobody else counts rows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+SILHOUETTE_POINTS = {2: 2, 3: 8}
+"""Points seen of one obstacle: both edges in the plane, eight boundary rays of its cone in
+space."""
+
+
+class ObservedRows(NamedTuple):
+    """An observation taken apart; every array is a view of it."""
+
+    neighbours: NDArray[Any]
+    """a_ij g_ij, (..., K, d), m/s; the sum over K is the net bearing f_i."""
+    obstacles: NDArray[Any]
+    """Unit silhouette bearings, (..., M, S, d)."""
+    gravity: NDArray[Any] | None
+    """Unit direction of gravity, (..., d); None where the robots do not sense it."""
+
+
+@dataclass(frozen=True)
+class ObservationLayout:
+    """The rows of an observation ``(..., rows, d)``: neighbours, then obstacles, then gravity.
+
+    An absent row is zero.
+    """
+
+    dim: int
+    """Dimension d of the space, 2 or 3."""
+    neighbour_slots: int
+    """K, one row for each other robot in index order."""
+    obstacle_slots: int = 0
+    """M, obstacles that an observation has room for."""
+    senses_gravity: bool = False
+    """Whether the last row is the direction of gravity (3-D nonholonomic robots)."""
+
+    @property
+    def silhouette_points(self) -> int:
+        """S, rows for each obstacle."""
+        return SILHOUETTE_POINTS[self.dim]
+
+    @property
+    def neighbours(self) -> slice:
+        """Rows of the neighbours."""
+        return slice(0, self.neighbour_slots)
+
+    @property
+    def obstacles(self) -> slice:
+        """Rows of the obstacles; they reshape to (M, S, d)."""
+        start = self.neighbour_slots
+        return slice(start, start + self.obstacle_slots * self.silhouette_points)
+
+    @property
+    def gravity(self) -> slice:
+        """The row of gravity; an empty slice where the robots do not sense it."""
+        start = self.obstacles.stop
+        return slice(start, start + int(self.senses_gravity))
+
+    @property
+    def rows(self) -> int:
+        """Number of rows in all."""
+        return int(self.gravity.stop)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Shape (rows, d) of one robot's observation."""
+        return self.rows, self.dim
+
+    def split(self, observations: NDArray[Any]) -> ObservedRows:
+        """Take observations apart into neighbours, obstacles and gravity.
+
+        Args:
+            observations: (..., rows, d).
+
+        Raises:
+            ValueError: if the last two axes are not ``self.shape``.
+        """
+        observations = np.asarray(observations)
+        if observations.shape[-2:] != self.shape:
+            raise ValueError(
+                f"observations have shape {observations.shape}; this layout needs "
+                f"(..., {self.rows}, {self.dim})"
+            )
+        leading = observations.shape[:-2]
+        points = (self.obstacle_slots, self.silhouette_points, self.dim)
+        return ObservedRows(
+            neighbours=observations[..., self.neighbours, :],
+            obstacles=observations[..., self.obstacles, :].reshape(*leading, *points),
+            gravity=observations[..., -1, :] if self.senses_gravity else None,
+        )
+
+    def net_bearing(self, observations: NDArray[Any]) -> NDArray[Any]:
+        """Net bearing f_i = Σ_j a_ij g_ij: the sum of the neighbour rows, (..., d), m/s,
+        float64.
+        """
+        rows = np.asarray(observations)[..., self.neighbours, :]
+        return np.asarray(np.sum(rows, axis=-2, dtype=np.float64))

@@ -1,0 +1,177 @@
+"""What ``reset(options=…)`` accepts: any part of a start can be given."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import graphs, obstacles
+from .scenario import Scenario, check_distinct, check_table, nearest_word
+
+OPTIONS = ("positions", "headings", "frames", "weights", "obstacles")
+_ROUNDING = 1e-9
+
+
+class StartOptions(NamedTuple):
+    """The given parts of a start, checked; each has a leading axis of 1 or B. None is to be
+    drawn.
+    """
+
+    positions: NDArray[np.float64] | None = None
+    angles: NDArray[np.float64] | None = None
+    frames: NDArray[np.float64] | None = None
+    weights: NDArray[np.float64] | None = None
+    obstacles: NDArray[np.float64] | None = None
+
+
+def parse_options(
+    scenario: Scenario, num_envs: int, options: Mapping[str, Any] | None
+) -> StartOptions:
+    """Check the options of a reset.
+
+    An unknown key is ignored, as Gymnasium has it, unless it is nearly one of ours.
+
+    Args:
+        scenario: what the options must fit.
+        num_envs: B.
+        options: see ``Simulator.reset``.
+
+    Raises:
+        ValueError: naming the option, its value and what would be right.
+    """
+    options = dict(options or {})
+    for key in options:
+        near = nearest_word(str(key), OPTIONS, cutoff=0.75)
+        if key not in OPTIONS and near:
+            raise ValueError(f"options: {key!r} is not an option; did you mean {near!r}?")
+    given = StartOptions(
+        positions=_positions(scenario, num_envs, options.get("positions")),
+        angles=_angles(scenario, num_envs, options.get("headings")),
+        frames=_frames(scenario, num_envs, options.get("frames")),
+        weights=_weights(scenario, num_envs, options.get("weights")),
+        obstacles=_obstacles(scenario, options.get("obstacles")),
+    )
+    _check_together(scenario, given, options)
+    return given
+
+
+def _table(field: str, value: Any, shape: tuple[int, ...], num_envs: int) -> NDArray[np.float64]:
+    """(1, …) from one table for all teams, or (B, …) from one for each."""
+    batched = np.ndim(value) == len(shape) + 1
+    checked = check_table(field, value, (num_envs, *shape) if batched else shape)
+    return checked if batched else checked[None]
+
+
+def _positions(scenario: Scenario, num_envs: int, value: Any) -> NDArray[np.float64] | None:
+    if value is None:
+        return None
+    return _table("positions", value, (scenario.n_robots, scenario.dim), num_envs)
+
+
+def _angles(scenario: Scenario, num_envs: int, value: Any) -> NDArray[np.float64] | None:
+    if value is None:
+        return None
+    n, width = scenario.n_robots, scenario.model.n_angles
+    if width == 0:
+        raise ValueError('headings: single integrators have none; give "frames" instead')
+    array = np.asarray(value, dtype=np.float64)
+    if width == 1 and array.shape in ((n,), (num_envs, n)):
+        array = array[..., None]
+    return _table("headings", array, (n, width), num_envs)
+
+
+def _frames(scenario: Scenario, num_envs: int, value: Any) -> NDArray[np.float64] | None:
+    if value is None:
+        return None
+    if scenario.model.nonholonomic:
+        raise ValueError(
+            'frames: the body axes are the frame of this model; give "headings" instead'
+        )
+    d = scenario.dim
+    frames = _table("frames", value, (scenario.n_robots, d, d), num_envs)
+    gram = np.swapaxes(frames, -1, -2) @ frames
+    wrong = (np.abs(gram - np.eye(d)).max(axis=(-2, -1)) > _ROUNDING) | (np.linalg.det(frames) < 0)
+    for team, robot in np.argwhere(wrong):
+        matrix = frames[team, robot].tolist()
+        raise ValueError(f"frames: that of robot_{robot} is {matrix}; it must be a rotation")
+    return frames
+
+
+def _weights(scenario: Scenario, num_envs: int, value: Any) -> NDArray[np.float64] | None:
+    if value is None:
+        return None
+    n = scenario.n_robots
+    weights = np.asarray(value, dtype=np.float64)
+    weights = weights[None] if weights.ndim == 2 else weights
+    if weights.shape not in ((1, n, n), (num_envs, n, n)):
+        raise ValueError(f"weights have shape {np.shape(value)}; they must be {(n, n)}")
+    for matrix in weights:
+        graphs.check_weights(matrix, n, "weights")
+        _check_within(scenario, matrix)
+    return weights
+
+
+def _check_within(scenario: Scenario, weights: NDArray[np.float64]) -> None:
+    """The constants D̄ and a* of the mission must hold for the given weights too."""
+    pieces = graphs.components(weights)
+    if len(pieces) > 1 and scenario.require_connected:
+        raise ValueError(
+            f"weights are not connected: they fall into {' and '.join(map(str, pieces))}"
+        )
+    degree = max(graphs.max_degree(weights[np.ix_(piece, piece)]) for piece in pieces)
+    if degree > scenario.max_degree * (1 + _ROUNDING):
+        raise ValueError(
+            f"weights reach D = {degree:.6g} m/s; the scenario's step and limits stand on at most "
+            f"{scenario.max_degree:.6g}"
+        )
+    bottleneck = graphs.bottleneck_weight(weights)
+    if bottleneck < scenario.bottleneck_weight * (1 - _ROUNDING):
+        raise ValueError(
+            f"weights have the bottleneck a* = {bottleneck:.6g} m/s; the scenario's guarantee "
+            f"stands on at least {scenario.bottleneck_weight:.6g}"
+        )
+
+
+def _obstacles(scenario: Scenario, value: Any) -> NDArray[np.float64] | None:
+    if value is None:
+        return None
+    parsed = obstacles.parse(value, scenario.dim)
+    if isinstance(parsed, obstacles.ObstacleField):
+        raise ValueError(
+            "obstacles: give them one by one; a random field belongs into the scenario"
+        )
+    slots = scenario.observation_layout.obstacle_slots
+    if len(parsed) > slots:
+        raise ValueError(
+            f"obstacles: {len(parsed)} given, but the scenario has room for {slots}; "
+            "set its obstacle_slots"
+        )
+    width = obstacles.row_width(scenario.obstacles, scenario.dim)
+    if obstacles.row_width(parsed, scenario.dim) > width:
+        raise ValueError(
+            "obstacles: a polygon has more corners than any of the scenario's own obstacles"
+        )
+    packed = np.zeros((slots, width))
+    packed[:, 0] = -1.0
+    rows = obstacles.pack(parsed, scenario.dim, slots)
+    packed[:, : rows.shape[1]] = rows
+    return packed[None]
+
+
+def _check_together(scenario: Scenario, given: StartOptions, options: Mapping[str, Any]) -> None:
+    """Given positions must neither coincide nor lie in a given obstacle."""
+    positions = given.positions
+    if positions is None:
+        return
+    base = scenario.sensing_graph.base_weights(scenario.n_robots)
+    weights = base[None] if given.weights is None else given.weights
+    for k in range(max(len(positions), len(weights))):
+        check_distinct("positions", positions[k % len(positions)], weights[k % len(weights)])
+    standing = options.get("obstacles", scenario.obstacles)
+    standing = obstacles.parse(standing, scenario.dim)
+    if isinstance(standing, tuple) and scenario.obstacle_contact != "ignore":
+        for team in positions:
+            obstacles.check_outside("positions", team, standing)

@@ -1,0 +1,330 @@
+"""PettingZoo: ``parallel_env``, ``env`` and ``raw_env``. Dicts around a Simulator with one team."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from gymnasium.spaces import Box
+from numpy.typing import NDArray
+from pettingzoo.utils import wrappers
+from pettingzoo.utils.conversions import parallel_to_aec
+from pettingzoo.utils.env import AECEnv, ParallelEnv
+
+from .scenario import Scenario
+from .scenarios import resolve
+from .simulator import Outcome, Simulator
+from .spaces import action_box, observation_box, state_box, team_state
+from .teams import RENDEZVOUS, RUNNING
+
+ScenarioLike = Scenario | str | os.PathLike[str]
+Observations = dict[str, NDArray[np.float32]]
+Infos = dict[str, dict[str, Any]]
+
+
+def parallel_env(
+    scenario: ScenarioLike = "fig3",
+    render_mode: str | None = None,
+    max_cycles: int | None = None,
+    **overrides: Any,
+) -> RendezvousParallelEnv:
+    """The parallel environment: all robots act at once.
+
+    Args:
+        scenario: a Scenario, the name of one (``scenarios.names()``) or the path of a TOML file.
+        render_mode: None; pictures are made from trajectories.
+        max_cycles: time limit in steps, instead of the scenario's.
+        **overrides: fields of the scenario to change.
+
+    Raises:
+        ValueError: for an unknown scenario or field, or an impossible value.
+    """
+    return RendezvousParallelEnv(resolve(scenario, **overrides), render_mode, max_cycles)
+
+
+def raw_env(
+    scenario: ScenarioLike = "fig3",
+    render_mode: str | None = None,
+    max_cycles: int | None = None,
+    **overrides: Any,
+) -> AECEnv[str, NDArray[np.float32], NDArray[np.float32] | None]:
+    """The same environment for one robot after another (PettingZoo's AEC), without checks of
+    order.
+    """
+    return parallel_to_aec(parallel_env(scenario, render_mode, max_cycles, **overrides))
+
+
+def env(
+    scenario: ScenarioLike = "fig3",
+    render_mode: str | None = None,
+    max_cycles: int | None = None,
+    **overrides: Any,
+) -> AECEnv[str, NDArray[np.float32], NDArray[np.float32] | None]:
+    """The same environment for one robot after another (PettingZoo's AEC)."""
+    return wrappers.OrderEnforcingWrapper(raw_env(scenario, render_mode, max_cycles, **overrides))
+
+
+class RendezvousParallelEnv(ParallelEnv[str, NDArray[np.float32], NDArray[np.float32]]):
+    """Robots that see only directions must all meet.
+
+    ## Description
+
+    ``n`` robots move in the plane or in space. Each one sees in which direction its neighbours and
+    the edges of near obstacles lie, in its own frame, and never how far. Neighbours that come
+    within ``merge_radius`` become one robot; when one is left, the team has met. After Zhao and
+    Zheng,
+    *Flexible Bearing-Only Rendezvous Control of Mobile Robots* (2017).
+
+    ## Agents
+
+    ``robot_0`` … ``robot_{n-1}``. When robots i < j merge, ``robot_i`` goes on and ``robot_j``
+    ends; with ``on_merge="follow"`` it stays instead, with zero observations and without effect,
+    and earns the team reward.
+
+    ## Action space
+
+    ``Box(a,)``, float32, in the robot's own frame; symmetric bounds, the same for all robots.
+
+    | robot model       | numbers        | unit       | bound |
+    |-------------------|----------------|------------|--------------------------------------------|
+    | single integrator | velocity (d,)  | m/s        | v_max; norm limited, direction kept |
+    | unicycle          | v, ω           | m/s, rad/s | v_max, turn limit; each clipped |
+    | nonholonomic 3-D  | v, ω_α, ω_β    | m/s, rad/s | v_max, 10× turn limit, turn limit; clipped |
+
+    v_max is ``max_speed``, the turn limit ``max_turn_rate``; None of either is D̄, the largest sum
+    of gains that a robot can have. Inputs are held over a step τ and integrated exactly.
+
+    ## Observation space
+
+    ``Box(rows, d)``, float32, one row a direction in the robot's own frame; an absent row is zero.
+
+    | rows                   | what                                                    | length |
+    |------------------------|---------------------------------------------------------|--------|
+    | K = n − 1              | a_ij g_ij to each other robot in index order; sum: f_i  | a_ij   |
+    | M × 2 (2-D), × 8 (3-D) | silhouette bearings of obstacles in ``obstacle_range``  | 1      |
+    | 1 (3-D nonholonomic)   | direction of gravity, (−sin β, 0, −cos β)               | 1      |
+
+    In 2-D an obstacle's rows are its counter-clockwise and clockwise edge; in 3-D the rays of its
+    cone at 8 azimuths. ``scenario.observation_layout`` names the rows. Frames are a random fixed
+    rotation for each single integrator, the body frame (x = heading, y = left) for the other
+    models.
+
+    ## Reward
+
+    Every robot gets the team reward: progress (V_t − V_{t+1})/V_0, which adds up to at most 1,
+    minus ``time_penalty``·τ/time limit, minus ``collision_penalty`` for each robot in contact, plus
+    ``rendezvous_bonus`` when all have met. With the default weights an episode earns at most 2.
+
+    ## Start
+
+    Drawn from the seed: uniform in a box of edge ``spawn_size``, neighbours at least 2r apart,
+    clear of obstacles; frames and yaw uniform, pitch within ±45°. ``reset(options=…)`` takes any
+    part as given: "positions" (n, d), "headings" (n,) or (n, 2), "frames" (n, d, d), "weights" (n,
+    n), "obstacles".
+
+    ## End
+
+    Terminated: all robots have met; a merged-away robot, once, with the team reward and a zero
+    observation. Truncated: the time limit, ``max_cycles`` steps.
+
+    ## Infos
+
+    ``merged_into`` (name of the robot it became part of, or None), ``contact`` (bool),
+    ``clearance`` (m to the nearest obstacle, inf without any); after the last step also
+    ``summary``: success, time, contacts, path_length, lyapunov.
+
+    ``state()`` is the privileged global state for centralised critics; ``simulator`` holds it in SI
+    units.
+
+    ## Version history
+
+    * v0: first version.
+    """
+
+    metadata: dict[str, Any] = {  # noqa: RUF012 - PettingZoo reads a plain class attribute
+        "name": "rendezvous_v0",
+        "render_modes": [],
+        "is_parallelizable": True,
+    }
+
+    def __init__(
+        self, scenario: Scenario, render_mode: str | None = None, max_cycles: int | None = None
+    ) -> None:
+        modes = self.metadata["render_modes"]
+        if render_mode is not None and render_mode not in modes:
+            raise ValueError(f"render_mode is {render_mode!r}; it must be None or one of {modes}")
+        self.render_mode = render_mode
+        self.scenario = scenario
+        self.simulator = Simulator(scenario)
+        if max_cycles is not None:
+            self.simulator.set_max_steps(max_cycles)
+        self.possible_agents = [f"robot_{i}" for i in range(scenario.n_robots)]
+        self.agents: list[str] = []
+        self.observation_spaces = {name: observation_box(scenario) for name in self.possible_agents}
+        self.action_spaces = {name: action_box(scenario) for name in self.possible_agents}
+        self.state_space = state_box(scenario)
+        self._indices = {name: i for i, name in enumerate(self.possible_agents)}
+
+    @property
+    def max_cycles(self) -> int:
+        """Time limit in steps; may be set at any time."""
+        return self.simulator.max_steps
+
+    @max_cycles.setter
+    def max_cycles(self, value: int) -> None:
+        self.simulator.set_max_steps(value)
+
+    def observation_space(self, agent: str) -> Box:
+        """The space of one robot's observations; the same object each time."""
+        return self.observation_spaces[agent]
+
+    def action_space(self, agent: str) -> Box:
+        """The space of one robot's actions; the same object each time."""
+        return self.action_spaces[agent]
+
+    def reset(
+        self, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observations, Infos]:
+        """Begin an episode: the first of a seed, or without one the next.
+
+        Args:
+            seed: whole number; the same seed gives the same episodes.
+            options: given parts of the start, see the class.
+
+        Raises:
+            ValueError: for a bad option; nothing has changed then.
+        """
+        observations = self.simulator.reset(seed, options)[0]
+        self.agents = self.possible_agents.copy()
+        infos = {name: _info(None, False, np.inf) for name in self.agents}
+        return dict(zip(self.agents, observations, strict=True)), infos
+
+    def step(
+        self, actions: Mapping[str, Any]
+    ) -> tuple[Observations, dict[str, float], dict[str, bool], dict[str, bool], Infos]:
+        """Advance by one step τ.
+
+        Args:
+            actions: one for each robot in ``agents``.
+
+        Returns:
+            Observations, rewards, terminations, truncations and infos of the robots that were alive
+            at the start of the step.
+
+        Raises:
+            KeyError: for a missing, unknown or merged-away robot; nothing has changed then.
+            ValueError: for an action of the wrong shape, or one that is not finite; likewise.
+        """
+        if not self.agents and not actions:
+            return {}, {}, {}, {}, {}
+        table = self._table_of(actions)
+        return self._as_dicts(self.simulator.step(table))
+
+    def state(self) -> NDArray[np.float32]:
+        """The privileged global state, one float32 vector.
+
+        Positions (n·d, m), frames (n·d·d), weights (n·n, m/s), active (n, 0 or 1), packed obstacles
+        (M·width), and the share of the time limit that has passed.
+        """
+        return team_state(self.simulator)[0]
+
+    def render(self) -> None:
+        """Draw nothing: no render mode is offered yet; ``rollout`` gives the data of a picture."""
+
+    def close(self) -> None:
+        """Nothing to close."""
+
+    # ---- between dicts and arrays ---------------------------------------------------------------
+
+    def _table_of(self, actions: Mapping[str, Any]) -> NDArray[np.float32]:
+        """Actions as (1, n, a); zero for robots that are gone."""
+        alive, size = self.agents, self.scenario.action_size
+        try:
+            listed = np.array([actions[name] for name in alive], dtype=np.float32)
+        except (KeyError, TypeError, ValueError):
+            listed = np.empty(0, dtype=np.float32)
+        fits = listed.shape == (len(alive), size) and len(actions) == len(alive)
+        if not fits or not math.isfinite(listed.sum()):
+            self._explain(actions)
+        if len(alive) == self.scenario.n_robots:
+            return listed[None]
+        table = np.zeros((1, self.scenario.n_robots, size), dtype=np.float32)
+        table[0, [self._indices[name] for name in alive]] = listed
+        return table
+
+    def _explain(self, actions: Mapping[str, Any]) -> None:
+        """Raise what is wrong with these actions, naming the robot."""
+        for name in actions:
+            if name not in self._indices:
+                raise KeyError(
+                    f"{name!r} is no robot of this team; they are {self.possible_agents}"
+                )
+            if name not in self.agents:
+                survivor = self._survivor(self._indices[name])
+                why = f"has merged into {survivor}" if survivor else "has ended"
+                raise KeyError(f"{name} {why} and takes no action; alive are {self.agents}")
+        size = self.scenario.action_size
+        for name in self.agents:
+            if name not in actions:
+                raise KeyError(f"{name} is alive but has no action; alive are {self.agents}")
+            if not _is_action(actions[name], size):
+                raise ValueError(
+                    f"action of {name} is {actions[name]!r}; it must be {size} finite numbers"
+                )
+
+    def _as_dicts(
+        self, outcome: Outcome
+    ) -> tuple[Observations, dict[str, float], dict[str, bool], dict[str, bool], Infos]:
+        alive, status = self.agents, int(outcome.status[0])
+        over, met = status != RUNNING, status == RENDEZVOUS
+        indices = [self._indices[name] for name in alive]
+        active = outcome.active[0].tolist()
+        contact, clearance = outcome.contact[0].tolist(), outcome.clearance[0].tolist()
+        seen = list(outcome.observations[0])
+        observations = {name: seen[i] for name, i in zip(alive, indices, strict=True)}
+        infos = {
+            name: _info(None if active[i] else self._survivor(i), contact[i], clearance[i])
+            for name, i in zip(alive, indices, strict=True)
+        }
+        ends = dict.fromkeys(alive, met)
+        if not met and self.scenario.on_merge == "remove":
+            ends = {name: not active[i] for name, i in zip(alive, indices, strict=True)}
+        truncations = {name: over and not end for name, end in ends.items()}
+        if over:
+            for info in infos.values():
+                info["summary"] = self._summary()
+            self.agents = []
+        elif True in ends.values():
+            self.agents = [name for name in alive if not ends[name]]
+        rewards = dict.fromkeys(alive, float(outcome.rewards[0]))
+        return observations, rewards, ends, truncations, infos
+
+    def _survivor(self, i: int) -> str | None:
+        into = int(self.simulator.merged_into[0, i])
+        return None if into == i else self.possible_agents[into]
+
+    def _summary(self) -> dict[str, Any]:
+        """How the episode ended, in plain numbers."""
+        simulator = self.simulator
+        return {
+            "success": bool(simulator.status[0] == RENDEZVOUS),
+            "time": float(simulator.time[0]),
+            "contacts": int(simulator.contacts[0]),
+            "path_length": float(simulator.path_length[0]),
+            "lyapunov": float(simulator.lyapunov()[0]),
+        }
+
+
+def _is_action(value: Any, size: int) -> bool:
+    try:
+        action = np.asarray(value, dtype=np.float32)
+    except (TypeError, ValueError):
+        return False
+    return action.shape == (size,) and bool(np.isfinite(action).all())
+
+
+def _info(merged_into: str | None, contact: bool, clearance: float) -> dict[str, Any]:
+    return {"merged_into": merged_into, "contact": contact, "clearance": clearance}

@@ -1,0 +1,114 @@
+"""The named scenarios."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+from . import graphs
+from .obstacles import Disc, ObstacleField, Polygon
+from .scenario import Scenario, nearest_word
+
+_FIELD_OF_FIGURES = (
+    Disc(centre=(-1.2, 1.1), radius=0.8),
+    Disc(centre=(1.9, 0.4), radius=0.6),
+    Polygon(vertices=((-0.9, -2.6), (0.7, -2.6), (0.7, -1.6), (-0.9, -1.6))),
+)
+"""Our own choice: the paper prints no coordinates."""
+_START_OF_FIGURES = ((-4.0, -3.0), (4.5, -2.0), (0.5, 4.5))
+
+
+def _figure(name: str, obstacle_contact: str) -> Scenario:
+    return Scenario(
+        name=name,
+        n_robots=3,
+        merge_radius=0.2,
+        start_positions=_START_OF_FIGURES,
+        obstacles=_FIELD_OF_FIGURES,
+        obstacle_contact=obstacle_contact,
+        obstacle_range=2.0,
+    )
+
+
+def _clutter(discs: int) -> Scenario:
+    """The experiment of theory 6: the long step is meant, V still falls with it."""
+    return Scenario(
+        name=f"clutter-{discs}",
+        n_robots=4,
+        obstacles=ObstacleField(
+            count=discs, radius=(0.8, 2.0), region=16.0, keep_out=0.5, overlap=True
+        ),
+        spawn_size=20.0,
+        max_speed=1.0,
+        time_step=0.05,
+        allow_long_step=True,
+        time_limit=60.0,
+    )
+
+
+_BUILDERS: dict[str, Callable[[], Scenario]] = {
+    "fig3": lambda: _figure("fig3", "ignore"),
+    "fig4": lambda: _figure("fig4", "slide"),
+    "duo": lambda: Scenario(name="duo", n_robots=2),
+    "swarm-20": lambda: Scenario(name="swarm-20", n_robots=20),
+    "ring-12": lambda: Scenario(name="ring-12", n_robots=12, graph=graphs.cycle(), time_limit=60.0),
+    "tree-12": lambda: Scenario(
+        name="tree-12", n_robots=12, graph=graphs.random_tree((0.5, 2.0)), time_limit=60.0
+    ),
+    "random-10": lambda: Scenario(
+        name="random-10", n_robots=10, graph=graphs.erdos_renyi(0.3, (0.5, 1.5))
+    ),
+    "unicycle-6": lambda: Scenario(name="unicycle-6", n_robots=6, robot_model="unicycle"),
+    "uav-6": lambda: Scenario(name="uav-6", n_robots=6, dim=3, robot_model="nonholonomic_3d"),
+    "cloud-8": lambda: Scenario(name="cloud-8", n_robots=8, dim=3),
+    **{f"clutter-{discs}": partial(_clutter, discs) for discs in (4, 8, 12, 16, 24)},
+    "clutter-3d": lambda: Scenario(
+        name="clutter-3d",
+        n_robots=4,
+        dim=3,
+        obstacles=ObstacleField(
+            count=12, radius=(0.8, 2.0), region=10.0, keep_out=0.5, overlap=True
+        ),
+        spawn_size=14.0,
+        max_speed=1.0,
+        time_step=0.05,
+        allow_long_step=True,
+        time_limit=60.0,
+    ),
+    "wall": lambda: Scenario(
+        name="wall",
+        n_robots=2,
+        start_positions=((-3.0, 0.0), (3.0, 0.0)),
+        obstacles=(Polygon(vertices=((-0.5, -6.0), (0.5, -6.0), (0.5, 6.0), (-0.5, 6.0))),),
+        max_speed=1.0,
+        time_limit=30.0,
+    ),
+}
+
+
+def names() -> list[str]:
+    """Names of all scenarios."""
+    return list(_BUILDERS)
+
+
+def get(name: str) -> Scenario:
+    """The scenario of that name.
+
+    Raises:
+        ValueError: for an unknown name, with the nearest known one.
+    """
+    if name not in _BUILDERS:
+        near = nearest_word(name, _BUILDERS, cutoff=0.4)
+        hint = f"did you mean {near!r}?" if near else ""
+        raise ValueError(f"scenario {name!r} is unknown; {hint} known are {', '.join(_BUILDERS)}")
+    return _BUILDERS[name]()
+
+
+def resolve(scenario: Scenario | str | os.PathLike[str], **overrides: Any) -> Scenario:
+    """A scenario from a Scenario, a name or the path of a TOML file, with some fields changed."""
+    if not isinstance(scenario, Scenario):
+        is_file = str(scenario).endswith(".toml")
+        scenario = Scenario.from_toml(scenario) if is_file else get(str(scenario))
+    return scenario.replace(**overrides) if overrides else scenario

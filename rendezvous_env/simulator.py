@@ -1,0 +1,600 @@
+"""Simulator: many teams at once. Every environment of this project is one of these."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numba
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from . import threads
+from .kernels import observe_blocks, step_blocks
+from .lanes import LANES
+from .obstacles import ObstacleField, pack, row_width
+from .options import StartOptions, parse_options
+from .scenario import CONTACT_MODES, Scenario
+from .starts import StartRules, reset_teams
+from .teams import (
+    BOOK,
+    FRESH,
+    LYAPUNOV_AFTER_MERGE,
+    LYAPUNOV_BEFORE_MERGE,
+    MERGE_EXCESS,
+    MERGE_RISE,
+    REWARD,
+    RUNNING,
+    Physics,
+    Results,
+    Teams,
+    from_lanes,
+    to_lanes,
+)
+
+_WORK_PER_THREAD = 8192
+"""Robot pairs below which another thread costs more than it saves."""
+_CONFIG: Any = numba.config
+_KEPT = tuple(name for name in BOOK.names or () if name != "lyapunov")
+"""What of a team's book belongs to its state; V follows from the rest."""
+
+
+class Outcome:
+    """What one step gives out; every array is freshly allocated and belongs to the caller."""
+
+    __slots__ = ("_scores", "active", "clearance", "contact", "observations", "status")
+
+    observations: NDArray[np.float32]
+    """(B, n, rows, d)."""
+    contact: NDArray[np.bool_]
+    """(B, n), whether the robot touched an obstacle in this step."""
+    clearance: NDArray[np.float64]
+    """(B, n), distance to the nearest obstacle, m; inf without obstacles."""
+    active: NDArray[np.bool_]
+    """(B, n), whether the robot still exists on its own."""
+    status: NDArray[np.int64]
+    """(B,), RUNNING, RENDEZVOUS or TIME_OUT of teams.py."""
+
+    def __init__(self, results: Results, observed: tuple[int, ...]) -> None:
+        flat, self._scores, self.contact, self.clearance, self.active, self.status = results
+        self.observations = flat.reshape(observed)
+
+    @property
+    def rewards(self) -> NDArray[np.float64]:
+        """(B,), of the team."""
+        return self._scores[:, REWARD]
+
+    @property
+    def lyapunov_before_merge(self) -> NDArray[np.float64]:
+        """(B,), V just before the first merge of the step, m²/s; V at its end if there was none."""
+        return self._scores[:, LYAPUNOV_BEFORE_MERGE]
+
+    @property
+    def lyapunov_after_merge(self) -> NDArray[np.float64]:
+        """(B,), V just after the last merge of the step, m²/s; V at its end if there was none."""
+        return self._scores[:, LYAPUNOV_AFTER_MERGE]
+
+    @property
+    def merge_rise(self) -> NDArray[np.float64]:
+        """(B,), largest rise of V at a merge of the step, m²/s; 0 if there was none."""
+        return self._scores[:, MERGE_RISE]
+
+    @property
+    def merge_excess(self) -> NDArray[np.float64]:
+        """(B,), largest rise of V at a merge above its bound (theory 5), m²/s; 0 if there was
+        none.
+        """
+        return self._scores[:, MERGE_EXCESS]
+
+
+class Simulator:
+    """B teams of one scenario, advanced together.
+
+    A batch of one and a batch of many give bit-equal trajectories for equal seeds, with any number
+    of threads.
+
+    Args:
+        scenario: the experiment.
+        num_envs: B, number of teams, at least 1.
+        num_threads: most threads a step may use; None is one for each core.
+
+    Raises:
+        ValueError: if ``num_envs`` or ``num_threads`` is not a positive whole number.
+    """
+
+    def __init__(
+        self, scenario: Scenario, num_envs: int = 1, *, num_threads: int | None = None
+    ) -> None:
+        for name, value in (("num_envs", num_envs), ("num_threads", num_threads)):
+            if value is not None and (not isinstance(value, int | np.integer) or value < 1):
+                raise ValueError(f"{name} is {value!r}; it must be a whole number, 1 or more")
+        self.scenario = scenario
+        self.num_envs = int(num_envs)
+        self.num_threads = num_threads
+        self.max_steps = scenario.max_steps
+        self._teams = _empty_teams(scenario, self.num_envs)
+        self._seeded = np.zeros(self.num_envs, dtype=np.bool_)
+        self._ready = False
+        self._prepare()
+
+    def _prepare(self) -> None:
+        """Make what follows from the scenario: constants and working memory."""
+        scenario = self.scenario
+        self._axes = tuple(range(scenario.dim))
+        self._acted = (self.num_envs, scenario.n_robots, scenario.action_size)
+        self._observed = (self.num_envs, scenario.n_robots, *scenario.observation_layout.shape)
+        self._slices = _slices(scenario, self.num_envs, self.num_threads)
+        self._physics = _physics(scenario, self.max_steps)
+        self._rules = _start_rules(scenario)
+
+    # ---- episodes -----------------------------------------------------------------------------
+
+    def reset(
+        self,
+        seed: int | Sequence[int | None] | None = None,
+        options: Mapping[str, Any] | None = None,
+        *,
+        mask: NDArray[np.bool_] | None = None,
+        resting: bool = False,
+    ) -> NDArray[np.float32]:
+        """Begin a new episode in all teams, or in those of a mask.
+
+        Args:
+            seed: s gives team i the seed s + i, a list gives each team its own (None in it keeps
+                that team's); None goes on to the next episode of every team's seed, or draws a seed
+                if it has none yet.
+            options: "positions" (n, d) m, "headings" (n,) rad or (n, 2) yaw and pitch, "frames"
+                (n, d, d) rotations, "weights" (n, n) m/s, "obstacles"; each may carry a leading
+                axis B.
+            mask: (B,), which teams; None is all.
+            resting: let these teams pass the next step without moving (for autoreset).
+
+        Returns:
+            Observations of all teams, (B, n, rows, d) float32.
+
+        Raises:
+            ValueError: for a bad option, seed or mask; nothing has changed then.
+            RuntimeError: if no room was found for a start or an obstacle; nothing has changed then.
+        """
+        which = self._which(mask)
+        given = parse_options(self.scenario, self.num_envs, options)
+        seeds = self._new_seeds(seed)
+        before = self._backup(which)
+        self._assign_seeds(which, seeds)
+        rules = self._take_given(which, given)
+        with _quiet_integers():
+            failed = reset_teams(which, FRESH if resting else RUNNING, rules, self._teams)
+        if failed >= 0:
+            for array, indices, old in before:
+                array[indices] = old
+            raise RuntimeError(
+                f"no room for the start of team {failed}: {self.scenario.n_robots} robots, "
+                f"neighbours at least 2 merge_radius = {2 * self.scenario.merge_radius} m apart "
+                f"and clear of obstacles, in a spawn_size of {self.scenario.spawn_size} m; "
+                "enlarge it or thin out the obstacles"
+            )
+        self._ready = True
+        return self.observe()
+
+    def step(self, actions: ArrayLike) -> Outcome:
+        """Advance every running team by one step τ with the inputs held.
+
+        Args:
+            actions: (B, n, a) in the robots' own frames, m/s and rad/s; what finished teams and
+                merged-away robots are given is ignored.
+
+        Returns:
+            What the step gives out, in freshly allocated arrays.
+
+        Raises:
+            ValueError: for a wrong shape or a number that is not finite, naming the robot; nothing
+                has changed then.
+            RuntimeError: before the first reset.
+        """
+        if not self._ready:
+            raise RuntimeError("call reset() before step()")
+        table = np.ascontiguousarray(actions, dtype=np.float32)
+        if table.shape != self._acted:
+            raise ValueError(
+                f"actions have shape {table.shape}; they must be (B, n, a) = {self._acted}"
+            )
+        results = self._new_results()
+        wrong = self._run_slices(table, results)
+        if wrong >= 0:
+            team, robot, _ = (int(k) for k in np.unravel_index(wrong, self._acted))
+            raise ValueError(
+                f"action of robot_{robot} in team {team} is {table[team, robot].tolist()}; "
+                "it must be finite"
+            )
+        return Outcome(results, self._observed)
+
+    def _run_slices(self, actions: NDArray[np.float32], results: Results) -> int:
+        """Step all blocks; index of the first action that is not finite, or −1."""
+        fixed = (self._physics, self._axes, tuple(self._teams), actions, tuple(results))
+        if len(self._slices) == 1:
+            return int(step_blocks(*self._slices[0], *fixed))
+        wrong = [-1] * len(self._slices)
+
+        def advance(k: int) -> None:
+            wrong[k] = step_blocks(*self._slices[k], *fixed)
+
+        threads.run(advance, len(self._slices))
+        return wrong[0]
+
+    def observe(self) -> NDArray[np.float32]:
+        """Observations of all teams as they are, (B, n, rows, d) float32."""
+        results, teams = self._new_results(), self._teams
+        blocks = np.arange(len(teams.positions))
+        observe_blocks(blocks, self._physics, self._axes, tuple(teams), tuple(results))
+        return results.observations.reshape(self._observed)
+
+    def _new_results(self) -> Results:
+        batch, n, rows, d = self._observed
+        return Results(
+            observations=np.empty((batch, n * rows * d), dtype=np.float32),
+            scores=np.empty((batch, 5)),
+            contact=np.empty((batch, n), dtype=np.bool_),
+            clearance=np.empty((batch, n)),
+            active=np.empty((batch, n), dtype=np.bool_),
+            status=np.empty(batch, dtype=np.int64),
+        )
+
+    # ---- state --------------------------------------------------------------------------------
+
+    @property
+    def positions(self) -> NDArray[np.float64]:
+        """p_i, (B, n, d), m; a merged-away robot is where the robot is that it became part of."""
+        places = from_lanes(self._teams.positions, self.num_envs)
+        return np.take_along_axis(places, self._teams.merged_into[..., None], axis=1)
+
+    @property
+    def headings(self) -> NDArray[np.float64]:
+        """Yaw, or yaw and pitch, (B, n, 1 or 2), rad; (B, n, 0) for single integrators."""
+        return self._teams.angles.copy()
+
+    @property
+    def frames(self) -> NDArray[np.float64]:
+        """R_i, local → global, (B, n, d, d)."""
+        d = self.scenario.dim
+        frames = from_lanes(self._teams.frames, self.num_envs)
+        return frames.reshape(*frames.shape[:2], d, d)
+
+    @property
+    def weights(self) -> NDArray[np.float64]:
+        """a_ij, (B, n, n), m/s, as merging has left them."""
+        n = self.scenario.n_robots
+        pairs = from_lanes(self._teams.weights, self.num_envs)[..., 0]
+        weights = np.zeros((self.num_envs, n, n))
+        rows, columns = np.triu_indices(n, 1)
+        weights[:, rows, columns] = weights[:, columns, rows] = pairs
+        return weights
+
+    @property
+    def obstacles(self) -> NDArray[np.float64]:
+        """Packed obstacles, (B, M, width), as obstacles.py says."""
+        return self._teams.obstacles.copy()
+
+    @property
+    def merged_into(self) -> NDArray[np.int64]:
+        """(B, n), index of the robot that each one is now part of; its own while it is active."""
+        return self._teams.merged_into.copy()
+
+    @property
+    def active(self) -> NDArray[np.bool_]:
+        """(B, n), whether the robot still exists on its own."""
+        return self._teams.merged_into == np.arange(self.scenario.n_robots)
+
+    @property
+    def status(self) -> NDArray[np.int64]:
+        """(B,), RUNNING, RENDEZVOUS, TIME_OUT or FRESH of teams.py."""
+        return self._teams.book["status"].copy()
+
+    @property
+    def steps(self) -> NDArray[np.int64]:
+        """(B,), steps done in this episode."""
+        return self._teams.book["steps"].copy()
+
+    @property
+    def time(self) -> NDArray[np.float64]:
+        """(B,), s since the start of the episode."""
+        return self._teams.book["steps"] * self.scenario.tau
+
+    @property
+    def seeds(self) -> NDArray[np.uint64]:
+        """(B,), seed of each team."""
+        return self._teams.book["seed"].copy()
+
+    @property
+    def initial_lyapunov(self) -> NDArray[np.float64]:
+        """(B,), V at the start of the episode, m²/s."""
+        return self._teams.book["initial_lyapunov"].copy()
+
+    @property
+    def path_length(self) -> NDArray[np.float64]:
+        """(B,), way of all robots together in this episode, m."""
+        return self._teams.book["path_length"].copy()
+
+    @property
+    def contacts(self) -> NDArray[np.int64]:
+        """(B,), contacts in this episode, one for each robot and step."""
+        return self._teams.book["contacts"].copy()
+
+    @property
+    def min_clearance(self) -> NDArray[np.float64]:
+        """(B,), least distance of a robot to an obstacle in this episode, m; inf without
+        obstacles.
+        """
+        return self._teams.book["min_clearance"].copy()
+
+    def lyapunov(self) -> NDArray[np.float64]:
+        """V, (B,), m²/s."""
+        return self._teams.book["lyapunov"].copy()
+
+    def get_state(self) -> dict[str, NDArray[Any]]:
+        """Everything that the future of the teams depends on, as copies with leading axis B."""
+        teams = self._teams
+        state = {
+            "positions": from_lanes(teams.positions, self.num_envs).copy(),
+            "angles": teams.angles.copy(),
+            "weights": from_lanes(teams.weights, self.num_envs).copy(),
+            "obstacles": teams.obstacles.copy(),
+            "merged_into": teams.merged_into.copy(),
+        }
+        if not self.scenario.model.nonholonomic:
+            state["frames"] = from_lanes(teams.frames, self.num_envs).copy()
+        return state | {name: teams.book[name].copy() for name in _KEPT}
+
+    def set_state(self, state: Mapping[str, NDArray[Any]]) -> None:
+        """Put a state back that ``get_state`` took out of a simulator of the same scenario and
+        batch.
+
+        Raises:
+            ValueError: naming a missing or unknown entry, or one of another shape or type; nothing
+                has changed then.
+        """
+        own = self.get_state()
+        if wrong := sorted(set(own) ^ set(state)):
+            raise ValueError(f"state: entry {wrong[0]!r} is missing or unknown")
+        for name, array in own.items():
+            value = np.asarray(state[name])
+            if value.shape != array.shape or value.dtype != array.dtype:
+                raise ValueError(
+                    f"state: {name} is {value.dtype} of shape {value.shape}; "
+                    f"it must be {array.dtype} of shape {array.shape}"
+                )
+        teams = self._teams
+        for name in state:
+            if name in _KEPT:
+                teams.book[name] = state[name]
+            elif name in ("positions", "weights", "frames"):
+                to_lanes(state[name], getattr(teams, name))
+            else:
+                getattr(teams, name)[...] = state[name]
+        self._seeded[:] = True
+        self._ready = True
+        self.observe()
+
+    def set_max_steps(self, max_steps: int) -> None:
+        """Change the time limit to a number of steps.
+
+        Raises:
+            ValueError: if it is not a positive whole number.
+        """
+        if (
+            not isinstance(max_steps, int | np.integer)
+            or isinstance(max_steps, bool)
+            or max_steps < 1
+        ):
+            raise ValueError(f"max_cycles is {max_steps!r}; it must be a whole number, 1 or more")
+        self.max_steps = int(max_steps)
+        self._physics = _physics(self.scenario, self.max_steps)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Pickle and deepcopy keep the running episodes and leave the working memory behind."""
+        return {
+            "scenario": self.scenario,
+            "num_envs": self.num_envs,
+            "num_threads": self.num_threads,
+            "max_steps": self.max_steps,
+            "_teams": tuple(array.copy() for array in self._teams),
+            "_seeded": self._seeded.copy(),
+            "_ready": self._ready,
+        }
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Take up the episodes where they were."""
+        self.__dict__.update(state)
+        self._teams = Teams(*state["_teams"])
+        self._prepare()
+
+    # ---- parts of reset -----------------------------------------------------------------------
+
+    def _which(self, mask: NDArray[np.bool_] | None) -> NDArray[np.int64]:
+        if mask is None:
+            return np.arange(self.num_envs)
+        array = np.asarray(mask)
+        if array.shape != (self.num_envs,) or array.dtype != np.bool_:
+            raise ValueError(
+                f"mask is {array.dtype} of shape {array.shape}; it must be bool, one for each of "
+                f"{self.num_envs} teams"
+            )
+        return np.flatnonzero(array)
+
+    def _new_seeds(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
+        """A seed for each team, None where it keeps its own."""
+        listed: Sequence[Any]
+        if seed is None:
+            listed = [None] * self.num_envs
+        elif isinstance(seed, int | np.integer) and not isinstance(seed, bool):
+            listed = [int(seed) + i for i in range(self.num_envs)]
+        else:
+            listed = list(seed) if isinstance(seed, Sequence | np.ndarray) else [seed]
+        if len(listed) != self.num_envs:
+            raise ValueError(
+                f"seed has {len(listed)} entries; it must be one number, or {self.num_envs}"
+            )
+        for value in listed:
+            if value is None:
+                continue
+            whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
+            if not whole or not 0 <= value < 2**63:
+                raise ValueError(f"seed {value!r} must be a whole number, 0 or more")
+        return [None if value is None else int(value) for value in listed]
+
+    def _assign_seeds(self, which: NDArray[np.int64], seeds: list[int | None]) -> None:
+        """Seed teams anew, or send them on to the next episode of their seed."""
+        book = self._teams.book
+        book["episode"][which] += 1
+        for team in which.tolist():
+            if seeds[team] is not None:
+                book["seed"][team], book["episode"][team] = seeds[team], 0
+        unseeded = [
+            team for team in which.tolist() if not self._seeded[team] and seeds[team] is None
+        ]
+        if unseeded:
+            entropy = np.random.SeedSequence().generate_state(len(unseeded), np.uint64)
+            book["seed"][unseeded] = entropy >> np.uint64(1)
+        self._seeded[which] = True
+
+    def _backup(self, which: NDArray[np.int64]) -> list[tuple[Any, NDArray[np.int64], Any]]:
+        """What a reset of these teams may overwrite: (array, indices, old values)."""
+        teams, blocks = self._teams, which // LANES
+        places: list[tuple[Any, NDArray[np.int64]]]
+        places = [(array, blocks) for array in (teams.positions, teams.frames, teams.weights)]
+        places += [(array, which) for array in (teams.angles, teams.obstacles, teams.book)]
+        return [(array, indices, array[indices]) for array, indices in places]
+
+    def _take_given(self, which: NDArray[np.int64], given: StartOptions) -> StartRules:
+        """Write the given parts of a start into the state; the rules say to draw the others."""
+        scenario, teams = self.scenario, self._teams
+        n, d = scenario.n_robots, scenario.dim
+        starts, headings = scenario.start_positions, scenario.start_headings
+        pairs = np.triu_indices(n, 1)
+        positions = given.positions if starts is None else _or(given.positions, [starts])
+        angles = given.angles if headings is None else _or(given.angles, [headings])
+        frames, weights, obstacles = given.frames, given.weights, given.obstacles
+        if frames is None and scenario.local_frames == "global":
+            frames = np.broadcast_to(np.eye(d), (1, n, d, d))
+        if obstacles is None and not isinstance(scenario.obstacles, ObstacleField):
+            obstacles = pack(scenario.obstacles, d, teams.obstacles.shape[1])[None]
+        block, lane = which // LANES, which % LANES
+        if positions is not None:
+            _by_lane(teams.positions)[block, :, :, lane] = _for_each(positions, which)
+        if angles is not None:
+            teams.angles[which] = _for_each(angles, which)
+        if frames is not None and not scenario.model.nonholonomic:
+            flat = frames.reshape(len(frames), n, d * d)
+            _by_lane(teams.frames)[block, :, :, lane] = _for_each(flat, which)
+        if weights is not None:
+            listed = weights[:, pairs[0], pairs[1], None]
+            _by_lane(teams.weights)[block, :, :, lane] = _for_each(listed, which)
+        if obstacles is not None:
+            teams.obstacles[which] = _for_each(obstacles, which)
+        return self._rules._replace(
+            draw_positions=positions is None,
+            draw_angles=angles is None,
+            draw_frames=frames is None,
+            draw_weights=weights is None,
+            draw_obstacles=obstacles is None,
+        )
+
+
+def _or(value: NDArray[np.float64] | None, default: Any) -> NDArray[np.float64]:
+    return np.array(default, dtype=np.float64) if value is None else value
+
+
+def _for_each(values: NDArray[np.float64], which: NDArray[np.int64]) -> NDArray[np.float64]:
+    """One entry for each of these teams, from one for all or one for every team of the batch."""
+    return values if len(values) == 1 else values[which]
+
+
+def _by_lane(blocks: NDArray[np.float64]) -> NDArray[np.float64]:
+    """A view (blocks, m, c, LANES) of lane blocks."""
+    return blocks.reshape(*blocks.shape[:2], -1, LANES)
+
+
+def _empty_teams(scenario: Scenario, batch: int) -> Teams:
+    n, d, model = scenario.n_robots, scenario.dim, scenario.model
+    layout, blocks = scenario.observation_layout, -(-batch // LANES)
+    book = np.zeros(batch, dtype=BOOK)
+    book["episode"], book["min_clearance"] = -1, np.inf
+    return Teams(
+        positions=np.zeros((blocks, n, d * LANES)),
+        frames=np.zeros((blocks, n, d * d * LANES)),
+        weights=np.zeros((blocks, n * (n - 1) // 2, LANES)),
+        angles=np.zeros((batch, n, model.n_angles)),
+        obstacles=np.zeros((batch, layout.obstacle_slots, row_width(scenario.obstacles, d))),
+        merged_into=np.tile(np.arange(n), (batch, 1)),
+        book=book,
+    )
+
+
+def _slices(scenario: Scenario, batch: int, num_threads: int | None) -> list[tuple[int, int]]:
+    """The blocks of the batch cut into one slice for each thread that is worth its cost."""
+    work = batch * scenario.n_robots * max(scenario.n_robots, scenario.observation_layout.rows)
+    most = threads.available_cores() if num_threads is None else num_threads
+    blocks = -(-batch // LANES)
+    count = max(1, min(most, work // _WORK_PER_THREAD, blocks))
+    edges = np.linspace(0, blocks, count + 1).astype(int).tolist()
+    return list(itertools.pairwise(edges))
+
+
+def _physics(scenario: Scenario, max_steps: int) -> tuple[Any, ...]:
+    reward = scenario.reward
+    turn_limits = [float(bound) for bound in scenario.action_bounds[1:]]
+    nonholonomic = scenario.model.nonholonomic
+    physics = Physics(
+        n_angles=scenario.model.n_angles,
+        duration=float(scenario.tau),
+        merge_radius=float(scenario.merge_radius),
+        speed_limit=float(scenario.speed_limit),
+        yaw_rate_limit=turn_limits[0] if nonholonomic else 0.0,
+        pitch_rate_limit=turn_limits[-1] if nonholonomic else 0.0,
+        max_steps=max_steps,
+        contact_mode=CONTACT_MODES.index(scenario.obstacle_contact),
+        obstacle_range=float(scenario.obstacle_range),
+        neighbour_slots=scenario.observation_layout.neighbour_slots,
+        rows=scenario.observation_layout.rows,
+        reward_weights=(
+            reward.progress,
+            reward.time_penalty,
+            reward.collision_penalty,
+            reward.rendezvous_bonus,
+        ),
+    )
+    return tuple(physics)
+
+
+def _start_rules(scenario: Scenario) -> StartRules:
+    graph, field = scenario.sensing_graph, scenario.obstacles
+    count, radius, region, keep_out, overlap = (0, 0), (0.0, 0.0), 0.0, 0.0, True
+    if isinstance(field, ObstacleField):
+        count = field.count if isinstance(field.count, tuple) else (field.count, field.count)
+        radius, region = field.radius, field.region
+        keep_out, overlap = field.keep_out, field.overlap
+    return StartRules(
+        draw_positions=True,
+        draw_frames=True,
+        draw_angles=True,
+        draw_weights=True,
+        draw_obstacles=True,
+        spawn_size=float(scenario.spawn_size),
+        least_distance=2.0 * scenario.merge_radius,
+        topology=graph.topology,
+        probability=float(graph.probability),
+        weight_range=graph.weight_range,
+        base_weights=graph.base_weights(scenario.n_robots),
+        field_counts=count,
+        field_radii=radius,
+        field_region=float(region),
+        keep_out=float(keep_out),
+        field_overlap=overlap,
+    )
+
+
+def _quiet_integers() -> Any:
+    """Without compilation NumPy would warn of every product of 64-bit numbers that wraps around."""
+    from contextlib import nullcontext
+
+    return np.errstate(over="ignore") if _CONFIG.DISABLE_JIT else nullcontext()

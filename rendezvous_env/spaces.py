@@ -1,0 +1,70 @@
+"""Gymnasium spaces of a scenario, and the privileged global state. One place, used by every
+environment.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from gymnasium.spaces import Box
+from numpy.typing import NDArray
+
+from .obstacles import row_width
+from .scenario import Scenario
+from .simulator import Simulator
+
+
+def observation_bounds(scenario: Scenario) -> NDArray[np.float32]:
+    """Symmetric bound on every number of an observation, (rows, d): D̄ for neighbours, 1 for the
+    rest.
+    """
+    layout = scenario.observation_layout
+    bounds = np.ones(layout.shape)
+    bounds[layout.neighbours] = max(scenario.max_degree, 1e-6)
+    return np.nextafter(bounds.astype(np.float32), np.float32(np.inf))
+
+
+def action_bounds(scenario: Scenario) -> NDArray[np.float32]:
+    """Symmetric bound on every number of an action, (a,)."""
+    return scenario.action_bounds.astype(np.float32)
+
+
+def observation_box(scenario: Scenario) -> Box:
+    """Space of one robot's observations."""
+    bounds = observation_bounds(scenario)
+    return Box(-bounds, bounds, dtype=np.float32)
+
+
+def action_box(scenario: Scenario) -> Box:
+    """Space of one robot's actions."""
+    bounds = action_bounds(scenario)
+    return Box(-bounds, bounds, dtype=np.float32)
+
+
+def state_box(scenario: Scenario) -> Box:
+    """Space of ``team_state``: any finite float32."""
+    largest = float(np.finfo(np.float32).max)
+    return Box(-largest, largest, (_state_size(scenario),), dtype=np.float32)
+
+
+def team_state(simulator: Simulator) -> NDArray[np.float32]:
+    """The privileged global state of every team, (B, …) float32.
+
+    Positions (n·d, m), frames (n·d·d), weights (n·n, m/s), active (n), packed obstacles (M·width),
+    and the share of the time limit that has passed.
+    """
+    parts = (
+        simulator.positions,
+        simulator.frames,
+        simulator.weights,
+        simulator.active,
+        simulator.obstacles,
+        (simulator.steps / simulator.max_steps)[:, None],
+    )
+    batch = simulator.num_envs
+    return np.concatenate([part.reshape(batch, -1) for part in parts], axis=1).astype(np.float32)
+
+
+def _state_size(scenario: Scenario) -> int:
+    n, d = scenario.n_robots, scenario.dim
+    obstacles = scenario.observation_layout.obstacle_slots * row_width(scenario.obstacles, d)
+    return n * d + n * d * d + n * n + n + obstacles + 1
