@@ -118,6 +118,7 @@ def within_limits(actions: NDArray[np.float64], scenario: Scenario) -> NDArray[n
     bounds = scenario.action_bounds
     if is_single_integrator(scenario):
         speeds = np.linalg.norm(actions, axis=-1, keepdims=True)
-        actions = actions * (scenario.speed_limit / np.maximum(speeds, scenario.speed_limit))
+        limited_speeds = np.minimum(speeds, scenario.speed_limit)
+        actions = actions * (limited_speeds / np.where(speeds > 0, speeds, 1.0))
     limited: NDArray[np.float32] = np.clip(actions, -bounds, bounds).astype(np.float32)
     return limited

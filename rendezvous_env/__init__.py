@@ -5,6 +5,8 @@ must all meet.
 """
 
 from . import graphs, rendezvous_v0, scenarios
+from .heading import certified_heading
+from .gymnasium_env import make_vec
 from .lyapunov import Certificate, certificate
 from .observations import ObservationLayout
 from .obstacles import Disc, ObstacleField, Polygon, Sphere
@@ -14,11 +16,13 @@ from .rewards import RewardWeights
 from .scenario import Scenario, TimeStepWarning
 from .simulator import Simulator
 from .trajectory import Trajectory, rollout
+from .wrappers import HeadingVectorWrapper
 
 __version__ = "0.1.0"
 __all__ = [
     "Certificate",
     "Disc",
+    "HeadingVectorWrapper",
     "ObservationLayout",
     "ObstacleField",
     "Polygon",
@@ -29,7 +33,9 @@ __all__ = [
     "TimeStepWarning",
     "Trajectory",
     "certificate",
+    "certified_heading",
     "graphs",
+    "make_vec",
     "parallel_env",
     "rendezvous_v0",
     "rollout",

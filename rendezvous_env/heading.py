@@ -6,6 +6,7 @@ Theorem C of docs/theory.md, section 3. The turn rates of nonholonomic robots ar
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -37,23 +38,33 @@ def flexible_velocity(
     return h * np.sum(h * f, axis=-1, keepdims=True)
 
 
-def step_scale(
-    row_lengths_sum: ArrayLike, merge_radius: float, duration: float
-) -> NDArray[np.float64]:
+def step_scale(row_lengths_sum: Any, merge_radius: float, duration: float) -> Any:
     """Factor on a robot's velocity with which V cannot rise within a long step.
 
         min(1, r/(2 Dᵢ τ))                                          (theory 4)
 
     Args:
-        row_lengths_sum: Dᵢ = Σⱼ aᵢⱼ, the summed lengths of the neighbour rows, any shape, m/s.
+        row_lengths_sum: Dᵢ = Σⱼ aᵢⱼ, the summed lengths of the neighbour rows, a number or an array
+            of any shape, m/s.
         merge_radius: r, m.
         duration: τ, s.
 
     Returns:
         Factors in (0, 1], of the same shape; 1 where Dᵢ = 0.
     """
-    reach = 2.0 * duration * np.asarray(row_lengths_sum, dtype=np.float64)
-    return merge_radius / np.maximum(reach, merge_radius)
+    return merge_radius / np.maximum(2.0 * duration * row_lengths_sum, merge_radius)
+
+
+scale_of_step = kernel(step_scale)
+"""``step_scale`` of a number, for kernels."""
+
+
+@kernel
+def turn_limit(max_turn):
+    """A largest turn in rad as ``certify_one`` wants it: its cosine, sine and squared chord."""
+    chord = 2.0 * math.sin(0.5 * min(max_turn, math.pi))
+    square = chord * chord if max_turn < math.pi else math.inf
+    return math.cos(max_turn), math.sin(max_turn), square
 
 
 def certified_heading(
@@ -152,22 +163,18 @@ def certify(raw, net_bearing, previous, min_alignment, dead_zone, max_turn, out)
 
     ``out`` may be ``previous`` itself.
     """
-    chord = 2.0 * math.sin(0.5 * min(max_turn, math.pi))
-    limit = (
-        math.cos(max_turn),
-        math.sin(max_turn),
-        chord * chord if max_turn < math.pi else math.inf,
-    )
+    limit = turn_limit(max_turn)
     for i in range(out.shape[0]):
         q, f, h = load(raw[i]), load(net_bearing[i]), load(previous[i])
-        x, y, z = _certify_one(q, f, h, min_alignment, dead_zone, limit)
+        x, y, z = certify_one(q, f, h, min_alignment, dead_zone, limit)
         out[i, 0], out[i, 1] = x, y
         if out.shape[1] == 3:
             out[i, 2] = z
 
 
 @kernel
-def _certify_one(raw, net_bearing, previous, min_alignment, dead_zone, limit):
+def certify_one(raw, net_bearing, previous, min_alignment, dead_zone, limit):
+    """``certified_heading`` of one robot, vectors as triples; ``limit`` from ``turn_limit``."""
     strength, towards = split(net_bearing)
     margin = min_alignment * min(max(strength / dead_zone - 1.0, 0.0), 1.0)
     if strength == 0.0:

@@ -199,6 +199,10 @@ def _advance(block, lanes, physics, axes, teams, results, scratch):
             results.clearance[team, i] = np.inf
         results.scores[team, MERGE_RISE] = 0.0
         results.scores[team, MERGE_EXCESS] = 0.0
+        if teams.book[team]["status"] != RUNNING:
+            scratch.near[lane] = (
+                0.0  # nothing meets before an episode's first step or after its last
+            )
         if scratch.near[lane] > 0.0:
             _advance_exactly(block, lane, physics, d, teams, results, scratch)
         length = 0.0

@@ -44,7 +44,7 @@ def parse_options(
     """
     options = dict(options or {})
     for key in options:
-        near = nearest_word(str(key), OPTIONS, cutoff=0.75)
+        near = nearest_word(str(key), OPTIONS, cutoff=0.8)
         if key not in OPTIONS and near:
             raise ValueError(f"options: {key!r} is not an option; did you mean {near!r}?")
     given = StartOptions(

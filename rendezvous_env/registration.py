@@ -4,7 +4,10 @@ from __future__ import annotations
 
 
 def register() -> None:
-    """Register ``rendezvous/rendezvous-v0`` in PettingZoo, once."""
+    """Register ``rendezvous/rendezvous-v0`` in PettingZoo and ``rendezvous/Rendezvous-v0`` in
+    Gymnasium, once; time is ours, so without ``max_episode_steps``.
+    """
+    import gymnasium
     from pettingzoo.env_registry import registration
 
     name, module = "rendezvous/rendezvous-v0", "rendezvous_env.rendezvous_v0"
@@ -12,3 +15,8 @@ def register() -> None:
         registration.register("parallel", name, entry_point=f"{module}:parallel_env")
     if name not in registration.aec_registry:
         registration.register("aec", name, entry_point=f"{module}:env")
+    name, module = "rendezvous/Rendezvous-v0", "rendezvous_env.gymnasium_env"
+    if name not in gymnasium.registry:
+        gymnasium.register(
+            name, entry_point=f"{module}:make_env", vector_entry_point=f"{module}:make_vec"
+        )

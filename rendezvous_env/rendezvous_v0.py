@@ -199,7 +199,12 @@ class RendezvousParallelEnv(ParallelEnv[str, NDArray[np.float32], NDArray[np.flo
         """
         observations = self.simulator.reset(seed, options)[0]
         self.agents = self.possible_agents.copy()
-        infos = {name: _info(None, False, np.inf) for name in self.agents}
+        infos: Infos = {
+            name: {"merged_into": None, "contact": False, "clearance": clearance}
+            for name, clearance in zip(
+                self.agents, self.simulator.clearance[0].tolist(), strict=True
+            )
+        }
         return dict(zip(self.agents, observations, strict=True)), infos
 
     def step(
@@ -255,22 +260,46 @@ class RendezvousParallelEnv(ParallelEnv[str, NDArray[np.float32], NDArray[np.flo
         table[0, [self._indices[name] for name in alive]] = listed
         return table
 
-    def _explain(self, actions: Mapping[str, Any]) -> None:
-        """Raise what is wrong with these actions, naming the robot."""
+    def index(self, name: str) -> int:
+        """Index of a robot by its name."""
+        return self._indices[name]
+
+    def check_robots(self, actions: Mapping[str, Any]) -> None:
+        """Refuse actions that are not for exactly the robots alive.
+
+        Raises:
+            KeyError: naming the robot that is missing, unknown or gone.
+        """
         for name in actions:
             if name not in self._indices:
-                raise KeyError(
-                    f"{name!r} is no robot of this team; they are {self.possible_agents}"
-                )
+                raise KeyError(f"{name!r} is no robot of this team: {self.possible_agents}")
             if name not in self.agents:
                 survivor = self._survivor(self._indices[name])
                 why = f"has merged into {survivor}" if survivor else "has ended"
                 raise KeyError(f"{name} {why} and takes no action; alive are {self.agents}")
-        size = self.scenario.action_size
         for name in self.agents:
             if name not in actions:
                 raise KeyError(f"{name} is alive but has no action; alive are {self.agents}")
-            if not _is_action(actions[name], size):
+
+    def get_state(self) -> dict[str, Any]:
+        """The running episode as copies; ``set_state`` puts it back."""
+        return {"agents": self.agents.copy(), "simulator": self.simulator.get_state()}
+
+    def set_state(self, state: Mapping[str, Any]) -> None:
+        """Put back an episode that ``get_state`` took out.
+
+        Raises:
+            ValueError: naming what does not fit; nothing has changed then.
+        """
+        self.simulator.set_state(state["simulator"])
+        self.agents = list(state["agents"])
+
+    def _explain(self, actions: Mapping[str, Any]) -> None:
+        """Raise what is wrong with these actions, naming the robot."""
+        self.check_robots(actions)
+        size = self.scenario.action_size
+        for name in self.agents:
+            if not is_action(actions[name], size):
                 raise ValueError(
                     f"action of {name} is {actions[name]!r}; it must be {size} finite numbers"
                 )
@@ -280,25 +309,27 @@ class RendezvousParallelEnv(ParallelEnv[str, NDArray[np.float32], NDArray[np.flo
     ) -> tuple[Observations, dict[str, float], dict[str, bool], dict[str, bool], Infos]:
         alive, status = self.agents, int(outcome.status[0])
         over, met = status != RUNNING, status == RENDEZVOUS
-        indices = [self._indices[name] for name in alive]
-        active = outcome.active[0].tolist()
+        active, seen = outcome.active[0].tolist(), list(outcome.observations[0])
         contact, clearance = outcome.contact[0].tolist(), outcome.clearance[0].tolist()
-        seen = list(outcome.observations[0])
-        observations = {name: seen[i] for name, i in zip(alive, indices, strict=True)}
-        infos = {
-            name: _info(None if active[i] else self._survivor(i), contact[i], clearance[i])
-            for name, i in zip(alive, indices, strict=True)
+        robots = [(name, self._indices[name]) for name in alive]
+        observations = {name: seen[i] for name, i in robots}
+        infos: Infos = {
+            name: {
+                "merged_into": None if active[i] else self._survivor(i),
+                "contact": contact[i],
+                "clearance": clearance[i],
+            }
+            for name, i in robots
         }
-        ends = dict.fromkeys(alive, met)
-        if not met and self.scenario.on_merge == "remove":
-            ends = {name: not active[i] for name, i in zip(alive, indices, strict=True)}
-        truncations = {name: over and not end for name, end in ends.items()}
+        ends, truncations = dict.fromkeys(alive, met), dict.fromkeys(alive, over and not met)
+        if not met and self.scenario.on_merge == "remove" and active.count(True) < len(alive):
+            ends = {name: not active[i] for name, i in robots}
+            truncations = {name: over and active[i] for name, i in robots}
+            self.agents = [name for name in alive if not ends[name]]
         if over:
+            self.agents = []
             for info in infos.values():
                 info["summary"] = self._summary()
-            self.agents = []
-        elif True in ends.values():
-            self.agents = [name for name in alive if not ends[name]]
         rewards = dict.fromkeys(alive, float(outcome.rewards[0]))
         return observations, rewards, ends, truncations, infos
 
@@ -318,13 +349,10 @@ class RendezvousParallelEnv(ParallelEnv[str, NDArray[np.float32], NDArray[np.flo
         }
 
 
-def _is_action(value: Any, size: int) -> bool:
+def is_action(value: Any, size: int) -> bool:
+    """Whether a value is ``size`` finite numbers."""
     try:
         action = np.asarray(value, dtype=np.float32)
     except (TypeError, ValueError):
         return False
     return action.shape == (size,) and bool(np.isfinite(action).all())
-
-
-def _info(merged_into: str | None, contact: bool, clearance: float) -> dict[str, Any]:
-    return {"merged_into": merged_into, "contact": contact, "clearance": clearance}

@@ -24,8 +24,10 @@ from .teams import (
     LYAPUNOV_BEFORE_MERGE,
     MERGE_EXCESS,
     MERGE_RISE,
+    RENDEZVOUS,
     REWARD,
     RUNNING,
+    TIME_OUT,
     Physics,
     Results,
     Teams,
@@ -43,7 +45,15 @@ _KEPT = tuple(name for name in BOOK.names or () if name != "lyapunov")
 class Outcome:
     """What one step gives out; every array is freshly allocated and belongs to the caller."""
 
-    __slots__ = ("_scores", "active", "clearance", "contact", "observations", "status")
+    __slots__ = (
+        "_scores",
+        "active",
+        "clearance",
+        "contact",
+        "observations",
+        "results",
+        "status",
+    )
 
     observations: NDArray[np.float32]
     """(B, n, rows, d)."""
@@ -55,8 +65,11 @@ class Outcome:
     """(B, n), whether the robot still exists on its own."""
     status: NDArray[np.int64]
     """(B,), RUNNING, RENDEZVOUS or TIME_OUT of teams.py."""
+    results: Results
+    """The same arrays as the kernels want them."""
 
     def __init__(self, results: Results, observed: tuple[int, ...]) -> None:
+        self.results = results
         flat, self._scores, self.contact, self.clearance, self.active, self.status = results
         self.observations = flat.reshape(observed)
 
@@ -157,9 +170,37 @@ class Simulator:
             ValueError: for a bad option, seed or mask; nothing has changed then.
             RuntimeError: if no room was found for a start or an obstacle; nothing has changed then.
         """
-        which = self._which(mask)
         given = parse_options(self.scenario, self.num_envs, options)
-        seeds = self._new_seeds(seed)
+        self._begin(self._which(mask), self._new_seeds(seed), given, resting)
+        return self.observe()
+
+    def restart(self, mask: NDArray[np.bool_], outcome: Outcome | None = None) -> None:
+        """Send some teams on to the next episode of their seed, at little cost to the others.
+
+        Args:
+            mask: (B,), which teams.
+            outcome: what the last step gave out; in place of these teams' last observation, contact
+                and clearance it takes those of their start. If None, they pass the next step
+                without moving and are observed there.
+
+        Raises:
+            ValueError: for a bad mask; nothing has changed then.
+            RuntimeError: if no room was found for a start or an obstacle; nothing has changed then.
+        """
+        which = self._which(mask)
+        self._begin(which, None, StartOptions(), resting=outcome is None)
+        if outcome is not None:
+            outcome.contact[which], outcome.active[which] = False, True
+            outcome.status[which] = RUNNING
+            self._observe_blocks(np.unique(which // LANES), outcome.results)
+
+    def _begin(
+        self,
+        which: NDArray[np.int64],
+        seeds: list[int | None] | None,
+        given: StartOptions,
+        resting: bool,
+    ) -> None:
         before = self._backup(which)
         self._assign_seeds(which, seeds)
         rules = self._take_given(which, given)
@@ -175,7 +216,6 @@ class Simulator:
                 "enlarge it or thin out the obstacles"
             )
         self._ready = True
-        return self.observe()
 
     def step(self, actions: ArrayLike) -> Outcome:
         """Advance every running team by one step τ with the inputs held.
@@ -224,10 +264,16 @@ class Simulator:
 
     def observe(self) -> NDArray[np.float32]:
         """Observations of all teams as they are, (B, n, rows, d) float32."""
-        results, teams = self._new_results(), self._teams
-        blocks = np.arange(len(teams.positions))
-        observe_blocks(blocks, self._physics, self._axes, tuple(teams), tuple(results))
-        return results.observations.reshape(self._observed)
+        return self._observed_results().observations.reshape(self._observed)
+
+    def _observed_results(self) -> Results:
+        results = self._new_results()
+        results.clearance[:] = np.inf
+        self._observe_blocks(np.arange(len(self._teams.positions)), results)
+        return results
+
+    def _observe_blocks(self, blocks: NDArray[np.int64], results: Results) -> None:
+        observe_blocks(blocks, self._physics, self._axes, tuple(self._teams), tuple(results))
 
     def _new_results(self) -> Results:
         batch, n, rows, d = self._observed
@@ -291,6 +337,12 @@ class Simulator:
         return self._teams.book["status"].copy()
 
     @property
+    def ended(self) -> NDArray[np.bool_]:
+        """(B,), whether the episode is over."""
+        status = self._teams.book["status"]
+        return (status == RENDEZVOUS) | (status == TIME_OUT)
+
+    @property
     def steps(self) -> NDArray[np.int64]:
         """(B,), steps done in this episode."""
         return self._teams.book["steps"].copy()
@@ -326,6 +378,11 @@ class Simulator:
         obstacles.
         """
         return self._teams.book["min_clearance"].copy()
+
+    @property
+    def clearance(self) -> NDArray[np.float64]:
+        """(B, n), distance of each robot to the nearest obstacle now, m; inf without obstacles."""
+        return self._observed_results().clearance
 
     def lyapunov(self) -> NDArray[np.float64]:
         """V, (B,), m²/s."""
@@ -421,12 +478,12 @@ class Simulator:
             )
         return np.flatnonzero(array)
 
-    def _new_seeds(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
-        """A seed for each team, None where it keeps its own."""
+    def _new_seeds(self, seed: int | Sequence[int | None] | None) -> list[int | None] | None:
+        """A seed for each team, None where it keeps its own; None if all do."""
         listed: Sequence[Any]
         if seed is None:
-            listed = [None] * self.num_envs
-        elif isinstance(seed, int | np.integer) and not isinstance(seed, bool):
+            return None
+        if isinstance(seed, int | np.integer) and not isinstance(seed, bool):
             listed = [int(seed) + i for i in range(self.num_envs)]
         else:
             listed = list(seed) if isinstance(seed, Sequence | np.ndarray) else [seed]
@@ -442,17 +499,16 @@ class Simulator:
                 raise ValueError(f"seed {value!r} must be a whole number, 0 or more")
         return [None if value is None else int(value) for value in listed]
 
-    def _assign_seeds(self, which: NDArray[np.int64], seeds: list[int | None]) -> None:
+    def _assign_seeds(self, which: NDArray[np.int64], seeds: list[int | None] | None) -> None:
         """Seed teams anew, or send them on to the next episode of their seed."""
         book = self._teams.book
         book["episode"][which] += 1
-        for team in which.tolist():
-            if seeds[team] is not None:
-                book["seed"][team], book["episode"][team] = seeds[team], 0
-        unseeded = [
-            team for team in which.tolist() if not self._seeded[team] and seeds[team] is None
-        ]
-        if unseeded:
+        if seeds is not None:
+            given = [team for team in which.tolist() if seeds[team] is not None]
+            book["seed"][given], book["episode"][given] = [seeds[team] for team in given], 0
+            self._seeded[given] = True
+        unseeded = which[~self._seeded[which]]
+        if unseeded.size:
             entropy = np.random.SeedSequence().generate_state(len(unseeded), np.uint64)
             book["seed"][unseeded] = entropy >> np.uint64(1)
         self._seeded[which] = True
@@ -462,7 +518,8 @@ class Simulator:
         teams, blocks = self._teams, which // LANES
         places: list[tuple[Any, NDArray[np.int64]]]
         places = [(array, blocks) for array in (teams.positions, teams.frames, teams.weights)]
-        places += [(array, which) for array in (teams.angles, teams.obstacles, teams.book)]
+        by_team = (teams.angles, teams.obstacles, teams.merged_into, teams.book, self._seeded)
+        places += [(array, which) for array in by_team]
         return [(array, indices, array[indices]) for array, indices in places]
 
     def _take_given(self, which: NDArray[np.int64], given: StartOptions) -> StartRules:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from .obstacles import row_width
 from .scenario import Scenario
 from .simulator import Simulator
+from .steering import Steering
 
 
 def observation_bounds(scenario: Scenario) -> NDArray[np.float32]:
@@ -38,6 +39,35 @@ def action_box(scenario: Scenario) -> Box:
     """Space of one robot's actions."""
     bounds = action_bounds(scenario)
     return Box(-bounds, bounds, dtype=np.float32)
+
+
+def heading_box(steering: Steering) -> Box:
+    """Space of one robot's raw vectors, or of its turn rates in units of the largest."""
+    return Box(-1.0, 1.0, (steering.action_size,), dtype=np.float32)
+
+
+def heading_observation_box(scenario: Scenario, steering: Steering) -> Box:
+    """Space of one robot's observations under steering: a turned row keeps only its length."""
+    bounds = observation_bounds(scenario)
+    if steering.along_net_bearing:
+        bounds = bounds * np.float32(1.0 + 1e-6)
+    return Box(-bounds, bounds, dtype=np.float32)
+
+
+def team_observation_box(scenario: Scenario) -> Box:
+    """Space of the observations of all robots of a team, (n, rows, d)."""
+    bounds = _for_all_robots(scenario, observation_bounds(scenario))
+    return Box(-bounds, bounds, dtype=np.float32)
+
+
+def team_action_box(scenario: Scenario) -> Box:
+    """Space of the actions of all robots of a team, (n, a)."""
+    bounds = _for_all_robots(scenario, action_bounds(scenario))
+    return Box(-bounds, bounds, dtype=np.float32)
+
+
+def _for_all_robots(scenario: Scenario, bounds: NDArray[np.float32]) -> NDArray[np.float32]:
+    return np.repeat(bounds[None], scenario.n_robots, axis=0)
 
 
 def state_box(scenario: Scenario) -> Box:

@@ -1,0 +1,359 @@
+"""Steering: raw vectors in, actions out. The memory and the arithmetic behind both heading
+wrappers.
+
+Everything here comes from the robots' own observations: no position, no global frame.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from . import threads
+from .heading import certify_one, check_gate_constants, scale_of_step, step_scale, turn_limit
+from .jit import kernel
+from .scenario import Scenario
+from .turning import gate_2d, gate_3d, mean_body_axis_2d, mean_body_axis_3d
+from .vectors import combine, dot, load, split, without
+
+FRAMES = ("net_bearing", "local")
+_ROBOTS_PER_THREAD = 2048
+_NEARLY_ALONG = 1e-6
+"""A row whose part across f is shorter than this cannot give a frame its second axis."""
+
+
+class _Constants(NamedTuple):
+    """What the kernels need to know of the scenario and of the wrapper's arguments."""
+
+    neighbour_slots: int
+    merge_radius: float
+    duration: float
+    min_alignment: float
+    dead_zone: float
+    max_turn: float
+    certified: bool
+
+
+class Steering:
+    """Headings, frames and held raw vectors of the robots of B teams.
+
+    Args:
+        scenario: whose robots are steered.
+        num_envs: B.
+        min_alignment: ε, in (0, 1).
+        max_turn_rate: of a heading or of a body axis, rad/s; the scenario's limit holds too.
+        frame: "net_bearing" (x along f; single integrators only, the other models keep the body
+            frame) or "local".
+        certified: False lets the raw vector through: law (4) bare, without margin or gate.
+
+    Raises:
+        ValueError: naming the argument, its value and what would be right.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        num_envs: int,
+        *,
+        min_alignment: float = 0.1,
+        max_turn_rate: float = 3.0,
+        frame: str = "net_bearing",
+        certified: bool = True,
+    ) -> None:
+        dead_zone = scenario.dead_zone if scenario.dead_zone > 0 else 1.0
+        check_gate_constants(min_alignment, dead_zone)
+        if not 0 < max_turn_rate < math.inf:
+            raise ValueError(f"max_turn_rate is {max_turn_rate!r}; it must be positive (rad/s)")
+        if frame not in FRAMES:
+            raise ValueError(f"frame is {frame!r}; it must be one of {FRAMES}")
+        self.scenario = scenario
+        self.turns_body = scenario.model.nonholonomic
+        self.along_net_bearing = frame == "net_bearing" and not self.turns_body
+        self.action_size = scenario.model.n_angles if self.turns_body else scenario.dim
+        self._limits = self._turn_limits(max_turn_rate)
+        self._constants = _Constants(
+            neighbour_slots=scenario.observation_layout.neighbour_slots,
+            merge_radius=scenario.merge_radius,
+            duration=scenario.tau,
+            min_alignment=float(min_alignment),
+            dead_zone=float(dead_zone),
+            max_turn=float(self._limits[0]) * scenario.tau,
+            certified=bool(certified),
+        )
+        n, d = scenario.n_robots, scenario.dim
+        self._headings = np.zeros((num_envs, n, d))
+        self._frames = np.tile(np.eye(d), (num_envs, n, 1, 1))
+        self._held = np.zeros((num_envs, n, self.action_size))
+        self.alignment = np.full((num_envs, n), np.nan)
+        self.lyapunov_rate = np.zeros((num_envs, n))
+
+    def _turn_limits(self, max_turn_rate: float) -> NDArray[np.float64]:
+        """Limit of each turn rate, rad/s: the smaller of the wrapper's and the scenario's."""
+        if self.turns_body:
+            return np.minimum(max_turn_rate, self.scenario.action_bounds[1:])
+        given = self.scenario.max_turn_rate
+        return np.array([max_turn_rate if given is None else min(max_turn_rate, given)])
+
+    @property
+    def headings(self) -> NDArray[np.float64]:
+        """h_i, (B, n, d), in the robots' own frames; zero for a robot that has none yet."""
+        return self._headings.copy()
+
+    def forget(self, mask: NDArray[np.bool_] | None = None) -> None:
+        """Forget everything about all teams, or about those of a mask (B,)."""
+        which = slice(None) if mask is None else mask
+        self._headings[which] = 0.0
+        self._frames[which] = np.eye(self.scenario.dim)
+        self._held[which] = 0.0
+        self.alignment[which] = np.nan
+        self.lyapunov_rate[which] = 0.0
+
+    def view(self, observations: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Observations as the policy sees them; brings the frames up to date.
+
+        Args:
+            observations: (B, n, rows, d), in the robots' own frames.
+
+        Returns:
+            Of the same shape; with x along f where that is asked for, unchanged otherwise.
+        """
+        if not self.along_net_bearing:
+            return observations
+        seen = np.empty_like(observations)
+        first_rows = self.scenario.observation_layout.obstacles.stop
+
+        def turn(first: int, last: int) -> None:
+            _look_along_net_bearing(
+                first, last, observations, self._constants, first_rows, self._frames, seen
+            )
+
+        self._over_teams(turn)
+        return seen
+
+    def hold(self, raw: ArrayLike) -> None:
+        """Take new raw vectors, fixed in the robots' local frames from now on.
+
+        Args:
+            raw: (B, n, k): vectors (d,) as the policy sees them, or turn rates in units of
+                ``max_turn_rate``.
+
+        Raises:
+            ValueError: for a wrong shape, or naming the robot whose vector is not finite.
+        """
+        vectors = np.asarray(raw, dtype=np.float64)
+        if vectors.shape != self._held.shape:
+            raise ValueError(
+                f"actions have shape {vectors.shape}; they must be (B, n, k) = {self._held.shape}"
+            )
+        if not np.isfinite(vectors).all():
+            team, robot, _ = (int(k) for k in np.argwhere(~np.isfinite(vectors))[0])
+            raise ValueError(
+                f"action of robot_{robot} in team {team} is {vectors[team, robot].tolist()}; "
+                "it must be finite"
+            )
+        if self.along_net_bearing:
+            vectors = np.einsum("bnij,bnj->bni", self._frames, vectors)
+        self._held[...] = vectors
+
+    def act(self, observations: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Actions for the base environment; sets ``alignment`` and ``lyapunov_rate``.
+
+        Args:
+            observations: (B, n, rows, d), in the robots' own frames.
+
+        Returns:
+            (B, n, a) float32; zero for robots that see no neighbour.
+        """
+        shape = (*self._held.shape[:2], self.scenario.action_size)
+        actions = np.zeros(shape, dtype=np.float32)
+        if self.turns_body:
+            self._turn_bodies(observations, actions)
+            return actions
+
+        def steer(first: int, last: int) -> None:
+            _steer_headings(
+                first,
+                last,
+                observations,
+                self._constants,
+                self._held,
+                self._headings,
+                actions,
+                self.alignment,
+                self.lyapunov_rate,
+            )
+
+        self._over_teams(steer)
+        return actions
+
+    def _turn_bodies(self, observations: NDArray[np.float32], actions: NDArray[np.float32]) -> None:
+        """Gated turn rates, and the speed v = mᵀf for the mean body axis m (theory 4, arcs)."""
+        constants, scenario = self._constants, self.scenario
+        seen = scenario.observation_layout.split(observations)
+        f = seen.neighbours.sum(axis=-2, dtype=np.float64)
+        degree = np.linalg.norm(seen.neighbours, axis=-1).sum(axis=-1, dtype=np.float64)
+        rates = np.clip(self._held, -1.0, 1.0) * self._limits
+        pitch = np.zeros(f.shape[:-1])
+        if seen.gravity is not None:
+            pitch = np.arctan2(-seen.gravity[..., 0], -seen.gravity[..., 2]).astype(np.float64)
+        if constants.certified:
+            self._gate(f, pitch, rates)
+        rates = rates.astype(np.float32).astype(np.float64)  # m is that of the rate executed
+        if scenario.dim == 2:
+            mean_axis = mean_body_axis_2d(rates[..., 0], constants.duration)
+        else:
+            mean_axis = mean_body_axis_3d(rates[..., 0], rates[..., 1], pitch, constants.duration)
+        along = np.sum(mean_axis * f, axis=-1)
+        scale = step_scale(degree, constants.merge_radius, constants.duration)
+        alone = degree == 0
+        actions[..., 0] = np.where(alone, 0.0, along * (scale if constants.certified else 1.0))
+        actions[..., 1:] = np.where(alone[..., None], 0.0, rates)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            self.alignment[...] = np.abs(f[..., 0]) / np.linalg.norm(f, axis=-1)
+        self.lyapunov_rate[...] = -2.0 * along**2
+
+    def _gate(
+        self, f: NDArray[np.float64], pitch: NDArray[np.float64], rates: NDArray[np.float64]
+    ) -> None:
+        """Replace turn rates that would let a robot stay orthogonal to f, in place."""
+        d, constants = f.shape[-1], self._constants
+        margins = (constants.min_alignment, constants.dead_zone, constants.duration)
+        flat, gated = rates.reshape(-1, d - 1), np.empty((rates.size // (d - 1), d - 1))
+        if d == 2:
+            gate_2d(flat, f.reshape(-1, d), *margins, self._limits, gated)
+        else:
+            gate_3d(flat, f.reshape(-1, d), pitch.reshape(-1), *margins, self._limits, gated)
+        rates[...] = gated.reshape(rates.shape)
+
+    def _over_teams(self, work: Any) -> None:
+        """Do the work on the batch, cut into a slice for each thread that is worth its cost."""
+        teams, n = self._held.shape[:2]
+        count = max(1, min(threads.available_cores(), teams * n // _ROBOTS_PER_THREAD))
+        edges = np.linspace(0, teams, count + 1).astype(int).tolist()
+        threads.run(lambda k: work(edges[k], edges[k + 1]), count)
+
+    def get_state(self) -> dict[str, NDArray[np.float64]]:
+        """The memory: headings, frames and held raw vectors, as copies."""
+        return {
+            "headings": self._headings.copy(),
+            "frames": self._frames.copy(),
+            "held": self._held.copy(),
+        }
+
+    def set_state(self, state: Mapping[str, ArrayLike]) -> None:
+        """Put back what ``get_state`` took out.
+
+        Raises:
+            ValueError: naming a missing entry or one of another shape; nothing has changed then.
+        """
+        own = {"headings": self._headings, "frames": self._frames, "held": self._held}
+        for name, array in own.items():
+            if name not in state or np.shape(state[name]) != array.shape:
+                raise ValueError(f"state: {name} must be an array of shape {array.shape}")
+        for name, array in own.items():
+            array[...] = state[name]
+
+
+@kernel
+def _net_bearing(rows, neighbour_slots):
+    """f, the sum of the neighbour rows, and D, the sum of their lengths."""
+    x, y, z, degree = 0.0, 0.0, 0.0, 0.0
+    for k in range(neighbour_slots):
+        a, b, c = load(rows[k])
+        x, y, z = x + a, y + b, z + c
+        degree += math.sqrt(a * a + b * b + c * c)
+    return (x, y, z), degree
+
+
+@kernel
+def _store(vector, out):
+    out[0], out[1] = vector[0], vector[1]
+    if out.shape[0] == 3:
+        out[2] = vector[2]
+
+
+@kernel
+def _steer_headings(
+    first, last, observations, constants, held, headings, actions, alignment, lyapunov_rate
+):
+    """Law (4) with the certified heading: v = min(1, r/(2Dτ)) h hᵀ f, for teams first … last −
+    1.
+    """
+    limit = turn_limit(constants.max_turn)
+    for team in range(first, last):
+        for i in range(observations.shape[1]):
+            f, degree = _net_bearing(observations[team, i], constants.neighbour_slots)
+            if degree == 0.0:
+                alignment[team, i], lyapunov_rate[team, i] = np.nan, 0.0
+                continue
+            raw, scale = load(held[team, i]), 1.0
+            if constants.certified:
+                h = certify_one(
+                    raw,
+                    f,
+                    load(headings[team, i]),
+                    constants.min_alignment,
+                    constants.dead_zone,
+                    limit,
+                )
+                scale = scale_of_step(degree, constants.merge_radius, constants.duration)
+            else:
+                _, h = split(raw)
+            along = dot(h, f)
+            _store(h, headings[team, i])
+            _store(combine(along * scale, h, 0.0, h), actions[team, i])
+            strength, _ = split(f)
+            alignment[team, i] = abs(along) / strength if strength > 0.0 else np.nan
+            lyapunov_rate[team, i] = -2.0 * along * along
+
+
+@kernel
+def _look_along_net_bearing(first, last, observations, constants, visible_rows, frames, seen):
+    """Turn observations into frames with x along f, for teams first … last − 1.
+
+    Where ‖f‖ < δ the last frame is kept.
+    """
+    n, n_rows, d = observations.shape[1:]
+    for team in range(first, last):
+        for i in range(n):
+            rows, frame = observations[team, i], frames[team, i]
+            f, _ = _net_bearing(rows, constants.neighbour_slots)
+            strength, towards = split(f)
+            if strength >= constants.dead_zone:
+                _aim_frame(towards, rows, visible_rows, frame)
+            for row in range(n_rows):
+                for axis in range(d):
+                    along = 0.0
+                    for k in range(d):
+                        along += frame[k, axis] * rows[row, k]
+                    seen[team, i, row, axis] = along
+
+
+@kernel
+def _aim_frame(towards, rows, visible_rows, frame):
+    """A right-handed frame with x = ``towards``; columns are its axes in the local frame.
+
+    In the plane this is unique. In space y is the part across x of the row for which that part is
+    longest, or of the first local axis that is not along x.
+    """
+    _store(towards, frame[:, 0])
+    if frame.shape[0] == 2:
+        frame[0, 1], frame[1, 1] = -towards[1], towards[0]
+        return
+    longest, across = _NEARLY_ALONG, (0.0, 0.0, 0.0)
+    for k in range(visible_rows):
+        part = without(load(rows[k]), towards)
+        length, direction = split(part)
+        if length > longest:
+            longest, across = length, direction
+    if longest == _NEARLY_ALONG:
+        axis = (1.0, 0.0, 0.0) if abs(towards[0]) < 0.9 else (0.0, 1.0, 0.0)
+        _, across = split(without(axis, towards))
+    x, y = towards, across
+    z = (x[1] * y[2] - x[2] * y[1], x[2] * y[0] - x[0] * y[2], x[0] * y[1] - x[1] * y[0])
+    _store(y, frame[:, 1])
+    _store(z, frame[:, 2])

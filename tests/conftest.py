@@ -1,0 +1,119 @@
+"""What several test modules share: the four kinds of team, and one way to run a law to its end."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+from typing import NamedTuple
+
+# the tests run beside others on few cores
+os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+sys.path.insert(0, str(Path(__file__).parent))
+
+import numpy as np
+import pytest
+from hypothesis import settings
+
+import baselines
+from rendezvous_env import Scenario, Simulator
+from rendezvous_env.teams import RENDEZVOUS
+from rendezvous_env.trajectory import run
+
+settings.register_profile("rendezvous", deadline=None, derandomize=True, print_blob=False)
+settings.load_profile("rendezvous")
+
+ROOT = Path(__file__).parent.parent
+MODELS = {
+    "single_integrator-2d": {"robot_model": "single_integrator", "dim": 2},
+    "single_integrator-3d": {"robot_model": "single_integrator", "dim": 3},
+    "unicycle": {"robot_model": "unicycle", "dim": 2},
+    "nonholonomic_3d": {"robot_model": "nonholonomic_3d", "dim": 3},
+}
+LAWS = {
+    "single_integrator": "bearing-only",
+    "unicycle": "unicycle",
+    "nonholonomic_3d": "nonholonomic-3d",
+}
+UNEQUAL = np.array(
+    [
+        [0.0, 2.0, 0.0, 0.5, 0.0],
+        [2.0, 0.0, 1.3, 0.0, 0.0],
+        [0.0, 1.3, 0.0, 0.7, 1.1],
+        [0.5, 0.0, 0.7, 0.0, 0.9],
+        [0.0, 0.0, 1.1, 0.9, 0.0],
+    ]
+)
+"""Five robots, six links, no symmetry."""
+
+
+def unequal_matrix(n: int, seed: int = 0) -> np.ndarray:
+    """A connected weight matrix with a random spanning tree, further links and unequal weights."""
+    random = np.random.default_rng(seed)
+    links = np.triu(random.random((n, n)) < 0.3, 1)
+    for i in range(1, n):
+        links[random.integers(i), i] = True
+    weights = np.where(links, random.uniform(0.5, 2.0, (n, n)), 0.0)
+    return weights + weights.T
+
+
+def five(kind: str, **changes: object) -> Scenario:
+    """The asymmetric team of five robots in one of the MODELS."""
+    return Scenario(**{"n_robots": 5, "graph": UNEQUAL, **MODELS[kind], **changes})
+
+
+def law_of(scenario: Scenario) -> baselines.Policy:
+    """The paper's law for the scenario's robots."""
+    return baselines.make(LAWS[scenario.robot_model], scenario)
+
+
+@pytest.fixture(params=list(MODELS))
+def kind(request: pytest.FixtureRequest) -> str:
+    """Each of the MODELS."""
+    return str(request.param)
+
+
+class Run(NamedTuple):
+    """A batch of episodes, run to its end."""
+
+    simulator: Simulator
+    start: np.ndarray
+    """(B,), V at the start."""
+    met: np.ndarray
+    """(B,), bool."""
+    times: np.ndarray
+    """(B,), s, of the rendezvous."""
+    largest_rise: float
+    """Of V between merges, m²/s; −inf if V fell in every step of every running team."""
+    largest_excess: float
+    """Of V at merges over the bound of theory 5."""
+    least_progress: float
+    """Least of (V_t − V_{t+1}) − τ Σ‖f_i‖² over the steps without a merge."""
+
+
+def run_to_end(
+    scenario: Scenario,
+    num_envs: int,
+    *,
+    seed: int = 0,
+    policy: str | None = None,
+    options: dict | None = None,
+) -> Run:
+    """Run a law until every team has met or run out of time."""
+    chosen = law_of(scenario) if policy is None else baselines.make(policy, scenario)
+    simulator = Simulator(scenario, num_envs, num_threads=1)
+    observations = simulator.reset(seed, options)
+    start, times = simulator.lyapunov(), np.full(num_envs, np.inf)
+    rise, excess, progress = -np.inf, -np.inf, np.inf
+    neighbours = scenario.observation_layout.neighbours
+    for step in run(simulator, chosen, observations):
+        out, on = step.outcome, step.running
+        f = step.observations[..., neighbours, :].sum(axis=-2, dtype=np.float64)
+        drop = step.lyapunov - out.lyapunov_before_merge
+        rise = max(rise, -drop[on].min())
+        excess = max(excess, out.merge_excess[on].max())
+        calm = on & (out.lyapunov_after_merge == out.lyapunov_before_merge)
+        certified = drop - scenario.tau * np.sum(f**2, axis=(-2, -1))
+        progress = min(progress, np.min(certified[calm], initial=np.inf))
+        times[on & (out.status == RENDEZVOUS)] = simulator.time[on & (out.status == RENDEZVOUS)]
+    return Run(simulator, start, np.isfinite(times), times, rise, excess, progress)

@@ -1,0 +1,274 @@
+"""The theorems of the paper and of theory.md section 3, each over many random teams."""
+
+import math
+
+import numpy as np
+import pytest
+from conftest import UNEQUAL, five, run_to_end, unequal_matrix
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rendezvous_env import Scenario, certificate, graphs
+from rendezvous_env.lyapunov import (
+    lyapunov,
+    lyapunov_rate,
+    net_bearings,
+    rendezvous_time_lower_bound,
+    time_bound,
+)
+
+ROUNDING = 1e-9
+FAMILIES = {
+    "complete": lambda n: graphs.complete((0.5, 1.5)),
+    "path": lambda n: graphs.path((0.5, 2.0)),
+    "cycle": lambda n: graphs.cycle() if n > 2 else graphs.path(0.7),
+    "star": lambda n: graphs.star((0.5, 2.0)),
+    "random_tree": lambda n: graphs.random_tree((0.5, 2.0)),
+    "erdos_renyi": lambda n: graphs.erdos_renyi(0.3, (0.5, 1.5)),
+    "matrix": unequal_matrix,
+}
+TEAMS = 16
+
+
+@st.composite
+def teams(draw):
+    """Positions (n, d) with every pair at least 0.1 m apart, and symmetric weights, not all zero."""
+    n, d = draw(st.integers(2, 7)), draw(st.integers(2, 3))
+    random = np.random.default_rng(draw(st.integers(0, 2**32)))
+    positions = random.normal(size=(n, d)) * 10 ** draw(st.floats(0, 2))
+    lattice = np.zeros((n, d))
+    lattice[:, 0] = np.arange(n)
+    if draw(st.booleans()):  # all on one line
+        positions = lattice[random.permutation(n)] * draw(st.floats(0.1, 9.0))
+    else:
+        positions = np.round(positions, 1) + 1e-3 * lattice + 0.1 * lattice
+    links = np.triu(random.random((n, n)) < draw(st.floats(0.2, 1.0)), 1)
+    links[0, draw(st.integers(1, n - 1))] = True
+    weights = np.where(links, random.uniform(0.1, 3.0, (n, n)), 0.0)
+    weights = weights + weights.T
+    apart = np.linalg.norm(positions[:, None] - positions, axis=-1) + np.eye(n)
+    if apart.min() < 0.05:
+        positions = positions + 3.7 * lattice
+        apart = np.linalg.norm(positions[:, None] - positions, axis=-1) + np.eye(n)
+    if apart.min() < 0.05:
+        positions = lattice
+    return positions, weights
+
+
+def check_law_1(scenario, num_envs, seed):
+    """Everything that theorems 1 and A and section 4 promise."""
+    result = run_to_end(scenario, num_envs, seed=seed)
+    assert result.met.all()
+    assert result.largest_rise < 0  # V falls in every step of every team
+    assert result.least_progress >= -1e-6 * scenario.tau  # actions are float32
+    assert result.largest_excess <= ROUNDING
+    assert (result.times <= time_bound(scenario, result.start)).all()
+    return result
+
+
+class TestTheorem1:
+    """Law (1) meets if and only if the graph is connected."""
+
+    @pytest.mark.parametrize("dim", [2, 3])
+    @pytest.mark.parametrize("n", [2, 3, 5, 8, 12])
+    @pytest.mark.parametrize("family", FAMILIES)
+    def test_connected_graphs_meet_in_bounded_time_and_v_always_falls(self, family, n, dim):
+        scenario = Scenario(n_robots=n, dim=dim, graph=FAMILIES[family](n), time_limit=1000.0)
+        result = check_law_1(scenario, TEAMS, seed=1000 * n + dim)
+        assert (result.simulator.merged_into == 0).all()
+        assert result.simulator.lyapunov() == pytest.approx(0)
+
+    def test_that_was_over_a_thousand_teams(self):
+        assert len(FAMILIES) * 5 * 2 * TEAMS >= 1000
+
+    @pytest.mark.slow
+    @pytest.mark.parametrize("dim", [2, 3])
+    @pytest.mark.parametrize("family", FAMILIES)
+    def test_large_and_crowded_teams(self, family, dim):
+        graph = FAMILIES[family](20)
+        scenario = Scenario(
+            n_robots=20, dim=dim, graph=graph, spawn_size=4.0, merge_radius=0.15, time_limit=1000.0
+        )
+        check_law_1(scenario, 100, seed=dim)
+
+    @pytest.mark.parametrize("dim", [2, 3])
+    @pytest.mark.parametrize(
+        ("pieces", "n"),
+        [([[0, 3], [1, 2, 4]], 5), ([[0], [1, 5, 2], [3, 4]], 6), ([[0, 1, 2, 3, 4, 5], [6]], 7)],
+    )
+    def test_a_disconnected_graph_ends_with_one_robot_for_each_component(self, pieces, n, dim):
+        edges = [
+            (*pair, 0.6 + 0.2 * k)
+            for piece in pieces
+            for k, pair in enumerate(zip(piece[:-1], piece[1:], strict=True))
+        ]
+        scenario = Scenario(
+            n_robots=n,
+            dim=dim,
+            graph=graphs.from_edges(edges, n),
+            require_connected=False,
+            time_limit=60.0,
+        )
+        result = run_to_end(scenario, 50, seed=9)
+        assert not result.met.any()
+        survivors = np.empty(n, dtype=int)
+        for piece in pieces:
+            survivors[piece] = min(piece)
+        assert (result.simulator.merged_into == survivors).all()
+        assert not certificate(scenario).guaranteed
+        assert np.isinf(time_bound(scenario, result.start)).all()
+
+    def test_without_any_link_nobody_moves(self):
+        alone = Scenario(
+            n_robots=3, graph=np.zeros((3, 3)), require_connected=False, time_step=0.1
+        )
+        result = run_to_end(alone.replace(time_limit=2.0), 4)
+        assert result.simulator.active.all() and (result.simulator.path_length == 0).all()
+
+
+class TestTheoremA:
+    """T ≤ n V0⁺/(8 a*²), exact for two robots."""
+
+    @pytest.mark.parametrize("dim", [2, 3])
+    @pytest.mark.parametrize("weight", [0.4, 1.0, 2.5])
+    def test_two_robots_meet_within_one_step_of_the_closed_form(self, weight, dim):
+        pair = Scenario(n_robots=2, dim=dim, graph=graphs.path(weight), merge_radius=0.3)
+        random = np.random.default_rng(3)
+        starts = random.normal(size=(200, 2, dim)) * 4
+        result = run_to_end(pair, 200, options={"positions": starts})
+        length = np.linalg.norm(starts[:, 1] - starts[:, 0], axis=-1)
+        expected = np.maximum(length - pair.merge_radius, 0) / (2 * weight)
+        assert (np.abs(result.times - expected) <= pair.tau * (1 + 1e-6)).all()
+
+    def test_the_bound_is_exact_for_two_robots_before_its_factors(self):
+        pair = Scenario(n_robots=2, merge_radius=1e-3)
+        length = 5.0
+        bound = time_bound(pair, 2 * length)  # V = 2 a L; V0⁺ adds r W = 1e-3
+        assert bound == pytest.approx(2 * 2 * (2 * length + 1e-3) / 8)
+        assert bound / 2 == pytest.approx(length / 2, rel=1e-3)  # (L − r)/(2a)
+
+    def test_no_team_is_faster_than_the_lower_bound(self):
+        for dim in (2, 3):
+            scenario = five(f"single_integrator-{dim}d", max_speed=0.8)
+            result = run_to_end(scenario, 64, seed=4)
+            sim = run_to_end(scenario, 64, seed=4, policy="zero").simulator
+            bounds = [rendezvous_time_lower_bound(scenario, p) for p in sim.positions]
+            assert result.met.any() and (result.times >= np.array(bounds) - scenario.tau).all()
+            assert min(bounds) > 1
+
+    @pytest.mark.parametrize("dim", [2, 3])
+    def test_bounds_hold_under_a_speed_limit(self, dim):
+        scenario = Scenario(
+            n_robots=5, dim=dim, graph=UNEQUAL, max_speed=0.5, time_limit=2000.0
+        )
+        assert time_bound(scenario, 1.0) > 5 * time_bound(scenario.replace(max_speed=None), 1.0)
+        result = run_to_end(scenario, 64, seed=5)
+        assert result.met.all() and result.largest_rise < 0
+        assert (result.times <= time_bound(scenario, result.start)).all()
+
+
+class TestHeldInputs:
+    """The certified step: r/(2D̄) is safe, much longer steps are not (theory 4)."""
+
+    def test_far_too_long_a_step_is_caught_by_the_same_measurements(self):
+        scenario = Scenario(n_robots=8, graph=graphs.path())
+        long = scenario.replace(
+            time_step=20 * scenario.certified_step, allow_long_step=True, time_limit=60.0
+        )
+        result = run_to_end(long, 64)
+        assert result.largest_rise > 1
+        assert result.least_progress < -1
+        assert not certificate(long).guaranteed
+
+
+class TestTheorem3:
+    """Unicycles meet under (7) with ω of (8), and with ω = cos t."""
+
+    @pytest.mark.parametrize("n", [2, 3, 5, 8])
+    @pytest.mark.parametrize("family", FAMILIES)
+    @pytest.mark.parametrize("policy", ["unicycle", "unicycle-cosine"])
+    def test_all_meet(self, policy, family, n):
+        scenario = Scenario(
+            n_robots=n, graph=FAMILIES[family](n), robot_model="unicycle", time_limit=600.0
+        )
+        result = run_to_end(scenario, 36, seed=n, policy=policy)
+        assert result.met.all()
+        assert result.largest_excess <= ROUNDING
+        assert certificate(scenario).theorem.startswith("theorem 3")
+        assert len(FAMILIES) * 4 * 36 >= 1000
+
+
+class TestTheorem4:
+    """3-D nonholonomic robots meet under (12) and (17)."""
+
+    @pytest.mark.parametrize("n", [2, 3, 5, 8])
+    @pytest.mark.parametrize("family", FAMILIES)
+    def test_all_meet(self, family, n):
+        scenario = Scenario(
+            n_robots=n,
+            dim=3,
+            graph=FAMILIES[family](n),
+            robot_model="nonholonomic_3d",
+            time_limit=600.0,
+        )
+        result = run_to_end(scenario, 36, seed=n)
+        assert result.met.all()
+        assert result.largest_excess <= ROUNDING
+        assert certificate(scenario).theorem.startswith("theorem 4")
+        assert len(FAMILIES) * 4 * 36 >= 1000
+
+    def test_also_from_attitudes_at_the_singularity(self):
+        scenario = five("nonholonomic_3d", time_limit=200.0)
+        headings = np.stack([np.linspace(-3, 3, 5), np.full(5, math.pi / 2)], axis=-1)
+        result = run_to_end(scenario, 64, options={"headings": headings})
+        assert result.met.all()
+
+
+class TestLemma1:
+    """Σ‖f_i‖ ≥ 2 max a_ij while no two neighbours coincide."""
+
+    @given(teams())
+    def test_total_net_bearing(self, team):
+        positions, weights = team
+        total = np.linalg.norm(net_bearings(positions, weights), axis=-1).sum()
+        assert total >= 2 * weights.max() * (1 - 1e-12)
+
+    def test_is_attained_by_three_robots_on_a_line(self):
+        f = net_bearings([[0.0, 0], [1, 0], [3, 0]], [[0, 0.7, 0], [0.7, 0, 0.7], [0, 0.7, 0]])
+        assert np.linalg.norm(f, axis=-1).tolist() == [0.7, 0.0, 0.7]
+
+
+class TestLyapunovRate:
+    """V̇ = −2 Σ‖f_i‖² under law (1) and −2 Σ (h_iᵀf_i)² under law (4), against differences of V."""
+
+    @given(teams(), st.integers(0, 2**32))
+    def test_against_central_differences(self, team, seed):
+        positions, weights = team
+        f = net_bearings(positions, weights)
+        h = np.random.default_rng(seed).normal(size=f.shape)
+        h /= np.linalg.norm(h, axis=-1, keepdims=True)
+        along = np.sum(h * f, axis=-1, keepdims=True)
+        closed_forms = {
+            "law (1)": (f, -2 * np.sum(f**2)),
+            "law (4)": (h * along, -2 * np.sum(along**2)),
+        }
+        scale = weights.sum() ** 2
+        for velocities, rate in closed_forms.values():
+            assert lyapunov_rate(velocities, f) == pytest.approx(rate, abs=1e-12 * scale)
+            assert rate <= 0
+            dt = 1e-5 / weights.sum()
+            ahead = lyapunov(positions + dt * velocities, weights)
+            behind = lyapunov(positions - dt * velocities, weights)
+            assert (ahead - behind) / (2 * dt) == pytest.approx(rate, abs=1e-5 * scale)
+
+    @given(teams())
+    def test_net_bearing_is_minus_half_the_gradient_of_v(self, team):
+        positions, weights = team
+        step = 1e-6
+        nudges = step * np.eye(positions.size).reshape(-1, *positions.shape)
+        gradient = (lyapunov(positions + nudges, weights) - lyapunov(positions - nudges, weights))
+        gradient = gradient.reshape(positions.shape) / (2 * step)
+        expected = -0.5 * gradient
+        np.testing.assert_allclose(
+            net_bearings(positions, weights), expected, atol=1e-4 * weights.sum()
+        )
