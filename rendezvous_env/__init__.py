@@ -5,8 +5,8 @@ must all meet.
 """
 
 from . import graphs, rendezvous_v0, scenarios
-from .heading import certified_heading
 from .gymnasium_env import make_vec
+from .heading import certified_heading
 from .lyapunov import Certificate, certificate
 from .observations import ObservationLayout
 from .obstacles import Disc, ObstacleField, Polygon, Sphere

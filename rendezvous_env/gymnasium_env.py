@@ -8,7 +8,7 @@ from typing import Any
 
 import gymnasium
 import numpy as np
-from gymnasium.spaces import Box
+from gymnasium.spaces import Space
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
@@ -89,7 +89,7 @@ class RendezvousVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
 
     | key | shape | |
     |---|---|---|
-    | robot_rewards | (B, n) float64 | team reward of robots alive before the step, 0 of the others |
+    | robot_rewards | (B, n) float64 | team reward of robots alive before the step, else 0 |
     | active | (B, n) bool | the robot still exists on its own |
     | merged_into | (B, n) int64 | the robot that each one is now part of; itself while active |
     | contact | (B, n) bool | touched an obstacle in this step |
@@ -123,16 +123,16 @@ class RendezvousVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
         self.single_action_space = team_action_box(self.scenario)
 
     @cached_property
-    def observation_space(self) -> Box:  # type: ignore[override]
+    def observation_space(self) -> Space[Any]:  # type: ignore[override]
         """Of all teams; made when asked for, since it is larger than the observations."""
         return batch_space(self.single_observation_space, self.num_envs)
 
     @cached_property
-    def action_space(self) -> Box:  # type: ignore[override]
+    def action_space(self) -> Space[Any]:  # type: ignore[override]
         """Of all teams."""
         return batch_space(self.single_action_space, self.num_envs)
 
-    def reset(  # type: ignore[override]
+    def reset(
         self,
         *,
         seed: int | Sequence[int | None] | None = None,
@@ -154,7 +154,7 @@ class RendezvousVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
         mask = start.pop("reset_mask", None)
         observations = self.simulator.reset(seed, start, mask=mask)
         which = np.ones(self.num_envs, dtype=np.bool_) if mask is None else np.asarray(mask)
-        return observations, _masked(_start_info(self.simulator), which)
+        return observations, masked(_start_info(self.simulator), which)
 
     def step(self, actions: NDArray[np.float32]) -> Transition:
         """Advance every team by one step τ.
@@ -174,19 +174,19 @@ class RendezvousVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
             ended = simulator.ended
             if ended.any():
                 simulator.restart(ended)
-        alive = _alive(simulator)
+        alive = alive_robots(simulator)
         outcome = simulator.step(actions)
         rewards = outcome.rewards.copy()
         terminations, truncations = outcome.status == RENDEZVOUS, outcome.status == TIME_OUT
         ended = terminations | truncations
-        infos = _step_info(simulator, outcome, alive)
+        infos = step_info(simulator, outcome, alive)
         if not ended.any():
-            infos = _masked(infos, np.ones(self.num_envs, dtype=np.bool_))
+            infos = masked(infos, np.ones(self.num_envs, dtype=np.bool_))
         elif mode is AutoresetMode.SAME_STEP:
             infos = self._begin_anew(outcome, infos, ended)
         else:
-            infos = _masked(infos, np.ones(self.num_envs, dtype=np.bool_))
-            infos |= _masked({"summary": _masked(_summary(simulator), ended)}, ended)
+            infos = masked(infos, np.ones(self.num_envs, dtype=np.bool_))
+            infos |= masked({"summary": masked(summary_of(simulator), ended)}, ended)
         return outcome.observations, rewards, terminations, truncations, infos
 
     def _begin_anew(self, outcome: Outcome, infos: Info, ended: NDArray[np.bool_]) -> Info:
@@ -196,11 +196,11 @@ class RendezvousVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
         for team in np.flatnonzero(ended).tolist():
             final_obs[team] = outcome.observations[team].copy()
         final_info = {key: values.copy() for key, values in infos.items()}
-        final_info["summary"] = _masked(_summary(simulator), ended)
+        final_info["summary"] = masked(summary_of(simulator), ended)
         simulator.restart(ended, outcome)
         infos["merged_into"] = simulator.merged_into
-        return _masked(infos, np.ones(self.num_envs, dtype=np.bool_)) | _masked(
-            {"final_obs": final_obs, "final_info": _masked(final_info, ended)}, ended
+        return masked(infos, np.ones(self.num_envs, dtype=np.bool_)) | masked(
+            {"final_obs": final_obs, "final_info": masked(final_info, ended)}, ended
         )
 
     def get_state(self) -> dict[str, NDArray[Any]]:
@@ -219,7 +219,7 @@ class RendezvousVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
         """Draw nothing: no render mode is offered; ``rollout`` gives the data of a picture."""
 
 
-class RendezvousEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
+class RendezvousEnv(gymnasium.Env[Any, Any]):
     """One team of n robots as one agent.
 
     What a robot does, sees and earns is specified in ``rendezvous_v0``. Observations are (n, rows,
@@ -261,12 +261,12 @@ class RendezvousEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
             ValueError: for an action of the wrong shape, or that is not finite, naming the robot.
             RuntimeError: before the first reset.
         """
-        alive = _alive(self.simulator)
+        alive = alive_robots(self.simulator)
         outcome = self.simulator.step(np.asarray(action)[None])
         status = int(outcome.status[0])
-        info = _of_first_team(_step_info(self.simulator, outcome, alive))
+        info = _of_first_team(step_info(self.simulator, outcome, alive))
         if status != RUNNING:
-            summary = _summary(self.simulator)
+            summary = summary_of(self.simulator)
             info["summary"] = {key: values[0].item() for key, values in summary.items()}
         reward = float(outcome.rewards[0])
         return outcome.observations[0], reward, status == RENDEZVOUS, status == TIME_OUT, info
@@ -302,7 +302,7 @@ def _simulator(
     return simulator
 
 
-def _alive(simulator: Simulator) -> NDArray[np.bool_]:
+def alive_robots(simulator: Simulator) -> NDArray[np.bool_]:
     """(B, n), which robots earn the reward of the next step."""
     follow = simulator.scenario.on_merge == "follow"
     active = simulator.active
@@ -321,7 +321,7 @@ def _start_info(simulator: Simulator) -> Info:
     }
 
 
-def _step_info(simulator: Simulator, outcome: Outcome, alive: NDArray[np.bool_]) -> Info:
+def step_info(simulator: Simulator, outcome: Outcome, alive: NDArray[np.bool_]) -> Info:
     """Infos of all teams after a step, without masks."""
     return {
         "robot_rewards": outcome.rewards[:, None] * alive,
@@ -332,7 +332,7 @@ def _step_info(simulator: Simulator, outcome: Outcome, alive: NDArray[np.bool_])
     }
 
 
-def _summary(simulator: Simulator) -> Info:
+def summary_of(simulator: Simulator) -> Info:
     """How the teams stand at the end of an episode, (B,) each: s, m, m²/s."""
     return {
         "success": simulator.status == RENDEZVOUS,
@@ -343,7 +343,7 @@ def _summary(simulator: Simulator) -> Info:
     }
 
 
-def _masked(infos: Info, mask: NDArray[np.bool_]) -> Info:
+def masked(infos: Info, mask: NDArray[np.bool_]) -> Info:
     """Infos in Gymnasium's form: to every key a mask ``_key`` of its own."""
     masks = np.repeat(mask[None], len(infos), axis=0)
     return infos | {f"_{key}": own for key, own in zip(infos, masks, strict=True)}

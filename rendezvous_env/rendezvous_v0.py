@@ -252,7 +252,7 @@ class RendezvousParallelEnv(ParallelEnv[str, NDArray[np.float32], NDArray[np.flo
         except (KeyError, TypeError, ValueError):
             listed = np.empty(0, dtype=np.float32)
         fits = listed.shape == (len(alive), size) and len(actions) == len(alive)
-        if not fits or not math.isfinite(listed.sum()):
+        if not fits or not math.isfinite(np.vdot(listed, listed)):
             self._explain(actions)
         if len(alive) == self.scenario.n_robots:
             return listed[None]

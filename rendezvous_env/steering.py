@@ -36,6 +36,7 @@ class _Constants(NamedTuple):
     dead_zone: float
     max_turn: float
     certified: bool
+    long_step: bool
 
 
 class Steering:
@@ -83,6 +84,7 @@ class Steering:
             dead_zone=float(dead_zone),
             max_turn=float(self._limits[0]) * scenario.tau,
             certified=bool(certified),
+            long_step=scenario.tau > scenario.certified_step,
         )
         n, d = scenario.n_robots, scenario.dim
         self._headings = np.zeros((num_envs, n, d))
@@ -260,13 +262,21 @@ class Steering:
 
 @kernel
 def _net_bearing(rows, neighbour_slots):
-    """f, the sum of the neighbour rows, and D, the sum of their lengths."""
-    x, y, z, degree = 0.0, 0.0, 0.0, 0.0
+    """f, the sum of the neighbour rows."""
+    f = (0.0, 0.0, 0.0)
     for k in range(neighbour_slots):
-        a, b, c = load(rows[k])
-        x, y, z = x + a, y + b, z + c
-        degree += math.sqrt(a * a + b * b + c * c)
-    return (x, y, z), degree
+        f = combine(1.0, f, 1.0, load(rows[k]))
+    return f
+
+
+@kernel
+def _degree(rows, neighbour_slots):
+    """D, the sum of the lengths of the neighbour rows."""
+    degree = 0.0
+    for k in range(neighbour_slots):
+        row = load(rows[k])
+        degree += math.sqrt(dot(row, row))
+    return degree
 
 
 @kernel
@@ -286,10 +296,7 @@ def _steer_headings(
     limit = turn_limit(constants.max_turn)
     for team in range(first, last):
         for i in range(observations.shape[1]):
-            f, degree = _net_bearing(observations[team, i], constants.neighbour_slots)
-            if degree == 0.0:
-                alignment[team, i], lyapunov_rate[team, i] = np.nan, 0.0
-                continue
+            f = _net_bearing(observations[team, i], constants.neighbour_slots)
             raw, scale = load(held[team, i]), 1.0
             if constants.certified:
                 h = certify_one(
@@ -300,7 +307,9 @@ def _steer_headings(
                     constants.dead_zone,
                     limit,
                 )
-                scale = scale_of_step(degree, constants.merge_radius, constants.duration)
+                if constants.long_step:
+                    degree = _degree(observations[team, i], constants.neighbour_slots)
+                    scale = scale_of_step(degree, constants.merge_radius, constants.duration)
             else:
                 _, h = split(raw)
             along = dot(h, f)
@@ -321,7 +330,7 @@ def _look_along_net_bearing(first, last, observations, constants, visible_rows, 
     for team in range(first, last):
         for i in range(n):
             rows, frame = observations[team, i], frames[team, i]
-            f, _ = _net_bearing(rows, constants.neighbour_slots)
+            f = _net_bearing(rows, constants.neighbour_slots)
             strength, towards = split(f)
             if strength >= constants.dead_zone:
                 _aim_frame(towards, rows, visible_rows, frame)

@@ -122,6 +122,7 @@ class HeadingVectorWrapper(BaseParallelWrapper):
         """Begin an episode; headings of the last one are forgotten."""
         observations, infos = self.env.reset(seed=seed, options=options)
         self.steering.forget()
+        self._remember(observations)
         return self._view(observations), infos
 
     def step(self, actions: Mapping[str, Any]) -> StepReturn:
@@ -171,16 +172,20 @@ class HeadingVectorWrapper(BaseParallelWrapper):
             infos |= told
             terminations |= ended
             truncations |= cut
-            observations |= self._view(seen)
+            observations |= seen
+            self._remember(seen)
             if not self.agents:
                 break
-        return observations, rewards, terminations, truncations, infos
+        return self._view(observations), rewards, terminations, truncations, infos
 
-    def _view(self, observations: Observations) -> Observations:
-        """Remember what the robots see, and show it to the policy in its frame."""
+    def _remember(self, observations: Observations) -> None:
+        """Note what the robots see now; those that are gone see nothing."""
         self._observed = np.zeros(self._observed.shape, dtype=np.float32)
         for name, rows in observations.items():
             self._observed[0, self._base.index(name)] = rows
+
+    def _view(self, observations: Observations) -> Observations:
+        """What the robots see, as the policy is shown it."""
         seen = self.steering.view(self._observed)[0]
         return {name: seen[self._base.index(name)].copy() for name in observations}
 

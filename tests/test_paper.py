@@ -1,6 +1,7 @@
 """The theorems of the paper and of theory.md section 3, each over many random teams."""
 
 import math
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -32,7 +33,7 @@ TEAMS = 16
 
 @st.composite
 def teams(draw):
-    """Positions (n, d) with every pair at least 0.1 m apart, and symmetric weights, not all zero."""
+    """Positions (n, d), no two closer than 5 cm, and symmetric weights, not all zero."""
     n, d = draw(st.integers(2, 7)), draw(st.integers(2, 3))
     random = np.random.default_rng(draw(st.integers(0, 2**32)))
     positions = random.normal(size=(n, d)) * 10 ** draw(st.floats(0, 2))
@@ -100,7 +101,7 @@ class TestTheorem1:
         edges = [
             (*pair, 0.6 + 0.2 * k)
             for piece in pieces
-            for k, pair in enumerate(zip(piece[:-1], piece[1:], strict=True))
+            for k, pair in enumerate(pairwise(piece))
         ]
         scenario = Scenario(
             n_robots=n,
@@ -119,9 +120,7 @@ class TestTheorem1:
         assert np.isinf(time_bound(scenario, result.start)).all()
 
     def test_without_any_link_nobody_moves(self):
-        alone = Scenario(
-            n_robots=3, graph=np.zeros((3, 3)), require_connected=False, time_step=0.1
-        )
+        alone = Scenario(n_robots=3, graph=np.zeros((3, 3)), require_connected=False, time_step=0.1)
         result = run_to_end(alone.replace(time_limit=2.0), 4)
         assert result.simulator.active.all() and (result.simulator.path_length == 0).all()
 
@@ -158,9 +157,7 @@ class TestTheoremA:
 
     @pytest.mark.parametrize("dim", [2, 3])
     def test_bounds_hold_under_a_speed_limit(self, dim):
-        scenario = Scenario(
-            n_robots=5, dim=dim, graph=UNEQUAL, max_speed=0.5, time_limit=2000.0
-        )
+        scenario = Scenario(n_robots=5, dim=dim, graph=UNEQUAL, max_speed=0.5, time_limit=2000.0)
         assert time_bound(scenario, 1.0) > 5 * time_bound(scenario.replace(max_speed=None), 1.0)
         result = run_to_end(scenario, 64, seed=5)
         assert result.met.all() and result.largest_rise < 0
@@ -266,7 +263,7 @@ class TestLyapunovRate:
         positions, weights = team
         step = 1e-6
         nudges = step * np.eye(positions.size).reshape(-1, *positions.shape)
-        gradient = (lyapunov(positions + nudges, weights) - lyapunov(positions - nudges, weights))
+        gradient = lyapunov(positions + nudges, weights) - lyapunov(positions - nudges, weights)
         gradient = gradient.reshape(positions.shape) / (2 * step)
         expected = -0.5 * gradient
         np.testing.assert_allclose(

@@ -1,4 +1,4 @@
-"""The simulator against an independent integrator: scipy's DOP853, global positions, own merging."""
+"""The simulator against an independent integrator: DOP853, global positions, own merging."""
 
 from __future__ import annotations
 
@@ -117,10 +117,9 @@ def integrate(p: np.ndarray, angles: np.ndarray, a: np.ndarray) -> Reference:
         (which,) = (k for k, times in enumerate(solution.t_events) if len(times))
         now = float(solution.t[-1])
         if first is None:
-            before = solution.sol
             _, attitudes = unpack(solution.y.T.ravel(), solution.y.shape[1] * n)
             pitch = np.abs(attitudes[:, 1:]).max(initial=0.0)
-            first = (now, lambda t, u=unpack: u(before(t))[0], pitch)
+            first = (now, lambda t, u=unpack, y=solution.sol: u(y(t))[0], pitch)
         p, angles, a = contracted(*unpack(solution.y[:, -1]), a, *links[which])
         while close := [
             (math.dist(p[i], p[j]), i, j)

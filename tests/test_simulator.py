@@ -57,7 +57,7 @@ def assert_same_state(a: Simulator, b: Simulator) -> None:
         np.testing.assert_array_equal(x, y, err_msg=name)
 
 
-# ---- symmetries -------------------------------------------------------------------------------------
+# ---- symmetries ----------------------------------------------------------------------------------
 
 
 def test_scaling_all_positions_changes_no_observation(kind):
@@ -154,7 +154,7 @@ def test_moving_the_world_changes_no_observation(kind):
 
 
 def test_relabelling_the_robots_permutes_the_trajectories():
-    """Single integrators and, before anyone merges, the others: then the lower index keeps its heading."""
+    """The others before anyone merges, for then the lower index keeps its heading."""
     order = np.array([3, 0, 4, 2, 1])
     for kind, model in MODELS.items():
         scenario = five(kind, local_frames="global")
@@ -170,9 +170,7 @@ def test_relabelling_the_robots_permutes_the_trajectories():
         # float32 actions add up in another order, so trajectories agree to their rounding
         calm = np.ones(32, bool) if single else sim.active.all(axis=1)
         assert calm.sum() >= 10
-        np.testing.assert_allclose(
-            renamed_places[:, calm], places[:, calm][:, :, order], atol=1e-9 if False else 2e-5
-        )
+        np.testing.assert_allclose(renamed_places[:, calm], places[:, calm][:, :, order], atol=2e-5)
         np.testing.assert_array_equal(
             sim.active.sum(axis=1)[calm], renamed_sim.active.sum(axis=1)[calm]
         )
@@ -194,7 +192,7 @@ def test_relabelling_is_exact_but_for_rounding_when_the_actions_are():
     assert not a.active.all(axis=1).any()
 
 
-# ---- batches ----------------------------------------------------------------------------------------
+# ---- batches -------------------------------------------------------------------------------------
 
 BATCHED = {
     **{kind: five(kind, graph=graphs.erdos_renyi(0.4, (0.5, 1.5))) for kind in MODELS},
@@ -238,9 +236,7 @@ def test_the_place_in_the_batch_and_the_number_of_threads_do_not_matter(name, mo
     assert slices_run == [2] * 60
     for x, y in zip(one[:2], two[:2], strict=True):
         np.testing.assert_array_equal(y, x[:, order])
-    for (entry, x), y in zip(
-        one[2].get_state().items(), two[2].get_state().values(), strict=True
-    ):
+    for (entry, x), y in zip(one[2].get_state().items(), two[2].get_state().values(), strict=True):
         np.testing.assert_array_equal(y, x[order], err_msg=entry)
 
 
@@ -278,7 +274,7 @@ def test_the_law_of_a_large_batch_needs_no_more_than_its_teams(kind):
     assert not np.array_equal(sim.positions[7], other.positions[7])
 
 
-# ---- seeds and episodes -----------------------------------------------------------------------------
+# ---- seeds and episodes --------------------------------------------------------------------------
 
 
 def test_seeds_and_episodes(kind):
@@ -328,9 +324,6 @@ def test_a_partial_reset_leaves_the_others_untouched(kind):
         np.testing.assert_array_equal(after[name][~mask], before[name][~mask], err_msg=name)
     assert (sim.steps == np.where(mask, 0, 30)).all() and sim.active[mask].all()
     np.testing.assert_array_equal(seen, sim.observe())
-    np.testing.assert_array_equal(
-        seen[mask], Simulator(five(kind), 20).reset(4) * 0 + seen[mask][:1] * 0 + seen[mask]
-    ) if False else None
     whole = copied.reset()  # the next episode is the same, reset alone or with all
     np.testing.assert_array_equal(whole[mask], seen[mask])
 
@@ -389,15 +382,15 @@ def test_set_max_steps():
     assert copy.deepcopy(sim).max_steps == 2
 
 
-# ---- state ------------------------------------------------------------------------------------------
+# ---- state ---------------------------------------------------------------------------------------
 
 
 def _halfway(kind: str, **changes: object) -> Simulator:
     sim = Simulator(five(kind, **changes), 20)
     policy, observations = law_of(sim.scenario), sim.reset(6)
-    for _ in range(40):
+    while sim.active.sum() > 90:
         observations = sim.step(policy(observations, sim.time)).observations
-    assert not sim.active.all() and sim.active.any(axis=0).all()
+    assert (sim.active.sum(axis=1) > 1).any()
     return sim
 
 
@@ -450,7 +443,10 @@ def test_a_wrong_state_is_refused_and_changes_nothing():
     wrong = [
         ({k: v for k, v in good.items() if k != "angles"}, "'angles' is missing or unknown"),
         ({**good, "speed": good["steps"]}, "'speed' is missing or unknown"),
-        ({**good, "positions": good["positions"][:3]}, r"positions is float64 of shape \(3, 5, 2\)"),
+        (
+            {**good, "positions": good["positions"][:3]},
+            r"positions is float64 of shape \(3, 5, 2\)",
+        ),
         ({**good, "steps": good["steps"].astype(float)}, "steps is float64 .* must be int64"),
     ]
     for state, message in wrong:
@@ -505,13 +501,13 @@ def test_a_fork_after_a_threaded_step_works(monkeypatch):
     np.testing.assert_array_equal(positions, sim.positions)
 
 
-# ---- what is given ----------------------------------------------------------------------------------
+# ---- what is given -------------------------------------------------------------------------------
 
 
 def test_a_given_start_is_taken(kind):
     scenario = five(kind)
     weights = UNEQUAL.copy()
-    weights[0, 1] = weights[1, 0] = 0.6
+    weights[0, 1] = weights[1, 0] = 1.7
     options = start(scenario, STARTS[scenario.dim], weights=weights)
     sim = Simulator(scenario, 32)
     sim.reset(0, options)
@@ -613,7 +609,7 @@ def test_given_obstacles_and_robots_inside_them():
     disc = Disc((9.0, 9.0), 0.5)
     sim.reset(0, {"obstacles": [disc], "positions": STARTS[2][0]})
     assert sim.obstacles.shape[1] == 2 and (sim.obstacles[:, 0, 0] >= 0).all()
-    with pytest.raises(ValueError, match="robot_0 at .* is inside Disc"):
+    with pytest.raises(ValueError, match=r"positions: robot.0 at .* inside Disc"):
         sim.reset(0, {"obstacles": [Disc((0.0, 0.0), 9.0)], "positions": STARTS[2][0]})
 
 
@@ -633,7 +629,7 @@ def test_bad_seeds_and_masks_are_refused_and_change_nothing():
         with pytest.raises(ValueError, match=message):
             sim.reset(seed)
     for mask in (np.ones(2, bool), np.ones(3), [0, 1, 1]):
-        with pytest.raises(ValueError, match=r"mask is .* must be bool of \(3,\)"):
+        with pytest.raises(ValueError, match=r"mask is .* must be bool"):
             sim.reset(mask=mask)
     for name, array in sim.get_state().items():
         np.testing.assert_array_equal(array, before[name], err_msg=name)
@@ -663,7 +659,7 @@ def test_a_step_before_the_first_reset():
         Simulator(five("unicycle")).step(np.zeros((1, 5, 2)))
 
 
-# ---- actions ----------------------------------------------------------------------------------------
+# ---- actions -------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
@@ -672,7 +668,7 @@ def test_actions_that_are_not_finite_change_nothing(kind, value):
     before = sim.get_state()
     actions = np.ones((20, 5, sim.scenario.action_size), np.float32)
     actions[6, 3, 1] = value
-    with pytest.raises(ValueError, match="action of robot_3 in team 6 is .* must be finite"):
+    with pytest.raises(ValueError, match=r"action of robot_3 in team 6 is .* must be finite"):
         sim.step(actions)
     with pytest.raises(ValueError, match=r"actions have shape \(5, 2\); they must be \(B, n, a\)"):
         sim.step(np.ones((5, 2)))
@@ -724,32 +720,33 @@ def test_what_merged_away_robots_are_given_is_ignored(kind):
     assert_same_state(sim, other)
 
 
-# ---- without compilation ------------------------------------------------------------------------------
+# ---- without compilation -------------------------------------------------------------------------
 
 PLAIN_PYTHON = """
 import sys
 import numpy as np
 import numba
 from rendezvous_env import Disc, Scenario, Simulator, kernels
-import baselines
 
 assert numba.config.DISABLE_JIT == (sys.argv[1] == "plain")
 assert hasattr(kernels.step_blocks, "py_func") == (sys.argv[1] != "plain")
 arrays = {}
-for name, model, dim, n_steps in (
-    ("bearing-only", "single_integrator", 2, 8), ("unicycle", "unicycle", 2, 8),
-    ("nonholonomic-3d", "nonholonomic_3d", 3, 5),
-):
+for model, dim in (("single_integrator", 2), ("unicycle", 2), ("nonholonomic_3d", 3)):
     world = [Disc((0.0, 0.6), 0.5)] if dim == 2 else []
     scenario = Scenario(n_robots=3, dim=dim, robot_model=model, spawn_size=3.0, obstacles=world,
-                        graph="path", time_step=0.1, allow_long_step=True)
-    simulator, policy = Simulator(scenario, 2), baselines.make(name, scenario)
-    observations = simulator.reset(3)
-    for k in range(n_steps):
-        observations = simulator.step(policy(observations, simulator.time)).observations
-        arrays[f"{name}-seen-{k}"] = observations
-        arrays[f"{name}-places-{k}"] = simulator.positions
-    arrays[f"{name}-active"] = simulator.active
+                        merge_radius=0.4, graph="path", local_frames="global", time_step=0.1,
+                        allow_long_step=True)
+    simulator = Simulator(scenario, 2)
+    arrays[f"{model}-seen"] = simulator.reset(3)
+    inputs = np.random.default_rng(0)
+    for k in range(10):
+        towards = -simulator.positions if model == "single_integrator" else 0.0
+        actions = inputs.uniform(-1, 1, (2, 3, scenario.action_size)) + towards
+        outcome = simulator.step(np.round(actions, 3))
+        arrays[f"{model}-seen-{k}"] = outcome.observations
+        arrays[f"{model}-places-{k}"] = simulator.positions
+        arrays[f"{model}-rewards-{k}"] = outcome.rewards
+    arrays[f"{model}-active"] = simulator.active
 np.savez(sys.argv[2], **arrays)
 """
 
@@ -768,6 +765,6 @@ def test_plain_python_gives_the_same_trajectories(tmp_path):
         results[mode] = dict(np.load(path))
     assert results["plain"].keys() == results["compiled"].keys()
     for name, array in results["compiled"].items():
-        tolerance = 3e-7 if array.dtype == np.float32 else 1e-7
+        tolerance = 3e-7 if array.dtype == np.float32 else 1e-12
         np.testing.assert_allclose(results["plain"][name], array, atol=tolerance, err_msg=name)
-    assert not results["plain"]["bearing-only-active"].all()
+    assert not results["plain"]["single_integrator-active"].all()

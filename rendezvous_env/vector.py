@@ -1,0 +1,198 @@
+"""HeadingVectorWrapper for the vector environment: the same steering, for B teams at once."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium.spaces import Box, Space
+from gymnasium.vector import AutoresetMode
+from gymnasium.vector.utils import batch_space
+from numpy.typing import ArrayLike, NDArray
+
+from .gymnasium_env import (
+    Info,
+    RendezvousVectorEnv,
+    Transition,
+    alive_robots,
+    masked,
+    step_info,
+    summary_of,
+)
+from .simulator import Outcome
+from .spaces import heading_box, heading_observation_box
+from .steering import Steering
+from .teams import RENDEZVOUS, TIME_OUT
+from .wrappers import check_period
+
+
+class HeadingVectorWrapper(gymnasium.vector.VectorWrapper):
+    """Teams choose heading vectors h_i; law (4) moves them, and any policy keeps theorem C.
+
+    Actions, observations, arguments and guarantee are those of ``wrappers.HeadingVectorWrapper``,
+    in arrays: raw vectors (B, n, k) in [−1, 1], observations (B, n, rows, d). Infos carry
+    "alignment" and "lyapunov_rate", (B, n) each, of the last base step. A team that ends within
+    a decision period stands still for the rest of it; one that has begun anew has forgotten its
+    headings.
+
+    Args:
+        env: a RendezvousVectorEnv, in any autoreset mode.
+        min_alignment: ε, in (0, 1).
+        max_turn_rate: ω_max, rad/s.
+        frame: "net_bearing" or "local".
+        decision_period: base steps for which a raw vector is held.
+        certified: False lets the raw vector through as h_i, without any guarantee.
+
+    Raises:
+        ValueError: naming the argument, its value and what would be right.
+    """
+
+    env: RendezvousVectorEnv
+
+    def __init__(
+        self,
+        env: RendezvousVectorEnv,
+        min_alignment: float = 0.1,
+        max_turn_rate: float = 3.0,
+        frame: str = "net_bearing",
+        decision_period: int = 1,
+        certified: bool = True,
+    ) -> None:
+        super().__init__(env)
+        self.decision_period = check_period(decision_period)
+        self.steering = Steering(
+            env.scenario,
+            env.num_envs,
+            min_alignment=min_alignment,
+            max_turn_rate=max_turn_rate,
+            frame=frame,
+            certified=certified,
+        )
+        robot = heading_observation_box(env.scenario, self.steering)
+        n = env.scenario.n_robots
+        self.single_observation_space = _team_box(robot, n)
+        self.single_action_space = _team_box(heading_box(self.steering), n)
+        self._observed = np.zeros(
+            (env.num_envs, n, *env.scenario.observation_layout.shape), dtype=np.float32
+        )
+
+    @cached_property
+    def observation_space(self) -> Space[Any]:  # type: ignore[override]
+        """Of all teams."""
+        return batch_space(self.single_observation_space, self.num_envs)
+
+    @cached_property
+    def action_space(self) -> Space[Any]:  # type: ignore[override]
+        """Of all teams."""
+        return batch_space(self.single_action_space, self.num_envs)
+
+    def reset(
+        self,
+        *,
+        seed: int | Sequence[int | None] | None = None,
+        options: Mapping[str, Any] | None = None,
+    ) -> tuple[NDArray[np.float32], Info]:
+        """Begin anew, as ``RendezvousVectorEnv.reset``; teams that do forget their headings."""
+        self._observed, infos = self.env.reset(seed=seed, options=options)
+        self.steering.forget((options or {}).get("reset_mask"))
+        return self.steering.view(self._observed), infos
+
+    def step(self, actions: ArrayLike) -> Transition:
+        """Hold the raw vectors for ``decision_period`` base steps.
+
+        Args:
+            actions: raw vectors (B, n, k).
+
+        Returns:
+            As ``RendezvousVectorEnv.step``, with the rewards of the base steps summed.
+
+        Raises:
+            ValueError: for a wrong shape, or naming the robot whose vector is not finite.
+            RuntimeError: before the first reset.
+        """
+        env, simulator = self.env, self.env.simulator
+        resting = simulator.ended
+        self.steering.hold(actions)
+        rewards, infos, outcome = self._drive()
+        if env.autoreset_mode is AutoresetMode.NEXT_STEP and resting.any():
+            self._begin_anew(resting, outcome, infos)
+        terminations = simulator.status == RENDEZVOUS
+        truncations = simulator.status == TIME_OUT
+        ended = terminations | truncations
+        summary = {"summary": masked(summary_of(simulator), ended)} if ended.any() else {}
+        final: Info = {}
+        if env.autoreset_mode is AutoresetMode.SAME_STEP and ended.any():
+            final = self._final(ended, infos | summary)
+            self._begin_anew(ended, outcome, infos)
+            summary = {}
+        seen = self.steering.view(self._observed)
+        everyone = np.ones(self.num_envs, dtype=np.bool_)
+        infos = masked(infos, everyone) | masked(summary | final, ended)
+        return seen, rewards, terminations, truncations, infos
+
+    def _drive(self) -> tuple[NDArray[np.float64], Info, Outcome]:
+        """Base steps under the held vectors: summed rewards, bare infos, the last outcome."""
+        simulator, steering = self.env.simulator, self.steering
+        rewards, infos = np.zeros(self.num_envs), {}
+        robot_rewards = np.zeros(self._observed.shape[:2])
+        contact = np.zeros(self._observed.shape[:2], dtype=np.bool_)
+        for _ in range(self.decision_period):
+            alive = alive_robots(simulator)
+            outcome = simulator.step(steering.act(self._observed))
+            self._observed = outcome.observations
+            infos = step_info(simulator, outcome, alive)
+            rewards += outcome.rewards
+            robot_rewards += infos["robot_rewards"]
+            contact |= outcome.contact
+        infos |= {
+            "robot_rewards": robot_rewards,
+            "contact": contact,
+            "alignment": steering.alignment.copy(),
+            "lyapunov_rate": steering.lyapunov_rate.copy(),
+        }
+        return rewards, infos, outcome
+
+    def _begin_anew(self, which: NDArray[np.bool_], outcome: Outcome, infos: Info) -> None:
+        """Next episodes of these teams; what the robots see and what is told of them follows."""
+        simulator = self.env.simulator
+        simulator.restart(which, outcome)
+        self.steering.forget(which)
+        infos["merged_into"] = simulator.merged_into
+        infos["contact"][which] = False
+        infos["alignment"][which], infos["lyapunov_rate"][which] = np.nan, 0.0
+
+    def _final(self, ended: NDArray[np.bool_], infos: Info) -> Info:
+        """How these teams ended, in Gymnasium's form."""
+        seen = self.steering.view(self._observed)
+        final_obs = np.full(self.num_envs, None, dtype=object)
+        for team in np.flatnonzero(ended).tolist():
+            final_obs[team] = seen[team].copy()
+        kept = {key: value.copy() for key, value in infos.items()}
+        return {"final_obs": final_obs, "final_info": masked(kept, ended)}
+
+    def get_state(self) -> dict[str, Any]:
+        """The running episodes and the wrapper's memory, as copies."""
+        return {
+            "env": self.env.get_state(),
+            "steering": self.steering.get_state(),
+            "observed": self._observed.copy(),
+        }
+
+    def set_state(self, state: Mapping[str, Any]) -> None:
+        """Put back what ``get_state`` took out.
+
+        Raises:
+            ValueError: naming what does not fit.
+        """
+        self.steering.set_state(state["steering"])
+        self.env.set_state(state["env"])
+        self._observed = np.array(state["observed"], dtype=np.float32)
+
+
+def _team_box(robot: Box, n: int) -> Box:
+    """Space of a team of n robots that all have the same one."""
+    low, high = (np.broadcast_to(bound, (n, *robot.shape)) for bound in (robot.low, robot.high))
+    return Box(low, high, dtype=np.float32)
