@@ -324,7 +324,7 @@ def _start_info(simulator: Simulator) -> Info:
 def step_info(simulator: Simulator, outcome: Outcome, alive: NDArray[np.bool_]) -> Info:
     """Infos of all teams after a step, without masks."""
     return {
-        "robot_rewards": outcome.rewards[:, None] * alive,
+        "robot_rewards": np.repeat(outcome.rewards, alive.shape[1]).reshape(alive.shape) * alive,
         "active": outcome.active,
         "merged_into": simulator.merged_into,
         "contact": outcome.contact,

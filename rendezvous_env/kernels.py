@@ -40,6 +40,10 @@ from .teams import (
 )
 
 
+_EXPONENT = np.uint32(0x7F800000)
+"""The exponent bits of a float32."""
+
+
 class Scratch(NamedTuple):
     """Lane buffers of the block at hand."""
 
@@ -121,15 +125,17 @@ def observe_blocks(blocks, physics, axes, teams, results):
 
 @kernel
 def _first_not_finite(values):
-    total = np.float32(0.0)
-    for k in range(values.shape[0]):
-        total += values[k] * np.float32(0.0)
-    if total == np.float32(0.0):
+    """Index of the first number whose exponent bits are all set (infinite or NaN), or −1."""
+    bits = values.view(np.uint32)
+    largest = np.uint32(0)
+    for k in range(bits.shape[0]):
+        largest = max(largest, bits[k] & _EXPONENT)
+    if largest < _EXPONENT:
         return -1
-    for k in range(values.shape[0]):
-        if not np.isfinite(values[k]):
-            return k
-    return -1
+    k = 0
+    while bits[k] & _EXPONENT < _EXPONENT:
+        k += 1
+    return k
 
 
 @kernel

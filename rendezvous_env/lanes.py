@@ -11,7 +11,7 @@ import math
 
 from .jit import kernel
 
-LANES = 16
+LANES = 32
 
 
 @kernel

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Mapping
 from typing import Any
@@ -251,8 +250,7 @@ class RendezvousParallelEnv(ParallelEnv[str, NDArray[np.float32], NDArray[np.flo
             listed = np.array([actions[name] for name in alive], dtype=np.float32)
         except (KeyError, TypeError, ValueError):
             listed = np.empty(0, dtype=np.float32)
-        fits = listed.shape == (len(alive), size) and len(actions) == len(alive)
-        if not fits or not math.isfinite(np.vdot(listed, listed)):
+        if listed.shape != (len(alive), size) or len(actions) != len(alive):
             self._explain(actions)
         if len(alive) == self.scenario.n_robots:
             return listed[None]

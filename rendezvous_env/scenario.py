@@ -411,4 +411,4 @@ def _frames_to_caller() -> int:
         inside(frame.f_globals.get("__name__", "")) or frame.f_code.co_name == "__init__"
     ):
         frame, level = frame.f_back, level + 1
-    return max(1, level - 1)
+    return level

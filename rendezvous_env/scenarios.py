@@ -11,22 +11,19 @@ from . import graphs
 from .obstacles import Disc, ObstacleField, Polygon
 from .scenario import Scenario, nearest_word
 
-_FIELD_OF_FIGURES = (
-    Disc(centre=(-1.2, 1.1), radius=0.8),
-    Disc(centre=(1.9, 0.4), radius=0.6),
-    Polygon(vertices=((-0.9, -2.6), (0.7, -2.6), (0.7, -1.6), (-0.9, -1.6))),
-)
-"""Our own choice: the paper prints no coordinates."""
-_START_OF_FIGURES = ((-4.0, -3.0), (4.5, -2.0), (0.5, 4.5))
-
 
 def _figure(name: str, obstacle_contact: str) -> Scenario:
+    """Field and start are our own choice: the paper prints no coordinates."""
     return Scenario(
         name=name,
         n_robots=3,
         merge_radius=0.2,
-        start_positions=_START_OF_FIGURES,
-        obstacles=_FIELD_OF_FIGURES,
+        start_positions=((-4.0, -3.0), (4.5, -2.0), (0.5, 4.5)),
+        obstacles=(
+            Disc(centre=(-1.2, 1.1), radius=0.8),
+            Disc(centre=(1.9, 0.4), radius=0.6),
+            Polygon(vertices=((-0.9, -2.6), (0.7, -2.6), (0.7, -1.6), (-0.9, -1.6))),
+        ),
         obstacle_contact=obstacle_contact,
         obstacle_range=2.0,
     )

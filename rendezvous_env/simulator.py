@@ -140,6 +140,8 @@ class Simulator:
         self._slices = _slices(scenario, self.num_envs, self.num_threads)
         self._physics = _physics(scenario, self.max_steps)
         self._rules = _start_rules(scenario)
+        self._fixed_obstacles = _fixed_obstacles(scenario)
+        self._themselves = np.tile(np.arange(scenario.n_robots), (self.num_envs, 1))
 
     # ---- episodes -----------------------------------------------------------------------------
 
@@ -304,7 +306,7 @@ class Simulator:
         """R_i, local → global, (B, n, d, d)."""
         d = self.scenario.dim
         frames = from_lanes(self._teams.frames, self.num_envs)
-        return frames.reshape(*frames.shape[:2], d, d)
+        return frames.reshape(*frames.shape[:2], d, d).copy()
 
     @property
     def weights(self) -> NDArray[np.float64]:
@@ -329,7 +331,7 @@ class Simulator:
     @property
     def active(self) -> NDArray[np.bool_]:
         """(B, n), whether the robot still exists on its own."""
-        return self._teams.merged_into == np.arange(self.scenario.n_robots)
+        return self._teams.merged_into == self._themselves
 
     @property
     def status(self) -> NDArray[np.int64]:
@@ -387,6 +389,11 @@ class Simulator:
     def lyapunov(self) -> NDArray[np.float64]:
         """V, (B,), m²/s."""
         return self._teams.book["lyapunov"].copy()
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of the state of all teams."""
+        return sum(array.nbytes for array in self._teams)
 
     def get_state(self) -> dict[str, NDArray[Any]]:
         """Everything that the future of the teams depends on, as copies with leading axis B."""
@@ -527,14 +534,13 @@ class Simulator:
         scenario, teams = self.scenario, self._teams
         n, d = scenario.n_robots, scenario.dim
         starts, headings = scenario.start_positions, scenario.start_headings
-        pairs = np.triu_indices(n, 1)
         positions = given.positions if starts is None else _or(given.positions, [starts])
         angles = given.angles if headings is None else _or(given.angles, [headings])
         frames, weights, obstacles = given.frames, given.weights, given.obstacles
         if frames is None and scenario.local_frames == "global":
             frames = np.broadcast_to(np.eye(d), (1, n, d, d))
-        if obstacles is None and not isinstance(scenario.obstacles, ObstacleField):
-            obstacles = pack(scenario.obstacles, d, teams.obstacles.shape[1])[None]
+        if obstacles is None:
+            obstacles = self._fixed_obstacles
         block, lane = which // LANES, which % LANES
         if positions is not None:
             _by_lane(teams.positions)[block, :, :, lane] = _for_each(positions, which)
@@ -544,7 +550,8 @@ class Simulator:
             flat = frames.reshape(len(frames), n, d * d)
             _by_lane(teams.frames)[block, :, :, lane] = _for_each(flat, which)
         if weights is not None:
-            listed = weights[:, pairs[0], pairs[1], None]
+            rows, columns = np.triu_indices(n, 1)
+            listed = weights[:, rows, columns, None]
             _by_lane(teams.weights)[block, :, :, lane] = _for_each(listed, which)
         if obstacles is not None:
             teams.obstacles[which] = _for_each(obstacles, which)
@@ -648,6 +655,14 @@ def _start_rules(scenario: Scenario) -> StartRules:
         keep_out=float(keep_out),
         field_overlap=overlap,
     )
+
+
+def _fixed_obstacles(scenario: Scenario) -> NDArray[np.float64] | None:
+    """The scenario's obstacles, (1, M, width); None if they are drawn."""
+    if isinstance(scenario.obstacles, ObstacleField):
+        return None
+    slots = scenario.observation_layout.obstacle_slots
+    return pack(scenario.obstacles, scenario.dim, slots)[None]
 
 
 def _quiet_integers() -> Any:

@@ -247,7 +247,7 @@ def test_copies_go_on_where_the_teams_are(scenario, copied):
 
 def test_every_step_gives_arrays_of_its_own():
     venv = rv.make_vec("clutter-4", 20, autoreset_mode=AutoresetMode.SAME_STEP, max_cycles=3)
-    obs, infos = venv.reset(seed=0)
+    venv.reset(seed=0)
     kept = []
     for _ in range(4):
         *arrays, infos = venv.step(np.ones((20, 4, 2), np.float32))
@@ -267,3 +267,26 @@ def test_a_wrong_action_names_its_robot():
         venv.step(actions)
     with pytest.raises(ValueError, match=r"\(B, n, a\)"):
         venv.step(actions[:2])
+
+
+def test_a_reset_without_room_changes_nothing():
+    scenario = rv.Scenario(n_robots=3, merge_radius=0.2, spawn_size=0.5)
+
+    def has_room(seed):
+        try:
+            rv.make_vec(scenario).reset(seed=seed)
+        except RuntimeError:
+            return False
+        return True
+
+    roomy = next(seed for seed in range(100) if has_room(seed))
+    narrow = next(seed for seed in range(100) if not has_room(seed))
+    venv = rv.make_vec(scenario, 2)
+    merging = np.array([[0.0, 0.0], [0.1, 0.0], [3.0, 0.0]])
+    venv.reset(seed=5, options={"positions": merging})
+    venv.step(np.zeros((2, 3, 2), np.float32))
+    before = venv.get_state()
+    assert not venv.simulator.active.all()
+    with pytest.raises(RuntimeError, match="team 1"):
+        venv.reset(seed=[roomy, narrow])
+    assert data_equivalence(venv.get_state(), before, exact=True)

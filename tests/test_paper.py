@@ -99,9 +99,7 @@ class TestTheorem1:
     )
     def test_a_disconnected_graph_ends_with_one_robot_for_each_component(self, pieces, n, dim):
         edges = [
-            (*pair, 0.6 + 0.2 * k)
-            for piece in pieces
-            for k, pair in enumerate(pairwise(piece))
+            (*pair, 0.6 + 0.2 * k) for piece in pieces for k, pair in enumerate(pairwise(piece))
         ]
         scenario = Scenario(
             n_robots=n,

@@ -57,7 +57,7 @@ def assert_same_state(a: Simulator, b: Simulator) -> None:
         np.testing.assert_array_equal(x, y, err_msg=name)
 
 
-# ---- symmetries ----------------------------------------------------------------------------------
+# ---- symmetries ---------------------------------------------------------------------------------
 
 
 def test_scaling_all_positions_changes_no_observation(kind):
@@ -192,7 +192,7 @@ def test_relabelling_is_exact_but_for_rounding_when_the_actions_are():
     assert not a.active.all(axis=1).any()
 
 
-# ---- batches -------------------------------------------------------------------------------------
+# ---- batches ------------------------------------------------------------------------------------
 
 BATCHED = {
     **{kind: five(kind, graph=graphs.erdos_renyi(0.4, (0.5, 1.5))) for kind in MODELS},
@@ -274,7 +274,7 @@ def test_the_law_of_a_large_batch_needs_no_more_than_its_teams(kind):
     assert not np.array_equal(sim.positions[7], other.positions[7])
 
 
-# ---- seeds and episodes --------------------------------------------------------------------------
+# ---- seeds and episodes -------------------------------------------------------------------------
 
 
 def test_seeds_and_episodes(kind):
@@ -382,7 +382,7 @@ def test_set_max_steps():
     assert copy.deepcopy(sim).max_steps == 2
 
 
-# ---- state ---------------------------------------------------------------------------------------
+# ---- state --------------------------------------------------------------------------------------
 
 
 def _halfway(kind: str, **changes: object) -> Simulator:
@@ -461,8 +461,9 @@ def test_what_the_simulator_hands_out_is_not_its_memory(kind):
     outcome = sim.step(np.zeros((20, 5, sim.scenario.action_size)))
     before = sim.get_state()
     handed = [getattr(sim, name) for name in (
-        "positions", "headings", "frames", "weights", "obstacles", "merged_into", "active", "status",
-        "steps", "time", "seeds", "initial_lyapunov", "path_length", "contacts", "min_clearance",
+        "positions", "headings", "frames", "weights", "obstacles", "merged_into", "active",
+        "status", "steps", "time", "seeds", "initial_lyapunov", "path_length",
+        "contacts", "min_clearance",
     )]  # fmt: skip
     handed += [getattr(outcome, name) for name in (
         "observations", "contact", "clearance", "active", "status", "rewards",
@@ -501,7 +502,7 @@ def test_a_fork_after_a_threaded_step_works(monkeypatch):
     np.testing.assert_array_equal(positions, sim.positions)
 
 
-# ---- what is given -------------------------------------------------------------------------------
+# ---- what is given ------------------------------------------------------------------------------
 
 
 def test_a_given_start_is_taken(kind):
@@ -560,7 +561,7 @@ BAD_OPTIONS = {
     "headings-shape": ("nonholonomic_3d", {"headings": np.zeros(5)},
         r"headings has shape \(5,\); it must be \(5, 2\)"),
     "frames-model": ("unicycle", {"frames": np.tile(np.eye(2), (5, 1, 1))}, 'give "headings"'),
-    "frames-reflection": ("single_integrator-2d", {"frames": np.tile([[1.0, 0], [0, -1]], (5, 1, 1))},
+    "frames-reflection": ("single_integrator-2d", {"frames": np.tile(np.diag([1, -1]), (5, 1, 1))},
         "frames: that of robot_0 is .* must be a rotation"),
     "frames-scale": ("single_integrator-3d", {"frames": np.tile(2 * np.eye(3), (5, 1, 1))},
         "must be a rotation"),
@@ -568,13 +569,16 @@ BAD_OPTIONS = {
         r"frames has shape \(3, 3\); it must be \(5, 3, 3\)"),
     "weights-asymmetric": ("unicycle", {"weights": _bad("weights", (0, 1), 1.0)},
         r"weights: weight a\[0, 1\] = 1\.0 must equal its mirror image"),
-    "weights-negative": ("unicycle", {"weights": -UNEQUAL}, r"a\[0, 1\] = -2\.0 must not be negative"),
-    "weights-diagonal": ("unicycle", {"weights": _bad("weights", (2, 2), 1.0)}, r"a\[2, 2\] = 1\.0"),
+    "weights-negative": ("unicycle", {"weights": -UNEQUAL},
+        r"a\[0, 1\] = -2\.0 must not be negative"),
+    "weights-diagonal": ("unicycle", {"weights": _bad("weights", (2, 2), 1.0)},
+        r"a\[2, 2\] = 1\.0"),
     "weights-shape": ("unicycle", {"weights": UNEQUAL[:3]}, r"weights have shape \(3, 5\)"),
     "weights-disconnected": ("unicycle", {"weights": UNEQUAL * (np.arange(5) != 4) *
         (np.arange(5) != 4)[:, None]}, r"weights are not connected: .*\[4\]"),
     "weights-heavy": ("unicycle", {"weights": 2 * UNEQUAL}, r"weights reach D = \d.*at most 6\.5"),
-    "weights-light": ("unicycle", {"weights": UNEQUAL / 2}, r"bottleneck a\* = 0\.45 m/s.*least 0\.9"),
+    "weights-light": ("unicycle", {"weights": UNEQUAL / 2},
+        r"bottleneck a\* = 0\.45 m/s.*least 0\.9"),
     "obstacles-many": ("single_integrator-2d", {"obstacles": [Disc((0.0, 0.0), 1.0)]},
         "1 given, but the scenario has room for 0"),
     "misspelt": ("unicycle", {"position": STARTS[2][0]},
@@ -659,7 +663,7 @@ def test_a_step_before_the_first_reset():
         Simulator(five("unicycle")).step(np.zeros((1, 5, 2)))
 
 
-# ---- actions -------------------------------------------------------------------------------------
+# ---- actions ------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
@@ -720,7 +724,7 @@ def test_what_merged_away_robots_are_given_is_ignored(kind):
     assert_same_state(sim, other)
 
 
-# ---- without compilation -------------------------------------------------------------------------
+# ---- without compilation ------------------------------------------------------------------------
 
 PLAIN_PYTHON = """
 import sys

@@ -1,0 +1,157 @@
+"""The table of vectors seen, by hand, and its layout."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from conftest import UNEQUAL, five
+
+from rendezvous_env import Disc, ObservationLayout, Scenario, Simulator, Sphere
+
+START = np.array([[0.0, 0.0], [3.0, 4.0], [-1.0, 2.0], [5.0, -2.0], [-4.0, -3.0]])
+
+
+def test_rows_by_hand_in_index_order():
+    sim = Simulator(five("single_integrator-2d", local_frames="global"))
+    seen = sim.reset(0, {"positions": START})[0]
+    assert seen.dtype == np.float32 and seen.shape == (5, 4, 2)
+    for i in range(5):
+        others = [j for j in range(5) if j != i]
+        for row, j in zip(seen[i], others, strict=True):
+            offset = START[j] - START[i]
+            np.testing.assert_allclose(
+                row, UNEQUAL[i, j] * offset / np.linalg.norm(offset), atol=1e-7
+            )
+    assert not seen[0, 1].any()  # no edge between 0 and 2
+    np.testing.assert_allclose(seen[0, 0], [1.2, 1.6], rtol=1e-6)  # 2 · (3, 4)/5
+
+
+def test_the_frame_turns_the_rows():
+    turn = np.array([[0.0, -1.0], [1.0, 0.0]])  # local x axis along global y
+    sim = Simulator(five("single_integrator-2d"))
+    seen = sim.reset(0, {"positions": START, "frames": np.tile(turn, (5, 1, 1))})[0]
+    np.testing.assert_allclose(seen[0, 0], [1.6, -1.2], rtol=1e-6)
+
+
+def test_the_body_frame_of_a_unicycle():
+    sim = Simulator(five("unicycle"))
+    headings = np.array([math.atan2(4, 3), 0.0, 1.0, 2.0, 3.0])
+    seen = sim.reset(0, {"positions": START, "headings": headings})[0]
+    np.testing.assert_allclose(seen[0, 0], [2.0, 0.0], atol=1e-6)  # straight ahead
+    np.testing.assert_allclose(seen[1, 0], [-1.2, -1.6], atol=1e-6)
+
+
+def test_the_gravity_row():
+    scenario = five("nonholonomic_3d")
+    pitch = np.array([0.0, 0.3, -0.7, 1.2, -1.5])
+    headings = np.stack([np.linspace(-2, 2, 5), pitch], axis=1)
+    sim = Simulator(scenario)
+    seen = sim.reset(0, {"positions": np.pad(START, ((0, 0), (0, 1))), "headings": headings})[0]
+    layout = scenario.observation_layout
+    assert layout.gravity == slice(4, 5) and layout.rows == 5
+    expected = np.stack([-np.sin(pitch), 0 * pitch, -np.cos(pitch)], axis=1)
+    np.testing.assert_allclose(seen[:, 4], expected, atol=1e-7)
+    np.testing.assert_allclose(layout.split(seen).gravity, expected, atol=1e-7)
+
+
+def test_merged_away_robots_are_not_seen_and_see_nothing(kind):
+    scenario = five(kind, obstacle_slots=1)
+    start = np.pad(START, ((0, 0), (0, scenario.dim - 2)))
+    start[1] = start[0] + 0.05  # 0 and 1 are neighbours and merge at once
+    sim = Simulator(scenario)
+    sim.reset(0, {"positions": start})
+    seen = sim.step(np.zeros((1, 5, scenario.action_size))).observations[0]
+    assert sim.active[0].tolist() == [True, False, True, True, True]
+    assert not seen[1].any()  # gravity included
+    assert not seen[0, 0].any() and not seen[[2, 3, 4], 1].any()
+    # robot 2 was tied to 1 with 1.3 and is now tied to 0, whose row it sees instead
+    assert np.linalg.norm(seen[2, 0]) == pytest.approx(1.3, rel=1e-6)
+    assert np.linalg.norm(seen[0, 1]) == pytest.approx(1.3, rel=1e-6)
+
+
+def test_lengths_are_the_gains_whatever_the_frames(kind):
+    scenario = five(kind)
+    sim = Simulator(scenario, 40)
+    seen = sim.reset(3)[..., scenario.observation_layout.neighbours, :]
+    others = [[j for j in range(5) if j != i] for i in range(5)]
+    gains = np.take_along_axis(UNEQUAL, np.array(others), axis=1)
+    np.testing.assert_allclose(
+        np.linalg.norm(seen, axis=-1), np.broadcast_to(gains, (40, 5, 4)), atol=3e-7
+    )
+
+
+def test_more_slots_than_neighbours_stay_zero():
+    scenario = five("single_integrator-2d", neighbour_slots=7, local_frames="global")
+    seen = Simulator(scenario).reset(0, {"positions": START})
+    plain = Simulator(five("single_integrator-2d", local_frames="global")).reset(
+        0, {"positions": START}
+    )
+    assert seen.shape == (1, 5, 7, 2) and not seen[:, :, 4:].any()
+    np.testing.assert_array_equal(seen[:, :, :4], plain)
+
+
+def test_obstacles_within_range_and_beyond():
+    world = [Disc((0.0, 9.0), 1.0), Disc((0.0, 2.0), 1.0)]
+    scenario = Scenario(n_robots=2, obstacles=world, local_frames="global", obstacle_range=2.0)
+    sim = Simulator(scenario)
+    seen = sim.reset(0, {"positions": [[0.0, 0.0], [30.0, 0.0]]})[0]
+    layout = scenario.observation_layout
+    split = layout.split(seen)
+    assert split.obstacles.shape == (2, 2, 2, 2)
+    assert not split.obstacles[0, 0].any() and not split.obstacles[1].any()
+    tangent = math.sqrt(3)  # half angle asin(1/2) = 30°
+    np.testing.assert_allclose(
+        split.obstacles[0, 1], [[-0.5, tangent / 2], [0.5, tangent / 2]], atol=1e-6
+    )
+
+
+def test_zero_is_never_the_negative_zero(kind):
+    scenario = five(kind, obstacle_slots=1)
+    sim = Simulator(scenario, 30)
+    sim.reset(0)
+    for _ in range(40):
+        seen = sim.step(np.zeros((30, 5, scenario.action_size))).observations
+    neighbours = seen[..., scenario.observation_layout.neighbours, :]
+    assert not np.signbit(neighbours[neighbours == 0]).any()
+
+
+# ---- layout -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("layout", "neighbours", "obstacles", "gravity", "shape"),
+    [
+        (ObservationLayout(2, 4), (0, 4), (4, 4), (4, 4), (4, 2)),
+        (ObservationLayout(2, 4, 3), (0, 4), (4, 10), (10, 10), (10, 2)),
+        (ObservationLayout(3, 2, 2), (0, 2), (2, 18), (18, 18), (18, 3)),
+        (ObservationLayout(3, 2, 1, True), (0, 2), (2, 10), (10, 11), (11, 3)),
+    ],
+)
+def test_layouts_by_hand(layout, neighbours, obstacles, gravity, shape):
+    assert layout.neighbours == slice(*neighbours)
+    assert layout.obstacles == slice(*obstacles)
+    assert layout.gravity == slice(*gravity)
+    assert layout.shape == shape
+
+
+def test_splitting_gives_views_and_checks_the_shape():
+    layout = ObservationLayout(3, 2, 1, True)
+    table = np.arange(2 * 11 * 3.0).reshape(2, 11, 3)
+    split = layout.split(table)
+    assert split.neighbours.shape == (2, 2, 3) and split.obstacles.shape == (2, 1, 8, 3)
+    np.testing.assert_array_equal(split.gravity, table[:, 10])
+    assert all(np.shares_memory(part, table) for part in split)
+    np.testing.assert_array_equal(layout.net_bearing(table), table[:, 0] + table[:, 1])
+    assert ObservationLayout(2, 4).split(np.zeros((4, 2))).gravity is None
+    with pytest.raises(
+        ValueError, match=r"shape \(2, 10, 3\); this layout needs \(\.\.\., 11, 3\)"
+    ):
+        layout.split(table[:, :10])
+
+
+def test_the_layout_of_a_scenario():
+    scenario = Scenario(n_robots=3, dim=3, obstacles=[Sphere((9.0, 0, 0), 1.0)], obstacle_slots=2)
+    assert scenario.observation_layout == ObservationLayout(3, 2, 2, False)
+    assert five("nonholonomic_3d").observation_layout == ObservationLayout(3, 4, 0, True)

@@ -1,0 +1,56 @@
+"""How the time of a robot's step grows with the size of a team and of the batch."""
+
+from __future__ import annotations
+
+import statistics
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from .bench_cases import Case, batched, spread_out
+
+if TYPE_CHECKING:
+    from .bench import BenchConfig
+
+SIZES = (2, 3, 4, 8, 16, 32, 64)
+BATCHES = (1, 4, 16, 64, 256, 1024, 4096)
+
+
+def draw_growth(path: Path, config: BenchConfig) -> None:
+    """Measure bare simulator steps and draw their time per robot against n and against B."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(9.0, 3.6), layout="constrained")
+    by_size, by_batch = figure.subplots(1, 2)
+    sizes = [_robot_step(n, config.num_envs, config) for n in SIZES]
+    batches = [_robot_step(8, batch, config) for batch in BATCHES]
+    by_size.loglog(SIZES, sizes, "o-")
+    by_size.set(xlabel="robots in a team, n", title=f"B = {config.num_envs}")
+    by_batch.loglog(BATCHES, batches, "o-")
+    by_batch.set(xlabel="teams, B", title="n = 8")
+    for axes in (by_size, by_batch):
+        axes.set_ylabel("time per robot step, s")
+        axes.grid(visible=True, alpha=0.3)
+    temporary = path.with_name(f"{path.name}.tmp")
+    figure.savefig(temporary, format="png", dpi=150)
+    temporary.replace(path)
+
+
+def _robot_step(n: int, num_envs: int, config: BenchConfig) -> float:
+    """Median time of a robot's step, s."""
+    cases = batched(spread_out(n), "batched", num_envs, config.num_threads)
+    case = next(case for case in cases if case.name == "Simulator")
+    return statistics.median(_times(case, config))
+
+
+def _times(case: Case, config: BenchConfig) -> list[float]:
+    step = case.build().step
+    step()
+    times: list[float] = []
+    for _ in range(config.repeats):
+        begin, count = time.perf_counter(), 0
+        while time.perf_counter() - begin < config.seconds / 2:
+            step()
+            count += 1
+        times.append((time.perf_counter() - begin) / (count * case.n_robots * case.num_envs))
+    return times

@@ -1,0 +1,164 @@
+"""The files that commands exchange, and how they are written: whole or not at all."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import platform
+import sys
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .errors import UserError
+
+FORMAT_VERSION = 1
+"""Of the files of ``compare``; a change that a reader would notice raises it."""
+
+RESULT_COLUMNS = (
+    "scenario",
+    "policy",
+    "episodes",
+    "success",
+    "success_low",
+    "success_high",
+    "clean_success",
+    "clean_low",
+    "clean_high",
+    "median_time",
+    "time_low",
+    "time_high",
+    "time_over_bound",
+    "path_length",
+    "min_clearance",
+    "max_rise_between_merges",
+    "min_alignment",
+    "contacts",
+)
+"""Of results.csv: fractions 0–1, s, m, m²/s; ``statistics.summarise`` says what each means."""
+
+EPISODE_COLUMNS = (
+    "scenario",
+    "policy",
+    "start",
+    "success",
+    "clean",
+    "time",
+    "path_length",
+    "contacts",
+    "clearance",
+    "max_rise_between_merges",
+    "merge_rise",
+    "merge_excess",
+    "min_alignment",
+    "initial_lyapunov",
+    "time_bound",
+)
+"""Of episodes.csv; ``episodes.Episodes`` says what each means."""
+
+PAIRED_COLUMNS = (
+    "scenario",
+    "policy",
+    "against",
+    "clean_difference",
+    "clean_difference_low",
+    "clean_difference_high",
+    "probability_of_improvement",
+    "improvement_low",
+    "improvement_high",
+)
+"""Of paired.csv; ``statistics.compare_pairs`` says what each means."""
+
+_PACKAGES = ("rendezvous-env", "numpy", "numba", "scipy", "gymnasium", "pettingzoo")
+
+
+@contextmanager
+def atomic(path: Path) -> Iterator[Path]:
+    """A name to write to; the file takes its place only once it is whole.
+
+    Args:
+        path: where it will stand. If the body raises, what stood there before stays.
+    """
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.part{path.suffix}")
+    try:
+        yield temporary
+        temporary.replace(path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def prepare_folder(folder: Path) -> Path:
+    """Make a folder that can be written to, before any work is spent on its content.
+
+    Raises:
+        UserError: if it cannot be made or written to.
+    """
+    probe = folder / f".writable.{os.getpid()}"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        probe.touch()
+        probe.unlink()
+    except OSError as error:
+        raise UserError(f"--out {folder}: cannot write there: {error.strerror}") from error
+    return folder
+
+
+def write_csv(
+    path: Path, columns: Sequence[str], rows: Iterable[Mapping[str, Any]]
+) -> None:
+    """Write rows of plain numbers and words; None and NaN become empty cells.
+
+    Args:
+        path: of the file.
+        columns: its header.
+        rows: each with exactly these columns.
+    """
+    with atomic(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, columns)
+        writer.writeheader()
+        for row in rows:
+            writer.writerow({column: _plain(row[column]) for column in row})
+
+
+def _plain(value: Any) -> Any:
+    """A cell as text that reads back as the same number."""
+    if isinstance(value, np.generic):
+        value = value.item()
+    if isinstance(value, bool):
+        return int(value)
+    return "" if value is None or value != value else value
+
+
+def read_csv(path: Path) -> list[dict[str, str]]:
+    """Rows of a file that ``write_csv`` wrote, every cell as text."""
+    with path.open(newline="", encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+def write_arrays(path: Path, arrays: Mapping[str, ArrayLike]) -> None:
+    """Write named arrays to a compressed npz file; names may hold slashes."""
+    with atomic(path) as temporary, temporary.open("wb") as file:
+        np.savez_compressed(file, **dict(arrays))  # type: ignore[arg-type]
+
+
+def write_json(path: Path, content: Mapping[str, Any]) -> None:
+    """Write plain data, indented."""
+    with atomic(path) as temporary:
+        temporary.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+
+
+def provenance() -> dict[str, Any]:
+    """What it takes to run the same again: format, versions, command line."""
+    return {
+        "format_version": FORMAT_VERSION,
+        "command_line": [Path(sys.argv[0]).name, *sys.argv[1:]],
+        "python": platform.python_version(),
+        "platform": platform.platform(),
+        "versions": {name: metadata.version(name) for name in _PACKAGES},
+    }

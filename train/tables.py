@@ -1,0 +1,81 @@
+"""Tables for the terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from rich.table import Table
+
+from rendezvous_env.scenario import Scenario
+
+_COLUMNS = (
+    "policy",
+    "success %",
+    "clean %",
+    "median time [95 %] / s",
+    "time/bound",
+    "path / m",
+    "V rise / m²/s",
+    "clearance / m",
+    "alignment",
+)
+
+
+def results_table(rows: Sequence[Mapping[str, Any]], scenarios: Mapping[str, Scenario]) -> Table:
+    """The rows of results.csv for people.
+
+    Args:
+        rows: as ``statistics.summarise`` gives them.
+        scenarios: by name; give the time limits.
+    """
+    table = Table(title="Policies on the same starts", box=None, header_style="bold", pad_edge=False)
+    for column in _COLUMNS:
+        table.add_column(column, justify="left" if column == "policy" else "right", no_wrap=True)
+    last = None
+    for row in rows:
+        if row["scenario"] != last:
+            last = row["scenario"]
+            table.add_row(f"[bold]{last}[/bold]")
+        scenario = scenarios[row["scenario"]]
+        table.add_row(*_cells(row, scenario.max_steps * scenario.tau))
+    table.caption = (
+        "median time: time-outs count as later than the limit; time/bound, V rise (between "
+        "merges), clearance, alignment: the worst of all starts"
+    )
+    return table
+
+
+def _cells(row: Mapping[str, Any], limit: float) -> tuple[str, ...]:
+    return (
+        f"  {row['policy']}",
+        _percent(row, "success"),
+        _percent(row, "clean_success", "clean"),
+        _time_cell(row, limit),
+        _number(row["time_over_bound"], ".2g"),
+        _number(row["path_length"], ".1f"),
+        "0" if row["max_rise_between_merges"] <= 1e-9 else f"{row['max_rise_between_merges']:.2g}",
+        _number(row["min_clearance"], ".2f"),
+        _number(row["min_alignment"], ".2f"),
+    )
+
+
+def _percent(row: Mapping[str, Any], value: str, interval: str | None = None) -> str:
+    low, high = (row[f"{interval or value}_{end}"] for end in ("low", "high"))
+    return f"{100 * row[value]:.0f} [{100 * low:.0f}, {100 * high:.0f}]"
+
+
+def _time_cell(row: Mapping[str, Any], limit: float) -> str:
+    """Median and interval; a time at the limit is later than it."""
+    if row["time_low"] >= limit:
+        return f"> {limit:.3g}"
+    median, low, high = (
+        f"> {limit:.3g}" if row[name] >= limit else f"{row[name]:.3g}"
+        for name in ("median_time", "time_low", "time_high")
+    )
+    return f"{median} [{low}, {high}]"
+
+
+def _number(value: float, style: str) -> str:
+    """A number, without a minus sign on a rounded zero; – where it does not apply."""
+    return "–" if value != value else format(value, "z" + style)
