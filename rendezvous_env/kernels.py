@@ -39,7 +39,6 @@ from .teams import (
     write_weights,
 )
 
-
 _EXPONENT = np.uint32(0x7F800000)
 """The exponent bits of a float32."""
 

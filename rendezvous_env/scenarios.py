@@ -13,16 +13,18 @@ from .scenario import Scenario, nearest_word
 
 
 def _figure(name: str, obstacle_contact: str) -> Scenario:
-    """Field and start are our own choice: the paper prints no coordinates."""
+    """Field and start are our own choice, an obstacle in the way of every robot: the paper prints
+    no coordinates.
+    """
     return Scenario(
         name=name,
         n_robots=3,
         merge_radius=0.2,
         start_positions=((-4.0, -3.0), (4.5, -2.0), (0.5, 4.5)),
         obstacles=(
-            Disc(centre=(-1.2, 1.1), radius=0.8),
-            Disc(centre=(1.9, 0.4), radius=0.6),
-            Polygon(vertices=((-0.9, -2.6), (0.7, -2.6), (0.7, -1.6), (-0.9, -1.6))),
+            Disc(centre=(-1.9, -1.55), radius=0.8),
+            Disc(centre=(0.6, 2.0), radius=0.7),
+            Polygon(vertices=((2.0, -1.9), (2.9, -2.1), (3.1, -0.9), (2.2, -0.7))),
         ),
         obstacle_contact=obstacle_contact,
         obstacle_range=2.0,
@@ -77,8 +79,8 @@ _BUILDERS: dict[str, Callable[[], Scenario]] = {
     "wall": lambda: Scenario(
         name="wall",
         n_robots=2,
-        start_positions=((-3.0, 0.0), (3.0, 0.0)),
-        obstacles=(Polygon(vertices=((-0.5, -6.0), (0.5, -6.0), (0.5, 6.0), (-0.5, 6.0))),),
+        start_positions=((-0.6, 0.0), (0.6, 0.0)),
+        obstacles=(Polygon(vertices=((-0.5, -50.0), (0.5, -50.0), (0.5, 50.0), (-0.5, 50.0))),),
         max_speed=1.0,
         time_limit=30.0,
     ),

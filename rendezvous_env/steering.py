@@ -23,7 +23,9 @@ from .vectors import combine, dot, load, split, without
 FRAMES = ("net_bearing", "local")
 _ROBOTS_PER_THREAD = 2048
 _NEARLY_ALONG = 1e-6
-"""A row whose part across f is shorter than this cannot give a frame its second axis."""
+"""A row whose part across f is shorter than this cannot give a frame its second axis, m/s."""
+_CLEARLY_LONGER = 1.001
+"""Rounding must not choose among equal rows: two neighbours' parts across f always are."""
 
 
 class _Constants(NamedTuple):
@@ -347,7 +349,7 @@ def _aim_frame(towards, rows, visible_rows, frame):
     """A right-handed frame with x = ``towards``; columns are its axes in the local frame.
 
     In the plane this is unique. In space y is the part across x of the row for which that part is
-    longest, or of the first local axis that is not along x.
+    longest, the first one of equals, or of the first local axis that is not along x.
     """
     _store(towards, frame[:, 0])
     if frame.shape[0] == 2:
@@ -357,7 +359,7 @@ def _aim_frame(towards, rows, visible_rows, frame):
     for k in range(visible_rows):
         part = without(load(rows[k]), towards)
         length, direction = split(part)
-        if length > longest:
+        if length > _CLEARLY_LONGER * longest + _NEARLY_ALONG:
             longest, across = length, direction
     if longest == _NEARLY_ALONG:
         axis = (1.0, 0.0, 0.0) if abs(towards[0]) < 0.9 else (0.0, 1.0, 0.0)

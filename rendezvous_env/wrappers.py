@@ -97,7 +97,8 @@ class HeadingVectorWrapper(BaseParallelWrapper):
             name: heading_observation_box(scenario, self.steering) for name in names
         }
         self.action_spaces = {name: heading_box(self.steering) for name in names}
-        self._observed = np.zeros((1, scenario.n_robots, *scenario.observation_layout.shape))
+        shape = (1, scenario.n_robots, *scenario.observation_layout.shape)
+        self._observed = np.zeros(shape, dtype=np.float32)
 
     @property
     def max_cycles(self) -> int:
@@ -201,8 +202,15 @@ class HeadingVectorWrapper(BaseParallelWrapper):
         """Put back what ``get_state`` took out.
 
         Raises:
-            ValueError: naming what does not fit.
+            ValueError: naming what does not fit; nothing has changed then.
         """
+        observed, kept = np.array(state["observed"], dtype=np.float32), self.steering.get_state()
+        if observed.shape != self._observed.shape:
+            raise ValueError(f"state: observed must be an array of shape {self._observed.shape}")
         self.steering.set_state(state["steering"])
-        self._base.set_state(state["env"])
-        self._observed = np.array(state["observed"], dtype=np.float32)
+        try:
+            self._base.set_state(state["env"])
+        except ValueError:
+            self.steering.set_state(kept)
+            raise
+        self._observed = observed

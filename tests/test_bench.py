@@ -8,10 +8,19 @@ import json
 import numpy as np
 import pytest
 
-from train.bench import BenchConfig, measure, run
+from train.bench import Config, Row, measure, run
 from train.bench_cases import Case, Running, among_discs, batched, limit_by_pairs, limit_by_rows
+from train.errors import UserError
 
 QUICK = {"robots": (3,), "num_envs": 48, "repeats": 2, "seconds": 0.004, "num_threads": 1}
+
+
+def measured(folder, **choices):
+    """Rows of a quick run, read from its file, and all of that file."""
+    path = folder / "bench.json"
+    run(Config(json=path, **choices, **QUICK))
+    written = json.loads(path.read_text())
+    return [Row(**row) for row in written["rows"]], written
 
 
 @pytest.mark.parametrize("walk", [limit_by_pairs, limit_by_rows])
@@ -36,9 +45,7 @@ def test_the_limit_computes_bearings_sums_and_a_step(walk):
 
 
 def test_all_rows_are_measured_and_written(tmp_path):
-    rows = run(BenchConfig(json=tmp_path / "bench.json", **QUICK))
-    written = json.loads((tmp_path / "bench.json").read_text())
-    assert [row["rate"] for row in written["rows"]] == [row.rate for row in rows]
+    rows, written = measured(tmp_path)
     assert {row.group for row in rows} == {"one-team", "batched", "obstacles", "robots", "ppo"}
     assert all(row.rate > 0 and len(row.rates) == 2 for row in rows)
     assert all(
@@ -52,11 +59,16 @@ def test_all_rows_are_measured_and_written(tmp_path):
 
 
 def test_rows_can_be_chosen_and_measured_on_a_busy_machine(tmp_path):
-    rows = run(BenchConfig(only=("batched",), busy=True, **QUICK))
+    rows, _ = measured(tmp_path, only=("batched",), busy=True)
     assert {row.group for row in rows} == {"batched"}
     assert all(row.busy_rate > 0 for row in rows)
-    with pytest.raises(ValueError, match="btached"):
-        run(BenchConfig(only=("btached",)))
+
+
+def test_mistakes_are_told_before_anything_is_measured(tmp_path):
+    with pytest.raises(UserError, match="btached"):
+        run(Config(only=("btached",)))
+    with pytest.raises(UserError, match="no folder"):
+        run(Config(json=tmp_path / "missing" / "bench.json"))
 
 
 def test_a_ratio_is_taken_to_the_fastest_of_its_kind():
@@ -69,14 +81,14 @@ def test_a_ratio_is_taken_to_the_fastest_of_its_kind():
         return Case(name, "g", 2, 1, 1, "steps", lambda: Running(step, lambda: True), against)
 
     cases = [case("limit a", 40_000), case("limit b", 4_000), case("ours", 40_000, "limit")]
-    ours = measure(cases, BenchConfig(repeats=3, seconds=0.02))[2]
+    ours = measure(cases, Config(repeats=3, seconds=0.02))[2]
     assert 0.02 < ours.ratio < 0.4
 
 
 def test_merging_while_timed_is_an_error():
     case = Case("merging", "g", 2, 1, 1, "steps", lambda: Running(lambda: None, lambda: False))
     with pytest.raises(RuntimeError, match="merging"):
-        measure([case], BenchConfig(repeats=1, seconds=0.001))
+        measure([case], Config(repeats=1, seconds=0.001))
 
 
 def test_robots_among_discs_see_all_of_them():
@@ -88,7 +100,7 @@ def test_robots_among_discs_see_all_of_them():
     assert seen.shape == (4, 4, 16, 2)
 
 
-def test_without_the_train_extra_the_learning_rows_are_left_out(monkeypatch, capsys):
+def test_without_the_train_extra_the_learning_rows_are_left_out(tmp_path, monkeypatch, capsys):
     real = builtins.__import__
 
     def missing(name, globals=None, locals=None, fromlist=(), level=0):
@@ -97,7 +109,7 @@ def test_without_the_train_extra_the_learning_rows_are_left_out(monkeypatch, cap
         return real(name, globals, locals, fromlist, level)
 
     monkeypatch.setattr(builtins, "__import__", missing)
-    rows = run(BenchConfig(only=("one-team", "robots"), **QUICK))
+    rows, _ = measured(tmp_path, only=("one-team", "robots"))
     assert {row.group for row in rows} == {"one-team"}
     assert "stable_baselines3 is missing" in capsys.readouterr().out
 
@@ -107,5 +119,5 @@ def test_the_figure_is_drawn(tmp_path, monkeypatch):
 
     monkeypatch.setattr(bench_figure, "SIZES", (2, 3))
     monkeypatch.setattr(bench_figure, "BATCHES", (1, 4))
-    run(BenchConfig(figure=tmp_path / "growth.png", only=("robots",), **QUICK))
+    run(Config(figure=tmp_path / "growth.png", only=("robots",), **QUICK))
     assert (tmp_path / "growth.png").read_bytes().startswith(b"\x89PNG")

@@ -121,7 +121,7 @@ def spy(env):
 
 @pytest.mark.parametrize("kind", ["single_integrator-2d", "single_integrator-3d"])
 @pytest.mark.parametrize("certified", [True, False])
-def test_velocity_is_h_hT_f_of_the_rows_seen(kind, certified):
+def test_velocity_is_the_rows_sum_projected_on_the_heading(kind, certified):
     env = make(kind, frame="local", certified=certified)
     reached, random = spy(env), np.random.default_rng(1)
     observations, _ = env.reset(seed=2)
@@ -145,7 +145,7 @@ def test_velocity_is_h_hT_f_of_the_rows_seen(kind, certified):
 
 
 @pytest.mark.parametrize("kind", ["unicycle", "nonholonomic_3d"])
-def test_speed_is_mT_f_of_the_turn_executed(kind):
+def test_speed_is_f_along_the_mean_axis_of_the_turn_executed(kind):
     env = make(kind, changes={"max_turn_rate": 2.0})
     reached, random, tau = spy(env), np.random.default_rng(1), env.unwrapped.scenario.tau
     layout = env.unwrapped.scenario.observation_layout
@@ -434,7 +434,9 @@ def test_in_space_the_second_axis_comes_from_the_most_prominent_row():
 def stalled_pair(certified):
     """Two robots one above the other, with headings frozen sideways."""
     scenario = Scenario(n_robots=2, local_frames="global", time_limit=60.0)
-    env = HeadingVectorWrapper(parallel_env(scenario), frame="local", certified=certified)
+    env = HeadingVectorWrapper(
+        parallel_env(scenario), min_alignment=0.5, frame="local", certified=certified
+    )
     env.reset(seed=0, options={"positions": [[0.0, 0.0], [0.0, 3.0]]})
     while env.agents:
         *_, infos = env.step(constant(env, (1.0, 0.0)))
@@ -446,20 +448,27 @@ def test_frozen_headings_stall_where_h_is_across_f_and_meet_under_the_certificat
     assert not bare["success"] and bare["path_length"] == 0.0 and bare["lyapunov"] == 6.0
     assert alignment == 0.0
     kept, alignment = stalled_pair(certified=True)
-    assert kept["success"] and kept["time"] < 60 and alignment >= 0.1 - 1e-9
+    assert kept["success"] and alignment >= 0.5 - 1e-9
+    # the gap of 2.8 m closes at 2 ε² m/s, faster while the headings turn aside
+    assert 0.85 < kept["time"] / (2.8 / (2 * 0.5**2)) < 1.0
 
 
-def test_uncertified_frozen_headings_drift_to_a_stall_from_any_start():
-    """In general position they move until h ⟂ f for every robot, and stay there."""
-    env = make(certified=False, frame="local", time_limit=150.0)
+def test_uncertified_frozen_headings_stall_from_most_starts():
+    """They move until h ⟂ f for every robot, and stay there: lines in space seldom cross."""
+    env = make("single_integrator-3d", certified=False, frame="local", time_limit=60.0)
     random = np.random.default_rng(0)
-    env.reset(seed=0)
-    raw = draw(env, random)
-    while env.agents:
-        *_, infos = env.step({name: raw[name] for name in env.agents})
-    summary = next(iter(infos.values()))["summary"]
-    assert not summary["success"] and summary["lyapunov"] > 1
-    assert max(abs(info["lyapunov_rate"]) for info in infos.values()) < 1e-6
+    stalled = 0
+    for seed in range(6):
+        env.reset(seed=seed)
+        raw = draw(env, random)
+        while env.agents:
+            *_, infos = env.step({name: raw[name] for name in env.agents})
+        summary = next(iter(infos.values()))["summary"]
+        if not summary["success"]:
+            stalled += 1
+            assert summary["lyapunov"] > 1
+            assert max(abs(info["lyapunov_rate"]) for info in infos.values()) < 0.01
+    assert stalled >= 4
 
 
 def test_single_integrators_meet_within_the_bound_whatever_the_policy():
@@ -526,7 +535,7 @@ def test_a_state_that_does_not_fit_is_refused_and_changes_nothing():
     env.reset(seed=0)
     other.reset(seed=0)
     before = env.get_state()
-    with pytest.raises(ValueError, match="headings"):
+    with pytest.raises(ValueError, match="observed must be an array of shape"):
         env.set_state(other.get_state())
     broken = env.get_state()
     broken["env"]["simulator"].pop("weights")

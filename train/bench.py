@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import platform
 import statistics
@@ -23,14 +22,15 @@ import rendezvous_env as rv
 from rendezvous_env import threads
 
 from .bench_cases import LIMIT, Case, Running, among_discs, batched, one_team, spread_out
+from .errors import UserError
+from .results import provenance, write_json
 
 GROUPS = ("one-team", "batched", "obstacles", "robots", "ppo")
-_PACKAGES = ("rendezvous-env", "numpy", "numba", "gymnasium", "pettingzoo")
 _PEERS = ("stable-baselines3", "torch", "mpe2")
 
 
 @dataclass(frozen=True)
-class BenchConfig:
+class Config:
     """Measure the speed of the environments."""
 
     json: Path | None = None
@@ -74,34 +74,40 @@ class Row:
     """Median while another process keeps one core busy."""
 
 
-def run(config: BenchConfig) -> list[Row]:
+def run(config: Config) -> None:
     """Measure, print the table, write what files are asked for.
 
     Raises:
-        ValueError: for an unknown group of rows.
+        UserError: for an unknown group of rows, or a folder that does not exist.
         RuntimeError: if robots merged while they were timed.
     """
-    if unknown := sorted(set(config.only) - set(GROUPS)):
-        raise ValueError(f"only: {unknown[0]!r} is unknown; known are {', '.join(GROUPS)}")
+    _check(config)
     console = Console(width=None if sys.stdout.isatty() else 120)
     rows = []
     for cases in _groups(config, console):
         rows += measure(cases, config)
         console.print(f"[dim]{cases[0].group}, n = {cases[0].n_robots}: done[/dim]")
     console.print(_table(rows, config.busy))
-    memory = {n: bytes_per_team(n, config.num_envs) for n in config.robots}
-    for n, (state, seen) in memory.items():
+    for n in config.robots:
+        state, seen = bytes_per_team(n, config)
         console.print(f"memory per team, n = {n}: {state:,} bytes of state, {seen:,} observed")
     if config.json is not None:
-        _write_json(config.json, rows, memory, config)
+        write_json(config.json, _content(rows, config))
     if config.figure is not None:
         from .bench_figure import draw_growth
 
         draw_growth(config.figure, config)
-    return rows
 
 
-def _groups(config: BenchConfig, console: Console) -> Iterator[list[Case]]:
+def _check(config: Config) -> None:
+    if unknown := sorted(set(config.only) - set(GROUPS)):
+        raise UserError(f"only: {unknown[0]!r} is unknown; known are {', '.join(GROUPS)}")
+    for path in (config.json, config.figure):
+        if path is not None and not path.parent.is_dir():
+            raise UserError(f"{path}: there is no folder {path.parent}")
+
+
+def _groups(config: Config, console: Console) -> Iterator[list[Case]]:
     """Cases that are timed in turns."""
     wanted = config.only or GROUPS
     size = config.num_envs, config.num_threads
@@ -119,7 +125,7 @@ def _groups(config: BenchConfig, console: Console) -> Iterator[list[Case]]:
 
 
 def _learning_groups(
-    config: BenchConfig, wanted: tuple[str, ...], console: Console
+    config: Config, wanted: tuple[str, ...], console: Console
 ) -> Iterator[list[Case]]:
     try:
         from . import bench_learning
@@ -137,7 +143,7 @@ def _learning_groups(
 # ---- measuring ------------------------------------------------------------------------------
 
 
-def measure(cases: list[Case], config: BenchConfig) -> list[Row]:
+def measure(cases: list[Case], config: Config) -> list[Row]:
     """Time cases in turns, so that what disturbs the machine disturbs all of them.
 
     Raises:
@@ -218,10 +224,11 @@ def one_core_busy() -> Iterator[None]:
         process.wait()
 
 
-def bytes_per_team(n_robots: int, num_envs: int) -> tuple[int, int]:
+def bytes_per_team(n_robots: int, config: Config) -> tuple[int, int]:
     """Bytes of a team's state, and of its observations in one step."""
-    simulator = rv.Simulator(spread_out(n_robots), num_envs)
-    return simulator.nbytes // num_envs, simulator.reset(0).nbytes // num_envs
+    batch = config.num_envs
+    simulator = rv.Simulator(spread_out(n_robots), batch)
+    return simulator.nbytes // batch, simulator.reset(0).nbytes // batch
 
 
 # ---- telling --------------------------------------------------------------------------------
@@ -258,31 +265,22 @@ def _is_slower_limit(row: Row, rows: list[Row]) -> bool:
     )
 
 
-def _write_json(
-    path: Path, rows: list[Row], memory: dict[int, tuple[int, int]], config: BenchConfig
-) -> None:
-    """All figures with what they were measured on, to a temporary name and renamed."""
-    content = {
-        "format": 1,
-        "rows": [asdict(row) for row in rows],
-        "bytes_per_team": {
-            str(n): {"state": state, "observations": seen} for n, (state, seen) in memory.items()
-        },
-        "threads": config.num_threads or threads.available_cores(),
-        "cores": os.cpu_count(),
+def _content(rows: list[Row], config: Config) -> dict[str, Any]:
+    """All figures with what they were measured on, as plain data."""
+    content = provenance()
+    content["versions"] |= _peer_versions()
+    return content | {
         "processor": _processor(),
-        "system": platform.platform(),
-        "versions": _versions(),
-        "command": sys.argv,
-        "config": {key: _plain(value) for key, value in asdict(config).items()},
+        "cores": os.cpu_count(),
+        "threads": config.num_threads or threads.available_cores(),
+        "repeats": config.repeats,
+        "seconds": config.seconds,
+        "bytes_per_team": {
+            str(n): dict(zip(("state", "observations"), bytes_per_team(n, config), strict=True))
+            for n in config.robots
+        },
+        "rows": [asdict(row) for row in rows],
     }
-    temporary = path.with_name(f"{path.name}.tmp")
-    temporary.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
-    temporary.replace(path)
-
-
-def _plain(value: Any) -> Any:
-    return str(value) if isinstance(value, Path) else value
 
 
 def _processor() -> str:
@@ -295,9 +293,10 @@ def _processor() -> str:
     return named[0] if named else platform.processor()
 
 
-def _versions() -> dict[str, str]:
-    found = {"python": platform.python_version()}
-    for name in (*_PACKAGES, *_PEERS):
+def _peer_versions() -> dict[str, str]:
+    """Of what is timed beside us, as far as it is installed."""
+    found = {}
+    for name in _PEERS:
         try:
             found[name] = metadata.version(name)
         except metadata.PackageNotFoundError:

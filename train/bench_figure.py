@@ -8,15 +8,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from .bench_cases import Case, batched, spread_out
+from .results import atomic
 
 if TYPE_CHECKING:
-    from .bench import BenchConfig
+    from .bench import Config
 
 SIZES = (2, 3, 4, 8, 16, 32, 64)
 BATCHES = (1, 4, 16, 64, 256, 1024, 4096)
 
 
-def draw_growth(path: Path, config: BenchConfig) -> None:
+def draw_growth(path: Path, config: Config) -> None:
     """Measure bare simulator steps and draw their time per robot against n and against B."""
     from matplotlib.figure import Figure
 
@@ -31,19 +32,18 @@ def draw_growth(path: Path, config: BenchConfig) -> None:
     for axes in (by_size, by_batch):
         axes.set_ylabel("time per robot step, s")
         axes.grid(visible=True, alpha=0.3)
-    temporary = path.with_name(f"{path.name}.tmp")
-    figure.savefig(temporary, format="png", dpi=150)
-    temporary.replace(path)
+    with atomic(path) as temporary:
+        figure.savefig(temporary, format="png", dpi=150)
 
 
-def _robot_step(n: int, num_envs: int, config: BenchConfig) -> float:
+def _robot_step(n: int, num_envs: int, config: Config) -> float:
     """Median time of a robot's step, s."""
     cases = batched(spread_out(n), "batched", num_envs, config.num_threads)
     case = next(case for case in cases if case.name == "Simulator")
     return statistics.median(_times(case, config))
 
 
-def _times(case: Case, config: BenchConfig) -> list[float]:
+def _times(case: Case, config: Config) -> list[float]:
     step = case.build().step
     step()
     times: list[float] = []

@@ -28,7 +28,6 @@ DEFAULT_SCENARIOS = (
     "duo",
     "swarm-20",
     "ring-12",
-    "tree-12",
     "random-10",
     "unicycle-6",
     "uav-6",
@@ -90,7 +89,8 @@ def run(config: Config) -> int:
     Raises:
         UserError: for an unknown name, an impossible number or a folder that cannot be written.
     """
-    console = Console(stderr=False)
+    console = Console()
+    console = Console(width=max(console.width, tables.WIDTH))
     jobs = plan(config)
     folder = results.prepare_folder(config.out)
     compile_time = _compile(jobs, console)
@@ -102,7 +102,9 @@ def run(config: Config) -> int:
     console.print(tables.results_table(rows, {job.scenario.name: job.scenario for job in jobs}))
     if config.figures:
         _draw(folder, rows, played, console)
-    console.print(f"{len(jobs)} × {config.episodes} episodes in {duration:.1f} s; files in {folder}")
+    console.print(
+        f"{len(jobs)} × {config.episodes} episodes in {duration:.1f} s; files in {folder}"
+    )
     return _report_excess(played)
 
 
@@ -164,7 +166,7 @@ def _compile(jobs: Sequence[Job], console: Console) -> float:
             short = Job(job.scenario.replace(time_limit=limit), job.policy)
             play_job(short, episodes=2, seed=0)
     seconds = time.perf_counter() - began
-    console.print(f"compiled in {seconds:.1f} s (cached for next time)")
+    console.print(f"kernels ready in {seconds:.1f} s (compiled on first use, then cached)")
     return seconds
 
 

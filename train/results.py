@@ -109,9 +109,7 @@ def prepare_folder(folder: Path) -> Path:
     return folder
 
 
-def write_csv(
-    path: Path, columns: Sequence[str], rows: Iterable[Mapping[str, Any]]
-) -> None:
+def write_csv(path: Path, columns: Sequence[str], rows: Iterable[Mapping[str, Any]]) -> None:
     """Write rows of plain numbers and words; None and NaN become empty cells.
 
     Args:
@@ -132,6 +130,8 @@ def _plain(value: Any) -> Any:
         value = value.item()
     if isinstance(value, bool):
         return int(value)
+    if isinstance(value, float):
+        value += 0.0  # no minus sign on a zero
     return "" if value is None or value != value else value
 
 

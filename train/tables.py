@@ -12,14 +12,17 @@ from rendezvous_env.scenario import Scenario
 _COLUMNS = (
     "policy",
     "success %",
-    "clean %",
-    "median time [95 %] / s",
-    "time/bound",
-    "path / m",
-    "V rise / m²/s",
-    "clearance / m",
-    "alignment",
+    "clean % [95 %]",
+    "median s [95 %]",
+    "T/bound",
+    "path m",
+    "V rise",
+    "clear m",
+    "align",
 )
+
+WIDTH = 104
+"""Characters that the table needs; on a narrower terminal its lines wrap, and nothing is lost."""
 
 
 def results_table(rows: Sequence[Mapping[str, Any]], scenarios: Mapping[str, Scenario]) -> Table:
@@ -29,7 +32,9 @@ def results_table(rows: Sequence[Mapping[str, Any]], scenarios: Mapping[str, Sce
         rows: as ``statistics.summarise`` gives them.
         scenarios: by name; give the time limits.
     """
-    table = Table(title="Policies on the same starts", box=None, header_style="bold", pad_edge=False)
+    table = Table(
+        title="Policies on the same starts", box=None, header_style="bold", pad_edge=False
+    )
     for column in _COLUMNS:
         table.add_column(column, justify="left" if column == "policy" else "right", no_wrap=True)
     last = None
@@ -40,8 +45,8 @@ def results_table(rows: Sequence[Mapping[str, Any]], scenarios: Mapping[str, Sce
         scenario = scenarios[row["scenario"]]
         table.add_row(*_cells(row, scenario.max_steps * scenario.tau))
     table.caption = (
-        "median time: time-outs count as later than the limit; time/bound, V rise (between "
-        "merges), clearance, alignment: the worst of all starts"
+        "median: time-outs count as later than the limit; T/bound, V rise between merges (m²/s), "
+        "clearance,\nalignment: the worst of all starts"
     )
     return table
 
@@ -49,8 +54,8 @@ def results_table(rows: Sequence[Mapping[str, Any]], scenarios: Mapping[str, Sce
 def _cells(row: Mapping[str, Any], limit: float) -> tuple[str, ...]:
     return (
         f"  {row['policy']}",
-        _percent(row, "success"),
-        _percent(row, "clean_success", "clean"),
+        f"{100 * row['success']:.0f}",
+        _percent(row["clean_success"], row["clean_low"], row["clean_high"]),
         _time_cell(row, limit),
         _number(row["time_over_bound"], ".2g"),
         _number(row["path_length"], ".1f"),
@@ -60,9 +65,8 @@ def _cells(row: Mapping[str, Any], limit: float) -> tuple[str, ...]:
     )
 
 
-def _percent(row: Mapping[str, Any], value: str, interval: str | None = None) -> str:
-    low, high = (row[f"{interval or value}_{end}"] for end in ("low", "high"))
-    return f"{100 * row[value]:.0f} [{100 * low:.0f}, {100 * high:.0f}]"
+def _percent(value: float, low: float, high: float) -> str:
+    return f"{100 * value:.0f} [{100 * low:.0f}, {100 * high:.0f}]"
 
 
 def _time_cell(row: Mapping[str, Any], limit: float) -> str:
