@@ -27,7 +27,7 @@ SCENARIO = rv.Scenario(
 """A small world in which a random policy merges, meets and runs out of time."""
 SETTINGS = {
     "n_steps": STEPS,
-    "batch_size": STEPS,
+    "batch_size": 64,
     "n_epochs": 1,
     "gamma": GAMMA,
     "gae_lambda": LAMBDA,

@@ -3,6 +3,7 @@
 import csv
 import dataclasses
 import io
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,10 +13,12 @@ import baselines
 from rendezvous_env import Scenario, Simulator, graphs
 from rendezvous_env.lyapunov import merge_rise_allowance
 from rendezvous_env.trajectory import run as steps_of
-from train import claims, verify
+from train import claims
 from train.adversaries import Steered, adversary
 from train.claims import BATCH, CLAIMS, Case, bound_a
-from train.verify import COLUMNS, VerifyConfig, run
+from train.cli import main
+from train.errors import UserError
+from train.verify import COLUMNS, Config, run
 
 BY_NAME = {claim.name: claim for claim in CLAIMS}
 
@@ -23,7 +26,7 @@ BY_NAME = {claim.name: claim for claim in CLAIMS}
 def command(tmp_path, *wrong, trials=BATCH, **options):
     """Exit status, rows of the CSV and what is printed."""
     printed = io.StringIO()
-    config = VerifyConfig(trials=trials, out=tmp_path, **options)
+    config = Config(trials=trials, out=tmp_path, **options)
     status = run(config, wrong or CLAIMS, Console(file=printed, width=200))
     with (tmp_path / "verify.csv").open(newline="", encoding="utf-8") as file:
         return status, list(csv.DictReader(file)), printed.getvalue()
@@ -220,16 +223,17 @@ def test_max_a_in_place_of_the_bottleneck_weight_is_caught(tmp_path):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"trials": 0}, "trials is 0; it must be 1 or more"),
+        ({"trials": 0}, "--trials is 0; it must be 1 or more"),
         ({"seed": -1}, "seed is -1"),
-        ({"only_batch": -2}, "only_batch is -2"),
-        ({"min_alignment": 1.0}, "min_alignment is 1.0"),
+        ({"only_batch": -2}, "--only-batch is -2"),
+        ({"min_alignment": 1.0}, "--min-alignment is 1.0"),
         ({"claims": ("bound-D",)}, "claim 'bound-D' is unknown; did you mean 'bound-"),
     ],
 )
-def test_bad_arguments_are_refused_by_name(options, message):
-    with pytest.raises(ValueError, match=message):
-        VerifyConfig(**options)
+def test_bad_arguments_are_refused_by_name(tmp_path, options, message):
+    with pytest.raises(UserError, match=message):
+        run(Config(out=tmp_path, **options))
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_violation_is_repeated_by_its_batch(tmp_path):
@@ -244,7 +248,24 @@ def test_a_violation_is_repeated_by_its_batch(tmp_path):
 def test_a_failed_write_leaves_the_old_file(tmp_path, monkeypatch):
     command(tmp_path, BY_NAME["lemma-1"])
     before = (tmp_path / "verify.csv").read_bytes()
-    monkeypatch.setattr(verify.os, "replace", lambda *paths: (_ for _ in ()).throw(OSError("full")))
+    monkeypatch.setattr(Path, "replace", lambda *paths: (_ for _ in ()).throw(OSError("full")))
     with pytest.raises(OSError, match="full"):
         command(tmp_path, BY_NAME["theorem-1"])
+    assert [path.name for path in tmp_path.iterdir()] == ["verify.csv"]
     assert (tmp_path / "verify.csv").read_bytes() == before
+
+
+def test_the_command_line(tmp_path, capsys, monkeypatch):
+    flags = ["verify", "--trials", "3", "--claims", "lemma-1", "bound-A", "--out", str(tmp_path)]
+    assert main(flags) == 0
+    with (tmp_path / "verify.csv").open(newline="", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert [(row["claim"], row["trials"]) for row in rows] == [("lemma-1", "3"), ("bound-A", "3")]
+    assert main(["verify", "--trials", "0", "--out", str(tmp_path)]) == 2
+    assert "--trials is 0" in capsys.readouterr().err
+    wrong = tuple(with_law(claim.name, flipped) for claim in CLAIMS)
+    monkeypatch.setattr(run, "__defaults__", (wrong, None))
+    assert main([*flags[:3], "--claims", "theorem-1", *flags[-2:]]) == 1
+    assert "rendezvous verify --claims theorem-1 --seed 0" in capsys.readouterr().out.replace(
+        "\n", " "
+    )

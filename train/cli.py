@@ -16,6 +16,7 @@ COMMANDS = {
     "compare": ("train.compare", "compare policies on the same starts: table, files, figures"),
     "bench": ("train.bench", "how fast the environments are on this machine"),
     "reproduce": ("train.reproduce", "draw figure 3 or 4 of the paper for our start positions"),
+    "verify": ("train.verify", "check the theorems on random teams; status 1 if one fails"),
 }
 """Module and one line of help for each command."""
 

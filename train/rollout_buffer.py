@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator
 from typing import Any
 
@@ -87,6 +88,11 @@ class RobotPPO(PPO):
     """
 
     rollout_buffer: RobotRolloutBuffer
+
+    def __init__(self, *arguments: Any, **settings: Any) -> None:
+        with warnings.catch_warnings():  # our buffer gives batches of nearly equal size
+            warnings.filterwarnings("ignore", message="You have specified a mini-batch size")
+            super().__init__(*arguments, **settings)
 
     def _setup_model(self) -> None:
         self.rollout_buffer_class = RobotRolloutBuffer

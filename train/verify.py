@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import csv
 import math
-import os
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
@@ -17,6 +16,8 @@ from rich.table import Table
 from rendezvous_env.scenario import nearest_word
 
 from .claims import BATCH, CLAIMS, Claim, check
+from .errors import UserError
+from .results import prepare_folder, write_csv
 
 COLUMNS = (
     "claim",
@@ -32,7 +33,7 @@ means violated, rounding aside."""
 
 
 @dataclass(frozen=True)
-class VerifyConfig:
+class Config:
     """Check every claim of the theory on random teams; exit status 1 if one is violated."""
 
     trials: int = 1000
@@ -48,31 +49,35 @@ class VerifyConfig:
     only_batch: int | None = None
     """Repeat one batch of teams, as a violation's report names it."""
 
-    def __post_init__(self) -> None:
-        """Refuse what cannot be run, by name."""
-        for name, least in (("trials", 1), ("seed", 0), ("only_batch", 0)):
-            value = getattr(self, name)
-            if value is not None and value < least:
-                raise ValueError(f"{name} is {value}; it must be {least} or more")
-        if not 0 < self.min_alignment < 1:
-            raise ValueError(
-                f"min_alignment is {self.min_alignment}; it must lie between 0 and 1, exclusive"
-            )
-        known = [claim.name for claim in CLAIMS]
-        for name in self.claims:
-            if name not in known:
-                near = nearest_word(name, known, cutoff=0.0)
-                raise ValueError(
-                    f"claim {name!r} is unknown; did you mean {near!r}? Known are "
-                    f"{', '.join(known)}"
-                )
-
     def batches(self) -> list[tuple[int, int]]:
         """(number, teams that count) of each batch to run."""
         if self.only_batch is not None:
             return [(self.only_batch, min(self.trials, BATCH))]
         count = math.ceil(self.trials / BATCH)
         return [(k, min(BATCH, self.trials - k * BATCH)) for k in range(count)]
+
+
+def check_config(config: Config) -> None:
+    """Refuse what cannot be run, by name.
+
+    Raises:
+        UserError: naming the flag, its value and what would be right.
+    """
+    for name, least in (("trials", 1), ("seed", 0), ("only_batch", 0)):
+        value = getattr(config, name)
+        if value is not None and value < least:
+            raise UserError(f"--{name.replace('_', '-')} is {value}; it must be {least} or more")
+    if not 0 < config.min_alignment < 1:
+        raise UserError(
+            f"--min-alignment is {config.min_alignment}; it must lie between 0 and 1, exclusive"
+        )
+    known = [claim.name for claim in CLAIMS]
+    for name in config.claims:
+        if name not in known:
+            near = nearest_word(name, known, cutoff=0.0)
+            raise UserError(
+                f"claim {name!r} is unknown; did you mean {near!r}? Known are {', '.join(known)}"
+            )
 
 
 @dataclass(frozen=True)
@@ -90,7 +95,7 @@ class Row:
     """The command that repeats it; empty without any."""
 
 
-def verify(claim: Claim, config: VerifyConfig, advance: Callable[[int], None]) -> Row:
+def verify(claim: Claim, config: Config, advance: Callable[[int], None]) -> Row:
     """Check one claim on ``config.trials`` teams.
 
     Args:
@@ -116,7 +121,7 @@ def verify(claim: Claim, config: VerifyConfig, advance: Callable[[int], None]) -
     )
 
 
-def command_for(claim: Claim, config: VerifyConfig, batch: int) -> str:
+def command_for(claim: Claim, config: Config, batch: int) -> str:
     """The command line that repeats one batch of one claim."""
     return (
         f"rendezvous verify --claims {claim.name} --seed {config.seed} --only-batch {batch} "
@@ -124,10 +129,14 @@ def command_for(claim: Claim, config: VerifyConfig, batch: int) -> str:
     )
 
 
-def run(
-    config: VerifyConfig, claims: Sequence[Claim] = CLAIMS, console: Console | None = None
-) -> int:
-    """Check the claims, print the table, write verify.csv; the exit status."""
+def run(config: Config, claims: Sequence[Claim] = CLAIMS, console: Console | None = None) -> int:
+    """Check the claims, print the table, write verify.csv; the exit status.
+
+    Raises:
+        UserError: for an impossible flag, or a folder that cannot be written to.
+    """
+    check_config(config)
+    path = prepare_folder(config.out) / "verify.csv"
     console = console or Console()
     chosen = [claim for claim in claims if not config.claims or claim.name in config.claims]
     trials = sum(count for _, count in config.batches())
@@ -143,7 +152,7 @@ def run(
             task = progress.add_task(claim.name, total=trials)
             rows.append(verify(claim, config, lambda n, task=task: progress.advance(task, n)))
     console.print(table_of(rows))
-    path = write_csv(rows, config.out)
+    write_csv(path, COLUMNS, map(as_plain, rows))
     violated = [row for row in rows if row.violations]
     for row in violated:
         console.print(f"{row.claim.name} is violated; to repeat the first time:")
@@ -174,17 +183,14 @@ def table_of(rows: Sequence[Row]) -> Table:
     return table
 
 
-def write_csv(rows: Sequence[Row], folder: Path) -> Path:
-    """Write verify.csv under a temporary name and rename it."""
-    folder.mkdir(parents=True, exist_ok=True)
-    path = folder / "verify.csv"
-    temporary = path.with_suffix(".csv.part")
-    with temporary.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(COLUMNS)
-        for row in rows:
-            ratio = "" if math.isnan(row.time_over_bound) else repr(row.time_over_bound)
-            numbers = (row.trials, repr(row.margin), ratio, row.violations, f"{row.seconds:.3f}")
-            writer.writerow([row.claim.name, *numbers, row.first_violation])
-    os.replace(temporary, path)
-    return path
+def as_plain(row: Row) -> dict[str, Any]:
+    """A row as it stands in verify.csv."""
+    return {
+        "claim": row.claim.name,
+        "trials": row.trials,
+        "worst_margin": row.margin,
+        "worst_time_over_bound": row.time_over_bound,
+        "violations": row.violations,
+        "seconds": round(row.seconds, 3),
+        "first_violation": row.first_violation,
+    }
