@@ -74,7 +74,7 @@ def test_flexible_velocity_is_the_projection_on_the_heading():
 
 
 def test_step_scale_by_hand():
-    scale = step_scale([0.0, 1.0, 2.0, 4.0], merge_radius=0.2, duration=0.05)
+    scale = step_scale(np.array([0.0, 1.0, 2.0, 4.0]), merge_radius=0.2, duration=0.05)
     np.testing.assert_allclose(scale, [1.0, 1.0, 1.0, 0.5], rtol=1e-15)
     assert step_scale(4.0, 0.2, 0.05).shape == ()
 

@@ -125,6 +125,7 @@ def test_advantages_are_those_of_each_robot_on_its_own():
     assert not lived.all()
 
 
+@pytest.mark.filterwarnings("ignore:You have specified a mini-batch size")
 def test_stock_ppo_gets_the_same_rewards_and_values_from_the_infos():
     ours = collected(RobotPPO, make_robots(SCENARIO, TEAMS)).rollout_buffer
     stock = collected(PPO, make_robots(SCENARIO, TEAMS)).rollout_buffer

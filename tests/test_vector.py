@@ -41,7 +41,7 @@ def episodes_of_singles(scenario, actions, **options):
             for name in alive:
                 table[int(name[6:])] = observations[name]
             over = not env.agents
-            reward = max(rewards.values(), key=abs)
+            reward = rewards["robot_0"]  # never merged away: it has all of the period
             steps.append((table, reward, over and not any(cuts.values()), any(cuts.values())))
             assert set(ends) == set(alive)
         told.append(steps)

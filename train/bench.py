@@ -166,10 +166,10 @@ def _calibrate(step: Callable[[], Any], seconds: float) -> int:
     """Steps that take about so long, after warming up."""
     step()
     begin, count = time.perf_counter(), 0
-    while time.perf_counter() - begin < seconds / 2:
+    while (passed := time.perf_counter() - begin) < seconds / 2:
         step()
         count += 1
-    return max(1, 2 * count)
+    return max(1, round(seconds * count / passed))
 
 
 def _take_turns(

@@ -29,18 +29,22 @@ def draw_growth(path: Path, config: Config) -> None:
     by_size.set(xlabel="robots in a team, n", title=f"B = {config.num_envs}")
     by_batch.loglog(BATCHES, batches, "o-")
     by_batch.set(xlabel="teams, B", title="n = 8")
-    for axes in (by_size, by_batch):
-        axes.set_ylabel("time per robot step, s")
+    for axes, places in ((by_size, SIZES), (by_batch, BATCHES)):
+        axes.set_xticks(places, [str(place) for place in places])
+        axes.set_xticks([], minor=True)
+        axes.yaxis.set_major_formatter("{x:g}")
+        axes.yaxis.set_minor_formatter("{x:g}")
+        axes.set_ylabel("time per robot step, ns")
         axes.grid(visible=True, alpha=0.3)
     with atomic(path) as temporary:
         figure.savefig(temporary, format="png", dpi=150)
 
 
 def _robot_step(n: int, num_envs: int, config: Config) -> float:
-    """Median time of a robot's step, s."""
+    """Median time of a robot's step, ns."""
     cases = batched(spread_out(n), "batched", num_envs, config.num_threads)
     case = next(case for case in cases if case.name == "Simulator")
-    return statistics.median(_times(case, config))
+    return 1e9 * statistics.median(_times(case, config))
 
 
 def _times(case: Case, config: Config) -> list[float]:

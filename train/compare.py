@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import time
 from collections.abc import Iterator, Sequence
@@ -120,6 +121,8 @@ def plan(config: Config) -> list[Job]:
     for field, least in (("episodes", 1), ("seed", 0), ("keep", 0)):
         if getattr(config, field) < least:
             raise UserError(f"--{field} is {getattr(config, field)}; it must be {least} or more")
+    if config.seed + config.episodes > 2**63:
+        raise UserError(f"--seed is {config.seed}; with {config.episodes} starts it is too large")
     policies.check_names(config.policies)
     jobs: list[Job] = []
     for scenario in _resolve(config.scenarios):
@@ -140,6 +143,8 @@ def _resolve(given: Sequence[str]) -> list[Scenario]:
         raise UserError(str(error)) from error
     names = [scenario.name for scenario in resolved]
     for name in names:
+        if "/" in name or os.sep in name:
+            raise UserError(f"scenario name {name!r} would name a folder; leave out the slash")
         if names.count(name) > 1:
             raise UserError(f"two scenarios are called {name!r}; their results would mix")
     return resolved

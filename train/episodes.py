@@ -16,6 +16,7 @@ from rendezvous_env.teams import RENDEZVOUS
 from rendezvous_env.trajectory import Policy, Step, run
 
 from .alignment import alignments
+from .errors import UserError
 from .recording import Recorder, Recording
 
 CHUNK = 1024
@@ -88,13 +89,16 @@ def play(
         seed: of the first start.
         keep: how many of the first starts to record.
         on_progress: told after every step which share of the longest possible run is done.
+
+    Raises:
+        UserError: if the scenario has no room for a start.
     """
     parts: list[Episodes] = []
     recordings: list[Recording] = []
     firsts = range(0, episodes, CHUNK)
     for chunk, first in enumerate(firsts):
         simulator = Simulator(scenario, min(CHUNK, episodes - first))
-        observations = simulator.reset(seed + first)
+        observations = _reset(simulator, seed + first)
         kept = range(min(keep, episodes)) if first == 0 else ()
         recorders = [Recorder(simulator, team, observations) for team in kept]
         meter = _Meter(simulator)
@@ -106,6 +110,13 @@ def play(
         parts.append(meter.episodes(margin))
         recordings += [recorder.finish() for recorder in recorders]
     return Episodes.joined(parts), recordings
+
+
+def _reset(simulator: Simulator, seed: int) -> NDArray[np.float32]:
+    try:
+        return simulator.reset(seed)
+    except RuntimeError as error:  # no room for a start
+        raise UserError(f"{simulator.scenario.name}: {error}") from error
 
 
 class _Meter:

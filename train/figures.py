@@ -217,7 +217,7 @@ def paper_figure(scenario: Scenario, recording: Mapping[str, NDArray[Any]], poli
     paths, value = figure.subplots(1, 2)
     draw_paths(paths, recording["positions"], recording["active"], recording["obstacles"])
     _name_robots(paths, recording["positions"][0])
-    paths.set(xlabel="x / m", ylabel="y / m", title="(a) paths; ● start, × merge")
+    paths.set(xlabel="x / m", ylabel="y / m", title="(a) paths: dots are starts, crosses merges")
     draw_lyapunov(value, recording)
     value.set(title="(b) Lyapunov function")
     figure.suptitle(f"{scenario.name}: {policy}")
@@ -226,8 +226,10 @@ def paper_figure(scenario: Scenario, recording: Mapping[str, NDArray[Any]], poli
 
 def _name_robots(axes: Axes, starts: NDArray[np.float64]) -> None:
     for robot, start in enumerate(starts):
-        axes.annotate(f"robot {robot}", start, (8, -3), textcoords="offset points", fontsize=9)
-    axes.margins(x=0.16, y=0.08)
+        axes.annotate(
+            f"robot {robot}", start, (0, 7), textcoords="offset points", ha="center", fontsize=9
+        )
+    axes.margins(x=0.12, y=0.1)
 
 
 def draw_lyapunov(axes: Axes, recording: Mapping[str, NDArray[Any]]) -> None:

@@ -144,7 +144,7 @@ def read_csv(path: Path) -> list[dict[str, str]]:
 def write_arrays(path: Path, arrays: Mapping[str, ArrayLike]) -> None:
     """Write named arrays to a compressed npz file; names may hold slashes."""
     with atomic(path) as temporary, temporary.open("wb") as file:
-        np.savez_compressed(file, **dict(arrays))  # type: ignore[arg-type]
+        np.savez_compressed(file, **dict(arrays))
 
 
 def write_json(path: Path, content: Mapping[str, Any]) -> None:

@@ -127,7 +127,7 @@ def reference_policy(played: dict[str, Episodes]) -> str:
     """
     if "bearing-only" in played:
         return "bearing-only"
-    return max(played, key=lambda name: (played[name].clean.mean(), -played[name].time.mean()))
+    return max(played, key=lambda name: (played[name].clean.mean(), -np.median(played[name].time)))
 
 
 def compare_pairs(scenario: str, played: dict[str, Episodes]) -> list[dict[str, Any]]:

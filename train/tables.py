@@ -11,8 +11,8 @@ from rendezvous_env.scenario import Scenario
 
 _COLUMNS = (
     "policy",
-    "success %",
-    "clean % [95 %]",
+    "met %",
+    "cleanly % [95 %]",
     "median s [95 %]",
     "T/bound",
     "path m",
@@ -21,7 +21,7 @@ _COLUMNS = (
     "align",
 )
 
-WIDTH = 104
+WIDTH = 118
 """Characters that the table needs; on a narrower terminal its lines wrap, and nothing is lost."""
 
 
