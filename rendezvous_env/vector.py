@@ -185,11 +185,19 @@ class HeadingVectorWrapper(gymnasium.vector.VectorWrapper):
         """Put back what ``get_state`` took out.
 
         Raises:
-            ValueError: naming what does not fit.
+            ValueError: naming what does not fit; nothing has changed then.
         """
+        observed = np.asarray(state["observed"], dtype=np.float32)
+        if observed.shape != self._observed.shape:
+            raise ValueError(f"state: observed must be an array of shape {self._observed.shape}")
+        before = self.steering.get_state()
         self.steering.set_state(state["steering"])
-        self.env.set_state(state["env"])
-        self._observed = np.array(state["observed"], dtype=np.float32)
+        try:
+            self.env.set_state(state["env"])
+        except ValueError:
+            self.steering.set_state(before)
+            raise
+        self._observed = observed.copy()
 
 
 def _team_box(robot: Box, n: int) -> Box:

@@ -189,6 +189,15 @@ class TestMeasures:
         for name in Episodes.__dataclass_fields__:
             np.testing.assert_array_equal(getattr(parts, name), getattr(whole, name))
 
+    @pytest.mark.parametrize("most", [19, 20, 21, 22])
+    def test_the_end_of_a_time_out_is_kept(self, most, monkeypatch):
+        from train import recording
+
+        monkeypatch.setattr(recording, "MAX_FRAMES", most)
+        scenario = scenarios.get("duo").replace(time_limit=2.1)  # 21 steps
+        _, (kept,) = run_play(scenario, "zero", 1, keep=1)
+        assert kept["times"][-1] == pytest.approx(2.1)
+
     def test_long_episodes_are_thinned_out(self, monkeypatch):
         from train import recording
 

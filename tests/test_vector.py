@@ -129,3 +129,17 @@ def test_bad_raw_vectors_change_nothing():
         venv.step(raw[:2])
     after = venv.get_state()["env"]
     assert all(np.array_equal(before[key], after[key]) for key in before)
+
+
+def test_a_refused_state_leaves_the_headings_alone():
+    venv = HeadingVectorWrapper(rv.make_vec("duo", NUM_ENVS))
+    venv.reset(seed=0)
+    venv.step(tape(venv, 1)[0])
+    state, headings = venv.get_state(), venv.steering.headings
+    foreign = {**state["steering"], "headings": -headings}
+    with pytest.raises(ValueError, match="merged_into"):
+        env = {key: value for key, value in state["env"].items() if key != "merged_into"}
+        venv.set_state({**state, "steering": foreign, "env": env})
+    with pytest.raises(ValueError, match="observed"):
+        venv.set_state({**state, "steering": foreign, "observed": np.zeros(3)})
+    np.testing.assert_array_equal(venv.steering.headings, headings)

@@ -13,9 +13,10 @@ import baselines
 from rendezvous_env import Scenario, Simulator, graphs
 from rendezvous_env.lyapunov import merge_rise_allowance
 from rendezvous_env.trajectory import run as steps_of
-from train import claims
+from train import cases, claims
 from train.adversaries import Steered, adversary
-from train.claims import BATCH, CLAIMS, Case, bound_a
+from train.cases import BATCH, Case
+from train.claims import CLAIMS, bound_a
 from train.cli import main
 from train.errors import UserError
 from train.verify import COLUMNS, Config, run
@@ -81,20 +82,20 @@ def test_the_same_seed_finds_the_same(tmp_path):
 def test_the_trials_are_of_every_kind():
     """Sizes, dimensions, graphs, frames, speed limits and starts all vary."""
     random = np.random.default_rng(0)
-    cases = [claims.draw_case(random, batch, 0.3) for batch in range(60)]
-    scenarios = [case.scenario for case in cases]
+    drawn = [cases.draw_case(random, batch, 0.3) for batch in range(60)]
+    scenarios = [case.scenario for case in drawn]
     assert {s.n_robots for s in scenarios} == {2, 3, 5, 8}
     assert {s.dim for s in scenarios} == {2, 3}
-    assert {s.sensing_graph.kind for s in scenarios} == set(claims.FAMILIES)
+    assert {s.sensing_graph.kind for s in scenarios} == set(cases.FAMILIES)
     assert {s.local_frames for s in scenarios} == {"random", "global"}
     assert 0 < sum(s.max_speed is not None for s in scenarios) < 60
-    assert 0 < sum("positions" in case.options for case in cases) < 60
-    assert 0.3 <= min(case.margin for case in cases) < 0.4 < max(case.margin for case in cases)
+    assert 0 < sum("positions" in case.options for case in drawn) < 60
+    assert 0.3 <= min(case.margin for case in drawn) < 0.4 < max(case.margin for case in drawn)
 
 
 def test_merges_do_raise_v_and_stay_below_their_bound():
     """The row merge-rise has something to look at."""
-    case = claims.draw_trees(np.random.default_rng(3), 0, 0.3)
+    case = cases.draw_trees(np.random.default_rng(3), 0, 0.3)
     policy = claims.certified(case, 200, np.random.default_rng(4))
     simulator = Simulator(case.scenario, 200)
     rises, excess = [], []
@@ -151,7 +152,7 @@ def test_weights_that_are_not_symmetric_are_caught(tmp_path, name):
 
 def test_a_step_four_times_too_long_without_scaling_is_caught(tmp_path):
     def draw(random, batch, least_margin):
-        return claims.draw_case(random, batch, least_margin, step_factors=(4.0, 4.0 + 1e-9))
+        return cases.draw_case(random, batch, least_margin, step_factors=(4.0, 4.0 + 1e-9))
 
     right = dataclasses.replace(BY_NAME["local-scaling"], draw=draw)
     assert command(tmp_path, right, trials=4 * BATCH)[0] == 0

@@ -17,7 +17,7 @@ from rendezvous_env.trajectory import Policy, Step, run
 
 from .alignment import alignments
 from .errors import UserError
-from .recording import Recorder, Recording
+from .recording import Recorder, Recording, Snapshot
 
 CHUNK = 1024
 """Most teams simulated at once; more starts are played one chunk after the other."""
@@ -100,12 +100,12 @@ def play(
         simulator = Simulator(scenario, min(CHUNK, episodes - first))
         observations = _reset(simulator, seed + first)
         kept = range(min(keep, episodes)) if first == 0 else ()
-        recorders = [Recorder(simulator, team, observations) for team in kept]
+        recorders = [Recorder(Snapshot(simulator), team, observations) for team in kept]
         meter = _Meter(simulator)
         for step in run(simulator, make_policy(), observations):
-            aligned = meter.see(step)
+            aligned, after = meter.see(step), Snapshot(simulator)
             for recorder in recorders:
-                recorder.see(step, aligned)
+                recorder.see(step, aligned, after)
             on_progress((chunk + meter.share_of_limit) / len(firsts))
         parts.append(meter.episodes(margin))
         recordings += [recorder.finish() for recorder in recorders]

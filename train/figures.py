@@ -225,11 +225,20 @@ def paper_figure(scenario: Scenario, recording: Mapping[str, NDArray[Any]], poli
 
 
 def _name_robots(axes: Axes, starts: NDArray[np.float64]) -> None:
+    """A name above or below each start, away from where the robots go."""
+    middle = starts[:, 1].mean()
     for robot, start in enumerate(starts):
+        offset = (0, 13 if start[1] > middle else -13)
         axes.annotate(
-            f"robot {robot}", start, (0, 7), textcoords="offset points", ha="center", fontsize=9
+            f"robot {robot}",
+            start,
+            offset,
+            textcoords="offset points",
+            ha="center",
+            va="center",
+            fontsize=9,
         )
-    axes.margins(x=0.12, y=0.1)
+    axes.margins(x=0.12, y=0.12)
 
 
 def draw_lyapunov(axes: Axes, recording: Mapping[str, NDArray[Any]]) -> None:

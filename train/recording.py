@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rendezvous_env.simulator import Simulator
+from rendezvous_env.teams import RUNNING
 from rendezvous_env.trajectory import Step
 
 MAX_FRAMES = 400
@@ -24,63 +25,78 @@ just after the last merge of the step that led to the frame, m²/s, NaN if there
 """
 
 
+class Snapshot:
+    """The state of a batch at one moment, each part taken out once and only if it is asked for."""
+
+    def __init__(self, simulator: Simulator) -> None:
+        self._simulator = simulator
+
+    def __getattr__(self, name: str) -> NDArray[Any]:
+        """The simulator's array of that name; it stands in the instance from then on."""
+        value = getattr(self._simulator, name)
+        self.__dict__[name] = value() if callable(value) else value
+        return self.__dict__[name]
+
+
 class Recorder:
     """Records one team of a batch.
 
     Args:
-        simulator: freshly reset.
+        start: the batch, freshly reset.
         team: which one.
         observations: of the start, (B, n, rows, d).
     """
 
-    def __init__(self, simulator: Simulator, team: int, observations: NDArray[np.float32]) -> None:
-        self._simulator, self._team = simulator, team
-        self._contacts = np.zeros(simulator.scenario.n_robots, dtype=np.int64)
-        self._active = simulator.active[team]
+    def __init__(self, start: Snapshot, team: int, observations: NDArray[np.float32]) -> None:
+        self._team = team
+        self._obstacles = start.obstacles[team]
+        self._active = start.active[team]
+        self._contacts = np.zeros(len(self._active), dtype=np.int64)
         self._stride = 1
         self._frames: list[tuple[int, Recording]] = []
-        alignment = np.full(simulator.scenario.n_robots, np.nan)
-        self._add(observations[team], alignment, (np.nan, np.nan))
+        alignment = np.full(len(self._active), np.nan)
+        self._add(start, observations[team], alignment, (np.nan, np.nan))
 
-    def see(self, step: Step, alignments: NDArray[np.float64]) -> None:
-        """Take in one step and the alignments (B, n) of its robots."""
+    def see(self, step: Step, alignments: NDArray[np.float64], after: Snapshot) -> None:
+        """Take in one step, the alignments (B, n) of its robots, and what it led to."""
         team, outcome = self._team, step.outcome
         if not step.running[team]:
             return
         self._contacts += outcome.contact[team]
         merged = bool((outcome.active[team] != self._active).any())
         self._active = outcome.active[team]
-        number = int(self._simulator.steps[team])
         if merged:
             jump = outcome.lyapunov_before_merge[team], outcome.lyapunov_after_merge[team]
-            self._add(outcome.observations[team], alignments[team], jump)
-        elif number % self._stride == 0 or self._simulator.ended[team]:
-            self._add(outcome.observations[team], alignments[team], (np.nan, np.nan))
+            self._add(after, outcome.observations[team], alignments[team], jump)
+        elif after.steps[team] % self._stride == 0 or outcome.status[team] != RUNNING:
+            nothing = np.nan, np.nan
+            self._add(after, outcome.observations[team], alignments[team], nothing)
 
     def _add(
         self,
+        state: Snapshot,
         observations: NDArray[np.float32],
         alignment: NDArray[np.float64],
         jump: tuple[float, float],
     ) -> None:
-        """Keep the present state as a frame, and thin out if there are too many."""
-        simulator, team = self._simulator, self._team
+        """Keep a frame, and thin out if there are too many."""
+        team = self._team
         frame = {
-            "times": simulator.time[team],
-            "positions": simulator.positions[team],
-            "headings": simulator.headings[team],
-            "active": simulator.active[team],
-            "lyapunov": simulator.lyapunov()[team],
+            "times": state.time[team],
+            "positions": state.positions[team].copy(),
+            "headings": state.headings[team].copy(),
+            "active": state.active[team].copy(),
+            "lyapunov": state.lyapunov[team],
             "lyapunov_before_merge": np.float64(jump[0]),
             "lyapunov_after_merge": np.float64(jump[1]),
             "contacts": self._contacts.copy(),
             "alignment": alignment.copy(),
             "observations": observations.copy(),
         }
-        self._frames.append((int(simulator.steps[team]), frame))
-        if len(self._frames) > MAX_FRAMES:
+        if len(self._frames) >= MAX_FRAMES:
             self._stride *= 2
             self._frames = [entry for entry in self._frames if self._stays(*entry)]
+        self._frames.append((int(state.steps[team]), frame))
 
     def _stays(self, number: int, frame: Recording) -> bool:
         merged = not np.isnan(frame["lyapunov_before_merge"])
@@ -90,4 +106,4 @@ class Recorder:
         """The recording, once the team has finished."""
         frames = [frame for _, frame in self._frames]
         stacked = {name: np.stack([frame[name] for frame in frames]) for name in frames[0]}
-        return stacked | {"obstacles": self._simulator.obstacles[self._team]}
+        return stacked | {"obstacles": self._obstacles}

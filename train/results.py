@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from .errors import UserError
 
@@ -141,7 +140,7 @@ def read_csv(path: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
-def write_arrays(path: Path, arrays: Mapping[str, ArrayLike]) -> None:
+def write_arrays(path: Path, arrays: Mapping[str, Any]) -> None:
     """Write named arrays to a compressed npz file; names may hold slashes."""
     with atomic(path) as temporary, temporary.open("wb") as file:
         np.savez_compressed(file, **dict(arrays))

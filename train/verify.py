@@ -15,7 +15,8 @@ from rich.table import Table
 
 from rendezvous_env.scenario import nearest_word
 
-from .claims import BATCH, CLAIMS, Claim, check
+from .cases import BATCH
+from .claims import CLAIMS, Claim, check
 from .errors import UserError
 from .results import prepare_folder, write_csv
 
