@@ -13,10 +13,11 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
+from .outcome import Outcome
 from .rendezvous_v0 import ScenarioLike
 from .scenario import Scenario
 from .scenarios import resolve
-from .simulator import Outcome, Simulator
+from .simulator import Simulator
 from .spaces import team_action_box, team_observation_box
 from .teams import RENDEZVOUS, RUNNING, TIME_OUT
 

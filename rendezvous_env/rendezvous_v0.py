@@ -13,9 +13,10 @@ from pettingzoo.utils import wrappers
 from pettingzoo.utils.conversions import parallel_to_aec
 from pettingzoo.utils.env import AECEnv, ParallelEnv
 
+from .outcome import Outcome
 from .scenario import Scenario
 from .scenarios import resolve
-from .simulator import Outcome, Simulator
+from .simulator import Simulator
 from .spaces import action_box, observation_box, state_box, team_state
 from .teams import RENDEZVOUS, RUNNING
 

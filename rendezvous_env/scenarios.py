@@ -51,10 +51,10 @@ _BUILDERS: dict[str, Callable[[], Scenario]] = {
     "fig3": lambda: _figure("fig3", "ignore"),
     "fig4": lambda: _figure("fig4", "slide"),
     "duo": lambda: Scenario(name="duo", n_robots=2),
-    "swarm-20": lambda: Scenario(name="swarm-20", n_robots=20),
+    "swarm-20": lambda: Scenario(name="swarm-20", n_robots=20, time_limit=10.0),
     "ring-12": lambda: Scenario(name="ring-12", n_robots=12, graph=graphs.cycle(), time_limit=60.0),
     "tree-12": lambda: Scenario(
-        name="tree-12", n_robots=12, graph=graphs.random_tree((0.5, 2.0)), time_limit=60.0
+        name="tree-12", n_robots=12, graph=graphs.random_tree((0.5, 2.0)), time_limit=20.0
     ),
     "random-10": lambda: Scenario(
         name="random-10", n_robots=10, graph=graphs.erdos_renyi(0.3, (0.5, 1.5))

@@ -13,22 +13,17 @@ from numpy.typing import ArrayLike, NDArray
 from . import threads
 from .kernels import observe_blocks, step_blocks
 from .lanes import LANES
-from .obstacles import ObstacleField, pack, row_width
 from .options import StartOptions, parse_options
-from .scenario import CONTACT_MODES, Scenario
+from .outcome import Outcome
+from .preparation import empty_teams, fixed_obstacles, physics, start_rules
+from .scenario import Scenario
 from .starts import StartRules, reset_teams
 from .teams import (
     BOOK,
     FRESH,
-    LYAPUNOV_AFTER_MERGE,
-    LYAPUNOV_BEFORE_MERGE,
-    MERGE_EXCESS,
-    MERGE_RISE,
     RENDEZVOUS,
-    REWARD,
     RUNNING,
     TIME_OUT,
-    Physics,
     Results,
     Teams,
     from_lanes,
@@ -40,65 +35,6 @@ _WORK_PER_THREAD = 8192
 _CONFIG: Any = numba.config
 _KEPT = tuple(name for name in BOOK.names or () if name != "lyapunov")
 """What of a team's book belongs to its state; V follows from the rest."""
-
-
-class Outcome:
-    """What one step gives out; every array is freshly allocated and belongs to the caller."""
-
-    __slots__ = (
-        "_scores",
-        "active",
-        "clearance",
-        "contact",
-        "observations",
-        "results",
-        "status",
-    )
-
-    observations: NDArray[np.float32]
-    """(B, n, rows, d)."""
-    contact: NDArray[np.bool_]
-    """(B, n), whether the robot touched an obstacle in this step."""
-    clearance: NDArray[np.float64]
-    """(B, n), distance to the nearest obstacle, m; inf without obstacles."""
-    active: NDArray[np.bool_]
-    """(B, n), whether the robot still exists on its own."""
-    status: NDArray[np.int64]
-    """(B,), RUNNING, RENDEZVOUS or TIME_OUT of teams.py."""
-    results: Results
-    """The same arrays as the kernels want them."""
-
-    def __init__(self, results: Results, observed: tuple[int, ...]) -> None:
-        self.results = results
-        flat, self._scores, self.contact, self.clearance, self.active, self.status = results
-        self.observations = flat.reshape(observed)
-
-    @property
-    def rewards(self) -> NDArray[np.float64]:
-        """(B,), of the team."""
-        return self._scores[:, REWARD]
-
-    @property
-    def lyapunov_before_merge(self) -> NDArray[np.float64]:
-        """(B,), V just before the first merge of the step, m²/s; V at its end if there was none."""
-        return self._scores[:, LYAPUNOV_BEFORE_MERGE]
-
-    @property
-    def lyapunov_after_merge(self) -> NDArray[np.float64]:
-        """(B,), V just after the last merge of the step, m²/s; V at its end if there was none."""
-        return self._scores[:, LYAPUNOV_AFTER_MERGE]
-
-    @property
-    def merge_rise(self) -> NDArray[np.float64]:
-        """(B,), largest rise of V at a merge of the step, m²/s; 0 if there was none."""
-        return self._scores[:, MERGE_RISE]
-
-    @property
-    def merge_excess(self) -> NDArray[np.float64]:
-        """(B,), largest rise of V at a merge above its bound (theory 5), m²/s; 0 if there was
-        none.
-        """
-        return self._scores[:, MERGE_EXCESS]
 
 
 class Simulator:
@@ -126,7 +62,7 @@ class Simulator:
         self.num_envs = int(num_envs)
         self.num_threads = num_threads
         self.max_steps = scenario.max_steps
-        self._teams = _empty_teams(scenario, self.num_envs)
+        self._teams = empty_teams(scenario, self.num_envs)
         self._seeded = np.zeros(self.num_envs, dtype=np.bool_)
         self._ready = False
         self._prepare()
@@ -138,9 +74,9 @@ class Simulator:
         self._acted = (self.num_envs, scenario.n_robots, scenario.action_size)
         self._observed = (self.num_envs, scenario.n_robots, *scenario.observation_layout.shape)
         self._slices = _slices(scenario, self.num_envs, self.num_threads)
-        self._physics = _physics(scenario, self.max_steps)
-        self._rules = _start_rules(scenario)
-        self._fixed_obstacles = _fixed_obstacles(scenario)
+        self._physics = physics(scenario, self.max_steps)
+        self._rules = start_rules(scenario)
+        self._fixed_obstacles = fixed_obstacles(scenario)
         self._themselves = np.tile(np.arange(scenario.n_robots), (self.num_envs, 1))
 
     # ---- episodes -----------------------------------------------------------------------------
@@ -452,7 +388,7 @@ class Simulator:
         ):
             raise ValueError(f"max_cycles is {max_steps!r}; it must be a whole number, 1 or more")
         self.max_steps = int(max_steps)
-        self._physics = _physics(self.scenario, self.max_steps)
+        self._physics = physics(self.scenario, self.max_steps)
 
     def __getstate__(self) -> dict[str, Any]:
         """Pickle and deepcopy keep the running episodes and leave the working memory behind."""
@@ -578,22 +514,6 @@ def _by_lane(blocks: NDArray[np.float64]) -> NDArray[np.float64]:
     return blocks.reshape(*blocks.shape[:2], -1, LANES)
 
 
-def _empty_teams(scenario: Scenario, batch: int) -> Teams:
-    n, d, model = scenario.n_robots, scenario.dim, scenario.model
-    layout, blocks = scenario.observation_layout, -(-batch // LANES)
-    book = np.zeros(batch, dtype=BOOK)
-    book["episode"], book["min_clearance"] = -1, np.inf
-    return Teams(
-        positions=np.zeros((blocks, n, d * LANES)),
-        frames=np.zeros((blocks, n, d * d * LANES)),
-        weights=np.zeros((blocks, n * (n - 1) // 2, LANES)),
-        angles=np.zeros((batch, n, model.n_angles)),
-        obstacles=np.zeros((batch, layout.obstacle_slots, row_width(scenario.obstacles, d))),
-        merged_into=np.tile(np.arange(n), (batch, 1)),
-        book=book,
-    )
-
-
 def _slices(scenario: Scenario, batch: int, num_threads: int | None) -> list[tuple[int, int]]:
     """The blocks of the batch cut into one slice for each thread that is worth its cost."""
     work = batch * scenario.n_robots * max(scenario.n_robots, scenario.observation_layout.rows)
@@ -602,67 +522,6 @@ def _slices(scenario: Scenario, batch: int, num_threads: int | None) -> list[tup
     count = max(1, min(most, work // _WORK_PER_THREAD, blocks))
     edges = np.linspace(0, blocks, count + 1).astype(int).tolist()
     return list(itertools.pairwise(edges))
-
-
-def _physics(scenario: Scenario, max_steps: int) -> tuple[Any, ...]:
-    reward = scenario.reward
-    turn_limits = [float(bound) for bound in scenario.action_bounds[1:]]
-    nonholonomic = scenario.model.nonholonomic
-    physics = Physics(
-        n_angles=scenario.model.n_angles,
-        duration=float(scenario.tau),
-        merge_radius=float(scenario.merge_radius),
-        speed_limit=float(scenario.speed_limit),
-        yaw_rate_limit=turn_limits[0] if nonholonomic else 0.0,
-        pitch_rate_limit=turn_limits[-1] if nonholonomic else 0.0,
-        max_steps=max_steps,
-        contact_mode=CONTACT_MODES.index(scenario.obstacle_contact),
-        obstacle_range=float(scenario.obstacle_range),
-        neighbour_slots=scenario.observation_layout.neighbour_slots,
-        rows=scenario.observation_layout.rows,
-        reward_weights=(
-            reward.progress,
-            reward.time_penalty,
-            reward.collision_penalty,
-            reward.rendezvous_bonus,
-        ),
-    )
-    return tuple(physics)
-
-
-def _start_rules(scenario: Scenario) -> StartRules:
-    graph, field = scenario.sensing_graph, scenario.obstacles
-    count, radius, region, keep_out, overlap = (0, 0), (0.0, 0.0), 0.0, 0.0, True
-    if isinstance(field, ObstacleField):
-        count = field.count if isinstance(field.count, tuple) else (field.count, field.count)
-        radius, region = field.radius, field.region
-        keep_out, overlap = field.keep_out, field.overlap
-    return StartRules(
-        draw_positions=True,
-        draw_frames=True,
-        draw_angles=True,
-        draw_weights=True,
-        draw_obstacles=True,
-        spawn_size=float(scenario.spawn_size),
-        least_distance=2.0 * scenario.merge_radius,
-        topology=graph.topology,
-        probability=float(graph.probability),
-        weight_range=graph.weight_range,
-        base_weights=graph.base_weights(scenario.n_robots),
-        field_counts=count,
-        field_radii=radius,
-        field_region=float(region),
-        keep_out=float(keep_out),
-        field_overlap=overlap,
-    )
-
-
-def _fixed_obstacles(scenario: Scenario) -> NDArray[np.float64] | None:
-    """The scenario's obstacles, (1, M, width); None if they are drawn."""
-    if isinstance(scenario.obstacles, ObstacleField):
-        return None
-    slots = scenario.observation_layout.obstacle_slots
-    return pack(scenario.obstacles, scenario.dim, slots)[None]
 
 
 def _quiet_integers() -> Any:

@@ -10,9 +10,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from .outcome import Outcome
 from .scenario import Scenario
 from .scenarios import resolve
-from .simulator import Outcome, Simulator
+from .simulator import Simulator
 from .teams import RENDEZVOUS, RUNNING
 
 Policy = Callable[[NDArray[np.float32], NDArray[np.float64]], NDArray[Any]]

@@ -22,7 +22,7 @@ from .gymnasium_env import (
     step_info,
     summary_of,
 )
-from .simulator import Outcome
+from .outcome import Outcome
 from .spaces import heading_box, heading_observation_box
 from .steering import Steering
 from .teams import RENDEZVOUS, TIME_OUT

@@ -295,7 +295,7 @@ def any_scenario(draw) -> Scenario:
         obstacle_contact=draw(st.sampled_from(["slide", "stop", "ignore"])),
         neighbour_slots=draw(st.sampled_from([None, 5])),
         spawn_size=draw(positive),
-        start_positions=draw(st.none() | st.just([[-9.0 * i] * dim for i in range(n)])),
+        start_positions=draw(st.none() | st.just([[-1e5 * (i + 1)] * dim for i in range(n)])),
         start_headings=None if model == "single_integrator" else headings,
         local_frames=draw(st.sampled_from(["random", "global"])),
         on_merge=draw(st.sampled_from(["remove", "follow"])),

@@ -29,6 +29,7 @@ DEFAULT_SCENARIOS = (
     "duo",
     "swarm-20",
     "ring-12",
+    "tree-12",
     "random-10",
     "unicycle-6",
     "uav-6",

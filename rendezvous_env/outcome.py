@@ -1,0 +1,74 @@
+"""What one step of the simulator gives out."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .teams import (
+    LYAPUNOV_AFTER_MERGE,
+    LYAPUNOV_BEFORE_MERGE,
+    MERGE_EXCESS,
+    MERGE_RISE,
+    REWARD,
+    Results,
+)
+
+
+class Outcome:
+    """What one step gives out; every array is freshly allocated and belongs to the caller."""
+
+    __slots__ = (
+        "_scores",
+        "active",
+        "clearance",
+        "contact",
+        "observations",
+        "results",
+        "status",
+    )
+
+    observations: NDArray[np.float32]
+    """(B, n, rows, d)."""
+    contact: NDArray[np.bool_]
+    """(B, n), whether the robot touched an obstacle in this step."""
+    clearance: NDArray[np.float64]
+    """(B, n), distance to the nearest obstacle, m; inf without obstacles."""
+    active: NDArray[np.bool_]
+    """(B, n), whether the robot still exists on its own."""
+    status: NDArray[np.int64]
+    """(B,), RUNNING, RENDEZVOUS or TIME_OUT of teams.py."""
+    results: Results
+    """The same arrays as the kernels want them."""
+
+    def __init__(self, results: Results, observed: tuple[int, ...]) -> None:
+        self.results = results
+        flat, self._scores, self.contact, self.clearance, self.active, self.status = results
+        self.observations = flat.reshape(observed)
+
+    @property
+    def rewards(self) -> NDArray[np.float64]:
+        """(B,), of the team."""
+        return self._scores[:, REWARD]
+
+    @property
+    def lyapunov_before_merge(self) -> NDArray[np.float64]:
+        """(B,), V just before the first merge of the step, m²/s; V at its end if there was none."""
+        return self._scores[:, LYAPUNOV_BEFORE_MERGE]
+
+    @property
+    def lyapunov_after_merge(self) -> NDArray[np.float64]:
+        """(B,), V just after the last merge of the step, m²/s; V at its end if there was none."""
+        return self._scores[:, LYAPUNOV_AFTER_MERGE]
+
+    @property
+    def merge_rise(self) -> NDArray[np.float64]:
+        """(B,), largest rise of V at a merge of the step, m²/s; 0 if there was none."""
+        return self._scores[:, MERGE_RISE]
+
+    @property
+    def merge_excess(self) -> NDArray[np.float64]:
+        """(B,), largest rise of V at a merge above its bound (theory 5), m²/s; 0 if there was
+        none.
+        """
+        return self._scores[:, MERGE_EXCESS]
