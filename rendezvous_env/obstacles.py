@@ -185,7 +185,7 @@ def check_outside(field: str, positions: NDArray[np.float64], value: Sequence[Ob
         for obstacle, row in zip(value, rows, strict=True):
             if (distance := obstacle_distance(row, position)) < 0:
                 raise ValueError(
-                    f"{field}: robot {i} at {position.tolist()} is {-distance:.6g} m inside "
+                    f"{field}: robot_{i} at {position.tolist()} is {-distance:.6g} m inside "
                     f"{obstacle}; it must be outside"
                 )
 

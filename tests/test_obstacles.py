@@ -161,7 +161,7 @@ class TestPacking:
 
     def test_positions_inside_are_refused_by_name(self):
         check_outside("positions", np.array([[2.0, 0.0], [0.0, 3.0]]), (Disc((0, 0), 2),))
-        with pytest.raises(ValueError, match=r"positions: robot 1 at \[0.0, 1.5\] is 0.5 m inside"):
+        with pytest.raises(ValueError, match=r"positions: robot_1 at \[0.0, 1.5\] is 0.5 m inside"):
             check_outside("positions", np.array([[2.0, 0.0], [0.0, 1.5]]), (Disc((0, 0), 2),))
 
 
