@@ -19,6 +19,15 @@ Array = NDArray[np.float64]
 
 
 @kernel
+def square_distance(positions, i, j):
+    """‖p_i − p_j‖² of two robots of one team, m²; positions (n, d)."""
+    square = 0.0
+    for k in range(positions.shape[1]):
+        square += (positions[j, k] - positions[i, k]) ** 2
+    return square
+
+
+@kernel
 def team_lyapunov(positions, weights):
     """V = Σ_i Σ_j a_ij ‖p_i − p_j‖ of one team, m²/s: each edge counts twice, as in the paper.
 
@@ -26,15 +35,12 @@ def team_lyapunov(positions, weights):
         positions: (n, d), m.
         weights: (n, n), m/s.
     """
-    n, d = positions.shape
+    n = positions.shape[0]
     total = 0.0
     for i in range(n):
         for j in range(i + 1, n):
             if weights[i, j] > 0.0:
-                square = 0.0
-                for k in range(d):
-                    square += (positions[j, k] - positions[i, k]) ** 2
-                total += weights[i, j] * math.sqrt(square)
+                total += weights[i, j] * math.sqrt(square_distance(positions, i, j))
     return 2.0 * total
 
 
@@ -45,9 +51,7 @@ def team_net_bearing(positions, weights, i, out):
     out[:] = 0.0
     for j in range(n):
         if weights[i, j] > 0.0:
-            square = 0.0
-            for k in range(d):
-                square += (positions[j, k] - positions[i, k]) ** 2
+            square = square_distance(positions, i, j)
             if square > 0.0:
                 gain = weights[i, j] / math.sqrt(square)
                 for k in range(d):

@@ -6,7 +6,7 @@ import numpy as np
 
 from .geometry import clear_of_obstacles, first_crossing
 from .jit import kernel
-from .lyapunov import team_lyapunov
+from .lyapunov import square_distance, team_lyapunov
 
 
 @kernel
@@ -94,14 +94,12 @@ def _earliest(crossings, resting):
 
 @kernel
 def _nearest_within(positions, weights, radius):
-    n, d = positions.shape
+    n = positions.shape[0]
     nearest, first, second = radius * radius, -1, -1
     for i in range(n):
         for j in range(i + 1, n):
             if weights[i, j] > 0.0:
-                square = 0.0
-                for k in range(d):
-                    square += (positions[j, k] - positions[i, k]) ** 2
+                square = square_distance(positions, i, j)
                 if square < nearest:
                     nearest, first, second = square, i, j
     return first, second

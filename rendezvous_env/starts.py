@@ -10,7 +10,7 @@ from .geometry import clear_of_obstacles
 from .graphs import draw_weights
 from .jit import kernel
 from .lanes import LANES
-from .lyapunov import team_lyapunov
+from .lyapunov import square_distance, team_lyapunov
 from .obstacles import draw_field
 from .random_streams import FRAMES, GRAPH, OBSTACLES, START, draw_rotation, stream_key, uniform
 from .teams import read_positions, read_weights, write_frame, write_positions, write_weights
@@ -142,8 +142,7 @@ def _draw_positions(key, rules, weights, obstacles, positions):
 def _apart(i, positions, weights, least_distance):
     for j in range(i):
         if weights[i, j] > 0.0:
-            square = np.sum((positions[i] - positions[j]) ** 2)
-            if square < least_distance * least_distance:
+            if square_distance(positions, i, j) < least_distance * least_distance:
                 return False
     return True
 
