@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -138,7 +139,7 @@ def run(config: Config, claims: Sequence[Claim] = CLAIMS, console: Console | Non
     """
     check_config(config)
     path = prepare_folder(config.out) / "verify.csv"
-    console = console or Console()
+    console = console or Console(width=None if sys.stdout.isatty() else 120)
     chosen = [claim for claim in claims if not config.claims or claim.name in config.claims]
     trials = sum(count for _, count in config.batches())
     bar = (
