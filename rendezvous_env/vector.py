@@ -26,7 +26,7 @@ from .outcome import Outcome
 from .spaces import heading_box, heading_observation_box
 from .steering import Steering
 from .teams import RENDEZVOUS, TIME_OUT
-from .wrappers import check_period
+from .wrappers import check_period, restore
 
 
 class HeadingVectorWrapper(gymnasium.vector.VectorWrapper):
@@ -187,17 +187,7 @@ class HeadingVectorWrapper(gymnasium.vector.VectorWrapper):
         Raises:
             ValueError: naming what does not fit; nothing has changed then.
         """
-        observed = np.asarray(state["observed"], dtype=np.float32)
-        if observed.shape != self._observed.shape:
-            raise ValueError(f"state: observed must be an array of shape {self._observed.shape}")
-        before = self.steering.get_state()
-        self.steering.set_state(state["steering"])
-        try:
-            self.env.set_state(state["env"])
-        except ValueError:
-            self.steering.set_state(before)
-            raise
-        self._observed = observed.copy()
+        self._observed = restore(self.env, self.steering, self._observed.shape, state)
 
 
 def _team_box(robot: Box, n: int) -> Box:

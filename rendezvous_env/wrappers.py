@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from gymnasium.spaces import Box
+from numpy.typing import NDArray
 from pettingzoo.utils.wrappers import BaseParallelWrapper
 
 from .rendezvous_v0 import Infos, Observations, RendezvousParallelEnv, is_action
@@ -28,6 +29,35 @@ def check_period(decision_period: int) -> int:
             f"decision_period is {decision_period!r}; it must be a whole number, 1 or more"
         )
     return int(decision_period)
+
+
+def restore(
+    env: Any, steering: Steering, shape: tuple[int, ...], state: Mapping[str, Any]
+) -> NDArray[np.float32]:
+    """Put a wrapper's state back: the environment's episodes, the steering's memory.
+
+    Args:
+        env: what is wrapped.
+        steering: the wrapper's.
+        shape: of the observations it remembers.
+        state: "env", "steering" and "observed".
+
+    Returns:
+        The remembered observations.
+
+    Raises:
+        ValueError: naming what does not fit; nothing has changed then.
+    """
+    observed, before = np.array(state["observed"], dtype=np.float32), steering.get_state()
+    if observed.shape != shape:
+        raise ValueError(f"state: observed must be an array of shape {shape}")
+    steering.set_state(state["steering"])
+    try:
+        env.set_state(state["env"])
+    except ValueError:
+        steering.set_state(before)
+        raise
+    return observed
 
 
 class HeadingVectorWrapper(BaseParallelWrapper):
@@ -204,13 +234,4 @@ class HeadingVectorWrapper(BaseParallelWrapper):
         Raises:
             ValueError: naming what does not fit; nothing has changed then.
         """
-        observed, kept = np.array(state["observed"], dtype=np.float32), self.steering.get_state()
-        if observed.shape != self._observed.shape:
-            raise ValueError(f"state: observed must be an array of shape {self._observed.shape}")
-        self.steering.set_state(state["steering"])
-        try:
-            self._base.set_state(state["env"])
-        except ValueError:
-            self.steering.set_state(kept)
-            raise
-        self._observed = observed
+        self._observed = restore(self._base, self.steering, self._observed.shape, state)

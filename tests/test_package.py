@@ -107,7 +107,8 @@ def test_a_folder_that_holds_a_train_py_is_no_obstacle(tmp_path):
     for name in ("train.py", "compare.py", "graphs.py", "kernels.py", "policy.py"):
         (tmp_path / name).write_text("raise RuntimeError('the wrong module was imported')\n")
     code = "import rendezvous_env as rv, baselines; env = rv.parallel_env('duo'); env.reset(seed=0)"
-    run_python(code + "; print(env.agents)", tmp_path, PYTHONSAFEPATH="")
+    printed = run_python(code + "; print(env.agents)", tmp_path, PYTHONSAFEPATH="")
+    assert "robot_1" in printed
 
 
 # ---- public names -------------------------------------------------------------------------------

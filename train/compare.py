@@ -91,8 +91,7 @@ def run(config: Config) -> int:
     Raises:
         UserError: for an unknown name, an impossible number or a folder that cannot be written.
     """
-    console = Console()
-    console = Console(width=max(console.width, tables.WIDTH))
+    console = Console(width=max(Console().width, tables.WIDTH))
     jobs = plan(config)
     folder = results.prepare_folder(config.out)
     compile_time = _compile(jobs, console)
