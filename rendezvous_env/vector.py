@@ -73,8 +73,8 @@ class HeadingVectorWrapper(gymnasium.vector.VectorWrapper):
         )
         robot = heading_observation_box(env.scenario, self.steering)
         n = env.scenario.n_robots
-        self.single_observation_space = _team_box(robot, n)
-        self.single_action_space = _team_box(heading_box(self.steering), n)
+        self.single_observation_space = team_box(robot, n)
+        self.single_action_space = team_box(heading_box(self.steering), n)
         self._observed = np.zeros(
             (env.num_envs, n, *env.scenario.observation_layout.shape), dtype=np.float32
         )
@@ -97,8 +97,9 @@ class HeadingVectorWrapper(gymnasium.vector.VectorWrapper):
     ) -> tuple[NDArray[np.float32], Info]:
         """Begin anew, as ``RendezvousVectorEnv.reset``; teams that do forget their headings."""
         self._observed, infos = self.env.reset(seed=seed, options=options)
-        self.steering.forget((options or {}).get("reset_mask"))
-        return self.steering.view(self._observed), infos
+        which = (options or {}).get("reset_mask")
+        self._forget(which)
+        return self._see(which), infos
 
     def step(self, actions: ArrayLike) -> Transition:
         """Hold the raw vectors for ``decision_period`` base steps.
@@ -124,11 +125,12 @@ class HeadingVectorWrapper(gymnasium.vector.VectorWrapper):
         ended = terminations | truncations
         summary = {"summary": masked(summary_of(simulator), ended)} if ended.any() else {}
         final: Info = {}
+        seen = self._see(None)
         if env.autoreset_mode is AutoresetMode.SAME_STEP and ended.any():
-            final = self._final(ended, infos | summary)
+            final = _final(seen, ended, infos | summary)
             self._begin_anew(ended, outcome, infos)
+            seen[ended] = self._see(ended)[ended]
             summary = {}
-        seen = self.steering.view(self._observed)
         everyone = np.ones(self.num_envs, dtype=np.bool_)
         infos = masked(infos, everyone) | masked(summary | final, ended)
         return seen, rewards, terminations, truncations, infos
@@ -159,19 +161,18 @@ class HeadingVectorWrapper(gymnasium.vector.VectorWrapper):
         """Next episodes of these teams; what the robots see and what is told of them follows."""
         simulator = self.env.simulator
         simulator.restart(which, outcome)
-        self.steering.forget(which)
+        self._forget(which)
         infos["merged_into"] = simulator.merged_into
         infos["contact"][which] = False
         infos["alignment"][which], infos["lyapunov_rate"][which] = np.nan, 0.0
 
-    def _final(self, ended: NDArray[np.bool_], infos: Info) -> Info:
-        """How these teams ended, in Gymnasium's form."""
-        seen = self.steering.view(self._observed)
-        final_obs = np.full(self.num_envs, None, dtype=object)
-        for team in np.flatnonzero(ended).tolist():
-            final_obs[team] = seen[team].copy()
-        kept = {key: value.copy() for key, value in infos.items()}
-        return {"final_obs": final_obs, "final_info": masked(kept, ended)}
+    def _see(self, which: NDArray[np.bool_] | None) -> NDArray[np.float32]:
+        """What the policy sees, (B, n, ...); only teams of the mask, None is all, saw more."""
+        return self.steering.view(self._observed)
+
+    def _forget(self, which: NDArray[np.bool_] | None) -> None:
+        """These teams, None is all, begin anew."""
+        self.steering.forget(which)
 
     def get_state(self) -> dict[str, Any]:
         """The running episodes and the wrapper's memory, as copies."""
@@ -190,7 +191,16 @@ class HeadingVectorWrapper(gymnasium.vector.VectorWrapper):
         self._observed = restore(self.env, self.steering, self._observed.shape, state)
 
 
-def _team_box(robot: Box, n: int) -> Box:
+def _final(seen: NDArray[np.float32], ended: NDArray[np.bool_], infos: Info) -> Info:
+    """How these teams ended and what they saw last, in Gymnasium's form."""
+    final_obs = np.full(len(ended), None, dtype=object)
+    for team in np.flatnonzero(ended).tolist():
+        final_obs[team] = seen[team].copy()
+    kept = {key: value.copy() for key, value in infos.items()}
+    return {"final_obs": final_obs, "final_info": masked(kept, ended)}
+
+
+def team_box(robot: Box, n: int) -> Box:
     """Space of a team of n robots that all have the same one."""
     low, high = (np.broadcast_to(bound, (n, *robot.shape)) for bound in (robot.low, robot.high))
     return Box(low, high, dtype=np.float32)

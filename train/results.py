@@ -120,10 +120,10 @@ def write_csv(path: Path, columns: Sequence[str], rows: Iterable[Mapping[str, An
         writer = csv.DictWriter(file, columns)
         writer.writeheader()
         for row in rows:
-            writer.writerow({column: _plain(row[column]) for column in row})
+            writer.writerow({column: plain(row[column]) for column in row})
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
     """A cell as text that reads back as the same number."""
     if isinstance(value, np.generic):
         value = value.item()
@@ -152,12 +152,14 @@ def write_json(path: Path, content: Mapping[str, Any]) -> None:
         temporary.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
 
 
-def provenance() -> dict[str, Any]:
-    """What it takes to run the same again: format, versions, command line."""
+def provenance(packages: Sequence[str] = ()) -> dict[str, Any]:
+    """What it takes to run the same again: format, versions (of further packages too), command
+    line.
+    """
     return {
         "format_version": FORMAT_VERSION,
         "command_line": [Path(sys.argv[0]).name, *sys.argv[1:]],
         "python": platform.python_version(),
         "platform": platform.platform(),
-        "versions": {name: metadata.version(name) for name in _PACKAGES},
+        "versions": {name: metadata.version(name) for name in (*_PACKAGES, *packages)},
     }

@@ -56,7 +56,8 @@ class RobotVecEnv(VecEnv):
     bootstrapped: NDArray[np.int64]
     """(k,), slots that the last step cut off at a time-out or a merge."""
     bootstrap_observations: NDArray[np.float32]
-    """(k, rows, d), what the value of these slots' future is estimated from."""
+    """(k, rows, d), or as the teams' space is; what the value of these slots' future is estimated
+    from."""
     tell_bootstraps: bool
     """Whether infos carry ``terminal_observation`` and ``TimeLimit.truncated``."""
 
@@ -103,10 +104,9 @@ class RobotVecEnv(VecEnv):
         return self._by_slot(observations)
 
     def _forget_step(self) -> None:
-        rows, d = self._observed[2:]
         self.acted = self._active.reshape(-1).copy()
         self.bootstrapped = np.empty(0, dtype=np.int64)
-        self.bootstrap_observations = np.empty((0, rows, d), dtype=np.float32)
+        self.bootstrap_observations = np.empty((0, *self._observed[2:]), dtype=np.float32)
 
     def step_async(self, actions: NDArray[np.float32]) -> None:
         """Take the actions (slots, a) of the next step."""
@@ -189,6 +189,30 @@ class RobotVecEnv(VecEnv):
         """Give start options for the next reset, for all teams or for each slot."""
         listed = [options or {}] * self.num_envs if not isinstance(options, list) else options
         self._options = deepcopy(listed)
+
+    def get_state(self) -> dict[str, Any]:
+        """The running episodes, as copies: nested arrays."""
+        return {
+            "teams": self.teams.get_state(),
+            "active": self._active.copy(),
+            "returns": self._returns.copy(),
+            "lengths": self._lengths.copy(),
+        }
+
+    def set_state(self, state: Mapping[str, Any]) -> None:
+        """Put back what ``get_state`` took out of robots of the same scenario and batch.
+
+        Raises:
+            ValueError: naming what does not fit.
+        """
+        own = {"active": self._active, "returns": self._returns, "lengths": self._lengths}
+        for name, array in own.items():
+            if np.shape(state.get(name)) != array.shape:
+                raise ValueError(f"state: {name} must be an array of shape {array.shape}")
+        self.teams.set_state(state.get("teams", {}))
+        for name, array in own.items():
+            array[...] = state[name]
+        self._forget_step()
 
     def close(self) -> None:
         """Close the teams."""

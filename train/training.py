@@ -1,0 +1,511 @@
+"""A training run: its parts, its state on disk, and the loop."""
+
+from __future__ import annotations
+
+import json
+import signal
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from gymnasium.vector import AutoresetMode
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from stable_baselines3.common.logger import Logger
+
+from rendezvous_env import make_vec, scenarios
+from rendezvous_env.threads import available_cores
+
+from . import checkpoints, learned_policy, networks, results, statistics
+from .checkpoints import CheckpointError
+from .episodes import play
+from .errors import UserError
+from .learned_policy import LearnedPolicy
+from .perceiving import PerceivingTeams, flatten, unflatten
+from .ppo import EVALUATION_SEEDS, Config, resumed
+from .rollout_buffer import RobotPPO
+from .run_log import EVALUATION, METRICS, Events, Table
+from .sb3_vec_env import RobotVecEnv
+
+_LEAST_RATE = 0.05
+"""Share of the learning rate that is left at the end."""
+_LOSSES = {
+    "policy_loss": "policy_gradient_loss", "value_loss": "value_loss", "approx_kl": "approx_kl",
+    "explained_variance": "explained_variance", "clip_fraction": "clip_fraction", "std": "std",
+    "learning_rate": "learning_rate",
+}  # fmt: skip
+"""Columns of metrics.csv that stable-baselines3 tells, and what it calls them."""
+
+
+def run(config: Config) -> int:
+    """Begin or resume a run and train to its end; see ``ppo.run``."""
+    console = Console(soft_wrap=True)
+    place = None
+    if config.resume is not None:
+        config, place = _stored(config, console)
+    else:
+        _prepare_new(config)
+    threads = torch.get_num_threads()
+    torch.set_num_threads(config.num_threads or available_cores())
+    try:
+        training = Training(config)
+        step = training.restore(place) if place else training.begin()
+        with _stops(console) as stop:
+            return _loop(training, step, stop, console)
+    except CheckpointError as error:
+        raise UserError(str(error)) from error
+    except OSError as error:
+        raise UserError(_write_failure(config, error)) from error
+    finally:
+        torch.set_num_threads(threads)
+
+
+def _prepare_new(config: Config) -> None:
+    """Make the folder of a new run.
+
+    Raises:
+        UserError: if it holds a run, or cannot be written.
+    """
+    results.prepare_folder(config.out)
+    if any((config.out / "checkpoints").glob("step-*")):
+        raise UserError(f"--out {config.out} holds a run; --resume it, or choose another folder")
+    results.write_json(config.out / "config.json", config.to_plain())
+
+
+def _stored(config: Config, console: Console) -> tuple[Config, Path | None]:
+    """The settings of the run to resume, and its newest checkpoint that can be read.
+
+    Raises:
+        UserError: if there is no run, none of its checkpoints is good, or a flag contradicts it.
+    """
+    folder = config.resume
+    assert folder is not None
+    first: CheckpointError | None = None
+    try:
+        for place in checkpoints.candidates(folder):
+            try:
+                about, _ = checkpoints.read(place, ("network", "optimizer", "state"))
+            except CheckpointError as error:
+                first = first or error
+                continue
+            if first:
+                console.print(f"{first}\nfalls back to {place.name}")
+            stored = resumed(config, Config.from_plain(about["config"]))
+            results.prepare_folder(folder)
+            console.print(f"resumes {place} at step {about['step']:,}, written {about['written']}")
+            return stored, place
+        raise first  # type: ignore[misc]  # there was a candidate, and it failed
+    except CheckpointError as error:
+        if first is None and (folder / "config.json").is_file():
+            console.print(f"{folder} has no checkpoint yet: begins at step 0")
+            plain = json.loads((folder / "config.json").read_text(encoding="utf-8"))
+            return resumed(config, Config.from_plain(plain)), None
+        raise UserError(f"--resume: {error}") from error
+    except (ValueError, KeyError, OSError) as error:
+        raise UserError(f"--resume {folder}: {error}") from error
+
+
+def _write_failure(config: Config, error: OSError) -> str:
+    said = f"cannot write {error.filename or config.out}: {error.strerror or error}"
+    try:
+        last = checkpoints.candidates(config.out)[0]
+    except CheckpointError:
+        return f"{said}; there is no checkpoint yet"
+    return f"{said}; the last good checkpoint is {last}: make room, then --resume {config.out}"
+
+
+class _Stop:
+    """Which signal asked the run to stop, if one did."""
+
+    signal: int | None = None
+
+
+@contextmanager
+def _stops(console: Console) -> Iterator[_Stop]:
+    """SIGINT and SIGTERM ask for an end after the update; a second one ends at once."""
+    stop = _Stop()
+
+    def ask(number: int, frame: Any) -> None:
+        if stop.signal is not None:
+            raise KeyboardInterrupt
+        stop.signal = number
+        console.print("stops after this update and its checkpoint; once more leaves at once")
+
+    before = {number: signal.signal(number, ask) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield stop
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _loop(training: Training, step: int, stop: _Stop, console: Console) -> int:
+    config = training.config
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=console) as progress:
+        bar = progress.add_task("", total=config.total_steps, completed=step)
+        while step < config.total_steps and stop.signal is None:
+            before, step = step, training.update()
+            row = training.report()
+            progress.update(bar, completed=step, description=_line(row))
+            if _crosses(config.eval_every, before, step) or step >= config.total_steps:
+                for result in training.evaluate() if config.eval_every else ():
+                    console.print(_evaluation_line(result))
+            due = _crosses(config.checkpoint_every, before, step)
+            if due or stop.signal is not None or step >= config.total_steps:
+                place = training.save()
+                console.print(f"{_line(row)}; checkpoint {place}")
+    training.close()
+    if stop.signal is not None and step < config.total_steps:
+        console.print(f"stopped at step {step:,}; rendezvous train --resume {config.out} goes on")
+        return 128 + stop.signal
+    share = training.environment_share
+    console.print(
+        f"done: {step:,} steps; {100 * share:.0f} % of the time in the environment, so "
+        f"{100 * (1 - share):.0f} % of the speed of the same PPO on one that costs nothing"
+    )
+    return 0
+
+
+def _crosses(every: int, before: int, step: int) -> bool:
+    return every > 0 and step // every > before // every
+
+
+def _line(row: Mapping[str, Any]) -> str:
+    return (
+        f"step {row['step'] / 1e6:.2f} M · met {100 * row['success']:.0f} % · cleanly "
+        f"{100 * row['clean_success']:.0f} % · {row['median_time']:.1f} s · alignment "
+        f"{row['alignment']:.2f} · {row['steps_per_s']:.0f} steps/s"
+    )
+
+
+def _evaluation_line(row: Mapping[str, Any]) -> str:
+    return (
+        f"[bold]{row['scenario']}[/bold] met {100 * row['success']:.1f} % · cleanly "
+        f"{100 * row['clean_success']:.1f} [{100 * row['clean_low']:.1f}, "
+        f"{100 * row['clean_high']:.1f}] % · median {row['median_time']:.2f} s · alignment ≥ "
+        f"{row['min_alignment']:.3f} · {row['episodes']} held-out starts"
+    )
+
+
+class WatchedRobots(RobotVecEnv):
+    """Robots whose environment's time and alignment are summed up."""
+
+    seconds = 0.0
+    """Spent in steps."""
+    alignment = 0.0
+    """Sum over robots and steps."""
+    aligned = 0
+    """How many terms that sum has."""
+
+    def step_wait(self) -> Any:
+        """As RobotVecEnv, and take the time."""
+        began = time.perf_counter()
+        result = super().step_wait()
+        alignment = self.teams.steering.alignment
+        known = ~np.isnan(alignment)
+        self.alignment += float(alignment[known].sum())
+        self.aligned += int(known.sum())
+        self.seconds += time.perf_counter() - began
+        return result
+
+
+class Training:
+    """Network, optimiser, environment and log of a run.
+
+    Args:
+        config: of the run.
+    """
+
+    def __init__(self, config: Config) -> None:
+        self.config = config
+        self.settings = config.policy_settings()
+        self.stage = 0
+        self.robots = self._make_robots(0)
+        layout = self.robots.teams.perception.layout
+        self.model = RobotPPO(
+            networks.HeadingNetwork,
+            self.robots,
+            learning_rate=lambda _: self._learning_rate(),
+            n_steps=config.n_steps,
+            batch_size=config.batch_size,
+            n_epochs=config.epochs,
+            gamma=config.gamma,
+            gae_lambda=config.gae_lambda,
+            clip_range=config.clip_range,
+            ent_coef=config.ent_coef,
+            seed=config.seed,
+            device=config.device,
+            stats_window_size=10**6,
+            policy_kwargs=networks.network_settings(
+                layout,
+                set_width=config.set_width,
+                hidden=config.hidden,
+                residual=config.residual,
+                log_std=config.log_std,
+            ),
+        )
+        self.model.set_logger(Logger(None, []))
+        self._seconds = self._environment_seconds = 0.0
+        self._wall_before = 0.0
+        self._began = time.perf_counter()
+
+    def _make_robots(self, stage: int) -> WatchedRobots:
+        config = self.config
+        teams = make_vec(
+            config.stage_scenario(stage),
+            config.num_teams,
+            autoreset_mode=AutoresetMode.SAME_STEP,
+            num_threads=config.num_threads,
+        )
+        return WatchedRobots(
+            PerceivingTeams(
+                teams,
+                touch_penalty=config.touch_penalty,
+                clearance=config.clearance,
+                obstacle_slots=config.obstacle_slots(),
+                min_alignment=config.min_alignment,
+                max_turn_rate=config.max_turn_rate,
+                decision_period=config.decision_period,
+            )
+        )
+
+    def _learning_rate(self) -> float:
+        done = self.model.num_timesteps / self.config.total_steps if hasattr(self, "model") else 0.0
+        return self.config.learning_rate * max(1.0 - done, _LEAST_RATE)
+
+    # ---- begin and resume -----------------------------------------------------------------------
+
+    def begin(self) -> int:
+        """Begin at step 0, with a checkpoint to come back to."""
+        if self.config.start_from is not None:
+            self._load_weights(self.config.start_from)
+        self._reset_robots()
+        self._open_log(0)
+        self.save()
+        return 0
+
+    def _load_weights(self, path: Path) -> None:
+        _, tables = checkpoints.read(checkpoints.find(path), ["network"])
+        try:
+            self.model.policy.load_state_dict(_tensors(tables["network"]))
+        except RuntimeError as error:
+            raise UserError(f"--start-from {path}: another network: {error}") from error
+
+    def _reset_robots(self) -> None:
+        self.robots.seed(self.config.first_seed + 2**24 * self.stage)
+        self.model._last_obs = self.robots.reset()
+        self.model._last_episode_starts = np.ones(self.robots.num_envs, dtype=np.bool_)
+
+    def _enter_stage(self, stage: int) -> None:
+        self.stage, self.robots = stage, self._make_robots(stage)
+        self.model.set_env(self.robots, force_reset=False)
+
+    def _open_log(self, step: int) -> None:
+        out = self.config.out
+        self._metrics = Table(out / "metrics.csv", METRICS, step)
+        self._evaluations = Table(out / "evaluation.csv", EVALUATION, step)
+        self._events = Events(out / "tensorboard", step, self.config.tensorboard)
+
+    def restore(self, place: Path) -> int:
+        """Take up the state of a checkpoint; the step it was written at.
+
+        Raises:
+            CheckpointError: if it belongs to another scenario or network.
+        """
+        about, tables = checkpoints.read(place, ("network", "optimizer", "state"))
+        model = self.model
+        try:
+            if about["stage"] != self.stage:
+                self._enter_stage(about["stage"])
+            model.policy.load_state_dict(_tensors(tables["network"]))
+            _restore_optimizer(model.policy.optimizer, tables["optimizer"])
+            state = unflatten(tables["state"])
+            self.robots.set_state(state["robots"])
+            model._last_obs = state["last_observations"]
+            model._last_episode_starts = state["last_episode_starts"]
+            _restore_random(state["random"])
+            model.num_timesteps, model._n_updates = about["step"], about["updates"]
+            self._wall_before = about["wall_s"]
+        except (KeyError, TypeError, ValueError, RuntimeError) as error:
+            raise CheckpointError(f"{place}: does not fit this run: {error}") from error
+        self._open_log(about["step"])
+        return int(about["step"])
+
+    def save(self) -> Path:
+        """Write a checkpoint.
+
+        Raises:
+            OSError: if it cannot be written; older ones are as they were.
+        """
+        model = self.model
+        state = {
+            "robots": self.robots.get_state(),
+            "last_observations": model._last_obs,
+            "last_episode_starts": model._last_episode_starts,
+            "random": _random_state(),
+        }
+        description = {
+            "step": model.num_timesteps,
+            "updates": model._n_updates,
+            "stage": self.stage,
+            "wall_s": self._wall(),
+            "written": datetime.now(UTC).isoformat(timespec="seconds"),
+            "policy": self.settings.to_plain(),
+            "config": self.config.to_plain(),
+            "scenario": self.config.base_scenario().to_plain(),
+            "provenance": results.provenance(("torch", "stable-baselines3", "safetensors")),
+        }
+        tables = {
+            "network": {k: v.cpu().numpy() for k, v in model.policy.state_dict().items()},
+            "optimizer": _optimizer_arrays(model.policy.optimizer),
+            "state": flatten(state),
+        }
+        return checkpoints.write(self.config.out, model.num_timesteps, description, tables)
+
+    # ---- train ----------------------------------------------------------------------------------
+
+    def update(self) -> int:
+        """Collect and learn once; the steps done so far."""
+        model, config = self.model, self.config
+        if (stage := config.stage(model.num_timesteps)) != self.stage:
+            self._enter_stage(stage)
+            self._reset_robots()
+        began, robots = time.perf_counter(), self.robots
+        robots.seconds, robots.alignment, robots.aligned = 0.0, 0.0, 0
+        model.learn(config.samples_per_update, log_interval=None, reset_num_timesteps=False)
+        self._took = time.perf_counter() - began
+        self._seconds += self._took
+        self._environment_seconds += robots.seconds
+        return int(model.num_timesteps)
+
+    def report(self) -> dict[str, Any]:
+        """The row of metrics.csv that belongs to the last update."""
+        model, robots, took = self.model, self.robots, self._took
+        told = {key.removeprefix("train/"): v for key, v in model.logger.name_to_value.items()}
+        model.logger.dump(model.num_timesteps)
+        row = {
+            "step": model.num_timesteps,
+            "update": model._n_updates // self.config.epochs,
+            "stage": self.stage,
+            **_episode_numbers(list(model.ep_info_buffer)),
+            "alignment": robots.alignment / max(robots.aligned, 1),
+            "entropy": -told["entropy_loss"],
+            **{column: told[name] for column, name in _LOSSES.items()},
+            "wall_s": self._wall(),
+            "steps_per_s": self.config.samples_per_update / took,
+            "environment_share": robots.seconds / took,
+        }
+        row = {key: value.item() if hasattr(value, "item") else value for key, value in row.items()}
+        model.ep_info_buffer.clear()
+        model.ep_success_buffer.clear()
+        self._metrics.add(row)
+        self._events.add("train", row)
+        return row
+
+    def evaluate(self) -> list[dict[str, Any]]:
+        """Rows of evaluation.csv: the policy without noise on held-out starts."""
+        config, rows = self.config, []
+        names = config.eval_scenarios or (config.scenario,)
+        for scenario in map(scenarios.resolve, names):
+            with torch.random.fork_rng():
+                episodes, _ = play(
+                    scenario,
+                    lambda scenario=scenario: LearnedPolicy(
+                        scenario, self.model.policy, self.settings
+                    ),
+                    margin=self.settings.min_alignment,
+                    episodes=config.eval_starts,
+                    seed=EVALUATION_SEEDS,
+                )
+            limit = scenario.max_steps * scenario.tau
+            numbers = statistics.summarise(scenario.name, learned_policy.NAME, episodes, limit)
+            row = {"step": self.model.num_timesteps, **numbers}
+            self._evaluations.add(row)
+            self._events.add(f"evaluation-{scenario.name}", row)
+            rows.append(row)
+        return rows
+
+    @property
+    def environment_share(self) -> float:
+        """Of the time of all updates since this process began or resumed the run."""
+        return self._environment_seconds / max(self._seconds, 1e-9)
+
+    def _wall(self) -> float:
+        """Time that the run has taken, s, over all its resumptions."""
+        return self._wall_before + time.perf_counter() - self._began
+
+    def close(self) -> None:
+        """Write what is left of the log."""
+        self._events.close()
+
+
+def _episode_numbers(episodes: list[dict[str, Any]]) -> dict[str, Any]:
+    """Columns about the episodes that ended in an update; NaN without any."""
+    if not episodes:
+        nothing = dict.fromkeys(("success", "clean_success", "median_time", "return"), np.nan)
+        return {"episodes": 0, **nothing}
+    success = np.array([episode["success"] for episode in episodes])
+    contacts = np.array([episode["contacts"] for episode in episodes])
+    times = np.where(success, [episode["time"] for episode in episodes], np.inf)
+    median = np.median(times)
+    return {
+        "episodes": len(episodes),
+        "success": success.mean(),
+        "clean_success": (success & (contacts == 0)).mean(),
+        "median_time": median if np.isfinite(median) else np.nan,
+        "return": np.mean([episode["r"] for episode in episodes]),
+    }
+
+
+# ---- state as arrays ----------------------------------------------------------------------------
+
+
+def _tensors(arrays: Mapping[str, NDArray[Any]]) -> dict[str, torch.Tensor]:
+    return {name: torch.from_numpy(array) for name, array in arrays.items()}
+
+
+def _optimizer_arrays(optimizer: torch.optim.Optimizer) -> dict[str, NDArray[Any]]:
+    """Moments and step counts by parameter number."""
+    return {
+        f"{number}/{name}": value.cpu().numpy()
+        for number, moments in optimizer.state_dict()["state"].items()
+        for name, value in moments.items()
+    }
+
+
+def _restore_optimizer(
+    optimizer: torch.optim.Optimizer, arrays: Mapping[str, NDArray[Any]]
+) -> None:
+    state = {int(number): _tensors(moments) for number, moments in unflatten(arrays).items()}
+    groups = optimizer.state_dict()["param_groups"]
+    optimizer.load_state_dict({"state": state, "param_groups": groups})
+
+
+def _random_state() -> dict[str, NDArray[Any]]:
+    """Of NumPy's global generator, which shuffles samples, and of torch's, which explores."""
+    _, keys, position, has_gauss, gauss = np.random.get_state()
+    return {
+        "numpy_keys": np.asarray(keys),
+        "numpy_position": np.array([position, has_gauss]),
+        "numpy_gauss": np.array([gauss]),
+        "torch": torch.get_rng_state().numpy(),
+    }
+
+
+def _restore_random(state: Mapping[str, NDArray[Any]]) -> None:
+    position, has_gauss = (int(value) for value in state["numpy_position"])
+    gauss = float(state["numpy_gauss"][0])
+    np.random.set_state(("MT19937", state["numpy_keys"], position, has_gauss, gauss))
+    torch.set_rng_state(torch.from_numpy(state["torch"]))
