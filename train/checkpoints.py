@@ -120,34 +120,40 @@ def find(path: Path) -> Path:
     """The checkpoint that a path means: the folder itself, or the newest one of a run.
 
     Raises:
-        CheckpointError: if there is none.
+        CheckpointError: if there is none, or the folder cannot be read.
     """
-    if (path / DESCRIPTION).is_file():
-        return path
-    return candidates(path)[0]
+    found = [path] if DESCRIPTION in _names(path) else candidates(path)
+    if not found:
+        there = "no checkpoint in it" if path.is_dir() else "no such folder"
+        raise CheckpointError(
+            f"{path}: {there}; give the folder of a run of `rendezvous train`, or of a checkpoint"
+        )
+    return found[0]
 
 
 def candidates(run: Path) -> list[Path]:
     """All checkpoints of a run, the one that its pointer names first, then the newest.
 
     Raises:
-        CheckpointError: if there is none, or the folder cannot be read.
+        CheckpointError: if the folder cannot be read.
     """
     folder = run / _FOLDER
+    found = sorted((name for name in _names(folder) if name.startswith("step-")), reverse=True)
     try:
-        found = sorted((path.name for path in folder.glob("step-*")), reverse=True)
-        os.listdir(run)
-        named = json.loads((folder / _POINTER).read_text())["checkpoint"] if found else None
-    except FileNotFoundError:
+        named = json.loads((folder / _POINTER).read_text(encoding="utf-8"))["checkpoint"]
+    except (OSError, ValueError, KeyError, TypeError):  # the newest one, then
         named = None
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise CheckpointError(f"{folder}: cannot be read: {_reason(error)}") from error
-    if not found:
-        there = "no checkpoint in it" if run.is_dir() else "no such folder"
-        raise CheckpointError(
-            f"{run}: {there}; give the folder of a run of `rendezvous train`, or of a checkpoint"
-        )
     return [folder / name for name in sorted(found, key=lambda name: name != named)]
+
+
+def _names(folder: Path) -> list[str]:
+    """Names in a folder; none if it does not exist."""
+    try:
+        return os.listdir(folder)
+    except (FileNotFoundError, NotADirectoryError):
+        return []
+    except OSError as error:
+        raise CheckpointError(f"{folder}: cannot be read: {_reason(error)}") from error
 
 
 # ---- read ---------------------------------------------------------------------------------------

@@ -92,26 +92,3 @@ class PerceivingTeams(HeadingVectorWrapper):
         super().set_state({key: state[key] for key in ("env", "steering", "observed")})
         self.perception.set_state(state["perception"])
         self._touched[...] = state["touched"]
-
-
-def flatten(state: Mapping[str, Any], prefix: str = "") -> dict[str, NDArray[Any]]:
-    """Nested arrays under names with slashes."""
-    flat: dict[str, NDArray[Any]] = {}
-    for key, value in state.items():
-        if isinstance(value, Mapping):
-            flat |= flatten(value, f"{prefix}{key}/")
-        else:
-            flat[prefix + key] = np.asarray(value)
-    return flat
-
-
-def unflatten(flat: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
-    """The nested arrays that ``flatten`` took."""
-    state: dict[str, Any] = {}
-    for name, value in flat.items():
-        *path, last = name.split("/")
-        place = state
-        for key in path:
-            place = place.setdefault(key, {})
-        place[last] = value
-    return state

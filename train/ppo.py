@@ -209,9 +209,9 @@ def run(config: Config) -> int:
         learned_policy.require_torch()
     except ValueError as error:
         raise UserError(str(error)) from error
-    from . import training
+    from . import training_run
 
-    return training.run(config)
+    return training_run.run(config)
 
 
 def check(config: Config) -> None:
@@ -259,18 +259,18 @@ def resumed(config: Config, stored: Config) -> Config:
     Raises:
         UserError: for a flag that would make it another run.
     """
-    default, changed = Config(), {}
+    default, folder, changed = Config(), config.resume or config.out, {}
     for name in (field.name for field in fields(Config)):
         given = getattr(config, name)
         if name in ("out", "resume") or given in (getattr(default, name), getattr(stored, name)):
             continue
         if name not in MAY_CHANGE:
             raise UserError(
-                f"{_flag(name)} is {given}; {config.resume} was trained with "
+                f"{_flag(name)} is {given}; {folder} was trained with "
                 f"{getattr(stored, name)}: leave it out, or begin a new run"
             )
         changed[name] = given
-    return replace(stored, **changed, out=config.resume, resume=None)
+    return replace(stored, **changed, out=folder, resume=None)
 
 
 def _flag(name: str) -> str:

@@ -1,12 +1,8 @@
-"""A training run: its parts, its state on disk, and the loop."""
+"""What a training run consists of, and its state on disk."""
 
 from __future__ import annotations
 
-import json
-import signal
 import time
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -14,25 +10,32 @@ from typing import Any
 import numpy as np
 import torch
 from gymnasium.vector import AutoresetMode
-from numpy.typing import NDArray
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from stable_baselines3.common.logger import Logger
 
 from rendezvous_env import make_vec, scenarios
-from rendezvous_env.threads import available_cores
 
 from . import checkpoints, learned_policy, networks, results, statistics
 from .checkpoints import CheckpointError
 from .episodes import play
 from .errors import UserError
 from .learned_policy import LearnedPolicy
-from .perceiving import PerceivingTeams, flatten, unflatten
-from .ppo import EVALUATION_SEEDS, Config, resumed
+from .perceiving import PerceivingTeams
+from .ppo import EVALUATION_SEEDS, Config
 from .rollout_buffer import RobotPPO
 from .run_log import EVALUATION, METRICS, Events, Table
+from .run_state import (
+    flatten,
+    optimizer_arrays,
+    random_state,
+    restore_optimizer,
+    restore_random,
+    tensors,
+    unflatten,
+)
 from .sb3_vec_env import RobotVecEnv
 
+STATE_FILES = ("network", "optimizer", "state")
+"""Of a checkpoint from which training can go on."""
 _LEAST_RATE = 0.05
 """Share of the learning rate that is left at the end."""
 _LOSSES = {
@@ -41,162 +44,6 @@ _LOSSES = {
     "learning_rate": "learning_rate",
 }  # fmt: skip
 """Columns of metrics.csv that stable-baselines3 tells, and what it calls them."""
-
-
-def run(config: Config) -> int:
-    """Begin or resume a run and train to its end; see ``ppo.run``."""
-    console = Console(soft_wrap=True)
-    place = None
-    if config.resume is not None:
-        config, place = _stored(config, console)
-    else:
-        _prepare_new(config)
-    threads = torch.get_num_threads()
-    torch.set_num_threads(config.num_threads or available_cores())
-    try:
-        training = Training(config)
-        step = training.restore(place) if place else training.begin()
-        with _stops(console) as stop:
-            return _loop(training, step, stop, console)
-    except CheckpointError as error:
-        raise UserError(str(error)) from error
-    except OSError as error:
-        raise UserError(_write_failure(config, error)) from error
-    finally:
-        torch.set_num_threads(threads)
-
-
-def _prepare_new(config: Config) -> None:
-    """Make the folder of a new run.
-
-    Raises:
-        UserError: if it holds a run, or cannot be written.
-    """
-    results.prepare_folder(config.out)
-    if any((config.out / "checkpoints").glob("step-*")):
-        raise UserError(f"--out {config.out} holds a run; --resume it, or choose another folder")
-    results.write_json(config.out / "config.json", config.to_plain())
-
-
-def _stored(config: Config, console: Console) -> tuple[Config, Path | None]:
-    """The settings of the run to resume, and its newest checkpoint that can be read.
-
-    Raises:
-        UserError: if there is no run, none of its checkpoints is good, or a flag contradicts it.
-    """
-    folder = config.resume
-    assert folder is not None
-    first: CheckpointError | None = None
-    try:
-        for place in checkpoints.candidates(folder):
-            try:
-                about, _ = checkpoints.read(place, ("network", "optimizer", "state"))
-            except CheckpointError as error:
-                first = first or error
-                continue
-            if first:
-                console.print(f"{first}\nfalls back to {place.name}")
-            stored = resumed(config, Config.from_plain(about["config"]))
-            results.prepare_folder(folder)
-            console.print(f"resumes {place} at step {about['step']:,}, written {about['written']}")
-            return stored, place
-        raise first  # type: ignore[misc]  # there was a candidate, and it failed
-    except CheckpointError as error:
-        if first is None and (folder / "config.json").is_file():
-            console.print(f"{folder} has no checkpoint yet: begins at step 0")
-            plain = json.loads((folder / "config.json").read_text(encoding="utf-8"))
-            return resumed(config, Config.from_plain(plain)), None
-        raise UserError(f"--resume: {error}") from error
-    except (ValueError, KeyError, OSError) as error:
-        raise UserError(f"--resume {folder}: {error}") from error
-
-
-def _write_failure(config: Config, error: OSError) -> str:
-    said = f"cannot write {error.filename or config.out}: {error.strerror or error}"
-    try:
-        last = checkpoints.candidates(config.out)[0]
-    except CheckpointError:
-        return f"{said}; there is no checkpoint yet"
-    return f"{said}; the last good checkpoint is {last}: make room, then --resume {config.out}"
-
-
-class _Stop:
-    """Which signal asked the run to stop, if one did."""
-
-    signal: int | None = None
-
-
-@contextmanager
-def _stops(console: Console) -> Iterator[_Stop]:
-    """SIGINT and SIGTERM ask for an end after the update; a second one ends at once."""
-    stop = _Stop()
-
-    def ask(number: int, frame: Any) -> None:
-        if stop.signal is not None:
-            raise KeyboardInterrupt
-        stop.signal = number
-        console.print("stops after this update and its checkpoint; once more leaves at once")
-
-    before = {number: signal.signal(number, ask) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield stop
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-
-
-def _loop(training: Training, step: int, stop: _Stop, console: Console) -> int:
-    config = training.config
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-    )
-    with Progress(*columns, console=console) as progress:
-        bar = progress.add_task("", total=config.total_steps, completed=step)
-        while step < config.total_steps and stop.signal is None:
-            before, step = step, training.update()
-            row = training.report()
-            progress.update(bar, completed=step, description=_line(row))
-            if _crosses(config.eval_every, before, step) or step >= config.total_steps:
-                for result in training.evaluate() if config.eval_every else ():
-                    console.print(_evaluation_line(result))
-            due = _crosses(config.checkpoint_every, before, step)
-            if due or stop.signal is not None or step >= config.total_steps:
-                place = training.save()
-                console.print(f"{_line(row)}; checkpoint {place}")
-    training.close()
-    if stop.signal is not None and step < config.total_steps:
-        console.print(f"stopped at step {step:,}; rendezvous train --resume {config.out} goes on")
-        return 128 + stop.signal
-    share = training.environment_share
-    console.print(
-        f"done: {step:,} steps; {100 * share:.0f} % of the time in the environment, so "
-        f"{100 * (1 - share):.0f} % of the speed of the same PPO on one that costs nothing"
-    )
-    return 0
-
-
-def _crosses(every: int, before: int, step: int) -> bool:
-    return every > 0 and step // every > before // every
-
-
-def _line(row: Mapping[str, Any]) -> str:
-    return (
-        f"step {row['step'] / 1e6:.2f} M · met {100 * row['success']:.0f} % · cleanly "
-        f"{100 * row['clean_success']:.0f} % · {row['median_time']:.1f} s · alignment "
-        f"{row['alignment']:.2f} · {row['steps_per_s']:.0f} steps/s"
-    )
-
-
-def _evaluation_line(row: Mapping[str, Any]) -> str:
-    return (
-        f"[bold]{row['scenario']}[/bold] met {100 * row['success']:.1f} % · cleanly "
-        f"{100 * row['clean_success']:.1f} [{100 * row['clean_low']:.1f}, "
-        f"{100 * row['clean_high']:.1f}] % · median {row['median_time']:.2f} s · alignment ≥ "
-        f"{row['min_alignment']:.3f} · {row['episodes']} held-out starts"
-    )
 
 
 class WatchedRobots(RobotVecEnv):
@@ -299,7 +146,7 @@ class Training:
     def _load_weights(self, path: Path) -> None:
         _, tables = checkpoints.read(checkpoints.find(path), ["network"])
         try:
-            self.model.policy.load_state_dict(_tensors(tables["network"]))
+            self.model.policy.load_state_dict(tensors(tables["network"]))
         except RuntimeError as error:
             raise UserError(f"--start-from {path}: another network: {error}") from error
 
@@ -324,18 +171,18 @@ class Training:
         Raises:
             CheckpointError: if it belongs to another scenario or network.
         """
-        about, tables = checkpoints.read(place, ("network", "optimizer", "state"))
+        about, tables = checkpoints.read(place, STATE_FILES)
         model = self.model
         try:
             if about["stage"] != self.stage:
                 self._enter_stage(about["stage"])
-            model.policy.load_state_dict(_tensors(tables["network"]))
-            _restore_optimizer(model.policy.optimizer, tables["optimizer"])
+            model.policy.load_state_dict(tensors(tables["network"]))
+            restore_optimizer(model.policy.optimizer, tables["optimizer"])
             state = unflatten(tables["state"])
             self.robots.set_state(state["robots"])
             model._last_obs = state["last_observations"]
             model._last_episode_starts = state["last_episode_starts"]
-            _restore_random(state["random"])
+            restore_random(state["random"])
             model.num_timesteps, model._n_updates = about["step"], about["updates"]
             self._wall_before = about["wall_s"]
         except (KeyError, TypeError, ValueError, RuntimeError) as error:
@@ -354,7 +201,7 @@ class Training:
             "robots": self.robots.get_state(),
             "last_observations": model._last_obs,
             "last_episode_starts": model._last_episode_starts,
-            "random": _random_state(),
+            "random": random_state(),
         }
         description = {
             "step": model.num_timesteps,
@@ -367,9 +214,9 @@ class Training:
             "scenario": self.config.base_scenario().to_plain(),
             "provenance": results.provenance(("torch", "stable-baselines3", "safetensors")),
         }
-        tables = {
+        tables = {  # as STATE_FILES says
             "network": {k: v.cpu().numpy() for k, v in model.policy.state_dict().items()},
-            "optimizer": _optimizer_arrays(model.policy.optimizer),
+            "optimizer": optimizer_arrays(model.policy.optimizer),
             "state": flatten(state),
         }
         return checkpoints.write(self.config.out, model.num_timesteps, description, tables)
@@ -437,10 +284,15 @@ class Training:
             rows.append(row)
         return rows
 
-    @property
-    def environment_share(self) -> float:
-        """Of the time of all updates since this process began or resumed the run."""
-        return self._environment_seconds / max(self._seconds, 1e-9)
+    def speed(self) -> str:
+        """How much time the environment took since this process began or resumed the run."""
+        if not self._seconds:
+            return "nothing was left to do"
+        share = self._environment_seconds / self._seconds
+        return (
+            f"{100 * share:.0f} % of the time in the environment, so {100 * (1 - share):.0f} % of "
+            "the speed of the same PPO on one that costs nothing"
+        )
 
     def _wall(self) -> float:
         """Time that the run has taken, s, over all its resumptions."""
@@ -467,45 +319,3 @@ def _episode_numbers(episodes: list[dict[str, Any]]) -> dict[str, Any]:
         "median_time": median if np.isfinite(median) else np.nan,
         "return": np.mean([episode["r"] for episode in episodes]),
     }
-
-
-# ---- state as arrays ----------------------------------------------------------------------------
-
-
-def _tensors(arrays: Mapping[str, NDArray[Any]]) -> dict[str, torch.Tensor]:
-    return {name: torch.from_numpy(array) for name, array in arrays.items()}
-
-
-def _optimizer_arrays(optimizer: torch.optim.Optimizer) -> dict[str, NDArray[Any]]:
-    """Moments and step counts by parameter number."""
-    return {
-        f"{number}/{name}": value.cpu().numpy()
-        for number, moments in optimizer.state_dict()["state"].items()
-        for name, value in moments.items()
-    }
-
-
-def _restore_optimizer(
-    optimizer: torch.optim.Optimizer, arrays: Mapping[str, NDArray[Any]]
-) -> None:
-    state = {int(number): _tensors(moments) for number, moments in unflatten(arrays).items()}
-    groups = optimizer.state_dict()["param_groups"]
-    optimizer.load_state_dict({"state": state, "param_groups": groups})
-
-
-def _random_state() -> dict[str, NDArray[Any]]:
-    """Of NumPy's global generator, which shuffles samples, and of torch's, which explores."""
-    _, keys, position, has_gauss, gauss = np.random.get_state()
-    return {
-        "numpy_keys": np.asarray(keys),
-        "numpy_position": np.array([position, has_gauss]),
-        "numpy_gauss": np.array([gauss]),
-        "torch": torch.get_rng_state().numpy(),
-    }
-
-
-def _restore_random(state: Mapping[str, NDArray[Any]]) -> None:
-    position, has_gauss = (int(value) for value in state["numpy_position"])
-    gauss = float(state["numpy_gauss"][0])
-    np.random.set_state(("MT19937", state["numpy_keys"], position, has_gauss, gauss))
-    torch.set_rng_state(torch.from_numpy(state["torch"]))
