@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import NamedTuple
 
@@ -117,3 +119,23 @@ def run_to_end(
         progress = min(progress, np.min(certified[calm], initial=np.inf))
         times[on & (out.status == RENDEZVOUS)] = simulator.time[on & (out.status == RENDEZVOUS)]
     return Run(simulator, start, np.isfinite(times), times, rise, excess, progress)
+
+
+@pytest.fixture
+def without_rights() -> Callable[[Path], AbstractContextManager[None]]:
+    """A context in which a folder may not be read, not even by a privileged test run."""
+
+    @contextmanager
+    def revoke(folder: Path) -> Iterator[None]:
+        mode, me = folder.stat().st_mode, os.geteuid()
+        folder.chmod(0o000)
+        if me == 0:
+            os.seteuid(65534)
+        try:
+            yield
+        finally:
+            if me == 0:
+                os.seteuid(0)
+            folder.chmod(mode)
+
+    return revoke
