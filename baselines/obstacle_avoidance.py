@@ -91,7 +91,9 @@ def _over_robots(
     points = np.ascontiguousarray(silhouettes)
     headings = np.empty_like(f)
     d = f.shape[-1]
-    rule(f.reshape(-1, d), points.reshape(-1, *points.shape[-3:]), option, headings.reshape(-1, d))
+    robots = f.size // d
+    points = points.reshape(robots, *points.shape[-3:])  # -1 cannot be inferred without obstacles
+    rule(f.reshape(robots, d), points, option, headings.reshape(robots, d))
     return headings
 
 
