@@ -273,5 +273,12 @@ def resumed(config: Config, stored: Config) -> Config:
     return replace(stored, **changed, out=folder, resume=None)
 
 
+def same_run(one: Config, other: Config) -> bool:
+    """Whether two settings differ in nothing but what a resumed run may change."""
+    free = (*MAY_CHANGE, "out", "resume")
+    names = [field.name for field in fields(Config) if field.name not in free]
+    return all(getattr(one, name) == getattr(other, name) for name in names)
+
+
 def _flag(name: str) -> str:
     return "--" + name.replace("_", "-")

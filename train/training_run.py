@@ -18,7 +18,7 @@ from rendezvous_env.threads import available_cores
 from . import checkpoints, results
 from .checkpoints import CheckpointError
 from .errors import UserError
-from .ppo import Config, resumed
+from .ppo import Config, resumed, same_run
 from .training import STATE_FILES, Training
 
 _CONFIG = "config.json"
@@ -81,7 +81,7 @@ def _stored(config: Config, folder: Path, console: Console) -> tuple[Config, Pat
         console.print(f"{folder} has no checkpoint yet: begins at step 0")
         return config, None
     about = checkpoints.describe(place)
-    if resumed(config, Config.from_plain(about["config"])) != config:
+    if not same_run(config, Config.from_plain(about["config"])):
         raise UserError(f"--resume {folder}: {place} is of another run than {_CONFIG} tells of")
     console.print(f"resumes {place} at step {about['step']:,}, written {about['written']}")
     return config, place
