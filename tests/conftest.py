@@ -139,3 +139,15 @@ def without_rights() -> Callable[[Path], AbstractContextManager[None]]:
             folder.chmod(mode)
 
     return revoke
+
+
+@pytest.fixture(scope="session")
+def compared(tmp_path_factory):
+    """What a small comparison writes: obstacles in the plane, and flying robots."""
+    from train import compare
+
+    out = tmp_path_factory.mktemp("compared")
+    policies = ("bearing-only", "tangent-joined", "nonholonomic-3d", "zero")
+    config = compare.Config(("fig4", "uav-6"), policies, episodes=4, seed=3, keep=2, out=out)
+    assert compare.run(config) == 0
+    return out

@@ -218,6 +218,8 @@ def test_a_wheel_in_an_empty_environment_compares_without_the_train_extra(tmp_pa
         cwd=elsewhere,
     )  # fmt: skip
     assert "duo" in shown and "bearing-only" in shown
+    call(scripts / "rendezvous", "report", out, cwd=elsewhere)
+    assert "uPlot" in (out / "report.html").read_text(encoding="utf-8")
     rows = (out / "results.csv").read_text(encoding="utf-8").splitlines()
     assert rows[0].startswith("scenario,policy,episodes,success")
     assert any(row.startswith("duo,bearing-only,4,1") for row in rows)

@@ -15,6 +15,7 @@ from importlib import import_module
 COMMANDS = {
     "compare": ("train.compare", "compare policies on the same starts: table, files, figures"),
     "train": ("train.ppo", "PPO learns headings that keep the guarantee; stop and resume at will"),
+    "report": ("train.report", "an HTML page of what compare found, with an interactive replay"),
     "bench": ("train.bench", "how fast the environments are on this machine"),
     "reproduce": ("train.reproduce", "draw figure 3 or 4 of the paper for our start positions"),
     "verify": ("train.verify", "check the theorems on random teams; status 1 if one fails"),

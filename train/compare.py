@@ -54,7 +54,7 @@ class Config:
     """Start k of every scenario has the seed SEED + k, whatever the policy."""
     out: Path = Path("out/compare")
     """Folder for tables, trajectories and figures; made if there is none."""
-    keep: int = 3
+    keep: int = 5
     """Starts of which trajectories are kept."""
     figures: bool = True
     """Whether to draw figures."""

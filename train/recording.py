@@ -18,7 +18,8 @@ Recording = dict[str, NDArray[Any]]
 """One team's episode over T frames (the start, some of the steps, every merge and the end):
 
 times (T,) s; positions (T, n, d) m; headings (T, n, k) rad; active (T, n); lyapunov (T,) m²/s;
-contacts (T, n), steps with a contact up to the frame; alignment (T, n), of the step that led to the
+frames (T, n, d, d), rotations R_i from the robots' own frames to the world; contacts (T, n), steps
+with a contact up to the frame; alignment (T, n), of the step that led to the
 frame, NaN where there is none; observations (T, n, rows, d); obstacles (M, width), packed as
 obstacles.py says; lyapunov_before_merge and lyapunov_after_merge (T,), V just before the first and
 just after the last merge of the step that led to the frame, m²/s, NaN if there was none.
@@ -85,6 +86,7 @@ class Recorder:
             "times": state.time[team],
             "positions": state.positions[team].copy(),
             "headings": state.headings[team].copy(),
+            "frames": state.frames[team].copy(),
             "active": state.active[team].copy(),
             "lyapunov": state.lyapunov[team],
             "lyapunov_before_merge": np.float64(jump[0]),

@@ -17,7 +17,7 @@ import numpy as np
 
 from .errors import UserError
 
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
 """Of the files of ``compare``; a change that a reader would notice raises it."""
 
 RESULT_COLUMNS = (

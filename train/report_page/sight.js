@@ -1,0 +1,154 @@
+// What one robot sees: its observation rows as they were recorded.
+
+/** Rows present at a frame: {kind, index, point, vector}; absent ones, all zero, are left out. */
+function rowsOf(rec, frame, robot) {
+  const [, robots, rows, dim] = rec.shape.observations;
+  const { neighbour_slots: slots, silhouette_points: points, obstacle_slots: obstacles } =
+    DATA.scenarios[rec.scenario];
+  const found = [];
+  for (let row = 0; row < rows; row++) {
+    const start = ((frame * robots + robot) * rows + row) * dim;
+    const vector = Array.from(rec.observations.subarray(start, start + dim));
+    if (vector.every((part) => part === 0)) continue;
+    const slot = row - slots;
+    if (slot < 0) found.push({ kind: "neighbour", index: row + (row >= robot), vector });
+    else if (slot < obstacles * points)
+      found.push({
+        kind: "obstacle", index: Math.floor(slot / points), point: slot % points, vector,
+      });
+    else found.push({ kind: "gravity", index: 0, vector });
+  }
+  return found;
+}
+
+/** Silhouette rows by obstacle. */
+function silhouettes(rows) {
+  const found = new Map();
+  for (const row of rows.filter(({ kind }) => kind === "obstacle"))
+    found.set(row.index, [...(found.get(row.index) ?? []), row]);
+  return [...found.values()];
+}
+
+/** Largest gain among a recording's neighbour rows: the rim of the panel. */
+function largestGain(rec) {
+  if (rec.rim) return rec.rim;
+  const [, , rows, dim] = rec.shape.observations;
+  const slots = DATA.scenarios[rec.scenario].neighbour_slots;
+  rec.rim = 1e-9;
+  for (let at = 0; at < rec.observations.length; at += dim) {
+    if ((at / dim) % rows >= slots) continue;
+    rec.rim = Math.max(rec.rim, Math.hypot(...rec.observations.subarray(at, at + dim)));
+  }
+  return rec.rim;
+}
+
+/** Draw one projection of what a robot sees, its own x axis to the right. */
+function drawSight(canvas, rec, frame, robot, axes) {
+  const [pen, width, height] = prepare(canvas);
+  const [cx, cy] = [0.5 * width, 0.5 * height];
+  const radius = 0.5 * Math.min(width, height) - 20;
+  drawRim(pen, cx, cy, radius, axes);
+  if (robot === null || !isActive(rec, frame, robot)) {
+    pen.fillStyle = colour("muted");
+    pen.textAlign = "center";
+    pen.fillText(robot === null ? "choose a robot" : "merged away", cx, cy + 4);
+    return;
+  }
+  const rows = rowsOf(rec, frame, robot);
+  const at = (vector, length) => [
+    cx + length * radius * vector[axes[0]], cy - length * radius * vector[axes[1]],
+  ];
+  for (const points of silhouettes(rows)) drawSilhouette(pen, points, at, cx, cy, radius);
+  drawNet(pen, rows, at, cx, cy);
+  const gain = largestGain(rec);
+  for (const { kind, index, vector } of rows)
+    if (kind === "neighbour") drawBearing(pen, vector, index, at(vector, 1 / gain), cx, cy);
+    else if (kind === "gravity") drawGravity(pen, at(vector, 0.9), cx, cy);
+  pen.fillStyle = robotColour(robot);
+  pen.beginPath();
+  pen.arc(cx, cy, 5, 0, 2 * Math.PI);
+  pen.fill();
+}
+
+function drawRim(pen, cx, cy, radius, axes) {
+  pen.font = "11px system-ui, sans-serif";
+  pen.strokeStyle = colour("line");
+  pen.fillStyle = colour("muted");
+  pen.lineWidth = 1;
+  for (const share of [0.5, 1]) ring(pen, cx, cy, share * radius, colour("line"), 1);
+  line(pen, cx - radius, cy, cx + radius, cy);
+  line(pen, cx, cy - radius, cx, cy + radius);
+  pen.textAlign = "center";
+  pen.fillText("xyz"[axes[0]], cx + radius - 8, cy - 4);
+  pen.fillText("xyz"[axes[1]], cx + 8, cy - radius + 12);
+}
+
+/** In the plane the angle between both edges; in space the outline of the boundary rays. */
+function drawSilhouette(pen, points, at, cx, cy, radius) {
+  const ends = points.map(({ vector }) => at(vector, 1));
+  pen.fillStyle = pen.strokeStyle = colour("obstacle");
+  pen.lineWidth = 2;
+  pen.beginPath();
+  if (points[0].vector.length === 2 && points.length === 2) {
+    const [first, last] = ends.map(([x, y]) => Math.atan2(y - cy, x - cx));
+    pen.moveTo(cx, cy);
+    pen.arc(cx, cy, radius, last, first, true); // from the clockwise to the other edge
+  } else for (const [x, y] of ends) pen.lineTo(x, y);
+  pen.closePath();
+  pen.globalAlpha = 0.3;
+  pen.fill();
+  pen.globalAlpha = 1;
+  if (points[0].vector.length === 3) pen.stroke();
+  else for (const [x, y] of ends) line(pen, cx, cy, x, y);
+}
+
+function drawBearing(pen, vector, index, [x, y], cx, cy) {
+  pen.strokeStyle = pen.fillStyle = robotColour(index);
+  pen.lineWidth = 2;
+  arrow(pen, cx, cy, x - cx, y - cy);
+  const length = Math.hypot(x - cx, y - cy);
+  if (length < 12) return;
+  pen.fillStyle = colour("ink");
+  pen.textAlign = "center";
+  pen.fillText(index, x + (11 * (x - cx)) / length, y + (11 * (y - cy)) / length + 4);
+}
+
+/** f, the sum of the neighbours' rows, as a share of the sum of their lengths. */
+function drawNet(pen, rows, at, cx, cy) {
+  const seen = rows.filter(({ kind }) => kind === "neighbour").map(({ vector }) => vector);
+  if (seen.length < 2) return;
+  const total = seen.reduce((sum, vector) => sum + Math.hypot(...vector), 0);
+  const net = seen[0].map((_, k) => seen.reduce((sum, vector) => sum + vector[k], 0));
+  const [x, y] = at(net, 1 / total);
+  pen.strokeStyle = pen.fillStyle = colour("muted");
+  pen.globalAlpha = 0.55;
+  pen.lineWidth = 6;
+  arrow(pen, cx, cy, x - cx, y - cy, 13);
+  pen.globalAlpha = 1;
+  pen.textAlign = "center";
+  if (Math.hypot(x - cx, y - cy) > 20)
+    pen.fillText("f", cx + 0.55 * (x - cx) + 9, cy + 0.55 * (y - cy) - 5);
+}
+
+function drawGravity(pen, [x, y], cx, cy) {
+  pen.strokeStyle = pen.fillStyle = colour("muted");
+  pen.lineWidth = 1.5;
+  pen.setLineDash([4, 3]);
+  arrow(pen, cx, cy, x - cx, y - cy);
+  pen.setLineDash([]);
+  if (Math.hypot(x - cx, y - cy) > 12) pen.fillText("gravity", x, y + (y > cy ? 12 : -6));
+}
+
+/** The same rows as a table of numbers. */
+function listRows(box, rec, frame, robot) {
+  const lives = robot !== null && isActive(rec, frame, robot);
+  const rows = lives ? rowsOf(rec, frame, robot) : [];
+  const name = ({ kind, index, point }) =>
+    kind === "neighbour" ? `robot ${index}` :
+    kind === "gravity" ? "gravity" :
+    `obstacle ${index}, ${rec.shape.positions[2] === 2 ? ["left", "right"][point] : `ray ${point}`}`;
+  box.replaceChildren(make("table", {}, ...rows.map((row) =>
+    make("tr", {}, make("td", { className: "word", textContent: name(row) }),
+      ...row.vector.map((part) =>
+        make("td", { textContent: part.toFixed(3).replace("-", "−") }))))));
+}
