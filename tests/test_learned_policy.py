@@ -261,3 +261,14 @@ class TestNames:
     def test_two_robots_are_enough(self, tmp_path):
         write(tmp_path)
         assert learned_policy.load(tmp_path, Scenario(n_robots=2)).min_alignment == 0.1
+
+
+def test_compare_says_what_it_leaves_out(tmp_path, monkeypatch, capsys):
+    from train import cli
+
+    monkeypatch.setattr(policies, "left_out", lambda: "learned policies need torch")
+    words = ["--scenarios", "duo", "--episodes", "2", "--no-figures", "--out", str(tmp_path)]
+    assert cli.main(["compare", *words]) == 0
+    assert "left out: learned (learned policies need torch)" in capsys.readouterr().out
+    assert cli.main(["compare", *words, "--policies", "zero"]) == 0
+    assert "left out" not in capsys.readouterr().out

@@ -155,8 +155,8 @@ class TestLearning:
         """Nothing but touches costs: exploration far from the rule is unlearned."""
         changed = config(
             tmp_path / "run", total_steps=16 * 2048, num_teams=32, log_std=-0.5, touch_penalty=0.0,
-            learning_rate=3e-3, epochs=4, batch_size=512, progress=20.0, time_penalty=0.0, rendezvous_bonus=0.0,
-            residual=False, curriculum=(0,), eval_every=0, gamma=0.9,
+            learning_rate=3e-3, epochs=4, batch_size=512, progress=20.0, time_penalty=0.0,
+            rendezvous_bonus=0.0, residual=False, curriculum=(0,), eval_every=0, gamma=0.9,
         )  # fmt: skip
         assert ppo.run(changed) == 0
         rows = results.read_csv(tmp_path / "run" / "metrics.csv")

@@ -94,6 +94,8 @@ def run(config: Config) -> int:
     console = Console(width=max(Console().width, tables.WIDTH))
     jobs = plan(config)
     folder = results.prepare_folder(config.out)
+    if not config.policies and (reason := policies.left_out()):
+        console.print(f"left out: {policies.LEARNED} ({reason})")
     compile_time = _compile(jobs, console)
     began = time.perf_counter()
     played = play_all(jobs, config, console)

@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 NAME = "learned"
 PRETRAINED = Path(__file__).parent / "pretrained"
 """The policy called ``learned``, once it is there."""
-_AT_ONCE = 8192
-"""Robots whose actions are computed together; more need memory and no less time."""
+_AT_ONCE = 1024
+"""Robots whose actions are computed together; the rows of more do not fit the processor's cache."""
 
 
 @dataclass(frozen=True)
