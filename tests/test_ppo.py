@@ -135,6 +135,17 @@ class TestFiles:
         assert [row["policy"] for row in rows] == ["bearing-only", f"learned:{whole}"]
         assert float(rows[1]["min_alignment"]) >= 0.05 - 1e-6
 
+    def test_what_is_shipped_is_enough(self, whole, tmp_path):
+        learned_policy.ship(whole, tmp_path / "pretrained")
+        written = {path.name for path in (tmp_path / "pretrained").iterdir()}
+        assert written == {
+            "checkpoint.json", "network.safetensors", "metrics.csv", "evaluation.csv"
+        }  # fmt: skip
+        loaded = learned_policy.load(tmp_path / "pretrained", scenarios.get("fig4"))
+        assert loaded.settings == config(whole).policy_settings()
+        about = checkpoints.describe(tmp_path / "pretrained")
+        assert about["config"]["total_steps"] == 12 * UPDATE
+
     def test_tensorboard(self, tmp_path):
         folder = tmp_path / "run"
         changed = config(folder, tensorboard=True, total_steps=UPDATE, eval_every=0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shutil
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -215,6 +216,23 @@ def load(path: Path, scenario: Scenario) -> LearnedPolicy:
     except (TypeError, ValueError, RuntimeError) as error:
         raise CheckpointError(f"{place}: is no policy of this version: {error}") from error
     return LearnedPolicy(scenario, network, settings)
+
+
+def ship(run: Path, folder: Path) -> None:
+    """Write what others need of a run: weights, settings, and the tables that tell how it went.
+
+    Args:
+        run: folder of the run, or of one of its checkpoints.
+        folder: where it goes; what stands there is replaced.
+
+    Raises:
+        CheckpointError: if the run cannot be read.
+    """
+    place = checkpoints.find(run)
+    about, tables = checkpoints.read(place, ["network"])
+    checkpoints.write_folder(folder, about, tables)
+    for name in ("metrics.csv", "evaluation.csv"):
+        shutil.copyfile(place.parent.parent / name, folder / name)
 
 
 def require_torch() -> None:
