@@ -144,6 +144,7 @@ class HeadingVectorWrapper(gymnasium.vector.VectorWrapper):
         for _ in range(self.decision_period):
             alive = alive_robots(simulator)
             outcome = simulator.step(steering.act(self._observed))
+            self.env.renderer.see(outcome.contact)
             self._observed = outcome.observations
             infos = step_info(simulator, outcome, alive)
             rewards += outcome.rewards
