@@ -234,19 +234,37 @@ def _centre_direction(obstacle, position):
 
 
 @kernel
+def disc_edges(x, y, radius):
+    """Bearings of both edges of a disc: the offset o of its centre turned by ± α.
+
+        (√(o² − R²) o ± R o^⊥) / o²
+
+    On the surface, or inside, they are the two directions across o. Written without branches, for
+    loops over lanes.
+
+    Args:
+        x: of the centre, seen from the robot, m.
+        y: likewise.
+        radius: R, m.
+
+    Returns:
+        x and y of the counter-clockwise edge, of the clockwise edge, and the distance of the
+        centre, m.
+    """
+    distance = math.sqrt(x * x + y * y)
+    along = distance if distance > 0.0 else 1.0
+    x = x if distance > 0.0 else 1.0
+    square = (along - radius) * (along + radius)
+    per_square = 1.0 / (along * along)
+    c = math.sqrt(square if square > 0.0 else 0.0) * per_square
+    s = (radius if radius < along else along) * per_square
+    return c * x - s * y, s * x + c * y, c * x + s * y, c * y - s * x, distance
+
+
+@kernel
 def _silhouette_of_disc(obstacle, position, out):
-    """The offset o of the centre turned by ± α: (√(o² - R²) o ± R o^⊥) / o²."""
     x, y = obstacle[CENTRE] - position[0], obstacle[CENTRE + 1] - position[1]
-    distance, radius = math.sqrt(x * x + y * y), obstacle[RADIUS]
-    if distance <= radius:
-        x, y, _, _ = _centre_direction(obstacle, position)
-        c, s = 0.0, 1.0
-    else:
-        square = (distance - radius) * (distance + radius)
-        per_square = 1.0 / (distance * distance)
-        c, s = math.sqrt(square) * per_square, radius * per_square
-    out[0, 0], out[0, 1] = c * x - s * y, s * x + c * y
-    out[1, 0], out[1, 1] = c * x + s * y, c * y - s * x
+    out[0, 0], out[0, 1], out[1, 0], out[1, 1], _ = disc_edges(x, y, obstacle[RADIUS])
 
 
 @kernel

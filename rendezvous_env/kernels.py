@@ -12,9 +12,15 @@ import numpy as np
 from .contact import IGNORE, move_curved, move_straight
 from .jit import kernel
 from .kinematics import arc_displacement, body_frame
-from .lanes import LANES, add_displacements, mark_near_pairs, velocity_displacements
+from .lanes import (
+    LANES,
+    add_displacements,
+    mark_near_balls,
+    mark_near_pairs,
+    velocity_displacements,
+)
 from .merging import merge_swept
-from .observing import make_scratch, observe_block
+from .observing import load_obstacles, make_scratch, observe_block
 from .rewards import team_reward
 from .teams import (
     FRESH,
@@ -63,9 +69,10 @@ def step_blocks(first, last, physics, axes, teams, actions, results):
     if wrong >= 0:
         return wrong
     batch, n, action_size = actions.shape
-    scratch = make_scratch(n, len(axes), action_size, physics.rows)
+    scratch = make_scratch(n, len(axes), action_size, physics.rows, teams.obstacles.shape[1])
     for block in range(first, last):
         lanes = min(LANES, batch - block * LANES)
+        load_obstacles(block, lanes, teams, scratch)
         _load_actions(block, lanes, teams, actions, scratch)
         _propose(block, lanes, physics, axes, teams, scratch)
         _advance(block, lanes, physics, axes, teams, results, scratch)
@@ -82,9 +89,10 @@ def observe_blocks(blocks, physics, axes, teams, results):
     """
     physics, teams, results = Physics(*physics), Teams(*teams), Results(*results)
     batch, n = teams.merged_into.shape
-    scratch = make_scratch(n, len(axes), 1, physics.rows)
+    scratch = make_scratch(n, len(axes), 1, physics.rows, teams.obstacles.shape[1])
     for block in blocks:
         lanes = min(LANES, batch - block * LANES)
+        load_obstacles(block, lanes, teams, scratch)
         if physics.n_angles > 0:
             _write_body_frames(block, lanes, physics, len(axes), teams)
         observe_block(block, lanes, physics, axes, teams, results, scratch)
@@ -166,7 +174,7 @@ def _clip(value, bound):
 def _advance(block, lanes, physics, axes, teams, results, scratch):
     """Carry out the displacements; teams in which something can meet go one by one."""
     n, d = scratch.action.shape[0], len(axes)
-    _mark_near(block, lanes, physics, axes, teams, scratch)
+    _mark_near(block, physics, axes, teams, scratch)
     for lane in range(lanes):
         team = block * LANES + lane
         for i in range(n):
@@ -189,7 +197,7 @@ def _advance(block, lanes, physics, axes, teams, results, scratch):
 
 
 @kernel
-def _mark_near(block, lanes, physics, axes, teams, scratch):
+def _mark_near(block, physics, axes, teams, scratch):
     """Mark teams where neighbours start within r + 2 v_max τ, or a robot within v_max τ of an
     obstacle.
     """
@@ -205,27 +213,17 @@ def _mark_near(block, lanes, physics, axes, teams, scratch):
                 positions[i], positions[j], weights[pair], square_reach, axes, scratch.near
             )
             pair += 1
-    if teams.obstacles.shape[1] > 0 and physics.contact_mode != IGNORE:
-        for lane in range(lanes):
-            obstacles = teams.obstacles[block * LANES + lane]
-            if _near_obstacle(lane, len(axes), positions, obstacles, reach):
-                scratch.near[lane] = 1.0
-
-
-@kernel
-def _near_obstacle(lane, d, positions, obstacles, reach):
-    """Whether a robot of the team is within ``reach`` of the bounding ball of an obstacle."""
-    for m in range(obstacles.shape[0]):
-        if obstacles[m, 0] < 0.0:
-            continue
-        square_touch = (obstacles[m, 1] + reach + 1e-9) ** 2
-        for i in range(positions.shape[0]):
-            square = 0.0
-            for k in range(d):
-                square += (obstacles[m, 2 + k] - positions[i, k * LANES + lane]) ** 2
-            if square < square_touch:
-                return True
-    return False
+    if physics.contact_mode != IGNORE:
+        for m in range(teams.obstacles.shape[1]):
+            for i in range(n):
+                mark_near_balls(
+                    scratch.centre[m],
+                    scratch.bound[m],
+                    positions[i],
+                    reach + 1e-9,
+                    axes,
+                    scratch.near,
+                )
 
 
 @kernel

@@ -9,6 +9,7 @@ hold harmless numbers.
 
 import math
 
+from .geometry import disc_edges
 from .jit import kernel
 
 LANES = 32
@@ -51,6 +52,59 @@ def mark_near_pairs(start_i, start_j, weight, square_reach, axes, near):
             offset = start_j[k * LANES + lane] - start_i[k * LANES + lane]
             square += offset * offset
         near[lane] = 1.0 if weight[lane] > 0.0 and square < square_reach else near[lane]
+
+
+@kernel
+def mark_near_balls(centre, radius, position, reach, axes, near):
+    """Raise ``near`` where a robot starts within ``reach`` of a ball.
+
+    Args:
+        centre: d numbers, m.
+        radius: one number, m.
+        position: d numbers, m.
+        reach: m.
+        axes: (0, 1) or (0, 1, 2).
+        near: one number.
+    """
+    for lane in range(LANES):
+        square = 0.0
+        for k in range(len(axes)):
+            offset = centre[k * LANES + lane] - position[k * LANES + lane]
+            square += offset * offset
+        bound = radius[lane] + reach
+        near[lane] = 1.0 if square < bound * bound else near[lane]
+
+
+@kernel
+def disc_rows(centre, radius, position, frame, active, sight, out):
+    """Silhouette bearings of a disc in the frames of robots, zero where it is not seen.
+
+    Args:
+        centre: 2 numbers, m.
+        radius: one number, m.
+        position: 2 numbers, m.
+        frame: local → global, 4 numbers.
+        active: one number, 0 for a robot that is gone.
+        sight: from how near a disc is seen, m.
+        out: the first number falls to the distance from the surface, m, where the robot is active;
+            then 2 numbers of the counter-clockwise edge and 2 of the clockwise one.
+    """
+    for lane in range(LANES):
+        ax, ay, bx, by, distance = disc_edges(
+            centre[lane] - position[lane],
+            centre[LANES + lane] - position[LANES + lane],
+            radius[lane],
+        )
+        gap = distance - radius[lane]
+        xx, xy = frame[lane], frame[LANES + lane]
+        yx, yy = frame[2 * LANES + lane], frame[3 * LANES + lane]
+        seen = active[lane] > 0.0 and gap <= sight
+        out[lane] = gap if active[lane] > 0.0 and gap < out[lane] else out[lane]
+        # never the negative zero
+        out[LANES + lane] = xx * ax + yx * ay + 0.0 if seen else 0.0
+        out[2 * LANES + lane] = xy * ax + yy * ay + 0.0 if seen else 0.0
+        out[3 * LANES + lane] = xx * bx + yx * by + 0.0 if seen else 0.0
+        out[4 * LANES + lane] = xy * bx + yy * by + 0.0 if seen else 0.0
 
 
 @kernel

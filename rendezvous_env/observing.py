@@ -6,11 +6,22 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .geometry import obstacle_distance, silhouette_2d, silhouette_3d
+from .geometry import (
+    CENTRE,
+    COUNT,
+    RADIUS,
+    ROUND,
+    obstacle_distance,
+    silhouette_2d,
+    silhouette_3d,
+)
 from .jit import kernel
-from .lanes import LANES, pair_rows
+from .lanes import LANES, disc_rows, pair_rows
 from .lyapunov import team_net_bearing
 from .teams import read_positions, read_weights
+
+_FAR_AWAY = 1e150
+"""m; where obstacles that are not there stand in lane buffers."""
 
 
 class Scratch(NamedTuple):
@@ -26,18 +37,44 @@ class Scratch(NamedTuple):
     """((1 + 2d)·LANES,), see ``pair_rows``."""
     rows: NDArray[np.float32]
     """(n·rows·d, LANES), the observations."""
+    centre: NDArray[np.float64]
+    """(M, d·LANES), of the obstacles, m; far away where there is none."""
+    bound: NDArray[np.float64]
+    """(M, LANES), radius of a ball about the centre that holds the obstacle, m."""
+    disc: NDArray[np.float64]
+    """(M, d·LANES), centres as above, but far away for a polygon, too."""
+    sight: NDArray[np.float64]
+    """(6·LANES,), whether a robot is active, and what ``disc_rows`` gives out."""
 
 
 @kernel
-def make_scratch(n, d, action_size, rows):
-    """Lane buffers for teams of n robots."""
+def make_scratch(n, d, action_size, rows, n_obstacles):
+    """Lane buffers for teams of n robots among at most that many obstacles."""
     return Scratch(
         np.zeros((n, action_size * LANES)),
         np.zeros((n, (d + 1) * LANES)),
         np.zeros(LANES),
         np.zeros((1 + 2 * d) * LANES),
         np.zeros((n * rows * d, LANES), dtype=np.float32),
+        np.full((n_obstacles, d * LANES), _FAR_AWAY),
+        np.zeros((n_obstacles, LANES)),
+        np.full((n_obstacles, d * LANES), _FAR_AWAY),
+        np.zeros(6 * LANES),
     )
+
+
+@kernel
+def load_obstacles(block, lanes, teams, scratch):
+    """Bring a block's obstacles into lane buffers."""
+    for lane in range(lanes):
+        obstacles = teams.obstacles[block * LANES + lane]
+        for m in range(obstacles.shape[0]):
+            kind = obstacles[m, COUNT]
+            scratch.bound[m, lane] = obstacles[m, RADIUS]
+            for k in range(scratch.centre.shape[1] // LANES):
+                place = obstacles[m, CENTRE + k]
+                scratch.centre[m, k * LANES + lane] = place if kind >= ROUND else _FAR_AWAY
+                scratch.disc[m, k * LANES + lane] = place if kind == ROUND else _FAR_AWAY
 
 
 @kernel
@@ -58,7 +95,9 @@ def observe_block(block, lanes, physics, axes, teams, results, scratch):
             _store(scratch.pair, 1 + d, d, j * width + i * d, scratch.rows)
             pair += 1
     if teams.obstacles.shape[1] > 0:
-        _observe_obstacles(block, lanes, physics, d, teams, results, scratch)
+        if d == 2:
+            _observe_discs(block, lanes, physics, teams, results, scratch)
+        _observe_one_by_one(block, lanes, physics, d, teams, results, scratch)
     if physics.n_angles == 2:
         _observe_gravity(block, lanes, width, teams, scratch)
     observations = results.observations[block * LANES : block * LANES + lanes]
@@ -76,29 +115,69 @@ def _store(values, first, d, row, rows):
 
 
 @kernel
-def _observe_obstacles(block, lanes, physics, d, teams, results, scratch):
+def _observe_discs(block, lanes, physics, teams, results, scratch):
+    """Discs in the plane, over lanes; the rows of everything else are zero after it."""
+    sight = scratch.sight
+    for i in range(scratch.action.shape[0]):
+        for lane in range(lanes):
+            sight[lane] = 1.0 if teams.merged_into[block * LANES + lane, i] == i else 0.0
+            sight[LANES + lane] = np.inf
+        for m in range(scratch.disc.shape[0]):
+            disc_rows(
+                scratch.disc[m],
+                scratch.bound[m],
+                teams.positions[block, i],
+                teams.frames[block, i],
+                sight[:LANES],
+                physics.obstacle_range,
+                sight[LANES:],
+            )
+            row = i * physics.rows + physics.neighbour_slots + 2 * m
+            _store(sight, 2, 4, 2 * row, scratch.rows)
+        for lane in range(lanes):
+            results.clearance[block * LANES + lane, i] = sight[LANES + lane]
+
+
+@kernel
+def _observe_one_by_one(block, lanes, physics, d, teams, results, scratch):
+    """What no lane function does: polygons, and spheres in space; the least clearance of all."""
     n = scratch.action.shape[0]
     points = np.empty((2 if d == 2 else 8, d))
     positions = np.empty((n, d))
     for lane in range(lanes):
         team = block * LANES + lane
-        read_positions(block, lane, teams, positions)
         least = teams.book[team]["min_clearance"]
+        if d == 3 or _has_polygon(teams.obstacles[team]):
+            read_positions(block, lane, teams, positions)
+            for i in range(n):
+                if teams.merged_into[team, i] == i:
+                    _see_others(block, lane, i, physics, positions, teams, points, results, scratch)
         for i in range(n):
-            nearest = np.inf
-            active = teams.merged_into[team, i] == i
-            for m in range(teams.obstacles.shape[1]):
-                distance = np.inf
-                if active:
-                    distance = obstacle_distance(teams.obstacles[team, m], positions[i])
-                nearest = min(nearest, distance)
-                seen = distance <= physics.obstacle_range
-                if seen:
-                    _see_obstacle(block, lane, i, m, positions, teams, points)
-                _store_silhouette(block, lane, i, m, seen, physics, teams, points, scratch.rows)
-            results.clearance[team, i] = nearest
-            least = min(least, nearest)
+            least = min(least, results.clearance[team, i])
         teams.book[team]["min_clearance"] = least
+
+
+@kernel
+def _has_polygon(obstacles):
+    for m in range(obstacles.shape[0]):
+        if obstacles[m, COUNT] > ROUND:
+            return True
+    return False
+
+
+@kernel
+def _see_others(block, lane, i, physics, positions, teams, points, results, scratch):
+    """All obstacles of one active robot that ``_observe_discs`` leaves out."""
+    team = block * LANES + lane
+    for m in range(teams.obstacles.shape[1]):
+        if positions.shape[1] == 2 and teams.obstacles[team, m, COUNT] == ROUND:
+            continue
+        distance = obstacle_distance(teams.obstacles[team, m], positions[i])
+        results.clearance[team, i] = min(results.clearance[team, i], distance)
+        seen = distance <= physics.obstacle_range
+        if seen:
+            _see_obstacle(block, lane, i, m, positions, teams, points)
+        _store_silhouette(block, lane, i, m, seen, physics, teams, points, scratch.rows)
 
 
 @kernel
