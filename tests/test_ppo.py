@@ -19,6 +19,7 @@ from rendezvous_env import scenarios
 from rendezvous_env.obstacles import ObstacleField
 from train import checkpoints, cli, learned_policy, ppo, results, training
 from train.errors import UserError
+from train.guide import CHOICES
 from train.ppo import Config
 from train.run_log import EVALUATION, METRICS, WALL_TIME, Table
 
@@ -154,20 +155,20 @@ class TestFiles:
 
 
 class TestLearning:
-    def test_weights_move_and_the_base_rule_is_where_it_starts(self, whole, tmp_path):
+    def test_weights_move_and_the_rule_is_where_it_starts(self, whole, tmp_path):
         begun = training.Training(config(tmp_path))
         begun.model.policy.set_training_mode(False)
         start = {k: v.numpy() for k, v in begun.model.policy.state_dict().items()}
-        assert not start["action_net.weight"][:, :-2].any()
+        assert start["action_net.bias"].tolist() == [3.0, *[0.0] * (CHOICES - 1)]
         moved = [name for name, value in network(whole).items() if (value != start[name]).any()]
         assert set(moved) == set(start)
 
     def test_a_reward_is_learned(self, tmp_path):
-        """Nothing but touches costs: exploration far from the rule is unlearned."""
+        """Where only progress counts, straight towards f is best, however random it begins."""
         changed = config(
-            tmp_path / "run", total_steps=16 * 2048, num_teams=32, log_std=-0.5, touch_penalty=0.0,
+            tmp_path / "run", total_steps=16 * 2048, num_teams=32, prior=0.0, touch_penalty=0.0,
             learning_rate=3e-3, epochs=4, batch_size=512, progress=20.0, time_penalty=0.0,
-            rendezvous_bonus=0.0, residual=False, curriculum=(0,), eval_every=0, gamma=0.9,
+            rendezvous_bonus=0.0, curriculum=(0,), eval_every=0, gamma=0.9,
         )  # fmt: skip
         assert ppo.run(changed) == 0
         rows = results.read_csv(tmp_path / "run" / "metrics.csv")
