@@ -66,7 +66,12 @@ def tangent_blocking_heading(net_bearing: Array, silhouettes: NDArray[Any]) -> A
 
 
 def tangent_joined_heading(
-    net_bearing: Array, silhouettes: NDArray[Any], *, clearance: float = 0.05
+    net_bearing: Array,
+    silhouettes: NDArray[Any],
+    *,
+    clearance: float = 0.05,
+    carried: Array | None = None,
+    persistence: float = 0.0,
 ) -> Array:
     """Overlapping silhouettes are one obstacle; pass it on the nearer side (theory 6).
 
@@ -76,16 +81,22 @@ def tangent_joined_heading(
         net_bearing: fᵢ, (..., d), m/s.
         silhouettes: unit bearings, (..., M, S, d).
         clearance: angle by which to stay clear of an edge, rad.
+        carried: headings of the step before, (..., d), zero where there is none; in the plane only.
+        persistence: how much an edge's angle from the carried heading counts beside that from f.
 
     Returns:
         Headings, (..., d); f/‖f‖ (the x axis where f = 0) if nothing is in the way.
     """
-    rule = joined_headings_2d if net_bearing.shape[-1] == 2 else joined_headings_3d
-    return _over_robots(rule, net_bearing, silhouettes, float(clearance))
+    if net_bearing.shape[-1] == 3:
+        return _over_robots(joined_headings_3d, net_bearing, silhouettes, float(clearance))
+    before = np.zeros_like(net_bearing) if carried is None else carried
+    before = np.ascontiguousarray(before, dtype=np.float64).reshape(-1, 2)
+    options = float(clearance), before, float(persistence)
+    return _over_robots(joined_headings_2d, net_bearing, silhouettes, *options)
 
 
 def _over_robots(
-    rule: Any, net_bearing: Array, silhouettes: NDArray[Any], option: bool | float
+    rule: Any, net_bearing: Array, silhouettes: NDArray[Any], *options: bool | float | Array
 ) -> Array:
     f = np.ascontiguousarray(net_bearing, dtype=np.float64)
     points = np.ascontiguousarray(silhouettes)
@@ -93,7 +104,7 @@ def _over_robots(
     d = f.shape[-1]
     robots = f.size // d
     points = points.reshape(robots, *points.shape[-3:])  # -1 cannot be inferred without obstacles
-    rule(f.reshape(robots, d), points, option, headings.reshape(robots, d))
+    rule(f.reshape(robots, d), points, *options, headings.reshape(robots, d))
     return headings
 
 
@@ -143,8 +154,7 @@ class CertifiedHeadingPolicy:
         f, seen = layout.net_bearing(observations), layout.split(observations)
         if self._previous.shape != f.shape:
             self._previous = np.zeros_like(f)
-        raw = self.rule(f, seen.obstacles)
-        raw = np.where(np.sum(raw * f, axis=-1, keepdims=True) < 0, -raw, raw)
+        raw = self._aim(f, seen.obstacles)
         h = self._previous = certified_heading(
             raw,
             f,
@@ -157,6 +167,11 @@ class CertifiedHeadingPolicy:
         scale = step_scale(degree, scenario.merge_radius, scenario.tau)[..., np.newaxis]
         return within_limits(scale * flexible_velocity(f, h), scenario)
 
+    def _aim(self, f: Array, silhouettes: NDArray[Any]) -> Array:
+        """Raw vectors (..., d) that are to be certified."""
+        raw = self.rule(f, silhouettes)
+        return np.where(np.sum(raw * f, axis=-1, keepdims=True) < 0, -raw, raw)
+
     @property
     def headings(self) -> Array:
         """The headings last taken, (..., n, d); zero for a robot that has none yet."""
@@ -168,6 +183,30 @@ class CertifiedHeadingPolicy:
             self._previous = np.zeros(0)
         elif self._previous.size:
             self._previous[np.asarray(mask, dtype=bool)] = 0.0
+
+
+@dataclass
+class TunedJoinedPolicy(CertifiedHeadingPolicy):
+    """The joined rule in the plane as good as tuning makes it; certified, and with two changes.
+
+    A robot stands by the side that it has chosen (``persistence``), and an edge that lies beyond
+    the cap is aimed at as it is, which leaves the robot slow at the edge of the cap, instead of
+    being turned round into what lies behind it.
+    """
+
+    clearance: float = 0.2
+    """Angle by which to stay clear of an edge, rad."""
+    persistence: float = 0.5
+    """λ of ``silhouettes.joined_headings_2d``."""
+
+    def _aim(self, f: Array, silhouettes: NDArray[Any]) -> Array:
+        return tangent_joined_heading(
+            f,
+            silhouettes,
+            clearance=self.clearance,
+            carried=self._previous,
+            persistence=self.persistence,
+        )
 
 
 # ---- registry -----------------------------------------------------------------------------------
@@ -215,6 +254,26 @@ def _tangent_joined_certified(
 ) -> Policy:
     rule = _joined_with(clearance)
     return CertifiedHeadingPolicy(scenario, rule, min_alignment, max_turn_rate)
+
+
+@register("tangent-joined-tuned", fits=lambda scenario: _fits(scenario) and scenario.dim == 2)
+def _tangent_joined_tuned(
+    scenario: Scenario,
+    clearance: float = 0.2,
+    persistence: float = 0.5,
+    min_alignment: float = 0.05,
+    max_turn_rate: float = 100.0,
+) -> Policy:
+    if not 0 <= persistence < np.inf:
+        raise ValueError(f"persistence is {persistence!r}; it must be 0 or more, and finite")
+    return TunedJoinedPolicy(
+        scenario,
+        _joined_with(clearance),
+        min_alignment,
+        max_turn_rate,
+        clearance=clearance,
+        persistence=persistence,
+    )
 
 
 def _joined_with(clearance: float) -> HeadingRule:

@@ -42,26 +42,32 @@ def tangent_headings(net_bearing, silhouettes, only_blocking, out):
 
 
 @kernel
-def joined_headings_2d(net_bearing, silhouettes, clearance, out):
+def joined_headings_2d(net_bearing, silhouettes, clearance, carried, persistence, out):
     """Head for the nearer edge of all that blocks f, overlapping silhouettes being one obstacle.
 
     Silhouettes that overlap, directly or through others, are joined into one interval of angles.
     If f lies in it, or within the clearance of it, head for its nearer edge, moved away from it by
     the clearance, or by half of the gap to the next interval if that is less. With nothing in the
     way, or no free direction at all, keep f. Within the clearance of two intervals the nearer one
-    counts.
+    counts. With a persistence λ the nearer edge is the one with the smaller angle from f plus λ
+    times the angle from the carried heading, so that a robot seldom changes its mind.
 
     Args:
         net_bearing: fᵢ, (N, 2).
         silhouettes: (N, M, 2, 2), counter-clockwise edge, then clockwise edge.
         clearance: rad.
+        carried: headings of the step before, (N, 2); zero = none yet.
+        persistence: λ, 0 or more.
         out: (N, 2).
     """
     intervals = np.empty((silhouettes.shape[1], 2))
     for i in range(out.shape[0]):
-        towards = _direction(net_bearing[i])
-        seen = intervals[: _relative_intervals(towards, silhouettes[i], intervals)]
-        turn = _turn_to_free(seen, clearance)
+        towards, before = _direction(net_bearing[i]), load(carried[i])
+        kept, weight = 0.0, 0.0
+        if before[0] != 0.0 or before[1] != 0.0:
+            kept, weight = math.atan2(_cross(towards, before), dot(towards, before)), persistence
+        joined = joined_interval_2d(towards, silhouettes[i], intervals)
+        turn = _turn_to_free(joined, clearance, kept, weight)
         c, s = math.cos(turn), math.sin(turn)
         out[i, 0] = c * towards[0] - s * towards[1]
         out[i, 1] = s * towards[0] + c * towards[1]
@@ -193,18 +199,54 @@ def _cross(a, b):
 
 
 @kernel
-def _turn_to_free(intervals, clearance):
-    """Angle from f, counter-clockwise, to the heading of ``joined_headings_2d``, rad."""
-    nearest = _nearest_interval(intervals)
+def joined_interval_2d(towards, silhouettes, intervals):
+    """The angles that the silhouettes before a direction cover, those that overlap being joined.
+
+    Args:
+        towards: a unit vector, as a triple.
+        silhouettes: (M, 2, 2) of one robot.
+        intervals: (M, 2), working memory.
+
+    Returns:
+        The clockwise and the counter-clockwise edge, rad counter-clockwise from the direction, of
+        the joined interval that holds it, or else has the edge nearest to it; then the free angles
+        beyond either edge. A full turn between the edges means that nothing is free; edges of ∞ and
+        −∞, that nothing is seen.
+    """
+    seen = intervals[: _relative_intervals(towards, silhouettes, intervals)]
+    nearest = _nearest_interval(seen)
     if nearest == _STRAIGHT_AHEAD:
-        return 0.0
-    low, high = _join_from(nearest, intervals)
+        return math.inf, -math.inf, TWO_PI, TWO_PI
+    low, high = _join_from(nearest, seen)
+    gap_below, gap_above = _gaps(low, high, seen)
+    return low, high, gap_below, gap_above
+
+
+@kernel
+def _turn_to_free(joined, clearance, kept, persistence):
+    """Angle from f, counter-clockwise, to the heading of ``joined_headings_2d``, rad.
+
+    Args:
+        joined: see ``joined_interval_2d``.
+        clearance: rad.
+        kept: angle of the carried heading, rad from f.
+        persistence: what an edge's angle from that heading counts beside its angle from f.
+    """
+    low, high, gap_below, gap_above = joined
     if high - low >= TWO_PI or low >= clearance or high <= -clearance:
         return 0.0
-    gap_below, gap_above = _gaps(low, high, intervals)
-    if high <= -low:
+    above = high + persistence * _between(high, kept)
+    below = -low + persistence * _between(low, kept)
+    if above <= below:
         return high + min(clearance, 0.5 * gap_above)
     return low - min(clearance, 0.5 * gap_below)
+
+
+@kernel
+def _between(a, b):
+    """Angle between two directions given as angles, rad."""
+    apart = _counter_clockwise(a - b)
+    return min(apart, TWO_PI - apart)
 
 
 @kernel

@@ -14,6 +14,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from .outcome import Outcome
+from .rendering import RENDER_MODES, Renderer, render_metadata
 from .rendezvous_v0 import ScenarioLike
 from .scenario import Scenario
 from .scenarios import resolve
@@ -44,16 +45,14 @@ def make_vec(
         autoreset_mode: when a team that has ended begins anew; see ``RendezvousVectorEnv``.
         num_threads: most threads a step may use; None is one for each core.
         max_cycles: time limit in steps, instead of the scenario's.
-        render_mode: None; pictures are made from trajectories.
+        render_mode: "human" for a window, "rgb_array" for pictures, None for neither.
         **overrides: fields of the scenario to change.
 
     Raises:
         ValueError: for an unknown scenario, field or mode, or an impossible value.
     """
-    simulator = _simulator(
-        resolve(scenario, **overrides), num_envs, num_threads, max_cycles, render_mode
-    )
-    return RendezvousVectorEnv(simulator, AutoresetMode(autoreset_mode))
+    simulator = _simulator(resolve(scenario, **overrides), num_envs, num_threads, max_cycles)
+    return RendezvousVectorEnv(simulator, AutoresetMode(autoreset_mode), render_mode)
 
 
 def make_env(
@@ -67,9 +66,8 @@ def make_env(
     Raises:
         ValueError: for an unknown scenario or field, or an impossible value.
     """
-    return RendezvousEnv(
-        _simulator(resolve(scenario, **overrides), 1, None, max_cycles, render_mode)
-    )
+    simulator = _simulator(resolve(scenario, **overrides), 1, None, max_cycles)
+    return RendezvousEnv(simulator, render_mode)
 
 
 class RendezvousVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArray[Any]]):
@@ -108,18 +106,29 @@ class RendezvousVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
     team goes on to the next episode of its own. Options as in ``rendezvous_v0``, one for all teams
     or with a leading axis B. ``simulator`` holds the global state for analysis.
 
+    ``render()`` draws the first 16 teams side by side in one picture, in "rgb_array" mode an array
+    (600, 600, 3) uint8. It is one picture and no tuple with one for each team, as Gymnasium's own
+    vector environments give: thousands of teams are drawn at the cost of one.
+
     Args:
         simulator: the teams.
         autoreset_mode: see above.
+        render_mode: "human", "rgb_array" or None, as in ``rendezvous_v0``.
     """
 
-    def __init__(self, simulator: Simulator, autoreset_mode: AutoresetMode) -> None:
+    def __init__(
+        self,
+        simulator: Simulator,
+        autoreset_mode: AutoresetMode,
+        render_mode: str | None = None,
+    ) -> None:
         self.simulator = simulator
         self.autoreset_mode = autoreset_mode
         self.scenario = simulator.scenario
         self.num_envs = simulator.num_envs
-        self.render_mode = None
-        self.metadata = {"render_modes": [], "autoreset_mode": autoreset_mode}
+        self.renderer = Renderer(simulator, render_mode)
+        self.render_mode = render_mode
+        self.metadata = render_metadata(simulator) | {"autoreset_mode": autoreset_mode}
         self.single_observation_space = team_observation_box(self.scenario)
         self.single_action_space = team_action_box(self.scenario)
 
@@ -155,6 +164,7 @@ class RendezvousVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
         mask = start.pop("reset_mask", None)
         observations = self.simulator.reset(seed, start, mask=mask)
         which = np.ones(self.num_envs, dtype=np.bool_) if mask is None else np.asarray(mask)
+        self.renderer.reset()
         return observations, masked(_start_info(self.simulator), which)
 
     def step(self, actions: NDArray[np.float32]) -> Transition:
@@ -188,6 +198,7 @@ class RendezvousVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
         else:
             infos = masked(infos, np.ones(self.num_envs, dtype=np.bool_))
             infos |= masked({"summary": masked(summary_of(simulator), ended)}, ended)
+        self.renderer.see(outcome.contact)
         return outcome.observations, rewards, terminations, truncations, infos
 
     def _begin_anew(self, outcome: Outcome, infos: Info, ended: NDArray[np.bool_]) -> Info:
@@ -216,8 +227,19 @@ class RendezvousVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
         """
         self.simulator.set_state(state)
 
-    def render(self) -> None:
-        """Draw nothing: no render mode is offered; ``rollout`` gives the data of a picture."""
+    def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]
+        """One picture of the first teams, (600, 600, 3) uint8, in "rgb_array" mode; in "human"
+        mode it is shown.
+
+        Raises:
+            RuntimeError: before the first reset, or where no window can be opened.
+            ImportError: without the extra ``render``.
+        """
+        return self.renderer.render()
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Close the window, if there is one."""
+        self.renderer.close()
 
 
 class RendezvousEnv(gymnasium.Env[Any, Any]):
@@ -230,14 +252,19 @@ class RendezvousEnv(gymnasium.Env[Any, Any]):
 
     Args:
         simulator: a Simulator of one team.
+        render_mode: "human", "rgb_array" or None, as in ``rendezvous_v0``.
     """
 
-    metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012 - as Gymnasium declares it
+    metadata: dict[str, Any] = {  # noqa: RUF012 - as Gymnasium declares it
+        "render_modes": RENDER_MODES
+    }
 
-    def __init__(self, simulator: Simulator) -> None:
+    def __init__(self, simulator: Simulator, render_mode: str | None = None) -> None:
         self.simulator = simulator
         self.scenario = simulator.scenario
-        self.render_mode = None
+        self.renderer = Renderer(simulator, render_mode)
+        self.render_mode = render_mode
+        self.metadata = render_metadata(simulator)
         self.observation_space = team_observation_box(self.scenario)
         self.action_space = team_action_box(self.scenario)
 
@@ -251,6 +278,7 @@ class RendezvousEnv(gymnasium.Env[Any, Any]):
         """
         observations = self.simulator.reset(seed, options)
         super().reset(seed=seed)
+        self.renderer.reset()
         return observations[0], _of_first_team(_start_info(self.simulator))
 
     def step(
@@ -264,6 +292,7 @@ class RendezvousEnv(gymnasium.Env[Any, Any]):
         """
         alive = alive_robots(self.simulator)
         outcome = self.simulator.step(np.asarray(action)[None])
+        self.renderer.see(outcome.contact)
         status = int(outcome.status[0])
         info = _of_first_team(step_info(self.simulator, outcome, alive))
         if status != RUNNING:
@@ -284,8 +313,18 @@ class RendezvousEnv(gymnasium.Env[Any, Any]):
         """
         self.simulator.set_state(state)
 
-    def render(self) -> None:
-        """Draw nothing: no render mode is offered; ``rollout`` gives the data of a picture."""
+    def render(self) -> NDArray[np.uint8] | None:
+        """A picture, (600, 600, 3) uint8, in "rgb_array" mode; in "human" mode it is shown.
+
+        Raises:
+            RuntimeError: before the first reset, or where no window can be opened.
+            ImportError: without the extra ``render``.
+        """
+        return self.renderer.render()
+
+    def close(self) -> None:
+        """Close the window, if there is one."""
+        self.renderer.close()
 
 
 def _simulator(
@@ -293,10 +332,7 @@ def _simulator(
     num_envs: int,
     num_threads: int | None,
     max_cycles: int | None,
-    render_mode: str | None,
 ) -> Simulator:
-    if render_mode is not None:
-        raise ValueError(f"render_mode is {render_mode!r}; it must be None")
     simulator = Simulator(scenario, num_envs, num_threads=num_threads)
     if max_cycles is not None:
         simulator.set_max_steps(max_cycles)

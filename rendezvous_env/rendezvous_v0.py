@@ -14,6 +14,7 @@ from pettingzoo.utils.conversions import parallel_to_aec
 from pettingzoo.utils.env import AECEnv, ParallelEnv
 
 from .outcome import Outcome
+from .rendering import RENDER_MODES, Renderer, render_metadata
 from .scenario import Scenario
 from .scenarios import resolve
 from .simulator import Simulator
@@ -35,12 +36,12 @@ def parallel_env(
 
     Args:
         scenario: a Scenario, the name of one (``scenarios.names()``) or the path of a TOML file.
-        render_mode: None; pictures are made from trajectories.
+        render_mode: "human" for a window, "rgb_array" for pictures, None for neither.
         max_cycles: time limit in steps, instead of the scenario's.
         **overrides: fields of the scenario to change.
 
     Raises:
-        ValueError: for an unknown scenario or field, or an impossible value.
+        ValueError: for an unknown scenario, field or render mode, or an impossible value.
     """
     return RendezvousParallelEnv(resolve(scenario, **overrides), render_mode, max_cycles)
 
@@ -139,6 +140,14 @@ class RendezvousParallelEnv(ParallelEnv[str, NDArray[np.float32], NDArray[np.flo
     ``state()`` is the privileged global state for centralised critics; ``simulator`` holds it in SI
     units.
 
+    ## Pictures
+
+    ``render_mode="rgb_array"``: ``render()`` gives a picture (600, 600, 3) uint8; no screen is
+    needed. ``"human"``: a window that follows every step in real time; space pauses, the right
+    arrow or s makes one step, escape or q closes it and the episode goes on unseen.
+    ``rendering.Renderer`` says what is drawn. Both need the extra ``render``; without a mode
+    nothing is kept and nothing is loaded. ``metadata["render_fps"]`` is 1/τ: real time.
+
     ## Version history
 
     * v0: first version.
@@ -146,21 +155,20 @@ class RendezvousParallelEnv(ParallelEnv[str, NDArray[np.float32], NDArray[np.flo
 
     metadata: dict[str, Any] = {  # noqa: RUF012 - PettingZoo reads a plain class attribute
         "name": "rendezvous_v0",
-        "render_modes": [],
+        "render_modes": RENDER_MODES,
         "is_parallelizable": True,
     }
 
     def __init__(
         self, scenario: Scenario, render_mode: str | None = None, max_cycles: int | None = None
     ) -> None:
-        modes = self.metadata["render_modes"]
-        if render_mode is not None and render_mode not in modes:
-            raise ValueError(f"render_mode is {render_mode!r}; it must be None or one of {modes}")
-        self.render_mode = render_mode
         self.scenario = scenario
         self.simulator = Simulator(scenario)
         if max_cycles is not None:
             self.simulator.set_max_steps(max_cycles)
+        self.renderer = Renderer(self.simulator, render_mode)
+        self.render_mode = render_mode
+        self.metadata = self.metadata | render_metadata(self.simulator)
         self.possible_agents = [f"robot_{i}" for i in range(scenario.n_robots)]
         self.agents: list[str] = []
         self.observation_spaces = {name: observation_box(scenario) for name in self.possible_agents}
@@ -205,6 +213,7 @@ class RendezvousParallelEnv(ParallelEnv[str, NDArray[np.float32], NDArray[np.flo
                 self.agents, self.simulator.clearance[0].tolist(), strict=True
             )
         }
+        self.renderer.reset()
         return dict(zip(self.agents, observations, strict=True)), infos
 
     def step(
@@ -225,8 +234,9 @@ class RendezvousParallelEnv(ParallelEnv[str, NDArray[np.float32], NDArray[np.flo
         """
         if not self.agents and not actions:
             return {}, {}, {}, {}, {}
-        table = self._table_of(actions)
-        return self._as_dicts(self.simulator.step(table))
+        outcome = self.simulator.step(self._table_of(actions))
+        self.renderer.see(outcome.contact)
+        return self._as_dicts(outcome)
 
     def state(self) -> NDArray[np.float32]:
         """The privileged global state, one float32 vector.
@@ -236,11 +246,18 @@ class RendezvousParallelEnv(ParallelEnv[str, NDArray[np.float32], NDArray[np.flo
         """
         return team_state(self.simulator)[0]
 
-    def render(self) -> None:
-        """Draw nothing: no render mode is offered yet; ``rollout`` gives the data of a picture."""
+    def render(self) -> NDArray[np.uint8] | None:
+        """A picture, (600, 600, 3) uint8, in "rgb_array" mode; in "human" mode it is shown.
+
+        Raises:
+            RuntimeError: before the first reset, or where no window can be opened.
+            ImportError: without the extra ``render``.
+        """
+        return self.renderer.render()
 
     def close(self) -> None:
-        """Nothing to close."""
+        """Close the window, if there is one."""
+        self.renderer.close()
 
     # ---- between dicts and arrays ---------------------------------------------------------------
 

@@ -31,11 +31,11 @@ def _figure(name: str, obstacle_contact: str) -> Scenario:
     )
 
 
-def _clutter(discs: int) -> Scenario:
+def _clutter(discs: int, robots: int = 4) -> Scenario:
     """The experiment of theory 6: the long step is meant, V still falls with it."""
     return Scenario(
-        name=f"clutter-{discs}",
-        n_robots=4,
+        name=f"clutter-{discs}" if robots == 4 else f"clutter-{discs}-team-{robots}",
+        n_robots=robots,
         obstacles=ObstacleField(
             count=discs, radius=(0.8, 2.0), region=16.0, keep_out=0.5, overlap=True
         ),
@@ -63,6 +63,7 @@ _BUILDERS: dict[str, Callable[[], Scenario]] = {
     "uav-6": lambda: Scenario(name="uav-6", n_robots=6, dim=3, robot_model="nonholonomic_3d"),
     "cloud-8": lambda: Scenario(name="cloud-8", n_robots=8, dim=3),
     **{f"clutter-{discs}": partial(_clutter, discs) for discs in (4, 8, 12, 16, 24)},
+    **{f"clutter-16-team-{robots}": partial(_clutter, 16, robots) for robots in (3, 8, 16, 32)},
     "clutter-3d": lambda: Scenario(
         name="clutter-3d",
         n_robots=4,

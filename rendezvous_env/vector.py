@@ -116,7 +116,7 @@ class HeadingVectorWrapper(gymnasium.vector.VectorWrapper):
         """
         env, simulator = self.env, self.env.simulator
         resting = simulator.ended
-        self.steering.hold(actions)
+        self._take(actions)
         rewards, infos, outcome = self._drive()
         if env.autoreset_mode is AutoresetMode.NEXT_STEP and resting.any():
             self._begin_anew(resting, outcome, infos)
@@ -143,7 +143,8 @@ class HeadingVectorWrapper(gymnasium.vector.VectorWrapper):
         contact = np.zeros(self._observed.shape[:2], dtype=np.bool_)
         for _ in range(self.decision_period):
             alive = alive_robots(simulator)
-            outcome = simulator.step(steering.act(self._observed))
+            outcome = simulator.step(self._act())
+            self.env.renderer.see(outcome.contact)
             self._observed = outcome.observations
             infos = step_info(simulator, outcome, alive)
             rewards += outcome.rewards
@@ -165,6 +166,14 @@ class HeadingVectorWrapper(gymnasium.vector.VectorWrapper):
         infos["merged_into"] = simulator.merged_into
         infos["contact"][which] = False
         infos["alignment"][which], infos["lyapunov_rate"][which] = np.nan, 0.0
+
+    def _take(self, actions: ArrayLike) -> None:
+        """Take the decisions of this period."""
+        self.steering.hold(actions)
+
+    def _act(self) -> NDArray[np.float32]:
+        """Actions of the next base step."""
+        return self.steering.act(self._observed)
 
     def _see(self, which: NDArray[np.bool_] | None) -> NDArray[np.float32]:
         """What the policy sees, (B, n, ...); only teams of the mask, None is all, saw more."""

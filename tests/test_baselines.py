@@ -99,8 +99,15 @@ def test_names_are_those_that_fit():
     assert set(baselines.names(SPACE)) == {"nonholonomic-3d", *everywhere}
     rules = {"tangent", "tangent-blocking", "tangent-joined"}
     certified = {f"{rule}-certified" for rule in rules}
-    assert set(baselines.names(CLUTTER)) == {"bearing-only", *everywhere, *rules, *certified}
-    assert len(baselines.names()) == 12
+    tuned = {"tangent-joined-tuned"}
+    assert set(baselines.names(CLUTTER)) == {
+        "bearing-only",
+        *everywhere,
+        *rules,
+        *certified,
+        *tuned,
+    }
+    assert len(baselines.names()) == 13
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ import json
 import numpy as np
 import pytest
 
-from train.bench import Config, Row, measure, run
+from train.bench import GROUPS, Config, Row, measure, run
 from train.bench_cases import Case, Running, among_discs, batched, limit_by_pairs, limit_by_rows
 from train.errors import UserError
 
@@ -46,12 +46,12 @@ def test_the_limit_computes_bearings_sums_and_a_step(walk):
 
 def test_all_rows_are_measured_and_written(tmp_path):
     rows, written = measured(tmp_path)
-    assert {row.group for row in rows} == {"one-team", "batched", "obstacles", "robots", "ppo"}
+    assert {row.group for row in rows} == set(GROUPS)
     assert all(row.rate > 0 and len(row.rates) == 2 for row in rows)
     assert all(
         row.ratio > 0
         for row in rows
-        if row.name in ("Simulator", "PPO, end to end") and row.against
+        if row.name in ("Simulator", "PPO, end to end", "Heading PPO, end to end") and row.against
     )
     assert written["bytes_per_team"]["3"]["observations"] == 3 * 2 * 2 * 4
     assert written["threads"] == 1 and "numba" in written["versions"]

@@ -148,7 +148,7 @@ class TestInstalled:
     def test_loads_no_torch_and_no_drawing(self, tmp_path):
         code = (
             "import sys, train.cli as c; c.main(['compare', '--scenarios', 'duo', '--episodes', "
-            "'2', '--no-figures']); import os; "
+            "'2', '--no-figures', '--policies', 'bearing-only', 'random']); import os; "
             "assert os.environ['OMP_WAIT_POLICY'] == 'PASSIVE'; "
             "bad = {'torch', 'stable_baselines3', 'matplotlib', 'pygame'} & set(sys.modules); "
             "assert not bad, bad"

@@ -17,8 +17,8 @@ from train.perception import PerceptionLayout
 SETTINGS = PolicySettings(
     set_width=8,
     hidden=(16,),
-    residual=True,
-    clearance=0.05,
+    clearance=0.1,
+    persistence=0.5,
     min_alignment=0.1,
     max_turn_rate=3.0,
     decision_time=0.05,
@@ -58,9 +58,13 @@ def episode(scenario, teams=6, seed=2, steps=150):
 
 
 class TestActions:
-    def test_untrained_it_acts_as_the_certified_joined_rule(self):
+    def test_choosing_nothing_it_acts_as_the_tuned_rule(self):
         """Only sums in another order differ."""
-        ours, rule = learned(trained=False), baselines.make("tangent-joined-certified", CLUTTER)
+        ours = learned(trained=False)
+        with torch.no_grad():
+            ours._network.action_net.bias[0] = 10.0
+        rule = baselines.make("tangent-joined-tuned", CLUTTER, clearance=0.1, persistence=0.5,
+                              min_alignment=0.1, max_turn_rate=3.0)  # fmt: skip
         turned = 0
         for observations in episode(CLUTTER):
             actions = ours(observations, 0.0)
@@ -73,22 +77,23 @@ class TestActions:
 
     @pytest.mark.parametrize("period", [1, 4])
     def test_it_acts_as_in_the_environment_it_was_trained_in(self, period):
-        """The heading wrapper, fed with the network's raw vectors."""
+        """Fed with the network's choices."""
         from gymnasium.vector import AutoresetMode
 
         from rendezvous_env import make_vec
         from train.perceiving import PerceivingTeams
 
         venv = make_vec(CLUTTER, 6, autoreset_mode=AutoresetMode.SAME_STEP)
-        teams = PerceivingTeams(venv, min_alignment=0.1, decision_period=period)
+        guide = SETTINGS.make_guide(CLUTTER)
+        teams = PerceivingTeams(venv, guide, min_alignment=0.1, decision_period=period)
         policy = learned(decision_time=0.05 * period)
         shown, _ = teams.reset(seed=2)
         simulator = Simulator(CLUTTER, 6)
         observations = simulator.reset(2)
         for _ in range(120 // period):
-            raw = policy._act(shown.reshape(-1, shown.shape[-1])).reshape(6, -1, 2)
-            raw[~shown.any(axis=-1)] = 0.0
-            shown, _, ends, cuts, _ = teams.step(raw)
+            choices = policy._choose(shown.reshape(-1, shown.shape[-1])).reshape(6, -1)
+            choices[~shown.any(axis=-1)] = 0
+            shown, _, ends, cuts, _ = teams.step(choices)
             assert not (ends | cuts).any()
             for _ in range(period):
                 observations = simulator.step(policy(observations, 0.0)).observations
@@ -261,3 +266,14 @@ class TestNames:
     def test_two_robots_are_enough(self, tmp_path):
         write(tmp_path)
         assert learned_policy.load(tmp_path, Scenario(n_robots=2)).min_alignment == 0.1
+
+
+def test_compare_says_what_it_leaves_out(tmp_path, monkeypatch, capsys):
+    from train import cli
+
+    monkeypatch.setattr(policies, "left_out", lambda: "learned policies need torch")
+    words = ["--scenarios", "duo", "--episodes", "2", "--no-figures", "--out", str(tmp_path)]
+    assert cli.main(["compare", *words]) == 0
+    assert "left out: learned (learned policies need torch)" in capsys.readouterr().out
+    assert cli.main(["compare", *words, "--policies", "zero"]) == 0
+    assert "left out" not in capsys.readouterr().out

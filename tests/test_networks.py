@@ -5,17 +5,18 @@ import pytest
 import torch
 from torch import nn
 
-from train.networks import BASE_LENGTH, make_network
-from train.perception import PerceptionLayout
+from train.guide import CHOICES
+from train.networks import make_network
+from train.perception import CONTEXT_COLUMNS, PerceptionLayout
 
 K, M = 4, 6
 SETTINGS = {"set_width": 8, "hidden": (16,)}
 
 
-def network(K=K, M=M, *, residual=True, seed=0):
+def network(K=K, M=M, *, seed=0):
     """With random weights in every layer, the last one included."""
     torch.manual_seed(seed)
-    made = make_network(PerceptionLayout(K, M), residual=residual, **SETTINGS)
+    made = make_network(PerceptionLayout(K, M), **SETTINGS)
     with torch.no_grad():
         nn.init.normal_(made.action_net.weight, std=0.3)
     return made
@@ -24,7 +25,7 @@ def network(K=K, M=M, *, residual=True, seed=0):
 def shown(seed=0, robots=50):
     """Random rows, some absent, as (neighbours, obstacles, context)."""
     random = np.random.default_rng(seed)
-    parts = [random.normal(size=(robots, *shape)) for shape in ((K, 3), (M, 6), (5,))]
+    parts = [random.normal(size=(robots, *shape)) for shape in ((K, 3), (M, 6), (CONTEXT_COLUMNS,))]
     parts[0][random.random((robots, K)) < 0.3] = 0.0
     parts[1][random.random((robots, M)) < 0.5] = 0.0
     parts[1][0] = 0.0  # sees no obstacle
@@ -35,7 +36,8 @@ def outputs(made, parts):
     flat = np.concatenate([part.reshape(len(part), -1) for part in parts], axis=1)
     seen = torch.as_tensor(flat.astype(np.float32))
     with torch.no_grad():
-        return made.get_distribution(seen).mode().numpy(), made.predict_values(seen).numpy()
+        chances = made.get_distribution(seen).distribution.probs
+        return chances.numpy(), made.predict_values(seen).numpy()
 
 
 def same(one, other):
@@ -43,9 +45,8 @@ def same(one, other):
         np.testing.assert_allclose(a, b, atol=2e-6)
 
 
-@pytest.mark.parametrize("residual", [True, False])
-def test_order_does_not_matter(residual):
-    made, (neighbours, obstacles, context) = network(residual=residual), shown()
+def test_order_does_not_matter():
+    made, (neighbours, obstacles, context) = network(), shown()
     random = np.random.default_rng(1)
     mixed = (neighbours[:, random.permutation(K)], obstacles[:, random.permutation(M)], context)
     same(outputs(made, mixed), outputs(made, (neighbours, obstacles, context)))
@@ -54,9 +55,7 @@ def test_order_does_not_matter(residual):
 @pytest.mark.parametrize(("more_neighbours", "more_obstacles"), [(3, 0), (0, 18), (28, 18)])
 def test_absent_rows_do_not_count(more_neighbours, more_obstacles):
     made, (neighbours, obstacles, context) = network(), shown()
-    wide = make_network(
-        PerceptionLayout(K + more_neighbours, M + more_obstacles), residual=True, **SETTINGS
-    )
+    wide = make_network(PerceptionLayout(K + more_neighbours, M + more_obstacles), **SETTINGS)
     wide.load_state_dict(made.state_dict())
     padded = (
         np.concatenate([neighbours, np.zeros((50, more_neighbours, 3))], axis=1),
@@ -84,20 +83,20 @@ def test_empty_sets_are_finite():
     assert all(np.isfinite(values).all() for values in seen)
 
 
-def test_untrained_it_is_the_base_rule():
+def test_untrained_it_chooses_the_rule():
     torch.manual_seed(3)
-    made = make_network(PerceptionLayout(K, M), residual=True, **SETTINGS)
-    parts = shown()
-    np.testing.assert_allclose(outputs(made, parts)[0], BASE_LENGTH * parts[2][:, -2:], atol=1e-6)
-    alone = make_network(PerceptionLayout(K, M), residual=False, **SETTINGS)
-    assert np.abs(outputs(alone, parts)[0]).max() < 0.2
+    made = make_network(PerceptionLayout(K, M), prior=2.0, **SETTINGS)
+    chances, _ = outputs(made, shown())
+    expected = np.r_[np.exp(2.0), np.ones(CHOICES - 1)] / (np.exp(2.0) + CHOICES - 1)
+    np.testing.assert_allclose(chances, np.broadcast_to(expected, chances.shape), atol=0.1)
+    assert (chances.argmax(axis=1) == 0).all()
 
 
 def test_gradients_reach_every_weight():
     made, parts = network(), shown()
     flat = np.concatenate([part.reshape(len(part), -1) for part in parts], axis=1)
     seen = torch.as_tensor(flat.astype(np.float32))
-    value, log_prob, entropy = made.evaluate_actions(seen, torch.zeros(50, 2))
+    value, log_prob, entropy = made.evaluate_actions(seen, torch.zeros(50))
     (value.sum() + log_prob.sum() + entropy.sum()).backward()
     for name, weight in made.named_parameters():
         assert weight.grad is not None and weight.grad.abs().sum() > 0, name

@@ -5,7 +5,6 @@ import pytest
 
 import baselines
 from rendezvous_env import Scenario, Simulator, scenarios
-from rendezvous_env.steering import Steering
 from train.perception import (
     CONTEXT_COLUMNS,
     NEIGHBOUR_COLUMNS,
@@ -16,6 +15,7 @@ from train.perception import (
 
 TEAMS = 6
 CLUTTER = scenarios.get("clutter-16")
+NO_HEADINGS = np.zeros((TEAMS, CLUTTER.n_robots, 2))
 PAIR = Scenario(n_robots=3, obstacles=CLUTTER.obstacles)
 """Two neighbour rows and sixteen obstacles."""
 
@@ -34,8 +34,8 @@ def one(rows):
 
 def perceive(perception, observations, which=None):
     scenario = PAIR if observations.shape[1] == 3 else CLUTTER
-    steering = Steering(scenario, len(observations))
-    return perception.layout.split(perception.see(observations, steering, which))
+    headings = np.zeros((len(observations), scenario.n_robots, 2))
+    return perception.layout.split(perception.see(observations, headings, which))
 
 
 def cluttered(steps=40):
@@ -53,15 +53,14 @@ def test_columns():
     assert layout.size == 3 * NEIGHBOUR_COLUMNS + 5 * OBSTACLE_COLUMNS + CONTEXT_COLUMNS
     numbers = np.arange(2 * layout.size).reshape(2, layout.size)
     parts = layout.split(numbers)
-    assert [part.shape[1:] for part in parts] == [(3, 3), (5, 6), (5,)]
+    assert [part.shape[1:] for part in parts] == [(3, 3), (5, 6), (CONTEXT_COLUMNS,)]
     joined = np.concatenate([part.reshape(2, -1) for part in parts], axis=1)
     np.testing.assert_array_equal(joined, numbers)
-    np.testing.assert_array_equal(parts.base_heading, numbers[:, -2:])
 
 
 def test_a_robot_by_hand():
     """Neighbours along 30° and 150°, gains 1 and 1: f points to 90° with length 1."""
-    perception = Perception(PAIR, 1, decision_time=0.2, clearance=0.1)
+    perception = Perception(PAIR, 1, decision_time=0.2)
     edges = {2: unit(100), 3: unit(85)}
     shown = perceive(perception, one({0: unit(30), 1: unit(150)} | edges))
     np.testing.assert_allclose(
@@ -69,8 +68,11 @@ def test_a_robot_by_hand():
     )
     np.testing.assert_allclose(shown.obstacles[0, 0, 0], [*unit(10), *unit(-5), 0, 0], atol=1e-6)
     assert not shown.obstacles[0, 0, 1:].any()
-    around = np.array([np.cos(np.radians(-5) - 0.1), np.sin(np.radians(-5) - 0.1)])
-    np.testing.assert_allclose(shown.context[0, 0], [0.5, 1.0, 0.5, *around], atol=1e-6)
+    expected = [
+        0.5, 1.0, 0.5, 0.0, 1.0, 0, 0, 0, 0, 1, 0, 1, 0, 0, 0, 0,
+        0.0, 1.0, *np.radians([10, -5, 345, 345]),
+    ]  # fmt: skip
+    np.testing.assert_allclose(shown.context[0, 0], expected, atol=1e-5)
     assert not any(part[0, 1:].any() for part in shown)  # robots without neighbours
 
 
@@ -87,20 +89,43 @@ def test_how_fast_edges_turn():
     assert not again.obstacles[0, 0, 0, 4:].any()
 
 
-def test_the_base_heading_is_the_joined_rule_on_the_side_of_f():
-    observations = cluttered()
-    perception = Perception(CLUTTER, TEAMS, decision_time=0.2, clearance=0.05)
-    steering = Steering(CLUTTER, TEAMS)
-    shown = perception.layout.split(perception.see(observations, steering))
-    f = CLUTTER.observation_layout.net_bearing(observations)
-    velocities = baselines.make("tangent-joined", CLUTTER)(observations, 0.0)
-    directions = velocities / np.fmax(np.linalg.norm(velocities, axis=-1, keepdims=True), 1e-9)
-    frames = steering.get_state()["frames"]
-    headings = np.einsum("bnij,bnj->bni", frames, shown.base_heading)
-    alive = shown.context.any(axis=-1)
-    assert alive.sum() > 15 and (np.abs(shown.base_heading[..., 1]) > 0.1).any()
-    np.testing.assert_allclose(headings[alive], directions[alive], atol=1e-4)
-    assert (np.sum(headings * f, axis=-1) >= 0).all()
+def test_what_a_robot_remembers_of_its_motion():
+    """f along the local y axis and then along x, at 1 m/s; the heading carried is along y."""
+    perception = Perception(PAIR, 1, decision_time=0.5)
+    headings = np.zeros((1, 3, 2))
+    perception.see(one({0: unit(90)}), headings)
+    headings[0, 0] = unit(90)
+    perception.see(one({0: unit(90)}), headings)
+    shown = perception.layout.split(perception.see(one({0: unit(0)}), headings)).context[0, 0]
+    short, long = np.exp(-0.5), np.exp(-0.1)
+    speed = 1.0  # hᵀf in the second decision; in the third h is across f
+    for place, kept in ((5, short), (7, long)):
+        np.testing.assert_allclose(
+            shown[place : place + 2], [0, kept * (1 - kept) * speed], atol=1e-6
+        )
+    for place, kept in ((9, short), (11, long)):
+        np.testing.assert_allclose(shown[place : place + 2], [1 - kept, kept], atol=1e-6)
+    np.testing.assert_allclose(shown[3:5], [1.0 / 60, np.exp(-1.0 / 8)], atol=1e-6)
+    np.testing.assert_allclose(shown[13], -3.0, atol=1e-6)  # π/2 in half a second, cut off
+    np.testing.assert_allclose(shown[14:16], [0, 1], atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("edges", "expected"),
+    [
+        ({}, [0, 0, 0, 0, 0, 0]),
+        ({2: unit(50), 3: unit(40)}, [0, 1, *np.radians([50, 40, 350, 350])]),
+        ({2: unit(20), 3: unit(-20), 4: unit(60), 5: unit(10)},
+         [0, 1, *np.radians([60, -20, 280, 280])]),
+        ({2: unit(20), 3: unit(-20), 4: unit(60), 5: unit(50)},
+         [0, 1, *np.radians([20, -20, 30, 280])]),
+        ({2: unit(89), 3: unit(-89), 4: unit(-160), 5: unit(70), 6: unit(-70), 7: unit(170)},
+         [1, 0, 0, 0, 0, 0]),
+    ],
+)  # fmt: skip
+def test_silhouettes_joined_before_f(edges, expected):
+    shown = perceive(Perception(PAIR, 1, decision_time=0.2), one({0: unit(0)} | edges))
+    np.testing.assert_allclose(shown.context[0, 0, 16:], expected, atol=1e-6)
 
 
 def test_turning_every_robot_changes_nothing():
@@ -111,9 +136,9 @@ def test_turning_every_robot_changes_nothing():
     c, s = np.cos(angles), np.sin(angles)
     rotations = np.stack([np.stack([c, -s], -1), np.stack([s, c], -1)], -2)
     for step in (observations, cluttered(44)):
-        a = plain.see(step, Steering(CLUTTER, TEAMS))
+        a = plain.see(step, NO_HEADINGS)
         other = np.einsum("bnij,bnkj->bnki", rotations, step).astype(np.float32)
-        b = turned.see(other, Steering(CLUTTER, TEAMS))
+        b = turned.see(other, NO_HEADINGS)
         np.testing.assert_allclose(a, b, atol=2e-5)
     assert np.abs(plain.layout.split(a).obstacles[..., 4:]).max() > 0.01
 
@@ -123,39 +148,39 @@ def test_only_teams_of_the_mask_remember():
     which = np.arange(TEAMS) % 2 == 0
     one, other = (Perception(CLUTTER, TEAMS, decision_time=0.2) for _ in range(2))
     for perception in (one, other):
-        perception.see(observations, Steering(CLUTTER, TEAMS))
-    part = one.see(later, Steering(CLUTTER, TEAMS), which)
-    whole = other.see(later, Steering(CLUTTER, TEAMS))
+        perception.see(observations, NO_HEADINGS)
+    part = one.see(later, NO_HEADINGS, which)
+    whole = other.see(later, NO_HEADINGS)
     np.testing.assert_array_equal(part[which], whole[which])
     assert not part[~which].any()
-    rest = one.see(later, Steering(CLUTTER, TEAMS), ~which)
+    rest = one.see(later, NO_HEADINGS, ~which)
     np.testing.assert_array_equal(rest[~which], whole[~which])
 
 
 def test_memory_is_kept_put_back_and_forgotten():
     observations, later = cluttered(), cluttered(44)
     perception = Perception(CLUTTER, TEAMS, decision_time=0.2)
-    fresh = perception.see(observations, Steering(CLUTTER, TEAMS))
+    fresh = perception.see(observations, NO_HEADINGS)
     state = perception.get_state()
-    second = perception.see(later, Steering(CLUTTER, TEAMS))
+    second = perception.see(later, NO_HEADINGS)
     perception.set_state(state)
-    np.testing.assert_array_equal(perception.see(later, Steering(CLUTTER, TEAMS)), second)
+    np.testing.assert_array_equal(perception.see(later, NO_HEADINGS), second)
     perception.forget()
-    np.testing.assert_array_equal(perception.see(observations, Steering(CLUTTER, TEAMS)), fresh)
+    np.testing.assert_array_equal(perception.see(observations, NO_HEADINGS), fresh)
     perception.forget(np.arange(TEAMS) == 1)
-    third = perception.layout.split(perception.see(later, Steering(CLUTTER, TEAMS)))
+    third = perception.layout.split(perception.see(later, NO_HEADINGS))
     rates = np.abs(third.obstacles[..., 4:]).reshape(TEAMS, -1).max(axis=1)
     assert rates[1] == 0 and (np.delete(rates, 1) > 0).any()
-    with pytest.raises(ValueError, match="edges must be an array of shape"):
-        perception.set_state({"edges": np.zeros(3)})
+    with pytest.raises(ValueError, match="time must be an array of shape"):
+        perception.set_state({**state, "time": np.zeros(3)})
 
 
 def test_further_obstacle_slots_are_absent():
     observations = cluttered()
     wide = Perception(CLUTTER, TEAMS, decision_time=0.2, obstacle_slots=24)
-    shown = wide.layout.split(wide.see(observations, Steering(CLUTTER, TEAMS)))
+    shown = wide.layout.split(wide.see(observations, NO_HEADINGS))
     own = Perception(CLUTTER, TEAMS, decision_time=0.2)
-    exact = own.layout.split(own.see(observations, Steering(CLUTTER, TEAMS)))
+    exact = own.layout.split(own.see(observations, NO_HEADINGS))
     np.testing.assert_array_equal(shown.obstacles[:, :, :16], exact.obstacles)
     assert not shown.obstacles[:, :, 16:].any()
     np.testing.assert_array_equal(shown.context, exact.context)

@@ -19,6 +19,7 @@ from rendezvous_env import scenarios
 from rendezvous_env.obstacles import ObstacleField
 from train import checkpoints, cli, learned_policy, ppo, results, training
 from train.errors import UserError
+from train.guide import CHOICES
 from train.ppo import Config
 from train.run_log import EVALUATION, METRICS, WALL_TIME, Table
 
@@ -135,6 +136,17 @@ class TestFiles:
         assert [row["policy"] for row in rows] == ["bearing-only", f"learned:{whole}"]
         assert float(rows[1]["min_alignment"]) >= 0.05 - 1e-6
 
+    def test_what_is_shipped_is_enough(self, whole, tmp_path):
+        learned_policy.ship(whole, tmp_path / "pretrained")
+        written = {path.name for path in (tmp_path / "pretrained").iterdir()}
+        assert written == {
+            "checkpoint.json", "network.safetensors", "metrics.csv", "evaluation.csv"
+        }  # fmt: skip
+        loaded = learned_policy.load(tmp_path / "pretrained", scenarios.get("fig4"))
+        assert loaded.settings == config(whole).policy_settings()
+        about = checkpoints.describe(tmp_path / "pretrained")
+        assert about["config"]["total_steps"] == 12 * UPDATE
+
     def test_tensorboard(self, tmp_path):
         folder = tmp_path / "run"
         changed = config(folder, tensorboard=True, total_steps=UPDATE, eval_every=0)
@@ -143,20 +155,20 @@ class TestFiles:
 
 
 class TestLearning:
-    def test_weights_move_and_the_base_rule_is_where_it_starts(self, whole, tmp_path):
+    def test_weights_move_and_the_rule_is_where_it_starts(self, whole, tmp_path):
         begun = training.Training(config(tmp_path))
         begun.model.policy.set_training_mode(False)
         start = {k: v.numpy() for k, v in begun.model.policy.state_dict().items()}
-        assert not start["action_net.weight"][:, :-2].any()
+        assert start["action_net.bias"].tolist() == [3.0, *[0.0] * (CHOICES - 1)]
         moved = [name for name, value in network(whole).items() if (value != start[name]).any()]
         assert set(moved) == set(start)
 
     def test_a_reward_is_learned(self, tmp_path):
-        """Nothing but touches costs: exploration far from the rule is unlearned."""
+        """Where only progress counts, straight towards f is best, however random it begins."""
         changed = config(
-            tmp_path / "run", total_steps=16 * 2048, num_teams=32, log_std=-0.5, touch_penalty=0.0,
-            learning_rate=3e-3, epochs=4, batch_size=512, progress=20.0, time_penalty=0.0, rendezvous_bonus=0.0,
-            residual=False, curriculum=(0,), eval_every=0, gamma=0.9,
+            tmp_path / "run", total_steps=16 * 2048, num_teams=32, prior=0.0, touch_penalty=0.0,
+            learning_rate=3e-3, epochs=4, batch_size=512, progress=20.0, time_penalty=0.0,
+            rendezvous_bonus=0.0, curriculum=(0,), eval_every=0, gamma=0.9,
         )  # fmt: skip
         assert ppo.run(changed) == 0
         rows = results.read_csv(tmp_path / "run" / "metrics.csv")

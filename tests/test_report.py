@@ -157,6 +157,30 @@ class TestPage:
         assert compare.Config().keep == 5
 
 
+class TestSize:
+    def test_what_exceeds_its_share_is_thinned_and_says_so(self, folder, monkeypatch):
+        whole = read(folder)
+        sizes = {k: len(report_encoding.encode(r).text) for k, r in whole.recordings.items()}
+        budget = sum(sizes.values()) // 2
+        monkeypatch.setattr(report_encoding, "BUDGET", budget)
+        text = report.page(whole)
+        data, blobs = data_of(text)
+        strides = {
+            (r["scenario"], r["policy"], r["start"]): r["stride"] for r in data["recordings"]
+        }
+        assert {key for key, stride in strides.items() if stride > 1} == {
+            key for key, size in sizes.items() if size > budget // len(sizes)
+        }
+        assert f"{sum(s > 1 for s in strides.values())} of 10 recordings are thinned out" in text
+        assert sum(map(len, re.findall(r'type="application/gzip">(.*?)<', text))) <= budget
+        for entry, raw in zip(data["recordings"], blobs, strict=True):
+            recording = whole.recordings[entry["scenario"], entry["policy"], entry["start"]]
+            times, recorded = decode(entry["fields"], raw)["times"], recording["times"]
+            merges = ~np.isnan(recording["lyapunov_before_merge"])
+            expected = {*recorded[:: entry["stride"]], *recorded[merges], recorded[-1]}
+            np.testing.assert_allclose(times, sorted(expected), rtol=1e-6)
+
+
 class TestRounding:
     def test_by_hand(self):
         assert report_encoding.rounding(np.array([-3.0, np.nan, 1.0])) == 3.0 / 32767

@@ -151,6 +151,15 @@ class TestReplay:
         contacts = int(recorded("contacts")[frame].sum())
         assert f"{contacts} contacts" in opened.locator(".state").first.text_content()
 
+    def test_between_frames_robots_move_and_what_they_see_stays(self, opened, recorded):
+        times = recorded("times")
+        scrub(opened, times[4])
+        before, rows = picture(opened), shown_rows(opened)
+        scrub(opened, 0.5 * (times[4] + times[5]))
+        assert picture(opened) != before and shown_rows(opened) == rows
+        scrub(opened, times[5])
+        assert shown_rows(opened) != rows
+
     def test_keys(self, opened, recorded):
         times = recorded("times")
         opened.keyboard.press("ArrowRight")

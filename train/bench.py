@@ -25,7 +25,7 @@ from .bench_cases import LIMIT, Case, Running, among_discs, batched, one_team, s
 from .errors import UserError
 from .results import provenance, write_json
 
-GROUPS = ("one-team", "batched", "obstacles", "robots", "ppo")
+GROUPS = ("one-team", "batched", "obstacles", "robots", "ppo", "heading-ppo")
 _PEERS = ("stable-baselines3", "torch", "mpe2")
 
 
@@ -38,7 +38,7 @@ class Config:
     figure: Path | None = None
     """PNG file for the growth of a robot step's time with n and B; measured only if given."""
     only: tuple[str, ...] = ()
-    """Groups of rows: one-team, batched, obstacles, robots, ppo; none of them is all."""
+    """Groups of rows: one-team, batched, obstacles, robots, ppo, heading-ppo; none is all."""
     robots: tuple[int, ...] = (3, 8, 32)
     """Sizes of teams."""
     num_envs: int = 1024
@@ -120,7 +120,7 @@ def _groups(config: Config, console: Console) -> Iterator[list[Case]]:
     if "obstacles" in wanted:
         yield one_team(among_discs(), "obstacles", peer=False)
         yield batched(among_discs(), "obstacles", *size)
-    if {"robots", "ppo"} & set(wanted):
+    if {"robots", "ppo", "heading-ppo"} & set(wanted):
         yield from _learning_groups(config, wanted, console)
 
 
@@ -138,6 +138,8 @@ def _learning_groups(
     for n in config.robots:
         if "ppo" in wanted:
             yield bench_learning.ppo(n, config.num_envs, config.num_threads)
+    if "heading-ppo" in wanted:
+        yield bench_learning.heading_ppo(config.num_envs, config.num_threads)
 
 
 # ---- measuring ------------------------------------------------------------------------------

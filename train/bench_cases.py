@@ -39,7 +39,7 @@ class Case:
 
     name: str
     group: str
-    """"one-team", "batched", "obstacles", "robots" or "ppo"."""
+    """One of bench.GROUPS."""
     n_robots: int
     num_envs: int
     """B, teams that step together."""

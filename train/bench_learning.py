@@ -9,8 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .bench_cases import Case, Running, spread_out
+from .ppo import Config
 from .rollout_buffer import RobotPPO
 from .sb3_vec_env import RobotVecEnv, make_robots
+from .training import Training
 
 _STEPS, _BATCH, _EPOCHS = 64, 8192, 4
 
@@ -76,4 +78,28 @@ def ppo(n: int, slots: int, num_threads: int | None) -> list[Case]:
     return [
         Case("PPO, free environment", *size, lambda: build(free=True)),
         Case("PPO, end to end", *size, lambda: build(free=False), "PPO, free"),
+    ]
+
+
+def heading_ppo(slots: int, num_threads: int | None) -> list[Case]:
+    """What ``rendezvous train`` does, beside the same on robots that cost nothing.
+
+    The environment is all that is no network: clutter, certified headings, perception.
+    """
+    n = 4
+    config = Config(num_teams=slots // n, num_threads=num_threads)
+    samples = config.samples_per_update
+
+    def build(free: bool) -> Running:
+        training = Training(config)
+        model = training.model
+        if free:
+            model.set_env(FreeRobots(training.robots.teams))
+        learn = lambda: model.learn(samples, log_interval=None, reset_num_timesteps=False)  # noqa: E731
+        return Running(learn, lambda: True)
+
+    size = ("heading-ppo", n, config.num_teams, samples, "samples")
+    return [
+        Case("Heading PPO, free environment", *size, lambda: build(free=True)),
+        Case("Heading PPO, end to end", *size, lambda: build(free=False), "Heading PPO, free"),
     ]

@@ -18,7 +18,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rendezvous_env import scenarios as named_scenarios
 from rendezvous_env.scenario import Scenario
 
-from . import policies, results, statistics, tables
+from . import ceiling, policies, results, statistics, tables
 from .episodes import Episodes, play
 from .errors import UserError
 from .recording import Recording
@@ -34,8 +34,15 @@ DEFAULT_SCENARIOS = (
     "unicycle-6",
     "uav-6",
     "cloud-8",
+    "clutter-4",
     "clutter-8",
+    "clutter-12",
     "clutter-16",
+    "clutter-24",
+    "clutter-16-team-3",
+    "clutter-16-team-8",
+    "clutter-16-team-16",
+    "clutter-16-team-32",
 )
 _ROUNDING = 1e-9  # m²/s, of V; a larger rise at a merge above its bound is an error
 
@@ -56,6 +63,9 @@ class Config:
     """Folder for tables, trajectories and figures; made if there is none."""
     keep: int = 5
     """Starts of which trajectories are kept."""
+    ceiling: int = 0
+    """Randomised runs of law (4) on each start, the best of which says what any heading policy can
+    reach; 0 leaves this out."""
     figures: bool = True
     """Whether to draw figures."""
 
@@ -94,11 +104,15 @@ def run(config: Config) -> int:
     console = Console(width=max(Console().width, tables.WIDTH))
     jobs = plan(config)
     folder = results.prepare_folder(config.out)
+    if not config.policies and (reason := policies.left_out()):
+        console.print(f"left out: {policies.LEARNED} ({reason})")
     compile_time = _compile(jobs, console)
     began = time.perf_counter()
     played = play_all(jobs, config, console)
     duration = time.perf_counter() - began
     rows = [summary(done) for done in played]
+    if config.ceiling:
+        _write_ceilings(folder, jobs, config, console)
     write(folder, config, played, rows, {"compile_s": compile_time, "compare_s": duration})
     console.print(tables.results_table(rows, {job.scenario.name: job.scenario for job in jobs}))
     if config.figures:
@@ -118,7 +132,7 @@ def plan(config: Config) -> list[Job]:
     Raises:
         UserError: for an unknown name or an impossible number.
     """
-    for field, least in (("episodes", 1), ("seed", 0), ("keep", 0)):
+    for field, least in (("episodes", 1), ("seed", 0), ("keep", 0), ("ceiling", 0)):
         if getattr(config, field) < least:
             raise UserError(f"--{field} is {getattr(config, field)}; it must be {least} or more")
     if config.seed + config.episodes > 2**63:
@@ -202,6 +216,31 @@ def _advance(progress: Progress, bar: Any, number: int) -> Any:
             progress.update(bar, completed=number + share)
 
     return advance
+
+
+def _write_ceilings(folder: Path, jobs: Sequence[Job], config: Config, console: Console) -> None:
+    """Estimate what law (4) can reach in each scenario with obstacles; a table and ceiling.csv."""
+    scenarios = [job.scenario for job in jobs]
+    reachable = [scenario for scenario in dict.fromkeys(scenarios) if ceiling.applies(scenario)]
+    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
+    rows = []
+    with Progress(*columns, console=console) as progress:
+        bar = progress.add_task("", total=len(reachable))
+        for number, scenario in enumerate(reachable):
+            progress.update(
+                bar, description=f"{scenario.name} · best of {config.ceiling}".ljust(40)
+            )
+            best = ceiling.estimate(
+                scenario,
+                config.ceiling,
+                episodes=config.episodes,
+                seed=config.seed,
+                on_progress=_advance(progress, bar, number),
+            )
+            rows.append(best.row(scenario))
+        progress.update(bar, completed=len(reachable), description="done".ljust(40))
+    results.write_csv(folder / "ceiling.csv", ceiling.COLUMNS, rows)
+    console.print(tables.ceiling_table(rows))
 
 
 def summary(played: Played) -> dict[str, Any]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shutil
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -17,6 +18,7 @@ from rendezvous_env.steering import Steering
 
 from . import checkpoints, perception
 from .checkpoints import CheckpointError
+from .guide import Guide
 from .perception import Perception, PerceptionLayout, check_readable
 
 if TYPE_CHECKING:
@@ -25,8 +27,8 @@ if TYPE_CHECKING:
 NAME = "learned"
 PRETRAINED = Path(__file__).parent / "pretrained"
 """The policy called ``learned``, once it is there."""
-_AT_ONCE = 8192
-"""Robots whose actions are computed together; more need memory and no less time."""
+_AT_ONCE = 1024
+"""Robots whose actions are computed together; the rows of more do not fit the processor's cache."""
 
 
 @dataclass(frozen=True)
@@ -37,10 +39,10 @@ class PolicySettings:
     """Of the networks that read one row."""
     hidden: tuple[int, ...]
     """Widths of the layers behind them."""
-    residual: bool
-    """Whether it learned what to add to the base heading."""
     clearance: float
-    """Of the base heading, rad."""
+    """Of the guide, rad."""
+    persistence: float
+    """Of the guide."""
     min_alignment: float
     """ε, which the certified heading keeps."""
     max_turn_rate: float
@@ -75,15 +77,18 @@ class PolicySettings:
         """An untrained network for that many slots."""
         from .networks import make_network
 
-        return make_network(
-            layout, set_width=self.set_width, hidden=self.hidden, residual=self.residual
-        )
+        return make_network(layout, set_width=self.set_width, hidden=self.hidden)
+
+    def make_guide(self, scenario: Scenario) -> Guide:
+        """What turns its choices into headings."""
+        return Guide(scenario, clearance=self.clearance, persistence=self.persistence)
 
 
 class LearnedPolicy:
-    """A network's mean action, certified: theorem C holds whatever the weights.
+    """A network's likeliest choice, certified: theorem C holds whatever the weights.
 
-    It decides every ``decision_time`` and steers by f in each step between. Teams of any size and
+    It chooses every ``decision_time``; guide and certified heading follow what is seen in each
+    step. Teams of any size and
     any number of obstacles; single integrators in the plane. The memory has the leading axes of the
     observations; other leading axes are other teams, and start anew.
 
@@ -105,6 +110,7 @@ class LearnedPolicy:
         self.decision_period = settings.decision_period(scenario)
         rows = scenario.observation_layout
         self._network = _for_slots(network, rows.neighbour_slots, rows.obstacle_slots, settings)
+        self._guide = settings.make_guide(scenario)
         self._leading: tuple[int, ...] | None = None
 
     def __call__(self, observations: NDArray[Any], time: ArrayLike) -> NDArray[np.float32]:
@@ -127,6 +133,7 @@ class LearnedPolicy:
         if due.any():
             self._decide(teams, due)
         self._wait = np.where(due, self.decision_period, self._wait) - 1
+        self._steering.hold(self._guide.aim(teams, self._choices, self._steering.headings))
         actions = within_limits(self._steering.act(teams).astype(np.float64), self.scenario)
         return actions.reshape(*seen.shape[:-2], 2)
 
@@ -147,41 +154,35 @@ class LearnedPolicy:
             teams,
             min_alignment=settings.min_alignment,
             max_turn_rate=settings.max_turn_rate,
+            frame="local",
         )
         self._perception = Perception(
             self.scenario,
             teams,
             decision_time=self.decision_period * self.scenario.tau,
-            clearance=settings.clearance,
         )
+        self._choices = np.zeros((teams, self.scenario.n_robots), dtype=np.int64)
         self._wait = np.zeros(teams, dtype=np.int64)
         self._leading = leading
 
     def _decide(self, observations: NDArray[np.float32], due: NDArray[np.bool_]) -> None:
-        """New raw vectors for the teams that are due; the others' memory stays as it is."""
-        before = None if due.all() else self._steering.get_state()
-        shown = self._perception.see(observations, self._steering, due)
+        """New choices for the teams that are due."""
+        shown = self._perception.see(observations, self._steering.headings, due)
         alive = shown.any(axis=-1)
-        raw = np.zeros((*alive.shape, 2))
-        raw[alive] = self._act(shown[alive])
-        self._steering.hold(raw)
-        if before is not None:
-            after = self._steering.get_state()
-            for name, array in after.items():
-                array[~due] = before[name][~due]
-            self._steering.set_state(after)
+        self._choices[due] = 0
+        self._choices[alive] = self._choose(shown[alive])
 
-    def _act(self, shown: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Raw vectors (N, 2) for what N robots are shown."""
+    def _choose(self, shown: NDArray[np.float32]) -> NDArray[np.int64]:
+        """The likeliest choices (N,) for what N robots are shown."""
         import torch
 
-        actions = np.empty((len(shown), 2), dtype=np.float32)
+        choices = np.empty(len(shown), dtype=np.int64)
         with torch.inference_mode():
             for first in range(0, len(shown), _AT_ONCE):
                 some = torch.from_numpy(shown[first : first + _AT_ONCE])
-                mean = self._network.get_distribution(some).mode()
-                actions[first : first + _AT_ONCE] = mean.clamp(-1.0, 1.0).cpu().numpy()
-        return actions
+                likeliest = self._network.get_distribution(some).mode()
+                choices[first : first + _AT_ONCE] = likeliest.cpu().numpy()
+        return choices
 
 
 def _for_slots(
@@ -215,6 +216,23 @@ def load(path: Path, scenario: Scenario) -> LearnedPolicy:
     except (TypeError, ValueError, RuntimeError) as error:
         raise CheckpointError(f"{place}: is no policy of this version: {error}") from error
     return LearnedPolicy(scenario, network, settings)
+
+
+def ship(run: Path, folder: Path) -> None:
+    """Write what others need of a run: weights, settings, and the tables that tell how it went.
+
+    Args:
+        run: folder of the run, or of one of its checkpoints.
+        folder: where it goes; what stands there is replaced.
+
+    Raises:
+        CheckpointError: if the run cannot be read.
+    """
+    place = checkpoints.find(run)
+    about, tables = checkpoints.read(place, ["network"])
+    checkpoints.write_folder(folder, about, tables)
+    for name in ("metrics.csv", "evaluation.csv"):
+        shutil.copyfile(place.parent.parent / name, folder / name)
 
 
 def require_torch() -> None:

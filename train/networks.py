@@ -6,11 +6,12 @@ from typing import Any
 
 import numpy as np
 import torch
-from gymnasium.spaces import Box
+from gymnasium.spaces import Box, Discrete
 from stable_baselines3.common.policies import ActorCriticPolicy
-from stable_baselines3.common.torch_layers import BaseFeaturesExtractor, MlpExtractor
+from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from torch import Tensor, nn
 
+from .guide import CHOICES
 from .perception import (
     CONTEXT_COLUMNS,
     NEIGHBOUR_COLUMNS,
@@ -19,8 +20,8 @@ from .perception import (
     PerceptionLayout,
 )
 
-BASE_LENGTH = 0.8
-"""Of the base heading as a raw vector: below 1, so that noise is rarely cut off at the bounds."""
+_SMALL = 0.1
+"""Share of the usual weights with which the choice begins."""
 
 
 class SetFeatures(BaseFeaturesExtractor):
@@ -67,36 +68,21 @@ def _pooled(network: nn.Sequential, rows: Tensor) -> tuple[Tensor, Tensor]:
 
 
 class HeadingNetwork(ActorCriticPolicy):
-    """Actor and critic over ``SetFeatures``; the action is a raw heading vector.
+    """Actor and critic over ``SetFeatures``; the action is one of the choices of ``guide``.
 
-    With ``residual`` the mean is BASE_LENGTH times the base heading plus what is learned, zero at
-    first, so that the untrained policy is the base rule.
+    At first choice 0, the analytic rule, is by far the likeliest whatever is seen, so that training
+    begins near the rule.
+
+    Args:
+        prior: how much likelier than any other, as a logarithm.
     """
 
-    def __init__(self, *arguments: Any, residual: bool = True, **settings: Any) -> None:
-        self._residual = residual
+    def __init__(self, *arguments: Any, prior: float = 0.0, **settings: Any) -> None:
         super().__init__(*arguments, **settings)
-        if residual:
-            with torch.no_grad():
-                self.action_net.weight.zero_()
-                self.action_net.weight[:, -2:] = BASE_LENGTH * torch.eye(2)
-
-    def _build_mlp_extractor(self) -> None:
-        kind = _WithBaseHeading if self._residual else MlpExtractor
-        self.mlp_extractor = kind(
-            self.features_dim, self.net_arch, self.activation_fn, device=self.device
-        )
-
-
-class _WithBaseHeading(MlpExtractor):
-    """Hands the base heading, with which features end, past the actor's layers to its last one."""
-
-    def __init__(self, *arguments: Any, **settings: Any) -> None:
-        super().__init__(*arguments, **settings)
-        self.latent_dim_pi += 2
-
-    def forward_actor(self, features: Tensor) -> Tensor:
-        return torch.cat((super().forward_actor(features), features[..., -2:]), dim=-1)
+        with torch.no_grad():
+            self.action_net.weight *= _SMALL
+            self.action_net.bias.zero_()
+            self.action_net.bias[0] = prior
 
 
 def observation_box(layout: PerceptionLayout) -> Box:
@@ -105,12 +91,7 @@ def observation_box(layout: PerceptionLayout) -> Box:
 
 
 def network_settings(
-    layout: PerceptionLayout,
-    *,
-    set_width: int,
-    hidden: tuple[int, ...],
-    residual: bool,
-    log_std: float = 0.0,
+    layout: PerceptionLayout, *, set_width: int, hidden: tuple[int, ...], prior: float = 0.0
 ) -> dict[str, Any]:
     """Arguments of a HeadingNetwork beside its spaces (``policy_kwargs``)."""
     return {
@@ -118,13 +99,11 @@ def network_settings(
         "features_extractor_kwargs": {"layout": layout, "width": set_width},
         "net_arch": {"pi": list(hidden), "vf": list(hidden)},
         "activation_fn": nn.ReLU,
-        "log_std_init": log_std,
-        "residual": residual,
+        "prior": prior,
     }
 
 
 def make_network(layout: PerceptionLayout, **settings: Any) -> HeadingNetwork:
     """A network on its own, for inference; settings as ``network_settings``."""
-    action = Box(-1.0, 1.0, (2,), dtype=np.float32)
     arguments = network_settings(layout, **settings)
-    return HeadingNetwork(observation_box(layout), action, lambda _: 0.0, **arguments)
+    return HeadingNetwork(observation_box(layout), Discrete(CHOICES), lambda _: 0.0, **arguments)

@@ -6,26 +6,29 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from gymnasium.spaces import MultiDiscrete
 from gymnasium.vector import AutoresetMode
 from numpy.typing import ArrayLike, NDArray
 
 from rendezvous_env.gymnasium_env import RendezvousVectorEnv, Transition
 from rendezvous_env.vector import HeadingVectorWrapper, team_box
 
+from .guide import CHOICES, Guide
 from .networks import observation_box
 from .perception import Perception
 
 
 class PerceivingTeams(HeadingVectorWrapper):
-    """Teams that choose heading vectors from what ``Perception`` shows them.
+    """Teams whose robots choose by what ``Perception`` shows them, and head where ``Guide`` says.
 
-    Observations are (B, n, layout.size), the last ones of an episode included. The first touch of
-    an obstacle costs the robot ``touch_penalty``, and no other robot of its team.
+    Actions are choices (B, n), each held for ``decision_period`` base steps, in each of which the
+    guide aims anew. Observations are (B, n, layout.size), the last ones of an episode included. The
+    first touch of an obstacle costs the robot ``touch_penalty``, and no other robot of its team.
 
     Args:
         env: teams of single integrators in the plane, with SAME_STEP autoreset.
+        guide: of their scenario.
         touch_penalty: taken from ``robot_rewards``, once in an episode.
-        clearance: of ``Perception``, rad.
         obstacle_slots: of ``Perception``.
         arguments: of ``HeadingVectorWrapper``: min_alignment, max_turn_rate, decision_period.
 
@@ -36,25 +39,27 @@ class PerceivingTeams(HeadingVectorWrapper):
     def __init__(
         self,
         env: RendezvousVectorEnv,
+        guide: Guide,
         *,
         touch_penalty: float = 0.0,
-        clearance: float = 0.05,
         obstacle_slots: int | None = None,
         **arguments: Any,
     ) -> None:
         if env.autoreset_mode is not AutoresetMode.SAME_STEP:
             raise ValueError(f"autoreset_mode is {env.autoreset_mode}; it must be SAME_STEP")
-        super().__init__(env, frame="net_bearing", **arguments)
+        super().__init__(env, frame="local", **arguments)
         self.perception = Perception(
             env.scenario,
             env.num_envs,
             decision_time=self.decision_period * env.scenario.tau,
-            clearance=clearance,
             obstacle_slots=obstacle_slots,
         )
         n = env.scenario.n_robots
+        self.guide = guide
         self.single_observation_space = team_box(observation_box(self.perception.layout), n)
+        self.single_action_space = MultiDiscrete([CHOICES] * n)
         self.touch_penalty = float(touch_penalty)
+        self._choices = np.zeros((env.num_envs, n), dtype=np.int64)
         self._touched = np.zeros((env.num_envs, n), dtype=np.bool_)
 
     def step(self, actions: ArrayLike) -> Transition:
@@ -68,8 +73,21 @@ class PerceivingTeams(HeadingVectorWrapper):
         self._touched |= infos["contact"]
         return seen, rewards, ends, cuts, infos
 
+    def _take(self, actions: ArrayLike) -> None:
+        choices = np.asarray(actions)
+        if choices.shape != self._choices.shape:
+            raise ValueError(
+                f"actions have shape {choices.shape}; they must be (B, n) = {self._choices.shape}"
+            )
+        self._choices = choices.astype(np.int64)
+
+    def _act(self) -> NDArray[np.float32]:
+        raw = self.guide.aim(self._observed, self._choices, self.steering.headings)
+        self.steering.hold(raw)
+        return super()._act()
+
     def _see(self, which: NDArray[np.bool_] | None) -> NDArray[np.float32]:
-        return self.perception.see(self._observed, self.steering, which)
+        return self.perception.see(self._observed, self.steering.headings, which)
 
     def _forget(self, which: NDArray[np.bool_] | None) -> None:
         super()._forget(which)

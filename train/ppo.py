@@ -28,13 +28,13 @@ MAY_CHANGE = ("total_steps", "eval_every", "eval_starts", "checkpoint_every", "n
 class Config:
     """Train a heading policy; the team keeps its guarantee whatever the network says."""
 
-    scenario: str = "clutter-16"
+    scenario: str = "clutter-24"
     """Name of a scenario, or path of a TOML file; single integrators in the plane."""
     curriculum: tuple[int, ...] = ()
     """Most obstacles of an episode, in stages of equal length; none keeps the scenario's."""
     fewest_obstacles: int | None = None
     """With a curriculum: each episode has this many up to the most; None always the most."""
-    total_steps: int = 8_000_000
+    total_steps: int = 10_000_000
     """Decisions of single robots."""
     seed: int = 0
     """Of weights, exploration and starts, below 2²⁹."""
@@ -45,15 +45,15 @@ class Config:
     start_from: Path | None = None
     """Run or checkpoint whose weights to begin with."""
 
-    num_teams: int = 512
+    num_teams: int = 1024
     """Teams that are simulated at once."""
-    n_steps: int = 64
+    n_steps: int = 32
     """Decisions of each robot between updates."""
-    batch_size: int = 16384
+    batch_size: int = 8192
     """Samples in a gradient step."""
     epochs: int = 4
     """Passes over the samples of an update."""
-    learning_rate: float = 3e-4
+    learning_rate: float = 1e-3
     """At the start; it falls linearly to a twentieth."""
     gamma: float = 0.99
     """Discount for each decision."""
@@ -63,20 +63,20 @@ class Config:
     """Of the probability ratio."""
     ent_coef: float = 0.0
     """Weight of the entropy."""
-    log_std: float = -1.5
-    """Logarithm of the exploration noise at the start."""
+    prior: float = 3.0
+    """How much likelier the analytic rule is than any other choice at the start, as a logarithm."""
 
     set_width: int = 32
     """Of the networks that read one neighbour or one obstacle."""
     hidden: tuple[int, ...] = (128, 128)
     """Widths of the layers behind them, for actor and critic."""
-    residual: bool = True
-    """Learn what to add to the heading of tangent-joined; else learn from nothing."""
-    clearance: float = 0.05
-    """Of that heading, rad."""
+    clearance: float = 0.2
+    """By which the guide stays clear of an edge, rad."""
+    persistence: float = 0.5
+    """How firmly the guide stands by a side."""
 
-    decision_period: int = 4
-    """Base steps for which a raw vector is held."""
+    decision_period: int = 12
+    """Base steps for which a choice is held."""
     min_alignment: float = 0.05
     """ε of the certified heading."""
     max_turn_rate: float = 100.0
@@ -184,8 +184,8 @@ class Config:
         return PolicySettings(
             set_width=self.set_width,
             hidden=self.hidden,
-            residual=self.residual,
             clearance=self.clearance,
+            persistence=self.persistence,
             min_alignment=self.min_alignment,
             max_turn_rate=self.max_turn_rate,
             decision_time=self.decision_period * self.base_scenario().tau,

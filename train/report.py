@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from html import escape
 from importlib.resources import files
@@ -23,7 +23,7 @@ from rendezvous_env.scenario import Scenario
 from .errors import UserError
 from .figures import ROBOT_COLOURS
 from .recording import MAX_FRAMES
-from .report_encoding import encode, rounding
+from .report_encoding import Encoded, encode_all, rounding
 from .report_input import Comparison, read
 from .results import atomic
 
@@ -69,7 +69,7 @@ def run(config: Config) -> int:
 
 def page(found: Comparison) -> str:
     """The whole page."""
-    data, blobs = _data(found)
+    encoded = encode_all(list((found.recordings or {}).values()))
     return Template(_part("page.html")).substitute(
         title=escape(f"Rendezvous: {', '.join(found.scenarios)}"),
         summary=escape(_summary(found)),
@@ -77,14 +77,14 @@ def page(found: Comparison) -> str:
         uplot_css=_part("uPlot.min.css"),
         uplot_js=_part("uPlot.iife.min.js"),
         js='(() => {\n"use strict";\n' + "\n".join(_part(f"{s}.js") for s in _SCRIPTS) + "})();",
-        replay=_part("replay.html") if blobs else f'<p class="note">{_missing(found)}</p>',
+        replay=_part("replay.html") if encoded else f'<p class="note">{_missing(found)}</p>',
         figures="\n".join(_figures(found)),
-        about=_about(found),
+        about=_about(found, encoded),
         recordings="\n".join(
-            f'<script id="recording-{number}" type="application/gzip">{blob}</script>'
-            for number, blob in enumerate(blobs)
+            f'<script id="recording-{number}" type="application/gzip">{one.text}</script>'
+            for number, one in enumerate(encoded)
         ),
-        data=_json(data),
+        data=_json(_data(found, encoded)),
     )
 
 
@@ -104,24 +104,24 @@ def _json(data: Any) -> str:
 # ---- data ---------------------------------------------------------------------------------------
 
 
-def _data(found: Comparison) -> tuple[dict[str, Any], list[str]]:
-    """What the scripts read, and every recording as text."""
+def _data(found: Comparison, encoded: Sequence[Encoded]) -> dict[str, Any]:
+    """What the scripts read, besides the recordings themselves."""
     outcomes = {(row["scenario"], row["policy"], int(row["start"])): row for row in found.episodes}
-    entries, blobs = [], []
-    for (scenario, policy, start), recording in (found.recordings or {}).items():
-        fields, blob = encode(recording)
-        blobs.append(blob)
+    entries = []
+    recordings = (found.recordings or {}).items()
+    for ((scenario, policy, start), recording), one in zip(recordings, encoded, strict=True):
         entries.append(
             {
                 "scenario": scenario,
                 "policy": policy,
                 "start": start,
-                "fields": fields,
+                "fields": one.fields,
+                "stride": one.stride,
                 "obstacles": list(_obstacles(recording["obstacles"], found.scenarios[scenario])),
                 "outcome": outcomes[scenario, policy, start],
             }
         )
-    data = {
+    return {
         "run": {"seed": found.run["seed"]},
         "scenarios": {name: _scenario(scenario) for name, scenario in found.scenarios.items()},
         "results": found.rows,
@@ -129,7 +129,6 @@ def _data(found: Comparison) -> tuple[dict[str, Any], list[str]]:
         "recordings": entries,
         "robot_colours": ROBOT_COLOURS,
     }
-    return data, blobs
 
 
 def _scenario(scenario: Scenario) -> dict[str, Any]:
@@ -178,7 +177,7 @@ def _figures(found: Comparison) -> Iterator[str]:
         yield '<p class="note">The folder has no figures; compare draws them by default.</p>'
 
 
-def _about(found: Comparison) -> str:
+def _about(found: Comparison, encoded: Sequence[Encoded]) -> str:
     run = found.run
     lines = {
         "Command": " ".join(run["command_line"]),
@@ -186,13 +185,13 @@ def _about(found: Comparison) -> str:
         "Machine": f"{run.get('platform', 'unknown')}, Python {run.get('python', 'unknown')}",
         "Tables": "the numbers of results.csv and paired.csv, rounded for the eye; the exact text "
         "of each cell stands in its data-value, data-low and data-high",
-        "Replay": _precision(found),
+        "Replay": _precision(found, encoded),
     }
     items = (f"<dt>{escape(name)}</dt><dd>{escape(line)}</dd>" for name, line in lines.items())
     return f"<dl>{''.join(items)}</dl>"
 
 
-def _precision(found: Comparison) -> str:
+def _precision(found: Comparison, encoded: Sequence[Encoded]) -> str:
     """What the replay leaves out of what was recorded."""
     if not found.recordings:
         return _missing(found)
@@ -201,8 +200,15 @@ def _precision(found: Comparison) -> str:
         return 0.5 * max(rounding(recording[name]) for recording in recordings)
 
     recordings = found.recordings.values()
+    thin = sum(one.stride > 1 for one in encoded)
+    kept = (
+        f"{thin} of {len(encoded)} recordings are thinned out to keep the page small (said below "
+        "them); the others have every recorded frame"
+        if thin
+        else "every recorded frame"
+    )
     return (
-        f"every recorded frame ({MAX_FRAMES} at most, besides merges: of a longer episode every "
+        f"{kept} ({MAX_FRAMES} at most, besides merges: of a longer episode compare keeps every "
         "second, fourth, … step). Positions are rounded to within "
         f"{1000 * half_step('positions'):.2g} mm, "
         f"observation rows to {half_step('observations'):.2g}, frames and alignments to "

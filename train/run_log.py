@@ -12,7 +12,7 @@ from . import results
 METRICS = (
     "step", "update", "stage", "episodes", "success", "clean_success", "median_time", "return",
     "alignment", "policy_loss", "value_loss", "explained_variance", "approx_kl", "clip_fraction",
-    "entropy", "std", "learning_rate", "wall_s", "steps_per_s", "environment_share",
+    "entropy", "learning_rate", "wall_s", "steps_per_s", "environment_share",
 )  # fmt: skip
 """Of metrics.csv, one row for each update: fractions 0–1, s; empty where it does not apply."""
 WALL_TIME = ("wall_s", "steps_per_s", "environment_share")

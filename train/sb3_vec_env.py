@@ -8,7 +8,7 @@ from copy import deepcopy
 from typing import Any
 
 import numpy as np
-from gymnasium.spaces import Box
+from gymnasium.spaces import Box, Discrete, MultiDiscrete, Space
 from gymnasium.vector import AutoresetMode, VectorEnv
 from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
@@ -75,8 +75,7 @@ class RobotVecEnv(VecEnv):
         self._returns, self._lengths = np.zeros(batch), np.zeros(batch, dtype=np.int64)
         self._forget_step()
         spaces = teams.single_observation_space, teams.single_action_space
-        observation, action = (Box(box.low[0], box.high[0], dtype=np.float32) for box in spaces)
-        super().__init__(batch * n, observation, action)
+        super().__init__(batch * n, *map(_of_one_robot, spaces))
 
     @property
     def n_robots(self) -> int:
@@ -110,7 +109,7 @@ class RobotVecEnv(VecEnv):
 
     def step_async(self, actions: NDArray[np.float32]) -> None:
         """Take the actions (slots, a) of the next step."""
-        self._actions = np.array(actions, dtype=np.float32).reshape(self._acting)
+        self._actions = np.array(actions, dtype=self.action_space.dtype).reshape(self._acting)
 
     def step_wait(
         self,
@@ -278,6 +277,14 @@ class RobotVecEnv(VecEnv):
         if default is None:
             raise AttributeError(f"neither the teams nor their simulator have {name!r}")
         return default
+
+
+def _of_one_robot(space: Space[Any]) -> Space[Any]:
+    """The space of one robot from that of a team of equal ones."""
+    if isinstance(space, MultiDiscrete):
+        return Discrete(int(space.nvec[0]))
+    assert isinstance(space, Box)
+    return Box(space.low[0], space.high[0], dtype=np.float32)
 
 
 def _last_moments(

@@ -83,3 +83,24 @@ def _time_cell(row: Mapping[str, Any], limit: float) -> str:
 def _number(value: float, style: str) -> str:
     """A number, without a minus sign on a rounded zero; – where it does not apply."""
     return "–" if value != value else format(value, "z" + style)
+
+
+def ceiling_table(rows: Sequence[Mapping[str, Any]]) -> Table:
+    """The rows of ceiling.csv for people."""
+    table = Table(
+        title="What law (4) can reach: the best of randomised runs on each start",
+        box=None,
+        header_style="bold",
+        pad_edge=False,
+    )
+    for column in ("scenario", "runs", "cleanly %", "met %", "mean run cleanly %", "never cleanly"):
+        table.add_column(column, justify="left" if column == "scenario" else "right")
+    for row in rows:
+        shares = (row[name] for name in ("clean_best", "success_best", "clean_mean"))
+        table.add_row(
+            row["scenario"],
+            str(row["runs"]),
+            *(f"{100 * share:.1f}" for share in shares),
+            f"{row['never_clean']} of {row['episodes']}",
+        )
+    return table

@@ -40,7 +40,7 @@ _LEAST_RATE = 0.05
 """Share of the learning rate that is left at the end."""
 _LOSSES = {
     "policy_loss": "policy_gradient_loss", "value_loss": "value_loss", "approx_kl": "approx_kl",
-    "explained_variance": "explained_variance", "clip_fraction": "clip_fraction", "std": "std",
+    "explained_variance": "explained_variance", "clip_fraction": "clip_fraction",
     "learning_rate": "learning_rate",
 }  # fmt: skip
 """Columns of metrics.csv that stable-baselines3 tells, and what it calls them."""
@@ -99,8 +99,7 @@ class Training:
                 layout,
                 set_width=config.set_width,
                 hidden=config.hidden,
-                residual=config.residual,
-                log_std=config.log_std,
+                prior=config.prior,
             ),
         )
         self.model.set_logger(Logger(None, []))
@@ -119,8 +118,8 @@ class Training:
         return WatchedRobots(
             PerceivingTeams(
                 teams,
+                self.settings.make_guide(teams.scenario),
                 touch_penalty=config.touch_penalty,
-                clearance=config.clearance,
                 obstacle_slots=config.obstacle_slots(),
                 min_alignment=config.min_alignment,
                 max_turn_rate=config.max_turn_rate,

@@ -1,0 +1,112 @@
+"""Letters, marks and greys of the pictures."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+import pygame
+from numpy.typing import NDArray
+
+from ..palette import Rgb as Colour
+
+Place = tuple[float, float] | list[float]
+
+WHITE: Colour = (255, 255, 255)
+BLACK: Colour = (0, 0, 0)
+GRID: Colour = (235, 235, 235)
+FRAME: Colour = (190, 190, 190)
+EDGE: Colour = (205, 205, 205)
+TEXT: Colour = (60, 60, 60)
+OUTLINE: Colour = (138, 95, 0)
+"""Of obstacles, and of the bearings to their edges."""
+
+
+def tint(base: Colour, share: float) -> Colour:
+    """A colour with a share of white mixed in."""
+    red, green, blue = (round(value + share * (255 - value)) for value in base)
+    return red, green, blue
+
+
+def shaded(base: Colour, share: float) -> Colour:
+    """A colour with a share of black mixed in."""
+    red, green, blue = (round((1 - share) * value) for value in base)
+    return red, green, blue
+
+
+@lru_cache
+def _font(size: int) -> pygame.font.Font:
+    pygame.font.init()
+    return pygame.font.Font(None, size)
+
+
+def write(
+    surface: pygame.Surface,
+    text: str,
+    place: tuple[float, float],
+    size: int,
+    *,
+    anchor: str = "topleft",
+    ink: Colour = TEXT,
+) -> int:
+    """Write a line of text.
+
+    Args:
+        surface: to write on.
+        text: the line.
+        place: pixel of the anchor.
+        size: of the letters, pixels.
+        anchor: which point of the line stands there, as pygame names it.
+        ink: its colour.
+
+    Returns:
+        Width of the line, pixels.
+    """
+    letters = _font(size).render(text, True, ink)
+    surface.blit(letters, letters.get_rect(**{anchor: (round(place[0]), round(place[1]))}))
+    return letters.get_width()
+
+
+def cross(surface: pygame.Surface, place: Place, unit: float) -> None:
+    """Where robots became one."""
+    (x, y), arm, width = place, 4 * unit, max(1, round(1.5 * unit))
+    pygame.draw.line(surface, BLACK, (x - arm, y - arm), (x + arm, y + arm), width)
+    pygame.draw.line(surface, BLACK, (x - arm, y + arm), (x + arm, y - arm), width)
+
+
+def ring(surface: pygame.Surface, place: Place, unit: float, radius: float = 0.0) -> None:
+    """Where a robot touched an obstacle; with a radius, about a robot that does."""
+    pygame.draw.circle(surface, BLACK, place, radius or 4 * unit, max(1, round(1.5 * unit)))
+
+
+def wedge(
+    surface: pygame.Surface,
+    shade: Colour,
+    middle: NDArray[np.float64],
+    along: NDArray[np.float64],
+    lengths: tuple[float, float],
+) -> None:
+    """The nose of a robot: its radius and how far it sticks out; ``along`` is shorter than 1 where
+    it points towards the eye.
+    """
+    norm = float(np.hypot(*along))
+    if norm == 0:
+        return
+    radius, length = lengths
+    foot = 0.95 * radius * np.array([-along[1], along[0]]) / norm
+    corners = [middle + foot, middle + along * (radius + length), middle - foot]
+    pygame.draw.polygon(surface, shade, [corner.tolist() for corner in corners])
+
+
+def arrow_head(
+    surface: pygame.Surface,
+    shade: Colour,
+    tip: NDArray[np.float64],
+    along: NDArray[np.float64],
+    size: float,
+) -> None:
+    """The head of an arrow in the plane."""
+    foot, half = tip - size * along, 0.5 * size * np.array([-along[1], along[0]])
+    pygame.draw.polygon(
+        surface, shade, [corner.tolist() for corner in (tip, foot + half, foot - half)]
+    )
