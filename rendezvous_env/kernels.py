@@ -175,11 +175,11 @@ def _advance(block, lanes, physics, axes, teams, results, scratch):
     """Carry out the displacements; teams in which something can meet go one by one."""
     n, d = scratch.action.shape[0], len(axes)
     _mark_near(block, physics, axes, teams, scratch)
+    first = block * LANES
+    results.contact[first : first + lanes] = False
+    results.clearance[first : first + lanes] = np.inf
     for lane in range(lanes):
-        team = block * LANES + lane
-        for i in range(n):
-            results.contact[team, i] = False
-            results.clearance[team, i] = np.inf
+        team = first + lane
         results.scores[team, MERGE_RISE] = 0.0
         results.scores[team, MERGE_EXCESS] = 0.0
         if teams.book[team]["status"] != RUNNING:

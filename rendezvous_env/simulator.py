@@ -30,8 +30,10 @@ from .teams import (
     to_lanes,
 )
 
-_WORK_PER_THREAD = 8192
+_WORK_PER_THREAD = 4096
 """Robot pairs below which another thread costs more than it saves."""
+_SMALL_SLICES = 0.25
+"""Share of the work that is left for whoever is done first."""
 _CONFIG: Any = numba.config
 _KEPT = tuple(name for name in BOOK.names or () if name != "lyapunov")
 """What of a team's book belongs to its state; V follows from the rest."""
@@ -73,7 +75,8 @@ class Simulator:
         self._axes = tuple(range(scenario.dim))
         self._acted = (self.num_envs, scenario.n_robots, scenario.action_size)
         self._observed = (self.num_envs, scenario.n_robots, *scenario.observation_layout.shape)
-        self._slices = _slices(scenario, self.num_envs, self.num_threads)
+        self._width = _width(scenario, self.num_envs, self.num_threads)
+        self._slices = _slices(len(self._teams.positions), self._width)
         self._physics = physics(scenario, self.max_steps)
         self._rules = start_rules(scenario)
         self._fixed_obstacles = fixed_obstacles(scenario)
@@ -197,7 +200,7 @@ class Simulator:
         def advance(k: int) -> None:
             wrong[k] = step_blocks(*self._slices[k], *fixed)
 
-        threads.run(advance, len(self._slices))
+        threads.run(advance, len(self._slices), self._width)
         return wrong[0]
 
     def observe(self) -> NDArray[np.float32]:
@@ -514,14 +517,24 @@ def _by_lane(blocks: NDArray[np.float64]) -> NDArray[np.float64]:
     return blocks.reshape(*blocks.shape[:2], -1, LANES)
 
 
-def _slices(scenario: Scenario, batch: int, num_threads: int | None) -> list[tuple[int, int]]:
-    """The blocks of the batch cut into one slice for each thread that is worth its cost."""
+def _width(scenario: Scenario, batch: int, num_threads: int | None) -> int:
+    """As many threads as are worth their cost."""
     work = batch * scenario.n_robots * max(scenario.n_robots, scenario.observation_layout.rows)
     most = threads.available_cores() if num_threads is None else num_threads
-    blocks = -(-batch // LANES)
-    count = max(1, min(most, work // _WORK_PER_THREAD, blocks))
-    edges = np.linspace(0, blocks, count + 1).astype(int).tolist()
-    return list(itertools.pairwise(edges))
+    return max(1, min(most, work // _WORK_PER_THREAD, -(-batch // LANES)))
+
+
+def _slices(blocks: int, width: int) -> list[tuple[int, int]]:
+    """The blocks of a batch cut up for that many threads: a large slice for each, small ones after.
+
+    Whoever is done first takes a small one, so that a thread that began late ends with the others.
+    """
+    if width == 1:
+        return [(0, blocks)]
+    small = -(-width // 2)
+    shares = [(1.0 - _SMALL_SLICES) / width] * width + [_SMALL_SLICES / small] * small
+    edges = np.rint(np.cumsum([0.0, *shares]) * blocks).astype(int).tolist()
+    return [(first, last) for first, last in itertools.pairwise(edges) if last > first]
 
 
 def _quiet_integers() -> Any:

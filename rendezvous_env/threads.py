@@ -1,7 +1,8 @@
 """A small thread pool for kernels that release the interpreter lock.
 
 The caller works too and takes slices like everybody else, so a worker that wakes late, because
-another process keeps its core busy, never holds up the rest.
+another process keeps its core busy, never holds up the rest. A sleeping thread takes tens of
+microseconds to wake, so the caller looks for the last ends for a moment before it sleeps.
 """
 
 from __future__ import annotations
@@ -9,8 +10,12 @@ from __future__ import annotations
 import itertools
 import os
 import threading
+import time
 from collections.abc import Callable, Iterator
-from queue import SimpleQueue
+from queue import Empty, SimpleQueue
+
+_PATIENCE = 2e-4
+"""s that a caller looks for the ends of slices before it goes to sleep."""
 
 
 class _Job:
@@ -37,6 +42,20 @@ class _Job:
             done += 1
         return done
 
+    def wait(self) -> list[BaseException | None]:
+        """Ends of all slices."""
+        give_up = time.perf_counter() + _PATIENCE
+        ends: list[BaseException | None] = []
+        while len(ends) < self.count:
+            try:
+                ends.append(self.ends.get_nowait())
+            except Empty:
+                if time.perf_counter() > give_up:
+                    ends.append(self.ends.get())
+                else:
+                    time.sleep(0)  # lets a worker report
+        return ends
+
 
 _jobs: SimpleQueue[_Job] = SimpleQueue()
 _workers: list[threading.Thread] = []
@@ -48,22 +67,28 @@ def available_cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def run(task: Callable[[int], None], count: int) -> None:
-    """Call ``task(0)`` … ``task(count - 1)`` on as many threads, the caller's among them.
+def run(task: Callable[[int], None], count: int, width: int | None = None) -> None:
+    """Call ``task(0)`` … ``task(count - 1)`` on several threads, the caller's among them.
+
+    Args:
+        task: what to do with a slice.
+        count: of slices, handed out in order to whoever is free.
+        width: of threads at most; None is one for each slice.
 
     Raises:
         BaseException: what a task raised, after all slices have ended.
     """
-    if count == 1:
-        task(0)
+    helpers = min(count, width or count) - 1
+    if helpers == 0:
+        for number in range(count):
+            task(number)
         return
-    _ensure_workers(count - 1)
+    _ensure_workers(helpers)
     job = _Job(task, count)
-    for _ in range(count - 1):
+    for _ in range(helpers):
         _jobs.put(job)
     job.work()
-    ends = [job.ends.get() for _ in range(count)]
-    for end in ends:
+    for end in job.wait():
         if end is not None:
             raise end
 

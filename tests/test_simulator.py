@@ -228,7 +228,7 @@ def test_the_place_in_the_batch_and_the_number_of_threads_do_not_matter(name, mo
     slices_run = []
     real_run = threads.run
     monkeypatch.setattr(
-        threads, "run", lambda task, n: (slices_run.append(n), real_run(task, n))[1]
+        threads, "run", lambda task, n, width: (slices_run.append(n), real_run(task, n, width))[1]
     )
     one = follow(scenario, count, seed=seeds.tolist(), num_threads=1)
     assert slices_run == []

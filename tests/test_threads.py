@@ -17,6 +17,35 @@ def test_every_slice_is_done_once(count):
     assert sorted(done) == list(range(count))
 
 
+@pytest.mark.parametrize(("count", "width"), [(3, 1), (3, 2), (9, 4), (2, 8)])
+def test_more_slices_than_threads(count, width):
+    done, used = [], set()
+
+    def task(k):
+        used.add(threading.get_ident())
+        done.append(k)
+
+    threads.run(task, count, width)
+    assert sorted(done) == list(range(count)) and len(used) <= width
+    if width == 1:
+        assert used == {threading.get_ident()}
+
+
+def test_a_caller_waits_for_a_slow_slice():
+    """Longer than it looks for ends before it sleeps."""
+    done = []
+
+    def task(k):
+        if threading.current_thread() is not threading.main_thread():
+            time.sleep(20 * threads._PATIENCE)
+        else:
+            time.sleep(2 * threads._PATIENCE)
+        done.append(k)
+
+    threads.run(task, 2)
+    assert sorted(done) == [0, 1]
+
+
 def test_one_slice_stays_in_the_callers_thread():
     seen = []
     threads.run(lambda _: seen.append(threading.current_thread()), 1)
