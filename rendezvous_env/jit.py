@@ -22,10 +22,20 @@ _HERE = Path(__file__).parent
 _CONFIG: Any = numba.config
 
 
-def kernel(function: Callable[..., Any]) -> Any:
+def kernel(function: Callable[..., Any], *, inlined: bool = False) -> Any:
     """Compile a function on first use: nogil, IEEE division, no fastmath; cached on disk."""
     with _cache_in(_cache_folder(Path(function.__code__.co_filename).parent)):
-        return numba.njit(cache=True, nogil=True, error_model="numpy")(function)
+        compiler = numba.njit(cache=True, nogil=True, error_model="numpy", forceinline=inlined)
+        return compiler(function)
+
+
+def inlined_kernel(function: Callable[..., Any]) -> Any:
+    """A kernel that becomes part of whoever calls it.
+
+    For what is called for every block with tuples of arrays: to hand those over, and to count the
+    references to every array in them, takes longer than a small team's arithmetic.
+    """
+    return kernel(function, inlined=True)
 
 
 @lru_cache

@@ -10,18 +10,19 @@ import math
 import numpy as np
 
 from .contact import IGNORE, move_curved, move_straight
-from .jit import kernel
+from .jit import inlined_kernel, kernel
 from .kinematics import arc_displacement, body_frame
 from .lanes import (
     LANES,
     add_displacements,
-    mark_near_balls,
+    mark_near_ball,
     mark_near_pairs,
     velocity_displacements,
 )
 from .merging import merge_swept
 from .observing import load_obstacles, make_scratch, observe_block
 from .rewards import team_reward
+from .sharing import begin, end, take
 from .teams import (
     FRESH,
     LYAPUNOV_AFTER_MERGE,
@@ -47,39 +48,38 @@ _EXPONENT = np.uint32(0x7F800000)
 
 
 @kernel
-def step_blocks(first, last, physics, axes, teams, actions, results):
-    """One step of the blocks ``first`` … ``last − 1``; finished teams stand still and earn nothing.
+def step_blocks(share, physics, axes, teams, actions, results):
+    """One step of the blocks that this thread takes; finished teams stand still and earn nothing.
 
     Args:
-        first: index of a block.
-        last: index behind the last block.
+        share: this thread's part, see sharing.py.
         physics: the fields of Physics.
         axes: (0, 1) or (0, 1, 2).
         teams: the fields of Teams.
-        actions: (B, n, a), of all teams.
+        actions: (B, n, a) finite float32, of all teams.
         results: the fields of Results.
 
     Returns:
-        Index of the first action of any block that is not finite, if there is one: then nothing has
-        changed. Otherwise −1.
+        Whether all blocks are done, see ``sharing.end``.
     """
     # plain tuples cross the border from Python twice as fast as named ones
     physics, teams, results = Physics(*physics), Teams(*teams), Results(*results)
-    wrong = _first_not_finite(actions.reshape(-1))
-    if wrong >= 0:
-        return wrong
     batch, n, action_size = actions.shape
+    share, done = begin(share), 0
     scratch = make_scratch(n, len(axes), action_size, physics.rows, teams.obstacles.shape[1])
-    for block in range(first, last):
+    block = take(share)
+    while block < share.blocks:
         lanes = min(LANES, batch - block * LANES)
-        load_obstacles(block, lanes, teams, scratch)
+        load_obstacles(block, lanes, len(axes), teams, scratch)
         _load_actions(block, lanes, teams, actions, scratch)
         _propose(block, lanes, physics, axes, teams, scratch)
         _advance(block, lanes, physics, axes, teams, results, scratch)
         _turn(block, lanes, physics, teams, scratch)
         observe_block(block, lanes, physics, axes, teams, results, scratch)
         _conclude(block, lanes, physics, teams, results, scratch)
-    return -1
+        done += 1
+        block = take(share)
+    return end(share, done)
 
 
 @kernel
@@ -92,7 +92,7 @@ def observe_blocks(blocks, physics, axes, teams, results):
     scratch = make_scratch(n, len(axes), 1, physics.rows, teams.obstacles.shape[1])
     for block in blocks:
         lanes = min(LANES, batch - block * LANES)
-        load_obstacles(block, lanes, teams, scratch)
+        load_obstacles(block, lanes, len(axes), teams, scratch)
         if physics.n_angles > 0:
             _write_body_frames(block, lanes, physics, len(axes), teams)
         observe_block(block, lanes, physics, axes, teams, results, scratch)
@@ -101,7 +101,7 @@ def observe_blocks(blocks, physics, axes, teams, results):
 
 
 @kernel
-def _first_not_finite(values):
+def first_not_finite(values):
     """Index of the first number whose exponent bits are all set (infinite or NaN), or −1."""
     bits = values.view(np.uint32)
     largest = np.uint32(0)
@@ -115,20 +115,36 @@ def _first_not_finite(values):
     return k
 
 
-@kernel
+@inlined_kernel
 def _load_actions(block, lanes, teams, actions, scratch):
     """Copy a block's actions; those of finished teams and merged-away robots are zero."""
     n, size = actions.shape[1:]
+    first = block * LANES
+    given = actions[first : first + lanes].reshape(lanes, n * size)
+    taken = scratch.action.reshape(n * size, LANES)
+    for k in range(n * size):
+        for lane in range(lanes):
+            taken[k, lane] = given[lane, k]
     for lane in range(lanes):
-        team = block * LANES + lane
+        team = first + lane
         running = teams.book[team]["status"] == RUNNING
+        if running and not _anyone_gone(teams.merged_into, team):
+            continue
         for i in range(n):
-            acts = running and teams.merged_into[team, i] == i
-            for k in range(size):
-                scratch.action[i, k * LANES + lane] = actions[team, i, k] if acts else 0.0
+            if not running or teams.merged_into[team, i] != i:
+                for k in range(size):
+                    scratch.action[i, k * LANES + lane] = 0.0
 
 
-@kernel
+@inlined_kernel
+def _anyone_gone(merged_into, team):
+    different = 0
+    for i in range(merged_into.shape[1]):
+        different |= merged_into[team, i] ^ i
+    return different != 0
+
+
+@inlined_kernel
 def _propose(block, lanes, physics, axes, teams, scratch):
     """The displacement of every robot, as if nothing were in its way."""
     for i in range(scratch.action.shape[0]):
@@ -145,7 +161,7 @@ def _propose(block, lanes, physics, axes, teams, scratch):
             )
 
 
-@kernel
+@inlined_kernel
 def _propose_arcs(block, lanes, i, physics, d, teams, scratch):
     action, out = scratch.action[i], scratch.displacement[i]
     arc = np.empty(d)
@@ -170,60 +186,38 @@ def _clip(value, bound):
     return min(max(value, -bound), bound)
 
 
-@kernel
+@inlined_kernel
 def _advance(block, lanes, physics, axes, teams, results, scratch):
     """Carry out the displacements; teams in which something can meet go one by one."""
-    n, d = scratch.action.shape[0], len(axes)
-    _mark_near(block, physics, axes, teams, scratch)
     first = block * LANES
+    _mark_near(block, physics, axes, teams, scratch)
     results.contact[first : first + lanes] = False
-    results.clearance[first : first + lanes] = np.inf
     for lane in range(lanes):
-        team = first + lane
-        results.scores[team, MERGE_RISE] = 0.0
-        results.scores[team, MERGE_EXCESS] = 0.0
-        if teams.book[team]["status"] != RUNNING:
-            scratch.near[lane] = (
-                0.0  # nothing meets before an episode's first step or after its last
-            )
         if scratch.near[lane] > 0.0:
-            _advance_exactly(block, lane, physics, d, teams, results, scratch)
-        length = 0.0
-        for i in range(n):
-            length += scratch.displacement[i, d * LANES + lane]
-        teams.book[team]["path_length"] += length
-    for i in range(n):
-        add_displacements(scratch.displacement[i], scratch.near, axes, teams.positions[block, i])
+            if teams.book[first + lane]["status"] == RUNNING:
+                _advance_exactly(block, lane, physics, len(axes), teams, results, scratch)
+            else:  # nothing meets before an episode's first step or after its last
+                scratch.near[lane] = 0.0
+    scratch.way[:] = 0.0
+    for i in range(scratch.action.shape[0]):
+        add_displacements(
+            scratch.displacement[i], scratch.near, axes, teams.positions[block, i], scratch.way
+        )
 
 
-@kernel
+@inlined_kernel
 def _mark_near(block, physics, axes, teams, scratch):
     """Mark teams where neighbours start within r + 2 v_max τ, or a robot within v_max τ of an
     obstacle.
     """
-    n = scratch.action.shape[0]
     reach = physics.speed_limit * physics.duration * (1.0 + 1e-9)
     square_reach = (physics.merge_radius * (1.0 + 1e-9) + 2.0 * reach) ** 2
-    positions, weights = teams.positions[block], teams.weights[block]
-    scratch.near[:] = 0.0
-    pair = 0
-    for i in range(n):
-        for j in range(i + 1, n):
-            mark_near_pairs(
-                positions[i], positions[j], weights[pair], square_reach, axes, scratch.near
-            )
-            pair += 1
+    mark_near_pairs(teams.square_closest[block], square_reach, scratch.near)
     if physics.contact_mode != IGNORE:
-        for m in range(teams.obstacles.shape[1]):
-            for i in range(n):
-                mark_near_balls(
-                    scratch.centre[m],
-                    scratch.bound[m],
-                    positions[i],
-                    reach + 1e-9,
-                    axes,
-                    scratch.near,
-                )
+        positions = teams.positions[block]
+        for m in range(scratch.balls.shape[0]):
+            for i in range(positions.shape[0]):
+                mark_near_ball(positions[i], scratch.balls[m], reach + 1e-9, axes, scratch.near)
 
 
 @kernel
@@ -297,7 +291,7 @@ def _stay_outside(i, lane, team, physics, teams, scratch, start, displacement):
     return contact
 
 
-@kernel
+@inlined_kernel
 def _turn(block, lanes, physics, teams, scratch):
     """Turn nonholonomic robots by their held rates."""
     if physics.n_angles == 0:
@@ -311,7 +305,7 @@ def _turn(block, lanes, physics, teams, scratch):
     _write_body_frames(block, lanes, physics, 1 + physics.n_angles, teams)
 
 
-@kernel
+@inlined_kernel
 def _write_body_frames(block, lanes, physics, d, teams):
     frame = np.empty((d, d))
     for lane in range(lanes):
@@ -322,37 +316,46 @@ def _write_body_frames(block, lanes, physics, d, teams):
             write_frame(block, lane, i, teams, frame)
 
 
-@kernel
+@inlined_kernel
 def _conclude(block, lanes, physics, teams, results, scratch):
     """Reward, rendezvous and time limit: the one place where an episode ends."""
+    n, time_share = teams.merged_into.shape[1], 1.0 / physics.max_steps
+    scores = results.scores  # no views of it: the references to each would be counted
     for lane in range(lanes):
         team = block * LANES + lane
-        book, score = teams.book[team], results.scores[team]
-        for i in range(teams.merged_into.shape[1]):
+        book = teams.book[team]
+        contacts = 0
+        for i in range(n):
             results.active[team, i] = teams.merged_into[team, i] == i
+            contacts += results.contact[team, i]
         before, now = book["lyapunov"], 2.0 * scratch.pair[lane]
         book["lyapunov"] = now
+        book["path_length"] += scratch.way[lane]
         merged = scratch.near[lane] == 2.0
         if not merged:
-            score[LYAPUNOV_BEFORE_MERGE] = now
-            score[LYAPUNOV_AFTER_MERGE] = now
-        score[REWARD] = 0.0
-        if book["status"] == RUNNING:
+            scores[team, LYAPUNOV_BEFORE_MERGE] = now
+            scores[team, LYAPUNOV_AFTER_MERGE] = now
+            scores[team, MERGE_RISE] = 0.0
+            scores[team, MERGE_EXCESS] = 0.0
+        reward, status = 0.0, book["status"]
+        if status == RUNNING:
             book["steps"] += 1
             if merged and _all_in_one(teams.merged_into[team]):
-                book["status"] = RENDEZVOUS
+                status = RENDEZVOUS
             elif book["steps"] >= physics.max_steps:
-                book["status"] = TIME_OUT
-            score[REWARD] = team_reward(
+                status = TIME_OUT
+            reward = team_reward(
                 (before - now) / book["initial_lyapunov"] if before > 0.0 else 0.0,
-                1.0 / physics.max_steps,
-                np.sum(results.contact[team]),
-                book["status"] == RENDEZVOUS,
+                time_share,
+                contacts,
+                status == RENDEZVOUS,
                 physics.reward_weights,
             )
-        elif book["status"] == FRESH:
-            book["status"] = RUNNING
-        results.status[team] = book["status"]
+        elif status == FRESH:
+            status = RUNNING
+        scores[team, REWARD] = reward
+        book["status"] = status
+        results.status[team] = status
 
 
 @kernel

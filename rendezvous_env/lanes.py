@@ -43,109 +43,128 @@ def velocity_displacements(action, frame, speed_limit, duration, axes, out):
 
 
 @kernel
-def mark_near_pairs(start_i, start_j, weight, square_reach, axes, near):
-    """Raise ``near`` where neighbours i and j start close enough to meet within the step."""
-    d = len(axes)
+def mark_near_pairs(square_closest, square_reach, near):
+    """Set ``near`` to 1 where two neighbours start close enough to meet within the step, else 0."""
     for lane in range(LANES):
-        square = 0.0
-        for k in range(d):
-            offset = start_j[k * LANES + lane] - start_i[k * LANES + lane]
-            square += offset * offset
-        near[lane] = 1.0 if weight[lane] > 0.0 and square < square_reach else near[lane]
+        near[lane] = 1.0 if square_closest[lane] < square_reach else 0.0
 
 
 @kernel
-def mark_near_balls(centre, radius, position, reach, axes, near):
-    """Raise ``near`` where a robot starts within ``reach`` of a ball.
+def mark_near_ball(position, ball, reach, axes, near):
+    """Raise ``near`` where a robot is within ``reach``, m, of the bounding ball of an obstacle.
 
     Args:
-        centre: d numbers, m.
-        radius: one number, m.
         position: d numbers, m.
+        ball: centre, d numbers, and radius, m; NaN where there is no obstacle.
         reach: m.
         axes: (0, 1) or (0, 1, 2).
         near: one number.
     """
+    d = len(axes)
     for lane in range(LANES):
         square = 0.0
-        for k in range(len(axes)):
-            offset = centre[k * LANES + lane] - position[k * LANES + lane]
+        for k in range(d):
+            offset = ball[k * LANES + lane] - position[k * LANES + lane]
             square += offset * offset
-        bound = radius[lane] + reach
-        near[lane] = 1.0 if square < bound * bound else near[lane]
+        touch = ball[d * LANES + lane] + reach
+        near[lane] = 1.0 if square < touch * touch else near[lane]
 
 
 @kernel
-def disc_rows(centre, radius, position, frame, active, sight, out):
-    """Silhouette bearings of a disc in the frames of robots, zero where it is not seen.
+def see_disc(position, ball, sight, out):
+    """Bearings of the two edges of a disc in the global frame, zero where it is not seen.
 
     Args:
-        centre: 2 numbers, m.
-        radius: one number, m.
         position: 2 numbers, m.
-        frame: local → global, 4 numbers.
-        active: one number, 0 for a robot that is gone.
-        sight: from how near a disc is seen, m.
-        out: the first number falls to the distance from the surface, m, where the robot is active;
-            then 2 numbers of the counter-clockwise edge and 2 of the clockwise one.
+        ball: as ``mark_near_ball``, and the radius of the disc, m; NaN where there is none.
+        sight: from how near it is seen, one number, m.
+        out: the distance to the nearest disc so far, which falls; then 2 numbers of the
+            counter-clockwise edge and 1, its factor in ``store_row``, and 3 of the clockwise edge.
     """
     for lane in range(LANES):
+        radius = ball[3 * LANES + lane]
         ax, ay, bx, by, distance = disc_edges(
-            centre[lane] - position[lane],
-            centre[LANES + lane] - position[LANES + lane],
-            radius[lane],
+            ball[lane] - position[lane], ball[LANES + lane] - position[LANES + lane], radius
         )
-        gap = distance - radius[lane]
-        xx, xy = frame[lane], frame[LANES + lane]
-        yx, yy = frame[2 * LANES + lane], frame[3 * LANES + lane]
-        seen = active[lane] > 0.0 and gap <= sight
-        out[lane] = gap if active[lane] > 0.0 and gap < out[lane] else out[lane]
-        # never the negative zero
-        out[LANES + lane] = xx * ax + yx * ay + 0.0 if seen else 0.0
-        out[2 * LANES + lane] = xy * ax + yy * ay + 0.0 if seen else 0.0
-        out[3 * LANES + lane] = xx * bx + yx * by + 0.0 if seen else 0.0
-        out[4 * LANES + lane] = xy * bx + yy * by + 0.0 if seen else 0.0
+        gap = distance - radius
+        seen = gap <= sight[lane]
+        out[lane] = gap if gap < out[lane] else out[lane]
+        out[LANES + lane] = ax if seen else 0.0
+        out[2 * LANES + lane] = ay if seen else 0.0
+        out[3 * LANES + lane] = 1.0
+        out[4 * LANES + lane] = bx if seen else 0.0
+        out[5 * LANES + lane] = by if seen else 0.0
+        out[6 * LANES + lane] = 1.0
 
 
 @kernel
-def pair_rows(position_i, position_j, frame_i, frame_j, weight, axes, out):
-    """What neighbours i and j see of each other, and their part of V.
-
-        row = a_ij R_iᵀ g_ij,   g_ij = (p_j − p_i)/‖p_j − p_i‖
+def see_pair(position_i, position_j, weight, axes, out):
+    """What neighbours i and j are to each other, and what that adds to the sums over all pairs.
 
     Args:
         position_i: d numbers, m.
         position_j: d numbers, m.
-        frame_i: local → global, d·d numbers.
-        frame_j: likewise.
         weight: a_ij, one number, m/s; 0 = no edge.
         axes: (0, 1) or (0, 1, 2).
-        out: V grows by a_ij ‖p_j − p_i‖ in the first number; then d numbers of i's row, d of j's.
+        out: the sum of a_ij ‖p_j − p_i‖, which grows, and the least ‖p_j − p_i‖² of neighbours,
+            which falls; then p_j − p_i, d numbers, m, a_ij/‖p_j − p_i‖, and that with a minus:
+            the factors of a_ij g_ij and of a_ij g_ji.
     """
     d = len(axes)
     for lane in range(LANES):
         square = 0.0
         for k in range(d):
             offset = position_j[k * LANES + lane] - position_i[k * LANES + lane]
+            out[(2 + k) * LANES + lane] = offset
             square += offset * offset
         distance = math.sqrt(square)
-        gain = weight[lane] / distance if square > 0.0 else 0.0
-        out[lane] += weight[lane] * distance
-        for axis in range(d):
-            seen_by_i = 0.0
-            seen_by_j = 0.0
-            for k in range(d):
-                offset = position_j[k * LANES + lane] - position_i[k * LANES + lane]
-                seen_by_i += frame_i[(k * d + axis) * LANES + lane] * offset
-                seen_by_j -= frame_j[(k * d + axis) * LANES + lane] * offset
-            out[(1 + axis) * LANES + lane] = seen_by_i * gain + 0.0  # never the negative zero
-            out[(1 + d + axis) * LANES + lane] = seen_by_j * gain + 0.0
+        gain = weight[lane]
+        least = out[LANES + lane]
+        out[lane] += gain * distance
+        out[LANES + lane] = square if (gain > 0.0) & (square < least) else least
+        gain = gain / distance if square > 0.0 else 0.0
+        out[(2 + d) * LANES + lane] = gain
+        out[(3 + d) * LANES + lane] = -gain
 
 
 @kernel
-def add_displacements(displacement, near, axes, position):
-    """Move the robots of teams in which nothing can meet; the others have been moved already."""
-    for k in range(len(axes)):
+def store_row(vector, factor, frame, axes, row):
+    """Write one row of observations: a vector of the global frame, as a robot sees it.
+
+        row = factor · Rᵀ vector
+
+    Args:
+        vector: d numbers, and then possible factors, one number each.
+        factor: which of the factors, counted from 0.
+        frame: R, d·d numbers.
+        axes: (0, 1) or (0, 1, 2).
+        row: (d·LANES,) float32, the d numbers of a lane side by side.
+    """
+    d = len(axes)
+    for lane in range(LANES):
+        for axis in range(d):
+            along = 0.0
+            for k in range(d):
+                along += frame[(k * d + axis) * LANES + lane] * vector[k * LANES + lane]
+            # never the negative zero
+            row[lane * d + axis] = along * vector[(d + factor) * LANES + lane] + 0.0
+
+
+@kernel
+def add_displacements(displacement, near, axes, position, way):
+    """Move the robots of teams in which nothing can meet; the others have been moved already.
+
+    Args:
+        displacement: d numbers, m, and the length of the path, m.
+        near: one number, above 0 where a team has been moved already.
+        axes: (0, 1) or (0, 1, 2).
+        position: d numbers, m.
+        way: one number, which grows by the length.
+    """
+    d = len(axes)
+    for k in range(d):
         for lane in range(LANES):
             moved = position[k * LANES + lane] + displacement[k * LANES + lane]
             position[k * LANES + lane] = position[k * LANES + lane] if near[lane] > 0.0 else moved
+    for lane in range(LANES):
+        way[lane] += displacement[d * LANES + lane]

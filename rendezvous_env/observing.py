@@ -15,13 +15,10 @@ from .geometry import (
     silhouette_2d,
     silhouette_3d,
 )
-from .jit import kernel
-from .lanes import LANES, disc_rows, pair_rows
+from .jit import inlined_kernel, kernel
+from .lanes import LANES, see_disc, see_pair, store_row
 from .lyapunov import team_net_bearing
-from .teams import read_positions, read_weights
-
-_FAR_AWAY = 1e150
-"""m; where obstacles that are not there stand in lane buffers."""
+from .teams import read_frame, read_positions, read_weights
 
 
 class Scratch(NamedTuple):
@@ -33,125 +30,148 @@ class Scratch(NamedTuple):
     """(n, (d + 1)·LANES), m, and its length."""
     near: NDArray[np.float64]
     """(LANES,), whether something can meet in the team: 0 no, 1 yes, 2 it has merged."""
+    way: NDArray[np.float64]
+    """(LANES,), paths of all robots together in this step, m."""
     pair: NDArray[np.float64]
-    """((1 + 2d)·LANES,), see ``pair_rows``."""
+    """((4 + d)·LANES,), see ``see_pair``; after all pairs its first number is half of V."""
     rows: NDArray[np.float32]
-    """(n·rows·d, LANES), the observations."""
-    centre: NDArray[np.float64]
-    """(M, d·LANES), of the obstacles, m; far away where there is none."""
-    bound: NDArray[np.float64]
-    """(M, LANES), radius of a ball about the centre that holds the obstacle, m."""
-    disc: NDArray[np.float64]
-    """(M, d·LANES), centres as above, but far away for a polygon, too."""
+    """(n·rows, d·LANES), the observations, the d numbers of a lane side by side."""
+    balls: NDArray[np.float64]
+    """(M, (d + 2)·LANES), the obstacles: centre and radius of the bounding ball, and the radius of
+    a disc in the plane, m; NaN is none."""
     sight: NDArray[np.float64]
-    """(6·LANES,), whether a robot is active, and what ``disc_rows`` gives out."""
+    """(LANES,), from how near a robot sees obstacles, m; −inf once it is gone."""
+    disc: NDArray[np.float64]
+    """(7·LANES,), see ``see_disc``."""
 
 
-@kernel
+@inlined_kernel
 def make_scratch(n, d, action_size, rows, n_obstacles):
     """Lane buffers for teams of n robots among at most that many obstacles."""
     return Scratch(
         np.zeros((n, action_size * LANES)),
         np.zeros((n, (d + 1) * LANES)),
         np.zeros(LANES),
-        np.zeros((1 + 2 * d) * LANES),
-        np.zeros((n * rows * d, LANES), dtype=np.float32),
-        np.full((n_obstacles, d * LANES), _FAR_AWAY),
-        np.zeros((n_obstacles, LANES)),
-        np.full((n_obstacles, d * LANES), _FAR_AWAY),
-        np.zeros(6 * LANES),
+        np.zeros(LANES),
+        np.zeros((4 + d) * LANES),
+        np.zeros((n * rows, d * LANES), dtype=np.float32),
+        np.full((n_obstacles, (d + 2) * LANES), np.nan),
+        np.zeros(LANES),
+        np.zeros(7 * LANES),
     )
 
 
-@kernel
-def load_obstacles(block, lanes, teams, scratch):
+@inlined_kernel
+def load_obstacles(block, lanes, d, teams, scratch):
     """Bring a block's obstacles into lane buffers."""
     for lane in range(lanes):
         obstacles = teams.obstacles[block * LANES + lane]
         for m in range(obstacles.shape[0]):
-            kind = obstacles[m, COUNT]
-            scratch.bound[m, lane] = obstacles[m, RADIUS]
-            for k in range(scratch.centre.shape[1] // LANES):
-                place = obstacles[m, CENTRE + k]
-                scratch.centre[m, k * LANES + lane] = place if kind >= ROUND else _FAR_AWAY
-                scratch.disc[m, k * LANES + lane] = place if kind == ROUND else _FAR_AWAY
+            kind, radius = obstacles[m, COUNT], obstacles[m, RADIUS]
+            for k in range(d):
+                scratch.balls[m, k * LANES + lane] = obstacles[m, CENTRE + k]
+            scratch.balls[m, d * LANES + lane] = radius if kind >= ROUND else np.nan
+            scratch.balls[m, (d + 1) * LANES + lane] = radius if kind == ROUND else np.nan
 
 
-@kernel
+@inlined_kernel
 def observe_block(block, lanes, physics, axes, teams, results, scratch):
-    """Write a block's observations; half of V is left in the first number of ``scratch.pair``."""
-    n, d = scratch.action.shape[0], len(axes)
-    width = physics.rows * d
-    positions, frames, weights = teams.positions[block], teams.frames[block], teams.weights[block]
-    scratch.pair[:LANES] = 0.0
-    pair = 0
-    for i in range(n):
-        for j in range(i + 1, n):
-            pair_rows(
-                positions[i], positions[j], frames[i], frames[j], weights[pair], axes, scratch.pair
-            )
-            # in index order robot j is row j − 1 of robot i < j, and robot i is row i of robot j
-            _store(scratch.pair, 1, d, i * width + (j - 1) * d, scratch.rows)
-            _store(scratch.pair, 1 + d, d, j * width + i * d, scratch.rows)
-            pair += 1
+    """Write a block's observations and clearances, and who is closest; half of V is left in
+    ``scratch.pair``.
+    """
+    first, d = block * LANES, len(axes)
+    _observe_neighbours(block, physics, axes, teams, scratch)
+    if d == 3 or teams.obstacles.shape[1] == 0:
+        results.clearance[first : first + lanes] = np.inf
+    else:
+        _observe_discs(block, lanes, physics, axes, teams, results, scratch)
     if teams.obstacles.shape[1] > 0:
-        if d == 2:
-            _observe_discs(block, lanes, physics, teams, results, scratch)
         _observe_one_by_one(block, lanes, physics, d, teams, results, scratch)
     if physics.n_angles == 2:
-        _observe_gravity(block, lanes, width, teams, scratch)
-    observations = results.observations[block * LANES : block * LANES + lanes]
-    for k in range(scratch.rows.shape[0]):
-        for lane in range(lanes):
-            observations[lane, k] = scratch.rows[k, lane]
+        _observe_gravity(block, lanes, physics.rows, teams, scratch)
+    observations = results.observations[first : first + lanes]
+    if d == 2:  # both numbers of a row in one piece
+        _store_rows(scratch.rows.view(np.float64), axes[:1], observations.view(np.float64))
+    else:
+        _store_rows(scratch.rows, axes, observations)
 
 
-@kernel
-def _store(values, first, d, row, rows):
-    """Copy d numbers of a lane buffer into the observations."""
-    for axis in range(d):
-        for lane in range(LANES):
-            rows[row + axis, lane] = values[(first + axis) * LANES + lane]
+@inlined_kernel
+def _observe_neighbours(block, physics, axes, teams, scratch):
+    """Every pair once, in index order: the complete graph; an edge that is absent weighs 0."""
+    positions, frames, weights = teams.positions[block], teams.frames[block], teams.weights[block]
+    found, rows = scratch.pair, scratch.rows
+    found[:LANES] = 0.0
+    found[LANES : 2 * LANES] = np.inf
+    pair, n = 0, positions.shape[0]
+    for i in range(n):
+        for j in range(i + 1, n):
+            see_pair(positions[i], positions[j], weights[pair], axes, found)
+            # in index order robot j is row j − 1 of robot i < j, and robot i is row i of robot j
+            vector = found[2 * LANES :]
+            store_row(vector, 0, frames[i], axes, rows[i * physics.rows + j - 1])
+            store_row(vector, 1, frames[j], axes, rows[j * physics.rows + i])
+            pair += 1
+    teams.square_closest[block] = found[LANES : 2 * LANES]
 
 
-@kernel
-def _observe_discs(block, lanes, physics, teams, results, scratch):
+@inlined_kernel
+def _store_rows(rows, axes, observations):
+    """From lanes to teams."""
+    d = len(axes)
+    for k in range(rows.shape[0]):
+        for lane in range(observations.shape[0]):
+            for axis in range(d):
+                observations[lane, k * d + axis] = rows[k, lane * d + axis]
+
+
+@inlined_kernel
+def _observe_discs(block, lanes, physics, axes, teams, results, scratch):
     """Discs in the plane, over lanes; the rows of everything else are zero after it."""
-    sight = scratch.sight
+    disc = scratch.disc
     for i in range(scratch.action.shape[0]):
         for lane in range(lanes):
-            sight[lane] = 1.0 if teams.merged_into[block * LANES + lane, i] == i else 0.0
-            sight[LANES + lane] = np.inf
-        for m in range(scratch.disc.shape[0]):
-            disc_rows(
-                scratch.disc[m],
-                scratch.bound[m],
-                teams.positions[block, i],
-                teams.frames[block, i],
-                sight[:LANES],
-                physics.obstacle_range,
-                sight[LANES:],
-            )
-            row = i * physics.rows + physics.neighbour_slots + 2 * m
-            _store(sight, 2, 4, 2 * row, scratch.rows)
+            active = teams.merged_into[block * LANES + lane, i] == i
+            scratch.sight[lane] = physics.obstacle_range if active else -np.inf
+        disc[:LANES] = np.inf
+        row = i * physics.rows + physics.neighbour_slots
+        frame = teams.frames[block, i]
+        for m in range(scratch.balls.shape[0]):
+            see_disc(teams.positions[block, i], scratch.balls[m], scratch.sight, disc)
+            store_row(disc[LANES:], 0, frame, axes, scratch.rows[row])
+            store_row(disc[4 * LANES :], 0, frame, axes, scratch.rows[row + 1])
+            row += 2
         for lane in range(lanes):
-            results.clearance[block * LANES + lane, i] = sight[LANES + lane]
+            active = scratch.sight[lane] >= 0.0
+            results.clearance[block * LANES + lane, i] = disc[lane] if active else np.inf
 
 
-@kernel
+@inlined_kernel
 def _observe_one_by_one(block, lanes, physics, d, teams, results, scratch):
     """What no lane function does: polygons, and spheres in space; the least clearance of all."""
     n = scratch.action.shape[0]
     points = np.empty((2 if d == 2 else 8, d))
-    positions = np.empty((n, d))
+    positions, weights, net_bearing = np.empty((n, d)), np.empty((n, n)), np.empty(d)
     for lane in range(lanes):
         team = block * LANES + lane
         least = teams.book[team]["min_clearance"]
         if d == 3 or _has_polygon(teams.obstacles[team]):
             read_positions(block, lane, teams, positions)
+            read_weights(block, lane, teams, weights)
             for i in range(n):
-                if teams.merged_into[team, i] == i:
-                    _see_others(block, lane, i, physics, positions, teams, points, results, scratch)
+                team_net_bearing(positions, weights, i, net_bearing)
+                _see_others(
+                    block,
+                    lane,
+                    i,
+                    physics,
+                    positions[i],
+                    net_bearing,
+                    teams,
+                    points,
+                    results,
+                    scratch,
+                )
         for i in range(n):
             least = min(least, results.clearance[team, i])
         teams.book[team]["min_clearance"] = least
@@ -166,59 +186,48 @@ def _has_polygon(obstacles):
 
 
 @kernel
-def _see_others(block, lane, i, physics, positions, teams, points, results, scratch):
-    """All obstacles of one active robot that ``_observe_discs`` leaves out."""
-    team = block * LANES + lane
+def _see_others(block, lane, i, physics, position, net_bearing, teams, points, results, scratch):
+    """All obstacles of one robot that ``_observe_discs`` leaves out."""
+    team, d = block * LANES + lane, position.shape[0]
+    active = teams.merged_into[team, i] == i
+    frame = np.empty((d, d))
+    read_frame(block, lane, i, teams, frame)
     for m in range(teams.obstacles.shape[1]):
-        if positions.shape[1] == 2 and teams.obstacles[team, m, COUNT] == ROUND:
+        obstacle = teams.obstacles[team, m]
+        if d == 2 and obstacle[COUNT] <= ROUND:
             continue
-        distance = obstacle_distance(teams.obstacles[team, m], positions[i])
+        distance = obstacle_distance(obstacle, position) if active else np.inf
         results.clearance[team, i] = min(results.clearance[team, i], distance)
         seen = distance <= physics.obstacle_range
-        if seen:
-            _see_obstacle(block, lane, i, m, positions, teams, points)
-        _store_silhouette(block, lane, i, m, seen, physics, teams, points, scratch.rows)
+        if seen and d == 2:
+            silhouette_2d(obstacle, position, points)
+        elif seen:
+            silhouette_3d(obstacle, position, net_bearing, frame[:, 0], frame[:, 1], points)
+        row = i * physics.rows + physics.neighbour_slots + m * points.shape[0]
+        _store_silhouette(lane, row, seen, frame, points, scratch.rows)
 
 
 @kernel
-def _see_obstacle(block, lane, i, m, positions, teams, points):
-    """Silhouette bearings of obstacle m as robot i sees it, in the global frame."""
-    n, d = positions.shape
-    obstacle = teams.obstacles[block * LANES + lane, m]
-    if d == 2:
-        silhouette_2d(obstacle, positions[i], points)
-        return
-    f, axis_x, axis_y, weights = np.empty(d), np.empty(d), np.empty(d), np.empty((n, n))
-    read_weights(block, lane, teams, weights)
-    team_net_bearing(positions, weights, i, f)
-    for k in range(d):
-        axis_x[k] = teams.frames[block, i, (k * d) * LANES + lane]
-        axis_y[k] = teams.frames[block, i, (k * d + 1) * LANES + lane]
-    silhouette_3d(obstacle, positions[i], f, axis_x, axis_y, points)
-
-
-@kernel
-def _store_silhouette(block, lane, i, m, seen, physics, teams, points, rows):
+def _store_silhouette(lane, first, seen, frame, points, rows):
     """Turn silhouette bearings into the local frame; an obstacle that is not seen is zero."""
-    n_points, d = points.shape
-    for s in range(n_points):
-        row = i * physics.rows + physics.neighbour_slots + m * n_points + s
+    d = frame.shape[0]
+    for s in range(points.shape[0]):
         for axis in range(d):
             along = 0.0
             if seen:
                 for k in range(d):
-                    along += teams.frames[block, i, (k * d + axis) * LANES + lane] * points[s, k]
-            rows[row * d + axis, lane] = along
+                    along += frame[k, axis] * points[s, k]
+            rows[first + s, lane * d + axis] = along
 
 
-@kernel
-def _observe_gravity(block, lanes, width, teams, scratch):
+@inlined_kernel
+def _observe_gravity(block, lanes, rows, teams, scratch):
     """The last row of a 3-D nonholonomic robot: (−sin β, 0, −cos β) in its body frame."""
     for lane in range(lanes):
         team = block * LANES + lane
         for i in range(teams.angles.shape[1]):
             active = teams.merged_into[team, i] == i
             pitch = teams.angles[team, i, 1]
-            last = (i + 1) * width - 3
-            scratch.rows[last, lane] = -math.sin(pitch) if active else 0.0
-            scratch.rows[last + 2, lane] = -math.cos(pitch) if active else 0.0
+            row = scratch.rows[(i + 1) * rows - 1]
+            row[3 * lane] = -math.sin(pitch) if active else 0.0
+            row[3 * lane + 2] = -math.cos(pitch) if active else 0.0

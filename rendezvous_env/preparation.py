@@ -28,6 +28,7 @@ def empty_teams(scenario: Scenario, batch: int) -> Teams:
         obstacles=np.zeros((batch, layout.obstacle_slots, row_width(scenario.obstacles, d))),
         merged_into=np.tile(np.arange(n), (batch, 1)),
         book=book,
+        square_closest=np.full((blocks, LANES), np.inf),
     )
 
 

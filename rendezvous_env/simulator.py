@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -11,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from . import threads
-from .kernels import observe_blocks, step_blocks
+from .kernels import first_not_finite, observe_blocks, step_blocks
 from .lanes import LANES
 from .options import StartOptions, parse_options
 from .outcome import Outcome
@@ -32,8 +31,6 @@ from .teams import (
 
 _WORK_PER_THREAD = 4096
 """Robot pairs below which another thread costs more than it saves."""
-_SMALL_SLICES = 0.25
-"""Share of the work that is left for whoever is done first."""
 _CONFIG: Any = numba.config
 _KEPT = tuple(name for name in BOOK.names or () if name != "lyapunov")
 """What of a team's book belongs to its state; V follows from the rest."""
@@ -76,7 +73,6 @@ class Simulator:
         self._acted = (self.num_envs, scenario.n_robots, scenario.action_size)
         self._observed = (self.num_envs, scenario.n_robots, *scenario.observation_layout.shape)
         self._width = _width(scenario, self.num_envs, self.num_threads)
-        self._slices = _slices(len(self._teams.positions), self._width)
         self._physics = physics(scenario, self.max_steps)
         self._rules = start_rules(scenario)
         self._fixed_obstacles = fixed_obstacles(scenario)
@@ -180,28 +176,19 @@ class Simulator:
             raise ValueError(
                 f"actions have shape {table.shape}; they must be (B, n, a) = {self._acted}"
             )
-        results = self._new_results()
-        wrong = self._run_slices(table, results)
+        wrong = first_not_finite(table.reshape(-1))
         if wrong >= 0:
             team, robot, _ = (int(k) for k in np.unravel_index(wrong, self._acted))
             raise ValueError(
                 f"action of robot_{robot} in team {team} is {table[team, robot].tolist()}; "
                 "it must be finite"
             )
+        results = self._new_results()
+        fixed = (self._physics, self._axes, tuple(self._teams), table, tuple(results))
+        threads.share(
+            lambda part: step_blocks(part, *fixed), len(self._teams.positions), self._width
+        )
         return Outcome(results, self._observed)
-
-    def _run_slices(self, actions: NDArray[np.float32], results: Results) -> int:
-        """Step all blocks; index of the first action that is not finite, or −1."""
-        fixed = (self._physics, self._axes, tuple(self._teams), actions, tuple(results))
-        if len(self._slices) == 1:
-            return int(step_blocks(*self._slices[0], *fixed))
-        wrong = [-1] * len(self._slices)
-
-        def advance(k: int) -> None:
-            wrong[k] = step_blocks(*self._slices[k], *fixed)
-
-        threads.run(advance, len(self._slices), self._width)
-        return wrong[0]
 
     def observe(self) -> NDArray[np.float32]:
         """Observations of all teams as they are, (B, n, rows, d) float32."""
@@ -209,7 +196,6 @@ class Simulator:
 
     def _observed_results(self) -> Results:
         results = self._new_results()
-        results.clearance[:] = np.inf
         self._observe_blocks(np.arange(len(self._teams.positions)), results)
         return results
 
@@ -522,19 +508,6 @@ def _width(scenario: Scenario, batch: int, num_threads: int | None) -> int:
     work = batch * scenario.n_robots * max(scenario.n_robots, scenario.observation_layout.rows)
     most = threads.available_cores() if num_threads is None else num_threads
     return max(1, min(most, work // _WORK_PER_THREAD, -(-batch // LANES)))
-
-
-def _slices(blocks: int, width: int) -> list[tuple[int, int]]:
-    """The blocks of a batch cut up for that many threads: a large slice for each, small ones after.
-
-    Whoever is done first takes a small one, so that a thread that began late ends with the others.
-    """
-    if width == 1:
-        return [(0, blocks)]
-    small = -(-width // 2)
-    shares = [(1.0 - _SMALL_SLICES) / width] * width + [_SMALL_SLICES / small] * small
-    edges = np.rint(np.cumsum([0.0, *shares]) * blocks).astype(int).tolist()
-    return [(first, last) for first, last in itertools.pairwise(edges) if last > first]
 
 
 def _quiet_integers() -> Any:

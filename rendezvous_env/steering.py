@@ -22,6 +22,8 @@ from .vectors import combine, dot, load, split, without
 
 FRAMES = ("net_bearing", "local")
 _ROBOTS_PER_THREAD = 2048
+_TEAMS = 32
+"""In the blocks that threads take."""
 _NEARLY_ALONG = 1e-6
 """A row whose part across f is shorter than this cannot give a frame its second axis, m/s."""
 _CLEARLY_LONGER = 1.001
@@ -130,12 +132,8 @@ class Steering:
         seen = np.empty_like(observations)
         first_rows = self.scenario.observation_layout.obstacles.stop
 
-        def turn(first: int, last: int) -> None:
-            _look_along_net_bearing(
-                first, last, observations, self._constants, first_rows, self._frames, seen
-            )
-
-        self._over_teams(turn)
+        fixed = (observations, self._constants, first_rows, self._frames, seen)
+        self._over_teams(lambda part: _look_along_net_bearing(part, *fixed))
         return seen
 
     def hold(self, raw: ArrayLike) -> None:
@@ -178,20 +176,9 @@ class Steering:
             self._turn_bodies(observations, actions)
             return actions
 
-        def steer(first: int, last: int) -> None:
-            _steer_headings(
-                first,
-                last,
-                observations,
-                self._constants,
-                self._held,
-                self._headings,
-                actions,
-                self.alignment,
-                self.lyapunov_rate,
-            )
-
-        self._over_teams(steer)
+        fixed = (observations, self._constants, self._held, self._headings)
+        given = (actions, self.alignment, self.lyapunov_rate)
+        self._over_teams(lambda part: _steer_headings(part, *fixed, *given))
         return actions
 
     def _turn_bodies(self, observations: NDArray[np.float32], actions: NDArray[np.float32]) -> None:
@@ -233,12 +220,11 @@ class Steering:
             gate_3d(flat, f.reshape(-1, d), pitch.reshape(-1), *margins, self._limits, gated)
         rates[...] = gated.reshape(rates.shape)
 
-    def _over_teams(self, work: Any) -> None:
-        """Do the work on the batch, cut into a slice for each thread that is worth its cost."""
+    def _over_teams(self, run_kernel: Callable[[Share], bool]) -> None:
+        """Run a kernel over the batch, on as many threads as are worth their cost."""
         teams, n = self._held.shape[:2]
-        count = max(1, min(threads.available_cores(), teams * n // _ROBOTS_PER_THREAD))
-        edges = np.linspace(0, teams, count + 1).astype(int).tolist()
-        threads.run(lambda k: work(edges[k], edges[k + 1]), count)
+        most = max(1, min(threads.available_cores(), teams * n // _ROBOTS_PER_THREAD))
+        threads.share(run_kernel, -(-teams // _TEAMS), most)
 
     def get_state(self) -> dict[str, NDArray[np.float64]]:
         """The memory: headings, frames and held raw vectors, as copies."""
@@ -290,58 +276,70 @@ def _store(vector, out):
 
 @kernel
 def _steer_headings(
-    first, last, observations, constants, held, headings, actions, alignment, lyapunov_rate
+    share, observations, constants, held, headings, actions, alignment, lyapunov_rate
 ):
-    """Law (4) with the certified heading: v = min(1, r/(2Dτ)) h hᵀ f, for teams first … last −
-    1.
+    """Law (4) with the certified heading: v = min(1, r/(2Dτ)) h hᵀ f, for a share of the
+    teams.
     """
     limit = turn_limit(constants.max_turn)
-    for team in range(first, last):
-        for i in range(observations.shape[1]):
-            f = _net_bearing(observations[team, i], constants.neighbour_slots)
-            raw, scale = load(held[team, i]), 1.0
-            if constants.certified:
-                h = certify_one(
-                    raw,
-                    f,
-                    load(headings[team, i]),
-                    constants.min_alignment,
-                    constants.dead_zone,
-                    limit,
-                )
-                if constants.long_step:
-                    degree = _degree(observations[team, i], constants.neighbour_slots)
-                    scale = scale_of_step(degree, constants.merge_radius, constants.duration)
-            else:
-                _, h = split(raw)
-            along = dot(h, f)
-            _store(h, headings[team, i])
-            _store(combine(along * scale, h, 0.0, h), actions[team, i])
-            strength, _ = split(f)
-            alignment[team, i] = abs(along) / strength if strength > 0.0 else np.nan
-            lyapunov_rate[team, i] = -2.0 * along * along
+    share, done = begin(share), 0
+    block = take(share)
+    while block < share.blocks:
+        for team in range(block * _TEAMS, min((block + 1) * _TEAMS, len(observations))):
+            for i in range(observations.shape[1]):
+                f = _net_bearing(observations[team, i], constants.neighbour_slots)
+                raw, scale = load(held[team, i]), 1.0
+                if constants.certified:
+                    h = certify_one(
+                        raw,
+                        f,
+                        load(headings[team, i]),
+                        constants.min_alignment,
+                        constants.dead_zone,
+                        limit,
+                    )
+                    if constants.long_step:
+                        degree = _degree(observations[team, i], constants.neighbour_slots)
+                        scale = scale_of_step(degree, constants.merge_radius, constants.duration)
+                else:
+                    _, h = split(raw)
+                along = dot(h, f)
+                _store(h, headings[team, i])
+                _store(combine(along * scale, h, 0.0, h), actions[team, i])
+                strength, _ = split(f)
+                alignment[team, i] = abs(along) / strength if strength > 0.0 else np.nan
+                lyapunov_rate[team, i] = -2.0 * along * along
+        done += 1
+        block = take(share)
+    return end(share, done)
 
 
 @kernel
-def _look_along_net_bearing(first, last, observations, constants, visible_rows, frames, seen):
-    """Turn observations into frames with x along f, for teams first … last − 1.
+def _look_along_net_bearing(share, observations, constants, visible_rows, frames, seen):
+    """Turn observations into frames with x along f, for a share of the teams.
 
     Where ‖f‖ < δ the last frame is kept.
     """
     n, n_rows, d = observations.shape[1:]
-    for team in range(first, last):
-        for i in range(n):
-            rows, frame = observations[team, i], frames[team, i]
-            f = _net_bearing(rows, constants.neighbour_slots)
-            strength, towards = split(f)
-            if strength >= constants.dead_zone:
-                _aim_frame(towards, rows, visible_rows, frame)
-            for row in range(n_rows):
-                for axis in range(d):
-                    along = 0.0
-                    for k in range(d):
-                        along += frame[k, axis] * rows[row, k]
-                    seen[team, i, row, axis] = along
+    share, done = begin(share), 0
+    block = take(share)
+    while block < share.blocks:
+        for team in range(block * _TEAMS, min((block + 1) * _TEAMS, len(observations))):
+            for i in range(n):
+                rows, frame = observations[team, i], frames[team, i]
+                f = _net_bearing(rows, constants.neighbour_slots)
+                strength, towards = split(f)
+                if strength >= constants.dead_zone:
+                    _aim_frame(towards, rows, visible_rows, frame)
+                for row in range(n_rows):
+                    for axis in range(d):
+                        along = 0.0
+                        for k in range(d):
+                            along += frame[k, axis] * rows[row, k]
+                        seen[team, i, row, axis] = along
+        done += 1
+        block = take(share)
+    return end(share, done)
 
 
 @kernel

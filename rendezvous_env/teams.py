@@ -53,6 +53,9 @@ class Teams(NamedTuple):
     """(B, n), the robot that each one is now part of; itself while it is active."""
     book: NDArray[np.void]
     """(B,) of BOOK."""
+    square_closest: NDArray[np.float64]
+    """(blocks, LANES), least square distance of two neighbours, m²; as of the last observation,
+    inf where nobody has a neighbour."""
 
 
 class Results(NamedTuple):
@@ -129,6 +132,15 @@ def write_weights(block, lane, teams, weights):
         for j in range(i + 1, n):
             teams.weights[block, pair, lane] = weights[i, j]
             pair += 1
+
+
+@kernel
+def read_frame(block, lane, i, teams, out):
+    """The frame of robot i of one team, to ``out`` (d, d)."""
+    d = out.shape[0]
+    for row in range(d):
+        for k in range(d):
+            out[row, k] = teams.frames[block, i, (row * d + k) * LANES + lane]
 
 
 @kernel

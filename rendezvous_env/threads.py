@@ -7,59 +7,43 @@ microseconds to wake, so the caller looks for the last ends for a moment before 
 
 from __future__ import annotations
 
-import itertools
 import os
 import threading
-import time
-from collections.abc import Callable, Iterator
-from queue import Empty, SimpleQueue
+from collections.abc import Callable
+from queue import SimpleQueue
 
-_PATIENCE = 2e-4
-"""s that a caller looks for the ends of slices before it goes to sleep."""
+import numpy as np
+from numpy.typing import NDArray
+
+from .sharing import COUNTERS, DONE, Share, compiled
+
+_LOOKS = 250_000
+"""How often compiled code looks for news before its thread goes to sleep; about 0.1 ms."""
 
 
 class _Job:
-    """One call of ``run``: slices are handed out by a counter, ends are reported through a
-    queue.
-    """
+    """One call of ``share``, as the helpers see it."""
 
-    def __init__(self, task: Callable[[int], None], count: int) -> None:
-        self.task = task
-        self.count = count
-        self.numbers: Iterator[int] = itertools.count()
+    def __init__(self, run_kernel: Callable[[Share], bool], part: Share) -> None:
+        self.run_kernel: Callable[[Share], bool] | None = run_kernel
+        self.part = part
         self.ends: SimpleQueue[BaseException | None] = SimpleQueue()
 
-    def work(self) -> int:
-        """Do slices until none is left; how many this thread did."""
-        done = 0
-        while (number := next(self.numbers)) < self.count:
-            end: BaseException | None = None
+    def work(self) -> None:
+        """Help, if that is still wanted."""
+        end: BaseException | None = None
+        if (run_kernel := self.run_kernel) is not None:
             try:
-                self.task(number)
+                run_kernel(self.part)
             except BaseException as error:
                 end = error
-            self.ends.put(end)
-            done += 1
-        return done
-
-    def wait(self) -> list[BaseException | None]:
-        """Ends of all slices."""
-        give_up = time.perf_counter() + _PATIENCE
-        ends: list[BaseException | None] = []
-        while len(ends) < self.count:
-            try:
-                ends.append(self.ends.get_nowait())
-            except Empty:
-                if time.perf_counter() > give_up:
-                    ends.append(self.ends.get())
-                else:
-                    time.sleep(0)  # lets a worker report
-        return ends
+        self.ends.put(end)
 
 
 _jobs: SimpleQueue[_Job] = SimpleQueue()
 _workers: list[threading.Thread] = []
 _workers_lock = threading.Lock()
+_bell: NDArray[np.int64] = np.zeros(1, dtype=np.int64)
 
 
 def available_cores() -> int:
@@ -67,30 +51,35 @@ def available_cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def run(task: Callable[[int], None], count: int, width: int | None = None) -> None:
-    """Call ``task(0)`` … ``task(count - 1)`` on several threads, the caller's among them.
+def share(run_kernel: Callable[[Share], bool], blocks: int, most: int) -> None:
+    """Let a kernel do many blocks, which up to ``most`` threads take one after another.
+
+    Between two calls that follow close on each other the threads stay awake, for at most 0.1 ms.
 
     Args:
-        task: what to do with a slice.
-        count: of slices, handed out in order to whoever is free.
-        width: of threads at most; None is one for each slice.
+        run_kernel: calls a kernel that takes its blocks as sharing.py says, and returns what it
+            does.
+        blocks: how many.
+        most: threads, the caller's among them.
 
     Raises:
-        BaseException: what a task raised, after all slices have ended.
+        BaseException: what the kernel raised.
     """
-    helpers = min(count, width or count) - 1
-    if helpers == 0:
-        for number in range(count):
-            task(number)
+    counters = np.zeros(COUNTERS, dtype=np.int64)
+    if most == 1 or not compiled():
+        run_kernel(Share(blocks, counters, _bell, -1, 0))
         return
-    _ensure_workers(helpers)
-    job = _Job(task, count)
-    for _ in range(helpers):
+    _ensure_workers(most - 1)
+    helper = Share(blocks, counters, _bell, int(_bell[0]) + 1, _LOOKS)
+    job = _Job(run_kernel, helper)
+    for _ in range(most - 1):
         _jobs.put(job)
-    job.work()
-    for end in job.wait():
-        if end is not None:
+    all_done = run_kernel(Share(blocks, counters, _bell, -1, _LOOKS))
+    while not all_done:
+        if (end := job.ends.get()) is not None:
             raise end
+        all_done = int(counters[DONE]) >= blocks
+    job.run_kernel = None  # a helper that wakes only now must not keep its arrays alive
 
 
 def _ensure_workers(count: int) -> None:

@@ -225,22 +225,21 @@ def test_the_place_in_the_batch_and_the_number_of_threads_do_not_matter(name, mo
     seeds = np.arange(70, 70 + count)
     order = np.random.default_rng(2).permutation(count)
     monkeypatch.setattr(simulator, "_WORK_PER_THREAD", 1)
-    slices_run = []
-    real_run = threads.run
+    widths = []
+    real_share = threads.share
     monkeypatch.setattr(
-        threads, "run", lambda task, n, width: (slices_run.append(n), real_run(task, n, width))[1]
+        threads, "share", lambda run, count, most: (widths.append(most), real_share(run, count, most))
     )
     one = follow(scenario, count, seed=seeds.tolist(), num_threads=1)
-    assert slices_run == []
     two = follow(scenario, count, seed=seeds[order].tolist(), num_threads=2)
-    assert slices_run == [2] * 60
+    assert widths == [1] * 60 + [2] * 60
     for x, y in zip(one[:2], two[:2], strict=True):
         np.testing.assert_array_equal(y, x[:, order])
     for (entry, x), y in zip(one[2].get_state().items(), two[2].get_state().values(), strict=True):
         np.testing.assert_array_equal(y, x[order], err_msg=entry)
 
 
-def test_a_bad_action_in_the_last_of_two_slices_changes_neither(monkeypatch):
+def test_a_bad_action_in_the_last_block_changes_none(monkeypatch):
     monkeypatch.setattr(simulator, "_WORK_PER_THREAD", 1)
     sim = Simulator(BATCHED["unicycle"], 40, num_threads=2)
     sim.reset(3)
@@ -253,7 +252,7 @@ def test_a_bad_action_in_the_last_of_two_slices_changes_neither(monkeypatch):
 
 
 def test_a_small_batch_stays_in_the_callers_thread(monkeypatch):
-    monkeypatch.setattr(threads, "run", lambda *_: pytest.fail("a thread was used"))
+    monkeypatch.setattr(threads, "_ensure_workers", lambda _: pytest.fail("a thread was used"))
     sim = Simulator(five("unicycle"), num_threads=8)
     sim.reset(0)
     assert sim.step(np.ones((1, 5, 2))).status[0] == RUNNING
@@ -489,7 +488,7 @@ def test_a_fork_after_a_threaded_step_works(monkeypatch):
     sim.reset(0)
     actions = np.ones((64, 5, 2), np.float32)
     sim.step(actions)
-    assert len(sim._slices) == 2 and len(threads._workers) >= 1
+    assert sim._width == 2 and len(threads._workers) >= 1
     context = multiprocessing.get_context("fork")
     receiver, sender = context.Pipe(duplex=False)
     child = context.Process(target=_step_in_child, args=(sim, actions, sender))

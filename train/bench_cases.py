@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 import rendezvous_env as rv
 from rendezvous_env import threads
 from rendezvous_env.jit import kernel
+from rendezvous_env.sharing import begin, end, take
 
 EPISODE = 200
 """Steps of an episode in the case that ends episodes."""
@@ -179,21 +180,22 @@ def _limit(n: int, num_envs: int, count: int, pairs: bool) -> Running:
     blocks = -(-num_envs // _LANES)
     positions = np.random.default_rng(0).uniform(-1e3, 1e3, (blocks, n, 2 * _LANES))
     bearings = np.zeros((blocks, n, n - 1, 2 * _LANES))
-    edges = np.linspace(0, blocks, count + 1).astype(int).tolist()
     walk = limit_by_pairs if pairs else limit_by_rows
 
-    def advance(k: int) -> None:
-        walk(edges[k], edges[k + 1], positions, bearings)
+    def step() -> None:
+        threads.share(lambda part: walk(part, positions, bearings), blocks, count)
 
-    return Running(lambda: threads.run(advance, count), lambda: bool(np.isfinite(positions).all()))
+    return Running(step, lambda: bool(np.isfinite(positions).all()))
 
 
 @kernel
-def limit_by_pairs(first, last, positions, bearings):  # noqa: ANN001, ANN201
+def limit_by_pairs(share, positions, bearings):  # noqa: ANN001, ANN201
     """Every pair once, then the sums."""
     n = positions.shape[1]
     f = np.zeros((n, 2 * _LANES))
-    for block in range(first, last):
+    share, done = begin(share), 0
+    block = take(share)
+    while block < share.blocks:
         p, g = positions[block], bearings[block]
         for i in range(n):
             for j in range(i + 1, n):
@@ -202,14 +204,19 @@ def limit_by_pairs(first, last, positions, bearings):  # noqa: ANN001, ANN201
             for k in range(n - 1):
                 _add(g[i, k], f[i])
             _euler_step(f[i], p[i])
+        done += 1
+        block = take(share)
+    return end(share, done)
 
 
 @kernel
-def limit_by_rows(first, last, positions, bearings):  # noqa: ANN001, ANN201
+def limit_by_rows(share, positions, bearings):  # noqa: ANN001, ANN201
     """Every robot's bearings one after another, summed at once."""
     n = positions.shape[1]
     f = np.zeros((n, 2 * _LANES))
-    for block in range(first, last):
+    share, done = begin(share), 0
+    block = take(share)
+    while block < share.blocks:
         p, g = positions[block], bearings[block]
         for i in range(n):
             for j in range(n):
@@ -217,6 +224,9 @@ def limit_by_rows(first, last, positions, bearings):  # noqa: ANN001, ANN201
                     _bearing_and_sum(p[i], p[j], g[i, j - (j > i)], f[i])
         for i in range(n):
             _euler_step(f[i], p[i])
+        done += 1
+        block = take(share)
+    return end(share, done)
 
 
 @kernel
