@@ -12,6 +12,8 @@ Rgb = tuple[int, int, int]
 
 OBSTACLE: Final[Rgb] = (0xE6, 0x9F, 0x00)
 """Orange, as in the paper; nothing else has it."""
+OBSTACLE_EDGE: Final[Rgb] = (0x8A, 0x5F, 0x00)
+"""Of the outlines of obstacles, and of the bearings to their edges."""
 
 ROBOTS: Final[tuple[Rgb, ...]] = (
     (0x00, 0x72, 0xB2),  # blue
@@ -28,6 +30,14 @@ ROBOTS: Final[tuple[Rgb, ...]] = (
 def robot_colour(index: int) -> Rgb:
     """Red, green and blue of a robot."""
     return ROBOTS[index % len(ROBOTS)]
+
+
+def mixed(colour: Rgb, other: Rgb, share: float) -> Rgb:
+    """A colour with a share of another mixed in."""
+    red, green, blue = (
+        round((1 - share) * one + share * two) for one, two in zip(colour, other, strict=True)
+    )
+    return red, green, blue
 
 
 def code(colour: Rgb) -> str:

@@ -87,7 +87,7 @@ class TestReproduce:
     def test_writes_picture_and_data(self, figure, tmp_path):
         assert run("reproduce", figure, "--out", str(tmp_path)) == 0
         written = {path.name for path in tmp_path.iterdir()}
-        assert written == {f"{figure}.{suffix}" for suffix in ("png", "npz", "csv")}
+        assert written == {f"{figure}.{suffix}" for suffix in ("png", "pdf", "npz", "csv")}
         with np.load(tmp_path / f"{figure}.npz") as data:
             value, before = data["lyapunov"], data["lyapunov_before_merge"]
             after = data["lyapunov_after_merge"]
@@ -119,11 +119,11 @@ class TestReproduce:
         from matplotlib.image import imread
 
         from rendezvous_env import rollout, scenarios
-        from train import figures, policies, reproduce
+        from train import figures, path_figures, policies, reproduce
 
         scenario = scenarios.get("fig4")
         recording = reproduce.one_team(rollout(scenario, policies.make("tangent-joined", scenario)))
-        figure = figures.paper_figure(scenario, recording, "tangent-joined")
+        figure = path_figures.team_figure(scenario, recording, "tangent-joined")
         paths, value = figure.axes[:2]
         assert paths.get_aspect() == 1 and len(paths.patches) == 3
         assert paths.get_xlabel() == "x / m" and value.get_ylabel() == "V / (m²/s)"

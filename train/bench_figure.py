@@ -20,6 +20,7 @@ BATCHES = (1, 4, 16, 64, 256, 1024, 4096)
 def draw_growth(path: Path, config: Config) -> None:
     """Measure bare simulator steps and draw their time per robot against n and against B."""
     from matplotlib.figure import Figure
+    from matplotlib.ticker import LogFormatter
 
     figure = Figure(figsize=(9.0, 3.6), layout="constrained")
     by_size, by_batch = figure.subplots(1, 2)
@@ -33,7 +34,7 @@ def draw_growth(path: Path, config: Config) -> None:
         axes.set_xticks(places, [str(place) for place in places])
         axes.set_xticks([], minor=True)
         axes.yaxis.set_major_formatter("{x:g}")
-        axes.yaxis.set_minor_formatter("{x:g}")
+        axes.yaxis.set_minor_formatter(LogFormatter(minor_thresholds=(1.0, 0.4)))
         axes.set_ylabel("time per robot step, ns")
         axes.grid(visible=True, alpha=0.3)
     with atomic(path) as temporary:

@@ -17,6 +17,7 @@ COMMANDS = {
     "train": ("train.ppo", "PPO learns headings that keep the guarantee; stop and resume at will"),
     "report": ("train.report", "an HTML page of what compare found, with an interactive replay"),
     "bench": ("train.bench", "how fast the environments are on this machine"),
+    "render": ("train.render", "one episode as a film (gif, mp4) or a figure (png, pdf)"),
     "reproduce": ("train.reproduce", "draw figure 3 or 4 of the paper for our start positions"),
     "verify": ("train.verify", "check the theorems on random teams; status 1 if one fails"),
 }

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from rich.console import Console
@@ -22,6 +22,9 @@ from . import ceiling, policies, results, statistics, tables
 from .episodes import Episodes, play
 from .errors import UserError
 from .recording import Recording
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 DEFAULT_SCENARIOS = (
     "fig3",
@@ -68,6 +71,8 @@ class Config:
     reach; 0 leaves this out."""
     figures: bool = True
     """Whether to draw figures."""
+    pdf: bool = False
+    """Whether to write each figure as PDF too, for print."""
 
 
 @dataclass(frozen=True)
@@ -116,7 +121,7 @@ def run(config: Config) -> int:
     write(folder, config, played, rows, {"compile_s": compile_time, "compare_s": duration})
     console.print(tables.results_table(rows, {job.scenario.name: job.scenario for job in jobs}))
     if config.figures:
-        _draw(folder, rows, played, console)
+        _draw(folder, rows, played, config.pdf, console)
     console.print(
         f"{len(jobs)} × {config.episodes} episodes in {duration:.1f} s; files in {folder}"
     )
@@ -312,17 +317,37 @@ def _description(
 
 
 def _draw(
-    folder: Path, rows: Sequence[dict[str, Any]], played: Sequence[Played], console: Console
+    folder: Path,
+    rows: Sequence[dict[str, Any]],
+    played: Sequence[Played],
+    pdf: bool,
+    console: Console,
 ) -> None:
     from . import figures
 
     with console.status("drawing …"):
-        figures.save(figures.success_figure(rows), folder / "success.png")
-        figures.save(figures.time_figure(rows), folder / "times.png")
-        for scenario, recordings in _first_starts(played).items():
-            if scenario.dim == 2 and scenario.obstacles:
-                page = figures.trajectories_figure(scenario, recordings)
-                figures.save(page, folder / f"trajectories-{scenario.name}.png")
+        for name, figure in _figures(rows, played):
+            for ending in ("png", "pdf") if pdf else ("png",):
+                figures.save(figure, folder / f"{name}.{ending}")
+
+
+def _figures(
+    rows: Sequence[dict[str, Any]], played: Sequence[Played]
+) -> Iterator[tuple[str, Figure]]:
+    """Every figure with the name of its file."""
+    from . import figures, path_figures
+
+    yield "success", figures.success_figure(rows)
+    yield "times", figures.time_figure(rows)
+    scenarios = list(dict.fromkeys(done.job.scenario for done in played))
+    for quantity in ("obstacles", "robots"):
+        for number, group in enumerate(figures.sweeps(scenarios, quantity)):
+            figure = figures.sweep_figure(rows, group, quantity)
+            yield f"against-{quantity}" + (f"-{number + 1}" if number else ""), figure
+    for scenario, recordings in _first_starts(played).items():
+        if scenario.dim == 2 and scenario.obstacles:
+            page = path_figures.trajectories_figure(scenario, recordings)
+            yield f"trajectories-{scenario.name}", page
 
 
 def _first_starts(played: Sequence[Played]) -> dict[Scenario, dict[str, Recording]]:

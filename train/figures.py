@@ -1,42 +1,73 @@
-"""Figures of ``compare`` and ``reproduce``. The drawing library is imported when one is made.
+"""Figures of ``compare``: success, times, and clean success against clutter and team size.
 
-Colours are those of Okabe and Ito, which colour-blind readers can tell apart.
+The drawing library is imported when a figure is made.
 """
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rendezvous_env.geometry import ABSENT, CENTRE, COUNT, RADIUS
+from rendezvous_env.palette import OBSTACLE, ROBOTS, code
 from rendezvous_env.scenario import Scenario
 
-from .recording import Recording
 from .results import atomic
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-BLUE, VERMILLION, GREEN, BLACK = "#0072B2", "#D55E00", "#009E73", "#000000"
-ORANGE = "#E69F00"
+ROBOT_COLOURS = tuple(code(colour) for colour in ROBOTS)
+ORANGE = code(OBSTACLE)
 """Of obstacles, as in the paper."""
-ROBOT_COLOURS = (BLUE, VERMILLION, GREEN, "#CC79A7", "#56B4E9", "#F0E442", BLACK)
+BLUE, VERMILLION, GREEN, PURPLE, SKY, DARK_RED, BLACK = ROBOT_COLOURS
+GREY = "#B8B8B8"
+_POLICY_COLOURS = {
+    "bearing-only": BLUE,
+    "unicycle": BLUE,
+    "nonholonomic-3d": BLUE,
+    "unicycle-cosine": SKY,
+    "tangent": DARK_RED,
+    "tangent-blocking": PURPLE,
+    "tangent-joined": GREEN,
+    "learned": VERMILLION,
+}
+"""The paper's laws (1), (7) and (12) never meet in one scenario and share a colour."""
+_VARIANTS = {"-certified": "s", "-tuned": "^"}
+"""Variants of a policy have its colour and another marker."""
 _DPI = 150
 
 
+def policy_colour(name: str) -> str:
+    """The colour of a policy in every figure; black for learned ones that are not shipped."""
+    base = _base(name)
+    return BLACK if base.startswith("learned:") else _POLICY_COLOURS.get(base, GREY)
+
+
+def policy_marker(name: str) -> str:
+    """The marker of a policy, which tells its variants apart."""
+    return next((mark for end, mark in _VARIANTS.items() if name.endswith(end)), "o")
+
+
+def _base(name: str) -> str:
+    """A policy's name without its variant."""
+    for ending in _VARIANTS:
+        name = name.removesuffix(ending)
+    return name
+
+
 def save(figure: Figure, path: Path) -> None:
-    """Write a figure as PNG, whole or not at all."""
+    """Write a figure as PNG or PDF, by the name's ending, whole or not at all."""
     with atomic(path) as temporary:
-        figure.savefig(temporary, dpi=_DPI, format="png")
+        figure.savefig(temporary, dpi=_DPI, format=path.suffix.lower().removeprefix("."))
 
 
-def _new_figure(width: float, height: float) -> Figure:
+def new_figure(width: float, height: float) -> Figure:
     """A figure of so many inches that no window system has to show."""
     from matplotlib.figure import Figure
 
@@ -54,11 +85,18 @@ def success_figure(rows: Sequence[Mapping[str, Any]]) -> Figure:
     """
 
     def draw(axes: Axes, panel: Sequence[Mapping[str, Any]]) -> None:
-        _intervals(axes, panel, "success", "success", -0.16, BLUE, "o", "success")
-        _intervals(axes, panel, "clean_success", "clean", 0.16, VERMILLION, "D", "without contact")
+        _intervals(axes, panel, "success", "success", -0.16, filled=False)
+        _intervals(axes, panel, "clean_success", "clean", 0.16)
         axes.set_xlim(-0.04, 1.04)
 
-    return _panels(rows, draw, "fraction of starts, with 95 % interval")
+    figure = _panels(rows, draw, "fraction of starts, with 95 % interval")
+    axes = figure.axes[0]
+    handles = [
+        axes.plot([], [], "o", color=GREY, fillstyle="none", label="success")[0],
+        axes.plot([], [], "o", color=GREY, label="success without contact")[0],
+    ]
+    figure.legend(handles=handles, loc="outside upper right", ncols=2, fontsize=8, frameon=False)
+    return figure
 
 
 def time_figure(rows: Sequence[Mapping[str, Any]]) -> Figure:
@@ -70,10 +108,10 @@ def time_figure(rows: Sequence[Mapping[str, Any]]) -> Figure:
 
     def draw(axes: Axes, panel: Sequence[Mapping[str, Any]]) -> None:
         met = [row for row in panel if row["success"] > 0.5]
-        _intervals(axes, met, "median_time", "time", 0.0, BLUE, "o", "median")
+        _intervals(axes, met, "median_time", "time", 0.0)
         for row in panel:
             if row not in met:
-                axes.text(
+                note = axes.text(
                     0.02,
                     row["place"],
                     "more than half time out",
@@ -82,6 +120,7 @@ def time_figure(rows: Sequence[Mapping[str, Any]]) -> Figure:
                     fontsize=7,
                     color="0.4",
                 )
+                note.set_in_layout(False)  # in a panel of time-outs alone it would take all room
         axes.set_xlim(0, 1.15 * max([row["time_high"] for row in met], default=1.0))
 
     return _panels(rows, draw, "median rendezvous time / s, with 95 % interval")
@@ -92,7 +131,7 @@ def _panels(rows: Sequence[Mapping[str, Any]], draw: Any, label: str) -> Figure:
     names = list(dict.fromkeys(row["scenario"] for row in rows))
     columns = min(4, len(names))
     grid_rows = math.ceil(len(names) / columns)
-    figure = _new_figure(max(4.5, 3.4 * columns), 0.7 + 2.3 * grid_rows)
+    figure = new_figure(max(4.5, 3.4 * columns), 0.7 + 2.3 * grid_rows)
     for number, name in enumerate(names):
         axes = figure.add_subplot(grid_rows, columns, number + 1)
         panel = [dict(row) for row in rows if row["scenario"] == name]
@@ -105,8 +144,6 @@ def _panels(rows: Sequence[Mapping[str, Any]], draw: Any, label: str) -> Figure:
         axes.tick_params(axis="x", labelsize=7)
         axes.grid(axis="x", color="0.9")
     figure.supxlabel(label, fontsize=9)
-    handles, labels = figure.axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper right", ncols=2, fontsize=8, frameon=False)
     return figure
 
 
@@ -116,175 +153,112 @@ def _intervals(
     value: str,
     interval: str,
     shift: float,
-    colour: str,
-    marker: str,
-    label: str,
+    *,
+    filled: bool = True,
 ) -> None:
     """A marker with a horizontal interval for each row, ``shift`` below its line."""
-    centre = np.array([row[value] for row in rows], dtype=float)
-    low = np.array([row[f"{interval}_low"] for row in rows], dtype=float)
-    high = np.array([row[f"{interval}_high"] for row in rows], dtype=float)
-    axes.errorbar(
-        centre,
-        np.array([row["place"] for row in rows], dtype=float) + shift,
-        xerr=np.maximum(0.0, [centre - low, high - centre]),
-        fmt=marker,
-        color=colour,
-        markersize=4,
-        linewidth=1.2,
-        label=label,
-        clip_on=False,
-    )
-
-
-def trajectories_figure(scenario: Scenario, recordings: Mapping[str, Recording]) -> Figure:
-    """What every policy does on the same start, one panel for each.
-
-    Args:
-        scenario: two-dimensional.
-        recordings: by policy.
-    """
-    columns = min(3, len(recordings))
-    rows = math.ceil(len(recordings) / columns)
-    figure = _new_figure(3.4 * columns, 0.5 + 3.4 * rows)
-    for number, (name, recording) in enumerate(recordings.items()):
-        axes = figure.add_subplot(rows, columns, number + 1)
-        draw_paths(axes, recording["positions"], recording["active"], recording["obstacles"])
-        met = recording["active"][-1].sum() == 1
-        end = f"met after {recording['times'][-1]:.1f} s" if met else "time out"
-        contacts = int(recording["contacts"][-1].sum())
-        touched = f", {contacts} contacts" if contacts else ""
-        axes.set_title(f"{name}\n{end}{touched}", fontsize=8)
-        axes.tick_params(labelsize=7)
-    figure.suptitle(f"{scenario.name}: the same start under each policy (x and y in m)", fontsize=9)
-    return figure
-
-
-# ---- one team -----------------------------------------------------------------------------------
-
-
-def draw_paths(
-    axes: Axes,
-    positions: NDArray[np.float64],
-    active: NDArray[np.bool_],
-    obstacles: NDArray[np.float64],
-) -> None:
-    """Paths of the robots of one team among orange obstacles, in axes of equal scale.
-
-    Filled circles are starts, crosses are merges; a robot's path ends where it merged.
-
-    Args:
-        axes: to draw in.
-        positions: (T, n, 2), m.
-        active: (T, n), whether the robot still exists on its own.
-        obstacles: (M, width), packed as obstacles.py says.
-    """
-    _draw_obstacles(axes, obstacles)
-    for robot in range(positions.shape[1]):
-        colour = ROBOT_COLOURS[robot % len(ROBOT_COLOURS)]
-        last = int(active[:, robot].sum()) + 1  # one frame more: to where it merged
-        path = positions[:last, robot]
-        axes.plot(*path.T, color=colour, linewidth=1.4, zorder=3)
-        axes.plot(*path[0], "o", color=colour, markersize=6, zorder=4)
-    for frame, robot in np.argwhere(active[:-1] & ~active[1:]):
-        axes.plot(*positions[frame + 1, robot], "x", color=BLACK, markersize=6, zorder=5)
-    axes.set_aspect("equal", adjustable="box")
-
-
-def _draw_obstacles(axes: Axes, obstacles: NDArray[np.float64]) -> None:
-    from matplotlib.patches import Circle, Polygon
-
-    for row in obstacles:
-        if row[COUNT] == ABSENT:
-            continue
-        vertices = row[CENTRE + 2 : CENTRE + 2 + 2 * int(row[COUNT])].reshape(-1, 2)
-        centre = (row[CENTRE], row[CENTRE + 1])
-        shape = Polygon(vertices) if len(vertices) else Circle(centre, row[RADIUS])
-        shape.set(facecolor=ORANGE, edgecolor="#8A5F00", linewidth=0.8, zorder=1)
-        axes.add_patch(shape)
-
-
-def paper_figure(scenario: Scenario, recording: Mapping[str, NDArray[Any]], policy: str) -> Figure:
-    """Figures 3 and 4 of the paper: (a) paths, (b) V(t) with its jumps at merges.
-
-    Args:
-        scenario: two-dimensional.
-        recording: one team with every step kept: times, positions, active, obstacles, lyapunov,
-            and lyapunov_before_merge and lyapunov_after_merge of the step to each frame.
-        policy: for the title.
-    """
-    figure = _new_figure(10.0, 4.6)
-    paths, value = figure.subplots(1, 2)
-    draw_paths(paths, recording["positions"], recording["active"], recording["obstacles"])
-    _name_robots(paths, recording["positions"][0])
-    paths.set(xlabel="x / m", ylabel="y / m", title="(a) paths: dots are starts, crosses merges")
-    draw_lyapunov(value, recording)
-    value.set(title="(b) Lyapunov function")
-    figure.suptitle(f"{scenario.name}: {policy}")
-    return figure
-
-
-def _name_robots(axes: Axes, starts: NDArray[np.float64]) -> None:
-    """A name above or below each start, away from where the robots go."""
-    middle = starts[:, 1].mean()
-    for robot, start in enumerate(starts):
-        offset = (0, 13 if start[1] > middle else -13)
-        axes.annotate(
-            f"robot {robot}",
-            start,
-            offset,
-            textcoords="offset points",
-            ha="center",
-            va="center",
-            fontsize=9,
+    for row in rows:
+        centre, low, high = (float(row[key]) for key in (value, *_ends(interval)))
+        axes.errorbar(
+            [centre],
+            [row["place"] + shift],
+            xerr=[[max(0.0, centre - low)], [max(0.0, high - centre)]],
+            fmt=policy_marker(row["policy"]),
+            color=policy_colour(row["policy"]),
+            markerfacecolor=None if filled else "white",
+            markersize=4,
+            linewidth=1.2,
+            clip_on=False,
         )
-    axes.margins(x=0.12, y=0.12)
 
 
-def draw_lyapunov(axes: Axes, recording: Mapping[str, NDArray[Any]]) -> None:
-    """V(t) of one team, the part with the merges enlarged.
+def _ends(interval: str) -> tuple[str, str]:
+    return f"{interval}_low", f"{interval}_high"
+
+
+# ---- against one quantity -----------------------------------------------------------------------
+
+
+def sweeps(scenarios: Sequence[Scenario], quantity: str) -> list[list[Scenario]]:
+    """Groups of scenarios, two or more in each, that differ in one quantity only, in its order.
 
     Args:
-        axes: to draw in.
-        recording: times, lyapunov, lyapunov_before_merge and lyapunov_after_merge, each (T,).
+        scenarios: any.
+        quantity: "obstacles", how many are drawn at random, or "robots".
     """
-    times, before = recording["times"], recording["lyapunov_before_merge"]
-    merges = np.flatnonzero(~np.isnan(before))
-    _plot_lyapunov(axes, recording, merges)
-    axes.set(xlabel="time / s", ylabel="V / (m²/s)", ylim=(0, None), xlim=(0, times[-1] * 1.03))
-    if merges.size:
-        axes.legend(loc="lower left", frameon=False)
-        inset = axes.inset_axes((0.56, 0.52, 0.41, 0.43))
-        _plot_lyapunov(inset, recording, merges)
-        span = times[-1] - times[merges[0]] + 0.06 * times[-1]
-        inset.set(xlim=(times[-1] - span, times[-1] + 0.1 * span))
-        inset.set(ylim=(0, 1.4 * before[merges].max()))
-        inset.set_title("the merges, enlarged", fontsize=8)
-        inset.tick_params(labelsize=7)
-        axes.indicate_inset_zoom(inset, edgecolor="0.5")
+    groups: dict[str, dict[int, Scenario]] = {}
+    for scenario in scenarios:
+        plain = scenario.to_plain()
+        for derived in ("name", "obstacle_slots", "neighbour_slots"):
+            plain.pop(derived, None)
+        number = _number(scenario, quantity)
+        if number is None:
+            continue
+        if quantity == "obstacles":
+            del plain["obstacles"]["count"]
+        else:
+            del plain["n_robots"]
+        groups.setdefault(json.dumps(plain, sort_keys=True), {})[number] = scenario
+    return [[group[k] for k in sorted(group)] for group in groups.values() if len(group) > 1]
 
 
-def _plot_lyapunov(
-    axes: Axes, recording: Mapping[str, NDArray[Any]], merges: NDArray[np.int64]
-) -> None:
-    """V(t); every merge is a dashed vertical line from V before it to V after it."""
-    times, lyapunov = recording["times"], recording["lyapunov"]
-    before, after = recording["lyapunov_before_merge"], recording["lyapunov_after_merge"]
-    for first, last in zip([0, *merges], [*merges, len(times) - 1], strict=True):
-        stretch = lyapunov[first : last + 1].copy()
-        if first in merges:
-            stretch[0] = after[first]
-        if last in merges:
-            stretch[-1] = before[last]
-        if last > first:
-            axes.plot(times[first : last + 1], stretch, color=BLUE, linewidth=1.6)
-    axes.vlines(
-        times[merges],
-        after[merges],
-        before[merges],
-        VERMILLION,
-        (0, (2, 1)),
-        linewidth=1.8,
-        label="jump at a merge",
-    )
+def _number(scenario: Scenario, quantity: str) -> int | None:
+    """How many obstacles or robots a scenario has; None where they are not drawn by number."""
+    if quantity == "robots":
+        return scenario.n_robots
+    count = getattr(scenario.obstacles, "count", None)
+    return count if isinstance(count, int) and not isinstance(scenario.obstacles, tuple) else None
+
+
+def sweep_figure(
+    rows: Sequence[Mapping[str, Any]], group: Sequence[Scenario], quantity: str
+) -> Figure:
+    """Clean success of every policy against the number of obstacles or of robots.
+
+    Args:
+        rows: of results.csv.
+        group: scenarios, as ``sweeps`` gives them.
+        quantity: "obstacles" or "robots".
+    """
+    numbers = {scenario.name: _number(scenario, quantity) or 0 for scenario in group}
+    inside = [row for row in rows if row["scenario"] in numbers]
+    policies = list(dict.fromkeys(row["policy"] for row in inside))
+    figure = new_figure(6.4, 4.0)
+    axes = figure.add_subplot()
+    apart = 0.008 * (max(numbers.values()) - min(numbers.values()))
+    for place, policy in enumerate(policies):
+        own = [row for row in inside if row["policy"] == policy]
+        own.sort(key=lambda row: numbers[row["scenario"]])
+        shift = apart * (place - (len(policies) - 1) / 2)
+        _line(axes, policy, [numbers[row["scenario"]] + shift for row in own], own)
+    axes.set_xticks(sorted(numbers.values()))
+    axes.set(xlabel=f"number of {quantity}", ylim=(-2, 102))
+    axes.set_ylabel("met without contact / % of starts")
     axes.grid(color="0.92")
+    example = group[0]
+    count = _number(example, "obstacles")
+    clutter = f"{count} obstacles" if count else "the same obstacles"
+    fixed = f"{example.n_robots} robots" if quantity == "obstacles" else clutter
+    axes.set_title(f"{fixed}; bars: 95 % intervals", fontsize=9)
+    figure.legend(loc="outside right upper", fontsize=8, frameon=False)
+    return figure
+
+
+def _line(axes: Axes, policy: str, x: Sequence[float], rows: Sequence[Mapping[str, Any]]) -> None:
+    """One policy, with its intervals."""
+    centre, low, high = (
+        100 * np.array([row[key] for row in rows], dtype=float)
+        for key in ("clean_success", "clean_low", "clean_high")
+    )
+    axes.errorbar(
+        x,
+        centre,
+        yerr=np.maximum(0.0, [centre - low, high - centre]),
+        fmt=policy_marker(policy),
+        linestyle="-" if policy == _base(policy) else "--",
+        color=policy_colour(policy),
+        markersize=4.5,
+        linewidth=1.3,
+        elinewidth=0.9,
+        label=policy,
+    )

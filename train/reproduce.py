@@ -14,7 +14,7 @@ from tyro.conf import Positional
 from rendezvous_env import scenarios
 from rendezvous_env.trajectory import Trajectory, rollout
 
-from . import figures, policies, results
+from . import figures, path_figures, policies, results
 from .errors import UserError
 
 _LAWS = {"fig3": "bearing-only", "fig4": "tangent-joined"}
@@ -39,7 +39,7 @@ class Config:
 
 
 def run(config: Config) -> int:
-    """Simulate, draw, and write FIGURE.png, FIGURE.npz and FIGURE.csv.
+    """Simulate, draw, and write FIGURE.png, FIGURE.pdf, FIGURE.npz and FIGURE.csv.
 
     Raises:
         UserError: for a policy that does not fit or a folder that cannot be written.
@@ -60,11 +60,13 @@ def run(config: Config) -> int:
     path = folder / f"{config.figure}.png"
     results.write_arrays(path.with_suffix(".npz"), recording)
     results.write_csv(path.with_suffix(".csv"), _columns(scenario.n_robots), _rows(recording))
-    figures.save(figures.paper_figure(scenario, recording, name), path)
+    figure = path_figures.team_figure(scenario, recording, name)
+    for ending in (".png", ".pdf"):
+        figures.save(figure, path.with_suffix(ending))
     end = f"met after {recording['times'][-1]:.2f} s" if trajectory.success[0] else "did not meet"
     rise = trajectory.largest_rise_between_merges
     console.print(f"{config.figure}, {name}: {end}; largest change of V in a step {rise:.2g} m²/s")
-    console.print(f"picture and data: {path}, .npz and .csv")
+    console.print(f"picture and data: {path}, .pdf, .npz and .csv")
     return 0
 
 

@@ -9,6 +9,7 @@ import pygame
 from numpy.typing import NDArray
 
 from ..palette import Rgb as Colour
+from ..palette import mixed
 
 Place = tuple[float, float] | list[float]
 
@@ -18,20 +19,16 @@ GRID: Colour = (235, 235, 235)
 FRAME: Colour = (190, 190, 190)
 EDGE: Colour = (205, 205, 205)
 TEXT: Colour = (60, 60, 60)
-OUTLINE: Colour = (138, 95, 0)
-"""Of obstacles, and of the bearings to their edges."""
 
 
 def tint(base: Colour, share: float) -> Colour:
     """A colour with a share of white mixed in."""
-    red, green, blue = (round(value + share * (255 - value)) for value in base)
-    return red, green, blue
+    return mixed(base, WHITE, share)
 
 
 def shaded(base: Colour, share: float) -> Colour:
     """A colour with a share of black mixed in."""
-    red, green, blue = (round((1 - share) * value) for value in base)
-    return red, green, blue
+    return mixed(base, BLACK, share)
 
 
 @lru_cache

@@ -10,7 +10,7 @@ import pygame
 from numpy.typing import NDArray
 
 from ..geometry import ABSENT, CENTRE, COUNT, RADIUS
-from ..palette import OBSTACLE, robot_colour
+from ..palette import OBSTACLE, OBSTACLE_EDGE, robot_colour
 from ..scenario import Scenario
 from . import ink
 from .camera import Area, Floats, fit, nice_step
@@ -21,7 +21,7 @@ _ROBOT = 6.5
 """Radius of a robot, pixels; a robot that others have joined is larger."""
 _NOSE, _ARROW = 8.0, 17.0
 """How far a nose and the bearings stand out of a robot, pixels."""
-_TINT = 0.45
+_TINT = 0.3
 """Share of white in a path."""
 _VEIL = 225
 """Opacity of spheres, of 255: what stands behind one shows through."""
@@ -124,12 +124,12 @@ class TeamPicture:
                 vertices = row[CENTRE + 2 : CENTRE + 2 + 2 * count].reshape(-1, 2)
                 outline = self.camera.project(vertices).tolist()
                 pygame.draw.polygon(self._ground, OBSTACLE, outline)
-                pygame.draw.polygon(self._ground, ink.OUTLINE, outline, edge)
+                pygame.draw.polygon(self._ground, OBSTACLE_EDGE, outline, edge)
             else:
                 middle = self.camera.project(row[CENTRE : CENTRE + 2]).tolist()
                 radius = float(row[RADIUS] * self.camera.scale)
                 pygame.draw.circle(self._ground, OBSTACLE, middle, radius)
-                pygame.draw.circle(self._ground, ink.OUTLINE, middle, radius, edge)
+                pygame.draw.circle(self._ground, OBSTACLE_EDGE, middle, radius, edge)
 
     def _draw_spheres(self, layer: pygame.Surface) -> None:
         """Spheres from the farthest to the nearest, each a little lighter towards its top."""
@@ -144,7 +144,7 @@ class TeamPicture:
                 light = middle - radius * share * np.array([0.6, 1.0])
                 shade = (*ink.tint(OBSTACLE, share), _VEIL)
                 pygame.draw.circle(layer, shade, light.tolist(), radius * (0.9 - 1.4 * share))
-            pygame.draw.circle(layer, ink.OUTLINE, middle.tolist(), radius, edge)
+            pygame.draw.circle(layer, OBSTACLE_EDGE, middle.tolist(), radius, edge)
 
     # ---- what grows ---------------------------------------------------------------------------
 
@@ -264,9 +264,9 @@ class TeamPicture:
         others = (rows >= layout.neighbours.stop).tolist()
         middles, ends, width = pixels.tolist(), tips.tolist(), max(1, round(unit))
         for i, other, tip in zip(robots.tolist(), others, ends, strict=True):
-            shade = ink.OUTLINE if other else robot_colour(i)
+            shade = OBSTACLE_EDGE if other else robot_colour(i)
             pygame.draw.line(canvas, shade, middles[i], tip, width)
         if self._scenario.dim == 2 and len(robots) <= _MOST_HEADS:
             for k, i in enumerate(robots.tolist()):
-                shade = ink.OUTLINE if others[k] else robot_colour(i)
+                shade = OBSTACLE_EDGE if others[k] else robot_colour(i)
                 ink.arrow_head(canvas, shade, tips[k], along[k], 5 * unit)

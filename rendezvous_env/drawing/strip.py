@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from itertools import pairwise
 
 import numpy as np
@@ -19,8 +20,8 @@ _LEFT, _RIGHT, _TOP, _BOTTOM = 64, 16, 16, 34
 class Strip:
     """V(t) of one episode in a part of a page.
 
-    The time axis ends at a round number; when the episode goes on, the next larger one takes its
-    place.
+    The time axis ends at a round number; when the episode goes on, one twice as long or longer
+    takes its place.
 
     Args:
         history: the episode.
@@ -39,13 +40,14 @@ class Strip:
             area.height - round((_TOP + _BOTTOM) * unit),
         )
         self._drawn = 0
-        self._begin(horizon)
+        step = nice_step(max(horizon, 1e-6), 6)
+        self._begin(step, math.ceil(horizon / step - 1e-9))
 
     def draw(self, page: pygame.Surface) -> None:
         """Draw the curve up to the last moment of the history."""
         moments = self._history.moments
         if moments[-1].time > self._end * (1 + 1e-9):
-            self._begin(moments[-1].time)
+            self._begin(nice_step(2 * moments[-1].time, 6), 6)
         points = [self._place(m.time, m.lyapunov) for m in moments[max(0, self._drawn - 1) :]]
         for start, end in pairwise(points):
             pygame.draw.line(self._sheet, ROBOTS[0], start, end, round(2 * self._unit))
@@ -61,9 +63,9 @@ class Strip:
         box = self._box
         return box.left + box.width * time / self._end, box.bottom - box.height * up
 
-    def _begin(self, time: float) -> None:
-        """Empty axes that reach at least so far."""
-        self._end: float = 5 * nice_step(max(time, 1e-6), 5)
+    def _begin(self, step: float, ticks: int) -> None:
+        """Empty axes with so many ticks, a step in s apart."""
+        self._end = step * ticks
         self._drawn = 0
         unit, box = self._unit, self._box
         self._sheet: pygame.Surface = pygame.Surface(
@@ -75,7 +77,7 @@ class Strip:
             pygame.draw.line(self._sheet, ink.GRID, (box.left, y), (box.right, y), round(unit))
             place = box.left - 6 * unit, y
             ink.write(self._sheet, text, place, round(17 * unit), anchor="midright")
-        for time in np.linspace(0.0, self._end, 6).tolist():
+        for time in np.linspace(0.0, self._end, ticks + 1).tolist():
             x, _ = self._place(time, 0.0)
             pygame.draw.line(self._sheet, ink.FRAME, (x, box.bottom), (x, box.bottom + 4 * unit))
             place = x, box.bottom + 7 * unit

@@ -1,0 +1,41 @@
+"""Train a heading policy, compare it with the rule it began from, and look at the result.
+
+A minute is too short to learn anything: give --steps 10000000 for a policy like the shipped one.
+"""
+
+import argparse
+import tempfile
+from pathlib import Path
+
+from train import compare, ppo, results
+
+parser = argparse.ArgumentParser(description=__doc__)
+parser.add_argument("--steps", type=int, default=200_000)
+parser.add_argument("--teams", type=int, default=128)
+parser.add_argument("--episodes", type=int, default=50)
+parser.add_argument("--out", type=Path, default=None, help="folder; a temporary one by default")
+given = parser.parse_args()
+out = given.out or Path(tempfile.mkdtemp())
+
+ppo.run(
+    ppo.Config(
+        scenario="clutter-8",
+        total_steps=given.steps,
+        num_teams=given.teams,
+        batch_size=2048,
+        out=out / "run",
+        eval_every=0,
+    )
+)
+learned = f"learned:{out / 'run'}"
+compare.run(
+    compare.Config(
+        scenarios=("clutter-8",),
+        policies=("bearing-only", "tangent-joined-tuned", learned),
+        episodes=given.episodes,
+        out=out / "compare",
+        figures=False,
+    )
+)
+for row in results.read_csv(out / "compare" / "results.csv"):
+    print(f"{row['policy'].split(':')[0]}: cleanly {float(row['clean_success']):.0%}")

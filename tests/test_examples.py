@@ -1,0 +1,48 @@
+"""The examples run, and show what they say."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+EXAMPLES = Path(__file__).parent.parent / "examples"
+
+
+def run(name, *words):
+    command = [sys.executable, str(EXAMPLES / name), *words]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_step_loop():
+    assert re.fullmatch(r"\d+ steps; met: True after \d\.\d\d s\n", run("01_step_loop.py"))
+
+
+def test_own_law():
+    lines = run("02_own_law.py").splitlines()
+    assert [line.split(":")[0] for line in lines] == ["law (1)", "full speed along f"]
+    assert lines[0].startswith("law (1): 100% met")
+
+
+def test_train_and_compare(tmp_path):
+    small = ("--steps", "1000", "--teams", "8", "--episodes", "3", "--out", str(tmp_path))
+    last = run("03_train_and_compare.py", *small).splitlines()[-3:]
+    policies = ["bearing-only", "tangent-joined-tuned", "learned"]
+    assert [line.split(":")[0] for line in last] == policies
+    assert (tmp_path / "run" / "checkpoints" / "latest.json").is_file()
+
+
+def test_ppo_in_one_file():
+    text = run("04_cleanrl_ppo.py", "--scenario", "duo", "--updates", "3", "--teams", "8")
+    losses = re.findall(r"loss (-?\d+\.\d+)", text)
+    assert len(losses) == 3 and all(abs(float(loss)) < 100 for loss in losses)
+
+
+@pytest.mark.slow
+def test_ppo_in_one_file_learns():
+    text = run("04_cleanrl_ppo.py", "--updates", "25", "--teams", "32", "--steps", "64")
+    rewards = [float(reward) for reward in re.findall(r"reward ([+-]\d+\.\d+)", text)]
+    assert len(rewards) == 25 and "100% of" in text
