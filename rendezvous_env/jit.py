@@ -38,6 +38,11 @@ def inlined_kernel(function: Callable[..., Any]) -> Any:
     return kernel(function, inlined=True)
 
 
+def compiled() -> bool:
+    """Whether kernels are compiled; ``NUMBA_DISABLE_JIT=1`` leaves them plain Python."""
+    return not _CONFIG.DISABLE_JIT
+
+
 @lru_cache
 def _cache_folder(package: Path) -> str | None:
     """Where compiled code of a package is kept; None leaves the choice to numba."""

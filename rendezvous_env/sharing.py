@@ -13,9 +13,8 @@ that returned to Python would need the interpreter lock, and be put to sleep for
     return end(share, done)
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-import numba
 import numpy as np
 from numba.core import types
 from numba.extending import intrinsic, overload
@@ -99,7 +98,6 @@ def fetch_add(array, k, value):
     return before
 
 
-@intrinsic
 def _load(_, array, k):
     def generate(context, builder, signature, arguments):
         return builder.load_atomic(_place(context, builder, signature, arguments), "acquire", 8)
@@ -107,7 +105,6 @@ def _load(_, array, k):
     return types.int64(array, types.int64), generate
 
 
-@intrinsic
 def _add(_, array, k, value):
     def generate(context, builder, signature, arguments):
         place = _place(context, builder, signature, arguments)
@@ -122,16 +119,15 @@ def _place(context, builder, signature, arguments):
     return builder.gep(array.data, [arguments[1]])
 
 
+_load_entry: Any = intrinsic(_load)
+_add_to_entry: Any = intrinsic(_add)
+
+
 @overload(fetch)
 def _compiled_fetch(array, k):
-    return lambda array, k: _load(array, k)
+    return lambda array, k: _load_entry(array, k)
 
 
 @overload(fetch_add)
 def _compiled_fetch_add(array, k, value):
-    return lambda array, k, value: _add(array, k, value)
-
-
-def compiled():
-    """Whether kernels are compiled, so that counters may be shared by threads."""
-    return not numba.config.DISABLE_JIT
+    return lambda array, k, value: _add_to_entry(array, k, value)

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import numba
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from . import threads
+from .jit import compiled
 from .kernels import first_not_finite, observe_blocks, step_blocks
 from .lanes import LANES
 from .options import StartOptions, parse_options
@@ -31,7 +31,6 @@ from .teams import (
 
 _WORK_PER_THREAD = 4096
 """Robot pairs below which another thread costs more than it saves."""
-_CONFIG: Any = numba.config
 _KEPT = tuple(name for name in BOOK.names or () if name != "lyapunov")
 """What of a team's book belongs to its state; V follows from the rest."""
 
@@ -514,4 +513,4 @@ def _quiet_integers() -> Any:
     """Without compilation NumPy would warn of every product of 64-bit numbers that wraps around."""
     from contextlib import nullcontext
 
-    return np.errstate(over="ignore") if _CONFIG.DISABLE_JIT else nullcontext()
+    return nullcontext() if compiled() else np.errstate(over="ignore")

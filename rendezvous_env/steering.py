@@ -7,8 +7,8 @@ Everything here comes from the robots' own observations: no position, no global 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from typing import Any, NamedTuple
+from collections.abc import Callable, Mapping
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,13 +17,14 @@ from . import threads
 from .heading import certify_one, check_gate_constants, scale_of_step, step_scale, turn_limit
 from .jit import kernel
 from .scenario import Scenario
+from .sharing import Share, begin, end, take
 from .turning import gate_2d, gate_3d, mean_body_axis_2d, mean_body_axis_3d
 from .vectors import combine, dot, load, split, without
 
 FRAMES = ("net_bearing", "local")
 _ROBOTS_PER_THREAD = 2048
 _TEAMS = 32
-"""In the blocks that threads take."""
+"""That a thread takes at a time."""
 _NEARLY_ALONG = 1e-6
 """A row whose part across f is shorter than this cannot give a frame its second axis, m/s."""
 _CLEARLY_LONGER = 1.001
@@ -278,68 +279,86 @@ def _store(vector, out):
 def _steer_headings(
     share, observations, constants, held, headings, actions, alignment, lyapunov_rate
 ):
-    """Law (4) with the certified heading: v = min(1, r/(2Dτ)) h hᵀ f, for a share of the
-    teams.
-    """
-    limit = turn_limit(constants.max_turn)
+    """``_steer_teams`` of the teams that this thread takes."""
     share, done = begin(share), 0
     block = take(share)
     while block < share.blocks:
-        for team in range(block * _TEAMS, min((block + 1) * _TEAMS, len(observations))):
-            for i in range(observations.shape[1]):
-                f = _net_bearing(observations[team, i], constants.neighbour_slots)
-                raw, scale = load(held[team, i]), 1.0
-                if constants.certified:
-                    h = certify_one(
-                        raw,
-                        f,
-                        load(headings[team, i]),
-                        constants.min_alignment,
-                        constants.dead_zone,
-                        limit,
-                    )
-                    if constants.long_step:
-                        degree = _degree(observations[team, i], constants.neighbour_slots)
-                        scale = scale_of_step(degree, constants.merge_radius, constants.duration)
-                else:
-                    _, h = split(raw)
-                along = dot(h, f)
-                _store(h, headings[team, i])
-                _store(combine(along * scale, h, 0.0, h), actions[team, i])
-                strength, _ = split(f)
-                alignment[team, i] = abs(along) / strength if strength > 0.0 else np.nan
-                lyapunov_rate[team, i] = -2.0 * along * along
+        first, last = block * _TEAMS, min((block + 1) * _TEAMS, len(observations))
+        _steer_teams(
+            first, last, observations, constants, held, headings, actions, alignment, lyapunov_rate
+        )
         done += 1
         block = take(share)
     return end(share, done)
 
 
 @kernel
+def _steer_teams(
+    first, last, observations, constants, held, headings, actions, alignment, lyapunov_rate
+):
+    """Law (4) with the certified heading: v = min(1, r/(2Dτ)) h hᵀ f, for teams first … last −
+    1.
+    """
+    limit = turn_limit(constants.max_turn)
+    for team in range(first, last):
+        for i in range(observations.shape[1]):
+            f = _net_bearing(observations[team, i], constants.neighbour_slots)
+            raw, scale = load(held[team, i]), 1.0
+            if constants.certified:
+                h = certify_one(
+                    raw,
+                    f,
+                    load(headings[team, i]),
+                    constants.min_alignment,
+                    constants.dead_zone,
+                    limit,
+                )
+                if constants.long_step:
+                    degree = _degree(observations[team, i], constants.neighbour_slots)
+                    scale = scale_of_step(degree, constants.merge_radius, constants.duration)
+            else:
+                _, h = split(raw)
+            along = dot(h, f)
+            _store(h, headings[team, i])
+            _store(combine(along * scale, h, 0.0, h), actions[team, i])
+            strength, _ = split(f)
+            alignment[team, i] = abs(along) / strength if strength > 0.0 else np.nan
+            lyapunov_rate[team, i] = -2.0 * along * along
+
+
+@kernel
 def _look_along_net_bearing(share, observations, constants, visible_rows, frames, seen):
-    """Turn observations into frames with x along f, for a share of the teams.
+    """``_look_from_teams`` of the teams that this thread takes."""
+    share, done = begin(share), 0
+    block = take(share)
+    while block < share.blocks:
+        first, last = block * _TEAMS, min((block + 1) * _TEAMS, len(observations))
+        _look_from_teams(first, last, observations, constants, visible_rows, frames, seen)
+        done += 1
+        block = take(share)
+    return end(share, done)
+
+
+@kernel
+def _look_from_teams(first, last, observations, constants, visible_rows, frames, seen):
+    """Turn observations into frames with x along f, for teams first … last − 1.
 
     Where ‖f‖ < δ the last frame is kept.
     """
     n, n_rows, d = observations.shape[1:]
-    share, done = begin(share), 0
-    block = take(share)
-    while block < share.blocks:
-        for team in range(block * _TEAMS, min((block + 1) * _TEAMS, len(observations))):
-            for i in range(n):
-                rows, frame = observations[team, i], frames[team, i]
-                f = _net_bearing(rows, constants.neighbour_slots)
-                strength, towards = split(f)
-                if strength >= constants.dead_zone:
-                    _aim_frame(towards, rows, visible_rows, frame)
-                for row in range(n_rows):
-                    for axis in range(d):
-                        along = 0.0
-                        for k in range(d):
-                            along += frame[k, axis] * rows[row, k]
-                        seen[team, i, row, axis] = along
-        done += 1
-        block = take(share)
-    return end(share, done)
+    for team in range(first, last):
+        for i in range(n):
+            rows, frame = observations[team, i], frames[team, i]
+            f = _net_bearing(rows, constants.neighbour_slots)
+            strength, towards = split(f)
+            if strength >= constants.dead_zone:
+                _aim_frame(towards, rows, visible_rows, frame)
+            for row in range(n_rows):
+                for axis in range(d):
+                    along = 0.0
+                    for k in range(d):
+                        along += frame[k, axis] * rows[row, k]
+                    seen[team, i, row, axis] = along
 
 
 @kernel

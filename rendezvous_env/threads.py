@@ -1,6 +1,6 @@
 """A small thread pool for kernels that release the interpreter lock.
 
-The caller works too and takes slices like everybody else, so a worker that wakes late, because
+The caller works too and takes blocks like everybody else, so a worker that wakes late, because
 another process keeps its core busy, never holds up the rest. A sleeping thread takes tens of
 microseconds to wake, so the caller looks for the last ends for a moment before it sleeps.
 """
@@ -15,7 +15,8 @@ from queue import SimpleQueue
 import numpy as np
 from numpy.typing import NDArray
 
-from .sharing import COUNTERS, DONE, Share, compiled
+from .jit import compiled
+from .sharing import COUNTERS, DONE, Share
 
 _LOOKS = 250_000
 """How often compiled code looks for news before its thread goes to sleep; about 0.1 ms."""
@@ -74,12 +75,14 @@ def share(run_kernel: Callable[[Share], bool], blocks: int, most: int) -> None:
     job = _Job(run_kernel, helper)
     for _ in range(most - 1):
         _jobs.put(job)
-    all_done = run_kernel(Share(blocks, counters, _bell, -1, _LOOKS))
-    while not all_done:
-        if (end := job.ends.get()) is not None:
-            raise end
-        all_done = int(counters[DONE]) >= blocks
-    job.run_kernel = None  # a helper that wakes only now must not keep its arrays alive
+    try:
+        all_done = run_kernel(Share(blocks, counters, _bell, -1, _LOOKS))
+        while not all_done:
+            if (end := job.ends.get()) is not None:
+                raise end
+            all_done = int(counters[DONE]) >= blocks
+    finally:
+        job.run_kernel = None  # a helper that wakes only now must not keep its arrays alive
 
 
 def _ensure_workers(count: int) -> None:

@@ -8,6 +8,7 @@ import json
 import numpy as np
 import pytest
 
+from rendezvous_env import threads
 from train.bench import GROUPS, Config, Row, measure, run
 from train.bench_cases import Case, Running, among_discs, batched, limit_by_pairs, limit_by_rows
 from train.errors import UserError
@@ -29,7 +30,7 @@ def test_the_limit_computes_bearings_sums_and_a_step(walk):
     positions = np.random.default_rng(0).uniform(-1, 1, (1, n, 2, lanes))
     p = np.moveaxis(positions[0].copy(), -1, 0)  # (lanes, n, 2)
     bearings = np.zeros((1, n, n - 1, 2 * lanes))
-    walk(0, 1, positions.reshape(1, n, 2 * lanes), bearings)
+    threads.share(lambda part: walk(part, positions.reshape(1, n, -1), bearings), 1, 1)
     g = p[:, None] - p[:, :, None]
     g = np.divide(
         g,

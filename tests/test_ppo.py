@@ -90,7 +90,8 @@ class TestFiles:
         assert [int(row["step"]) for row in rows] == [UPDATE * (k + 1) for k in range(12)]
         assert [int(row["update"]) for row in rows] == list(range(1, 13))
         rates = [float(row["learning_rate"]) for row in rows]
-        expected = [3e-4 * max(1 - (k + 1) / 12, 0.05) for k in range(12)]
+        first = config(whole).learning_rate
+        expected = [first * max(1 - (k + 1) / 12, 0.05) for k in range(12)]
         np.testing.assert_allclose(rates, expected)
         ended = [row for row in rows if int(row["episodes"])]
         assert ended and all(0 <= float(row["clean_success"]) <= 1 for row in ended)

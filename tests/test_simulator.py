@@ -225,11 +225,13 @@ def test_the_place_in_the_batch_and_the_number_of_threads_do_not_matter(name, mo
     seeds = np.arange(70, 70 + count)
     order = np.random.default_rng(2).permutation(count)
     monkeypatch.setattr(simulator, "_WORK_PER_THREAD", 1)
-    widths = []
-    real_share = threads.share
-    monkeypatch.setattr(
-        threads, "share", lambda run, count, most: (widths.append(most), real_share(run, count, most))
-    )
+    widths, real_share = [], threads.share
+
+    def share(run_kernel, blocks, most):
+        widths.append(most)
+        real_share(run_kernel, blocks, most)
+
+    monkeypatch.setattr(threads, "share", share)
     one = follow(scenario, count, seed=seeds.tolist(), num_threads=1)
     two = follow(scenario, count, seed=seeds[order].tolist(), num_threads=2)
     assert widths == [1] * 60 + [2] * 60
