@@ -48,13 +48,14 @@ _EXPONENT = np.uint32(0x7F800000)
 
 
 @kernel
-def step_blocks(share, physics, axes, teams, actions, results):
+def step_blocks(share, physics, axes, span, teams, actions, results):
     """One step of the blocks that this thread takes; finished teams stand still and earn nothing.
 
     Args:
         share: this thread's part, see sharing.py.
         physics: the fields of Physics.
         axes: (0, 1) or (0, 1, 2).
+        span: () for all lanes of a block, (0,) where no block has more than FEW teams.
         teams: the fields of Teams.
         actions: (B, n, a) finite float32, of all teams.
         results: the fields of Results.
@@ -72,10 +73,10 @@ def step_blocks(share, physics, axes, teams, actions, results):
         lanes = min(LANES, batch - block * LANES)
         load_obstacles(block, lanes, len(axes), teams, scratch)
         _load_actions(block, lanes, teams, actions, scratch)
-        _propose(block, lanes, physics, axes, teams, scratch)
-        _advance(block, lanes, physics, axes, teams, results, scratch)
+        _propose(block, lanes, physics, axes, span, teams, scratch)
+        _advance(block, lanes, physics, axes, span, teams, results, scratch)
         _turn(block, lanes, physics, teams, scratch)
-        observe_block(block, lanes, physics, axes, teams, results, scratch)
+        observe_block(block, lanes, physics, axes, span, teams, results, scratch)
         _conclude(block, lanes, physics, teams, results, scratch)
         done += 1
         block = take(share)
@@ -95,7 +96,7 @@ def observe_blocks(blocks, physics, axes, teams, results):
         load_obstacles(block, lanes, len(axes), teams, scratch)
         if physics.n_angles > 0:
             _write_body_frames(block, lanes, physics, len(axes), teams)
-        observe_block(block, lanes, physics, axes, teams, results, scratch)
+        observe_block(block, lanes, physics, axes, (), teams, results, scratch)
         for lane in range(lanes):
             teams.book[block * LANES + lane]["lyapunov"] = 2.0 * scratch.pair[lane]
 
@@ -145,13 +146,14 @@ def _anyone_gone(merged_into, team):
 
 
 @inlined_kernel
-def _propose(block, lanes, physics, axes, teams, scratch):
+def _propose(block, lanes, physics, axes, span, teams, scratch):
     """The displacement of every robot, as if nothing were in its way."""
     for i in range(scratch.action.shape[0]):
         if physics.n_angles > 0:
             _propose_arcs(block, lanes, i, physics, len(axes), teams, scratch)
         else:
             velocity_displacements(
+                span,
                 scratch.action[i],
                 teams.frames[block, i],
                 physics.speed_limit,
@@ -187,10 +189,10 @@ def _clip(value, bound):
 
 
 @inlined_kernel
-def _advance(block, lanes, physics, axes, teams, results, scratch):
+def _advance(block, lanes, physics, axes, span, teams, results, scratch):
     """Carry out the displacements; teams in which something can meet go one by one."""
     first = block * LANES
-    _mark_near(block, physics, axes, teams, scratch)
+    _mark_near(block, physics, axes, span, teams, scratch)
     results.contact[first : first + lanes] = False
     for lane in range(lanes):
         if scratch.near[lane] > 0.0:
@@ -201,23 +203,30 @@ def _advance(block, lanes, physics, axes, teams, results, scratch):
     scratch.way[:] = 0.0
     for i in range(scratch.action.shape[0]):
         add_displacements(
-            scratch.displacement[i], scratch.near, axes, teams.positions[block, i], scratch.way
+            span,
+            scratch.displacement[i],
+            scratch.near,
+            axes,
+            teams.positions[block, i],
+            scratch.way,
         )
 
 
 @inlined_kernel
-def _mark_near(block, physics, axes, teams, scratch):
+def _mark_near(block, physics, axes, span, teams, scratch):
     """Mark teams where neighbours start within r + 2 v_max τ, or a robot within v_max τ of an
     obstacle.
     """
     reach = physics.speed_limit * physics.duration * (1.0 + 1e-9)
     square_reach = (physics.merge_radius * (1.0 + 1e-9) + 2.0 * reach) ** 2
-    mark_near_pairs(teams.square_closest[block], square_reach, scratch.near)
+    mark_near_pairs(span, teams.square_closest[block], square_reach, scratch.near)
     if physics.contact_mode != IGNORE:
         positions = teams.positions[block]
         for m in range(scratch.balls.shape[0]):
             for i in range(positions.shape[0]):
-                mark_near_ball(positions[i], scratch.balls[m], reach + 1e-9, axes, scratch.near)
+                mark_near_ball(
+                    span, positions[i], scratch.balls[m], reach + 1e-9, axes, scratch.near
+                )
 
 
 @kernel

@@ -3,8 +3,9 @@
 A *lane buffer* holds LANES teams side by side: entry ``k * LANES + lane`` is the k-th number of the
 team in that lane. Every function here has few flat buffers and loops of constant length, which is
 what lets the compiler turn square roots and divisions into vector instructions. ``axes`` is the
-tuple (0, 1) or (0, 1, 2): its length is known when compiling, so loops over it unroll. Unused lanes
-hold harmless numbers.
+tuple (0, 1) or (0, 1, 2): its length is known when compiling, so loops over it unroll. In the same
+way ``span`` says how much of a block is computed: () all lanes, (0,) only the first FEW, which is
+enough for one team. Unused lanes hold harmless numbers.
 """
 
 import math
@@ -13,13 +14,20 @@ from .geometry import disc_edges
 from .jit import kernel
 
 LANES = 32
+FEW = 4
 
 
 @kernel
-def velocity_displacements(action, frame, speed_limit, duration, axes, out):
+def _width(span):
+    return FEW if len(span) > 0 else LANES
+
+
+@kernel
+def velocity_displacements(span, action, frame, speed_limit, duration, axes, out):
     """Displacement of a single integrator: ‖v‖ limited to v_max, direction kept, frame to global.
 
     Args:
+        span: how much of a block, see above.
         action: velocity in the robot's own frame, d numbers, m/s.
         frame: rotation from local to global, d·d numbers, row by row.
         speed_limit: v_max, m/s.
@@ -28,7 +36,7 @@ def velocity_displacements(action, frame, speed_limit, duration, axes, out):
         out: displacement, d numbers, m, and its length.
     """
     d = len(axes)
-    for lane in range(LANES):
+    for lane in range(_width(span)):
         square = 0.0
         for k in range(d):
             square += action[k * LANES + lane] * action[k * LANES + lane]
@@ -43,17 +51,18 @@ def velocity_displacements(action, frame, speed_limit, duration, axes, out):
 
 
 @kernel
-def mark_near_pairs(square_closest, square_reach, near):
+def mark_near_pairs(span, square_closest, square_reach, near):
     """Set ``near`` to 1 where two neighbours start close enough to meet within the step, else 0."""
-    for lane in range(LANES):
+    for lane in range(_width(span)):
         near[lane] = 1.0 if square_closest[lane] < square_reach else 0.0
 
 
 @kernel
-def mark_near_ball(position, ball, reach, axes, near):
+def mark_near_ball(span, position, ball, reach, axes, near):
     """Raise ``near`` where a robot is within ``reach``, m, of the bounding ball of an obstacle.
 
     Args:
+        span: how much of a block, see above.
         position: d numbers, m.
         ball: centre, d numbers, and radius, m; NaN where there is no obstacle.
         reach: m.
@@ -61,7 +70,7 @@ def mark_near_ball(position, ball, reach, axes, near):
         near: one number.
     """
     d = len(axes)
-    for lane in range(LANES):
+    for lane in range(_width(span)):
         square = 0.0
         for k in range(d):
             offset = ball[k * LANES + lane] - position[k * LANES + lane]
@@ -71,17 +80,18 @@ def mark_near_ball(position, ball, reach, axes, near):
 
 
 @kernel
-def see_disc(position, ball, sight, out):
+def see_disc(span, position, ball, sight, out):
     """Bearings of the two edges of a disc in the global frame, zero where it is not seen.
 
     Args:
+        span: how much of a block, see above.
         position: 2 numbers, m.
         ball: as ``mark_near_ball``, and the radius of the disc, m; NaN where there is none.
         sight: from how near it is seen, one number, m.
         out: the distance to the nearest disc so far, which falls; then 2 numbers of the
             counter-clockwise edge and 1, its factor in ``store_row``, and 3 of the clockwise edge.
     """
-    for lane in range(LANES):
+    for lane in range(_width(span)):
         radius = ball[3 * LANES + lane]
         ax, ay, bx, by, distance = disc_edges(
             ball[lane] - position[lane], ball[LANES + lane] - position[LANES + lane], radius
@@ -98,10 +108,11 @@ def see_disc(position, ball, sight, out):
 
 
 @kernel
-def see_pair(position_i, position_j, weight, axes, out):
+def see_pair(span, position_i, position_j, weight, axes, out):
     """What neighbours i and j are to each other, and what that adds to the sums over all pairs.
 
     Args:
+        span: how much of a block, see above.
         position_i: d numbers, m.
         position_j: d numbers, m.
         weight: a_ij, one number, m/s; 0 = no edge.
@@ -111,7 +122,7 @@ def see_pair(position_i, position_j, weight, axes, out):
             the factors of a_ij g_ij and of a_ij g_ji.
     """
     d = len(axes)
-    for lane in range(LANES):
+    for lane in range(_width(span)):
         square = 0.0
         for k in range(d):
             offset = position_j[k * LANES + lane] - position_i[k * LANES + lane]
@@ -128,12 +139,13 @@ def see_pair(position_i, position_j, weight, axes, out):
 
 
 @kernel
-def store_row(vector, factor, frame, axes, row):
+def store_row(span, vector, factor, frame, axes, row):
     """Write one row of observations: a vector of the global frame, as a robot sees it.
 
         row = factor · Rᵀ vector
 
     Args:
+        span: how much of a block, see above.
         vector: d numbers, and then possible factors, one number each.
         factor: which of the factors, counted from 0.
         frame: R, d·d numbers.
@@ -141,7 +153,7 @@ def store_row(vector, factor, frame, axes, row):
         row: (d·LANES,) float32, the d numbers of a lane side by side.
     """
     d = len(axes)
-    for lane in range(LANES):
+    for lane in range(_width(span)):
         for axis in range(d):
             along = 0.0
             for k in range(d):
@@ -151,10 +163,11 @@ def store_row(vector, factor, frame, axes, row):
 
 
 @kernel
-def add_displacements(displacement, near, axes, position, way):
+def add_displacements(span, displacement, near, axes, position, way):
     """Move the robots of teams in which nothing can meet; the others have been moved already.
 
     Args:
+        span: how much of a block, see above.
         displacement: d numbers, m, and the length of the path, m.
         near: one number, above 0 where a team has been moved already.
         axes: (0, 1) or (0, 1, 2).
@@ -163,8 +176,8 @@ def add_displacements(displacement, near, axes, position, way):
     """
     d = len(axes)
     for k in range(d):
-        for lane in range(LANES):
+        for lane in range(_width(span)):
             moved = position[k * LANES + lane] + displacement[k * LANES + lane]
             position[k * LANES + lane] = position[k * LANES + lane] if near[lane] > 0.0 else moved
-    for lane in range(LANES):
+    for lane in range(_width(span)):
         way[lane] += displacement[d * LANES + lane]

@@ -75,16 +75,16 @@ def load_obstacles(block, lanes, d, teams, scratch):
 
 
 @inlined_kernel
-def observe_block(block, lanes, physics, axes, teams, results, scratch):
+def observe_block(block, lanes, physics, axes, span, teams, results, scratch):
     """Write a block's observations and clearances, and who is closest; half of V is left in
     ``scratch.pair``.
     """
     first, d = block * LANES, len(axes)
-    _observe_neighbours(block, physics, axes, teams, scratch)
+    _observe_neighbours(block, physics, axes, span, teams, scratch)
     if d == 3 or teams.obstacles.shape[1] == 0:
         results.clearance[first : first + lanes] = np.inf
     else:
-        _observe_discs(block, lanes, physics, axes, teams, results, scratch)
+        _observe_discs(block, lanes, physics, axes, span, teams, results, scratch)
     if teams.obstacles.shape[1] > 0:
         _observe_one_by_one(block, lanes, physics, d, teams, results, scratch)
     if physics.n_angles == 2:
@@ -97,7 +97,7 @@ def observe_block(block, lanes, physics, axes, teams, results, scratch):
 
 
 @inlined_kernel
-def _observe_neighbours(block, physics, axes, teams, scratch):
+def _observe_neighbours(block, physics, axes, span, teams, scratch):
     """Every pair once, in index order: the complete graph; an edge that is absent weighs 0."""
     positions, frames, weights = teams.positions[block], teams.frames[block], teams.weights[block]
     found, rows = scratch.pair, scratch.rows
@@ -106,11 +106,11 @@ def _observe_neighbours(block, physics, axes, teams, scratch):
     pair, n = 0, positions.shape[0]
     for i in range(n):
         for j in range(i + 1, n):
-            see_pair(positions[i], positions[j], weights[pair], axes, found)
+            see_pair(span, positions[i], positions[j], weights[pair], axes, found)
             # in index order robot j is row j − 1 of robot i < j, and robot i is row i of robot j
             vector = found[2 * LANES :]
-            store_row(vector, 0, frames[i], axes, rows[i * physics.rows + j - 1])
-            store_row(vector, 1, frames[j], axes, rows[j * physics.rows + i])
+            store_row(span, vector, 0, frames[i], axes, rows[i * physics.rows + j - 1])
+            store_row(span, vector, 1, frames[j], axes, rows[j * physics.rows + i])
             pair += 1
     teams.square_closest[block] = found[LANES : 2 * LANES]
 
@@ -126,7 +126,7 @@ def _store_rows(rows, axes, observations):
 
 
 @inlined_kernel
-def _observe_discs(block, lanes, physics, axes, teams, results, scratch):
+def _observe_discs(block, lanes, physics, axes, span, teams, results, scratch):
     """Discs in the plane, over lanes; the rows of everything else are zero after it."""
     disc = scratch.disc
     for i in range(scratch.action.shape[0]):
@@ -137,9 +137,9 @@ def _observe_discs(block, lanes, physics, axes, teams, results, scratch):
         row = i * physics.rows + physics.neighbour_slots
         frame = teams.frames[block, i]
         for m in range(scratch.balls.shape[0]):
-            see_disc(teams.positions[block, i], scratch.balls[m], scratch.sight, disc)
-            store_row(disc[LANES:], 0, frame, axes, scratch.rows[row])
-            store_row(disc[4 * LANES :], 0, frame, axes, scratch.rows[row + 1])
+            see_disc(span, teams.positions[block, i], scratch.balls[m], scratch.sight, disc)
+            store_row(span, disc[LANES:], 0, frame, axes, scratch.rows[row])
+            store_row(span, disc[4 * LANES :], 0, frame, axes, scratch.rows[row + 1])
             row += 2
         for lane in range(lanes):
             active = scratch.sight[lane] >= 0.0

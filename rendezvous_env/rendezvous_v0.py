@@ -175,6 +175,7 @@ class RendezvousParallelEnv(ParallelEnv[str, NDArray[np.float32], NDArray[np.flo
         self.action_spaces = {name: action_box(scenario) for name in self.possible_agents}
         self.state_space = state_box(scenario)
         self._indices = {name: i for i, name in enumerate(self.possible_agents)}
+        self._acted = (scenario.n_robots, scenario.action_size)
 
     @property
     def max_cycles(self) -> int:
@@ -263,16 +264,16 @@ class RendezvousParallelEnv(ParallelEnv[str, NDArray[np.float32], NDArray[np.flo
 
     def _table_of(self, actions: Mapping[str, Any]) -> NDArray[np.float32]:
         """Actions as (1, n, a); zero for robots that are gone."""
-        alive, size = self.agents, self.scenario.action_size
+        alive, (n, size) = self.agents, self._acted
         try:
-            listed = np.array([actions[name] for name in alive], dtype=np.float32)
+            listed = np.array([actions[name] for name in alive], np.float32)
         except (KeyError, TypeError, ValueError):
-            listed = np.empty(0, dtype=np.float32)
+            listed = np.empty(0, np.float32)
         if listed.shape != (len(alive), size) or len(actions) != len(alive):
             self._explain(actions)
-        if len(alive) == self.scenario.n_robots:
+        if len(alive) == n:
             return listed[None]
-        table = np.zeros((1, self.scenario.n_robots, size), dtype=np.float32)
+        table = np.zeros((1, n, size), np.float32)
         table[0, [self._indices[name] for name in alive]] = listed
         return table
 
@@ -323,30 +324,31 @@ class RendezvousParallelEnv(ParallelEnv[str, NDArray[np.float32], NDArray[np.flo
     def _as_dicts(
         self, outcome: Outcome
     ) -> tuple[Observations, dict[str, float], dict[str, bool], dict[str, bool], Infos]:
-        alive, status = self.agents, int(outcome.status[0])
+        alive, names, status = self.agents, self.possible_agents, outcome.status.item(0)
         over, met = status != RUNNING, status == RENDEZVOUS
-        active, seen = outcome.active[0].tolist(), list(outcome.observations[0])
-        contact, clearance = outcome.contact[0].tolist(), outcome.clearance[0].tolist()
-        robots = [(name, self._indices[name]) for name in alive]
-        observations = {name: seen[i] for name, i in robots}
+        observations = dict(zip(names, outcome.observations[0], strict=True))
+        felt = zip(names, outcome.contact[0].tolist(), outcome.clearance[0].tolist(), strict=True)
         infos: Infos = {
-            name: {
-                "merged_into": None if active[i] else self._survivor(i),
-                "contact": contact[i],
-                "clearance": clearance[i],
-            }
-            for name, i in robots
+            name: {"merged_into": None, "contact": contact, "clearance": clearance}
+            for name, contact, clearance in felt
         }
+        if len(alive) < len(names):
+            observations = {name: observations[name] for name in alive}
+            infos = {name: infos[name] for name in alive}
         ends, truncations = dict.fromkeys(alive, met), dict.fromkeys(alive, over and not met)
-        if not met and self.scenario.on_merge == "remove" and active.count(True) < len(alive):
-            ends = {name: not active[i] for name, i in robots}
-            truncations = {name: over and active[i] for name, i in robots}
-            self.agents = [name for name in alive if not ends[name]]
+        active = outcome.active[0].tolist()
+        if active.count(True) < len(alive):
+            for name in alive:
+                infos[name]["merged_into"] = self._survivor(self._indices[name])
+            if not met and self.scenario.on_merge == "remove":
+                ends = {name: not active[self._indices[name]] for name in alive}
+                truncations = {name: over and not ended for name, ended in ends.items()}
+                self.agents = [name for name in alive if not ends[name]]
         if over:
             self.agents = []
             for info in infos.values():
                 info["summary"] = self._summary()
-        rewards = dict.fromkeys(alive, float(outcome.rewards[0]))
+        rewards = dict.fromkeys(alive, outcome.rewards.item(0))
         return observations, rewards, ends, truncations, infos
 
     def _survivor(self, i: int) -> str | None:

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from . import threads
 from .jit import compiled
 from .kernels import first_not_finite, observe_blocks, step_blocks
-from .lanes import LANES
+from .lanes import FEW, LANES
 from .options import StartOptions, parse_options
 from .outcome import Outcome
 from .preparation import empty_teams, fixed_obstacles, physics, start_rules
@@ -69,6 +69,7 @@ class Simulator:
         """Make what follows from the scenario: constants and working memory."""
         scenario = self.scenario
         self._axes = tuple(range(scenario.dim))
+        self._span = (0,) if self.num_envs <= FEW else ()
         self._acted = (self.num_envs, scenario.n_robots, scenario.action_size)
         self._observed = (self.num_envs, scenario.n_robots, *scenario.observation_layout.shape)
         self._width = _width(scenario, self.num_envs, self.num_threads)
@@ -183,9 +184,11 @@ class Simulator:
                 "it must be finite"
             )
         results = self._new_results()
-        fixed = (self._physics, self._axes, tuple(self._teams), table, tuple(results))
+        given = (tuple(self._physics), self._axes, self._span, tuple(self._teams), table)
         threads.share(
-            lambda part: step_blocks(part, *fixed), len(self._teams.positions), self._width
+            lambda part: step_blocks(part, *given, tuple(results)),
+            len(self._teams.positions),
+            self._width,
         )
         return Outcome(results, self._observed)
 
@@ -204,12 +207,12 @@ class Simulator:
     def _new_results(self) -> Results:
         batch, n, rows, d = self._observed
         return Results(
-            observations=np.empty((batch, n * rows * d), dtype=np.float32),
-            scores=np.empty((batch, 5)),
-            contact=np.empty((batch, n), dtype=np.bool_),
-            clearance=np.empty((batch, n)),
-            active=np.empty((batch, n), dtype=np.bool_),
-            status=np.empty(batch, dtype=np.int64),
+            np.empty((batch, n * rows * d), np.float32),
+            np.empty((batch, 5)),
+            np.empty((batch, n), np.bool_),
+            np.empty((batch, n)),
+            np.empty((batch, n), np.bool_),
+            np.empty(batch, np.int64),
         )
 
     # ---- state --------------------------------------------------------------------------------

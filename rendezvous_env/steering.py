@@ -17,7 +17,7 @@ from . import threads
 from .heading import certify_one, check_gate_constants, scale_of_step, step_scale, turn_limit
 from .jit import kernel
 from .scenario import Scenario
-from .sharing import Share, begin, end, take
+from .sharing import Part, begin, end, take
 from .turning import gate_2d, gate_3d, mean_body_axis_2d, mean_body_axis_3d
 from .vectors import combine, dot, load, split, without
 
@@ -221,7 +221,7 @@ class Steering:
             gate_3d(flat, f.reshape(-1, d), pitch.reshape(-1), *margins, self._limits, gated)
         rates[...] = gated.reshape(rates.shape)
 
-    def _over_teams(self, run_kernel: Callable[[Share], bool]) -> None:
+    def _over_teams(self, run_kernel: Callable[[Part], bool]) -> None:
         """Run a kernel over the batch, on as many threads as are worth their cost."""
         teams, n = self._held.shape[:2]
         most = max(1, min(threads.available_cores(), teams * n // _ROBOTS_PER_THREAD))

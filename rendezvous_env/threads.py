@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .jit import compiled
-from .sharing import COUNTERS, DONE, Share
+from .sharing import COUNTERS, DONE, Part
 
 _LOOKS = 250_000
 """How often compiled code looks for news before its thread goes to sleep; about 0.1 ms."""
@@ -25,8 +25,8 @@ _LOOKS = 250_000
 class _Job:
     """One call of ``share``, as the helpers see it."""
 
-    def __init__(self, run_kernel: Callable[[Share], bool], part: Share) -> None:
-        self.run_kernel: Callable[[Share], bool] | None = run_kernel
+    def __init__(self, run_kernel: Callable[[Part], bool], part: Part) -> None:
+        self.run_kernel: Callable[[Part], bool] | None = run_kernel
         self.part = part
         self.ends: SimpleQueue[BaseException | None] = SimpleQueue()
 
@@ -52,14 +52,14 @@ def available_cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def share(run_kernel: Callable[[Share], bool], blocks: int, most: int) -> None:
+def share(run_kernel: Callable[[Part], bool], blocks: int, most: int) -> None:
     """Let a kernel do many blocks, which up to ``most`` threads take one after another.
 
     Between two calls that follow close on each other the threads stay awake, for at most 0.1 ms.
 
     Args:
-        run_kernel: calls a kernel that takes its blocks as sharing.py says, and returns what it
-            does.
+        run_kernel: calls a kernel with the part that it is given, and returns what it does; the
+            kernel takes its blocks as sharing.py says.
         blocks: how many.
         most: threads, the caller's among them.
 
@@ -68,15 +68,15 @@ def share(run_kernel: Callable[[Share], bool], blocks: int, most: int) -> None:
     """
     counters = np.zeros(COUNTERS, dtype=np.int64)
     if most == 1 or not compiled():
-        run_kernel(Share(blocks, counters, _bell, -1, 0))
+        run_kernel((blocks, counters, _bell, -1, 0))
         return
     _ensure_workers(most - 1)
-    helper = Share(blocks, counters, _bell, int(_bell[0]) + 1, _LOOKS)
+    helper = (blocks, counters, _bell, int(_bell[0]) + 1, _LOOKS)
     job = _Job(run_kernel, helper)
     for _ in range(most - 1):
         _jobs.put(job)
     try:
-        all_done = run_kernel(Share(blocks, counters, _bell, -1, _LOOKS))
+        all_done = run_kernel((blocks, counters, _bell, -1, _LOOKS))
         while not all_done:
             if (end := job.ends.get()) is not None:
                 raise end

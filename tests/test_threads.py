@@ -12,7 +12,7 @@ import pytest
 
 from rendezvous_env import threads
 from rendezvous_env.jit import kernel
-from rendezvous_env.sharing import DONE, begin, end, take
+from rendezvous_env.sharing import DONE, Share, begin, end, take
 
 
 @kernel
@@ -161,7 +161,7 @@ def test_blocks_done_are_counted_for_everybody():
 
     def run_kernel(part):
         done = mark(part, np.zeros(6), 0)
-        counted.append(int(part.counters[DONE]))
+        counted.append(int(Share(*part).counters[DONE]))
         return done
 
     threads.share(run_kernel, 6, 1)
