@@ -185,12 +185,10 @@ class RendezvousVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
             ended = simulator.ended
             if ended.any():
                 simulator.restart(ended)
-        alive = alive_robots(simulator)
         outcome = simulator.step(actions)
-        rewards = outcome.rewards.copy()
-        terminations, truncations = outcome.status == RENDEZVOUS, outcome.status == TIME_OUT
+        infos = step_info(simulator, outcome)
+        terminations, truncations = ends_of(outcome.status)
         ended = terminations | truncations
-        infos = step_info(simulator, outcome, alive)
         if not ended.any():
             infos = masked(infos, np.ones(self.num_envs, dtype=np.bool_))
         elif mode is AutoresetMode.SAME_STEP:
@@ -199,7 +197,7 @@ class RendezvousVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
             infos = masked(infos, np.ones(self.num_envs, dtype=np.bool_))
             infos |= masked({"summary": masked(summary_of(simulator), ended)}, ended)
         self.renderer.see(outcome.contact)
-        return outcome.observations, rewards, terminations, truncations, infos
+        return outcome.observations, outcome.rewards, terminations, truncations, infos
 
     def _begin_anew(self, outcome: Outcome, infos: Info, ended: NDArray[np.bool_]) -> Info:
         """Infos of a step after which some teams have begun their next episode."""
@@ -290,11 +288,10 @@ class RendezvousEnv(gymnasium.Env[Any, Any]):
             ValueError: for an action of the wrong shape, or that is not finite, naming the robot.
             RuntimeError: before the first reset.
         """
-        alive = alive_robots(self.simulator)
         outcome = self.simulator.step(np.asarray(action)[None])
         self.renderer.see(outcome.contact)
         status = int(outcome.status[0])
-        info = _of_first_team(step_info(self.simulator, outcome, alive))
+        info = _of_first_team(step_info(self.simulator, outcome))
         if status != RUNNING:
             summary = summary_of(self.simulator)
             info["summary"] = {key: values[0].item() for key, values in summary.items()}
@@ -339,13 +336,6 @@ def _simulator(
     return simulator
 
 
-def alive_robots(simulator: Simulator) -> NDArray[np.bool_]:
-    """(B, n), which robots earn the reward of the next step."""
-    follow = simulator.scenario.on_merge == "follow"
-    active = simulator.active
-    return np.ones_like(active) if follow else active
-
-
 def _start_info(simulator: Simulator) -> Info:
     """Infos of all teams at the start of an episode, without masks."""
     active = simulator.active
@@ -358,10 +348,10 @@ def _start_info(simulator: Simulator) -> Info:
     }
 
 
-def step_info(simulator: Simulator, outcome: Outcome, alive: NDArray[np.bool_]) -> Info:
+def step_info(simulator: Simulator, outcome: Outcome) -> Info:
     """Infos of all teams after a step, without masks."""
     return {
-        "robot_rewards": np.repeat(outcome.rewards, alive.shape[1]).reshape(alive.shape) * alive,
+        "robot_rewards": outcome.robot_rewards,
         "active": outcome.active,
         "merged_into": simulator.merged_into,
         "contact": outcome.contact,
@@ -380,9 +370,17 @@ def summary_of(simulator: Simulator) -> Info:
     }
 
 
+def ends_of(status: NDArray[np.int64]) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Terminations and truncations, (B,) each."""
+    if not status.any():  # all are RUNNING, as in most steps
+        return np.zeros(len(status), dtype=np.bool_), np.zeros(len(status), dtype=np.bool_)
+    return status == RENDEZVOUS, status == TIME_OUT
+
+
 def masked(infos: Info, mask: NDArray[np.bool_]) -> Info:
     """Infos in Gymnasium's form: to every key a mask ``_key`` of its own."""
-    masks = np.repeat(mask[None], len(infos), axis=0)
+    masks = np.empty((len(infos), len(mask)), dtype=np.bool_)
+    masks[:] = mask
     return infos | {f"_{key}": own for key, own in zip(infos, masks, strict=True)}
 
 

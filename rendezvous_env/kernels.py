@@ -195,6 +195,9 @@ def _advance(block, lanes, physics, axes, span, teams, results, scratch):
     _mark_near(block, physics, axes, span, teams, scratch)
     results.contact[first : first + lanes] = False
     for lane in range(lanes):
+        for i in range(scratch.action.shape[0]):
+            earns = physics.all_earn or teams.merged_into[first + lane, i] == i
+            results.robot_rewards[first + lane, i] = 1.0 if earns else 0.0
         if scratch.near[lane] > 0.0:
             if teams.book[first + lane]["status"] == RUNNING:
                 _advance_exactly(block, lane, physics, len(axes), teams, results, scratch)
@@ -267,10 +270,10 @@ def _advance_exactly(block, lane, physics, d, teams, results, scratch):
     if merges > 0:
         scratch.near[lane] = 2.0
         write_weights(block, lane, teams, weights)
-        results.scores[team, LYAPUNOV_BEFORE_MERGE] = report[0]
-        results.scores[team, LYAPUNOV_AFTER_MERGE] = report[1]
-        results.scores[team, MERGE_RISE] = report[2]
-        results.scores[team, MERGE_EXCESS] = report[3]
+        results.scores[LYAPUNOV_BEFORE_MERGE, team] = report[0]
+        results.scores[LYAPUNOV_AFTER_MERGE, team] = report[1]
+        results.scores[MERGE_RISE, team] = report[2]
+        results.scores[MERGE_EXCESS, team] = report[3]
 
 
 @kernel
@@ -342,10 +345,10 @@ def _conclude(block, lanes, physics, teams, results, scratch):
         book["path_length"] += scratch.way[lane]
         merged = scratch.near[lane] == 2.0
         if not merged:
-            scores[team, LYAPUNOV_BEFORE_MERGE] = now
-            scores[team, LYAPUNOV_AFTER_MERGE] = now
-            scores[team, MERGE_RISE] = 0.0
-            scores[team, MERGE_EXCESS] = 0.0
+            scores[LYAPUNOV_BEFORE_MERGE, team] = now
+            scores[LYAPUNOV_AFTER_MERGE, team] = now
+            scores[MERGE_RISE, team] = 0.0
+            scores[MERGE_EXCESS, team] = 0.0
         reward, status = 0.0, book["status"]
         if status == RUNNING:
             book["steps"] += 1
@@ -362,7 +365,10 @@ def _conclude(block, lanes, physics, teams, results, scratch):
             )
         elif status == FRESH:
             status = RUNNING
-        scores[team, REWARD] = reward
+        scores[REWARD, team] = reward
+        for i in range(n):
+            earns = results.robot_rewards[team, i] > 0.0  # so far the mark of ``_advance``
+            results.robot_rewards[team, i] = reward if earns else 0.0
         book["status"] = status
         results.status[team] = status
 

@@ -25,6 +25,7 @@ class Outcome:
         "contact",
         "observations",
         "results",
+        "robot_rewards",
         "status",
     )
 
@@ -38,37 +39,41 @@ class Outcome:
     """(B, n), whether the robot still exists on its own."""
     status: NDArray[np.int64]
     """(B,), RUNNING, RENDEZVOUS or TIME_OUT of teams.py."""
+    robot_rewards: NDArray[np.float64]
+    """(B, n), the team reward of robots that took part in the step, else 0; with ``on_merge``
+    "follow" all do."""
     results: Results
     """The same arrays as the kernels want them."""
 
     def __init__(self, results: Results, observed: tuple[int, ...]) -> None:
         self.results = results
-        flat, self._scores, self.contact, self.clearance, self.active, self.status = results
+        flat, self._scores, self.contact, self.clearance, self.active = results[:5]
+        self.status, self.robot_rewards = results[5:]
         self.observations = flat.reshape(observed)
 
     @property
     def rewards(self) -> NDArray[np.float64]:
         """(B,), of the team."""
-        return self._scores[:, REWARD]
+        return self._scores[REWARD]
 
     @property
     def lyapunov_before_merge(self) -> NDArray[np.float64]:
         """(B,), V just before the first merge of the step, m²/s; V at its end if there was none."""
-        return self._scores[:, LYAPUNOV_BEFORE_MERGE]
+        return self._scores[LYAPUNOV_BEFORE_MERGE]
 
     @property
     def lyapunov_after_merge(self) -> NDArray[np.float64]:
         """(B,), V just after the last merge of the step, m²/s; V at its end if there was none."""
-        return self._scores[:, LYAPUNOV_AFTER_MERGE]
+        return self._scores[LYAPUNOV_AFTER_MERGE]
 
     @property
     def merge_rise(self) -> NDArray[np.float64]:
         """(B,), largest rise of V at a merge of the step, m²/s; 0 if there was none."""
-        return self._scores[:, MERGE_RISE]
+        return self._scores[MERGE_RISE]
 
     @property
     def merge_excess(self) -> NDArray[np.float64]:
         """(B,), largest rise of V at a merge above its bound (theory 5), m²/s; 0 if there was
         none.
         """
-        return self._scores[:, MERGE_EXCESS]
+        return self._scores[MERGE_EXCESS]

@@ -55,6 +55,7 @@ def physics(scenario: Scenario, max_steps: int) -> tuple[Any, ...]:
             reward.collision_penalty,
             reward.rendezvous_bonus,
         ),
+        all_earn=scenario.on_merge == "follow",
     )
     return tuple(constants)
 

@@ -76,6 +76,8 @@ class Simulator:
         self._physics = physics(scenario, self.max_steps)
         self._rules = start_rules(scenario)
         self._fixed_obstacles = fixed_obstacles(scenario)
+        self._status = self._teams.book["status"].copy()
+        """As in the book, in one piece."""
         self._themselves = np.tile(np.arange(scenario.n_robots), (self.num_envs, 1))
 
     # ---- episodes -----------------------------------------------------------------------------
@@ -152,6 +154,7 @@ class Simulator:
                 f"and clear of obstacles, in a spawn_size of {self.scenario.spawn_size} m; "
                 "enlarge it or thin out the obstacles"
             )
+        self._status = self._teams.book["status"].copy()
         self._ready = True
 
     def step(self, actions: ArrayLike) -> Outcome:
@@ -190,6 +193,7 @@ class Simulator:
             len(self._teams.positions),
             self._width,
         )
+        self._status = results.status
         return Outcome(results, self._observed)
 
     def observe(self) -> NDArray[np.float32]:
@@ -208,11 +212,12 @@ class Simulator:
         batch, n, rows, d = self._observed
         return Results(
             np.empty((batch, n * rows * d), np.float32),
-            np.empty((batch, 5)),
+            np.empty((5, batch)),
             np.empty((batch, n), np.bool_),
             np.empty((batch, n)),
             np.empty((batch, n), np.bool_),
             np.empty(batch, np.int64),
+            np.empty((batch, n)),
         )
 
     # ---- state --------------------------------------------------------------------------------
@@ -263,12 +268,12 @@ class Simulator:
     @property
     def status(self) -> NDArray[np.int64]:
         """(B,), RUNNING, RENDEZVOUS, TIME_OUT or FRESH of teams.py."""
-        return self._teams.book["status"].copy()
+        return self._status.copy()
 
     @property
     def ended(self) -> NDArray[np.bool_]:
         """(B,), whether the episode is over."""
-        status = self._teams.book["status"]
+        status = self._status
         return (status == RENDEZVOUS) | (status == TIME_OUT)
 
     @property
@@ -363,6 +368,7 @@ class Simulator:
             else:
                 getattr(teams, name)[...] = state[name]
         self._seeded[:] = True
+        self._status = teams.book["status"].copy()
         self._ready = True
         self.observe()
 

@@ -27,7 +27,7 @@ BOOK = np.dtype(
 """One team's book-keeping."""
 
 REWARD, LYAPUNOV_BEFORE_MERGE, LYAPUNOV_AFTER_MERGE, MERGE_RISE, MERGE_EXCESS = range(5)
-"""Columns of ``Results.scores``: the team reward; V just before the first and after the last merge
+"""Rows of ``Results.scores``: the team reward; V just before the first and after the last merge
 of the step (V at its end if there was none); the largest rise of V at a merge, and above the bound
 of theory 5."""
 
@@ -64,7 +64,7 @@ class Results(NamedTuple):
     observations: NDArray[np.float32]
     """(B, n·rows·d)."""
     scores: NDArray[np.float64]
-    """(B, 5), columns REWARD … MERGE_EXCESS."""
+    """(5, B), rows REWARD … MERGE_EXCESS."""
     contact: NDArray[np.bool_]
     """(B, n), whether the robot touched an obstacle in this step."""
     clearance: NDArray[np.float64]
@@ -73,6 +73,8 @@ class Results(NamedTuple):
     """(B, n), whether the robot still exists on its own."""
     status: NDArray[np.int64]
     """(B,), RUNNING, RENDEZVOUS or TIME_OUT."""
+    robot_rewards: NDArray[np.float64]
+    """(B, n), the team reward of robots that take part in the step, else 0."""
 
 
 class Physics(NamedTuple):
@@ -90,6 +92,8 @@ class Physics(NamedTuple):
     neighbour_slots: int
     rows: int
     reward_weights: tuple[float, float, float, float]
+    all_earn: bool
+    """Whether merged-away robots earn the team reward, too."""
 
 
 @kernel

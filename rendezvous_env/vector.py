@@ -17,7 +17,6 @@ from .gymnasium_env import (
     Info,
     RendezvousVectorEnv,
     Transition,
-    alive_robots,
     masked,
     step_info,
     summary_of,
@@ -142,11 +141,10 @@ class HeadingVectorWrapper(gymnasium.vector.VectorWrapper):
         robot_rewards = np.zeros(self._observed.shape[:2])
         contact = np.zeros(self._observed.shape[:2], dtype=np.bool_)
         for _ in range(self.decision_period):
-            alive = alive_robots(simulator)
             outcome = simulator.step(self._act())
             self.env.renderer.see(outcome.contact)
             self._observed = outcome.observations
-            infos = step_info(simulator, outcome, alive)
+            infos = step_info(simulator, outcome)
             rewards += outcome.rewards
             robot_rewards += infos["robot_rewards"]
             contact |= outcome.contact
