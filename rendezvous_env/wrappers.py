@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from gymnasium.spaces import Box
 from numpy.typing import NDArray
+from pettingzoo.utils.env import ParallelEnv
 from pettingzoo.utils.wrappers import BaseParallelWrapper
 
 from .rendezvous_v0 import Infos, Observations, RendezvousParallelEnv, is_action
@@ -98,6 +99,7 @@ class HeadingVectorWrapper(BaseParallelWrapper):
         certified: False lets the raw vector through as h_i, without any guarantee.
 
     Raises:
+        TypeError: for another kind of environment.
         ValueError: naming the argument, its value and what would be right.
     """
 
@@ -110,6 +112,11 @@ class HeadingVectorWrapper(BaseParallelWrapper):
         decision_period: int = 1,
         certified: bool = True,
     ) -> None:
+        if not isinstance(env, ParallelEnv):
+            raise TypeError(
+                f"env is a {type(env).__name__}; it must be a PettingZoo parallel environment "
+                "(for a vector environment take rendezvous_env.vector.HeadingVectorWrapper)"
+            )
         super().__init__(env)
         self.decision_period = check_period(decision_period)
         self._base: RendezvousParallelEnv = env.unwrapped

@@ -507,6 +507,11 @@ def test_bad_options_are_refused_by_name(kind, options, message):
         make(kind, **options)
 
 
+def test_a_vector_environment_is_sent_to_its_own_wrapper():
+    with pytest.raises(TypeError, match=r"RendezvousVectorEnv.*vector\.HeadingVectorWrapper"):
+        rv.HeadingVectorWrapper(rv.make_vec("duo", num_envs=2))
+
+
 BAD_ACTIONS = {
     "NaN": (lambda raw: raw | {"robot_2": raw["robot_2"] * np.nan}, ValueError, "robot_2"),
     "inf": (lambda raw: raw | {"robot_0": raw["robot_0"] + np.inf}, ValueError, "robot_0"),

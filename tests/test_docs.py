@@ -1,0 +1,104 @@
+"""What README and docs show is true: code runs, commands parse, names and links exist."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+import tyro
+
+import rendezvous_env as rv
+from baselines import policy
+from train.cli import COMMANDS
+
+ROOT = Path(__file__).parent.parent
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+TARGETS = set(re.findall(r"^([\w-]+):", (ROOT / "Makefile").read_text(), flags=re.MULTILINE))
+
+
+def blocks(page: Path, language: str) -> list[str]:
+    text = page.read_text(encoding="utf-8")
+    return re.findall(rf"```{language}\n(.*?)```", text, flags=re.DOTALL)
+
+
+def with_blocks(language: str, pages: list[Path] = PAGES) -> list[object]:
+    return [
+        pytest.param(page, id=page.relative_to(ROOT).as_posix())
+        for page in pages
+        if blocks(page, language)
+    ]
+
+
+@pytest.fixture
+def own_registry(monkeypatch):
+    """What a page registers is gone after it."""
+    monkeypatch.setattr(policy, "_registry", policy._registry.copy())
+
+
+@pytest.mark.parametrize("page", with_blocks("python", PAGES[1:]))
+def test_every_python_block_runs(page, tmp_path, monkeypatch, own_registry):
+    """One page is one program, in a folder of its own; README.md is in test_readme.py."""
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, object] = {}
+    for block in blocks(page, "python"):
+        exec(compile(block, str(page), "exec"), names)
+
+
+@pytest.mark.parametrize("page", with_blocks("bash"))
+def test_every_command_shown_is_understood(page):
+    """Long ones are not run; their own parser reads them."""
+    seen = 0
+    for line in "\n".join(blocks(page, "bash")).replace("\\\n", " ").splitlines():
+        words = shlex.split(line, comments=True)
+        if not words or words[0] in ("cd", "git", "pip", "."):
+            continue
+        seen += 1
+        if words[0] == "make":
+            assert set(words[1:]) <= TARGETS, line
+            continue
+        if words[0].startswith(".venv/bin/"):
+            words[0] = words[0].removeprefix(".venv/bin/")
+        assert words[0] in ("rendezvous", "python"), line
+        if words[0] == "python":
+            assert (ROOT / words[1]).is_file(), line
+            continue
+        config = import_module(COMMANDS[words[1]][0]).Config
+        tyro.cli(config, args=words[2:])
+    assert seen
+
+
+def test_no_other_languages_hide_code():
+    for page in PAGES:
+        shown = set(re.findall(r"^```(\w+)", page.read_text(encoding="utf-8"), flags=re.MULTILINE))
+        assert shown <= {"python", "bash", "text", "toml"}, page
+
+
+@pytest.mark.parametrize(
+    "page", [pytest.param(p, id=p.relative_to(ROOT).as_posix()) for p in PAGES]
+)
+def test_links_lead_somewhere(page):
+    text = page.read_text(encoding="utf-8")
+    for target in re.findall(r"\]\(([^)#]+)[^)]*\)", text):
+        if not target.startswith(("http", "mailto:")):
+            assert (page.parent / target).exists(), target
+
+
+def test_scenarios_and_policies_shown_exist():
+    scenarios = set(rv.scenarios.names())
+    policies = set(policy.names())
+    for page in PAGES:
+        text = page.read_text(encoding="utf-8")
+        for name in re.findall(r"--scenarios? ([\w.-]+)", text):
+            assert name in scenarios or name.endswith(".toml") or name == "S", (page, name)
+        for names in re.findall(r"--policies ([\w.: -]+)", text):
+            for name in names.split(" --")[0].split():
+                assert name in policies | {"learned"} or ":" in name, (page, name)
+
+
+def test_every_page_is_in_the_index():
+    index = (ROOT / "docs/README.md").read_text(encoding="utf-8")
+    for page in (ROOT / "docs").glob("*.md"):
+        assert page.name == "README.md" or f"]({page.name})" in index
