@@ -11,7 +11,10 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from rendezvous_env.scenarios import resolve
+
 if TYPE_CHECKING:
+    from rendezvous_env.rendezvous_v0 import ScenarioLike
     from rendezvous_env.scenario import Scenario
 
 
@@ -67,19 +70,25 @@ def names(scenario: Scenario | None = None) -> list[str]:
     return sorted(fitting)
 
 
-def make(name: str, scenario: Scenario, **options: Any) -> Policy:
+def make(name: str, scenario: ScenarioLike, **options: Any) -> Policy:
     """A new scripted policy for a scenario.
 
     Args:
         name: one of ``names(scenario)``.
-        scenario: whose robots it is to steer.
+        scenario: whose robots it is to steer; a Scenario, the name of one or a TOML file.
         options: of that policy, e.g. ``clearance`` of "tangent-joined".
 
     Raises:
         ValueError: for an unknown name, one that does not fit the scenario, or an unknown option;
             it lists the right ones.
     """
+    scenario = resolve(scenario)
     fitting = names(scenario)
+    if name == "learned":
+        raise ValueError(
+            "policy 'learned' is not scripted; "
+            "train.learned_policy.load(train.learned_policy.PRETRAINED, scenario) reads it"
+        )
     if name not in fitting:
         known = f"does not fit {_describe(scenario)}" if name in _registry else "is unknown"
         near = difflib.get_close_matches(name, fitting, n=1, cutoff=0.0)

@@ -116,7 +116,8 @@ class Scenario:
 
     @classmethod
     def from_toml(cls, path: str | os.PathLike[str]) -> Scenario:
-        """Read a scenario from a TOML file; an absent key has its default.
+        """Read a scenario from a TOML file; an absent key has its default, and a scenario without
+        a name that of the file.
 
         Raises:
             FileNotFoundError: if there is no such file.
@@ -127,7 +128,7 @@ class Scenario:
             plain = tomllib.loads(text)
         except tomllib.TOMLDecodeError as error:
             raise ValueError(f"{path}: not a TOML file: {error}") from error
-        return cls.from_plain(plain)
+        return cls.from_plain({"name": Path(path).stem, **plain})
 
     @classmethod
     def from_plain(cls, plain: dict[str, Any]) -> Scenario:

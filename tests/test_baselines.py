@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import baselines
+import rendezvous_env as rv
 from baselines import laws
 from baselines.policy import within_limits
 from rendezvous_env.scenario import Scenario
@@ -153,3 +154,13 @@ def test_policies_can_be_copied(name):
     view = np.random.default_rng(0).normal(size=(3, *CLUTTER.observation_layout.shape))
     policy(view, 0.0)
     np.testing.assert_array_equal(copy.deepcopy(policy)(view, 0.1), policy(view, 0.1))
+
+
+def test_make_takes_a_name_of_a_scenario():
+    own = baselines.make("bearing-only", "ring-12")
+    assert own.scenario == rv.scenarios.get("ring-12")
+
+
+def test_make_says_where_the_learned_policy_is():
+    with pytest.raises(ValueError, match=r"not scripted; train\.learned_policy\.load"):
+        baselines.make("learned", "clutter-8")

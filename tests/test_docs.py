@@ -102,3 +102,14 @@ def test_every_page_is_in_the_index():
     index = (ROOT / "docs/README.md").read_text(encoding="utf-8")
     for page in (ROOT / "docs").glob("*.md"):
         assert page.name == "README.md" or f"]({page.name})" in index
+
+
+def test_all_scenarios_and_policies_are_listed():
+    described = (ROOT / "docs/environment.md").read_text(encoding="utf-8")
+    for name in rv.scenarios.names():
+        scenario = rv.scenarios.get(name)
+        row = f"| `{name}` | {scenario.n_robots} | {scenario.dim} | {scenario.robot_model} |"
+        assert row in described
+    laws = (ROOT / "docs/laws.md").read_text(encoding="utf-8")
+    for name in policy.names():
+        assert f"`{name}`" in laws, name

@@ -14,7 +14,7 @@ def test_every_python_block_runs(capsys):
     names = {}
     for block in blocks:
         exec(compile(block, "README.md", "exec"), names)
-    assert len(blocks) == 3
+    assert len(blocks) == 4
     assert names["observations"].shape == (256, 4, 3 + 8 * 2, 2)
     assert names["trajectory"].success.all()
     printed = capsys.readouterr().out

@@ -309,6 +309,14 @@ def test_any_scenario_survives_toml(tmp_path, scenario):
     assert round_trip(scenario, tmp_path / "any.toml") == scenario
 
 
+def test_a_toml_file_without_a_name_names_its_scenario(tmp_path):
+    path = tmp_path / "wheel.toml"
+    path.write_text("n_robots = 3\n")
+    assert Scenario.from_toml(path).name == "wheel"
+    path.write_text('name = "own"\n')
+    assert Scenario.from_toml(path).name == "own"
+
+
 def test_toml_by_hand(tmp_path):
     path = tmp_path / "mine.toml"
     path.write_text(

@@ -41,7 +41,8 @@ class Config:
     out: Path = Path("runs/heading")
     """Folder of the run."""
     resume: Path | None = None
-    """Folder of a run to go on with; its own settings hold."""
+    """Folder of a run to go on with. Its own settings hold, except total-steps, eval-every,
+    eval-starts, checkpoint-every and num-threads where they are given."""
     start_from: Path | None = None
     """Run or checkpoint whose weights to begin with."""
 

@@ -289,8 +289,8 @@ class Training:
             return "nothing was left to do"
         share = self._environment_seconds / self._seconds
         return (
-            f"{100 * share:.0f} % of the time in the environment, so {100 * (1 - share):.0f} % of "
-            "the speed of the same PPO on one that costs nothing"
+            f"{100 * share:.0f} % of the time in the environment; the same PPO on one that costs "
+            f"nothing would have taken the other {100 * (1 - share):.0f} %"
         )
 
     def _wall(self) -> float:

@@ -174,6 +174,8 @@ def _crosses(every: int, before: int, step: int) -> bool:
 
 
 def _line(row: Mapping[str, Any]) -> str:
+    if not row["episodes"]:
+        return f"step {row['step'] / 1e6:.2f} M · no episode has ended in this update"
     return (
         f"step {row['step'] / 1e6:.2f} M · met {100 * row['success']:.0f} % · cleanly "
         f"{100 * row['clean_success']:.0f} % · {row['median_time']:.1f} s · alignment "
