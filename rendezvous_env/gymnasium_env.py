@@ -181,21 +181,21 @@ class RendezvousVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
             RuntimeError: before the first reset.
         """
         simulator, mode = self.simulator, self.autoreset_mode
-        if mode is AutoresetMode.NEXT_STEP:
-            ended = simulator.ended
-            if ended.any():
-                simulator.restart(ended)
+        if mode is AutoresetMode.NEXT_STEP and not simulator.all_running:
+            simulator.restart(simulator.ended)
         outcome = simulator.step(actions)
         infos = step_info(simulator, outcome)
-        terminations, truncations = ends_of(outcome.status)
-        ended = terminations | truncations
-        if not ended.any():
-            infos = masked(infos, np.ones(self.num_envs, dtype=np.bool_))
-        elif mode is AutoresetMode.SAME_STEP:
-            infos = self._begin_anew(outcome, infos, ended)
+        if simulator.all_running:  # as after most steps
+            terminations, truncations = np.zeros((2, self.num_envs), dtype=np.bool_)
+            infos = of_all(infos, self.num_envs)
         else:
-            infos = masked(infos, np.ones(self.num_envs, dtype=np.bool_))
-            infos |= masked({"summary": masked(summary_of(simulator), ended)}, ended)
+            terminations, truncations = outcome.status == RENDEZVOUS, outcome.status == TIME_OUT
+            ended = terminations | truncations
+            if mode is AutoresetMode.SAME_STEP:
+                infos = self._begin_anew(outcome, infos, ended)
+            else:
+                infos = of_all(infos, self.num_envs)
+                infos |= masked({"summary": masked(summary_of(simulator), ended)}, ended)
         self.renderer.see(outcome.contact)
         return outcome.observations, outcome.rewards, terminations, truncations, infos
 
@@ -209,7 +209,7 @@ class RendezvousVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
         final_info["summary"] = masked(summary_of(simulator), ended)
         simulator.restart(ended, outcome)
         infos["merged_into"] = simulator.merged_into
-        return masked(infos, np.ones(self.num_envs, dtype=np.bool_)) | masked(
+        return of_all(infos, self.num_envs) | masked(
             {"final_obs": final_obs, "final_info": masked(final_info, ended)}, ended
         )
 
@@ -370,17 +370,18 @@ def summary_of(simulator: Simulator) -> Info:
     }
 
 
-def ends_of(status: NDArray[np.int64]) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Terminations and truncations, (B,) each."""
-    if not status.any():  # all are RUNNING, as in most steps
-        return np.zeros(len(status), dtype=np.bool_), np.zeros(len(status), dtype=np.bool_)
-    return status == RENDEZVOUS, status == TIME_OUT
+def of_all(infos: Info, num_envs: int) -> Info:
+    """Infos that every team has, in Gymnasium's form."""
+    return _with_masks(infos, np.ones((len(infos), num_envs), dtype=np.bool_))
 
 
 def masked(infos: Info, mask: NDArray[np.bool_]) -> Info:
-    """Infos in Gymnasium's form: to every key a mask ``_key`` of its own."""
-    masks = np.empty((len(infos), len(mask)), dtype=np.bool_)
-    masks[:] = mask
+    """Infos of the teams of a mask, in Gymnasium's form."""
+    return _with_masks(infos, np.repeat(mask[None], len(infos), axis=0))
+
+
+def _with_masks(infos: Info, masks: NDArray[np.bool_]) -> Info:
+    """To every key a mask ``_key`` of its own."""
     return infos | {f"_{key}": own for key, own in zip(infos, masks, strict=True)}
 
 

@@ -271,6 +271,11 @@ class Simulator:
         return self._status.copy()
 
     @property
+    def all_running(self) -> bool:
+        """Whether every team is in the midst of an episode; quicker than ``ended``."""
+        return not self._status.any()  # RUNNING is 0
+
+    @property
     def ended(self) -> NDArray[np.bool_]:
         """(B,), whether the episode is over."""
         status = self._status

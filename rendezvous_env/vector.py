@@ -18,6 +18,7 @@ from .gymnasium_env import (
     RendezvousVectorEnv,
     Transition,
     masked,
+    of_all,
     step_info,
     summary_of,
 )
@@ -130,8 +131,7 @@ class HeadingVectorWrapper(gymnasium.vector.VectorWrapper):
             self._begin_anew(ended, outcome, infos)
             seen[ended] = self._see(ended)[ended]
             summary = {}
-        everyone = np.ones(self.num_envs, dtype=np.bool_)
-        infos = masked(infos, everyone) | masked(summary | final, ended)
+        infos = of_all(infos, self.num_envs) | masked(summary | final, ended)
         return seen, rewards, terminations, truncations, infos
 
     def _drive(self) -> tuple[NDArray[np.float64], Info, Outcome]:
