@@ -273,7 +273,7 @@ class Simulator:
     @property
     def all_running(self) -> bool:
         """Whether every team is in the midst of an episode; quicker than ``ended``."""
-        return not self._status.any()  # RUNNING is 0
+        return not np.count_nonzero(self._status)  # RUNNING is 0
 
     @property
     def ended(self) -> NDArray[np.bool_]:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 import rendezvous_env as rv
 from rendezvous_env import threads
 from rendezvous_env.jit import kernel
+from rendezvous_env.outcome import Outcome
 from rendezvous_env.sharing import begin, end, take
 
 EPISODE = 200
@@ -153,7 +154,14 @@ def _simulator(scenario: rv.Scenario, num_envs: int, num_threads: int | None) ->
     simulator.reset(0)
     shape = (num_envs, scenario.n_robots, scenario.action_size)
     tape = itertools.cycle(_actions(shape, 1.0))
-    return Running(lambda: simulator.step(next(tape)), lambda: bool(simulator.active.all()))
+
+    def step() -> Outcome:
+        outcome = simulator.step(next(tape))
+        if not simulator.all_running:  # autoreset
+            simulator.restart(simulator.ended, outcome)
+        return outcome
+
+    return Running(step, lambda: bool(simulator.active.all()))
 
 
 def _vector(
