@@ -22,20 +22,28 @@ _HERE = Path(__file__).parent
 _CONFIG: Any = numba.config
 
 
-def kernel(function: Callable[..., Any], *, inlined: bool = False) -> Any:
+def kernel(function: Callable[..., Any]) -> Any:
     """Compile a function on first use: nogil, IEEE division, no fastmath; cached on disk."""
-    with _cache_in(_cache_folder(Path(function.__code__.co_filename).parent)):
-        compiler = numba.njit(cache=True, nogil=True, error_model="numpy", forceinline=inlined)
-        return compiler(function)
+    return _compile(function, inlined=False)
 
 
 def inlined_kernel(function: Callable[..., Any]) -> Any:
-    """A kernel that becomes part of whoever calls it.
+    """A kernel that becomes part of whoever calls it and counts no references to arrays.
 
-    For what is called for every block with tuples of arrays: to hand those over, and to count the
-    references to every array in them, takes longer than a small team's arithmetic.
+    For what is done for every block with tuples of arrays: to hand those over, and to count who
+    holds each array and each view of it, takes longer than a small team's arithmetic, and counters
+    that two threads raise at the same time take longest. It must therefore neither allocate arrays,
+    which the compiler refuses, nor return any, which would be counted too seldom.
     """
-    return kernel(function, inlined=True)
+    return _compile(function, inlined=True)
+
+
+def _compile(function: Callable[..., Any], inlined: bool) -> Any:
+    # both options would otherwise be those of whoever calls the function first
+    options: dict[str, Any] = {"forceinline": inlined, "_nrt": not inlined}
+    with _cache_in(_cache_folder(Path(function.__code__.co_filename).parent)):
+        compiler = numba.njit(cache=True, nogil=True, error_model="numpy", **options)
+        return compiler(function)
 
 
 def compiled() -> bool:

@@ -9,6 +9,7 @@ import math
 
 import numpy as np
 
+from .concluding import conclude_block
 from .contact import IGNORE, move_curved, move_straight
 from .jit import inlined_kernel, kernel
 from .kinematics import arc_displacement, body_frame
@@ -20,19 +21,16 @@ from .lanes import (
     velocity_displacements,
 )
 from .merging import merge_swept
-from .observing import load_obstacles, make_scratch, observe_block
-from .rewards import team_reward
-from .sharing import begin, end, take
+from .observing import load_obstacles, observe_block
+from .scratch import NEAR, SCORED, TOUCHES, WAY, make_scratch
+from .sharing import Share, begin, end, take
 from .teams import (
-    FRESH,
-    LYAPUNOV_AFTER_MERGE,
+    ACTIVE,
+    LYAPUNOV,
     LYAPUNOV_BEFORE_MERGE,
-    MERGE_EXCESS,
-    MERGE_RISE,
-    RENDEZVOUS,
-    REWARD,
     RUNNING,
-    TIME_OUT,
+    SQUARE_CLOSEST,
+    STATUS,
     Physics,
     Results,
     Teams,
@@ -64,20 +62,27 @@ def step_blocks(share, physics, axes, span, teams, actions, results):
         Whether all blocks are done, see ``sharing.end``.
     """
     # plain tuples cross the border from Python twice as fast as named ones
-    physics, teams, results = Physics(*physics), Teams(*teams), Results(*results)
-    batch, n, action_size = actions.shape
-    share, done = begin(share), 0
+    physics, teams = Physics(*physics), Teams(*teams)
+    n, action_size = actions.shape[1:]
     scratch = make_scratch(n, len(axes), action_size, physics.rows, teams.obstacles.shape[1])
+    return _step_taken(share, physics, axes, span, teams, actions, Results(*results), scratch)
+
+
+@inlined_kernel
+def _step_taken(share, physics, axes, span, teams, actions, results, scratch):
+    share, done = Share(*share), 0
+    begin(share)
     block = take(share)
     while block < share.blocks:
-        lanes = min(LANES, batch - block * LANES)
+        lanes = min(LANES, len(actions) - block * LANES)
         load_obstacles(block, lanes, len(axes), teams, scratch)
         _load_actions(block, lanes, teams, actions, scratch)
         _propose(block, lanes, physics, axes, span, teams, scratch)
         _advance(block, lanes, physics, axes, span, teams, results, scratch)
-        _turn(block, lanes, physics, teams, scratch)
+        if physics.n_angles > 0:
+            _turn(block, lanes, physics, teams, scratch)
         observe_block(block, lanes, physics, axes, span, teams, results, scratch)
-        _conclude(block, lanes, physics, teams, results, scratch)
+        conclude_block(block, lanes, physics, span, teams, results, scratch)
         done += 1
         block = take(share)
     return end(share, done)
@@ -88,17 +93,22 @@ def observe_blocks(blocks, physics, axes, teams, results):
     """Observe these blocks as they are, and bring frames and V up to date; tuples as
     ``step_blocks``.
     """
-    physics, teams, results = Physics(*physics), Teams(*teams), Results(*results)
-    batch, n = teams.merged_into.shape
+    physics, teams = Physics(*physics), Teams(*teams)
+    n = teams.merged_into.shape[1]
     scratch = make_scratch(n, len(axes), 1, physics.rows, teams.obstacles.shape[1])
+    _observe_these(blocks, physics, axes, teams, Results(*results), scratch)
+
+
+@inlined_kernel
+def _observe_these(blocks, physics, axes, teams, results, scratch):
     for block in blocks:
-        lanes = min(LANES, batch - block * LANES)
+        lanes = min(LANES, len(teams.merged_into) - block * LANES)
         load_obstacles(block, lanes, len(axes), teams, scratch)
         if physics.n_angles > 0:
             _write_body_frames(block, lanes, physics, len(axes), teams)
         observe_block(block, lanes, physics, axes, (), teams, results, scratch)
         for lane in range(lanes):
-            teams.book[block * LANES + lane]["lyapunov"] = 2.0 * scratch.pair[lane]
+            teams.book[block, LYAPUNOV * LANES + lane] = 2.0 * scratch.pair[lane]
 
 
 @kernel
@@ -126,23 +136,15 @@ def _load_actions(block, lanes, teams, actions, scratch):
     for k in range(n * size):
         for lane in range(lanes):
             taken[k, lane] = given[lane, k]
+    book = teams.book[block]
     for lane in range(lanes):
-        team = first + lane
-        running = teams.book[team]["status"] == RUNNING
-        if running and not _anyone_gone(teams.merged_into, team):
+        running = book[STATUS * LANES + lane] == RUNNING
+        if running and book[ACTIVE * LANES + lane] == n:
             continue
         for i in range(n):
-            if not running or teams.merged_into[team, i] != i:
+            if not running or teams.merged_into[first + lane, i] != i:
                 for k in range(size):
                     scratch.action[i, k * LANES + lane] = 0.0
-
-
-@inlined_kernel
-def _anyone_gone(merged_into, team):
-    different = 0
-    for i in range(merged_into.shape[1]):
-        different |= merged_into[team, i] ^ i
-    return different != 0
 
 
 @inlined_kernel
@@ -163,7 +165,7 @@ def _propose(block, lanes, physics, axes, span, teams, scratch):
             )
 
 
-@inlined_kernel
+@kernel
 def _propose_arcs(block, lanes, i, physics, d, teams, scratch):
     action, out = scratch.action[i], scratch.displacement[i]
     arc = np.empty(d)
@@ -191,28 +193,19 @@ def _clip(value, bound):
 @inlined_kernel
 def _advance(block, lanes, physics, axes, span, teams, results, scratch):
     """Carry out the displacements; teams in which something can meet go one by one."""
-    first = block * LANES
-    _mark_near(block, physics, axes, span, teams, scratch)
+    first, tally = block * LANES, scratch.tally
+    tally[:] = 0.0
     results.contact[first : first + lanes] = False
+    _mark_near(block, physics, axes, span, teams, scratch)
     for lane in range(lanes):
-        for i in range(scratch.action.shape[0]):
-            earns = physics.all_earn or teams.merged_into[first + lane, i] == i
-            results.robot_rewards[first + lane, i] = 1.0 if earns else 0.0
-        if scratch.near[lane] > 0.0:
-            if teams.book[first + lane]["status"] == RUNNING:
+        if tally[NEAR * LANES + lane] > 0.0:
+            if teams.book[block, STATUS * LANES + lane] == RUNNING:
                 _advance_exactly(block, lane, physics, len(axes), teams, results, scratch)
             else:  # nothing meets before an episode's first step or after its last
-                scratch.near[lane] = 0.0
-    scratch.way[:] = 0.0
+                tally[NEAR * LANES + lane] = 0.0
     for i in range(scratch.action.shape[0]):
-        add_displacements(
-            span,
-            scratch.displacement[i],
-            scratch.near,
-            axes,
-            teams.positions[block, i],
-            scratch.way,
-        )
+        displacement, position = scratch.displacement[i], teams.positions[block, i]
+        add_displacements(span, displacement, axes, position, tally[WAY * LANES :])
 
 
 @inlined_kernel
@@ -222,14 +215,13 @@ def _mark_near(block, physics, axes, span, teams, scratch):
     """
     reach = physics.speed_limit * physics.duration * (1.0 + 1e-9)
     square_reach = (physics.merge_radius * (1.0 + 1e-9) + 2.0 * reach) ** 2
-    mark_near_pairs(span, teams.square_closest[block], square_reach, scratch.near)
+    near = scratch.tally[NEAR * LANES :]
+    mark_near_pairs(span, teams.book[block, SQUARE_CLOSEST * LANES :], square_reach, near)
     if physics.contact_mode != IGNORE:
         positions = teams.positions[block]
         for m in range(scratch.balls.shape[0]):
             for i in range(positions.shape[0]):
-                mark_near_ball(
-                    span, positions[i], scratch.balls[m], reach + 1e-9, axes, scratch.near
-                )
+                mark_near_ball(span, positions[i], scratch.balls[m], reach + 1e-9, axes, near)
 
 
 @kernel
@@ -251,8 +243,9 @@ def _advance_exactly(block, lane, physics, d, teams, results, scratch):
                 i, lane, team, physics, teams, scratch, positions[i], displacements[i]
             ):
                 results.contact[team, i] = True
-                teams.book[team]["contacts"] += 1
+                scratch.tally[TOUCHES * LANES + lane] += 1.0
                 lengths[i] = math.sqrt(np.sum(displacements[i] ** 2))
+        scratch.took_part[lane, i] = teams.merged_into[team, i] == i
     report = np.zeros(4)
     merges = merge_swept(
         positions,
@@ -267,13 +260,14 @@ def _advance_exactly(block, lane, physics, d, teams, results, scratch):
     write_positions(block, lane, teams, positions)
     for i in range(n):
         scratch.displacement[i, d * LANES + lane] = lengths[i]
+        for k in range(d):
+            scratch.displacement[i, k * LANES + lane] = 0.0  # it has been moved
     if merges > 0:
-        scratch.near[lane] = 2.0
         write_weights(block, lane, teams, weights)
-        results.scores[LYAPUNOV_BEFORE_MERGE, team] = report[0]
-        results.scores[LYAPUNOV_AFTER_MERGE, team] = report[1]
-        results.scores[MERGE_RISE, team] = report[2]
-        results.scores[MERGE_EXCESS, team] = report[3]
+        teams.book[block, ACTIVE * LANES + lane] -= merges
+        scratch.tally[NEAR * LANES + lane] = 2.0
+        for k in range(4):
+            scratch.tally[(SCORED + LYAPUNOV_BEFORE_MERGE + k) * LANES + lane] = report[k]
 
 
 @kernel
@@ -303,11 +297,9 @@ def _stay_outside(i, lane, team, physics, teams, scratch, start, displacement):
     return contact
 
 
-@inlined_kernel
+@kernel
 def _turn(block, lanes, physics, teams, scratch):
     """Turn nonholonomic robots by their held rates."""
-    if physics.n_angles == 0:
-        return
     for lane in range(lanes):
         team = block * LANES + lane
         for i in range(scratch.action.shape[0]):
@@ -317,7 +309,7 @@ def _turn(block, lanes, physics, teams, scratch):
     _write_body_frames(block, lanes, physics, 1 + physics.n_angles, teams)
 
 
-@inlined_kernel
+@kernel
 def _write_body_frames(block, lanes, physics, d, teams):
     frame = np.empty((d, d))
     for lane in range(lanes):
@@ -326,56 +318,3 @@ def _write_body_frames(block, lanes, physics, d, teams):
             pitch = teams.angles[team, i, 1] if physics.n_angles == 2 else 0.0
             body_frame(teams.angles[team, i, 0], pitch, frame)
             write_frame(block, lane, i, teams, frame)
-
-
-@inlined_kernel
-def _conclude(block, lanes, physics, teams, results, scratch):
-    """Reward, rendezvous and time limit: the one place where an episode ends."""
-    n, time_share = teams.merged_into.shape[1], 1.0 / physics.max_steps
-    scores = results.scores  # no views of it: the references to each would be counted
-    for lane in range(lanes):
-        team = block * LANES + lane
-        book = teams.book[team]
-        contacts = 0
-        for i in range(n):
-            results.active[team, i] = teams.merged_into[team, i] == i
-            contacts += results.contact[team, i]
-        before, now = book["lyapunov"], 2.0 * scratch.pair[lane]
-        book["lyapunov"] = now
-        book["path_length"] += scratch.way[lane]
-        merged = scratch.near[lane] == 2.0
-        if not merged:
-            scores[LYAPUNOV_BEFORE_MERGE, team] = now
-            scores[LYAPUNOV_AFTER_MERGE, team] = now
-            scores[MERGE_RISE, team] = 0.0
-            scores[MERGE_EXCESS, team] = 0.0
-        reward, status = 0.0, book["status"]
-        if status == RUNNING:
-            book["steps"] += 1
-            if merged and _all_in_one(teams.merged_into[team]):
-                status = RENDEZVOUS
-            elif book["steps"] >= physics.max_steps:
-                status = TIME_OUT
-            reward = team_reward(
-                (before - now) / book["initial_lyapunov"] if before > 0.0 else 0.0,
-                time_share,
-                contacts,
-                status == RENDEZVOUS,
-                physics.reward_weights,
-            )
-        elif status == FRESH:
-            status = RUNNING
-        scores[REWARD, team] = reward
-        for i in range(n):
-            earns = results.robot_rewards[team, i] > 0.0  # so far the mark of ``_advance``
-            results.robot_rewards[team, i] = reward if earns else 0.0
-        book["status"] = status
-        results.status[team] = status
-
-
-@kernel
-def _all_in_one(merged_into):
-    for i in range(merged_into.shape[0]):
-        if merged_into[i] != 0:
-            return False
-    return True

@@ -18,7 +18,8 @@ FEW = 4
 
 
 @kernel
-def _width(span):
+def width(span):
+    """How many lanes are computed."""
     return FEW if len(span) > 0 else LANES
 
 
@@ -36,7 +37,7 @@ def velocity_displacements(span, action, frame, speed_limit, duration, axes, out
         out: displacement, d numbers, m, and its length.
     """
     d = len(axes)
-    for lane in range(_width(span)):
+    for lane in range(width(span)):
         square = 0.0
         for k in range(d):
             square += action[k * LANES + lane] * action[k * LANES + lane]
@@ -53,7 +54,7 @@ def velocity_displacements(span, action, frame, speed_limit, duration, axes, out
 @kernel
 def mark_near_pairs(span, square_closest, square_reach, near):
     """Set ``near`` to 1 where two neighbours start close enough to meet within the step, else 0."""
-    for lane in range(_width(span)):
+    for lane in range(width(span)):
         near[lane] = 1.0 if square_closest[lane] < square_reach else 0.0
 
 
@@ -70,7 +71,7 @@ def mark_near_ball(span, position, ball, reach, axes, near):
         near: one number.
     """
     d = len(axes)
-    for lane in range(_width(span)):
+    for lane in range(width(span)):
         square = 0.0
         for k in range(d):
             offset = ball[k * LANES + lane] - position[k * LANES + lane]
@@ -91,7 +92,7 @@ def see_disc(span, position, ball, sight, out):
         out: the distance to the nearest disc so far, which falls; then 2 numbers of the
             counter-clockwise edge and 1, its factor in ``store_row``, and 3 of the clockwise edge.
     """
-    for lane in range(_width(span)):
+    for lane in range(width(span)):
         radius = ball[3 * LANES + lane]
         ax, ay, bx, by, distance = disc_edges(
             ball[lane] - position[lane], ball[LANES + lane] - position[LANES + lane], radius
@@ -122,7 +123,7 @@ def see_pair(span, position_i, position_j, weight, axes, out):
             the factors of a_ij g_ij and of a_ij g_ji.
     """
     d = len(axes)
-    for lane in range(_width(span)):
+    for lane in range(width(span)):
         square = 0.0
         for k in range(d):
             offset = position_j[k * LANES + lane] - position_i[k * LANES + lane]
@@ -153,7 +154,7 @@ def store_row(span, vector, factor, frame, axes, row):
         row: (d·LANES,) float32, the d numbers of a lane side by side.
     """
     d = len(axes)
-    for lane in range(_width(span)):
+    for lane in range(width(span)):
         for axis in range(d):
             along = 0.0
             for k in range(d):
@@ -163,21 +164,19 @@ def store_row(span, vector, factor, frame, axes, row):
 
 
 @kernel
-def add_displacements(span, displacement, near, axes, position, way):
-    """Move the robots of teams in which nothing can meet; the others have been moved already.
+def add_displacements(span, displacement, axes, position, way):
+    """Move one robot of every team.
 
     Args:
         span: how much of a block, see above.
         displacement: d numbers, m, and the length of the path, m.
-        near: one number, above 0 where a team has been moved already.
         axes: (0, 1) or (0, 1, 2).
         position: d numbers, m.
         way: one number, which grows by the length.
     """
     d = len(axes)
     for k in range(d):
-        for lane in range(_width(span)):
-            moved = position[k * LANES + lane] + displacement[k * LANES + lane]
-            position[k * LANES + lane] = position[k * LANES + lane] if near[lane] > 0.0 else moved
-    for lane in range(_width(span)):
+        for lane in range(width(span)):
+            position[k * LANES + lane] += displacement[k * LANES + lane]
+    for lane in range(width(span)):
         way[lane] += displacement[d * LANES + lane]

@@ -1,10 +1,8 @@
 """What the robots of a block of teams see: lane buffers to observations."""
 
 import math
-from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from .geometry import (
     CENTRE,
@@ -18,47 +16,7 @@ from .geometry import (
 from .jit import inlined_kernel, kernel
 from .lanes import LANES, see_disc, see_pair, store_row
 from .lyapunov import team_net_bearing
-from .teams import read_frame, read_positions, read_weights
-
-
-class Scratch(NamedTuple):
-    """Lane buffers of the block at hand."""
-
-    action: NDArray[np.float64]
-    """(n, a·LANES), in the robots' own frames; clipped inputs of nonholonomic robots."""
-    displacement: NDArray[np.float64]
-    """(n, (d + 1)·LANES), m, and its length."""
-    near: NDArray[np.float64]
-    """(LANES,), whether something can meet in the team: 0 no, 1 yes, 2 it has merged."""
-    way: NDArray[np.float64]
-    """(LANES,), paths of all robots together in this step, m."""
-    pair: NDArray[np.float64]
-    """((4 + d)·LANES,), see ``see_pair``; after all pairs its first number is half of V."""
-    rows: NDArray[np.float32]
-    """(n·rows, d·LANES), the observations, the d numbers of a lane side by side."""
-    balls: NDArray[np.float64]
-    """(M, (d + 2)·LANES), the obstacles: centre and radius of the bounding ball, and the radius of
-    a disc in the plane, m; NaN is none."""
-    sight: NDArray[np.float64]
-    """(LANES,), from how near a robot sees obstacles, m; −inf once it is gone."""
-    disc: NDArray[np.float64]
-    """(7·LANES,), see ``see_disc``."""
-
-
-@inlined_kernel
-def make_scratch(n, d, action_size, rows, n_obstacles):
-    """Lane buffers for teams of n robots among at most that many obstacles."""
-    return Scratch(
-        np.zeros((n, action_size * LANES)),
-        np.zeros((n, (d + 1) * LANES)),
-        np.zeros(LANES),
-        np.zeros(LANES),
-        np.zeros((4 + d) * LANES),
-        np.zeros((n * rows, d * LANES), dtype=np.float32),
-        np.full((n_obstacles, (d + 2) * LANES), np.nan),
-        np.zeros(LANES),
-        np.zeros(7 * LANES),
-    )
+from .teams import MIN_CLEARANCE, SQUARE_CLOSEST, read_frame, read_positions, read_weights
 
 
 @inlined_kernel
@@ -82,7 +40,9 @@ def observe_block(block, lanes, physics, axes, span, teams, results, scratch):
     first, d = block * LANES, len(axes)
     _observe_neighbours(block, physics, axes, span, teams, scratch)
     if d == 3 or teams.obstacles.shape[1] == 0:
-        results.clearance[first : first + lanes] = np.inf
+        clearances = results.clearance[first : first + lanes].reshape(-1)
+        for k in range(len(clearances)):
+            clearances[k] = np.inf
     else:
         _observe_discs(block, lanes, physics, axes, span, teams, results, scratch)
     if teams.obstacles.shape[1] > 0:
@@ -112,7 +72,8 @@ def _observe_neighbours(block, physics, axes, span, teams, scratch):
             store_row(span, vector, 0, frames[i], axes, rows[i * physics.rows + j - 1])
             store_row(span, vector, 1, frames[j], axes, rows[j * physics.rows + i])
             pair += 1
-    teams.square_closest[block] = found[LANES : 2 * LANES]
+    for lane in range(LANES):
+        teams.book[block, SQUARE_CLOSEST * LANES + lane] = found[LANES + lane]
 
 
 @inlined_kernel
@@ -146,7 +107,7 @@ def _observe_discs(block, lanes, physics, axes, span, teams, results, scratch):
             results.clearance[block * LANES + lane, i] = disc[lane] if active else np.inf
 
 
-@inlined_kernel
+@kernel
 def _observe_one_by_one(block, lanes, physics, d, teams, results, scratch):
     """What no lane function does: polygons, and spheres in space; the least clearance of all."""
     n = scratch.action.shape[0]
@@ -154,7 +115,7 @@ def _observe_one_by_one(block, lanes, physics, d, teams, results, scratch):
     positions, weights, net_bearing = np.empty((n, d)), np.empty((n, n)), np.empty(d)
     for lane in range(lanes):
         team = block * LANES + lane
-        least = teams.book[team]["min_clearance"]
+        least = teams.book[block, MIN_CLEARANCE * LANES + lane]
         if d == 3 or _has_polygon(teams.obstacles[team]):
             read_positions(block, lane, teams, positions)
             read_weights(block, lane, teams, weights)
@@ -174,7 +135,7 @@ def _observe_one_by_one(block, lanes, physics, d, teams, results, scratch):
                 )
         for i in range(n):
             least = min(least, results.clearance[team, i])
-        teams.book[team]["min_clearance"] = least
+        teams.book[block, MIN_CLEARANCE * LANES + lane] = least
 
 
 @kernel

@@ -11,15 +11,16 @@ from .lanes import LANES
 from .obstacles import ObstacleField, pack, row_width
 from .scenario import CONTACT_MODES, Scenario
 from .starts import StartRules
-from .teams import BOOK, Physics, Teams
+from .teams import BOOK, MIN_CLEARANCE, SQUARE_CLOSEST, Physics, Teams
 
 
 def empty_teams(scenario: Scenario, batch: int) -> Teams:
     """State of teams that no reset has touched yet."""
     n, d, model = scenario.n_robots, scenario.dim, scenario.model
     layout, blocks = scenario.observation_layout, -(-batch // LANES)
-    book = np.zeros(batch, dtype=BOOK)
-    book["episode"], book["min_clearance"] = -1, np.inf
+    book = np.zeros((blocks, len(BOOK) * LANES))
+    for entry in (MIN_CLEARANCE, SQUARE_CLOSEST):
+        book[:, entry * LANES : (entry + 1) * LANES] = np.inf
     return Teams(
         positions=np.zeros((blocks, n, d * LANES)),
         frames=np.zeros((blocks, n, d * d * LANES)),
@@ -28,7 +29,6 @@ def empty_teams(scenario: Scenario, batch: int) -> Teams:
         obstacles=np.zeros((batch, layout.obstacle_slots, row_width(scenario.obstacles, d))),
         merged_into=np.tile(np.arange(n), (batch, 1)),
         book=book,
-        square_closest=np.full((blocks, LANES), np.inf),
     )
 
 

@@ -4,7 +4,8 @@ The kernel that everybody runs takes the blocks one after another, so that none 
 that wakes late. It is compiled code that tells of new work and waits for its end, because a thread
 that returned to Python would need the interpreter lock, and be put to sleep for it:
 
-    share, done = begin(share), 0
+    share, done = Share(*share), 0
+    begin(share)
     block = take(share)
     while block < share.blocks:
         ...
@@ -22,15 +23,13 @@ from numpy.typing import NDArray
 
 from .jit import inlined_kernel
 
-COUNTERS = 24
-"""Length of ``Share.counters``; those in use stand in cache lines of their own."""
-
-DONE = 8
+_LINE = 8
+"""Counters in use stand in cache lines of their own."""
+DONE = 0
 """Index of the counter of blocks done."""
-_NEXT, _ASLEEP = 0, 16
+_ASLEEP, _NEXT = _LINE, 2 * _LINE
 
-
-Part = tuple[int, NDArray[np.int64], NDArray[np.int64], int, int]
+Part = tuple[int, NDArray[np.int64], NDArray[np.int64], int, int, int]
 """The fields of a Share: plain tuples cross the border to compiled code faster than named ones."""
 
 
@@ -40,28 +39,47 @@ class Share(NamedTuple):
     blocks: int
     """How many there are to do."""
     counters: NDArray[np.int64]
-    """(COUNTERS,), zeros at first: the next block, blocks done, whether the caller sleeps."""
+    """Zeros at first, see ``new_counters``: blocks done, whether the caller sleeps, blocks taken of
+    every thread's range."""
     bell: NDArray[np.int64]
     """(1,), grows with every job of the pool."""
     heard: int
     """What the bell is at in this job, for a helper; −1 for the caller, who rings it."""
+    thread: int
+    """Which of the threads this is; the caller is 0."""
     patience: int
     """How often a thread looks whether there is news before it sleeps; 0 with no others."""
 
 
+def new_counters(threads: int) -> NDArray[np.int64]:
+    """Counters of one job of so many threads."""
+    return np.zeros(_LINE * (2 + threads), dtype=np.int64)
+
+
 @inlined_kernel
 def begin(share):
-    """The share as named fields; the caller tells waiting helpers that there is work."""
-    share = Share(*share)
+    """The caller tells waiting helpers that there is work."""
     if share.heard < 0 and share.patience > 0:
         fetch_add(share.bell, 0, 1)
-    return share
 
 
 @inlined_kernel
 def take(share):
-    """Index of the next block that nobody has taken; ``share.blocks`` or more if none is left."""
-    return fetch_add(share.counters, _NEXT, 1)
+    """Index of the next block that nobody has taken; ``share.blocks`` or more if none is left.
+
+    Every thread begins with a range of its own, the same in every call, whose teams it may still
+    have in its cache; then it takes what is left of the others'.
+    """
+    threads = share.counters.shape[0] // _LINE - 2
+    for k in range(threads):
+        thread = (share.thread + k) % threads
+        first = share.blocks * thread // threads
+        last = share.blocks * (thread + 1) // threads
+        if first + fetch(share.counters, _NEXT + _LINE * thread) < last:
+            block = first + fetch_add(share.counters, _NEXT + _LINE * thread, 1)
+            if block < last:
+                return block
+    return share.blocks
 
 
 @inlined_kernel

@@ -18,21 +18,41 @@ from .preparation import empty_teams, fixed_obstacles, physics, start_rules
 from .scenario import Scenario
 from .starts import StartRules, reset_teams
 from .teams import (
+    ACTIVE,
     BOOK,
+    CONTACTS,
     FRESH,
+    INITIAL_LYAPUNOV,
+    LYAPUNOV,
+    MIN_CLEARANCE,
+    PATH_LENGTH,
     RENDEZVOUS,
     RUNNING,
+    STATUS,
+    STEPS,
     TIME_OUT,
     Results,
     Teams,
+    from_book,
     from_lanes,
+    to_book,
     to_lanes,
 )
 
 _WORK_PER_THREAD = 4096
 """Robot pairs below which another thread costs more than it saves."""
-_KEPT = tuple(name for name in BOOK.names or () if name != "lyapunov")
-"""What of a team's book belongs to its state; V follows from the rest."""
+_KEPT = {
+    BOOK[entry]: (entry, kind)
+    for entry, kind in (
+        (STATUS, np.int64),
+        (STEPS, np.int64),
+        (CONTACTS, np.int64),
+        (PATH_LENGTH, np.float64),
+        (INITIAL_LYAPUNOV, np.float64),
+        (MIN_CLEARANCE, np.float64),
+    )
+}
+"""What of a team's book belongs to its state, and as what; the rest follows."""
 
 
 class Simulator:
@@ -61,6 +81,8 @@ class Simulator:
         self.num_threads = num_threads
         self.max_steps = scenario.max_steps
         self._teams = empty_teams(scenario, self.num_envs)
+        self._seed = np.zeros(self.num_envs, dtype=np.uint64)
+        self._episode = np.full(self.num_envs, -1)
         self._seeded = np.zeros(self.num_envs, dtype=np.bool_)
         self._ready = False
         self._prepare()
@@ -76,8 +98,8 @@ class Simulator:
         self._physics = physics(scenario, self.max_steps)
         self._rules = start_rules(scenario)
         self._fixed_obstacles = fixed_obstacles(scenario)
-        self._status = self._teams.book["status"].copy()
-        """As in the book, in one piece."""
+        self._status = self._entry(STATUS).astype(np.int64)
+        """As in the book."""
         self._themselves = np.tile(np.arange(scenario.n_robots), (self.num_envs, 1))
 
     # ---- episodes -----------------------------------------------------------------------------
@@ -144,7 +166,8 @@ class Simulator:
         self._assign_seeds(which, seeds)
         rules = self._take_given(which, given)
         with _quiet_integers():
-            failed = reset_teams(which, FRESH if resting else RUNNING, rules, self._teams)
+            status = FRESH if resting else RUNNING
+            failed = reset_teams(which, status, rules, self._seed, self._episode, self._teams)
         if failed >= 0:
             for array, indices, old in before:
                 array[indices] = old
@@ -154,7 +177,7 @@ class Simulator:
                 f"and clear of obstacles, in a spawn_size of {self.scenario.spawn_size} m; "
                 "enlarge it or thin out the obstacles"
             )
-        self._status = self._teams.book["status"].copy()
+        self._status = self._entry(STATUS).astype(np.int64)
         self._ready = True
 
     def step(self, actions: ArrayLike) -> Outcome:
@@ -284,39 +307,39 @@ class Simulator:
     @property
     def steps(self) -> NDArray[np.int64]:
         """(B,), steps done in this episode."""
-        return self._teams.book["steps"].copy()
+        return self._entry(STEPS).astype(np.int64)
 
     @property
     def time(self) -> NDArray[np.float64]:
         """(B,), s since the start of the episode."""
-        return self._teams.book["steps"] * self.scenario.tau
+        return self._entry(STEPS) * self.scenario.tau
 
     @property
     def seeds(self) -> NDArray[np.uint64]:
         """(B,), seed of each team."""
-        return self._teams.book["seed"].copy()
+        return self._seed.copy()
 
     @property
     def initial_lyapunov(self) -> NDArray[np.float64]:
         """(B,), V at the start of the episode, m²/s."""
-        return self._teams.book["initial_lyapunov"].copy()
+        return self._entry(INITIAL_LYAPUNOV)
 
     @property
     def path_length(self) -> NDArray[np.float64]:
         """(B,), way of all robots together in this episode, m."""
-        return self._teams.book["path_length"].copy()
+        return self._entry(PATH_LENGTH)
 
     @property
     def contacts(self) -> NDArray[np.int64]:
         """(B,), contacts in this episode, one for each robot and step."""
-        return self._teams.book["contacts"].copy()
+        return self._entry(CONTACTS).astype(np.int64)
 
     @property
     def min_clearance(self) -> NDArray[np.float64]:
         """(B,), least distance of a robot to an obstacle in this episode, m; inf without
         obstacles.
         """
-        return self._teams.book["min_clearance"].copy()
+        return self._entry(MIN_CLEARANCE)
 
     @property
     def clearance(self) -> NDArray[np.float64]:
@@ -325,12 +348,16 @@ class Simulator:
 
     def lyapunov(self) -> NDArray[np.float64]:
         """V, (B,), m²/s."""
-        return self._teams.book["lyapunov"].copy()
+        return self._entry(LYAPUNOV)
+
+    def _entry(self, entry: int) -> NDArray[np.float64]:
+        """One entry of every team's book, (B,), as a copy."""
+        return from_book(self._teams.book, entry, self.num_envs)
 
     @property
     def nbytes(self) -> int:
         """Bytes of the state of all teams."""
-        return sum(array.nbytes for array in self._teams)
+        return sum(array.nbytes for array in (*self._teams, self._seed, self._episode))
 
     def get_state(self) -> dict[str, NDArray[Any]]:
         """Everything that the future of the teams depends on, as copies with leading axis B."""
@@ -341,10 +368,13 @@ class Simulator:
             "weights": from_lanes(teams.weights, self.num_envs).copy(),
             "obstacles": teams.obstacles.copy(),
             "merged_into": teams.merged_into.copy(),
+            "seed": self._seed.copy(),
+            "episode": self._episode.copy(),
         }
         if not self.scenario.model.nonholonomic:
             state["frames"] = from_lanes(teams.frames, self.num_envs).copy()
-        return state | {name: teams.book[name].copy() for name in _KEPT}
+        kept = {name: self._entry(k).astype(kind) for name, (k, kind) in _KEPT.items()}
+        return state | kept
 
     def set_state(self, state: Mapping[str, NDArray[Any]]) -> None:
         """Put a state back that ``get_state`` took out of a simulator of the same scenario and
@@ -367,13 +397,16 @@ class Simulator:
         teams = self._teams
         for name in state:
             if name in _KEPT:
-                teams.book[name] = state[name]
+                to_book(state[name], _KEPT[name][0], teams.book)
+            elif name in ("seed", "episode"):
+                getattr(self, f"_{name}")[...] = state[name]
             elif name in ("positions", "weights", "frames"):
                 to_lanes(state[name], getattr(teams, name))
             else:
                 getattr(teams, name)[...] = state[name]
+        to_book(self.active.sum(axis=1), ACTIVE, teams.book)
         self._seeded[:] = True
-        self._status = teams.book["status"].copy()
+        self._status = self._entry(STATUS).astype(np.int64)
         self._ready = True
         self.observe()
 
@@ -400,6 +433,8 @@ class Simulator:
             "num_threads": self.num_threads,
             "max_steps": self.max_steps,
             "_teams": tuple(array.copy() for array in self._teams),
+            "_seed": self._seed.copy(),
+            "_episode": self._episode.copy(),
             "_seeded": self._seeded.copy(),
             "_ready": self._ready,
         }
@@ -446,25 +481,25 @@ class Simulator:
 
     def _assign_seeds(self, which: NDArray[np.int64], seeds: list[int | None] | None) -> None:
         """Seed teams anew, or send them on to the next episode of their seed."""
-        book = self._teams.book
-        book["episode"][which] += 1
+        self._episode[which] += 1
         if seeds is not None:
             given = [team for team in which.tolist() if seeds[team] is not None]
-            book["seed"][given], book["episode"][given] = [seeds[team] for team in given], 0
+            self._seed[given], self._episode[given] = [seeds[team] for team in given], 0
             self._seeded[given] = True
         unseeded = which[~self._seeded[which]]
         if unseeded.size:
             entropy = np.random.SeedSequence().generate_state(len(unseeded), np.uint64)
-            book["seed"][unseeded] = entropy >> np.uint64(1)
+            self._seed[unseeded] = entropy >> np.uint64(1)
         self._seeded[which] = True
 
     def _backup(self, which: NDArray[np.int64]) -> list[tuple[Any, NDArray[np.int64], Any]]:
         """What a reset of these teams may overwrite: (array, indices, old values)."""
         teams, blocks = self._teams, which // LANES
         places: list[tuple[Any, NDArray[np.int64]]]
-        places = [(array, blocks) for array in (teams.positions, teams.frames, teams.weights)]
-        by_team = (teams.angles, teams.obstacles, teams.merged_into, teams.book, self._seeded)
-        places += [(array, which) for array in by_team]
+        by_block = (teams.positions, teams.frames, teams.weights, teams.book)
+        by_team = (teams.angles, teams.obstacles, teams.merged_into)
+        places = [(array, blocks) for array in by_block]
+        places += [(array, which) for array in (*by_team, self._seed, self._episode, self._seeded)]
         return [(array, indices, array[indices]) for array, indices in places]
 
     def _take_given(self, which: NDArray[np.int64], given: StartOptions) -> StartRules:

@@ -13,7 +13,18 @@ from .lanes import LANES
 from .lyapunov import square_distance, team_lyapunov
 from .obstacles import draw_field
 from .random_streams import FRAMES, GRAPH, OBSTACLES, START, draw_rotation, stream_key, uniform
-from .teams import read_positions, read_weights, write_frame, write_positions, write_weights
+from .teams import (
+    ACTIVE,
+    BOOK,
+    INITIAL_LYAPUNOV,
+    MIN_CLEARANCE,
+    STATUS,
+    read_positions,
+    read_weights,
+    write_frame,
+    write_positions,
+    write_weights,
+)
 
 _TRIES_FOR_START = 1000
 _LARGEST_START_PITCH = math.pi / 4
@@ -41,7 +52,7 @@ class StartRules(NamedTuple):
 
 
 @kernel
-def reset_teams(indices, status, rules, teams):
+def reset_teams(indices, status, rules, seeds, episodes, teams):
     """Begin a new episode in the teams with these indices; what is given already stands in the
     state.
 
@@ -53,8 +64,7 @@ def reset_teams(indices, status, rules, teams):
     positions, weights, frame = np.empty((n, d)), np.empty((n, n)), np.empty((d, d))
     for team in indices:
         block, lane = team // LANES, team % LANES
-        book = teams.book[team]
-        seed, episode = book["seed"], book["episode"]
+        seed, episode = seeds[team], episodes[team]
         read_positions(block, lane, teams, positions)
         read_weights(block, lane, teams, weights)
         if rules.draw_weights:
@@ -77,12 +87,13 @@ def reset_teams(indices, status, rules, teams):
         write_weights(block, lane, teams, weights)
         for i in range(n):
             teams.merged_into[team, i] = i
-        book["status"] = status
-        book["steps"] = 0
-        book["path_length"] = 0.0
-        book["contacts"] = 0
-        book["min_clearance"] = np.inf
-        book["initial_lyapunov"] = team_lyapunov(positions, weights)
+        book = teams.book[block]
+        for entry in range(len(BOOK)):
+            book[entry * LANES + lane] = 0.0
+        book[STATUS * LANES + lane] = status
+        book[ACTIVE * LANES + lane] = n
+        book[MIN_CLEARANCE * LANES + lane] = np.inf
+        book[INITIAL_LYAPUNOV * LANES + lane] = team_lyapunov(positions, weights)
     return -1
 
 

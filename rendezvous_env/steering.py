@@ -15,9 +15,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from . import threads
 from .heading import certify_one, check_gate_constants, scale_of_step, step_scale, turn_limit
-from .jit import kernel
+from .jit import inlined_kernel, kernel
 from .scenario import Scenario
-from .sharing import Part, begin, end, take
+from .sharing import Part, Share, begin, end, take
 from .turning import gate_2d, gate_3d, mean_body_axis_2d, mean_body_axis_3d
 from .vectors import combine, dot, load, split, without
 
@@ -249,7 +249,7 @@ class Steering:
             array[...] = state[name]
 
 
-@kernel
+@inlined_kernel
 def _net_bearing(rows, neighbour_slots):
     """f, the sum of the neighbour rows."""
     f = (0.0, 0.0, 0.0)
@@ -258,7 +258,7 @@ def _net_bearing(rows, neighbour_slots):
     return f
 
 
-@kernel
+@inlined_kernel
 def _degree(rows, neighbour_slots):
     """D, the sum of the lengths of the neighbour rows."""
     degree = 0.0
@@ -268,7 +268,7 @@ def _degree(rows, neighbour_slots):
     return degree
 
 
-@kernel
+@inlined_kernel
 def _store(vector, out):
     out[0], out[1] = vector[0], vector[1]
     if out.shape[0] == 3:
@@ -280,7 +280,8 @@ def _steer_headings(
     share, observations, constants, held, headings, actions, alignment, lyapunov_rate
 ):
     """``_steer_teams`` of the teams that this thread takes."""
-    share, done = begin(share), 0
+    share, done = Share(*share), 0
+    begin(share)
     block = take(share)
     while block < share.blocks:
         first, last = block * _TEAMS, min((block + 1) * _TEAMS, len(observations))
@@ -292,7 +293,7 @@ def _steer_headings(
     return end(share, done)
 
 
-@kernel
+@inlined_kernel
 def _steer_teams(
     first, last, observations, constants, held, headings, actions, alignment, lyapunov_rate
 ):
@@ -329,7 +330,8 @@ def _steer_teams(
 @kernel
 def _look_along_net_bearing(share, observations, constants, visible_rows, frames, seen):
     """``_look_from_teams`` of the teams that this thread takes."""
-    share, done = begin(share), 0
+    share, done = Share(*share), 0
+    begin(share)
     block = take(share)
     while block < share.blocks:
         first, last = block * _TEAMS, min((block + 1) * _TEAMS, len(observations))
@@ -339,7 +341,7 @@ def _look_along_net_bearing(share, observations, constants, visible_rows, frames
     return end(share, done)
 
 
-@kernel
+@inlined_kernel
 def _look_from_teams(first, last, observations, constants, visible_rows, frames, seen):
     """Turn observations into frames with x along f, for teams first … last − 1.
 
@@ -361,7 +363,7 @@ def _look_from_teams(first, last, observations, constants, visible_rows, frames,
                     seen[team, i, row, axis] = along
 
 
-@kernel
+@inlined_kernel
 def _aim_frame(towards, rows, visible_rows, frame):
     """A right-handed frame with x = ``towards``; columns are its axes in the local frame.
 

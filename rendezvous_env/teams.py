@@ -1,6 +1,6 @@
 """What the kernels work on: state, results and constants as tuples of arrays."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,22 +11,32 @@ from .lanes import LANES
 RUNNING, RENDEZVOUS, TIME_OUT, FRESH = range(4)
 """Status of a team. FRESH: reset in this very step, in which it does not move."""
 
-BOOK = np.dtype(
-    [
-        ("status", np.int64),  # RUNNING, RENDEZVOUS, TIME_OUT or FRESH
-        ("steps", np.int64),  # done in this episode
-        ("seed", np.uint64),
-        ("episode", np.int64),  # number of the episode since seeding, −1 before the first
-        ("initial_lyapunov", np.float64),  # V at the start of the episode, m²/s
-        ("lyapunov", np.float64),  # V now, m²/s; follows from positions and weights
-        ("path_length", np.float64),  # way of all robots together in this episode, m
-        ("contacts", np.int64),  # in this episode, one for each robot and step
-        ("min_clearance", np.float64),  # least distance to an obstacle in this episode, m
-    ]
+BOOK = (
+    "status",  # RUNNING, RENDEZVOUS, TIME_OUT or FRESH
+    "steps",  # done in this episode
+    "active",  # robots that exist on their own
+    "contacts",  # in this episode, one for each robot and step
+    "path_length",  # way of all robots together in this episode, m
+    "initial_lyapunov",  # V at the start of the episode, m²/s
+    "lyapunov",  # V now, m²/s; follows from positions and weights
+    "min_clearance",  # least distance to an obstacle in this episode, m
+    "square_closest",  # least square distance of two neighbours as of the last observation, m²
 )
-"""One team's book-keeping."""
+"""One team's book-keeping, in the order in which it stands in ``Teams.book``."""
+(
+    STATUS,
+    STEPS,
+    ACTIVE,
+    CONTACTS,
+    PATH_LENGTH,
+    INITIAL_LYAPUNOV,
+    LYAPUNOV,
+    MIN_CLEARANCE,
+    SQUARE_CLOSEST,
+) = range(len(BOOK))
 
-REWARD, LYAPUNOV_BEFORE_MERGE, LYAPUNOV_AFTER_MERGE, MERGE_RISE, MERGE_EXCESS = range(5)
+SCORES = 5
+REWARD, LYAPUNOV_BEFORE_MERGE, LYAPUNOV_AFTER_MERGE, MERGE_RISE, MERGE_EXCESS = range(SCORES)
 """Rows of ``Results.scores``: the team reward; V just before the first and after the last merge
 of the step (V at its end if there was none); the largest rise of V at a merge, and above the bound
 of theory 5."""
@@ -35,8 +45,9 @@ of theory 5."""
 class Teams(NamedTuple):
     """State of B teams.
 
-    Positions, frames and weights stand in lane blocks (see ``lanes.py``): team b is lane b % LANES
-    of block b // LANES, and the last block is filled up with lanes that belong to no team.
+    Positions, frames, weights and the book stand in lane blocks (see ``lanes.py``): team b is lane
+    b % LANES of block b // LANES, and the last block is filled up with lanes that belong to no
+    team.
     """
 
     positions: NDArray[np.float64]
@@ -51,11 +62,8 @@ class Teams(NamedTuple):
     """(B, M, width), packed as obstacles.py says."""
     merged_into: NDArray[np.int64]
     """(B, n), the robot that each one is now part of; itself while it is active."""
-    book: NDArray[np.void]
-    """(B,) of BOOK."""
-    square_closest: NDArray[np.float64]
-    """(blocks, LANES), least square distance of two neighbours, m²; as of the last observation,
-    inf where nobody has a neighbour."""
+    book: NDArray[np.float64]
+    """(blocks, entries·LANES), the entries of BOOK; whole numbers are exact in it."""
 
 
 class Results(NamedTuple):
@@ -169,3 +177,14 @@ def to_lanes(values: NDArray[np.float64], blocks: NDArray[np.float64]) -> None:
     lanes_last = blocks.reshape(len(blocks), m, c, LANES)
     team = np.arange(batch)
     lanes_last[team // LANES, :, :, team % LANES] = values
+
+
+def from_book(book: NDArray[np.float64], entry: int, batch: int) -> NDArray[np.float64]:
+    """One entry of every team's book, (B,), as a copy."""
+    return book.reshape(len(book), -1, LANES)[:, entry].flatten()[:batch]
+
+
+def to_book(values: NDArray[Any], entry: int, book: NDArray[np.float64]) -> None:
+    """Write one entry of the first teams' books, (B,)."""
+    team = np.arange(len(values))
+    book.reshape(len(book), -1, LANES)[team // LANES, entry, team % LANES] = values

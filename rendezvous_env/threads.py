@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .jit import compiled
-from .sharing import COUNTERS, DONE, Part
+from .sharing import DONE, Part, new_counters
 
 _LOOKS = 250_000
 """How often compiled code looks for news before its thread goes to sleep; about 0.1 ms."""
@@ -25,23 +25,22 @@ _LOOKS = 250_000
 class _Job:
     """One call of ``share``, as the helpers see it."""
 
-    def __init__(self, run_kernel: Callable[[Part], bool], part: Part) -> None:
+    def __init__(self, run_kernel: Callable[[Part], bool]) -> None:
         self.run_kernel: Callable[[Part], bool] | None = run_kernel
-        self.part = part
         self.ends: SimpleQueue[BaseException | None] = SimpleQueue()
 
-    def work(self) -> None:
-        """Help, if that is still wanted."""
+    def help_with(self, part: Part) -> None:
+        """Take a part in it, if that is still wanted."""
         end: BaseException | None = None
         if (run_kernel := self.run_kernel) is not None:
             try:
-                run_kernel(self.part)
+                run_kernel(part)
             except BaseException as error:
                 end = error
         self.ends.put(end)
 
 
-_jobs: SimpleQueue[_Job] = SimpleQueue()
+_jobs: SimpleQueue[tuple[_Job, Part]] = SimpleQueue()
 _workers: list[threading.Thread] = []
 _workers_lock = threading.Lock()
 _bell: NDArray[np.int64] = np.zeros(1, dtype=np.int64)
@@ -66,17 +65,16 @@ def share(run_kernel: Callable[[Part], bool], blocks: int, most: int) -> None:
     Raises:
         BaseException: what the kernel raised.
     """
-    counters = np.zeros(COUNTERS, dtype=np.int64)
+    counters = new_counters(most)
     if most == 1 or not compiled():
-        run_kernel((blocks, counters, _bell, -1, 0))
+        run_kernel((blocks, counters, _bell, -1, 0, 0))
         return
     _ensure_workers(most - 1)
-    helper = (blocks, counters, _bell, int(_bell[0]) + 1, _LOOKS)
-    job = _Job(run_kernel, helper)
-    for _ in range(most - 1):
-        _jobs.put(job)
+    job, heard = _Job(run_kernel), int(_bell[0]) + 1
+    for thread in range(1, most):
+        _jobs.put((job, (blocks, counters, _bell, heard, thread, _LOOKS)))
     try:
-        all_done = run_kernel((blocks, counters, _bell, -1, _LOOKS))
+        all_done = run_kernel((blocks, counters, _bell, -1, 0, _LOOKS))
         while not all_done:
             if (end := job.ends.get()) is not None:
                 raise end
@@ -95,9 +93,10 @@ def _ensure_workers(count: int) -> None:
             _workers.append(worker)
 
 
-def _serve(jobs: SimpleQueue[_Job]) -> None:
+def _serve(jobs: SimpleQueue[tuple[_Job, Part]]) -> None:
     while True:
-        jobs.get().work()
+        job, part = jobs.get()
+        job.help_with(part)
 
 
 def _forget_workers() -> None:

@@ -10,12 +10,15 @@ import textwrap
 from pathlib import Path
 
 import numba
+import numpy as np
 import pytest
 from conftest import ROOT
 
 import rendezvous_env
-from rendezvous_env import jit
+import rendezvous_env as rv
+from rendezvous_env import concluding, jit, kernels, observing, sharing, steering
 from rendezvous_env.kernels import step_blocks
+from rendezvous_env.vector import HeadingVectorWrapper
 
 OUTER = """
 from rendezvous_env.jit import kernel
@@ -101,6 +104,39 @@ def test_kernels_are_serial_release_the_lock_and_divide_like_ieee():
         return 1.0 / x
 
     assert inverse(0.0) == float("inf")
+
+
+def test_an_inlined_kernel_may_not_allocate():
+    @jit.inlined_kernel
+    def zeros(n):
+        return np.zeros(n).sum()
+
+    with pytest.raises(numba.core.errors.NumbaError):
+        zeros(3)
+
+
+def test_no_inlined_kernel_returns_an_array():
+    """Nobody would have counted that reference: the array would be freed while it is in use."""
+    discs = (rv.Disc(centre=(3.0, 0.0), radius=1.0),)
+    for model in ("single_integrator", "unicycle"):
+        venv = rv.make_vec("fig3", 2, robot_model=model, obstacles=discs)
+        venv = HeadingVectorWrapper(venv)
+        venv.reset(seed=0)
+        venv.step(np.zeros(venv.action_space.shape, np.float32))
+    found = 0
+    for module in (concluding, kernels, observing, sharing, steering):
+        for function in vars(module).values():
+            if getattr(function, "targetoptions", {}).get("forceinline"):
+                for compiled in function.overloads.values():
+                    found += 1
+                    assert not _holds_array(compiled.signature.return_type), function
+    assert found > 15
+
+
+def _holds_array(kind):
+    return isinstance(kind, numba.types.Array) or any(
+        _holds_array(part) for part in getattr(kind, "types", ())
+    )
 
 
 def test_the_setting_of_numba_is_left_as_it_was():

@@ -18,7 +18,8 @@ from rendezvous_env.sharing import DONE, Share, begin, end, take
 @kernel
 def mark(share, marks, work):
     """Count how often each block is taken; ``work`` makes it take its time."""
-    share, done = begin(share), 0
+    share, done = Share(*share), 0
+    begin(share)
     block = take(share)
     while block < share.blocks:
         waste = 1.0
@@ -40,7 +41,8 @@ def share_slowly(run, blocks, most):
     """As a kernel would, but in Python, so that a test can see and hold up the threads."""
 
     def run_kernel(part):
-        part, done = begin(part), 0
+        part, done = Share(*part), 0
+        begin(part)
         while (block := take(part)) < blocks:
             run(block)
             done += 1
@@ -96,10 +98,10 @@ def test_a_caller_waits_for_a_slow_helper():
 def test_a_helper_that_wakes_too_late_does_nothing():
     """Its core is busy: the caller does all blocks, and nothing is kept for the helper."""
     release = threading.Event()
-    hold = threads._Job(lambda _: release.wait(20), None)
+    hold = threads._Job(lambda _: release.wait(20))
     threads._ensure_workers(1)
     for _ in threads._workers:
-        threads._jobs.put(hold)
+        threads._jobs.put((hold, None))
     marks = np.zeros(9)
     gone = weakref.ref(marks)
     threads.share(lambda part, marks=marks: mark(part, marks, 0), 9, 2)

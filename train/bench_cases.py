@@ -16,7 +16,7 @@ import rendezvous_env as rv
 from rendezvous_env import threads
 from rendezvous_env.jit import kernel
 from rendezvous_env.outcome import Outcome
-from rendezvous_env.sharing import begin, end, take
+from rendezvous_env.sharing import Share, begin, end, take
 
 EPISODE = 200
 """Steps of an episode in the case that ends episodes."""
@@ -201,7 +201,8 @@ def limit_by_pairs(share, positions, bearings):  # noqa: ANN001, ANN201
     """Every pair once, then the sums."""
     n = positions.shape[1]
     f = np.zeros((n, 2 * _LANES))
-    share, done = begin(share), 0
+    share, done = Share(*share), 0
+    begin(share)
     block = take(share)
     while block < share.blocks:
         p, g = positions[block], bearings[block]
@@ -222,7 +223,8 @@ def limit_by_rows(share, positions, bearings):  # noqa: ANN001, ANN201
     """Every robot's bearings one after another, summed at once."""
     n = positions.shape[1]
     f = np.zeros((n, 2 * _LANES))
-    share, done = begin(share), 0
+    share, done = Share(*share), 0
+    begin(share)
     block = take(share)
     while block < share.blocks:
         p, g = positions[block], bearings[block]
