@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import nullcontext
 from typing import Any
 
 import numpy as np
@@ -162,15 +163,15 @@ class Simulator:
         given: StartOptions,
         resting: bool,
     ) -> None:
-        before = self._backup(which)
-        self._assign_seeds(which, seeds)
-        rules = self._take_given(which, given)
+        before: _Before = []
+        self._assign_seeds(which, seeds, before)
+        rules = self._take_given(which, given, before)
         with _quiet_integers():
             status = FRESH if resting else RUNNING
             failed = reset_teams(which, status, rules, self._seed, self._episode, self._teams)
         if failed >= 0:
-            for array, indices, old in before:
-                array[indices] = old
+            for array, index, old in reversed(before):
+                array[index] = old
             raise RuntimeError(
                 f"no room for the start of team {failed}: {self.scenario.n_robots} robots, "
                 f"neighbours at least 2 merge_radius = {2 * self.scenario.merge_radius} m apart "
@@ -479,30 +480,25 @@ class Simulator:
                 raise ValueError(f"seed {value!r} must be a whole number, 0 or more")
         return [None if value is None else int(value) for value in listed]
 
-    def _assign_seeds(self, which: NDArray[np.int64], seeds: list[int | None] | None) -> None:
+    def _assign_seeds(
+        self, which: NDArray[np.int64], seeds: list[int | None] | None, before: _Before
+    ) -> None:
         """Seed teams anew, or send them on to the next episode of their seed."""
-        self._episode[which] += 1
+        _put(self._episode[which] + 1, self._episode, which, before)
         if seeds is not None:
             given = [team for team in which.tolist() if seeds[team] is not None]
-            self._seed[given], self._episode[given] = [seeds[team] for team in given], 0
-            self._seeded[given] = True
-        unseeded = which[~self._seeded[which]]
-        if unseeded.size:
+            _put([seeds[team] for team in given], self._seed, given, before)
+            _put(0, self._episode, given, before)
+            _put(True, self._seeded, given, before)
+        if not self._seeded[which].all():
+            unseeded = which[~self._seeded[which]]
             entropy = np.random.SeedSequence().generate_state(len(unseeded), np.uint64)
-            self._seed[unseeded] = entropy >> np.uint64(1)
-        self._seeded[which] = True
+            _put(entropy >> np.uint64(1), self._seed, unseeded, before)
+            _put(True, self._seeded, unseeded, before)
 
-    def _backup(self, which: NDArray[np.int64]) -> list[tuple[Any, NDArray[np.int64], Any]]:
-        """What a reset of these teams may overwrite: (array, indices, old values)."""
-        teams, blocks = self._teams, which // LANES
-        places: list[tuple[Any, NDArray[np.int64]]]
-        by_block = (teams.positions, teams.frames, teams.weights, teams.book)
-        by_team = (teams.angles, teams.obstacles, teams.merged_into)
-        places = [(array, blocks) for array in by_block]
-        places += [(array, which) for array in (*by_team, self._seed, self._episode, self._seeded)]
-        return [(array, indices, array[indices]) for array, indices in places]
-
-    def _take_given(self, which: NDArray[np.int64], given: StartOptions) -> StartRules:
+    def _take_given(
+        self, which: NDArray[np.int64], given: StartOptions, before: _Before
+    ) -> StartRules:
         """Write the given parts of a start into the state; the rules say to draw the others."""
         scenario, teams = self.scenario, self._teams
         n, d = scenario.n_robots, scenario.dim
@@ -514,20 +510,20 @@ class Simulator:
             frames = np.broadcast_to(np.eye(d), (1, n, d, d))
         if obstacles is None:
             obstacles = self._fixed_obstacles
-        block, lane = which // LANES, which % LANES
+        lanes = (which // LANES, slice(None), slice(None), which % LANES)
         if positions is not None:
-            _by_lane(teams.positions)[block, :, :, lane] = _for_each(positions, which)
+            _put(_for_each(positions, which), _by_lane(teams.positions), lanes, before)
         if angles is not None:
-            teams.angles[which] = _for_each(angles, which)
+            _put(_for_each(angles, which), teams.angles, which, before)
         if frames is not None and not scenario.model.nonholonomic:
             flat = frames.reshape(len(frames), n, d * d)
-            _by_lane(teams.frames)[block, :, :, lane] = _for_each(flat, which)
+            _put(_for_each(flat, which), _by_lane(teams.frames), lanes, before)
         if weights is not None:
             rows, columns = np.triu_indices(n, 1)
             listed = weights[:, rows, columns, None]
-            _by_lane(teams.weights)[block, :, :, lane] = _for_each(listed, which)
-        if obstacles is not None:
-            teams.obstacles[which] = _for_each(obstacles, which)
+            _put(_for_each(listed, which), _by_lane(teams.weights), lanes, before)
+        if obstacles is not None and obstacles.size:
+            _put(_for_each(obstacles, which), teams.obstacles, which, before)
         return self._rules._replace(
             draw_positions=positions is None,
             draw_angles=angles is None,
@@ -535,6 +531,16 @@ class Simulator:
             draw_weights=weights is None,
             draw_obstacles=obstacles is None,
         )
+
+
+_Before = list[tuple[NDArray[Any], Any, Any]]
+"""What was overwritten: arrays, indices and old values, in the order in which that happened."""
+
+
+def _put(values: ArrayLike, array: NDArray[Any], index: Any, before: _Before) -> None:
+    """Write into the state, and keep what was there."""
+    before.append((array, index, array[index]))
+    array[index] = values
 
 
 def _or(value: NDArray[np.float64] | None, default: Any) -> NDArray[np.float64]:
@@ -560,6 +566,4 @@ def _width(scenario: Scenario, batch: int, num_threads: int | None) -> int:
 
 def _quiet_integers() -> Any:
     """Without compilation NumPy would warn of every product of 64-bit numbers that wraps around."""
-    from contextlib import nullcontext
-
     return nullcontext() if compiled() else np.errstate(over="ignore")

@@ -57,44 +57,70 @@ def reset_teams(indices, status, rules, seeds, episodes, teams):
     state.
 
     Returns:
-        Index of the first team that found no room for its start or its obstacles, or −1.
+        Index of the first team that found no room for its start or its obstacles, in which case
+        nothing has changed, or −1.
     """
-    n = teams.merged_into.shape[1]
-    d = teams.positions.shape[2] // LANES
-    positions, weights, frame = np.empty((n, d)), np.empty((n, n)), np.empty((d, d))
-    for team in indices:
-        block, lane = team // LANES, team % LANES
-        seed, episode = seeds[team], episodes[team]
-        read_positions(block, lane, teams, positions)
-        read_weights(block, lane, teams, weights)
-        if rules.draw_weights:
-            key = stream_key(seed, episode, GRAPH)
-            _draw_weights(key, rules, weights)
-        room = _draw_obstacles(seed, episode, rules, positions, teams.obstacles[team])
-        if room and rules.draw_positions:
-            key = stream_key(seed, episode, START)
-            room = _draw_positions(key, rules, weights, teams.obstacles[team], positions)
-        if not room:
+    n, d = teams.merged_into.shape[1], teams.positions.shape[2] // LANES
+    count = len(indices)
+    positions, weights = np.empty((count, n, d)), np.empty((count, n, n))
+    obstacles = np.empty((count, *teams.obstacles.shape[1:]))
+    for k, team in enumerate(indices):
+        if not _draw_start(
+            team, rules, seeds[team], episodes[team], teams, positions[k], weights[k], obstacles[k]
+        ):
             return team
-        key = stream_key(seed, episode, FRAMES)
-        if teams.angles.shape[2] > 0 and rules.draw_angles:
-            _draw_angles(key, teams.angles[team])
-        if teams.angles.shape[2] == 0 and rules.draw_frames:
-            for i in range(n):
-                draw_rotation(key, 3 * i, frame)
-                write_frame(block, lane, i, teams, frame)
-        write_positions(block, lane, teams, positions)
-        write_weights(block, lane, teams, weights)
-        for i in range(n):
-            teams.merged_into[team, i] = i
-        book = teams.book[block]
-        for entry in range(len(BOOK)):
-            book[entry * LANES + lane] = 0.0
-        book[STATUS * LANES + lane] = status
-        book[ACTIVE * LANES + lane] = n
-        book[MIN_CLEARANCE * LANES + lane] = np.inf
-        book[INITIAL_LYAPUNOV * LANES + lane] = team_lyapunov(positions, weights)
+    for k, team in enumerate(indices):
+        block, lane = team // LANES, team % LANES
+        write_positions(block, lane, teams, positions[k])
+        write_weights(block, lane, teams, weights[k])
+        teams.obstacles[team] = obstacles[k]
+        _draw_attitudes(team, rules, seeds[team], episodes[team], teams)
+        _open_book(team, status, positions[k], weights[k], teams)
     return -1
+
+
+@kernel
+def _draw_start(team, rules, seed, episode, teams, positions, weights, obstacles):
+    """What of one team's start may find no room; whether it fits. What is not drawn is as given."""
+    block, lane = team // LANES, team % LANES
+    read_positions(block, lane, teams, positions)
+    read_weights(block, lane, teams, weights)
+    obstacles[:] = teams.obstacles[team]
+    if rules.draw_weights:
+        _draw_weights(stream_key(seed, episode, GRAPH), rules, weights)
+    room = _draw_obstacles(seed, episode, rules, positions, obstacles)
+    if room and rules.draw_positions:
+        key = stream_key(seed, episode, START)
+        room = _draw_positions(key, rules, weights, obstacles, positions)
+    return room
+
+
+@kernel
+def _draw_attitudes(team, rules, seed, episode, teams):
+    block, lane = team // LANES, team % LANES
+    n, d = teams.merged_into.shape[1], teams.positions.shape[2] // LANES
+    key = stream_key(seed, episode, FRAMES)
+    if teams.angles.shape[2] > 0 and rules.draw_angles:
+        _draw_angles(key, teams.angles[team])
+    if teams.angles.shape[2] == 0 and rules.draw_frames:
+        frame = np.empty((d, d))
+        for i in range(n):
+            draw_rotation(key, 3 * i, frame)
+            write_frame(block, lane, i, teams, frame)
+
+
+@kernel
+def _open_book(team, status, positions, weights, teams):
+    book, lane = teams.book[team // LANES], team % LANES
+    n = teams.merged_into.shape[1]
+    for i in range(n):
+        teams.merged_into[team, i] = i
+    for entry in range(len(BOOK)):
+        book[entry * LANES + lane] = 0.0
+    book[STATUS * LANES + lane] = status
+    book[ACTIVE * LANES + lane] = n
+    book[MIN_CLEARANCE * LANES + lane] = np.inf
+    book[INITIAL_LYAPUNOV * LANES + lane] = team_lyapunov(positions, weights)
 
 
 @kernel

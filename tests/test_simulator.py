@@ -652,6 +652,17 @@ def test_a_start_without_room_is_refused_and_changes_nothing():
         np.testing.assert_array_equal(array, before[name], err_msg=name)
 
 
+def test_if_one_team_finds_no_room_none_begins_anew():
+    sim = Simulator(five("unicycle", spawn_size=0.8, graph=graphs.complete()), 3)
+    sim.reset([0, 1, 4])
+    sim.step(np.ones((3, 5, 2)))
+    before = sim.get_state()
+    with pytest.raises(RuntimeError, match="no room for the start of team 2"):
+        sim.reset([4, 9, 2])
+    for name, array in sim.get_state().items():
+        np.testing.assert_array_equal(array, before[name], err_msg=name)
+
+
 @pytest.mark.parametrize("name", ["num_envs", "num_threads"])
 @pytest.mark.parametrize("value", [0, -2, 1.0, "2"])
 def test_impossible_sizes(name, value):
