@@ -46,6 +46,20 @@ def _compile(function: Callable[..., Any], inlined: bool) -> Any:
         return compiler(function)
 
 
+def entry_point(function: Any, arguments: tuple[Any, ...]) -> Callable[..., Any]:
+    """What a kernel runs for arguments of these types.
+
+    To call it leaves out numba's look at the types of all arguments, which takes as long as a small
+    team's step. So later arguments must have the same types, but for arrays that may not be written
+    to: compiled code for those would be the same again.
+    """
+    if not compiled():
+        return function
+    types = tuple(numba.typeof(argument) for argument in arguments)
+    function.compile(types)
+    return function.overloads[types].entry_point
+
+
 def compiled() -> bool:
     """Whether kernels are compiled; ``NUMBA_DISABLE_JIT=1`` leaves them plain Python."""
     return not _CONFIG.DISABLE_JIT

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from typing import Any
 
@@ -10,13 +10,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from . import threads
-from .jit import compiled
+from .jit import compiled, entry_point
 from .kernels import first_not_finite, observe_blocks, step_blocks
 from .lanes import FEW, LANES
 from .options import StartOptions, parse_options
 from .outcome import Outcome
 from .preparation import empty_teams, fixed_obstacles, physics, start_rules
 from .scenario import Scenario
+from .sharing import Part
 from .starts import StartRules, reset_teams
 from .teams import (
     ACTIVE,
@@ -97,6 +98,7 @@ class Simulator:
         self._observed = (self.num_envs, scenario.n_robots, *scenario.observation_layout.shape)
         self._width = _width(scenario, self.num_envs, self.num_threads)
         self._physics = physics(scenario, self.max_steps)
+        self._run: Callable[..., Any] | None = None
         self._rules = start_rules(scenario)
         self._fixed_obstacles = fixed_obstacles(scenario)
         self._status = self._entry(STATUS).astype(np.int64)
@@ -211,14 +213,22 @@ class Simulator:
                 "it must be finite"
             )
         results = self._new_results()
-        given = (tuple(self._physics), self._axes, self._span, tuple(self._teams), table)
+        written = tuple(results)
         threads.share(
-            lambda part: step_blocks(part, *given, tuple(results)),
+            lambda part: self._step_blocks(part, table, written),
             len(self._teams.positions),
             self._width,
         )
         self._status = results.status
         return Outcome(results, self._observed)
+
+    def _step_blocks(
+        self, part: Part, table: NDArray[np.float32], results: tuple[Any, ...]
+    ) -> bool:
+        given = (part, self._physics, self._axes, self._span, tuple(self._teams))
+        if self._run is None:
+            self._run = entry_point(step_blocks, (*given, np.empty_like(table), results))
+        return self._run(*given, table, results)
 
     def observe(self) -> NDArray[np.float32]:
         """Observations of all teams as they are, (B, n, rows, d) float32."""

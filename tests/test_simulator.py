@@ -14,6 +14,7 @@ import pytest
 from conftest import MODELS, ROOT, UNEQUAL, five, law_of
 
 from rendezvous_env import Disc, ObstacleField, Scenario, Simulator, graphs, simulator, threads
+from rendezvous_env.kernels import step_blocks
 from rendezvous_env.teams import FRESH, RENDEZVOUS, RUNNING, TIME_OUT
 
 RANDOM = np.random.default_rng(11)
@@ -650,6 +651,20 @@ def test_a_start_without_room_is_refused_and_changes_nothing():
         sim.reset(5)
     for name, array in sim.get_state().items():
         np.testing.assert_array_equal(array, before[name], err_msg=name)
+
+
+def test_actions_that_may_not_be_written_to_are_taken_and_compile_nothing():
+    """Arrays of other libraries are often read-only; their contents are what counts."""
+    actions = np.random.default_rng(0).uniform(-1, 1, (3, 5, 2)).astype(np.float32)
+    outcomes, variants = [], []
+    for writeable in (True, False):
+        sim = Simulator(five("unicycle"), 3)
+        sim.reset(0)
+        actions.flags.writeable = writeable
+        outcomes.append(sim.step(actions))
+        variants.append(len(getattr(step_blocks, "overloads", ())))
+    assert variants[0] == variants[1]
+    np.testing.assert_array_equal(outcomes[0].observations, outcomes[1].observations)
 
 
 def test_if_one_team_finds_no_room_none_begins_anew():
