@@ -101,8 +101,7 @@ class Simulator:
         self._run: Callable[..., Any] | None = None
         self._rules = start_rules(scenario)
         self._fixed_obstacles = fixed_obstacles(scenario)
-        self._status = self._entry(STATUS).astype(np.int64)
-        """As in the book."""
+        self._all_running = self._none_rests()
         self._themselves = np.tile(np.arange(scenario.n_robots), (self.num_envs, 1))
 
     # ---- episodes -----------------------------------------------------------------------------
@@ -180,7 +179,7 @@ class Simulator:
                 f"and clear of obstacles, in a spawn_size of {self.scenario.spawn_size} m; "
                 "enlarge it or thin out the obstacles"
             )
-        self._status = self._entry(STATUS).astype(np.int64)
+        self._all_running = self._none_rests()
         self._ready = True
 
     def step(self, actions: ArrayLike) -> Outcome:
@@ -219,7 +218,7 @@ class Simulator:
             len(self._teams.positions),
             self._width,
         )
-        self._status = results.status
+        self._all_running = not np.count_nonzero(results.status)  # RUNNING is 0
         return Outcome(results, self._observed)
 
     def _step_blocks(
@@ -302,17 +301,20 @@ class Simulator:
     @property
     def status(self) -> NDArray[np.int64]:
         """(B,), RUNNING, RENDEZVOUS, TIME_OUT or FRESH of teams.py."""
-        return self._status.copy()
+        return self._entry(STATUS).astype(np.int64)
 
     @property
     def all_running(self) -> bool:
         """Whether every team is in the midst of an episode; quicker than ``ended``."""
-        return not np.count_nonzero(self._status)  # RUNNING is 0
+        return self._all_running
+
+    def _none_rests(self) -> bool:
+        return bool((self._entry(STATUS) == RUNNING).all())
 
     @property
     def ended(self) -> NDArray[np.bool_]:
         """(B,), whether the episode is over."""
-        status = self._status
+        status = self._entry(STATUS)
         return (status == RENDEZVOUS) | (status == TIME_OUT)
 
     @property
@@ -417,7 +419,7 @@ class Simulator:
                 getattr(teams, name)[...] = state[name]
         to_book(self.active.sum(axis=1), ACTIVE, teams.book)
         self._seeded[:] = True
-        self._status = self._entry(STATUS).astype(np.int64)
+        self._all_running = self._none_rests()
         self._ready = True
         self.observe()
 

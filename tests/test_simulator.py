@@ -473,6 +473,7 @@ def test_what_the_simulator_hands_out_is_not_its_memory(kind):
     )]  # fmt: skip
     for array in [*handed, sim.lyapunov(), sim.observe(), *sim.get_state().values()]:
         array[...] = 1
+    assert sim.all_running and not sim.ended.any() and (sim.status == RUNNING).all()
     for name, array in sim.get_state().items():
         np.testing.assert_array_equal(array, before[name], err_msg=name)
 
