@@ -186,5 +186,4 @@ def from_book(book: NDArray[np.float64], entry: int, batch: int) -> NDArray[np.f
 
 def to_book(values: NDArray[Any], entry: int, book: NDArray[np.float64]) -> None:
     """Write one entry of the first teams' books, (B,)."""
-    team = np.arange(len(values))
-    book.reshape(len(book), -1, LANES)[team // LANES, entry, team % LANES] = values
+    to_lanes(values[:, None, None], book[:, None, entry * LANES : (entry + 1) * LANES])
