@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rendezvous_env.heading import flexible_velocity
-from rendezvous_env.observations import ObservedRows
-from rendezvous_env.turning import yaw_rate_law
+from rendezvous_env.experiment.observation_layout import ObservedRows
+from rendezvous_env.guarantee.heading import flexible_velocity
+from rendezvous_env.guarantee.turning import yaw_rate_law
 
 from .policy import Policy, is_single_integrator, register, within_limits
 
 if TYPE_CHECKING:
-    from rendezvous_env.scenario import Scenario
+    from rendezvous_env.experiment.scenario import Scenario
 
 Array = NDArray[np.float64]
 

@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rendezvous_env.heading import certified_heading, flexible_velocity, step_scale
+from rendezvous_env.guarantee.heading import certified_heading, flexible_velocity, step_scale
 
 from .policy import Policy, is_single_integrator, register, within_limits
 from .silhouettes import joined_headings_2d, joined_headings_3d, tangent_headings
 
 if TYPE_CHECKING:
-    from rendezvous_env.scenario import Scenario
+    from rendezvous_env.experiment.scenario import Scenario
 
 Array = NDArray[np.float64]
 

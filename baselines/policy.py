@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rendezvous_env.scenarios import resolve
+from rendezvous_env.experiment.scenarios import resolve
 
 if TYPE_CHECKING:
+    from rendezvous_env.experiment.scenario import Scenario
     from rendezvous_env.rendezvous_v0 import ScenarioLike
-    from rendezvous_env.scenario import Scenario
 
 
 class Policy(Protocol):

@@ -11,8 +11,8 @@ import math
 
 import numpy as np
 
-from rendezvous_env.jit import kernel
-from rendezvous_env.vectors import X_AXIS, combine, dot, load, split, without
+from rendezvous_env.compilation import kernel
+from rendezvous_env.equations.vectors import X_AXIS, combine, dot, load, split, without
 
 TWO_PI = 2.0 * math.pi
 _STRAIGHT_AHEAD = -1

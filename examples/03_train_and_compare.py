@@ -7,7 +7,9 @@ import argparse
 import tempfile
 from pathlib import Path
 
-from train import compare, ppo, results
+from train import results
+from train.comparing import compare
+from train.learning import ppo
 
 parser = argparse.ArgumentParser(description=__doc__)
 parser.add_argument("--steps", type=int, default=200_000)

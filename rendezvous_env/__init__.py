@@ -4,16 +4,17 @@ Robots see in which direction their neighbours and the edges of obstacles lie, n
 must all meet.
 """
 
-from . import graphs, rendezvous_v0, scenarios
+from . import rendezvous_v0
+from .experiment import graphs, scenarios
+from .experiment.observation_layout import ObservationLayout
+from .experiment.obstacles import Disc, ObstacleField, Polygon, Sphere
+from .experiment.rewards import RewardWeights
+from .experiment.scenario import Scenario, TimeStepWarning
+from .guarantee.heading import certified_heading
+from .guarantee.lyapunov import Certificate, certificate
 from .gymnasium_env import make_vec
-from .heading import certified_heading
-from .lyapunov import Certificate, certificate
-from .observations import ObservationLayout
-from .obstacles import Disc, ObstacleField, Polygon, Sphere
 from .registration import register
 from .rendezvous_v0 import parallel_env
-from .rewards import RewardWeights
-from .scenario import Scenario, TimeStepWarning
 from .simulator import Simulator
 from .trajectory import Trajectory, rollout
 from .wrappers import HeadingVectorWrapper

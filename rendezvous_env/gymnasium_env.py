@@ -13,14 +13,14 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
+from .drawing.renderer import RENDER_MODES, Renderer, render_metadata
+from .engine.teams import RENDEZVOUS, RUNNING, TIME_OUT
+from .experiment.scenario import Scenario
+from .experiment.scenarios import resolve
 from .outcome import Outcome
-from .rendering import RENDER_MODES, Renderer, render_metadata
 from .rendezvous_v0 import ScenarioLike
-from .scenario import Scenario
-from .scenarios import resolve
 from .simulator import Simulator
 from .spaces import team_action_box, team_observation_box
-from .teams import RENDEZVOUS, RUNNING, TIME_OUT
 
 Info = dict[str, Any]
 Transition = tuple[

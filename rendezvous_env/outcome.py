@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from .teams import (
+from .engine.teams import (
     LYAPUNOV_AFTER_MERGE,
     LYAPUNOV_BEFORE_MERGE,
     MERGE_EXCESS,

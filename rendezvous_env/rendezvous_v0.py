@@ -13,13 +13,13 @@ from pettingzoo.utils import wrappers
 from pettingzoo.utils.conversions import parallel_to_aec
 from pettingzoo.utils.env import AECEnv, ParallelEnv
 
+from .drawing.renderer import RENDER_MODES, Renderer, render_metadata
+from .engine.teams import RENDEZVOUS, RUNNING
+from .experiment.scenario import Scenario
+from .experiment.scenarios import resolve
 from .outcome import Outcome
-from .rendering import RENDER_MODES, Renderer, render_metadata
-from .scenario import Scenario
-from .scenarios import resolve
 from .simulator import Simulator
 from .spaces import action_box, observation_box, state_box, team_state
-from .teams import RENDEZVOUS, RUNNING
 
 ScenarioLike = Scenario | str | os.PathLike[str]
 Observations = dict[str, NDArray[np.float32]]

@@ -9,17 +9,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from . import threads
-from .jit import compiled, entry_point
-from .kernels import first_not_finite, observe_blocks, step_blocks
-from .lanes import FEW, LANES
-from .options import StartOptions, parse_options
-from .outcome import Outcome
-from .preparation import empty_teams, fixed_obstacles, physics, start_rules
-from .scenario import Scenario
-from .sharing import Part
-from .starts import StartRules, reset_teams
-from .teams import (
+from .compilation import compiled, entry_point
+from .engine import threads
+from .engine.lanes import FEW, LANES
+from .engine.preparation import empty_teams, fixed_obstacles, physics, start_rules
+from .engine.sharing import Part
+from .engine.starts import StartRules, reset_teams
+from .engine.step import first_not_finite, observe_blocks, step_blocks
+from .engine.teams import (
     ACTIVE,
     BOOK,
     CONTACTS,
@@ -40,6 +37,9 @@ from .teams import (
     to_book,
     to_lanes,
 )
+from .experiment.scenario import Scenario
+from .experiment.start_options import StartOptions, parse_options
+from .outcome import Outcome
 
 _WORK_PER_THREAD = 4096
 """Robot pairs below which another thread costs more than it saves."""

@@ -8,10 +8,10 @@ import numpy as np
 from gymnasium.spaces import Box
 from numpy.typing import NDArray
 
-from .obstacles import row_width
-from .scenario import Scenario
+from .experiment.obstacles import row_width
+from .experiment.scenario import Scenario
+from .guarantee.steering import Steering
 from .simulator import Simulator
-from .steering import Steering
 
 
 def observation_bounds(scenario: Scenario) -> NDArray[np.float32]:

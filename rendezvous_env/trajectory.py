@@ -10,11 +10,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from .engine.teams import RENDEZVOUS, RUNNING
+from .experiment.scenario import Scenario
+from .experiment.scenarios import resolve
 from .outcome import Outcome
-from .scenario import Scenario
-from .scenarios import resolve
 from .simulator import Simulator
-from .teams import RENDEZVOUS, RUNNING
 
 Policy = Callable[[NDArray[np.float32], NDArray[np.float64]], NDArray[Any]]
 

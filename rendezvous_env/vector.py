@@ -13,6 +13,8 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
+from .engine.teams import RENDEZVOUS, TIME_OUT
+from .guarantee.steering import Steering
 from .gymnasium_env import (
     Info,
     RendezvousVectorEnv,
@@ -24,8 +26,6 @@ from .gymnasium_env import (
 )
 from .outcome import Outcome
 from .spaces import heading_box, heading_observation_box
-from .steering import Steering
-from .teams import RENDEZVOUS, TIME_OUT
 from .wrappers import check_period, restore
 
 

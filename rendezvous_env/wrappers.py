@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from pettingzoo.utils.env import ParallelEnv
 from pettingzoo.utils.wrappers import BaseParallelWrapper
 
+from .guarantee.steering import Steering
 from .rendezvous_v0 import Infos, Observations, RendezvousParallelEnv, is_action
 from .spaces import heading_box, heading_observation_box
-from .steering import Steering
 
 StepReturn = tuple[Observations, dict[str, float], dict[str, bool], dict[str, bool], Infos]
 

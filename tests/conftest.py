@@ -19,7 +19,7 @@ from hypothesis import settings
 
 import baselines
 from rendezvous_env import Scenario, Simulator
-from rendezvous_env.teams import RENDEZVOUS
+from rendezvous_env.engine.teams import RENDEZVOUS
 from rendezvous_env.trajectory import run
 
 settings.register_profile("rendezvous", deadline=None, derandomize=True, print_blob=False)
@@ -144,7 +144,7 @@ def without_rights() -> Callable[[Path], AbstractContextManager[None]]:
 @pytest.fixture(scope="session")
 def compared(tmp_path_factory):
     """What a small comparison writes: obstacles in the plane, and flying robots."""
-    from train import compare
+    from train.comparing import compare
 
     out = tmp_path_factory.mktemp("compared")
     policies = ("bearing-only", "tangent-joined", "nonholonomic-3d", "zero")

@@ -65,7 +65,7 @@ def test_every_command_shown_is_understood(page):
         if words[0] == "python":
             assert (ROOT / words[1]).is_file(), line
             continue
-        config = import_module(COMMANDS[words[1]][0]).Config
+        config = import_module(f"train.{COMMANDS[words[1]][0]}").Config
         tyro.cli(config, args=words[2:])
     assert seen
 

@@ -9,8 +9,9 @@ from conftest import UNEQUAL, five, run_to_end, unequal_matrix
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rendezvous_env import Scenario, certificate, graphs
-from rendezvous_env.lyapunov import (
+from rendezvous_env import Scenario, certificate
+from rendezvous_env.experiment import graphs
+from rendezvous_env.guarantee.lyapunov import (
     lyapunov,
     lyapunov_rate,
     net_bearings,

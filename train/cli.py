@@ -13,15 +13,15 @@ from collections.abc import Sequence
 from importlib import import_module
 
 COMMANDS = {
-    "compare": ("train.compare", "compare policies on the same starts: table, files, figures"),
-    "train": ("train.ppo", "PPO learns headings that keep the guarantee; stop and resume at will"),
-    "report": ("train.report", "an HTML page of what compare found, with an interactive replay"),
-    "bench": ("train.bench", "how fast the environments are on this machine"),
-    "render": ("train.render", "one episode as a film (gif, mp4) or a figure (png, pdf)"),
-    "reproduce": ("train.reproduce", "draw figure 3 or 4 of the paper for our start positions"),
-    "verify": ("train.verify", "check the theorems on random teams; status 1 if one fails"),
+    "compare": ("comparing.compare", "compare policies on the same starts: table, files, figures"),
+    "train": ("learning.ppo", "PPO learns headings that keep the guarantee; stop it, resume it"),
+    "report": ("report.build", "an HTML page of what compare found, with an interactive replay"),
+    "bench": ("benchmark.bench", "how fast the environments are on this machine"),
+    "render": ("pictures.render", "one episode as a film (gif, mp4) or a figure (png, pdf)"),
+    "reproduce": ("pictures.reproduce", "draw figure 3 or 4 of the paper for our start positions"),
+    "verify": ("verification.verify", "check the theorems on random teams; status 1 if one fails"),
 }
-"""Module and one line of help for each command."""
+"""Module in ``train`` and one line of help for each command."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -51,7 +51,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _run(command: str, flags: Sequence[str]) -> int:
     import tyro
 
-    module = import_module(COMMANDS[command][0])
+    module = import_module(f"train.{COMMANDS[command][0]}")
     config = tyro.cli(module.Config, prog=f"rendezvous {command}", args=flags)
     return int(module.run(config) or 0)
 

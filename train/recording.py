@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rendezvous_env.engine.teams import RUNNING
 from rendezvous_env.simulator import Simulator
-from rendezvous_env.teams import RUNNING
 from rendezvous_env.trajectory import Step
 
 MAX_FRAMES = 400

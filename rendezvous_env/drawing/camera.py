@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..geometry import ABSENT, CENTRE, COUNT, RADIUS
+from ..equations.geometry import ABSENT, CENTRE, COUNT, RADIUS
 
 Floats = NDArray[np.float64]
 

@@ -8,8 +8,8 @@ import numpy as np
 import pygame
 from numpy.typing import NDArray
 
-from ..palette import Rgb as Colour
-from ..palette import mixed
+from .palette import Rgb as Colour
+from .palette import mixed
 
 Place = tuple[float, float] | list[float]
 

@@ -8,7 +8,7 @@ import numpy as np
 import pygame
 from numpy.typing import NDArray
 
-from ..scenario import Scenario
+from ..experiment.scenario import Scenario
 from ..simulator import Simulator
 from . import ink
 from .camera import Area, Floats

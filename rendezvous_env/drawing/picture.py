@@ -9,12 +9,12 @@ import numpy as np
 import pygame
 from numpy.typing import NDArray
 
-from ..geometry import ABSENT, CENTRE, COUNT, RADIUS
-from ..palette import OBSTACLE, OBSTACLE_EDGE, robot_colour
-from ..scenario import Scenario
+from ..equations.geometry import ABSENT, CENTRE, COUNT, RADIUS
+from ..experiment.scenario import Scenario
 from . import ink
 from .camera import Area, Floats, fit, nice_step
 from .history import History, Moment
+from .palette import OBSTACLE, OBSTACLE_EDGE, robot_colour
 
 _MARGIN = 18
 _ROBOT = 6.5

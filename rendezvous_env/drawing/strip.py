@@ -8,10 +8,10 @@ from itertools import pairwise
 import numpy as np
 import pygame
 
-from ..palette import ROBOTS
 from . import ink
 from .camera import Area, nice_step
 from .history import History
+from .palette import ROBOTS
 
 _LEFT, _RIGHT, _TOP, _BOTTOM = 64, 16, 16, 34
 """Margins within the strip, pixels."""

@@ -1,0 +1,1 @@
+"""How the physics is done for many teams: memory, the step, threads."""

@@ -1,0 +1,80 @@
+"""Counter-based random numbers: an episode is the same wherever and whenever it is drawn.
+
+A stream is a key made of (seed, episode, purpose); its k-th number is a function of the key and k
+alone. The mixing function is that of SplitMix64 (Steele, Lea and Flood, 2014).
+"""
+
+import math
+
+import numpy as np
+
+from ..compilation import kernel
+
+START, FRAMES, OBSTACLES, GRAPH, SENSING, ACTUATION = range(6)
+"""Purposes; a stream of its own for each, so that one never shifts another."""
+
+_INCREMENT = np.uint64(0x9E3779B97F4A7C15)
+_FACTOR_1 = np.uint64(0xBF58476D1CE4E5B9)
+_FACTOR_2 = np.uint64(0x94D049BB133111EB)
+_SHIFT_30, _SHIFT_27, _SHIFT_31, _SHIFT_11 = (np.uint64(shift) for shift in (30, 27, 31, 11))
+_TO_UNIT_INTERVAL = 2.0**-53
+
+
+@kernel
+def mix(word):
+    """Scramble 64 bits: the finaliser of SplitMix64, a bijection of uint64."""
+    word = (word ^ (word >> _SHIFT_30)) * _FACTOR_1
+    word = (word ^ (word >> _SHIFT_27)) * _FACTOR_2
+    return word ^ (word >> _SHIFT_31)
+
+
+@kernel
+def stream_key(seed, episode, purpose):
+    """Key of the stream for one purpose in one episode of a seed; uint64."""
+    key = mix(np.uint64(seed) + _INCREMENT)
+    key = mix(key ^ (np.uint64(episode) + _INCREMENT))
+    return mix(key ^ (np.uint64(purpose) + _INCREMENT))
+
+
+@kernel
+def uniform(key, counter):
+    """The ``counter``-th number of the stream, uniform in [0, 1)."""
+    word = mix(key + np.uint64(counter + 1) * _INCREMENT)
+    return np.float64(word >> _SHIFT_11) * _TO_UNIT_INTERVAL
+
+
+@kernel
+def draw_rotation(key, first_counter, out):
+    """A uniformly distributed rotation matrix, from at most three numbers of the stream.
+
+    Args:
+        key: stream.
+        first_counter: where in the stream to begin.
+        out: (d, d) array for the matrix, d = 2 or 3.
+    """
+    turn = 2.0 * math.pi * uniform(key, first_counter)
+    if out.shape[0] == 2:
+        c, s = math.cos(turn), math.sin(turn)
+        out[0, 0], out[0, 1], out[1, 0], out[1, 1] = c, -s, s, c
+        return
+    # a uniform unit quaternion (x, y, z, w), after Shoemake (1992)
+    other_turn = 2.0 * math.pi * uniform(key, first_counter + 1)
+    share = uniform(key, first_counter + 2)
+    small, large = math.sqrt(1.0 - share), math.sqrt(share)
+    x, y = small * math.sin(turn), small * math.cos(turn)
+    z, w = large * math.sin(other_turn), large * math.cos(other_turn)
+    out[0, 0], out[0, 1], out[0, 2] = (
+        1 - 2 * (y * y + z * z),
+        2 * (x * y - z * w),
+        2 * (x * z + y * w),
+    )
+    out[1, 0], out[1, 1], out[1, 2] = (
+        2 * (x * y + z * w),
+        1 - 2 * (x * x + z * z),
+        2 * (y * z - x * w),
+    )
+    out[2, 0], out[2, 1], out[2, 2] = (
+        2 * (x * z - y * w),
+        2 * (y * z + x * w),
+        1 - 2 * (x * x + y * y),
+    )

@@ -1,0 +1,1 @@
+"""What is simulated: scenario, graph, obstacles, start, reward, layout of an observation."""

@@ -1,0 +1,361 @@
+"""Sensing graphs: fixed ones, and families from which every episode draws its own."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..compilation import kernel
+from ..equations.random_streams import uniform
+
+FIXED, RANDOM_TREE, ERDOS_RENYI = range(3)
+_TOPOLOGIES = {"random_tree": RANDOM_TREE, "erdos_renyi": ERDOS_RENYI}
+_FIXED_KINDS = ("complete", "path", "cycle", "star")
+_TRIES_FOR_CONNECTED = 100
+
+
+@dataclass(frozen=True)
+class Graph:
+    """An undirected weighted sensing graph for any number of robots, or a family of them.
+
+    Make one with the functions of this module rather than by hand.
+    """
+
+    kind: str
+    """complete, path, cycle, star, edges, random_tree or erdos_renyi."""
+    weight_range: tuple[float, float] = (1.0, 1.0)
+    """Each edge draws its weight a_ij uniformly from this range, m/s; factors for kind "edges"."""
+    edges: tuple[tuple[int, int, float], ...] = ()
+    """(i, j, a_ij) with i < j; for kind "edges" only."""
+    n_nodes: int | None = None
+    """Number of robots that the edges are for; for kind "edges" only."""
+    probability: float = 0.5
+    """Chance of each edge; for kind "erdos_renyi" only."""
+
+    def __post_init__(self) -> None:
+        kinds = (*_FIXED_KINDS, "edges", *_TOPOLOGIES)
+        if self.kind not in kinds:
+            raise ValueError(
+                f"graph: {self.kind!r} is not a graph; choose one of {', '.join(kinds)}"
+            )
+        low, high = self.weight_range
+        if not (np.isfinite(low) and np.isfinite(high) and 0 < low <= high):
+            raise ValueError(
+                f"graph: weight_range {self.weight_range} must be finite, 0 < low <= high"
+            )
+        if not 0 < self.probability <= 1:
+            raise ValueError(f"graph: probability {self.probability} must be in (0, 1]")
+
+    @property
+    def topology(self) -> int:
+        """How an episode draws its edges: FIXED, RANDOM_TREE or ERDOS_RENYI."""
+        return _TOPOLOGIES.get(self.kind, FIXED)
+
+    def base_weights(self, n: int) -> NDArray[np.float64]:
+        """Weights before drawing, (n, n): an episode keeps some edges and scales each by a draw.
+
+        Raises:
+            ValueError: if the graph's edges are for another number of robots.
+        """
+        weights = np.zeros((n, n))
+        if self.kind == "edges":
+            if n != self.n_nodes:
+                raise ValueError(
+                    f"graph: its matrix or edge list is for {self.n_nodes} robots, not for {n}"
+                )
+            for i, j, weight in self.edges:
+                weights[i, j] = weights[j, i] = weight
+        elif self.kind == "path":
+            weights = np.eye(n, k=1) + np.eye(n, k=-1)
+        elif self.kind == "cycle":
+            weights = np.eye(n, k=1) + np.eye(n, k=-1)
+            weights[0, -1] = weights[-1, 0] = 1.0
+        elif self.kind == "star":
+            weights[0, 1:] = weights[1:, 0] = 1.0
+        else:
+            weights = 1.0 - np.eye(n)
+        return weights
+
+    def components(self, n: int) -> list[list[int]]:
+        """Connected components as lists of robot indices; a family only draws connected graphs."""
+        return components(self.base_weights(n))
+
+    def max_degree(self, n: int) -> float:
+        """D̄, m/s: the largest D_i = Σ_j a_ij that an episode or its merges can produce (theory
+        4).
+        """
+        base, (_, high) = self.base_weights(n), self.weight_range
+        if self.topology == RANDOM_TREE:
+            return (n - 1) * high
+        return max((max_degree(base[np.ix_(c, c)] * high) for c in components(base)), default=0.0)
+
+    def bottleneck_weight(self, n: int) -> float:
+        """a*, m/s: the least a* over all graphs that an episode can draw (theory 3)."""
+        low, _ = self.weight_range
+        return low if self.topology != FIXED else bottleneck_weight(self.base_weights(n) * low)
+
+    def weight_sum(self, n: int) -> float:
+        """W, m/s: the largest sum of edge weights that an episode can draw."""
+        high = self.weight_range[1]
+        if self.topology == RANDOM_TREE:
+            return (n - 1) * high
+        return float(np.triu(self.base_weights(n)).sum()) * high
+
+    def to_plain(self) -> str | dict[str, Any]:
+        """The graph as plain data for TOML; ``parse`` turns it back into an equal graph."""
+        if self == Graph(self.kind) and self.kind != "edges":
+            return self.kind
+        plain: dict[str, Any] = {"kind": self.kind, "weight_range": list(self.weight_range)}
+        if self.kind == "edges":
+            plain |= {"n_nodes": self.n_nodes, "edges": [list(edge) for edge in self.edges]}
+        if self.kind == "erdos_renyi":
+            plain["probability"] = self.probability
+        return plain
+
+
+GraphLike = Graph | str | Sequence[Sequence[float]] | NDArray[Any]
+
+
+def complete(weight: float | tuple[float, float] = 1.0) -> Graph:
+    """Everyone sees everyone; ``weight`` in m/s, or a range to draw from."""
+    return Graph("complete", _as_range(weight))
+
+
+def path(weight: float | tuple[float, float] = 1.0) -> Graph:
+    """Robot i sees i - 1 and i + 1."""
+    return Graph("path", _as_range(weight))
+
+
+def cycle(weight: float | tuple[float, float] = 1.0) -> Graph:
+    """A path whose ends see each other."""
+    return Graph("cycle", _as_range(weight))
+
+
+def star(weight: float | tuple[float, float] = 1.0) -> Graph:
+    """Everyone sees robot 0 and is seen by it."""
+    return Graph("star", _as_range(weight))
+
+
+def random_tree(weight: float | tuple[float, float] = 1.0) -> Graph:
+    """A uniformly random labelled tree, drawn anew for every episode."""
+    return Graph("random_tree", _as_range(weight))
+
+
+def erdos_renyi(probability: float, weight: float | tuple[float, float] = 1.0) -> Graph:
+    """A connected Erdős–Rényi graph, drawn anew for every episode.
+
+    Draws are repeated until one is connected; after 100 in vain a uniformly random spanning tree is
+    added to the last one.
+    """
+    return Graph("erdos_renyi", _as_range(weight), probability=probability)
+
+
+def from_edges(edges: Iterable[Sequence[float]], n_robots: int | None = None) -> Graph:
+    """A graph from (i, j) or (i, j, weight) with robot indices from 0; weight 1 m/s if not given.
+
+    Raises:
+        ValueError: for a loop, a repeated edge, an index out of range or a bad weight.
+    """
+    listed = [(int(e[0]), int(e[1]), float(e[2]) if len(e) > 2 else 1.0) for e in edges]
+    n = n_robots or 1 + max((max(i, j) for i, j, _ in listed), default=0)
+    ordered: dict[tuple[int, int], float] = {}
+    for i, j, weight in listed:
+        pair = (min(i, j), max(i, j))
+        if i == j or pair in ordered or pair[0] < 0 or pair[1] >= n:
+            raise ValueError(
+                f"graph: edge ({i}, {j}) must join two different robots of 0..{n - 1}, once"
+            )
+        if not (np.isfinite(weight) and weight > 0):
+            raise ValueError(
+                f"graph: edge ({i}, {j}) has weight {weight}; it must be positive and finite"
+            )
+        ordered[pair] = weight
+    return Graph(
+        "edges", edges=tuple((i, j, w) for (i, j), w in sorted(ordered.items())), n_nodes=n
+    )
+
+
+def from_matrix(weights: ArrayLike) -> Graph:
+    """A graph from its symmetric (n, n) matrix of weights a_ij, m/s; 0 = no edge.
+
+    Raises:
+        ValueError: naming the entry that is not finite, negative, on the diagonal or not symmetric.
+    """
+    matrix = np.asarray(weights, dtype=np.float64)
+    check_weights(matrix)
+    rows, columns = np.nonzero(np.triu(matrix))
+    edges = zip(rows.tolist(), columns.tolist(), matrix[rows, columns].tolist(), strict=True)
+    return Graph("edges", edges=tuple(edges), n_nodes=len(matrix))
+
+
+def parse(value: GraphLike | dict[str, Any]) -> Graph:
+    """A Graph from a Graph, a name, a matrix, or the plain data of ``Graph.to_plain``."""
+    if isinstance(value, Graph):
+        return value
+    if isinstance(value, str):
+        return Graph(value)
+    if isinstance(value, dict):
+        return _from_plain(value)
+    return from_matrix(value)
+
+
+def _from_plain(plain: dict[str, Any]) -> Graph:
+    known = {"kind", "weight_range", "edges", "n_nodes", "probability"}
+    if unknown := sorted(set(plain) - known):
+        raise ValueError(
+            f"graph: unknown key {unknown[0]!r}; known keys are {', '.join(sorted(known))}"
+        )
+    low, high = plain.get("weight_range", (1.0, 1.0))
+    kind = plain.get("kind", "edges" if "edges" in plain else "complete")
+    if kind == "edges":
+        graph = from_edges(plain.get("edges", ()), plain.get("n_nodes"))
+        return Graph("edges", (float(low), float(high)), graph.edges, graph.n_nodes)
+    return Graph(kind, (float(low), float(high)), probability=float(plain.get("probability", 0.5)))
+
+
+def check_weights(weights: NDArray[np.float64], n: int | None = None, field: str = "graph") -> None:
+    """Refuse a matrix that is no set of sensing weights.
+
+    Args:
+        weights: to be (n, n), symmetric, non-negative, finite, zero on the diagonal.
+        n: number of robots, if known.
+        field: what the message calls the matrix.
+
+    Raises:
+        ValueError: naming the shape or the first entry that is wrong.
+    """
+    size = n if n is not None else (weights.shape[0] if weights.ndim else 0)
+    if weights.shape != (size, size):
+        raise ValueError(
+            f"{field}: weights have shape {weights.shape}; they must be ({size}, {size})"
+        )
+    reasons = (
+        (~np.isfinite(weights), "must be finite"),
+        (weights < 0, "must not be negative"),
+        (np.diag(np.diag(weights) != 0), "must be 0: no robot is its own neighbour"),
+        (
+            weights != weights.T,
+            "must equal its mirror image: the graph is undirected (a_ij = a_ji)",
+        ),
+    )
+    for wrong, reason in reasons:
+        if np.any(wrong):
+            i, j = (int(k) for k in np.argwhere(wrong)[0])
+            raise ValueError(f"{field}: weight a[{i}, {j}] = {weights[i, j]} {reason}")
+
+
+def components(weights: NDArray[np.float64]) -> list[list[int]]:
+    """Connected components of a weight matrix, as lists of indices."""
+    from scipy.sparse.csgraph import connected_components
+
+    count, labels = connected_components(weights > 0, directed=False)
+    return [np.flatnonzero(labels == label).tolist() for label in range(count)]
+
+
+def max_degree(weights: NDArray[np.float64]) -> float:
+    """D̄ of one connected weight matrix: the largest D_i that merging can produce (theory 4)."""
+    if not np.any(weights > 0):
+        return 0.0
+    n, heaviest = len(weights), float(weights.max())
+    neighbours = int((weights > 0).sum(axis=1).max())
+    most = 2 if neighbours <= 2 else n - 1
+    return min(most * heaviest, float(np.triu(weights).sum()))
+
+
+def bottleneck_weight(weights: NDArray[np.float64]) -> float:
+    """a* of a weight matrix: the least edge of a maximum spanning tree (of each component)."""
+    from scipy.sparse.csgraph import minimum_spanning_tree
+
+    tree = minimum_spanning_tree(np.where(weights > 0, -weights, 0.0))
+    return float(-tree.data.max()) if tree.nnz else 0.0
+
+
+def _as_range(weight: float | tuple[float, float]) -> tuple[float, float]:
+    low, high = weight if isinstance(weight, tuple) else (weight, weight)
+    return float(low), float(high)
+
+
+@kernel
+def draw_weights(key, topology, probability, low, high, base, out):
+    """Draw the weights of one episode.
+
+    Args:
+        key: random stream.
+        topology: FIXED, RANDOM_TREE or ERDOS_RENYI.
+        probability: chance of an edge, for ERDOS_RENYI.
+        low: least factor on an edge's base weight.
+        high: largest factor.
+        base: (n, n) base weights.
+        out: (n, n) array for a_ij, m/s.
+    """
+    n = base.shape[0]
+    counter = 0
+    if topology == FIXED:
+        out[:] = base
+    else:
+        out[:] = 0.0
+        if topology == ERDOS_RENYI:
+            counter = _draw_connected_edges(key, probability, out)
+        if topology == RANDOM_TREE or not _is_connected(out):
+            counter = _draw_tree_edges(key, counter, out)
+    for i in range(n):
+        for j in range(i + 1, n):
+            out[i, j] *= low + (high - low) * uniform(key, counter)
+            out[j, i] = out[i, j]
+            counter += 1
+
+
+@kernel
+def _draw_connected_edges(key, probability, out):
+    n = out.shape[0]
+    counter = 0
+    for _ in range(_TRIES_FOR_CONNECTED):
+        for i in range(n):
+            for j in range(i + 1, n):
+                out[i, j] = 1.0 if uniform(key, counter) < probability else 0.0
+                out[j, i] = out[i, j]
+                counter += 1
+        if _is_connected(out):
+            break
+    return counter
+
+
+@kernel
+def _draw_tree_edges(key, counter, out):
+    """First-entry edges of a random walk on the complete graph: a uniform tree (Aldous–Broder)."""
+    n = out.shape[0]
+    visited = np.zeros(n, dtype=np.bool_)
+    here = 0
+    visited[here] = True
+    left = n - 1
+    while left > 0:
+        there = int(uniform(key, counter) * n)
+        counter += 1
+        if not visited[there]:
+            visited[there] = True
+            out[here, there] = 1.0
+            out[there, here] = 1.0
+            left -= 1
+        here = there
+    return counter
+
+
+@kernel
+def _is_connected(weights):
+    n = weights.shape[0]
+    reached = np.zeros(n, dtype=np.bool_)
+    frontier = np.empty(n, dtype=np.int64)
+    reached[0], frontier[0], count, done = True, 0, 1, 0
+    while done < count:
+        i = frontier[done]
+        done += 1
+        for j in range(n):
+            if weights[i, j] > 0.0 and not reached[j]:
+                reached[j] = True
+                frontier[count] = j
+                count += 1
+    return count == n

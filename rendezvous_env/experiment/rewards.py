@@ -1,0 +1,53 @@
+"""Named reward terms and their weights. The reward may use the global state; observations never
+do.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+
+from ..compilation import kernel
+
+
+@dataclass(frozen=True)
+class RewardWeights:
+    """Weights of the terms of the team reward; every robot gets the team reward.
+
+    Raises:
+        ValueError: naming a weight that is not a finite number.
+    """
+
+    progress: float = 1.0
+    """Times (V_t − V_{t+1})/V_0, which adds up to at most 1 over an episode."""
+    time_penalty: float = 0.1
+    """Paid evenly over the time limit."""
+    collision_penalty: float = 0.1
+    """Paid for each robot in contact with an obstacle, in each step."""
+    rendezvous_bonus: float = 1.0
+    """Earned once, when all robots have become one."""
+
+    def __post_init__(self) -> None:
+        for name, value in asdict(self).items():
+            if (
+                isinstance(value, bool)
+                or not isinstance(value, int | float)
+                or not math.isfinite(value)
+            ):
+                raise ValueError(f"reward.{name} is {value!r}; it must be a finite number")
+            object.__setattr__(self, name, float(value))
+
+
+@kernel
+def team_reward(progress, time_share, contacts, met, weights):
+    """Team reward of one step.
+
+    Args:
+        progress: (V_t − V_{t+1})/V_0.
+        time_share: τ / time limit.
+        contacts: robots in contact with an obstacle.
+        met: whether this step brought the rendezvous.
+        weights: (progress, time_penalty, collision_penalty, rendezvous_bonus).
+    """
+    reward = weights[0] * progress - weights[1] * time_share - weights[2] * contacts
+    return reward + weights[3] if met else reward

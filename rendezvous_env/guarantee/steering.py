@@ -1,0 +1,389 @@
+"""Steering: raw vectors in, actions out. The memory and the arithmetic behind both heading
+wrappers.
+
+Everything here comes from the robots' own observations: no position, no global frame.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..compilation import inlined_kernel, kernel
+from ..engine import threads
+from ..engine.sharing import Part, Share, begin, end, take
+from ..equations.vectors import combine, dot, load, split, without
+from ..experiment.scenario import Scenario
+from .heading import certify_one, check_gate_constants, scale_of_step, step_scale, turn_limit
+from .turning import gate_2d, gate_3d, mean_body_axis_2d, mean_body_axis_3d
+
+FRAMES = ("net_bearing", "local")
+_ROBOTS_PER_THREAD = 2048
+_TEAMS = 32
+"""That a thread takes at a time."""
+_NEARLY_ALONG = 1e-6
+"""A row whose part across f is shorter than this cannot give a frame its second axis, m/s."""
+_CLEARLY_LONGER = 1.001
+"""Rounding must not choose among equal rows: two neighbours' parts across f always are."""
+
+
+class _Constants(NamedTuple):
+    """What the kernels need to know of the scenario and of the wrapper's arguments."""
+
+    neighbour_slots: int
+    merge_radius: float
+    duration: float
+    min_alignment: float
+    dead_zone: float
+    max_turn: float
+    certified: bool
+    long_step: bool
+
+
+class Steering:
+    """Headings, frames and held raw vectors of the robots of B teams.
+
+    Args:
+        scenario: whose robots are steered.
+        num_envs: B.
+        min_alignment: ε, in (0, 1).
+        max_turn_rate: of a heading or of a body axis, rad/s; the scenario's limit holds too.
+        frame: "net_bearing" (x along f; single integrators only, the other models keep the body
+            frame) or "local".
+        certified: False lets the raw vector through: law (4) bare, without margin or gate.
+
+    Raises:
+        ValueError: naming the argument, its value and what would be right.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        num_envs: int,
+        *,
+        min_alignment: float = 0.1,
+        max_turn_rate: float = 3.0,
+        frame: str = "net_bearing",
+        certified: bool = True,
+    ) -> None:
+        dead_zone = scenario.dead_zone if scenario.dead_zone > 0 else 1.0
+        check_gate_constants(min_alignment, dead_zone)
+        if not 0 < max_turn_rate < math.inf:
+            raise ValueError(f"max_turn_rate is {max_turn_rate!r}; it must be positive (rad/s)")
+        if frame not in FRAMES:
+            raise ValueError(f"frame is {frame!r}; it must be one of {FRAMES}")
+        self.scenario = scenario
+        self.turns_body = scenario.model.nonholonomic
+        self.along_net_bearing = frame == "net_bearing" and not self.turns_body
+        self.action_size = scenario.model.n_angles if self.turns_body else scenario.dim
+        self._limits = self._turn_limits(max_turn_rate)
+        self._constants = _Constants(
+            neighbour_slots=scenario.observation_layout.neighbour_slots,
+            merge_radius=scenario.merge_radius,
+            duration=scenario.tau,
+            min_alignment=float(min_alignment),
+            dead_zone=float(dead_zone),
+            max_turn=float(self._limits[0]) * scenario.tau,
+            certified=bool(certified),
+            long_step=scenario.tau > scenario.certified_step,
+        )
+        n, d = scenario.n_robots, scenario.dim
+        self._headings = np.zeros((num_envs, n, d))
+        self._frames = np.tile(np.eye(d), (num_envs, n, 1, 1))
+        self._held = np.zeros((num_envs, n, self.action_size))
+        self.alignment = np.full((num_envs, n), np.nan)
+        self.lyapunov_rate = np.zeros((num_envs, n))
+
+    def _turn_limits(self, max_turn_rate: float) -> NDArray[np.float64]:
+        """Limit of each turn rate, rad/s: the smaller of the wrapper's and the scenario's."""
+        if self.turns_body:
+            return np.minimum(max_turn_rate, self.scenario.action_bounds[1:])
+        given = self.scenario.max_turn_rate
+        return np.array([max_turn_rate if given is None else min(max_turn_rate, given)])
+
+    @property
+    def headings(self) -> NDArray[np.float64]:
+        """h_i, (B, n, d), in the robots' own frames; zero for a robot that has none yet."""
+        return self._headings.copy()
+
+    def forget(self, mask: NDArray[np.bool_] | None = None) -> None:
+        """Forget everything about all teams, or about those of a mask (B,)."""
+        which = slice(None) if mask is None else mask
+        self._headings[which] = 0.0
+        self._frames[which] = np.eye(self.scenario.dim)
+        self._held[which] = 0.0
+        self.alignment[which] = np.nan
+        self.lyapunov_rate[which] = 0.0
+
+    def view(self, observations: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Observations as the policy sees them; brings the frames up to date.
+
+        Args:
+            observations: (B, n, rows, d), in the robots' own frames.
+
+        Returns:
+            Of the same shape; with x along f where that is asked for, unchanged otherwise.
+        """
+        if not self.along_net_bearing:
+            return observations
+        seen = np.empty_like(observations)
+        first_rows = self.scenario.observation_layout.obstacles.stop
+
+        fixed = (observations, self._constants, first_rows, self._frames, seen)
+        self._over_teams(lambda part: _look_along_net_bearing(part, *fixed))
+        return seen
+
+    def hold(self, raw: ArrayLike) -> None:
+        """Take new raw vectors, fixed in the robots' local frames from now on.
+
+        Args:
+            raw: (B, n, k): vectors (d,) as the policy sees them, or turn rates in units of
+                ``max_turn_rate``.
+
+        Raises:
+            ValueError: for a wrong shape, or naming the robot whose vector is not finite.
+        """
+        vectors = np.asarray(raw, dtype=np.float64)
+        if vectors.shape != self._held.shape:
+            raise ValueError(
+                f"actions have shape {vectors.shape}; they must be (B, n, k) = {self._held.shape}"
+            )
+        if not np.isfinite(vectors).all():
+            team, robot, _ = (int(k) for k in np.argwhere(~np.isfinite(vectors))[0])
+            raise ValueError(
+                f"action of robot_{robot} in team {team} is {vectors[team, robot].tolist()}; "
+                "it must be finite"
+            )
+        if self.along_net_bearing:
+            vectors = np.einsum("bnij,bnj->bni", self._frames, vectors)
+        self._held[...] = vectors
+
+    def act(self, observations: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Actions for the base environment; sets ``alignment`` and ``lyapunov_rate``.
+
+        Args:
+            observations: (B, n, rows, d), in the robots' own frames.
+
+        Returns:
+            (B, n, a) float32; zero for robots that see no neighbour.
+        """
+        shape = (*self._held.shape[:2], self.scenario.action_size)
+        actions = np.zeros(shape, dtype=np.float32)
+        if self.turns_body:
+            self._turn_bodies(observations, actions)
+            return actions
+
+        fixed = (observations, self._constants, self._held, self._headings)
+        given = (actions, self.alignment, self.lyapunov_rate)
+        self._over_teams(lambda part: _steer_headings(part, *fixed, *given))
+        return actions
+
+    def _turn_bodies(self, observations: NDArray[np.float32], actions: NDArray[np.float32]) -> None:
+        """Gated turn rates, and the speed v = mᵀf for the mean body axis m (theory 4, arcs)."""
+        constants, scenario = self._constants, self.scenario
+        seen = scenario.observation_layout.split(observations)
+        f = seen.neighbours.sum(axis=-2, dtype=np.float64)
+        degree = np.linalg.norm(seen.neighbours, axis=-1).sum(axis=-1, dtype=np.float64)
+        rates = np.clip(self._held, -1.0, 1.0) * self._limits
+        pitch = np.zeros(f.shape[:-1])
+        if seen.gravity is not None:
+            pitch = np.arctan2(-seen.gravity[..., 0], -seen.gravity[..., 2]).astype(np.float64)
+        if constants.certified:
+            self._gate(f, pitch, rates)
+        rates = rates.astype(np.float32).astype(np.float64)  # m is that of the rate executed
+        if scenario.dim == 2:
+            mean_axis = mean_body_axis_2d(rates[..., 0], constants.duration)
+        else:
+            mean_axis = mean_body_axis_3d(rates[..., 0], rates[..., 1], pitch, constants.duration)
+        along = np.sum(mean_axis * f, axis=-1)
+        scale = step_scale(degree, constants.merge_radius, constants.duration)
+        alone = degree == 0
+        actions[..., 0] = np.where(alone, 0.0, along * (scale if constants.certified else 1.0))
+        actions[..., 1:] = np.where(alone[..., None], 0.0, rates)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            self.alignment[...] = np.abs(f[..., 0]) / np.linalg.norm(f, axis=-1)
+        self.lyapunov_rate[...] = -2.0 * along**2
+
+    def _gate(
+        self, f: NDArray[np.float64], pitch: NDArray[np.float64], rates: NDArray[np.float64]
+    ) -> None:
+        """Replace turn rates that would let a robot stay orthogonal to f, in place."""
+        d, constants = f.shape[-1], self._constants
+        margins = (constants.min_alignment, constants.dead_zone, constants.duration)
+        flat, gated = rates.reshape(-1, d - 1), np.empty((rates.size // (d - 1), d - 1))
+        if d == 2:
+            gate_2d(flat, f.reshape(-1, d), *margins, self._limits, gated)
+        else:
+            gate_3d(flat, f.reshape(-1, d), pitch.reshape(-1), *margins, self._limits, gated)
+        rates[...] = gated.reshape(rates.shape)
+
+    def _over_teams(self, run_kernel: Callable[[Part], bool]) -> None:
+        """Run a kernel over the batch, on as many threads as are worth their cost."""
+        teams, n = self._held.shape[:2]
+        most = max(1, min(threads.available_cores(), teams * n // _ROBOTS_PER_THREAD))
+        threads.share(run_kernel, -(-teams // _TEAMS), most)
+
+    def get_state(self) -> dict[str, NDArray[np.float64]]:
+        """The memory: headings, frames and held raw vectors, as copies."""
+        return {
+            "headings": self._headings.copy(),
+            "frames": self._frames.copy(),
+            "held": self._held.copy(),
+        }
+
+    def set_state(self, state: Mapping[str, ArrayLike]) -> None:
+        """Put back what ``get_state`` took out.
+
+        Raises:
+            ValueError: naming a missing entry or one of another shape; nothing has changed then.
+        """
+        own = {"headings": self._headings, "frames": self._frames, "held": self._held}
+        for name, array in own.items():
+            if name not in state or np.shape(state[name]) != array.shape:
+                raise ValueError(f"state: {name} must be an array of shape {array.shape}")
+        for name, array in own.items():
+            array[...] = state[name]
+
+
+@inlined_kernel
+def _net_bearing(rows, neighbour_slots):
+    """f, the sum of the neighbour rows."""
+    f = (0.0, 0.0, 0.0)
+    for k in range(neighbour_slots):
+        f = combine(1.0, f, 1.0, load(rows[k]))
+    return f
+
+
+@inlined_kernel
+def _degree(rows, neighbour_slots):
+    """D, the sum of the lengths of the neighbour rows."""
+    degree = 0.0
+    for k in range(neighbour_slots):
+        row = load(rows[k])
+        degree += math.sqrt(dot(row, row))
+    return degree
+
+
+@inlined_kernel
+def _store(vector, out):
+    out[0], out[1] = vector[0], vector[1]
+    if out.shape[0] == 3:
+        out[2] = vector[2]
+
+
+@kernel
+def _steer_headings(
+    share, observations, constants, held, headings, actions, alignment, lyapunov_rate
+):
+    """``_steer_teams`` of the teams that this thread takes."""
+    share, done = Share(*share), 0
+    begin(share)
+    block = take(share)
+    while block < share.blocks:
+        first, last = block * _TEAMS, min((block + 1) * _TEAMS, len(observations))
+        _steer_teams(
+            first, last, observations, constants, held, headings, actions, alignment, lyapunov_rate
+        )
+        done += 1
+        block = take(share)
+    return end(share, done)
+
+
+@inlined_kernel
+def _steer_teams(
+    first, last, observations, constants, held, headings, actions, alignment, lyapunov_rate
+):
+    """Law (4) with the certified heading: v = min(1, r/(2Dτ)) h hᵀ f, for teams first … last −
+    1.
+    """
+    limit = turn_limit(constants.max_turn)
+    for team in range(first, last):
+        for i in range(observations.shape[1]):
+            f = _net_bearing(observations[team, i], constants.neighbour_slots)
+            raw, scale = load(held[team, i]), 1.0
+            if constants.certified:
+                h = certify_one(
+                    raw,
+                    f,
+                    load(headings[team, i]),
+                    constants.min_alignment,
+                    constants.dead_zone,
+                    limit,
+                )
+                if constants.long_step:
+                    degree = _degree(observations[team, i], constants.neighbour_slots)
+                    scale = scale_of_step(degree, constants.merge_radius, constants.duration)
+            else:
+                _, h = split(raw)
+            along = dot(h, f)
+            _store(h, headings[team, i])
+            _store(combine(along * scale, h, 0.0, h), actions[team, i])
+            strength, _ = split(f)
+            alignment[team, i] = abs(along) / strength if strength > 0.0 else np.nan
+            lyapunov_rate[team, i] = -2.0 * along * along
+
+
+@kernel
+def _look_along_net_bearing(share, observations, constants, visible_rows, frames, seen):
+    """``_look_from_teams`` of the teams that this thread takes."""
+    share, done = Share(*share), 0
+    begin(share)
+    block = take(share)
+    while block < share.blocks:
+        first, last = block * _TEAMS, min((block + 1) * _TEAMS, len(observations))
+        _look_from_teams(first, last, observations, constants, visible_rows, frames, seen)
+        done += 1
+        block = take(share)
+    return end(share, done)
+
+
+@inlined_kernel
+def _look_from_teams(first, last, observations, constants, visible_rows, frames, seen):
+    """Turn observations into frames with x along f, for teams first … last − 1.
+
+    Where ‖f‖ < δ the last frame is kept.
+    """
+    n, n_rows, d = observations.shape[1:]
+    for team in range(first, last):
+        for i in range(n):
+            rows, frame = observations[team, i], frames[team, i]
+            f = _net_bearing(rows, constants.neighbour_slots)
+            strength, towards = split(f)
+            if strength >= constants.dead_zone:
+                _aim_frame(towards, rows, visible_rows, frame)
+            for row in range(n_rows):
+                for axis in range(d):
+                    along = 0.0
+                    for k in range(d):
+                        along += frame[k, axis] * rows[row, k]
+                    seen[team, i, row, axis] = along
+
+
+@inlined_kernel
+def _aim_frame(towards, rows, visible_rows, frame):
+    """A right-handed frame with x = ``towards``; columns are its axes in the local frame.
+
+    In the plane this is unique. In space y is the part across x of the row for which that part is
+    longest, the first one of equals, or of the first local axis that is not along x.
+    """
+    _store(towards, frame[:, 0])
+    if frame.shape[0] == 2:
+        frame[0, 1], frame[1, 1] = -towards[1], towards[0]
+        return
+    longest, across = _NEARLY_ALONG, (0.0, 0.0, 0.0)
+    for k in range(visible_rows):
+        part = without(load(rows[k]), towards)
+        length, direction = split(part)
+        if length > _CLEARLY_LONGER * longest + _NEARLY_ALONG:
+            longest, across = length, direction
+    if longest == _NEARLY_ALONG:
+        axis = (1.0, 0.0, 0.0) if abs(towards[0]) < 0.9 else (0.0, 1.0, 0.0)
+        _, across = split(without(axis, towards))
+    x, y = towards, across
+    z = (x[1] * y[2] - x[2] * y[1], x[2] * y[0] - x[0] * y[2], x[0] * y[1] - x[1] * y[0])
+    _store(y, frame[:, 1])
+    _store(z, frame[:, 2])

@@ -1,0 +1,218 @@
+"""Turn rates of nonholonomic robots: laws (8) and (17), the gate around a policy, and arcs.
+
+docs/theory.md sections 3 (the gate) and 4 (arcs). All vectors are in the body frame at the start of
+the step: x = heading h, y = horizontal left, z = up-ish.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..compilation import kernel
+from ..equations.kinematics import arc_displacement, mean_cos_sin
+from ..equations.vectors import dot, load
+from .heading import check_gate_constants, check_vectors
+
+SMALLEST_COSINE = 1e-9
+"""Law (17) takes |cos β| for no less than this: its rate is then far over any limit."""
+
+
+def yaw_rate_law(left: Any, pitch: Any) -> Any:
+    """Yaw rate of law (17): α̇ = f_y / cos β, huge but finite at β = ±π/2.
+
+    Args:
+        left: f_y, the net bearing's part along the body's left, any shape, m/s.
+        pitch: β, of the same shape, rad.
+    """
+    cos_pitch = np.cos(pitch)
+    return left / np.copysign(np.maximum(np.abs(cos_pitch), SMALLEST_COSINE), cos_pitch)
+
+
+_yaw_rate_law = kernel(yaw_rate_law)
+
+
+def mean_body_axis_2d(rate: ArrayLike, duration: float) -> NDArray[np.float64]:
+    """Mean of a unicycle's body axis over a step with held turn rate.
+
+        m = (sin ωτ/(ωτ), (1 − cos ωτ)/(ωτ))                        (theory 4, arcs)
+
+    Args:
+        rate: ω, any shape, rad/s.
+        duration: τ, s.
+
+    Returns:
+        m, (..., 2), ‖m‖ ≤ 1, in the body frame at the start of the step.
+    """
+    rates = np.asarray(rate, dtype=np.float64)
+    out = np.empty((*rates.shape, 2))
+    _mean_axes_2d(rates.reshape(-1), float(duration), out.reshape(-1, 2))
+    return out
+
+
+def mean_body_axis_3d(
+    yaw_rate: ArrayLike, pitch_rate: ArrayLike, pitch: ArrayLike, duration: float
+) -> NDArray[np.float64]:
+    """Mean of a 3-D nonholonomic robot's body axis over a step with held yaw and pitch rates.
+
+        m = (1/τ) ∫ h dt,   h = (cos β cos α, cos β sin α, sin β),  α̇ = ω_α,  β̇ = ω_β
+
+    The integral is exact: it is the displacement of eq. (9) at unit speed.
+
+    Args:
+        yaw_rate: ω_α about the vertical, any shape, rad/s.
+        pitch_rate: ω_β, rad/s, broadcast with it.
+        pitch: β at the start of the step, rad, broadcast with it.
+        duration: τ, s, positive.
+
+    Returns:
+        m, (..., 3), ‖m‖ ≤ 1, in the body frame at the start of the step.
+    """
+    arrays = np.broadcast_arrays(
+        *(np.asarray(a, np.float64) for a in (yaw_rate, pitch_rate, pitch))
+    )
+    out = np.empty((*arrays[0].shape, 3))
+    _mean_axes_3d(*(a.flatten() for a in arrays), float(duration), out.reshape(-1, 3))
+    return out
+
+
+def gated_turn_rate(
+    requested: ArrayLike,
+    net_bearing: ArrayLike,
+    pitch: ArrayLike | None = None,
+    *,
+    min_alignment: float,
+    dead_zone: float,
+    duration: float,
+    max_rate: ArrayLike,
+) -> NDArray[np.float64]:
+    """Turn rates with which a nonholonomic robot cannot stay orthogonal to its net bearing.
+
+    While ‖f‖ > δ and |hᵀf| < ε‖f‖, or the requested (clipped) rate would give |mᵀf| < ε‖f‖/2 over
+    the step, the requested rate is replaced by law (8), ω = f_y, or (17), α̇ = f_y/cos β, β̇ = f_z,
+    clipped too; otherwise it is free (theory 3, the gate).
+
+    Args:
+        requested: ω, (..., 1), or (ω_α, ω_β), (..., 2), rad/s.
+        net_bearing: f, (..., 2) or (..., 3), m/s, in the body frame.
+        pitch: β, (...), rad; in space only.
+        min_alignment: ε, in (0, 1).
+        dead_zone: δ = a*/(2n), m/s.
+        duration: τ, s.
+        max_rate: limit of each rate, a number or (d - 1,), rad/s.
+
+    Returns:
+        Turn rates, of the shape of ``requested``, rad/s.
+
+    Raises:
+        ValueError: naming an argument out of range, of the wrong shape, or not finite.
+    """
+    check_gate_constants(min_alignment, dead_zone)
+    f = check_vectors("net_bearing", net_bearing)
+    leading, d = f.shape[:-1], f.shape[-1]
+    rates = _checked("requested", requested, (*leading, d - 1))
+    if (pitch is None) != (d == 2):
+        raise ValueError(
+            f"pitch must be {'left out' if d == 2 else 'given'} where net_bearing is {d}-D"
+        )
+    limits = np.array(np.broadcast_to(max_rate, (d - 1,)), dtype=np.float64)
+    if not (0 < duration < math.inf and (limits > 0).all()):
+        raise ValueError(f"duration {duration!r} and max_rate {max_rate!r} must be positive")
+    out = np.empty_like(rates)
+    constants = (float(min_alignment), float(dead_zone), float(duration))
+    flat = (rates.reshape(-1, d - 1), f.reshape(-1, d))
+    if pitch is None:
+        gate_2d(*flat, *constants, limits, out.reshape(-1, 1))
+    else:
+        angles = _checked("pitch", pitch, leading).reshape(-1)
+        gate_3d(*flat, angles, *constants, limits, out.reshape(-1, 2))
+    return out
+
+
+def _checked(name: str, value: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.float64]:
+    array = np.ascontiguousarray(value, dtype=np.float64).reshape(np.shape(value))
+    if array.shape != shape:
+        raise ValueError(
+            f"{name} has shape {array.shape}; with this net_bearing it must be {shape}"
+        )
+    if not np.isfinite(array).all():
+        raise ValueError(f"{name} must be finite")
+    return array
+
+
+@kernel
+def gate_2d(requested, net_bearing, min_alignment, dead_zone, duration, limits, out):
+    """``gated_turn_rate`` for N unicycles, unchecked; rates (N, 1), net bearings (N, 2)."""
+    for i in range(out.shape[0]):
+        f = load(net_bearing[i])
+        rate = clip(requested[i, 0], limits[0])
+        mean_axis = mean_axis_2d(rate, duration)
+        if not keeps_margin(f, mean_axis, min_alignment, dead_zone):
+            rate = clip(f[1], limits[0])
+        out[i, 0] = rate
+
+
+@kernel
+def gate_3d(requested, net_bearing, pitch, min_alignment, dead_zone, duration, limits, out):
+    """``gated_turn_rate`` for N robots in space, unchecked; rates (N, 2), pitch (N,)."""
+    work = np.empty(3)
+    for i in range(out.shape[0]):
+        f = load(net_bearing[i])
+        yaw_rate, pitch_rate = clip(requested[i, 0], limits[0]), clip(requested[i, 1], limits[1])
+        mean_axis = mean_axis_3d(yaw_rate, pitch_rate, pitch[i], duration, work)
+        if not keeps_margin(f, mean_axis, min_alignment, dead_zone):
+            yaw_rate, pitch_rate = (
+                clip(_yaw_rate_law(f[1], pitch[i]), limits[0]),
+                clip(f[2], limits[1]),
+            )
+        out[i, 0], out[i, 1] = yaw_rate, pitch_rate
+
+
+@kernel
+def keeps_margin(net_bearing, mean_axis, min_alignment, dead_zone):
+    """Whether |hᵀf| ≥ ε‖f‖ now and |mᵀf| ≥ ε‖f‖/2 over the step, or ‖f‖ ≤ δ; h is the x axis."""
+    f, m = net_bearing, mean_axis
+    strength = math.sqrt(dot(f, f))
+    if strength <= dead_zone:
+        return True
+    needed = min_alignment * strength
+    return abs(f[0]) >= needed and abs(dot(m, f)) >= 0.5 * needed
+
+
+@kernel
+def clip(rate, limit):
+    """The rate, at most ``limit`` either way."""
+    return min(max(rate, -limit), limit)
+
+
+@kernel
+def mean_axis_2d(rate, duration):
+    """``mean_body_axis_2d`` of one robot as (x, y, 0)."""
+    mean_cos, mean_sin = mean_cos_sin(0.0, rate * duration)
+    return mean_cos, mean_sin, 0.0
+
+
+@kernel
+def mean_axis_3d(yaw_rate, pitch_rate, pitch, duration, work):
+    """``mean_body_axis_3d`` of one robot as (x, y, z); ``work`` is room for 3 numbers."""
+    arc_displacement(1.0 / duration, 0.0, pitch, yaw_rate, pitch_rate, duration, work)
+    forward, left, up = work
+    c, s = math.cos(pitch), math.sin(pitch)
+    return c * forward + s * up, left, c * up - s * forward
+
+
+@kernel
+def _mean_axes_2d(rates, duration, out):
+    for i in range(out.shape[0]):
+        out[i, 0], out[i, 1], _ = mean_axis_2d(rates[i], duration)
+
+
+@kernel
+def _mean_axes_3d(yaw_rates, pitch_rates, pitches, duration, out):
+    work = np.empty(3)
+    for i in range(out.shape[0]):
+        mean = mean_axis_3d(yaw_rates[i], pitch_rates[i], pitches[i], duration, work)
+        out[i, 0], out[i, 1], out[i, 2] = mean

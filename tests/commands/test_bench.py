@@ -1,0 +1,131 @@
+"""The benchmark's cases do what their names say, and its files hold what was measured."""
+
+from __future__ import annotations
+
+import builtins
+import json
+
+import numpy as np
+import pytest
+
+from rendezvous_env.engine import threads
+from train.benchmark.bench import GROUPS, Config, Row, measure, run
+from train.benchmark.bench_cases import (
+    Case,
+    Running,
+    among_discs,
+    batched,
+    limit_by_pairs,
+    limit_by_rows,
+)
+from train.errors import UserError
+
+QUICK = {"robots": (3,), "num_envs": 48, "repeats": 2, "seconds": 0.004, "num_threads": 1}
+
+
+def measured(folder, **choices):
+    """Rows of a quick run, read from its file, and all of that file."""
+    path = folder / "bench.json"
+    run(Config(json=path, **choices, **QUICK))
+    written = json.loads(path.read_text())
+    return [Row(**row) for row in written["rows"]], written
+
+
+@pytest.mark.parametrize("walk", [limit_by_pairs, limit_by_rows])
+def test_the_limit_computes_bearings_sums_and_a_step(walk):
+    n, lanes = 4, 64
+    positions = np.random.default_rng(0).uniform(-1, 1, (1, n, 2, lanes))
+    p = np.moveaxis(positions[0].copy(), -1, 0)  # (lanes, n, 2)
+    bearings = np.zeros((1, n, n - 1, 2 * lanes))
+    threads.share(lambda part: walk(part, positions.reshape(1, n, -1), bearings), 1, 1)
+    g = p[:, None] - p[:, :, None]
+    g = np.divide(
+        g,
+        np.linalg.norm(g, axis=-1, keepdims=True),
+        where=~np.eye(n, dtype=bool)[..., None],
+        out=np.zeros_like(g),
+    )
+    seen = np.moveaxis(bearings[0].reshape(n, n - 1, 2, lanes), -1, 0)
+    for i in range(n):
+        np.testing.assert_allclose(seen[:, i], np.delete(g[:, i], i, axis=1), atol=1e-12)
+    moved = np.moveaxis(positions[0], -1, 0) - p
+    np.testing.assert_allclose(moved, 1e-9 * g.sum(axis=2), atol=1e-15)
+
+
+def test_all_rows_are_measured_and_written(tmp_path):
+    rows, written = measured(tmp_path)
+    assert {row.group for row in rows} == set(GROUPS)
+    assert all(row.rate > 0 and len(row.rates) == 2 for row in rows)
+    assert all(
+        row.ratio > 0
+        for row in rows
+        if row.name in ("Simulator", "PPO, end to end", "Heading PPO, end to end") and row.against
+    )
+    assert written["bytes_per_team"]["3"]["observations"] == 3 * 2 * 2 * 4
+    assert written["threads"] == 1 and "numba" in written["versions"]
+    assert list(tmp_path.iterdir()) == [tmp_path / "bench.json"]
+
+
+def test_rows_can_be_chosen_and_measured_on_a_busy_machine(tmp_path):
+    rows, _ = measured(tmp_path, only=("batched",), busy=True)
+    assert {row.group for row in rows} == {"batched"}
+    assert all(row.busy_rate > 0 for row in rows)
+
+
+def test_mistakes_are_told_before_anything_is_measured(tmp_path):
+    with pytest.raises(UserError, match="btached"):
+        run(Config(only=("btached",)))
+    with pytest.raises(UserError, match="no folder"):
+        run(Config(json=tmp_path / "missing" / "bench.json"))
+
+
+def test_a_ratio_is_taken_to_the_fastest_of_its_kind():
+    ticks = iter(range(10**6))
+
+    def case(name, work, against=""):
+        def step():
+            sum(range(work)), next(ticks)
+
+        return Case(name, "g", 2, 1, 1, "steps", lambda: Running(step, lambda: True), against)
+
+    cases = [case("limit a", 40_000), case("limit b", 4_000), case("ours", 40_000, "limit")]
+    ours = measure(cases, Config(repeats=3, seconds=0.02))[2]
+    assert 0.02 < ours.ratio < 0.4
+
+
+def test_merging_while_timed_is_an_error():
+    case = Case("merging", "g", 2, 1, 1, "steps", lambda: Running(lambda: None, lambda: False))
+    with pytest.raises(RuntimeError, match="merging"):
+        measure([case], Config(repeats=1, seconds=0.001))
+
+
+def test_robots_among_discs_see_all_of_them():
+    running = {case.name: case.build() for case in batched(among_discs(), "obstacles", 4, 1)}
+    outcome = running["Simulator"].step()
+    layout = among_discs().observation_layout
+    seen = outcome.observations[..., layout.obstacles, :]
+    np.testing.assert_allclose(np.linalg.norm(seen, axis=-1), 1.0, atol=1e-5)
+    assert seen.shape == (4, 4, 16, 2)
+
+
+def test_without_the_train_extra_the_learning_rows_are_left_out(tmp_path, monkeypatch, capsys):
+    real = builtins.__import__
+
+    def missing(name, globals=None, locals=None, fromlist=(), level=0):
+        if "bench_learning" in (fromlist or ()):
+            raise ModuleNotFoundError(name="stable_baselines3")
+        return real(name, globals, locals, fromlist, level)
+
+    monkeypatch.setattr(builtins, "__import__", missing)
+    rows, _ = measured(tmp_path, only=("one-team", "robots"))
+    assert {row.group for row in rows} == {"one-team"}
+    assert "stable_baselines3 is missing" in capsys.readouterr().out
+
+
+def test_the_figure_is_drawn(tmp_path, monkeypatch):
+    from train.benchmark import bench_figure
+
+    monkeypatch.setattr(bench_figure, "SIZES", (2, 3))
+    monkeypatch.setattr(bench_figure, "BATCHES", (1, 4))
+    run(Config(figure=tmp_path / "growth.png", only=("robots",), **QUICK))
+    assert (tmp_path / "growth.png").read_bytes().startswith(b"\x89PNG")

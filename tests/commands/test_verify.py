@@ -1,0 +1,273 @@
+"""``rendezvous verify`` finds nothing wrong with the theory, and finds what is made wrong."""
+
+import csv
+import dataclasses
+import io
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+import baselines
+from rendezvous_env import Scenario, Simulator
+from rendezvous_env.experiment import graphs
+from rendezvous_env.guarantee.lyapunov import merge_rise_allowance
+from rendezvous_env.trajectory import run as steps_of
+from train.cli import main
+from train.errors import UserError
+from train.verification import cases, claims
+from train.verification.adversaries import Steered, adversary
+from train.verification.cases import BATCH, Case
+from train.verification.claims import CLAIMS, bound_a
+from train.verification.verify import COLUMNS, Config, run
+
+BY_NAME = {claim.name: claim for claim in CLAIMS}
+
+
+def command(tmp_path, *wrong, trials=BATCH, **options):
+    """Exit status, rows of the CSV and what is printed."""
+    printed = io.StringIO()
+    config = Config(trials=trials, out=tmp_path, **options)
+    status = run(config, wrong or CLAIMS, Console(file=printed, width=200))
+    with (tmp_path / "verify.csv").open(newline="", encoding="utf-8") as file:
+        return status, list(csv.DictReader(file)), printed.getvalue()
+
+
+def with_law(name, law, **changes):
+    return dataclasses.replace(BY_NAME[name], law=law, **changes)
+
+
+def caught(tmp_path, claim, trials=4 * BATCH):
+    """The row of a claim that must be found violated."""
+    status, (row,), printed = command(tmp_path, claim, trials=trials)
+    assert status == 1
+    assert int(row["violations"]) > 0
+    assert row["first_violation"].startswith(f"rendezvous verify --claims {claim.name} --seed 0")
+    assert row["first_violation"] in printed
+    return row
+
+
+# ---- it passes -----------------------------------------------------------------------------------
+
+
+def test_nothing_is_violated(tmp_path):
+    status, rows, printed = command(tmp_path, trials=40)
+    assert status == 0 and "0 violations" in printed
+    assert [row["claim"] for row in rows] == list(BY_NAME)
+    assert tuple(rows[0]) == COLUMNS
+    for row in rows:
+        assert row["trials"] == "40" and row["violations"] == "0" and row["first_violation"] == ""
+        assert float(row["worst_margin"]) > -1e-6
+        timed = BY_NAME[row["claim"]].timed
+        assert (
+            (0 < float(row["worst_time_over_bound"]) <= 1)
+            if timed
+            else (row["worst_time_over_bound"] == "")
+        )
+    assert [path.name for path in tmp_path.iterdir()] == ["verify.csv"]
+
+
+@pytest.mark.slow
+def test_nothing_is_violated_from_another_seed(tmp_path):
+    status, rows, _ = command(tmp_path, trials=400, seed=99)
+    assert status == 0 and {row["trials"] for row in rows} == {"400"}
+
+
+def test_the_same_seed_finds_the_same(tmp_path):
+    found = [command(tmp_path, BY_NAME["theorem-2"], seed=seed)[1][0] for seed in (5, 5, 6)]
+    margins = [row["worst_margin"] for row in found]
+    assert margins[0] == margins[1] != margins[2]
+
+
+def test_the_trials_are_of_every_kind():
+    """Sizes, dimensions, graphs, frames, speed limits and starts all vary."""
+    random = np.random.default_rng(0)
+    drawn = [cases.draw_case(random, batch, 0.3) for batch in range(60)]
+    scenarios = [case.scenario for case in drawn]
+    assert {s.n_robots for s in scenarios} == {2, 3, 5, 8}
+    assert {s.dim for s in scenarios} == {2, 3}
+    assert {s.sensing_graph.kind for s in scenarios} == set(cases.FAMILIES)
+    assert {s.local_frames for s in scenarios} == {"random", "global"}
+    assert 0 < sum(s.max_speed is not None for s in scenarios) < 60
+    assert 0 < sum("positions" in case.options for case in drawn) < 60
+    assert 0.3 <= min(case.margin for case in drawn) < 0.4 < max(case.margin for case in drawn)
+
+
+def test_merges_do_raise_v_and_stay_below_their_bound():
+    """The row merge-rise has something to look at."""
+    case = cases.draw_trees(np.random.default_rng(3), 0, 0.3)
+    policy = claims.certified(case, 200, np.random.default_rng(4))
+    simulator = Simulator(case.scenario, 200)
+    rises, excess = [], []
+    simulator.set_max_steps(1500)
+    for step in steps_of(simulator, policy, simulator.reset(0)):
+        rises.append(step.outcome.merge_rise[step.running].max())
+        excess.append(step.outcome.merge_excess[step.running].max())
+    assert 0 < max(rises) < merge_rise_allowance(case.scenario)
+    assert max(excess) <= 1e-12
+
+
+# ---- it fails ------------------------------------------------------------------------------------
+
+
+def flipped(case, num_envs, random):
+    """Away from the neighbours."""
+    law = baselines.make("bearing-only", case.scenario)
+    return lambda observations, time: -law(observations, time)
+
+
+def asymmetric(case, num_envs, random):
+    """Law (1) with a_ij ≠ a_ji: every robot scales what it sees of each neighbour by a factor."""
+    scenario = case.scenario
+    law, layout = baselines.make("bearing-only", scenario), scenario.observation_layout
+    factors = random.uniform(0.1, 1.0, (scenario.n_robots, *layout.shape[:1], 1)).astype(np.float32)
+    return lambda observations, time: law(observations * factors, time)
+
+
+def unscaled(case, num_envs, random):
+    """Certified headings whose velocities are not scaled to a long step."""
+    policy = claims.certified(case, num_envs, random)
+    policy.steering._constants = policy.steering._constants._replace(long_step=False)
+    return policy
+
+
+def without_gate(case, num_envs, random):
+    """Unicycles and 3-D robots that keep h ⟂ f."""
+    scenario = case.scenario
+    kept = adversary(scenario, num_envs, random, kind="orthogonal")
+    return Steered(scenario, num_envs, kept, certified=False)
+
+
+@pytest.mark.parametrize("name", ["theorem-1", "certified-step", "local-scaling"])
+def test_a_flipped_sign_is_caught(tmp_path, name):
+    row = caught(tmp_path, with_law(name, flipped))
+    assert int(row["violations"]) == int(row["trials"])
+    assert float(row["worst_margin"]) < -1e-3
+
+
+@pytest.mark.parametrize("name", ["lemma-1", "theorem-1"])
+def test_weights_that_are_not_symmetric_are_caught(tmp_path, name):
+    assert float(caught(tmp_path, with_law(name, asymmetric))["worst_margin"]) < -1e-5
+
+
+def test_a_step_four_times_too_long_without_scaling_is_caught(tmp_path):
+    def draw(random, batch, least_margin):
+        return cases.draw_case(random, batch, least_margin, step_factors=(4.0, 4.0 + 1e-9))
+
+    right = dataclasses.replace(BY_NAME["local-scaling"], draw=draw)
+    assert command(tmp_path, right, trials=4 * BATCH)[0] == 0
+    row = caught(tmp_path, dataclasses.replace(right, law=unscaled))
+    assert float(row["worst_margin"]) < -1e-3
+
+
+def test_nonholonomic_robots_without_the_gate_are_caught(tmp_path):
+    claim = with_law("gate", without_gate, bound=lambda case, start: np.full(start.shape, 60.0))
+    row = caught(tmp_path, claim, trials=2 * BATCH)
+    assert int(row["violations"]) > 0.9 * int(row["trials"])
+
+
+def test_headings_without_the_certificate_are_caught(tmp_path):
+    def bare(case, num_envs, random):
+        chosen = adversary(case.scenario, num_envs, random, kind="orthogonal")
+        return Steered(case.scenario, num_envs, chosen, certified=False)
+
+    claim = with_law("theorem-2", bare, bound=lambda case, start: np.full(start.shape, 20.0))
+    row = caught(tmp_path, claim, trials=2 * BATCH)
+    assert int(row["violations"]) == int(row["trials"])
+
+
+def light_link_left(random, batch, least_margin):
+    """The heavy link is short and soon contracted; a* = 0.5 is what is left (theory 3)."""
+    scenario = Scenario(
+        n_robots=3,
+        graph=graphs.from_edges([(0, 1, 2.0), (1, 2, 0.5)]),
+        start_positions=((0.0, 0.0), (0.4, 0.0), (10.4, 0.0)),
+        merge_radius=0.2,
+    )
+    return Case(scenario, 1.0)
+
+
+def with_max_a(case, start):
+    """Theorem A's bound with the largest weight in the place of the bottleneck weight."""
+    scenario = case.scenario
+    heaviest = scenario.sensing_graph.base_weights(scenario.n_robots).max()
+    return bound_a(case, start) * (scenario.bottleneck_weight / heaviest) ** 2
+
+
+def test_max_a_in_place_of_the_bottleneck_weight_is_caught(tmp_path):
+    right = dataclasses.replace(BY_NAME["bound-A"], draw=light_link_left)
+    status, (row,), _ = command(tmp_path, right)
+    assert status == 0 and float(row["worst_time_over_bound"]) < 0.6
+
+    case = light_link_left(None, 0, 0.3)
+    simulator = Simulator(case.scenario)
+    law = baselines.make("bearing-only", case.scenario)
+    times = [simulator.time[0] for _ in steps_of(simulator, law, simulator.reset(0))]
+    held = 2.0  # the factor for the certified step, of which the theorem knows nothing
+    start = simulator.initial_lyapunov
+    bare = 3 * start[0] / (8 * 2.0**2)
+    assert times[-1] / bare == pytest.approx(9, rel=0.05)
+
+    wrong = dataclasses.replace(right, bound=with_max_a)
+    status, (row,), printed = command(tmp_path, wrong)
+    assert status == 1 and int(row["violations"]) == BATCH
+    assert "bound-A is violated" in printed
+    above = (start[0] + merge_rise_allowance(case.scenario)) / start[0]
+    limit = held * above * bare
+    # it is stopped at its own time limit, one step past the bound: so late, and nobody has met
+    assert times[-1] > 4 * limit and row["worst_time_over_bound"] == "inf"
+
+
+# ---- bad arguments -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"trials": 0}, "--trials is 0; it must be 1 or more"),
+        ({"seed": -1}, "seed is -1"),
+        ({"only_batch": -2}, "--only-batch is -2"),
+        ({"min_alignment": 1.0}, "--min-alignment is 1.0"),
+        ({"claims": ("bound-D",)}, "claim 'bound-D' is unknown; did you mean 'bound-"),
+    ],
+)
+def test_bad_arguments_are_refused_by_name(tmp_path, options, message):
+    with pytest.raises(UserError, match=message):
+        run(Config(out=tmp_path, **options))
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_violation_is_repeated_by_its_batch(tmp_path):
+    wrong = with_law("lemma-1", asymmetric)
+    _, (row,), _ = command(tmp_path, wrong, trials=5 * BATCH)
+    number = int(row["first_violation"].split("--only-batch ")[1].split()[0])
+    _, (again,), _ = command(tmp_path, wrong, only_batch=number)
+    assert 0 < int(again["violations"]) <= int(row["violations"])
+    assert again["first_violation"] == row["first_violation"]
+
+
+def test_a_failed_write_leaves_the_old_file(tmp_path, monkeypatch):
+    command(tmp_path, BY_NAME["lemma-1"])
+    before = (tmp_path / "verify.csv").read_bytes()
+    monkeypatch.setattr(Path, "replace", lambda *paths: (_ for _ in ()).throw(OSError("full")))
+    with pytest.raises(OSError, match="full"):
+        command(tmp_path, BY_NAME["theorem-1"])
+    assert [path.name for path in tmp_path.iterdir()] == ["verify.csv"]
+    assert (tmp_path / "verify.csv").read_bytes() == before
+
+
+def test_the_command_line(tmp_path, capsys, monkeypatch):
+    flags = ["verify", "--trials", "3", "--claims", "lemma-1", "bound-A", "--out", str(tmp_path)]
+    assert main(flags) == 0
+    with (tmp_path / "verify.csv").open(newline="", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert [(row["claim"], row["trials"]) for row in rows] == [("lemma-1", "3"), ("bound-A", "3")]
+    assert main(["verify", "--trials", "0", "--out", str(tmp_path)]) == 2
+    assert "--trials is 0" in capsys.readouterr().err
+    wrong = tuple(with_law(claim.name, flipped) for claim in CLAIMS)
+    monkeypatch.setattr(run, "__defaults__", (wrong, None))
+    assert main([*flags[:3], "--claims", "theorem-1", *flags[-2:]]) == 1
+    assert "rendezvous verify --claims theorem-1 --seed 0" in capsys.readouterr().out.replace(
+        "\n", " "
+    )

@@ -1,0 +1,65 @@
+"""What law (4) can reach: randomised runs, each of which keeps theorem C."""
+
+import numpy as np
+import pytest
+
+import baselines
+from rendezvous_env import rollout
+from rendezvous_env.experiment import scenarios
+from train import cli, results
+from train.comparing import ceiling
+from train.comparing.episodes import play
+
+CLUTTER = scenarios.get("clutter-12").replace(time_limit=40.0)
+
+
+def test_the_first_run_is_the_joined_rule_that_never_turns_against_f():
+    """And the others are different from it and from each other."""
+    estimate = ceiling.estimate(CLUTTER, 4, episodes=20, seed=5)
+    assert estimate.clean.shape == estimate.success.shape == (4, 20)
+    assert not (estimate.clean & ~estimate.success).any()
+
+    first = ceiling.randomised(CLUTTER, seed=0, spread=0.0)
+    rule = baselines.make(
+        "tangent-joined-tuned", CLUTTER, clearance=first.rule.clearance, persistence=0.0
+    )
+    done, _ = play(CLUTTER, lambda: rule, margin=0.05, episodes=20, seed=5)
+    assert (done.clean == estimate.clean[0]).mean() >= 0.9
+    times = [
+        rollout(CLUTTER, ceiling.randomised(CLUTTER, seed=run, spread=0.6), seed=5).times[-1]
+        for run in (1, 2, 3)
+    ]
+    assert len(set(times)) == 3
+
+
+def test_every_run_keeps_the_margin():
+    policy = ceiling.randomised(CLUTTER, seed=3, spread=1.0)
+    done, _ = play(CLUTTER, lambda: policy, margin=ceiling.MIN_ALIGNMENT, episodes=20, seed=5)
+    assert np.nanmin(done.min_alignment) >= ceiling.MIN_ALIGNMENT - 1e-6
+
+
+def test_a_row_counts_the_starts():
+    clean = np.array([[True, False, False, False], [False, True, False, False]])
+    success = np.array([[True, True, False, False], [False, True, True, False]])
+    row = ceiling.Ceiling(success, clean).row(CLUTTER)
+    assert set(row) == set(ceiling.COLUMNS)
+    assert row == {
+        "scenario": "clutter-12", "episodes": 4, "runs": 2, "clean_best": 0.5,
+        "success_best": 0.75, "clean_mean": 0.25, "never_clean": 2, "never_met": 1,
+    }  # fmt: skip
+
+
+def test_compare_writes_it(tmp_path, capsys):
+    words = ["--scenarios", "duo", "fig4", "--policies", "bearing-only", "--episodes", "3"]
+    assert (
+        cli.main(["compare", *words, "--ceiling", "2", "--no-figures", "--out", str(tmp_path)]) == 0
+    )
+    (row,) = results.read_csv(tmp_path / "ceiling.csv")
+    assert row["scenario"] == "fig4" and row["runs"] == "2" and row["episodes"] == "3"
+    assert "What law (4) can reach" in capsys.readouterr().out
+
+
+def test_a_negative_number_is_refused(capsys):
+    with pytest.raises(SystemExit) as stopped:
+        raise SystemExit(cli.main(["compare", "--ceiling", "-1"]))
+    assert stopped.value.code == 2 and "--ceiling is -1" in capsys.readouterr().err

@@ -1,0 +1,216 @@
+"""The simulator against an independent integrator: DOP853, global positions, own merging."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from conftest import MODELS, UNEQUAL, law_of
+from scipy.integrate import solve_ivp
+
+from rendezvous_env import Scenario, Simulator
+from rendezvous_env.engine.teams import RUNNING
+from rendezvous_env.trajectory import run
+
+POSITIONS = {
+    2: np.array([[-3.0, 1.2], [2.1, 3.4], [3.6, -1.3], [-0.7, -3.2], [0.4, 0.9]]),
+    3: np.array(
+        [[-3.0, 1.2, 0.4], [2.1, 3.4, -0.9], [3.6, -1.3, 0.8], [-0.7, -3.2, -1.1], [0.4, 0.9, 1.7]]
+    ),
+}
+HEADINGS = {
+    "unicycle": np.array([[0.3], [-2.1], [1.4], [2.9], [-0.8]]),
+    "nonholonomic_3d": np.array([[0.3, 0.2], [-2.1, -0.3], [1.4, 0.1], [2.9, 0.4], [-0.8, -0.2]]),
+}
+FLATTER = np.array([1.0, 1.0, 0.2])
+"""Keeps the pitch of nonholonomic robots small: near ±π/2 their law is stiff."""
+GRAPHS = {"unequal": UNEQUAL, "complete": np.ones((5, 5)) - np.eye(5)}
+RADIUS = 0.25
+TOLERANCE = {"single_integrator": 1e-3, "unicycle": 5e-3, "nonholonomic_3d": 5e-3}
+TIME_TOLERANCE = {"single_integrator": 0.01, "unicycle": 0.03, "nonholonomic_3d": 0.03}
+CASES = [(kind, graph) for kind in MODELS for graph in GRAPHS]
+
+
+class Reference(NamedTuple):
+    """What the ordinary differential equation does."""
+
+    first_merge: float
+    """s."""
+    rendezvous: float
+    """s."""
+    positions: object
+    """time in s before the first merge → (n, d), m."""
+    largest_pitch: float
+    """Before the first merge, rad."""
+
+
+def velocities(p: np.ndarray, angles: np.ndarray, a: np.ndarray) -> np.ndarray:
+    """ṗ and the angles' rates, from the paper's formulas in the global frame."""
+    n, d = p.shape
+    f = np.zeros((n, d))
+    for i in range(n):
+        for j in range(n):
+            if a[i, j] > 0:
+                f[i] += a[i, j] * (p[j] - p[i]) / math.dist(p[i], p[j])
+    if angles.shape[1] == 0:
+        return np.hstack([f, angles])
+    yaw = angles[:, 0]
+    if angles.shape[1] == 1:  # (5), (7), (8)
+        h = np.stack([np.cos(yaw), np.sin(yaw)], axis=1)
+        across = np.stack([-np.sin(yaw), np.cos(yaw)], axis=1)
+        v, omega = (h * f).sum(axis=1), (across * f).sum(axis=1)
+        return np.hstack([v[:, None] * h, omega[:, None]])
+    # (9)–(17): ṗ = h hᵀf, and ḣ = A (α̇, β̇) is the least-squares answer to P_h f
+    rates = np.empty((n, 5))
+    for i, (alpha, beta) in enumerate(angles):
+        ca, sa, cb, sb = math.cos(alpha), math.sin(alpha), math.cos(beta), math.sin(beta)
+        h = np.array([cb * ca, cb * sa, sb])
+        jacobian = np.array([[-cb * sa, -sb * ca], [cb * ca, -sb * sa], [0.0, cb]])
+        wanted = f[i] - h * (h @ f[i])
+        rates[i, :3] = h * (h @ f[i])
+        rates[i, 3:] = np.linalg.lstsq(jacobian, wanted, rcond=None)[0]
+    return rates
+
+
+def contracted(p, angles, a, i, j):
+    """Robots i < j become one: i at the midpoint, with the union of the links; j is deleted."""
+    p, a = p.copy(), a.copy()
+    p[i] = (p[i] + p[j]) / 2
+    a[i] = a[:, i] = np.maximum(a[i], a[j])
+    a[i, i] = 0
+    keep = np.arange(len(p)) != j
+    return p[keep], angles[keep], a[np.ix_(keep, keep)]
+
+
+def integrate(p: np.ndarray, angles: np.ndarray, a: np.ndarray) -> Reference:
+    """Integrate to rendezvous, stopping at every merge."""
+    d, n_angles, now, first = p.shape[1], angles.shape[1], 0.0, None
+    while len(p) > 1:
+        n = len(p)
+
+        def unpack(y, n=n):
+            table = y.reshape(n, d + n_angles)
+            return table[:, :d], table[:, d:]
+
+        links = [(i, j) for i in range(n) for j in range(i + 1, n) if a[i, j] > 0]
+
+        def gap(t, y, i, j):
+            q, _ = unpack(y)
+            return math.dist(q[i], q[j]) - RADIUS
+
+        events = [lambda t, y, i=i, j=j: gap(t, y, i, j) for i, j in links]
+        for event in events:
+            event.terminal, event.direction = True, -1
+        solution = solve_ivp(
+            lambda t, y, a=a: velocities(*unpack(y), a).ravel(),
+            (now, now + 200.0),
+            np.hstack([p, angles]).ravel(),
+            method="DOP853",
+            events=events,
+            rtol=1e-10,
+            atol=1e-10,
+            dense_output=first is None,
+        )
+        assert solution.status == 1, "nobody merged"
+        (which,) = (k for k, times in enumerate(solution.t_events) if len(times))
+        now = float(solution.t[-1])
+        if first is None:
+            _, attitudes = unpack(solution.y.T.ravel(), solution.y.shape[1] * n)
+            pitch = np.abs(attitudes[:, 1:]).max(initial=0.0)
+            first = (now, lambda t, u=unpack, y=solution.sol: u(y(t))[0], pitch)
+        p, angles, a = contracted(*unpack(solution.y[:, -1]), a, *links[which])
+        while close := [
+            (math.dist(p[i], p[j]), i, j)
+            for i in range(len(p))
+            for j in range(i + 1, len(p))
+            if a[i, j] > 0 and math.dist(p[i], p[j]) < RADIUS
+        ]:
+            p, angles, a = contracted(p, angles, a, *min(close)[1:])
+    return Reference(first[0], now, first[1], float(first[2]))
+
+
+def scenario_of(kind: str, graph: str, tau: float) -> Scenario:
+    return Scenario(
+        n_robots=5,
+        graph=GRAPHS[graph],
+        merge_radius=RADIUS,
+        time_step=tau,
+        time_limit=200.0,
+        **MODELS[kind],
+    )
+
+
+def start_of(scenario: Scenario) -> dict:
+    positions = POSITIONS[scenario.dim]
+    if not scenario.model.nonholonomic:
+        return {"positions": positions}
+    positions = positions * FLATTER[: scenario.dim]
+    return {"positions": positions, "headings": HEADINGS[scenario.robot_model]}
+
+
+def positions_at(scenario: Scenario, moment: float) -> tuple[float, np.ndarray]:
+    """Time and places after the last whole step before ``moment``."""
+    simulator = Simulator(scenario)
+    observations, policy = simulator.reset(0, start_of(scenario)), law_of(scenario)
+    for _ in range(math.floor(moment / scenario.tau)):
+        observations = simulator.step(policy(observations, simulator.time)).observations
+    assert simulator.active.all()
+    return float(simulator.time[0]), simulator.positions[0]
+
+
+def rendezvous_time(scenario: Scenario) -> float:
+    simulator = Simulator(scenario)
+    for _ in run(simulator, law_of(scenario), simulator.reset(0, start_of(scenario))):
+        pass
+    assert simulator.status[0] != RUNNING and not simulator.active[0, 1:].any()
+    return float(simulator.time[0])
+
+
+@pytest.fixture(scope="module")
+def reference():
+    """The reference solution of a case, computed once."""
+    known: dict[tuple[str, str], Reference] = {}
+
+    def get(kind: str, graph: str) -> Reference:
+        if (kind, graph) not in known:
+            scenario = scenario_of(kind, graph, 1e-3)
+            start = start_of(scenario)
+            angles = start.get("headings", np.zeros((5, 0)))
+            known[kind, graph] = integrate(start["positions"], angles, GRAPHS[graph])
+        return known[kind, graph]
+
+    return get
+
+
+@pytest.mark.parametrize(("kind", "graph"), CASES)
+def test_positions_before_the_first_merge_and_order_of_convergence(kind, graph, reference):
+    expected = reference(kind, graph)
+    assert expected.first_merge > 0.5
+    assert expected.largest_pitch < 0.8
+    errors = {}
+    for tau in (2e-3, 1e-3):
+        scenario = scenario_of(kind, graph, tau)
+        moment = math.floor(0.95 * expected.first_merge / 2e-3) * 2e-3 + 1e-9
+        time, places = positions_at(scenario, moment)
+        assert time == pytest.approx(moment, abs=1e-6)
+        errors[tau] = np.linalg.norm(places - expected.positions(time), axis=-1).max()
+    assert errors[1e-3] < TOLERANCE[MODELS[kind]["robot_model"]]
+    assert errors[2e-3] / errors[1e-3] == pytest.approx(2, rel=0.1)
+
+
+@pytest.mark.parametrize(("kind", "graph"), CASES)
+def test_rendezvous_time(kind, graph, reference):
+    expected = reference(kind, graph)
+    measured = rendezvous_time(scenario_of(kind, graph, 1e-3))
+    tolerance = TIME_TOLERANCE[MODELS[kind]["robot_model"]]
+    assert measured == pytest.approx(expected.rendezvous, rel=tolerance)
+
+
+def test_the_reference_itself_on_a_case_in_closed_form():
+    """Two robots, gain a: they meet after (L − r)/(2a)."""
+    pair = np.array([[0.0, 0.0], [3.0, 4.0]])
+    solved = integrate(pair, np.zeros((2, 0)), np.array([[0, 0.8], [0.8, 0]]))
+    assert solved.rendezvous == pytest.approx((5 - RADIUS) / 1.6, abs=1e-8)
+    np.testing.assert_allclose(solved.positions(1.0), [[0.48, 0.64], [2.52, 3.36]], atol=1e-8)

@@ -1,0 +1,188 @@
+"""The small thread pool, and how its threads share the blocks of a kernel."""
+
+from __future__ import annotations
+
+import gc
+import threading
+import time
+import weakref
+
+import numpy as np
+import pytest
+
+from rendezvous_env.compilation import kernel
+from rendezvous_env.engine import threads
+from rendezvous_env.engine.sharing import DONE, Share, begin, end, take
+
+
+@kernel
+def mark(share, marks, work):
+    """Count how often each block is taken; ``work`` makes it take its time."""
+    share, done = Share(*share), 0
+    begin(share)
+    block = take(share)
+    while block < share.blocks:
+        waste = 1.0
+        for _ in range(work):
+            waste = np.sqrt(waste + 1.0)
+        marks[block] += 1.0 + 0.0 * waste
+        done += 1
+        block = take(share)
+    return end(share, done)
+
+
+def marked(blocks, most, work=0):
+    marks = np.zeros(blocks)
+    threads.share(lambda part: mark(part, marks, work), blocks, most)
+    return marks
+
+
+def share_slowly(run, blocks, most):
+    """As a kernel would, but in Python, so that a test can see and hold up the threads."""
+
+    def run_kernel(part):
+        part, done = Share(*part), 0
+        begin(part)
+        while (block := take(part)) < blocks:
+            run(block)
+            done += 1
+        return end(part, done)
+
+    threads.share(run_kernel, blocks, most)
+
+
+def is_caller():
+    return threading.current_thread() is threading.main_thread()
+
+
+@pytest.mark.parametrize("most", [1, 2, 4])
+@pytest.mark.parametrize("blocks", [0, 1, 2, 7, 1000])
+def test_every_block_is_done_once(blocks, most):
+    for _ in range(50):
+        np.testing.assert_array_equal(marked(blocks, most), 1.0)
+
+
+def test_long_and_short_work_in_turn():
+    """Threads sleep and wake between calls; nothing is lost, whenever they do."""
+    for k in range(60):
+        np.testing.assert_array_equal(marked(31, 3, work=20_000 if k % 3 else 0), 1.0)
+        time.sleep(0.001 * (k % 4))
+
+
+def test_threads_work_at_the_same_time():
+    barrier = threading.Barrier(3, timeout=20)
+    share_slowly(lambda _: barrier.wait(), 3, 3)
+    assert not barrier.broken
+
+
+def test_one_thread_is_the_callers():
+    seen = set()
+    share_slowly(lambda _: seen.add(threading.current_thread()), 5, 1)
+    assert seen == {threading.current_thread()}
+
+
+def test_a_caller_waits_for_a_slow_helper():
+    """Longer than it looks for news before it sleeps."""
+    done, both = [], threading.Barrier(2, timeout=20)
+
+    def run(block):
+        both.wait()
+        if not is_caller():
+            time.sleep(0.05)
+        done.append(block)
+
+    share_slowly(run, 2, 2)
+    assert sorted(done) == [0, 1]
+
+
+def test_a_helper_that_wakes_too_late_does_nothing():
+    """Its core is busy: the caller does all blocks, and nothing is kept for the helper."""
+    release = threading.Event()
+    hold = threads._Job(lambda _: release.wait(20))
+    threads._ensure_workers(1)
+    for _ in threads._workers:
+        threads._jobs.put((hold, None))
+    marks = np.zeros(9)
+    gone = weakref.ref(marks)
+    threads.share(lambda part, marks=marks: mark(part, marks, 0), 9, 2)
+    np.testing.assert_array_equal(marks, 1.0)
+    del marks
+    gc.collect()
+    assert gone() is None
+    release.set()
+
+
+def test_what_a_helper_raises_reaches_the_caller():
+    both = threading.Barrier(2, timeout=20)
+
+    def run(block):
+        if block < 2:
+            both.wait()
+            if not is_caller():
+                raise KeyError("a block")
+        time.sleep(0.001)
+
+    with pytest.raises(KeyError, match="a block"):
+        share_slowly(run, 8, 2)
+    np.testing.assert_array_equal(marked(8, 2), 1.0)  # and the pool still works
+
+
+def test_what_the_caller_raises_is_raised():
+    def run(_):
+        raise KeyError("a block")
+
+    with pytest.raises(KeyError, match="a block"):
+        share_slowly(run, 3, 1)
+
+
+def test_callers_do_not_get_into_each_others_way():
+    results = {}
+
+    def caller(name):
+        results[name] = sum(marked(40, 3, work=100) for _ in range(50))
+
+    callers = [threading.Thread(target=caller, args=(k,)) for k in range(4)]
+    for thread in callers:
+        thread.start()
+    for thread in callers:
+        thread.join(30)
+    assert sorted(results) == [0, 1, 2, 3]
+    for total in results.values():
+        np.testing.assert_array_equal(total, 50.0)
+
+
+def test_without_compilation_one_thread_does_all(monkeypatch):
+    """Counters of plain Python cannot be shared."""
+    monkeypatch.setattr(threads, "compiled", lambda: False)
+    monkeypatch.setattr(threads, "_ensure_workers", lambda _: pytest.fail("a thread was used"))
+    np.testing.assert_array_equal(marked(7, 4), 1.0)
+
+
+def test_blocks_done_are_counted_for_everybody():
+    counted = []
+
+    def run_kernel(part):
+        done = mark(part, np.zeros(6), 0)
+        counted.append(int(Share(*part).counters[DONE]))
+        return done
+
+    threads.share(run_kernel, 6, 1)
+    assert counted == [6]
+
+
+def test_workers_do_not_keep_the_process_alive_and_are_as_many_as_needed():
+    marked(10, 5)
+    assert len(threads._workers) >= 4 and all(worker.daemon for worker in threads._workers)
+    assert threads.available_cores() >= 1
+
+
+def test_a_forked_child_starts_without_workers():
+    marked(4, 2)
+    jobs, workers = threads._jobs, list(threads._workers)
+    threads._forget_workers()
+    try:
+        assert threads._workers == [] and threads._jobs is not jobs
+        np.testing.assert_array_equal(marked(4, 2), 1.0)
+    finally:
+        threads._jobs = jobs
+        threads._workers[:] = workers

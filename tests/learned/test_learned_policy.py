@@ -1,0 +1,280 @@
+"""A trained network as a policy: what it does, where it runs, what it refuses."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+import torch
+
+import baselines
+from rendezvous_env import Scenario, Simulator, rollout
+from rendezvous_env.experiment import scenarios
+from train.errors import UserError
+from train.learned import checkpoints, learned_policy, policies
+from train.learned.learned_policy import LearnedPolicy, PolicySettings
+from train.learned.perception import PerceptionLayout
+
+SETTINGS = PolicySettings(
+    set_width=8,
+    hidden=(16,),
+    clearance=0.1,
+    persistence=0.5,
+    min_alignment=0.1,
+    max_turn_rate=3.0,
+    decision_time=0.05,
+)
+CLUTTER = scenarios.get("clutter-12").replace(time_limit=10.0)
+
+
+def network(trained=True, **changes):
+    torch.manual_seed(5)
+    made = PolicySettings(**SETTINGS.__dict__ | changes).make_network(PerceptionLayout(3, 8))
+    if trained:
+        with torch.no_grad():
+            torch.nn.init.normal_(made.action_net.weight, std=0.5)
+    return made
+
+
+def learned(scenario=CLUTTER, trained=True, **changes):
+    settings = PolicySettings(**SETTINGS.__dict__ | changes)
+    return LearnedPolicy(scenario, network(trained, **changes), settings)
+
+
+def write(folder, **changes):
+    """A checkpoint of a trained network; its folder."""
+    tables = {"network": {k: v.numpy() for k, v in network(**changes).state_dict().items()}}
+    settings = PolicySettings(**SETTINGS.__dict__ | changes)
+    folder.mkdir(parents=True, exist_ok=True)
+    return checkpoints.write(folder, 3, {"policy": settings.to_plain()}, tables)
+
+
+def episode(scenario, teams=6, seed=2, steps=150):
+    """Observations (B, n, rows, d) along a run of the joined rule, until one has finished."""
+    simulator = Simulator(scenario, teams)
+    observations, law = simulator.reset(seed), baselines.make("tangent-joined", scenario)
+    for _ in range(steps):
+        yield observations
+        observations = simulator.step(law(observations, 0.0)).observations
+
+
+class TestActions:
+    def test_choosing_nothing_it_acts_as_the_tuned_rule(self):
+        """Only sums in another order differ."""
+        ours = learned(trained=False)
+        with torch.no_grad():
+            ours._network.action_net.bias[0] = 10.0
+        rule = baselines.make("tangent-joined-tuned", CLUTTER, clearance=0.1, persistence=0.5,
+                              min_alignment=0.1, max_turn_rate=3.0)  # fmt: skip
+        turned = 0
+        for observations in episode(CLUTTER):
+            actions = ours(observations, 0.0)
+            np.testing.assert_allclose(actions, rule(observations, 0.0), atol=2e-4)
+            f = CLUTTER.observation_layout.net_bearing(observations)
+            turned += (
+                np.abs(f[..., 0] * actions[..., 1] - f[..., 1] * actions[..., 0]) > 0.1
+            ).sum()
+        assert turned > 100
+
+    @pytest.mark.parametrize("period", [1, 4])
+    def test_it_acts_as_in_the_environment_it_was_trained_in(self, period):
+        """Fed with the network's choices."""
+        from gymnasium.vector import AutoresetMode
+
+        from rendezvous_env import make_vec
+        from train.learning.perceiving import PerceivingTeams
+
+        venv = make_vec(CLUTTER, 6, autoreset_mode=AutoresetMode.SAME_STEP)
+        guide = SETTINGS.make_guide(CLUTTER)
+        teams = PerceivingTeams(venv, guide, min_alignment=0.1, decision_period=period)
+        policy = learned(decision_time=0.05 * period)
+        shown, _ = teams.reset(seed=2)
+        simulator = Simulator(CLUTTER, 6)
+        observations = simulator.reset(2)
+        for _ in range(120 // period):
+            choices = policy._choose(shown.reshape(-1, shown.shape[-1])).reshape(6, -1)
+            choices[~shown.any(axis=-1)] = 0
+            shown, _, ends, cuts, _ = teams.step(choices)
+            assert not (ends | cuts).any()
+            for _ in range(period):
+                observations = simulator.step(policy(observations, 0.0)).observations
+            np.testing.assert_allclose(teams._observed, observations, atol=1e-5)
+
+    def test_turning_the_world_turns_the_actions(self):
+        angles = np.random.default_rng(1).uniform(-np.pi, np.pi, (6, CLUTTER.n_robots))
+        c, s = np.cos(angles), np.sin(angles)
+        rotations = np.stack([np.stack([c, -s], -1), np.stack([s, c], -1)], -2)
+        plain, turned = learned(decision_time=0.2), learned(decision_time=0.2)
+        for observations in episode(CLUTTER, steps=60):
+            other = np.einsum("bnij,bnkj->bnki", rotations, observations).astype(np.float32)
+            expected = np.einsum("bnij,bnj->bni", rotations, plain(observations, 0.0))
+            np.testing.assert_allclose(turned(other, 0.0), expected, atol=2e-4)
+
+    def test_order_of_neighbours_and_obstacles_does_not_matter(self):
+        layout, random = CLUTTER.observation_layout, np.random.default_rng(0)
+        neighbours = random.permutation(layout.neighbour_slots)
+        obstacles = layout.neighbour_slots + 2 * random.permutation(layout.obstacle_slots)
+        order = np.concatenate([neighbours, np.stack([obstacles, obstacles + 1], 1).reshape(-1)])
+        plain, mixed = learned(decision_time=0.2), learned(decision_time=0.2)
+        for observations in episode(CLUTTER, steps=60):
+            actions = mixed(observations[:, :, order], 0.0)
+            np.testing.assert_allclose(actions, plain(observations, 0.0), atol=2e-4)
+
+    def test_teams_alone_and_together(self):
+        """Teams that begin at different moments decide at different moments."""
+        together = learned(decision_time=0.2)
+        alone = [learned(decision_time=0.2) for _ in range(6)]
+        starts = np.array([0, 1, 1, 3, 6, 7])
+        for step, observations in enumerate(episode(CLUTTER, steps=40)):
+            if (begins := starts == step).any():
+                together.reset(begins)
+            actions = together(observations, 0.0)
+            for team in np.flatnonzero(starts <= step):
+                own = alone[team](observations[team], 0.0)
+                np.testing.assert_allclose(actions[team], own, atol=1e-6)
+
+    def test_leading_axes(self):
+        policy, flat = learned(), learned()
+        observations = next(episode(CLUTTER))
+        table = observations.reshape(2, 3, *observations.shape[1:])
+        actions = policy(table, 0.0)
+        assert actions.shape == (2, 3, CLUTTER.n_robots, 2) and actions.dtype == np.float32
+        np.testing.assert_array_equal(actions.reshape(6, -1, 2), flat(observations, 0.0))
+        with pytest.raises(ValueError, match=r"needs \(\.\.\., 4, 27, 2\)"):
+            policy(observations[:, :2], 0.0)
+
+    @pytest.mark.parametrize(
+        ("name", "changes"),
+        [
+            ("fig4", {}),
+            ("duo", {"time_limit": 1000.0}),
+            ("clutter-24", {"n_robots": 8, "time_limit": 3.0}),
+            ("tree-12", {}),
+        ],
+    )
+    def test_any_team_and_any_field_keeps_the_margin(self, name, changes):
+        scenario = scenarios.get(name).replace(**changes)
+        policy = learned(scenario, decision_time=0.2)
+        trajectory = rollout(scenario, policy, num_envs=3)
+        f = scenario.observation_layout.net_bearing(trajectory.observations[:-1])
+        v = trajectory.actions.astype(float)
+        strong = np.linalg.norm(f, axis=-1) >= 2 * scenario.dead_zone
+        aligned = np.abs((f * v).sum(-1)) / np.fmax(np.linalg.norm(v, axis=-1), 1e-12)
+        aligned /= np.fmax(np.linalg.norm(f, axis=-1), 1e-12)
+        assert aligned[strong].min() >= 0.1 - 1e-5
+        if not scenario.obstacles:
+            assert trajectory.largest_rise_between_merges <= 1e-9
+            assert name != "duo" or trajectory.success.all()
+
+    def test_time_between_decisions_is_kept_in_other_scenarios(self):
+        periods = {tau: learned(CLUTTER.replace(time_step=tau), decision_time=0.2).decision_period
+                   for tau in (0.05, 0.03, 0.1, 0.5)}  # fmt: skip
+        assert periods == {0.05: 4, 0.03: 7, 0.1: 2, 0.5: 1}
+
+
+class TestFiles:
+    def test_what_was_written_acts_the_same(self, tmp_path):
+        place = write(tmp_path)
+        for path in (tmp_path, place):
+            loaded = learned_policy.load(path, CLUTTER)
+            assert loaded.settings == SETTINGS
+            own = learned()
+            for observations in episode(CLUTTER, steps=20):
+                actions = loaded(observations, 0.0)
+                np.testing.assert_array_equal(actions, own(observations, 0.0))
+
+    def test_it_is_read_without_pickle(self, tmp_path, monkeypatch):
+        import pickle
+
+        write(tmp_path)
+        for name in ("load", "loads", "Unpickler"):
+            monkeypatch.setattr(pickle, name, None)
+        monkeypatch.setattr(torch, "load", None)
+        learned_policy.load(tmp_path, CLUTTER)
+
+    @pytest.mark.parametrize("name", ["uav-6", "unicycle-6", "cloud-8"])
+    def test_other_robots(self, name, tmp_path):
+        write(tmp_path)
+        with pytest.raises(ValueError, match=f"{name}.*learned policies steer single_integrator"):
+            learned_policy.load(tmp_path, scenarios.get(name))
+
+    def rewrite(self, place, **changes):
+        """A checkpoint that is whole, but says something else of its policy."""
+        about, tables = checkpoints.read(place, ["network"])
+        policy = {**about["policy"], **changes}
+        checkpoints.write_folder(place, {"policy": policy}, tables)
+
+    @pytest.mark.parametrize(
+        ("changes", "message"),
+        [
+            ({"perception": 99}, "perception is 99; this version has"),
+            ({"set_width": 9}, "size mismatch"),
+            ({"colour": "blue"}, "field 'colour' is missing or unknown"),
+            ({"hidden": None}, "is no policy of this version"),
+        ],
+    )
+    def test_another_policy(self, tmp_path, changes, message):
+        place = write(tmp_path)
+        self.rewrite(place, **changes)
+        with pytest.raises(checkpoints.CheckpointError, match=message):
+            learned_policy.load(tmp_path, CLUTTER)
+
+    def test_without_the_extra(self, tmp_path, monkeypatch):
+        import importlib.util
+
+        write(tmp_path)
+        monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+        with pytest.raises(ValueError, match=r"learned policies need torch; pip install .*train"):
+            learned_policy.load(tmp_path, CLUTTER)
+
+
+class TestNames:
+    def test_by_path(self, tmp_path):
+        write(tmp_path)
+        name = f"learned:{tmp_path}"
+        policies.check_names([name, "bearing-only"])
+        assert policies.fitting(CLUTTER, [name]) == [name]
+        assert policies.fitting(scenarios.get("uav-6"), [name, "random"]) == ["random"]
+        made = policies.make(name, CLUTTER)
+        assert policies.promised_margin(name, made) == 0.1
+
+    def test_what_cannot_be_read_ends_the_command(self, tmp_path, without_rights):
+        with pytest.raises(UserError, match="no checkpoint in it"):
+            policies.check_names([f"learned:{tmp_path}"])
+        place = write(tmp_path)
+        with without_rights(tmp_path), pytest.raises(UserError, match="Permission denied"):
+            policies.check_names([f"learned:{tmp_path}"])
+        path = place / "checkpoint.json"
+        path.write_text(json.dumps(json.loads(path.read_text()) | {"policy": {}}))
+        with pytest.raises(UserError, match="was changed"):
+            policies.check_names([f"learned:{tmp_path}"])
+
+    def test_the_shipped_one(self, tmp_path, monkeypatch):
+        monkeypatch.setattr(learned_policy, "PRETRAINED", tmp_path / "pretrained")
+        assert "learned" not in policies.names(CLUTTER)
+        with pytest.raises(UserError, match="no pretrained policy is installed"):
+            policies.check_names(["learned"])
+        shutil.copytree(write(tmp_path / "run"), tmp_path / "pretrained")
+        assert "learned" in policies.names(CLUTTER)
+        assert "learned" not in policies.names(scenarios.get("uav-6"))
+        policies.check_names(["learned"])
+        assert policies.make("learned", CLUTTER).settings == SETTINGS
+        monkeypatch.setattr(learned_policy, "missing_extra", lambda: "learned policies need torch")
+        assert "learned" not in policies.names(CLUTTER)
+        with pytest.raises(UserError, match="'learned': learned policies need torch"):
+            policies.check_names(["learned"])
+
+    def test_two_robots_are_enough(self, tmp_path):
+        write(tmp_path)
+        assert learned_policy.load(tmp_path, Scenario(n_robots=2)).min_alignment == 0.1
+
+
+def test_compare_says_what_it_leaves_out(tmp_path, monkeypatch, capsys):
+    from train import cli
+
+    monkeypatch.setattr(policies, "left_out", lambda: "learned policies need torch")
+    words = ["--scenarios", "duo", "--episodes", "2", "--no-figures", "--out", str(tmp_path)]
+    assert cli.main(["compare", *words]) == 0
+    assert "left out: learned (learned policies need torch)" in capsys.readouterr().out
+    assert cli.main(["compare", *words, "--policies", "zero"]) == 0
+    assert "left out" not in capsys.readouterr().out

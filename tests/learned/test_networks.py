@@ -1,0 +1,102 @@
+"""A set network: order, absent rows and the world's orientation do not matter."""
+
+import numpy as np
+import pytest
+import torch
+from torch import nn
+
+from train.learned.guide import CHOICES
+from train.learned.networks import make_network
+from train.learned.perception import CONTEXT_COLUMNS, PerceptionLayout
+
+K, M = 4, 6
+SETTINGS = {"set_width": 8, "hidden": (16,)}
+
+
+def network(K=K, M=M, *, seed=0):
+    """With random weights in every layer, the last one included."""
+    torch.manual_seed(seed)
+    made = make_network(PerceptionLayout(K, M), **SETTINGS)
+    with torch.no_grad():
+        nn.init.normal_(made.action_net.weight, std=0.3)
+    return made
+
+
+def shown(seed=0, robots=50):
+    """Random rows, some absent, as (neighbours, obstacles, context)."""
+    random = np.random.default_rng(seed)
+    parts = [random.normal(size=(robots, *shape)) for shape in ((K, 3), (M, 6), (CONTEXT_COLUMNS,))]
+    parts[0][random.random((robots, K)) < 0.3] = 0.0
+    parts[1][random.random((robots, M)) < 0.5] = 0.0
+    parts[1][0] = 0.0  # sees no obstacle
+    return parts
+
+
+def outputs(made, parts):
+    flat = np.concatenate([part.reshape(len(part), -1) for part in parts], axis=1)
+    seen = torch.as_tensor(flat.astype(np.float32))
+    with torch.no_grad():
+        chances = made.get_distribution(seen).distribution.probs
+        return chances.numpy(), made.predict_values(seen).numpy()
+
+
+def same(one, other):
+    for a, b in zip(one, other, strict=True):
+        np.testing.assert_allclose(a, b, atol=2e-6)
+
+
+def test_order_does_not_matter():
+    made, (neighbours, obstacles, context) = network(), shown()
+    random = np.random.default_rng(1)
+    mixed = (neighbours[:, random.permutation(K)], obstacles[:, random.permutation(M)], context)
+    same(outputs(made, mixed), outputs(made, (neighbours, obstacles, context)))
+
+
+@pytest.mark.parametrize(("more_neighbours", "more_obstacles"), [(3, 0), (0, 18), (28, 18)])
+def test_absent_rows_do_not_count(more_neighbours, more_obstacles):
+    made, (neighbours, obstacles, context) = network(), shown()
+    wide = make_network(PerceptionLayout(K + more_neighbours, M + more_obstacles), **SETTINGS)
+    wide.load_state_dict(made.state_dict())
+    padded = (
+        np.concatenate([neighbours, np.zeros((50, more_neighbours, 3))], axis=1),
+        np.concatenate([np.zeros((50, more_obstacles, 6)), obstacles], axis=1),
+        context,
+    )
+    same(outputs(wide, padded), outputs(made, (neighbours, obstacles, context)))
+
+
+def test_every_part_matters():
+    made, parts = network(), shown()
+    before, value = outputs(made, parts)
+    for k in range(3):
+        changed = [part.copy() for part in parts]
+        changed[k][1:] += 0.5 * (changed[k][1:] != 0)
+        after, other = outputs(made, changed)
+        assert np.abs(after - before).max() > 1e-3 and np.abs(other - value).max() > 1e-3
+
+
+def test_empty_sets_are_finite():
+    neighbours, obstacles, context = (np.zeros_like(part) for part in shown())
+    seen = outputs(network(), (neighbours, obstacles, context))
+    none = outputs(network(M=0), (neighbours, obstacles[:, :0], context))
+    same(seen, none)
+    assert all(np.isfinite(values).all() for values in seen)
+
+
+def test_untrained_it_chooses_the_rule():
+    torch.manual_seed(3)
+    made = make_network(PerceptionLayout(K, M), prior=2.0, **SETTINGS)
+    chances, _ = outputs(made, shown())
+    expected = np.r_[np.exp(2.0), np.ones(CHOICES - 1)] / (np.exp(2.0) + CHOICES - 1)
+    np.testing.assert_allclose(chances, np.broadcast_to(expected, chances.shape), atol=0.1)
+    assert (chances.argmax(axis=1) == 0).all()
+
+
+def test_gradients_reach_every_weight():
+    made, parts = network(), shown()
+    flat = np.concatenate([part.reshape(len(part), -1) for part in parts], axis=1)
+    seen = torch.as_tensor(flat.astype(np.float32))
+    value, log_prob, entropy = made.evaluate_actions(seen, torch.zeros(50))
+    (value.sum() + log_prob.sum() + entropy.sum()).backward()
+    for name, weight in made.named_parameters():
+        assert weight.grad is not None and weight.grad.abs().sum() > 0, name

@@ -1,0 +1,142 @@
+"""The environment of a heading policy, recomputed from its parts."""
+
+import numpy as np
+import pytest
+from gymnasium.vector import AutoresetMode
+
+import rendezvous_env as rv
+from rendezvous_env.vector import HeadingVectorWrapper
+from train.learned.guide import ANGLES, CHOICES, Guide
+from train.learned.perception import Perception
+from train.learning.perceiving import PerceivingTeams
+from train.learning.run_state import flatten, unflatten
+from train.learning.sb3_vec_env import RobotVecEnv
+
+TEAMS, PERIOD = 5, 3
+SCENARIO = rv.scenarios.get("clutter-12").replace(time_limit=6.0)
+
+
+def base(**options):
+    return rv.make_vec(SCENARIO, TEAMS, autoreset_mode=AutoresetMode.SAME_STEP, **options)
+
+
+def guide():
+    return Guide(SCENARIO, clearance=0.1, persistence=0.5)
+
+
+def teams(**options):
+    return PerceivingTeams(base(), guide(), decision_period=PERIOD, **options)
+
+
+def tape(length, seed=0):
+    """Choices that keep a robot from going straight, so that it takes time and touches things."""
+    shape = (length, TEAMS, SCENARIO.n_robots)
+    return np.random.default_rng(seed).integers(CHOICES, size=shape)
+
+
+class Plain:
+    """The same teams, driven step by step through the heading wrapper."""
+
+    def __init__(self, mode=AutoresetMode.SAME_STEP):
+        venv = rv.make_vec(SCENARIO, TEAMS, autoreset_mode=mode)
+        self.wrapper = HeadingVectorWrapper(venv, frame="local")
+
+    def step(self, choices):
+        """Rewards, ends, contacts of a period; teams that end begin anew at its end."""
+        rewards, contact = np.zeros(TEAMS), np.zeros((TEAMS, SCENARIO.n_robots), bool)
+        for _ in range(PERIOD):
+            raw = guide().aim(self.wrapper._observed, choices, self.wrapper.steering.headings)
+            _, earned, _, _, infos = self.wrapper.step(raw)
+            rewards += earned
+            contact |= infos["contact"]
+        return rewards, self.wrapper.env.simulator.ended, contact
+
+
+def test_it_is_the_heading_wrapper_with_guide_and_perception():
+    """Episodes end, and what is shown last is what perception shows with the old memory."""
+    ours, plain = teams(), Plain(AutoresetMode.DISABLED)
+    shown, _ = ours.reset(seed=3)
+    plain.wrapper.reset(seed=3)
+    perception = Perception(SCENARIO, TEAMS, decision_time=PERIOD * SCENARIO.tau)
+    headings, ended = plain.wrapper.steering, 0
+    np.testing.assert_array_equal(shown, perception.see(plain.wrapper._observed, headings.headings))
+    for choices in tape(60):
+        shown, rewards, ends, cuts, infos = ours.step(choices)
+        other_rewards, over, _ = plain.step(choices)
+        np.testing.assert_array_equal(rewards, other_rewards)
+        np.testing.assert_array_equal(ends | cuts, over)
+        last = perception.see(plain.wrapper._observed, headings.headings)
+        if over.any():
+            ended += over.sum()
+            seen = np.stack(infos["final_obs"][over].tolist())
+            np.testing.assert_array_equal(seen, last[over])
+            plain.wrapper.reset(options={"reset_mask": over})
+            perception.forget(over)
+            last[over] = perception.see(plain.wrapper._observed, headings.headings, over)[over]
+        np.testing.assert_array_equal(shown, last)
+    assert ended >= TEAMS
+
+
+def test_the_first_touch_costs_the_robot_and_nobody_else():
+    ours, free = teams(touch_penalty=7.0), teams()
+    for env in (ours, free):
+        env.reset(seed=3)
+    touched, paid = np.zeros((TEAMS, SCENARIO.n_robots), bool), 0
+    for choices in tape(90):
+        *_, ends, cuts, infos = ours.step(choices)
+        *_, others = free.step(choices)
+        over = (ends | cuts)[:, None]
+        contact = infos["contact"]
+        if over.any():
+            contact = np.where(over, infos["final_info"]["contact"], contact)
+        cost = others["robot_rewards"] - infos["robot_rewards"]
+        np.testing.assert_allclose(cost, 7.0 * (contact & ~touched), atol=1e-12)
+        paid += (cost > 0).sum()
+        touched = np.where(over, False, touched | contact)
+    assert paid >= 2
+
+
+def test_choices_of_another_shape_are_refused():
+    env = teams()
+    env.reset(seed=3)
+    with pytest.raises(ValueError, match=r"actions have shape \(5, 3\); they must be \(B, n\)"):
+        env.step(np.zeros((TEAMS, 3)))
+
+
+def test_the_guide_turns_f_before_the_rule():
+    """With nothing in sight a robot heads exactly so far aside of f."""
+    free = SCENARIO.replace(obstacles=())
+    observations = rv.Simulator(free, 2).reset(0)
+    f = free.observation_layout.net_bearing(observations)
+    choices = np.arange(8).reshape(2, 4)
+    raw = Guide(free, clearance=0.1, persistence=0.5).aim(observations, choices, np.zeros_like(f))
+    turned = np.arctan2(f[..., 0] * raw[..., 1] - f[..., 1] * raw[..., 0], np.sum(f * raw, axis=-1))
+    np.testing.assert_allclose(turned, ANGLES[choices], atol=1e-6)
+
+
+def test_robots_go_on_bit_by_bit_from_their_state():
+    robots = RobotVecEnv(teams(touch_penalty=1.0))
+    robots.seed(8)
+    robots.reset()
+    actions = tape(80).reshape(80, -1)
+    for raw in actions[:30]:
+        robots.step(raw)
+    state = unflatten(flatten(robots.get_state()))
+    other = RobotVecEnv(teams(touch_penalty=1.0))
+    other.reset()
+    other.set_state(state)
+    for raw in actions[30:]:
+        for a, b in zip(robots.step(raw)[:3], other.step(raw)[:3], strict=True):
+            np.testing.assert_array_equal(a, b)
+        np.testing.assert_array_equal(robots.bootstrapped, other.bootstrapped)
+        np.testing.assert_array_equal(robots.bootstrap_observations, other.bootstrap_observations)
+    with pytest.raises(ValueError, match="active must be an array of shape"):
+        other.set_state({**state, "active": np.zeros(3)})
+    state["teams"]["touched"] = np.zeros(2)
+    with pytest.raises(ValueError, match="touched must be an array of shape"):
+        other.set_state(state)
+
+
+def test_other_autoreset_modes_are_refused():
+    with pytest.raises(ValueError, match="must be SAME_STEP"):
+        PerceivingTeams(rv.make_vec(SCENARIO, 2), guide())

@@ -1,0 +1,310 @@
+"""Headings at the edges of obstacles, by hand and against a brute-force oracle over angles."""
+
+import math
+
+import numpy as np
+import pytest
+
+import baselines
+from baselines.obstacle_avoidance import (
+    tangent_blocking_heading,
+    tangent_heading,
+    tangent_joined_heading,
+)
+from rendezvous_env.experiment.scenario import Scenario
+
+CLEARANCE = 0.05
+DEGREE = math.pi / 180
+
+
+def polar(angle):
+    return np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+
+
+def edges(*intervals, slots=6):
+    """Silhouettes (slots, 2, 2) of intervals (clockwise, counter-clockwise edge) in degrees."""
+    points = np.zeros((slots, 2, 2))
+    for slot, (low, high) in enumerate(intervals):
+        points[slot] = polar(np.radians([high, low]))
+    return points
+
+
+def ring(centre, half, azimuth=None):
+    """Eight boundary rays of a cone; azimuth 0 points towards the part of ``azimuth`` across."""
+    centre = np.array(centre) / np.linalg.norm(centre)
+    towards = np.array([1.0, 0, 0] if azimuth is None else azimuth)
+    first = towards - centre * (centre @ towards)
+    if np.linalg.norm(first) < 1e-9:
+        first = np.array([0.0, 1, 0])
+    first /= np.linalg.norm(first)
+    second = np.cross(centre, first)
+    turn = np.arange(8)[:, None] * math.pi / 4
+    return math.cos(half) * centre + math.sin(half) * (np.cos(turn) * first + np.sin(turn) * second)
+
+
+@pytest.mark.parametrize(
+    ("intervals", "literal", "blocking", "joined"),
+    [
+        ([], 0, 0, 0),
+        ([(-10, 30)], -10, -10, -10 - CLEARANCE / DEGREE),
+        ([(-30, 10)], 10, 10, 10 + CLEARANCE / DEGREE),
+        ([(20, 70)], 20, 0, 0),  # beside the way
+        ([(1, 70)], 1, 0, 1 - CLEARANCE / DEGREE),  # within the clearance
+        ([(-70, -1)], -1, 0, -1 + CLEARANCE / DEGREE),
+        (
+            [(-10, 30), (60, 160)],
+            60,
+            -10,
+            -10 - CLEARANCE / DEGREE,
+        ),  # the wide one is not in the way
+        ([(-10, 30), (-40, -5)], -10, -10, 30 + CLEARANCE / DEGREE),  # joined: -40 … 30
+        ([(-40, -5), (-10, 30)], -10, -10, 30 + CLEARANCE / DEGREE),
+        ([(-10, 30), (25, 50), (45, 90)], 45, -10, -10 - CLEARANCE / DEGREE),
+        ([(-20, 5), (1, 60), (-70, -10)], -10, 5, 60 + CLEARANCE / DEGREE),
+        ([(-40, -1), (2, 40)], -1, 0, 0.5),  # a gap of 3°: its middle
+        ([(-20, 5), (9, 60)], 9, 5, 7),  # a gap of 4° beside what is in the way
+        ([(165, 190)], 165, 0, 0),  # behind
+        ([(-60, 61), (50, 170), (160, 297)], -63, -60, -61.5),  # 3° free: its middle
+        ([(-60, 61), (50, 200), (190, 310)], 50, -60, 0),  # nothing free
+    ],
+)
+@pytest.mark.parametrize("tilt", [0, 100, 180, 275])
+def test_rules_in_the_plane_by_hand(intervals, literal, blocking, joined, tilt):
+    points = edges(*((low + tilt, high + tilt) for low, high in intervals))
+    f = 2 * polar(np.radians(tilt))
+    headings = (
+        (literal, tangent_heading(f, points)),
+        (blocking, tangent_blocking_heading(f, points)),
+        (joined, tangent_joined_heading(f, points, clearance=CLEARANCE)),
+    )
+    for expected, heading in headings:
+        np.testing.assert_allclose(heading, polar(np.radians(expected + tilt)), atol=1e-9)
+
+
+def by_brute_force(intervals, clearance, samples=7200):
+    """The joined rule about f = 0 on a fine grid of directions.
+
+    Walk from f both ways through covered directions; an edge is where the cover ends. Returns the
+    angle of the heading, or None if the grid is too coarse to tell.
+    """
+    step = math.tau / samples
+    grid = step * np.arange(samples)
+    covered = np.zeros(samples, bool)
+    for low, high in intervals:
+        covered |= (grid - low) % math.tau <= high - low
+    if covered.all():
+        return 0.0
+    if not covered.any():
+        return 0.0
+    at = 0
+    if not covered[0]:
+        ahead, behind = int(np.argmax(covered)), int(np.argmax(covered[::-1])) + 1
+        if abs(ahead - behind) <= 2:
+            return None
+        at = ahead if ahead < behind else -behind
+        if abs(abs(at) * step - clearance) < 2 * step:
+            return None
+        if abs(at) * step > clearance:
+            return 0.0
+    up = next(k for k in range(samples) if not covered[(at + k) % samples])
+    down = next(k for k in range(samples) if not covered[(at - k) % samples])
+    high, low = (at + up) * step, (at - down) * step
+    if abs(abs(high) - abs(low)) < 4 * step:
+        return None
+    if abs(high) < abs(low):
+        gap = next(k for k in range(1, samples + 1) if covered[(at + up + k) % samples]) * step
+        return high + min(clearance, gap / 2)
+    gap = next(k for k in range(1, samples + 1) if covered[(at - down - k) % samples]) * step
+    return low - min(clearance, gap / 2)
+
+
+def test_joined_rule_against_brute_force():
+    random = np.random.default_rng(11)
+    compared = turned = 0
+    for _ in range(1000):
+        count, widest = random.integers(0, 9), random.choice([0.3, 1.0, 2.5])
+        low = random.uniform(-math.pi, math.pi, count)
+        high = low + random.uniform(0.02, widest, count)
+        points = np.zeros((10, 2, 2))
+        slots = random.permutation(10)[:count]
+        points[slots] = np.stack([polar(high), polar(low)], axis=1)
+        tilt = random.uniform(-math.pi, math.pi)
+        c, s = polar(tilt)
+        points = points @ np.array([[c, s], [-s, c]])
+        heading = tangent_joined_heading(polar(tilt), points, clearance=CLEARANCE)
+        expected = by_brute_force(list(zip(low, high, strict=True)), CLEARANCE)
+        if expected is None:
+            continue
+        compared += 1
+        turned += expected != 0
+        np.testing.assert_allclose(heading, polar(tilt + expected), atol=0.004)
+    assert compared > 850 and turned > 300
+
+
+def test_rules_in_space_by_hand():
+    f = np.array([1.0, 0, 0])
+    ahead = ring([1, 0.2, 0], 0.5)
+    beside = ring([0, 0, 1], 0.7)
+    offset, half = math.atan(0.2), 0.5
+    points = np.zeros((4, 8, 3))
+    points[0] = ahead
+    leave = np.array([*polar(offset - half), 0.0])
+    np.testing.assert_allclose(tangent_heading(f, points), leave, atol=1e-12)
+    np.testing.assert_allclose(tangent_blocking_heading(f, points), leave, atol=1e-12)
+    wider = np.array([*polar(offset - half - CLEARANCE), 0.0])
+    np.testing.assert_allclose(tangent_joined_heading(f, points), wider, atol=1e-12)
+    points[1] = beside  # the more prominent one, but not in the way
+    up = np.array([math.sin(0.7), 0.0, math.cos(0.7)])
+    np.testing.assert_allclose(tangent_heading(f, points), up, atol=1e-12)
+    np.testing.assert_allclose(tangent_blocking_heading(f, points), leave, atol=1e-12)
+    np.testing.assert_allclose(tangent_joined_heading(f, points), wider, atol=1e-12)
+    for rule in (tangent_blocking_heading, tangent_joined_heading):
+        np.testing.assert_array_equal(rule(f, np.stack([beside, 0 * beside])), f)
+
+
+def test_joined_rule_in_space_stays_out_of_every_cone():
+    random = np.random.default_rng(2)
+    left = 0
+    for _ in range(300):
+        f, count = random.normal(size=3), random.integers(1, 6)
+        towards = f / np.linalg.norm(f)
+        centres = towards + 0.7 * random.normal(size=(count, 3))
+        centres /= np.linalg.norm(centres, axis=-1, keepdims=True)
+        halves = random.uniform(0.1, 0.7, count)
+        points = np.stack([ring(c, a, towards) for c, a in zip(centres, halves, strict=True)])
+        heading = tangent_joined_heading(f, points)
+        assert abs(np.linalg.norm(heading) - 1) < 1e-12
+        outside = np.arccos(np.clip(centres @ heading, -1, 1)) - halves
+        at_start = np.arccos(np.clip(centres @ towards, -1, 1)) - halves
+        if at_start.min() >= CLEARANCE:
+            np.testing.assert_allclose(heading, towards, atol=1e-12)
+        elif not np.allclose(heading, towards):
+            left += 1
+            assert outside.min() >= -1e-9
+            assert outside.min() <= CLEARANCE + 1e-9
+    assert left > 100
+
+
+def test_overlap_joins_through_others_in_space():
+    """Three overlapping cones in a row: the way out is beside the row, not inside its next cone."""
+    f = np.array([1.0, 0, 0])
+    yaws = (0.05, 0.6, -0.5)
+    points = np.stack([ring([math.cos(a), math.sin(a), 0], 0.35, f) for a in yaws])
+    heading = tangent_joined_heading(f, points)
+    for a in yaws:
+        assert math.acos(heading @ [math.cos(a), math.sin(a), 0]) >= 0.35
+    assert abs(heading[2]) > 0.2
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize(
+    "rule", [tangent_heading, tangent_blocking_heading, tangent_joined_heading]
+)
+def test_rules_take_any_batch_float32_and_zero(rule, dim):
+    random = np.random.default_rng(0)
+    points = random.normal(size=(2, 3, 4, 5, 2 if dim == 2 else 8, dim)).astype(np.float32)
+    points /= np.linalg.norm(points, axis=-1, keepdims=True)
+    points[..., 2, :, :] = 0
+    f = random.normal(size=(2, 3, 4, dim))
+    f[1, 1, 1] = 0
+    headings = rule(f, points)
+    assert headings.shape == f.shape
+    np.testing.assert_allclose(np.linalg.norm(headings, axis=-1), 1, atol=1e-12)
+    np.testing.assert_array_equal(rule(f[1, 2, 3], points[1, 2, 3]), headings[1, 2, 3])
+    nothing = rule(f, np.zeros_like(points))
+    np.testing.assert_array_equal(nothing[1, 1, 1], np.eye(dim)[0])
+    length = np.linalg.norm(f[0], axis=-1, keepdims=True)
+    np.testing.assert_allclose(nothing[0], f[0] / length, atol=1e-15)
+
+
+CLUTTER = Scenario(n_robots=4, obstacle_slots=6, time_step=0.05, allow_long_step=True)
+RULES = ("tangent", "tangent-blocking", "tangent-joined")
+
+
+def team_view(random, leading, scenario=CLUTTER):
+    """Random observations: unit neighbour rows and some obstacles."""
+    layout = scenario.observation_layout
+    observations = np.zeros((*leading, scenario.n_robots, *layout.shape), np.float32)
+    shape = (*leading, scenario.n_robots)
+    observations[..., layout.neighbours, :] = polar(random.uniform(-4, 4, (*shape, 3)))
+    low = random.uniform(-4, 4, (*shape, 6))
+    both = np.stack([polar(low + random.uniform(0.1, 1, low.shape)), polar(low)], axis=-2)
+    both *= (random.random(low.shape) < 0.6)[..., None, None]
+    observations[..., layout.obstacles, :] = both.reshape(*shape, 12, 2)
+    return observations
+
+
+@pytest.mark.parametrize("name", RULES)
+def test_velocities_are_law_4(name):
+    rule = {"tangent": tangent_heading, "tangent-blocking": tangent_blocking_heading}.get(
+        name, tangent_joined_heading
+    )
+    observations = team_view(np.random.default_rng(4), (5,))
+    seen = CLUTTER.observation_layout.split(observations)
+    f = CLUTTER.observation_layout.net_bearing(observations)
+    h = rule(f, seen.obstacles)
+    expected = h * np.sum(h * f, -1, keepdims=True)
+    np.testing.assert_allclose(
+        baselines.make(name, CLUTTER)(observations, 0.0), expected, atol=1e-6
+    )
+
+
+@pytest.mark.parametrize("name", RULES)
+def test_certified_forms_keep_margin_and_turn_limit(name):
+    random = np.random.default_rng(6)
+    policy = baselines.make(f"{name}-certified", CLUTTER, min_alignment=0.3, max_turn_rate=2.0)
+    observations, layout = team_view(random, (8,)), CLUTTER.observation_layout
+    f = layout.net_bearing(observations)
+    strength = np.linalg.norm(f, axis=-1)
+    needed = 0.3 * np.clip(strength / CLUTTER.dead_zone - 1, 0, 1) * strength
+    before = None
+    for _ in range(30):
+        view = team_view(random, (8,))  # obstacles flicker, the neighbours stay
+        view[..., layout.neighbours, :] = observations[..., layout.neighbours, :]
+        velocities = policy(view, 0.0)
+        h = policy.headings
+        assert (np.sum(h * f, axis=-1) >= needed - 1e-12).all()
+        if before is not None:
+            assert (np.sum(h * before, axis=-1) >= math.cos(2.0 * 0.05) - 1e-12).all()
+        before = h
+    scale = min(1.0, 0.2 / (2 * 3 * 0.05))  # three unit rows: D = 3 m/s
+    np.testing.assert_allclose(velocities, scale * h * np.sum(h * f, -1, keepdims=True), atol=1e-6)
+
+
+def test_certified_forms_take_a_heading_as_a_line():
+    layout = CLUTTER.observation_layout
+    view = np.zeros((4, *layout.shape), np.float32)
+    view[:, 0] = [1, 0]
+    view[:, layout.obstacles] = edges((165, 190)).reshape(12, 2)
+    policy = baselines.make("tangent-certified", CLUTTER)
+    for _ in range(3):
+        policy(view, 0.0)
+    np.testing.assert_allclose(policy.headings, np.tile(polar(-15 * DEGREE), (4, 1)), atol=1e-6)
+
+
+def test_certified_forms_remember_and_forget():
+    random = np.random.default_rng(8)
+    first, second = team_view(random, (3,)), team_view(random, (3,))
+    fresh = baselines.make("tangent-certified", CLUTTER)
+    expected_fresh = fresh(second, 0.0)
+    policy = baselines.make("tangent-certified", CLUTTER)
+    policy(first, 0.0)
+    expected_remembering = policy(second, 0.05)
+    assert not np.array_equal(expected_remembering, expected_fresh)
+    policy.reset()
+    policy(first, 0.0)
+    policy.reset(np.array([False, True, False]))
+    mixed = policy(second, 0.05)
+    np.testing.assert_array_equal(mixed[1], expected_fresh[1])
+    np.testing.assert_array_equal(mixed[[0, 2]], expected_remembering[[0, 2]])
+    assert policy(second[0], 0.0).shape == (4, 2)  # other leading axes: other teams
+    np.testing.assert_array_equal(policy.headings, fresh_headings(second[0]))
+    policy.reset(np.array(True))
+    np.testing.assert_array_equal(policy.headings, np.zeros((4, 2)))
+    baselines.make("tangent-certified", CLUTTER).reset(np.array([True]))  # before the first call
+
+
+def fresh_headings(observations):
+    policy = baselines.make("tangent-certified", CLUTTER)
+    policy(observations, 0.0)
+    return policy.headings

@@ -1,0 +1,275 @@
+"""``rendezvous report``: what the page holds, and what it says of folders that are not whole."""
+
+import base64
+import csv
+import gzip
+import json
+import re
+import shutil
+
+import numpy as np
+import pytest
+
+from rendezvous_env import Scenario
+from train import cli, results
+from train.comparing import compare
+from train.report import build as report
+from train.report import encoding as report_encoding
+from train.report.input import read
+
+
+@pytest.fixture
+def folder(compared, tmp_path):
+    """A copy that a test may damage."""
+    return shutil.copytree(compared, tmp_path / "out")
+
+
+def refused(folder, capsys):
+    """The one line that the command says; no page is left."""
+    assert cli.main(["report", str(folder)]) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1 and "Traceback" not in said
+    assert not (folder / "report.html").exists()
+    return said
+
+
+def data_of(text):
+    """The JSON and the decoded blobs of a page."""
+    data = json.loads(re.search(r'<script id="data"[^>]*>(.*?)</script>', text, re.DOTALL)[1])
+    blobs = re.findall(r'<script id="recording-\d+"[^>]*>(.*?)</script>', text)
+    return data, [gzip.decompress(base64.b64decode(blob)) for blob in blobs]
+
+
+def decode(fields, raw):
+    """Arrays of a recording: an independent reading of report_encoding's description."""
+    arrays = {}
+    for field in fields:
+        shape, count = field["shape"], int(np.prod(field["shape"]))
+        dtype = np.dtype(field["type"]).newbyteorder("<")
+        part, raw = raw[: count * dtype.itemsize], raw[count * dtype.itemsize :]
+        if field["type"] != "int16":
+            arrays[field["name"]] = np.frombuffer(part, dtype).reshape(shape)
+            continue
+        low, high = np.frombuffer(part, np.uint8).reshape(2, count).astype(np.int64)
+        sums = (low + 256 * high).reshape(*shape[1:], shape[0]).cumsum(axis=-1)
+        whole = np.moveaxis((sums + 32768) % 65536 - 32768, -1, 0)
+        arrays[field["name"]] = np.where(whole == -32768, np.nan, whole * field["scale"])
+    assert raw == b""
+    return arrays
+
+
+class TestPage:
+    def test_rows_are_those_of_the_files(self, folder):
+        assert cli.main(["report", str(folder)]) == 0
+        data, _ = data_of((folder / "report.html").read_text(encoding="utf-8"))
+        for name, key in (("results.csv", "results"), ("paired.csv", "paired")):
+            with (folder / name).open(newline="") as file:
+                assert data[key] == list(csv.DictReader(file))
+        assert len(data["results"]) == 5
+        assert [p.name for p in folder.iterdir() if p.name.startswith(".")] == []
+
+    def test_recordings_are_those_of_the_file_to_the_stated_rounding(self, folder):
+        data, blobs = data_of(report.page(read(folder)))
+        with np.load(folder / "trajectories.npz") as arrays:
+            assert len(data["recordings"]) == len(blobs) == 2 * 5
+            for entry, raw in zip(data["recordings"], blobs, strict=True):
+                shown = decode(entry["fields"], raw)
+                key = f"{entry['scenario']}/{entry['policy']}/{entry['start']}/"
+                scales = {f["name"]: f.get("scale", 0.0) for f in entry["fields"]}
+                for name, array in shown.items():
+                    recorded = arrays[key + name].astype(float)
+                    close = {"atol": 0.501 * scales[name], "rtol": 1e-7}
+                    np.testing.assert_allclose(array, recorded, **close)
+                absent = (arrays[key + "observations"] == 0).all(axis=-1)
+                assert (shown["observations"][absent] == 0).all()
+                assert scales["observations"] < 1e-4 and scales["positions"] < 1e-3
+
+    def test_outcomes_and_obstacles_of_a_start(self, folder):
+        data, _ = data_of(report.page(read(folder)))
+        rows = results.read_csv(folder / "episodes.csv")
+        scenario = Scenario.from_plain(
+            json.loads((folder / "run.json").read_text())["scenarios"]["fig4"]
+        )
+        for entry in data["recordings"]:
+            assert entry["outcome"] in rows and entry["outcome"]["start"] == str(entry["start"])
+            if entry["scenario"] == "fig4":
+                corners = [len(obstacle["vertices"]) for obstacle in entry["obstacles"]]
+                assert sorted(corners) == [0, 0, 4] and len(scenario.obstacles) == 3
+            else:
+                assert entry["obstacles"] == []
+
+    def test_the_rounding_is_stated(self, folder):
+        text = report.page(read(folder))
+        with np.load(folder / "trajectories.npz") as arrays:
+            reach = max(abs(arrays[n]).max() for n in arrays.files if n.endswith("/positions"))
+        assert f"rounded to within {500 * reach / 32767:.2g} mm" in text
+
+    def test_nothing_is_loaded_from_elsewhere(self, folder):
+        text = report.page(read(folder))
+        assert "default-src 'none'" in text
+        assert not re.findall(r'(?:src|href)="(?!data:|#)', text)
+
+    def test_figures_are_those_of_the_folder(self, folder):
+        text = report.page(read(folder))
+        images = re.findall(r'src="data:image/png;base64,([^"]+)"', text)
+        files = sorted(folder.glob("*.png"))
+        assert [base64.b64decode(image) for image in images] == [f.read_bytes() for f in files]
+        assert len(files) >= 3
+
+    def test_names_are_text(self, folder):
+        """A scenario called </script><b> stays a name."""
+        name = "<b>&</b>"
+        for file in ("results.csv", "episodes.csv", "paired.csv", "run.json"):
+            path = folder / file
+            path.write_text(path.read_text().replace("fig4", "</script>" + name))
+        with pytest.raises(report.UserError, match=r"not in run\.json"):
+            read(folder)
+        (folder / "trajectories.npz").unlink()
+        text = report.page(read(folder))
+        assert name not in text
+        assert {row["scenario"] for row in data_of(text)[0]["results"]} == {
+            "</script>" + name,
+            "uav-6",
+        }
+
+    @pytest.mark.parametrize(
+        ("kept", "message"), [(False, "no trajectories.npz"), (True, "--keep 0")]
+    )
+    def test_without_trajectories_there_are_tables_and_a_word(self, kept, message, folder, capsys):
+        (folder / "trajectories.npz").unlink()
+        if kept:
+            results.write_arrays(folder / "trajectories.npz", {})
+        assert cli.main(["report", str(folder)]) == 0
+        text = (folder / "report.html").read_text(encoding="utf-8")
+        assert message in text and message in capsys.readouterr().out.replace("\n", " ")
+        assert 'id="player"' not in text and len(data_of(text)[0]["results"]) == 5
+
+    def test_a_policy_may_have_slashes_in_its_name(self, folder):
+        with np.load(folder / "trajectories.npz") as arrays:
+            renamed = {n.replace("/zero/", "/learned:a/b/"): arrays[n] for n in arrays.files}
+        results.write_arrays(folder / "trajectories.npz", renamed)
+        for file in ("results.csv", "episodes.csv", "run.json"):
+            path = folder / file
+            path.write_text(path.read_text().replace("zero", "learned:a/b"))
+        data, _ = data_of(report.page(read(folder)))
+        assert ("fig4", "learned:a/b", 1) in {
+            (r["scenario"], r["policy"], r["start"]) for r in data["recordings"]
+        }
+
+    def test_by_default_five_starts_are_kept(self):
+        assert compare.Config().keep == 5
+
+
+class TestSize:
+    def test_what_exceeds_its_share_is_thinned_and_says_so(self, folder, monkeypatch):
+        whole = read(folder)
+        sizes = {k: len(report_encoding.encode(r).text) for k, r in whole.recordings.items()}
+        budget = sum(sizes.values()) // 2
+        monkeypatch.setattr(report_encoding, "BUDGET", budget)
+        text = report.page(whole)
+        data, blobs = data_of(text)
+        strides = {
+            (r["scenario"], r["policy"], r["start"]): r["stride"] for r in data["recordings"]
+        }
+        assert {key for key, stride in strides.items() if stride > 1} == {
+            key for key, size in sizes.items() if size > budget // len(sizes)
+        }
+        assert f"{sum(s > 1 for s in strides.values())} of 10 recordings are thinned out" in text
+        assert sum(map(len, re.findall(r'type="application/gzip">(.*?)<', text))) <= budget
+        for entry, raw in zip(data["recordings"], blobs, strict=True):
+            recording = whole.recordings[entry["scenario"], entry["policy"], entry["start"]]
+            times, recorded = decode(entry["fields"], raw)["times"], recording["times"]
+            merges = ~np.isnan(recording["lyapunov_before_merge"])
+            expected = {*recorded[:: entry["stride"]], *recorded[merges], recorded[-1]}
+            np.testing.assert_allclose(times, sorted(expected), rtol=1e-6)
+
+
+class TestRounding:
+    def test_by_hand(self):
+        assert report_encoding.rounding(np.array([-3.0, np.nan, 1.0])) == 3.0 / 32767
+        assert report_encoding.rounding(np.zeros((2, 2))) == 1.0
+        assert report_encoding.rounding(np.full(3, np.nan)) == 1.0
+
+
+class TestRefusals:
+    def test_no_folder(self, tmp_path, capsys):
+        assert "there is no such folder" in refused(tmp_path / "nowhere", capsys)
+
+    def test_not_a_result_folder(self, tmp_path, capsys):
+        assert "holds no run.json" in refused(tmp_path, capsys)
+
+    @pytest.mark.parametrize("name", ["results.csv", "episodes.csv", "paired.csv"])
+    def test_a_table_is_missing(self, name, folder, capsys):
+        (folder / name).unlink()
+        assert f"{name}: missing" in refused(folder, capsys)
+
+    @pytest.mark.parametrize("name", ["results.csv", "episodes.csv"])
+    def test_a_table_is_cut_off(self, name, folder, capsys):
+        text = (folder / name).read_text()
+        (folder / name).write_text(text[: text.rstrip().rindex("\n") + 20])
+        assert f"{name}: line" in refused(folder, capsys)
+
+    def test_rows_are_missing(self, folder, capsys):
+        for name, message in (("results.csv", "not those that run.json"), ("episodes.csv", "3 st")):
+            text = (folder / name).read_text()
+            (folder / name).write_text(text[: text.rstrip().rindex("\n") + 1])
+            assert message in refused(folder, capsys)
+            (folder / name).write_text(text)
+
+    def test_a_column_is_missing(self, folder, capsys):
+        path = folder / "results.csv"
+        path.write_text(path.read_text().replace("time_low", "time_lowest"))
+        assert "has no column 'time_low'" in refused(folder, capsys)
+
+    def test_a_cell_is_no_number(self, folder, capsys):
+        path = folder / "results.csv"
+        lines = path.read_text().splitlines()
+        lines[2] = lines[2].replace(",4,", ",four,", 1)
+        path.write_text("\n".join(lines))
+        assert "line 3: episodes is 'four', no number" in refused(folder, capsys)
+
+    @pytest.mark.parametrize("version", [1, results.FORMAT_VERSION + 1, "new"])
+    def test_another_version(self, version, folder, capsys):
+        run = json.loads((folder / "run.json").read_text())
+        (folder / "run.json").write_text(json.dumps(run | {"format_version": version}))
+        said = refused(folder, capsys)
+        assert f"format_version is {version}" in said and str(results.FORMAT_VERSION) in said
+
+    @pytest.mark.parametrize("text", ["", "{", "[]", "null"])
+    def test_run_json_is_not_readable(self, text, folder, capsys):
+        (folder / "run.json").write_text(text)
+        assert "run.json: not readable" in refused(folder, capsys)
+
+    def test_run_json_lacks_something(self, folder, capsys):
+        run = json.loads((folder / "run.json").read_text())
+        del run["seed"]
+        (folder / "run.json").write_text(json.dumps(run))
+        assert "has no 'seed'" in refused(folder, capsys)
+
+    @pytest.mark.parametrize("share", [0.0, 0.3, 0.99])
+    def test_trajectories_are_cut_off(self, share, folder, capsys):
+        path = folder / "trajectories.npz"
+        whole = path.read_bytes()
+        path.write_bytes(whole[: int(share * len(whole))])
+        assert "trajectories.npz: not readable" in refused(folder, capsys)
+
+    def test_an_array_is_missing(self, folder, capsys):
+        with np.load(folder / "trajectories.npz") as arrays:
+            rest = {name: arrays[name] for name in arrays.files if not name.endswith("/frames")}
+        results.write_arrays(folder / "trajectories.npz", rest)
+        assert "has no 'frames'" in refused(folder, capsys)
+
+    def test_two_comparisons_mixed(self, folder, capsys):
+        path = folder / "episodes.csv"
+        path.write_text(path.read_text().replace("fig4,zero,0,0", "fig4,zero,0,1"))
+        assert "differ in zero on fig4" in refused(folder, capsys)
+
+    def test_a_page_that_stood_there_stays(self, folder, monkeypatch):
+        (folder / "report.html").write_text("old")
+
+        def interrupted(found):
+            raise KeyboardInterrupt
+
+        monkeypatch.setattr(report, "page", interrupted)
+        assert cli.main(["report", str(folder)]) == 130
+        assert (folder / "report.html").read_text() == "old"

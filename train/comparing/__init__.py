@@ -1,0 +1,1 @@
+"""Policies on the same starts: episodes, statistics, tables."""

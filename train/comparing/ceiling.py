@@ -1,0 +1,160 @@
+"""How much law (4) can reach at all: the best of many randomised certified headings on each start.
+
+What some run of law (4) has done a policy could have done, so the share of starts that at least one
+run passed cleanly is an estimate, from below, of what any heading policy can reach.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import baselines
+from baselines.obstacle_avoidance import CertifiedHeadingPolicy, tangent_joined_heading
+from rendezvous_env.experiment.scenario import Scenario
+
+from .episodes import play
+
+MIN_ALIGNMENT = 0.05
+"""ε of every run."""
+_LEAST_CLEARANCE, _MOST_CLEARANCE = 0.02, 0.4  # rad
+_SPREADS = (0.3, 0.6, 1.0)  # rad; of the bias that a robot keeps for an episode
+_WANDER = 0.3
+"""Spread of the bias that comes and goes, as a share of the one that stays."""
+_WANDER_TIME = 1.0  # s
+
+
+@dataclass(frozen=True)
+class Ceiling:
+    """What R runs did on N starts."""
+
+    success: NDArray[np.bool_]
+    """(R, N), whether all met."""
+    clean: NDArray[np.bool_]
+    """(R, N), whether they met without touching an obstacle."""
+
+    def row(self, scenario: Scenario) -> dict[str, Any]:
+        """One row of ceiling.csv."""
+        return {
+            "scenario": scenario.name,
+            "episodes": self.clean.shape[1],
+            "runs": len(self.clean),
+            "clean_best": float(self.clean.any(axis=0).mean()),
+            "success_best": float(self.success.any(axis=0).mean()),
+            "clean_mean": float(self.clean.mean()),
+            "never_clean": int((~self.clean.any(axis=0)).sum()),
+            "never_met": int((~self.success.any(axis=0)).sum()),
+        }
+
+
+COLUMNS = (
+    "scenario",
+    "episodes",
+    "runs",
+    "clean_best",
+    "success_best",
+    "clean_mean",
+    "never_clean",
+    "never_met",
+)
+"""Of ceiling.csv: fractions 0–1 of the starts; starts that no run passed cleanly, or at all."""
+
+
+def applies(scenario: Scenario) -> bool:
+    """Whether there is anything to steer around: single integrators among obstacles."""
+    return "tangent-joined" in baselines.names(scenario)
+
+
+def estimate(
+    scenario: Scenario,
+    runs: int,
+    *,
+    episodes: int,
+    seed: int,
+    on_progress: Callable[[float], None] = lambda share: None,
+) -> Ceiling:
+    """Play ``runs`` randomised policies on the starts that follow from ``seed``.
+
+    The first run is the joined rule with nothing random but its clearance.
+
+    Args:
+        scenario: single integrators among obstacles.
+        runs: R.
+        episodes: N.
+        seed: of the first start.
+        on_progress: told which share of the runs is done.
+    """
+    success, clean = [], []
+    for run in range(runs):
+
+        def make(run: int = run) -> CertifiedHeadingPolicy:
+            return randomised(scenario, seed=run, spread=_SPREADS[run % 3] if run else 0.0)
+
+        done, _ = play(scenario, make, margin=MIN_ALIGNMENT, episodes=episodes, seed=seed)
+        success.append(done.success)
+        clean.append(done.clean)
+        on_progress((run + 1) / runs)
+    return Ceiling(np.array(success), np.array(clean))
+
+
+def randomised(scenario: Scenario, *, seed: int, spread: float) -> CertifiedHeadingPolicy:
+    """The joined rule looking past f by an angle that is random for each robot.
+
+    Args:
+        scenario: single integrators among obstacles.
+        seed: of everything random.
+        spread: standard deviation of the angle, rad.
+    """
+    rule = _RandomRule(scenario.tau, np.random.default_rng(seed), spread)
+    return CertifiedHeadingPolicy(scenario, rule, MIN_ALIGNMENT, math.pi / scenario.tau)
+
+
+@dataclass
+class _RandomRule:
+    """A heading rule with memory of its random angles, one for each robot."""
+
+    tau: float
+    random: np.random.Generator
+    spread: float
+    clearance: float = field(init=False)
+    _bias: NDArray[np.float64] = field(init=False, default_factory=lambda: np.zeros(0))
+    _wander: NDArray[np.float64] = field(init=False, default_factory=lambda: np.zeros(0))
+
+    def __post_init__(self) -> None:
+        self.clearance = float(self.random.uniform(_LEAST_CLEARANCE, _MOST_CLEARANCE))
+
+    def __call__(
+        self, net_bearing: NDArray[np.float64], silhouettes: NDArray[Any]
+    ) -> NDArray[np.float64]:
+        """Headings of the joined rule, as if f pointed elsewhere; never against the true f."""
+        shape = net_bearing.shape[:-1]
+        if self._bias.shape != shape:
+            self._bias = self.random.normal(0.0, self.spread, shape)
+            self._wander = np.zeros(shape)
+        share = math.sqrt(2.0 * self.tau / _WANDER_TIME)
+        self._wander *= 1.0 - self.tau / _WANDER_TIME
+        self._wander += self.random.normal(0.0, share * _WANDER * self.spread, shape)
+        aside = _turned(net_bearing, self._bias + self._wander)
+        headings = tangent_joined_heading(aside, silhouettes, clearance=self.clearance)
+        return _not_against(headings, net_bearing)
+
+
+def _turned(vectors: NDArray[np.float64], angle: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Vectors turned in their xy plane, counter-clockwise; angles in rad."""
+    out = vectors.copy()
+    c, s = np.cos(angle), np.sin(angle)
+    out[..., 0] = c * vectors[..., 0] - s * vectors[..., 1]
+    out[..., 1] = s * vectors[..., 0] + c * vectors[..., 1]
+    return out
+
+
+def _not_against(headings: NDArray[np.float64], f: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Headings without the part that points against f."""
+    square = np.maximum(np.sum(f * f, axis=-1, keepdims=True), np.finfo(float).tiny)
+    against = np.minimum(np.sum(headings * f, axis=-1, keepdims=True), 0.0)
+    return headings - against / square * f

@@ -1,0 +1,177 @@
+"""Play episodes of one policy and measure them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rendezvous_env.engine.teams import RENDEZVOUS
+from rendezvous_env.experiment.scenario import Scenario
+from rendezvous_env.guarantee.lyapunov import certificate, time_bound
+from rendezvous_env.simulator import Simulator
+from rendezvous_env.trajectory import Policy, Step, run
+
+from ..errors import UserError
+from ..recording import Recorder, Recording, Snapshot
+from .alignment import alignments
+
+CHUNK = 1024
+"""Most teams simulated at once; more starts are played one chunk after the other."""
+
+
+@dataclass(frozen=True)
+class Episodes:
+    """What one policy did on N starts of one scenario; every field is (N,)."""
+
+    success: NDArray[np.bool_]
+    """Whether all robots met within the time limit."""
+    clean: NDArray[np.bool_]
+    """Whether they met without touching an obstacle."""
+    time: NDArray[np.float64]
+    """When they met, s; the time limit if they did not."""
+    path_length: NDArray[np.float64]
+    """Way of all robots together, m."""
+    contacts: NDArray[np.int64]
+    """Contacts with obstacles, one for each robot and step."""
+    clearance: NDArray[np.float64]
+    """Least distance of a robot to an obstacle, m; NaN without obstacles."""
+    max_rise_between_merges: NDArray[np.float64]
+    """Largest change of V in a step up to its first merge, m²/s; negative if V always fell."""
+    merge_rise: NDArray[np.float64]
+    """Largest rise of V at a merge, m²/s."""
+    merge_excess: NDArray[np.float64]
+    """By how much a merge raised V above the bound of theory 5, m²/s; anything but 0 is an
+    error."""
+    min_alignment: NDArray[np.float64]
+    """Least alignment of a robot with ‖f‖ ≥ 2δ, NaN if there was none; see
+    ``alignment.alignments``."""
+    initial_lyapunov: NDArray[np.float64]
+    """V at the start, m²/s."""
+    time_bound: NDArray[np.float64]
+    """Time by which the policy is proven to have met, s; NaN where nothing is proven."""
+
+    @classmethod
+    def joined(cls, parts: list[Episodes]) -> Episodes:
+        """Episodes one after the other."""
+        columns = [field.name for field in fields(cls)]
+        return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in columns))
+
+    def rows(self) -> Iterator[dict[str, Any]]:
+        """One row for each start, as in episodes.csv."""
+        columns = {field.name: getattr(self, field.name).tolist() for field in fields(self)}
+        for start in range(len(self.success)):
+            yield {"start": start} | {name: values[start] for name, values in columns.items()}
+
+
+def play(
+    scenario: Scenario,
+    make_policy: Callable[[], Policy],
+    *,
+    margin: float | None,
+    episodes: int,
+    seed: int,
+    keep: int = 0,
+    on_progress: Callable[[float], None] = lambda share: None,
+) -> tuple[Episodes, list[Recording]]:
+    """Run one policy from the starts ``seed``, ``seed`` + 1, … of a scenario.
+
+    The starts depend on their seeds alone, so every policy meets the same ones.
+
+    Args:
+        scenario: the experiment.
+        make_policy: gives a fresh policy for each chunk of teams.
+        margin: alignment margin ε that the policy promises, 1 for law (1), None if none.
+        episodes: N.
+        seed: of the first start.
+        keep: how many of the first starts to record.
+        on_progress: told after every step which share of the longest possible run is done.
+
+    Raises:
+        UserError: if the scenario has no room for a start.
+    """
+    parts: list[Episodes] = []
+    recordings: list[Recording] = []
+    firsts = range(0, episodes, CHUNK)
+    for chunk, first in enumerate(firsts):
+        simulator = Simulator(scenario, min(CHUNK, episodes - first))
+        observations = _reset(simulator, seed + first)
+        kept = range(min(keep, episodes)) if first == 0 else ()
+        recorders = [Recorder(Snapshot(simulator), team, observations) for team in kept]
+        meter = _Meter(simulator)
+        for step in run(simulator, make_policy(), observations):
+            aligned, after = meter.see(step), Snapshot(simulator)
+            for recorder in recorders:
+                recorder.see(step, aligned, after)
+            on_progress((chunk + meter.share_of_limit) / len(firsts))
+        parts.append(meter.episodes(margin))
+        recordings += [recorder.finish() for recorder in recorders]
+    return Episodes.joined(parts), recordings
+
+
+def _reset(simulator: Simulator, seed: int) -> NDArray[np.float32]:
+    try:
+        return simulator.reset(seed)
+    except RuntimeError as error:  # no room for a start
+        raise UserError(f"{simulator.scenario.name}: {error}") from error
+
+
+class _Meter:
+    """Watches a batch and keeps what is worst in each team so far."""
+
+    def __init__(self, simulator: Simulator) -> None:
+        batch = simulator.num_envs
+        self._simulator = simulator
+        self._rise = np.full(batch, -np.inf)
+        self._merge_rise, self._merge_excess = np.zeros(batch), np.zeros(batch)
+        self._alignment = np.full(batch, np.inf)
+        self._steps = 0
+
+    @property
+    def share_of_limit(self) -> float:
+        """Steps done, as a share of the time limit."""
+        return self._steps / self._simulator.max_steps
+
+    def see(self, step: Step) -> NDArray[np.float64]:
+        """Take in one step; returns the alignments of its robots, (B, n)."""
+        at, outcome = step.running, step.outcome
+        change = outcome.lyapunov_before_merge - step.lyapunov
+        np.maximum(self._rise, change, out=self._rise, where=at)
+        np.maximum(self._merge_rise, outcome.merge_rise, out=self._merge_rise, where=at)
+        np.maximum(self._merge_excess, outcome.merge_excess, out=self._merge_excess, where=at)
+        aligned = alignments(self._simulator.scenario, step)
+        np.fmin(self._alignment, np.fmin.reduce(aligned, axis=1), out=self._alignment, where=at)
+        self._steps += 1
+        return aligned
+
+    def episodes(self, margin: float | None) -> Episodes:
+        """What came of it, once every team has finished."""
+        simulator, scenario = self._simulator, self._simulator.scenario
+        success = simulator.status == RENDEZVOUS
+        contacts, clearance = simulator.contacts, simulator.min_clearance
+        return Episodes(
+            success=success,
+            clean=success & (contacts == 0),
+            time=simulator.time,
+            path_length=simulator.path_length,
+            contacts=contacts,
+            clearance=np.where(np.isfinite(clearance), clearance, np.nan),
+            max_rise_between_merges=self._rise,
+            merge_rise=self._merge_rise,
+            merge_excess=self._merge_excess,
+            min_alignment=np.where(np.isfinite(self._alignment), self._alignment, np.nan),
+            initial_lyapunov=simulator.initial_lyapunov,
+            time_bound=_bounds(scenario, simulator.initial_lyapunov, margin),
+        )
+
+
+def _bounds(
+    scenario: Scenario, initial_lyapunov: NDArray[np.float64], margin: float | None
+) -> NDArray[np.float64]:
+    """Proven times in s, NaN where none is proven."""
+    if margin is None or not np.isfinite(certificate(scenario, margin).time_bound):
+        return np.full(initial_lyapunov.shape, np.nan)
+    return time_bound(scenario, initial_lyapunov, min_alignment=margin)

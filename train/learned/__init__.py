@@ -1,0 +1,1 @@
+"""A trained policy: what it perceives, chooses and weighs, and its checkpoint."""

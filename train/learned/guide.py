@@ -1,0 +1,56 @@
+"""From a choice to a heading: the joined rule, as if f pointed a chosen angle to the side."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from baselines.obstacle_avoidance import tangent_joined_heading
+from rendezvous_env.experiment.scenario import Scenario
+
+ANGLES = np.array([0.0, 0.3, -0.3, 0.6, -0.6, 1.0, -1.0, 1.4, -1.4])
+"""What can be chosen, rad counter-clockwise from f; the first choice is the rule itself."""
+CHOICES = len(ANGLES)
+
+
+class Guide:
+    """Turns choices into raw vectors: which way round, and how much aside.
+
+        raw = joined rule(R(φ) f),   φ the angle chosen
+
+    Choice 0 is the rule of ``tangent-joined-tuned``. Edges are passed with a clearance, and the
+    side that a robot has chosen before counts (``persistence``).
+
+    Args:
+        scenario: whose robots are guided.
+        clearance: rad.
+        persistence: λ of ``baselines.silhouettes.joined_headings_2d``.
+    """
+
+    def __init__(self, scenario: Scenario, *, clearance: float, persistence: float) -> None:
+        self._layout = scenario.observation_layout
+        self._clearance, self._persistence = clearance, persistence
+
+    def aim(
+        self,
+        observations: NDArray[np.float32],
+        choices: NDArray[np.int64],
+        carried: NDArray[np.float64],
+    ) -> NDArray[np.float64]:
+        """Raw vectors (B, n, 2) in the robots' own frames.
+
+        Args:
+            observations: (B, n, rows, 2), in the robots' own frames.
+            choices: (B, n), indices of ANGLES.
+            carried: headings of the step before, (B, n, 2), zero where there is none.
+        """
+        f = self._layout.net_bearing(observations).astype(np.float64)
+        c, s = np.cos(ANGLES)[choices], np.sin(ANGLES)[choices]
+        aside = np.stack((c * f[..., 0] - s * f[..., 1], s * f[..., 0] + c * f[..., 1]), axis=-1)
+        return tangent_joined_heading(
+            aside,
+            self._layout.split(observations).obstacles,
+            clearance=self._clearance,
+            carried=carried,
+            persistence=self._persistence,
+        )

@@ -1,0 +1,111 @@
+"""Which policies a command can compare: the scripted and the learned ones, by name.
+
+The one place that turns a name into a policy. ``learned`` is the one that is shipped,
+``learned:PATH`` that of a run or a checkpoint.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import baselines
+from rendezvous_env.experiment.scenario import Scenario, nearest_word
+from rendezvous_env.trajectory import Policy
+
+from ..errors import UserError
+from . import learned_policy
+from .perception import check_readable
+
+LEARNED = learned_policy.NAME
+_AT_PATH = f"{LEARNED}:"
+
+
+def names(scenario: Scenario) -> list[str]:
+    """Names of all policies that fit a scenario and can run here, sorted."""
+    shipped = [LEARNED] if left_out() is None and _can_steer(scenario) else []
+    return sorted(baselines.names(scenario) + shipped)
+
+
+def left_out() -> str | None:
+    """Why ``learned`` cannot run here, in words; None if it can."""
+    if not (learned_policy.PRETRAINED / "checkpoint.json").is_file():
+        return "no pretrained policy is installed"
+    return learned_policy.missing_extra()
+
+
+def make(name: str, scenario: Scenario) -> Policy:
+    """A new policy of that name.
+
+    Raises:
+        ValueError: if it is unknown, does not fit, or cannot be read.
+    """
+    if path := learned_path(name):
+        return learned_policy.load(path, scenario)
+    return baselines.make(name, scenario)
+
+
+def learned_path(name: str) -> Path | None:
+    """Folder of a learned policy; None for the name of a scripted one."""
+    if name == LEARNED:
+        return learned_policy.PRETRAINED
+    return Path(name.removeprefix(_AT_PATH)) if name.startswith(_AT_PATH) else None
+
+
+def fitting(scenario: Scenario, wanted: Sequence[str]) -> list[str]:
+    """Those of the wanted policies that fit a scenario; all that fit if none is named."""
+    known = names(scenario)
+    if not wanted:
+        return known
+    return [
+        name
+        for name in wanted
+        if name in known or (learned_path(name) is not None and _can_steer(scenario))
+    ]
+
+
+def _can_steer(scenario: Scenario) -> bool:
+    """Whether learned policies fit the robots of a scenario."""
+    try:
+        check_readable(scenario)
+    except ValueError:
+        return False
+    return True
+
+
+def check_names(wanted: Sequence[str]) -> None:
+    """Refuse a name that no policy has, and a learned policy that cannot be read.
+
+    Raises:
+        UserError: with the nearest known name, or with what is wrong with the learned policy.
+    """
+    known = [*baselines.names(), LEARNED]
+    for name in wanted:
+        if learned_path(name) is not None:
+            _check_learned(name)
+        elif name not in known:
+            near = nearest_word(name, known, cutoff=0.0)
+            hint = f"did you mean {near!r}? " if near else ""
+            raise UserError(
+                f"policy {name!r} is unknown; {hint}known are {', '.join(known)}, {_AT_PATH}PATH"
+            )
+
+
+def _check_learned(name: str) -> None:
+    if name == LEARNED and (reason := left_out()):
+        raise UserError(f"policy 'learned': {reason}")
+    try:
+        learned_policy.load(learned_path(name), Scenario(n_robots=2))
+    except ValueError as error:
+        raise UserError(f"policy {name!r}: {error}") from error
+
+
+def promised_margin(name: str, policy: Policy) -> float | None:
+    """Alignment margin ε that a policy keeps by construction; None if it promises none.
+
+    It is 1 for law (1), and the attribute ``min_alignment`` of a policy with certified headings.
+    """
+    if name == "bearing-only":
+        return 1.0
+    margin = getattr(policy, "min_alignment", None)
+    return None if margin is None else float(margin)

@@ -1,0 +1,1 @@
+"""PPO that learns headings: settings, training, its log and its state."""

@@ -1,0 +1,112 @@
+"""What a heading policy is trained in: steering, perception, and the price of a touch."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from gymnasium.spaces import MultiDiscrete
+from gymnasium.vector import AutoresetMode
+from numpy.typing import ArrayLike, NDArray
+
+from rendezvous_env.gymnasium_env import RendezvousVectorEnv, Transition
+from rendezvous_env.vector import HeadingVectorWrapper, team_box
+
+from ..learned.guide import CHOICES, Guide
+from ..learned.networks import observation_box
+from ..learned.perception import Perception
+
+
+class PerceivingTeams(HeadingVectorWrapper):
+    """Teams whose robots choose by what ``Perception`` shows them, and head where ``Guide`` says.
+
+    Actions are choices (B, n), each held for ``decision_period`` base steps, in each of which the
+    guide aims anew. Observations are (B, n, layout.size), the last ones of an episode included. The
+    first touch of an obstacle costs the robot ``touch_penalty``, and no other robot of its team.
+
+    Args:
+        env: teams of single integrators in the plane, with SAME_STEP autoreset.
+        guide: of their scenario.
+        touch_penalty: taken from ``robot_rewards``, once in an episode.
+        obstacle_slots: of ``Perception``.
+        arguments: of ``HeadingVectorWrapper``: min_alignment, max_turn_rate, decision_period.
+
+    Raises:
+        ValueError: for robots that ``Perception`` cannot show, or another autoreset mode.
+    """
+
+    def __init__(
+        self,
+        env: RendezvousVectorEnv,
+        guide: Guide,
+        *,
+        touch_penalty: float = 0.0,
+        obstacle_slots: int | None = None,
+        **arguments: Any,
+    ) -> None:
+        if env.autoreset_mode is not AutoresetMode.SAME_STEP:
+            raise ValueError(f"autoreset_mode is {env.autoreset_mode}; it must be SAME_STEP")
+        super().__init__(env, frame="local", **arguments)
+        self.perception = Perception(
+            env.scenario,
+            env.num_envs,
+            decision_time=self.decision_period * env.scenario.tau,
+            obstacle_slots=obstacle_slots,
+        )
+        n = env.scenario.n_robots
+        self.guide = guide
+        self.single_observation_space = team_box(observation_box(self.perception.layout), n)
+        self.single_action_space = MultiDiscrete([CHOICES] * n)
+        self.touch_penalty = float(touch_penalty)
+        self._choices = np.zeros((env.num_envs, n), dtype=np.int64)
+        self._touched = np.zeros((env.num_envs, n), dtype=np.bool_)
+
+    def step(self, actions: ArrayLike) -> Transition:
+        """As ``HeadingVectorWrapper.step``, with touches paid for in ``robot_rewards``."""
+        touched = self._touched.copy()
+        seen, rewards, ends, cuts, infos = super().step(actions)
+        contact = infos["contact"]
+        if (over := ends | cuts).any():
+            contact = np.where(over[:, None], infos["final_info"]["contact"], contact)
+        infos["robot_rewards"] -= self.touch_penalty * (contact & ~touched)
+        self._touched |= infos["contact"]
+        return seen, rewards, ends, cuts, infos
+
+    def _take(self, actions: ArrayLike) -> None:
+        choices = np.asarray(actions)
+        if choices.shape != self._choices.shape:
+            raise ValueError(
+                f"actions have shape {choices.shape}; they must be (B, n) = {self._choices.shape}"
+            )
+        self._choices = choices.astype(np.int64)
+
+    def _act(self) -> NDArray[np.float32]:
+        raw = self.guide.aim(self._observed, self._choices, self.steering.headings)
+        self.steering.hold(raw)
+        return super()._act()
+
+    def _see(self, which: NDArray[np.bool_] | None) -> NDArray[np.float32]:
+        return self.perception.see(self._observed, self.steering.headings, which)
+
+    def _forget(self, which: NDArray[np.bool_] | None) -> None:
+        super()._forget(which)
+        self.perception.forget(which)
+        self._touched[slice(None) if which is None else which] = False
+
+    def get_state(self) -> dict[str, Any]:
+        """The running episodes and all memory, as copies."""
+        memory = {"perception": self.perception.get_state(), "touched": self._touched.copy()}
+        return super().get_state() | memory
+
+    def set_state(self, state: Mapping[str, Any]) -> None:
+        """Put back what ``get_state`` took out.
+
+        Raises:
+            ValueError: naming what does not fit.
+        """
+        if np.shape(state.get("touched")) != self._touched.shape:
+            raise ValueError(f"state: touched must be an array of shape {self._touched.shape}")
+        super().set_state({key: state[key] for key in ("env", "steering", "observed")})
+        self.perception.set_state(state["perception"])
+        self._touched[...] = state["touched"]

@@ -1,0 +1,80 @@
+"""What a training run tells: two CSV files, TensorBoard events, lines on the terminal."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from .. import results
+
+METRICS = (
+    "step", "update", "stage", "episodes", "success", "clean_success", "median_time", "return",
+    "alignment", "policy_loss", "value_loss", "explained_variance", "approx_kl", "clip_fraction",
+    "entropy", "learning_rate", "wall_s", "steps_per_s", "environment_share",
+)  # fmt: skip
+"""Of metrics.csv, one row for each update: fractions 0–1, s; empty where it does not apply."""
+WALL_TIME = ("wall_s", "steps_per_s", "environment_share")
+"""Columns that differ between two runs that are otherwise the same."""
+EVALUATION = ("step", *results.RESULT_COLUMNS)
+"""Of evaluation.csv, one row for each evaluation and scenario."""
+
+
+class Table:
+    """A CSV file that grows by rows and can be cut back to a step.
+
+    Args:
+        path: of the file.
+        columns: its header; one of them is "step".
+        step: rows of later steps are removed, and whatever a kill left of a last row.
+    """
+
+    def __init__(self, path: Path, columns: Sequence[str], step: int) -> None:
+        self._path, self._columns = path, columns
+        kept = [row for row in _complete_rows(path, columns) if int(row["step"]) <= step]
+        results.write_csv(path, columns, kept)
+
+    def add(self, row: Mapping[str, Any]) -> None:
+        """Append a row; it is in the file when this returns."""
+        with self._path.open("a", newline="", encoding="utf-8") as file:
+            writer = csv.writer(file)
+            writer.writerow([results.plain(row[column]) for column in self._columns])
+
+
+def _complete_rows(path: Path, columns: Sequence[str]) -> list[dict[str, str]]:
+    if not path.exists():
+        return []
+    lines = path.read_text(encoding="utf-8").splitlines(keepends=True)
+    whole = [line for line in lines if line.endswith("\n")]
+    rows = csv.DictReader(whole)
+    return [row for row in rows if None not in row and set(row) == set(columns)]
+
+
+class Events:
+    """TensorBoard events, or nothing.
+
+    Args:
+        folder: for the event files.
+        step: events of later steps are hidden.
+        wanted: whether to write at all.
+    """
+
+    def __init__(self, folder: Path, step: int, wanted: bool) -> None:
+        self._writer = None
+        if wanted:
+            from torch.utils.tensorboard import SummaryWriter
+
+            self._writer = SummaryWriter(str(folder), purge_step=step + 1)
+
+    def add(self, kind: str, row: Mapping[str, Any]) -> None:
+        """The numbers of a row at its step."""
+        if self._writer is not None:
+            for name, value in row.items():
+                if isinstance(value, int | float) and value == value:
+                    self._writer.add_scalar(f"{kind}/{name}", value, row["step"])
+
+    def close(self) -> None:
+        """Write what is left."""
+        if self._writer is not None:
+            self._writer.close()

@@ -1,0 +1,323 @@
+"""What a training run consists of, and its state on disk."""
+
+from __future__ import annotations
+
+import time
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from gymnasium.vector import AutoresetMode
+from stable_baselines3.common.logger import Logger
+
+from rendezvous_env import make_vec
+from rendezvous_env.experiment import scenarios
+
+from .. import results
+from ..comparing import statistics
+from ..comparing.episodes import play
+from ..errors import UserError
+from ..learned import checkpoints, learned_policy, networks
+from ..learned.checkpoints import CheckpointError
+from ..learned.learned_policy import LearnedPolicy
+from .perceiving import PerceivingTeams
+from .ppo import EVALUATION_SEEDS, Config
+from .rollout_buffer import RobotPPO
+from .run_log import EVALUATION, METRICS, Events, Table
+from .run_state import (
+    flatten,
+    optimizer_arrays,
+    random_state,
+    restore_optimizer,
+    restore_random,
+    tensors,
+    unflatten,
+)
+from .sb3_vec_env import RobotVecEnv
+
+STATE_FILES = ("network", "optimizer", "state")
+"""Of a checkpoint from which training can go on."""
+_LEAST_RATE = 0.05
+"""Share of the learning rate that is left at the end."""
+_LOSSES = {
+    "policy_loss": "policy_gradient_loss", "value_loss": "value_loss", "approx_kl": "approx_kl",
+    "explained_variance": "explained_variance", "clip_fraction": "clip_fraction",
+    "learning_rate": "learning_rate",
+}  # fmt: skip
+"""Columns of metrics.csv that stable-baselines3 tells, and what it calls them."""
+
+
+class WatchedRobots(RobotVecEnv):
+    """Robots whose environment's time and alignment are summed up."""
+
+    seconds = 0.0
+    """Spent in steps."""
+    alignment = 0.0
+    """Sum over robots and steps."""
+    aligned = 0
+    """How many terms that sum has."""
+
+    def step_wait(self) -> Any:
+        """As RobotVecEnv, and take the time."""
+        began = time.perf_counter()
+        result = super().step_wait()
+        alignment = self.teams.steering.alignment
+        known = ~np.isnan(alignment)
+        self.alignment += float(alignment[known].sum())
+        self.aligned += int(known.sum())
+        self.seconds += time.perf_counter() - began
+        return result
+
+
+class Training:
+    """Network, optimiser, environment and log of a run.
+
+    Args:
+        config: of the run.
+    """
+
+    def __init__(self, config: Config) -> None:
+        self.config = config
+        self.settings = config.policy_settings()
+        self.stage = 0
+        self.robots = self._make_robots(0)
+        layout = self.robots.teams.perception.layout
+        self.model = RobotPPO(
+            networks.HeadingNetwork,
+            self.robots,
+            learning_rate=lambda _: self._learning_rate(),
+            n_steps=config.n_steps,
+            batch_size=config.batch_size,
+            n_epochs=config.epochs,
+            gamma=config.gamma,
+            gae_lambda=config.gae_lambda,
+            clip_range=config.clip_range,
+            ent_coef=config.ent_coef,
+            seed=config.seed,
+            device=config.device,
+            stats_window_size=10**6,
+            policy_kwargs=networks.network_settings(
+                layout,
+                set_width=config.set_width,
+                hidden=config.hidden,
+                prior=config.prior,
+            ),
+        )
+        self.model.set_logger(Logger(None, []))
+        self._seconds = self._environment_seconds = 0.0
+        self._wall_before = 0.0
+        self._began = time.perf_counter()
+
+    def _make_robots(self, stage: int) -> WatchedRobots:
+        config = self.config
+        teams = make_vec(
+            config.stage_scenario(stage),
+            config.num_teams,
+            autoreset_mode=AutoresetMode.SAME_STEP,
+            num_threads=config.num_threads,
+        )
+        return WatchedRobots(
+            PerceivingTeams(
+                teams,
+                self.settings.make_guide(teams.scenario),
+                touch_penalty=config.touch_penalty,
+                obstacle_slots=config.obstacle_slots(),
+                min_alignment=config.min_alignment,
+                max_turn_rate=config.max_turn_rate,
+                decision_period=config.decision_period,
+            )
+        )
+
+    def _learning_rate(self) -> float:
+        done = self.model.num_timesteps / self.config.total_steps if hasattr(self, "model") else 0.0
+        return self.config.learning_rate * max(1.0 - done, _LEAST_RATE)
+
+    # ---- begin and resume -----------------------------------------------------------------------
+
+    def begin(self) -> int:
+        """Begin at step 0, with a checkpoint to come back to."""
+        if self.config.start_from is not None:
+            self._load_weights(self.config.start_from)
+        self._reset_robots()
+        self._open_log(0)
+        self.save()
+        return 0
+
+    def _load_weights(self, path: Path) -> None:
+        _, tables = checkpoints.read(checkpoints.find(path), ["network"])
+        try:
+            self.model.policy.load_state_dict(tensors(tables["network"]))
+        except RuntimeError as error:
+            raise UserError(f"--start-from {path}: another network: {error}") from error
+
+    def _reset_robots(self) -> None:
+        self.robots.seed(self.config.first_seed + 2**24 * self.stage)
+        self.model._last_obs = self.robots.reset()
+        self.model._last_episode_starts = np.ones(self.robots.num_envs, dtype=np.bool_)
+
+    def _enter_stage(self, stage: int) -> None:
+        self.stage, self.robots = stage, self._make_robots(stage)
+        self.model.set_env(self.robots, force_reset=False)
+
+    def _open_log(self, step: int) -> None:
+        out = self.config.out
+        self._metrics = Table(out / "metrics.csv", METRICS, step)
+        self._evaluations = Table(out / "evaluation.csv", EVALUATION, step)
+        self._events = Events(out / "tensorboard", step, self.config.tensorboard)
+
+    def restore(self, place: Path) -> int:
+        """Take up the state of a checkpoint; the step it was written at.
+
+        Raises:
+            CheckpointError: if it belongs to another scenario or network.
+        """
+        about, tables = checkpoints.read(place, STATE_FILES)
+        model = self.model
+        try:
+            if about["stage"] != self.stage:
+                self._enter_stage(about["stage"])
+            model.policy.load_state_dict(tensors(tables["network"]))
+            restore_optimizer(model.policy.optimizer, tables["optimizer"])
+            state = unflatten(tables["state"])
+            self.robots.set_state(state["robots"])
+            model._last_obs = state["last_observations"]
+            model._last_episode_starts = state["last_episode_starts"]
+            restore_random(state["random"])
+            model.num_timesteps, model._n_updates = about["step"], about["updates"]
+            self._wall_before = about["wall_s"]
+        except (KeyError, TypeError, ValueError, RuntimeError) as error:
+            raise CheckpointError(f"{place}: does not fit this run: {error}") from error
+        self._open_log(about["step"])
+        return int(about["step"])
+
+    def save(self) -> Path:
+        """Write a checkpoint.
+
+        Raises:
+            OSError: if it cannot be written; older ones are as they were.
+        """
+        model = self.model
+        state = {
+            "robots": self.robots.get_state(),
+            "last_observations": model._last_obs,
+            "last_episode_starts": model._last_episode_starts,
+            "random": random_state(),
+        }
+        description = {
+            "step": model.num_timesteps,
+            "updates": model._n_updates,
+            "stage": self.stage,
+            "wall_s": self._wall(),
+            "written": datetime.now(UTC).isoformat(timespec="seconds"),
+            "policy": self.settings.to_plain(),
+            "config": self.config.to_plain(),
+            "scenario": self.config.base_scenario().to_plain(),
+            "provenance": results.provenance(("torch", "stable-baselines3", "safetensors")),
+        }
+        tables = {  # as STATE_FILES says
+            "network": {k: v.cpu().numpy() for k, v in model.policy.state_dict().items()},
+            "optimizer": optimizer_arrays(model.policy.optimizer),
+            "state": flatten(state),
+        }
+        return checkpoints.write(self.config.out, model.num_timesteps, description, tables)
+
+    # ---- train ----------------------------------------------------------------------------------
+
+    def update(self) -> int:
+        """Collect and learn once; the steps done so far."""
+        model, config = self.model, self.config
+        if (stage := config.stage(model.num_timesteps)) != self.stage:
+            self._enter_stage(stage)
+            self._reset_robots()
+        began, robots = time.perf_counter(), self.robots
+        robots.seconds, robots.alignment, robots.aligned = 0.0, 0.0, 0
+        model.learn(config.samples_per_update, log_interval=None, reset_num_timesteps=False)
+        self._took = time.perf_counter() - began
+        self._seconds += self._took
+        self._environment_seconds += robots.seconds
+        return int(model.num_timesteps)
+
+    def report(self) -> dict[str, Any]:
+        """The row of metrics.csv that belongs to the last update."""
+        model, robots, took = self.model, self.robots, self._took
+        told = {key.removeprefix("train/"): v for key, v in model.logger.name_to_value.items()}
+        model.logger.dump(model.num_timesteps)
+        row = {
+            "step": model.num_timesteps,
+            "update": model._n_updates // self.config.epochs,
+            "stage": self.stage,
+            **_episode_numbers(list(model.ep_info_buffer)),
+            "alignment": robots.alignment / max(robots.aligned, 1),
+            "entropy": -told["entropy_loss"],
+            **{column: told[name] for column, name in _LOSSES.items()},
+            "wall_s": self._wall(),
+            "steps_per_s": self.config.samples_per_update / took,
+            "environment_share": robots.seconds / took,
+        }
+        row = {key: value.item() if hasattr(value, "item") else value for key, value in row.items()}
+        model.ep_info_buffer.clear()
+        model.ep_success_buffer.clear()
+        self._metrics.add(row)
+        self._events.add("train", row)
+        return row
+
+    def evaluate(self) -> list[dict[str, Any]]:
+        """Rows of evaluation.csv: the policy without noise on held-out starts."""
+        config, rows = self.config, []
+        names = config.eval_scenarios or (config.scenario,)
+        for scenario in map(scenarios.resolve, names):
+            with torch.random.fork_rng():
+                episodes, _ = play(
+                    scenario,
+                    lambda scenario=scenario: LearnedPolicy(
+                        scenario, self.model.policy, self.settings
+                    ),
+                    margin=self.settings.min_alignment,
+                    episodes=config.eval_starts,
+                    seed=EVALUATION_SEEDS,
+                )
+            limit = scenario.max_steps * scenario.tau
+            numbers = statistics.summarise(scenario.name, learned_policy.NAME, episodes, limit)
+            row = {"step": self.model.num_timesteps, **numbers}
+            self._evaluations.add(row)
+            self._events.add(f"evaluation-{scenario.name}", row)
+            rows.append(row)
+        return rows
+
+    def speed(self) -> str:
+        """How much time the environment took since this process began or resumed the run."""
+        if not self._seconds:
+            return "nothing was left to do"
+        share = self._environment_seconds / self._seconds
+        return (
+            f"{100 * share:.0f} % of the time in the environment; the same PPO on one that costs "
+            f"nothing would have taken the other {100 * (1 - share):.0f} %"
+        )
+
+    def _wall(self) -> float:
+        """Time that the run has taken, s, over all its resumptions."""
+        return self._wall_before + time.perf_counter() - self._began
+
+    def close(self) -> None:
+        """Write what is left of the log."""
+        self._events.close()
+
+
+def _episode_numbers(episodes: list[dict[str, Any]]) -> dict[str, Any]:
+    """Columns about the episodes that ended in an update; NaN without any."""
+    if not episodes:
+        nothing = dict.fromkeys(("success", "clean_success", "median_time", "return"), np.nan)
+        return {"episodes": 0, **nothing}
+    success = np.array([episode["success"] for episode in episodes])
+    contacts = np.array([episode["contacts"] for episode in episodes])
+    times = np.where(success, [episode["time"] for episode in episodes], np.inf)
+    median = np.median(times)
+    return {
+        "episodes": len(episodes),
+        "success": success.mean(),
+        "clean_success": (success & (contacts == 0)).mean(),
+        "median_time": median if np.isfinite(median) else np.nan,
+        "return": np.mean([episode["r"] for episode in episodes]),
+    }

@@ -1,0 +1,116 @@
+"""``rendezvous reproduce``: figures 3 and 4 of the paper for our start positions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+from tyro.conf import Positional
+
+from rendezvous_env.experiment import scenarios
+from rendezvous_env.trajectory import Trajectory, rollout
+
+from .. import results
+from ..errors import UserError
+from ..learned import policies
+from . import figures, path_figures
+
+_LAWS = {"fig3": "bearing-only", "fig4": "tangent-joined"}
+"""Figure 3: law (1), through the obstacles. Figure 4: law (4) round them."""
+
+
+@dataclass(frozen=True)
+class Config:
+    """Draw a figure of the paper: (a) the paths, (b) V(t) with its jumps at merges.
+
+    The paper prints no coordinates; start positions and obstacles are our own choice.
+    """
+
+    figure: Positional[Literal["fig3", "fig4"]]
+    """fig3: law (1), obstacles ignored. fig4: law (4) with headings round the obstacles."""
+    policy: str | None = None
+    """Another policy than the figure's own, bearing-only or tangent-joined."""
+    out: Path = Path("out/reproduce")
+    """Folder for the picture and its data; made if there is none."""
+    seed: int = 0
+    """Of the robots' local frames, which do not change what is drawn."""
+
+
+def run(config: Config) -> int:
+    """Simulate, draw, and write FIGURE.png, FIGURE.pdf, FIGURE.npz and FIGURE.csv.
+
+    Raises:
+        UserError: for a policy that does not fit or a folder that cannot be written.
+    """
+    if config.seed < 0:
+        raise UserError(f"--seed is {config.seed}; it must be 0 or more")
+    scenario = scenarios.get(config.figure)
+    name = config.policy or _LAWS[config.figure]
+    try:
+        policy = policies.make(name, scenario)
+    except ValueError as error:
+        raise UserError(str(error)) from error
+    folder = results.prepare_folder(config.out)
+    console = Console()
+    with console.status("simulating; the first use on a machine compiles …"):
+        trajectory = rollout(scenario, policy, config.seed)
+    recording = one_team(trajectory)
+    path = folder / f"{config.figure}.png"
+    results.write_arrays(path.with_suffix(".npz"), recording)
+    results.write_csv(path.with_suffix(".csv"), _columns(scenario.n_robots), _rows(recording))
+    figure = path_figures.team_figure(scenario, recording, name)
+    for ending in (".png", ".pdf"):
+        figures.save(figure, path.with_suffix(ending))
+    end = f"met after {recording['times'][-1]:.2f} s" if trajectory.success[0] else "did not meet"
+    rise = trajectory.largest_rise_between_merges
+    console.print(f"{config.figure}, {name}: {end}; largest change of V in a step {rise:.2g} m²/s")
+    console.print(f"picture and data: {path}, .pdf, .npz and .csv")
+    return 0
+
+
+def one_team(trajectory: Trajectory) -> dict[str, NDArray[Any]]:
+    """The first team of a rollout, every step a frame, with the keys of ``recording.Recording``."""
+    gone = (trajectory.active[:-1, 0] != trajectory.active[1:, 0]).any(axis=-1)
+    first = {
+        name: getattr(trajectory, name)[:, 0]
+        for name in ("positions", "headings", "active", "lyapunov", "observations")
+    }
+    jumps = {
+        name: np.append(np.nan, np.where(gone, getattr(trajectory, name)[:, 0], np.nan))
+        for name in ("lyapunov_before_merge", "lyapunov_after_merge")
+    }
+    contacts = np.cumsum(trajectory.contacts[:, 0], axis=0)
+    none = np.zeros_like(contacts[:1])
+    return {
+        "times": trajectory.times,
+        **first,
+        **jumps,
+        "contacts": np.concatenate([none, contacts]),
+        "obstacles": trajectory.obstacles[0],
+    }
+
+
+def _columns(n_robots: int) -> list[str]:
+    places = [f"{axis}_{robot}" for robot in range(n_robots) for axis in ("x", "y")]
+    jumps = ["lyapunov_before_merge", "lyapunov_after_merge"]
+    return ["time", "robots", "lyapunov", *jumps, *places]
+
+
+def _rows(recording: dict[str, NDArray[Any]]) -> list[dict[str, Any]]:
+    """One row for each frame: s, m²/s (empty without a merge), m."""
+    n = recording["positions"].shape[1]
+    table = np.column_stack(
+        [
+            recording["times"],
+            recording["active"].sum(axis=1),
+            recording["lyapunov"],
+            recording["lyapunov_before_merge"],
+            recording["lyapunov_after_merge"],
+            recording["positions"].reshape(len(recording["times"]), -1),
+        ]
+    )
+    return [dict(zip(_columns(n), row, strict=True)) for row in table.tolist()]

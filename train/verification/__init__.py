@@ -1,0 +1,1 @@
+"""The theorems as a command: claims, cases, adversaries."""

@@ -1,0 +1,198 @@
+"""``rendezvous verify``: the theorems of docs/theory.md as a command that can fail."""
+
+from __future__ import annotations
+
+import math
+import sys
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+from rendezvous_env.experiment.scenario import nearest_word
+
+from ..errors import UserError
+from ..results import prepare_folder, write_csv
+from .cases import BATCH
+from .claims import CLAIMS, Claim, check
+
+COLUMNS = (
+    "claim",
+    "trials",
+    "worst_margin",
+    "worst_time_over_bound",
+    "violations",
+    "seconds",
+    "first_violation",
+)
+"""Of verify.csv; the margin is a share (of V(0), of the time limit, of 2 max a), and negative
+means violated, rounding aside."""
+
+
+@dataclass(frozen=True)
+class Config:
+    """Check every claim of the theory on random teams; exit status 1 if one is violated."""
+
+    trials: int = 1000
+    """Teams for each claim."""
+    seed: int = 0
+    """Other seeds draw other teams."""
+    out: Path = Path("out/verify")
+    """Folder for verify.csv."""
+    min_alignment: float = 0.3
+    """Least margin ε that is drawn; waiting times grow with 1/ε²."""
+    claims: tuple[str, ...] = ()
+    """Names of the claims to check; all if none is given."""
+    only_batch: int | None = None
+    """Repeat one batch of teams, as a violation's report names it."""
+
+    def batches(self) -> list[tuple[int, int]]:
+        """(number, teams that count) of each batch to run."""
+        if self.only_batch is not None:
+            return [(self.only_batch, min(self.trials, BATCH))]
+        count = math.ceil(self.trials / BATCH)
+        return [(k, min(BATCH, self.trials - k * BATCH)) for k in range(count)]
+
+
+def check_config(config: Config) -> None:
+    """Refuse what cannot be run, by name.
+
+    Raises:
+        UserError: naming the flag, its value and what would be right.
+    """
+    for name, least in (("trials", 1), ("seed", 0), ("only_batch", 0)):
+        value = getattr(config, name)
+        if value is not None and value < least:
+            raise UserError(f"--{name.replace('_', '-')} is {value}; it must be {least} or more")
+    if not 0 < config.min_alignment < 1:
+        raise UserError(
+            f"--min-alignment is {config.min_alignment}; it must lie between 0 and 1, exclusive"
+        )
+    known = [claim.name for claim in CLAIMS]
+    for name in config.claims:
+        if name not in known:
+            near = nearest_word(name, known, cutoff=0.0)
+            raise UserError(
+                f"claim {name!r} is unknown; did you mean {near!r}? Known are {', '.join(known)}"
+            )
+
+
+@dataclass(frozen=True)
+class Row:
+    """What was found about one claim."""
+
+    claim: Claim
+    trials: int
+    margin: float
+    time_over_bound: float
+    """NaN where the claim names no time."""
+    violations: int
+    seconds: float
+    first_violation: str
+    """The command that repeats it; empty without any."""
+
+
+def verify(claim: Claim, config: Config, advance: Callable[[int], None]) -> Row:
+    """Check one claim on ``config.trials`` teams.
+
+    Args:
+        claim: what to check.
+        config: how many teams, from which seed.
+        advance: told how many teams have been done.
+    """
+    started, first, findings = time.perf_counter(), "", []
+    for batch, trials in config.batches():
+        finding = check(claim, config.seed, batch, trials, config.min_alignment)
+        findings.append(finding)
+        if finding.violations and not first:
+            first = command_for(claim, config, batch)
+        advance(trials)
+    return Row(
+        claim=claim,
+        trials=sum(finding.trials for finding in findings),
+        margin=min(finding.margin for finding in findings),
+        time_over_bound=max(finding.time_over_bound for finding in findings),
+        violations=sum(finding.violations for finding in findings),
+        seconds=time.perf_counter() - started,
+        first_violation=first,
+    )
+
+
+def command_for(claim: Claim, config: Config, batch: int) -> str:
+    """The command line that repeats one batch of one claim."""
+    return (
+        f"rendezvous verify --claims {claim.name} --seed {config.seed} --only-batch {batch} "
+        f"--min-alignment {config.min_alignment}"
+    )
+
+
+def run(config: Config, claims: Sequence[Claim] = CLAIMS, console: Console | None = None) -> int:
+    """Check the claims, print the table, write verify.csv; the exit status.
+
+    Raises:
+        UserError: for an impossible flag, or a folder that cannot be written to.
+    """
+    check_config(config)
+    path = prepare_folder(config.out) / "verify.csv"
+    console = console or Console(width=None if sys.stdout.isatty() else 120)
+    chosen = [claim for claim in claims if not config.claims or claim.name in config.claims]
+    trials = sum(count for _, count in config.batches())
+    bar = (
+        TextColumn("{task.description:16}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+    )
+    rows = []
+    with Progress(*bar, console=console, transient=True) as progress:
+        for claim in chosen:
+            task = progress.add_task(claim.name, total=trials)
+            rows.append(verify(claim, config, lambda n, task=task: progress.advance(task, n)))
+    console.print(table_of(rows))
+    write_csv(path, COLUMNS, map(as_plain, rows))
+    violated = [row for row in rows if row.violations]
+    for row in violated:
+        console.print(f"{row.claim.name} is violated; to repeat the first time:")
+        console.print(f"  {row.first_violation}", soft_wrap=True)
+    seconds = sum(row.seconds for row in rows)
+    total = sum(row.violations for row in rows)
+    console.print(f"{total} violations in {seconds:.0f} s; {path}", soft_wrap=True)
+    return int(bool(violated))
+
+
+def table_of(rows: Sequence[Row]) -> Table:
+    """The rows as they are printed."""
+    table = Table(title="What was proved, measured")
+    table.add_column("claim")
+    table.add_column("what is checked")
+    for heading in ("trials", "worst margin", "worst T/bound", "violations"):
+        table.add_column(heading, justify="right")
+    for row in rows:
+        table.add_row(
+            row.claim.name,
+            row.claim.statement,
+            str(row.trials),
+            f"{row.margin + 0.0:.2g}",
+            "" if math.isnan(row.time_over_bound) else f"{row.time_over_bound:.3f}",
+            str(row.violations),
+            style="bold red" if row.violations else None,
+        )
+    return table
+
+
+def as_plain(row: Row) -> dict[str, Any]:
+    """A row as it stands in verify.csv."""
+    return {
+        "claim": row.claim.name,
+        "trials": row.trials,
+        "worst_margin": row.margin,
+        "worst_time_over_bound": row.time_over_bound,
+        "violations": row.violations,
+        "seconds": round(row.seconds, 3),
+        "first_violation": row.first_violation,
+    }
