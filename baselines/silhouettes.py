@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from rendezvous_env.compilation import kernel
+from rendezvous_env.compilation import allocating_kernel, kernel
 from rendezvous_env.equations.vectors import X_AXIS, combine, dot, load, split, without
 
 TWO_PI = 2.0 * math.pi
@@ -41,7 +41,7 @@ def tangent_headings(net_bearing, silhouettes, only_blocking, out):
             _store(_nearest_point(towards, silhouettes[i, prominent]), out[i])
 
 
-@kernel
+@allocating_kernel
 def joined_headings_2d(net_bearing, silhouettes, clearance, carried, persistence, out):
     """Head for the nearer edge of all that blocks f, overlapping silhouettes being one obstacle.
 
@@ -73,7 +73,7 @@ def joined_headings_2d(net_bearing, silhouettes, clearance, carried, persistence
         out[i, 1] = s * towards[0] + c * towards[1]
 
 
-@kernel
+@allocating_kernel
 def joined_headings_3d(net_bearing, silhouettes, clearance, out):
     """Head for a free direction beside all that blocks f, overlapping cones being one obstacle.
 

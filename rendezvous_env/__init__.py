@@ -7,8 +7,9 @@ must all meet.
 from . import rendezvous_v0
 from .experiment import graphs, scenarios
 from .experiment.observation_layout import ObservationLayout
-from .experiment.obstacles import Disc, ObstacleField, Polygon, Sphere
+from .experiment.obstacles import Capsule, Disc, ObstacleField, Polygon, Sphere
 from .experiment.rewards import RewardWeights
+from .experiment.robot_models import RobotModel, register_robot_model
 from .experiment.scenario import Scenario, TimeStepWarning
 from .guarantee.heading import certified_heading
 from .guarantee.lyapunov import Certificate, certificate
@@ -21,6 +22,7 @@ from .wrappers import HeadingVectorWrapper
 
 __version__ = "0.1.0"
 __all__ = [
+    "Capsule",
     "Certificate",
     "Disc",
     "HeadingVectorWrapper",
@@ -28,6 +30,7 @@ __all__ = [
     "ObstacleField",
     "Polygon",
     "RewardWeights",
+    "RobotModel",
     "Scenario",
     "Simulator",
     "Sphere",
@@ -38,6 +41,7 @@ __all__ = [
     "graphs",
     "make_vec",
     "parallel_env",
+    "register_robot_model",
     "rendezvous_v0",
     "rollout",
     "scenarios",

@@ -23,24 +23,29 @@ _CONFIG: Any = numba.config
 
 
 def kernel(function: Callable[..., Any]) -> Any:
-    """Compile a function on first use: nogil, IEEE division, no fastmath; cached on disk."""
-    return _compile(function, inlined=False)
+    """Compile a function on first use: nogil, IEEE division, no fastmath; cached on disk.
+
+    It counts no references to arrays: to hand tuples of arrays over, and to count who holds each
+    array and each view of it, takes longer than a small team's arithmetic, and counters that two
+    threads raise at the same time take longest. A kernel must therefore neither allocate arrays,
+    which the compiler refuses, nor return any, which would be counted too seldom.
+    """
+    return _compile(function, allocates=False)
 
 
 def inlined_kernel(function: Callable[..., Any]) -> Any:
-    """A kernel that becomes part of whoever calls it and counts no references to arrays.
-
-    For what is done for every block with tuples of arrays: to hand those over, and to count who
-    holds each array and each view of it, takes longer than a small team's arithmetic, and counters
-    that two threads raise at the same time take longest. It must therefore neither allocate arrays,
-    which the compiler refuses, nor return any, which would be counted too seldom.
-    """
-    return _compile(function, inlined=True)
+    """A kernel that becomes part of whoever calls it."""
+    return _compile(function, allocates=False, inlined=True)
 
 
-def _compile(function: Callable[..., Any], inlined: bool) -> Any:
+def allocating_kernel(function: Callable[..., Any]) -> Any:
+    """A kernel that may allocate and return arrays."""
+    return _compile(function, allocates=True)
+
+
+def _compile(function: Callable[..., Any], allocates: bool, inlined: bool = False) -> Any:
     # both options would otherwise be those of whoever calls the function first
-    options: dict[str, Any] = {"forceinline": inlined, "_nrt": not inlined}
+    options: dict[str, Any] = {"forceinline": inlined, "_nrt": allocates}
     with _cache_in(_cache_folder(_package(Path(function.__code__.co_filename)))):
         compiler = numba.njit(cache=True, nogil=True, error_model="numpy", **options)
         return compiler(function)

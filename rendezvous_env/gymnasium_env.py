@@ -14,7 +14,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from .drawing.renderer import RENDER_MODES, Renderer, render_metadata
-from .engine.teams import RENDEZVOUS, RUNNING, TIME_OUT
+from .engine.memory import RENDEZVOUS, RUNNING, TIME_OUT
 from .experiment.scenario import Scenario
 from .experiment.scenarios import resolve
 from .outcome import Outcome

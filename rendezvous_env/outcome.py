@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from .engine.teams import (
+from .engine.memory import (
     LYAPUNOV_AFTER_MERGE,
     LYAPUNOV_BEFORE_MERGE,
     MERGE_EXCESS,
@@ -47,8 +47,8 @@ class Outcome:
 
     def __init__(self, results: Results, observed: tuple[int, ...]) -> None:
         self.results = results
-        flat, self._scores, self.contact, self.clearance, self.active = results[:5]
-        self.status, self.robot_rewards = results[5:]
+        flat, _, self._scores, self.contact, self.clearance, self.active = results[:6]
+        self.status, self.robot_rewards = results[6:8]
         self.observations = flat.reshape(observed)
 
     @property

@@ -14,7 +14,7 @@ from pettingzoo.utils.conversions import parallel_to_aec
 from pettingzoo.utils.env import AECEnv, ParallelEnv
 
 from .drawing.renderer import RENDER_MODES, Renderer, render_metadata
-from .engine.teams import RENDEZVOUS, RUNNING
+from .engine.memory import RENDEZVOUS, RUNNING
 from .experiment.scenario import Scenario
 from .experiment.scenarios import resolve
 from .outcome import Outcome

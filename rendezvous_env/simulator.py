@@ -11,16 +11,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from .compilation import compiled, entry_point
 from .engine import threads
-from .engine.lanes import FEW, LANES
-from .engine.preparation import empty_teams, fixed_obstacles, physics, start_rules
-from .engine.sharing import Part
-from .engine.starts import StartRules, reset_teams
-from .engine.step import first_not_finite, observe_blocks, step_blocks
-from .engine.teams import (
-    ACTIVE,
-    BOOK,
+from .engine.memory import (
+    AWAITING_RESET,
     CONTACTS,
-    FRESH,
     INITIAL_LYAPUNOV,
     LYAPUNOV,
     MIN_CLEARANCE,
@@ -31,30 +24,29 @@ from .engine.teams import (
     STEPS,
     TIME_OUT,
     Results,
-    Teams,
-    from_book,
-    from_lanes,
-    to_book,
-    to_lanes,
 )
+from .engine.preparation import (
+    Arrangement,
+    drafts,
+    fixed_links,
+    fixed_obstacles,
+    hands_of_threads,
+    lanes_of_threads,
+    physics,
+    start_rules,
+    whole_rows,
+)
+from .engine.sharing import Part
+from .engine.starts import TOO_MANY_LINKS, StartRules, reset_teams
+from .engine.state import Overwritten, State, overwrite, undo
+from .engine.step import first_not_finite, step_blocks
+from .engine.worlds import empty_worlds
 from .experiment.scenario import Scenario
 from .experiment.start_options import StartOptions, parse_options
 from .outcome import Outcome
 
 _WORK_PER_THREAD = 4096
 """Robot pairs below which another thread costs more than it saves."""
-_KEPT = {
-    BOOK[entry]: (entry, kind)
-    for entry, kind in (
-        (STATUS, np.int64),
-        (STEPS, np.int64),
-        (CONTACTS, np.int64),
-        (PATH_LENGTH, np.float64),
-        (INITIAL_LYAPUNOV, np.float64),
-        (MIN_CLEARANCE, np.float64),
-    )
-}
-"""What of a team's book belongs to its state, and as what; the rest follows."""
 
 
 class Simulator:
@@ -82,7 +74,7 @@ class Simulator:
         self.num_envs = int(num_envs)
         self.num_threads = num_threads
         self.max_steps = scenario.max_steps
-        self._teams = empty_teams(scenario, self.num_envs)
+        self._state = State(scenario, self.num_envs)
         self._seed = np.zeros(self.num_envs, dtype=np.uint64)
         self._episode = np.full(self.num_envs, -1)
         self._seeded = np.zeros(self.num_envs, dtype=np.bool_)
@@ -92,14 +84,17 @@ class Simulator:
     def _prepare(self) -> None:
         """Make what follows from the scenario: constants and working memory."""
         scenario = self.scenario
-        self._axes = tuple(range(scenario.dim))
-        self._span = (0,) if self.num_envs <= FEW else ()
         self._acted = (self.num_envs, scenario.n_robots, scenario.action_size)
         self._observed = (self.num_envs, scenario.n_robots, *scenario.observation_layout.shape)
         self._width = _width(scenario, self.num_envs, self.num_threads)
-        self._physics = physics(scenario, self.max_steps)
+        self._physics = physics(scenario, self.num_envs, self.max_steps)
+        self._lanes = tuple(lanes_of_threads(scenario, self.num_envs, self._width))
+        self._hands = tuple(hands_of_threads(scenario, self.num_envs, self._width))
+        self._blocks = np.arange(self._state.blocks)
+        self._no_actions = np.zeros(self._acted, np.float32)
         self._run: Callable[..., Any] | None = None
         self._rules = start_rules(scenario)
+        self._fixed_links = fixed_links(scenario)
         self._fixed_obstacles = fixed_obstacles(scenario)
         self._all_running = self._none_rests()
         self._themselves = np.tile(np.arange(scenario.n_robots), (self.num_envs, 1))
@@ -155,7 +150,7 @@ class Simulator:
         if outcome is not None:
             outcome.contact[which], outcome.active[which] = False, True
             outcome.status[which] = RUNNING
-            self._observe_blocks(np.unique(which // LANES), outcome.results)
+            self._observe_blocks(np.unique(which // self._state.lanes), outcome.results)
 
     def _begin(
         self,
@@ -164,23 +159,43 @@ class Simulator:
         given: StartOptions,
         resting: bool,
     ) -> None:
-        before: _Before = []
-        self._assign_seeds(which, seeds, before)
-        rules = self._take_given(which, given, before)
+        log: list[Overwritten] = []
+        self._assign_seeds(which, seeds, log)
+        rules = self._take_given(which, given, log)
+        state = self._state
         with _quiet_integers():
-            status = FRESH if resting else RUNNING
-            failed = reset_teams(which, status, rules, self._seed, self._episode, self._teams)
-        if failed >= 0:
-            for array, index, old in reversed(before):
-                array[index] = old
-            raise RuntimeError(
-                f"no room for the start of team {failed}: {self.scenario.n_robots} robots, "
-                f"neighbours at least 2 merge_radius = {2 * self.scenario.merge_radius} m apart "
-                f"and clear of obstacles, in a spawn_size of {self.scenario.spawn_size} m; "
-                "enlarge it or thin out the obstacles"
+            failed, why = reset_teams(
+                which,
+                AWAITING_RESET if resting else RUNNING,
+                rules,
+                self._seed,
+                self._episode,
+                self._physics,
+                tuple(state.teams),
+                tuple(state.links),
+                state.obstacles,
+                tuple(array[0] for array in self._hands),
+                tuple(drafts(self.scenario, self.num_envs, len(which))),
+                empty_worlds(state.obstacles, len(which)),
             )
+        if failed >= 0:
+            undo(log)
+            raise RuntimeError(self._no_room(failed, why))
         self._all_running = self._none_rests()
         self._ready = True
+
+    def _no_room(self, team: int, why: int) -> str:
+        scenario = self.scenario
+        if why == TOO_MANY_LINKS:
+            return (
+                f"the graph drawn for team {team} has more links than expected; choose another seed"
+            )
+        return (
+            f"no room for the start of team {team}: {scenario.n_robots} robots, "
+            f"neighbours at least 2 merge_radius = {2 * scenario.merge_radius} m apart "
+            f"and clear of obstacles, in a spawn_size of {scenario.spawn_size} m; "
+            "enlarge it or thin out the obstacles"
+        )
 
     def step(self, actions: ArrayLike) -> Outcome:
         """Advance every running team by one step τ with the inputs held.
@@ -212,45 +227,73 @@ class Simulator:
                 "it must be finite"
             )
         results = self._new_results()
-        written = tuple(results)
-        threads.share(
-            lambda part: self._step_blocks(part, table, written),
-            len(self._teams.positions),
-            self._width,
-        )
+        self._share(True, self._blocks, table, results, self._width)
         self._all_running = not np.count_nonzero(results.status)  # RUNNING is 0
+        self._refuse_crowds(results)
         return Outcome(results, self._observed)
 
-    def _step_blocks(
-        self, part: Part, table: NDArray[np.float32], results: tuple[Any, ...]
-    ) -> bool:
-        given = (part, self._physics, self._axes, self._span, tuple(self._teams))
+    def _share(
+        self,
+        moves: bool,
+        blocks: NDArray[np.int64],
+        table: NDArray[np.float32],
+        results: Results,
+        width: int,
+    ) -> None:
+        """Let up to ``width`` threads step or observe some blocks."""
+        state, written = self._state, tuple(results)
+        table = table.reshape(self.num_envs, -1)
+        fixed = (moves, blocks, self._physics, tuple(state.teams), tuple(state.links))
+        given = (state.obstacles, table, written, self._lanes, self._hands)
         if self._run is None:
-            self._run = entry_point(step_blocks, (*given, np.empty_like(table), results))
-        return self._run(*given, table, results)
+            part: Part = (0, threads.new_counters(1), np.zeros(1, np.int64), -1, 0, 0)
+            writable = (state.obstacles, np.empty_like(table), *given[2:])
+            self._run = entry_point(step_blocks, (part, *fixed, *writable))
+        run = self._run
+        threads.share(lambda part: run(part, *fixed, *given), len(blocks), width)
+
+    def _refuse_crowds(self, results: Results) -> None:
+        """Name a robot that has come to have more neighbours than the observation has rows."""
+        slots = self.scenario.observation_layout.neighbour_slots
+        if slots == self.scenario.n_robots - 1 or not (results.crowded >= 0).any():
+            return
+        team = int(np.argmax(results.crowded >= 0))
+        raise RuntimeError(
+            f"robot_{results.crowded[team]} of team {team} has more than neighbour_slots = {slots} "
+            f"neighbours after step {self.steps[team]}; give the scenario more neighbour_slots"
+        )
 
     def observe(self) -> NDArray[np.float32]:
-        """Observations of all teams as they are, (B, n, rows, d) float32."""
-        return self._observed_results().observations.reshape(self._observed)
+        """Observations of all teams as they are, (B, n, rows, d) float32.
+
+        Raises:
+            RuntimeError: if a robot has more neighbours than the observation has rows.
+        """
+        results = self._observed_results()
+        self._refuse_crowds(results)
+        return results.observations.reshape(self._observed)
 
     def _observed_results(self) -> Results:
         results = self._new_results()
-        self._observe_blocks(np.arange(len(self._teams.positions)), results)
+        self._observe_blocks(self._blocks, results)
         return results
 
     def _observe_blocks(self, blocks: NDArray[np.int64], results: Results) -> None:
-        observe_blocks(blocks, self._physics, self._axes, tuple(self._teams), tuple(results))
+        self._share(False, blocks, self._no_actions, results, 1)
 
     def _new_results(self) -> Results:
         batch, n, rows, d = self._observed
+        observations = np.empty((batch, n * rows * d), np.float32)
         return Results(
-            np.empty((batch, n * rows * d), np.float32),
+            observations,
+            whole_rows(observations, d),
             np.empty((5, batch)),
             np.empty((batch, n), np.bool_),
             np.empty((batch, n)),
             np.empty((batch, n), np.bool_),
             np.empty(batch, np.int64),
             np.empty((batch, n)),
+            np.empty(batch, np.int64),
         )
 
     # ---- state --------------------------------------------------------------------------------
@@ -258,49 +301,50 @@ class Simulator:
     @property
     def positions(self) -> NDArray[np.float64]:
         """p_i, (B, n, d), m; a merged-away robot is where the robot is that it became part of."""
-        places = from_lanes(self._teams.positions, self.num_envs)
-        return np.take_along_axis(places, self._teams.merged_into[..., None], axis=1)
+        places, into = self._state.positions(), self._state.teams.merged_into
+        return np.take_along_axis(places, into[..., None], axis=1)
 
     @property
     def headings(self) -> NDArray[np.float64]:
         """Yaw, or yaw and pitch, (B, n, 1 or 2), rad; (B, n, 0) for single integrators."""
-        return self._teams.angles.copy()
+        return self._state.memory()[..., : self.scenario.model.n_angles].copy()
+
+    @property
+    def velocities(self) -> NDArray[np.float64]:
+        """Velocities of double integrators in the global frame, (B, n, d), m/s; (B, n, 0) for other
+        models.
+        """
+        return self._state.memory()[..., self.scenario.model.n_angles :].copy()
 
     @property
     def frames(self) -> NDArray[np.float64]:
         """R_i, local → global, (B, n, d, d)."""
-        d = self.scenario.dim
-        frames = from_lanes(self._teams.frames, self.num_envs)
+        d, frames = self.scenario.dim, self._state.frames()
         return frames.reshape(*frames.shape[:2], d, d).copy()
 
     @property
     def weights(self) -> NDArray[np.float64]:
         """a_ij, (B, n, n), m/s, as merging has left them."""
-        n = self.scenario.n_robots
-        pairs = from_lanes(self._teams.weights, self.num_envs)[..., 0]
-        weights = np.zeros((self.num_envs, n, n))
-        rows, columns = np.triu_indices(n, 1)
-        weights[:, rows, columns] = weights[:, columns, rows] = pairs
-        return weights
+        return self._state.weights()
 
     @property
     def obstacles(self) -> NDArray[np.float64]:
-        """Packed obstacles, (B, M, width), as obstacles.py says."""
-        return self._teams.obstacles.copy()
+        """Obstacles as tables, (B, M, width), see ``experiment.packing``."""
+        return self._state.obstacle_table()
 
     @property
     def merged_into(self) -> NDArray[np.int64]:
         """(B, n), index of the robot that each one is now part of; its own while it is active."""
-        return self._teams.merged_into.copy()
+        return self._state.teams.merged_into.copy()
 
     @property
     def active(self) -> NDArray[np.bool_]:
         """(B, n), whether the robot still exists on its own."""
-        return self._teams.merged_into == self._themselves
+        return self._state.teams.merged_into == self._themselves
 
     @property
     def status(self) -> NDArray[np.int64]:
-        """(B,), RUNNING, RENDEZVOUS, TIME_OUT or FRESH of teams.py."""
+        """(B,), RUNNING, RENDEZVOUS, TIME_OUT or AWAITING_RESET of engine.memory."""
         return self._entry(STATUS).astype(np.int64)
 
     @property
@@ -364,30 +408,18 @@ class Simulator:
         return self._entry(LYAPUNOV)
 
     def _entry(self, entry: int) -> NDArray[np.float64]:
-        """One entry of every team's book, (B,), as a copy."""
-        return from_book(self._teams.book, entry, self.num_envs)
+        """One entry of every team's statistics, (B,), as a copy."""
+        return self._state.statistic(entry)
 
     @property
     def nbytes(self) -> int:
         """Bytes of the state of all teams."""
-        return sum(array.nbytes for array in (*self._teams, self._seed, self._episode))
+        return self._state.nbytes + self._seed.nbytes + self._episode.nbytes
 
     def get_state(self) -> dict[str, NDArray[Any]]:
         """Everything that the future of the teams depends on, as copies with leading axis B."""
-        teams = self._teams
-        state = {
-            "positions": from_lanes(teams.positions, self.num_envs).copy(),
-            "angles": teams.angles.copy(),
-            "weights": from_lanes(teams.weights, self.num_envs).copy(),
-            "obstacles": teams.obstacles.copy(),
-            "merged_into": teams.merged_into.copy(),
-            "seed": self._seed.copy(),
-            "episode": self._episode.copy(),
-        }
-        if not self.scenario.model.nonholonomic:
-            state["frames"] = from_lanes(teams.frames, self.num_envs).copy()
-        kept = {name: self._entry(k).astype(kind) for name, (k, kind) in _KEPT.items()}
-        return state | kept
+        drawn = {"seed": self._seed.copy(), "episode": self._episode.copy()}
+        return self._state.as_dict() | drawn
 
     def set_state(self, state: Mapping[str, NDArray[Any]]) -> None:
         """Put a state back that ``get_state`` took out of a simulator of the same scenario and
@@ -400,24 +432,16 @@ class Simulator:
         own = self.get_state()
         if wrong := sorted(set(own) ^ set(state)):
             raise ValueError(f"state: entry {wrong[0]!r} is missing or unknown")
+        given: dict[str, NDArray[Any]] = {}
         for name, array in own.items():
-            value = np.asarray(state[name])
+            given[name] = value = np.asarray(state[name])
             if value.shape != array.shape or value.dtype != array.dtype:
                 raise ValueError(
                     f"state: {name} is {value.dtype} of shape {value.shape}; "
                     f"it must be {array.dtype} of shape {array.shape}"
                 )
-        teams = self._teams
-        for name in state:
-            if name in _KEPT:
-                to_book(state[name], _KEPT[name][0], teams.book)
-            elif name in ("seed", "episode"):
-                getattr(self, f"_{name}")[...] = state[name]
-            elif name in ("positions", "weights", "frames"):
-                to_lanes(state[name], getattr(teams, name))
-            else:
-                getattr(teams, name)[...] = state[name]
-        to_book(self.active.sum(axis=1), ACTIVE, teams.book)
+        self._seed[...], self._episode[...] = given.pop("seed"), given.pop("episode")
+        self._state.put(given)
         self._seeded[:] = True
         self._all_running = self._none_rests()
         self._ready = True
@@ -436,7 +460,7 @@ class Simulator:
         ):
             raise ValueError(f"max_cycles is {max_steps!r}; it must be a whole number, 1 or more")
         self.max_steps = int(max_steps)
-        self._physics = physics(self.scenario, self.max_steps)
+        self._physics = physics(self.scenario, self.num_envs, self.max_steps)
 
     def __getstate__(self) -> dict[str, Any]:
         """Pickle and deepcopy keep the running episodes and leave the working memory behind."""
@@ -445,7 +469,7 @@ class Simulator:
             "num_envs": self.num_envs,
             "num_threads": self.num_threads,
             "max_steps": self.max_steps,
-            "_teams": tuple(array.copy() for array in self._teams),
+            "_state": self._state.as_dict(),
             "_seed": self._seed.copy(),
             "_episode": self._episode.copy(),
             "_seeded": self._seeded.copy(),
@@ -454,9 +478,13 @@ class Simulator:
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Take up the episodes where they were."""
+        kept = state.pop("_state")
         self.__dict__.update(state)
-        self._teams = Teams(*state["_teams"])
+        self._state = State(self.scenario, self.num_envs)
+        self._state.put(kept)
         self._prepare()
+        if self._ready:
+            self.observe()
 
     # ---- parts of reset -----------------------------------------------------------------------
 
@@ -493,66 +521,56 @@ class Simulator:
         return [None if value is None else int(value) for value in listed]
 
     def _assign_seeds(
-        self, which: NDArray[np.int64], seeds: list[int | None] | None, before: _Before
+        self, which: NDArray[np.int64], seeds: list[int | None] | None, log: list[Overwritten]
     ) -> None:
         """Seed teams anew, or send them on to the next episode of their seed."""
-        _put(self._episode[which] + 1, self._episode, which, before)
+        overwrite(self._episode, which, self._episode[which] + 1, log)
         if seeds is not None:
             given = [team for team in which.tolist() if seeds[team] is not None]
-            _put([seeds[team] for team in given], self._seed, given, before)
-            _put(0, self._episode, given, before)
-            _put(True, self._seeded, given, before)
+            overwrite(self._seed, given, [seeds[team] for team in given], log)
+            overwrite(self._episode, given, 0, log)
+            overwrite(self._seeded, given, True, log)
         if not self._seeded[which].all():
             unseeded = which[~self._seeded[which]]
             entropy = np.random.SeedSequence().generate_state(len(unseeded), np.uint64)
-            _put(entropy >> np.uint64(1), self._seed, unseeded, before)
-            _put(True, self._seeded, unseeded, before)
+            overwrite(self._seed, unseeded, entropy >> np.uint64(1), log)
+            overwrite(self._seeded, unseeded, True, log)
 
     def _take_given(
-        self, which: NDArray[np.int64], given: StartOptions, before: _Before
+        self, which: NDArray[np.int64], given: StartOptions, log: list[Overwritten]
     ) -> StartRules:
         """Write the given parts of a start into the state; the rules say to draw the others."""
-        scenario, teams = self.scenario, self._teams
-        n, d = scenario.n_robots, scenario.dim
+        scenario, state = self.scenario, self._state
+        n, d, rules = scenario.n_robots, scenario.dim, self._rules
         starts, headings = scenario.start_positions, scenario.start_headings
         positions = given.positions if starts is None else _or(given.positions, [starts])
         angles = given.angles if headings is None else _or(given.angles, [headings])
-        frames, weights, obstacles = given.frames, given.weights, given.obstacles
-        if frames is None and scenario.local_frames == "global":
+        frames, obstacles = given.frames, given.obstacles
+        if frames is None and not scenario.model.nonholonomic and scenario.local_frames == "global":
             frames = np.broadcast_to(np.eye(d), (1, n, d, d))
         if obstacles is None:
             obstacles = self._fixed_obstacles
-        lanes = (which // LANES, slice(None), slice(None), which % LANES)
         if positions is not None:
-            _put(_for_each(positions, which), _by_lane(teams.positions), lanes, before)
+            state.give("positions", _for_each(positions, which), which, log)
         if angles is not None:
-            _put(_for_each(angles, which), teams.angles, which, before)
-        if frames is not None and not scenario.model.nonholonomic:
+            state.give("memory", _for_each(angles, which), which, log)
+        if frames is not None:
             flat = frames.reshape(len(frames), n, d * d)
-            _put(_for_each(flat, which), _by_lane(teams.frames), lanes, before)
-        if weights is not None:
-            rows, columns = np.triu_indices(n, 1)
-            listed = weights[:, rows, columns, None]
-            _put(_for_each(listed, which), _by_lane(teams.weights), lanes, before)
+            state.give("frames", _for_each(flat, which), which, log)
+        if given.weights is not None:
+            listed = [_listed(matrix) for matrix in _for_each(given.weights, which)]
+            state.give_links(listed, which, log)
+        elif self._fixed_links is not None:
+            state.give_links([self._fixed_links], which, log)
         if obstacles is not None and obstacles.size:
-            _put(_for_each(obstacles, which), teams.obstacles, which, before)
-        return self._rules._replace(
+            state.give_obstacles(_for_each(obstacles, which), which, log)
+        return rules._replace(
             draw_positions=positions is None,
-            draw_angles=angles is None,
-            draw_frames=frames is None,
-            draw_weights=weights is None,
-            draw_obstacles=obstacles is None,
+            draw_memory=angles is None,
+            draw_frames=rules.draw_frames and frames is None,
+            draw_weights=given.weights is None,
+            draw_obstacles=rules.draw_obstacles and given.obstacles is None,
         )
-
-
-_Before = list[tuple[NDArray[Any], Any, Any]]
-"""What was overwritten: arrays, indices and old values, in the order in which that happened."""
-
-
-def _put(values: ArrayLike, array: NDArray[Any], index: Any, before: _Before) -> None:
-    """Write into the state, and keep what was there."""
-    before.append((array, index, array[index]))
-    array[index] = values
 
 
 def _or(value: NDArray[np.float64] | None, default: Any) -> NDArray[np.float64]:
@@ -564,16 +582,26 @@ def _for_each(values: NDArray[np.float64], which: NDArray[np.int64]) -> NDArray[
     return values if len(values) == 1 else values[which]
 
 
-def _by_lane(blocks: NDArray[np.float64]) -> NDArray[np.float64]:
-    """A view (blocks, m, c, LANES) of lane blocks."""
-    return blocks.reshape(*blocks.shape[:2], -1, LANES)
+def _listed(
+    weights: NDArray[np.float64],
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
+    """The links of a matrix of weights, in the order of their robots."""
+    first, second = np.nonzero(np.triu(weights))
+    return first, second, weights[first, second]
 
 
 def _width(scenario: Scenario, batch: int, num_threads: int | None) -> int:
     """As many threads as are worth their cost."""
-    work = batch * scenario.n_robots * max(scenario.n_robots, scenario.observation_layout.rows)
+    work = batch * _work_of_team(scenario, batch)
     most = threads.available_cores() if num_threads is None else num_threads
-    return max(1, min(most, work // _WORK_PER_THREAD, -(-batch // LANES)))
+    return max(1, min(most, work // _WORK_PER_THREAD, Arrangement(scenario, batch).blocks))
+
+
+def _work_of_team(scenario: Scenario, batch: int) -> int:
+    """Rows that a step of one team computes."""
+    n, layout = scenario.n_robots, scenario.observation_layout
+    neighbours = layout.neighbour_slots if Arrangement(scenario, batch).sparse else n - 1
+    return n * (neighbours + 1 + layout.rows - layout.neighbour_slots)
 
 
 def _quiet_integers() -> Any:

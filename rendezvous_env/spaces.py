@@ -8,7 +8,7 @@ import numpy as np
 from gymnasium.spaces import Box
 from numpy.typing import NDArray
 
-from .experiment.obstacles import row_width
+from .experiment.packing import row_width
 from .experiment.scenario import Scenario
 from .guarantee.steering import Steering
 from .simulator import Simulator
@@ -21,6 +21,7 @@ def observation_bounds(scenario: Scenario) -> NDArray[np.float32]:
     layout = scenario.observation_layout
     bounds = np.ones(layout.shape)
     bounds[layout.neighbours] = max(scenario.max_degree, 1e-6)
+    bounds[layout.velocity] = scenario.speed_limit
     return np.nextafter(bounds.astype(np.float32), np.float32(np.inf))
 
 
@@ -96,5 +97,5 @@ def team_state(simulator: Simulator) -> NDArray[np.float32]:
 
 def _state_size(scenario: Scenario) -> int:
     n, d = scenario.n_robots, scenario.dim
-    obstacles = scenario.observation_layout.obstacle_slots * row_width(scenario.obstacles, d)
+    obstacles = scenario.observation_layout.obstacle_slots * row_width(scenario.obstacles)
     return n * d + n * d * d + n * n + n + obstacles + 1

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .engine.teams import RENDEZVOUS, RUNNING
+from .engine.memory import RENDEZVOUS, RUNNING
 from .experiment.scenario import Scenario
 from .experiment.scenarios import resolve
 from .outcome import Outcome
@@ -67,7 +67,7 @@ class Trajectory:
     rendezvous_time: NDArray[np.float64]
     """(B,), s; inf without rendezvous."""
     obstacles: NDArray[np.float64]
-    """(B, M, width), packed as obstacles.py says."""
+    """(B, M, width), tables of ``experiment.packing``."""
 
     @property
     def merges(self) -> list[Merge]:

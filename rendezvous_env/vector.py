@@ -13,7 +13,7 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
-from .engine.teams import RENDEZVOUS, TIME_OUT
+from .engine.memory import RENDEZVOUS, TIME_OUT
 from .guarantee.steering import Steering
 from .gymnasium_env import (
     Info,

@@ -19,7 +19,7 @@ from hypothesis import settings
 
 import baselines
 from rendezvous_env import Scenario, Simulator
-from rendezvous_env.engine.teams import RENDEZVOUS
+from rendezvous_env.engine.memory import RENDEZVOUS
 from rendezvous_env.trajectory import run
 
 settings.register_profile("rendezvous", deadline=None, derandomize=True, print_blob=False)

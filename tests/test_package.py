@@ -71,7 +71,9 @@ def test_nothing_points_back(module):
 
 
 def test_the_reader_of_imports_reads_them():
-    assert {"numpy", "numba"} <= imports("rendezvous_env.compilation") | imports("rendezvous_env.simulator")
+    assert {"numpy", "numba"} <= imports("rendezvous_env.compilation") | imports(
+        "rendezvous_env.simulator"
+    )
     assert "rendezvous_env" in imports("baselines.laws")
     assert len(CORE) > 25
 

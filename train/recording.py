@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rendezvous_env.engine.teams import RUNNING
+from rendezvous_env.engine.memory import RUNNING
 from rendezvous_env.simulator import Simulator
 from rendezvous_env.trajectory import Step
 

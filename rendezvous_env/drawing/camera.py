@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..equations.geometry import ABSENT, CENTRE, COUNT, RADIUS
+from ..experiment.outlines import balls, outlines
 
 Floats = NDArray[np.float64]
 
@@ -77,16 +77,18 @@ class Camera:
 
         Args:
             points: m.
-            obstacles: (M, width), packed as obstacles.py says; in the plane nothing is hidden.
+            obstacles: (M, width), a table of ``experiment.packing``; in the plane nothing is hidden.
         """
-        spheres = obstacles[obstacles[:, COUNT] != ABSENT]
-        if math.isinf(self.distance) or not len(spheres):
+        spheres = [] if math.isinf(self.distance) else list(balls(obstacles))
+        if not spheres:
             return np.zeros(len(points), dtype=np.bool_)
+        centres = np.array([ball.centre for ball in spheres])
+        radii = np.array([ball.radius for ball in spheres])
         sight = self.eye - points
-        to_centres = spheres[None, :, CENTRE : CENTRE + 3] - points[:, None]
+        to_centres = centres[None] - points[:, None]
         along = np.einsum("pmk,pk->pm", to_centres, sight) / np.sum(sight**2, axis=-1)[:, None]
         nearest = to_centres - np.clip(along, 0.0, 1.0)[..., None] * sight[:, None]
-        inside = np.sum(nearest**2, axis=-1) < spheres[:, RADIUS] ** 2
+        inside = np.sum(nearest**2, axis=-1) < radii**2
         return np.asarray(inside.any(axis=-1))
 
 
@@ -104,7 +106,7 @@ def fit(positions: Floats, obstacles: Floats, area: Area, margin: float) -> Came
 
     Args:
         positions: (n, d), m.
-        obstacles: (M, width), packed as obstacles.py says.
+        obstacles: (M, width), a table of ``experiment.packing``.
         area: what to fill; pixels count from its left top corner.
         margin: pixels to leave free on each side.
     """
@@ -126,10 +128,11 @@ def _outline(positions: Floats, obstacles: Floats) -> Floats:
     """Robots, corners of polygons and the outermost points of discs and spheres, (m, d)."""
     points, d = [positions], positions.shape[1]
     arms = np.concatenate([np.eye(d), -np.eye(d)])
-    for row in obstacles[obstacles[:, COUNT] != ABSENT]:
-        centre, count = row[CENTRE : CENTRE + d], int(row[COUNT])
-        corners = row[CENTRE + d : CENTRE + d + 2 * count].reshape(-1, 2)
-        points.append(corners if count else centre + row[RADIUS] * arms)
+    if d == 2:
+        for centre, radius, corners in outlines(obstacles):
+            points.append(corners if len(corners) else centre + radius * arms)
+    else:
+        points += [centre + radius * arms for centre, radius in balls(obstacles)]
     return np.concatenate(points)
 
 

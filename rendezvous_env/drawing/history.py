@@ -40,7 +40,7 @@ class History:
     """One team's episode since it was first looked at."""
 
     obstacles: NDArray[np.float64]
-    """(M, width), packed as obstacles.py says."""
+    """(M, width), tables of ``experiment.packing``."""
     initial_lyapunov: float
     """V at the start of the episode, m²/s."""
     moments: list[Moment] = field(default_factory=list)

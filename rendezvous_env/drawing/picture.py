@@ -9,7 +9,7 @@ import numpy as np
 import pygame
 from numpy.typing import NDArray
 
-from ..equations.geometry import ABSENT, CENTRE, COUNT, RADIUS
+from ..experiment.outlines import balls, outlines
 from ..experiment.scenario import Scenario
 from . import ink
 from .camera import Area, Floats, fit, nice_step
@@ -55,7 +55,7 @@ class TeamPicture:
         self._front, self._spheres = self._ground, None
         if scenario.dim == 2:
             self._draw_obstacles()
-        elif (history.obstacles[:, COUNT] != ABSENT).any():
+        elif any(balls(history.obstacles)):
             self._front = pygame.Surface(size, pygame.SRCALPHA)
             self._spheres = pygame.Surface(size, pygame.SRCALPHA)
             self._draw_spheres(self._spheres)
@@ -116,29 +116,27 @@ class TeamPicture:
         return np.concatenate([points, floor], axis=-1)
 
     def _draw_obstacles(self) -> None:
-        """Discs and polygons of the plane."""
+        """Discs and outlines of the plane."""
         edge = max(1, round(self._unit))
-        for row in self._history.obstacles[self._history.obstacles[:, COUNT] != ABSENT]:
-            count = int(row[COUNT])
-            if count:
-                vertices = row[CENTRE + 2 : CENTRE + 2 + 2 * count].reshape(-1, 2)
+        for centre, size, vertices in outlines(self._history.obstacles):
+            if len(vertices):
                 outline = self.camera.project(vertices).tolist()
                 pygame.draw.polygon(self._ground, OBSTACLE, outline)
                 pygame.draw.polygon(self._ground, OBSTACLE_EDGE, outline, edge)
             else:
-                middle = self.camera.project(row[CENTRE : CENTRE + 2]).tolist()
-                radius = float(row[RADIUS] * self.camera.scale)
+                middle = self.camera.project(centre).tolist()
+                radius = float(size * self.camera.scale)
                 pygame.draw.circle(self._ground, OBSTACLE, middle, radius)
                 pygame.draw.circle(self._ground, OBSTACLE_EDGE, middle, radius, edge)
 
     def _draw_spheres(self, layer: pygame.Surface) -> None:
         """Spheres from the farthest to the nearest, each a little lighter towards its top."""
-        rows = self._history.obstacles[self._history.obstacles[:, COUNT] != ABSENT]
-        nearness = self.camera.nearness(rows[:, CENTRE : CENTRE + 3])
+        spheres = list(balls(self._history.obstacles))
+        nearness = self.camera.nearness(np.array([ball.centre for ball in spheres]))
         edge = max(1, round(self._unit))
         for k in np.argsort(nearness):
-            middle = self.camera.project(rows[k, CENTRE : CENTRE + 3])
-            radius = float(rows[k, RADIUS] * self.camera.scale * nearness[k])
+            middle = self.camera.project(spheres[k].centre)
+            radius = float(spheres[k].radius * self.camera.scale * nearness[k])
             pygame.draw.circle(layer, (*OBSTACLE, _VEIL), middle.tolist(), radius)
             for share in (0.12, 0.24, 0.36):
                 light = middle - radius * share * np.array([0.6, 1.0])

@@ -10,7 +10,7 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from ..engine.teams import RUNNING
+from ..engine.memory import RUNNING
 from ..simulator import Simulator
 from .history import History, look
 

@@ -1,13 +1,18 @@
-"""How an episode begins: graph, obstacles, places and attitudes, drawn from their own streams."""
+"""How an episode begins: graph, obstacles, places and attitudes, drawn from their own streams.
 
-import math
+Everything is drawn before anything is written, so that a team that finds no room leaves all as it
+was.
+"""
+
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..compilation import kernel
-from ..equations.geometry import clear_of_obstacles
+from ..equations.motion import begin_memory
+from ..equations.obstacles import clear_of_obstacles
+from ..equations.potential import distance_squared, lyapunov_of_links
 from ..equations.random_streams import (
     FRAMES,
     GRAPH,
@@ -17,25 +22,27 @@ from ..equations.random_streams import (
     stream_key,
     uniform,
 )
-from ..experiment.graphs import draw_weights
-from ..experiment.obstacles import draw_field
-from ..guarantee.lyapunov import square_distance, team_lyapunov
-from .lanes import LANES
-from .teams import (
+from ..equations.vectors import load
+from .draw_field import FieldRules, draw_field
+from .draw_graph import GraphRules, draw_links
+from .links import copy_links, load_links, store_links
+from .memory import (
     ACTIVE,
-    BOOK,
     INITIAL_LYAPUNOV,
     MIN_CLEARANCE,
+    STATISTICS,
     STATUS,
-    read_positions,
-    read_weights,
-    write_frame,
-    write_positions,
-    write_weights,
+    AtHand,
+    Links,
+    Physics,
+    Teams,
+    lane_count,
+    write,
 )
+from .worlds import copy_world, world_of
 
 _TRIES_FOR_START = 1000
-_LARGEST_START_PITCH = math.pi / 4
+FITS, NO_ROOM, TOO_MANY_LINKS = range(3)
 
 
 class StartRules(NamedTuple):
@@ -43,128 +50,114 @@ class StartRules(NamedTuple):
 
     draw_positions: bool
     draw_frames: bool
-    draw_angles: bool
+    draw_memory: bool
     draw_weights: bool
     draw_obstacles: bool
     spawn_size: float
     least_distance: float
-    topology: int
-    probability: float
-    weight_range: tuple[float, float]
-    base_weights: NDArray[np.float64]
-    field_counts: tuple[int, int]
-    field_radii: tuple[float, float]
-    field_region: float
     keep_out: float
-    field_overlap: bool
+    graph: GraphRules | None
+    """None where no episode draws anything of its graph: then nothing of that is compiled."""
+    field: FieldRules | None
+    """Likewise, of its obstacles."""
+
+
+class Drafts(NamedTuple):
+    """Starts that have been drawn and not yet written, one for each team that is reset."""
+
+    positions: NDArray[np.float64]
+    """(count, n, d), m."""
+    first: NDArray[np.int64]
+    """(count, E), links, see ``Links``."""
+    second: NDArray[np.int64]
+    """(count, E)."""
+    weights: NDArray[np.float64]
+    """(count, E), m/s."""
+    n_links: NDArray[np.int64]
+    """(count,)."""
 
 
 @kernel
-def reset_teams(indices, status, rules, seeds, episodes, teams):
+def reset_teams(
+    indices, status, rules, seeds, episodes, physics, teams, links, obstacles, hand, drafts, worlds
+):
     """Begin a new episode in the teams with these indices; what is given already stands in the
     state.
 
+    Args:
+        indices: (count,), teams.
+        status: what they are to have.
+        rules: StartRules.
+        seeds: (B,) uint64.
+        episodes: (B,).
+        physics: the fields of Physics.
+        teams: the fields of Teams.
+        links: the fields of Links.
+        obstacles: Balls or Shapes with a leading axis B, or None.
+        hand: the fields of AtHand, of one thread.
+        drafts: the fields of Drafts.
+        worlds: room for the obstacles of ``count`` teams, of the type of ``obstacles``.
+
     Returns:
-        Index of the first team that found no room for its start or its obstacles, in which case
-        nothing has changed, or −1.
+        Index of the first team that found no room for its start, its obstacles or its links, or −1;
+        and which of them: FITS, NO_ROOM or TOO_MANY_LINKS. Unless it fits nothing has changed.
     """
-    n, d = teams.merged_into.shape[1], teams.positions.shape[2] // LANES
-    count = len(indices)
-    positions, weights = np.empty((count, n, d)), np.empty((count, n, n))
-    obstacles = np.empty((count, *teams.obstacles.shape[1:]))
-    for k, team in enumerate(indices):
-        if not _draw_start(
-            team, rules, seeds[team], episodes[team], teams, positions[k], weights[k], obstacles[k]
-        ):
-            return team
-    for k, team in enumerate(indices):
-        block, lane = team // LANES, team % LANES
-        write_positions(block, lane, teams, positions[k])
-        write_weights(block, lane, teams, weights[k])
-        teams.obstacles[team] = obstacles[k]
-        _draw_attitudes(team, rules, seeds[team], episodes[team], teams)
-        _open_book(team, status, positions[k], weights[k], teams)
-    return -1
+    physics, teams, links = Physics(*physics), Teams(*teams), Links(*links)
+    hand, drafts = AtHand(*hand), Drafts(*drafts)
+    for k in range(len(indices)):
+        team, positions = indices[k], drafts.positions[k]
+        keys = (seeds[team], episodes[team])
+        count = _draw_links(team, keys, rules, rules.graph, physics, links, hand)
+        if count < 0:
+            return team, TOO_MANY_LINKS
+        drafts.n_links[k] = count
+        drafted = (drafts.first[k], drafts.second[k], drafts.weights[k])
+        copy_links((hand.first, hand.second, hand.weights), drafted, count)
+        _read_positions(team, physics, teams, positions)
+        copy_world(obstacles, team, worlds, k)
+        listed = (hand.first[:count], hand.second[:count], hand.weights[:count])
+        world = world_of(worlds, k)
+        if not _draw_room(keys, rules, rules.field, listed, world, positions):
+            return team, NO_ROOM
+    for k in range(len(indices)):
+        team, count = indices[k], drafts.n_links[k]
+        drafted = (drafts.first[k], drafts.second[k], drafts.weights[k])
+        copy_links(drafted, (hand.first, hand.second, hand.weights), count)
+        copy_world(worlds, k, obstacles, team)
+        _write_start(team, status, count, physics, teams, links, drafts.positions[k], hand)
+        _draw_attitudes(team, rules, (seeds[team], episodes[team]), physics, teams)
+    return -1, FITS
 
 
 @kernel
-def _draw_start(team, rules, seed, episode, teams, positions, weights, obstacles):
-    """What of one team's start may find no room; whether it fits. What is not drawn is as given."""
-    block, lane = team // LANES, team % LANES
-    read_positions(block, lane, teams, positions)
-    read_weights(block, lane, teams, weights)
-    obstacles[:] = teams.obstacles[team]
-    if rules.draw_weights:
-        _draw_weights(stream_key(seed, episode, GRAPH), rules, weights)
-    room = _draw_obstacles(seed, episode, rules, positions, obstacles)
-    if room and rules.draw_positions:
-        key = stream_key(seed, episode, START)
-        room = _draw_positions(key, rules, weights, obstacles, positions)
-    return room
+def _draw_links(team, keys, rules, graph, physics, links, hand):
+    """Links of a start into working memory: drawn, or as given; their number, −1 for too many."""
+    if graph is not None:
+        if rules.draw_weights:
+            key = stream_key(keys[0], keys[1], GRAPH)
+            n = len(hand.counts)
+            return draw_links(key, n, graph, hand.first, hand.second, hand.weights, hand.counts)
+    lanes = lane_count(physics.width)
+    return load_links(team // lanes, team % lanes, physics, links, hand)
 
 
 @kernel
-def _draw_attitudes(team, rules, seed, episode, teams):
-    block, lane = team // LANES, team % LANES
-    n, d = teams.merged_into.shape[1], teams.positions.shape[2] // LANES
-    key = stream_key(seed, episode, FRAMES)
-    if teams.angles.shape[2] > 0 and rules.draw_angles:
-        _draw_angles(key, teams.angles[team])
-    if teams.angles.shape[2] == 0 and rules.draw_frames:
-        frame = np.empty((d, d))
-        for i in range(n):
-            draw_rotation(key, 3 * i, frame)
-            write_frame(block, lane, i, teams, frame)
+def _draw_room(keys, rules, field, links, world, positions):
+    """What of one team's start may find no room: obstacles and places; whether it fits."""
+    if field is not None:
+        if rules.draw_obstacles:
+            n_starts = 0 if rules.draw_positions else positions.shape[0]
+            key = stream_key(keys[0], keys[1], OBSTACLES)
+            if not draw_field(key, field, positions, n_starts, world):
+                return False
+    if rules.draw_positions:
+        key = stream_key(keys[0], keys[1], START)
+        return _draw_positions(key, rules, links, world, positions)
+    return True
 
 
 @kernel
-def _open_book(team, status, positions, weights, teams):
-    book, lane = teams.book[team // LANES], team % LANES
-    n = teams.merged_into.shape[1]
-    for i in range(n):
-        teams.merged_into[team, i] = i
-    for entry in range(len(BOOK)):
-        book[entry * LANES + lane] = 0.0
-    book[STATUS * LANES + lane] = status
-    book[ACTIVE * LANES + lane] = n
-    book[MIN_CLEARANCE * LANES + lane] = np.inf
-    book[INITIAL_LYAPUNOV * LANES + lane] = team_lyapunov(positions, weights)
-
-
-@kernel
-def _draw_weights(key, rules, weights):
-    draw_weights(
-        key,
-        rules.topology,
-        rules.probability,
-        rules.weight_range[0],
-        rules.weight_range[1],
-        rules.base_weights,
-        weights,
-    )
-
-
-@kernel
-def _draw_obstacles(seed, episode, rules, positions, obstacles):
-    if not rules.draw_obstacles:
-        return True
-    return draw_field(
-        stream_key(seed, episode, OBSTACLES),
-        rules.field_counts[0],
-        rules.field_counts[1],
-        rules.field_radii[0],
-        rules.field_radii[1],
-        rules.field_region,
-        rules.keep_out,
-        rules.field_overlap,
-        positions,
-        0 if rules.draw_positions else positions.shape[0],
-        obstacles,
-    )
-
-
-@kernel
-def _draw_positions(key, rules, weights, obstacles, positions):
+def _draw_positions(key, rules, links, world, positions):
     """Uniform in the spawn area, neighbours at least 2r apart, clear of obstacles; whether it
     fits.
     """
@@ -175,8 +168,9 @@ def _draw_positions(key, rules, weights, obstacles, positions):
             for k in range(d):
                 positions[i, k] = rules.spawn_size * (uniform(key, counter) - 0.5)
                 counter += 1
-            placed = _apart(i, positions, weights, rules.least_distance)
-            if placed and clear_of_obstacles(positions[i], obstacles, rules.keep_out):
+            if _apart(i, positions, links, rules.least_distance) and _clear(
+                positions[i], world, rules.keep_out
+            ):
                 break
         else:
             return False
@@ -184,19 +178,64 @@ def _draw_positions(key, rules, weights, obstacles, positions):
 
 
 @kernel
-def _apart(i, positions, weights, least_distance):
-    for j in range(i):
-        if weights[i, j] > 0.0:
-            if square_distance(positions, i, j) < least_distance * least_distance:
+def _clear(position, world, margin):
+    if world is not None:
+        return clear_of_obstacles(load(position), world, margin)
+    return True
+
+
+@kernel
+def _apart(i, positions, links, least_distance):
+    """Whether robot i is far enough from the neighbours that have a place already."""
+    first, second, _ = links
+    for e in range(len(first)):
+        if second[e] == i:
+            if distance_squared(positions, first[e], i) < least_distance * least_distance:
                 return False
     return True
 
 
 @kernel
-def _draw_angles(key, angles):
-    """Uniform yaw, and pitch uniform within 45° of the horizontal."""
-    n, n_angles = angles.shape
+def _read_positions(team, physics, teams, out):
+    lanes = lane_count(physics.width)
+    block, lane = team // lanes, team % lanes
+    for i in range(out.shape[0]):
+        for k in range(out.shape[1]):
+            out[i, k] = teams.positions[block, i, k * lanes + lane]
+
+
+@kernel
+def _write_start(team, status, count, physics, teams, links, positions, hand):
+    """Put a start into the state, and begin the statistics of its episode."""
+    lanes = lane_count(physics.width)
+    block, lane = team // lanes, team % lanes
+    n, d = positions.shape
+    listed = (hand.first[:count], hand.second[:count], hand.weights[:count])
+    initial = lyapunov_of_links(positions, listed)
+    store_links(block, lane, count, physics, links, hand)
     for i in range(n):
-        angles[i, 0] = math.pi * (2.0 * uniform(key, 3 * i) - 1.0)
-        if n_angles == 2:
-            angles[i, 1] = _LARGEST_START_PITCH * (2.0 * uniform(key, 3 * i + 1) - 1.0)
+        teams.merged_into[team, i] = i
+        for k in range(d):
+            teams.positions[block, i, k * lanes + lane] = positions[i, k]
+    statistics = teams.statistics[block]
+    for entry in range(len(STATISTICS)):
+        statistics[entry * lanes + lane] = 0.0
+    statistics[STATUS * lanes + lane] = status
+    statistics[ACTIVE * lanes + lane] = n
+    statistics[MIN_CLEARANCE * lanes + lane] = np.inf
+    statistics[INITIAL_LYAPUNOV * lanes + lane] = initial
+
+
+@kernel
+def _draw_attitudes(team, rules, keys, physics, teams):
+    """Frames of robots whose frame is fixed, or what the robot model keeps at the start."""
+    lanes = lane_count(physics.width)
+    block, lane = team // lanes, team % lanes
+    key = stream_key(keys[0], keys[1], FRAMES)
+    for i in range(teams.merged_into.shape[1]):
+        if rules.draw_frames:
+            frame = draw_rotation(key, 3 * i, physics.axes)
+            write(frame, teams.frames[block, i], lane, physics.width)
+        if rules.draw_memory:
+            kept = begin_memory(physics.model, key, 3 * i)
+            write(kept, teams.memory[block, i], lane, physics.width)

@@ -1,108 +1,223 @@
-"""Three robot models: one exact step each, with the inputs held.
+"""Robot models of the paper: one exact step each, with the inputs held.
 
-Angles are in radians, yaw α about the vertical, pitch β above the horizontal. In 2-D the pitch is 0
-and the yaw is the heading θ of the unicycle.
+The single integrator, the unicycle (eqs. 5–6) and the 3-D nonholonomic robot (eqs. 9–10).
 """
 
 import math
-from dataclasses import dataclass
+from typing import NamedTuple
 
-from ..compilation import kernel
+from ..compilation import inlined_kernel, kernel
+from .arcs import arc_2d, arc_3d, body_frame_2d, body_frame_3d, clip
+from .motion import Motion, describe
+from .random_streams import uniform
+from .vectors import scaled, square, to_global
 
-
-@dataclass(frozen=True)
-class RobotModel:
-    """What a robot model needs to know about itself."""
-
-    name: str
-    dims: tuple[int, ...]
-    """Dimensions of space it exists in."""
-    n_angles: int
-    """Angles that make up its attitude; 0 for a single integrator, whose frame is fixed."""
-
-    def action_size(self, dim: int) -> int:
-        """Numbers in an action: a velocity, or (v, ω), or (v, ω_α, ω_β)."""
-        return 1 + self.n_angles if self.n_angles else dim
-
-    @property
-    def nonholonomic(self) -> bool:
-        """Whether the robot can only move along its body axis."""
-        return self.n_angles > 0
-
-    @property
-    def senses_gravity(self) -> bool:
-        """Whether the observation has a gravity row: law (17) needs the pitch."""
-        return self.n_angles == 2
+_LARGEST_START_PITCH = math.pi / 4
 
 
-ROBOT_MODELS = {
-    model.name: model
-    for model in (
-        RobotModel("single_integrator", dims=(2, 3), n_angles=0),
-        RobotModel("unicycle", dims=(2,), n_angles=1),
-        RobotModel("nonholonomic_3d", dims=(3,), n_angles=2),
-    )
-}
+class SingleIntegrator(NamedTuple):
+    """ṗ = v: the action is a velocity, m/s."""
+
+    duration: float
+    """τ, s."""
+    speed_limit: float
+    """v_max, m/s."""
 
 
-@kernel
-def mean_cos_sin(angle, swept):
-    """Means of cos and sin over an angle that grows evenly from ``angle`` by ``swept``, both rad.
+class Unicycle(NamedTuple):
+    """ṗ = v (cos θ, sin θ), θ̇ = ω (eq. 5): the action is (v, ω), the memory (θ,)."""
 
-    With S = sin(x)/x and C = (1 − cos x)/x they are (S cos a − C sin a, S sin a + C cos a); C is
-    written as sin²(x/2)/(x/2), which loses no digits as x → 0.
-    """
-    half = 0.5 * swept
-    if abs(half) < 1e-8:
-        mean_sin, mean_cos = half, 1.0
-    else:
-        sin_half = math.sin(half)
-        mean_sin = sin_half * sin_half / half
-        mean_cos = sin_half * math.cos(half) / half
-    c, s = math.cos(angle), math.sin(angle)
-    return mean_cos * c - mean_sin * s, mean_cos * s + mean_sin * c
+    duration: float
+    """τ, s."""
+    speed_limit: float
+    """Of v, m/s."""
+    turn_limit: float
+    """Of ω, rad/s."""
 
 
-@kernel
-def arc_displacement(speed, yaw, pitch, yaw_rate, pitch_rate, duration, out):
-    """Exact displacement of a nonholonomic robot over a step with held inputs.
+class Nonholonomic3D(NamedTuple):
+    """Eq. (9): the action is (v, ω_α, ω_β), the memory (α, β)."""
 
-        ẋ = v cos β cos α,  ẏ = v cos β sin α,  ż = v sin β,  α̇ = ω_α,  β̇ = ω_β     (eq. 9)
+    duration: float
+    """τ, s."""
+    speed_limit: float
+    """Of v, m/s."""
+    yaw_limit: float
+    """Of ω_α, rad/s."""
+    pitch_limit: float
+    """Of ω_β, rad/s."""
 
-    In 2-D (β = 0) this is the circular arc of the unicycle (eq. 5). The products of cosines are
-    written as sums of cosines of α + β and α − β, each of which grows evenly.
+
+@inlined_kernel
+def speed_scale(square_speed, limit):
+    """Speed (m/s), and the factor that limits it to ``limit`` and keeps the direction.
 
     Args:
-        speed: v, m/s.
-        yaw: α at the start, rad.
-        pitch: β at the start, rad; 0 in 2-D.
-        yaw_rate: ω_α, rad/s.
-        pitch_rate: ω_β, rad/s; 0 in 2-D.
-        duration: of the step, s.
-        out: (d,) array for the displacement, m.
+        square_speed: ‖v‖², m²/s².
+        limit: v_max, m/s.
     """
-    distance = speed * duration
-    if out.shape[0] == 2:
-        mean_cos, mean_sin = mean_cos_sin(yaw, yaw_rate * duration)
-        out[0] = distance * mean_cos
-        out[1] = distance * mean_sin
-        return
-    cos_sum, sin_sum = mean_cos_sin(yaw + pitch, (yaw_rate + pitch_rate) * duration)
-    cos_difference, sin_difference = mean_cos_sin(yaw - pitch, (yaw_rate - pitch_rate) * duration)
-    _, mean_sin_pitch = mean_cos_sin(pitch, pitch_rate * duration)
-    out[0] = distance * 0.5 * (cos_sum + cos_difference)
-    out[1] = distance * 0.5 * (sin_sum + sin_difference)
-    out[2] = distance * mean_sin_pitch
+    speed = math.sqrt(square_speed)
+    return speed, limit / speed if speed > limit else 1.0
+
+
+@inlined_kernel
+def keep_frame(model, frame, memory):
+    """A frame that never turns."""
+    return frame
+
+
+@inlined_kernel
+def _propose_velocity(model, action, frame, memory):
+    """τ R v, with ‖v‖ limited."""
+    speed, factor = speed_scale(square(action), model.speed_limit)
+    scale = model.duration * factor
+    return scaled(to_global(frame, action), scale), speed * scale
 
 
 @kernel
-def body_frame(yaw, pitch, out):
-    """Rotation from the body frame to the global frame, (d, d): x = h, y = left, z = up-ish."""
-    ca, sa = math.cos(yaw), math.sin(yaw)
-    if out.shape[0] == 2:
-        out[0, 0], out[0, 1], out[1, 0], out[1, 1] = ca, -sa, sa, ca
-        return
-    cb, sb = math.cos(pitch), math.sin(pitch)
-    out[0, 0], out[0, 1], out[0, 2] = cb * ca, -sa, -sb * ca
-    out[1, 0], out[1, 1], out[1, 2] = cb * sa, ca, -sb * sa
-    out[2, 0], out[2, 1], out[2, 2] = sb, 0.0, cb
+def _along_velocity(model, action, frame, memory, time):
+    _, factor = speed_scale(square(action), model.speed_limit)
+    return scaled(to_global(frame, action), time * factor)
+
+
+@inlined_kernel
+def _straight(model, action, memory):
+    return 0.0
+
+
+@inlined_kernel
+def _nothing(model, action, frame, memory, displacement, touched):
+    return memory
+
+
+@inlined_kernel
+def _see_nothing(model, frame, memory):
+    return ()
+
+
+@kernel
+def _propose_arc_2d(model, action, frame, memory):
+    speed = clip(action[0], model.speed_limit)
+    yaw_rate = clip(action[1], model.turn_limit)
+    return arc_2d(speed, memory[0], yaw_rate, model.duration), abs(speed) * model.duration
+
+
+@kernel
+def _along_arc_2d(model, action, frame, memory, time):
+    speed = clip(action[0], model.speed_limit)
+    return arc_2d(speed, memory[0], clip(action[1], model.turn_limit), time)
+
+
+@kernel
+def _bend_2d(model, action, memory):
+    """|v| Ω/8, Ω the turn rate of the axis: the sagitta of a circular arc."""
+    return abs(clip(action[0], model.speed_limit) * clip(action[1], model.turn_limit)) / 8.0
+
+
+@kernel
+def _turn_2d(model, action, frame, memory, displacement, touched):
+    return (memory[0] + clip(action[1], model.turn_limit) * model.duration,)
+
+
+@kernel
+def _body_frame_2d(model, frame, memory):
+    return body_frame_2d(memory[0])
+
+
+@kernel
+def _propose_arc_3d(model, action, frame, memory):
+    way = abs(clip(action[0], model.speed_limit)) * model.duration
+    return _along_arc_3d(model, action, frame, memory, model.duration), way
+
+
+@kernel
+def _along_arc_3d(model, action, frame, memory, time):
+    return arc_3d(
+        clip(action[0], model.speed_limit),
+        memory[0],
+        memory[1],
+        clip(action[1], model.yaw_limit),
+        clip(action[2], model.pitch_limit),
+        time,
+    )
+
+
+@kernel
+def _bend_3d(model, action, memory):
+    yaw_rate = clip(action[1], model.yaw_limit)
+    pitch_rate = clip(action[2], model.pitch_limit)
+    turn_rate = math.sqrt(yaw_rate * yaw_rate + pitch_rate * pitch_rate)
+    return abs(clip(action[0], model.speed_limit)) * turn_rate / 8.0
+
+
+@kernel
+def _turn_3d(model, action, frame, memory, displacement, touched):
+    yaw_rate = clip(action[1], model.yaw_limit)
+    pitch_rate = clip(action[2], model.pitch_limit)
+    return memory[0] + yaw_rate * model.duration, memory[1] + pitch_rate * model.duration
+
+
+@kernel
+def _body_frame_3d(model, frame, memory):
+    return body_frame_3d(memory[0], memory[1])
+
+
+@kernel
+def _gravity(model, frame, memory):
+    """Unit direction of gravity in the body frame, (−sin β, 0, −cos β)."""
+    return -math.sin(memory[1]), 0.0, -math.cos(memory[1])
+
+
+@kernel
+def _begin_with_nothing(model, key, counter):
+    return ()
+
+
+@kernel
+def _uniform_yaw(model, key, counter):
+    return (math.pi * (2.0 * uniform(key, counter) - 1.0),)
+
+
+@kernel
+def _uniform_yaw_and_pitch(model, key, counter):
+    """Pitch within 45° of the horizontal."""
+    yaw = math.pi * (2.0 * uniform(key, counter) - 1.0)
+    return yaw, _LARGEST_START_PITCH * (2.0 * uniform(key, counter + 1) - 1.0)
+
+
+describe(
+    SingleIntegrator,
+    Motion(
+        propose=_propose_velocity,
+        along=_along_velocity,
+        bend=_straight,
+        remember=_nothing,
+        frame=keep_frame,
+        sense=_see_nothing,
+        begin=_begin_with_nothing,
+    ),
+)
+describe(
+    Unicycle,
+    Motion(
+        propose=_propose_arc_2d,
+        along=_along_arc_2d,
+        bend=_bend_2d,
+        remember=_turn_2d,
+        frame=_body_frame_2d,
+        sense=_see_nothing,
+        begin=_uniform_yaw,
+    ),
+)
+describe(
+    Nonholonomic3D,
+    Motion(
+        propose=_propose_arc_3d,
+        along=_along_arc_3d,
+        bend=_bend_3d,
+        remember=_turn_3d,
+        frame=_body_frame_3d,
+        sense=_gravity,
+        begin=_uniform_yaw_and_pitch,
+    ),
+)

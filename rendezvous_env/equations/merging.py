@@ -1,16 +1,21 @@
-"""Neighbours that come within the merge radius become one robot (theory 5), for one team at a
-time.
+"""Neighbours that come within the merge radius become one robot (assumption 2, theory 5).
+
+One team at a time, given by its places and its links: ``first[e] < second[e]`` are the robots of
+link e, ``weight[e]`` its a_ij in m/s. A link that merging makes superfluous gets the weight 0, so
+that the number of links never grows and nothing has to be allocated.
 """
 
 import numpy as np
 
 from ..compilation import kernel
-from ..guarantee.lyapunov import square_distance, team_lyapunov
-from .geometry import clear_of_obstacles, first_crossing
+from .crossings import first_crossing
+from .obstacles import clear_of_obstacles
+from .potential import distance_squared, lyapunov_of_links
+from .vectors import load, subtract
 
 
 @kernel
-def merge_swept(positions, displacements, lengths, weights, merged_into, obstacles, radius, report):
+def merge_swept(positions, displacements, lengths, links, merged_into, world, radius, work, report):
     """Move one team by its displacements and merge whom the motion brings together.
 
     Pairs merge at the first moment of the motion when their distance falls to r, earliest first and
@@ -20,11 +25,12 @@ def merge_swept(positions, displacements, lengths, weights, merged_into, obstacl
     Args:
         positions: (n, d), m; the start of the motion on entry, its end on return.
         displacements: (n, d), m; straight or the chord of an arc. Overwritten.
-        lengths: (n,) of the paths, m; shortened for robots that rest.
-        weights: (n, n), m/s; contracted in place.
+        lengths: (n,) of the ways, m; shortened for robots that rest.
+        links: (first, second, weight), each (E,); contracted in place.
         merged_into: (n,), index of the robot that each one is now part of; updated in place.
-        obstacles: (M, width) packed obstacles, in which no merged robot may be placed.
+        world: obstacles, in which no merged robot may be placed; None where there are none.
         radius: r, m.
+        work: working memory (moments (E,), here (n, d), resting (n,) bool).
         report: (4,) V just before the first merge, V just after the last, the largest rise of V at
             a merge, and its largest excess over the bound of theory 5, all m²/s. The first entry
             stays as it is when nothing merges.
@@ -32,87 +38,102 @@ def merge_swept(positions, displacements, lengths, weights, merged_into, obstacl
     Returns:
         Number of merges.
     """
+    moments, here, resting = work
+    first, second, _ = links
     n, d = positions.shape
-    resting = np.zeros(n, dtype=np.bool_)
-    crossings = _first_crossings(positions, displacements, weights, radius)
-    here = np.empty((n, d))
+    resting[:] = False
+    _meeting_moments(positions, displacements, links, radius, moments)
     merges = 0
     while True:
-        moment, i, j = _earliest(crossings, resting)
-        if moment > 1.0:
+        e = _earliest(moments, first, second, resting)
+        if e < 0:
             break
+        # V at a merge is that of the places at its moment, when the others are still under way
+        moment, i, j = moments[e], first[e], second[e]
         for k in range(n):
             share = 0.0 if resting[k] else moment
             for axis in range(d):
                 here[k, axis] = positions[k, axis] + share * displacements[k, axis]
-        _merge(i, j, here, weights, merged_into, obstacles, radius, merges, report)
+        _merge(e, here, links, merged_into, world, radius, merges, report)
         merges += 1
         for robot in (i, j):
             resting[robot] = True
-            positions[robot] = here[robot]
-            displacements[robot] = 0.0
             lengths[robot] *= moment
+            for axis in range(d):
+                positions[robot, axis] = here[robot, axis]
+                displacements[robot, axis] = 0.0
     for k in range(n):
         for axis in range(d):
             positions[k, axis] += displacements[k, axis]
     while True:
-        i, j = _nearest_within(positions, weights, radius)
-        if i < 0:
+        e = _nearest_within(positions, links, radius)
+        if e < 0:
             return merges
-        _merge(i, j, positions, weights, merged_into, obstacles, radius, merges, report)
+        _merge(e, positions, links, merged_into, world, radius, merges, report)
         merges += 1
 
 
 @kernel
-def _first_crossings(positions, displacements, weights, radius):
-    """When each pair of neighbours first stands within r of each other, as a share of the
-    motion.
-    """
-    n, d = positions.shape
-    crossings = np.full((n, n), np.inf)
-    offset, velocity = np.empty(d), np.empty(d)
-    for i in range(n):
-        for j in range(i + 1, n):
-            if weights[i, j] > 0.0:
-                for k in range(d):
-                    offset[k] = positions[j, k] - positions[i, k]
-                    velocity[k] = displacements[j, k] - displacements[i, k]
-                crossings[i, j] = first_crossing(offset, velocity, radius)
-    return crossings
+def _meeting_moments(positions, displacements, links, radius, moments):
+    """When the robots of each link first stand within r of each other, as a share of the motion."""
+    first, second, weight = links
+    for e in range(len(first)):
+        moments[e] = np.inf
+        if weight[e] > 0.0:
+            i, j = first[e], second[e]
+            offset = subtract(load(positions[j]), load(positions[i]))
+            velocity = subtract(load(displacements[j]), load(displacements[i]))
+            moments[e] = first_crossing(offset, velocity, radius)
 
 
 @kernel
-def _earliest(crossings, resting):
-    n = resting.shape[0]
-    moment, first, second = np.inf, -1, -1
-    for i in range(n):
-        for j in range(i + 1, n):
-            if crossings[i, j] < moment and not (resting[i] or resting[j]):
-                moment, first, second = crossings[i, j], i, j
-    return moment, first, second
+def _comes_before(first, second, e, best):
+    """Whether the robots of link e come before those of another one by index; −1 is none."""
+    if best < 0 or first[e] != first[best]:
+        return best < 0 or first[e] < first[best]
+    return second[e] < second[best]
 
 
 @kernel
-def _nearest_within(positions, weights, radius):
-    n = positions.shape[0]
-    nearest, first, second = radius * radius, -1, -1
-    for i in range(n):
-        for j in range(i + 1, n):
-            if weights[i, j] > 0.0:
-                square = square_distance(positions, i, j)
-                if square < nearest:
-                    nearest, first, second = square, i, j
-    return first, second
+def _earliest(moments, first, second, resting):
+    """The link whose robots meet first, of those that both still move; −1 if none does."""
+    moment, best = np.inf, -1
+    for e in range(len(first)):
+        if moments[e] <= moment and moments[e] <= 1.0:
+            if not (resting[first[e]] or resting[second[e]]):
+                if moments[e] < moment or _comes_before(first, second, e, best):
+                    moment, best = moments[e], e
+    return best
 
 
 @kernel
-def _merge(i, j, positions, weights, merged_into, obstacles, radius, earlier_merges, report):
-    """Make j part of i, i < j, and report what that does to V."""
-    before = team_lyapunov(positions, weights)
-    at_midpoint = _place(i, j, positions, obstacles)
-    bound = radius * max(0.0, _pull_at_merge(i, j, weights, at_midpoint) - 4.0 * weights[i, j])
-    _contract(i, j, weights, merged_into)
-    after = team_lyapunov(positions, weights)
+def _nearest_within(positions, links, radius):
+    """The shortest link that is shorter than r; −1 if none is."""
+    first, second, weight = links
+    nearest, best = radius * radius, -1
+    for e in range(len(first)):
+        if weight[e] > 0.0:
+            square = distance_squared(positions, first[e], second[e])
+            if square < nearest or (
+                square == nearest and best >= 0 and _comes_before(first, second, e, best)
+            ):
+                nearest, best = square, e
+    return best
+
+
+@kernel
+def _merge(e, positions, links, merged_into, world, radius, earlier_merges, report):
+    """Make the second robot of link e part of the first, and report what that does to V."""
+    first, second, weight = links
+    i, j, gain = first[e], second[e], weight[e]
+    before = lyapunov_of_links(positions, links)
+    at_midpoint = _place(i, j, positions, world)
+    bound = radius * max(0.0, _pull_at_merge(i, j, links, at_midpoint) - 4.0 * gain)
+    contract(i, j, links)
+    for k in range(len(merged_into)):
+        if merged_into[k] == j:
+            merged_into[k] = i
+    after = lyapunov_of_links(positions, links)
     if earlier_merges == 0:
         report[0] = before
     report[1] = after
@@ -121,38 +142,62 @@ def _merge(i, j, positions, weights, merged_into, obstacles, radius, earlier_mer
 
 
 @kernel
-def _place(i, j, positions, obstacles):
+def _place(i, j, positions, world):
     """Put both at their midpoint, or at the place of the lower index if that lies in an
-    obstacle.
+    obstacle; whether at the midpoint.
     """
     d = positions.shape[1]
-    midpoint = np.empty(d)
+    at_midpoint = True
+    if world is not None:
+        a, b = load(positions[i]), load(positions[j])
+        midpoint = 0.5 * (a[0] + b[0]), 0.5 * (a[1] + b[1]), 0.5 * (a[2] + b[2])
+        at_midpoint = clear_of_obstacles(midpoint, world, 0.0)
     for k in range(d):
-        midpoint[k] = 0.5 * (positions[i, k] + positions[j, k])
-    at_midpoint = clear_of_obstacles(midpoint, obstacles, 0.0)
-    if at_midpoint:
-        positions[i] = midpoint
-    positions[j] = positions[i]
+        if at_midpoint:
+            positions[i, k] = 0.5 * (positions[i, k] + positions[j, k])
+        positions[j, k] = positions[i, k]
     return at_midpoint
 
 
 @kernel
-def _pull_at_merge(i, j, weights, at_midpoint):
-    degree_i, degree_j = np.sum(weights[i]), np.sum(weights[j])
+def _pull_at_merge(i, j, links, at_midpoint):
+    """D_i + D_j at the midpoint, 2 max(D_i, D_j) at the lower index' place, m/s (theory 5)."""
+    first, second, weight = links
+    degree_i = degree_j = 0.0
+    for e in range(len(first)):
+        if first[e] == i or second[e] == i:
+            degree_i += weight[e]
+        if first[e] == j or second[e] == j:
+            degree_j += weight[e]
     return degree_i + degree_j if at_midpoint else 2.0 * max(degree_i, degree_j)
 
 
 @kernel
-def _contract(i, j, weights, merged_into):
-    """The neighbours of i become those of both; a weight is the larger of the two (assumption
-    2).
+def contract(i, j, links):
+    """The links of j become those of i, i < j; of two to the same robot the heavier gain stays.
+
+    a_ik ← max(a_ik, a_jk)                                     (assumption 2)
     """
-    n = weights.shape[0]
-    for k in range(n):
-        if k != i and k != j:
-            weights[i, k] = max(weights[i, k], weights[j, k])
-            weights[k, i] = weights[i, k]
-        weights[j, k] = 0.0
-        weights[k, j] = 0.0
-        if merged_into[k] == j:
-            merged_into[k] = i
+    first, second, weight = links
+    for e in range(len(first)):
+        if weight[e] > 0.0 and (first[e] == j or second[e] == j):
+            k = first[e] if second[e] == j else second[e]
+            if k == i:
+                weight[e] = 0.0
+                continue
+            low, high = min(i, k), max(i, k)
+            twin = _link_between(low, high, links)
+            if twin >= 0:
+                weight[twin] = max(weight[twin], weight[e])
+                weight[e] = 0.0
+            else:
+                first[e], second[e] = low, high
+
+
+@kernel
+def _link_between(low, high, links):
+    first, second, weight = links
+    for e in range(len(first)):
+        if weight[e] > 0.0 and first[e] == low and second[e] == high:
+            return e
+    return -1

@@ -44,36 +44,31 @@ def uniform(key, counter):
 
 
 @kernel
-def draw_rotation(key, first_counter, out):
-    """A uniformly distributed rotation matrix, from at most three numbers of the stream.
+def draw_rotation(key, first_counter, axes):
+    """A uniformly distributed rotation matrix, row by row, from at most three numbers of a stream.
 
     Args:
         key: stream.
         first_counter: where in the stream to begin.
-        out: (d, d) array for the matrix, d = 2 or 3.
+        axes: (0, 1) for 4 numbers, (0, 1, 2) for 9.
     """
     turn = 2.0 * math.pi * uniform(key, first_counter)
-    if out.shape[0] == 2:
+    if len(axes) == 2:
         c, s = math.cos(turn), math.sin(turn)
-        out[0, 0], out[0, 1], out[1, 0], out[1, 1] = c, -s, s, c
-        return
+        return c, -s, s, c
     # a uniform unit quaternion (x, y, z, w), after Shoemake (1992)
     other_turn = 2.0 * math.pi * uniform(key, first_counter + 1)
     share = uniform(key, first_counter + 2)
     small, large = math.sqrt(1.0 - share), math.sqrt(share)
     x, y = small * math.sin(turn), small * math.cos(turn)
     z, w = large * math.sin(other_turn), large * math.cos(other_turn)
-    out[0, 0], out[0, 1], out[0, 2] = (
+    return (
         1 - 2 * (y * y + z * z),
         2 * (x * y - z * w),
         2 * (x * z + y * w),
-    )
-    out[1, 0], out[1, 1], out[1, 2] = (
         2 * (x * y + z * w),
         1 - 2 * (x * x + z * z),
         2 * (y * z - x * w),
-    )
-    out[2, 0], out[2, 1], out[2, 2] = (
         2 * (x * z - y * w),
         2 * (y * z + x * w),
         1 - 2 * (x * x + y * y),

@@ -1,15 +1,18 @@
-"""Small vectors as triples of numbers, for kernels that allocate nothing.
+"""Small vectors as tuples of numbers: nothing is allocated, and loops over teams become SIMD.
 
-A vector of the plane has z = 0, and every function here keeps it so.
+Most functions take triples, in which a vector of the plane has z = 0 and keeps it. Those that every
+robot needs in every step take pairs or triples, so that the plane pays for two numbers only; which
+of their branches is compiled follows from the length of the argument.
 """
 
 import math
 
 import numpy as np
 
-from ..compilation import kernel
+from ..compilation import inlined_kernel, kernel
 
 X_AXIS = (1.0, 0.0, 0.0)
+ORIGIN = (0.0, 0.0, 0.0)
 
 
 @kernel
@@ -19,21 +22,63 @@ def load(row):
     return np.float64(row[0]), np.float64(row[1]), z
 
 
+@inlined_kernel
+def triple(v):
+    """A pair or triple as (x, y, z)."""
+    if len(v) == 2:
+        return v[0], v[1], 0.0
+    return v
+
+
+@kernel
+def store(vector, out):
+    """The first d numbers of a triple into a row ``out`` of d = 2 or 3."""
+    out[0], out[1] = vector[0], vector[1]
+    if out.shape[0] == 3:
+        out[2] = vector[2]
+
+
 @kernel
 def dot(a, b):
-    """Scalar product."""
+    """Scalar product aᵀb of triples."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 @kernel
+def cross(a, b):
+    """Vector product a × b of triples."""
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+@kernel
 def combine(p, a, q, b):
-    """The vector p a + q b."""
+    """The vector p a + q b of triples."""
     return p * a[0] + q * b[0], p * a[1] + q * b[1], p * a[2] + q * b[2]
 
 
 @kernel
+def add(a, factor, b):
+    """The vector a + factor b of triples; a itself, bit for bit, where b is zero."""
+    return a[0] + factor * b[0], a[1] + factor * b[1], a[2] + factor * b[2]
+
+
+@kernel
+def subtract(a, b):
+    """The vector a − b of triples."""
+    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
+
+
+@kernel
+def norm(a):
+    """Length ‖a‖ of a triple."""
+    return math.sqrt(dot(a, a))
+
+
+@kernel
 def split(a):
-    """Length and unit vector; (0, zero) for the zero vector. Safe for any finite numbers."""
+    """Length and unit vector of a triple; (0, zero) for the zero vector. Safe for any finite
+    numbers.
+    """
     square = dot(a, a)
     if 1e-200 < square < 1e200:
         length = math.sqrt(square)
@@ -52,3 +97,64 @@ def without(a, h):
     """The part of a across the unit vector h; done twice, so that rounding leaves none of h."""
     once = combine(1.0, a, -dot(a, h), h)
     return combine(1.0, once, -dot(once, h), h)
+
+
+@inlined_kernel
+def difference(a, b):
+    """B − a of pairs or triples."""
+    if len(a) == 2:
+        return b[0] - a[0], b[1] - a[1]
+    return b[0] - a[0], b[1] - a[1], b[2] - a[2]
+
+
+@inlined_kernel
+def square(v):
+    """‖v‖² of a pair or triple."""
+    if len(v) == 2:
+        return v[0] * v[0] + v[1] * v[1]
+    return v[0] * v[0] + v[1] * v[1] + v[2] * v[2]
+
+
+@inlined_kernel
+def scaled(v, factor):
+    """A pair or triple times a number."""
+    if len(v) == 2:
+        return v[0] * factor, v[1] * factor
+    return v[0] * factor, v[1] * factor, v[2] * factor
+
+
+@inlined_kernel
+def to_global(frame, v):
+    """R v: from a local frame to the global one.
+
+    Args:
+        frame: R, row by row, 4 or 9 numbers.
+        v: pair or triple.
+    """
+    if len(v) == 2:
+        return frame[0] * v[0] + frame[1] * v[1], frame[2] * v[0] + frame[3] * v[1]
+    return (
+        frame[0] * v[0] + frame[1] * v[1] + frame[2] * v[2],
+        frame[3] * v[0] + frame[4] * v[1] + frame[5] * v[2],
+        frame[6] * v[0] + frame[7] * v[1] + frame[8] * v[2],
+    )
+
+
+@inlined_kernel
+def to_local(frame, v):
+    """Rᵀ v: from the global frame to a local one; arguments as ``to_global``."""
+    if len(v) == 2:
+        return frame[0] * v[0] + frame[2] * v[1], frame[1] * v[0] + frame[3] * v[1]
+    return (
+        frame[0] * v[0] + frame[3] * v[1] + frame[6] * v[2],
+        frame[1] * v[0] + frame[4] * v[1] + frame[7] * v[2],
+        frame[2] * v[0] + frame[5] * v[1] + frame[8] * v[2],
+    )
+
+
+@kernel
+def local_axis(frame, k):
+    """Axis k of a local frame, 4 or 9 numbers row by row, as a triple of the global frame."""
+    if len(frame) == 4:
+        return frame[k], frame[2 + k], 0.0
+    return frame[k], frame[3 + k], frame[6 + k]

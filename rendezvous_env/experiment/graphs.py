@@ -9,13 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..compilation import kernel
-from ..equations.random_streams import uniform
-
 FIXED, RANDOM_TREE, ERDOS_RENYI = range(3)
+"""How an episode chooses its edges."""
 _TOPOLOGIES = {"random_tree": RANDOM_TREE, "erdos_renyi": ERDOS_RENYI}
 _FIXED_KINDS = ("complete", "path", "cycle", "star")
-_TRIES_FOR_CONNECTED = 100
 
 
 @dataclass(frozen=True)
@@ -79,6 +76,53 @@ class Graph:
         else:
             weights = 1.0 - np.eye(n)
         return weights
+
+    def most_neighbours(self, n: int) -> int:
+        """The most neighbours that a robot can have in any episode, merges included.
+
+        Contraction of a path or a cycle gives a path or a cycle; of other graphs it can give a star.
+        """
+        if self.kind in ("path", "cycle"):
+            return min(2, n - 1)
+        if self.kind == "edges":
+            counts = np.bincount([robot for i, j, _ in self.edges for robot in (i, j)], minlength=n)
+            return min(2, n - 1) if counts.max(initial=0) <= 2 else n - 1
+        return n - 1
+
+    def links(self, n: int) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
+        """The edges before drawing: lower and higher robots, sorted, and weights in m/s; each (E,).
+
+        The same as ``base_weights``, in memory that follows the edges.
+        """
+        if self.kind == "path":
+            pairs = [(i, i + 1, 1.0) for i in range(n - 1)]
+        elif self.kind == "cycle":
+            pairs = sorted({*((i, i + 1, 1.0) for i in range(n - 1)), (0, n - 1, 1.0)})
+        elif self.kind == "star":
+            pairs = [(0, j, 1.0) for j in range(1, n)]
+        elif self.kind == "edges":
+            if n != self.n_nodes:
+                raise ValueError(
+                    f"graph: its matrix or edge list is for {self.n_nodes} robots, not for {n}"
+                )
+            pairs = list(self.edges)
+        else:
+            first, second = np.triu_indices(n, 1)
+            return first.astype(np.int64), second.astype(np.int64), np.ones(len(first))
+        table = np.array(pairs, dtype=np.float64).reshape(-1, 3)
+        return table[:, 0].astype(np.int64), table[:, 1].astype(np.int64), table[:, 2].copy()
+
+    def most_links(self, n: int) -> int:
+        """Links that an episode can have; of a random family, with a chance of 10⁻⁹ at most to have
+        more (ten standard deviations).
+        """
+        pairs = n * (n - 1) // 2
+        if self.topology == RANDOM_TREE:
+            return n - 1
+        if self.topology == ERDOS_RENYI:
+            spread = 10 * np.sqrt(pairs * self.probability * (1 - self.probability))
+            return min(pairs, int(np.ceil(pairs * self.probability + spread)) + n)
+        return len(self.links(n)[0])
 
     def components(self, n: int) -> list[list[int]]:
         """Connected components as lists of robot indices; a family only draws connected graphs."""
@@ -277,85 +321,3 @@ def bottleneck_weight(weights: NDArray[np.float64]) -> float:
 def _as_range(weight: float | tuple[float, float]) -> tuple[float, float]:
     low, high = weight if isinstance(weight, tuple) else (weight, weight)
     return float(low), float(high)
-
-
-@kernel
-def draw_weights(key, topology, probability, low, high, base, out):
-    """Draw the weights of one episode.
-
-    Args:
-        key: random stream.
-        topology: FIXED, RANDOM_TREE or ERDOS_RENYI.
-        probability: chance of an edge, for ERDOS_RENYI.
-        low: least factor on an edge's base weight.
-        high: largest factor.
-        base: (n, n) base weights.
-        out: (n, n) array for a_ij, m/s.
-    """
-    n = base.shape[0]
-    counter = 0
-    if topology == FIXED:
-        out[:] = base
-    else:
-        out[:] = 0.0
-        if topology == ERDOS_RENYI:
-            counter = _draw_connected_edges(key, probability, out)
-        if topology == RANDOM_TREE or not _is_connected(out):
-            counter = _draw_tree_edges(key, counter, out)
-    for i in range(n):
-        for j in range(i + 1, n):
-            out[i, j] *= low + (high - low) * uniform(key, counter)
-            out[j, i] = out[i, j]
-            counter += 1
-
-
-@kernel
-def _draw_connected_edges(key, probability, out):
-    n = out.shape[0]
-    counter = 0
-    for _ in range(_TRIES_FOR_CONNECTED):
-        for i in range(n):
-            for j in range(i + 1, n):
-                out[i, j] = 1.0 if uniform(key, counter) < probability else 0.0
-                out[j, i] = out[i, j]
-                counter += 1
-        if _is_connected(out):
-            break
-    return counter
-
-
-@kernel
-def _draw_tree_edges(key, counter, out):
-    """First-entry edges of a random walk on the complete graph: a uniform tree (Aldous–Broder)."""
-    n = out.shape[0]
-    visited = np.zeros(n, dtype=np.bool_)
-    here = 0
-    visited[here] = True
-    left = n - 1
-    while left > 0:
-        there = int(uniform(key, counter) * n)
-        counter += 1
-        if not visited[there]:
-            visited[there] = True
-            out[here, there] = 1.0
-            out[there, here] = 1.0
-            left -= 1
-        here = there
-    return counter
-
-
-@kernel
-def _is_connected(weights):
-    n = weights.shape[0]
-    reached = np.zeros(n, dtype=np.bool_)
-    frontier = np.empty(n, dtype=np.int64)
-    reached[0], frontier[0], count, done = True, 0, 1, 0
-    while done < count:
-        i = frontier[done]
-        done += 1
-        for j in range(n):
-            if weights[i, j] > 0.0 and not reached[j]:
-                reached[j] = True
-                frontier[count] = j
-                count += 1
-    return count == n

@@ -22,11 +22,13 @@ class ObservedRows(NamedTuple):
     """Unit silhouette bearings, (..., M, S, d)."""
     gravity: NDArray[Any] | None
     """Unit direction of gravity, (..., d); None where the robots do not sense it."""
+    velocity: NDArray[Any] | None = None
+    """The robot's own velocity, (..., d), m/s; None where the robots do not sense it."""
 
 
 @dataclass(frozen=True)
 class ObservationLayout:
-    """The rows of an observation ``(..., rows, d)``: neighbours, then obstacles, then gravity.
+    """The rows of an observation ``(..., rows, d)``: neighbours, then obstacles, then gravity or velocity.
 
     An absent row is zero.
     """
@@ -34,11 +36,14 @@ class ObservationLayout:
     dim: int
     """Dimension d of the space, 2 or 3."""
     neighbour_slots: int
-    """K, one row for each other robot in index order."""
+    """K, the most neighbours that a robot can have. With n − 1 each other robot has its own row, in
+    index order; with fewer those present stand first."""
     obstacle_slots: int = 0
     """M, obstacles that an observation has room for."""
     senses_gravity: bool = False
     """Whether the last row is the direction of gravity (3-D nonholonomic robots)."""
+    senses_velocity: bool = False
+    """Whether the last row is the robot's own velocity (double integrators)."""
 
     @property
     def silhouette_points(self) -> int:
@@ -63,9 +68,15 @@ class ObservationLayout:
         return slice(start, start + int(self.senses_gravity))
 
     @property
+    def velocity(self) -> slice:
+        """The row of the robot's own velocity; an empty slice where it does not sense it."""
+        start = self.gravity.stop
+        return slice(start, start + int(self.senses_velocity))
+
+    @property
     def rows(self) -> int:
         """Number of rows in all."""
-        return int(self.gravity.stop)
+        return int(self.velocity.stop)
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -93,6 +104,7 @@ class ObservationLayout:
             neighbours=observations[..., self.neighbours, :],
             obstacles=observations[..., self.obstacles, :].reshape(*leading, *points),
             gravity=observations[..., -1, :] if self.senses_gravity else None,
+            velocity=observations[..., -1, :] if self.senses_velocity else None,
         )
 
     def net_bearing(self, observations: NDArray[Any]) -> NDArray[Any]:

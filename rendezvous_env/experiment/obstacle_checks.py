@@ -27,6 +27,16 @@ def check_point(kind: str, field: str, value: Any, dim: int) -> tuple[float, ...
     return point
 
 
+def check_ends(value: Any) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Both ends of a capsule's segment, points of the plane or of space."""
+    pair = tuple(value) if isinstance(value, Sequence | np.ndarray) else ()
+    if len(pair) != 2:
+        raise ValueError(f"obstacles: ends {value!r} of a Capsule must be two points, m")
+    dim = 3 if isinstance(pair[0], Sequence | np.ndarray) and len(pair[0]) == 3 else 2
+    first, second = (check_point("Capsule", f"ends[{k}]", end, dim) for k, end in enumerate(pair))
+    return first, second
+
+
 def check_radius(kind: str, value: Any) -> float:
     """A radius that a contact 1 µm deep cannot pass through."""
     if not _is_number(value) or value < _LEAST_THICKNESS:

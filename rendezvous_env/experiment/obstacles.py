@@ -1,4 +1,4 @@
-"""Discs, convex polygons and spheres; random fields of them; their packed rows."""
+"""Discs, convex polygons, capsules and spheres; random fields of discs or spheres."""
 
 from __future__ import annotations
 
@@ -8,22 +8,9 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-from ..compilation import kernel
-from ..equations.geometry import (
-    ABSENT,
-    CENTRE,
-    COUNT,
-    RADIUS,
-    ROUND,
-    centre_distance,
-    obstacle_distance,
-)
-from ..equations.random_streams import uniform
 from .obstacle_checks import (
     check_count,
+    check_ends,
     check_length,
     check_point,
     check_polygon,
@@ -31,8 +18,6 @@ from .obstacle_checks import (
     check_radius_range,
     twice_area,
 )
-
-_TRIES_PER_OBSTACLE = 1000
 
 
 @dataclass(frozen=True)
@@ -95,7 +80,28 @@ class Polygon:
         return x0 + x / (3 * doubled), y0 + y / (3 * doubled)
 
 
-Obstacle = Disc | Sphere | Polygon
+@dataclass(frozen=True)
+class Capsule:
+    """All points within a radius of a segment, in the plane or in space: a wall with round ends, a
+    fallen trunk.
+    """
+
+    ends: tuple[tuple[float, ...], tuple[float, ...]]
+    """Both ends of the segment, m."""
+    radius: float
+    """m."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "ends", check_ends(self.ends))
+        object.__setattr__(self, "radius", check_radius("Capsule", self.radius))
+
+    @property
+    def dim(self) -> int:
+        """Dimension of the space it is in."""
+        return len(self.ends[0])
+
+
+Obstacle = Disc | Sphere | Polygon | Capsule
 
 
 @dataclass(frozen=True)
@@ -168,92 +174,18 @@ def max_count(value: Obstacles) -> int:
     return value.count_range[1] if isinstance(value, ObstacleField) else len(value)
 
 
-def row_width(value: Obstacles, dim: int) -> int:
-    """Width of the packed rows: 2 + d + 2 · (most vertices of a polygon)."""
-    polygons = [] if isinstance(value, ObstacleField) else value
-    return (
-        2 + dim + 2 * max((len(p.vertices) for p in polygons if isinstance(p, Polygon)), default=0)
-    )
-
-
-def check_outside(field: str, positions: NDArray[np.float64], value: Sequence[Obstacle]) -> None:
-    """Refuse positions inside obstacles.
-
-    Args:
-        field: what the message calls the positions.
-        positions: (n, d), m.
-        value: obstacles.
-
-    Raises:
-        ValueError: naming the first robot and its obstacle.
-    """
-    positions = np.asarray(positions, dtype=np.float64)
-    rows = pack(value, positions.shape[1], len(value))
-    for i, position in enumerate(positions):
-        for obstacle, row in zip(value, rows, strict=True):
-            if (distance := obstacle_distance(row, position)) < 0:
-                raise ValueError(
-                    f"{field}: robot_{i} at {position.tolist()} is {-distance:.6g} m inside "
-                    f"{obstacle}; it must be outside"
-                )
-
-
-def pack(
-    obstacles: Sequence[Obstacle], dim: int, slots: int, width: int | None = None
-) -> NDArray[np.float64]:
-    """Obstacles as an array for the kernels; what a row holds is told in ``geometry``.
-
-    Args:
-        obstacles: at most ``slots``.
-        dim: dimension of the space.
-        slots: M, rows of the array; those left over are absent.
-        width: of a row; as narrow as possible if not given.
-
-    Returns:
-        (M, width) array.
-
-    Raises:
-        ValueError: if there are more obstacles, or more vertices, than there is room for.
-    """
-    obstacles = tuple(obstacles)
-    needed = row_width(obstacles, dim)
-    width = needed if width is None else width
-    if len(obstacles) > slots:
-        raise ValueError(f"obstacles: {len(obstacles)} were given, there is room for {slots}")
-    if needed > width:
-        raise ValueError(
-            f"obstacles: a polygon has {(needed - 2 - dim) // 2} vertices, "
-            f"there is room for {(width - 2 - dim) // 2}"
-        )
-    rows = np.zeros((slots, width))
-    rows[:, COUNT] = ABSENT
-    for row, obstacle in zip(rows, obstacles, strict=False):
-        _pack_one(row, obstacle)
-    return rows
-
-
-def _pack_one(row: NDArray[np.float64], obstacle: Obstacle) -> None:
-    if isinstance(obstacle, Polygon):
-        centre, corners = np.array(obstacle.centroid), np.array(obstacle.vertices)
-        row[COUNT] = len(corners)
-        row[RADIUS] = np.linalg.norm(corners - centre, axis=1).max()
-        row[CENTRE : CENTRE + 2] = centre
-        row[CENTRE + 2 : CENTRE + 2 + corners.size] = corners.ravel()
-    else:
-        row[COUNT], row[RADIUS] = ROUND, obstacle.radius
-        row[CENTRE : CENTRE + obstacle.dim] = obstacle.centre
-
-
 _KINDS: dict[str, Callable[..., Obstacle | ObstacleField]] = {
     "disc": Disc,
     "sphere": Sphere,
     "polygon": Polygon,
+    "capsule": Capsule,
     "field": ObstacleField,
 }
 _KEYS = {
     "disc": ("centre", "radius"),
     "sphere": ("centre", "radius"),
     "polygon": ("vertices",),
+    "capsule": ("ends", "radius"),
     "field": ("count", "radius", "region", "keep_out", "overlap"),
 }
 _OPTIONAL_KEYS = {"overlap"}
@@ -289,6 +221,8 @@ def _from_plain(plain: Mapping[str, Any], dim: int) -> Obstacle | ObstacleField:
 def _kind_of(values: Mapping[str, Any], dim: int) -> str:
     if "vertices" in values:
         return "polygon"
+    if "ends" in values:
+        return "capsule"
     if values.keys() & {"count", "region", "keep_out", "overlap"}:
         return "field"
     return "disc" if dim == 2 else "sphere"
@@ -307,87 +241,8 @@ def _parse_entry(k: int, entry: Any, dim: int) -> Obstacle:
     if isinstance(entry, ObstacleField):
         raise ValueError(f"obstacles[{k}]: an ObstacleField stands alone, not in a list")
     if not isinstance(entry, Obstacle):
-        raise ValueError(f"obstacles[{k}]: {entry!r} must be a Disc, Polygon or Sphere")
+        raise ValueError(f"obstacles[{k}]: {entry!r} must be a Disc, Polygon, Capsule or Sphere")
     if entry.dim != dim:
-        fitting = "Disc or Polygon" if dim == 2 else "Sphere"
+        fitting = "Disc, Polygon or Capsule" if dim == 2 else "Sphere or Capsule"
         raise ValueError(f"obstacles[{k}]: {entry} is {entry.dim}-D; in {dim}-D use {fitting}")
     return entry
-
-
-@kernel
-def draw_field(
-    key,
-    count_low,
-    count_high,
-    radius_low,
-    radius_high,
-    region,
-    keep_out,
-    overlap,
-    starts,
-    n_starts,
-    out,
-):
-    """Draw the discs or spheres of one episode.
-
-    A draw that comes too near to a start, or overlaps where it must not, is replaced by another.
-
-    Args:
-        key: random stream, uint64.
-        count_low: least number of obstacles.
-        count_high: largest number, at most M.
-        radius_low: least radius, m.
-        radius_high: largest radius, m.
-        region: edge length of the square or cube about the origin that holds the centres, m.
-        keep_out: least distance of a start from a surface, m.
-        overlap: whether obstacles may overlap.
-        starts: (n, d) start positions, m; only the first ``n_starts`` count.
-        n_starts: number of starts to keep clear of.
-        out: (M, width) array for the packed rows.
-
-    Returns:
-        False if an obstacle found no place in 1000 tries; the rows from there on are then absent.
-    """
-    d = starts.shape[1]
-    out[:] = 0.0
-    out[:, COUNT] = ABSENT
-    count = count_low + int(uniform(key, 0) * (count_high - count_low + 1))
-    counter = 1
-    for m in range(count):
-        placed = False
-        for _ in range(_TRIES_PER_OBSTACLE):
-            _draw_ball(key, counter, radius_low, radius_high, region, d, out[m])
-            counter += 1 + d
-            if _keeps_out(out[m], starts, n_starts, keep_out) and (overlap or _apart(out, m, d)):
-                placed = True
-                break
-        if not placed:
-            out[m, COUNT] = ABSENT
-            return False
-    return True
-
-
-@kernel
-def _draw_ball(key, counter, radius_low, radius_high, region, d, row):
-    row[COUNT] = ROUND
-    row[RADIUS] = radius_low + (radius_high - radius_low) * uniform(key, counter)
-    for k in range(d):
-        row[CENTRE + k] = region * (uniform(key, counter + 1 + k) - 0.5)
-
-
-@kernel
-def _keeps_out(row, starts, n_starts, keep_out):
-    for i in range(n_starts):
-        if obstacle_distance(row, starts[i]) < keep_out:
-            return False
-    return True
-
-
-@kernel
-def _apart(rows, m, d):
-    """Whether ball m overlaps none of those before it."""
-    centre = rows[m, CENTRE : CENTRE + d]
-    for other in range(m):
-        if centre_distance(rows[other], centre) < rows[m, RADIUS] + rows[other, RADIUS]:
-            return False
-    return True

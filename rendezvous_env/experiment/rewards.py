@@ -7,8 +7,6 @@ from __future__ import annotations
 import math
 from dataclasses import asdict, dataclass
 
-from ..compilation import kernel
-
 
 @dataclass(frozen=True)
 class RewardWeights:
@@ -26,6 +24,9 @@ class RewardWeights:
     """Paid for each robot in contact with an obstacle, in each step."""
     rendezvous_bonus: float = 1.0
     """Earned once, when all robots have become one."""
+    clearance_penalty: float = 0.0
+    """Paid in each step for each robot, times 1 − clearance/``obstacle_range`` where it is nearer
+    to an obstacle than that."""
 
     def __post_init__(self) -> None:
         for name, value in asdict(self).items():
@@ -36,18 +37,3 @@ class RewardWeights:
             ):
                 raise ValueError(f"reward.{name} is {value!r}; it must be a finite number")
             object.__setattr__(self, name, float(value))
-
-
-@kernel
-def team_reward(progress, time_share, contacts, met, weights):
-    """Team reward of one step.
-
-    Args:
-        progress: (V_t − V_{t+1})/V_0.
-        time_share: τ / time limit.
-        contacts: robots in contact with an obstacle.
-        met: whether this step brought the rendezvous.
-        weights: (progress, time_penalty, collision_penalty, rendezvous_bonus).
-    """
-    reward = weights[0] * progress - weights[1] * time_share - weights[2] * contacts
-    return reward + weights[3] if met else reward

@@ -17,12 +17,12 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from ..equations.kinematics import ROBOT_MODELS, RobotModel
-from . import graphs, obstacles
+from . import graphs, obstacles, packing
 from .graphs import Graph, GraphLike
 from .observation_layout import ObservationLayout
 from .obstacles import ObstacleField, Obstacles
 from .rewards import RewardWeights
+from .robot_models import ROBOT_MODELS, RobotModel
 
 CONTACT_MODES = ("slide", "stop", "ignore")
 LOCAL_FRAMES = ("random", "global")
@@ -52,7 +52,8 @@ class Scenario:
     dim: int = 2
     """Dimension d of the space, 2 or 3."""
     robot_model: str = "single_integrator"
-    """single_integrator (2-D or 3-D), unicycle (2-D) or nonholonomic_3d (3-D)."""
+    """single_integrator or double_integrator (2-D or 3-D), unicycle (2-D), nonholonomic_3d (3-D),
+    or one that has been registered."""
     graph: GraphLike = dataclasses.field(default_factory=graphs.complete)
     """Who sees whom: a Graph, the name of one, or a symmetric (n, n) matrix of weights a_ij in
     m/s."""
@@ -70,8 +71,10 @@ class Scenario:
     """v_max in m/s, direction kept; None is D̄, which law (1) never exceeds."""
     max_turn_rate: float | None = None
     """Largest ω, ω_β in rad/s (ω_α may be ten times larger, see nonholonomic_3d); None is D̄."""
+    max_acceleration: float | None = None
+    """a_max in m/s² of a double integrator, direction kept; None is v_max per 0.25 s."""
     obstacles: Obstacles | ObstacleField = ()
-    """Discs, convex polygons or spheres, or a random field of them drawn for every episode."""
+    """Discs, convex polygons, capsules or spheres, or a random field drawn for every episode."""
     obstacle_range: float = 2.0
     """An obstacle is seen while its nearest point is within this distance, m."""
     obstacle_slots: int | None = None
@@ -79,7 +82,8 @@ class Scenario:
     obstacle_contact: str = "slide"
     """At an obstacle: slide along it, stop at it, or ignore it."""
     neighbour_slots: int | None = None
-    """K, neighbour rows of an observation; None is n - 1."""
+    """K, neighbour rows of an observation; None is the most neighbours that a robot can have in any
+    episode, merges included. With fewer, a robot that comes to have more is an error."""
     spawn_size: float = 10.0
     """Starts are drawn from a square or cube of this edge length about the origin, m."""
     start_positions: Table | None = None
@@ -211,6 +215,11 @@ class Scenario:
         return self.max_degree if self.max_speed is None else self.max_speed
 
     @property
+    def acceleration_limit(self) -> float:
+        """Largest acceleration in force, m/s²."""
+        return 4.0 * self.speed_limit if self.max_acceleration is None else self.max_acceleration
+
+    @property
     def turn_limit(self) -> float:
         """Largest turn rate in force, rad/s."""
         return self.max_degree if self.max_turn_rate is None else self.max_turn_rate
@@ -218,19 +227,16 @@ class Scenario:
     @property
     def action_size(self) -> int:
         """Numbers in one robot's action."""
-        return self.model.action_size(self.dim)
+        return len(self.action_bounds)
 
     @cached_property
     def action_bounds(self) -> NDArray[np.float64]:
-        """Symmetric bound on each number of an action, (a,): m/s, or m/s and rad/s.
+        """Symmetric bound on each number of an action, (a,): m/s, m/s², or m/s and rad/s.
 
         The rate ω_α of a 3-D robot has ten times the bound of the others, because law (17) divides
         it by cos β; at the bound it saturates.
         """
-        turn_rates = {0: [], 1: [self.turn_limit], 2: [10 * self.turn_limit, self.turn_limit]}
-        rates = turn_rates[self.model.n_angles]
-        speeds = [self.speed_limit] * (self.action_size - len(rates))
-        return np.array(speeds + rates)
+        return np.array(self.model.bounds(self))
 
     @cached_property
     def observation_layout(self) -> ObservationLayout:
@@ -238,9 +244,11 @@ class Scenario:
         slots = self.obstacle_slots
         return ObservationLayout(
             dim=self.dim,
-            neighbour_slots=self.neighbour_slots or self.n_robots - 1,
+            neighbour_slots=self.neighbour_slots
+            or self.sensing_graph.most_neighbours(self.n_robots),
             obstacle_slots=obstacles.max_count(self.obstacles) if slots is None else slots,
             senses_gravity=self.model.senses_gravity,
+            senses_velocity=self.model.senses_velocity,
         )
 
     # ---- checks -------------------------------------------------------------------------------
@@ -264,7 +272,7 @@ class Scenario:
 
     def _check_numbers(self) -> None:
         required = ("merge_radius", "time_limit", "obstacle_range", "spawn_size")
-        optional = ("time_step", "max_speed", "max_turn_rate")
+        optional = ("time_step", "max_speed", "max_turn_rate", "max_acceleration")
         for field in required + optional:
             value = getattr(self, field)
             if value is None and field in optional:
@@ -300,8 +308,11 @@ class Scenario:
                 "(theorem 1); join them by an edge, or pass require_connected=False"
             )
         slots = self.neighbour_slots
-        if slots is not None and (not isinstance(slots, int) or slots < self.n_robots - 1):
-            self._refuse("neighbour_slots", f"None or at least n_robots - 1 = {self.n_robots - 1}")
+        most = self.n_robots - 1
+        if slots is not None and (not _is_whole(slots) or not 1 <= slots <= most):
+            self._refuse(
+                "neighbour_slots", f"None or a whole number from 1 to n_robots - 1 = {most}"
+            )
 
     def _check_obstacles(self) -> None:
         parsed = obstacles.parse(self.obstacles, self.dim)
@@ -323,7 +334,7 @@ class Scenario:
                 "start_positions", positions, self.sensing_graph.base_weights(self.n_robots)
             )
             if not isinstance(self.obstacles, ObstacleField) and self.obstacle_contact != "ignore":
-                obstacles.check_outside("start_positions", positions, self.obstacles)
+                packing.check_outside("start_positions", positions, self.obstacles)
 
     def _check_time_step(self) -> None:
         if self.time_step is None and not math.isfinite(self.certified_step):
@@ -398,6 +409,10 @@ def _one_of(choices: Iterable[Any]) -> str:
 
 def _is_real(value: Any) -> bool:
     return isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
+
+
+def _is_whole(value: Any) -> bool:
+    return isinstance(value, int | np.integer) and not isinstance(value, bool)
 
 
 def _frames_to_caller() -> int:

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from . import graphs, obstacles
+from . import graphs, obstacles, packing
 from .scenario import Scenario, check_distinct, check_table, nearest_word
 
 OPTIONS = ("positions", "headings", "frames", "weights", "obstacles")
@@ -149,16 +149,17 @@ def _obstacles(scenario: Scenario, value: Any) -> NDArray[np.float64] | None:
             f"obstacles: {len(parsed)} given, but the scenario has room for {slots}; "
             "set its obstacle_slots"
         )
-    width = obstacles.row_width(scenario.obstacles, scenario.dim)
-    if obstacles.row_width(parsed, scenario.dim) > width:
+    width = packing.row_width(scenario.obstacles)
+    if packing.row_width(parsed) > width:
         raise ValueError(
-            "obstacles: a polygon has more corners than any of the scenario's own obstacles"
+            "obstacles: one has more corners than any of the scenario's own obstacles, or is a "
+            "capsule where the scenario has none"
         )
-    packed = np.zeros((slots, width))
-    packed[:, 0] = -1.0
-    rows = obstacles.pack(parsed, scenario.dim, slots)
-    packed[:, : rows.shape[1]] = rows
-    return packed[None]
+    if packing.only_balls(scenario.obstacles) and not packing.only_balls(parsed):
+        raise ValueError(
+            "obstacles: the scenario's own are all round, so only round ones can be given"
+        )
+    return packing.pack(parsed, slots, width)[None]
 
 
 def _check_together(scenario: Scenario, given: StartOptions, options: Mapping[str, Any]) -> None:
@@ -174,4 +175,4 @@ def _check_together(scenario: Scenario, given: StartOptions, options: Mapping[st
     standing = obstacles.parse(standing, scenario.dim)
     if isinstance(standing, tuple) and scenario.obstacle_contact != "ignore":
         for team in positions:
-            obstacles.check_outside("positions", team, standing)
+            packing.check_outside("positions", team, standing)

@@ -12,50 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..compilation import kernel
+from ..equations.potential import lyapunov_of_links, net_bearings_of_links
 from ..experiment.scenario import Scenario
 
 Array = NDArray[np.float64]
-
-
-@kernel
-def square_distance(positions, i, j):
-    """‖p_i − p_j‖² of two robots of one team, m²; positions (n, d)."""
-    square = 0.0
-    for k in range(positions.shape[1]):
-        square += (positions[j, k] - positions[i, k]) ** 2
-    return square
-
-
-@kernel
-def team_lyapunov(positions, weights):
-    """V = Σ_i Σ_j a_ij ‖p_i − p_j‖ of one team, m²/s: each edge counts twice, as in the paper.
-
-    Args:
-        positions: (n, d), m.
-        weights: (n, n), m/s.
-    """
-    n = positions.shape[0]
-    total = 0.0
-    for i in range(n):
-        for j in range(i + 1, n):
-            if weights[i, j] > 0.0:
-                total += weights[i, j] * math.sqrt(square_distance(positions, i, j))
-    return 2.0 * total
-
-
-@kernel
-def team_net_bearing(positions, weights, i, out):
-    """f_i = Σ_j a_ij g_ij of robot i in the global frame, m/s, written to ``out`` (d,)."""
-    n, d = positions.shape
-    out[:] = 0.0
-    for j in range(n):
-        if weights[i, j] > 0.0:
-            square = square_distance(positions, i, j)
-            if square > 0.0:
-                gain = weights[i, j] / math.sqrt(square)
-                for k in range(d):
-                    out[k] += gain * (positions[j, k] - positions[i, k])
 
 
 def lyapunov(positions: ArrayLike, weights: ArrayLike) -> Array:
@@ -71,7 +31,8 @@ def lyapunov(positions: ArrayLike, weights: ArrayLike) -> Array:
     p, a = _teams(positions, weights)
     leading = p.shape[:-2]
     teams = zip(p.reshape(-1, *p.shape[-2:]), a.reshape(-1, *a.shape[-2:]), strict=True)
-    return np.array([team_lyapunov(*team) for team in teams]).reshape(leading)
+    values = [lyapunov_of_links(team, _links(team_weights)) for team, team_weights in teams]
+    return np.array(values).reshape(leading)
 
 
 def net_bearings(positions: ArrayLike, weights: ArrayLike) -> Array:
@@ -88,8 +49,7 @@ def net_bearings(positions: ArrayLike, weights: ArrayLike) -> Array:
     out = np.empty(p.shape)
     flat = (array.reshape(-1, *array.shape[-2:]) for array in (p, a, out))
     for team, team_weights, f in zip(*flat, strict=True):
-        for i in range(len(team)):
-            team_net_bearing(team, team_weights, i, f[i])
+        net_bearings_of_links(team, _links(team_weights), f)
     return out
 
 
@@ -289,6 +249,12 @@ def _largest_lyapunov(scenario: Scenario) -> float:
         weights = graph.base_weights(n) * graph.weight_range[1]
         return float(lyapunov(np.array(scenario.start_positions), weights))
     return 2.0 * graph.weight_sum(n) * scenario.spawn_size * math.sqrt(scenario.dim)
+
+
+def _links(weights: Array) -> tuple[Any, Any, Any]:
+    """The links of a symmetric matrix of weights, in the order of their robots."""
+    first, second = np.nonzero(np.triu(weights > 0, 1))
+    return first, second, weights[first, second]
 
 
 def _teams(positions: ArrayLike, weights: ArrayLike) -> tuple[Array, Array]:

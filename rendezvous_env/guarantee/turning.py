@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..compilation import kernel
-from ..equations.kinematics import arc_displacement, mean_cos_sin
+from ..equations.arcs import arc_3d, clip, mean_cos_sin
 from ..equations.vectors import dot, load
 from .heading import check_gate_constants, check_vectors
 
@@ -158,11 +158,10 @@ def gate_2d(requested, net_bearing, min_alignment, dead_zone, duration, limits, 
 @kernel
 def gate_3d(requested, net_bearing, pitch, min_alignment, dead_zone, duration, limits, out):
     """``gated_turn_rate`` for N robots in space, unchecked; rates (N, 2), pitch (N,)."""
-    work = np.empty(3)
     for i in range(out.shape[0]):
         f = load(net_bearing[i])
         yaw_rate, pitch_rate = clip(requested[i, 0], limits[0]), clip(requested[i, 1], limits[1])
-        mean_axis = mean_axis_3d(yaw_rate, pitch_rate, pitch[i], duration, work)
+        mean_axis = mean_axis_3d(yaw_rate, pitch_rate, pitch[i], duration)
         if not keeps_margin(f, mean_axis, min_alignment, dead_zone):
             yaw_rate, pitch_rate = (
                 clip(_yaw_rate_law(f[1], pitch[i]), limits[0]),
@@ -183,12 +182,6 @@ def keeps_margin(net_bearing, mean_axis, min_alignment, dead_zone):
 
 
 @kernel
-def clip(rate, limit):
-    """The rate, at most ``limit`` either way."""
-    return min(max(rate, -limit), limit)
-
-
-@kernel
 def mean_axis_2d(rate, duration):
     """``mean_body_axis_2d`` of one robot as (x, y, 0)."""
     mean_cos, mean_sin = mean_cos_sin(0.0, rate * duration)
@@ -196,10 +189,9 @@ def mean_axis_2d(rate, duration):
 
 
 @kernel
-def mean_axis_3d(yaw_rate, pitch_rate, pitch, duration, work):
-    """``mean_body_axis_3d`` of one robot as (x, y, z); ``work`` is room for 3 numbers."""
-    arc_displacement(1.0 / duration, 0.0, pitch, yaw_rate, pitch_rate, duration, work)
-    forward, left, up = work
+def mean_axis_3d(yaw_rate, pitch_rate, pitch, duration):
+    """``mean_body_axis_3d`` of one robot as (x, y, z)."""
+    forward, left, up = arc_3d(1.0 / duration, 0.0, pitch, yaw_rate, pitch_rate, duration)
     c, s = math.cos(pitch), math.sin(pitch)
     return c * forward + s * up, left, c * up - s * forward
 
@@ -212,7 +204,6 @@ def _mean_axes_2d(rates, duration, out):
 
 @kernel
 def _mean_axes_3d(yaw_rates, pitch_rates, pitches, duration, out):
-    work = np.empty(3)
     for i in range(out.shape[0]):
-        mean = mean_axis_3d(yaw_rates[i], pitch_rates[i], pitches[i], duration, work)
+        mean = mean_axis_3d(yaw_rates[i], pitch_rates[i], pitches[i], duration)
         out[i, 0], out[i, 1], out[i, 2] = mean

@@ -11,7 +11,7 @@ from conftest import MODELS, UNEQUAL, law_of
 from scipy.integrate import solve_ivp
 
 from rendezvous_env import Scenario, Simulator
-from rendezvous_env.engine.teams import RUNNING
+from rendezvous_env.engine.memory import RUNNING
 from rendezvous_env.trajectory import run
 
 POSITIONS = {

@@ -15,8 +15,8 @@ from conftest import MODELS, ROOT, UNEQUAL, five, law_of
 
 from rendezvous_env import Disc, ObstacleField, Scenario, Simulator, simulator
 from rendezvous_env.engine import threads
+from rendezvous_env.engine.memory import AWAITING_RESET, RENDEZVOUS, RUNNING, TIME_OUT
 from rendezvous_env.engine.step import step_blocks
-from rendezvous_env.engine.teams import FRESH, RENDEZVOUS, RUNNING, TIME_OUT
 from rendezvous_env.experiment import graphs
 
 RANDOM = np.random.default_rng(11)
@@ -335,7 +335,7 @@ def test_a_partial_reset_leaves_the_others_untouched(kind):
 def test_a_team_that_rests_passes_one_step(kind):
     sim = Simulator(five(kind), 2)
     sim.reset(1, resting=True)
-    assert (sim.status == FRESH).all()
+    assert (sim.status == AWAITING_RESET).all()
     before, actions = sim.positions, np.ones((2, 5, sim.scenario.action_size))
     outcome = sim.step(actions)
     np.testing.assert_array_equal(sim.positions, before)

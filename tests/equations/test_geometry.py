@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import shapely
 from numba import njit
-
 from rendezvous_env.equations.geometry import (
     clear_of_obstacles,
     first_crossing,
@@ -15,6 +14,7 @@ from rendezvous_env.equations.geometry import (
     silhouette_2d,
     silhouette_3d,
 )
+
 from rendezvous_env.experiment.obstacles import Disc, Polygon, Sphere, pack
 
 N_VIEWS = 10_000

@@ -7,7 +7,7 @@ import pytest
 from conftest import five, law_of
 
 from rendezvous_env import Disc, RewardWeights, Scenario, Simulator
-from rendezvous_env.engine.teams import RENDEZVOUS, RUNNING
+from rendezvous_env.engine.memory import RENDEZVOUS, RUNNING
 from rendezvous_env.experiment.rewards import team_reward
 
 WEIGHTS = (2.0, 0.5, 0.25, 3.0)

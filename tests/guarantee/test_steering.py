@@ -8,7 +8,7 @@ from conftest import MODELS, UNEQUAL, five
 
 import rendezvous_env as rv
 from rendezvous_env import Scenario, Simulator
-from rendezvous_env.engine.teams import RENDEZVOUS
+from rendezvous_env.engine.memory import RENDEZVOUS
 from rendezvous_env.experiment import graphs
 from rendezvous_env.guarantee.lyapunov import lyapunov, time_bound
 from rendezvous_env.guarantee.steering import Steering

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rendezvous_env.engine.teams import RENDEZVOUS
+from rendezvous_env.engine.memory import RENDEZVOUS
 from rendezvous_env.experiment.scenario import Scenario
 from rendezvous_env.guarantee.lyapunov import certificate, time_bound
 from rendezvous_env.simulator import Simulator

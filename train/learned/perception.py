@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from baselines.silhouettes import TWO_PI, joined_interval_2d
-from rendezvous_env.compilation import kernel
+from rendezvous_env.compilation import allocating_kernel, kernel
 from rendezvous_env.experiment.scenario import Scenario
 from rendezvous_env.guarantee.heading import scale_of_step
 
@@ -195,7 +195,7 @@ class Perception:
             array[...] = state[name]
 
 
-@kernel
+@allocating_kernel
 def _show(teams, observations, headings, constants, memory, shown):  # type: ignore[no-untyped-def]
     """Fill the rows of ``shown`` (B, n, size) that belong to these teams."""
     K, M = constants.neighbour_slots, memory.edges.shape[2]

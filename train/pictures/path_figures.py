@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rendezvous_env.drawing.palette import OBSTACLE_EDGE, code
-from rendezvous_env.equations.geometry import ABSENT, CENTRE, COUNT, RADIUS
+from rendezvous_env.experiment.outlines import balls, outlines
 from rendezvous_env.experiment.scenario import Scenario
 
 from ..recording import Recording
@@ -66,7 +66,7 @@ def draw_paths(
         axes: to draw in; of three dimensions for robots in space.
         positions: (T, n, d), m.
         active: (T, n), whether the robot still exists on its own.
-        obstacles: (M, width), packed as obstacles.py says.
+        obstacles: (M, width), a table of ``experiment.packing``.
     """
     flat = positions.shape[2] == 2
     (_draw_obstacles if flat else _draw_spheres)(axes, obstacles)
@@ -84,12 +84,8 @@ def draw_paths(
 def _draw_obstacles(axes: Axes, obstacles: NDArray[np.float64]) -> None:
     from matplotlib.patches import Circle, Polygon
 
-    for row in obstacles:
-        if row[COUNT] == ABSENT:
-            continue
-        vertices = row[CENTRE + 2 : CENTRE + 2 + 2 * int(row[COUNT])].reshape(-1, 2)
-        centre = (row[CENTRE], row[CENTRE + 1])
-        shape = Polygon(vertices) if len(vertices) else Circle(centre, row[RADIUS])
+    for (x, y), radius, vertices in outlines(obstacles):
+        shape = Polygon(vertices) if len(vertices) else Circle((x, y), radius)
         shape.set(facecolor=ORANGE, edgecolor=code(OBSTACLE_EDGE), linewidth=0.8, zorder=1)
         axes.add_patch(shape)
 
@@ -97,9 +93,9 @@ def _draw_obstacles(axes: Axes, obstacles: NDArray[np.float64]) -> None:
 def _draw_spheres(axes: Any, obstacles: NDArray[np.float64]) -> None:
     around, down = np.mgrid[0 : 2 * math.pi : 25j, 0 : math.pi : 13j]
     ball = np.stack([np.cos(around) * np.sin(down), np.sin(around) * np.sin(down), np.cos(down)])
-    for row in obstacles[obstacles[:, COUNT] != ABSENT]:
-        centre = row[CENTRE : CENTRE + 3, None, None]
-        axes.plot_surface(*(centre + row[RADIUS] * ball), color=ORANGE, alpha=0.55, linewidth=0)
+    for centre, radius in balls(obstacles):
+        surface = centre[:, None, None] + radius * ball
+        axes.plot_surface(*surface, color=ORANGE, alpha=0.55, linewidth=0)
 
 
 def team_figure(scenario: Scenario, recording: Mapping[str, NDArray[Any]], policy: str) -> Figure:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 from tyro.conf import Positional
 
-from rendezvous_env.equations.geometry import ABSENT, CENTRE, COUNT, RADIUS
+from rendezvous_env.experiment.outlines import balls, outlines
 from rendezvous_env.experiment.scenario import Scenario
 
 from ..errors import UserError
@@ -144,15 +144,16 @@ def _scenario(scenario: Scenario) -> dict[str, Any]:
 
 def _obstacles(packed: NDArray[np.float64], scenario: Scenario) -> Iterator[dict[str, Any]]:
     """Centres, radii and corners, m, of the obstacles of one start."""
-    for row in packed:
-        if row[COUNT] == ABSENT:
-            continue
-        corners = row[CENTRE + scenario.dim :][: 2 * max(0, int(row[COUNT]))]
-        yield {
-            "centre": row[CENTRE : CENTRE + scenario.dim].tolist(),
-            "radius": float(row[RADIUS]),
-            "vertices": corners.reshape(-1, 2).tolist(),
-        }
+    if scenario.dim == 2:
+        for centre, radius, vertices in outlines(packed):
+            yield {
+                "centre": centre.tolist(),
+                "radius": radius,
+                "vertices": vertices.tolist(),
+            }
+    else:
+        for centre, radius in balls(packed):
+            yield {"centre": centre.tolist(), "radius": radius, "vertices": []}
 
 
 # ---- words --------------------------------------------------------------------------------------

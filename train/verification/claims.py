@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 import baselines
 from rendezvous_env import Scenario, Simulator
-from rendezvous_env.engine.teams import RENDEZVOUS
+from rendezvous_env.engine.memory import RENDEZVOUS
 from rendezvous_env.guarantee.heading import flexible_velocity
 from rendezvous_env.guarantee.lyapunov import merge_rise_allowance, time_bound
 from rendezvous_env.trajectory import Policy, Step

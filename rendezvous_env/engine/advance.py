@@ -1,0 +1,192 @@
+"""The second stage: carry displacements out, with contacts and merges.
+
+Most teams only add. Those in which something can meet in this step, two neighbours or a robot and
+an obstacle, are moved one by one by exact geometry.
+"""
+
+from ..compilation import inlined_kernel, kernel
+from ..equations.contact import IGNORE, move_curved, move_straight
+from ..equations.merging import merge_swept
+from ..equations.vectors import load, norm
+from .links import load_links, store_links
+from .memory import (
+    ACTIVE,
+    FREE,
+    LYAPUNOV_BEFORE_MERGE,
+    MERGED,
+    MOVED,
+    PROXIMITY,
+    RUNNING,
+    SCORED,
+    SQUARE_CLOSEST,
+    STATUS,
+    TOUCHES,
+    WAY,
+    lane_count,
+    read,
+)
+from .worlds import world_of
+
+_ROUNDING = 1.0 + 1e-9
+_CLEARANCE = 1e-9  # m; nearer than this to what it could reach, a robot is moved exactly
+
+
+@inlined_kernel
+def advance_block(block, count, physics, teams, links, obstacles, results, buffers, hand):
+    """Carry out the displacements; teams in which something can meet go one by one."""
+    lanes = lane_count(physics.width)
+    first, tally = block * lanes, buffers.tally
+    tally[:] = 0.0
+    results.contact[first : first + count] = False
+    _mark_near(block, physics, teams, obstacles, buffers)
+    for lane in range(count):
+        if tally[PROXIMITY * lanes + lane] != FREE:
+            if teams.statistics[block, STATUS * lanes + lane] == RUNNING:
+                _advance_exactly(
+                    block, lane, physics, teams, links, obstacles, results, buffers, hand
+                )
+            else:  # nothing meets before an episode's first step or after its last
+                tally[PROXIMITY * lanes + lane] = FREE
+    for i in range(buffers.action.shape[0]):
+        _add_displacements(physics, buffers.displacement[i], tally, teams.positions[block, i])
+
+
+@inlined_kernel
+def _add_displacements(physics, displacement, tally, positions):
+    """Move one robot of every team that is free, and add up the ways."""
+    d, lanes = len(physics.axes), lane_count(physics.width)
+    for k in range(d):
+        for lane in range(lanes):
+            free = tally[PROXIMITY * lanes + lane] == FREE
+            positions[k * lanes + lane] += displacement[k * lanes + lane] if free else 0.0
+    for lane in range(lanes):
+        tally[WAY * lanes + lane] += displacement[d * lanes + lane]
+
+
+@inlined_kernel
+def _mark_near(block, physics, teams, obstacles, buffers):
+    """Mark teams where neighbours start within r + 2 v_max τ, or a robot within v_max τ of an
+    obstacle.
+    """
+    lanes = lane_count(physics.width)
+    reach = physics.speed_limit * physics.duration * _ROUNDING
+    square_reach = (physics.merge_radius * _ROUNDING + 2.0 * reach) ** 2
+    for lane in range(lanes):
+        square_closest = teams.statistics[block, SQUARE_CLOSEST * lanes + lane]
+        buffers.tally[PROXIMITY * lanes + lane] = MOVED if square_closest < square_reach else FREE
+    if obstacles is not None:
+        if physics.contact_mode != IGNORE:
+            for m in range(buffers.balls.shape[0]):
+                for i in range(buffers.action.shape[0]):
+                    _mark_near_ball(
+                        physics, teams.positions[block, i], buffers.balls[m], reach, buffers.tally
+                    )
+
+
+@inlined_kernel
+def _mark_near_ball(physics, position, ball, reach, tally):
+    """Mark teams in which a robot is within reach of the bounding ball of an obstacle."""
+    d, lanes = len(physics.axes), lane_count(physics.width)
+    for lane in range(lanes):
+        square = 0.0
+        for k in range(d):
+            offset = ball[k * lanes + lane] - position[k * lanes + lane]
+            square += offset * offset
+        touch = ball[d * lanes + lane] + reach + _CLEARANCE
+        near = PROXIMITY * lanes + lane
+        tally[near] = MOVED if square < touch * touch else tally[near]
+
+
+@kernel
+def _advance_exactly(block, lane, physics, teams, links, obstacles, results, buffers, hand):
+    """Move one team with swept contacts and merges."""
+    lanes, d = lane_count(physics.width), len(physics.axes)
+    team = block * lanes + lane
+    _load_team(block, lane, physics, teams, buffers, hand)
+    if obstacles is not None:
+        if physics.contact_mode != IGNORE:
+            _stay_outside(block, lane, physics, teams, obstacles, results, buffers, hand)
+    for i in range(hand.lengths.shape[0]):
+        buffers.took_part[lane, i] = teams.merged_into[team, i] == i
+        for k in range(d):
+            buffers.displacement[i, k * lanes + lane] = hand.displacements[i, k]
+    merges = _merge_team(block, lane, physics, teams, links, obstacles, hand)
+    for i in range(hand.lengths.shape[0]):
+        buffers.displacement[i, d * lanes + lane] = hand.lengths[i]
+        for k in range(d):
+            teams.positions[block, i, k * lanes + lane] = hand.positions[i, k]
+    if merges > 0:
+        teams.statistics[block, ACTIVE * lanes + lane] -= merges
+        buffers.tally[PROXIMITY * lanes + lane] = MERGED
+        for k in range(4):
+            row = SCORED + LYAPUNOV_BEFORE_MERGE + k
+            buffers.tally[row * lanes + lane] = hand.report[k]
+
+
+@kernel
+def _load_team(block, lane, physics, teams, buffers, hand):
+    """Places and proposed displacements of one team into working memory."""
+    lanes, d = lane_count(physics.width), len(physics.axes)
+    for i in range(hand.lengths.shape[0]):
+        hand.lengths[i] = buffers.displacement[i, d * lanes + lane]
+        for k in range(d):
+            hand.positions[i, k] = teams.positions[block, i, k * lanes + lane]
+            hand.displacements[i, k] = buffers.displacement[i, k * lanes + lane]
+
+
+@kernel
+def _merge_team(block, lane, physics, teams, links, obstacles, hand):
+    """Move the team at hand and merge whom that brings together; number of merges."""
+    team = block * lane_count(physics.width) + lane
+    count = load_links(block, lane, physics, links, hand)
+    listed = (hand.first[:count], hand.second[:count], hand.weights[:count])
+    hand.report[:] = 0.0
+    merges = merge_swept(
+        hand.positions,
+        hand.displacements,
+        hand.lengths,
+        listed,
+        teams.merged_into[team],
+        world_of(obstacles, team),
+        physics.merge_radius,
+        (hand.moments, hand.here, hand.resting),
+        hand.report,
+    )
+    if merges > 0:
+        store_links(block, lane, count, physics, links, hand)
+    return merges
+
+
+@kernel
+def _stay_outside(block, lane, physics, teams, obstacles, results, buffers, hand):
+    """Replace the displacements of the team at hand by those that obstacles leave."""
+    lanes, width = lane_count(physics.width), physics.width
+    team = block * lanes + lane
+    world = world_of(obstacles, team)
+    for i in range(hand.lengths.shape[0]):
+        if teams.merged_into[team, i] != i:
+            continue
+        contact, executed = _hindered(
+            load(hand.positions[i]),
+            load(hand.displacements[i]),
+            physics,
+            read(buffers.action[i], lane, width, physics.inputs),
+            read(teams.frames[block, i], lane, width, physics.entries),
+            read(teams.memory[block, i], lane, width, physics.memories),
+            world,
+            hand.normals,
+        )
+        for k in range(len(physics.axes)):
+            hand.displacements[i, k] = executed[k]
+        if contact:
+            results.contact[team, i] = True
+            buffers.tally[TOUCHES * lanes + lane] += 1.0
+            hand.lengths[i] = norm(executed)
+
+
+@kernel
+def _hindered(point, way, physics, action, frame, memory, world, normals):
+    mode = physics.contact_mode
+    if len(memory) == 0:  # a model that keeps nothing goes straight
+        return move_straight(point, way, world, mode, normals)
+    return move_curved(point, way, physics.model, action, frame, memory, world, mode, normals)

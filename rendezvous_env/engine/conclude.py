@@ -1,0 +1,101 @@
+"""The last stage: reward, rendezvous, time limit, what is given out."""
+
+from ..compilation import inlined_kernel
+from ..equations.reward import team_reward
+from .memory import (
+    ACTIVE,
+    AWAITING_RESET,
+    CLOSENESS,
+    CONTACTS,
+    INITIAL_LYAPUNOV,
+    LYAPUNOV,
+    LYAPUNOV_AFTER_MERGE,
+    LYAPUNOV_BEFORE_MERGE,
+    MERGED,
+    PATH_LENGTH,
+    PROXIMITY,
+    RENDEZVOUS,
+    REWARD,
+    RUNNING,
+    SCORED,
+    SCORES,
+    STATUS,
+    STEPS,
+    TIME_OUT,
+    TOUCHES,
+    WAY,
+    lane_count,
+)
+
+_RUNNING, _AWAITING = float(RUNNING), float(AWAITING_RESET)  # as they stand in the statistics
+_RENDEZVOUS, _TIME_OUT = float(RENDEZVOUS), float(TIME_OUT)
+_BEFORE_MERGE = SCORED + LYAPUNOV_BEFORE_MERGE
+_AFTER_MERGE = SCORED + LYAPUNOV_AFTER_MERGE
+
+
+@inlined_kernel
+def conclude_block(block, count, physics, teams, results, buffers):
+    """Bring the statistics up to date and write everything but observations, contacts and
+    clearances.
+    """
+    lanes = lane_count(physics.width)
+    first, statistics, tally = block * lanes, teams.statistics[block], buffers.tally
+    _conclude(physics, buffers.pair, tally, statistics)
+    for row in range(SCORES):
+        for lane in range(count):
+            results.scores[row, first + lane] = tally[(SCORED + row) * lanes + lane]
+    for lane in range(count):
+        results.status[first + lane] = int(statistics[STATUS * lanes + lane])
+    _reward_robots(first, count, physics, statistics, teams, results, buffers)
+
+
+@inlined_kernel
+def _conclude(physics, found, tally, statistics):
+    """Reward, rendezvous and time limit over lanes: the one place where an episode ends.
+
+    Args:
+        physics: constants.
+        found: half of V, one number.
+        tally: see ``Lanes``; its scores are filled in.
+        statistics: of these teams, brought up to date.
+    """
+    lanes, time_share = lane_count(physics.width), 1.0 / physics.max_steps
+    for lane in range(lanes):
+        status = statistics[STATUS * lanes + lane]
+        before, now = statistics[LYAPUNOV * lanes + lane], 2.0 * found[lane]
+        initial = statistics[INITIAL_LYAPUNOV * lanes + lane]
+        touches, running = tally[TOUCHES * lanes + lane], status == _RUNNING
+        steps = statistics[STEPS * lanes + lane] + (1.0 if running else 0.0)
+        met = running & (statistics[ACTIVE * lanes + lane] == 1.0)
+        over = running & (steps >= physics.max_steps)
+        progress = (before - now) / initial if before > 0.0 else 0.0
+        closeness = tally[CLOSENESS * lanes + lane]
+        reward = team_reward(progress, time_share, touches, closeness, met, physics.reward_weights)
+        ended = _RENDEZVOUS if met else _TIME_OUT if over else _RUNNING
+        statistics[STATUS * lanes + lane] = ended if running | (status == _AWAITING) else status
+        statistics[STEPS * lanes + lane] = steps
+        statistics[LYAPUNOV * lanes + lane] = now
+        statistics[PATH_LENGTH * lanes + lane] += tally[WAY * lanes + lane]
+        statistics[CONTACTS * lanes + lane] += touches
+        merged = tally[PROXIMITY * lanes + lane] == MERGED
+        tally[(SCORED + REWARD) * lanes + lane] = reward if running else 0.0
+        for row in (_BEFORE_MERGE, _AFTER_MERGE):
+            tally[row * lanes + lane] = tally[row * lanes + lane] if merged else now
+
+
+@inlined_kernel
+def _reward_robots(first, count, physics, statistics, teams, results, buffers):
+    """Who exists, and what everybody earns."""
+    n, tally, lanes = teams.merged_into.shape[1], buffers.tally, lane_count(physics.width)
+    results.active[first : first + count] = True
+    for i in range(n):
+        for lane in range(count):
+            results.robot_rewards[first + lane, i] = tally[(SCORED + REWARD) * lanes + lane]
+    for lane in range(count):
+        if statistics[ACTIVE * lanes + lane] < n:
+            team, merged = first + lane, tally[PROXIMITY * lanes + lane] == MERGED
+            for i in range(n):
+                active = teams.merged_into[team, i] == i
+                results.active[team, i] = active
+                if not (physics.all_earn or active or (merged and buffers.took_part[lane, i])):
+                    results.robot_rewards[team, i] = 0.0

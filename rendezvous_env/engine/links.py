@@ -1,0 +1,118 @@
+"""Links of one team between the way they are kept and the list that the equations take."""
+
+from typing import Any
+
+from numba.extending import overload
+
+from ..compilation import inlined_kernel, kernel
+from .memory import LinkList
+
+
+@inlined_kernel
+def _load_pairs(block, lane, physics, links, hand):
+    """List a team's links with a weight, in the order of their robots; how many there are."""
+    count = 0
+    for pair in range(links.first.shape[0]):
+        weight = links.weights[block, pair, lane]
+        if weight > 0.0:
+            hand.first[count] = links.first[pair]
+            hand.second[count] = links.second[pair]
+            hand.weights[count] = weight
+            count += 1
+    return count
+
+
+@inlined_kernel
+def _load_list(block, lane, physics, links, hand):
+    count = 0
+    for e in range(links.first.shape[1]):
+        if links.weights[block, e] > 0.0:
+            hand.first[count] = links.first[block, e]
+            hand.second[count] = links.second[block, e]
+            hand.weights[count] = links.weights[block, e]
+            count += 1
+    return count
+
+
+def load_links(block: int, lane: int, physics: Any, links: Any, hand: Any) -> int:
+    """Bring the links of one team into working memory; how many there are."""
+    chosen = _load_list if physics.kept.sparse else _load_pairs
+    return chosen(block, lane, physics, links, hand)
+
+
+@overload(load_links, jit_options={"forceinline": True})
+def _compiled_load_links(block, lane, physics, links, hand):
+    chosen = _load_list if kept_as(physics) is LinkList else _load_pairs
+    return lambda block, lane, physics, links, hand: chosen(block, lane, physics, links, hand)
+
+
+@inlined_kernel
+def _store_pairs(block, lane, count, physics, links, hand):
+    n = hand.lengths.shape[0]
+    for pair in range(links.first.shape[0]):
+        links.weights[block, pair, lane] = 0.0
+    for e in range(count):
+        if hand.weights[e] > 0.0:
+            i, j = hand.first[e], hand.second[e]
+            links.weights[block, pair_index(i, j, n), lane] = hand.weights[e]
+
+
+@inlined_kernel
+def _store_list(block, lane, count, physics, links, hand):
+    sort_links(hand.first, hand.second, hand.weights, count)
+    for e in range(links.first.shape[1]):
+        links.weights[block, e] = 0.0
+        if e < count:
+            links.first[block, e] = hand.first[e]
+            links.second[block, e] = hand.second[e]
+            links.weights[block, e] = hand.weights[e]
+
+
+def store_links(block: int, lane: int, count: int, physics: Any, links: Any, hand: Any) -> None:
+    """Put the first ``count`` links of working memory back; those of weight 0 are gone."""
+    chosen = _store_list if physics.kept.sparse else _store_pairs
+    chosen(block, lane, count, physics, links, hand)
+
+
+@overload(store_links, jit_options={"forceinline": True})
+def _compiled_store_links(block, lane, count, physics, links, hand):
+    chosen = _store_list if kept_as(physics) is LinkList else _store_pairs
+    return lambda block, lane, count, physics, links, hand: chosen(
+        block, lane, count, physics, links, hand
+    )
+
+
+def kept_as(physics: Any) -> type:
+    """How the numba type of Physics keeps links: AllPairs, FewRows or LinkList."""
+    kept = physics.types[physics.fields.index("kept")]
+    return kept.instance_class
+
+
+@kernel
+def pair_index(i, j, n):
+    """Place of the pair i < j in the list of all pairs of n robots, in the order of indices."""
+    return i * n - i * (i + 1) // 2 + j - i - 1
+
+
+@kernel
+def copy_links(source, target, count):
+    """Copy the first ``count`` of some links (first, second, weights)."""
+    for e in range(count):
+        target[0][e] = source[0][e]
+        target[1][e] = source[1][e]
+        target[2][e] = source[2][e]
+
+
+@kernel
+def sort_links(first, second, weights, count):
+    """Sort the first links by their robots. By insertion: merging leaves most of them in order."""
+    for e in range(1, count):
+        i, j, weight = first[e], second[e], weights[e]
+        place = e
+        while place > 0 and (
+            first[place - 1] > i or (first[place - 1] == i and second[place - 1] > j)
+        ):
+            first[place], second[place] = first[place - 1], second[place - 1]
+            weights[place] = weights[place - 1]
+            place -= 1
+        first[place], second[place], weights[place] = i, j, weight

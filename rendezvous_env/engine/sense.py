@@ -1,0 +1,241 @@
+"""The stage that looks: what the robots of a block see, V, and who is closest."""
+
+from typing import Any
+
+import numpy as np
+from numba.extending import overload
+
+from ..compilation import inlined_kernel, kernel
+from ..equations.bearings import observed, sighting
+from ..equations.motion import sense_oneself
+from .links import kept_as
+from .memory import SQUARE_CLOSEST, FewRows, LinkList, lane_count, read, write
+from .sense_obstacles import sense_obstacles
+
+
+@inlined_kernel
+def sense_block(block, count, physics, teams, links, obstacles, results, buffers, hand):
+    """Write a block's observations and clearances, and who is closest; half of V is left in
+    ``buffers.pair``.
+    """
+    lanes = lane_count(physics.width)
+    first = block * lanes
+    buffers.pair[:lanes] = 0.0
+    buffers.pair[lanes : 2 * lanes] = np.inf
+    results.crowded[first : first + count] = -1
+    _sense_neighbours(block, physics, teams, links, results, buffers, hand)
+    for lane in range(lanes):
+        teams.statistics[block, SQUARE_CLOSEST * lanes + lane] = buffers.pair[lanes + lane]
+    sense_obstacles(block, count, physics, teams, links, obstacles, results, buffers, hand)
+    _sense_oneself(block, count, physics, teams, buffers)
+    observations = results.whole_rows[first : first + count]
+    _give_out(block, physics, links, buffers.whole_rows, observations, results, hand)
+
+
+# ---- neighbours ---------------------------------------------------------------------------------
+
+
+def _sense_neighbours(
+    block: int, physics: Any, teams: Any, links: Any, results: Any, buffers: Any, hand: Any
+) -> None:
+    chosen = _sense_list if physics.kept.sparse else _sense_pairs
+    chosen(block, physics, teams, links, results, buffers, hand)
+
+
+@overload(_sense_neighbours, jit_options={"forceinline": True})
+def _compiled_sense_neighbours(block, physics, teams, links, results, buffers, hand):
+    chosen = _sense_list if kept_as(physics) is LinkList else _sense_pairs
+    return lambda block, physics, teams, links, results, buffers, hand: chosen(
+        block, physics, teams, links, results, buffers, hand
+    )
+
+
+@inlined_kernel
+def _sense_pairs(block, physics, teams, links, results, buffers, hand):
+    """Every pair once, in index order; a link that is absent weighs 0."""
+    positions, frames = teams.positions[block], teams.frames[block]
+    d, lanes, n = len(physics.axes), lane_count(physics.width), positions.shape[0]
+    rows = buffers.rows.shape[0] // n
+    pair, offset = 0, buffers.pair[2 * lanes :]
+    for i in range(n):
+        for j in range(i + 1, n):
+            _sight(physics, positions[i], positions[j], links.weights[block, pair], buffers.pair)
+            # in index order robot j is row j − 1 of robot i < j, and robot i is row i of robot j
+            _store_row(physics, offset, d, frames[i], buffers.rows[i * rows + j - 1])
+            _store_row(physics, offset, d + 1, frames[j], buffers.rows[j * rows + i])
+            pair += 1
+
+
+@inlined_kernel
+def _sight(physics, position_i, position_j, gain, out):
+    """``sighting`` of two robots in every lane.
+
+    Args:
+        physics: constants.
+        position_i: (d·L,), m.
+        position_j: (d·L,), m.
+        gain: (L,), a_ij, m/s.
+        out: the sum of a_ij ‖p_j − p_i‖, which grows, and the least ‖p_j − p_i‖² of neighbours,
+            which falls; then p_j − p_i, the factor of a_ij g_ij, and that of a_ij g_ji.
+    """
+    d, lanes = len(physics.axes), lane_count(physics.width)
+    for lane in range(lanes):
+        offset, square, distance, factor = sighting(
+            read(position_i, lane, physics.width, physics.axes),
+            read(position_j, lane, physics.width, physics.axes),
+            gain[lane],
+        )
+        write(offset, out[2 * lanes :], lane, physics.width)
+        least = out[lanes + lane]
+        out[lane] += gain[lane] * distance
+        out[lanes + lane] = square if (gain[lane] > 0.0) & (square < least) else least
+        out[(2 + d) * lanes + lane] = factor
+        out[(3 + d) * lanes + lane] = -factor
+
+
+@inlined_kernel
+def _store_row(physics, vector, factor, frame, row):
+    """Write one row of observations in every lane.
+
+    Args:
+        physics: constants.
+        vector: d numbers of the global frame, and then possible factors.
+        factor: which of the numbers of ``vector`` is the factor.
+        frame: d² numbers.
+        row: (d·L,) float32, the d numbers of a lane side by side.
+    """
+    d, lanes = len(physics.axes), lane_count(physics.width)
+    for lane in range(lanes):
+        seen = observed(
+            read(frame, lane, physics.width, physics.entries),
+            read(vector, lane, physics.width, physics.axes),
+            vector[factor * lanes + lane],
+        )
+        row[lane * d], row[lane * d + 1] = seen[0], seen[1]
+        if d == 3:
+            row[lane * d + 2] = seen[d - 1]
+
+
+@inlined_kernel
+def _sense_list(block, physics, teams, links, results, buffers, hand):
+    """Every link of one team once, in the order of its robots, which is that of the rows."""
+    width, d = physics.width, len(physics.axes)
+    n, slots = hand.lengths.shape[0], physics.neighbour_slots
+    rows = buffers.rows.shape[0] // n
+    buffers.rows[:] = 0.0
+    hand.counts[:] = 0
+    for e in range(links.first.shape[1]):
+        gain = links.weights[block, e]
+        if gain <= 0.0:
+            continue
+        i, j = links.first[block, e], links.second[block, e]
+        offset, square, distance, factor = sighting(
+            read(teams.positions[block, i], 0, width, physics.axes),
+            read(teams.positions[block, j], 0, width, physics.axes),
+            gain,
+        )
+        buffers.pair[0] += gain * distance
+        buffers.pair[1] = min(buffers.pair[1], square)
+        for end in range(2):
+            robot = j if end else i
+            slot = hand.counts[robot]
+            if slot >= slots:
+                results.crowded[block] = robot
+                continue
+            hand.counts[robot] = slot + 1
+            frame = read(teams.frames[block, robot], 0, width, physics.entries)
+            seen = observed(frame, offset, -factor if end else factor)
+            row = buffers.rows[robot * rows + slot]
+            row[0], row[1] = seen[0], seen[1]
+            if d == 3:
+                row[2] = seen[d - 1]
+
+
+# ---- oneself ------------------------------------------------------------------------------------
+
+
+@inlined_kernel
+def _sense_oneself(block, count, physics, teams, buffers):
+    """The last row of models that sense something of themselves; zero for robots that are gone."""
+    lanes, n = lane_count(physics.width), buffers.action.shape[0]
+    rows = buffers.rows.shape[0] // n
+    for i in range(n):
+        for lane in range(count):
+            seen = sense_oneself(
+                physics.model,
+                read(teams.frames[block, i], lane, physics.width, physics.entries),
+                read(teams.memory[block, i], lane, physics.width, physics.memories),
+            )
+            active = teams.merged_into[block * lanes + lane, i] == i
+            _store_oneself(seen, active, lane, buffers.rows[(i + 1) * rows - 1])
+
+
+@inlined_kernel
+def _store_oneself(seen, active, lane, row):
+    if len(seen) == 2:
+        row[2 * lane] = seen[0] if active else 0.0
+        row[2 * lane + 1] = seen[1] if active else 0.0
+    elif len(seen) == 3:
+        for k in range(3):
+            row[3 * lane + k] = seen[k] if active else 0.0
+
+
+# ---- from lanes to teams ------------------------------------------------------------------------
+
+
+def _give_out(
+    block: int, physics: Any, links: Any, rows: Any, observations: Any, results: Any, hand: Any
+) -> None:
+    """Copy the rows of all lanes into observations (count, numbers)."""
+    chosen = _pack_rows if isinstance(physics.kept, FewRows) else _copy_rows
+    chosen(block, physics, links, rows, observations, results, hand)
+
+
+@overload(_give_out, jit_options={"forceinline": True})
+def _compiled_give_out(block, physics, links, rows, observations, results, hand):
+    chosen = _pack_rows if kept_as(physics) is FewRows else _copy_rows
+    return lambda block, physics, links, rows, observations, results, hand: chosen(
+        block, physics, links, rows, observations, results, hand
+    )
+
+
+@inlined_kernel
+def _copy_rows(block, physics, links, rows, observations, results, hand):
+    parts = rows.shape[1] // lane_count(physics.width)
+    for k in range(rows.shape[0]):
+        for lane in range(observations.shape[0]):
+            for part in range(parts):
+                observations[lane, k * parts + part] = rows[k, lane * parts + part]
+
+
+@kernel
+def _pack_rows(block, physics, links, rows, observations, results, hand):
+    """The same where there are fewer neighbour rows than other robots: those present stand first,
+    in index order.
+    """
+    lanes, n = lane_count(physics.width), hand.lengths.shape[0]
+    parts, wide = rows.shape[1] // lanes, rows.shape[0] // n
+    slots, own = physics.neighbour_slots, physics.rows
+    observations[:] = 0.0
+    for lane in range(observations.shape[0]):
+        hand.counts[:] = 0
+        for pair in range(links.first.shape[0]):
+            if links.weights[block, pair, lane] > 0.0:
+                i, j = links.first[pair], links.second[pair]
+                for end in range(2):
+                    robot, slot = (j, i) if end else (i, j - 1)
+                    place = hand.counts[robot]
+                    hand.counts[robot] = place + 1
+                    if place >= slots:
+                        results.crowded[block * lanes + lane] = robot
+                        continue
+                    for part in range(parts):
+                        number = (robot * own + place) * parts + part
+                        row = robot * wide + slot
+                        observations[lane, number] = rows[row, lane * parts + part]
+        for robot in range(n):
+            for k in range(own - slots):
+                for part in range(parts):
+                    number = (robot * own + slots + k) * parts + part
+                    row = robot * wide + n - 1 + k
+                    observations[lane, number] = rows[row, lane * parts + part]

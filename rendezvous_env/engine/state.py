@@ -1,0 +1,238 @@
+"""The state of B teams: arrays by team outside, lane blocks inside."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..experiment import packing
+from ..experiment.scenario import Scenario
+from .memory import (
+    ACTIVE,
+    CONTACTS,
+    INITIAL_LYAPUNOV,
+    MIN_CLEARANCE,
+    PATH_LENGTH,
+    STATISTICS,
+    STATUS,
+    STEPS,
+    Links,
+    Teams,
+)
+from .preparation import Arrangement, empty_links, empty_obstacles, empty_teams
+
+KEPT = {
+    STATISTICS[entry]: (entry, kind)
+    for entry, kind in (
+        (STATUS, np.int64),
+        (STEPS, np.int64),
+        (CONTACTS, np.int64),
+        (PATH_LENGTH, np.float64),
+        (INITIAL_LYAPUNOV, np.float64),
+        (MIN_CLEARANCE, np.float64),
+    )
+}
+"""What of a team's statistics belongs to its state, and as what; the rest follows."""
+
+
+class Overwritten(NamedTuple):
+    """One entry of the undo log of a reset."""
+
+    array: NDArray[Any]
+    index: Any
+    before: Any
+
+
+class State:
+    """State of B teams of one scenario.
+
+    Args:
+        scenario: the experiment.
+        batch: B.
+    """
+
+    def __init__(self, scenario: Scenario, batch: int) -> None:
+        self.scenario, self.batch = scenario, batch
+        self.teams: Teams = empty_teams(scenario, batch)
+        self.links: Links = empty_links(scenario, batch)
+        self.obstacles: Any = empty_obstacles(scenario, batch)
+        place = Arrangement(scenario, batch)
+        self.lanes, self.sparse = place.lanes, place.sparse
+
+    @property
+    def blocks(self) -> int:
+        """Number of blocks."""
+        return len(self.teams.positions)
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of the state of all teams."""
+        own = (*self.teams, self.links.weights, *(self.obstacles or ()))
+        ends = (self.links.first, self.links.second) if self.sparse else ()
+        return sum(array.nbytes for array in (*own, *ends))
+
+    # ---- reading ----------------------------------------------------------------------------
+
+    def positions(self) -> NDArray[np.float64]:
+        """Places as they stand in memory, (B, n, d), m."""
+        return self._by_team(self.teams.positions)
+
+    def frames(self) -> NDArray[np.float64]:
+        """(B, n, d²), row by row."""
+        return self._by_team(self.teams.frames)
+
+    def memory(self) -> NDArray[np.float64]:
+        """What the robot model keeps, (B, n, k)."""
+        return self._by_team(self.teams.memory)
+
+    def statistic(self, entry: int) -> NDArray[np.float64]:
+        """One entry of every team's statistics, (B,), as a copy."""
+        table = self.teams.statistics.reshape(self.blocks, -1, self.lanes)
+        return table[:, entry].flatten()[: self.batch]
+
+    def put_statistic(self, entry: int, values: NDArray[Any]) -> None:
+        """Write one entry of every team's statistics, (B,)."""
+        table = self.teams.statistics.reshape(self.blocks, -1, self.lanes)
+        team = np.arange(self.batch)
+        table[team // self.lanes, entry, team % self.lanes] = values
+
+    def weights(self) -> NDArray[np.float64]:
+        """a_ij, (B, n, n), m/s."""
+        n = self.scenario.n_robots
+        weights = np.zeros((self.batch, n, n))
+        if self.sparse:
+            team, e = np.nonzero(self.links.weights > 0)
+            first, second = self.links.first[team, e], self.links.second[team, e]
+            weights[team, first, second] = weights[team, second, first] = self.links.weights[
+                team, e
+            ]
+        else:
+            first, second = self.links.first, self.links.second
+            pairs = self._by_team(self.links.weights)[..., 0]
+            weights[:, first, second] = weights[:, second, first] = pairs
+        return weights
+
+    def obstacle_table(self) -> NDArray[np.float64]:
+        """Obstacles as tables, (B, M, width), see ``experiment.packing``."""
+        if self.obstacles is None:
+            width = packing.row_width(self.scenario.obstacles)
+            return np.zeros((self.batch, 0, width))
+        return packing.table_of(self.obstacles)
+
+    def as_dict(self) -> dict[str, NDArray[Any]]:
+        """All that is neither constant nor follows from the rest, as copies with leading axis B."""
+        state: dict[str, NDArray[Any]] = {
+            "positions": self.positions().copy(),
+            "memory": self.memory().copy(),
+            "obstacles": self.obstacle_table().copy(),
+            "merged_into": self.teams.merged_into.copy(),
+        }
+        if self.sparse:
+            state |= {name: getattr(self.links, name).copy() for name in Links._fields}
+        else:
+            state["weights"] = self._by_team(self.links.weights)[..., 0].copy()
+        if self.scenario.model.n_angles == 0:
+            state["frames"] = self.frames().copy()
+        kept = {name: self.statistic(k).astype(kind) for name, (k, kind) in KEPT.items()}
+        return state | kept
+
+    # ---- writing ----------------------------------------------------------------------------
+
+    def put(self, state: dict[str, NDArray[Any]]) -> None:
+        """Put back what ``as_dict`` gave; unchecked."""
+        for name, value in state.items():
+            if name in KEPT:
+                self.put_statistic(KEPT[name][0], value)
+            elif name == "obstacles":
+                self._put_table(value, slice(None))
+            elif name == "merged_into":
+                self.teams.merged_into[...] = value
+            elif name in Links._fields:
+                if self.sparse:
+                    getattr(self.links, name)[...] = value
+                else:
+                    self._to_lanes(value[..., None], self.links.weights)
+            else:
+                self._to_lanes(value, getattr(self.teams, name))
+        active = (self.teams.merged_into == np.arange(self.scenario.n_robots)).sum(axis=1)
+        self.put_statistic(ACTIVE, active)
+
+    def give(
+        self,
+        name: str,
+        values: NDArray[np.float64],
+        which: NDArray[np.int64],
+        log: list[Overwritten],
+    ) -> None:
+        """Write the given part of a start, and keep what was there.
+
+        Args:
+            name: "positions", "memory" or "frames".
+            values: (count or 1, n, numbers).
+            which: (count,), teams.
+            log: what was overwritten is added to it.
+        """
+        blocks = getattr(self.teams, name)
+        index = (which // self.lanes, slice(None), slice(None), which % self.lanes)
+        overwrite(blocks.reshape(*blocks.shape[:2], -1, self.lanes), index, values, log)
+
+    def give_links(
+        self,
+        listed: list[tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]],
+        which: NDArray[np.int64],
+        log: list[Overwritten],
+    ) -> None:
+        """Write given links: one list for all of these teams, or one for each."""
+        for k, team in enumerate(which if len(listed) > 1 or self.sparse else [which]):
+            first, second, weight = listed[k % len(listed)]
+            if self.sparse:
+                for array, values in zip(self.links, (first, second, weight), strict=True):
+                    whole = np.zeros(array.shape[1], array.dtype)
+                    whole[: len(values)] = values
+                    overwrite(array, team, whole, log)
+            else:
+                n = self.scenario.n_robots
+                pairs = np.zeros(self.links.weights.shape[1])
+                pairs[first * n - first * (first + 1) // 2 + second - first - 1] = weight
+                index = (team // self.lanes, slice(None), team % self.lanes)
+                overwrite(self.links.weights, index, pairs, log)
+
+    def give_obstacles(
+        self, tables: NDArray[np.float64], which: NDArray[np.int64], log: list[Overwritten]
+    ) -> None:
+        """Write given obstacles, (count or 1, M, width)."""
+        world = packing.world_of(tables)
+        for array, values in zip(self.obstacles, world, strict=True):
+            overwrite(array, which, values, log)
+
+    def _put_table(self, table: NDArray[np.float64], which: Any) -> None:
+        if self.obstacles is not None:
+            for array, values in zip(self.obstacles, packing.world_of(table), strict=True):
+                array[which] = values
+
+    def _by_team(self, blocks: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Numbers of each team from lane blocks: (blocks, m, c·L) → (B, m, c)."""
+        count, m, width = blocks.shape
+        lanes_last = blocks.reshape(count, m, width // self.lanes, self.lanes)
+        return np.moveaxis(lanes_last, -1, 1).reshape(count * self.lanes, m, -1)[: self.batch]
+
+    def _to_lanes(self, values: NDArray[np.float64], blocks: NDArray[np.float64]) -> None:
+        """Write (B, m, c) into lane blocks (blocks, m, c·L)."""
+        batch, m, c = values.shape
+        team = np.arange(batch)
+        lanes_last = blocks.reshape(len(blocks), m, c, self.lanes)
+        lanes_last[team // self.lanes, :, :, team % self.lanes] = values
+
+
+def overwrite(array: NDArray[Any], index: Any, values: ArrayLike, log: list[Overwritten]) -> None:
+    """Write into the state, and keep what was there."""
+    log.append(Overwritten(array, index, np.copy(array[index])))
+    array[index] = values
+
+
+def undo(log: list[Overwritten]) -> None:
+    """Put back all that was overwritten."""
+    for array, index, before in reversed(log):
+        array[index] = before

@@ -1,0 +1,130 @@
+"""How a robot moves while its action is held: the seam at which a robot model enters the step.
+
+A robot model is a NamedTuple of constants, whose type says which equations hold, and a ``Motion``
+of seven functions of numbers and small tuples. ``describe`` joins the two. Compiled code chooses
+the functions by that type while it is compiled; nothing is looked up in a step.
+
+Everywhere ``action`` is the robot's action in its own frame, a tuple of numbers as it was given;
+``frame`` its rotation to the global frame, row by row; ``memory`` what the model keeps from step to
+step (angles, a velocity), a tuple that may be empty. A model applies its own limits to the action.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+from numba.extending import overload
+
+_AS_KERNELS = {"forceinline": True}
+
+
+class Motion(NamedTuple):
+    """The equations of one robot model."""
+
+    propose: Callable[..., Any]
+    """(model, action, frame, memory) → displacement in the global frame over the step, m, a pair or
+    triple, and the length of the way, m; as if nothing were in it."""
+    along: Callable[..., Any]
+    """(model, action, frame, memory, time) → displacement after so much of the step, m."""
+    bend: Callable[..., Any]
+    """(model, action, memory) → β, m/s²: in a time h the way is never farther than β h² from its
+    chord; 0 for straight ways."""
+    remember: Callable[..., Any]
+    """(model, action, frame, memory, displacement, touched) → memory after the step, from the
+    displacement executed, m, and whether there was a contact."""
+    frame: Callable[..., Any]
+    """(model, frame, memory) → frame that goes with a memory."""
+    sense: Callable[..., Any]
+    """(model, frame, memory) → what the robot observes of itself in its own frame, a pair or
+    triple, or () for nothing."""
+    begin: Callable[..., Any]
+    """(model, key, counter) → memory at the start of an episode, drawn from at most three numbers
+    of the stream ``key`` from ``counter`` on."""
+
+
+_MOTIONS: dict[type, Motion] = {}
+
+
+def describe(model: type, motion: Motion) -> None:
+    """Say how robots move whose constants are of this type (a NamedTuple class)."""
+    _MOTIONS[model] = motion
+
+
+def propose(model, action, frame, memory):
+    """``Motion.propose`` of the model."""
+    return _MOTIONS[type(model)].propose(model, action, frame, memory)
+
+
+def along(model, action, frame, memory, time):
+    """``Motion.along`` of the model."""
+    return _MOTIONS[type(model)].along(model, action, frame, memory, time)
+
+
+def bend(model, action, memory):
+    """``Motion.bend`` of the model."""
+    return _MOTIONS[type(model)].bend(model, action, memory)
+
+
+def remember(model, action, frame, memory, displacement, touched):
+    """``Motion.remember`` of the model."""
+    return _MOTIONS[type(model)].remember(model, action, frame, memory, displacement, touched)
+
+
+def frame_of(model, frame, memory):
+    """``Motion.frame`` of the model."""
+    return _MOTIONS[type(model)].frame(model, frame, memory)
+
+
+def sense_oneself(model, frame, memory):
+    """``Motion.sense`` of the model."""
+    return _MOTIONS[type(model)].sense(model, frame, memory)
+
+
+def begin_memory(model, key, counter):
+    """``Motion.begin`` of the model."""
+    return _MOTIONS[type(model)].begin(model, key, counter)
+
+
+@overload(propose, jit_options=_AS_KERNELS)
+def _propose(model, action, frame, memory):
+    chosen = _MOTIONS[model.instance_class].propose
+    return lambda model, action, frame, memory: chosen(model, action, frame, memory)
+
+
+@overload(along, jit_options=_AS_KERNELS)
+def _along(model, action, frame, memory, time):
+    chosen = _MOTIONS[model.instance_class].along
+    return lambda model, action, frame, memory, time: chosen(model, action, frame, memory, time)
+
+
+@overload(bend, jit_options=_AS_KERNELS)
+def _bend(model, action, memory):
+    chosen = _MOTIONS[model.instance_class].bend
+    return lambda model, action, memory: chosen(model, action, memory)
+
+
+@overload(remember, jit_options=_AS_KERNELS)
+def _remember(model, action, frame, memory, displacement, touched):
+    chosen = _MOTIONS[model.instance_class].remember
+
+    def implementation(model, action, frame, memory, displacement, touched):
+        return chosen(model, action, frame, memory, displacement, touched)
+
+    return implementation
+
+
+@overload(frame_of, jit_options=_AS_KERNELS)
+def _frame_of(model, frame, memory):
+    chosen = _MOTIONS[model.instance_class].frame
+    return lambda model, frame, memory: chosen(model, frame, memory)
+
+
+@overload(sense_oneself, jit_options=_AS_KERNELS)
+def _sense_oneself(model, frame, memory):
+    chosen = _MOTIONS[model.instance_class].sense
+    return lambda model, frame, memory: chosen(model, frame, memory)
+
+
+@overload(begin_memory, jit_options=_AS_KERNELS)
+def _begin_memory(model, key, counter):
+    chosen = _MOTIONS[model.instance_class].begin
+    return lambda model, key, counter: chosen(model, key, counter)

@@ -1,0 +1,53 @@
+"""V and the net bearings f of one team, from its places and links (paper, section III).
+
+V = Σ_i Σ_j a_ij ‖p_i − p_j‖,    f_i = Σ_j a_ij g_ij
+"""
+
+import math
+
+from ..compilation import kernel
+
+
+@kernel
+def distance_squared(positions, i, j):
+    """‖p_i − p_j‖² of two robots of one team, m²; positions (n, d)."""
+    square = 0.0
+    for k in range(positions.shape[1]):
+        square += (positions[j, k] - positions[i, k]) ** 2
+    return square
+
+
+@kernel
+def lyapunov_of_links(positions, links):
+    """V of one team, m²/s: each edge counts twice, as in the paper.
+
+    Args:
+        positions: (n, d), m.
+        links: (first, second, weight), each (E,); weights a_ij in m/s, 0 where there is no link.
+    """
+    first, second, weight = links
+    total = 0.0
+    for e in range(len(first)):
+        if weight[e] > 0.0:
+            total += weight[e] * math.sqrt(distance_squared(positions, first[e], second[e]))
+    return 2.0 * total
+
+
+@kernel
+def net_bearings_of_links(positions, links, out):
+    """f_i = Σ_j a_ij g_ij of every robot in the global frame, m/s, written to ``out`` (n, d).
+
+    Links that are sorted by their robots add up in the order of the neighbours.
+    """
+    first, second, weight = links
+    out[:] = 0.0
+    for e in range(len(first)):
+        if weight[e] > 0.0:
+            i, j = first[e], second[e]
+            square = distance_squared(positions, i, j)
+            if square > 0.0:
+                gain = weight[e] / math.sqrt(square)
+                for k in range(positions.shape[1]):
+                    pull = gain * (positions[j, k] - positions[i, k])
+                    out[i, k] += pull
+                    out[j, k] -= pull
