@@ -77,7 +77,7 @@ class Camera:
 
         Args:
             points: m.
-            obstacles: (M, width), a table of ``experiment.packing``; in the plane nothing is hidden.
+            obstacles: (M, width), see ``experiment.packing``; in the plane nothing is hidden.
         """
         spheres = [] if math.isinf(self.distance) else list(balls(obstacles))
         if not spheres:

@@ -278,13 +278,14 @@ def read(buffer, lane, width, parts):
 
 
 @inlined_kernel
-def write(values, buffer, lane, width):
-    """Put a tuple of numbers into one lane of a buffer."""
+def write(values, buffer, first, lane, width):
+    """Put a tuple of numbers into one lane of a buffer, as its numbers from ``first`` on."""
     step = lane_count(width)
+    place = first * step + lane
     if len(values) == 2:
-        buffer[lane], buffer[step + lane] = values[0], values[1]
+        buffer[place], buffer[place + step] = values[0], values[1]
     elif len(values) == 3:
-        buffer[lane], buffer[step + lane], buffer[2 * step + lane] = values
+        buffer[place], buffer[place + step], buffer[place + 2 * step] = values
     elif len(values) > 0:
         for k in range(len(values)):
-            buffer[k * step + lane] = values[k]
+            buffer[place + k * step] = values[k]

@@ -33,7 +33,7 @@ from .memory import (
 from .starts import Drafts, StartRules
 
 _FEWEST_SIDE_BY_SIDE = 5
-"""Teams for which a block of 32 lanes pays: a processor does four at once, and fills up the rest."""
+"""Teams from which a block of 32 lanes pays; a processor does four of them at once."""
 _SPARSE_FROM = 48
 """Robots from which a list of links is walked faster, one by one, than all pairs in lanes."""
 _SPARSE_SHARE = 0.25
@@ -246,7 +246,7 @@ def _field_rules(field: ObstacleField) -> FieldRules:
 def fixed_links(
     scenario: Scenario,
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]] | None:
-    """The links of every episode: robots (E,), (E,) and weights (E,), m/s; None if they are drawn."""
+    """The links of every episode: robots (E,), (E,), weights (E,), m/s; None if they are drawn."""
     if _graph_rules(scenario) is not None:
         return None
     first, second, weights = scenario.sensing_graph.links(scenario.n_robots)

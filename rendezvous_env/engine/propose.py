@@ -46,7 +46,7 @@ def propose_block(block, count, physics, memories, teams, buffers):
                 read(frames, lane, physics.width, physics.entries),
                 read(memory, lane, physics.width, physics.memories),
             )
-            write(displacement, out, lane, physics.width)
+            write(displacement, out, 0, lane, physics.width)
             out[d * lanes + lane] = length
     if len(memories) > 0:  # who keeps a velocity would go on without an action
         _hold_still(block, count, d + 1, physics, teams, buffers.displacement)
@@ -80,8 +80,8 @@ def turn_block(block, count, physics, memories, teams, results, buffers):
                         read(buffers.displacement[i], lane, width, physics.axes),
                         results.contact[block * lanes + lane, i],
                     )
-                    write(after, memory, lane, width)
-                    write(frame_of(physics.model, frame, after), frames, lane, width)
+                    write(after, memory, 0, lane, width)
+                    write(frame_of(physics.model, frame, after), frames, 0, lane, width)
 
 
 @inlined_kernel
@@ -94,4 +94,4 @@ def bring_frames_up(block, count, physics, memories, teams):
             for lane in range(count):
                 frame = read(frames, lane, width, physics.entries)
                 kept = read(memory, lane, width, memories)
-                write(frame_of(physics.model, frame, kept), frames, lane, width)
+                write(frame_of(physics.model, frame, kept), frames, 0, lane, width)

@@ -85,7 +85,7 @@ def _sight(physics, position_i, position_j, gain, out):
             read(position_j, lane, physics.width, physics.axes),
             gain[lane],
         )
-        write(offset, out[2 * lanes :], lane, physics.width)
+        write(offset, out, 2, lane, physics.width)
         least = out[lanes + lane]
         out[lane] += gain[lane] * distance
         out[lanes + lane] = square if (gain[lane] > 0.0) & (square < least) else least
@@ -201,7 +201,7 @@ def _compiled_give_out(block, physics, links, rows, observations, results, hand)
 
 @inlined_kernel
 def _copy_rows(block, physics, links, rows, observations, results, hand):
-    parts = rows.shape[1] // lane_count(physics.width)
+    parts = 1 if len(physics.axes) == 2 else 3  # see ``Lanes.whole_rows``
     for k in range(rows.shape[0]):
         for lane in range(observations.shape[0]):
             for part in range(parts):

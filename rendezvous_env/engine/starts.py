@@ -235,7 +235,7 @@ def _draw_attitudes(team, rules, keys, physics, teams):
     for i in range(teams.merged_into.shape[1]):
         if rules.draw_frames:
             frame = draw_rotation(key, 3 * i, physics.axes)
-            write(frame, teams.frames[block, i], lane, physics.width)
+            write(frame, teams.frames[block, i], 0, lane, physics.width)
         if rules.draw_memory:
             kept = begin_memory(physics.model, key, 3 * i)
-            write(kept, teams.memory[block, i], lane, physics.width)
+            write(kept, teams.memory[block, i], 0, lane, physics.width)

@@ -29,7 +29,9 @@ def mean_cos_sin(angle, swept):
 
 @kernel
 def arc_2d(speed, yaw, yaw_rate, duration):
-    """Exact displacement (m) of a unicycle with held inputs: ẋ = v cos θ, ẏ = v sin θ, θ̇ = ω (eq. 5).
+    """Exact displacement (m) of a unicycle with held inputs.
+
+        ẋ = v cos θ,  ẏ = v sin θ,  θ̇ = ω                         (eq. 5)
 
     Args:
         speed: v, m/s; negative is backwards.

@@ -80,7 +80,7 @@ class Graph:
     def most_neighbours(self, n: int) -> int:
         """The most neighbours that a robot can have in any episode, merges included.
 
-        Contraction of a path or a cycle gives a path or a cycle; of other graphs it can give a star.
+        Contraction leaves a path a path and a cycle a cycle; others it can turn into a star.
         """
         if self.kind in ("path", "cycle"):
             return min(2, n - 1)

@@ -28,7 +28,8 @@ class ObservedRows(NamedTuple):
 
 @dataclass(frozen=True)
 class ObservationLayout:
-    """The rows of an observation ``(..., rows, d)``: neighbours, then obstacles, then gravity or velocity.
+    """The rows of an observation ``(..., rows, d)``: neighbours, obstacles, and then what the robot
+    senses of itself, gravity or its velocity.
 
     An absent row is zero.
     """

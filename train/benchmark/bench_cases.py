@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import rendezvous_env as rv
-from rendezvous_env.compilation import kernel
+from rendezvous_env.compilation import allocating_kernel
 from rendezvous_env.engine import threads
 from rendezvous_env.engine.sharing import Share, begin, end, take
 from rendezvous_env.outcome import Outcome
@@ -196,7 +196,7 @@ def _limit(n: int, num_envs: int, count: int, pairs: bool) -> Running:
     return Running(step, lambda: bool(np.isfinite(positions).all()))
 
 
-@kernel
+@allocating_kernel
 def limit_by_pairs(share, positions, bearings):  # noqa: ANN001, ANN201
     """Every pair once, then the sums."""
     n = positions.shape[1]
@@ -218,7 +218,7 @@ def limit_by_pairs(share, positions, bearings):  # noqa: ANN001, ANN201
     return end(share, done)
 
 
-@kernel
+@allocating_kernel
 def limit_by_rows(share, positions, bearings):  # noqa: ANN001, ANN201
     """Every robot's bearings one after another, summed at once."""
     n = positions.shape[1]
@@ -239,7 +239,7 @@ def limit_by_rows(share, positions, bearings):  # noqa: ANN001, ANN201
     return end(share, done)
 
 
-@kernel
+@allocating_kernel
 def _bearing_of_pair(p_i, p_j, g_ij, g_ji):  # noqa: ANN001, ANN202
     for lane in range(_LANES):
         dx, dy = p_j[lane] - p_i[lane], p_j[_LANES + lane] - p_i[_LANES + lane]
@@ -250,7 +250,7 @@ def _bearing_of_pair(p_i, p_j, g_ij, g_ji):  # noqa: ANN001, ANN202
         g_ji[_LANES + lane] = -dy * inverse
 
 
-@kernel
+@allocating_kernel
 def _bearing_and_sum(p_i, p_j, g_ij, f_i):  # noqa: ANN001, ANN202
     for lane in range(_LANES):
         dx, dy = p_j[lane] - p_i[lane], p_j[_LANES + lane] - p_i[_LANES + lane]
@@ -261,13 +261,13 @@ def _bearing_and_sum(p_i, p_j, g_ij, f_i):  # noqa: ANN001, ANN202
         f_i[_LANES + lane] += dy * inverse
 
 
-@kernel
+@allocating_kernel
 def _add(values, total):  # noqa: ANN001, ANN202
     for k in range(2 * _LANES):
         total[k] += values[k]
 
 
-@kernel
+@allocating_kernel
 def _euler_step(f, p):  # noqa: ANN001, ANN202
     for k in range(2 * _LANES):
         p[k] += 1e-9 * f[k]
