@@ -1,4 +1,5 @@
 # make compare: the main job.  make test: linters, types, fast tests.  Each sets up .venv by itself.
+# make test-slow: the long tests, and the fast ones once more with every index of the kernels checked.
 PYTHON ?= python3
 BIN := .venv/bin
 export OMP_WAIT_POLICY := PASSIVE
@@ -14,6 +15,7 @@ test: lint
 
 test-slow: .venv/installed
 	$(BIN)/python -m pytest -q -m slow
+	NUMBA_BOUNDSCHECK=1 $(BIN)/python -m pytest -q -n 2 --dist loadfile
 
 lint: .venv/installed
 	$(BIN)/ruff check .

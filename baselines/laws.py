@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from rendezvous_env.experiment.checks import bools, floats, shown, whole
+from rendezvous_env.experiment.limits import LARGEST_SEED
 from rendezvous_env.experiment.observation_layout import ObservedRows
 from rendezvous_env.guarantee.heading import flexible_velocity
 from rendezvous_env.guarantee.turning import yaw_rate_law
@@ -92,8 +94,15 @@ def unicycle_cosine_law(net_bearing: Array, time: ArrayLike) -> Array:
 
     Returns:
         (v, ω), (..., n, 2), m/s and rad/s.
+
+    Raises:
+        ValueError: if the time is not one finite number, or one for each team.
     """
-    v, t = net_bearing[..., 0], np.asarray(time, dtype=np.float64)[..., np.newaxis]
+    v, t = net_bearing[..., 0], floats("time", time)[..., np.newaxis]
+    if t.shape[:-1] not in ((), v.shape[:-1]) or not np.isfinite(t).all():
+        raise ValueError(
+            f"time is {shown(time)}; it must be one finite number, or {v.shape[:-1]} of them (s)"
+        )
     omega = np.broadcast_to(np.cos(t), v.shape)
     return np.stack([v, omega], axis=-1)
 
@@ -152,18 +161,20 @@ class RandomPolicy:
 
     def __post_init__(self) -> None:
         """Start the stream."""
+        self.seed = whole("seed", self.seed, 0, LARGEST_SEED)
         self.reset()
 
     def __call__(self, observations: NDArray[Any], time: ArrayLike) -> NDArray[np.float32]:
         """Actions (..., n, a); see ``Policy``."""
         bounds = self.scenario.action_bounds
-        shape = (*np.shape(observations)[:-2], bounds.size)
+        seen = self.scenario.observation_layout.checked(observations)
+        shape = (*seen.shape[:-2], bounds.size)
         drawn: Array = self._generator.uniform(-bounds, bounds, shape)
         return drawn.astype(np.float32)
 
     def reset(self, mask: NDArray[np.bool_] | None = None) -> None:
         """Start the stream anew; the teams share it, so a mask that spares some changes nothing."""
-        if mask is None or np.all(mask):
+        if mask is None or bools("mask", mask, None, "teams").all():
             self._generator = np.random.default_rng(self.seed)
 
 

@@ -12,7 +12,14 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rendezvous_env.guarantee.heading import certified_heading, flexible_velocity, step_scale
+from rendezvous_env.experiment.checks import between, bools, number, positive, real, shown
+from rendezvous_env.experiment.observation_layout import SILHOUETTE_POINTS
+from rendezvous_env.guarantee.heading import (
+    certified_heading,
+    check_vectors,
+    flexible_velocity,
+    step_scale,
+)
 
 from .policy import Policy, is_single_integrator, register, within_limits
 from .silhouettes import joined_headings_2d, joined_headings_3d, tangent_headings
@@ -48,6 +55,9 @@ def tangent_heading(net_bearing: Array, silhouettes: NDArray[Any]) -> Array:
 
     Returns:
         Headings, (..., d).
+
+    Raises:
+        ValueError: naming an argument of the wrong shape, or that is not finite.
     """
     return _over_robots(tangent_headings, net_bearing, silhouettes, False)
 
@@ -61,6 +71,9 @@ def tangent_blocking_heading(net_bearing: Array, silhouettes: NDArray[Any]) -> A
 
     Returns:
         Headings, (..., d); f/‖f‖ (the x axis where f = 0) if nothing is in the way.
+
+    Raises:
+        ValueError: naming an argument of the wrong shape, or that is not finite.
     """
     return _over_robots(tangent_headings, net_bearing, silhouettes, True)
 
@@ -86,22 +99,33 @@ def tangent_joined_heading(
 
     Returns:
         Headings, (..., d); f/‖f‖ (the x axis where f = 0) if nothing is in the way.
+
+    Raises:
+        ValueError: naming an argument of the wrong shape, or that is not finite.
     """
-    if net_bearing.shape[-1] == 3:
-        return _over_robots(joined_headings_3d, net_bearing, silhouettes, float(clearance))
-    before = np.zeros_like(net_bearing) if carried is None else carried
-    before = np.ascontiguousarray(before, dtype=np.float64).reshape(-1, 2)
-    options = float(clearance), before, float(persistence)
-    return _over_robots(joined_headings_2d, net_bearing, silhouettes, *options)
+    f = check_vectors("net_bearing", net_bearing)
+    if f.shape[-1] == 3:
+        return _over_robots(joined_headings_3d, f, silhouettes, float(clearance))
+    before = np.zeros_like(f) if carried is None else check_vectors("carried", carried, like=f)
+    options = float(clearance), before.reshape(-1, 2), float(persistence)
+    return _over_robots(joined_headings_2d, f, silhouettes, *options)
 
 
 def _over_robots(
     rule: Any, net_bearing: Array, silhouettes: NDArray[Any], *options: bool | float | Array
 ) -> Array:
-    f = np.ascontiguousarray(net_bearing, dtype=np.float64)
+    f = check_vectors("net_bearing", net_bearing)
     points = np.ascontiguousarray(silhouettes)
+    d, leading = f.shape[-1], f.shape[:-1]
+    seen = (SILHOUETTE_POINTS[d], d)
+    if points.ndim != f.ndim + 2 or (*points.shape[:-3], *points.shape[-2:]) != (*leading, *seen):
+        raise ValueError(
+            f"silhouettes has shape {points.shape}; with net_bearing of shape {f.shape} it must be "
+            f"(..., M, {seen[0]}, {seen[1]})"
+        )
+    if points.dtype not in (np.float32, np.float64):
+        raise ValueError(f"silhouettes are {points.dtype}; they must be float32 or float64")
     headings = np.empty_like(f)
-    d = f.shape[-1]
     robots = f.size // d
     points = points.reshape(robots, *points.shape[-3:])  # -1 cannot be inferred without obstacles
     rule(f.reshape(robots, d), points, *options, headings.reshape(robots, d))
@@ -148,6 +172,10 @@ class CertifiedHeadingPolicy:
     """ω_max of the heading, rad/s."""
     _previous: Array = field(init=False, repr=False, default_factory=lambda: np.zeros(0))
 
+    def __post_init__(self) -> None:
+        between("min_alignment", self.min_alignment, 0, 1)
+        positive("max_turn_rate", self.max_turn_rate, "rad/s")
+
     def __call__(self, observations: NDArray[Any], time: ArrayLike) -> NDArray[np.float32]:
         """Velocities (..., n, d); see ``Policy``."""
         scenario, layout = self.scenario, self.scenario.observation_layout
@@ -160,7 +188,7 @@ class CertifiedHeadingPolicy:
             f,
             self._previous,
             min_alignment=self.min_alignment,
-            dead_zone=scenario.dead_zone,
+            dead_zone=scenario.dead_zone or 1.0,  # without a link f is 0 whatever it is
             max_turn=self.max_turn_rate * scenario.tau,
         )
         degree = np.linalg.norm(seen.neighbours, axis=-1).sum(axis=-1, dtype=np.float64)
@@ -182,7 +210,7 @@ class CertifiedHeadingPolicy:
         if mask is None:
             self._previous = np.zeros(0)
         elif self._previous.size:
-            self._previous[np.asarray(mask, dtype=bool)] = 0.0
+            self._previous[bools("mask", mask, self._previous.shape[:-2], "teams")] = 0.0
 
 
 @dataclass
@@ -198,6 +226,11 @@ class TunedJoinedPolicy(CertifiedHeadingPolicy):
     """Angle by which to stay clear of an edge, rad."""
     persistence: float = 0.5
     """λ of ``silhouettes.joined_headings_2d``."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _check_clearance(self.clearance)
+        number("persistence", self.persistence, 0)
 
     def _aim(self, f: Array, silhouettes: NDArray[Any]) -> Array:
         return tangent_joined_heading(
@@ -264,8 +297,6 @@ def _tangent_joined_tuned(
     min_alignment: float = 0.05,
     max_turn_rate: float = 100.0,
 ) -> Policy:
-    if not 0 <= persistence < np.inf:
-        raise ValueError(f"persistence is {persistence!r}; it must be 0 or more, and finite")
     return TunedJoinedPolicy(
         scenario,
         _joined_with(clearance),
@@ -276,9 +307,13 @@ def _tangent_joined_tuned(
     )
 
 
+def _check_clearance(clearance: Any) -> None:
+    if not 0 <= real(clearance) < np.pi:
+        raise ValueError(f"clearance is {shown(clearance)}; it must be an angle in [0, π) rad")
+
+
 def _joined_with(clearance: float) -> HeadingRule:
-    if not 0 <= clearance < np.pi:
-        raise ValueError(f"clearance is {clearance!r}; it must be an angle in [0, π) rad")
+    _check_clearance(clearance)
 
     def rule(net_bearing: Array, silhouettes: NDArray[Any]) -> Array:
         return tangent_joined_heading(net_bearing, silhouettes, clearance=clearance)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import inspect
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -11,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from rendezvous_env.experiment.checks import nearest_word, shown
 from rendezvous_env.experiment.scenarios import resolve
 
 if TYPE_CHECKING:
@@ -84,22 +84,26 @@ def make(name: str, scenario: ScenarioLike, **options: Any) -> Policy:
     """
     scenario = resolve(scenario)
     fitting = names(scenario)
-    if name == "learned":
+    if isinstance(name, str) and name == "learned":
         raise ValueError(
             "policy 'learned' is not scripted; "
             "train.learned_policy.load(train.learned_policy.PRETRAINED, scenario) reads it"
         )
-    if name not in fitting:
-        known = f"does not fit {_describe(scenario)}" if name in _registry else "is unknown"
-        near = difflib.get_close_matches(name, fitting, n=1, cutoff=0.0)
-        hint = f"; did you mean {near[0]!r}?" if near else ""
-        raise ValueError(f"policy {name!r} {known}; those that fit are {', '.join(fitting)}{hint}")
+    if not isinstance(name, str) or name not in fitting:
+        listed = isinstance(name, str) and name in _registry
+        known = f"does not fit {_describe(scenario)}" if listed else "is unknown"
+        near = nearest_word(name, fitting, cutoff=0.0)
+        hint = f"; did you mean {near!r}?" if near else ""
+        raise ValueError(
+            f"policy {shown(name)} {known}; those that fit are {', '.join(fitting)}{hint}"
+        )
     build = _registry[name].build
     allowed = [option for option in inspect.signature(build).parameters if option != "scenario"]
     for option in options:
         if option not in allowed:
             raise ValueError(
-                f"policy {name!r} has no option {option!r}; it has {', '.join(allowed) or 'none'}"
+                f"policy {name!r} has no option {shown(option)}; "
+                f"it has {', '.join(allowed) or 'none'}"
             )
     return build(scenario, **options)
 

@@ -1,24 +1,16 @@
-"""How every kernel of this project is compiled: serial, cached on disk, IEEE arithmetic.
-
-numba notices a change in a kernel's own file, but not in another file whose kernels it has inlined.
-So compiled code is kept in a folder named after all the sources it can depend on: edit one, or
-install another version, and it is compiled anew.
-"""
+"""How every kernel of this project is compiled: serial, cached on disk, IEEE arithmetic."""
 
 from __future__ import annotations
 
-import hashlib
-import os
-import shutil
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from functools import lru_cache
-from pathlib import Path
+from collections.abc import Callable
 from typing import Any
 
 import numba
+from numba.core.errors import TypingError
+from numba.extending import overload
 
-_HERE = Path(__file__).parent
+from .kernel_cache import keep
+
 _CONFIG: Any = numba.config
 
 
@@ -28,7 +20,7 @@ def kernel(function: Callable[..., Any]) -> Any:
     It counts no references to arrays: to hand tuples of arrays over, and to count who holds each
     array and each view of it, takes longer than a small team's arithmetic, and counters that two
     threads raise at the same time take longest. A kernel must therefore neither allocate arrays,
-    which the compiler refuses, nor return any, which would be counted too seldom.
+    nor return any, which would be counted too seldom; the compiler refuses both.
     """
     return _compile(function, allocates=False)
 
@@ -38,17 +30,63 @@ def inlined_kernel(function: Callable[..., Any]) -> Any:
     return _compile(function, allocates=False, inlined=True)
 
 
+def inlined_view(function: Callable[..., Any]) -> Any:
+    """An inlined kernel that gives back views of arrays it was given: for callers that count no
+    references either.
+    """
+    return _compile(function, allocates=False, inlined=True, views=True)
+
+
 def allocating_kernel(function: Callable[..., Any]) -> Any:
     """A kernel that may allocate and return arrays."""
     return _compile(function, allocates=True)
 
 
-def _compile(function: Callable[..., Any], allocates: bool, inlined: bool = False) -> Any:
+def _compile(
+    function: Callable[..., Any], *, allocates: bool, inlined: bool = False, views: bool = False
+) -> Any:
     # both options would otherwise be those of whoever calls the function first
     options: dict[str, Any] = {"forceinline": inlined, "_nrt": allocates}
-    with _cache_in(_cache_folder(_package(Path(function.__code__.co_filename)))):
-        compiler = numba.njit(cache=True, nogil=True, error_model="numpy", **options)
-        return compiler(function)
+    dispatcher = numba.njit(nogil=True, error_model="numpy", **options)(function)
+    if compiled():
+        keep(dispatcher)
+        if not (allocates or views):
+            _refuse_arrays(dispatcher)
+    return dispatcher
+
+
+def _refuse_arrays(dispatcher: Any) -> None:
+    """Make it an error of compilation that the function returns an array: nobody would have
+    counted that reference, and the array would be freed while it is in use.
+    """
+    compile_types = dispatcher._compiler.compile
+
+    def compile_checked(arguments: Any, return_type: Any) -> Any:
+        result = compile_types(arguments, return_type)
+        returned = result.signature.return_type
+        if _holds_array(returned):
+            raise TypingError(
+                f"kernel {dispatcher.py_func.__qualname__} returns {returned}; it may return no "
+                "array"
+            )
+        return result
+
+    dispatcher._compiler.compile = compile_checked
+
+
+def _holds_array(kind: Any) -> bool:
+    parts = getattr(kind, "types", ())
+    return isinstance(kind, numba.types.Array) or any(map(_holds_array, parts))
+
+
+def chosen_by_type(function: Callable[..., Any]) -> Callable[[Callable[..., Any]], Any]:
+    """How a plain function is compiled: what this decorates is called with the numba types of its
+    arguments, and returns the function that compiled code runs in its place (numba's ``overload``).
+
+    A choice by type is made while compiling: what is not chosen is not compiled.
+    """
+    options: Any = {"forceinline": True, "error_model": "numpy", "_nrt": False}
+    return overload(function, jit_options=options)
 
 
 def entry_point(function: Any, arguments: tuple[Any, ...]) -> Callable[..., Any]:
@@ -68,53 +106,3 @@ def entry_point(function: Any, arguments: tuple[Any, ...]) -> Callable[..., Any]
 def compiled() -> bool:
     """Whether kernels are compiled; ``NUMBA_DISABLE_JIT=1`` leaves them plain Python."""
     return not _CONFIG.DISABLE_JIT
-
-
-def _package(source: Path) -> Path:
-    """Folder of the top-level package that a source file belongs to."""
-    folder = source.parent
-    while (folder.parent / "__init__.py").exists():
-        folder = folder.parent
-    return folder
-
-
-@lru_cache
-def _cache_folder(package: Path) -> str | None:
-    """Where compiled code of a package is kept; None leaves the choice to numba."""
-    digest = hashlib.sha256()
-    for folder in sorted({_HERE, package}):
-        for source in sorted(folder.rglob("*.py")):
-            content = source.read_bytes()
-            if b"kernel" in content:
-                digest.update(source.relative_to(folder).as_posix().encode() + content)
-    name = f"kernels-{digest.hexdigest()[:16]}"
-    for parent in (
-        package / "__pycache__",
-        Path.home() / ".cache" / "rendezvous-env" / package.name,
-    ):
-        try:
-            (parent / name).mkdir(parents=True, exist_ok=True)
-        except OSError:
-            continue
-        if os.access(parent / name, os.W_OK):
-            _remove_others(parent, name)
-            return str(parent / name)
-    return None
-
-
-def _remove_others(parent: Path, name: str) -> None:
-    for other in parent.glob("kernels-*"):
-        if other.name != name:
-            shutil.rmtree(other, ignore_errors=True)
-
-
-@contextmanager
-def _cache_in(folder: str | None) -> Iterator[None]:
-    """Let numba choose this folder, unless the user has set NUMBA_CACHE_DIR."""
-    before = _CONFIG.CACHE_DIR
-    if folder is not None and not before:
-        _CONFIG.CACHE_DIR = folder
-    try:
-        yield
-    finally:
-        _CONFIG.CACHE_DIR = before

@@ -15,8 +15,11 @@ from numpy.typing import NDArray
 
 from .drawing.renderer import RENDER_MODES, Renderer, render_metadata
 from .engine.memory import RENDEZVOUS, RUNNING, TIME_OUT
+from .experiment.checks import choice, floats
 from .experiment.scenario import Scenario
 from .experiment.scenarios import resolve
+from .experiment.seeding import seeds_of_teams
+from .experiment.start_options import as_options
 from .outcome import Outcome
 from .rendezvous_v0 import ScenarioLike
 from .simulator import Simulator
@@ -51,8 +54,11 @@ def make_vec(
     Raises:
         ValueError: for an unknown scenario, field or mode, or an impossible value.
     """
+    if not isinstance(autoreset_mode, AutoresetMode):
+        modes = [mode.value for mode in AutoresetMode]
+        autoreset_mode = AutoresetMode(choice("autoreset_mode", autoreset_mode, modes))
     simulator = _simulator(resolve(scenario, **overrides), num_envs, num_threads, max_cycles)
-    return RendezvousVectorEnv(simulator, AutoresetMode(autoreset_mode), render_mode)
+    return RendezvousVectorEnv(simulator, autoreset_mode, render_mode)
 
 
 def make_env(
@@ -160,7 +166,7 @@ class RendezvousVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
         Raises:
             ValueError: for a bad option, seed or mask; nothing has changed then.
         """
-        start = dict(options or {})
+        start = as_options(options)
         mask = start.pop("reset_mask", None)
         observations = self.simulator.reset(seed, start, mask=mask)
         which = np.ones(self.num_envs, dtype=np.bool_) if mask is None else np.asarray(mask)
@@ -177,11 +183,13 @@ class RendezvousVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
             Observations, rewards, terminations, truncations and infos, see the class.
 
         Raises:
-            ValueError: for actions of the wrong shape, or that are not finite, naming the robot.
+            ValueError: for actions of the wrong shape, or that are not finite, naming the robot;
+                nothing has changed then.
             RuntimeError: before the first reset.
         """
         simulator, mode = self.simulator, self.autoreset_mode
         if mode is AutoresetMode.NEXT_STEP and not simulator.all_running:
+            actions = simulator.check_actions(actions)  # before anybody begins anew
             simulator.restart(simulator.ended)
         outcome = simulator.step(actions)
         infos = step_info(simulator, outcome)
@@ -273,9 +281,11 @@ class RendezvousEnv(gymnasium.Env[Any, Any]):
 
         Raises:
             ValueError: for a bad option or seed; nothing has changed then.
+            TypeError: for a seed that is no whole number; likewise.
         """
-        observations = self.simulator.reset(seed, options)
-        super().reset(seed=seed)
+        seeds = seeds_of_teams(seed, 1)
+        observations = self.simulator.reset(seeds, options)
+        super().reset(seed=None if seeds is None else seeds[0])
         self.renderer.reset()
         return observations[0], _of_first_team(_start_info(self.simulator))
 
@@ -288,7 +298,7 @@ class RendezvousEnv(gymnasium.Env[Any, Any]):
             ValueError: for an action of the wrong shape, or that is not finite, naming the robot.
             RuntimeError: before the first reset.
         """
-        outcome = self.simulator.step(np.asarray(action)[None])
+        outcome = self.simulator.step(floats("action", action, np.float32)[None])
         self.renderer.see(outcome.contact)
         status = int(outcome.status[0])
         info = _of_first_team(step_info(self.simulator, outcome))

@@ -10,17 +10,20 @@ import numpy as np
 from gymnasium.spaces import Box
 from numpy.typing import NDArray
 from pettingzoo.utils import wrappers
-from pettingzoo.utils.conversions import parallel_to_aec
 from pettingzoo.utils.env import AECEnv, ParallelEnv
 
+from .aec import OneAfterAnother
 from .drawing.renderer import RENDER_MODES, Renderer, render_metadata
-from .engine.memory import RENDEZVOUS, RUNNING
+from .engine.memory import RENDEZVOUS, RUNNING, TIME_OUT
+from .engine.state_checks import check_keys
+from .experiment.checks import check_action, floats, refuse, shown
 from .experiment.scenario import Scenario
 from .experiment.scenarios import resolve
 from .outcome import Outcome
 from .simulator import Simulator
 from .spaces import action_box, observation_box, state_box, team_state
 
+_FLOAT32 = np.dtype(np.float32)
 ScenarioLike = Scenario | str | os.PathLike[str]
 Observations = dict[str, NDArray[np.float32]]
 Infos = dict[str, dict[str, Any]]
@@ -55,7 +58,8 @@ def raw_env(
     """The same environment for one robot after another (PettingZoo's AEC), without checks of
     order.
     """
-    return parallel_to_aec(parallel_env(scenario, render_mode, max_cycles, **overrides))
+    together = parallel_env(scenario, render_mode, max_cycles, **overrides)
+    return wrappers.OrderEnforcingWrapper(OneAfterAnother(together))
 
 
 def env(
@@ -233,7 +237,7 @@ class RendezvousParallelEnv(ParallelEnv[str, NDArray[np.float32], NDArray[np.flo
             KeyError: for a missing, unknown or merged-away robot; nothing has changed then.
             ValueError: for an action of the wrong shape, or one that is not finite; likewise.
         """
-        if not self.agents and not actions:
+        if not self.agents and isinstance(actions, Mapping) and not actions:
             return {}, {}, {}, {}, {}
         outcome = self.simulator.step(self._table_of(actions))
         self.renderer.see(outcome.contact)
@@ -266,8 +270,12 @@ class RendezvousParallelEnv(ParallelEnv[str, NDArray[np.float32], NDArray[np.flo
         """Actions as (1, n, a); zero for robots that are gone."""
         alive, (n, size) = self.agents, self._acted
         try:
-            listed = np.array([actions[name] for name in alive], np.float32)
-        except (KeyError, TypeError, ValueError):
+            listed = np.array([actions[name] for name in alive])
+            if listed.dtype is not _FLOAT32:
+                listed = floats("actions", listed, np.float32)
+                if not np.isfinite(listed).all():
+                    self._explain(actions)
+        except (KeyError, IndexError, TypeError, ValueError, OverflowError, RecursionError):
             listed = np.empty(0, np.float32)
         if listed.shape != (len(alive), size) or len(actions) != len(alive):
             self._explain(actions)
@@ -286,10 +294,13 @@ class RendezvousParallelEnv(ParallelEnv[str, NDArray[np.float32], NDArray[np.flo
 
         Raises:
             KeyError: naming the robot that is missing, unknown or gone.
+            ValueError: if they are no dict.
         """
+        if not isinstance(actions, Mapping):
+            refuse("actions", actions, f"a dict with an action for each of {self.agents}")
         for name in actions:
             if name not in self._indices:
-                raise KeyError(f"{name!r} is no robot of this team: {self.possible_agents}")
+                raise KeyError(f"{shown(name)} is no robot of this team: {self.possible_agents}")
             if name not in self.agents:
                 survivor = self._survivor(self._indices[name])
                 why = f"has merged into {survivor}" if survivor else "has ended"
@@ -308,18 +319,31 @@ class RendezvousParallelEnv(ParallelEnv[str, NDArray[np.float32], NDArray[np.flo
         Raises:
             ValueError: naming what does not fit; nothing has changed then.
         """
-        self.simulator.set_state(state["simulator"])
-        self.agents = list(state["agents"])
+        check_keys(state, ("agents", "simulator"))
+        teams = self.simulator.check_state(state["simulator"])
+        alive, given = self._alive_in(teams), state["agents"]
+        if not isinstance(given, list | tuple) or list(given) != alive:
+            raise ValueError(
+                f"state: agents is {shown(given)}; with this simulator's state it must be {alive}"
+            )
+        self.simulator.set_state(teams)
+        self.agents = alive
+
+    def _alive_in(self, teams: Mapping[str, NDArray[Any]]) -> list[str]:
+        """Who takes actions in a state of the simulator."""
+        names = self.possible_agents
+        if teams["episode"][0] < 0 or teams["status"][0] in (RENDEZVOUS, TIME_OUT):
+            return []
+        if self.scenario.on_merge == "follow":
+            return names.copy()
+        return [name for i, name in enumerate(names) if teams["merged_into"][0, i] == i]
 
     def _explain(self, actions: Mapping[str, Any]) -> None:
         """Raise what is wrong with these actions, naming the robot."""
         self.check_robots(actions)
         size = self.scenario.action_size
         for name in self.agents:
-            if not is_action(actions[name], size):
-                raise ValueError(
-                    f"action of {name} is {actions[name]!r}; it must be {size} finite numbers"
-                )
+            check_action(name, actions[name], size)
 
     def _as_dicts(
         self, outcome: Outcome
@@ -365,12 +389,3 @@ class RendezvousParallelEnv(ParallelEnv[str, NDArray[np.float32], NDArray[np.flo
             "path_length": float(simulator.path_length[0]),
             "lyapunov": float(simulator.lyapunov()[0]),
         }
-
-
-def is_action(value: Any, size: int) -> bool:
-    """Whether a value is ``size`` finite numbers."""
-    try:
-        action = np.asarray(value, dtype=np.float32)
-    except (TypeError, ValueError):
-        return False
-    return action.shape == (size,) and bool(np.isfinite(action).all())

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .compilation import compiled, entry_point
 from .engine import threads
+from .engine.footprint import check_memory
 from .engine.memory import (
     AWAITING_RESET,
     CONTACTS,
@@ -36,15 +37,20 @@ from .engine.preparation import (
     start_rules,
     whole_rows,
 )
-from .engine.sharing import Part
+from .engine.sharing import example_part
 from .engine.starts import TOO_MANY_LINKS, StartRules, reset_teams
 from .engine.state import Overwritten, State, overwrite, undo
+from .engine.state_checks import check_entries, check_results, check_teams
 from .engine.step import first_not_finite, step_blocks
 from .engine.worlds import empty_worlds
+from .experiment.checks import bools, floats, refuse, shown, whole
+from .experiment.limits import MOST_STEPS, MOST_TEAMS
 from .experiment.scenario import Scenario
+from .experiment.seeding import seeds_of_teams
 from .experiment.start_options import StartOptions, parse_options
 from .outcome import Outcome
 
+_FLOAT32 = np.dtype(np.float32)
 _WORK_PER_THREAD = 4096
 """Robot pairs below which another thread costs more than it saves."""
 
@@ -61,18 +67,21 @@ class Simulator:
         num_threads: most threads a step may use; None is one for each core.
 
     Raises:
-        ValueError: if ``num_envs`` or ``num_threads`` is not a positive whole number.
+        ValueError: if ``num_envs`` or ``num_threads`` is not a positive whole number, or memory
+            does not hold so many teams.
     """
 
     def __init__(
         self, scenario: Scenario, num_envs: int = 1, *, num_threads: int | None = None
     ) -> None:
-        for name, value in (("num_envs", num_envs), ("num_threads", num_threads)):
-            if value is not None and (not isinstance(value, int | np.integer) or value < 1):
-                raise ValueError(f"{name} is {value!r}; it must be a whole number, 1 or more")
+        if not isinstance(scenario, Scenario):
+            refuse("scenario", scenario, "a Scenario; scenarios.resolve() takes names and files")
         self.scenario = scenario
-        self.num_envs = int(num_envs)
+        self.num_envs = whole("num_envs", num_envs, 1, MOST_TEAMS)
         self.num_threads = num_threads
+        if num_threads is not None:
+            self.num_threads = whole("num_threads", num_threads, 1, MOST_TEAMS)
+        check_memory(scenario, self.num_envs)
         self.max_steps = scenario.max_steps
         self._state = State(scenario, self.num_envs)
         self._seed = np.zeros(self.num_envs, dtype=np.uint64)
@@ -97,6 +106,7 @@ class Simulator:
         self._fixed_links = fixed_links(scenario)
         self._fixed_obstacles = fixed_obstacles(scenario)
         self._all_running = self._none_rests()
+        self._given_out = tuple((array.shape, array.dtype) for array in self._new_results())
         self._themselves = np.tile(np.arange(scenario.n_robots), (self.num_envs, 1))
 
     # ---- episodes -----------------------------------------------------------------------------
@@ -129,7 +139,7 @@ class Simulator:
             RuntimeError: if no room was found for a start or an obstacle; nothing has changed then.
         """
         given = parse_options(self.scenario, self.num_envs, options)
-        self._begin(self._which(mask), self._new_seeds(seed), given, resting)
+        self._begin(self._which(mask), seeds_of_teams(seed, self.num_envs), given, resting)
         return self.observe()
 
     def restart(self, mask: NDArray[np.bool_], outcome: Outcome | None = None) -> None:
@@ -142,15 +152,18 @@ class Simulator:
                 without moving and are observed there.
 
         Raises:
-            ValueError: for a bad mask; nothing has changed then.
+            ValueError: for a bad mask, or an outcome of other teams; nothing has changed then.
             RuntimeError: if no room was found for a start or an obstacle; nothing has changed then.
         """
         which = self._which(mask)
+        if outcome is not None:
+            check_results(outcome.results, self._given_out)
         self._begin(which, None, StartOptions(), resting=outcome is None)
         if outcome is not None:
-            outcome.contact[which], outcome.active[which] = False, True
-            outcome.status[which] = RUNNING
-            self._observe_blocks(np.unique(which // self._state.lanes), outcome.results)
+            results = outcome.results
+            results.contact[which], results.active[which] = False, True
+            results.status[which] = RUNNING
+            self._observe_blocks(np.unique(which // self._state.lanes), results)
 
     def _begin(
         self,
@@ -214,7 +227,30 @@ class Simulator:
         """
         if not self._ready:
             raise RuntimeError("call reset() before step()")
-        table = np.ascontiguousarray(actions, dtype=np.float32)
+        table = self.check_actions(actions)
+        results = self._new_results()
+        self._all_running = False  # not known, should an interrupt leave from here
+        self._share(True, self._blocks, table, results, self._width)
+        self._all_running = not np.count_nonzero(results.status)  # RUNNING is 0
+        self._refuse_crowds(results)
+        return Outcome(results, self._observed)
+
+    def check_actions(self, actions: ArrayLike) -> NDArray[np.float32]:
+        """Actions as an array that ``step`` takes as it is.
+
+        Args:
+            actions: see ``step``.
+
+        Raises:
+            ValueError: for a wrong shape, what is no number, or a number that is not finite, naming
+                the robot.
+        """
+        given = (
+            actions
+            if getattr(actions, "dtype", None) is _FLOAT32
+            else floats("actions", actions, np.float32)
+        )
+        table = np.ascontiguousarray(given)
         if table.shape != self._acted:
             raise ValueError(
                 f"actions have shape {table.shape}; they must be (B, n, a) = {self._acted}"
@@ -223,14 +259,10 @@ class Simulator:
         if wrong >= 0:
             team, robot, _ = (int(k) for k in np.unravel_index(wrong, self._acted))
             raise ValueError(
-                f"action of robot_{robot} in team {team} is {table[team, robot].tolist()}; "
-                "it must be finite"
+                f"action of robot_{robot} in team {team} is "
+                f"{shown(np.asarray(actions)[team, robot].tolist())}; it must be finite, in float32"
             )
-        results = self._new_results()
-        self._share(True, self._blocks, table, results, self._width)
-        self._all_running = not np.count_nonzero(results.status)  # RUNNING is 0
-        self._refuse_crowds(results)
-        return Outcome(results, self._observed)
+        return table
 
     def _share(
         self,
@@ -245,11 +277,9 @@ class Simulator:
         table = table.reshape(self.num_envs, -1)
         fixed = (moves, blocks, self._physics, tuple(state.teams), tuple(state.links))
         given = (state.obstacles, table, written, self._lanes, self._hands)
-        if self._run is None:
-            part: Part = (0, threads.new_counters(1), np.zeros(1, np.int64), -1, 0, 0)
+        if (run := self._run) is None:  # before threads share it: compiling may be interrupted
             writable = (state.obstacles, np.empty_like(table), *given[2:])
-            self._run = entry_point(step_blocks, (part, *fixed, *writable))
-        run = self._run
+            run = self._run = entry_point(step_blocks, (example_part(), *fixed, *writable))
         threads.share(lambda part: run(part, *fixed, *given), len(blocks), width)
 
     def _refuse_crowds(self, results: Results) -> None:
@@ -426,25 +456,29 @@ class Simulator:
         batch.
 
         Raises:
-            ValueError: naming a missing or unknown entry, or one of another shape or type; nothing
-                has changed then.
+            ValueError: naming an entry and what would be right, see ``check_state``; nothing has
+                changed then.
         """
-        own = self.get_state()
-        if wrong := sorted(set(own) ^ set(state)):
-            raise ValueError(f"state: entry {wrong[0]!r} is missing or unknown")
-        given: dict[str, NDArray[Any]] = {}
-        for name, array in own.items():
-            given[name] = value = np.asarray(state[name])
-            if value.shape != array.shape or value.dtype != array.dtype:
-                raise ValueError(
-                    f"state: {name} is {value.dtype} of shape {value.shape}; "
-                    f"it must be {array.dtype} of shape {array.shape}"
-                )
-        self._seed[...], self._episode[...] = given.pop("seed"), given.pop("episode")
-        self._state.put(given)
-        self._seeded[:] = True
+        self._put_state(self.check_state(state))
+
+    def check_state(self, state: Any) -> dict[str, NDArray[Any]]:
+        """The arrays of a state that ``set_state`` would put back.
+
+        Raises:
+            ValueError: naming an entry that is missing, unknown, of another shape or type, or that
+                no episode can have, its value and what would be right.
+        """
+        entries = check_entries(self.get_state(), state, exactly=True)
+        check_teams(self.scenario, entries)
+        return entries
+
+    def _put_state(self, state: Mapping[str, NDArray[Any]]) -> None:
+        entries = dict(state)
+        self._seed[...], self._episode[...] = entries.pop("seed"), entries.pop("episode")
+        self._state.put(entries)
+        self._seeded[:] = self._episode >= 0
         self._all_running = self._none_rests()
-        self._ready = True
+        self._ready = bool(self._seeded.any())
         self.observe()
 
     def set_max_steps(self, max_steps: int) -> None:
@@ -453,13 +487,7 @@ class Simulator:
         Raises:
             ValueError: if it is not a positive whole number.
         """
-        if (
-            not isinstance(max_steps, int | np.integer)
-            or isinstance(max_steps, bool)
-            or max_steps < 1
-        ):
-            raise ValueError(f"max_cycles is {max_steps!r}; it must be a whole number, 1 or more")
-        self.max_steps = int(max_steps)
+        self.max_steps = whole("max_cycles", max_steps, 1, MOST_STEPS)
         self._physics = physics(self.scenario, self.num_envs, self.max_steps)
 
     def __getstate__(self) -> dict[str, Any]:
@@ -491,34 +519,7 @@ class Simulator:
     def _which(self, mask: NDArray[np.bool_] | None) -> NDArray[np.int64]:
         if mask is None:
             return np.arange(self.num_envs)
-        array = np.asarray(mask)
-        if array.shape != (self.num_envs,) or array.dtype != np.bool_:
-            raise ValueError(
-                f"mask is {array.dtype} of shape {array.shape}; it must be bool, one for each of "
-                f"{self.num_envs} teams"
-            )
-        return np.flatnonzero(array)
-
-    def _new_seeds(self, seed: int | Sequence[int | None] | None) -> list[int | None] | None:
-        """A seed for each team, None where it keeps its own; None if all do."""
-        listed: Sequence[Any]
-        if seed is None:
-            return None
-        if isinstance(seed, int | np.integer) and not isinstance(seed, bool):
-            listed = [int(seed) + i for i in range(self.num_envs)]
-        else:
-            listed = list(seed) if isinstance(seed, Sequence | np.ndarray) else [seed]
-        if len(listed) != self.num_envs:
-            raise ValueError(
-                f"seed has {len(listed)} entries; it must be one number, or {self.num_envs}"
-            )
-        for value in listed:
-            if value is None:
-                continue
-            whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
-            if not whole or not 0 <= value < 2**63:
-                raise ValueError(f"seed {value!r} must be a whole number, 0 or more")
-        return [None if value is None else int(value) for value in listed]
+        return np.flatnonzero(bools("mask", mask, (self.num_envs,), "teams"))
 
     def _assign_seeds(
         self, which: NDArray[np.int64], seeds: list[int | None] | None, log: list[Overwritten]
@@ -593,7 +594,7 @@ def _listed(
 def _width(scenario: Scenario, batch: int, num_threads: int | None) -> int:
     """As many threads as are worth their cost."""
     work = batch * _work_of_team(scenario, batch)
-    most = threads.available_cores() if num_threads is None else num_threads
+    most = threads.most_threads(num_threads)
     return max(1, min(most, work // _WORK_PER_THREAD, Arrangement(scenario, batch).blocks))
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .engine.memory import RENDEZVOUS, RUNNING
+from .experiment.checks import floats, shown
 from .experiment.scenario import Scenario
 from .experiment.scenarios import resolve
 from .outcome import Outcome
@@ -121,7 +122,7 @@ def run(simulator: Simulator, policy: Policy, observations: NDArray[np.float32])
     if callable(forget):
         forget()
     while (running := simulator.status == RUNNING).any():
-        actions = np.asarray(policy(observations, simulator.time), dtype=np.float32)
+        actions = floats("actions", policy(observations, simulator.time), np.float32)
         before = simulator.lyapunov()
         outcome = simulator.step(actions)
         yield Step(running, observations, actions, before, outcome)
@@ -145,12 +146,15 @@ def rollout(
         options: given parts of the start, see ``Simulator.reset``.
 
     Raises:
-        ValueError: for a bad scenario, option or action.
+        ValueError: for a bad scenario, seed, number of teams, option or action.
+        TypeError: if the policy cannot be called.
     """
+    if not callable(policy):
+        raise TypeError(f"policy is {shown(policy)}; it must be callable: baselines.make makes one")
     simulator = Simulator(resolve(scenario), num_envs)
     states = [_State.of(simulator, simulator.reset(seed, options))]
     steps: list[Step] = []
-    finished_at = np.full(num_envs, np.inf)
+    finished_at = np.full(simulator.num_envs, np.inf)
     for step in run(simulator, policy, states[0].observations):
         steps.append(step)
         states.append(_State.of(simulator, step.outcome.observations))

@@ -14,6 +14,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
 from .engine.memory import RENDEZVOUS, TIME_OUT
+from .experiment.start_options import as_options
 from .guarantee.steering import Steering
 from .gymnasium_env import (
     Info,
@@ -47,6 +48,7 @@ class HeadingVectorWrapper(gymnasium.vector.VectorWrapper):
         certified: False lets the raw vector through as h_i, without any guarantee.
 
     Raises:
+        TypeError: for another kind of environment.
         ValueError: naming the argument, its value and what would be right.
     """
 
@@ -61,6 +63,11 @@ class HeadingVectorWrapper(gymnasium.vector.VectorWrapper):
         decision_period: int = 1,
         certified: bool = True,
     ) -> None:
+        if not isinstance(env, RendezvousVectorEnv):
+            raise TypeError(
+                f"env is a {type(env).__name__}; it must be a RendezvousVectorEnv, as make_vec "
+                "makes one (for a PettingZoo environment take rendezvous_env.HeadingVectorWrapper)"
+            )
         super().__init__(env)
         self.decision_period = check_period(decision_period)
         self.steering = Steering(
@@ -70,6 +77,7 @@ class HeadingVectorWrapper(gymnasium.vector.VectorWrapper):
             max_turn_rate=max_turn_rate,
             frame=frame,
             certified=certified,
+            num_threads=env.simulator.num_threads,
         )
         robot = heading_observation_box(env.scenario, self.steering)
         n = env.scenario.n_robots
@@ -97,7 +105,9 @@ class HeadingVectorWrapper(gymnasium.vector.VectorWrapper):
     ) -> tuple[NDArray[np.float32], Info]:
         """Begin anew, as ``RendezvousVectorEnv.reset``; teams that do forget their headings."""
         self._observed, infos = self.env.reset(seed=seed, options=options)
-        which = (options or {}).get("reset_mask")
+        which = as_options(options).get("reset_mask")
+        if which is not None:
+            which = np.asarray(which)
         self._forget(which)
         return self._see(which), infos
 

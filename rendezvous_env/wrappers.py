@@ -11,8 +11,11 @@ from numpy.typing import NDArray
 from pettingzoo.utils.env import ParallelEnv
 from pettingzoo.utils.wrappers import BaseParallelWrapper
 
+from .engine.state_checks import check_entries, check_finite, check_keys
+from .experiment.checks import check_action, whole
+from .experiment.limits import MOST_HELD_STEPS
 from .guarantee.steering import Steering
-from .rendezvous_v0 import Infos, Observations, RendezvousParallelEnv, is_action
+from .rendezvous_v0 import Infos, Observations, RendezvousParallelEnv
 from .spaces import heading_box, heading_observation_box
 
 StepReturn = tuple[Observations, dict[str, float], dict[str, bool], dict[str, bool], Infos]
@@ -24,12 +27,7 @@ def check_period(decision_period: int) -> int:
     Raises:
         ValueError: if it is not.
     """
-    whole = isinstance(decision_period, int | np.integer) and not isinstance(decision_period, bool)
-    if not whole or decision_period < 1:
-        raise ValueError(
-            f"decision_period is {decision_period!r}; it must be a whole number, 1 or more"
-        )
-    return int(decision_period)
+    return whole("decision_period", decision_period, 1, MOST_HELD_STEPS)
 
 
 def restore(
@@ -49,16 +47,13 @@ def restore(
     Raises:
         ValueError: naming what does not fit; nothing has changed then.
     """
-    observed, before = np.array(state["observed"], dtype=np.float32), steering.get_state()
-    if observed.shape != shape:
-        raise ValueError(f"state: observed must be an array of shape {shape}")
-    steering.set_state(state["steering"])
-    try:
-        env.set_state(state["env"])
-    except ValueError:
-        steering.set_state(before)
-        raise
-    return observed
+    check_keys(state, ("env", "steering", "observed"))
+    checked = check_entries({"observed": np.zeros(shape, dtype=np.float32)}, state)
+    check_finite(checked, ("observed",))
+    memory = steering.check_state(state["steering"])
+    env.set_state(state["env"])
+    steering.set_state(memory)
+    return checked["observed"].copy()
 
 
 class HeadingVectorWrapper(BaseParallelWrapper):
@@ -112,10 +107,12 @@ class HeadingVectorWrapper(BaseParallelWrapper):
         decision_period: int = 1,
         certified: bool = True,
     ) -> None:
-        if not isinstance(env, ParallelEnv):
+        ours = isinstance(env, ParallelEnv) and isinstance(env.unwrapped, RendezvousParallelEnv)
+        if not ours:
             raise TypeError(
                 f"env is a {type(env).__name__}; it must be a PettingZoo parallel environment "
-                "(for a vector environment take rendezvous_env.vector.HeadingVectorWrapper)"
+                "that parallel_env has made (for a vector environment take "
+                "rendezvous_env.vector.HeadingVectorWrapper)"
             )
         super().__init__(env)
         self.decision_period = check_period(decision_period)
@@ -176,15 +173,12 @@ class HeadingVectorWrapper(BaseParallelWrapper):
             KeyError: for a missing, unknown or merged-away robot; nothing has changed then.
             ValueError: for a vector of the wrong shape, or one that is not finite; likewise.
         """
-        if not self.agents and not actions:
+        if not self.agents and isinstance(actions, Mapping) and not actions:
             return {}, {}, {}, {}, {}
         self._base.check_robots(actions)
         size = self.steering.action_size
         for name, action in actions.items():
-            if not is_action(action, size):
-                raise ValueError(
-                    f"action of {name} is {action!r}; it must be {size} finite numbers"
-                )
+            check_action(name, action, size)
         raw = np.zeros((1, self._base.scenario.n_robots, size))
         for name, action in actions.items():
             raw[0, self._base.index(name)] = action

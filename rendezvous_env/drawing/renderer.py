@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..engine.memory import RUNNING
+from ..experiment.checks import refuse
 from ..simulator import Simulator
 from .history import History, look
 
@@ -62,10 +63,9 @@ class Renderer:
         size: tuple[int, int] = SIZE,
         horizon: float | None = None,
     ) -> None:
-        if render_mode is not None and render_mode not in RENDER_MODES:
-            raise ValueError(
-                f"render_mode is {render_mode!r}; it must be None or one of {RENDER_MODES}"
-            )
+        known = isinstance(render_mode, str) and render_mode in RENDER_MODES
+        if render_mode is not None and not known:
+            refuse("render_mode", render_mode, f"None or one of {RENDER_MODES}")
         self.render_mode = render_mode
         self.size = size
         self._simulator, self._horizon = simulator, horizon

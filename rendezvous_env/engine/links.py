@@ -2,9 +2,7 @@
 
 from typing import Any
 
-from numba.extending import overload
-
-from ..compilation import inlined_kernel, kernel
+from ..compilation import chosen_by_type, inlined_kernel, kernel
 from .memory import LinkList
 
 
@@ -40,7 +38,7 @@ def load_links(block: int, lane: int, physics: Any, links: Any, hand: Any) -> in
     return chosen(block, lane, physics, links, hand)
 
 
-@overload(load_links, jit_options={"forceinline": True})
+@chosen_by_type(load_links)
 def _compiled_load_links(block, lane, physics, links, hand):
     chosen = _load_list if kept_as(physics) is LinkList else _load_pairs
     return lambda block, lane, physics, links, hand: chosen(block, lane, physics, links, hand)
@@ -74,7 +72,7 @@ def store_links(block: int, lane: int, count: int, physics: Any, links: Any, han
     chosen(block, lane, count, physics, links, hand)
 
 
-@overload(store_links, jit_options={"forceinline": True})
+@chosen_by_type(store_links)
 def _compiled_store_links(block, lane, count, physics, links, hand):
     chosen = _store_list if kept_as(physics) is LinkList else _store_pairs
     return lambda block, lane, count, physics, links, hand: chosen(

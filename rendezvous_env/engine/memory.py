@@ -9,10 +9,9 @@ of the team in that lane, so that the innermost loop over the teams of a block b
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba.extending import overload
 from numpy.typing import NDArray
 
-from ..compilation import inlined_kernel
+from ..compilation import chosen_by_type, inlined_kernel
 
 RUNNING, RENDEZVOUS, TIME_OUT, AWAITING_RESET = range(4)
 """Status of a team. AWAITING_RESET: reset in this very step, in which it does not move."""
@@ -74,7 +73,7 @@ def lane_count(width: Any) -> int:
     return int(width.lanes)
 
 
-@overload(lane_count, jit_options={"forceinline": True})
+@chosen_by_type(lane_count)
 def _constant_lane_count(width):
     count = width.instance_class().lanes  # a constant of the compiled code
     return lambda width: count

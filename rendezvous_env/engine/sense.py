@@ -3,9 +3,8 @@
 from typing import Any
 
 import numpy as np
-from numba.extending import overload
 
-from ..compilation import inlined_kernel, kernel
+from ..compilation import chosen_by_type, inlined_kernel, kernel
 from ..equations.bearings import observed, sighting
 from ..equations.motion import sense_oneself
 from .links import kept_as
@@ -42,7 +41,7 @@ def _sense_neighbours(
     chosen(block, physics, teams, links, results, buffers, hand)
 
 
-@overload(_sense_neighbours, jit_options={"forceinline": True})
+@chosen_by_type(_sense_neighbours)
 def _compiled_sense_neighbours(block, physics, teams, links, results, buffers, hand):
     chosen = _sense_list if kept_as(physics) is LinkList else _sense_pairs
     return lambda block, physics, teams, links, results, buffers, hand: chosen(
@@ -191,7 +190,7 @@ def _give_out(
     chosen(block, physics, links, rows, observations, results, hand)
 
 
-@overload(_give_out, jit_options={"forceinline": True})
+@chosen_by_type(_give_out)
 def _compiled_give_out(block, physics, links, rows, observations, results, hand):
     chosen = _pack_rows if kept_as(physics) is FewRows else _copy_rows
     return lambda block, physics, links, rows, observations, results, hand: chosen(

@@ -3,9 +3,8 @@
 from typing import Any
 
 import numpy as np
-from numba.extending import overload
 
-from ..compilation import inlined_kernel, kernel
+from ..compilation import chosen_by_type, inlined_kernel, kernel
 from ..equations.balls import disc_edges
 from ..equations.obstacles import (
     ABSENT,
@@ -152,7 +151,7 @@ def _see_others(
         _see_one_by_one(block, count, physics, teams, links, obstacles, results, buffers, hand)
 
 
-@overload(_see_others, jit_options={"forceinline": True})
+@chosen_by_type(_see_others)
 def _compiled_see_others(block, count, physics, teams, links, obstacles, results, buffers, hand):
     axes = physics.types[physics.fields.index("axes")]
     if axes.count == 2 and obstacles.instance_class is Balls:

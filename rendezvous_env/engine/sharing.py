@@ -14,20 +14,31 @@ that returned to Python would need the interpreter lock, and be put to sleep for
     return end(share, done)
 """
 
+import platform
 from typing import Any, NamedTuple
 
 import numpy as np
+from llvmlite import ir
 from numba.core import types
 from numba.extending import intrinsic, overload
 from numpy.typing import NDArray
 
-from ..compilation import inlined_kernel
+from ..compilation import inlined_kernel, kernel
 
 _LINE = 8
 """Counters in use stand in cache lines of their own."""
 DONE = 0
 """Index of the counter of blocks done."""
 _ASLEEP, _NEXT = _LINE, 2 * _LINE
+
+_HINTS: dict[str, tuple[str, tuple[int, ...]]] = {
+    "x86_64": ("llvm.x86.sse2.pause", ()),
+    "amd64": ("llvm.x86.sse2.pause", ()),
+    "aarch64": ("llvm.aarch64.hint", (1,)),
+    "arm64": ("llvm.aarch64.hint", (1,)),
+}
+_HINT = _HINTS.get(platform.machine().lower())
+"""The processor's own instruction for ``pause``: LLVM's name of it, and its arguments."""
 
 Part = tuple[int, NDArray[np.int64], NDArray[np.int64], int, int, int]
 """The fields of a Share: plain tuples cross the border to compiled code faster than named ones."""
@@ -54,6 +65,11 @@ class Share(NamedTuple):
 def new_counters(threads: int) -> NDArray[np.int64]:
     """Counters of one job of so many threads."""
     return np.zeros(_LINE * (2 + threads), dtype=np.int64)
+
+
+def example_part() -> Part:
+    """A part in a job without blocks: what a kernel is compiled for."""
+    return 0, new_counters(1), np.zeros(1, np.int64), -1, 0, 0
 
 
 @inlined_kernel
@@ -93,6 +109,7 @@ def end(share, done):
     if share.heard < 0:
         looks = 0
         while total < share.blocks and looks < share.patience:
+            pause()
             total = fetch(share.counters, DONE)
             looks += 1
         if total < share.blocks:
@@ -104,8 +121,19 @@ def end(share, done):
             and fetch(share.bell, 0) == share.heard
             and fetch(share.counters, _ASLEEP) == 0
         ):
+            pause()
             looks += 1
     return total >= share.blocks
+
+
+@kernel
+def look_in_vain(counters, looks):
+    """Look so often whether there is news, as ``end`` does; to measure how long that takes."""
+    k = 0
+    while k < looks and fetch(counters, 0) == 0:
+        pause()
+        k += 1
+    return k
 
 
 def fetch(array, k):
@@ -118,6 +146,10 @@ def fetch_add(array, k, value):
     before = array[k]
     array[k] += value
     return before
+
+
+def pause():
+    """Tell the processor that this thread waits, which leaves more to the other one of its core."""
 
 
 def _load(_, array, k):
@@ -135,6 +167,19 @@ def _add(_, array, k, value):
     return types.int64(array, types.int64, types.int64), generate
 
 
+def _pause(_):
+    def generate(context, builder, signature, arguments):
+        if _HINT is not None:
+            name, numbers = _HINT
+            kinds = [ir.IntType(32)] * len(numbers)
+            hint = ir.FunctionType(ir.VoidType(), kinds)
+            function = builder.module.declare_intrinsic(name, (), hint)
+            builder.call(function, [kind(x) for kind, x in zip(kinds, numbers, strict=True)])
+        return context.get_dummy_value()
+
+    return types.void(), generate
+
+
 def _place(context, builder, signature, arguments):
     """Pointer to the entry of an array of int64 that the first two arguments name."""
     array = context.make_array(signature.args[0])(context, builder, arguments[0])
@@ -143,6 +188,7 @@ def _place(context, builder, signature, arguments):
 
 _load_entry: Any = intrinsic(_load)
 _add_to_entry: Any = intrinsic(_add)
+_rest: Any = intrinsic(_pause)
 
 
 @overload(fetch)
@@ -153,3 +199,8 @@ def _compiled_fetch(array, k):
 @overload(fetch_add)
 def _compiled_fetch_add(array, k, value):
     return lambda array, k, value: _add_to_entry(array, k, value)
+
+
+@overload(pause)
+def _compiled_pause():
+    return lambda: _rest()

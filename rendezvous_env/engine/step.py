@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from ..compilation import inlined_kernel, kernel
+from ..compilation import inlined_kernel, inlined_view, kernel
+from ..equations import double_integrator, kinematics  # noqa: F401 - chosen by type, see motion
 from .advance import advance_block
 from .conclude import conclude_block
 from .memory import LYAPUNOV, AtHand, Lanes, Links, Physics, Results, Teams, lane_count
@@ -70,7 +71,7 @@ def step_blocks(
     return end(share, done)
 
 
-@inlined_kernel
+@inlined_view
 def _lanes_of(all_lanes, thread):
     """One thread's working memory for a block."""
     return Lanes(
@@ -87,7 +88,7 @@ def _lanes_of(all_lanes, thread):
     )
 
 
-@inlined_kernel
+@inlined_view
 def _hand_of(hands, thread):
     """One thread's working memory for a team."""
     return AtHand(

@@ -3,9 +3,8 @@
 from typing import Any
 
 import numpy as np
-from numba.extending import overload
 
-from ..compilation import kernel
+from ..compilation import chosen_by_type, kernel
 from ..equations.obstacles import Balls, Shapes
 
 
@@ -21,7 +20,7 @@ def world_of(obstacles: Any, team: int) -> Any:
     return type(obstacles)(*(array[team] for array in obstacles))
 
 
-@overload(world_of, jit_options={"forceinline": True})
+@chosen_by_type(world_of)
 def _compiled_world_of(obstacles, team):
     if not hasattr(obstacles, "instance_class"):
         return lambda obstacles, team: None

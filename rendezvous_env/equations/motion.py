@@ -12,9 +12,7 @@ step (angles, a velocity), a tuple that may be empty. A model applies its own li
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from numba.extending import overload
-
-_AS_KERNELS = {"forceinline": True}
+from ..compilation import chosen_by_type
 
 
 class Motion(NamedTuple):
@@ -84,25 +82,25 @@ def begin_memory(model, key, counter):
     return _MOTIONS[type(model)].begin(model, key, counter)
 
 
-@overload(propose, jit_options=_AS_KERNELS)
+@chosen_by_type(propose)
 def _propose(model, action, frame, memory):
     chosen = _MOTIONS[model.instance_class].propose
     return lambda model, action, frame, memory: chosen(model, action, frame, memory)
 
 
-@overload(along, jit_options=_AS_KERNELS)
+@chosen_by_type(along)
 def _along(model, action, frame, memory, time):
     chosen = _MOTIONS[model.instance_class].along
     return lambda model, action, frame, memory, time: chosen(model, action, frame, memory, time)
 
 
-@overload(bend, jit_options=_AS_KERNELS)
+@chosen_by_type(bend)
 def _bend(model, action, memory):
     chosen = _MOTIONS[model.instance_class].bend
     return lambda model, action, memory: chosen(model, action, memory)
 
 
-@overload(remember, jit_options=_AS_KERNELS)
+@chosen_by_type(remember)
 def _remember(model, action, frame, memory, displacement, touched):
     chosen = _MOTIONS[model.instance_class].remember
 
@@ -112,19 +110,19 @@ def _remember(model, action, frame, memory, displacement, touched):
     return implementation
 
 
-@overload(frame_of, jit_options=_AS_KERNELS)
+@chosen_by_type(frame_of)
 def _frame_of(model, frame, memory):
     chosen = _MOTIONS[model.instance_class].frame
     return lambda model, frame, memory: chosen(model, frame, memory)
 
 
-@overload(sense_oneself, jit_options=_AS_KERNELS)
+@chosen_by_type(sense_oneself)
 def _sense_oneself(model, frame, memory):
     chosen = _MOTIONS[model.instance_class].sense
     return lambda model, frame, memory: chosen(model, frame, memory)
 
 
-@overload(begin_memory, jit_options=_AS_KERNELS)
+@chosen_by_type(begin_memory)
 def _begin_memory(model, key, counter):
     chosen = _MOTIONS[model.instance_class].begin
     return lambda model, key, counter: chosen(model, key, counter)

@@ -11,10 +11,9 @@ the plane z = 0. Compiled code for a world of balls contains nothing about other
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba.extending import overload
 from numpy.typing import NDArray
 
-from ..compilation import kernel
+from ..compilation import chosen_by_type, kernel
 from .balls import (
     azimuth_axes,
     ball_entry,
@@ -34,8 +33,6 @@ RADIUS, CENTRE, DETAILS = 0, 1, 4
 """Columns of a row."""
 AXIS, THICKNESS = DETAILS, DETAILS + 3
 """Columns of a capsule's row: its half axis, and its own radius."""
-
-_AS_KERNELS = {"error_model": "numpy"}
 
 
 class Balls(NamedTuple):
@@ -95,7 +92,7 @@ def _surface(world: Any, m: int, point: Any) -> Any:
     return (_surface_of_ball if isinstance(world, Balls) else _surface_of_any)(world, m, point)
 
 
-@overload(_surface, jit_options=_AS_KERNELS)
+@chosen_by_type(_surface)
 def _compiled_surface(world, m, point):
     chosen = _surface_of_ball if world.instance_class is Balls else _surface_of_any
     return lambda world, m, point: chosen(world, m, point)
@@ -181,7 +178,7 @@ def entry(world, m, point, way, depth):
     return chosen(world, m, point, way, depth)
 
 
-@overload(entry, jit_options=_AS_KERNELS)
+@chosen_by_type(entry)
 def _compiled_entry(world, m, point, way, depth):
     chosen = _entry_of_ball if world.instance_class is Balls else _entry_of_any
     return lambda world, m, point, way, depth: chosen(world, m, point, way, depth)
@@ -209,7 +206,7 @@ def normals(world, m, point):
     return chosen(world, m, point)
 
 
-@overload(normals, jit_options=_AS_KERNELS)
+@chosen_by_type(normals)
 def _compiled_normals(world, m, point):
     chosen = _normals_of_ball if world.instance_class is Balls else _normals_of_any
     return lambda world, m, point: chosen(world, m, point)

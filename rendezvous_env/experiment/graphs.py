@@ -9,6 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from .checks import floats, is_whole, real, refuse, shown, whole
+from .limits import LARGEST, MOST_ROBOTS, SMALLEST
+
 FIXED, RANDOM_TREE, ERDOS_RENYI = range(3)
 """How an episode chooses its edges."""
 _TOPOLOGIES = {"random_tree": RANDOM_TREE, "erdos_renyi": ERDOS_RENYI}
@@ -35,17 +38,24 @@ class Graph:
 
     def __post_init__(self) -> None:
         kinds = (*_FIXED_KINDS, "edges", *_TOPOLOGIES)
-        if self.kind not in kinds:
+        if not isinstance(self.kind, str) or self.kind not in kinds:
             raise ValueError(
-                f"graph: {self.kind!r} is not a graph; choose one of {', '.join(kinds)}"
+                f"graph: {shown(self.kind)} is not a graph; choose one of {', '.join(kinds)}"
             )
-        low, high = self.weight_range
-        if not (np.isfinite(low) and np.isfinite(high) and 0 < low <= high):
-            raise ValueError(
-                f"graph: weight_range {self.weight_range} must be finite, 0 < low <= high"
-            )
-        if not 0 < self.probability <= 1:
-            raise ValueError(f"graph: probability {self.probability} must be in (0, 1]")
+        object.__setattr__(self, "weight_range", _as_range(self.weight_range))
+        if not 0 < real(self.probability) <= 1:
+            raise ValueError(f"graph: probability {shown(self.probability)} must be in (0, 1]")
+        object.__setattr__(self, "probability", real(self.probability))
+        self._check_edges()
+
+    def _check_edges(self) -> None:
+        if self.kind != "edges":
+            if self.edges or self.n_nodes is not None:
+                raise ValueError(f"graph: a {self.kind} has neither edges nor n_nodes")
+            return
+        n = whole("graph: n_nodes", self.n_nodes, 1, MOST_ROBOTS)
+        object.__setattr__(self, "edges", _ordered_edges(self.edges, n))
+        object.__setattr__(self, "n_nodes", n)
 
     @property
     def topology(self) -> int:
@@ -151,12 +161,12 @@ class Graph:
 
     def to_plain(self) -> str | dict[str, Any]:
         """The graph as plain data for TOML; ``parse`` turns it back into an equal graph."""
-        if self == Graph(self.kind) and self.kind != "edges":
+        if self.kind != "edges" and self == Graph(self.kind):
             return self.kind
         plain: dict[str, Any] = {"kind": self.kind, "weight_range": list(self.weight_range)}
         if self.kind == "edges":
             plain |= {"n_nodes": self.n_nodes, "edges": [list(edge) for edge in self.edges]}
-        if self.kind == "erdos_renyi":
+        if self.kind == "erdos_renyi" or self.probability != Graph("complete").probability:
             plain["probability"] = self.probability
         return plain
 
@@ -204,23 +214,43 @@ def from_edges(edges: Iterable[Sequence[float]], n_robots: int | None = None) ->
     Raises:
         ValueError: for a loop, a repeated edge, an index out of range or a bad weight.
     """
-    listed = [(int(e[0]), int(e[1]), float(e[2]) if len(e) > 2 else 1.0) for e in edges]
-    n = n_robots or 1 + max((max(i, j) for i, j, _ in listed), default=0)
+    listed = _listed(edges)
+    last = max((max(i, j) for i, j, _ in map(_edge, listed)), default=0)
+    return Graph("edges", edges=listed, n_nodes=n_robots or 1 + max(0, last))
+
+
+def _listed(edges: Any) -> tuple[Any, ...]:
+    if not isinstance(edges, Iterable) or isinstance(edges, str | bytes):
+        refuse("graph: edges", edges, "a sequence of (i, j) or (i, j, weight)")
+    return tuple(edges)
+
+
+def _edge(edge: Any) -> tuple[int, int, float]:
+    """One edge, its weight 1 m/s if it is not given; whole numbers may come as floats."""
+    row = edge.tolist() if isinstance(edge, np.ndarray) else edge
+    if not isinstance(row, Sequence) or isinstance(row, str | bytes) or len(row) not in (2, 3):
+        refuse("graph: an edge", edge, "(i, j) or (i, j, weight) with indices of robots")
+    i, j, weight = (*row, 1.0)[:3]
+    if not all(is_whole(k) or real(k).is_integer() for k in (i, j)):
+        refuse("graph: an edge", edge, "(i, j) or (i, j, weight) with whole indices of robots")
+    if not SMALLEST <= real(weight) <= LARGEST:
+        raise ValueError(
+            f"graph: edge ({int(i)}, {int(j)}) has weight {shown(weight)}; it must be positive and "
+            f"finite, from {SMALLEST:g} to {LARGEST:g} m/s"
+        )
+    return int(i), int(j), real(weight)
+
+
+def _ordered_edges(edges: Any, n: int) -> tuple[tuple[int, int, float], ...]:
     ordered: dict[tuple[int, int], float] = {}
-    for i, j, weight in listed:
+    for i, j, weight in map(_edge, _listed(edges)):
         pair = (min(i, j), max(i, j))
         if i == j or pair in ordered or pair[0] < 0 or pair[1] >= n:
             raise ValueError(
                 f"graph: edge ({i}, {j}) must join two different robots of 0..{n - 1}, once"
             )
-        if not (np.isfinite(weight) and weight > 0):
-            raise ValueError(
-                f"graph: edge ({i}, {j}) has weight {weight}; it must be positive and finite"
-            )
         ordered[pair] = weight
-    return Graph(
-        "edges", edges=tuple((i, j, w) for (i, j), w in sorted(ordered.items())), n_nodes=n
-    )
+    return tuple((i, j, weight) for (i, j), weight in sorted(ordered.items()))
 
 
 def from_matrix(weights: ArrayLike) -> Graph:
@@ -229,7 +259,7 @@ def from_matrix(weights: ArrayLike) -> Graph:
     Raises:
         ValueError: naming the entry that is not finite, negative, on the diagonal or not symmetric.
     """
-    matrix = np.asarray(weights, dtype=np.float64)
+    matrix = floats("graph", weights)
     check_weights(matrix)
     rows, columns = np.nonzero(np.triu(matrix))
     edges = zip(rows.tolist(), columns.tolist(), matrix[rows, columns].tolist(), strict=True)
@@ -249,16 +279,16 @@ def parse(value: GraphLike | dict[str, Any]) -> Graph:
 
 def _from_plain(plain: dict[str, Any]) -> Graph:
     known = {"kind", "weight_range", "edges", "n_nodes", "probability"}
-    if unknown := sorted(set(plain) - known):
+    if unknown := [key for key in plain if key not in known]:
         raise ValueError(
-            f"graph: unknown key {unknown[0]!r}; known keys are {', '.join(sorted(known))}"
+            f"graph: unknown key {shown(unknown[0])}; known keys are {', '.join(sorted(known))}"
         )
-    low, high = plain.get("weight_range", (1.0, 1.0))
+    weight_range = _as_range(plain.get("weight_range", 1.0))
     kind = plain.get("kind", "edges" if "edges" in plain else "complete")
     if kind == "edges":
         graph = from_edges(plain.get("edges", ()), plain.get("n_nodes"))
-        return Graph("edges", (float(low), float(high)), graph.edges, graph.n_nodes)
-    return Graph(kind, (float(low), float(high)), probability=float(plain.get("probability", 0.5)))
+        return Graph("edges", weight_range, graph.edges, graph.n_nodes)
+    return Graph(kind, weight_range, probability=plain.get("probability", 0.5))
 
 
 def check_weights(weights: NDArray[np.float64], n: int | None = None, field: str = "graph") -> None:
@@ -280,6 +310,10 @@ def check_weights(weights: NDArray[np.float64], n: int | None = None, field: str
     reasons = (
         (~np.isfinite(weights), "must be finite"),
         (weights < 0, "must not be negative"),
+        (
+            (weights != 0) & ((weights < SMALLEST) | (weights > LARGEST)),
+            f"must be 0, or from {SMALLEST:g} to {LARGEST:g} m/s",
+        ),
         (np.diag(np.diag(weights) != 0), "must be 0: no robot is its own neighbour"),
         (
             weights != weights.T,
@@ -312,12 +346,19 @@ def max_degree(weights: NDArray[np.float64]) -> float:
 
 def bottleneck_weight(weights: NDArray[np.float64]) -> float:
     """a* of a weight matrix: the least edge of a maximum spanning tree (of each component)."""
+    from scipy.sparse import csr_array
     from scipy.sparse.csgraph import minimum_spanning_tree
 
-    tree = minimum_spanning_tree(np.where(weights > 0, -weights, 0.0))
+    links = csr_array(np.where(weights > 0, -weights, 0.0))  # of dense ones SciPy drops small links
+    tree = minimum_spanning_tree(links)
     return float(-tree.data.max()) if tree.nnz else 0.0
 
 
-def _as_range(weight: float | tuple[float, float]) -> tuple[float, float]:
-    low, high = weight if isinstance(weight, tuple) else (weight, weight)
-    return float(low), float(high)
+def _as_range(weight: Any) -> tuple[float, float]:
+    pair = tuple(weight) if isinstance(weight, list | tuple) else (weight, weight)
+    if len(pair) != 2 or not SMALLEST <= real(pair[0]) <= real(pair[1]) <= LARGEST:
+        raise ValueError(
+            f"graph: weight_range {shown(pair)} must be finite, 0 < low <= high, from "
+            f"{SMALLEST:g} to {LARGEST:g} m/s"
+        )
+    return real(pair[0]), real(pair[1])

@@ -8,9 +8,15 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from .checks import floats
+
 SILHOUETTE_POINTS = {2: 2, 3: 8}
 """Points seen of one obstacle: both edges in the plane, eight boundary rays of its cone in
 space."""
+
+
+_TYPES = (np.dtype(np.float32), np.dtype(np.float64))
+"""Of numbers that compiled policies take."""
 
 
 class ObservedRows(NamedTuple):
@@ -93,12 +99,7 @@ class ObservationLayout:
         Raises:
             ValueError: if the last two axes are not ``self.shape``.
         """
-        observations = np.asarray(observations)
-        if observations.shape[-2:] != self.shape:
-            raise ValueError(
-                f"observations have shape {observations.shape}; this layout needs "
-                f"(..., {self.rows}, {self.dim})"
-            )
+        observations = self.checked(observations)
         leading = observations.shape[:-2]
         points = (self.obstacle_slots, self.silhouette_points, self.dim)
         return ObservedRows(
@@ -108,9 +109,27 @@ class ObservationLayout:
             velocity=observations[..., -1, :] if self.senses_velocity else None,
         )
 
+    def checked(self, observations: Any) -> NDArray[Any]:
+        """Observations as an array of numbers whose last two axes are ours.
+
+        Raises:
+            ValueError: if they are anything else.
+        """
+        if not isinstance(observations, np.ndarray) or observations.dtype not in _TYPES:
+            observations = floats("observations", observations)
+        if observations.shape[-2:] != self.shape:
+            raise ValueError(
+                f"observations have shape {observations.shape}; this layout needs "
+                f"(..., {self.rows}, {self.dim})"
+            )
+        return observations
+
     def net_bearing(self, observations: NDArray[Any]) -> NDArray[Any]:
         """Net bearing f_i = Σ_j a_ij g_ij: the sum of the neighbour rows, (..., d), m/s,
         float64.
+
+        Raises:
+            ValueError: as ``split``.
         """
-        rows = np.asarray(observations)[..., self.neighbours, :]
+        rows = self.checked(observations)[..., self.neighbours, :]
         return np.asarray(np.sum(rows, axis=-2, dtype=np.float64))

@@ -10,21 +10,23 @@ from typing import Any
 import numpy as np
 
 from ..equations.contact import CONTACT_DEPTH
+from .checks import is_whole, real, shown
+from .limits import LARGEST, MOST_OBSTACLES, MOST_VERTICES
 
 _LEAST_THICKNESS = 10 * CONTACT_DEPTH
+_ROUNDING = 1e-12
+"""Of coordinates that were computed, as a share of the largest; so deep is no vertex a dent."""
 
 
 def check_point(kind: str, field: str, value: Any, dim: int) -> tuple[float, ...]:
     """A point of d finite numbers, as a tuple."""
-    try:
-        point = tuple(float(x) for x in value)
-    except (TypeError, ValueError):
-        point = ()
-    if len(point) != dim or not all(math.isfinite(x) for x in point):
+    point = tuple(value) if _is_sequence(value) else ()
+    if len(point) != dim or not all(abs(real(x)) <= LARGEST for x in point):
         raise ValueError(
-            f"obstacles: {field} {value!r} of a {kind} must be {dim} finite numbers, m"
+            f"obstacles: {field} {shown(value)} of a {kind} must be {dim} finite numbers, from "
+            f"{-LARGEST:g} to {LARGEST:g} m"
         )
-    return point
+    return tuple(real(x) for x in point)
 
 
 def check_ends(value: Any) -> tuple[tuple[float, ...], tuple[float, ...]]:
@@ -39,48 +41,52 @@ def check_ends(value: Any) -> tuple[tuple[float, ...], tuple[float, ...]]:
 
 def check_radius(kind: str, value: Any) -> float:
     """A radius that a contact 1 µm deep cannot pass through."""
-    if not _is_number(value) or value < _LEAST_THICKNESS:
+    if not _LEAST_THICKNESS <= real(value) <= LARGEST:
         raise ValueError(
-            f"obstacles: radius {value!r} of a {kind} must be finite and at least "
-            f"{_LEAST_THICKNESS:g} m"
+            f"obstacles: radius {shown(value)} of a {kind} must be finite and at least "
+            f"{_LEAST_THICKNESS:g} m, at most {LARGEST:g} m"
         )
     return float(value)
 
 
 def check_radius_range(value: Any) -> tuple[float, float]:
     """Least and largest radius of a field."""
-    pair = tuple(value) if isinstance(value, Sequence) else (value, value)
-    if len(pair) != 2 or not all(map(_is_number, pair)) or pair[0] > pair[1]:
+    pair = tuple(value) if _is_sequence(value) else (value, value)
+    if len(pair) != 2 or not real(pair[0]) <= real(pair[1]) <= LARGEST:
         raise ValueError(
-            f"obstacles: radius {value!r} of an ObstacleField must be a pair (low, high), m, "
-            "with low <= high"
+            f"obstacles: radius {shown(value)} of an ObstacleField must be a pair (low, high), m, "
+            f"with low <= high <= {LARGEST:g}"
         )
     return check_radius("ObstacleField", pair[0]), float(pair[1])
 
 
 def check_count(value: Any) -> tuple[int, int]:
     """Least and largest number of obstacles of a field."""
-    pair = tuple(value) if isinstance(value, Sequence) else (value, value)
-    whole = all(isinstance(n, int) and not isinstance(n, bool) for n in pair)
-    if len(pair) != 2 or not whole or not 0 <= pair[0] <= pair[1]:
+    pair = tuple(value) if _is_sequence(value) else (value, value)
+    whole = len(pair) == 2 and all(map(is_whole, pair))
+    if not whole or not 0 <= pair[0] <= pair[1] <= MOST_OBSTACLES:
         raise ValueError(
-            f"obstacles: count {value!r} of an ObstacleField must be a whole number, or a pair "
-            "(low, high) with 0 <= low <= high"
+            f"obstacles: count {shown(value)} of an ObstacleField must be a whole number, or a "
+            f"pair (low, high) with 0 <= low <= high <= {MOST_OBSTACLES}"
         )
-    return pair[0], pair[1]
+    return int(pair[0]), int(pair[1])
 
 
 def check_length(field: str, value: Any) -> float:
     """A length that may be zero."""
-    if not _is_number(value) or value < 0:
+    if not 0 <= real(value) <= LARGEST:
         raise ValueError(
-            f"obstacles: {field} {value!r} of an ObstacleField must be finite and at least 0 m"
+            f"obstacles: {field} {shown(value)} of an ObstacleField must be finite and at least "
+            f"0 m, at most {LARGEST:g} m"
         )
     return float(value)
 
 
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float | np.number) and math.isfinite(value)
+def _is_sequence(value: Any) -> bool:
+    """Whether it is a sequence of anything but letters."""
+    if isinstance(value, np.ndarray):
+        return value.ndim > 0
+    return isinstance(value, Sequence) and not isinstance(value, str | bytes)
 
 
 def twice_area(vertices: Sequence[tuple[float, ...]]) -> float:
@@ -96,8 +102,11 @@ def check_polygon(value: Any) -> tuple[tuple[float, ...], ...]:
     """The vertices of a convex polygon; of several faults the plainest is named."""
     import shapely  # slow to import, and only polygons need it
 
-    if not isinstance(value, Sequence | np.ndarray) or len(value) < 3:
-        raise ValueError(f"obstacles: vertices {value!r} of a Polygon must be at least 3 points")
+    if not _is_sequence(value) or not 3 <= len(value) <= MOST_VERTICES:
+        raise ValueError(
+            f"obstacles: vertices {shown(value)} of a Polygon must be at least 3 points, at most "
+            f"{MOST_VERTICES}"
+        )
     vertices = tuple(
         check_point("Polygon", f"vertices[{k}]", vertex, 2) for k, vertex in enumerate(value)
     )
@@ -110,15 +119,19 @@ def check_polygon(value: Any) -> tuple[tuple[float, ...], ...]:
     hull = polygon.convex_hull
     if hull.buffer(-_LEAST_THICKNESS).is_empty:
         raise ValueError(
-            f"obstacles: vertices {vertices} of a Polygon are degenerate: it must be thicker than "
-            f"{2 * _LEAST_THICKNESS:g} m"
+            f"obstacles: vertices {shown(vertices)} of a Polygon are degenerate: it must be "
+            f"thicker than {2 * _LEAST_THICKNESS:g} m"
         )
     if not polygon.is_valid:
         raise ValueError(
-            f"obstacles: vertices {vertices} of a Polygon cross over; list them in order round it"
+            f"obstacles: vertices {shown(vertices)} of a Polygon cross over; list them in order "
+            "round it"
         )
-    if hull.area - polygon.area > 1e-12 * hull.area:
+    largest = max(abs(x) for vertex in vertices for x in vertex)
+    dents = shapely.distance(hull.exterior, shapely.points(vertices))
+    if dents.max() > _ROUNDING * largest:
         raise ValueError(
-            f"obstacles: vertices {vertices} of a Polygon are not convex; compose it of convex ones"
+            f"obstacles: vertices {shown(vertices)} of a Polygon are not convex; compose it of "
+            "convex ones"
         )
     return vertices

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
+from .checks import is_whole, nearest_word, shown
 from .obstacle_checks import (
     check_count,
     check_ends,
@@ -121,13 +121,14 @@ class ObstacleField:
 
     def __post_init__(self) -> None:
         low, high = check_count(self.count)
-        object.__setattr__(self, "count", low if isinstance(self.count, int) else (low, high))
+        object.__setattr__(self, "count", low if is_whole(self.count) else (low, high))
         object.__setattr__(self, "radius", check_radius_range(self.radius))
         object.__setattr__(self, "region", check_length("region", self.region))
         object.__setattr__(self, "keep_out", check_length("keep_out", self.keep_out))
         if not isinstance(self.overlap, bool):
             raise ValueError(
-                f"obstacles: overlap {self.overlap!r} of an ObstacleField must be True or False"
+                f"obstacles: overlap {shown(self.overlap)} of an ObstacleField must be True or "
+                "False"
             )
 
     @property
@@ -155,9 +156,9 @@ def parse(value: Any, dim: int) -> Obstacles:
     if isinstance(value, ObstacleField):
         return value
     listed = [value] if isinstance(value, Obstacle) else value
-    if not isinstance(listed, Sequence) or isinstance(listed, str):
+    if not isinstance(listed, Sequence) or isinstance(listed, str | bytes):
         raise ValueError(
-            f"obstacles: {value!r} must be a sequence of obstacles, or an ObstacleField"
+            f"obstacles: {shown(value)} must be a sequence of obstacles, or an ObstacleField"
         )
     return tuple(_parse_entry(k, entry, dim) for k, entry in enumerate(listed))
 
@@ -200,16 +201,19 @@ def _as_lists(value: Any) -> Any:
     return [_as_lists(entry) for entry in value] if isinstance(value, tuple) else value
 
 
-def _as_tuples(value: Any) -> Any:
-    return tuple(_as_tuples(entry) for entry in value) if isinstance(value, list) else value
+def _as_tuples(value: Any, depth: int = 3) -> Any:
+    """Lists of lists of lists as tuples; nothing that describes an obstacle is nested deeper."""
+    if not isinstance(value, list) or depth == 0:
+        return value
+    return tuple(_as_tuples(entry, depth - 1) for entry in value)
 
 
 def _from_plain(plain: Mapping[str, Any], dim: int) -> Obstacle | ObstacleField:
     """One obstacle or field; the kind may be left out, the keys tell it."""
     values = dict(plain)
     kind = values.pop("kind", None) or _kind_of(values, dim)
-    if kind not in _KINDS:
-        raise ValueError(f"obstacles: kind {kind!r} must be one of {', '.join(_KINDS)}")
+    if not isinstance(kind, str) or kind not in _KINDS:
+        raise ValueError(f"obstacles: kind {shown(kind)} must be one of {', '.join(_KINDS)}")
     for key in values:
         if key not in _KEYS[kind]:
             raise ValueError(_unknown_key(key, kind))
@@ -228,11 +232,11 @@ def _kind_of(values: Mapping[str, Any], dim: int) -> str:
     return "disc" if dim == 2 else "sphere"
 
 
-def _unknown_key(key: str, kind: str) -> str:
+def _unknown_key(key: Any, kind: str) -> str:
     known = (*_KEYS[kind], "kind")
-    nearest = difflib.get_close_matches(key, known, n=1)
-    hint = f"did you mean {nearest[0]!r}?" if nearest else f"known keys are {', '.join(known)}"
-    return f"obstacles: unknown key {key!r} of a {kind}; {hint}"
+    nearest = nearest_word(key, known)
+    hint = f"did you mean {nearest!r}?" if nearest else f"known keys are {', '.join(known)}"
+    return f"obstacles: unknown key {shown(key)} of a {kind}; {hint}"
 
 
 def _parse_entry(k: int, entry: Any, dim: int) -> Obstacle:
@@ -241,8 +245,12 @@ def _parse_entry(k: int, entry: Any, dim: int) -> Obstacle:
     if isinstance(entry, ObstacleField):
         raise ValueError(f"obstacles[{k}]: an ObstacleField stands alone, not in a list")
     if not isinstance(entry, Obstacle):
-        raise ValueError(f"obstacles[{k}]: {entry!r} must be a Disc, Polygon, Capsule or Sphere")
+        raise ValueError(
+            f"obstacles[{k}]: {shown(entry)} must be a Disc, Polygon, Capsule or Sphere"
+        )
     if entry.dim != dim:
         fitting = "Disc, Polygon or Capsule" if dim == 2 else "Sphere or Capsule"
-        raise ValueError(f"obstacles[{k}]: {entry} is {entry.dim}-D; in {dim}-D use {fitting}")
+        raise ValueError(
+            f"obstacles[{k}]: {shown(entry)} is {entry.dim}-D; in {dim}-D use {fitting}"
+        )
     return entry

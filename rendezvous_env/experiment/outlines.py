@@ -58,7 +58,7 @@ class Ball(NamedTuple):
 
 
 def balls(table: NDArray[np.float64]) -> Iterator[Ball]:
-    """Every obstacle in space of a table (M, width) that is there; a capsule as a string of balls."""
+    """Every obstacle of a table (M, width) of space that is there; a capsule is a row of balls."""
     for row in table[table[:, KIND] != ABSENT]:
         centre = row[CENTRE : CENTRE + 3]
         if row[KIND] != CAPSULE:

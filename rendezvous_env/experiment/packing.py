@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from ..equations import obstacles as equations
 from ..equations.obstacles import ABSENT, BALL, CAPSULE, POLYGON, Balls, Shapes, World
+from .checks import shown
 from .obstacles import Capsule, Disc, Obstacle, ObstacleField, Obstacles, Polygon, Sphere
 
 KIND, CORNERS = 0, 1
@@ -129,9 +130,13 @@ def check_outside(field: str, positions: NDArray[np.float64], value: Sequence[Ob
         value: obstacles.
 
     Raises:
-        ValueError: naming the first robot and its obstacle.
+        ValueError: naming the first robot and its obstacle, or positions of another shape.
     """
     positions = np.asarray(positions, dtype=np.float64)
+    if positions.ndim != 2 or any(obstacle.dim != positions.shape[1] for obstacle in value):
+        raise ValueError(
+            f"{field} have shape {positions.shape}; beside {list(value)} they must be (n, d)"
+        )
     world = world_of(pack(value, len(value)))
     for i, position in enumerate(positions):
         point = (*position.tolist(), 0.0)[:3]
@@ -139,5 +144,5 @@ def check_outside(field: str, positions: NDArray[np.float64], value: Sequence[Ob
             if (distance := equations.distance_to(world, m, point)) < 0:
                 raise ValueError(
                     f"{field}: robot_{i} at {position.tolist()} is {-distance:.6g} m inside "
-                    f"{obstacle}; it must be outside"
+                    f"{shown(obstacle)}; it must be outside"
                 )

@@ -4,10 +4,12 @@ do.
 
 from __future__ import annotations
 
-import math
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, fields
+
+from .checks import names_unknown_fields, number
 
 
+@names_unknown_fields("reward")
 @dataclass(frozen=True)
 class RewardWeights:
     """Weights of the terms of the team reward; every robot gets the team reward.
@@ -29,11 +31,6 @@ class RewardWeights:
     to an obstacle than that."""
 
     def __post_init__(self) -> None:
-        for name, value in asdict(self).items():
-            if (
-                isinstance(value, bool)
-                or not isinstance(value, int | float)
-                or not math.isfinite(value)
-            ):
-                raise ValueError(f"reward.{name} is {value!r}; it must be a finite number")
-            object.__setattr__(self, name, float(value))
+        for field in fields(self):
+            weight = number(f"reward.{field.name}", getattr(self, field.name))
+            object.__setattr__(self, field.name, weight)

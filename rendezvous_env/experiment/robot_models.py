@@ -7,35 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 from ..equations.double_integrator import DoubleIntegrator
 from ..equations.kinematics import Nonholonomic3D, SingleIntegrator, Unicycle
 
 MOST_KEPT = 4
 """Numbers that a robot model may keep from step to step."""
-
-
-class Limits(Protocol):
-    """What a robot model is told of a scenario."""
-
-    dim: int
-
-    @property
-    def tau(self) -> float:
-        """Step, s."""
-
-    @property
-    def speed_limit(self) -> float:
-        """Largest speed, m/s."""
-
-    @property
-    def turn_limit(self) -> float:
-        """Largest turn rate, rad/s."""
-
-    @property
-    def acceleration_limit(self) -> float:
-        """Largest acceleration, m/s²."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +26,7 @@ class RobotModel:
     constants: Callable[[Any], Any]
     """Scenario → the NamedTuple of constants that its equations take; it must have the fields
     ``duration``, s, and ``speed_limit``, m/s, which no motion exceeds."""
-    bounds: Callable[[Limits], list[float]]
+    bounds: Callable[[Any], list[float]]
     """Scenario → symmetric bound on each number of an action."""
     n_angles: int = 0
     """Angles that make up its attitude, the first numbers that it keeps; without any its frame is

@@ -3,22 +3,22 @@
 from __future__ import annotations
 
 import dataclasses
-import difflib
 import math
 import os
-import tomllib
 import warnings
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from . import graphs, obstacles, packing
+from . import checks, graphs, obstacles, packing, scenario_files
+from .checks import is_whole, known_fields, shown
+from .checks import nearest_word as nearest_word
 from .graphs import Graph, GraphLike
+from .limits import LARGEST, LONGEST_NAME, MOST_OBSTACLES, MOST_ROBOTS, MOST_STEPS
 from .observation_layout import ObservationLayout
 from .obstacles import ObstacleField, Obstacles
 from .rewards import RewardWeights
@@ -28,21 +28,36 @@ CONTACT_MODES = ("slide", "stop", "ignore")
 LOCAL_FRAMES = ("random", "global")
 ON_MERGE = ("remove", "follow")
 Table = tuple[tuple[float, ...], ...]
+_UNITS = {
+    "merge_radius": "m",
+    "time_limit": "s",
+    "obstacle_range": "m",
+    "spawn_size": "m",
+    "time_step": "s",
+    "max_speed": "m/s",
+    "max_turn_rate": "rad/s",
+    "max_acceleration": "m/s²",
+}
+_MAY_BE_NONE = ("time_step", "max_speed", "max_turn_rate", "max_acceleration")
 
 
 class TimeStepWarning(UserWarning):
     """The time step is longer than the certified one, so V may rise between merges."""
 
 
+@checks.names_unknown_fields("scenario")
 @dataclass(frozen=True, kw_only=True)
 class Scenario:
     """One experiment: the team, its graph, the world, the clock and the reward.
 
     Instances are immutable, hashable and equal when their fields are. Derived constants of
     theory.md sections 3 and 4 (``certified_step``, ``bottleneck_weight``, …) are properties.
+    The largest and smallest numbers that a field takes stand in ``limits.py``.
 
     Raises:
         ValueError: naming the field, its value and what would be right.
+        UnknownFieldError: for an unknown field, naming the nearest one; it is both a ValueError and
+            a TypeError.
     """
 
     name: str = "custom"
@@ -115,7 +130,7 @@ class Scenario:
         Raises:
             ValueError: for an unknown field, naming the nearest one, or an impossible value.
         """
-        _check_keys(changes, [field.name for field in dataclasses.fields(self)], "scenario")
+        known_fields(changes, [field.name for field in dataclasses.fields(self)], "scenario")
         return dataclasses.replace(self, **changes)
 
     @classmethod
@@ -127,19 +142,20 @@ class Scenario:
             FileNotFoundError: if there is no such file.
             ValueError: for text that is not TOML, an unknown key or an impossible value.
         """
-        text = Path(path).read_text(encoding="utf-8")
-        try:
-            plain = tomllib.loads(text)
-        except tomllib.TOMLDecodeError as error:
-            raise ValueError(f"{path}: not a TOML file: {error}") from error
-        return cls.from_plain({"name": Path(path).stem, **plain})
+        plain = scenario_files.read(path)
+        return cls.from_plain({"name": scenario_files.stem(path), **plain})
 
     @classmethod
-    def from_plain(cls, plain: dict[str, Any]) -> Scenario:
-        """A scenario from plain data, as TOML or JSON hold it."""
-        _check_keys(plain, [field.name for field in dataclasses.fields(cls)], "scenario")
-        reward = dict(plain.get("reward", {}))
-        _check_keys(reward, [f.name for f in dataclasses.fields(RewardWeights)], "reward")
+    def from_plain(cls, plain: Mapping[str, Any]) -> Scenario:
+        """A scenario from plain data, as TOML or JSON hold it.
+
+        Raises:
+            ValueError: for an unknown key or an impossible value.
+        """
+        checks.mapping("a scenario's plain data", plain, "a mapping of fields to values")
+        known_fields(plain, [field.name for field in dataclasses.fields(cls)], "scenario")
+        reward = checks.mapping("reward", plain.get("reward", {}), "a table of its weights")
+        known_fields(reward, [f.name for f in dataclasses.fields(RewardWeights)], "reward")
         return cls(**{**plain, "reward": RewardWeights(**reward)})
 
     def to_plain(self) -> dict[str, Any]:
@@ -158,12 +174,12 @@ class Scenario:
         return {key: value for key, value in plain.items() if value is not None}
 
     def to_toml(self, path: str | os.PathLike[str]) -> None:
-        """Write the scenario to a TOML file that ``from_toml`` reads back as an equal scenario."""
-        import tomli_w
+        """Write the scenario to a TOML file that ``from_toml`` reads back as an equal scenario.
 
-        temporary = Path(f"{path}.part")
-        temporary.write_text(tomli_w.dumps(self.to_plain()), encoding="utf-8")
-        temporary.replace(path)
+        Raises:
+            ValueError: for a path that no file can have.
+        """
+        scenario_files.write(path, self.to_plain())
 
     # ---- derived constants --------------------------------------------------------------------
 
@@ -236,7 +252,7 @@ class Scenario:
         The rate ω_α of a 3-D robot has ten times the bound of the others, because law (17) divides
         it by cos β; at the bound it saturates.
         """
-        return np.array(self.model.bounds(self))
+        return np.array(self.model.bounds(self), dtype=np.float64)
 
     @cached_property
     def observation_layout(self) -> ObservationLayout:
@@ -254,46 +270,36 @@ class Scenario:
     # ---- checks -------------------------------------------------------------------------------
 
     def _refuse(self, field: str, wanted: str) -> None:
-        raise ValueError(f"{field} is {getattr(self, field)!r}; it must be {wanted}")
+        checks.refuse(field, getattr(self, field), wanted)
+
+    def _keep(self, field: str, value: Any) -> None:
+        object.__setattr__(self, field, value)
 
     def _check_team(self) -> None:
-        for field, least in (("n_robots", 2), ("dim", 2)):
-            value = getattr(self, field)
-            if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
-                self._refuse(field, f"a whole number, {least} or more")
-            object.__setattr__(self, field, int(value))
-        if self.dim not in (2, 3):
+        self._keep("n_robots", checks.whole("n_robots", self.n_robots, 2, MOST_ROBOTS))
+        if not is_whole(self.dim) or self.dim not in (2, 3):
             self._refuse("dim", "2 or 3")
-        if self.robot_model not in ROBOT_MODELS:
-            self._refuse("robot_model", _one_of(ROBOT_MODELS))
+        self._keep("dim", int(self.dim))
+        checks.choice("robot_model", self.robot_model, ROBOT_MODELS)
         if self.dim not in self.model.dims:
-            fitting = [model.name for model in ROBOT_MODELS.values() if self.dim in model.dims]
-            self._refuse("robot_model", f"{_one_of(fitting)} where dim is {self.dim}")
+            fitting = [repr(m.name) for m in ROBOT_MODELS.values() if self.dim in m.dims]
+            self._refuse("robot_model", f"one of {', '.join(fitting)} where dim is {self.dim}")
 
     def _check_numbers(self) -> None:
-        required = ("merge_radius", "time_limit", "obstacle_range", "spawn_size")
-        optional = ("time_step", "max_speed", "max_turn_rate", "max_acceleration")
-        for field in required + optional:
+        for field, unit in _UNITS.items():
             value = getattr(self, field)
-            if value is None and field in optional:
-                continue
-            if not _is_real(value) or not (math.isfinite(value) and value > 0):
-                self._refuse(field, "a positive, finite number")
-            object.__setattr__(self, field, float(value))
+            if value is not None or field not in _MAY_BE_NONE:
+                self._keep(field, checks.positive(field, value, unit))
 
     def _check_choices(self) -> None:
-        choices = {
-            "obstacle_contact": CONTACT_MODES,
-            "local_frames": LOCAL_FRAMES,
-            "on_merge": ON_MERGE,
-            "require_connected": (True, False),
-            "allow_long_step": (True, False),
-        }
-        for field, allowed in choices.items():
-            if getattr(self, field) not in allowed:
-                self._refuse(field, _one_of(allowed))
-        if not isinstance(self.name, str) or not self.name:
-            self._refuse("name", "a word")
+        checks.choice("obstacle_contact", self.obstacle_contact, CONTACT_MODES)
+        checks.choice("local_frames", self.local_frames, LOCAL_FRAMES)
+        checks.choice("on_merge", self.on_merge, ON_MERGE)
+        for field in ("require_connected", "allow_long_step"):
+            self._keep(field, checks.flag(field, getattr(self, field)))
+        name = self.name
+        if not isinstance(name, str) or not 0 < len(name) <= LONGEST_NAME or not name.isprintable():
+            self._refuse("name", f"a word of at most {LONGEST_NAME} printable characters")
         if not isinstance(self.reward, RewardWeights):
             self._refuse("reward", "a RewardWeights")
 
@@ -307,19 +313,29 @@ class Scenario:
                 f"graph is not connected: it falls into {listed}, which can never meet "
                 "(theorem 1); join them by an edge, or pass require_connected=False"
             )
-        slots = self.neighbour_slots
         most = self.n_robots - 1
-        if slots is not None and (not _is_whole(slots) or not 1 <= slots <= most):
+        if self.neighbour_slots is not None and not (
+            is_whole(self.neighbour_slots) and 1 <= self.neighbour_slots <= most
+        ):
             self._refuse(
                 "neighbour_slots", f"None or a whole number from 1 to n_robots - 1 = {most}"
             )
 
+    def _check_slots(self, field: str, least: int, most: int, meaning: str) -> None:
+        slots = getattr(self, field)
+        if slots is None:
+            return
+        if not is_whole(slots) or not least <= slots <= most:
+            self._refuse(field, f"None or at least {meaning} {least}, and at most {most}")
+        self._keep(field, int(slots))
+
     def _check_obstacles(self) -> None:
         parsed = obstacles.parse(self.obstacles, self.dim)
         object.__setattr__(self, "obstacles", parsed)
-        slots, count = self.obstacle_slots, obstacles.max_count(parsed)
-        if slots is not None and (not isinstance(slots, int) or slots < count):
-            self._refuse("obstacle_slots", f"None or at least the number of obstacles, {count}")
+        count = obstacles.max_count(parsed)
+        if count > MOST_OBSTACLES:
+            raise ValueError(f"obstacles: {count} were given; at most {MOST_OBSTACLES} may be")
+        self._check_slots("obstacle_slots", count, MOST_OBSTACLES, "the number of obstacles,")
 
     def _check_starts(self) -> None:
         shapes = {"start_positions": self.dim, "start_headings": self.model.n_angles}
@@ -339,6 +355,11 @@ class Scenario:
     def _check_time_step(self) -> None:
         if self.time_step is None and not math.isfinite(self.certified_step):
             self._refuse("time_step", "given where the graph has no edge: no step is certified")
+        if self.max_steps > MOST_STEPS:
+            raise ValueError(
+                f"time_limit is {self.time_limit:g} s: {self.max_steps:.3g} steps of {self.tau:g} "
+                f"s; it must be at most {MOST_STEPS:.3g} steps"
+            )
         if not self.allow_long_step and self.tau > self.certified_step * (1 + 1e-12):
             warnings.warn(
                 f"time_step is {self.tau:.6g} s, longer than the certified step "
@@ -350,20 +371,20 @@ class Scenario:
 
 
 def check_table(field: str, value: Any, shape: tuple[int, ...]) -> NDArray[np.float64]:
-    """A finite float64 array of a shape.
+    """A float64 array of a shape, of numbers within the limits.
 
     Raises:
         ValueError: naming the field, and its shape or the robot whose entry is not finite.
     """
-    try:
-        table = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise ValueError(f"{field} must be numbers of shape {shape}: {error}") from error
+    table = np.array(checks.floats(field, value))
     if table.shape != shape:
         raise ValueError(f"{field} has shape {table.shape}; it must be {shape}")
-    if not np.isfinite(table).all():
-        at = tuple(int(k) for k in np.argwhere(~np.isfinite(table))[0])
-        raise ValueError(f"{field} of robot_{at[0]} is {table[at[0]].tolist()}; it must be finite")
+    if not (wanted := np.abs(table) <= LARGEST).all():
+        at = tuple(int(k) for k in np.argwhere(~wanted)[0])
+        raise ValueError(
+            f"{field} of robot_{at[0]} is {shown(table[at[0]].tolist())}; it must be finite, and "
+            f"from {-LARGEST:g} to {LARGEST:g}"
+        )
     return table
 
 
@@ -387,32 +408,6 @@ def check_distinct(
             f"{field}: neighbours robot_{i} and robot_{j} both stand at {positions[i].tolist()}; "
             "they must not coincide"
         )
-
-
-def nearest_word(word: str, words: Iterable[str], cutoff: float = 0.6) -> str | None:
-    """The word most like ``word``, if any is much like it."""
-    close = difflib.get_close_matches(word, list(words), n=1, cutoff=cutoff)
-    return close[0] if close else None
-
-
-def _check_keys(given: Iterable[str], known: list[str], what: str) -> None:
-    for key in given:
-        if key not in known:
-            near = nearest_word(key, known, cutoff=0.4)
-            hint = f"did you mean {near!r}?" if near else f"known are {', '.join(known)}"
-            raise ValueError(f"{what} has no field {key!r}; {hint}")
-
-
-def _one_of(choices: Iterable[Any]) -> str:
-    return "one of " + ", ".join(repr(choice) for choice in choices)
-
-
-def _is_real(value: Any) -> bool:
-    return isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
-
-
-def _is_whole(value: Any) -> bool:
-    return isinstance(value, int | np.integer) and not isinstance(value, bool)
 
 
 def _frames_to_caller() -> int:

@@ -8,8 +8,9 @@ from functools import partial
 from typing import Any
 
 from . import graphs
+from .checks import nearest_word, refuse, shown
 from .obstacles import Disc, ObstacleField, Polygon
-from .scenario import Scenario, nearest_word
+from .scenario import Scenario
 
 
 def _figure(name: str, obstacle_contact: str) -> Scenario:
@@ -99,15 +100,24 @@ def get(name: str) -> Scenario:
     Raises:
         ValueError: for an unknown name, with the nearest known one.
     """
-    if name not in _BUILDERS:
+    if not isinstance(name, str) or name not in _BUILDERS:
         near = nearest_word(name, _BUILDERS, cutoff=0.4)
-        hint = f"did you mean {near!r}?" if near else ""
-        raise ValueError(f"scenario {name!r} is unknown; {hint} known are {', '.join(_BUILDERS)}")
+        hint = f"did you mean {near!r}? " if near else ""
+        raise ValueError(
+            f"scenario {shown(name)} is unknown; {hint}known are {', '.join(_BUILDERS)}"
+        )
     return _BUILDERS[name]()
 
 
 def resolve(scenario: Scenario | str | os.PathLike[str], **overrides: Any) -> Scenario:
-    """A scenario from a Scenario, a name or the path of a TOML file, with some fields changed."""
+    """A scenario from a Scenario, a name or the path of a TOML file, with some fields changed.
+
+    Raises:
+        ValueError: for anything else, or an unknown name or field, or an impossible value.
+        FileNotFoundError: if there is no such file.
+    """
+    if not isinstance(scenario, Scenario | str | os.PathLike):
+        refuse("scenario", scenario, "a Scenario, the name of one, or the path of a TOML file")
     if not isinstance(scenario, Scenario):
         is_file = str(scenario).endswith(".toml")
         scenario = Scenario.from_toml(scenario) if is_file else get(str(scenario))

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import graphs, obstacles, packing
-from .scenario import Scenario, check_distinct, check_table, nearest_word
+from .checks import floats, mapping, nearest_word, shown
+from .scenario import Scenario, check_distinct, check_table
 
 OPTIONS = ("positions", "headings", "frames", "weights", "obstacles")
 _ROUNDING = 1e-9
@@ -42,11 +43,11 @@ def parse_options(
     Raises:
         ValueError: naming the option, its value and what would be right.
     """
-    options = dict(options or {})
+    options = as_options(options)
     for key in options:
-        near = nearest_word(str(key), OPTIONS, cutoff=0.8)
+        near = nearest_word(key, OPTIONS, cutoff=0.8)
         if key not in OPTIONS and near:
-            raise ValueError(f"options: {key!r} is not an option; did you mean {near!r}?")
+            raise ValueError(f"options: {shown(key)} is not an option; did you mean {near!r}?")
     given = StartOptions(
         positions=_positions(scenario, num_envs, options.get("positions")),
         angles=_angles(scenario, num_envs, options.get("headings")),
@@ -58,10 +59,22 @@ def parse_options(
     return given
 
 
+def as_options(options: Any) -> dict[Any, Any]:
+    """Options as a dict of their own; None is none.
+
+    Raises:
+        ValueError: if they are no mapping.
+    """
+    if options is None:
+        return {}
+    return dict(mapping("options", options, f"None or a dict; it may hold {', '.join(OPTIONS)}"))
+
+
 def _table(field: str, value: Any, shape: tuple[int, ...], num_envs: int) -> NDArray[np.float64]:
     """(1, …) from one table for all teams, or (B, …) from one for each."""
-    batched = np.ndim(value) == len(shape) + 1
-    checked = check_table(field, value, (num_envs, *shape) if batched else shape)
+    array = floats(field, value)
+    batched = array.ndim == len(shape) + 1
+    checked = check_table(field, array, (num_envs, *shape) if batched else shape)
     return checked if batched else checked[None]
 
 
@@ -77,7 +90,7 @@ def _angles(scenario: Scenario, num_envs: int, value: Any) -> NDArray[np.float64
     n, width = scenario.n_robots, scenario.model.n_angles
     if width == 0:
         raise ValueError('headings: single integrators have none; give "frames" instead')
-    array = np.asarray(value, dtype=np.float64)
+    array = floats("headings", value)
     if width == 1 and array.shape in ((n,), (num_envs, n)):
         array = array[..., None]
     return _table("headings", array, (n, width), num_envs)
@@ -95,7 +108,7 @@ def _frames(scenario: Scenario, num_envs: int, value: Any) -> NDArray[np.float64
     gram = np.swapaxes(frames, -1, -2) @ frames
     wrong = (np.abs(gram - np.eye(d)).max(axis=(-2, -1)) > _ROUNDING) | (np.linalg.det(frames) < 0)
     for team, robot in np.argwhere(wrong):
-        matrix = frames[team, robot].tolist()
+        matrix = shown(frames[team, robot].tolist())
         raise ValueError(f"frames: that of robot_{robot} is {matrix}; it must be a rotation")
     return frames
 
@@ -104,10 +117,10 @@ def _weights(scenario: Scenario, num_envs: int, value: Any) -> NDArray[np.float6
     if value is None:
         return None
     n = scenario.n_robots
-    weights = np.asarray(value, dtype=np.float64)
-    weights = weights[None] if weights.ndim == 2 else weights
+    given = floats("weights", value)
+    weights = given[None] if given.ndim == 2 else given
     if weights.shape not in ((1, n, n), (num_envs, n, n)):
-        raise ValueError(f"weights have shape {np.shape(value)}; they must be {(n, n)}")
+        raise ValueError(f"weights have shape {given.shape}; they must be {(n, n)}")
     for matrix in weights:
         graphs.check_weights(matrix, n, "weights")
         _check_within(scenario, matrix)

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..compilation import kernel
 from ..equations.vectors import X_AXIS, combine, dot, load, split, without
+from ..experiment.checks import floats, real, shown
 
 NO_CAP = -2.0
 """A margin that every heading keeps."""
@@ -105,15 +106,16 @@ def certified_heading(
         ValueError: naming an argument out of range, of the wrong shape, or not finite.
     """
     check_gate_constants(min_alignment, dead_zone)
-    if not max_turn > 0:
-        raise ValueError(f"max_turn is {max_turn!r}; it must be positive (rad)")
+    if not real(max_turn) > 0:
+        raise ValueError(f"max_turn is {shown(max_turn)}; it must be positive (rad)")
     f = check_vectors("net_bearing", net_bearing)
     q = check_vectors("raw", raw, like=f)
     h = check_vectors("previous", previous, like=f)
     out = np.empty_like(f)
     d = f.shape[-1]
     flat = (q.reshape(-1, d), f.reshape(-1, d), h.reshape(-1, d))
-    certify(*flat, float(min_alignment), float(dead_zone), float(max_turn), out.reshape(-1, d))
+    turn = real(max_turn) if real(max_turn) < math.pi else math.inf
+    certify(*flat, float(min_alignment), float(dead_zone), turn, out.reshape(-1, d))
     return out
 
 
@@ -123,12 +125,12 @@ def check_gate_constants(min_alignment: float, dead_zone: float) -> None:
     Raises:
         ValueError: naming the constant and its value.
     """
-    if not 0 < min_alignment < 1:
+    if not 0 < real(min_alignment) < 1:
         raise ValueError(
-            f"min_alignment is {min_alignment!r}; it must lie between 0 and 1, exclusive"
+            f"min_alignment is {shown(min_alignment)}; it must lie between 0 and 1, exclusive"
         )
-    if not 0 < dead_zone < math.inf:
-        raise ValueError(f"dead_zone is {dead_zone!r}; it must be positive and finite (m/s)")
+    if not 0 < real(dead_zone) < math.inf:
+        raise ValueError(f"dead_zone is {shown(dead_zone)}; it must be positive and finite (m/s)")
 
 
 def check_vectors(
@@ -144,14 +146,14 @@ def check_vectors(
     Raises:
         ValueError: naming the argument, and its shape or that it is not finite.
     """
-    vectors = np.ascontiguousarray(value, dtype=np.float64)
+    vectors = floats(name, value)
     if like is not None and vectors.shape != like.shape:
         raise ValueError(f"{name} has shape {vectors.shape}; net_bearing has {like.shape}")
-    if vectors.ndim == 0 or np.shape(value)[-1:] not in ((2,), (3,)):
-        raise ValueError(f"{name} has shape {np.shape(value)}; it must be (..., 2) or (..., 3)")
+    if vectors.shape[-1:] not in ((2,), (3,)):
+        raise ValueError(f"{name} has shape {vectors.shape}; it must be (..., 2) or (..., 3)")
     if not np.isfinite(vectors).all():
         raise ValueError(f"{name} must be finite")
-    return vectors
+    return np.ascontiguousarray(vectors)
 
 
 # One implementation for the plane and for space: a vector of the plane has z = 0 and keeps it.

@@ -13,6 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..equations.potential import lyapunov_of_links, net_bearings_of_links
+from ..experiment.checks import floats, real, refuse, shown
+from ..experiment.limits import LARGEST
 from ..experiment.scenario import Scenario
 
 Array = NDArray[np.float64]
@@ -111,9 +113,12 @@ def time_bound(
     Raises:
         ValueError: if ``min_alignment`` is not in (0, 1].
     """
-    if not 0 < min_alignment <= 1:
-        raise ValueError(f"min_alignment is {min_alignment}; it must be in (0, 1]")
-    initial = np.asarray(initial_lyapunov, dtype=np.float64)
+    if not 0 < real(min_alignment) <= 1:
+        raise ValueError(f"min_alignment is {shown(min_alignment)}; it must be in (0, 1]")
+    _check_scenario(scenario)
+    initial = floats("initial_lyapunov", initial_lyapunov)
+    if not (np.isfinite(initial) & (initial >= 0)).all():
+        refuse("initial_lyapunov", initial_lyapunov, "finite and at least 0 m²/s")
     if not covered(scenario):
         return np.full(initial.shape, np.inf)
     n, a = scenario.n_robots, scenario.bottleneck_weight
@@ -140,9 +145,12 @@ def smallest_enclosing_ball(points: ArrayLike) -> tuple[Array, float]:
     Raises:
         ValueError: if there is no point or one is not finite.
     """
-    p = np.asarray(points, dtype=np.float64)
-    if p.ndim != 2 or len(p) == 0 or not np.isfinite(p).all():
-        raise ValueError(f"points have shape {p.shape}; they must be finite and (N, d) with N >= 1")
+    p = floats("points", points)
+    if p.ndim != 2 or p.size == 0 or not (np.abs(p) <= LARGEST).all():
+        raise ValueError(
+            f"points have shape {p.shape}; they must be finite, within {LARGEST:g} m, and (N, d) "
+            "with N >= 1"
+        )
     centre, square = _enclose(p, len(p), [])
     return centre, math.sqrt(square)
 
@@ -192,6 +200,7 @@ def certificate(scenario: Scenario, min_alignment: float = 1.0) -> Certificate:
     Raises:
         ValueError: if ``min_alignment`` is not in (0, 1].
     """
+    _check_scenario(scenario)
     bound = float(time_bound(scenario, _largest_lyapunov(scenario), min_alignment=min_alignment))
     guaranteed, theorem = _which_theorem(scenario, min_alignment)
     return Certificate(
@@ -238,6 +247,11 @@ def _which_theorem(scenario: Scenario, min_alignment: float) -> tuple[bool, str]
     )
 
 
+def _check_scenario(scenario: Any) -> None:
+    if not isinstance(scenario, Scenario):
+        refuse("scenario", scenario, "a Scenario; scenarios.resolve() takes names and files")
+
+
 def _connected(scenario: Scenario) -> bool:
     return len(scenario.sensing_graph.components(scenario.n_robots)) == 1
 
@@ -258,8 +272,7 @@ def _links(weights: Array) -> tuple[Any, Any, Any]:
 
 
 def _teams(positions: ArrayLike, weights: ArrayLike) -> tuple[Array, Array]:
-    p = np.asarray(positions, dtype=np.float64)
-    a = np.asarray(weights, dtype=np.float64)
+    p, a = floats("positions", positions), floats("weights", weights)
     if p.ndim < 2 or a.shape[-2:] != (p.shape[-2],) * 2:
         raise ValueError(
             f"positions {p.shape} and weights {a.shape} must be (..., n, d) and (..., n, n)"

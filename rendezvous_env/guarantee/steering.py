@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,17 +16,29 @@ from numpy.typing import ArrayLike, NDArray
 from ..compilation import inlined_kernel, kernel
 from ..engine import threads
 from ..engine.sharing import Part, Share, begin, end, take
+from ..engine.state_checks import (
+    check_entries,
+    check_finite,
+    check_mask,
+    check_observations,
+    check_rotations,
+)
 from ..equations.vectors import combine, dot, load, split, without
+from ..experiment.checks import choice, flag, floats, positive, shown, whole
+from ..experiment.limits import MOST_TEAMS
 from ..experiment.scenario import Scenario
 from .heading import certify_one, check_gate_constants, scale_of_step, step_scale, turn_limit
 from .turning import gate_2d, gate_3d, mean_body_axis_2d, mean_body_axis_3d
 
 FRAMES = ("net_bearing", "local")
+_LARGEST_FLOAT32 = float(np.finfo(np.float32).max)
 _ROBOTS_PER_THREAD = 2048
 _TEAMS = 32
 """That a thread takes at a time."""
 _NEARLY_ALONG = 1e-6
 """A row whose part across f is shorter than this cannot give a frame its second axis, m/s."""
+_ROUNDING = 1e-6
+"""So far from a rotation may a frame be that was put back."""
 _CLEARLY_LONGER = 1.001
 """Rounding must not choose among equal rows: two neighbours' parts across f always are."""
 
@@ -55,6 +67,7 @@ class Steering:
         frame: "net_bearing" (x along f; single integrators only, the other models keep the body
             frame) or "local".
         certified: False lets the raw vector through: law (4) bare, without margin or gate.
+        num_threads: most threads that may be used; None is one for each core.
 
     Raises:
         ValueError: naming the argument, its value and what would be right.
@@ -69,13 +82,15 @@ class Steering:
         max_turn_rate: float = 3.0,
         frame: str = "net_bearing",
         certified: bool = True,
+        num_threads: int | None = None,
     ) -> None:
         dead_zone = scenario.dead_zone if scenario.dead_zone > 0 else 1.0
         check_gate_constants(min_alignment, dead_zone)
-        if not 0 < max_turn_rate < math.inf:
-            raise ValueError(f"max_turn_rate is {max_turn_rate!r}; it must be positive (rad/s)")
-        if frame not in FRAMES:
-            raise ValueError(f"frame is {frame!r}; it must be one of {FRAMES}")
+        max_turn_rate = positive("max_turn_rate", max_turn_rate, "rad/s")
+        choice("frame", frame, FRAMES)
+        flag("certified", certified)
+        if num_threads is not None:
+            num_threads = whole("num_threads", num_threads, 1, MOST_TEAMS)
         self.scenario = scenario
         self.turns_body = scenario.model.nonholonomic
         self.along_net_bearing = frame == "net_bearing" and not self.turns_body
@@ -92,6 +107,8 @@ class Steering:
             long_step=scenario.tau > scenario.certified_step,
         )
         n, d = scenario.n_robots, scenario.dim
+        self._num_threads = num_threads
+        self._seen = (num_envs, n, *scenario.observation_layout.shape)
         self._headings = np.zeros((num_envs, n, d))
         self._frames = np.tile(np.eye(d), (num_envs, n, 1, 1))
         self._held = np.zeros((num_envs, n, self.action_size))
@@ -111,8 +128,12 @@ class Steering:
         return self._headings.copy()
 
     def forget(self, mask: NDArray[np.bool_] | None = None) -> None:
-        """Forget everything about all teams, or about those of a mask (B,)."""
-        which = slice(None) if mask is None else mask
+        """Forget everything about all teams, or about those of a mask (B,).
+
+        Raises:
+            ValueError: for a bad mask; nothing has changed then.
+        """
+        which = slice(None) if mask is None else check_mask(mask, len(self._held))
         self._headings[which] = 0.0
         self._frames[which] = np.eye(self.scenario.dim)
         self._held[which] = 0.0
@@ -127,7 +148,11 @@ class Steering:
 
         Returns:
             Of the same shape; with x along f where that is asked for, unchanged otherwise.
+
+        Raises:
+            ValueError: for observations of another shape or type; nothing has changed then.
         """
+        observations = check_observations(observations, self._seen)
         if not self.along_net_bearing:
             return observations
         seen = np.empty_like(observations)
@@ -147,16 +172,16 @@ class Steering:
         Raises:
             ValueError: for a wrong shape, or naming the robot whose vector is not finite.
         """
-        vectors = np.asarray(raw, dtype=np.float64)
+        vectors = floats("actions", raw)
         if vectors.shape != self._held.shape:
             raise ValueError(
                 f"actions have shape {vectors.shape}; they must be (B, n, k) = {self._held.shape}"
             )
-        if not np.isfinite(vectors).all():
-            team, robot, _ = (int(k) for k in np.argwhere(~np.isfinite(vectors))[0])
+        if not (finite := np.abs(vectors) <= _LARGEST_FLOAT32).all():
+            team, robot, _ = (int(k) for k in np.argwhere(~finite)[0])
             raise ValueError(
-                f"action of robot_{robot} in team {team} is {vectors[team, robot].tolist()}; "
-                "it must be finite"
+                f"action of robot_{robot} in team {team} is "
+                f"{shown(vectors[team, robot].tolist())}; it must be finite, in float32"
             )
         if self.along_net_bearing:
             vectors = np.einsum("bnij,bnj->bni", self._frames, vectors)
@@ -170,7 +195,11 @@ class Steering:
 
         Returns:
             (B, n, a) float32; zero for robots that see no neighbour.
+
+        Raises:
+            ValueError: for observations of another shape or type; nothing has changed then.
         """
+        observations = check_observations(observations, self._seen)
         shape = (*self._held.shape[:2], self.scenario.action_size)
         actions = np.zeros(shape, dtype=np.float32)
         if self.turns_body:
@@ -224,8 +253,10 @@ class Steering:
     def _over_teams(self, run_kernel: Callable[[Part], bool]) -> None:
         """Run a kernel over the batch, on as many threads as are worth their cost."""
         teams, n = self._held.shape[:2]
-        most = max(1, min(threads.available_cores(), teams * n // _ROBOTS_PER_THREAD))
-        threads.share(run_kernel, -(-teams // _TEAMS), most)
+        most = teams * n // _ROBOTS_PER_THREAD
+        if most > 1:  # to ask how many cores there are takes a while
+            most = min(most, threads.most_threads(self._num_threads))
+        threads.share(run_kernel, -(-teams // _TEAMS), max(1, most))
 
     def get_state(self) -> dict[str, NDArray[np.float64]]:
         """The memory: headings, frames and held raw vectors, as copies."""
@@ -239,14 +270,23 @@ class Steering:
         """Put back what ``get_state`` took out.
 
         Raises:
-            ValueError: naming a missing entry or one of another shape; nothing has changed then.
+            ValueError: naming what does not fit, see ``check_state``; nothing has changed then.
         """
-        own = {"headings": self._headings, "frames": self._frames, "held": self._held}
-        for name, array in own.items():
-            if name not in state or np.shape(state[name]) != array.shape:
-                raise ValueError(f"state: {name} must be an array of shape {array.shape}")
-        for name, array in own.items():
-            array[...] = state[name]
+        checked = self.check_state(state)
+        self._headings[...], self._frames[...] = checked["headings"], checked["frames"]
+        self._held[...] = checked["held"]
+
+    def check_state(self, state: Any) -> dict[str, NDArray[Any]]:
+        """The arrays of a state that ``set_state`` would put back.
+
+        Raises:
+            ValueError: naming an entry that is missing, of another shape or not finite, or a frame
+                that is no rotation.
+        """
+        checked = check_entries(self.get_state(), state)
+        check_finite(checked, tuple(checked))
+        check_rotations(checked, np.ones(len(self._held), np.bool_), _ROUNDING)
+        return checked
 
 
 @inlined_kernel

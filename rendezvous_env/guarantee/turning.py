@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..compilation import kernel
 from ..equations.arcs import arc_3d, clip, mean_cos_sin
 from ..equations.vectors import dot, load
+from ..experiment.checks import floats, positive, shown
 from .heading import check_gate_constants, check_vectors
 
 SMALLEST_COSINE = 1e-9
@@ -118,9 +119,13 @@ def gated_turn_rate(
         raise ValueError(
             f"pitch must be {'left out' if d == 2 else 'given'} where net_bearing is {d}-D"
         )
-    limits = np.array(np.broadcast_to(max_rate, (d - 1,)), dtype=np.float64)
-    if not (0 < duration < math.inf and (limits > 0).all()):
-        raise ValueError(f"duration {duration!r} and max_rate {max_rate!r} must be positive")
+    limits = floats("max_rate", max_rate)
+    if limits.shape not in ((), (1,), (d - 1,)) or not (limits > 0).all():
+        raise ValueError(
+            f"max_rate is {shown(max_rate)}; it must be positive, one number or {d - 1} (rad/s)"
+        )
+    limits = np.array(np.broadcast_to(limits, (d - 1,)))
+    duration = positive("duration", duration, "s")
     out = np.empty_like(rates)
     constants = (float(min_alignment), float(dead_zone), float(duration))
     flat = (rates.reshape(-1, d - 1), f.reshape(-1, d))
@@ -133,14 +138,14 @@ def gated_turn_rate(
 
 
 def _checked(name: str, value: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.float64]:
-    array = np.ascontiguousarray(value, dtype=np.float64).reshape(np.shape(value))
+    array = floats(name, value)
     if array.shape != shape:
         raise ValueError(
             f"{name} has shape {array.shape}; with this net_bearing it must be {shape}"
         )
     if not np.isfinite(array).all():
         raise ValueError(f"{name} must be finite")
-    return array
+    return np.ascontiguousarray(array).reshape(shape)
 
 
 @kernel

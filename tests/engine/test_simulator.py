@@ -558,7 +558,7 @@ BAD_OPTIONS = {
         r"positions has shape \(7, 5, 2\); it must be \(3, 5, 2\)"),
     "positions-nan": ("single_integrator-2d", {"positions": _bad("positions", (3, 1), np.nan)},
         r"positions of robot_3 is \[.*nan\]; it must be finite"),
-    "positions-text": ("unicycle", {"positions": "here"}, "positions must be numbers"),
+    "positions-text": ("unicycle", {"positions": "here"}, "positions is .*must be numbers"),
     "positions-coincide": ("unicycle", {"positions": np.zeros((5, 2))},
         "neighbours robot_0 and robot_1 both stand at"),
     "headings-none": ("single_integrator-2d", {"headings": np.zeros(5)},
@@ -628,8 +628,8 @@ def test_bad_seeds_and_masks_are_refused_and_change_nothing():
     before = sim.get_state()
     for seed, message in (
         (-1, "seed -1 must be"),
-        (1.5, "seed has 1 entries"),
-        (True, "seed has 1 entries"),
+        (1.5, "seed 1.5 must be a whole number"),
+        (True, "seed True must be a whole number"),
         ([1, 2], "seed has 2 entries; it must be one number, or 3"),
         ([1, 2, -3], "seed -3 must be a whole number"),
         ([1, 2, "x"], "seed 'x' must be a whole number"),

@@ -3,16 +3,32 @@
 from __future__ import annotations
 
 import gc
+import platform
+import signal
 import threading
 import time
 import weakref
 
+import numba
 import numpy as np
 import pytest
 
+import rendezvous_env as rv
+from rendezvous_env import Simulator, simulator
 from rendezvous_env.compilation import kernel
 from rendezvous_env.engine import threads
-from rendezvous_env.engine.sharing import DONE, Share, begin, end, take
+from rendezvous_env.engine.sharing import (
+    DONE,
+    Share,
+    begin,
+    end,
+    look_in_vain,
+    new_counters,
+    pause,
+    take,
+)
+from rendezvous_env.guarantee import steering
+from rendezvous_env.vector import HeadingVectorWrapper
 
 
 @kernel
@@ -125,6 +141,147 @@ def test_what_a_helper_raises_reaches_the_caller():
     with pytest.raises(KeyError, match="a block"):
         share_slowly(run, 8, 2)
     np.testing.assert_array_equal(marked(8, 2), 1.0)  # and the pool still works
+
+
+@pytest.mark.parametrize("moment", ["before", "after", "again"])
+@pytest.mark.parametrize("most", [2, 4])
+def test_an_interrupted_job_ends_for_all_before_the_caller_leaves(moment, most):
+    """Wherever the interrupt comes: helpers may already be at work, and would go on."""
+    left = {"before": 1, "after": 1, "again": 3}[moment]
+    marks = np.zeros(64)
+
+    def run_kernel(part):
+        nonlocal left
+        interrupted = is_caller() and left > 0
+        left -= interrupted
+        if interrupted and moment != "after":
+            time.sleep(0.002)  # helpers begin
+            raise KeyboardInterrupt
+        done = mark(part, marks, 20_000)
+        if interrupted:
+            raise KeyboardInterrupt
+        return done
+
+    for _ in range(10):
+        left, marks[:] = (1 if moment != "again" else 3), 0.0
+        with pytest.raises(KeyboardInterrupt):
+            threads.share(run_kernel, 64, most)
+        seen = marks.copy()
+        time.sleep(0.01)
+        np.testing.assert_array_equal(seen, 1.0)
+        np.testing.assert_array_equal(marks, 1.0)
+        np.testing.assert_array_equal(marked(9, most), 1.0)  # and the pool still works
+
+
+def test_an_interrupted_job_is_done_though_no_helper_has_begun():
+    """All are busy elsewhere, and the interrupts come one after another."""
+    release, left = threading.Event(), 3
+    hold = threads._Job(lambda _: release.wait(20))
+    threads._ensure_workers(1)
+    for _ in threads._workers:
+        threads._jobs.put((hold, None))
+    marks = np.zeros(9)
+
+    def run_kernel(part):
+        nonlocal left
+        left -= 1
+        if left >= 0:
+            raise KeyboardInterrupt
+        return mark(part, marks, 0)
+
+    with pytest.raises(KeyboardInterrupt):
+        threads.share(run_kernel, 9, 2)
+    np.testing.assert_array_equal(marks, 1.0)
+    release.set()
+
+
+def test_when_the_caller_fails_helpers_come_to_their_end():
+    """Its blocks are lost, but nobody writes any more."""
+    both, written = threading.Barrier(2, timeout=20), []
+
+    def run(block):
+        if block in (0, 8):
+            both.wait()
+        if is_caller():
+            raise KeyError("a block")
+        time.sleep(0.02)
+        written.append(block)
+
+    with pytest.raises(KeyError, match="a block"):
+        share_slowly(run, 16, 2)
+    seen = list(written)
+    time.sleep(0.1)
+    assert seen == written and len(seen) >= 1
+
+
+@pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="needs timers")
+def test_an_interrupted_step_is_one_for_all_teams_or_none(monkeypatch):
+    """Interrupts by a timer, as Ctrl-C sends them, at all moments of a step of four threads."""
+    monkeypatch.setattr(simulator, "_WORK_PER_THREAD", 1)
+    sim = Simulator(rv.scenarios.get("swarm-20").replace(time_limit=1e4), 256, num_threads=4)
+    sim.reset(0)
+    actions = np.full((256, 20, 2), 1e-3, np.float32)
+    sim.step(actions)
+    assert sim._width == 4
+
+    def interrupt(*_):
+        raise KeyboardInterrupt
+
+    before, interrupts = signal.signal(signal.SIGALRM, interrupt), 0
+    random = np.random.default_rng(0)
+    try:
+        for _ in range(300):
+            try:
+                signal.setitimer(signal.ITIMER_REAL, random.uniform(1e-4, 5e-3))
+                for _ in range(100):
+                    sim.step(actions)
+            except KeyboardInterrupt:
+                interrupts += 1
+                steps, positions = sim.steps, sim.positions
+                assert (steps == steps[0]).all()
+                time.sleep(1e-3)
+                np.testing.assert_array_equal(sim.positions, positions)
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, before)
+    assert interrupts > 100
+    sim.step(actions)
+    assert sim.all_running
+
+
+def test_a_waiting_thread_looks_for_a_tenth_of_a_millisecond():
+    counters = new_counters(1)
+    took = []
+    for _ in range(20):
+        start = time.perf_counter()
+        assert look_in_vain(counters, threads._looks()) == threads._looks()
+        took.append(time.perf_counter() - start)
+    assert 0.2e-4 < min(took) < 5e-4
+    counters[0] = 1
+    assert look_in_vain(counters, 10**12) == 0
+
+
+@pytest.mark.skipif(platform.machine() != "x86_64", reason="the instruction has another name")
+def test_a_waiting_thread_pauses():
+    """Without it a waiting thread takes the other one of its core half of what that could do."""
+
+    @numba.njit
+    def wait():
+        pause()
+
+    wait()
+    assert "pause" in "".join(wait.inspect_asm().values())
+
+
+def test_steering_uses_no_more_threads_than_it_may(monkeypatch):
+    used = []
+    monkeypatch.setattr(steering, "_ROBOTS_PER_THREAD", 1)
+    monkeypatch.setattr(threads, "available_cores", lambda: 3)
+    monkeypatch.setattr(threads, "share", lambda run, blocks, most: used.append(most))
+    for num_threads in (None, 1, 2):
+        venv = HeadingVectorWrapper(rv.make_vec("fig3", 64, num_threads=num_threads))
+        venv.reset(seed=0)
+    assert used == [3, 1, 2]
 
 
 def test_what_the_caller_raises_is_raised():

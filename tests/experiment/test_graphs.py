@@ -90,6 +90,11 @@ def test_plain_data_gives_an_equal_graph(graph):
     assert graphs.parse(graph) is graph
 
 
+def test_a_probability_that_counts_for_nothing_is_kept_too():
+    graph = graphs.Graph("complete", probability=1.0)
+    assert graphs.parse(graph.to_plain()) == graph
+
+
 # ---- worst cases --------------------------------------------------------------------------------
 
 
@@ -174,3 +179,8 @@ def test_a_range_of_weights_on_a_fixed_graph_is_drawn_for_every_episode():
     sim.reset()
     assert (first > 0).tolist() == (sim.weights > 0).tolist()
     assert not np.any((first == sim.weights) & (first > 0))
+
+
+@pytest.mark.parametrize("weight", [1e-9, 1e-8, 3e-8, 1e9])
+def test_the_bottleneck_of_weak_links_is_not_lost(weight):
+    assert graphs.bottleneck_weight(weight * UNEQUAL) == weight * 0.9

@@ -73,6 +73,27 @@ class TestValidation:
         assert hash(Disc([1, 2], 3)) == hash(Disc((1.0, 2.0), 3.0))
         assert len({Polygon(TRIANGLE), Polygon([list(v) for v in TRIANGLE]), FIELD, FIELD}) == 2
 
+    def test_rounding_makes_no_polygon_concave(self):
+        """Long, thin and turned: the area of such a rectangle is known to fewer digits."""
+        long = np.array([(-1000.0, -0.005), (1000.0, -0.005), (1000.0, 0.005), (-1000.0, 0.005)])
+        along = np.array([(-1.0, -1.0), (0.3, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)])
+        rng = np.random.default_rng(0)
+        for k in range(300):
+            angle = 0.3 if k == 0 else rng.uniform(-math.pi, math.pi)
+            turn = np.array(
+                [(math.cos(angle), -math.sin(angle)), (math.sin(angle), math.cos(angle))]
+            )
+            size, away = 10.0 ** rng.uniform(-2, 4, 2), rng.normal(0, 1000, 2)
+            for corners in (long, along * size):  # the second with a corner on a straight edge
+                Polygon(corners @ turn.T)
+                Polygon(corners @ turn.T + away)
+
+    @pytest.mark.parametrize("scale", [1e-2, 1.0, 1e3])
+    def test_a_small_dent_is_not_taken_for_rounding(self, scale):
+        corners = np.array([(0.0, 0.0), (1.0, 1e-10), (2.0, 0.0), (2.0, 1.0), (0.0, 1.0)])
+        with pytest.raises(ValueError, match="not convex"):
+            Polygon(scale * corners)
+
     def test_centroid_equals_shapely(self):
         rng = np.random.default_rng(0)
         for _ in range(100):

@@ -278,7 +278,7 @@ def any_scenario(draw) -> Scenario:
     solids = [(), field, (disc, TRIANGLE) if dim == 2 else (sphere,)]
     headings = draw(st.none() | st.just([[0.1 * i] * (dim - 1) for i in range(n)]))
     return Scenario(
-        name=draw(st.text(st.characters(exclude_categories=["Cs"]), min_size=1)),
+        name=draw(st.text(min_size=1, max_size=255).filter(str.isprintable)),
         n_robots=n,
         dim=dim,
         robot_model=model,

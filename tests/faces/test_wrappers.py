@@ -499,7 +499,7 @@ def test_single_integrators_meet_within_the_bound_whatever_the_policy():
         ({"decision_period": 2.0}, "decision_period is 2.0"),
         ({"decision_period": True}, "decision_period is True"),
         ({"frame": "global"}, "frame is 'global'; it must be one of"),
-        ({"max_turn_rate": 0.0}, "max_turn_rate is 0.0; it must be positive"),
+        ({"max_turn_rate": 0.0}, "max_turn_rate is 0.0; it must be a positive"),
         ({"max_turn_rate": float("inf")}, "max_turn_rate is inf"),
     ],
 )

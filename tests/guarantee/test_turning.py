@@ -170,8 +170,8 @@ def test_gate_batches_and_limits():
         ({"requested": [[np.inf], [0.0]]}, "requested must be finite"),
         ({"pitch": np.zeros(2)}, "pitch must be left out"),
         ({"min_alignment": 1.5}, "min_alignment is 1.5"),
-        ({"duration": 0.0}, "duration 0.0"),
-        ({"max_rate": -1.0}, "max_rate -1.0"),
+        ({"duration": 0.0}, "duration is 0.0"),
+        ({"max_rate": -1.0}, "max_rate is -1.0"),
     ],
 )
 def test_gate_refusals_name_the_argument(change, message):

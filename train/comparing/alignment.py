@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rendezvous_env.compilation import kernel
+from rendezvous_env.engine.state_checks import check_mask, check_numbers, check_observations
 from rendezvous_env.experiment.scenario import Scenario
 from rendezvous_env.trajectory import Step
 
@@ -24,12 +25,20 @@ def alignments(scenario: Scenario, step: Step) -> NDArray[np.float64]:
 
     Returns:
         (B, n), in [0, 1].
+
+    Raises:
+        ValueError: for a step of other robots.
     """
+    n, layout = scenario.n_robots, scenario.observation_layout
+    shape = (len(step.running), n, *layout.shape)
+    observations = check_observations(step.observations, shape)
+    acted = (*shape[:2], scenario.action_size)
+    actions = check_numbers("actions", step.actions, acted, "(B, n, a)")
+    running = check_mask(step.running, shape[0])
     least = max(2.0 * scenario.dead_zone, 1e-12)
-    slots = scenario.observation_layout.neighbour_slots
-    along_x = scenario.model.nonholonomic
-    out = np.empty(step.actions.shape[:2])
-    _batch_alignments(step.observations, step.actions, step.running, slots, along_x, least, out)
+    slots, along_x = layout.neighbour_slots, scenario.model.nonholonomic
+    out = np.empty(shape[:2])
+    _batch_alignments(observations, actions, running, slots, along_x, least, out)
     return out
 
 

@@ -142,7 +142,7 @@ class LearnedPolicy:
         if mask is None:
             self._leading = None
         elif self._leading is not None:
-            which = np.broadcast_to(mask, self._leading).reshape(-1)
+            which = np.broadcast_to(np.asarray(mask, dtype=bool), self._leading).reshape(-1)
             self._steering.forget(which)
             self._perception.forget(which)
             self._wait[which] = 0

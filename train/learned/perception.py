@@ -15,6 +15,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from baselines.silhouettes import TWO_PI, joined_interval_2d
 from rendezvous_env.compilation import allocating_kernel, kernel
+from rendezvous_env.engine.state_checks import (
+    check_entries,
+    check_finite,
+    check_mask,
+    check_numbers,
+    check_observations,
+)
 from rendezvous_env.experiment.scenario import Scenario
 from rendezvous_env.guarantee.heading import scale_of_step
 
@@ -144,6 +151,7 @@ class Perception:
             speed_limit=float(scenario.speed_limit),
         )
         robots = num_envs, scenario.n_robots
+        self._seen = (*robots, *rows.shape)
         self._memory = Memory(
             edges=np.zeros((*robots, rows.obstacle_slots, 2, 2)),
             towards=np.zeros((*robots, 2)),
@@ -166,16 +174,28 @@ class Perception:
 
         Returns:
             (B, n, layout.size); zeros for a robot without neighbours.
+
+        Raises:
+            ValueError: for arrays of another shape or type; nothing has changed then.
         """
-        teams = np.arange(len(observations)) if which is None else np.flatnonzero(which)
+        observations = check_observations(observations, self._seen)
+        headings = check_numbers("headings", headings, self._memory.towards.shape, "(B, n, 2)")
+        teams = np.arange(len(observations))
+        if which is not None:
+            teams = np.flatnonzero(check_mask(which, len(observations)))
         shown = np.zeros((*observations.shape[:2], self.layout.size), dtype=np.float32)
         _show(teams, observations, headings, self._constants, self._memory, shown)
         return shown
 
     def forget(self, mask: NDArray[np.bool_] | None = None) -> None:
-        """Forget what all teams saw, or those of a mask (B,)."""
+        """Forget what all teams saw, or those of a mask (B,).
+
+        Raises:
+            ValueError: for a bad mask; nothing has changed then.
+        """
+        which = slice(None) if mask is None else check_mask(mask, len(self._memory.time))
         for array in self._memory:
-            array[slice(None) if mask is None else mask] = 0.0
+            array[which] = 0.0
 
     def get_state(self) -> dict[str, NDArray[np.float64]]:
         """The memory, as copies."""
@@ -185,14 +205,20 @@ class Perception:
         """Put back what ``get_state`` took out.
 
         Raises:
-            ValueError: naming a missing entry or one of another shape; nothing has changed then.
+            ValueError: naming what does not fit, see ``check_state``; nothing has changed then.
         """
-        own = self._memory._asdict()
-        for name, array in own.items():
-            if name not in state or np.shape(state[name]) != array.shape:
-                raise ValueError(f"state: {name} must be an array of shape {array.shape}")
-        for name, array in own.items():
-            array[...] = state[name]
+        for name, array in self.check_state(state).items():
+            getattr(self._memory, name)[...] = array
+
+    def check_state(self, state: Any) -> dict[str, NDArray[Any]]:
+        """The arrays of a state that ``set_state`` would put back.
+
+        Raises:
+            ValueError: naming an entry that is missing, of another shape or not finite.
+        """
+        checked = check_entries(self._memory._asdict(), state)
+        check_finite(checked, tuple(checked))
+        return checked
 
 
 @allocating_kernel

@@ -10,6 +10,7 @@ from gymnasium.spaces import MultiDiscrete
 from gymnasium.vector import AutoresetMode
 from numpy.typing import ArrayLike, NDArray
 
+from rendezvous_env.engine.state_checks import check_entries, check_keys
 from rendezvous_env.gymnasium_env import RendezvousVectorEnv, Transition
 from rendezvous_env.vector import HeadingVectorWrapper, team_box
 
@@ -79,6 +80,12 @@ class PerceivingTeams(HeadingVectorWrapper):
             raise ValueError(
                 f"actions have shape {choices.shape}; they must be (B, n) = {self._choices.shape}"
             )
+        wrong = ~((choices >= 0) & (choices < CHOICES))
+        for team, robot in np.argwhere(wrong):
+            raise ValueError(
+                f"action of robot_{robot} in team {team} is {choices[team, robot]}; it must be a "
+                f"whole number below {CHOICES}"
+            )
         self._choices = choices.astype(np.int64)
 
     def _act(self) -> NDArray[np.float32]:
@@ -103,10 +110,11 @@ class PerceivingTeams(HeadingVectorWrapper):
         """Put back what ``get_state`` took out.
 
         Raises:
-            ValueError: naming what does not fit.
+            ValueError: naming what does not fit; nothing has changed then.
         """
-        if np.shape(state.get("touched")) != self._touched.shape:
-            raise ValueError(f"state: touched must be an array of shape {self._touched.shape}")
-        super().set_state({key: state[key] for key in ("env", "steering", "observed")})
-        self.perception.set_state(state["perception"])
-        self._touched[...] = state["touched"]
+        check_keys(state, ("perception",))
+        touched = check_entries({"touched": self._touched}, state)["touched"]
+        memory = self.perception.check_state(state["perception"])
+        super().set_state(state)
+        self.perception.set_state(memory)
+        self._touched[...] = touched

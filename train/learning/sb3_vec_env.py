@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 
 from rendezvous_env import make_vec
+from rendezvous_env.engine.state_checks import check_entries, check_keys
 from rendezvous_env.rendezvous_v0 import ScenarioLike
 from rendezvous_env.simulator import Simulator
 
@@ -202,15 +203,14 @@ class RobotVecEnv(VecEnv):
         """Put back what ``get_state`` took out of robots of the same scenario and batch.
 
         Raises:
-            ValueError: naming what does not fit.
+            ValueError: naming what does not fit; nothing has changed then.
         """
         own = {"active": self._active, "returns": self._returns, "lengths": self._lengths}
+        check_keys(state, ("teams",))
+        checked = check_entries(own, state)
+        self.teams.set_state(state["teams"])
         for name, array in own.items():
-            if np.shape(state.get(name)) != array.shape:
-                raise ValueError(f"state: {name} must be an array of shape {array.shape}")
-        self.teams.set_state(state.get("teams", {}))
-        for name, array in own.items():
-            array[...] = state[name]
+            array[...] = checked[name]
         self._forget_step()
 
     def close(self) -> None:

@@ -1,0 +1,257 @@
+"""What makes arrays from outside fit to be handed to compiled code, which checks nothing itself."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..equations.obstacles import ABSENT, BALL, CAPSULE, POLYGON
+from ..experiment.checks import shown
+from ..experiment.packing import CORNERS, DETAILS, KIND, RADIUS, THICKNESS, only_balls
+from ..experiment.scenario import Scenario
+from .memory import AWAITING_RESET, RENDEZVOUS, Results
+
+_ROUNDING = 1e-9
+_FLOATS = np.dtype(np.float32), np.dtype(np.float64)
+
+
+def check_keys(state: Any, names: tuple[str, ...]) -> None:
+    """Refuse what is no state with these entries.
+
+    Raises:
+        ValueError: naming the first entry that is missing.
+    """
+    if not isinstance(state, Mapping):
+        raise ValueError(f"state is {shown(state)}; it must be a mapping with {', '.join(names)}")
+    for name in names:
+        if name not in state:
+            raise ValueError(f"state: entry {name!r} is missing or unknown")
+
+
+def check_entries(
+    own: Mapping[str, NDArray[Any]], state: Any, *, exactly: bool = False
+) -> dict[str, NDArray[Any]]:
+    """The entries of a state that are wanted, as arrays of the right shape and type.
+
+    Args:
+        own: what each entry must be like.
+        state: what was given; lists of numbers will do.
+        exactly: refuse further entries, and other types instead of converting them.
+
+    Raises:
+        ValueError: naming the entry, and what would be right.
+    """
+    check_keys(state, tuple(own))
+    if exactly and (unknown := sorted(map(str, set(state) - set(own)))):
+        raise ValueError(f"state: entry {unknown[0]!r} is missing or unknown")
+    return {name: _entry(name, state[name], array, exactly) for name, array in own.items()}
+
+
+def _entry(name: str, given: Any, own: NDArray[Any], exactly: bool) -> NDArray[Any]:
+    try:
+        value = np.asarray(given)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"state: {name} must be an array of {own.dtype}: {error}") from error
+    fits = value.dtype == own.dtype if exactly else np.can_cast(value.dtype, own.dtype, "same_kind")
+    if value.shape != own.shape or not fits:
+        raise ValueError(
+            f"state: {name} is {value.dtype} of shape {value.shape}; "
+            f"{name} must be an array of shape {own.shape} and must be {own.dtype}"
+        )
+    return value.astype(own.dtype, copy=False)
+
+
+def check_finite(state: Mapping[str, NDArray[Any]], names: tuple[str, ...]) -> None:
+    """Refuse entries that are not finite.
+
+    Raises:
+        ValueError: naming the entry and the first place where it is not.
+    """
+    for name in names:
+        _refuse(name, ~np.isfinite(state[name]), state[name], "finite")
+
+
+def check_rotations(state: Mapping[str, NDArray[Any]], teams: Any, tolerance: float) -> None:
+    """Refuse frames (B, n, d, d) or (B, n, d·d) of these teams that are no rotations.
+
+    Raises:
+        ValueError: naming team and robot.
+    """
+    given = state["frames"]
+    d = 3 if given.shape[-1] % 3 == 0 else 2
+    frames = given.reshape(*given.shape[:2], d, d)
+    with np.errstate(over="ignore", invalid="ignore"):  # what is huge is refused
+        gap = np.abs(np.swapaxes(frames, -1, -2) @ frames - np.eye(d)).max(axis=(-2, -1))
+        wrong = ~((gap <= tolerance) & (np.linalg.det(frames) > 0))
+    _refuse("frames", wrong & np.reshape(teams, (-1, 1)), frames, "a rotation")
+
+
+def check_teams(scenario: Scenario, state: Mapping[str, NDArray[Any]]) -> None:
+    """Refuse a state of teams, of the right shapes and types, that no episode can be in.
+
+    Args:
+        scenario: theirs.
+        state: as ``Simulator.get_state`` gives it.
+
+    Raises:
+        ValueError: naming the entry, its value, and what would be right.
+    """
+    check_finite(state, ("positions", "memory", "weights", "path_length", "initial_lyapunov"))
+    for name in ("weights", "steps", "contacts", "path_length", "initial_lyapunov"):
+        _refuse(name, state[name] < 0, state[name], "0 or more")
+    for name, most in (
+        ("positions", 1e36),
+        ("memory", 1e36),
+        ("weights", 1e13),
+        ("path_length", 1e36),
+        ("initial_lyapunov", 1e54),
+        ("obstacles", 1e9),
+    ):
+        _refuse(name, np.abs(state[name]) > most, state[name], f"at most {most:g}")
+    initial = state["initial_lyapunov"]
+    _refuse("initial_lyapunov", (initial != 0) & (initial < 1e-30), initial, "0, or 1e-30 or more")
+    clearance, status = state["min_clearance"], state["status"]
+    _refuse("min_clearance", ~(clearance > -np.inf), clearance, "a length or inf, m")
+    _refuse("status", (status < 0) | (status > AWAITING_RESET), status, f"0 to {AWAITING_RESET}")
+    _refuse("seed", state["seed"] >= 2**63, state["seed"], "below 2**63")
+    _refuse("episode", state["episode"] < -1, state["episode"], "-1 (none yet) or more")
+    if "frames" in state:  # those of teams that have not begun are not drawn yet
+        check_finite(state, ("frames",))
+        check_rotations(state, state["episode"] >= 0, _ROUNDING)
+    _check_links(scenario.n_robots, state)
+    _check_merges(state)
+    _check_obstacles(scenario, state["obstacles"])
+
+
+def _check_links(n: int, state: Mapping[str, NDArray[Any]]) -> None:
+    """Lists of links: indices of two robots, the lower one first, sorted, those in use first."""
+    if "first" not in state:
+        return
+    first, second, used = state["first"], state["second"], state["weights"] > 0
+    _refuse("first", (first < 0) | (first >= n), first, f"from 0 to {n - 1}")
+    _refuse("second", (second < 0) | (second >= n), second, f"from 0 to {n - 1}")
+    _refuse("second", used & (second <= first), second, "above the other robot of its link")
+    order = first * n + second
+    ahead = np.concatenate([np.full((len(used), 1), -1), order[:, :-1]], axis=1)
+    _refuse("first", used & (order <= ahead), first, "in the order of the links, each once")
+    _refuse("weights", used[:, 1:] & ~used[:, :-1], state["weights"][:, 1:], "0 after a 0")
+
+
+def _check_merges(state: Mapping[str, NDArray[Any]]) -> None:
+    """Robots are part of one with a lower index, which is itself; then nobody sees them."""
+    into, status = state["merged_into"], state["status"]
+    n = into.shape[1]
+    _refuse("merged_into", (into < 0) | (into > np.arange(n)), into, "from 0 to the robot's own")
+    survives = np.take_along_axis(into, into, axis=1) == into
+    _refuse("merged_into", ~survives, into, "a robot that has itself not merged")
+    gone = into != np.arange(n)
+    if "first" in state:
+        i, j = state["first"], state["second"]
+        of_gone = np.take_along_axis(gone, i, axis=1) | np.take_along_axis(gone, j, axis=1)
+    else:
+        first, second = np.triu_indices(n, 1)
+        of_gone = gone[:, first] | gone[:, second]
+    linked = (state["weights"] > 0) & of_gone
+    _refuse("weights", linked, state["weights"], "0 for pairs with a merged-away robot")
+    one_left = gone.sum(axis=1) == n - 1
+    what = f"{RENDEZVOUS} exactly in teams in which one robot is left"
+    _refuse("status", (status == RENDEZVOUS) != one_left, status, what)
+
+
+def _check_obstacles(scenario: Scenario, rows: NDArray[np.float64]) -> None:
+    """Tables, (B, M, width), as ``experiment.packing`` says: counts first, since they are
+    indices.
+    """
+    kind, corners, width = rows[..., KIND], rows[..., CORNERS], rows.shape[-1]
+    known = [ABSENT, BALL]
+    if not only_balls(scenario.obstacles):
+        known += [POLYGON] if scenario.dim == 2 else []
+        known += [CAPSULE] if width > THICKNESS else []
+    _refuse("obstacles", ~np.isin(kind, known), rows, f"a row that begins with one of {known}")
+    most = (width - DETAILS) // 2
+    polygon = (corners >= 3) & (corners <= most) & (corners == np.floor(corners))
+    what = f"a row with 3 to {most} corners if it is a polygon, else 0"
+    _refuse("obstacles", np.where(kind == POLYGON, ~polygon, corners != 0), rows, what)
+    _refuse("obstacles", np.asarray(~np.isfinite(rows).all(axis=-1)), rows, "finite")
+    negative = np.logical_and(kind != ABSENT, rows[..., RADIUS] < 0)
+    _refuse("obstacles", negative, rows, "of radius 0 or more")
+
+
+def _refuse(name: str, wrong: NDArray[np.bool_], values: NDArray[Any], what: str) -> None:
+    """Name the first wrong place, (team,), (team, robot), (team, slot) or deeper, if there is
+    one.
+    """
+    if wrong.any():
+        place = tuple(int(k) for k in np.argwhere(wrong)[0])
+        where = ", ".join(map(str, place))
+        raise ValueError(f"state: {name}[{where}] is {values[place].tolist()}; it must be {what}")
+
+
+def check_results(
+    results: tuple[NDArray[Any], ...], wanted: tuple[tuple[tuple[int, ...], Any], ...]
+) -> None:
+    """Refuse results of other teams, into which compiled code would write too much.
+
+    Args:
+        results: what a step gave out.
+        wanted: shape and type of each of its arrays.
+
+    Raises:
+        ValueError: naming the array.
+    """
+    found = tuple((array.shape, array.dtype) for array in results)
+    if found == wanted and all(array.flags.carray for array in results):
+        return
+    for name, array, (shape, kind) in zip(Results._fields, results, wanted, strict=True):
+        if array.shape != shape or array.dtype != kind or not array.flags.carray:
+            raise ValueError(
+                f"outcome: {name} is {array.dtype} of shape {array.shape}; a step of these teams "
+                f"gives out {kind} of shape {shape}, in one piece that can be written to"
+            )
+
+
+def check_observations(value: Any, shape: tuple[int, ...]) -> NDArray[Any]:
+    """Observations (B, n, rows, d) of the right teams.
+
+    Raises:
+        ValueError: for another shape or type.
+    """
+    return check_numbers("observations", value, shape, "(B, n, rows, d)")
+
+
+def check_numbers(name: str, value: Any, shape: tuple[int, ...], axes: str) -> NDArray[Any]:
+    """An array of float32 or float64 of a shape.
+
+    Args:
+        name: what the message calls it.
+        value: what was given.
+        shape: what it must have.
+        axes: the names of the axes.
+
+    Raises:
+        ValueError: for another shape or type.
+    """
+    array = np.asarray(value)
+    if array.shape != shape:
+        raise ValueError(f"{name} have shape {array.shape}; they must be {axes} = {shape}")
+    if array.dtype not in _FLOATS:
+        raise ValueError(f"{name} are {array.dtype}; they must be float32 or float64")
+    return array
+
+
+def check_mask(mask: ArrayLike, num_envs: int) -> NDArray[np.bool_]:
+    """A mask (B,), which says yes or no to each team.
+
+    Raises:
+        ValueError: for another shape or type.
+    """
+    array = np.asarray(mask)
+    if array.shape != (num_envs,) or array.dtype != np.bool_:
+        raise ValueError(
+            f"mask is {array.dtype} of shape {array.shape}; it must be bool, one for each of "
+            f"{num_envs} teams"
+        )
+    return array

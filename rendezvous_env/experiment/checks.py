@@ -1,0 +1,251 @@
+"""Checks that all borders share; a refusal names the field, its value and what would be right."""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import functools
+import math
+import reprlib
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any, NoReturn, TypeVar, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .limits import LARGEST, SMALLEST
+
+_LONGEST_WORD = 100
+_Made = TypeVar("_Made")
+
+
+class UnknownFieldError(TypeError, ValueError):
+    """A field that does not exist: a TypeError as Python has it, and a ValueError as we do."""
+
+
+class _Shown(reprlib.Repr):
+    """``repr``, shortened, that never fails and never recurses far."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.maxlevel, self.maxstring, self.maxlong, self.maxother = 5, 90, 60, 200
+        self.maxlist = self.maxtuple = self.maxdict = self.maxset = self.maxarray = 12
+
+    def repr_int(self, x: int, level: int) -> str:
+        """A whole number; Python itself refuses to write very long ones."""
+        if abs(x) < 10**self.maxlong:
+            return repr(x)
+        return f"a whole number of about {int(x.bit_length() * 0.30103) + 1} digits"
+
+    def repr_instance(self, x: Any, level: int) -> str:
+        """Anything else, in one line."""
+        return " ".join(super().repr_instance(x, level).split())
+
+
+shown = _Shown().repr
+"""A value as messages show it: its repr, shortened if long."""
+
+
+def refuse(field: str, value: Any, wanted: str) -> NoReturn:
+    """Say that a field has a wrong value.
+
+    Raises:
+        ValueError: naming all three.
+    """
+    raise ValueError(f"{field} is {shown(value)}; it must be {wanted}")
+
+
+def real(value: Any) -> float:
+    """One number of any type as Python's own; infinite beyond float64, NaN for what is no number.
+
+    What is compared with bounds goes through this: NumPy would round the bounds to a smaller type.
+    """
+    numeric = isinstance(value, int | float | np.integer | np.floating)
+    if not numeric or isinstance(value, bool):
+        return math.nan
+    try:
+        return float(value)
+    except OverflowError:
+        return math.inf if value > 0 else -math.inf
+
+
+def is_whole(value: Any) -> bool:
+    """Whether it is one whole number, and no bool."""
+    return isinstance(value, int | np.integer) and not isinstance(value, bool)
+
+
+def number(
+    field: str, value: Any, least: float = -LARGEST, most: float = LARGEST, unit: str = ""
+) -> float:
+    """A finite number within bounds.
+
+    Raises:
+        ValueError: if it is anything else.
+    """
+    if not least <= real(value) <= most:
+        refuse(field, value, f"a finite number from {least:g} to {most:g} {unit}".rstrip())
+    return real(value)
+
+
+def positive(field: str, value: Any, unit: str = "") -> float:
+    """A positive number within the limits.
+
+    Raises:
+        ValueError: if it is anything else.
+    """
+    if not SMALLEST <= real(value) <= LARGEST:
+        bounds = f"from {SMALLEST:g} to {LARGEST:g} {unit}".rstrip()
+        refuse(field, value, f"a positive, finite number, {bounds}")
+    return real(value)
+
+
+def between(field: str, value: Any, low: float, high: float, unit: str = "") -> float:
+    """A number strictly between two others.
+
+    Raises:
+        ValueError: if it is anything else.
+    """
+    if not low < real(value) < high:
+        refuse(field, value, f"a number between {low:g} and {high:g}, exclusive {unit}".rstrip())
+    return real(value)
+
+
+def whole(field: str, value: Any, least: int, most: int) -> int:
+    """A whole number within bounds.
+
+    Raises:
+        ValueError: if it is anything else.
+    """
+    if not is_whole(value) or not least <= value <= most:
+        refuse(field, value, f"a whole number, {least} or more, at most {most}")
+    return int(value)
+
+
+def flag(field: str, value: Any) -> bool:
+    """True or False.
+
+    Raises:
+        ValueError: if it is anything else.
+    """
+    if not isinstance(value, bool | np.bool_):
+        refuse(field, value, "one of True, False")
+    return bool(value)
+
+
+def choice(field: str, value: Any, choices: Iterable[str]) -> str:
+    """One of some words.
+
+    Raises:
+        ValueError: if it is anything else.
+    """
+    known = tuple(choices)
+    if not isinstance(value, str) or value not in known:
+        refuse(field, value, f"one of {', '.join(map(repr, known))}")
+    return value
+
+
+def mapping(field: str, value: Any, wanted: str) -> Mapping[Any, Any]:
+    """A mapping.
+
+    Raises:
+        ValueError: if it is anything else.
+    """
+    if not isinstance(value, Mapping):
+        refuse(field, value, wanted)
+    return value
+
+
+def floats(field: str, value: Any, dtype: type[np.floating[Any]] = np.float64) -> NDArray[Any]:
+    """Numbers of any shape as an array; what does not fit the type is infinite in it.
+
+    Raises:
+        ValueError: for words, nothing, mappings, ragged lists and whatever else is no number.
+    """
+    try:
+        array = np.asarray(value)
+    except (TypeError, ValueError, OverflowError, RecursionError) as error:
+        raise ValueError(
+            f"{field} is {shown(value)}; it must be an array of numbers without gaps"
+        ) from error
+    if array.dtype.kind not in "fiub":
+        refuse(field, value, "numbers, each of them in the range of float64")
+    with np.errstate(over="ignore"):
+        return array.astype(dtype, copy=False)
+
+
+def check_action(robot: str, value: Any, size: int) -> None:
+    """Refuse a robot's action that is not ``size`` finite numbers.
+
+    Raises:
+        ValueError: naming the robot and the value.
+    """
+    try:
+        action = floats("action", value, np.float32)
+    except ValueError:
+        action = np.empty(0)
+    if action.shape != (size,) or not np.isfinite(action).all():
+        refuse(f"action of {robot}", value, f"{size} finite numbers, in float32")
+
+
+def bools(field: str, value: Any, shape: tuple[int, ...] | None, of_what: str) -> NDArray[np.bool_]:
+    """True or False for each of some things, of any shape if None is asked for.
+
+    Raises:
+        ValueError: for another shape or type.
+    """
+    try:
+        array = np.asarray(value)
+    except (TypeError, ValueError, OverflowError, RecursionError):
+        array = np.empty(0, dtype=object)
+    shape = array.shape if shape is None else shape
+    if array.shape != shape or array.dtype != np.bool_:
+        found = f"{array.dtype} of shape {array.shape}"
+        if array.dtype == object:
+            found = shown(value)
+        count = " × ".join(map(str, shape))
+        raise ValueError(f"{field} is {found}; it must be bool, one for each of {count} {of_what}")
+    return array
+
+
+def nearest_word(word: Any, words: Iterable[str], cutoff: float = 0.6) -> str | None:
+    """The word most like ``word``, if any is much like it."""
+    if not isinstance(word, str) or len(word) > _LONGEST_WORD:
+        return None
+    close = difflib.get_close_matches(word, list(words), n=1, cutoff=cutoff)
+    return close[0] if close else None
+
+
+def known_fields(given: Iterable[Any], known: Iterable[str], what: str) -> None:
+    """Refuse fields that do not exist.
+
+    Raises:
+        UnknownFieldError: naming the first one and the one most like it.
+    """
+    known = list(known)
+    for key in given:
+        if key not in known:
+            near = nearest_word(key, known, cutoff=0.4)
+            hint = f"did you mean {near!r}?" if near else f"known are {', '.join(known)}"
+            raise UnknownFieldError(f"{what} has no field {shown(key)}; {hint}")
+
+
+def names_unknown_fields(what: str) -> Callable[[type[_Made]], type[_Made]]:
+    """For a dataclass: unknown keywords of its constructor are refused with the nearest field.
+
+    Args:
+        what: it describes.
+    """
+
+    def decorate(made: type[_Made]) -> type[_Made]:
+        make = made.__init__
+        names = [field.name for field in dataclasses.fields(cast(Any, made))]
+
+        @functools.wraps(make)
+        def checked(self: _Made, *args: Any, **fields: Any) -> None:
+            known_fields(fields, names, what)
+            make(self, *args, **fields)
+
+        setattr(made, "__init__", checked)  # noqa: B010 - mypy forbids the plain assignment
+        return made
+
+    return decorate

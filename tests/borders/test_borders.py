@@ -1,0 +1,208 @@
+"""What reaches compiled code has been checked: outcomes, masks, actions, and what robots see."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from conftest import five
+from rendezvous_env.engine.teams import TIME_OUT
+
+import rendezvous_env as rv
+from baselines import obstacle_avoidance
+from rendezvous_env import Simulator
+from rendezvous_env.guarantee.steering import Steering
+from rendezvous_env.gymnasium_env import make_env
+from rendezvous_env.trajectory import Step
+from train.comparing.alignment import alignments
+from train.learned.guide import Guide
+from train.learned.perception import Perception
+from train.learning.perceiving import PerceivingTeams
+
+TEAMS = 6
+SQUARE = rv.Polygon(((4.0, 0.0), (6.0, 0.0), (6.0, 2.0), (4.0, 2.0)))
+AMONG = {"obstacles": (rv.Disc((0.0, 5.0), 1.0), SQUARE), "obstacle_slots": 3}
+
+
+def same(a, b):
+    """Whether two states, nested or not, are equal in every number."""
+    if isinstance(a, dict):
+        return a.keys() == b.keys() and all(same(a[key], b[key]) for key in a)
+    return np.array_equal(a, b, equal_nan=np.asarray(a).dtype.kind == "f")
+
+
+# ---- outcomes, masks ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        Simulator(five("single_integrator-2d"), TEAMS - 1),
+        Simulator(five("single_integrator-3d"), TEAMS),
+        Simulator(five("single_integrator-2d", **AMONG), TEAMS),
+        Simulator(rv.scenarios.get("duo"), TEAMS),
+    ],
+    ids=["batch", "dimension", "obstacles", "robots"],
+)
+def test_an_outcome_of_other_teams_is_refused(other):
+    sim = Simulator(five("single_integrator-2d"), TEAMS)
+    for each in (sim, other):
+        each.reset(0)
+    outcome = other.step(np.zeros(other._acted))
+    before = sim.get_state()
+    with pytest.raises(ValueError, match=r"outcome: .+ a step of these"):
+        sim.restart(np.ones(TEAMS, bool), outcome)
+    assert same(before, sim.get_state())
+    own = sim.step(np.zeros(sim._acted))
+    own.results.observations.flags.writeable = False
+    with pytest.raises(ValueError, match="can be written to"):
+        sim.restart(np.ones(TEAMS, bool), own)
+
+
+@pytest.mark.parametrize("mask", [np.ones(TEAMS - 1, bool), np.ones(TEAMS), [0, 1], True])
+def test_a_bad_mask_is_refused_everywhere(mask):
+    clutter = rv.scenarios.get("clutter-16")
+    sim = Simulator(clutter, TEAMS)
+    perception = Perception(clutter, TEAMS, decision_time=0.2)
+    observations = sim.reset(0)
+    headings = np.zeros((TEAMS, 4, 2))
+    for refuse in (
+        sim.restart,
+        Steering(clutter, TEAMS).forget,
+        perception.forget,
+        lambda mask: perception.see(observations, headings, mask),
+    ):
+        with pytest.raises(ValueError, match=f"mask is .*must be bool, one for each of {TEAMS}"):
+            refuse(mask)
+
+
+def test_bad_actions_send_no_team_on_to_its_next_episode():
+    venv = rv.make_vec("fig3", 3, autoreset_mode="NextStep", max_cycles=2)
+    venv.reset(seed=0)
+    actions = np.zeros(venv.action_space.shape, np.float32)
+    for _ in range(2):
+        venv.step(actions)
+    before = venv.get_state()
+    assert (before["status"] == TIME_OUT).all()
+    for wrong in (actions * np.nan, actions[:1]):
+        with pytest.raises(ValueError, match="action"):
+            venv.step(wrong)
+        assert same(before, venv.get_state())
+
+
+def test_a_seed_of_one_team_is_refused_before_it_begins():
+    env = make_env("fig3")
+    env.reset(seed=np.int64(3))
+    before = env.get_state()
+    with pytest.raises(TypeError):
+        env.reset(seed=[4])
+    assert same(before, env.get_state())
+
+
+# ---- what robots see ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("batch", [1, TEAMS - 1, TEAMS + 1])
+def test_observations_of_another_batch_are_refused(kind, batch):
+    scenario = five(kind)
+    steering = Steering(scenario, TEAMS)
+    seen = np.zeros((batch, 5, *scenario.observation_layout.shape), np.float32)
+    before = steering.get_state()
+    for refuse in (steering.view, steering.act):
+        with pytest.raises(
+            ValueError, match=r"observations have shape .*must be \(B, n, rows, d\)"
+        ):
+            refuse(seen)
+        with pytest.raises(ValueError, match="observations are int64"):
+            refuse(np.zeros((TEAMS, 5, *scenario.observation_layout.shape), np.int64))
+    assert same(before, steering.get_state())
+
+
+def test_perception_refuses_other_teams():
+    clutter = rv.scenarios.get("clutter-16")
+    perception = Perception(clutter, TEAMS, decision_time=0.2)
+    seen = Simulator(clutter, TEAMS).reset(0)
+    headings, before = np.zeros((TEAMS, 4, 2)), perception.get_state()
+    for wrong, carried, name in (
+        (seen[:2], headings, "observations"),
+        (seen[:, :2], headings, "observations"),
+        (seen[:, :, :-1], headings, "observations"),
+        (seen.astype(complex), headings, "observations"),
+        (seen, headings[:2], "headings"),
+        (seen, headings[..., :1], "headings"),
+    ):
+        with pytest.raises(ValueError, match=f"{name} (have shape|are)"):
+            perception.see(wrong, carried)
+    assert same(before, perception.get_state())
+
+
+RULES = (
+    obstacle_avoidance.tangent_heading,
+    obstacle_avoidance.tangent_blocking_heading,
+    obstacle_avoidance.tangent_joined_heading,
+)
+
+
+@pytest.mark.parametrize("rule", RULES)
+def test_heading_rules_refuse_what_does_not_fit_together(rule):
+    f, points = np.ones((3, 4, 2)), np.ones((3, 4, 5, 2, 2))
+    assert rule(f, points).shape == f.shape
+    for bearing, silhouettes, message in (
+        (f, points[:2], "silhouettes has shape"),
+        (f, points[..., :1, :], "silhouettes has shape"),
+        (f, np.ones((3, 4, 5, 8, 3)), "silhouettes has shape"),
+        (np.ones((3, 4, 3)), points, "silhouettes has shape"),
+        (np.ones((3, 4, 1)), points, "net_bearing has shape"),
+        (np.ones((3, 4, 4)), points, "net_bearing has shape"),
+        (f * np.nan, points, "net_bearing must be finite"),
+        (f, points.astype(np.int64), "silhouettes are int64"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            rule(bearing, silhouettes)
+
+
+def test_carried_headings_of_other_robots_are_refused():
+    f, points = np.ones((3, 4, 2)), np.ones((3, 4, 5, 2, 2))
+    with pytest.raises(ValueError, match=r"carried has shape \(2, 4, 2\)"):
+        obstacle_avoidance.tangent_joined_heading(f, points, carried=f[:2])
+    clutter = rv.scenarios.get("clutter-16")
+    guide = Guide(clutter, clearance=0.1, persistence=0.5)
+    seen = Simulator(clutter, 3).reset(0)
+    with pytest.raises(ValueError, match="carried has shape"):
+        guide.aim(seen, np.zeros((3, 4), np.int64), np.zeros((2, 4, 2)))
+
+
+def test_alignments_refuse_a_step_of_other_robots(kind):
+    sim = Simulator(five(kind), 2)
+    seen = sim.reset(0)
+    actions = np.zeros(sim._acted, np.float32)
+    step = Step(np.ones(2, bool), seen, actions, sim.lyapunov(), sim.step(actions))
+    assert alignments(sim.scenario, step).shape == (2, 5)
+    for wrong in (
+        step._replace(observations=seen[:1]),
+        step._replace(actions=actions[..., :1]),
+        step._replace(running=np.ones(3, bool)),
+    ):
+        with pytest.raises(ValueError, match="must be"):
+            alignments(sim.scenario, wrong)
+
+
+def test_positions_beside_obstacles_of_another_dimension_are_refused():
+    sphere = (rv.Sphere((0.0, 0.0, 0.0), 1.0),)
+    with pytest.raises(ValueError, match=r"positions have shape \(3, 2\)"):
+        rv.obstacles.check_outside("positions", np.zeros((3, 2)), sphere)
+    with pytest.raises(ValueError, match=r"positions have shape \(3, 1\)"):
+        rv.obstacles.check_outside("positions", np.zeros((3, 1)), (SQUARE,))
+
+
+def test_a_choice_that_there_is_not_is_refused():
+    scenario = rv.scenarios.get("clutter-16")
+    teams = rv.make_vec(scenario, 2, autoreset_mode="SameStep")
+    teams = PerceivingTeams(teams, Guide(scenario, clearance=0.1, persistence=0.5))
+    teams.reset(seed=0)
+    before = teams.get_state()
+    for wrong in (-1, 9, 10_000):
+        choices = np.zeros((2, 4), np.int64)
+        choices[1, 2] = wrong
+        with pytest.raises(ValueError, match=f"robot_2 in team 1 is {wrong}; it must be a whole"):
+            teams.step(choices)
+    assert same(before, teams.get_state())

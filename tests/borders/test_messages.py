@@ -1,0 +1,644 @@
+"""What the borders of the core say to values of the wrong kind: field, value and remedy."""
+
+from __future__ import annotations
+
+import math
+import re
+import types
+
+import gymnasium
+import numpy as np
+import pytest
+
+import baselines
+import rendezvous_env as rv
+from rendezvous_env import Disc, ObstacleField, Polygon, RewardWeights, Scenario
+from rendezvous_env import vector as rv_vector
+from rendezvous_env.engine.footprint import available_bytes, needed_bytes
+from rendezvous_env.experiment import graphs, scenarios
+from rendezvous_env.experiment.checks import UnknownFieldError, shown
+from rendezvous_env.experiment.limits import (
+    MOST_HELD_STEPS,
+    MOST_OBSTACLES,
+    MOST_ROBOTS,
+    MOST_STEPS,
+)
+from rendezvous_env.guarantee.heading import certified_heading
+from rendezvous_env.guarantee.turning import gated_turn_rate
+from rendezvous_env.gymnasium_env import make_env
+from rendezvous_env.simulator import Simulator
+
+HUGE = 10**400
+UNWRITABLE = 10**5000
+DEEP: list = []
+for _ in range(5000):
+    DEEP = [DEEP]
+PAIR = Scenario(n_robots=2)
+
+
+def refusal(call, *args, kind: type[Exception] = ValueError, **kwargs) -> str:
+    """What a call says when it refuses."""
+    with pytest.raises(kind) as caught:
+        call(*args, **kwargs)
+    assert len(str(caught.value)) < 1200
+    return str(caught.value)
+
+
+# ---- values -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (UNWRITABLE, "a whole number of about 5001 digits"),
+        (-UNWRITABLE, "a whole number of about 5001 digits"),
+        (10**59, repr(10**59)),
+        ([1.5, "a"], "[1.5, 'a']"),
+        (True, "True"),
+        (DEEP, "[[[[[[...]]]]]]"),
+    ],
+    ids=lambda value: shown(value)[:30],
+)
+def test_values_are_shown_as_they_are_but_never_at_any_length(value, text):
+    assert shown(value) == text
+    assert len(shown("x" * 10**6)) < 100 and len(shown(list(range(10**6)))) < 100
+    assert len(shown(np.zeros((40, 40)))) < 250
+
+
+# ---- scenarios ----------------------------------------------------------------------------------
+
+FIELDS = ("merge_radius", "time_step", "time_limit", "max_speed", "max_turn_rate", "spawn_size")
+REFUSED = [
+    *[({field: HUGE}, f"{field} is a whole number of about 401 digits; it") for field in FIELDS],
+    *[({field: 1e300}, rf"{field} is 1e\+300; .* from 1e-09 to 1e\+09") for field in FIELDS],
+    *[({field: 1e-300}, rf"{field} is 1e-300; .* from 1e-09") for field in FIELDS],
+    *[({field: np.ones(2)}, rf"{field} is array\(\[1\., 1\.\]\)") for field in FIELDS],
+    ({"obstacle_range": 1e300}, r"obstacle_range is 1e\+300"),
+    ({"n_robots": HUGE}, "n_robots is a whole number of about 401 digits"),
+    ({"n_robots": 10**9}, f"n_robots is 1000000000; .* at most {MOST_ROBOTS}"),
+    ({"dim": UNWRITABLE}, "dim is a whole number of about 5001 digits; it must be 2 or 3"),
+    ({"dim": [2]}, r"dim is \[2\]; it must be 2 or 3"),
+    *[
+        ({field: ["a", "word"]}, rf"{field} is \['a', 'word'\]; it must be one of")
+        for field in ("robot_model", "obstacle_contact", "local_frames", "on_merge")
+    ],
+    ({"robot_model": np.array(["unicycle"])}, r"robot_model is array\(\['unicycle'\]"),
+    ({"require_connected": 1}, "require_connected is 1; it must be one of True, False"),
+    ({"allow_long_step": np.ones(2, bool)}, r"allow_long_step is array\(\[ True, True\]\)"),
+    ({"name": 5}, "name is 5; it must be a word"),
+    ({"name": "x" * 300}, r"name is 'x+\.\.\.x+'; .* at most 255 printable"),
+    ({"name": "a\0b"}, r"name is 'a\\x00b'; .* printable"),
+    ({"name": "\ud800"}, r"name is '\\ud800'"),
+    ({"reward": 5}, "reward is 5; it must be a RewardWeights"),
+    ({"graph": 5}, r"graph: weights have shape \(\); they must be"),
+    ({"graph": None}, "graph is None; it must be numbers"),
+    ({"graph": DEEP}, r"graph is \[\[\[\[\[\[\.\.\.\]\]\]\]\]\]"),
+    ({"graph": [["a"]]}, r"graph is \[\['a'\]\]; it must be numbers"),
+    ({"graph": {"kind": ["path"]}}, r"graph: \['path'\] is not a graph; choose one of complete"),
+    ({"graph": {5: "path"}}, "graph: unknown key 5; known keys are"),
+    ({"graph": {"kind": "path", "weight_range": 5.0j}}, "graph: weight_range .* finite"),
+    ({"graph": {"kind": "path", "weight_range": [1, HUGE]}}, "graph: weight_range .* 1e-09 to 1e"),
+    ({"graph": {"kind": "erdos_renyi", "probability": "x"}}, "graph: probability 'x' must be"),
+    ({"graph": {"edges": 5}}, "graph: edges is 5; it must be a sequence"),
+    ({"graph": {"edges": [5]}}, r"graph: an edge is 5; it must be \(i, j\) or"),
+    ({"graph": {"edges": [[0, 1.5]]}}, r"graph: an edge is \[0, 1\.5\]; .* whole indices"),
+    ({"graph": {"edges": [[0, math.nan]]}}, r"graph: an edge is \[0, nan\]; .* whole indices"),
+    ({"graph": {"edges": [[0, 1]], "n_nodes": "x"}}, "graph: n_nodes is 'x'; .* whole number"),
+    ({"graph": {"edges": [[0, 1, 1e300]]}}, r"edge \(0, 1\) has weight 1e\+300; it must be pos"),
+    ({"graph": 1e-300 * (1 - np.eye(5))}, r"a\[0, 1\] = 1e-300 must be 0, or from 1e-09 to 1e\+09"),
+    ({"obstacles": 5}, "obstacles: 5 must be a sequence of obstacles"),
+    ({"obstacles": [5]}, r"obstacles\[0\]: 5 must be a Disc"),
+    ({"obstacles": [{"kind": ["disc"]}]}, r"obstacles: kind \['disc'\] must be one of disc"),
+    ({"obstacles": {5: 5}}, "obstacles: unknown key 5 of a disc; known keys are"),
+    ({"obstacles": [{"centre": DEEP, "radius": 1}]}, r"obstacles: centre .* must be 2 finite"),
+    ({"obstacles": [{"centre": [0, HUGE], "radius": 1}]}, "centre .* of a Disc must be 2 finite"),
+    ({"obstacles": [{"centre": "12", "radius": 1}]}, "centre '12' of a Disc must be 2 finite"),
+    ({"obstacles": [{"centre": [0, 0], "radius": 1e300}]}, r"radius 1e\+300 of a Disc .* at most"),
+    ({"obstacles": [{"vertices": 5}]}, "vertices 5 of a Polygon must be at least 3 points"),
+    ({"obstacles": [{"vertices": [1, 2, 3]}]}, r"vertices\[0\] 1 of a Polygon must be 2 finite"),
+    ({"obstacle_slots": True}, "obstacle_slots is True; it must be None or at least the number"),
+    ({"obstacle_slots": 10**9}, f"obstacle_slots is 1000000000; .* at most {MOST_OBSTACLES}"),
+    ({"obstacle_slots": 2.0}, r"obstacle_slots is 2\.0"),
+    ({"neighbour_slots": True}, "neighbour_slots is True"),
+    ({"neighbour_slots": 10**9}, f"neighbour_slots is 1000000000; .* at most {MOST_ROBOTS}"),
+    ({"start_positions": 5}, r"start_positions has shape \(\); it must be \(5, 2\)"),
+    ({"start_positions": [[HUGE, 0]] * 5}, r"start_positions is \[\[.*; it must be numbers"),
+    ({"start_positions": [["a", "b"]] * 5}, "start_positions is .* numbers"),
+    ({"start_positions": [[1, 2], [3]]}, r"start_positions is \[\[1, 2\], \[3\]\]; .*without gaps"),
+    ({"start_positions": [[1e160 * k, 0] for k in range(5)]},
+        r"start_positions of robot_1 is \[1e\+160, 0\.0\]; it must be finite, and from -1e\+09"),
+    ({"start_positions": DEEP}, r"start_positions is \[\[\[\[\[\["),
+    ({"time_limit": 1e9, "time_step": 1e-9}, r"time_limit is 1e\+09 s: 1e\+18 steps of 1e-09 s"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("fields", "message"), REFUSED)
+def test_scenarios_say_what_is_wrong_with_a_value_of_any_kind(fields, message):
+    assert re.search(message, refusal(Scenario, **fields)), refusal(Scenario, **fields)
+
+
+def test_an_unknown_field_is_told_with_the_nearest_one_at_every_door():
+    for call in (Scenario, Scenario().replace, lambda **f: Scenario.from_plain(f)):
+        for kind in (TypeError, ValueError, UnknownFieldError):
+            assert "scenario has no field 'n_robot'; did you mean 'n_robots'" in refusal(
+                call, kind=kind, n_robot=3
+            )
+    assert "did you mean 'progress'" in refusal(RewardWeights, progres=1, kind=TypeError)
+    assert "no field 'merge_radios'" in refusal(rv.parallel_env, "duo", merge_radios=1)
+    with pytest.raises(TypeError, match="positional"):
+        RewardWeights(1, 2, 3, 4, 5)
+
+
+def test_numpy_numbers_become_pythons_own():
+    scenario = Scenario(
+        n_robots=np.int32(3),
+        obstacle_slots=np.int64(2),
+        neighbour_slots=np.uint8(2),
+        require_connected=np.bool_(True),
+        merge_radius=np.float32(0.5),
+        graph=graphs.from_edges(np.array([[0, 1, 2.0], [1, 2, 1.0]])),
+    )
+    assert scenario == Scenario.from_plain(scenario.to_plain())
+    assert type(scenario.obstacle_slots) is int and scenario.require_connected is True
+
+
+@pytest.mark.parametrize(
+    ("plain", "message"),
+    [
+        (5, "a scenario's plain data is 5; it must be a mapping"),
+        ({"reward": 5}, "reward is 5; it must be a table of its weights"),
+        ({"reward": {"progress": HUGE}}, "reward.progress is a whole number of about 401"),
+        ({"reward": {"progress": 1e300}}, r"reward.progress is 1e\+300; it must be a finite"),
+        ({5: 5}, "scenario has no field 5; known are name, n_robots"),
+    ],
+)
+def test_plain_data_of_the_wrong_kind(plain, message):
+    assert re.search(message, refusal(Scenario.from_plain, plain))
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("n_robots = " + "9" * 400, "n_robots is a whole number of about 40[01] digits"),
+        ("n_robots = " + "9" * 5000, "mine.toml: not a TOML file"),
+        ("graph = " + "[" * 5000 + "]" * 5000, "mine.toml: its tables and lists are nested too"),
+        ("graph = " + "[" * 60 + "]" * 60, "graph"),
+        ("reward = 5", "reward is 5; it must be a table"),
+        ("obstacle_slots = true", "obstacle_slots is True"),
+        ("time_limit = 1e308", r"time_limit is 1e\+308"),
+        ("time_limit = 1979-05-27", "time_limit is datetime.date"),
+        ("robot_model = ['unicycle']", r"robot_model is \['unicycle'\]"),
+        ("time_step = 1e-300\nallow_long_step = true", "time_step is 1e-300"),
+        ("n_robots = 1000000000", "n_robots is 1000000000"),
+        ("name = '\\ud800'\nx", "not a TOML file"),
+    ],
+)
+def test_toml_of_the_wrong_kind(text, message, tmp_path):
+    path = tmp_path / "mine.toml"
+    path.write_text(text)
+    assert re.search(message, refusal(Scenario.from_toml, path))
+    path.write_bytes(b"name = '\xff\xfe'")
+    assert "mine.toml: not a TOML file" in refusal(Scenario.from_toml, path)
+
+
+def test_names_and_paths_that_no_file_can_have(tmp_path):
+    long, nul = str(tmp_path / ("x" * 300 + ".toml")), str(tmp_path / "a\0b.toml")
+    for call in (Scenario.from_toml, Scenario().to_toml, rv.parallel_env, scenarios.resolve):
+        assert "it is too long for a file" in refusal(call, long)
+        assert "no file can be called that" in refusal(call, nul)
+    assert list(tmp_path.iterdir()) == []
+    for name in ("x" * 300, "a\0b", "", "fig33"):
+        assert re.search(r"scenario '.*' is unknown; .*known are", refusal(scenarios.get, name))
+    for name in (5, None, ["fig3"], b"fig3", {}):
+        assert "is unknown; known are fig3" in refusal(scenarios.get, name)
+        assert "it must be a Scenario, the name of one, or the path" in refusal(rv.make_vec, name)
+    for path in (5, None, ["a.toml"]):
+        assert "path is" in refusal(Scenario.from_toml, path)
+    with pytest.raises(FileNotFoundError):
+        Scenario().to_toml(tmp_path / "absent" / "x.toml")
+
+
+def test_a_file_that_cannot_be_replaced_leaves_nothing_behind(tmp_path):
+    (tmp_path / "taken.toml").mkdir()
+    with pytest.raises(OSError, match="taken"):
+        Scenario().to_toml(tmp_path / "taken.toml")
+    assert [path.name for path in tmp_path.iterdir()] == ["taken.toml"]
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Disc(5, 1), "centre 5 of a Disc must be 2 finite numbers"),
+        (lambda: Disc(np.zeros(()), 1), r"centre array\(0\.\) of a Disc"),
+        (lambda: Disc((0, 0), True), "radius True of a Disc"),
+        (lambda: Disc((0, 0), "1"), "radius '1' of a Disc"),
+        (lambda: Polygon(np.array(5)), r"vertices array\(5\) of a Polygon"),
+        (lambda: Polygon([(0, 0)] * 2000), "at most 1000"),
+        (lambda: ObstacleField(10**9, (1, 2), 1, 1), "count 1000000000 .* <= 10000"),
+        (lambda: ObstacleField(True, (1, 2), 1, 1), "count True"),
+        (lambda: ObstacleField(1, (1, HUGE), 1, 1), "radius .* low <= high"),
+        (lambda: ObstacleField(1, (1, 2), HUGE, 1), "region a whole number of about 401"),
+        (lambda: ObstacleField(1, (1, 2), 1, 1e300), r"keep_out 1e\+300 .* at most 1e\+09"),
+        (lambda: ObstacleField(1, (1, 2), 1, 1, "no"), "overlap 'no'"),
+        (lambda: graphs.path("a"), "weight_range .*'a'"),
+        (lambda: graphs.path((1, 2, 3)), r"weight_range \(1, 2, 3\)"),
+        (lambda: graphs.path(math.nan), "weight_range .*nan"),
+        (lambda: graphs.erdos_renyi(math.nan), r"probability nan must be in \(0, 1\]"),
+        (lambda: graphs.Graph("edges", edges=((0, 9, 1.0),), n_nodes=3), r"edge \(0, 9\)"),
+        (lambda: graphs.Graph("edges"), "n_nodes is None"),
+        (lambda: graphs.Graph("path", edges=((0, 1, 1.0),)), "a path has neither edges"),
+        (lambda: graphs.from_edges([(0, HUGE)]), "n_nodes is a whole number of about 401"),
+        (lambda: graphs.from_matrix("ab"), "graph is 'ab'; it must be numbers"),
+    ],
+)
+def test_obstacles_and_graphs_of_the_wrong_kind(make, message):
+    assert re.search(message, refusal(make)), refusal(make)
+
+
+# ---- memory -------------------------------------------------------------------------------------
+
+
+def test_what_does_not_fit_into_memory_is_told_before_it_is_taken():
+    for scenario, num_envs in (
+        (PAIR, 10**9),
+        (Scenario(n_robots=2, obstacle_slots=MOST_OBSTACLES), 10**6),
+        (Scenario(n_robots=1000), 10**6),
+    ):
+        message = refusal(Simulator, scenario, num_envs)
+        assert re.search(rf"num_envs is {num_envs}: .* need .* GiB of memory, .* are free", message)
+    assert "at most" in refusal(rv.make_vec, PAIR, num_envs=HUGE)
+    assert 2**26 < available_bytes() < 2**63
+
+
+@pytest.mark.parametrize(("n", "num_envs"), [(2, 1), (40, 1), (3, 500)])
+def test_the_memory_foreseen_is_no_less_than_the_state(n, num_envs):
+    scenario = Scenario(n_robots=n, obstacle_slots=3)
+    simulator = Simulator(scenario, num_envs)
+    assert simulator.nbytes < needed_bytes(scenario, num_envs) < 8 * simulator.nbytes
+
+
+# ---- actions ------------------------------------------------------------------------------------
+
+WRONG_ACTIONS = [
+    None, "ab", b"ab", ["1", "2"], [HUGE, 0], [1e300, 0], [math.nan, 0.0], [None, 1.0], 5, [], {},
+    [[1.0], [2.0, 3.0]], np.array([1.0, 2.0], dtype=object), [1j, 0], DEEP, np.array("a"),
+    {"x": 1.0}, np.ones((2, 2)), np.array([0, "NaT"], "m8[s]"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("wrapped", [False, True])
+def test_pettingzoo_refuses_actions_of_any_wrong_kind(wrapped):
+    env = rv.parallel_env(PAIR)
+    env = rv.HeadingVectorWrapper(env) if wrapped else env
+    env.reset(seed=0)
+    before = env.get_state()
+    for wrong in WRONG_ACTIONS:
+        message = refusal(env.step, {"robot_0": np.zeros(2, np.float32), "robot_1": wrong})
+        assert re.match(r"action of robot_1 is .*; it must be 2 finite numbers", message)
+    for wrong in (None, [], [[0, 0], [0, 0]], np.zeros((2, 2)), 5, "robot_0", HUGE):
+        assert re.match(r"actions is .* a dict with an action for each of \['robot_0", refusal(
+            env.step, wrong))  # fmt: skip
+    assert "5 is no robot" in refusal(env.step, {5: [0, 0]}, kind=KeyError)
+    np.testing.assert_equal(env.get_state(), before)
+
+
+def test_pettingzoo_without_robots_takes_no_array():
+    env = rv.parallel_env(PAIR)
+    assert env.step({}) == ({}, {}, {}, {}, {})
+    for wrong in (None, [], np.zeros((2, 2))):
+        assert "actions is" in refusal(env.step, wrong)
+        assert "actions is" in refusal(rv.HeadingVectorWrapper(env).step, wrong)
+
+
+@pytest.mark.parametrize("make", [rv.rendezvous_v0.env, rv.rendezvous_v0.raw_env])
+def test_one_after_another_a_wrong_action_is_refused_at_once(make):
+    env = make(PAIR, max_cycles=1)
+    env.reset(seed=0)
+    base = env.unwrapped
+    before = base.get_state()
+    for wrong in WRONG_ACTIONS:
+        assert "action of robot_0 is" in refusal(env.step, wrong)
+    assert env.agent_selection == "robot_0"
+    env.step([0.0, 0.0])
+    assert "action of robot_1 is None" in refusal(env.step, None)
+    np.testing.assert_equal(base.get_state(), before)
+    env.step(np.zeros(2, np.float32))
+    assert env.truncations["robot_0"]
+    assert "which has ended, is [0.0, 0.0]; it must be None" in refusal(env.step, [0.0, 0.0])
+    env.step(None)
+    env.step(None)
+    assert env.agents == []
+
+
+def arrays(wrong):
+    """Wrong actions of a whole team."""
+    of_both = np.shape(wrong) == (2, 2) if isinstance(wrong, np.ndarray) else False
+    return [[wrong, wrong]] if of_both else [wrong, [wrong, wrong]]
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: make_env(PAIR),
+        lambda: Simulator(PAIR),
+        lambda: rv.make_vec(PAIR, 1),
+        lambda: rv_vector.HeadingVectorWrapper(rv.make_vec(PAIR, 1)),
+    ],
+)
+def test_arrays_of_actions_of_any_wrong_kind_are_refused(make):
+    env = make()
+    env.reset(seed=0)
+    before = env.get_state()
+    single = isinstance(env, gymnasium.Env)
+    for wrong in WRONG_ACTIONS:
+        for team in arrays(wrong):
+            message = refusal(env.step, team if single else [team])
+            assert re.match(
+                r"actions? (is|have shape|of robot_\d in team 0 is) .* must be", message
+            )
+    np.testing.assert_equal(env.get_state(), before)
+    message = refusal(env.step, [[0, 0], [1e300, 0]] if single else [[[0, 0], [1e300, 0]]])
+    assert "finite, in float32" in message
+
+
+def test_a_wrong_action_begins_no_episode_anew():
+    env = rv.make_vec(PAIR, 2, max_cycles=1)
+    env.reset(seed=0)
+    env.step(np.zeros((2, 2, 2), np.float32))
+    before = env.get_state()
+    for wrong in (np.full((2, 2, 2), np.nan), None, "a"):
+        refusal(env.step, wrong)
+    np.testing.assert_equal(env.get_state(), before)
+
+
+# ---- seeds, options, masks ----------------------------------------------------------------------
+
+WRONG_SEEDS = [5.0, True, "5", b"5", -1, 2**63, HUGE, UNWRITABLE, [], [1, 2, 3], {}, [0.5], [True],
+               np.array(5.0), np.array([[1]]), np.nan, {1}, [[1]], DEEP, 1j, ["a"]]  # fmt: skip
+DOORS = {
+    "simulator": lambda: Simulator(PAIR),
+    "pettingzoo": lambda: rv.parallel_env(PAIR),
+    "aec": lambda: rv.rendezvous_v0.env(PAIR),
+    "gymnasium": lambda: make_env(PAIR),
+    "vector": lambda: rv.make_vec(PAIR, 1),
+    "heading": lambda: rv.HeadingVectorWrapper(rv.parallel_env(PAIR)),
+    "vector heading": lambda: rv_vector.HeadingVectorWrapper(rv.make_vec(PAIR, 1)),
+}
+
+
+def state_of(env):
+    """The running episode behind any door."""
+    return (env if hasattr(env, "get_state") else env.unwrapped).get_state()
+
+
+@pytest.fixture(params=DOORS)
+def door(request):
+    """Each kind of environment, freshly reset."""
+    env = DOORS[request.param]()
+    env.reset(seed=3)
+    return env
+
+
+def test_every_reset_refuses_what_is_no_seed(door):
+    before = state_of(door)
+    for wrong in WRONG_SEEDS:
+        assert re.match("seed .*must be", refusal(door.reset, seed=wrong)), wrong
+    np.testing.assert_equal(state_of(door), before)
+
+
+def test_every_reset_takes_whole_numbers_of_any_type(door):
+    door.reset(seed=5)
+    wanted = state_of(door)
+    for seed in (np.array(5), np.int32(5), np.uint64(5), [5], np.array([5])):
+        door.reset(seed=seed)
+        np.testing.assert_equal(state_of(door), wanted)
+    door.reset(seed=2**63 - 1)
+
+
+def test_the_last_seed_of_a_batch_must_exist():
+    simulator = Simulator(PAIR, 3)
+    simulator.reset(2**63 - 3)
+    assert simulator.seeds.tolist() == [2**63 - 3, 2**63 - 2, 2**63 - 1]
+    assert f"at most {2**63 - 3}" in refusal(simulator.reset, 2**63 - 1)
+    assert "seed True must be" in refusal(simulator.reset, True)
+    assert "seed 5.0 must be a whole number" in refusal(simulator.reset, 5.0)
+    assert "seed 'abc' must be" in refusal(simulator.reset, "abc")
+
+
+WRONG_OPTIONS = [
+    (5, "options is 5; it must be None or a dict"),
+    ([("positions", 1)], "options is .* None or a dict"),
+    ("positions", "options is 'positions'"),
+    (np.zeros(3), r"options is array"),
+    (0, "options is 0"),
+    ({"position": 1}, "options: 'position' is not an option; did you mean 'positions'"),
+    ({"positions": "ab"}, "positions is 'ab'; it must be numbers"),
+    ({"positions": [[1, 2], [3]]}, "positions is .* without gaps"),
+    ({"positions": DEEP}, "positions is"),
+    ({"positions": [[HUGE, 0], [0, 0]]}, "positions is .* numbers"),
+    ({"positions": [[1e160, 0], [0, 0]]}, r"positions of robot_0 is \[1e\+160, 0\.0\]; .* 1e\+09"),
+    ({"headings": 5}, "headings: single integrators have none"),
+    ({"frames": 5}, r"frames has shape \(\)"),
+    ({"frames": np.full((2, 2, 2), 1e300)}, "frames of robot_0 is"),
+    ({"weights": "ab"}, "weights is 'ab'"),
+    ({"weights": 5}, r"weights have shape \(\); they must be \(2, 2\)"),
+    ({"weights": [[0, None], [None, 0]]}, "weights is .* numbers"),
+    ({"obstacles": 5}, "obstacles: 5 must be a sequence"),
+    ({"obstacles": DEEP}, r"obstacles\[0\]: "),
+    ({"obstacles": [{"radius": 1}]}, "obstacles: a disc needs centre"),
+]
+
+
+@pytest.mark.parametrize(("options", "message"), WRONG_OPTIONS)
+def test_every_reset_refuses_options_of_the_wrong_kind(door, options, message):
+    before = state_of(door)
+    said = refusal(door.reset, seed=1, options=options)
+    assert re.match(message, said), said
+    np.testing.assert_equal(state_of(door), before)
+
+
+def test_unknown_options_of_any_type_are_ignored(door):
+    door.reset(seed=1)
+    wanted = state_of(door)
+    door.reset(seed=1, options={5: 1, UNWRITABLE: 2, ("a",): 3, "x" * 300: 4, None: 5})
+    np.testing.assert_equal(state_of(door), wanted)
+
+
+def test_headings_of_the_wrong_kind():
+    simulator = Simulator(Scenario(n_robots=2, robot_model="unicycle"))
+    for wrong in ("a", [[1], [2, 3]], [HUGE, 0], DEEP, {}, [1e300, 0]):
+        assert re.match("headings", refusal(simulator.reset, 0, {"headings": wrong}))
+
+
+@pytest.mark.parametrize("wrong", [5, "ab", [1, 0], [[True], [True, False]], {}, [True], DEEP, 1.0])
+def test_masks_of_the_wrong_kind(wrong):
+    simulator, env = Simulator(PAIR, 2), rv.make_vec(PAIR, 2)
+    heading = rv_vector.HeadingVectorWrapper(env)
+    for reset in (
+        lambda: simulator.reset(0, mask=wrong),
+        lambda: simulator.restart(wrong),
+        lambda: env.reset(options={"reset_mask": wrong}),
+        lambda: heading.reset(options={"reset_mask": wrong}),
+    ):
+        assert re.match("mask is .*; it must be bool, one for each of 2 teams", refusal(reset))
+
+
+# ---- policies -----------------------------------------------------------------------------------
+
+CLUTTER = Scenario(n_robots=2, obstacle_slots=2)
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "message"),
+    [
+        ("tangent-joined", {"clearence": 1}, "has no option 'clearence'; it has clearance"),
+        *[
+            (name, {field: value}, rf"{field} is .*; it must")
+            for value in (math.nan, math.inf, -1, "1", None, [1], HUGE, True, np.ones(2))
+            for name, field in (
+                ("tangent-joined", "clearance"),
+                ("tangent-joined-tuned", "clearance"),
+                ("tangent-joined-tuned", "persistence"),
+                ("tangent-certified", "min_alignment"),
+                ("tangent-blocking-certified", "max_turn_rate"),
+                ("random", "seed"),
+            )
+            if not (field == "seed" and value is HUGE)
+        ],
+        (["zero"], {}, r"policy \['zero'\] is unknown; those that fit are"),
+        (5, {}, "policy 5 is unknown"),
+        (None, {}, "policy None is unknown"),
+        ("x" * 10**5, {}, "policy 'x.* is unknown"),
+    ],
+)
+def test_policies_refuse_options_when_they_are_made(name, options, message):
+    assert re.search(message, refusal(baselines.make, name, CLUTTER, **options))
+
+
+@pytest.mark.parametrize("name", baselines.names(CLUTTER))
+def test_policies_refuse_observations_of_another_shape_or_kind(name):
+    policy = baselines.make(name, CLUTTER)
+    rows, d = CLUTTER.observation_layout.shape
+    for wrong in (
+        np.zeros(()), np.zeros(d), np.zeros((2, rows + 1, d)), np.zeros((2, rows, 3)), None, "a",
+        np.zeros((2, rows, d), dtype=object), [[1], [2, 3]], {}, DEEP,
+    ):  # fmt: skip
+        assert re.match("observations (is|have shape)", refusal(policy, wrong, 0.0))
+    for kind in ("<f8", ">f4", np.longdouble, np.float16, np.int8):
+        assert policy(np.zeros((2, rows, d), kind), 0.0).shape == (2, d)
+    assert policy(np.zeros((2, rows, d)).tolist(), 0.0).shape == (2, d)
+
+
+def test_policies_that_remember_refuse_masks_of_other_teams():
+    policy = baselines.make("tangent-certified", CLUTTER)
+    policy(np.zeros((3, 2, *CLUTTER.observation_layout.shape)), 0.0)
+    for wrong in ([True], "abc", [[True, False, True]], [1, 0, 1], 5):
+        assert "one for each of 3 teams" in refusal(policy.reset, wrong)
+    policy.reset([True, False, True])
+
+
+@pytest.mark.parametrize("time", ["a", None, math.nan, [0.0, 1.0], [[0.0]], HUGE, {}])
+def test_a_law_of_time_refuses_what_is_no_time(time):
+    scenario = Scenario(n_robots=2, robot_model="unicycle")
+    policy = baselines.make("unicycle-cosine", scenario)
+    rows = np.zeros((3, 2, *scenario.observation_layout.shape))
+    assert re.match("time is", refusal(policy, rows, time))
+
+
+# ---- settings -----------------------------------------------------------------------------------
+
+NOT_NUMBERS = [math.nan, math.inf, -math.inf, "1", None, [1], True, HUGE, np.ones(2), 1j]
+
+
+@pytest.mark.parametrize("value", NOT_NUMBERS)
+@pytest.mark.parametrize("field", ["min_alignment", "max_turn_rate"])
+def test_wrappers_take_no_setting_that_means_nothing(field, value):
+    for wrap, env in (
+        (rv.HeadingVectorWrapper, rv.parallel_env(PAIR)),
+        (rv_vector.HeadingVectorWrapper, rv.make_vec(PAIR, 2)),
+    ):
+        assert f"{field} is {shown(value)}; it must" in refusal(wrap, env, **{field: value})
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("frame", ["local"]), ("frame", 5), ("certified", "no"), ("certified", 1),
+        ("certified", np.ones(2, bool)), ("decision_period", math.inf), ("decision_period", 2.0),
+        ("decision_period", True), ("decision_period", MOST_HELD_STEPS + 1),
+        ("decision_period", HUGE),
+    ],
+)  # fmt: skip
+def test_wrappers_take_no_other_setting_of_the_wrong_kind(field, value):
+    for wrap, env in (
+        (rv.HeadingVectorWrapper, rv.parallel_env(PAIR)),
+        (rv_vector.HeadingVectorWrapper, rv.make_vec(PAIR, 2)),
+    ):
+        assert f"{field} is {shown(value)}; it must" in refusal(wrap, env, **{field: value})
+
+
+def test_wrappers_wrap_only_environments_of_ours():
+    stranger = types.SimpleNamespace()
+    for env in (stranger, None, 5, "duo", make_env(PAIR)):
+        assert "env is a" in refusal(rv.HeadingVectorWrapper, env, kind=TypeError)
+        assert "env is a" in refusal(rv_vector.HeadingVectorWrapper, env, kind=TypeError)
+    foreign = gymnasium.make_vec("CartPole-v1", num_envs=1)
+    assert "env is a" in refusal(rv_vector.HeadingVectorWrapper, foreign, kind=TypeError)
+    assert "env is a" in refusal(rv.HeadingVectorWrapper, rv.make_vec(PAIR), kind=TypeError)
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, 0, "1", None, [1], True, HUGE])
+def test_certificates_and_headings_take_no_number_that_means_nothing(value):
+    if value is not True:
+        assert "min_alignment is" in refusal(rv.certificate, PAIR, value)
+    given = {"min_alignment": 0.1, "dead_zone": 0.1, "max_turn": 0.1}
+    for field in given:
+        if not (field == "max_turn" and value in (math.inf, HUGE)):
+            said = refusal(certified_heading, [1, 0], [1, 0], [1, 0], **given | {field: value})
+            assert f"{field} is" in said
+    rates = {"min_alignment": 0.1, "dead_zone": 0.1, "duration": 0.1, "max_rate": 1.0}
+    for field in rates:
+        if not (field == "max_rate" and value in (math.inf, [1], True)):
+            said = refusal(gated_turn_rate, [1.0], [1.0, 0.0], **rates | {field: value})
+            assert field in said
+
+
+def test_vectors_of_the_wrong_kind():
+    given = {"min_alignment": 0.1, "dead_zone": 0.1, "max_turn": 0.1}
+    for wrong in ("ab", [HUGE, 0], [None, 1], [[1], [2, 3]], {}, DEEP, [math.nan, 0]):
+        for place, name in enumerate(("raw", "net_bearing", "previous")):
+            vectors: list = [[1.0, 0.0], [1.0, 0.0], [1.0, 0.0]]
+            vectors[place] = wrong
+            assert name in refusal(certified_heading, *vectors, **given)
+
+
+@pytest.mark.parametrize("scenario", ["duo", None, 5])
+def test_what_needs_a_scenario_says_so(scenario):
+    for call in (Simulator, rv.certificate):
+        assert "it must be a Scenario" in refusal(call, scenario)
+
+
+@pytest.mark.parametrize("value", [0, -1, True, 2.0, "2", math.nan, math.inf, HUGE, [1]])
+def test_counts_of_the_wrong_kind(value):
+    assert "num_envs is" in refusal(Simulator, PAIR, value)
+    assert "num_threads is" in refusal(Simulator, PAIR, 1, num_threads=value)
+    assert "num_envs is" in refusal(rv.make_vec, PAIR, num_envs=value)
+    assert "max_cycles is" in refusal(rv.make_vec, PAIR, max_cycles=value)
+    assert "max_cycles is" in refusal(rv.parallel_env, PAIR, max_cycles=value)
+    env = rv.parallel_env(PAIR, max_cycles=MOST_STEPS)
+    with pytest.raises(ValueError, match="max_cycles is"):
+        env.max_cycles = value
+    assert env.max_cycles == MOST_STEPS
+    assert "num_envs is" in refusal(rv.rollout, PAIR, lambda o, t: o, num_envs=value)
+
+
+def test_modes_and_policies_of_the_wrong_kind():
+    for mode in ("Next", 5, None, ["NextStep"]):
+        said = refusal(rv.make_vec, PAIR, autoreset_mode=mode)
+        assert re.match(r"autoreset_mode is .* one of 'NextStep', 'SameStep', 'Disabled'", said)
+    for policy in (5, None, "zero"):
+        assert "it must be callable" in refusal(rv.rollout, PAIR, policy, kind=TypeError)
+    for answer in (None, "a", [HUGE], np.zeros(3)):
+        assert re.match("actions", refusal(rv.rollout, PAIR, lambda o, t, a=answer: a))
+    for mode in (5, ["human"], np.array(["human"])):
+        assert "render_mode is" in refusal(rv.parallel_env, PAIR, render_mode=mode)

@@ -1,0 +1,244 @@
+"""States from outside: every entry is checked, and all of them before any is taken."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+from conftest import five
+from rendezvous_env.engine.teams import FRESH, RENDEZVOUS, TIME_OUT
+from rendezvous_env.equations.geometry import COUNT, RADIUS
+
+import rendezvous_env as rv
+from rendezvous_env import Simulator, parallel_env
+from rendezvous_env.guarantee.steering import Steering
+from rendezvous_env.vector import HeadingVectorWrapper
+from train.learned.guide import Guide
+from train.learning.perceiving import PerceivingTeams
+from train.learning.sb3_vec_env import RobotVecEnv
+
+TEAMS = 6
+SQUARE = rv.Polygon(((4.0, 0.0), (6.0, 0.0), (6.0, 2.0), (4.0, 2.0)))
+AMONG = {"obstacles": (rv.Disc((0.0, 5.0), 1.0), SQUARE), "obstacle_slots": 3}
+
+
+def following_law(sim: Simulator) -> np.ndarray:
+    """Actions with which robots meet: the net bearing, or as much of it as there are inputs."""
+    f = sim.scenario.observation_layout.net_bearing(sim.observe())
+    actions = np.zeros((TEAMS, 5, sim.scenario.action_size))
+    width = min(actions.shape[-1], f.shape[-1])
+    actions[..., :width] = f[..., :width]
+    return actions
+
+
+def halfway(**changes: object) -> Simulator:
+    """Teams in the midst of an episode, robots of some already merged."""
+    sim = Simulator(five("single_integrator-2d", spawn_size=3.0, **changes), TEAMS)
+    sim.reset(0)
+    while sim.active.all():
+        sim.step(following_law(sim))
+    return sim
+
+
+def same(a, b):
+    if isinstance(a, dict):
+        return a.keys() == b.keys() and all(same(a[key], b[key]) for key in a)
+    return np.array_equal(a, b, equal_nan=np.asarray(a).dtype.kind == "f")
+
+
+def refused(target, state, message):
+    """It is refused with these words, and nothing has changed."""
+    before = target.get_state()
+    with pytest.raises(ValueError, match=message):
+        target.set_state(state)
+    assert same(before, target.get_state())
+
+
+def changed(state, name, place, value):
+    array = state[name].copy()
+    array[place] = value
+    return {**state, name: array}
+
+
+WRONG_ENTRIES = [
+    ("positions", (1, 2, 0), np.nan, "positions[1, 2, 0] is nan; it must be finite"),
+    ("weights", (0, 3, 0), -1.0, "weights[0, 3, 0] is -1.0; it must be 0 or more"),
+    ("weights", (0, 3, 0), np.inf, "weights[0, 3, 0] is inf; it must be finite"),
+    ("obstacles", (2, 0, COUNT), 1e9, "obstacles[2, 0] is [1000000000.0, "),
+    ("obstacles", (2, 1, COUNT), 5.0, "it must be a row that begins with -1, 0 or 3 to 4"),
+    ("obstacles", (2, 1, COUNT), 3.5, "it must be a row that begins with -1, 0 or 3 to 4"),
+    ("obstacles", (2, 1, COUNT), -2.0, "it must be a row that begins with -1, 0 or 3 to 4"),
+    ("obstacles", (2, 1, COUNT), np.nan, "it must be a row that begins with -1, 0 or 3 to 4"),
+    ("obstacles", (5, 1, 6), np.inf, "it must be finite"),
+    ("obstacles", (5, 0, RADIUS), -1.0, "it must be of radius 0 or more"),
+    ("merged_into", (3, 1), -1, "merged_into[3, 1] is -1; it must be from 0 to the robot's own"),
+    ("merged_into", (3, 1), 10_000, "merged_into[3, 1] is 10000; it must be from 0"),
+    ("merged_into", (3, 1), 4, "merged_into[3, 1] is 4; it must be from 0 to the robot's own"),
+    ("merged_into", (3, slice(2)), 0, "weights"),  # merged, and still linked
+    ("seed", 4, 2**63, "seed[4] is 9223372036854775808; it must be below 2**63"),
+    ("episode", 4, -2, "episode[4] is -2"),
+    ("status", 4, -1, "status[4] is -1; it must be 0 to 3"),
+    ("status", 4, 4, "status[4] is 4; it must be 0 to 3"),
+    ("status", 4, RENDEZVOUS, "1 exactly in teams in which one robot is left"),
+    ("steps", 4, -1, "steps[4] is -1; it must be 0 or more"),
+    ("contacts", 4, -3, "contacts[4] is -3; it must be 0 or more"),
+    ("path_length", 4, np.inf, "path_length[4] is inf; it must be finite"),
+    ("initial_lyapunov", 4, -1.0, "initial_lyapunov[4] is -1.0; it must be 0 or more"),
+    ("min_clearance", 4, np.nan, "min_clearance[4] is nan; it must be a length"),
+    ("frames", (1, 1, 0), 3.0, "it must be a rotation"),
+    ("frames", (1, 1), [1.0, 0.0, 0.0, -1.0], "it must be a rotation"),
+]
+
+
+@pytest.mark.parametrize(("name", "place", "value", "message"), WRONG_ENTRIES)
+def test_an_entry_that_no_episode_has_is_refused(name, place, value, message):
+    sim = Simulator(five("single_integrator-2d", **AMONG), TEAMS)
+    sim.reset(0)
+    refused(sim, changed(sim.get_state(), name, place, value), re.escape(message))
+
+
+def test_survivors_are_their_own():
+    sim = Simulator(five("single_integrator-2d"), 1)
+    sim.reset(0)
+    state = sim.get_state()
+    state["weights"][:] = 0.0
+    refused(sim, changed(state, "merged_into", (0, slice(1, 3)), [0, 1]), "itself not merged")
+    sim.set_state(changed(state, "merged_into", (0, slice(1, 3)), [0, 0]))
+    assert sim.active.tolist() == [[True, False, False, True, True]]
+
+
+@pytest.mark.parametrize(
+    "name", ["positions", "weights", "steps", "seed", "merged_into", "obstacles"]
+)
+def test_lists_are_taken_or_refused_as_a_whole(name):
+    sim = halfway(**AMONG)
+    state = sim.get_state()
+    ragged = [[1.0], [2.0, 3.0]]
+    refused(sim, {**state, name: ragged}, f"{name} must be an array")
+    refused(sim, {**state, name: "words"}, f"{name} must be an array")
+    listed = {**state, "positions": state["positions"].tolist(), "steps": state["steps"].tolist()}
+    sim.step(np.ones((TEAMS, 5, 2)))
+    sim.set_state(listed)
+    assert same(sim.get_state(), state)
+
+
+@pytest.mark.parametrize("wrong", [None, 3, [], "state"])
+def test_what_is_no_state_is_refused(wrong):
+    for target in (
+        Simulator(five("unicycle")),
+        parallel_env("fig3"),
+        Steering(five("unicycle"), 1),
+    ):
+        refused(target, wrong, "must be a mapping")
+
+
+def test_states_of_all_moments_are_taken(kind):
+    """Before the first reset, in part reset, resting, running, merged, met, timed out."""
+    scenario = five(kind, time_limit=1.0, spawn_size=3.0)
+    sim, other = Simulator(scenario, TEAMS), Simulator(scenario, TEAMS)
+    other.set_state(sim.get_state())
+    with pytest.raises(RuntimeError, match="call reset"):
+        other.step(np.zeros((TEAMS, 5, scenario.action_size)))
+    sim.reset(0, mask=np.arange(TEAMS) < 4)
+    seen, merged = set(), False
+    for step in range(400):
+        other.set_state(sim.get_state())
+        assert same(other.get_state(), sim.get_state())
+        np.testing.assert_array_equal(other.observe(), sim.observe())
+        seen |= set(sim.status.tolist())
+        if step % 50 == 40:
+            sim.restart(sim.ended)
+            seen |= set(sim.status.tolist())
+            other.set_state(sim.get_state())
+        sim.step(following_law(sim))
+        merged |= not sim.active.all()
+    assert {TIME_OUT, FRESH} <= seen and merged
+
+
+def test_a_team_that_was_never_reset_draws_its_seed_later():
+    sim = Simulator(five("unicycle"), 2)
+    sim.set_state(Simulator(five("unicycle"), 2).get_state())
+    sim.reset()
+    assert sim.seeds.min() > 1
+
+
+# ---- states of what stands around a simulator ---------------------------------------------------
+
+
+def test_a_parallel_environment_takes_a_state_as_a_whole():
+    env = parallel_env("fig3")
+    env.reset(seed=0)
+    state = env.get_state()
+    actions = {name: env.action_space(name).high for name in env.agents}
+    env.step(actions)
+    simulator = changed(state["simulator"], "positions", 0, np.nan)
+    refused(env, {"simulator": state["simulator"]}, "'agents' is missing")
+    refused(env, {"agents": state["agents"]}, "'simulator' is missing")
+    refused(env, {**state, "simulator": simulator}, "positions")
+    for wrong in ([], None, "robot_0", ["robot_9"], state["agents"][::-1], state["agents"][:-1]):
+        refused(env, {**state, "agents": wrong}, "agents is .*it must be")
+    env.set_state(state)
+    assert same(env.get_state(), state)
+
+
+@pytest.mark.parametrize("entry", ["headings", "frames", "held"])
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        (lambda array: "words", "must be an array"),
+        (lambda array: array[:1], "must be an array"),
+        (lambda array: array * np.nan, "must be"),
+        (lambda array: array + 1j, "must be float64"),
+    ],
+)
+def test_steering_takes_a_state_as_a_whole(entry, spoil, message):
+    steering = Steering(five("single_integrator-2d"), 2)
+    state = steering.get_state()
+    headings = state["headings"] + 1.0  # may not be taken over
+    steering_state = {**state, "headings": headings}
+    refused(steering, {**steering_state, entry: spoil(steering_state[entry])}, message)
+
+
+def wrapped():
+    venv = HeadingVectorWrapper(rv.make_vec("clutter-16", 2))
+    venv.reset(seed=0)
+    return venv
+
+
+def perceiving():
+    scenario = rv.scenarios.get("clutter-16")
+    teams = rv.make_vec(scenario, 2, autoreset_mode="SameStep")
+    teams = PerceivingTeams(teams, Guide(scenario, clearance=0.1, persistence=0.5))
+    teams.reset(seed=0)
+    return teams
+
+
+def robots():
+    vec_env = RobotVecEnv(perceiving())
+    vec_env.seed(0)
+    vec_env.reset()
+    return vec_env
+
+
+def leaves(state, path=()):
+    for key, value in state.items():
+        yield from leaves(value, (*path, key)) if isinstance(value, dict) else [(*path, key)]
+
+
+@pytest.mark.parametrize("make", [wrapped, perceiving, robots])
+def test_every_entry_of_a_nested_state_is_checked_before_any_is_taken(make):
+    """Entries of another moment, one of them spoilt: none of the others may get in."""
+    target = make()
+    other = make()
+    other.reset()  # the next episode: every entry that can differs
+    paths = list(leaves(target.get_state()))
+    assert len(paths) > 10
+    for path in paths:
+        for spoil in (lambda at, key: at.pop(key), lambda at, key: at.update({key: "words"})):
+            state = other.get_state()
+            at = state
+            for key in path[:-1]:
+                at = at[key]
+            spoil(at, path[-1])
+            refused(target, state, path[-1])
