@@ -17,6 +17,8 @@ from rendezvous_env.equations.vectors import X_AXIS, combine, dot, load, split, 
 TWO_PI = 2.0 * math.pi
 _STRAIGHT_AHEAD = -1
 _ROUNDING = 1e-12
+_FAR = 100.0
+"""rad; sums of the angles in here stay below it."""
 
 
 @kernel
@@ -278,7 +280,9 @@ def _nearest_interval(intervals):
 
 @kernel
 def _counter_clockwise(angle):
-    """The same angle in [0, 2π), a few turns away at most; what rounds to 2π is 0."""
+    """The same angle in [0, 2π); what rounds to 2π is 0, and NaN stays NaN."""
+    if not -_FAR < angle < _FAR:  # ±∞ would never get there turn by turn; % makes it NaN
+        angle = angle % TWO_PI
     while angle < 0.0:
         angle += TWO_PI
     while angle >= TWO_PI - _ROUNDING:
@@ -296,8 +300,9 @@ def _join_from(first, intervals):
     high = low + intervals[first, 1]
     if low > 0.0 and TWO_PI - high < low:  # counted from below, its upper edge is the near one
         low, high = low - TWO_PI, high - TWO_PI
-    grown = True
-    while grown and high - low < TWO_PI:
+    for _ in range(2 * intervals.shape[0] + 1):  # every pass but the last takes one in, on a side
+        if not high - low < TWO_PI:
+            break
         grown = False
         for k in range(intervals.shape[0]):
             after_low = _counter_clockwise(intervals[k, 0] - low)
@@ -306,6 +311,8 @@ def _join_from(first, intervals):
                 high, grown = low + end, True
             elif after_low > high - low and end >= TWO_PI:
                 low, grown = low + after_low - TWO_PI, True
+        if not grown:
+            break
     return low, high
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import sys
 from collections.abc import Callable, Iterator
@@ -151,3 +152,18 @@ def compared(tmp_path_factory):
     config = compare.Config(("fig4", "uav-6"), policies, episodes=4, seed=3, keep=2, out=out)
     assert compare.run(config) == 0
     return out
+
+
+@pytest.fixture
+def reseal():
+    """Make run.json fit the files beside it again, as if ``compare`` had written them."""
+    from train.comparing import out_folder
+
+    def seal(folder, **changes):
+        path = folder / "run.json"
+        about = json.loads(path.read_text()) | changes
+        names = [name for name in about.pop("files") if (folder / name).is_file()]
+        about.pop("sha256")
+        out_folder.seal(folder, names, about)
+
+    return seal

@@ -12,6 +12,9 @@ import sys
 from collections.abc import Sequence
 from importlib import import_module
 
+from . import interrupts
+from .errors import UserError
+
 COMMANDS = {
     "compare": ("comparing.compare", "compare policies on the same starts: table, files, figures"),
     "train": ("learning.ppo", "PPO learns headings that keep the guarantee; stop it, resume it"),
@@ -22,6 +25,8 @@ COMMANDS = {
     "verify": ("verification.verify", "check the theorems on random teams; status 1 if one fails"),
 }
 """Module in ``train`` and one line of help for each command."""
+_LONGEST_LINE = 1000
+"""Characters; of a longer one the beginning and the end are shown."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -31,29 +36,50 @@ def main(argv: Sequence[str] | None = None) -> int:
         argv: what follows ``rendezvous``; None takes it from the system.
 
     Returns:
-        Exit status: 0, 1 for a failed check, 2 for the user's mistake, 130 when interrupted.
+        Exit status: 0, 1 for a failed check, 2 for the user's mistake or a disk or memory that is
+        full, 130 when interrupted (Ctrl-C), 143 when terminated.
     """
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # before anything loads torch
     words = list(sys.argv[1:] if argv is None else argv)
     command = _parser().parse_args(words[:1]).command
-    from .errors import UserError
-
     try:
-        return _run(command, words[1:])
+        with interrupts.raised(command):
+            return _run(command, words[1:])
     except UserError as error:
-        print(f"rendezvous {command}: {error}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print(f"rendezvous {command}: interrupted; no file is half written", file=sys.stderr)
-        return 130
+        return _say(command, str(error))
+    except OSError as error:
+        where = f"{error.filename}: " if error.filename else ""
+        return _say(command, f"{where}{error.strerror or error}")
+    except MemoryError as error:
+        return _say(command, f"not enough memory ({error or 'asked for too much'}); ask for less")
+    except KeyboardInterrupt as error:
+        print(interrupts.line_of(command, error), file=sys.stderr)
+        return interrupts.status_of(error)
+    finally:
+        if argv is None:
+            interrupts.leave_to_system()
 
 
 def _run(command: str, flags: Sequence[str]) -> int:
     import tyro
 
+    from .checks import check_fields, check_text
+
+    for number, word in enumerate(flags, start=1):
+        check_text(f"word {number} after {command}", word)
     module = import_module(f"train.{COMMANDS[command][0]}")
     config = tyro.cli(module.Config, prog=f"rendezvous {command}", args=flags)
+    check_fields(config)
     return int(module.run(config) or 0)
+
+
+def _say(command: str, what: str) -> int:
+    """One line about the user's mistake, which may quote anything; the exit status."""
+    line = " ".join(map(str.strip, what.splitlines()))
+    if len(line) > _LONGEST_LINE:
+        line = f"{line[: _LONGEST_LINE // 2]} … {line[-_LONGEST_LINE // 2 :]}"
+    print(f"rendezvous {command}: {line}", file=sys.stderr)
+    return 2
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import csv
+import hashlib
 import json
 import os
 import platform
 import sys
+import zipfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from importlib import metadata
@@ -17,7 +19,7 @@ import numpy as np
 
 from .errors import UserError
 
-FORMAT_VERSION = 2
+FORMAT_VERSION = 3
 """Of the files of ``compare``; a change that a reader would notice raises it."""
 
 RESULT_COLUMNS = (
@@ -140,10 +142,67 @@ def read_csv(path: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
-def write_arrays(path: Path, arrays: Mapping[str, Any]) -> None:
-    """Write named arrays to a compressed npz file; names may hold slashes."""
-    with atomic(path) as temporary, temporary.open("wb") as file:
-        np.savez_compressed(file, **dict(arrays))
+def write_arrays(path: Path, arrays: Mapping[str, Any], run: str = "") -> None:
+    """Write named arrays to a compressed npz file; names may hold slashes.
+
+    Args:
+        path: of the file.
+        arrays: by name.
+        run: id of the run that they are of; it becomes the comment of the archive.
+    """
+    with atomic(path) as temporary:
+        with temporary.open("wb") as file:
+            np.savez_compressed(file, **dict(arrays))
+        with zipfile.ZipFile(temporary, "a") as archive:
+            archive.comment = run.encode()
+
+
+def read_arrays(path: Path, run: str | None = None) -> dict[str, np.ndarray[Any, Any]]:
+    """The arrays that ``write_arrays`` wrote.
+
+    Args:
+        path: of the file.
+        run: id that the file must carry; None takes any.
+
+    Raises:
+        FileNotFoundError: if there is none.
+        ValueError: if it cannot be read, saying why.
+    """
+    try:
+        with zipfile.ZipFile(path) as archive:
+            own = archive.comment.decode(errors="replace")
+        if run is not None and own != run:
+            raise ValueError(f"it is of run {own!r}, not {run!r}")
+        with path.open("rb") as file, np.load(file) as arrays:
+            return {name: arrays[name] for name in arrays.files}
+    except FileNotFoundError:
+        raise
+    except Exception as error:  # a damaged header raises whatever its bytes mean to the parser
+        raise ValueError(str(error) or type(error).__name__) from error
+
+
+def read_json(path: Path) -> Any:
+    """Plain data from a file.
+
+    Raises:
+        OSError: if it cannot be read.
+        ValueError: if it is no JSON, saying why.
+    """
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except RecursionError as error:
+        raise ValueError("it is nested too deeply") from error
+
+
+def digest(content: Any) -> str:
+    """SHA-256 of plain data."""
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+
+
+def entry(path: Path) -> dict[str, Any]:
+    """Size and SHA-256 of a file, as run.json names them."""
+    content = path.read_bytes()
+    return {"bytes": len(content), "sha256": hashlib.sha256(content).hexdigest()}
 
 
 def write_json(path: Path, content: Mapping[str, Any]) -> None:

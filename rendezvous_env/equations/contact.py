@@ -146,7 +146,7 @@ def _settle_on_line(start, leg, fraction, world):
     back along the leg a little, twice as far each time, at worst to the start.
     """
     retreat = CONTACT_DEPTH / max(CONTACT_DEPTH, norm(leg))
-    while fraction > 0.0:
+    while fraction > 0.0 and retreat > 0.0:  # a leg of infinite length leaves no retreat
         is_out, point = _push_out(add(start, fraction, leg), world)
         if is_out:
             return point
@@ -160,7 +160,7 @@ def _settle_on_line(start, leg, fraction, world):
 def _settle_on_curve(start, curve, time, world):
     """The same on a curve: where the robot is after ``time``, or a little earlier."""
     retreat = CONTACT_DEPTH / max(CONTACT_DEPTH, curve[0].speed_limit)
-    while time > 0.0:
+    while time > 0.0 and retreat > 0.0:
         is_out, point = _push_out(_place_on(curve, start, time), world)
         if is_out:
             return point

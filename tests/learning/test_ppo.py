@@ -221,9 +221,10 @@ def stopped_after(settings, updates, number=signal.SIGTERM):
 
 class TestResume:
     @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-    def test_a_signal_stops_after_a_checkpoint(self, whole, tmp_path, number, capsys):
+    def test_a_signal_keeps_all_whole_updates(self, whole, tmp_path, number, capsys):
+        """It comes while the fourth is being told; checkpoints are written every other update."""
         folder = tmp_path / "run"
-        assert stopped_after(config(folder), 3, number) == 128 + number
+        assert stopped_after(config(folder), 4, number) == 128 + number
         assert checkpoints.find(folder).name == f"step-{3 * UPDATE:012d}"
         assert ppo.run(Config(resume=folder)) == 0
         said = capsys.readouterr().out
@@ -232,7 +233,10 @@ class TestResume:
 
     def test_a_second_signal_leaves_at_once(self, tmp_path, monkeypatch):
         def update(self):
-            os.kill(os.getpid(), signal.SIGINT)
+            monkeypatch.setattr(training.Training, "save", interrupt)
+            interrupt(self)
+
+        def interrupt(self, state=None):
             os.kill(os.getpid(), signal.SIGINT)
             raise AssertionError("still here")
 
@@ -281,7 +285,7 @@ class TestResume:
             raise KeyboardInterrupt
 
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(training.Training, "begin", killed)
+            patch.setattr(training.Training, "save", killed)
             with pytest.raises(KeyboardInterrupt):
                 ppo.run(config(folder))
         assert ppo.run(Config(resume=folder)) == 0
@@ -300,7 +304,7 @@ class TestMistakes:
             (["--num-teams", "0"], "--num-teams is 0; it must be 1 or more"),
             (["--gamma", "1.5"], "--gamma is 1.5; it must be in [0, 1]"),
             (["--min-alignment", "1"], "--min-alignment is 1.0; it must be in (0, 1)"),
-            (["--learning-rate", "nan"], "--learning-rate is nan; it must be positive"),
+            (["--learning-rate", "nan"], "--learning-rate is nan; it must be a finite number"),
             (["--seed", str(2**29)], "must be below 2^29"),
             (["--start-from", "nowhere"], "nowhere: no such folder"),
         ],
@@ -427,15 +431,89 @@ class TestTable:
     def test_it_is_cut_back_to_a_step(self, tmp_path):
         path = tmp_path / "table.csv"
         table = Table(path, ("step", "value"), 0)
+        table.begin()
         for step in (1, 2, 3):
             table.add({"step": step, "value": step / 3})
         with path.open("a") as file:
             file.write("4,0.")
         again = Table(path, ("step", "value"), 2)
+        again.begin()
         again.add({"step": 3, "value": float("nan")})
         rows = results.read_csv(path)
         assert [row["step"] for row in rows] == ["1", "2", "3"]
         assert float(rows[0]["value"]) == 1 / 3 and rows[2]["value"] == ""
+
+
+class TestDamaged:
+    """What was written by a run and hurt since; the refusal changes nothing."""
+
+    @pytest.mark.parametrize(
+        ("name", "content", "message"),
+        [
+            ("metrics.csv", b"step\xff\n", "metrics.csv: not readable ('utf-8' codec"),
+            ("metrics.csv", b"step\n1\n", "metrics.csv: line 1 is not step,update"),
+            ("evaluation.csv", b"a,b\n", "evaluation.csv: line 1 is not step,scenario"),
+            ("config.json", b"[" * 100_000, "config.json: it is nested too deeply"),
+            ("config.json", b"\xff", "config.json: 'utf-8' codec"),
+            ("config.json", b"[]", "config.json: the configuration is a list"),
+        ],
+    )
+    def test_a_file(self, whole, tmp_path, capsys, name, content, message):
+        folder = shutil.copytree(whole, tmp_path / "run")
+        (folder / name).write_bytes(content)
+        self.refused(folder, message, capsys)
+
+    def test_a_row_in_the_middle(self, whole, tmp_path, capsys):
+        folder = shutil.copytree(whole, tmp_path / "run")
+        lines = (folder / "metrics.csv").read_text().splitlines(keepends=True)
+        (folder / "metrics.csv").write_text("".join([*lines[:4], "x" + lines[4], *lines[5:]]))
+        self.refused(folder, "line 5: step is 'x2048'; it must be a whole number", capsys)
+        (folder / "metrics.csv").write_text("".join([*lines[:4], "7,8\n", *lines[5:]]))
+        self.refused(folder, "line 5 has 2 cells, not 19", capsys)
+
+    @pytest.mark.parametrize(
+        ("field", "value", "message"),
+        [
+            ("clearance", float("nan"), "--clearance is nan; it must be a finite number"),
+            ("num_teams", "8", "num_teams is '8'; it must be of type int"),
+            ("hidden", [16, "16"], "hidden is (16, '16'); it must be of type tuple[int, ...]"),
+        ],
+    )
+    def test_a_setting(self, whole, tmp_path, capsys, field, value, message):
+        folder = shutil.copytree(whole, tmp_path / "run")
+        plain = json.loads((folder / "config.json").read_text()) | {field: value}
+        (folder / "config.json").write_text(json.dumps(plain))
+        self.refused(folder, message, capsys)
+
+    def test_no_folder_is_made(self, tmp_path, capsys):
+        self.refused(tmp_path / "nowhere", "No such file or directory", capsys)
+        assert not (tmp_path / "nowhere").exists()
+
+    def test_threads(self, whole, tmp_path, capsys):
+        folder = shutil.copytree(whole, tmp_path / "run")
+        message = "--num-threads is 0; it must be 1 or more"
+        self.refused(folder, message, capsys, "--num-threads", "0")
+
+    def refused(self, folder, message, capsys, *words):
+        before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+        assert cli.main(["train", "--resume", str(folder), *words]) == 2
+        said = capsys.readouterr().err
+        assert message in said and said.count("\n") == 1 and "Traceback" not in said
+        assert {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()} == before
+
+
+def test_training_that_diverges_is_a_message(tmp_path, capsys, monkeypatch):
+    real = training.RobotPPO.learn
+
+    def learn(self, *given, **options):
+        real(self, *given, **options)
+        next(self.policy.parameters()).data[0] = np.nan
+
+    monkeypatch.setattr(training.RobotPPO, "learn", learn)
+    assert cli.main(["train", *flags(tmp_path / "run")]) == 2
+    said = capsys.readouterr().err
+    assert "training diverged" in said and "--learning-rate below 0.001" in said
+    assert checkpoints.find(tmp_path / "run").name == f"step-{0:012d}"
 
 
 def test_settings_as_plain_data():

@@ -116,15 +116,22 @@ class TestPage:
         assert [base64.b64decode(image) for image in images] == [f.read_bytes() for f in files]
         assert len(files) >= 3
 
-    def test_names_are_text(self, folder):
+    def test_names_are_text(self, folder, reseal):
         """A scenario called </script><b> stays a name."""
         name = "<b>&</b>"
         for file in ("results.csv", "episodes.csv", "paired.csv", "run.json"):
             path = folder / file
-            path.write_text(path.read_text().replace("fig4", "</script>" + name))
+            text = path.read_text()
+            for place in ('"fig4"', "fig4,", '"name": "fig4"'):
+                text = text.replace(place, place.replace("fig4", "</script>" + name))
+            path.write_text(text)
+        (folder / "trajectories-fig4.png").unlink()
+        reseal(folder)
         with pytest.raises(report.UserError, match=r"not in run\.json"):
             read(folder)
-        (folder / "trajectories.npz").unlink()
+        run = json.loads((folder / "run.json").read_text())
+        results.write_arrays(folder / "trajectories.npz", {}, run["run"])
+        reseal(folder)
         text = report.page(read(folder))
         assert name not in text
         assert {row["scenario"] for row in data_of(text)[0]["results"]} == {
@@ -132,25 +139,24 @@ class TestPage:
             "uav-6",
         }
 
-    @pytest.mark.parametrize(
-        ("kept", "message"), [(False, "no trajectories.npz"), (True, "--keep 0")]
-    )
-    def test_without_trajectories_there_are_tables_and_a_word(self, kept, message, folder, capsys):
-        (folder / "trajectories.npz").unlink()
-        if kept:
-            results.write_arrays(folder / "trajectories.npz", {})
+    def test_without_trajectories_there_are_tables_and_a_word(self, folder, reseal, capsys):
+        run = json.loads((folder / "run.json").read_text())
+        results.write_arrays(folder / "trajectories.npz", {}, run["run"])
+        reseal(folder)
         assert cli.main(["report", str(folder)]) == 0
         text = (folder / "report.html").read_text(encoding="utf-8")
-        assert message in text and message in capsys.readouterr().out.replace("\n", " ")
+        assert "--keep 0" in text and "--keep 0" in capsys.readouterr().out.replace("\n", " ")
         assert 'id="player"' not in text and len(data_of(text)[0]["results"]) == 5
 
-    def test_a_policy_may_have_slashes_in_its_name(self, folder):
+    def test_a_policy_may_have_slashes_in_its_name(self, folder, reseal):
+        run = json.loads((folder / "run.json").read_text())["run"]
         with np.load(folder / "trajectories.npz") as arrays:
             renamed = {n.replace("/zero/", "/learned:a/b/"): arrays[n] for n in arrays.files}
-        results.write_arrays(folder / "trajectories.npz", renamed)
-        for file in ("results.csv", "episodes.csv", "run.json"):
+        results.write_arrays(folder / "trajectories.npz", renamed, run)
+        for file in ("results.csv", "episodes.csv", "paired.csv", "run.json"):
             path = folder / file
             path.write_text(path.read_text().replace("zero", "learned:a/b"))
+        reseal(folder)
         data, _ = data_of(report.page(read(folder)))
         assert ("fig4", "learned:a/b", 1) in {
             (r["scenario"], r["policy"], r["start"]) for r in data["recordings"]
@@ -204,36 +210,51 @@ class TestRefusals:
         assert f"{name}: missing" in refused(folder, capsys)
 
     @pytest.mark.parametrize("name", ["results.csv", "episodes.csv"])
-    def test_a_table_is_cut_off(self, name, folder, capsys):
+    def test_a_table_is_cut_off(self, name, folder, reseal, capsys):
         text = (folder / name).read_text()
         (folder / name).write_text(text[: text.rstrip().rindex("\n") + 20])
+        assert f"{name}: is not of run" in refused(folder, capsys)
+        reseal(folder)
         assert f"{name}: line" in refused(folder, capsys)
 
-    def test_rows_are_missing(self, folder, capsys):
+    def test_rows_are_missing(self, folder, reseal, capsys):
         for name, message in (("results.csv", "not those that run.json"), ("episodes.csv", "3 st")):
             text = (folder / name).read_text()
             (folder / name).write_text(text[: text.rstrip().rindex("\n") + 1])
+            reseal(folder)
             assert message in refused(folder, capsys)
             (folder / name).write_text(text)
 
-    def test_a_column_is_missing(self, folder, capsys):
+    def test_a_column_is_missing(self, folder, reseal, capsys):
         path = folder / "results.csv"
         path.write_text(path.read_text().replace("time_low", "time_lowest"))
+        reseal(folder)
         assert "has no column 'time_low'" in refused(folder, capsys)
 
-    def test_a_cell_is_no_number(self, folder, capsys):
+    @pytest.mark.parametrize("name", ["results.csv", "episodes.csv", "paired.csv"])
+    def test_a_table_of_no_bytes(self, name, folder, reseal, capsys):
+        (folder / name).write_text("")
+        assert f"{name}: is not of run" in refused(folder, capsys)
+        reseal(folder)
+        assert f"{name}: has no column 'scenario'" in refused(folder, capsys)
+
+    @pytest.mark.parametrize(
+        ("cell", "message"), [("four", "'four', no number"), ("4.5", "'4.5'; it must be a whole")]
+    )
+    def test_a_count_is_none(self, cell, message, folder, reseal, capsys):
         path = folder / "results.csv"
         lines = path.read_text().splitlines()
-        lines[2] = lines[2].replace(",4,", ",four,", 1)
+        lines[2] = lines[2].replace(",4,", f",{cell},", 1)
         path.write_text("\n".join(lines))
-        assert "line 3: episodes is 'four', no number" in refused(folder, capsys)
+        reseal(folder)
+        assert f"line 3: episodes is {message}" in refused(folder, capsys)
 
-    @pytest.mark.parametrize("version", [1, results.FORMAT_VERSION + 1, "new"])
+    @pytest.mark.parametrize("version", [1, 2, results.FORMAT_VERSION + 1, "new"])
     def test_another_version(self, version, folder, capsys):
         run = json.loads((folder / "run.json").read_text())
         (folder / "run.json").write_text(json.dumps(run | {"format_version": version}))
         said = refused(folder, capsys)
-        assert f"format_version is {version}" in said and str(results.FORMAT_VERSION) in said
+        assert f"format_version is {version!r}" in said and str(results.FORMAT_VERSION) in said
 
     @pytest.mark.parametrize("text", ["", "{", "[]", "null"])
     def test_run_json_is_not_readable(self, text, folder, capsys):
@@ -246,23 +267,105 @@ class TestRefusals:
         (folder / "run.json").write_text(json.dumps(run))
         assert "has no 'seed'" in refused(folder, capsys)
 
+    @pytest.mark.parametrize(
+        ("field", "value"),
+        [("seed", "3"), ("policies", {"fig4": "zero"}), ("versions", []), ("command_line", "make")],
+    )
+    def test_a_wrong_type_in_run_json(self, field, value, folder, reseal, capsys):
+        reseal(folder, **{field: value})
+        said = refused(folder, capsys)
+        assert f"run.json: {field} is {value!r}; it must be of type" in said
+
+    def test_run_json_was_changed(self, folder, capsys):
+        path = folder / "run.json"
+        path.write_text(path.read_text().replace('"seed": 3', '"seed": 4'))
+        assert "run.json: its content was changed" in refused(folder, capsys)
+
+    def test_run_json_is_nested_too_deeply(self, folder, capsys):
+        (folder / "run.json").write_text("[" * 100_000)
+        assert "nested too deeply" in refused(folder, capsys)
+
     @pytest.mark.parametrize("share", [0.0, 0.3, 0.99])
-    def test_trajectories_are_cut_off(self, share, folder, capsys):
+    def test_trajectories_are_cut_off(self, share, folder, reseal, capsys):
         path = folder / "trajectories.npz"
         whole = path.read_bytes()
         path.write_bytes(whole[: int(share * len(whole))])
+        assert "trajectories.npz: is not of run" in refused(folder, capsys)
+        reseal(folder)
         assert "trajectories.npz: not readable" in refused(folder, capsys)
 
-    def test_an_array_is_missing(self, folder, capsys):
-        with np.load(folder / "trajectories.npz") as arrays:
-            rest = {name: arrays[name] for name in arrays.files if not name.endswith("/frames")}
-        results.write_arrays(folder / "trajectories.npz", rest)
-        assert "has no 'frames'" in refused(folder, capsys)
+    @pytest.mark.parametrize(
+        ("kind", "change", "message"),
+        [
+            ("frames", None, "has no 'frames'"),
+            ("positions", lambda a: a[:, :-1], "positions has shape"),
+            ("times", lambda a: a[:0], "times has shape (0,); it must be (1,)"),
+            ("observations", lambda a: a.astype(str), "observations holds <U32, no numbers"),
+            ("lyapunov", lambda a: a / 0.0, "lyapunov holds a number that is not finite"),
+            ("obstacles", lambda a: a + 0.5, "obstacles: a row has"),
+        ],
+    )
+    @pytest.mark.filterwarnings("ignore:divide by zero", "ignore:invalid value")
+    def test_an_array_is_wrong(self, kind, change, message, folder, reseal, capsys):
+        run = json.loads((folder / "run.json").read_text())["run"]
+        with np.load(folder / "trajectories.npz") as file:
+            arrays = {name: file[name] for name in file.files}
+        name = f"fig4/zero/1/{kind}"
+        changed = arrays.pop(name)
+        if change is not None:
+            arrays[name] = change(changed)
+        results.write_arrays(folder / "trajectories.npz", arrays, run)
+        reseal(folder)
+        said = refused(folder, capsys)
+        assert "trajectories.npz: fig4/zero/1 " in said and message in said
 
-    def test_two_comparisons_mixed(self, folder, capsys):
+    def test_trajectories_of_another_run(self, folder, reseal, capsys):
+        results.write_arrays(folder / "trajectories.npz", {}, "another")
+        reseal(folder)
+        assert "trajectories.npz: not readable (it is of run 'another'" in refused(folder, capsys)
+
+    def test_episodes_that_are_not_those_of_the_results(self, folder, reseal, capsys):
         path = folder / "episodes.csv"
         path.write_text(path.read_text().replace("fig4,zero,0,0", "fig4,zero,0,1"))
+        reseal(folder)
         assert "differ in zero on fig4" in refused(folder, capsys)
+
+    def test_every_file_of_another_comparison_is_named(self, folder, tmp_path, capsys):
+        other = tmp_path / "other"
+        policies = ("bearing-only", "tangent-joined", "nonholonomic-3d", "zero")
+        config = compare.Config(("fig4", "uav-6"), policies, episodes=4, seed=4, keep=2, out=other)
+        assert compare.run(config) == 0
+        content = {path.name: path.read_bytes() for path in folder.iterdir()}
+        changed = [path.name for path in other.iterdir() if path.read_bytes() != content[path.name]]
+        for name in changed:
+            shutil.copyfile(other / name, folder / name)
+            said = refused(folder, capsys)
+            assert "is not of run" in said and (name in said or name == "run.json")
+            (folder / name).write_bytes(content[name])
+        assert len(changed) >= len(content) - 1  # every pair may compare alike
+
+    def test_half_a_copy_is_refused(self, folder, tmp_path, capsys):
+        names = sorted(path.name for path in folder.iterdir())
+        for count in range(len(names)):
+            half = tmp_path / f"half-{count}"
+            half.mkdir()
+            for name in names[:count]:
+                shutil.copyfile(folder / name, half / name)
+            refused(half, capsys)
+
+    def test_a_figure_that_run_json_does_not_name(self, folder, capsys):
+        (folder / "against-robots.png").write_bytes(b"old")
+        (folder / "my-notes.png").write_bytes(b"mine")
+        said = refused(folder, capsys)
+        assert "against-robots.png: is not of run" in said and "remove it" in said
+        (folder / "against-robots.png").unlink()
+        assert cli.main(["report", str(folder)]) == 0
+        assert "my-notes" not in (folder / "report.html").read_text(encoding="utf-8")
+
+    def test_a_picture_is_a_folder(self, folder, capsys):
+        (folder / "success.png").unlink()
+        (folder / "success.png").mkdir()
+        assert "success.png: not readable (Is a directory)" in refused(folder, capsys)
 
     def test_a_page_that_stood_there_stays(self, folder, monkeypatch):
         (folder / "report.html").write_text("old")

@@ -21,11 +21,15 @@ from rich.table import Table
 import rendezvous_env as rv
 from rendezvous_env.engine import threads
 
+from ..checks import check_least, check_most
 from ..errors import UserError
 from ..results import provenance, write_json
 from .bench_cases import LIMIT, Case, Running, among_discs, batched, one_team, spread_out
 
 GROUPS = ("one-team", "batched", "obstacles", "robots", "ppo", "heading-ppo")
+_MOST_BEARINGS = 2**31
+_BUSY = "import os\nparent = os.getppid()\nwhile os.getppid() == parent: sum(range(10**6))"
+"""Keeps a core busy until its parent ends, however that happens."""
 _PEERS = ("stable-baselines3", "torch", "mpe2")
 
 
@@ -102,6 +106,17 @@ def run(config: Config) -> None:
 def _check(config: Config) -> None:
     if unknown := sorted(set(config.only) - set(GROUPS)):
         raise UserError(f"only: {unknown[0]!r} is unknown; known are {', '.join(GROUPS)}")
+    check_least(config, robots=2, num_envs=1, num_threads=1, repeats=1)
+    check_most(config, robots=2**12, num_envs=2**24, num_threads=2**10, seconds=3600)
+    if not config.robots:
+        raise UserError("--robots names none; give sizes of teams, 2 or more")
+    if (bearings := config.num_envs * max(config.robots) ** 2) > _MOST_BEARINGS:
+        raise UserError(
+            f"--num-envs times the square of --robots is {bearings}; it must be {_MOST_BEARINGS} "
+            "or less, so that memory holds them"
+        )
+    if not config.seconds > 0:
+        raise UserError(f"--seconds is {config.seconds}; it must be positive")
     for path in (config.json, config.figure):
         if path is not None and not path.parent.is_dir():
             raise UserError(f"{path}: there is no folder {path.parent}")
@@ -218,7 +233,7 @@ def _row(
 @contextmanager
 def one_core_busy() -> Iterator[None]:
     """Another process computes for nothing meanwhile."""
-    process = subprocess.Popen([sys.executable, "-c", "while True: pass"])
+    process = subprocess.Popen([sys.executable, "-c", _BUSY], start_new_session=True)
     try:
         yield
     finally:

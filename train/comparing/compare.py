@@ -18,12 +18,14 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rendezvous_env.experiment import scenarios as named_scenarios
 from rendezvous_env.experiment.scenario import Scenario
 
-from .. import results
+from .. import folders, results
+from ..checks import check_least
 from ..errors import UserError
 from ..learned import policies
 from ..recording import Recording
-from . import ceiling, statistics, tables
+from . import ceiling, cells, out_folder, statistics, tables
 from .episodes import Episodes, play
+from .out_folder import Part
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -65,7 +67,10 @@ class Config:
     seed: int = 0
     """Start k of every scenario has the seed SEED + k, whatever the policy."""
     out: Path = Path("out/compare")
-    """Folder for tables, trajectories and figures; made if there is none."""
+    """Folder for tables, trajectories and figures; one that is there is replaced at the end. Until
+    then what is finished lies in OUT.part, and the same command goes on with it."""
+    fresh: bool = False
+    """Whether to throw away what another command has left unfinished in OUT.part."""
     keep: int = 5
     """Starts of which trajectories are kept."""
     ceiling: int = 0
@@ -110,22 +115,44 @@ def run(config: Config) -> int:
     """
     console = Console(width=max(Console().width, tables.WIDTH))
     jobs = plan(config)
-    folder = results.prepare_folder(config.out)
+    out = out_folder.destination(config.out)
+    lock = folders.held(out_folder.lock_of(out), f"--out {config.out}")
+    with folders.made(out.parent), lock:
+        asked = cells.plan_of(jobs, config)
+        part = out_folder.open_part(config.out, out, asked, fresh=config.fresh)
+        if part is None:
+            console.print(f"{out} holds this comparison: it was finished, but not renamed yet")
+            return 0
+        try:
+            return _run(config, jobs, part, console)
+        except KeyboardInterrupt as error:
+            if count := part.count():
+                error.add_note(
+                    f"{count} finished parts lie in {part.folder}; the same command goes on"
+                )
+            raise
+        finally:
+            part.discard_if_empty()
+
+
+def _run(config: Config, jobs: Sequence[Job], part: Part, console: Console) -> int:
     if not config.policies and (reason := policies.left_out()):
         console.print(f"left out: {policies.LEARNED} ({reason})")
-    compile_time = _compile(jobs, console)
+    if count := part.count():
+        console.print(f"goes on with {count} finished parts in {part.folder}")
     began = time.perf_counter()
-    played = play_all(jobs, config, console)
-    duration = time.perf_counter() - began
+    played, compile_time = play_all(jobs, config, part, console)
+    duration = time.perf_counter() - began - compile_time
     rows = [summary(done) for done in played]
-    if config.ceiling:
-        _write_ceilings(folder, jobs, config, console)
-    write(folder, config, played, rows, {"compile_s": compile_time, "compare_s": duration})
+    files = _write_ceilings(part, jobs, config, console) if config.ceiling else []
+    files += write(part, played, rows)
     console.print(tables.results_table(rows, {job.scenario.name: job.scenario for job in jobs}))
     if config.figures:
-        _draw(folder, rows, played, config.pdf, console)
+        files += _draw(part, rows, played, config.pdf, console)
+    timing = {"compile_s": compile_time, "compare_s": duration}
+    part.finish(files, _description(config, played, timing))
     console.print(
-        f"{len(jobs)} × {config.episodes} episodes in {duration:.1f} s; files in {folder}"
+        f"{len(jobs)} × {config.episodes} episodes in {duration:.1f} s; files in {config.out}"
     )
     return _report_excess(played)
 
@@ -139,9 +166,7 @@ def plan(config: Config) -> list[Job]:
     Raises:
         UserError: for an unknown name or an impossible number.
     """
-    for field, least in (("episodes", 1), ("seed", 0), ("keep", 0), ("ceiling", 0)):
-        if getattr(config, field) < least:
-            raise UserError(f"--{field} is {getattr(config, field)}; it must be {least} or more")
+    check_least(config, episodes=1, seed=0, keep=0, ceiling=0)
     if config.seed + config.episodes > 2**63:
         raise UserError(f"--seed is {config.seed}; with {config.episodes} starts it is too large")
     policies.check_names(config.policies)
@@ -196,20 +221,33 @@ def _compile(jobs: Sequence[Job], console: Console) -> float:
     return seconds
 
 
-def play_all(jobs: Sequence[Job], config: Config, console: Console) -> list[Played]:
-    """Play all jobs one after the other under a progress bar."""
+def play_all(
+    jobs: Sequence[Job], config: Config, part: Part, console: Console
+) -> tuple[list[Played], float]:
+    """Play all jobs that are not finished one after the other, under a progress bar.
+
+    Returns:
+        What came of all jobs, and the time that compiling took, s.
+    """
+    finished = [cells.load(part, number) for number in range(len(jobs))]
+    left = [job for job, cell in zip(jobs, finished, strict=True) if cell is None]
+    compile_time = _compile(left, console)
     columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
     played = []
     with Progress(*columns, console=console) as progress:
         bar = progress.add_task("", total=len(jobs))
-        for number, job in enumerate(jobs):
+        for number, (job, cell) in enumerate(zip(jobs, finished, strict=True)):
             progress.update(bar, description=f"{job.scenario.name} · {job.policy}".ljust(40))
-            advance = _advance(progress, bar, number)
-            counts = {"episodes": config.episodes, "seed": config.seed, "keep": config.keep}
-            played.append(play_job(job, **counts, on_progress=advance))
+            if cell is None:
+                advance = _advance(progress, bar, number)
+                counts = {"episodes": config.episodes, "seed": config.seed, "keep": config.keep}
+                played.append(play_job(job, **counts, on_progress=advance))
+                cells.save(part, number, (played[-1].episodes, played[-1].recordings))
+            else:
+                played.append(Played(job, *cell))
             progress.update(bar, completed=number + 1)
         progress.update(bar, description="done".ljust(40))
-    return played
+    return played, compile_time
 
 
 def _advance(progress: Progress, bar: Any, number: int) -> Any:
@@ -225,8 +263,12 @@ def _advance(progress: Progress, bar: Any, number: int) -> Any:
     return advance
 
 
-def _write_ceilings(folder: Path, jobs: Sequence[Job], config: Config, console: Console) -> None:
-    """Estimate what law (4) can reach in each scenario with obstacles; a table and ceiling.csv."""
+def _write_ceilings(part: Part, jobs: Sequence[Job], config: Config, console: Console) -> list[str]:
+    """Estimate what law (4) can reach in each scenario with obstacles; a table and ceiling.csv.
+
+    Returns:
+        Names of the files.
+    """
     scenarios = [job.scenario for job in jobs]
     reachable = [scenario for scenario in dict.fromkeys(scenarios) if ceiling.applies(scenario)]
     columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
@@ -237,17 +279,21 @@ def _write_ceilings(folder: Path, jobs: Sequence[Job], config: Config, console: 
             progress.update(
                 bar, description=f"{scenario.name} · best of {config.ceiling}".ljust(40)
             )
-            best = ceiling.estimate(
-                scenario,
-                config.ceiling,
-                episodes=config.episodes,
-                seed=config.seed,
-                on_progress=_advance(progress, bar, number),
-            )
+            best = cells.load_ceiling(part, number)
+            if best is None:
+                best = ceiling.estimate(
+                    scenario,
+                    config.ceiling,
+                    episodes=config.episodes,
+                    seed=config.seed,
+                    on_progress=_advance(progress, bar, number),
+                )
+                cells.save_ceiling(part, number, best)
             rows.append(best.row(scenario))
         progress.update(bar, completed=len(reachable), description="done".ljust(40))
-    results.write_csv(folder / "ceiling.csv", ceiling.COLUMNS, rows)
+    results.write_csv(part.folder / "ceiling.csv", ceiling.COLUMNS, rows)
     console.print(tables.ceiling_table(rows))
+    return ["ceiling.csv"]
 
 
 def summary(played: Played) -> dict[str, Any]:
@@ -260,19 +306,17 @@ def summary(played: Played) -> dict[str, Any]:
 # ---- files --------------------------------------------------------------------------------------
 
 
-def write(
-    folder: Path,
-    config: Config,
-    played: Sequence[Played],
-    rows: Sequence[dict[str, Any]],
-    timing: dict[str, float],
-) -> None:
-    """Write results.csv, episodes.csv, paired.csv, trajectories.npz and run.json."""
-    results.write_csv(folder / "episodes.csv", results.EPISODE_COLUMNS, _episode_rows(played))
-    results.write_csv(folder / "paired.csv", results.PAIRED_COLUMNS, _paired_rows(played))
-    results.write_arrays(folder / "trajectories.npz", _arrays(played))
-    results.write_json(folder / "run.json", _description(config, played, timing))
-    results.write_csv(folder / "results.csv", results.RESULT_COLUMNS, rows)
+def write(part: Part, played: Sequence[Played], rows: Sequence[dict[str, Any]]) -> list[str]:
+    """Write results.csv, episodes.csv, paired.csv and trajectories.npz; their names."""
+    tables = {
+        "results.csv": (results.RESULT_COLUMNS, rows),
+        "episodes.csv": (results.EPISODE_COLUMNS, _episode_rows(played)),
+        "paired.csv": (results.PAIRED_COLUMNS, _paired_rows(played)),
+    }
+    for name, (columns, content) in tables.items():
+        results.write_csv(part.folder / name, columns, content)
+    results.write_arrays(part.folder / "trajectories.npz", _arrays(played), part.run)
+    return [*tables, "trajectories.npz"]
 
 
 def _episode_rows(played: Sequence[Played]) -> Iterator[dict[str, Any]]:
@@ -319,18 +363,22 @@ def _description(
 
 
 def _draw(
-    folder: Path,
+    part: Part,
     rows: Sequence[dict[str, Any]],
     played: Sequence[Played],
     pdf: bool,
     console: Console,
-) -> None:
+) -> list[str]:
+    """Draw all figures; the names of their files."""
     from ..pictures import figures
 
+    files = []
     with console.status("drawing …"):
         for name, figure in _figures(rows, played):
             for ending in ("png", "pdf") if pdf else ("png",):
-                figures.save(figure, folder / f"{name}.{ending}")
+                files.append(f"{name}.{ending}")
+                figures.save(figure, part.folder / files[-1], part.run)
+    return files
 
 
 def _figures(

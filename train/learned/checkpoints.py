@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import results
+from ..checks import check_types
 
 FORMAT_VERSION = 1
 DESCRIPTION = "checkpoint.json"
@@ -69,7 +70,7 @@ def write_folder(place: Path, description: Mapping[str, Any], tables: Tables) ->
 
     for left in place.parent.glob(".*.part"):
         shutil.rmtree(left, ignore_errors=True)
-    temporary = place.with_name(f".{place.name}.part")
+    temporary, replaced = (place.with_name(f".{place.name}{end}.part") for end in ("", ".old"))
     try:
         temporary.mkdir()
         files = {}
@@ -81,11 +82,12 @@ def write_folder(place: Path, description: Mapping[str, Any], tables: Tables) ->
         about["sha256"] = _digest(about)
         _write(temporary / DESCRIPTION, (json.dumps(about, indent=2) + "\n").encode())
         _sync(temporary)
-        if place.exists():
-            shutil.rmtree(place)
+        if place.exists():  # never a moment without either
+            place.rename(replaced)
         temporary.rename(place)
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
+        shutil.rmtree(replaced, ignore_errors=True)
 
 
 def _entry(content: bytes) -> dict[str, Any]:
@@ -140,8 +142,8 @@ def candidates(run: Path) -> list[Path]:
     folder = run / _FOLDER
     found = sorted((name for name in _names(folder) if name.startswith("step-")), reverse=True)
     try:
-        named = json.loads((folder / _POINTER).read_text(encoding="utf-8"))["checkpoint"]
-    except (OSError, ValueError, KeyError, TypeError):  # the newest one, then
+        named = results.read_json(folder / _POINTER)["checkpoint"]
+    except (OSError, ValueError, LookupError, TypeError):  # the newest one, then
         named = None
     return [folder / name for name in sorted(found, key=lambda name: name != named)]
 
@@ -167,7 +169,7 @@ def describe(place: Path) -> dict[str, Any]:
     """
     path = place / DESCRIPTION
     try:
-        about = json.loads(path.read_text(encoding="utf-8"))
+        about = results.read_json(path)
     except (OSError, ValueError) as error:
         raise CheckpointError(f"{path}: cannot be read: {_reason(error)}") from error
     version = about.get("format_version") if isinstance(about, dict) else None
@@ -177,6 +179,10 @@ def describe(place: Path) -> dict[str, Any]:
         )
     if about.get("sha256") != _digest(about):
         raise CheckpointError(f"{path}: its content was changed: the digest in it does not fit")
+    try:
+        check_types({"files": about.get("files")}, {"files": dict[str, dict[str, Any]]})
+    except ValueError as error:
+        raise CheckpointError(f"{path}: {error}") from error
     return about
 
 
@@ -191,6 +197,7 @@ def read(place: Path, names: Iterable[str]) -> tuple[dict[str, Any], dict[str, d
 
 
 def _read_file(path: Path, about: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
+    from safetensors import SafetensorError
     from safetensors.numpy import load
 
     expected = about["files"].get(path.name)
@@ -200,14 +207,17 @@ def _read_file(path: Path, about: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
         content = path.read_bytes()
     except OSError as error:
         raise CheckpointError(f"{path}: cannot be read: {_reason(error)}") from error
-    if len(content) != expected["bytes"]:
+    if len(content) != expected.get("bytes"):
         raise CheckpointError(
-            f"{path}: has {len(content)} bytes; it must have {expected['bytes']}, so it is "
+            f"{path}: has {len(content)} bytes; it must have {expected.get('bytes')}, so it is "
             "truncated or another file"
         )
     if _entry(content) != expected:
         raise CheckpointError(f"{path}: its content was changed: sha256 differs from {DESCRIPTION}")
-    return load(content)
+    try:
+        return load(content)
+    except (SafetensorError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise CheckpointError(f"{path}: holds no arrays: {error}") from error
 
 
 def _reason(error: Exception) -> str:

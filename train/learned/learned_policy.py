@@ -7,7 +7,7 @@ import shutil
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, get_type_hints
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,6 +16,7 @@ from baselines.policy import within_limits
 from rendezvous_env.experiment.scenario import Scenario
 from rendezvous_env.guarantee.steering import Steering
 
+from ..checks import check_types
 from . import checkpoints, perception
 from .checkpoints import CheckpointError
 from .guide import Guide
@@ -50,6 +51,22 @@ class PolicySettings:
     decision_time: float
     """s between decisions."""
 
+    def __post_init__(self) -> None:
+        """Refuse what no network and no heading can have."""
+        check_types(vars(self), get_type_hints(type(self)))
+        ranges = {
+            "set_width": (1, 2**12), "clearance": (0.0, math.pi), "persistence": (0.0, 1e9),
+            "min_alignment": (1e-9, 1.0), "max_turn_rate": (1e-9, 1e9),
+            "decision_time": (1e-9, 1e9),
+        }  # fmt: skip
+        for name, (least, most) in ranges.items():
+            if not least <= getattr(self, name) <= most:
+                raise ValueError(
+                    f"{name} is {getattr(self, name)}; it must be in [{least}, {most}]"
+                )
+        if not all(1 <= width <= 2**12 for width in self.hidden):
+            raise ValueError(f"hidden is {self.hidden}; each must be in [1, {2**12}]")
+
     def to_plain(self) -> dict[str, Any]:
         """As plain data, with the version of the perception that the weights belong to."""
         return asdict(self) | {"perception": perception.VERSION}
@@ -67,6 +84,7 @@ class PolicySettings:
         given = {key: value for key, value in plain.items() if key != "perception"}
         if wrong := sorted(set(given) ^ set(cls.__dataclass_fields__)):
             raise ValueError(f"field {wrong[0]!r} is missing or unknown")
+        check_types(given, {"hidden": list[int] | tuple[int, ...]})
         return cls(**given | {"hidden": tuple(given["hidden"])})
 
     def decision_period(self, scenario: Scenario) -> int:

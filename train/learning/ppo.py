@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, get_type_hints
 
 from rendezvous_env.experiment import scenarios as named_scenarios
 from rendezvous_env.experiment.obstacles import ObstacleField
 from rendezvous_env.experiment.rewards import RewardWeights
 from rendezvous_env.experiment.scenario import Scenario
 
+from ..checks import check_fields, check_least, check_most, check_types, flag
 from ..errors import UserError
 
 if TYPE_CHECKING:
@@ -20,6 +22,13 @@ TRAINING_SEEDS, EVALUATION_SEEDS = 2**62, 2**61
 """Of the first start: of training with seed s it is 2⁶² + 2³² s, of evaluation 2⁶¹. ``compare``
 counts up from its --seed, which is far below, so no policy is judged on starts it was trained on.
 """
+_MOST = {
+    "set_width": 2**12, "hidden": 2**12, "decision_period": 10**6, "eval_starts": 2**32,
+    "num_threads": 2**10, "total_steps": 2**62, "checkpoint_every": 2**62, "eval_every": 2**62,
+    "learning_rate": 1e6, "epochs": 2**31, "batch_size": 2**31, "curriculum": 2**10,
+    "fewest_obstacles": 2**10,
+}  # fmt: skip
+_MOST_SAMPLES = 2**31
 MAY_CHANGE = ("total_steps", "eval_every", "eval_starts", "checkpoint_every", "num_threads")
 """Fields that a resumed run may change; with any other it would be another run."""
 
@@ -122,8 +131,10 @@ class Config:
         """What ``to_plain`` gave.
 
         Raises:
-            ValueError: for a missing or unknown field.
+            ValueError: for a missing or unknown field, or one of a wrong type.
         """
+        if not isinstance(plain, dict):
+            raise ValueError(f"the configuration is a {type(plain).__name__}, not named fields")
         if wrong := sorted(set(plain) ^ {field.name for field in fields(cls)}):
             raise ValueError(f"field {wrong[0]!r} of the configuration is missing or unknown")
         paths = ("out", "resume", "start_from")
@@ -131,10 +142,11 @@ class Config:
             key: tuple(value)
             if isinstance(value, list)
             else Path(value)
-            if key in paths and value is not None
+            if key in paths and isinstance(value, str)
             else value
             for key, value in plain.items()
         }
+        check_types(read, get_type_hints(cls))
         return cls(**read)
 
     @property
@@ -226,17 +238,19 @@ def check(config: Config) -> None:
     least = {
         "total_steps": 1, "seed": 0, "num_teams": 1, "n_steps": 2, "batch_size": 2, "epochs": 1,
         "set_width": 1, "decision_period": 1, "eval_every": 0, "eval_starts": 1,
-        "checkpoint_every": 1, "touch_penalty": 0,
+        "checkpoint_every": 1, "touch_penalty": 0, "num_threads": 1, "hidden": 1, "persistence": 0,
     }  # fmt: skip
-    for name, value in least.items():
-        if getattr(config, name) < value:
-            raise UserError(f"{_flag(name)} is {getattr(config, name)}; it must be {value} or more")
+    check_fields(config)
+    check_least(config, **least)
+    check_most(config, **_MOST)
     for name in ("gamma", "gae_lambda"):
         if not 0 <= getattr(config, name) <= 1:
-            raise UserError(f"{_flag(name)} is {getattr(config, name)}; it must be in [0, 1]")
+            raise UserError(f"{flag(name)} is {getattr(config, name)}; it must be in [0, 1]")
     for name in ("learning_rate", "clip_range", "max_turn_rate"):
         if not 0 < getattr(config, name) < float("inf"):
-            raise UserError(f"{_flag(name)} is {getattr(config, name)}; it must be positive")
+            raise UserError(f"{flag(name)} is {getattr(config, name)}; it must be positive")
+    if not 0 <= config.clearance < math.pi:
+        raise UserError(f"--clearance is {config.clearance}; it must be an angle in [0, π) rad")
     if not 0 < config.min_alignment < 1:
         raise UserError(f"--min-alignment is {config.min_alignment}; it must be in (0, 1)")
     if config.seed >= 2**29:
@@ -244,6 +258,11 @@ def check(config: Config) -> None:
     if any(count < 0 for count in (*config.curriculum, config.fewest_obstacles or 0)):
         raise UserError("--curriculum and --fewest-obstacles count obstacles; they must be ≥ 0")
     try:
+        if (samples := config.samples_per_update) > _MOST_SAMPLES:
+            raise UserError(
+                f"--num-teams times robots times --n-steps is {samples}; it must be "
+                f"{_MOST_SAMPLES} or less"
+            )
         for scenario in (
             config.base_scenario(),
             *map(named_scenarios.resolve, config.eval_scenarios),
@@ -267,7 +286,7 @@ def resumed(config: Config, stored: Config) -> Config:
             continue
         if name not in MAY_CHANGE:
             raise UserError(
-                f"{_flag(name)} is {given}; {folder} was trained with "
+                f"{flag(name)} is {given}; {folder} was trained with "
                 f"{getattr(stored, name)}: leave it out, or begin a new run"
             )
         changed[name] = given
@@ -279,7 +298,3 @@ def same_run(one: Config, other: Config) -> bool:
     free = (*MAY_CHANGE, "out", "resume")
     names = [field.name for field in fields(Config) if field.name not in free]
     return all(getattr(one, name) == getattr(other, name) for name in names)
-
-
-def _flag(name: str) -> str:
-    return "--" + name.replace("_", "-")

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Mapping, Sequence
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
 from .. import results
+from ..errors import UserError
 
 METRICS = (
     "step", "update", "stage", "episodes", "success", "clean_success", "median_time", "return",
@@ -28,12 +30,18 @@ class Table:
         path: of the file.
         columns: its header; one of them is "step".
         step: rows of later steps are removed, and whatever a kill left of a last row.
+
+    Raises:
+        UserError: if the file is damaged; nothing is written then.
     """
 
     def __init__(self, path: Path, columns: Sequence[str], step: int) -> None:
         self._path, self._columns = path, columns
-        kept = [row for row in _complete_rows(path, columns) if int(row["step"]) <= step]
-        results.write_csv(path, columns, kept)
+        self._kept = [row for row in _complete_rows(path, columns) if int(row["step"]) <= step]
+
+    def begin(self) -> None:
+        """Write the rows that stay."""
+        results.write_csv(self._path, self._columns, self._kept)
 
     def add(self, row: Mapping[str, Any]) -> None:
         """Append a row; it is in the file when this returns."""
@@ -43,12 +51,28 @@ class Table:
 
 
 def _complete_rows(path: Path, columns: Sequence[str]) -> list[dict[str, str]]:
-    if not path.exists():
+    """Rows of a file that may end in the middle of one; none if there is no file."""
+    try:
+        text = path.read_bytes().decode("utf-8")
+        whole = StringIO(text[: text.rfind("\n") + 1], newline="")
+        header, *rows = list(csv.reader(whole)) or [list(columns)]
+    except FileNotFoundError:
         return []
-    lines = path.read_text(encoding="utf-8").splitlines(keepends=True)
-    whole = [line for line in lines if line.endswith("\n")]
-    rows = csv.DictReader(whole)
-    return [row for row in rows if None not in row and set(row) == set(columns)]
+    except (OSError, ValueError, csv.Error) as error:
+        raise _damaged(path, f"not readable ({error})") from error
+    if header != list(columns):
+        raise _damaged(path, f"line 1 is not {','.join(columns)}")
+    for number, row in enumerate(rows, start=2):
+        if len(row) != len(columns):
+            raise _damaged(path, f"line {number} has {len(row)} cells, not {len(columns)}")
+        step = row[columns.index("step")]
+        if not (step.isascii() and step.isdigit() and len(step) < 20):
+            raise _damaged(path, f"line {number}: step is {step!r}; it must be a whole number")
+    return [dict(zip(columns, row, strict=True)) for row in rows]
+
+
+def _damaged(path: Path, what: str) -> UserError:
+    return UserError(f"{path}: {what}; mend it, or move it away to go on without its rows")
 
 
 class Events:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import time
 from datetime import UTC, datetime
 from pathlib import Path
@@ -37,8 +38,14 @@ from .run_state import (
 )
 from .sb3_vec_env import RobotVecEnv
 
+CONFIG = "config.json"
+"""In the folder of a run: its settings."""
 STATE_FILES = ("network", "optimizer", "state")
 """Of a checkpoint from which training can go on."""
+_DOES_NOT_FIT = (
+    KeyError, TypeError, ValueError, RuntimeError, IndexError, AttributeError, OverflowError,
+)  # fmt: skip
+"""What another run's arrays raise where they are put."""
 _LEAST_RATE = 0.05
 """Share of the learning rate that is left at the end."""
 _LOSSES = {
@@ -47,6 +54,10 @@ _LOSSES = {
     "learning_rate": "learning_rate",
 }  # fmt: skip
 """Columns of metrics.csv that stable-baselines3 tells, and what it calls them."""
+
+
+Snapshot = tuple[dict[str, Any], dict[str, Any]]
+"""Description and tables of a checkpoint."""
 
 
 class WatchedRobots(RobotVecEnv):
@@ -165,6 +176,9 @@ class Training:
         out = self.config.out
         self._metrics = Table(out / "metrics.csv", METRICS, step)
         self._evaluations = Table(out / "evaluation.csv", EVALUATION, step)
+        results.write_json(out / CONFIG, self.config.to_plain())  # nothing is refused from here on
+        self._metrics.begin()
+        self._evaluations.begin()
         self._events = Events(out / "tensorboard", step, self.config.tensorboard)
 
     def restore(self, place: Path) -> int:
@@ -181,23 +195,48 @@ class Training:
             model.policy.load_state_dict(tensors(tables["network"]))
             restore_optimizer(model.policy.optimizer, tables["optimizer"])
             state = unflatten(tables["state"])
+            self._check_shapes(state)
             self.robots.set_state(state["robots"])
             model._last_obs = state["last_observations"]
             model._last_episode_starts = state["last_episode_starts"]
             restore_random(state["random"])
             model.num_timesteps, model._n_updates = about["step"], about["updates"]
             self._wall_before = about["wall_s"]
-        except (KeyError, TypeError, ValueError, RuntimeError) as error:
+        except _DOES_NOT_FIT as error:
             raise CheckpointError(f"{place}: does not fit this run: {error}") from error
         self._open_log(about["step"])
         return int(about["step"])
 
-    def save(self) -> Path:
-        """Write a checkpoint.
+    def _check_shapes(self, state: dict[str, Any]) -> None:
+        """Refuse what would only fail later on."""
+        robots = self.robots.num_envs
+        wanted = {
+            "last_observations": (robots, *self.robots.observation_space.shape),
+            "last_episode_starts": (robots,),
+        }
+        for name, shape in wanted.items():
+            if np.shape(state[name]) != shape:
+                raise ValueError(f"{name} has shape {np.shape(state[name])}; it must be {shape}")
+        optimizer = self.model.policy.optimizer
+        for weights in self.model.policy.parameters():
+            moments = optimizer.state.get(weights, {})
+            if not torch.isfinite(weights).all():
+                raise ValueError("a weight of the network is not finite")
+            for name in ("exp_avg", "exp_avg_sq"):
+                if name in moments and moments[name].shape != weights.shape:
+                    raise ValueError(f"{name} of the optimizer has shape {moments[name].shape}")
+
+    def save(self, state: Snapshot | None = None) -> Path:
+        """Write a checkpoint of the present, or of a moment that was kept.
 
         Raises:
             OSError: if it cannot be written; older ones are as they were.
         """
+        description, tables = state or self.snapshot()
+        return checkpoints.write(self.config.out, description["step"], description, tables)
+
+    def snapshot(self) -> Snapshot:
+        """All that a checkpoint holds, which no later step changes."""
         model = self.model
         state = {
             "robots": self.robots.get_state(),
@@ -221,7 +260,7 @@ class Training:
             "optimizer": optimizer_arrays(model.policy.optimizer),
             "state": flatten(state),
         }
-        return checkpoints.write(self.config.out, model.num_timesteps, description, tables)
+        return description, copy.deepcopy(tables)
 
     # ---- train ----------------------------------------------------------------------------------
 
@@ -237,6 +276,11 @@ class Training:
         self._took = time.perf_counter() - began
         self._seconds += self._took
         self._environment_seconds += robots.seconds
+        if not all(bool(torch.isfinite(weights).all()) for weights in model.policy.parameters()):
+            raise UserError(
+                f"training diverged: not all weights are finite after step {model.num_timesteps}; "
+                f"begin again with a --learning-rate below {config.learning_rate}"
+            )
         return int(model.num_timesteps)
 
     def report(self) -> dict[str, Any]:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import signal
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -15,32 +13,35 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, Ti
 
 from rendezvous_env.engine.threads import available_cores
 
-from .. import results
+from .. import folders, interrupts, results
+from ..checks import check_types
 from ..errors import UserError
 from ..learned import checkpoints
 from ..learned.checkpoints import CheckpointError
-from .ppo import Config, resumed, same_run
-from .training import STATE_FILES, Training
+from .ppo import Config, check, resumed, same_run
+from .training import CONFIG, STATE_FILES, Training
 
-_CONFIG = "config.json"
-"""In the folder of a run: its settings."""
+_DESCRIPTION = {"step": int, "stage": int, "updates": int, "wall_s": float, "written": str}
+"""Of a checkpoint: what a run needs to go on."""
 
 
 def run(config: Config) -> int:
     """Begin or resume a run and train to its end; see ``ppo.run``."""
     console = Console(soft_wrap=True)
     threads = torch.get_num_threads()
+    folder = config.resume or config.out
     try:
-        config, place = _prepare(config, console)
-        torch.set_num_threads(config.num_threads or available_cores())
-        training = Training(config)
-        step = training.restore(place) if place else training.begin()
-        with _stops(console) as stop:
-            return _loop(training, step, stop, console)
+        with interrupts.raised("train"), _own(config, folder):
+            config, place = _prepare(config, console)
+            _check_device(config.device)
+            torch.set_num_threads(config.num_threads or available_cores())
+            training = Training(config)
+            step = training.restore(place) if place else training.begin()
+            return _loop(training, step, console)
     except CheckpointError as error:
         raise UserError(str(error)) from error
     except OSError as error:
-        raise UserError(_write_failure(config, error)) from error
+        raise UserError(_write_failure(folder, error)) from error
     finally:
         torch.set_num_threads(threads)
 
@@ -48,44 +49,69 @@ def run(config: Config) -> int:
 # ---- where to begin -----------------------------------------------------------------------------
 
 
+@contextmanager
+def _own(config: Config, folder: Path) -> Iterator[None]:
+    """The folder of a run, for this process alone.
+
+    Raises:
+        UserError: if there is no run to resume, another process has it, or it cannot be written.
+    """
+    if config.resume is not None:
+        _read_config(folder)  # so that nothing is made where no run is
+    elif checkpoints.candidates(folder):
+        raise UserError(f"--out {folder} holds a run; --resume it, or choose another folder")
+    with folders.made(folder), folders.held(folder / ".lock", str(folder)):
+        yield
+
+
+def _read_config(folder: Path) -> Config:
+    try:
+        return Config.from_plain(results.read_json(folder / CONFIG))
+    except (OSError, ValueError) as error:
+        said = getattr(error, "strerror", None) or error
+        what = f"{folder / CONFIG}: {said}"
+        raise UserError(f"--resume {folder}: it holds no run that can go on: {what}") from error
+
+
 def _prepare(config: Config, console: Console) -> tuple[Config, Path | None]:
     """The settings that hold, and the checkpoint to begin with; None begins at step 0.
 
     Raises:
-        UserError: if the folder holds a run already, holds none to resume, or cannot be written.
-    """
-    if config.resume is not None:
-        results.prepare_folder(config.resume)
-        return _stored(config, config.resume, console)
-    results.prepare_folder(config.out)
-    if checkpoints.candidates(config.out):
-        raise UserError(f"--out {config.out} holds a run; --resume it, or choose another folder")
-    results.write_json(config.out / _CONFIG, config.to_plain())
-    return config, None
-
-
-def _stored(config: Config, folder: Path, console: Console) -> tuple[Config, Path | None]:
-    """The settings of the run to resume, and its newest checkpoint that can be read.
-
-    Raises:
-        UserError: if there is no run, or a flag contradicts it.
+        UserError: if a flag contradicts the run to resume.
         CheckpointError: if none of its checkpoints is good.
     """
-    try:
-        plain = json.loads((folder / _CONFIG).read_text(encoding="utf-8"))
-        config = resumed(config, Config.from_plain(plain))
-    except (OSError, ValueError) as error:
-        raise UserError(f"--resume {folder}: it holds no run that can go on: {error}") from error
-    results.write_json(folder / _CONFIG, config.to_plain())
+    if config.resume is None:
+        return config, None
+    folder = config.resume
+    config = resumed(config, _read_config(folder))
+    check(config)
     place = _newest_good(folder, console)
     if place is None:
         console.print(f"{folder} has no checkpoint yet: begins at step 0")
         return config, None
     about = checkpoints.describe(place)
-    if not same_run(config, Config.from_plain(about["config"])):
-        raise UserError(f"--resume {folder}: {place} is of another run than {_CONFIG} tells of")
+    if not same_run(config, _config_of(place, about)):
+        raise UserError(f"--resume {folder}: {place} is of another run than {CONFIG} tells of")
     console.print(f"resumes {place} at step {about['step']:,}, written {about['written']}")
     return config, place
+
+
+def _config_of(place: Path, about: Mapping[str, Any]) -> Config:
+    try:
+        check_types(
+            about, {"step": int, "stage": int, "updates": int, "wall_s": float, "written": str}
+        )
+        return Config.from_plain(about["config"])
+    except (KeyError, TypeError, ValueError) as error:
+        raise CheckpointError(f"{place}: is no checkpoint of a run: {error}") from error
+
+
+def _check_device(device: str) -> None:
+    try:
+        torch.empty(0, device=device)
+    except (RuntimeError, AssertionError, NotImplementedError) as error:
+        said = str(error).partition("\n")[0]
+        raise UserError(f"--device is {device!r}: {said}; cpu is always there") from error
 
 
 def _newest_good(folder: Path, console: Console) -> Path | None:
@@ -104,68 +130,49 @@ def _newest_good(folder: Path, console: Console) -> Path | None:
     return None
 
 
-def _write_failure(config: Config, error: OSError) -> str:
-    said = f"cannot write {error.filename or config.out}: {error.strerror or error}"
+def _write_failure(folder: Path, error: OSError) -> str:
+    said = f"cannot write {error.filename or folder}: {error.strerror or error}"
     try:
-        place = checkpoints.find(config.out)
+        place = checkpoints.find(folder)
     except CheckpointError:
         return f"{said}; there is no checkpoint yet"
-    return f"{said}; the last good checkpoint is {place}: make room, then --resume {config.out}"
+    return f"{said}; the last good checkpoint is {place}: make room, then --resume {folder}"
 
 
 # ---- the loop -----------------------------------------------------------------------------------
 
 
-class _Stop:
-    """Which signal asked the run to stop, if one did."""
-
-    signal: int | None = None
-
-
-@contextmanager
-def _stops(console: Console) -> Iterator[_Stop]:
-    """SIGINT and SIGTERM ask for an end after the update; a second one ends at once."""
-    stop = _Stop()
-
-    def ask(number: int, frame: Any) -> None:
-        if stop.signal is not None:
-            raise KeyboardInterrupt
-        stop.signal = number
-        console.print("stops after this update and its checkpoint; once more leaves at once")
-
-    before = {number: signal.signal(number, ask) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield stop
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-
-
-def _loop(training: Training, step: int, stop: _Stop, console: Console) -> int:
-    config = training.config
+def _loop(training: Training, step: int, console: Console) -> int:
+    """Train to the end, or until a signal; what is kept then is the state after the last update."""
+    config, kept = training.config, training.snapshot()
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
         TimeElapsedColumn(),
         TimeRemainingColumn(),
     )
-    with Progress(*columns, console=console, transient=True) as progress:
-        bar = progress.add_task("", total=config.total_steps, completed=step)
-        while step < config.total_steps and stop.signal is None:
-            before, step = step, training.update()
-            row = training.report()
-            progress.update(bar, completed=step, description=_line(row))
-            last = step >= config.total_steps
-            if config.eval_every and (last or _crosses(config.eval_every, before, step)):
-                for result in training.evaluate():
-                    console.print(_evaluation_line(result))
-            if last or stop.signal or _crosses(config.checkpoint_every, before, step):
-                place = training.save()
-                console.print(f"{_line(row)} · {place.name}")
-    training.close()
-    if stop.signal and step < config.total_steps:
+    try:
+        with Progress(*columns, console=console, transient=True) as progress:
+            bar = progress.add_task("", total=config.total_steps, completed=step)
+            while step < config.total_steps:
+                before, step = step, training.update()
+                row = training.report()
+                progress.update(bar, completed=step, description=_line(row))
+                last = step >= config.total_steps
+                if config.eval_every and (last or _crosses(config.eval_every, before, step)):
+                    for result in training.evaluate():
+                        console.print(_evaluation_line(result))
+                kept = training.snapshot()
+                if last or _crosses(config.checkpoint_every, before, step):
+                    place = training.save(kept)
+                    console.print(f"{_line(row)} · {place.name}")
+    except KeyboardInterrupt as error:
+        training.save(kept)  # rows of later steps are cut off when the run goes on
+        step = kept[0]["step"]
         console.print(f"stopped at step {step:,}; rendezvous train --resume {config.out} goes on")
-        return 128 + stop.signal
+        return interrupts.status_of(error)
+    finally:
+        training.close()
     console.print(f"done: {step:,} steps; {training.speed()}")
     return 0
 

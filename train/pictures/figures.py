@@ -61,10 +61,18 @@ def _base(name: str) -> str:
     return name
 
 
-def save(figure: Figure, path: Path) -> None:
-    """Write a figure as PNG or PDF, by the name's ending, whole or not at all."""
+def save(figure: Figure, path: Path, run: str = "") -> None:
+    """Write a figure as PNG or PDF, by the name's ending, whole or not at all.
+
+    Args:
+        figure: to write.
+        path: of the file.
+        run: id of the run that it shows; it goes into the file as its subject.
+    """
+    ending = path.suffix.lower().removeprefix(".")
+    about = {"Subject": f"rendezvous compare, run {run}"} if run else None
     with atomic(path) as temporary:
-        figure.savefig(temporary, dpi=_DPI, format=path.suffix.lower().removeprefix("."))
+        figure.savefig(temporary, dpi=_DPI, format=ending, metadata=about)
 
 
 def new_figure(width: float, height: float) -> Figure:

@@ -15,6 +15,7 @@ from rendezvous_env.experiment import scenarios
 from rendezvous_env.trajectory import Trajectory, rollout
 
 from .. import results
+from ..checks import check_least, check_most
 from ..errors import UserError
 from ..learned import policies
 from . import figures, path_figures
@@ -46,8 +47,8 @@ def run(config: Config) -> int:
     Raises:
         UserError: for a policy that does not fit or a folder that cannot be written.
     """
-    if config.seed < 0:
-        raise UserError(f"--seed is {config.seed}; it must be 0 or more")
+    check_least(config, seed=0)
+    check_most(config, seed=2**63 - 1)
     scenario = scenarios.get(config.figure)
     name = config.policy or _LAWS[config.figure]
     try:

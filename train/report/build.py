@@ -29,7 +29,6 @@ from .input import Comparison, read
 
 _PAGE = files("train.report") / "page"
 _SCRIPTS = ("data", "world", "sight", "plots", "tables", "replay")
-_NO_TRAJECTORIES = "The folder has no trajectories.npz, so there is nothing to replay."
 _NOTHING_KEPT = "No start was kept (compare ran with --keep 0), so there is nothing to replay."
 
 
@@ -62,14 +61,14 @@ def run(config: Config) -> int:
     except OSError as error:
         raise UserError(f"{path}: cannot write there: {error.strerror}") from error
     if not found.recordings:
-        console.print(f"note: {_missing(found)}")
+        console.print(f"note: {_NOTHING_KEPT}")
     console.print(f"{path} ({path.stat().st_size / 1e6:.1f} MB)", soft_wrap=True)
     return 0
 
 
 def page(found: Comparison) -> str:
     """The whole page."""
-    encoded = encode_all(list((found.recordings or {}).values()))
+    encoded = encode_all(list(found.recordings.values()))
     return Template(_part("page.html")).substitute(
         title=escape(f"Rendezvous: {', '.join(found.scenarios)}"),
         summary=escape(_summary(found)),
@@ -77,7 +76,7 @@ def page(found: Comparison) -> str:
         uplot_css=_part("uPlot.min.css"),
         uplot_js=_part("uPlot.iife.min.js"),
         js='(() => {\n"use strict";\n' + "\n".join(_part(f"{s}.js") for s in _SCRIPTS) + "})();",
-        replay=_part("replay.html") if encoded else f'<p class="note">{_missing(found)}</p>',
+        replay=_part("replay.html") if encoded else f'<p class="note">{_NOTHING_KEPT}</p>',
         figures="\n".join(_figures(found)),
         about=_about(found, encoded),
         recordings="\n".join(
@@ -92,10 +91,6 @@ def _part(name: str) -> str:
     return (_PAGE / name).read_text(encoding="utf-8")
 
 
-def _missing(found: Comparison) -> str:
-    return _NO_TRAJECTORIES if found.recordings is None else _NOTHING_KEPT
-
-
 def _json(data: Any) -> str:
     """JSON that cannot end the script element it stands in."""
     return json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
@@ -108,7 +103,7 @@ def _data(found: Comparison, encoded: Sequence[Encoded]) -> dict[str, Any]:
     """What the scripts read, besides the recordings themselves."""
     outcomes = {(row["scenario"], row["policy"], int(row["start"])): row for row in found.episodes}
     entries = []
-    recordings = (found.recordings or {}).items()
+    recordings = found.recordings.items()
     for ((scenario, policy, start), recording), one in zip(recordings, encoded, strict=True):
         entries.append(
             {
@@ -181,9 +176,10 @@ def _figures(found: Comparison) -> Iterator[str]:
 def _about(found: Comparison, encoded: Sequence[Encoded]) -> str:
     run = found.run
     lines = {
+        "Run": run["run"],
         "Command": " ".join(run["command_line"]),
         "Versions": ", ".join(f"{name} {version}" for name, version in run["versions"].items()),
-        "Machine": f"{run.get('platform', 'unknown')}, Python {run.get('python', 'unknown')}",
+        "Machine": f"{run['platform']}, Python {run['python']}",
         "Tables": "the numbers of results.csv and paired.csv, rounded for the eye; the exact text "
         "of each cell stands in its data-value, data-low and data-high",
         "Replay": _precision(found, encoded),
@@ -195,7 +191,7 @@ def _about(found: Comparison, encoded: Sequence[Encoded]) -> str:
 def _precision(found: Comparison, encoded: Sequence[Encoded]) -> str:
     """What the replay leaves out of what was recorded."""
     if not found.recordings:
-        return _missing(found)
+        return _NOTHING_KEPT
 
     def half_step(name: str) -> float:
         return 0.5 * max(rounding(recording[name]) for recording in recordings)

@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
-import json
+import csv
 import math
-import zipfile
-import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
-
-import numpy as np
+from typing import Any, TypedDict, get_type_hints
 
 from rendezvous_env.experiment.scenario import Scenario
 
 from .. import results
+from ..checks import check_types
+from ..comparing.out_folder import RUN, is_ours, is_sealed, part_of
 from ..errors import UserError
 from ..recording import Recording
+from ..recording_checks import fault_of
 
 Key = tuple[str, str, int]
 """Scenario, policy and start."""
@@ -25,11 +24,26 @@ Row = dict[str, str]
 """Cells of a line of a CSV file, as they stand there."""
 
 _WORDS = ("scenario", "policy", "against")
-_ARRAYS = (
-    "times", "positions", "frames", "active", "lyapunov", "lyapunov_before_merge",
-    "lyapunov_after_merge", "contacts", "alignment", "observations", "obstacles",
-)  # fmt: skip
-"""What a page shows of a recording."""
+_WHOLE = ("episodes", "start")
+_SHARES = ("success", "clean_success")
+_TABLES = ("results.csv", "paired.csv", "episodes.csv")
+
+
+class Run(TypedDict):
+    """What a page needs of run.json."""
+
+    scenarios: dict[str, dict[str, Any]]
+    policies: dict[str, list[str]]
+    seed: int
+    episodes: int
+    keep: int
+    versions: dict[str, str]
+    command_line: list[str]
+    python: str
+    platform: str
+    run: str
+    files: dict[str, dict[str, Any]]
+    sha256: str
 
 
 @dataclass(frozen=True)
@@ -46,8 +60,8 @@ class Comparison:
     """paired.csv."""
     episodes: list[Row]
     """episodes.csv."""
-    recordings: dict[Key, Recording] | None
-    """trajectories.npz; None if the folder has none."""
+    recordings: dict[Key, Recording]
+    """trajectories.npz."""
     figures: list[Path]
     """Its PNG files."""
 
@@ -60,16 +74,23 @@ def read(folder: Path) -> Comparison:
             comparisons.
     """
     if not folder.is_dir():
-        raise UserError(f"{folder}: there is no such folder; rendezvous compare --out writes one")
+        part = part_of(folder) if folder.name else folder
+        left = f"; {part} is an unfinished one, and the same command goes on with it"
+        raise UserError(
+            f"{folder}: there is no such folder; rendezvous compare --out writes one"
+            f"{left if part.is_dir() else ''}"
+        )
     run = _read_run(folder)
+    _check_files(folder, run)
+    scenarios = _scenarios(folder, run)
     found = Comparison(
         run=run,
-        scenarios=_scenarios(folder, run),
+        scenarios=scenarios,
         rows=_read_table(folder / "results.csv", results.RESULT_COLUMNS),
         paired=_read_table(folder / "paired.csv", results.PAIRED_COLUMNS),
         episodes=_read_table(folder / "episodes.csv", results.EPISODE_COLUMNS),
-        recordings=_read_recordings(folder / "trajectories.npz"),
-        figures=sorted(folder.glob("*.png")),
+        recordings=_read_recordings(folder / "trajectories.npz", run, scenarios),
+        figures=sorted(folder / name for name in run["files"] if name.endswith(".png")),
     )
     _check_agreement(folder, found)
     return found
@@ -83,55 +104,103 @@ def _half_written(path: Path, what: str) -> UserError:
 
 
 def _read_run(folder: Path) -> dict[str, Any]:
-    path = folder / "run.json"
+    path = folder / RUN
     try:
-        run = json.loads(path.read_text(encoding="utf-8"))
+        run = results.read_json(path)
         version = run["format_version"]
     except FileNotFoundError as error:
         raise UserError(
             f"{folder} holds no run.json: rendezvous compare did not write it, or not to the end"
         ) from error
     except (ValueError, KeyError, TypeError, OSError) as error:
-        raise _half_written(path, f"not readable ({error!r})") from error
+        raise _half_written(path, f"not readable ({type(error).__name__}: {error})") from error
     if version != results.FORMAT_VERSION:
+        versions = run.get("versions")
+        writer = versions.get("rendezvous-env") if isinstance(versions, dict) else None
         raise UserError(
-            f"{path}: format_version is {version}; this version of rendezvous reads "
+            f"{path}: format_version is {version!r}; this version of rendezvous reads "
             f"{results.FORMAT_VERSION}. Compare again, or use the version that wrote it "
-            f"({run.get('versions', {}).get('rendezvous-env', 'unknown')})"
+            f"({writer or 'unknown'})"
         )
-    for key in ("scenarios", "policies", "seed", "episodes", "keep", "versions", "command_line"):
+    for key in Run.__annotations__:
         if key not in run:
             raise _half_written(path, f"has no {key!r}")
+    try:
+        check_types(run, get_type_hints(Run))
+    except ValueError as error:
+        raise _half_written(path, str(error)) from error
+    if not is_sealed(run):
+        raise _half_written(path, "its content was changed: the digest in it does not fit")
     return dict(run)
+
+
+def _check_files(folder: Path, run: dict[str, Any]) -> None:
+    """Refuse a file that is not the one that run.json names, or that it does not name."""
+    for name in (*_TABLES, "trajectories.npz"):
+        if name not in run["files"]:
+            raise _half_written(folder / RUN, f"names no {name}")
+    for name, entry in run["files"].items():
+        path = folder / name
+        if not is_ours(name):
+            raise _half_written(folder / RUN, f"names {name!r}, which compare does not write")
+        try:
+            own = results.entry(path)
+        except FileNotFoundError as error:
+            raise _half_written(path, "missing") from error
+        except OSError as error:
+            raise _half_written(path, f"not readable ({error.strerror})") from error
+        if own != entry:
+            raise _half_written(path, f"is not of run {run['run']}: its sha256 differs from {RUN}")
+    for path in sorted(folder.iterdir()):
+        if is_ours(path.name) and path.name not in (*run["files"], RUN, "report.html"):
+            raise UserError(
+                f"{path}: is not of run {run['run']}, to which {RUN} belongs; remove it"
+            )
 
 
 def _scenarios(folder: Path, run: dict[str, Any]) -> dict[str, Scenario]:
     try:
         return {name: Scenario.from_plain(plain) for name, plain in run["scenarios"].items()}
-    except (ValueError, TypeError, AttributeError, KeyError) as error:
-        raise UserError(f"{folder / 'run.json'}: a scenario is not readable: {error}") from error
+    except (ValueError, TypeError, AttributeError, KeyError, OverflowError) as error:
+        raise UserError(f"{folder / RUN}: a scenario is not readable: {error}") from error
 
 
 # ---- tables -------------------------------------------------------------------------------------
 
 
 def _read_table(path: Path, columns: Sequence[str]) -> list[Row]:
-    """Rows with at least these columns, every other cell than a name a number or empty."""
+    """Rows with exactly these columns, every other cell than a name a number or empty."""
     try:
-        rows = results.read_csv(path)
-    except FileNotFoundError as error:
-        raise _half_written(path, "missing") from error
-    except (OSError, ValueError) as error:
+        with path.open(newline="", encoding="utf-8") as file:
+            reader = csv.DictReader(file)
+            header, rows = list(reader.fieldnames or ()), list(reader)
+    except (OSError, ValueError, csv.Error) as error:
         raise _half_written(path, f"not readable ({error})") from error
+    for column in columns:
+        if column not in header:
+            raise _half_written(path, f"has no column {column!r}")
+    if len(header) > len(columns):
+        raise _half_written(path, f"has {len(header)} columns; it must have {len(columns)}")
     for number, row in enumerate(rows, start=2):
+        if None in row:
+            raise _half_written(path, f"line {number} has more cells than columns")
         for column in columns:
-            if column not in row:
-                raise _half_written(path, f"has no column {column!r}")
-            if row[column] is None:
-                raise _half_written(path, f"line {number} ends before {column!r}")
-            if column not in _WORDS and row[column] and not _is_number(row[column]):
-                raise _half_written(path, f"line {number}: {column} is {row[column]!r}, no number")
+            _check_cell(path, number, column, row[column])
     return rows
+
+
+def _check_cell(path: Path, number: int, column: str, cell: str | None) -> None:
+    where = f"line {number}: {column} is {cell!r}"
+    if cell is None:
+        raise _half_written(path, f"line {number} ends before {column!r}")
+    if column in _WORDS:
+        return
+    if cell and not _is_number(cell):
+        raise _half_written(path, f"{where}, no number")
+    if column in _WHOLE and not (cell.isascii() and cell.isdigit()):
+        raise _half_written(path, f"{where}; it must be a whole number")
+    if column in _SHARES and not (cell and 0 <= float(cell) <= 1):
+        raise _half_written(path, f"{where}; it must be from 0 to 1")
 
 
 def _is_number(cell: str) -> bool:
@@ -144,6 +213,8 @@ def _is_number(cell: str) -> bool:
 def _check_agreement(folder: Path, found: Comparison) -> None:
     """Refuse files that do not belong together."""
     wanted = [(name, policy) for name, played in found.run["policies"].items() for policy in played]
+    if set(found.run["policies"]) != set(found.scenarios):
+        raise _half_written(folder / RUN, "scenarios and policies name different scenarios")
     if sorted(wanted) != sorted((row["scenario"], row["policy"]) for row in found.rows):
         raise _half_written(folder / "results.csv", "its rows are not those that run.json names")
     shares: dict[tuple[str, str], list[float]] = {pair: [] for pair in wanted}
@@ -159,29 +230,43 @@ def _check_agreement(folder: Path, found: Comparison) -> None:
             )
         if not math.isclose(sum(met) / len(met), float(row["success"]), abs_tol=1e-12):
             raise _half_written(folder, f"results.csv and episodes.csv differ in {what}")
-    for key in found.recordings or {}:
-        if key[:2] not in shares:
-            raise _half_written(
-                folder / "trajectories.npz", f"{key[1]} on {key[0]} is not in run.json"
-            )
+    _check_names(folder, found, wanted)
+
+
+def _check_names(folder: Path, found: Comparison, wanted: Sequence[tuple[str, str]]) -> None:
+    """Refuse pairs and recordings of episodes that are not there."""
+    outcomes = {(row["scenario"], row["policy"], int(row["start"])) for row in found.episodes}
+    if len(outcomes) != len(found.episodes):
+        raise _half_written(folder / "episodes.csv", "a start of a policy stands there twice")
+    for row in found.paired:
+        for policy in (row["policy"], row["against"]):
+            if (row["scenario"], policy) not in wanted:
+                where = f"{policy} on {row['scenario']}"
+                raise _half_written(folder / "paired.csv", f"{where} is not in run.json")
+    for key in found.recordings:
+        if key not in outcomes:
+            where = f"start {key[2]} of {key[1]} on {key[0]}"
+            raise _half_written(folder / "trajectories.npz", f"{where} is not in episodes.csv")
 
 
 # ---- trajectories -------------------------------------------------------------------------------
 
 
-def _read_recordings(path: Path) -> dict[Key, Recording] | None:
+def _read_recordings(
+    path: Path, run: dict[str, Any], scenarios: dict[str, Scenario]
+) -> dict[Key, Recording]:
     found: dict[Key, Recording] = {}
     try:
-        with path.open("rb") as file, np.load(file) as arrays:
-            for name in arrays.files:
-                scenario, policy, start, array = _parts(name)
-                found.setdefault((scenario, policy, start), {})[array] = arrays[name]
-    except FileNotFoundError:
-        return None
-    except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile, zlib.error) as error:
+        for name, array in results.read_arrays(path, run["run"]).items():
+            scenario, policy, start, kind = _parts(name)
+            found.setdefault((scenario, policy, start), {})[kind] = array
+    except (OSError, ValueError) as error:
         raise _half_written(path, f"not readable ({error})") from error
     for key, recording in found.items():
-        _check_recording(path, key, recording)
+        if key[0] not in scenarios:
+            raise _half_written(path, f"{key[1]} on {key[0]} is not in run.json")
+        if fault := fault_of(recording, scenarios[key[0]]):
+            raise _half_written(path, f"{'/'.join(map(str, key))} {fault}")
     return found
 
 
@@ -190,20 +275,3 @@ def _parts(name: str) -> tuple[str, str, int, str]:
     scenario, rest = name.split("/", 1)
     policy, start, array = rest.rsplit("/", 2)
     return scenario, policy, int(start), array
-
-
-def _check_recording(path: Path, key: Key, recording: Recording) -> None:
-    name = "/".join(map(str, key))
-    for array in _ARRAYS:
-        if array not in recording:
-            raise _half_written(path, f"{name} has no {array!r}")
-    frames, robots, dim = recording["positions"].shape
-    shapes = {
-        "times": (frames,),
-        "frames": (frames, robots, dim, dim),
-        "active": (frames, robots),
-        "observations": (frames, robots, recording["observations"].shape[-2], dim),
-    }
-    for array, shape in shapes.items():
-        if recording[array].shape != shape:
-            raise _half_written(path, f"{name}/{array} is {recording[array].shape}, not {shape}")

@@ -16,6 +16,7 @@ from rich.table import Table
 
 from rendezvous_env.experiment.scenario import nearest_word
 
+from ..checks import check_least, check_most
 from ..errors import UserError
 from ..results import prepare_folder, write_csv
 from .cases import BATCH
@@ -65,10 +66,8 @@ def check_config(config: Config) -> None:
     Raises:
         UserError: naming the flag, its value and what would be right.
     """
-    for name, least in (("trials", 1), ("seed", 0), ("only_batch", 0)):
-        value = getattr(config, name)
-        if value is not None and value < least:
-            raise UserError(f"--{name.replace('_', '-')} is {value}; it must be {least} or more")
+    check_least(config, trials=1, seed=0, only_batch=0)
+    check_most(config, trials=10**8)
     if not 0 < config.min_alignment < 1:
         raise UserError(
             f"--min-alignment is {config.min_alignment}; it must lie between 0 and 1, exclusive"

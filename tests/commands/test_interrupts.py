@@ -1,0 +1,174 @@
+"""Ctrl-C and SIGTERM end every command soon, with one line; what was finished is kept."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from itertools import product
+
+import numpy as np
+import pytest
+
+from baselines import silhouettes
+from train import cli, interrupts
+
+COMMANDS = {
+    "compare": ["--scenarios", "clutter-24", "--episodes", "3000", "--out", "out"],
+    "train": ["--scenario", "clutter-24", "--num-threads", "1", "--out", "run"],
+    "verify": ["--trials", "1000000", "--out", "out"],
+    "render": ["--scenario", "clutter-16", "--speed", "0.01", "--out", "x.gif"],
+    "bench": ["--busy", "--seconds", "60", "--only", "one-team"],
+}
+"""Those that can take long; the others go through the same lines of cli.py."""
+SIGNALS = [signal.SIGINT, signal.SIGTERM]
+
+
+def start(words, folder, before="", **options):
+    """A command in a process of its own, whether or not this one ignores Ctrl-C."""
+    code = f"import sys, signal, train.cli as c\n{before}\nsys.exit(c.main())"
+    return subprocess.Popen(
+        [sys.executable, "-c", code, *words],
+        cwd=folder,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},
+        **options,
+    )
+
+
+def stop(process, number):
+    """Send a signal; the exit status, what was said, and how long it took, s."""
+    began = time.monotonic()
+    process.send_signal(number)
+    try:
+        said, wrong = process.communicate(timeout=60)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        raise
+    return process.returncode, said, wrong, time.monotonic() - began
+
+
+class TestCommands:
+    @pytest.mark.parametrize(
+        ("command", "number"),
+        [
+            ("compare", signal.SIGINT),
+            ("train", signal.SIGTERM),
+            *(pytest.param(*both, marks=pytest.mark.slow) for both in product(COMMANDS, SIGNALS)),
+        ],
+    )
+    def test_at_work(self, command, number, tmp_path):
+        process = start([command, *COMMANDS[command]], tmp_path)
+        time.sleep(5.0)
+        assert process.poll() is None
+        status, said, wrong, took = stop(process, number)
+        assert status == 128 + number and took < 5.0
+        assert "Traceback" not in wrong and wrong.count("\n") <= 1
+        assert "interrupted" in wrong or "stopped at step" in said
+        assert not list(tmp_path.rglob("*.part.*"))
+
+    def test_while_it_loads(self, tmp_path):
+        for wait in (0.3, 0.6, 0.9):
+            process = start(["compare", *COMMANDS["compare"]], tmp_path)
+            time.sleep(wait)
+            status, _, wrong, took = stop(process, signal.SIGTERM)
+            assert status in (-signal.SIGTERM, 128 + signal.SIGTERM) and took < 5.0
+            assert "Traceback" not in wrong and wrong.count("\n") <= 1
+
+
+class TestStuck:
+    """Where no exception gets through, the process ends all the same."""
+
+    @pytest.mark.parametrize(
+        "body",
+        [
+            "while True:\n        try: time.sleep(60)\n        except BaseException: pass",
+            "numba.njit(nogil=True)(spin)(numpy.zeros(1))",
+        ],
+        ids=["exception-lost", "compiled-code"],
+    )
+    @pytest.mark.parametrize("number", SIGNALS)
+    def test_it_ends_in_time(self, body, number, tmp_path):
+        before = (
+            "import time, numba, numpy\n"
+            "def spin(x):\n    while x[0] == 0: pass\n"
+            f"def run(*words):\n    print('at work', flush=True)\n    {body}\n"
+            "c._run = run"
+        )
+        process = start(["compare"], tmp_path, before)
+        assert process.stdout.readline() == "at work\n"
+        time.sleep(1.0)
+        status, _, wrong, took = stop(process, number)
+        assert status == 128 + number and interrupts.GRACE - 0.1 < took < 5.0
+        assert wrong.startswith("rendezvous compare: interrupted; it did not stop by itself")
+
+
+class TestInside:
+    def test_handlers_are_put_back(self, monkeypatch, capsys):
+        before = [signal.getsignal(number) for number in SIGNALS]
+
+        def interrupted(*words):
+            os.kill(os.getpid(), signal.SIGTERM)
+            time.sleep(10)
+
+        monkeypatch.setattr(cli, "_run", interrupted)
+        assert cli.main(["compare"]) == 128 + signal.SIGTERM
+        assert [signal.getsignal(number) for number in SIGNALS] == before
+        assert capsys.readouterr().err.count("\n") == 1
+
+    @pytest.mark.parametrize(
+        ("error", "words"),
+        [
+            (OSError(28, "No space left on device", "x.csv"), "x.csv: No space left on device"),
+            (MemoryError(), "not enough memory"),
+        ],
+    )
+    def test_a_full_disk_or_memory_is_one_line(self, error, words, monkeypatch, capsys):
+        def full(*given):
+            raise error
+
+        monkeypatch.setattr(cli, "_run", full)
+        assert cli.main(["verify"]) == 2
+        said = capsys.readouterr().err
+        assert words in said and said.count("\n") == 1
+
+
+HOSTILE = (0.0, -1.0, 3.0, 99.0, -101.0, 1e9, 1e300, np.inf, -np.inf, np.nan)
+
+
+class TestKernels:
+    """Loops over angles end for any input."""
+
+    def test_every_number_ends(self):
+        """In a process of its own, which can be killed: an endless kernel hears no signal."""
+        code = (
+            "import itertools, numpy as np\n"
+            "from baselines.obstacle_avoidance import tangent_joined_heading as rule\n"
+            "from numpy import inf, nan\n"
+            f"hostile, random = {HOSTILE!r}, np.random.default_rng(0)\n"
+            "f, seen = random.normal(size=(2, 2)), random.normal(size=(2, 5, 2, 2))\n"
+            "seen /= np.linalg.norm(seen, axis=-1, keepdims=True)\n"
+            "for c, p in itertools.product(hostile, hostile):\n"
+            "    for shown in (seen, seen[:, :0], 0 * seen):\n"
+            "        rule(f, shown, clearance=c, carried=f[::-1].copy(), persistence=p)\n"
+            "for value in hostile:\n"
+            "    for part in range(4):\n"
+            "        g, s, k = f.copy(), seen.copy(), f[::-1].copy()\n"
+            "        (g if part == 0 else k if part == 1 else s).reshape(-1)[part] = value\n"
+            "        rule(g, s, clearance=0.2, carried=k, persistence=0.5)\n"
+            "        s3, g3 = random.normal(size=(2, 5, 8, 3)), random.normal(size=(2, 3))\n"
+            "        (g3 if part == 0 else s3).reshape(-1)[part] = value\n"
+            "        rule(g3, s3, clearance=value)\n"
+        )
+        subprocess.run([sys.executable, "-c", code], check=True, timeout=300)
+
+    @pytest.mark.parametrize("turns", [-40, -16, -3, -1, 0, 1, 2, 15.9, 16, 1e6])
+    def test_the_angle_is_the_same_direction(self, turns):
+        angle = 1.25 + turns * silhouettes.TWO_PI
+        found = silhouettes._counter_clockwise(angle)
+        assert 0 <= found < silhouettes.TWO_PI
+        expected = [np.cos(angle), np.sin(angle)]
+        np.testing.assert_allclose([np.cos(found), np.sin(found)], expected, atol=1e-9)
+        assert np.isnan(silhouettes._counter_clockwise(np.inf))

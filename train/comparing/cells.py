@@ -1,0 +1,125 @@
+"""What a comparison consists of, and its finished parts on disk.
+
+A cell is one policy on one scenario, or the ceiling of one scenario. It depends on nothing but the
+plan, so a comparison that goes on after a kill finds what an uninterrupted one would have found.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import inspect
+from collections.abc import Sequence
+from dataclasses import fields
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+import baselines
+import rendezvous_env
+from baselines.policy import _registry
+
+from .. import results
+from ..learned import checkpoints, policies
+from ..recording import Recording
+from .ceiling import Ceiling
+from .episodes import Episodes
+from .out_folder import Part
+
+if TYPE_CHECKING:
+    from .compare import Config, Job
+
+Cell = tuple[Episodes, list[Recording]]
+
+
+def plan_of(jobs: Sequence[Job], config: Config) -> dict[str, Any]:
+    """All that the numbers of a comparison depend on, as plain data."""
+    scenarios = list(dict.fromkeys(job.scenario for job in jobs))
+    about = results.provenance()
+    return {
+        **{key: about[key] for key in ("format_version", "versions")},
+        "source": _source(),
+        **{name: getattr(config, name) for name in ("seed", "episodes", "keep", "ceiling")},
+        "scenarios": [scenario.to_plain() for scenario in scenarios],
+        "policies": [
+            [job.policy for job in jobs if job.scenario == scenario] for scenario in scenarios
+        ],
+        "weights": {name: _weights(name) for name in sorted({job.policy for job in jobs})},
+    }
+
+
+def _weights(policy: str) -> str | None:
+    """Digest of a learned policy's checkpoint, or of the file in which a scripted one is made.
+
+    None for one that was typed in and stands in no file.
+    """
+    if (run := policies.learned_path(policy)) is not None:
+        return str(checkpoints.describe(checkpoints.find(run))["sha256"])
+    try:
+        path = Path(inspect.getsourcefile(_registry[policy].build) or "")
+        return hashlib.sha256(path.read_bytes()).hexdigest()
+    except (OSError, TypeError):
+        return None
+
+
+@cache
+def _source() -> str:
+    """Digest of the program's own files, which change more often than its version."""
+    found = hashlib.sha256()
+    for package in (rendezvous_env.__file__, baselines.__file__, __file__):
+        for path in sorted(Path(str(package)).parent.rglob("*.py")):
+            found.update(path.read_bytes())
+    return found.hexdigest()
+
+
+# ---- cells --------------------------------------------------------------------------------------
+
+
+def save(part: Part, number: int, cell: Cell) -> None:
+    """Keep the cell of a job."""
+    episodes, recordings = cell
+    arrays = {f"episodes/{field.name}": getattr(episodes, field.name) for field in fields(Episodes)}
+    for start, recording in enumerate(recordings):
+        arrays |= {f"{start}/{name}": array for name, array in recording.items()}
+    results.write_arrays(part.cell(_job(number)), arrays, part.run)
+
+
+def load(part: Part, number: int) -> Cell | None:
+    """The cell of a job; None if it is not finished, or cannot be read."""
+    arrays = _read(part, _job(number))
+    if arrays is None:
+        return None
+    episodes = Episodes(*(arrays.pop(f"episodes/{field.name}") for field in fields(Episodes)))
+    recordings: dict[int, Recording] = {}
+    for name, array in arrays.items():
+        start, _, kind = name.partition("/")
+        recordings.setdefault(int(start), {})[kind] = array
+    return episodes, [recordings[start] for start in sorted(recordings)]
+
+
+def save_ceiling(part: Part, number: int, ceiling: Ceiling) -> None:
+    """Keep the ceiling of a scenario."""
+    arrays = {"success": ceiling.success, "clean": ceiling.clean}
+    results.write_arrays(part.cell(_ceiling(number)), arrays, part.run)
+
+
+def load_ceiling(part: Part, number: int) -> Ceiling | None:
+    """The ceiling of a scenario; None if it is not finished, or cannot be read."""
+    arrays = _read(part, _ceiling(number))
+    return None if arrays is None else Ceiling(arrays["success"], arrays["clean"])
+
+
+def _job(number: int) -> str:
+    return f"job-{number:04d}"
+
+
+def _ceiling(number: int) -> str:
+    return f"ceiling-{number:04d}"
+
+
+def _read(part: Part, name: str) -> dict[str, np.ndarray[Any, Any]] | None:
+    try:
+        return results.read_arrays(part.cell(name), part.run)
+    except (OSError, ValueError):  # not there, or damaged: it is played anew
+        return None

@@ -1,0 +1,102 @@
+"""Ctrl-C and SIGTERM end a command soon and with a word, whatever it is doing."""
+
+from __future__ import annotations
+
+import os
+import select
+import signal
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+SIGNALS = (signal.SIGINT, signal.SIGTERM)
+GRACE = 4.0
+"""s that a command has to put its things in order; then its process ends all the same."""
+
+
+class Interrupted(KeyboardInterrupt):
+    """A signal asked the command to end.
+
+    Args:
+        number: of the signal.
+    """
+
+    def __init__(self, number: int) -> None:
+        super().__init__(number)
+        self.number = number
+
+
+def status_of(error: KeyboardInterrupt) -> int:
+    """Exit status of a command that was interrupted: 128 + the signal's number."""
+    return 128 + getattr(error, "number", signal.SIGINT)
+
+
+def line_of(command: str, error: KeyboardInterrupt) -> str:
+    """What is said at the end, with what was noted on the way about going on."""
+    notes = getattr(error, "__notes__", ["no file is half written"])
+    return f"rendezvous {command}: interrupted; {'; '.join(notes)}"
+
+
+@contextmanager
+def raised(command: str) -> Iterator[None]:
+    """Signals raise ``Interrupted`` in the body.
+
+    An exception can be lost, and compiled code sees none. So a thread that the system tells of the
+    signal ends the process if the body still runs after GRACE.
+
+    Args:
+        command: its name, for what is said then.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield  # signals go to the main thread, and are its business
+        return
+    reader, writer = os.pipe()
+    os.set_blocking(writer, False)
+    handlers = {number: signal.signal(number, _interrupt) for number in SIGNALS}
+    descriptor = signal.set_wakeup_fd(writer, warn_on_full_buffer=False)
+    threading.Thread(target=_end_late, args=(reader, command), daemon=True).start()
+    try:
+        yield
+    finally:
+        signal.set_wakeup_fd(descriptor)
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+        os.close(writer)
+
+
+def leave_to_system() -> None:
+    """At the end of a program there is nothing left to put in order, nor to say."""
+    if threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
+def _interrupt(number: int, frame: Any) -> None:
+    raise Interrupted(number)
+
+
+def _end_late(reader: int, command: str) -> None:
+    """End the process GRACE after the first signal, unless the pipe is closed before."""
+    try:
+        number = _next(reader, None)
+        deadline = time.monotonic() + GRACE
+        while number is not None and (left := deadline - time.monotonic()) > 0:
+            if select.select([reader], [], [], left)[0] and _next(reader, number) is None:
+                number = None
+        if number is not None:
+            error = Interrupted(number)
+            error.add_note("it did not stop by itself; what it was writing is left out")
+            print(line_of(command, error), file=sys.stderr, flush=True)
+            os._exit(status_of(error))
+    finally:
+        os.close(reader)
+
+
+def _next(reader: int, default: int | None) -> int | None:
+    """The next of SIGNALS in the pipe (or the one that came before); None once it is closed."""
+    while content := os.read(reader, 1):
+        if content[0] in SIGNALS or default is not None:
+            return default or content[0]
+    return None

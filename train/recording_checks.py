@@ -1,0 +1,66 @@
+"""Whether recorded arrays are what a page can be made of: names, types, shapes, finite numbers."""
+
+from __future__ import annotations
+
+import numpy as np
+from rendezvous_env.equations.geometry import ABSENT, CENTRE, COUNT
+
+from rendezvous_env.experiment.scenario import Scenario
+
+from .recording import Recording
+
+Shape = tuple[int | None, ...]
+_MAY_BE_NAN = ("lyapunov_before_merge", "lyapunov_after_merge", "alignment")
+
+
+def fault_of(recording: Recording, scenario: Scenario) -> str | None:
+    """What is wrong with a recording of a scenario, in words; None if nothing is."""
+    for name, shape in _shapes(recording, scenario).items():
+        if name not in recording:
+            return f"has no {name!r}"
+        array = recording[name]
+        if array.dtype.kind not in "bif":
+            return f"{name} holds {array.dtype}, no numbers"
+        if not _fits(array.shape, shape):
+            wanted = tuple("any" if size is None else size for size in shape)
+            return f"{name} has shape {array.shape}; it must be {wanted}"
+        if np.isinf(array).any() or (name not in _MAY_BE_NAN and np.isnan(array).any()):
+            return f"{name} holds a number that is not finite"
+    return _fault_of_obstacles(recording["obstacles"], scenario.dim)
+
+
+def _shapes(recording: Recording, scenario: Scenario) -> dict[str, Shape]:
+    """Of the arrays that a page shows."""
+    n, d = scenario.n_robots, scenario.dim
+    rows = scenario.observation_layout.shape[0]
+    frames = max(1, len(np.atleast_1d(recording.get("times", np.zeros(1)))))
+    times: Shape = (frames,)
+    return {
+        "times": times,
+        "positions": (frames, n, d),
+        "frames": (frames, n, d, d),
+        "active": (frames, n),
+        "lyapunov": times,
+        "lyapunov_before_merge": times,
+        "lyapunov_after_merge": times,
+        "contacts": (frames, n),
+        "alignment": (frames, n),
+        "observations": (frames, n, rows, d),
+        "obstacles": (None, None),
+    }
+
+
+def _fits(shape: tuple[int, ...], wanted: Shape) -> bool:
+    return len(shape) == len(wanted) and all(
+        size is None or size == own for own, size in zip(shape, wanted, strict=True)
+    )
+
+
+def _fault_of_obstacles(obstacles: np.ndarray, dim: int) -> str | None:
+    """Packed as obstacles.py says: as many corners as the row has room for."""
+    room = (obstacles.shape[1] - CENTRE - dim) // 2
+    for row in obstacles:
+        count = row[COUNT] if len(row) > CENTRE else np.nan
+        if count != ABSENT and not (count >= 0 and count == int(count) and count <= room):
+            return f"obstacles: a row has {count} corners; it has room for {max(room, 0)}"
+    return None
