@@ -11,6 +11,9 @@ from .links import kept_as
 from .memory import SQUARE_CLOSEST, FewRows, LinkList, lane_count, read, write
 from .sense_obstacles import sense_obstacles
 
+_ROWS_AT_ONCE = 8
+"""Rows that are copied to each team in turn: as many as a line of the cache holds in the plane."""
+
 
 @inlined_kernel
 def sense_block(block, count, physics, teams, links, obstacles, results, buffers, hand):
@@ -56,12 +59,13 @@ def _sense_pairs(block, physics, teams, links, results, buffers, hand):
     d, lanes, n = len(physics.axes), lane_count(physics.width), positions.shape[0]
     rows = buffers.rows.shape[0] // n
     pair, offset = 0, buffers.pair[2 * lanes :]
+    factor_ij, factor_ji = buffers.pair[(2 + d) * lanes :], buffers.pair[(3 + d) * lanes :]
     for i in range(n):
         for j in range(i + 1, n):
             _sight(physics, positions[i], positions[j], links.weights[block, pair], buffers.pair)
             # in index order robot j is row j − 1 of robot i < j, and robot i is row i of robot j
-            _store_row(physics, offset, d, frames[i], buffers.rows[i * rows + j - 1])
-            _store_row(physics, offset, d + 1, frames[j], buffers.rows[j * rows + i])
+            _store_row(physics, offset, factor_ij, frames[i], buffers.rows[i * rows + j - 1])
+            _store_row(physics, offset, factor_ji, frames[j], buffers.rows[j * rows + i])
             pair += 1
 
 
@@ -98,27 +102,33 @@ def _store_row(physics, vector, factor, frame, row):
 
     Args:
         physics: constants.
-        vector: d numbers of the global frame, and then possible factors.
-        factor: which of the numbers of ``vector`` is the factor.
+        vector: (d·L,), of the global frame.
+        factor: (L,).
         frame: d² numbers.
         row: (d·L,) float32, the d numbers of a lane side by side.
     """
-    d, lanes = len(physics.axes), lane_count(physics.width)
-    for lane in range(lanes):
+    for lane in range(lane_count(physics.width)):
         seen = observed(
             read(frame, lane, physics.width, physics.entries),
             read(vector, lane, physics.width, physics.axes),
-            vector[factor * lanes + lane],
+            factor[lane],
         )
-        row[lane * d], row[lane * d + 1] = seen[0], seen[1]
-        if d == 3:
-            row[lane * d + 2] = seen[d - 1]
+        _put(seen, lane, row)
+
+
+@inlined_kernel
+def _put(seen, lane, row):
+    """Put a pair or triple into one lane of a row of observations."""
+    if len(seen) == 2:
+        row[2 * lane], row[2 * lane + 1] = seen
+    else:
+        row[3 * lane], row[3 * lane + 1], row[3 * lane + 2] = seen
 
 
 @inlined_kernel
 def _sense_list(block, physics, teams, links, results, buffers, hand):
     """Every link of one team once, in the order of its robots, which is that of the rows."""
-    width, d = physics.width, len(physics.axes)
+    width = physics.width
     n, slots = hand.lengths.shape[0], physics.neighbour_slots
     rows = buffers.rows.shape[0] // n
     buffers.rows[:] = 0.0
@@ -144,10 +154,7 @@ def _sense_list(block, physics, teams, links, results, buffers, hand):
             hand.counts[robot] = slot + 1
             frame = read(teams.frames[block, robot], 0, width, physics.entries)
             seen = observed(frame, offset, -factor if end else factor)
-            row = buffers.rows[robot * rows + slot]
-            row[0], row[1] = seen[0], seen[1]
-            if d == 3:
-                row[2] = seen[d - 1]
+            _put(seen, 0, buffers.rows[robot * rows + slot])
 
 
 # ---- oneself ------------------------------------------------------------------------------------
