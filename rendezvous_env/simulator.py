@@ -140,8 +140,10 @@ class Simulator:
         Raises:
             ValueError: for a bad option, seed or mask; nothing has changed then.
             RuntimeError: if no room was found for a start or an obstacle; nothing has changed then.
+                Or if the graph drawn gives a robot more neighbours than the observation has rows.
         """
         given = parse_options(self.scenario, self.num_envs, options)
+        self._check_room_for_links(given)
         self._begin(self._which(mask), seeds_of_teams(seed, self.num_envs), given, resting)
         return self.observe()
 
@@ -157,6 +159,7 @@ class Simulator:
         Raises:
             ValueError: for a bad mask, or an outcome of other teams; nothing has changed then.
             RuntimeError: if no room was found for a start or an obstacle; nothing has changed then.
+                Or if the graph drawn gives a robot more neighbours than the observation has rows.
         """
         which = self._which(mask)
         if outcome is not None:
@@ -167,6 +170,7 @@ class Simulator:
             results.contact[which], results.active[which] = False, True
             results.status[which] = RUNNING
             self._observe_blocks(np.unique(which // self._state.lanes), results)
+            self._refuse_crowds(results)
 
     def _begin(
         self,
@@ -540,6 +544,16 @@ class Simulator:
             entropy = np.random.SeedSequence().generate_state(len(unseeded), np.uint64)
             overwrite(self._seed, unseeded, entropy >> np.uint64(1), log)
             overwrite(self._seeded, unseeded, True, log)
+
+    def _check_room_for_links(self, given: StartOptions) -> None:
+        """Refuse given weights with more links than a team of this graph can keep."""
+        room = self._state.room_for_links
+        for weights in () if given.weights is None else given.weights:
+            if (found := np.count_nonzero(np.triu(weights))) > room:
+                raise ValueError(
+                    f"weights have {found} links; teams of this scenario's graph have room for "
+                    f"{room}; give the scenario a graph with as many"
+                )
 
     def _take_given(
         self, which: NDArray[np.int64], given: StartOptions, log: list[Overwritten]

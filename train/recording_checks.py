@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from rendezvous_env.equations.geometry import ABSENT, CENTRE, COUNT
 
+from rendezvous_env.equations.obstacles import ABSENT, BALL, CAPSULE, POLYGON
+from rendezvous_env.experiment.packing import CORNERS, DETAILS, KIND
 from rendezvous_env.experiment.scenario import Scenario
 
 from .recording import Recording
@@ -26,7 +27,7 @@ def fault_of(recording: Recording, scenario: Scenario) -> str | None:
             return f"{name} has shape {array.shape}; it must be {wanted}"
         if np.isinf(array).any() or (name not in _MAY_BE_NAN and np.isnan(array).any()):
             return f"{name} holds a number that is not finite"
-    return _fault_of_obstacles(recording["obstacles"], scenario.dim)
+    return _fault_of_obstacles(recording["obstacles"])
 
 
 def _shapes(recording: Recording, scenario: Scenario) -> dict[str, Shape]:
@@ -56,11 +57,17 @@ def _fits(shape: tuple[int, ...], wanted: Shape) -> bool:
     )
 
 
-def _fault_of_obstacles(obstacles: np.ndarray, dim: int) -> str | None:
-    """Packed as obstacles.py says: as many corners as the row has room for."""
-    room = (obstacles.shape[1] - CENTRE - dim) // 2
-    for row in obstacles:
-        count = row[COUNT] if len(row) > CENTRE else np.nan
-        if count != ABSENT and not (count >= 0 and count == int(count) and count <= room):
-            return f"obstacles: a row has {count} corners; it has room for {max(room, 0)}"
+def _fault_of_obstacles(table: np.ndarray) -> str | None:
+    """A table as ``experiment.packing`` says: kinds that are known, in rows with room for them."""
+    width = table.shape[1]
+    if len(table) and width < DETAILS:
+        return f"obstacles: rows have {width} columns; they must have {DETAILS} or more"
+    room = width - DETAILS
+    for kind, corners in table[:, [KIND, CORNERS]] if len(table) else ():
+        if kind not in (ABSENT, BALL, POLYGON, CAPSULE):
+            return f"obstacles: a row has kind {kind}; known are {ABSENT} to {CAPSULE}"
+        if kind == POLYGON and not (corners == int(corners) and 3 <= corners <= room // 2):
+            return f"obstacles: a polygon has {corners} corners; it has room for {room // 2}"
+        if kind == CAPSULE and room < 4:
+            return f"obstacles: a capsule has {room} columns for its axis and radius; it needs 4"
     return None

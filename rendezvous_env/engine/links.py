@@ -58,12 +58,15 @@ def _store_pairs(block, lane, count, links, hand):
 @inlined_kernel
 def _store_list(block, lane, count, links, hand):
     sort_links(hand.first, hand.second, hand.weights, count)
-    for e in range(links.first.shape[1]):
+    kept = 0
+    for e in range(count):
+        if hand.weights[e] > 0.0:
+            links.first[block, kept] = hand.first[e]
+            links.second[block, kept] = hand.second[e]
+            links.weights[block, kept] = hand.weights[e]
+            kept += 1
+    for e in range(kept, links.first.shape[1]):
         links.weights[block, e] = 0.0
-        if e < count:
-            links.first[block, e] = hand.first[e]
-            links.second[block, e] = hand.second[e]
-            links.weights[block, e] = hand.weights[e]
 
 
 def store_links(block: int, lane: int, count: int, links: Any, hand: Any) -> None:

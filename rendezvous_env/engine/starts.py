@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..compilation import kernel
 from ..equations import double_integrator, kinematics  # noqa: F401 - chosen by type, see motion
-from ..equations.motion import begin_memory
+from ..equations.motion import begin_memory, frame_of
 from ..equations.obstacles import clear_of_obstacles
 from ..equations.potential import distance_squared, lyapunov_of_links
 from ..equations.random_streams import (
@@ -36,6 +36,7 @@ from .memory import (
     AtHand,
     Teams,
     lane_count,
+    read,
     write,
 )
 from .worlds import copy_world, world_of
@@ -240,14 +241,19 @@ def _write_start(team, status, count, layout, teams, links, positions, hand):
 
 @kernel
 def _draw_attitudes(team, rules, keys, layout, robot, teams):
-    """Frames of robots whose frame is fixed, or what the robot model keeps at the start."""
-    lanes = lane_count(layout.width)
+    """Frames of robots whose frame is fixed, or what the robot model keeps at the start and the
+    frames that go with it.
+    """
+    lanes, width = lane_count(layout.width), layout.width
     block, lane = team // lanes, team % lanes
     key = stream_key(keys[0], keys[1], FRAMES)
     for i in range(teams.merged_into.shape[1]):
         if rules.draw_frames:
             frame = draw_rotation(key, 3 * i, layout.axes)
-            write(frame, teams.frames[block, i], 0, lane, layout.width)
+            write(frame, teams.frames[block, i], 0, lane, width)
         if rules.draw_memory:
             kept = begin_memory(robot.model, key, 3 * i)
-            write(kept, teams.memory[block, i], 0, lane, layout.width)
+            write(kept, teams.memory[block, i], 0, lane, width)
+        fixed = read(teams.frames[block, i], lane, width, layout.entries)
+        memory = read(teams.memory[block, i], lane, width, robot.memories)
+        write(frame_of(robot.model, fixed, memory), teams.frames[block, i], 0, lane, width)

@@ -74,6 +74,11 @@ class State:
         ends = (self.links.first, self.links.second) if self.sparse else ()
         return sum(array.nbytes for array in (*own, *ends))
 
+    @property
+    def room_for_links(self) -> int:
+        """Links that a team can keep."""
+        return self.links.first.shape[-1]
+
     # ---- reading ----------------------------------------------------------------------------
 
     def positions(self) -> NDArray[np.float64]:
@@ -185,8 +190,10 @@ class State:
         which: NDArray[np.int64],
         log: list[Overwritten],
     ) -> None:
-        """Write given links: one list for all of these teams, or one for each."""
-        for k, team in enumerate(which if len(listed) > 1 or self.sparse else [which]):
+        """Write given links: one list for all of these teams, or one for each; at most
+        ``room_for_links`` of them.
+        """
+        for k, team in enumerate(which if len(listed) != 1 or self.sparse else [which]):
             first, second, weight = listed[k % len(listed)]
             if self.sparse:
                 for array, values in zip(self.links, (first, second, weight), strict=True):

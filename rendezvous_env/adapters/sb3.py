@@ -3,22 +3,24 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from copy import deepcopy
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from gymnasium.spaces import Box, Discrete, MultiDiscrete, Space
 from gymnasium.vector import AutoresetMode, VectorEnv
 from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 
-from rendezvous_env import make_vec
-from rendezvous_env.engine.state_checks import check_entries, check_keys
-from rendezvous_env.rendezvous_v0 import ScenarioLike
-from rendezvous_env.simulator import Simulator
+from ..engine.state_checks import check_entries, check_keys
+from ..gymnasium_env import make_vec
+from ..simulator import Simulator
+from .slots import last_moments, of_one_robot, team_options
 
-Indices = int | Sequence[int] | None
+if TYPE_CHECKING:
+    from ..experiment.scenarios import ScenarioLike
+
+Indices = int | Iterable[int] | None
 
 
 def make_robots(scenario: ScenarioLike, num_teams: int, **arguments: Any) -> RobotVecEnv:
@@ -66,17 +68,17 @@ class RobotVecEnv(VecEnv):
         mode = teams.metadata.get("autoreset_mode")
         if mode is not AutoresetMode.SAME_STEP:
             raise ValueError(f"autoreset_mode is {mode}; robots need AutoresetMode.SAME_STEP")
-        self.teams = teams
+        self.teams: Any = teams  # wrapped or not: the state is not of Gymnasium's interface
         self.tell_bootstraps = True
-        self._observed = (teams.num_envs, *teams.single_observation_space.shape)
-        self._acting = (teams.num_envs, *teams.single_action_space.shape)
+        spaces: tuple[Any, ...] = teams.single_observation_space, teams.single_action_space
+        self._observed: tuple[int, ...] = (teams.num_envs, *spaces[0].shape)
+        self._acting: tuple[int, ...] = (teams.num_envs, *spaces[1].shape)
         batch, n = self._observed[:2]
         self._started = time.time()
         self._active = np.zeros((batch, n), dtype=np.bool_)
         self._returns, self._lengths = np.zeros(batch), np.zeros(batch, dtype=np.int64)
         self._forget_step()
-        spaces = teams.single_observation_space, teams.single_action_space
-        super().__init__(batch * n, *map(_of_one_robot, spaces))
+        super().__init__(batch * n, *map(of_one_robot, spaces))
 
     @property
     def n_robots(self) -> int:
@@ -94,7 +96,7 @@ class RobotVecEnv(VecEnv):
         """Begin a new episode in all teams; observations (slots, rows, d)."""
         seeds = self._seeds[:: self.n_robots]
         given = None if all(seed is None for seed in seeds) else seeds
-        options = _team_options(self._options[:: self.n_robots])
+        options = team_options(self._options[:: self.n_robots])
         observations, infos = self.teams.reset(seed=given, options=options)
         self._active = infos["active"].copy()
         self._returns[:], self._lengths[:] = 0.0, 0
@@ -118,7 +120,7 @@ class RobotVecEnv(VecEnv):
         """Advance every team; observations, rewards, dones and infos of the slots."""
         observations, rewards, met, cut, infos = self.teams.step(self._actions)
         over = met | cut
-        last, active, into = _last_moments(observations, infos, over)
+        last, active, into = last_moments(observations, infos, over)
         merged = self._active & ~active
         truncated = (merged | (active & cut[:, None])) & ~met[:, None]
         self._note_bootstraps(truncated, into, last)
@@ -277,48 +279,3 @@ class RobotVecEnv(VecEnv):
         if default is None:
             raise AttributeError(f"neither the teams nor their simulator have {name!r}")
         return default
-
-
-def _of_one_robot(space: Space[Any]) -> Space[Any]:
-    """The space of one robot from that of a team of equal ones."""
-    if isinstance(space, MultiDiscrete):
-        return Discrete(int(space.nvec[0]))
-    assert isinstance(space, Box)
-    return Box(space.low[0], space.high[0], dtype=np.float32)
-
-
-def _last_moments(
-    observations: NDArray[np.float32], infos: Mapping[str, Any], over: NDArray[np.bool_]
-) -> tuple[NDArray[np.float32], NDArray[np.bool_], NDArray[np.int64]]:
-    """Observations, active and merged_into at the end of the step, before anything began anew."""
-    active, into = infos["active"], infos["merged_into"]
-    if not over.any():
-        return observations, active, into
-    observations, final = observations.copy(), infos["final_info"]
-    observations[over] = np.stack(infos["final_obs"][over].tolist())
-    rows = over[:, None]
-    return (
-        observations,
-        np.where(rows, final["active"], active),
-        np.where(rows, final["merged_into"], into),
-    )
-
-
-def _team_options(options: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Options of all teams, stacked, from those of each.
-
-    Raises:
-        ValueError: if teams are given different kinds of options, or different obstacles.
-    """
-    first = options[0]
-    for other in options[1:]:
-        same_obstacles = other.get("obstacles") == first.get("obstacles")
-        if other.keys() != first.keys() or not same_obstacles:
-            raise ValueError(
-                f"set_options: all teams need the same keys and obstacles; one has {first}, "
-                f"another {other}"
-            )
-    return {
-        key: first[key] if key == "obstacles" else np.stack([each[key] for each in options])
-        for key in first
-    }

@@ -10,9 +10,9 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
 
 import rendezvous_env as rv
+from rendezvous_env.adapters.sb3 import RobotVecEnv, make_robots
 from rendezvous_env.vector import HeadingVectorWrapper
 from train.learning.rollout_buffer import RobotPPO
-from train.learning.sb3_vec_env import RobotVecEnv, make_robots
 
 TEAMS, ROBOTS, STEPS, SEED = 8, 3, 90, 4
 GAMMA, LAMBDA = 0.95, 0.9
