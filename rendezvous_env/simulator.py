@@ -28,12 +28,14 @@ from .engine.memory import (
 )
 from .engine.preparation import (
     Arrangement,
+    constants,
     drafts,
     fixed_links,
     fixed_obstacles,
     hands_of_threads,
     lanes_of_threads,
-    physics,
+    layout,
+    robot,
     start_rules,
     whole_rows,
 )
@@ -96,7 +98,8 @@ class Simulator:
         self._acted = (self.num_envs, scenario.n_robots, scenario.action_size)
         self._observed = (self.num_envs, scenario.n_robots, *scenario.observation_layout.shape)
         self._width = _width(scenario, self.num_envs, self.num_threads)
-        self._physics = physics(scenario, self.num_envs, self.max_steps)
+        self._layout, self._robot = layout(scenario, self.num_envs), robot(scenario)
+        self._constants = constants(scenario, self.max_steps)
         self._lanes = tuple(lanes_of_threads(scenario, self.num_envs, self._width))
         self._hands = tuple(hands_of_threads(scenario, self.num_envs, self._width))
         self._blocks = np.arange(self._state.blocks)
@@ -187,9 +190,10 @@ class Simulator:
                 rules,
                 self._seed,
                 self._episode,
-                self._physics,
+                self._layout,
+                self._robot,
                 tuple(state.teams),
-                tuple(state.links),
+                state.links,
                 state.obstacles,
                 tuple(array[0] for array in self._hands),
                 tuple(drafts(self.scenario, self.num_envs, len(which))),
@@ -279,10 +283,10 @@ class Simulator:
         """Let up to ``width`` threads step or observe some blocks."""
         state, written = self._state, tuple(results)
         table = table.reshape(self.num_envs, -1)
-        fixed = (moves, blocks, self._physics, tuple(state.teams), tuple(state.links))
-        given = (state.obstacles, table, written, self._lanes, self._hands)
+        fixed = (moves, blocks, self._layout, self._constants, self._robot, tuple(state.teams))
+        given = (state.links, state.obstacles, table, written, self._lanes, self._hands)
         if (run := self._run) is None:  # before threads share it: compiling may be interrupted
-            writable = (state.obstacles, np.empty_like(table), *given[2:])
+            writable = (*given[:2], np.empty_like(table), *given[3:])
             run = self._run = entry_point(step_blocks, (example_part(), *fixed, *writable))
         threads.share(lambda part: run(part, *fixed, *given), len(blocks), width)
 
@@ -492,7 +496,7 @@ class Simulator:
             ValueError: if it is not a positive whole number.
         """
         self.max_steps = whole("max_cycles", max_steps, 1, MOST_STEPS)
-        self._physics = physics(self.scenario, self.num_envs, self.max_steps)
+        self._constants = constants(self.scenario, self.max_steps)
 
     def __getstate__(self) -> dict[str, Any]:
         """Pickle and deepcopy keep the running episodes and leave the working memory behind."""

@@ -19,6 +19,7 @@ from .memory import (
     STATUS,
     STEPS,
     Links,
+    ListedLinks,
     Teams,
 )
 from .preparation import Arrangement, empty_links, empty_obstacles, empty_teams
@@ -135,7 +136,7 @@ class State:
             "merged_into": self.teams.merged_into.copy(),
         }
         if self.sparse:
-            state |= {name: getattr(self.links, name).copy() for name in Links._fields}
+            state |= {name: getattr(self.links, name).copy() for name in ListedLinks._fields}
         else:
             state["weights"] = self._by_team(self.links.weights)[..., 0].copy()
         if self.scenario.model.n_angles == 0:
@@ -154,7 +155,7 @@ class State:
                 self._put_table(value, slice(None))
             elif name == "merged_into":
                 self.teams.merged_into[...] = value
-            elif name in Links._fields:
+            elif name in ListedLinks._fields:
                 if self.sparse:
                     getattr(self.links, name)[...] = value
                 else:
