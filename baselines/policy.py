@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 import numpy as np
@@ -106,6 +107,19 @@ def make(name: str, scenario: ScenarioLike, **options: Any) -> Policy:
                 f"it has {', '.join(allowed) or 'none'}"
             )
     return build(scenario, **options)
+
+
+def source_file(name: str) -> Path | None:
+    """The file in which a policy is made; None for one that was typed in.
+
+    Raises:
+        KeyError: for an unknown name.
+    """
+    try:
+        found = inspect.getsourcefile(_registry[name].build)
+    except TypeError:  # a builder that is no function
+        return None
+    return Path(found) if found is not None and Path(found).is_file() else None
 
 
 def _describe(scenario: Scenario) -> str:

@@ -10,7 +10,7 @@ from train import cli
 from train.checks import check_fields, check_types
 from train.errors import UserError
 
-MODULES = {name: import_module(module) for name, (module, _) in cli.COMMANDS.items()}
+MODULES = {name: import_module(f"train.{module}") for name, (module, _) in cli.COMMANDS.items()}
 FLOATS = [
     (name, field.name)
     for name, module in MODULES.items()

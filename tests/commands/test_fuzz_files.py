@@ -330,7 +330,7 @@ NAMES = (
     "words.toml", "-", "--", "folder", "file", "file/x", "x.gif", "x.png", "folder/x.pdf", "None",
     "fig3", "one-team", "A", "[bold]", "%s{}",
 )  # fmt: skip
-COMMANDS = {name: import_module(module) for name, (module, _) in cli.COMMANDS.items()}
+COMMANDS = {name: import_module(f"train.{module}") for name, (module, _) in cli.COMMANDS.items()}
 
 
 @st.composite

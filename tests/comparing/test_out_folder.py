@@ -8,6 +8,7 @@ import sys
 
 import pytest
 
+from baselines import policy
 from train import cli, folders, results
 from train.comparing import ceiling, cells, compare, out_folder, playing
 from train.comparing.out_folder import part_of
@@ -142,7 +143,7 @@ class TestGoingOn:
         assert out_folder.run_id(first) != out_folder.run_id(second)
 
     def test_another_law_of_the_same_name_is_another_comparison(self, tmp_path, monkeypatch):
-        registry = cells._registry
+        registry = policy._registry
         jobs = compare.plan(config(tmp_path, scenarios=("duo",), policies=("zero",)))
         first = cells.plan_of(jobs, config(tmp_path))
         mine = registry["zero"].__class__(lambda scenario: None, registry["zero"].fits)

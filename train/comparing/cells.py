@@ -7,7 +7,6 @@ plan, so a comparison that goes on after a kill finds what an uninterrupted one 
 from __future__ import annotations
 
 import hashlib
-import inspect
 from collections.abc import Sequence
 from dataclasses import fields
 from functools import cache
@@ -19,7 +18,7 @@ import numpy as np
 import baselines
 import rendezvous_env
 import train
-from baselines.policy import _registry
+from baselines.policy import source_file
 
 from .. import results
 from ..learned import checkpoints, policies
@@ -55,11 +54,8 @@ def _weights(policy: str) -> str | None:
     """
     if (run := policies.learned_path(policy)) is not None:
         return str(checkpoints.describe(checkpoints.find(run))["sha256"])
-    try:
-        path = Path(inspect.getsourcefile(_registry[policy].build) or "")
-        return hashlib.sha256(path.read_bytes()).hexdigest()
-    except (OSError, TypeError):
-        return None
+    path = source_file(policy)
+    return None if path is None else hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 @cache
