@@ -117,7 +117,7 @@ def test_max_cycles_suite(kind):
 
 EPISODE = """
 import sys
-sys.path.insert(0, "tests")
+sys.path[:0] = ["tests", "tests/faces"]
 from test_pettingzoo import fingerprint
 print(*map(fingerprint, sys.argv[1:]))
 """

@@ -1,0 +1,101 @@
+"""Teams that begin anew beside others that go on; teams that have ended, and rest."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from conftest import MODELS, UNEQUAL
+from test_widths import towards_neighbours
+
+from rendezvous_env import Scenario, Simulator
+from rendezvous_env.engine.memory import AWAITING_RESET, RUNNING, TIME_OUT
+
+KINDS = {
+    **MODELS,
+    "double_integrator-2d": {"robot_model": "double_integrator", "dim": 2},
+    "double_integrator-3d": {"robot_model": "double_integrator", "dim": 3},
+}
+TEAMS = 7
+SOME = np.array([False, True, False, False, True, True, False])
+
+
+@pytest.fixture(params=list(KINDS))
+def scenario(request) -> Scenario:
+    return Scenario(
+        n_robots=5, graph=UNEQUAL, spawn_size=6.0, merge_radius=0.4, **KINDS[request.param]
+    )
+
+
+def halfway(scenario: Scenario, batch: int = TEAMS, **how) -> tuple[Simulator, np.ndarray]:
+    """Teams that move, in some of which robots have merged."""
+    sim = Simulator(scenario, batch, **how)
+    observations = sim.reset(0)
+    while sim.steps.max() < 10 or sim.active.all():
+        observations = sim.step(towards_neighbours(scenario, observations)).observations
+    return sim, observations
+
+
+def test_both_ways_to_restart_show_the_same_start_and_leave_the_others_alone(scenario):
+    """At once in what the last step gave out, or in a step in which these teams rest."""
+    (sim, seen), (other, _), (alone, _) = (halfway(scenario) for _ in range(3))
+    actions = towards_neighbours(scenario, seen)
+    for simulator in (sim, other, alone):
+        outcome = simulator.step(actions)
+        if simulator is sim:
+            sim.restart(SOME, outcome)
+            at_once = outcome.observations.copy()
+    other.restart(SOME)
+    assert (other.status[SOME] == AWAITING_RESET).all()
+    started = other.positions[SOME]
+    resting = other.step(actions)
+    np.testing.assert_array_equal(resting.observations[SOME], at_once[SOME])
+    np.testing.assert_array_equal(resting.rewards[SOME], 0.0)
+    np.testing.assert_array_equal(other.positions[SOME], started)
+    np.testing.assert_array_equal(other.path_length[SOME], 0.0)
+    assert (other.steps[SOME] == 0).all() and (other.status[SOME] == RUNNING).all()
+    went_on = alone.step(actions)
+    np.testing.assert_array_equal(resting.observations[~SOME], went_on.observations[~SOME])
+    np.testing.assert_array_equal(other.positions[~SOME], alone.positions[~SOME])
+    fresh = Simulator(scenario, TEAMS)
+    fresh.reset(0)
+    np.testing.assert_array_equal(fresh.reset()[SOME], at_once[SOME])
+    np.testing.assert_array_equal(fresh.frames[SOME], other.frames[SOME])
+
+
+def test_a_team_that_has_ended_rests(scenario):
+    """Whatever it is told, and with whatever velocity it ended."""
+    sim, _ = halfway(scenario, 3)
+    sim.set_max_steps(int(sim.steps.max()) + 1)
+    actions = np.ones((3, 5, scenario.action_size))
+    last = sim.step(actions)
+    assert set(sim.status.tolist()) <= {1, TIME_OUT} and (sim.status == TIME_OUT).any()
+    before = sim.get_state()
+    for _ in range(3):
+        outcome = sim.step(-actions)
+        np.testing.assert_array_equal(outcome.observations, last.observations)
+        assert not outcome.rewards.any() and not outcome.contact.any()
+    for entry, array in sim.get_state().items():
+        np.testing.assert_array_equal(array, before[entry], err_msg=entry)
+
+
+def test_the_way_is_that_of_the_robots_that_are_left(scenario):
+    """A robot that has merged away adds nothing, though it may have been moving."""
+    sim, observations = halfway(scenario, 3)
+    assert not sim.active.all()
+    for _ in range(20):
+        before, length, there = sim.positions, sim.path_length, sim.active
+        observations = sim.step(towards_neighbours(scenario, observations)).observations
+        chords = np.linalg.norm(sim.positions - before, axis=-1)
+        unmerged = (sim.active == there).all(axis=1)
+        way = sim.path_length - length
+        straight = np.where(there, chords, 0.0).sum(axis=1)[unmerged]
+        assert (way[unmerged] >= straight - 1e-12).all()
+        assert (way[unmerged] <= straight * 1.02 + 1e-9).all()
+
+
+def test_more_threads_than_blocks_change_nothing(scenario, monkeypatch):
+    monkeypatch.setattr("rendezvous_env.simulator._WORK_PER_THREAD", 1)
+    few, _ = halfway(scenario, 40, num_threads=1)
+    many, _ = halfway(scenario, 40, num_threads=9)
+    for (entry, own), other in zip(few.get_state().items(), many.get_state().values(), strict=True):
+        np.testing.assert_array_equal(own, other, err_msg=entry)

@@ -1,0 +1,133 @@
+"""Both compiled forms of the step, one team a block and 32, and the plain Python they are made of:
+the same numbers, bit for bit.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import ROOT, UNEQUAL, five
+
+from rendezvous_env import Capsule, Disc, ObstacleField, Polygon, Scenario, Simulator, Sphere
+from rendezvous_env.engine.memory import ManyTeams, OneTeam
+from rendezvous_env.engine.preparation import Arrangement
+
+SHAPES = (
+    Disc((0.3, 0.2), 0.5),
+    Polygon(((-1.5, -0.5), (-0.7, -0.8), (-0.9, 0.4))),
+    Capsule(((0.5, -1.2), (1.6, -0.6)), 0.25),
+)
+SOLIDS = (Sphere((0.3, 0.2, 0.0), 0.5), Capsule(((-1.0, -0.5, -0.5), (-0.4, 0.6, 0.4)), 0.3))
+TIGHT = {"spawn_size": 5.0, "merge_radius": 0.3, "obstacle_range": 2.0}
+FIELD = ObstacleField(count=(1, 3), radius=(0.2, 0.4), region=4.0, keep_out=0.1)
+INERT = {"n_robots": 5, "graph": UNEQUAL, "robot_model": "double_integrator"}
+SCENARIOS = {
+    "nothing in the way": five("single_integrator-2d", spawn_size=3.0),
+    "discs": five("single_integrator-2d", obstacles=SHAPES[:1], **TIGHT),
+    "shapes": five("single_integrator-2d", obstacles=SHAPES, obstacle_contact="stop", **TIGHT),
+    "field": five("single_integrator-2d", obstacles=FIELD, **TIGHT),
+    "spheres": five("single_integrator-3d", obstacles=SOLIDS[:1], **TIGHT),
+    "solids": five("single_integrator-3d", obstacles=SOLIDS, **TIGHT),
+    "unicycles": five("unicycle", obstacles=SHAPES, **TIGHT),
+    "flying": five("nonholonomic_3d", obstacles=SOLIDS, **TIGHT),
+    "inertia in the plane": Scenario(**INERT, obstacles=SHAPES, **TIGHT),
+    "inertia in space": Scenario(**INERT, dim=3, obstacles=SOLIDS, **TIGHT),
+    "two rows": Scenario(n_robots=6, graph="cycle", obstacles=SHAPES, **TIGHT),
+    "drawn graphs": Scenario(n_robots=6, graph="random_tree", on_merge="follow", **TIGHT),
+}
+COVERED = ("nothing in the way", "field", "solids", "inertia in space", "drawn graphs")
+"""By the others together, but for how they are compiled."""
+MEETS_NOTHING = ("nothing in the way", "drawn graphs")
+KEPT = (
+    "observations",
+    "rewards",
+    "robot_rewards",
+    "contact",
+    "clearance",
+    "active",
+    "status",
+    "merge_rise",
+    "merge_excess",
+    "lyapunov_before_merge",
+    "lyapunov_after_merge",
+)
+
+
+def towards_neighbours(scenario: Scenario, observations: np.ndarray) -> np.ndarray:
+    """Actions with which robots of any model meet: along the net bearing, against the velocity."""
+    layout = scenario.observation_layout
+    f = layout.net_bearing(observations)
+    if scenario.model.senses_velocity:
+        f = f - 2.0 * observations[..., -1, :]
+    if scenario.model.nonholonomic:
+        return np.concatenate([0.3 + f[..., :1], f[..., 1:]], axis=-1)
+    return f
+
+
+def episode(scenario: Scenario, batch: int, seed: int, steps: int, **how) -> dict[str, np.ndarray]:
+    """Everything that the steps of some teams give out, each (steps, batch, …)."""
+    sim = Simulator(scenario, batch, **how)
+    observations, found = sim.reset(seed), []
+    for _ in range(steps):
+        outcome = sim.step(towards_neighbours(scenario, observations))
+        observations = outcome.observations
+        one = {name: np.copy(getattr(outcome, name)) for name in KEPT}
+        one |= {"positions": sim.positions, "lyapunov": sim.lyapunov(), "length": sim.path_length}
+        found.append(one)
+    return {name: np.stack([one[name] for one in found]) for name in found[0]}
+
+
+def assert_equal(found: dict[str, np.ndarray], expected: dict[str, np.ndarray]) -> None:
+    assert found.keys() == expected.keys()
+    for name, array in expected.items():
+        assert array.dtype == found[name].dtype
+        np.testing.assert_array_equal(found[name], array, err_msg=name)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=[pytest.mark.slow] if name in COVERED else []) for name in SCENARIOS],
+)
+def test_a_team_among_many_moves_as_it_does_alone(name):
+    """40 teams are one whole block and one that is filled up."""
+    scenario, batch, steps = SCENARIOS[name], 40, 150
+    assert Arrangement(scenario, batch).width == ManyTeams()
+    assert Arrangement(scenario, 1).width == OneTeam()
+    together = episode(scenario, batch, 3, steps, num_threads=2)
+    for team in (0, 1, 5, 31, 32, 39):
+        alone = episode(scenario, 1, 3 + team, steps)
+        assert_equal({key: array[:, team : team + 1] for key, array in together.items()}, alone)
+    few = episode(scenario, 6, 3, steps)
+    assert_equal({key: array[:, :6] for key, array in together.items()}, few)
+    assert not together["active"].all()
+    assert together["contact"].any() == (name not in MEETS_NOTHING)
+
+
+BRIEFLY = {"shapes": 40, "spheres": 40, "unicycles": 12, "flying": 8, "inertia in the plane": 12}
+
+
+def save_brief(path: str) -> None:
+    """The first steps of some scenarios, into a file."""
+    found = {}
+    for name, steps in BRIEFLY.items():
+        for batch in (1, 5):
+            brief = episode(SCENARIOS[name], batch, 3, steps if batch == 1 else 3)
+            found |= {f"{name}|{batch}|{key}": array for key, array in brief.items()}
+    np.savez(path, **found)
+
+
+def test_plain_python_gives_the_same_numbers(tmp_path):
+    paths = [str(Path(__file__).parent), str(ROOT / "tests"), str(ROOT)]
+    environment = {**os.environ, "NUMBA_DISABLE_JIT": "1", "PYTHONPATH": os.pathsep.join(paths)}
+    script = f"import test_widths; test_widths.save_brief({str(tmp_path / 'plain.npz')!r})"
+    subprocess.run([sys.executable, "-c", script], check=True, env=environment, timeout=500)
+    save_brief(str(tmp_path / "compiled.npz"))
+    with np.load(tmp_path / "plain.npz") as plain, np.load(tmp_path / "compiled.npz") as compiled:
+        assert_equal(dict(plain), dict(compiled))
+        assert any(compiled[name].any() for name in compiled if name.endswith("contact"))
+        assert not all(compiled[name].all() for name in compiled if name.endswith("active"))
