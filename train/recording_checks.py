@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from rendezvous_env.equations.geometry import ABSENT, CENTRE, COUNT
 
+from rendezvous_env.equations.obstacles import ABSENT, BALL, CAPSULE, POLYGON
+from rendezvous_env.experiment.packing import CORNERS, DETAILS, KIND, THICKNESS
 from rendezvous_env.experiment.scenario import Scenario
 
 from .recording import Recording
@@ -57,10 +58,18 @@ def _fits(shape: tuple[int, ...], wanted: Shape) -> bool:
 
 
 def _fault_of_obstacles(obstacles: np.ndarray, dim: int) -> str | None:
-    """Packed as obstacles.py says: as many corners as the row has room for."""
-    room = (obstacles.shape[1] - CENTRE - dim) // 2
+    """Tables of ``experiment.packing``: known kinds, and details that the row has room for."""
+    width = obstacles.shape[1]
+    if len(obstacles) and width < DETAILS:
+        return f"obstacles: a row has {width} numbers; it must have {DETAILS} or more"
+    known = (ABSENT, BALL, POLYGON, CAPSULE) if dim == 2 else (ABSENT, BALL, CAPSULE)
+    room = (width - DETAILS) // 2
     for row in obstacles:
-        count = row[COUNT] if len(row) > CENTRE else np.nan
-        if count != ABSENT and not (count >= 0 and count == int(count) and count <= room):
-            return f"obstacles: a row has {count} corners; it has room for {max(room, 0)}"
+        kind, corners = row[KIND], row[CORNERS]
+        if kind not in known:
+            return f"obstacles: a row is of kind {kind}; it must be one of {known}"
+        if kind == POLYGON and not (3 <= corners <= room and corners == int(corners)):
+            return f"obstacles: a row has {corners} corners; it has room for {room}"
+        if kind == CAPSULE and not (width > THICKNESS and row[THICKNESS] > 0):
+            return "obstacles: a capsule has no radius"
     return None

@@ -1,7 +1,8 @@
 """The first stage of a step: what every robot would do if nothing were in its way."""
 
 from ..compilation import inlined_kernel
-from ..equations.motion import frame_of, propose, remember
+from ..equations.contact import STOP
+from ..equations.motion import FREE, SLID, STOPPED, drifts, frame_of, propose, remember
 from .memory import ACTIVE, RUNNING, STATUS, lane_count, read, write
 
 
@@ -33,7 +34,7 @@ def _hold_still(block, count, parts, physics, teams, values):
 
 
 @inlined_kernel
-def propose_block(block, count, physics, memories, teams, buffers):
+def propose_block(block, count, physics, teams, buffers):
     """The displacement of every robot over the step, and the length of its way."""
     d, lanes = len(physics.axes), lane_count(physics.width)
     for i in range(buffers.action.shape[0]):
@@ -48,7 +49,7 @@ def propose_block(block, count, physics, memories, teams, buffers):
             )
             write(displacement, out, 0, lane, physics.width)
             out[d * lanes + lane] = length
-    if len(memories) > 0:  # who keeps a velocity would go on without an action
+    if drifts(physics.model):
         _hold_still(block, count, d + 1, physics, teams, buffers.displacement)
 
 
@@ -67,6 +68,7 @@ def turn_block(block, count, physics, memories, teams, results, buffers):
     """
     if len(memories) > 0:
         lanes, width = lane_count(physics.width), physics.width
+        met = STOPPED if physics.contact_mode == STOP else SLID
         for i in range(buffers.action.shape[0]):
             frames, memory = teams.frames[block, i], teams.memory[block, i]
             for lane in range(count):
@@ -78,7 +80,7 @@ def turn_block(block, count, physics, memories, teams, results, buffers):
                         frame,
                         read(memory, lane, width, memories),
                         read(buffers.displacement[i], lane, width, physics.axes),
-                        results.contact[block * lanes + lane, i],
+                        met if results.contact[block * lanes + lane, i] else FREE,
                     )
                     write(after, memory, 0, lane, width)
                     write(frame_of(physics.model, frame, after), frames, 0, lane, width)

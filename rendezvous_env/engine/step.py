@@ -55,7 +55,7 @@ def step_blocks(
         load_balls(block, count, physics, obstacles, buffers)
         if moves:
             load_actions(block, count, physics, teams, actions, buffers)
-            propose_block(block, count, physics, physics.memories, teams, buffers)
+            propose_block(block, count, physics, teams, buffers)
             advance_block(block, count, physics, teams, links, obstacles, results, buffers, hand)
             turn_block(block, count, physics, physics.memories, teams, results, buffers)
         else:
