@@ -127,7 +127,7 @@ def test_ignored_obstacles_change_nothing(dim):
     assert not any(o.contact.any() for o in out)
 
 
-@pytest.mark.parametrize("obstacle", FLAT[:2] + (Capsule(((-1, 0), (1, 0)), 1.0),), ids=type)
+@pytest.mark.parametrize("obstacle", (*FLAT[:2], Capsule(((-1, 0), (1, 0)), 1.0)), ids=type)
 @pytest.mark.parametrize("mode", ["slide", "stop"])
 def test_head_on_it_rests_at_the_surface(obstacle, mode):
     scenario = two(2, (obstacle,), obstacle_contact=mode)

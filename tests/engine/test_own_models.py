@@ -81,7 +81,7 @@ rv.register_robot_model(
     )
 )
 '''
-SLUGGISH = '''"""A unicycle whose speed follows the one asked for with a lag; it keeps (θ, speed)."""
+SLUGGISH = '''"""A unicycle whose speed lags behind the one asked for; it keeps (θ, speed)."""
 
 import cmath
 import math
@@ -368,5 +368,5 @@ def test_what_is_wrong_with_a_model_is_said(registry):
         rv.describe_motion(Still, hover._replace(drifts=True))
     short = rv.RobotModel("still", **good | {"dims": (2,), "constants": lambda s: Still(0.0, 1.0)})
     rv.register_robot_model(short, replace=True)
-    with pytest.raises(ValueError, match="have duration = 0.0; it must be the step, 0.05 s"):
+    with pytest.raises(ValueError, match=r"have duration = 0\.0; it must be the step, 0\.05 s"):
         rv.Simulator(rv.Scenario(robot_model="still", time_step=0.05, allow_long_step=True))
