@@ -191,7 +191,7 @@ class CertifiedHeadingPolicy:
             dead_zone=scenario.dead_zone or 1.0,  # without a link f is 0 whatever it is
             max_turn=self.max_turn_rate * scenario.tau,
         )
-        degree = np.linalg.norm(seen.neighbours, axis=-1).sum(axis=-1, dtype=np.float64)
+        degree = layout.degree(observations)
         scale = step_scale(degree, scenario.merge_radius, scenario.tau)[..., np.newaxis]
         return within_limits(scale * flexible_velocity(f, h), scenario)
 

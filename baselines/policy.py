@@ -15,7 +15,7 @@ from rendezvous_env.experiment.scenarios import resolve
 
 if TYPE_CHECKING:
     from rendezvous_env.experiment.scenario import Scenario
-    from rendezvous_env.rendezvous_v0 import ScenarioLike
+    from rendezvous_env.experiment.scenarios import ScenarioLike
 
 
 class Policy(Protocol):

@@ -14,8 +14,8 @@ from .experiment.obstacles import Capsule, Disc, ObstacleField, Polygon, Sphere
 from .experiment.rewards import RewardWeights
 from .experiment.robot_models import RobotModel, register_robot_model
 from .experiment.scenario import Scenario, TimeStepWarning
+from .guarantee.certificate import Certificate, certificate
 from .guarantee.heading import certified_heading
-from .guarantee.lyapunov import Certificate, certificate
 from .gymnasium_env import make_vec
 from .registration import register
 from .rendezvous_v0 import parallel_env

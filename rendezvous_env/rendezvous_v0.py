@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
 from typing import Any
 
@@ -14,19 +13,22 @@ from pettingzoo.utils.env import AECEnv, ParallelEnv
 
 from .aec import OneAfterAnother
 from .drawing.renderer import RENDER_MODES, Renderer, render_metadata
-from .engine.memory import RENDEZVOUS, RUNNING, TIME_OUT
 from .engine.state_checks import check_keys
-from .experiment.checks import check_action, floats, refuse, shown
+from .experiment.checks import shown
 from .experiment.scenario import Scenario
-from .experiment.scenarios import resolve
-from .outcome import Outcome
+from .experiment.scenarios import ScenarioLike, resolve
+from .roster import (
+    Infos,
+    Observations,
+    StepReturn,
+    alive_in,
+    check_robots,
+    names_of,
+    table_of,
+    tell,
+)
 from .simulator import Simulator
 from .spaces import action_box, observation_box, state_box, team_state
-
-_FLOAT32 = np.dtype(np.float32)
-ScenarioLike = Scenario | str | os.PathLike[str]
-Observations = dict[str, NDArray[np.float32]]
-Infos = dict[str, dict[str, Any]]
 
 
 def parallel_env(
@@ -108,10 +110,13 @@ class RendezvousParallelEnv(ParallelEnv[str, NDArray[np.float32], NDArray[np.flo
 
     | rows                   | what                                                    | length |
     |------------------------|---------------------------------------------------------|--------|
-    | K = n − 1              | a_ij g_ij to each other robot in index order; sum: f_i  | a_ij   |
+    | K                      | a_ij g_ij to the neighbours in index order; sum: f_i    | a_ij   |
     | M × 2 (2-D), × 8 (3-D) | silhouette bearings of obstacles in ``obstacle_range``  | 1      |
     | 1 (3-D nonholonomic)   | direction of gravity, (−sin β, 0, −cos β)               | 1      |
 
+    K is the most neighbours that a robot can have in an episode, merges included: 2 on a path or
+    cycle, n − 1 in general, where each other robot has its own row; with fewer the neighbours that
+    are there stand first. A smaller ``neighbour_slots`` may be given.
     In 2-D an obstacle's rows are its counter-clockwise and clockwise edge; in 3-D the rays of its
     cone at 8 azimuths. ``scenario.observation_layout`` names the rows. Frames are a random fixed
     rotation for each single integrator, the body frame (x = heading, y = left) for the other
@@ -149,7 +154,7 @@ class RendezvousParallelEnv(ParallelEnv[str, NDArray[np.float32], NDArray[np.flo
     ``render_mode="rgb_array"``: ``render()`` gives a picture (600, 600, 3) uint8; no screen is
     needed. ``"human"``: a window that follows every step in real time; space pauses, the right
     arrow or s makes one step, escape or q closes it and the episode goes on unseen.
-    ``rendering.Renderer`` says what is drawn. Both need the extra ``render``; without a mode
+    ``drawing.renderer.Renderer`` says what is drawn. Both need the extra ``render``; without a mode
     nothing is kept and nothing is loaded. ``metadata["render_fps"]`` is 1/τ: real time.
 
     ## Version history
@@ -173,13 +178,12 @@ class RendezvousParallelEnv(ParallelEnv[str, NDArray[np.float32], NDArray[np.flo
         self.renderer = Renderer(self.simulator, render_mode)
         self.render_mode = render_mode
         self.metadata = self.metadata | render_metadata(self.simulator)
-        self.possible_agents = [f"robot_{i}" for i in range(scenario.n_robots)]
+        self.possible_agents = names_of(scenario.n_robots)
         self.agents: list[str] = []
         self.observation_spaces = {name: observation_box(scenario) for name in self.possible_agents}
         self.action_spaces = {name: action_box(scenario) for name in self.possible_agents}
         self.state_space = state_box(scenario)
         self._indices = {name: i for i, name in enumerate(self.possible_agents)}
-        self._acted = (scenario.n_robots, scenario.action_size)
 
     @property
     def max_cycles(self) -> int:
@@ -212,18 +216,15 @@ class RendezvousParallelEnv(ParallelEnv[str, NDArray[np.float32], NDArray[np.flo
         """
         observations = self.simulator.reset(seed, options)[0]
         self.agents = self.possible_agents.copy()
+        clearances = zip(self.agents, self.simulator.clearance[0].tolist(), strict=True)
         infos: Infos = {
             name: {"merged_into": None, "contact": False, "clearance": clearance}
-            for name, clearance in zip(
-                self.agents, self.simulator.clearance[0].tolist(), strict=True
-            )
+            for name, clearance in clearances
         }
         self.renderer.reset()
         return dict(zip(self.agents, observations, strict=True)), infos
 
-    def step(
-        self, actions: Mapping[str, Any]
-    ) -> tuple[Observations, dict[str, float], dict[str, bool], dict[str, bool], Infos]:
+    def step(self, actions: Mapping[str, Any]) -> StepReturn:
         """Advance by one step τ.
 
         Args:
@@ -239,9 +240,10 @@ class RendezvousParallelEnv(ParallelEnv[str, NDArray[np.float32], NDArray[np.flo
         """
         if not self.agents and isinstance(actions, Mapping) and not actions:
             return {}, {}, {}, {}, {}
-        outcome = self.simulator.step(self._table_of(actions))
+        outcome = self.simulator.step(table_of(actions, self.agents, self.simulator))
         self.renderer.see(outcome.contact)
-        return self._as_dicts(outcome)
+        told, self.agents = tell(outcome, self.simulator, self.possible_agents, self.agents)
+        return told
 
     def state(self) -> NDArray[np.float32]:
         """The privileged global state, one float32 vector.
@@ -264,50 +266,9 @@ class RendezvousParallelEnv(ParallelEnv[str, NDArray[np.float32], NDArray[np.flo
         """Close the window, if there is one."""
         self.renderer.close()
 
-    # ---- between dicts and arrays ---------------------------------------------------------------
-
-    def _table_of(self, actions: Mapping[str, Any]) -> NDArray[np.float32]:
-        """Actions as (1, n, a); zero for robots that are gone."""
-        alive, (n, size) = self.agents, self._acted
-        try:
-            listed = np.array([actions[name] for name in alive])
-            if listed.dtype is not _FLOAT32:
-                listed = floats("actions", listed, np.float32)
-                if not np.isfinite(listed).all():
-                    self._explain(actions)
-        except (KeyError, IndexError, TypeError, ValueError, OverflowError, RecursionError):
-            listed = np.empty(0, np.float32)
-        if listed.shape != (len(alive), size) or len(actions) != len(alive):
-            self._explain(actions)
-        if len(alive) == n:
-            return listed[None]
-        table = np.zeros((1, n, size), np.float32)
-        table[0, [self._indices[name] for name in alive]] = listed
-        return table
-
     def index(self, name: str) -> int:
         """Index of a robot by its name."""
         return self._indices[name]
-
-    def check_robots(self, actions: Mapping[str, Any]) -> None:
-        """Refuse actions that are not for exactly the robots alive.
-
-        Raises:
-            KeyError: naming the robot that is missing, unknown or gone.
-            ValueError: if they are no dict.
-        """
-        if not isinstance(actions, Mapping):
-            refuse("actions", actions, f"a dict with an action for each of {self.agents}")
-        for name in actions:
-            if name not in self._indices:
-                raise KeyError(f"{shown(name)} is no robot of this team: {self.possible_agents}")
-            if name not in self.agents:
-                survivor = self._survivor(self._indices[name])
-                why = f"has merged into {survivor}" if survivor else "has ended"
-                raise KeyError(f"{name} {why} and takes no action; alive are {self.agents}")
-        for name in self.agents:
-            if name not in actions:
-                raise KeyError(f"{name} is alive but has no action; alive are {self.agents}")
 
     def get_state(self) -> dict[str, Any]:
         """The running episode as copies; ``set_state`` puts it back."""
@@ -321,7 +282,7 @@ class RendezvousParallelEnv(ParallelEnv[str, NDArray[np.float32], NDArray[np.flo
         """
         check_keys(state, ("agents", "simulator"))
         teams = self.simulator.check_state(state["simulator"])
-        alive, given = self._alive_in(teams), state["agents"]
+        alive, given = alive_in(teams, self.scenario.on_merge), state["agents"]
         if not isinstance(given, list | tuple) or list(given) != alive:
             raise ValueError(
                 f"state: agents is {shown(given)}; with this simulator's state it must be {alive}"
@@ -329,63 +290,11 @@ class RendezvousParallelEnv(ParallelEnv[str, NDArray[np.float32], NDArray[np.flo
         self.simulator.set_state(teams)
         self.agents = alive
 
-    def _alive_in(self, teams: Mapping[str, NDArray[Any]]) -> list[str]:
-        """Who takes actions in a state of the simulator."""
-        names = self.possible_agents
-        if teams["episode"][0] < 0 or teams["status"][0] in (RENDEZVOUS, TIME_OUT):
-            return []
-        if self.scenario.on_merge == "follow":
-            return names.copy()
-        return [name for i, name in enumerate(names) if teams["merged_into"][0, i] == i]
+    def check_robots(self, actions: Mapping[str, Any]) -> None:
+        """Refuse actions that are not for exactly the robots alive.
 
-    def _explain(self, actions: Mapping[str, Any]) -> None:
-        """Raise what is wrong with these actions, naming the robot."""
-        self.check_robots(actions)
-        size = self.scenario.action_size
-        for name in self.agents:
-            check_action(name, actions[name], size)
-
-    def _as_dicts(
-        self, outcome: Outcome
-    ) -> tuple[Observations, dict[str, float], dict[str, bool], dict[str, bool], Infos]:
-        alive, names, status = self.agents, self.possible_agents, outcome.status.item(0)
-        over, met = status != RUNNING, status == RENDEZVOUS
-        observations = dict(zip(names, outcome.observations[0], strict=True))
-        felt = zip(names, outcome.contact[0].tolist(), outcome.clearance[0].tolist(), strict=True)
-        infos: Infos = {
-            name: {"merged_into": None, "contact": contact, "clearance": clearance}
-            for name, contact, clearance in felt
-        }
-        if len(alive) < len(names):
-            observations = {name: observations[name] for name in alive}
-            infos = {name: infos[name] for name in alive}
-        ends, truncations = dict.fromkeys(alive, met), dict.fromkeys(alive, over and not met)
-        active = outcome.active[0].tolist()
-        if active.count(True) < len(alive):
-            for name in alive:
-                infos[name]["merged_into"] = self._survivor(self._indices[name])
-            if not met and self.scenario.on_merge == "remove":
-                ends = {name: not active[self._indices[name]] for name in alive}
-                truncations = {name: over and not ended for name, ended in ends.items()}
-                self.agents = [name for name in alive if not ends[name]]
-        if over:
-            self.agents = []
-            for info in infos.values():
-                info["summary"] = self._summary()
-        rewards = dict.fromkeys(alive, outcome.rewards.item(0))
-        return observations, rewards, ends, truncations, infos
-
-    def _survivor(self, i: int) -> str | None:
-        into = int(self.simulator.merged_into[0, i])
-        return None if into == i else self.possible_agents[into]
-
-    def _summary(self) -> dict[str, Any]:
-        """How the episode ended, in plain numbers."""
-        simulator = self.simulator
-        return {
-            "success": bool(simulator.status[0] == RENDEZVOUS),
-            "time": float(simulator.time[0]),
-            "contacts": int(simulator.contacts[0]),
-            "path_length": float(simulator.path_length[0]),
-            "lyapunov": float(simulator.lyapunov()[0]),
-        }
+        Raises:
+            KeyError: naming the robot that is missing, unknown or gone.
+            ValueError: if they are no dict.
+        """
+        check_robots(actions, self.agents, self.simulator.merged_into[0])

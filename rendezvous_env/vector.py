@@ -16,18 +16,11 @@ from numpy.typing import ArrayLike, NDArray
 from .engine.memory import RENDEZVOUS, TIME_OUT
 from .experiment.start_options import as_options
 from .guarantee.steering import Steering
-from .gymnasium_env import (
-    Info,
-    RendezvousVectorEnv,
-    Transition,
-    masked,
-    of_all,
-    step_info,
-    summary_of,
-)
+from .holding import check_period, restore
+from .infos import Info, Transition, masked, of_all, step_info, summary_of
 from .outcome import Outcome
 from .spaces import heading_box, heading_observation_box
-from .wrappers import check_period, restore
+from .vector_env import RendezvousVectorEnv
 
 
 class HeadingVectorWrapper(gymnasium.vector.VectorWrapper):

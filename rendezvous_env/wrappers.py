@@ -7,53 +7,15 @@ from typing import Any
 
 import numpy as np
 from gymnasium.spaces import Box
-from numpy.typing import NDArray
 from pettingzoo.utils.env import ParallelEnv
 from pettingzoo.utils.wrappers import BaseParallelWrapper
 
-from .engine.state_checks import check_entries, check_finite, check_keys
-from .experiment.checks import check_action, whole
-from .experiment.limits import MOST_HELD_STEPS
+from .experiment.checks import check_action
 from .guarantee.steering import Steering
-from .rendezvous_v0 import Infos, Observations, RendezvousParallelEnv
+from .holding import check_period, restore
+from .rendezvous_v0 import RendezvousParallelEnv
+from .roster import Infos, Observations, StepReturn
 from .spaces import heading_box, heading_observation_box
-
-StepReturn = tuple[Observations, dict[str, float], dict[str, bool], dict[str, bool], Infos]
-
-
-def check_period(decision_period: int) -> int:
-    """A decision period that is a positive whole number.
-
-    Raises:
-        ValueError: if it is not.
-    """
-    return whole("decision_period", decision_period, 1, MOST_HELD_STEPS)
-
-
-def restore(
-    env: Any, steering: Steering, shape: tuple[int, ...], state: Mapping[str, Any]
-) -> NDArray[np.float32]:
-    """Put a wrapper's state back: the environment's episodes, the steering's memory.
-
-    Args:
-        env: what is wrapped.
-        steering: the wrapper's.
-        shape: of the observations it remembers.
-        state: "env", "steering" and "observed".
-
-    Returns:
-        The remembered observations.
-
-    Raises:
-        ValueError: naming what does not fit; nothing has changed then.
-    """
-    check_keys(state, ("env", "steering", "observed"))
-    checked = check_entries({"observed": np.zeros(shape, dtype=np.float32)}, state)
-    check_finite(checked, ("observed",))
-    memory = steering.check_state(state["steering"])
-    env.set_state(state["env"])
-    steering.set_state(memory)
-    return checked["observed"].copy()
 
 
 class HeadingVectorWrapper(BaseParallelWrapper):

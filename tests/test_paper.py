@@ -11,13 +11,8 @@ from hypothesis import strategies as st
 
 from rendezvous_env import Scenario, certificate
 from rendezvous_env.experiment import graphs
-from rendezvous_env.guarantee.lyapunov import (
-    lyapunov,
-    lyapunov_rate,
-    net_bearings,
-    rendezvous_time_lower_bound,
-    time_bound,
-)
+from rendezvous_env.guarantee.bounds import rendezvous_time_lower_bound, time_bound
+from rendezvous_env.guarantee.lyapunov import lyapunov, lyapunov_rate, net_bearings
 
 ROUNDING = 1e-9
 FAMILIES = {

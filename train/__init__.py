@@ -1,1 +1,21 @@
-"""Everything that learns or compares: commands, evaluation, the bridge to stable-baselines3."""
+"""Everything that learns or compares: commands, evaluation, training, pictures."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import Any
+
+_SHORT = {
+    "compare": "train.comparing.compare",
+    "learned_policy": "train.learned.learned_policy",
+    "ppo": "train.learning.ppo",
+    "sb3_vec_env": "rendezvous_env.adapters.sb3",
+}
+"""Modules under the names by which programs of version 0.1 know them."""
+
+
+def __getattr__(name: str) -> Any:
+    """Import a module of ``_SHORT`` when it is asked for; some of them load torch."""
+    if name in _SHORT:
+        return import_module(_SHORT[name])
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

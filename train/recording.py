@@ -19,10 +19,10 @@ Recording = dict[str, NDArray[Any]]
 
 times (T,) s; positions (T, n, d) m; headings (T, n, k) rad; active (T, n); lyapunov (T,) m²/s;
 frames (T, n, d, d), rotations R_i from the robots' own frames to the world; contacts (T, n), steps
-with a contact up to the frame; alignment (T, n), of the step that led to the
-frame, NaN where there is none; observations (T, n, rows, d); obstacles (M, width), packed as
-obstacles.py says; lyapunov_before_merge and lyapunov_after_merge (T,), V just before the first and
-just after the last merge of the step that led to the frame, m²/s, NaN if there was none.
+with a contact up to the frame; alignment (T, n), of the step that led to the frame, NaN where there
+is none; observations (T, n, rows, d); obstacles (M, width), a table as ``experiment.packing`` says;
+lyapunov_before_merge and lyapunov_after_merge (T,), V just before the first and just after the last
+merge of the step that led to the frame, m²/s, NaN if there was none.
 """
 
 

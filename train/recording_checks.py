@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from rendezvous_env.equations.obstacles import ABSENT, BALL, CAPSULE, POLYGON
-from rendezvous_env.experiment.packing import CORNERS, DETAILS, KIND, THICKNESS
+from rendezvous_env.experiment.packing import CORNERS, DETAILS, KIND
 from rendezvous_env.experiment.scenario import Scenario
 
 from .recording import Recording
@@ -27,7 +27,7 @@ def fault_of(recording: Recording, scenario: Scenario) -> str | None:
             return f"{name} has shape {array.shape}; it must be {wanted}"
         if np.isinf(array).any() or (name not in _MAY_BE_NAN and np.isnan(array).any()):
             return f"{name} holds a number that is not finite"
-    return _fault_of_obstacles(recording["obstacles"], scenario.dim)
+    return _fault_of_obstacles(recording["obstacles"])
 
 
 def _shapes(recording: Recording, scenario: Scenario) -> dict[str, Shape]:
@@ -57,19 +57,17 @@ def _fits(shape: tuple[int, ...], wanted: Shape) -> bool:
     )
 
 
-def _fault_of_obstacles(obstacles: np.ndarray, dim: int) -> str | None:
-    """Tables of ``experiment.packing``: known kinds, and details that the row has room for."""
-    width = obstacles.shape[1]
-    if len(obstacles) and width < DETAILS:
-        return f"obstacles: a row has {width} numbers; it must have {DETAILS} or more"
-    known = (ABSENT, BALL, POLYGON, CAPSULE) if dim == 2 else (ABSENT, BALL, CAPSULE)
-    room = (width - DETAILS) // 2
-    for row in obstacles:
-        kind, corners = row[KIND], row[CORNERS]
-        if kind not in known:
-            return f"obstacles: a row is of kind {kind}; it must be one of {known}"
-        if kind == POLYGON and not (3 <= corners <= room and corners == int(corners)):
-            return f"obstacles: a row has {corners} corners; it has room for {room}"
-        if kind == CAPSULE and not (width > THICKNESS and row[THICKNESS] > 0):
-            return "obstacles: a capsule has no radius"
+def _fault_of_obstacles(table: np.ndarray) -> str | None:
+    """A table as ``experiment.packing`` says: kinds that are known, in rows with room for them."""
+    width = table.shape[1]
+    if len(table) and width < DETAILS:
+        return f"obstacles: rows have {width} columns; they must have {DETAILS} or more"
+    room = width - DETAILS
+    for kind, corners in table[:, [KIND, CORNERS]] if len(table) else ():
+        if kind not in (ABSENT, BALL, POLYGON, CAPSULE):
+            return f"obstacles: a row has kind {kind}; known are {ABSENT} to {CAPSULE}"
+        if kind == POLYGON and not (corners == int(corners) and 3 <= corners <= room // 2):
+            return f"obstacles: a polygon has {corners} corners; it has room for {room // 2}"
+        if kind == CAPSULE and room < 4:
+            return f"obstacles: a capsule has {room} columns for its axis and radius; it needs 4"
     return None

@@ -218,7 +218,7 @@ def drafts(scenario: Scenario, batch: int, count: int) -> Drafts:
 
 def start_rules(scenario: Scenario) -> StartRules:
     """The rules of a start of which nothing is given."""
-    field = scenario.obstacles
+    field = scenario.obstacles if scenario.observation_layout.obstacle_slots else ()
     is_field = isinstance(field, ObstacleField)
     fixed_frame = scenario.model.n_angles == 0
     return StartRules(

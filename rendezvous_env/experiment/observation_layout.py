@@ -133,3 +133,12 @@ class ObservationLayout:
         """
         rows = self.checked(observations)[..., self.neighbours, :]
         return np.asarray(np.sum(rows, axis=-2, dtype=np.float64))
+
+    def degree(self, observations: NDArray[Any]) -> NDArray[Any]:
+        """D_i = Σ_j a_ij: the summed lengths of the neighbour rows, (...), m/s, float64.
+
+        Raises:
+            ValueError: as ``split``.
+        """
+        rows = self.checked(observations)[..., self.neighbours, :]
+        return np.asarray(np.linalg.norm(rows, axis=-1).sum(axis=-1, dtype=np.float64))

@@ -12,6 +12,9 @@ from .checks import nearest_word, refuse, shown
 from .obstacles import Disc, ObstacleField, Polygon
 from .scenario import Scenario
 
+ScenarioLike = Scenario | str | os.PathLike[str]
+"""A Scenario, the name of one, or the path of a TOML file."""
+
 
 def _figure(name: str, obstacle_contact: str) -> Scenario:
     """Field and start are our own choice, an obstacle in the way of every robot: the paper prints
@@ -109,7 +112,7 @@ def get(name: str) -> Scenario:
     return _BUILDERS[name]()
 
 
-def resolve(scenario: Scenario | str | os.PathLike[str], **overrides: Any) -> Scenario:
+def resolve(scenario: ScenarioLike, **overrides: Any) -> Scenario:
     """A scenario from a Scenario, a name or the path of a TOML file, with some fields changed.
 
     Raises:

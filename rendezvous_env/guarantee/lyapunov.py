@@ -1,21 +1,17 @@
-"""V and what follows from it: its rate, the net bearing, alignment, time bounds, certificates.
+"""V, its rate, net bearings and alignment, of positions in the global frame.
 
 Everything here sees positions: it is for analysis, never for a law.
 """
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..equations.potential import lyapunov_of_links, net_bearings_of_links
-from ..experiment.checks import floats, real, refuse, shown
-from ..experiment.limits import LARGEST
-from ..experiment.scenario import Scenario
+from ..experiment.checks import floats
 
 Array = NDArray[np.float64]
 
@@ -86,6 +82,7 @@ def alignment(net_bearing: ArrayLike, headings: ArrayLike) -> Array:
         return np.asarray(np.abs(np.sum(f * h, axis=-1)) / length)
 
 
+<<<<<<< HEAD
 def merge_rise_allowance(scenario: Scenario) -> float:
     """(n − 1) r W, m²/s: no sequence of merges can raise V by more (theory 3 and 5)."""
     n, total = scenario.n_robots, scenario.sensing_graph.weight_sum(scenario.n_robots)
@@ -270,6 +267,8 @@ def _largest_lyapunov(scenario: Scenario) -> float:
     return 2.0 * graph.weight_sum(n) * scenario.spawn_size * math.sqrt(scenario.dim)
 
 
+=======
+>>>>>>> main
 def _links(weights: Array) -> tuple[Any, Any, Any]:
     """The links of a symmetric matrix of weights, in the order of their robots."""
     first, second = np.nonzero(np.triu(weights > 0, 1))
@@ -287,27 +286,3 @@ def _teams(positions: ArrayLike, weights: ArrayLike) -> tuple[Array, Array]:
         np.ascontiguousarray(np.broadcast_to(p, leading + p.shape[-2:])),
         np.ascontiguousarray(np.broadcast_to(a, leading + a.shape[-2:])),
     )
-
-
-def _enclose(points: Any, count: int, boundary: list[Array]) -> tuple[Array, float]:
-    """Smallest ball around the first ``count`` points with ``boundary`` on its surface."""
-    dim = points.shape[1]
-    centre, square = _circumscribe(boundary, dim)
-    if len(boundary) == dim + 1:
-        return centre, square
-    for k in range(count):
-        if square < 0 or np.sum((points[k] - centre) ** 2) > square * (1 + 1e-12) + 1e-300:
-            centre, square = _enclose(points, k, [*boundary, points[k].copy()])
-            points = np.concatenate([points[k : k + 1], points[:k], points[k + 1 :]])
-    return centre, square
-
-
-def _circumscribe(boundary: list[Array], dim: int) -> tuple[Array, float]:
-    """Smallest ball with all of ``boundary`` on its surface; squared radius −1 for no point."""
-    if not boundary:
-        return np.zeros(dim), -1.0
-    origin = boundary[0]
-    edges = np.array([point - origin for point in boundary[1:]]).reshape(-1, dim)
-    shares, *_ = np.linalg.lstsq(2.0 * edges @ edges.T, np.sum(edges**2, axis=1), rcond=None)
-    offset = shares @ edges if len(edges) else np.zeros(dim)
-    return origin + offset, float(offset @ offset)

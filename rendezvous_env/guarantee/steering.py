@@ -6,16 +6,12 @@ Everything here comes from the robots' own observations: no position, no global 
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..compilation import inlined_kernel, kernel
-from ..engine import threads
-from ..engine.sharing import Part, Share, begin, end, take
 from ..engine.state_checks import (
     check_entries,
     check_finite,
@@ -23,24 +19,19 @@ from ..engine.state_checks import (
     check_observations,
     check_rotations,
 )
-from ..equations.vectors import combine, dot, load, split, without
 from ..experiment.checks import choice, flag, floats, positive, shown, whole
 from ..experiment.limits import MOST_TEAMS
 from ..experiment.scenario import Scenario
-from .heading import certify_one, check_gate_constants, scale_of_step, step_scale, turn_limit
+from .flexible_law import steer_headings
+from .frames import look_along_net_bearing
+from .heading import check_gate_constants, step_scale
+from .teams import over_teams
 from .turning import gate_2d, gate_3d, mean_body_axis_2d, mean_body_axis_3d
 
 FRAMES = ("net_bearing", "local")
 _LARGEST_FLOAT32 = float(np.finfo(np.float32).max)
-_ROBOTS_PER_THREAD = 2048
-_TEAMS = 32
-"""That a thread takes at a time."""
-_NEARLY_ALONG = 1e-6
-"""A row whose part across f is shorter than this cannot give a frame its second axis, m/s."""
 _ROUNDING = 1e-6
 """So far from a rotation may a frame be that was put back."""
-_CLEARLY_LONGER = 1.001
-"""Rounding must not choose among equal rows: two neighbours' parts across f always are."""
 
 
 class _Constants(NamedTuple):
@@ -121,7 +112,7 @@ class Steering:
             long_step=scenario.tau > scenario.certified_step,
         )
         n, d = scenario.n_robots, scenario.dim
-        self._num_threads = num_threads
+        self._batch = num_envs, n, num_threads
         self._seen = (num_envs, n, *scenario.observation_layout.shape)
         self._headings = np.zeros((num_envs, n, d))
         self._frames = np.tile(np.eye(d), (num_envs, n, 1, 1))
@@ -173,7 +164,7 @@ class Steering:
         first_rows = self.scenario.observation_layout.obstacles.stop
 
         fixed = (observations, self._constants, first_rows, self._frames, seen)
-        self._over_teams(lambda part: _look_along_net_bearing(part, *fixed))
+        over_teams(lambda part: look_along_net_bearing(part, *fixed), *self._batch)
         return seen
 
     def hold(self, raw: ArrayLike) -> None:
@@ -222,15 +213,15 @@ class Steering:
 
         fixed = (observations, self._constants, self._held, self._headings)
         given = (actions, self.alignment, self.lyapunov_rate)
-        self._over_teams(lambda part: _steer_headings(part, *fixed, *given))
+        over_teams(lambda part: steer_headings(part, *fixed, *given), *self._batch)
         return actions
 
     def _turn_bodies(self, observations: NDArray[np.float32], actions: NDArray[np.float32]) -> None:
         """Gated turn rates, and the speed v = mᵀf for the mean body axis m (theory 4, arcs)."""
         constants, scenario = self._constants, self.scenario
         seen = scenario.observation_layout.split(observations)
-        f = seen.neighbours.sum(axis=-2, dtype=np.float64)
-        degree = np.linalg.norm(seen.neighbours, axis=-1).sum(axis=-1, dtype=np.float64)
+        f = scenario.observation_layout.net_bearing(observations)
+        degree = scenario.observation_layout.degree(observations)
         rates = np.clip(self._held, -1.0, 1.0) * self._limits
         pitch = np.zeros(f.shape[:-1])
         if seen.gravity is not None:
@@ -264,14 +255,6 @@ class Steering:
             gate_3d(flat, f.reshape(-1, d), pitch.reshape(-1), *margins, self._limits, gated)
         rates[...] = gated.reshape(rates.shape)
 
-    def _over_teams(self, run_kernel: Callable[[Part], bool]) -> None:
-        """Run a kernel over the batch, on as many threads as are worth their cost."""
-        teams, n = self._held.shape[:2]
-        most = teams * n // _ROBOTS_PER_THREAD
-        if most > 1:  # to ask how many cores there are takes a while
-            most = min(most, threads.most_threads(self._num_threads))
-        threads.share(run_kernel, -(-teams // _TEAMS), max(1, most))
-
     def get_state(self) -> dict[str, NDArray[np.float64]]:
         """The memory: headings, frames and held raw vectors, as copies."""
         return {
@@ -301,143 +284,3 @@ class Steering:
         check_finite(checked, tuple(checked))
         check_rotations(checked, np.ones(len(self._held), np.bool_), _ROUNDING)
         return checked
-
-
-@inlined_kernel
-def _net_bearing(rows, neighbour_slots):
-    """f, the sum of the neighbour rows."""
-    f = (0.0, 0.0, 0.0)
-    for k in range(neighbour_slots):
-        f = combine(1.0, f, 1.0, load(rows[k]))
-    return f
-
-
-@inlined_kernel
-def _degree(rows, neighbour_slots):
-    """D, the sum of the lengths of the neighbour rows."""
-    degree = 0.0
-    for k in range(neighbour_slots):
-        row = load(rows[k])
-        degree += math.sqrt(dot(row, row))
-    return degree
-
-
-@inlined_kernel
-def _store(vector, out):
-    out[0], out[1] = vector[0], vector[1]
-    if out.shape[0] == 3:
-        out[2] = vector[2]
-
-
-@kernel
-def _steer_headings(
-    share, observations, constants, held, headings, actions, alignment, lyapunov_rate
-):
-    """``_steer_teams`` of the teams that this thread takes."""
-    share, done = Share(*share), 0
-    begin(share)
-    block = take(share)
-    while block < share.blocks:
-        first, last = block * _TEAMS, min((block + 1) * _TEAMS, len(observations))
-        _steer_teams(
-            first, last, observations, constants, held, headings, actions, alignment, lyapunov_rate
-        )
-        done += 1
-        block = take(share)
-    return end(share, done)
-
-
-@inlined_kernel
-def _steer_teams(
-    first, last, observations, constants, held, headings, actions, alignment, lyapunov_rate
-):
-    """Law (4) with the certified heading: v = min(1, r/(2Dτ)) h hᵀ f, for teams first … last −
-    1.
-    """
-    limit = turn_limit(constants.max_turn)
-    for team in range(first, last):
-        for i in range(observations.shape[1]):
-            f = _net_bearing(observations[team, i], constants.neighbour_slots)
-            raw, scale = load(held[team, i]), 1.0
-            if constants.certified:
-                h = certify_one(
-                    raw,
-                    f,
-                    load(headings[team, i]),
-                    constants.min_alignment,
-                    constants.dead_zone,
-                    limit,
-                )
-                if constants.long_step:
-                    degree = _degree(observations[team, i], constants.neighbour_slots)
-                    scale = scale_of_step(degree, constants.merge_radius, constants.duration)
-            else:
-                _, h = split(raw)
-            along = dot(h, f)
-            _store(h, headings[team, i])
-            _store(combine(along * scale, h, 0.0, h), actions[team, i])
-            strength, _ = split(f)
-            alignment[team, i] = abs(along) / strength if strength > 0.0 else np.nan
-            lyapunov_rate[team, i] = -2.0 * along * along
-
-
-@kernel
-def _look_along_net_bearing(share, observations, constants, visible_rows, frames, seen):
-    """``_look_from_teams`` of the teams that this thread takes."""
-    share, done = Share(*share), 0
-    begin(share)
-    block = take(share)
-    while block < share.blocks:
-        first, last = block * _TEAMS, min((block + 1) * _TEAMS, len(observations))
-        _look_from_teams(first, last, observations, constants, visible_rows, frames, seen)
-        done += 1
-        block = take(share)
-    return end(share, done)
-
-
-@inlined_kernel
-def _look_from_teams(first, last, observations, constants, visible_rows, frames, seen):
-    """Turn observations into frames with x along f, for teams first … last − 1.
-
-    Where ‖f‖ < δ the last frame is kept.
-    """
-    n, n_rows, d = observations.shape[1:]
-    for team in range(first, last):
-        for i in range(n):
-            rows, frame = observations[team, i], frames[team, i]
-            f = _net_bearing(rows, constants.neighbour_slots)
-            strength, towards = split(f)
-            if strength >= constants.dead_zone:
-                _aim_frame(towards, rows, visible_rows, frame)
-            for row in range(n_rows):
-                for axis in range(d):
-                    along = 0.0
-                    for k in range(d):
-                        along += frame[k, axis] * rows[row, k]
-                    seen[team, i, row, axis] = along
-
-
-@inlined_kernel
-def _aim_frame(towards, rows, visible_rows, frame):
-    """A right-handed frame with x = ``towards``; columns are its axes in the local frame.
-
-    In the plane this is unique. In space y is the part across x of the row for which that part is
-    longest, the first one of equals, or of the first local axis that is not along x.
-    """
-    _store(towards, frame[:, 0])
-    if frame.shape[0] == 2:
-        frame[0, 1], frame[1, 1] = -towards[1], towards[0]
-        return
-    longest, across = _NEARLY_ALONG, (0.0, 0.0, 0.0)
-    for k in range(visible_rows):
-        part = without(load(rows[k]), towards)
-        length, direction = split(part)
-        if length > _CLEARLY_LONGER * longest + _NEARLY_ALONG:
-            longest, across = length, direction
-    if longest == _NEARLY_ALONG:
-        axis = (1.0, 0.0, 0.0) if abs(towards[0]) < 0.9 else (0.0, 1.0, 0.0)
-        _, across = split(without(axis, towards))
-    x, y = towards, across
-    z = (x[1] * y[2] - x[2] * y[1], x[2] * y[0] - x[0] * y[2], x[0] * y[1] - x[1] * y[0])
-    _store(y, frame[:, 1])
-    _store(z, frame[:, 2])

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from conftest import five
-from rendezvous_env.engine.teams import TIME_OUT
 
 import rendezvous_env as rv
 from baselines import obstacle_avoidance
 from rendezvous_env import Simulator
+from rendezvous_env.engine.memory import TIME_OUT
 from rendezvous_env.guarantee.steering import Steering
 from rendezvous_env.gymnasium_env import make_env
 from rendezvous_env.trajectory import Step

@@ -23,12 +23,12 @@ import pytest
 import soup
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from rendezvous_env.engine.teams import RUNNING
 from soup import absurd, any_table, nearly
 
 import baselines
 import rendezvous_env as rv
 from rendezvous_env import Scenario, Simulator, TimeStepWarning, vector
+from rendezvous_env.engine.memory import RUNNING
 from rendezvous_env.experiment import scenarios
 from rendezvous_env.experiment.start_options import OPTIONS
 from rendezvous_env.guarantee.turning import gated_turn_rate

@@ -7,16 +7,16 @@ import re
 import numpy as np
 import pytest
 from conftest import five
-from rendezvous_env.engine.teams import FRESH, RENDEZVOUS, TIME_OUT
-from rendezvous_env.equations.geometry import COUNT, RADIUS
 
 import rendezvous_env as rv
 from rendezvous_env import Simulator, parallel_env
+from rendezvous_env.adapters.sb3 import RobotVecEnv
+from rendezvous_env.engine.memory import AWAITING_RESET, RENDEZVOUS, TIME_OUT
+from rendezvous_env.experiment.packing import CORNERS, DETAILS, KIND, RADIUS
 from rendezvous_env.guarantee.steering import Steering
 from rendezvous_env.vector import HeadingVectorWrapper
 from train.learned.guide import Guide
 from train.learning.perceiving import PerceivingTeams
-from train.learning.sb3_vec_env import RobotVecEnv
 
 TEAMS = 6
 SQUARE = rv.Polygon(((4.0, 0.0), (6.0, 0.0), (6.0, 2.0), (4.0, 2.0)))
@@ -63,14 +63,20 @@ def changed(state, name, place, value):
 
 WRONG_ENTRIES = [
     ("positions", (1, 2, 0), np.nan, "positions[1, 2, 0] is nan; it must be finite"),
-    ("weights", (0, 3, 0), -1.0, "weights[0, 3, 0] is -1.0; it must be 0 or more"),
-    ("weights", (0, 3, 0), np.inf, "weights[0, 3, 0] is inf; it must be finite"),
-    ("obstacles", (2, 0, COUNT), 1e9, "obstacles[2, 0] is [1000000000.0, "),
-    ("obstacles", (2, 1, COUNT), 5.0, "it must be a row that begins with -1, 0 or 3 to 4"),
-    ("obstacles", (2, 1, COUNT), 3.5, "it must be a row that begins with -1, 0 or 3 to 4"),
-    ("obstacles", (2, 1, COUNT), -2.0, "it must be a row that begins with -1, 0 or 3 to 4"),
-    ("obstacles", (2, 1, COUNT), np.nan, "it must be a row that begins with -1, 0 or 3 to 4"),
-    ("obstacles", (5, 1, 6), np.inf, "it must be finite"),
+    ("weights", (0, 3), -1.0, "weights[0, 3] is -1.0; it must be 0 or more"),
+    ("weights", (0, 3), np.inf, "weights[0, 3] is inf; it must be finite"),
+    ("obstacles", (2, 0, KIND), 1e9, "obstacles[2, 0] is [1000000000.0, "),
+    ("obstacles", (2, 0, KIND), 4.0, "it must be a row that begins with one of [0, 1, 2, 3]"),
+    ("obstacles", (2, 0, KIND), -1.0, "it must be a row that begins with one of [0, 1, 2, 3]"),
+    ("obstacles", (2, 0, KIND), 1.5, "it must be a row that begins with one of [0, 1, 2, 3]"),
+    ("obstacles", (2, 0, KIND), np.nan, "it must be a row that begins with one of [0, 1, 2, 3]"),
+    ("obstacles", (2, 0, CORNERS), 3.0, "it must be a row with 3 to 4 corners if it is a polygon"),
+    ("obstacles", (2, 1, CORNERS), 5.0, "it must be a row with 3 to 4 corners if it is a polygon"),
+    ("obstacles", (2, 1, CORNERS), 3.5, "it must be a row with 3 to 4 corners if it is a polygon"),
+    ("obstacles", (2, 1, CORNERS), -2.0, "it must be a row with 3 to 4 corners if it is a polygon"),
+    ("obstacles", (2, 1, CORNERS), np.nan, "it must be a row with 3 to 4 corners"),
+    ("obstacles", (5, 1, DETAILS), np.inf, "it must be at most 1e+09"),
+    ("obstacles", (5, 1, DETAILS), np.nan, "it must be finite"),
     ("obstacles", (5, 0, RADIUS), -1.0, "it must be of radius 0 or more"),
     ("merged_into", (3, 1), -1, "merged_into[3, 1] is -1; it must be from 0 to the robot's own"),
     ("merged_into", (3, 1), 10_000, "merged_into[3, 1] is 10000; it must be from 0"),
@@ -153,7 +159,7 @@ def test_states_of_all_moments_are_taken(kind):
             other.set_state(sim.get_state())
         sim.step(following_law(sim))
         merged |= not sim.active.all()
-    assert {TIME_OUT, FRESH} <= seen and merged
+    assert {TIME_OUT, AWAITING_RESET} <= seen and merged
 
 
 def test_a_team_that_was_never_reset_draws_its_seed_later():

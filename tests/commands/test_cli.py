@@ -65,12 +65,12 @@ class TestMistakes:
 
 
 def test_interrupt(monkeypatch, capsys, tmp_path):
-    from train.comparing import compare
+    from train.comparing import playing
 
     def interrupted(*args, **options):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(compare, "play", interrupted)
+    monkeypatch.setattr(playing, "play", interrupted)
     assert run("compare", "--scenarios", "duo", "--out", str(tmp_path)) == 130
     assert "interrupted" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
@@ -101,16 +101,17 @@ class TestReproduce:
         assert [row["robots"] for row in rows][-1] == "1.0"
 
     def test_fig3_goes_through_and_fig4_round_every_obstacle(self, tmp_path):
-        from rendezvous_env.equations.geometry import obstacle_distance
+        from rendezvous_env.equations.obstacles import distance_to
+        from rendezvous_env.experiment.packing import world_of
 
         depths = {}
         for figure in ("fig3", "fig4"):
             run("reproduce", figure, "--out", str(tmp_path))
             with np.load(tmp_path / f"{figure}.npz") as data:
-                places = data["positions"].reshape(-1, 2)
+                world, places = world_of(data["obstacles"]), data["positions"].reshape(-1, 2)
                 depths[figure] = [
-                    min(obstacle_distance(row, place) for place in places)
-                    for row in data["obstacles"]
+                    min(distance_to(world, m, (x, y, 0.0)) for x, y in places.tolist())
+                    for m in range(len(data["obstacles"]))
                 ]
         assert max(depths["fig3"]) < -0.2 and min(depths["fig4"]) > -1e-6
 

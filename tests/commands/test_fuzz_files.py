@@ -356,7 +356,7 @@ def command_lines(draw):
 @pytest.fixture
 def no_work(monkeypatch):
     """Commands stop where their settings have been accepted and work would begin."""
-    from train.benchmark import bench
+    from train.benchmark import bench, measuring
     from train.learning import training_run
     from train.pictures import figures, render
     from train.verification import verify
@@ -365,8 +365,8 @@ def no_work(monkeypatch):
     monkeypatch.setattr(training_run, "_loop", lambda *given: 0)
     monkeypatch.setattr(bench, "_groups", lambda *given: iter(()))
     monkeypatch.setattr(bench, "bytes_per_team", lambda *given: (0, 0))
-    monkeypatch.setattr(bench, "one_core_busy", lambda: 1 / 0)
-    monkeypatch.setattr("train.bench_figure.draw_growth", lambda *given: None)
+    monkeypatch.setattr(measuring, "one_core_busy", lambda: 1 / 0)
+    monkeypatch.setattr("train.benchmark.bench_figure.draw_growth", lambda *given: None)
     monkeypatch.setattr(render, "_write_film", lambda *given: None)
     monkeypatch.setattr(figures, "save", lambda *given: None)
     row = {"margin": 1.0, "time_over_bound": 0.5, "violations": 0, "first_violation": ""}

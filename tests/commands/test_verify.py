@@ -12,7 +12,7 @@ from rich.console import Console
 import baselines
 from rendezvous_env import Scenario, Simulator
 from rendezvous_env.experiment import graphs
-from rendezvous_env.guarantee.lyapunov import merge_rise_allowance
+from rendezvous_env.guarantee.bounds import merge_rise_allowance
 from rendezvous_env.trajectory import run as steps_of
 from train.cli import main
 from train.errors import UserError

@@ -9,9 +9,10 @@ import pytest
 import baselines
 from rendezvous_env import Scenario, rollout
 from rendezvous_env.experiment import scenarios
-from rendezvous_env.guarantee.lyapunov import lyapunov, time_bound
+from rendezvous_env.guarantee.bounds import time_bound
+from rendezvous_env.guarantee.lyapunov import lyapunov
 from train import results
-from train.comparing import compare, episodes, statistics
+from train.comparing import compare, episodes, files, playing, statistics
 from train.comparing.episodes import Episodes, play
 from train.learned import policies
 
@@ -141,7 +142,7 @@ class TestFiles:
         def interrupted(*rows):
             raise KeyboardInterrupt
 
-        monkeypatch.setattr(compare, "_episode_rows", lambda played: iter(interrupted, None))
+        monkeypatch.setattr(files, "_episode_rows", lambda played: iter(interrupted, None))
         with pytest.raises(KeyboardInterrupt):
             compare.run(config)
         assert [path.name for path in tmp_path.iterdir()] == ["results.csv"]
@@ -276,14 +277,14 @@ class TestWall:
 
 def test_excess_at_a_merge_is_an_error(tmp_path, monkeypatch, capsys):
     config = compare.Config(("duo",), ("bearing-only",), episodes=2, out=tmp_path, figures=False)
-    real = compare.play
+    real = playing.play
 
     def broken(*args, **options):
         done, recordings = real(*args, **options)
         done.merge_excess[0] = 0.5
         return done, recordings
 
-    monkeypatch.setattr(compare, "play", broken)
+    monkeypatch.setattr(playing, "play", broken)
     assert compare.run(config) == 1
     assert "in 1 episodes a merge raised V above its bound" in capsys.readouterr().err
 

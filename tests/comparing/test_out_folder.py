@@ -9,7 +9,7 @@ import sys
 import pytest
 
 from train import cli, folders, results
-from train.comparing import cells, compare, out_folder
+from train.comparing import ceiling, cells, compare, out_folder, playing
 from train.comparing.out_folder import part_of
 from train.errors import UserError
 from train.report.input import read
@@ -38,7 +38,7 @@ def whole(tmp_path_factory):
 
 def stopped(settings, after, error=KeyboardInterrupt):
     """Compare until some jobs are finished, and stop in the next one."""
-    real, done = compare.play_job, 0
+    real, done = playing.play_job, 0
 
     def play_job(job, **options):
         nonlocal done
@@ -47,7 +47,7 @@ def stopped(settings, after, error=KeyboardInterrupt):
         return real(job, **options)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(compare, "play_job", play_job)
+        patch.setattr(playing, "play_job", play_job)
         with pytest.raises(error) as caught:
             compare.run(settings)
     return caught.value
@@ -67,13 +67,13 @@ class TestGoingOn:
 
     def test_only_what_is_left_is_played(self, tmp_path, monkeypatch):
         stopped(config(tmp_path / "out"), 3)
-        real, played = compare.play_job, []
+        real, played = playing.play_job, []
 
         def play_job(job, **options):
             played.append((job.scenario.name, job.policy))
             return real(job, **options)
 
-        monkeypatch.setattr(compare, "play_job", play_job)
+        monkeypatch.setattr(playing, "play_job", play_job)
         assert compare.run(config(tmp_path / "out")) == 0
         left = [("clutter-4", "zero"), ("clutter-4", "tangent-joined")]
         assert played == left + left  # compiled, then played
@@ -83,7 +83,7 @@ class TestGoingOn:
         with pytest.raises(ZeroDivisionError):
             compare.run(config(tmp_path / "out"))
         monkeypatch.undo()
-        monkeypatch.setattr(compare.ceiling, "estimate", lambda *given, **options: 1 / 0)
+        monkeypatch.setattr(ceiling, "estimate", lambda *given, **options: 1 / 0)
         assert compare.run(config(tmp_path / "out")) == 0
         assert (tmp_path / "out" / "ceiling.csv").read_bytes() == whole["ceiling.csv"]
 
@@ -205,7 +205,7 @@ class TestPlace:
 
     def test_a_finished_part_is_not_played_again(self, finished, monkeypatch):
         changed = self.killed_at(finished, monkeypatch, "promote", 1)
-        monkeypatch.setattr(compare, "play_job", lambda *given, **options: 1 / 0)
+        monkeypatch.setattr(playing, "play_job", lambda *given, **options: 1 / 0)
         assert compare.run(changed) == 0
         assert read(finished.out).run["seed"] == 9
 

@@ -25,7 +25,7 @@ from rendezvous_env import rendezvous_v0
 from rendezvous_env.drawing.camera import Area, fit, nice_step
 from rendezvous_env.drawing.palette import OBSTACLE, ROBOTS, robot_colour
 from rendezvous_env.drawing.renderer import MOST_TEAMS, Renderer
-from rendezvous_env.experiment.obstacles import pack
+from rendezvous_env.experiment.packing import pack
 from rendezvous_env.gymnasium_env import make_env
 from rendezvous_env.vector import HeadingVectorWrapper
 
@@ -89,10 +89,10 @@ class TestContent:
     def test_a_sphere_is_orange_and_hides_what_is_behind(self):
         positions = np.array([[2.0, 0.0, 0.0], [-2.0, 0.0, 0.0], [0.0, 0.0, 2.5]])
         scenario = rv.Scenario(n_robots=3, dim=3, obstacles=(rv.Sphere((0.0, 0.0, 0.0), 1.0),))
-        camera = fit(positions, pack(scenario.obstacles, 3, 1), Area(0, 0, 600, 450), 18)
+        camera = fit(positions, pack(scenario.obstacles, 1), Area(0, 0, 600, 450), 18)
         behind, before = -1.5 * camera.back, 1.5 * camera.back
         points = np.array([behind, before, positions[2]])
-        hidden = camera.hidden(points, pack(scenario.obstacles, 3, 1))
+        hidden = camera.hidden(points, pack(scenario.obstacles, 1))
         assert hidden.tolist() == [True, False, False]
         env, frame = drawn(scenario, options={"positions": np.array([behind, before, [0, 0, 2.5]])})
         places = env.renderer.pixels(env.simulator.positions[0])

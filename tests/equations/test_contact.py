@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import scipy.optimize
 import shapely
+from tuples import arc, triple, world
 
 from rendezvous_env.equations.contact import (
     CONTACT_DEPTH,
@@ -15,52 +16,61 @@ from rendezvous_env.equations.contact import (
     move_curved,
     move_straight,
 )
-from rendezvous_env.equations.kinematics import arc_displacement
-from rendezvous_env.experiment.obstacles import Disc, Polygon, Sphere, pack
+from rendezvous_env.equations.kinematics import Nonholonomic3D, Unicycle
+from rendezvous_env.experiment.obstacles import Disc, Polygon, Sphere
 
 MICRON = 1e-6
 N_SCENES, N_STRAIGHT, N_CURVED = 50, 1000, 100
 WALL = Polygon(((-20, 0), (20, 0), (20, 2), (-20, 2)))  # free below y = 0
 
 
-def move_all_straight(scenes, starts, displacements, mode):
-    """Displacements (S, N, d) and contacts (S, N) of starts (S, N, d) in scenes (S, M, width)."""
-    out, contact = np.empty_like(starts), np.empty(starts.shape[:2], dtype=bool)
-    for s, i in np.ndindex(*starts.shape[:2]):
-        contact[s, i] = move_straight(starts[s, i], displacements[s, i], scenes[s], mode, out[s, i])
-    return out, contact
+def move_one_straight(start, displacement, scene, mode):
+    """Displacement (d,) executed and contact of one straight motion in a world."""
+    normals = np.empty((2 * len(scene.kinds), 3))
+    contact, moved = move_straight(triple(start), triple(displacement), scene, mode, normals)
+    return np.array(moved)[: len(start)], contact
 
 
-def move_all_curved(scenes, starts, inputs, mode):
-    """The same for inputs (S, N, 6): v, yaw, pitch, their rates and the duration."""
+def move_one_curved(start, inputs, scene, mode):
+    """The same for inputs v, yaw, pitch, their rates and the duration."""
+    speed, yaw, pitch, yaw_rate, pitch_rate, duration = map(float, inputs)
+    if len(start) == 2:
+        model = Unicycle(duration, abs(speed), abs(yaw_rate))
+        action, frame, memory = (speed, yaw_rate), (0.0,) * 4, (yaw,)
+    else:
+        model = Nonholonomic3D(duration, abs(speed), abs(yaw_rate), abs(pitch_rate))
+        action, frame, memory = (speed, yaw_rate, pitch_rate), (0.0,) * 9, (yaw, pitch)
+    way, normals = triple(arc(len(start), *inputs)), np.empty((2 * len(scene.kinds), 3))
+    contact, moved = move_curved(
+        triple(start), way, model, action, frame, memory, scene, mode, normals
+    )
+    return np.array(moved)[: len(start)], contact
+
+
+def move_all(move_one, worlds, starts, inputs, mode):
+    """Displacements (S, N, d) and contacts (S, N) of starts (S, N, d) in S worlds."""
     out, contact = np.empty_like(starts), np.empty(starts.shape[:2], dtype=bool)
     for s, i in np.ndindex(*starts.shape[:2]):
-        contact[s, i] = move_curved(starts[s, i], *inputs[s, i], scenes[s], mode, out[s, i])
+        out[s, i], contact[s, i] = move_one(starts[s, i], inputs[s, i], worlds[s], mode)
     return out, contact
 
 
 def free_arcs(inputs, dim):
     """Free displacements (N, d) for inputs (N, 6)."""
-    out = np.empty((len(inputs), dim))
-    for row, displacement in zip(inputs, out, strict=True):
-        arc_displacement(*row, displacement)
-    return out
+    return np.array([arc(dim, *row) for row in inputs])
 
 
 def straight(position, displacement, obstacles, mode=SLIDE):
     """End point and contact of one straight motion."""
-    p, u = np.array(position, dtype=float), np.array(displacement, dtype=float)
-    out = np.full(len(p), np.nan)
-    contact = move_straight(p, u, pack(obstacles, len(p), len(obstacles) + 1), mode, out)
-    return p + out, contact
+    scene = world(obstacles, len(obstacles) + 1)
+    moved, contact = move_one_straight(position, displacement, scene, mode)
+    return np.array(position, dtype=float) + moved, contact
 
 
 def curved(position, speed, yaw, yaw_rate, duration, obstacles, mode=SLIDE):
     """Displacement and contact of one unicycle motion."""
-    p, out = np.array(position, dtype=float), np.full(2, np.nan)
-    rows = pack(obstacles, 2, len(obstacles) + 1)
-    contact = move_curved(p, speed, yaw, 0.0, yaw_rate, 0.0, duration, rows, mode, out)
-    return out, contact
+    scene = world(obstacles, len(obstacles) + 1)
+    return move_one_curved(position, (speed, yaw, 0.0, yaw_rate, 0.0, duration), scene, mode)
 
 
 def signed_distances(obstacles, points):
@@ -155,25 +165,28 @@ def random_starts(rng, scene, dim, count):
 
 
 def many(dim, count):
-    """Scenes, their packed rows (S, M, width) and starts (S, count, dim)."""
+    """Scenes, their worlds and starts (S, count, dim)."""
     rng = np.random.default_rng(dim)
     scenes = [random_scene(rng, dim) for _ in range(N_SCENES)]
-    rows = np.stack([pack(scene, dim, 9, width=16) for scene in scenes])
+    worlds = [world(scene, 9) for scene in scenes]
     starts = np.stack([random_starts(rng, scene, dim, count) for scene in scenes])
-    return rng, scenes, rows, starts
+    return rng, scenes, worlds, starts
 
 
 @pytest.fixture(scope="module", params=[2, 3])
 def straight_motions(request):
     """Random straight motions in both contact modes: 2 · 10⁵ in all."""
     dim = request.param
-    rng, scenes, rows, starts = many(dim, N_STRAIGHT)
+    rng, scenes, worlds, starts = many(dim, N_STRAIGHT)
     directions = rng.normal(size=starts.shape)
     directions /= np.linalg.norm(directions, axis=2, keepdims=True)
     lengths = 10 ** rng.uniform(-3, 1, (*starts.shape[:2], 1))
     displacements = lengths * directions
-    moved = {mode: move_all_straight(rows, starts, displacements, mode) for mode in (SLIDE, STOP)}
-    return scenes, rows, starts, displacements, moved
+    moved = {
+        mode: move_all(move_one_straight, worlds, starts, displacements, mode)
+        for mode in (SLIDE, STOP)
+    }
+    return scenes, worlds, starts, displacements, moved
 
 
 class TestManyStraightMotions:
@@ -214,12 +227,12 @@ class TestManyStraightMotions:
 
     def test_sliding_follows_the_free_part_of_the_motion(self, straight_motions):
         """Redo it leg by leg: stop, project with nonnegative least squares, go on."""
-        scenes, rows, starts, displacements, moved = straight_motions
+        scenes, worlds, starts, displacements, moved = straight_motions
         slid, contact = moved[SLIDE]
         checked = 0
         for s, scene in enumerate(scenes):
             for i in np.flatnonzero(contact[s])[:60]:
-                corners = leg_by_leg(scene, rows[s], starts[s, i], displacements[s, i])
+                corners = leg_by_leg(scene, worlds[s], starts[s, i], displacements[s, i])
                 np.testing.assert_allclose(corners[-1], starts[s, i] + slid[s, i], atol=1e-6)
                 depth = MICRON * 1.001
                 assert not np.any(goes_deeper(scene, corners[:-1], corners[1:], depth))
@@ -235,12 +248,11 @@ class TestManyStraightMotions:
         assert np.all(np.linalg.norm(slid, axis=2) <= lengths + 2 * MICRON)
 
 
-def leg_by_leg(scene, rows, start, displacement):
+def leg_by_leg(scene, packed, start, displacement):
     """Corners (L, d) of the path of a sliding robot."""
     corners, left, leg = [start], 1.0, displacement
     for _ in range(16):
-        out = np.empty_like(start)
-        contact = move_straight(corners[-1], leg, rows, STOP, out)
+        out, contact = move_one_straight(corners[-1], leg, packed, STOP)
         corners.append(corners[-1] + out)
         length = np.linalg.norm(leg)
         if not contact or length == 0:
@@ -276,7 +288,7 @@ def polygon_normal(polygon, point):
 def curved_motions(request):
     """Random arcs in both contact modes: 2 · 10⁴ in all."""
     dim = request.param
-    rng, scenes, rows, starts = many(dim, N_CURVED)
+    rng, scenes, worlds, starts = many(dim, N_CURVED)
     shape = starts.shape[:2]
     inputs = np.zeros((*shape, 6))
     inputs[..., 0] = rng.choice([-1, 1], shape) * 10 ** rng.uniform(-2, 0.5, shape)
@@ -286,7 +298,9 @@ def curved_motions(request):
     if dim == 3:
         inputs[..., 2] = rng.uniform(-1.5, 1.5, shape)
         inputs[..., 4] = rng.normal(0, 2, shape)
-    moved = {mode: move_all_curved(rows, starts, inputs, mode) for mode in (SLIDE, STOP)}
+    moved = {
+        mode: move_all(move_one_curved, worlds, starts, inputs, mode) for mode in (SLIDE, STOP)
+    }
     return scenes, starts, inputs, moved
 
 
@@ -493,8 +507,7 @@ class TestCurvedByHand:
         """Tangentially: straight on, turning away, or on a wider circle than the disc's."""
         position, yaw = np.array([0.0, -1.0]), 0.0
         out, contact = curved(position, speed, yaw, turn * np.sign(speed), 0.5, [self.DISC])
-        expected = np.empty(2)
-        arc_displacement(speed, yaw, 0.0, turn * np.sign(speed), 0.0, 0.5, expected)
+        expected = arc(2, speed, yaw, 0.0, turn * np.sign(speed), 0.0, 0.5)
         assert tuple(out) == tuple(expected)
         assert not contact
 
@@ -529,9 +542,9 @@ class TestCurvedByHand:
         assert not contact
 
     def test_a_fast_spiral_in_space_does_not_pass_a_sphere(self):
-        rows = pack([Sphere((0, 0, 0), 1.0)], 3, 1)
-        out, position = np.empty(3), np.array([-3.0, 0.0, 0.0])
-        contact = move_curved(position, 1000.0, 0.1, 0.2, 0.3, -0.4, 1.0, rows, STOP, out)
+        position = np.array([-3.0, 0.0, 0.0])
+        inputs = (1000.0, 0.1, 0.2, 0.3, -0.4, 1.0)
+        out, contact = move_one_curved(position, inputs, world([Sphere((0, 0, 0), 1.0)]), STOP)
         assert contact
         assert np.linalg.norm(position + out) == pytest.approx(1.0, abs=2e-7)
         assert out[0] < 3

@@ -9,28 +9,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
+from tuples import arc, body_frame
 
-from rendezvous_env.equations.kinematics import (
-    ROBOT_MODELS,
-    arc_displacement,
-    body_frame,
-    mean_cos_sin,
-)
+from rendezvous_env import Scenario
+from rendezvous_env.equations.arcs import mean_cos_sin
+from rendezvous_env.experiment.robot_models import ROBOT_MODELS
 
 angles = st.floats(-3.2, 3.2)
 rates = st.floats(-6.0, 6.0)
-
-
-def arc(d, *inputs):
-    out = np.empty(d)
-    arc_displacement(*inputs, out)
-    return out
-
-
-def frame(yaw, pitch, d):
-    out = np.empty((d, d))
-    body_frame(yaw, pitch, out)
-    return out
 
 
 @pytest.mark.parametrize(
@@ -89,7 +75,7 @@ def test_means_of_sine_and_cosine(start, swept):
 
 @given(angles, angles)
 def test_the_body_frame_is_a_rotation_with_the_heading_first_and_left_level(yaw, pitch):
-    R = frame(yaw, pitch, 3)
+    R = body_frame(3, yaw, pitch)
     np.testing.assert_allclose(R.T @ R, np.eye(3), atol=1e-14)
     assert np.linalg.det(R) == pytest.approx(1)
     heading = [math.cos(pitch) * math.cos(yaw), math.cos(pitch) * math.sin(yaw), math.sin(pitch)]
@@ -98,19 +84,27 @@ def test_the_body_frame_is_a_rotation_with_the_heading_first_and_left_level(yaw,
     np.testing.assert_allclose(
         R.T @ [0, 0, -1], [-math.sin(pitch), 0, -math.cos(pitch)], atol=1e-15
     )
-    flat = frame(yaw, 0.0, 2)
-    np.testing.assert_allclose(flat, frame(yaw, 0.0, 3)[:2, :2], atol=1e-15)
+    flat = body_frame(2, yaw, 0.0)
+    np.testing.assert_allclose(flat, body_frame(3, yaw, 0.0)[:2, :2], atol=1e-15)
 
 
 def test_the_models():
     sizes = {
-        (model.name, d): model.action_size(d) for model in ROBOT_MODELS.values() for d in model.dims
+        (name, d): Scenario(n_robots=2, robot_model=name, dim=d).action_size
+        for name, model in ROBOT_MODELS.items()
+        for d in model.dims
     }
     assert sizes == {
         ("single_integrator", 2): 2,
         ("single_integrator", 3): 3,
         ("unicycle", 2): 2,
         ("nonholonomic_3d", 3): 3,
+        ("double_integrator", 2): 2,
+        ("double_integrator", 3): 3,
     }
     assert [m.name for m in ROBOT_MODELS.values() if m.senses_gravity] == ["nonholonomic_3d"]
-    assert [m.name for m in ROBOT_MODELS.values() if not m.nonholonomic] == ["single_integrator"]
+    assert [m.name for m in ROBOT_MODELS.values() if m.senses_velocity] == ["double_integrator"]
+    assert [m.name for m in ROBOT_MODELS.values() if not m.nonholonomic] == [
+        "single_integrator",
+        "double_integrator",
+    ]

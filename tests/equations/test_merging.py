@@ -6,36 +6,41 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from tuples import world
 
 from rendezvous_env import Disc, Scenario, Simulator
 from rendezvous_env.equations.merging import merge_swept
-from rendezvous_env.experiment.obstacles import pack
 from rendezvous_env.guarantee.lyapunov import lyapunov
 
 CHAIN = np.array([[0, 2.0, 0, 0], [2.0, 0, 0.5, 0], [0, 0.5, 0, 1.0], [0, 0, 1.0, 0]])
-NOTHING = np.zeros((0, 6))
 
 
 class Moved:
     """What ``merge_swept`` makes of one team, r = 1."""
 
-    def __init__(self, positions, displacements, weights=CHAIN, obstacles=NOTHING, radius=1.0):
+    def __init__(self, positions, displacements, weights=CHAIN, obstacles=None, radius=1.0):
         self.positions = np.array(positions, dtype=float)
         self.displacements = np.array(displacements, dtype=float)
         self.lengths = np.linalg.norm(self.displacements, axis=1)
-        self.weights = np.array(weights, dtype=float)
-        self.merged_into = np.arange(len(self.positions))
-        self.report = np.zeros(4)
+        n, matrix = len(self.positions), np.array(weights, dtype=float)
+        first, second = np.nonzero(np.triu(matrix))
+        links = first, second, matrix[first, second]
+        self.merged_into, self.report = np.arange(n), np.zeros(4)
+        work = np.empty(len(first)), np.empty_like(self.positions), np.empty(n, dtype=bool)
         self.merges = merge_swept(
             self.positions,
             self.displacements,
             self.lengths,
-            self.weights,
+            links,
             self.merged_into,
             obstacles,
             radius,
+            work,
             self.report,
         )
+        first, second, weight = (array[links[2] > 0] for array in links)
+        self.weights = np.zeros((n, n))
+        self.weights[first, second] = self.weights[second, first] = weight
 
 
 def test_nobody_near():
@@ -149,8 +154,8 @@ def test_merged_into_follows_the_survivor_through_several_merges():
 
 
 def test_at_the_lower_index_if_the_midpoint_lies_in_an_obstacle():
-    world = pack((Disc((0.4, 0.0), 0.05),), 2, 1)
-    moved = Moved([[0, 0], [0.8, 0]], np.zeros((2, 2)), [[0, 1], [1, 0]], world)
+    disc = world([Disc((0.4, 0.0), 0.05)])
+    moved = Moved([[0, 0], [0.8, 0]], np.zeros((2, 2)), [[0, 1], [1, 0]], disc)
     np.testing.assert_array_equal(moved.positions, np.zeros((2, 2)))
 
 
@@ -176,9 +181,9 @@ def test_the_bound_is_attained_by_four_robots_on_a_line(in_an_obstacle):
     weights = np.zeros((4, 4))
     for i, j, a in ((0, 1, 0.2), (0, 2, 1.0), (1, 3, 1.5)):
         weights[i, j] = weights[j, i] = a
-    world = pack((Disc((0.5, 0.0), 0.05),), 2, 1) if in_an_obstacle else NOTHING
+    disc = world([Disc((0.5, 0.0), 0.05)]) if in_an_obstacle else None
     start = [[0, 0], [1, 0], [-9, 0], [9, 0]]
-    moved = Moved(start, np.zeros((4, 2)), weights, world)
+    moved = Moved(start, np.zeros((4, 2)), weights, disc)
     attained = 2 * 1.7 - 4 * 0.2 if in_an_obstacle else 1.2 + 1.7 - 4 * 0.2
     assert moved.report[2] == pytest.approx(attained, rel=1e-12)
     assert moved.report[3] == pytest.approx(0, abs=1e-12)
@@ -192,8 +197,8 @@ def test_no_merge_raises_v_above_the_bound(n, seed, in_an_obstacle):
     weights += weights.T
     positions = random.normal(size=(n, 2)) * random.choice([0.3, 1.0, 3.0])
     displacements = random.normal(size=(n, 2)) * random.choice([0.0, 0.2, 1.0])
-    world = pack((Disc((0.0, 0.0), 20.0),), 2, 1) if in_an_obstacle else NOTHING
-    moved = Moved(positions, displacements, weights, world, radius=0.7)
+    disc = world([Disc((0.0, 0.0), 20.0)]) if in_an_obstacle else None
+    moved = Moved(positions, displacements, weights, disc, radius=0.7)
     assert moved.report[3] <= 1e-12
     active = moved.merged_into == np.arange(n)
     assert moved.merges == n - active.sum()

@@ -87,16 +87,15 @@ def test_a_start_and_its_frames_are_drawn_from_their_own_streams():
         for team in range(3):
             first = numbers(40 + team, episode, START, 3)
             np.testing.assert_array_equal(sim.positions[team, 0], 7.0 * (first - 0.5))
-            frame = np.empty((3, 3))
-            draw_rotation(stream_key(40 + team, episode, FRAMES), 3, frame)
+            key = stream_key(40 + team, episode, FRAMES)
+            frame = np.reshape(draw_rotation(key, 3, (0, 1, 2)), (3, 3))
             np.testing.assert_array_equal(sim.frames[team, 1], frame)
 
 
 @pytest.mark.parametrize("d", [2, 3])
 def test_rotations_are_rotations_and_uniform(d):
-    drawn = np.empty((3000, d, d))
-    for k, rotation in enumerate(drawn):
-        draw_rotation(stream_key(k, 0, FRAMES), 0, rotation)
+    keys = [stream_key(k, 0, FRAMES) for k in range(3000)]
+    drawn = np.array([draw_rotation(key, 0, tuple(range(d))) for key in keys]).reshape(-1, d, d)
     np.testing.assert_allclose(
         drawn.transpose(0, 2, 1) @ drawn, np.tile(np.eye(d), (3000, 1, 1)), atol=1e-14
     )

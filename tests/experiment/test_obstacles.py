@@ -7,19 +7,29 @@ import numpy as np
 import pytest
 import shapely
 
+from rendezvous_env.engine.draw_field import draw_field
+from rendezvous_env.engine.preparation import _field_rules
+from rendezvous_env.equations.obstacles import ABSENT, BALL, CAPSULE, POLYGON
 from rendezvous_env.equations.random_streams import OBSTACLES, stream_key
 from rendezvous_env.experiment.obstacles import (
+    Capsule,
     Disc,
     ObstacleField,
     Polygon,
     Sphere,
-    check_outside,
-    draw_field,
     max_count,
-    pack,
     parse,
-    row_width,
     to_plain,
+)
+from rendezvous_env.experiment.packing import (
+    CENTRE,
+    KIND,
+    RADIUS,
+    check_outside,
+    pack,
+    row_width,
+    table_of,
+    world_of,
 )
 
 TRIANGLE = ((0, 0), (3, 0), (0, 3))
@@ -38,6 +48,9 @@ class TestValidation:
             (lambda: Disc(3, 1), "centre 3 of a Disc must be 2 finite numbers"),
             (lambda: Sphere((0, 0), 1), "centre .* of a Sphere must be 3 finite numbers"),
             (lambda: Sphere((0, 0, 0), -1), "radius -1 of a Sphere must be"),
+            (lambda: Capsule(((0, 0), (1, 0)), 0), "radius 0 of a Capsule must be"),
+            (lambda: Capsule(((0, 0),), 1), "ends .* of a Capsule must be two points"),
+            (lambda: Capsule(((0, 0), (1, 0, 0)), 1), r"ends\[1\] .* must be 2 finite numbers"),
             (lambda: Polygon(((0, 0), (1, 0))), "must be at least 3 points"),
             (lambda: Polygon(None), "must be at least 3 points"),
             (lambda: Polygon(((0, 0), (1, 0), (0, math.nan))), r"vertices\[2\] .* finite"),
@@ -109,6 +122,8 @@ class TestPlainData:
             ((), 2),
             ((Disc((0.1, 1 / 3), 0.7), Polygon(TRIANGLE)), 2),
             ((Sphere((0.1, 2, 3), 0.7),), 3),
+            ((Capsule(((0.1, 2), (3, 1 / 3)), 0.7),), 2),
+            ((Capsule(((0.1, 2, 3), (3, 1 / 3, 3)), 0.7),), 3),
             (FIELD, 2),
             (ObstacleField(4, (1, 1), 8, 0), 3),
         ],
@@ -146,8 +161,8 @@ class TestPlainData:
             ({"count": 3, "radii": [1, 2]}, 2, "'radii' of a field; did you mean 'radius'"),
             ([{"kind": "cube"}], 2, "kind 'cube' must be one of disc"),
             ([{"centre": [0, 0]}], 2, "a disc needs radius"),
-            ([Sphere((0, 0, 0), 1)], 2, r"obstacles\[0\].*in 2-D use Disc or Polygon"),
-            ([Disc((0, 0), 1)], 3, r"obstacles\[0\].*in 3-D use Sphere"),
+            ([Sphere((0, 0, 0), 1)], 2, r"obstacles\[0\].*in 2-D use Disc, Polygon or Capsule"),
+            ([Disc((0, 0), 1)], 3, r"obstacles\[0\].*in 3-D use Sphere or Capsule"),
             ([FIELD], 2, "stands alone"),
             ([Disc((0, 0), 1), 7], 2, r"obstacles\[1\]: 7 must be"),
             ("disc", 2, "'disc' must be a sequence"),
@@ -161,24 +176,35 @@ class TestPlainData:
 
 class TestPacking:
     def test_hand_computed(self):
-        rows = pack([Polygon(TRIANGLE), Disc((5, 6), 7)], 2, 3)
-        polygon = [3, math.sqrt(5), 1, 1, 0, 0, 3, 0, 0, 3]
+        rows = pack([Polygon(TRIANGLE), Disc((5, 6), 7)], 3)
+        polygon = [POLYGON, 3, math.sqrt(5), 1, 1, 0, 0, 0, 3, 0, 0, 3]
         np.testing.assert_allclose(rows[0], polygon, atol=1e-15)
-        assert rows[1].tolist() == [0, 7, 5, 6, 0, 0, 0, 0, 0, 0]
-        assert rows[2].tolist() == [-1, 0, 0, 0, 0, 0, 0, 0, 0, 0]
-        assert pack([Sphere((1, 2, 3), 4)], 3, 1).tolist() == [[0, 4, 1, 2, 3]]
+        assert rows[1].tolist() == [BALL, 0, 7, 5, 6, 0, 0, 0, 0, 0, 0, 0]
+        assert rows[2].tolist() == [ABSENT] + [0] * 11
+        assert pack([Sphere((1, 2, 3), 4)], 1).tolist() == [[BALL, 0, 4, 1, 2, 3]]
+
+    def test_capsules_by_hand(self):
+        flat = pack([Capsule(((1, 0), (5, 0)), 0.5)], 1)
+        assert flat.tolist() == [[CAPSULE, 0, 2.5, 3, 0, 0, 2, 0, 0, 0.5]]
+        upright = pack([Capsule(((1, 2, 0), (1, 2, 4)), 0.5)], 1)
+        assert upright.tolist() == [[CAPSULE, 0, 2.5, 1, 2, 2, 0, 0, 2, 0.5]]
+
+    def test_a_world_is_the_table_again(self):
+        table = pack([Polygon(TRIANGLE), Disc((5, 6), 7), Capsule(((1, 0), (5, 0)), 0.5)], 4)
+        tables = np.stack([table, table[[2, 0, 3, 1]]])
+        np.testing.assert_array_equal(table_of(world_of(tables)), tables)
 
     def test_width_and_count(self):
         few = (Disc((0, 0), 1), Polygon(TRIANGLE))
-        assert (row_width(few, 2), max_count(few)) == (10, 2)
-        assert (row_width((), 2), max_count(())) == (4, 0)
-        assert (row_width(FIELD, 2), row_width(FIELD, 3), max_count(FIELD)) == (4, 5, 5)
+        assert (row_width(few), max_count(few)) == (12, 2)
+        assert (row_width(()), max_count(())) == (6, 0)
+        assert (row_width(FIELD), max_count(FIELD)) == (6, 5)
 
     def test_no_room_is_refused(self):
         with pytest.raises(ValueError, match="2 were given, there is room for 1"):
-            pack([Disc((0, 0), 1)] * 2, 2, 1)
-        with pytest.raises(ValueError, match="3 vertices, there is room for 2"):
-            pack([Polygon(TRIANGLE)], 2, 1, width=8)
+            pack([Disc((0, 0), 1)] * 2, 1)
+        with pytest.raises(ValueError, match="needs 6 numbers for its shape, there is room for 2"):
+            pack([Polygon(TRIANGLE)], 1, width=8)
 
     def test_positions_inside_are_refused_by_name(self):
         check_outside("positions", np.array([[2.0, 0.0], [0.0, 3.0]]), (Disc((0, 0), 2),))
@@ -186,13 +212,13 @@ class TestPacking:
             check_outside("positions", np.array([[2.0, 0.0], [0.0, 1.5]]), (Disc((0, 0), 2),))
 
 
-def draw(field, dim, episode, starts, slots=6):
-    """Whether a field was drawn, and the rows (slots, 2 + d)."""
-    rows = np.full((slots, row_width(field, dim)), np.nan)
+def draw(field, episode, starts, slots=6):
+    """Whether a field was drawn, and its table (slots, width)."""
     key = np.uint64(stream_key(11, episode, OBSTACLES))
-    (low, high), (least, most) = field.count_range, field.radius
-    placing = field.region, field.keep_out, field.overlap
-    return draw_field(key, low, high, least, most, *placing, starts, len(starts), rows), rows
+    table = np.full((slots, row_width(field)), 77.0)
+    obstacles = world_of(table, only_balls=True)
+    drawn = draw_field(key, _field_rules(field), starts, len(starts), obstacles)
+    return drawn, table_of(obstacles)
 
 
 class TestDrawField:
@@ -201,12 +227,13 @@ class TestDrawField:
         starts = np.random.default_rng(dim).uniform(-6, 6, (4, dim))
         counts = []
         for episode in range(300):
-            drawn, rows = draw(FIELD, dim, episode, starts)
-            count = int((rows[:, 0] == 0).sum())
+            drawn, rows = draw(FIELD, episode, starts)
+            count = int((rows[:, KIND] == BALL).sum())
             counts.append(count)
             assert drawn
-            assert np.all(rows[count:, 0] == -1)
-            radii, centres = rows[:count, 1], rows[:count, 2:]
+            assert np.all(rows[count:, KIND] == ABSENT)
+            radii, centres = rows[:count, RADIUS], rows[:count, CENTRE : CENTRE + dim]
+            assert not rows[:count, CENTRE + dim :].any()
             assert np.all((radii >= 0.5) & (radii < 1.5))
             assert np.all(np.abs(centres) <= 6)
             gaps = np.linalg.norm(centres[:, None] - starts, axis=2) - radii[:, None]
@@ -219,29 +246,30 @@ class TestDrawField:
     def test_radii_and_centres_are_uniform(self):
         field = ObstacleField(6, (1, 3), 10, 0)
         nowhere = np.empty((0, 2))
-        rows = np.concatenate([draw(field, 2, episode, nowhere)[1] for episode in range(1000)])
-        for numbers, low, high in ((rows[:, 1], 1, 3), (rows[:, 2], -5, 5), (rows[:, 3], -5, 5)):
+        rows = np.concatenate([draw(field, episode, nowhere)[1] for episode in range(1000)])
+        columns = rows[:, [RADIUS, CENTRE, CENTRE + 1]]
+        for numbers, (low, high) in zip(columns.T, ((1, 3), (-5, 5), (-5, 5)), strict=True):
             found, _ = np.histogram(numbers, bins=10, range=(low, high))
             assert found.sum() == 6000
             assert np.abs(found - 600).max() < 5 * math.sqrt(600)
-        assert np.abs(np.corrcoef(rows[:, 1:].T) - np.eye(3)).max() < 0.06
+        assert np.abs(np.corrcoef(columns.T) - np.eye(3)).max() < 0.06
 
     def test_only_the_first_starts_count(self):
-        rows = np.empty((6, 4))
         starts, key = np.array([[9.0, 9.0], [0.0, 0.0]]), np.uint64(stream_key(0, 0, OBSTACLES))
-        arguments = (key, 1, 1, 1.0, 1.0, 0.1, 0.5, True, starts)
-        assert draw_field(*arguments, 1, rows)
-        assert not draw_field(*arguments, 2, rows)
+        rules = _field_rules(ObstacleField(1, (1.0, 1.0), 0.1, 0.5))
+        obstacles = world_of(pack([], 6), only_balls=True)
+        assert draw_field(key, rules, starts, 1, obstacles)
+        assert not draw_field(key, rules, starts, 2, obstacles)
 
     def test_a_full_place_fails_and_leaves_what_was_placed(self):
-        drawn, rows = draw(ObstacleField(6, (1, 1), 2.5, 0, False), 2, 0, np.empty((0, 2)))
+        drawn, rows = draw(ObstacleField(6, (1, 1), 2.5, 0, False), 0, np.empty((0, 2)))
         assert not drawn
-        count = int((rows[:, 0] == 0).sum())
+        count = int((rows[:, KIND] == BALL).sum())
         assert 1 <= count < 6
-        assert np.all(rows[count:, 0] == -1)
+        assert np.all(rows[count:, KIND] == ABSENT)
 
     def test_the_same_stream_gives_the_same_field(self):
         nowhere = np.empty((0, 2))
-        first, again, other = (draw(FIELD, 2, episode, nowhere)[1] for episode in (3, 3, 4))
+        first, again, other = (draw(FIELD, episode, nowhere)[1] for episode in (3, 3, 4))
         assert np.array_equal(first, again)
         assert not np.array_equal(first, other)

@@ -8,21 +8,23 @@ from conftest import five, law_of
 
 from rendezvous_env import Disc, RewardWeights, Scenario, Simulator
 from rendezvous_env.engine.memory import RENDEZVOUS, RUNNING
-from rendezvous_env.experiment.rewards import team_reward
+from rendezvous_env.equations.reward import team_reward
 
-WEIGHTS = (2.0, 0.5, 0.25, 3.0)
+WEIGHTS = (2.0, 0.5, 0.25, 3.0, 0.5)
 
 
 @pytest.mark.parametrize(
-    ("progress", "time_share", "contacts", "met", "expected"),
+    ("progress", "time_share", "contacts", "closeness", "met", "expected"),
     [
-        (0.1, 0.02, 0, False, 0.2 - 0.01),
-        (-0.1, 0.02, 3, False, -0.2 - 0.01 - 0.75),
-        (0.1, 0.02, 0, True, 0.2 - 0.01 + 3.0),
+        (0.1, 0.02, 0, 0.0, False, 0.2 - 0.01),
+        (-0.1, 0.02, 3, 0.0, False, -0.2 - 0.01 - 0.75),
+        (0.1, 0.02, 0, 0.0, True, 0.2 - 0.01 + 3.0),
+        (0.1, 0.02, 0, 1.5, True, 0.2 - 0.01 + 3.0 - 0.75),
     ],
 )
-def test_by_hand(progress, time_share, contacts, met, expected):
-    assert team_reward(progress, time_share, contacts, met, WEIGHTS) == pytest.approx(expected)
+def test_by_hand(progress, time_share, contacts, closeness, met, expected):
+    found = team_reward(progress, time_share, contacts, closeness, met, WEIGHTS)
+    assert found == pytest.approx(expected)
 
 
 def test_progress_telescopes_and_each_term_is_its_own(kind):
@@ -74,3 +76,17 @@ def test_each_robot_in_contact_costs_in_each_step():
     assert outcome.contact.tolist() == [[True, True, False]]
     assert outcome.rewards[0] == pytest.approx(-1.0)
     assert sim.contacts[0] >= 6
+
+
+def test_clearance_costs_each_robot_near_an_obstacle_in_proportion():
+    scenario = Scenario(
+        n_robots=3,
+        obstacles=[Disc((0.0, 0.0), 1.0)],
+        obstacle_range=2.0,
+        reward=RewardWeights(0.0, 0.0, 0.0, 0.0, clearance_penalty=0.4),
+    )
+    sim = Simulator(scenario)
+    sim.reset(0, {"positions": [[1.5, 0.0], [0.0, -2.0], [-9.0, 0.0]]})
+    outcome = sim.step(np.zeros((1, 3, 2)))
+    np.testing.assert_allclose(outcome.clearance, [[0.5, 1.0, 8.0]])
+    assert outcome.rewards[0] == pytest.approx(-0.4 * (0.75 + 0.5))

@@ -14,7 +14,7 @@ from test_pettingzoo import api_suite
 import rendezvous_env as rv
 from rendezvous_env import HeadingVectorWrapper, Scenario, parallel_env
 from rendezvous_env.experiment import graphs
-from rendezvous_env.guarantee.lyapunov import time_bound
+from rendezvous_env.guarantee.bounds import time_bound
 from rendezvous_env.guarantee.turning import mean_body_axis_2d, mean_body_axis_3d
 
 with warnings.catch_warnings():  # PettingZoo imports its own old modules here

@@ -13,16 +13,13 @@ from scipy.optimize import minimize
 
 from rendezvous_env import Disc, Scenario, Simulator, certificate
 from rendezvous_env.experiment import graphs, scenarios
-from rendezvous_env.guarantee.lyapunov import (
-    alignment,
-    lyapunov,
-    lyapunov_rate,
+from rendezvous_env.guarantee.bounds import (
     merge_rise_allowance,
-    net_bearings,
     rendezvous_time_lower_bound,
-    smallest_enclosing_ball,
     time_bound,
 )
+from rendezvous_env.guarantee.enclosing_ball import smallest_enclosing_ball
+from rendezvous_env.guarantee.lyapunov import alignment, lyapunov, lyapunov_rate, net_bearings
 
 PLACES = np.array([[0.0, 0.0], [3.0, 4.0], [3.0, 0.0]])
 WEIGHTS = np.array([[0, 2.0, 0.5], [2.0, 0, 0], [0.5, 0, 0]])

@@ -10,7 +10,8 @@ import rendezvous_env as rv
 from rendezvous_env import Scenario, Simulator
 from rendezvous_env.engine.memory import RENDEZVOUS
 from rendezvous_env.experiment import graphs
-from rendezvous_env.guarantee.lyapunov import lyapunov, time_bound
+from rendezvous_env.guarantee.bounds import time_bound
+from rendezvous_env.guarantee.lyapunov import lyapunov
 from rendezvous_env.guarantee.steering import Steering
 from rendezvous_env.guarantee.turning import mean_body_axis_2d, mean_body_axis_3d
 from rendezvous_env.trajectory import run

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from tuples import body_frame
 
-from rendezvous_env.equations.kinematics import body_frame
 from rendezvous_env.guarantee.turning import (
     gated_turn_rate,
     mean_body_axis_2d,
@@ -32,9 +32,7 @@ def mean_by_quadrature(yaw_rate, pitch_rate, pitch, duration):
     nodes, weights = np.polynomial.legendre.leggauss(80)
     t = 0.5 * duration * (nodes + 1)
     mean = axis(yaw_rate * t, pitch + pitch_rate * t) @ weights / 2
-    frame = np.empty((3, 3))
-    body_frame(0.0, pitch, frame)
-    return frame.T @ mean
+    return body_frame(3, 0.0, pitch).T @ mean
 
 
 def test_mean_axis_of_a_unicycle_by_hand():
@@ -66,9 +64,7 @@ def test_a_level_robot_that_only_yaws_is_a_unicycle():
 @given(bearings, bearings, bearings, st.floats(-1.4, 1.4), st.floats(-3, 3))
 def test_law_17_turns_the_axis_like_the_equation_without_singularity(f_x, f_y, f_z, pitch, yaw):
     """ḣ = (I − h hᵀ) f  (eqs. 14, 15)."""
-    frame = np.empty((3, 3))
-    body_frame(yaw, pitch, frame)
-    f = frame @ [f_x, f_y, f_z]
+    f = body_frame(3, yaw, pitch) @ [f_x, f_y, f_z]
     h, dt = axis(yaw, pitch), 1e-6
     turn = yaw_rate_law(f_y, pitch) * dt
     forward, back = (axis(yaw + s * turn, pitch + s * f_z * dt) for s in (0.5, -0.5))

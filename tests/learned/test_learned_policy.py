@@ -13,7 +13,7 @@ from rendezvous_env.experiment import scenarios
 from train.errors import UserError
 from train.learned import checkpoints, learned_policy, policies
 from train.learned.learned_policy import LearnedPolicy, PolicySettings
-from train.learned.perception import PerceptionLayout
+from train.learned.perception_layout import PerceptionLayout
 
 SETTINGS = PolicySettings(
     set_width=8,

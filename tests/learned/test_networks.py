@@ -7,7 +7,7 @@ from torch import nn
 
 from train.learned.guide import CHOICES
 from train.learned.networks import make_network
-from train.learned.perception import CONTEXT_COLUMNS, PerceptionLayout
+from train.learned.perception_layout import CONTEXT_COLUMNS, PerceptionLayout
 
 K, M = 4, 6
 SETTINGS = {"set_width": 8, "hidden": (16,)}

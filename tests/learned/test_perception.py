@@ -6,11 +6,11 @@ import pytest
 import baselines
 from rendezvous_env import Scenario, Simulator
 from rendezvous_env.experiment import scenarios
-from train.learned.perception import (
+from train.learned.perception import Perception
+from train.learned.perception_layout import (
     CONTEXT_COLUMNS,
     NEIGHBOUR_COLUMNS,
     OBSTACLE_COLUMNS,
-    Perception,
     PerceptionLayout,
 )
 

@@ -5,12 +5,12 @@ import pytest
 from gymnasium.vector import AutoresetMode
 
 import rendezvous_env as rv
+from rendezvous_env.adapters.sb3 import RobotVecEnv
 from rendezvous_env.vector import HeadingVectorWrapper
 from train.learned.guide import ANGLES, CHOICES, Guide
 from train.learned.perception import Perception
 from train.learning.perceiving import PerceivingTeams
 from train.learning.run_state import flatten, unflatten
-from train.learning.sb3_vec_env import RobotVecEnv
 
 TEAMS, PERIOD = 5, 3
 SCENARIO = rv.scenarios.get("clutter-12").replace(time_limit=6.0)

@@ -5,13 +5,10 @@ from __future__ import annotations
 import statistics
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from ..results import atomic
 from .bench_cases import Case, batched, spread_out
-
-if TYPE_CHECKING:
-    from .bench import Config
+from .bench_settings import Config
 
 SIZES = (2, 3, 4, 8, 16, 32, 64)
 BATCHES = (1, 4, 16, 64, 256, 1024, 4096)

@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..learning.ppo import Config
+from rendezvous_env.adapters.sb3 import RobotVecEnv, make_robots
+
 from ..learning.rollout_buffer import RobotPPO
-from ..learning.sb3_vec_env import RobotVecEnv, make_robots
+from ..learning.settings import Config
 from ..learning.training import Training
 from .bench_cases import Case, Running, spread_out
 

@@ -12,12 +12,13 @@ from collections.abc import Sequence
 from dataclasses import fields
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 import baselines
 import rendezvous_env
+import train
 from baselines.policy import _registry
 
 from .. import results
@@ -26,9 +27,7 @@ from ..recording import Recording
 from .ceiling import Ceiling
 from .episodes import Episodes
 from .out_folder import Part
-
-if TYPE_CHECKING:
-    from .compare import Config, Job
+from .plan import Config, Job
 
 Cell = tuple[Episodes, list[Recording]]
 
@@ -67,8 +66,8 @@ def _weights(policy: str) -> str | None:
 def _source() -> str:
     """Digest of the program's own files, which change more often than its version."""
     found = hashlib.sha256()
-    for package in (rendezvous_env.__file__, baselines.__file__, __file__):
-        for path in sorted(Path(str(package)).parent.rglob("*.py")):
+    for package in (rendezvous_env, baselines, train):
+        for path in sorted(Path(str(package.__file__)).parent.rglob("*.py")):
             found.update(path.read_bytes())
     return found.hexdigest()
 

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from rendezvous_env.engine.memory import RENDEZVOUS
 from rendezvous_env.experiment.scenario import Scenario
-from rendezvous_env.guarantee.lyapunov import certificate, time_bound
+from rendezvous_env.guarantee.bounds import time_bound
+from rendezvous_env.guarantee.certificate import certificate
 from rendezvous_env.simulator import Simulator
 from rendezvous_env.trajectory import Policy, Step, run
 

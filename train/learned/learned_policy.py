@@ -17,10 +17,12 @@ from rendezvous_env.experiment.scenario import Scenario
 from rendezvous_env.guarantee.steering import Steering
 
 from ..checks import check_types
-from . import checkpoints, perception
+from . import checkpoints, perception_layout
 from .checkpoints import CheckpointError
 from .guide import Guide
-from .perception import Perception, PerceptionLayout, check_readable
+from .guided import GuidedTeams
+from .perception import check_readable
+from .perception_layout import PerceptionLayout
 
 if TYPE_CHECKING:
     from .networks import HeadingNetwork
@@ -69,7 +71,7 @@ class PolicySettings:
 
     def to_plain(self) -> dict[str, Any]:
         """As plain data, with the version of the perception that the weights belong to."""
-        return asdict(self) | {"perception": perception.VERSION}
+        return asdict(self) | {"perception": perception_layout.VERSION}
 
     @classmethod
     def from_plain(cls, plain: Any) -> PolicySettings:
@@ -78,9 +80,11 @@ class PolicySettings:
         Raises:
             ValueError: for missing or unknown fields, or another perception.
         """
-        if not isinstance(plain, Mapping) or plain.get("perception") != perception.VERSION:
+        if not isinstance(plain, Mapping) or plain.get("perception") != perception_layout.VERSION:
             version = plain.get("perception") if isinstance(plain, Mapping) else plain
-            raise ValueError(f"perception is {version!r}; this version has {perception.VERSION}")
+            raise ValueError(
+                f"perception is {version!r}; this version has {perception_layout.VERSION}"
+            )
         given = {key: value for key, value in plain.items() if key != "perception"}
         if wrong := sorted(set(given) ^ set(cls.__dataclass_fields__)):
             raise ValueError(f"field {wrong[0]!r} is missing or unknown")
@@ -151,8 +155,7 @@ class LearnedPolicy:
         if due.any():
             self._decide(teams, due)
         self._wait = np.where(due, self.decision_period, self._wait) - 1
-        self._steering.hold(self._guide.aim(teams, self._choices, self._steering.headings))
-        actions = within_limits(self._steering.act(teams).astype(np.float64), self.scenario)
+        actions = within_limits(self._guided.act(teams).astype(np.float64), self.scenario)
         return actions.reshape(*seen.shape[:-2], 2)
 
     def reset(self, mask: NDArray[np.bool_] | None = None) -> None:
@@ -161,34 +164,29 @@ class LearnedPolicy:
             self._leading = None
         elif self._leading is not None:
             which = np.broadcast_to(np.asarray(mask, dtype=bool), self._leading).reshape(-1)
-            self._steering.forget(which)
-            self._perception.forget(which)
+            self._guided.forget(which)
             self._wait[which] = 0
 
     def _begin(self, leading: tuple[int, ...]) -> None:
         settings, teams = self.settings, math.prod(leading)
-        self._steering = Steering(
+        steering = Steering(
             self.scenario,
             teams,
             min_alignment=settings.min_alignment,
             max_turn_rate=settings.max_turn_rate,
             frame="local",
         )
-        self._perception = Perception(
-            self.scenario,
-            teams,
-            decision_time=self.decision_period * self.scenario.tau,
-        )
-        self._choices = np.zeros((teams, self.scenario.n_robots), dtype=np.int64)
+        self._guided = GuidedTeams(steering, self._guide, decision_period=self.decision_period)
         self._wait = np.zeros(teams, dtype=np.int64)
         self._leading = leading
 
     def _decide(self, observations: NDArray[np.float32], due: NDArray[np.bool_]) -> None:
         """New choices for the teams that are due."""
-        shown = self._perception.see(observations, self._steering.headings, due)
-        alive = shown.any(axis=-1)
-        self._choices[due] = 0
-        self._choices[alive] = self._choose(shown[alive])
+        shown = self._guided.show(observations, due)
+        choices, alive = self._guided.choices.copy(), shown.any(axis=-1)
+        choices[due] = 0
+        choices[alive] = self._choose(shown[alive])
+        self._guided.choose(choices)
 
     def _choose(self, shown: NDArray[np.float32]) -> NDArray[np.int64]:
         """The likeliest choices (N,) for what N robots are shown."""

@@ -11,12 +11,14 @@ from gymnasium.vector import AutoresetMode
 from numpy.typing import ArrayLike, NDArray
 
 from rendezvous_env.engine.state_checks import check_entries, check_keys
-from rendezvous_env.gymnasium_env import RendezvousVectorEnv, Transition
+from rendezvous_env.infos import Transition
 from rendezvous_env.vector import HeadingVectorWrapper, team_box
+from rendezvous_env.vector_env import RendezvousVectorEnv
 
 from ..learned.guide import CHOICES, Guide
+from ..learned.guided import GuidedTeams
 from ..learned.networks import observation_box
-from ..learned.perception import Perception
+from ..learned.perception_layout import PerceptionLayout
 
 
 class PerceivingTeams(HeadingVectorWrapper):
@@ -49,19 +51,22 @@ class PerceivingTeams(HeadingVectorWrapper):
         if env.autoreset_mode is not AutoresetMode.SAME_STEP:
             raise ValueError(f"autoreset_mode is {env.autoreset_mode}; it must be SAME_STEP")
         super().__init__(env, frame="local", **arguments)
-        self.perception = Perception(
-            env.scenario,
-            env.num_envs,
-            decision_time=self.decision_period * env.scenario.tau,
+        self.guided = GuidedTeams(
+            self.steering,
+            guide,
+            decision_period=self.decision_period,
             obstacle_slots=obstacle_slots,
         )
         n = env.scenario.n_robots
-        self.guide = guide
-        self.single_observation_space = team_box(observation_box(self.perception.layout), n)
+        self.single_observation_space = team_box(observation_box(self.layout), n)
         self.single_action_space = MultiDiscrete([CHOICES] * n)
         self.touch_penalty = float(touch_penalty)
-        self._choices = np.zeros((env.num_envs, n), dtype=np.int64)
         self._touched = np.zeros((env.num_envs, n), dtype=np.bool_)
+
+    @property
+    def layout(self) -> PerceptionLayout:
+        """Which number of what a robot is shown is what."""
+        return self.guided.perception.layout
 
     def step(self, actions: ArrayLike) -> Transition:
         """As ``HeadingVectorWrapper.step``, with touches paid for in ``robot_rewards``."""
@@ -75,35 +80,21 @@ class PerceivingTeams(HeadingVectorWrapper):
         return seen, rewards, ends, cuts, infos
 
     def _take(self, actions: ArrayLike) -> None:
-        choices = np.asarray(actions)
-        if choices.shape != self._choices.shape:
-            raise ValueError(
-                f"actions have shape {choices.shape}; they must be (B, n) = {self._choices.shape}"
-            )
-        wrong = ~((choices >= 0) & (choices < CHOICES))
-        for team, robot in np.argwhere(wrong):
-            raise ValueError(
-                f"action of robot_{robot} in team {team} is {choices[team, robot]}; it must be a "
-                f"whole number below {CHOICES}"
-            )
-        self._choices = choices.astype(np.int64)
+        self.guided.choose(actions)
 
     def _act(self) -> NDArray[np.float32]:
-        raw = self.guide.aim(self._observed, self._choices, self.steering.headings)
-        self.steering.hold(raw)
-        return super()._act()
+        return self.guided.act(self._observed)
 
     def _see(self, which: NDArray[np.bool_] | None) -> NDArray[np.float32]:
-        return self.perception.see(self._observed, self.steering.headings, which)
+        return self.guided.show(self._observed, which)
 
     def _forget(self, which: NDArray[np.bool_] | None) -> None:
-        super()._forget(which)
-        self.perception.forget(which)
+        self.guided.forget(which)
         self._touched[slice(None) if which is None else which] = False
 
     def get_state(self) -> dict[str, Any]:
         """The running episodes and all memory, as copies."""
-        memory = {"perception": self.perception.get_state(), "touched": self._touched.copy()}
+        memory = {"perception": self.guided.perception.get_state(), "touched": self._touched.copy()}
         return super().get_state() | memory
 
     def set_state(self, state: Mapping[str, Any]) -> None:
@@ -114,7 +105,7 @@ class PerceivingTeams(HeadingVectorWrapper):
         """
         check_keys(state, ("perception",))
         touched = check_entries({"touched": self._touched}, state)["touched"]
-        memory = self.perception.check_state(state["perception"])
+        memory = self.guided.perception.check_state(state["perception"])
         super().set_state(state)
-        self.perception.set_state(memory)
+        self.guided.perception.set_state(memory)
         self._touched[...] = touched

@@ -16,7 +16,7 @@ from stable_baselines3.common.policies import ActorCriticPolicy
 from stable_baselines3.common.type_aliases import RolloutBufferSamples
 from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 
-from .sb3_vec_env import RobotVecEnv
+from rendezvous_env.adapters.sb3 import RobotVecEnv
 
 _SAMPLES = ("observations", "actions", "values", "log_probs", "advantages", "returns")
 

@@ -54,6 +54,33 @@ def restore_optimizer(optimizer: torch.optim.Optimizer, arrays: Mapping[str, NDA
     optimizer.load_state_dict({"state": state, "param_groups": groups})
 
 
+def check_fits(state: Mapping[str, Any], robots: Any, policy: Any) -> None:
+    """Refuse what would only fail later on.
+
+    Args:
+        state: what was stored of the robots' last step.
+        robots: the VecEnv that goes on from there.
+        policy: with the weights and the optimizer that were put back.
+
+    Raises:
+        ValueError: for another shape, or a weight that is not finite, saying which.
+    """
+    wanted = {
+        "last_observations": (robots.num_envs, *robots.observation_space.shape),
+        "last_episode_starts": (robots.num_envs,),
+    }
+    for name, shape in wanted.items():
+        if np.shape(state[name]) != shape:
+            raise ValueError(f"{name} has shape {np.shape(state[name])}; it must be {shape}")
+    for weights in policy.parameters():
+        if not torch.isfinite(weights).all():
+            raise ValueError("a weight of the network is not finite")
+        moments = policy.optimizer.state.get(weights, {})
+        for name in ("exp_avg", "exp_avg_sq"):
+            if name in moments and moments[name].shape != weights.shape:
+                raise ValueError(f"{name} of the optimizer has shape {moments[name].shape}")
+
+
 def random_state() -> dict[str, NDArray[Any]]:
     """Of NumPy's global generator, which shuffles samples, and of torch's, which explores."""
     _, keys, position, has_gauss, gauss = np.random.get_state()

@@ -14,20 +14,17 @@ from gymnasium.vector import AutoresetMode
 from stable_baselines3.common.logger import Logger
 
 from rendezvous_env import make_vec
-from rendezvous_env.experiment import scenarios
 
 from .. import results
-from ..comparing import statistics
-from ..comparing.episodes import play
 from ..errors import UserError
-from ..learned import checkpoints, learned_policy, networks
+from ..learned import checkpoints, networks
 from ..learned.checkpoints import CheckpointError
-from ..learned.learned_policy import LearnedPolicy
+from .evaluation import held_out
 from .perceiving import PerceivingTeams
-from .ppo import EVALUATION_SEEDS, Config
 from .rollout_buffer import RobotPPO
 from .run_log import EVALUATION, METRICS, Events, Table
 from .run_state import (
+    check_fits,
     flatten,
     optimizer_arrays,
     random_state,
@@ -36,7 +33,8 @@ from .run_state import (
     tensors,
     unflatten,
 )
-from .sb3_vec_env import RobotVecEnv
+from .settings import Config
+from .watching import WatchedRobots, episode_numbers
 
 CONFIG = "config.json"
 """In the folder of a run: its settings."""
@@ -60,28 +58,6 @@ Snapshot = tuple[dict[str, Any], dict[str, Any]]
 """Description and tables of a checkpoint."""
 
 
-class WatchedRobots(RobotVecEnv):
-    """Robots whose environment's time and alignment are summed up."""
-
-    seconds = 0.0
-    """Spent in steps."""
-    alignment = 0.0
-    """Sum over robots and steps."""
-    aligned = 0
-    """How many terms that sum has."""
-
-    def step_wait(self) -> Any:
-        """As RobotVecEnv, and take the time."""
-        began = time.perf_counter()
-        result = super().step_wait()
-        alignment = self.teams.steering.alignment
-        known = ~np.isnan(alignment)
-        self.alignment += float(alignment[known].sum())
-        self.aligned += int(known.sum())
-        self.seconds += time.perf_counter() - began
-        return result
-
-
 class Training:
     """Network, optimiser, environment and log of a run.
 
@@ -94,7 +70,7 @@ class Training:
         self.settings = config.policy_settings()
         self.stage = 0
         self.robots = self._make_robots(0)
-        layout = self.robots.teams.perception.layout
+        layout = self.robots.teams.layout
         self.model = RobotPPO(
             networks.HeadingNetwork,
             self.robots,
@@ -195,7 +171,7 @@ class Training:
             model.policy.load_state_dict(tensors(tables["network"]))
             restore_optimizer(model.policy.optimizer, tables["optimizer"])
             state = unflatten(tables["state"])
-            self._check_shapes(state)
+            check_fits(state, self.robots, model.policy)
             self.robots.set_state(state["robots"])
             model._last_obs = state["last_observations"]
             model._last_episode_starts = state["last_episode_starts"]
@@ -206,25 +182,6 @@ class Training:
             raise CheckpointError(f"{place}: does not fit this run: {error}") from error
         self._open_log(about["step"])
         return int(about["step"])
-
-    def _check_shapes(self, state: dict[str, Any]) -> None:
-        """Refuse what would only fail later on."""
-        robots = self.robots.num_envs
-        wanted = {
-            "last_observations": (robots, *self.robots.observation_space.shape),
-            "last_episode_starts": (robots,),
-        }
-        for name, shape in wanted.items():
-            if np.shape(state[name]) != shape:
-                raise ValueError(f"{name} has shape {np.shape(state[name])}; it must be {shape}")
-        optimizer = self.model.policy.optimizer
-        for weights in self.model.policy.parameters():
-            moments = optimizer.state.get(weights, {})
-            if not torch.isfinite(weights).all():
-                raise ValueError("a weight of the network is not finite")
-            for name in ("exp_avg", "exp_avg_sq"):
-                if name in moments and moments[name].shape != weights.shape:
-                    raise ValueError(f"{name} of the optimizer has shape {moments[name].shape}")
 
     def save(self, state: Snapshot | None = None) -> Path:
         """Write a checkpoint of the present, or of a moment that was kept.
@@ -292,7 +249,7 @@ class Training:
             "step": model.num_timesteps,
             "update": model._n_updates // self.config.epochs,
             "stage": self.stage,
-            **_episode_numbers(list(model.ep_info_buffer)),
+            **episode_numbers(list(model.ep_info_buffer)),
             "alignment": robots.alignment / max(robots.aligned, 1),
             "entropy": -told["entropy_loss"],
             **{column: told[name] for column, name in _LOSSES.items()},
@@ -310,23 +267,11 @@ class Training:
     def evaluate(self) -> list[dict[str, Any]]:
         """Rows of evaluation.csv: the policy without noise on held-out starts."""
         config, rows = self.config, []
-        names = config.eval_scenarios or (config.scenario,)
-        for scenario in map(scenarios.resolve, names):
-            with torch.random.fork_rng():
-                episodes, _ = play(
-                    scenario,
-                    lambda scenario=scenario: LearnedPolicy(
-                        scenario, self.model.policy, self.settings
-                    ),
-                    margin=self.settings.min_alignment,
-                    episodes=config.eval_starts,
-                    seed=EVALUATION_SEEDS,
-                )
-            limit = scenario.max_steps * scenario.tau
-            numbers = statistics.summarise(scenario.name, learned_policy.NAME, episodes, limit)
+        for name in config.eval_scenarios or (config.scenario,):
+            numbers = held_out(name, self.model.policy, self.settings, config.eval_starts)
             row = {"step": self.model.num_timesteps, **numbers}
             self._evaluations.add(row)
-            self._events.add(f"evaluation-{scenario.name}", row)
+            self._events.add(f"evaluation-{row['scenario']}", row)
             rows.append(row)
         return rows
 
@@ -347,21 +292,3 @@ class Training:
     def close(self) -> None:
         """Write what is left of the log."""
         self._events.close()
-
-
-def _episode_numbers(episodes: list[dict[str, Any]]) -> dict[str, Any]:
-    """Columns about the episodes that ended in an update; NaN without any."""
-    if not episodes:
-        nothing = dict.fromkeys(("success", "clean_success", "median_time", "return"), np.nan)
-        return {"episodes": 0, **nothing}
-    success = np.array([episode["success"] for episode in episodes])
-    contacts = np.array([episode["contacts"] for episode in episodes])
-    times = np.where(success, [episode["time"] for episode in episodes], np.inf)
-    median = np.median(times)
-    return {
-        "episodes": len(episodes),
-        "success": success.mean(),
-        "clean_success": (success & (contacts == 0)).mean(),
-        "median_time": median if np.isfinite(median) else np.nan,
-        "return": np.mean([episode["r"] for episode in episodes]),
-    }

@@ -18,7 +18,8 @@ from ..checks import check_types
 from ..errors import UserError
 from ..learned import checkpoints
 from ..learned.checkpoints import CheckpointError
-from .ppo import Config, check, resumed, same_run
+from .settings import Config
+from .settings_checks import check, resumed, same_run
 from .training import CONFIG, STATE_FILES, Training
 
 _DESCRIPTION = {"step": int, "stage": int, "updates": int, "wall_s": float, "written": str}
@@ -98,9 +99,7 @@ def _prepare(config: Config, console: Console) -> tuple[Config, Path | None]:
 
 def _config_of(place: Path, about: Mapping[str, Any]) -> Config:
     try:
-        check_types(
-            about, {"step": int, "stage": int, "updates": int, "wall_s": float, "written": str}
-        )
+        check_types(about, _DESCRIPTION)
         return Config.from_plain(about["config"])
     except (KeyError, TypeError, ValueError) as error:
         raise CheckpointError(f"{place}: is no checkpoint of a run: {error}") from error

@@ -5,38 +5,38 @@ import math
 import numpy as np
 import pytest
 import shapely
-from numba import njit
-from rendezvous_env.equations.geometry import (
+from tuples import triple, world
+
+from rendezvous_env.equations.crossings import first_crossing
+from rendezvous_env.equations.obstacles import (
+    CENTRE,
+    DETAILS,
     clear_of_obstacles,
-    first_crossing,
-    obstacle_distance,
-    outward_normal,
+    distance_to,
     silhouette_2d,
     silhouette_3d,
+    surface,
 )
-
-from rendezvous_env.experiment.obstacles import Disc, Polygon, Sphere, pack
+from rendezvous_env.equations.vectors import ORIGIN
+from rendezvous_env.experiment.obstacles import Disc, Polygon, Sphere
 
 N_VIEWS = 10_000
 SQUARE = Polygon(((0, 0), (2, 0), (2, 2), (0, 2)))
 
 
-@njit
-def look_at(rows, positions, distances, normals, silhouettes):
-    """Row k seen from position k."""
-    for k in range(len(rows)):
-        distances[k] = obstacle_distance(rows[k], positions[k])
-        outward_normal(rows[k], positions[k], normals[k])
-        if positions.shape[1] == 2:
-            silhouette_2d(rows[k], positions[k], silhouettes[k])
-
-
-def views(rows, positions):
-    """Distances (V,), normals (V, d) and silhouettes (V, 2, d) of row k from position k."""
+def views(obstacles, positions):
+    """Distances (V,), normals (V, d) and silhouettes (V, 2, d) from position k of obstacle k of a
+    world, and so on round and round.
+    """
     count, d = positions.shape
-    out = np.empty(count), np.empty((count, d)), np.empty((count, 2, d))
-    look_at(rows, positions, *out)
-    return out
+    distances, normals = np.empty(count), np.empty((count, 3))
+    silhouettes = np.empty((count, 2, d))
+    for k in range(count):
+        m, point = k % len(obstacles.kinds), triple(positions[k])
+        distances[k], normals[k] = surface(obstacles, m, point)
+        if d == 2:
+            silhouette_2d(obstacles, m, point, silhouettes[k])
+    return distances, normals[:, :d], silhouettes
 
 
 def random_polygon(rng):
@@ -52,10 +52,10 @@ def polygon_views():
     """Random polygons, each with a viewpoint anywhere near it."""
     rng = np.random.default_rng(1)
     polygons = [random_polygon(rng) for _ in range(N_VIEWS // 10)] * 10
-    rows = pack(polygons[: N_VIEWS // 10], 2, N_VIEWS // 10, width=20)[np.arange(N_VIEWS) % 1000]
+    obstacles = world(polygons[: N_VIEWS // 10])
     positions = np.array([p.centroid for p in polygons]) + rng.normal(0, 3, (N_VIEWS, 2))
     shapes = np.array([shapely.Polygon(p.vertices) for p in polygons])
-    return rows, positions, shapes
+    return obstacles, positions, shapes
 
 
 def unwrapped(angles):
@@ -70,8 +70,8 @@ def direction(angles):
 
 class TestDistanceAndNormal:
     def test_of_polygons_equals_shapely(self, polygon_views):
-        rows, positions, shapes = polygon_views
-        distances, normals, _ = views(rows, positions)
+        obstacles, positions, shapes = polygon_views
+        distances, normals, _ = views(obstacles, positions)
         points = shapely.points(positions)
         to_boundary = shapely.distance(shapely.boundary(shapes), points)
         inside = shapely.contains(shapes, points)
@@ -86,15 +86,15 @@ class TestDistanceAndNormal:
         rng = np.random.default_rng(2)
         centres, radii = rng.normal(0, 5, (1000, dim)), rng.uniform(0.1, 5, 1000)
         positions = rng.normal(0, 5, (1000, dim))
-        rows = pack([kind(tuple(c), r) for c, r in zip(centres, radii, strict=True)], dim, 1000)
-        distances, normals, _ = views(rows, positions)
+        obstacles = world([kind(tuple(c), r) for c, r in zip(centres, radii, strict=True)])
+        distances, normals, _ = views(obstacles, positions)
         offsets = positions - centres
         lengths = np.linalg.norm(offsets, axis=1)
         np.testing.assert_allclose(distances, lengths - radii, atol=1e-12)
         np.testing.assert_allclose(normals, offsets / lengths[:, None], atol=1e-12)
 
     def test_hand_computed(self):
-        row = pack([SQUARE], 2, 1)[0]
+        square = world([SQUARE])
         table = [  # position, distance, normal
             ((1.0, 1.5), -0.5, (0, 1)),
             ((3.0, 1.0), 1.0, (1, 0)),
@@ -102,50 +102,52 @@ class TestDistanceAndNormal:
             ((2.0, 0.7), 0.0, (1, 0)),
             ((-1e-17, 0.7), 0.0, (-1, 0)),
         ]
-        normal = np.empty(2)
         for position, distance, expected in table:
-            assert obstacle_distance(row, np.array(position)) == pytest.approx(distance, abs=1e-15)
-            outward_normal(row, np.array(position), normal)
-            np.testing.assert_allclose(normal, expected, atol=1e-15)
+            found, normal = surface(square, 0, triple(position))
+            assert found == pytest.approx(distance, abs=1e-15)
+            np.testing.assert_allclose(normal, triple(expected), atol=1e-15)
 
     def test_on_a_vertex_the_normal_is_that_of_an_edge(self):
-        row, normal = pack([SQUARE], 2, 1)[0], np.empty(2)
+        square = world([SQUARE])
         for x in (2.0, 2.0 + 1e-16, 2.0 - 4e-16, 2.0 + 4e-16):
-            outward_normal(row, np.array([x, 2.0 + 4e-16]), normal)
-            assert tuple(normal) in {(1.0, 0.0), (-0.0, 1.0), (0.0, 1.0), (1.0, -0.0)}
+            _, normal = surface(square, 0, (x, 2.0 + 4e-16, 0.0))
+            assert normal[:2] in {(1.0, 0.0), (-0.0, 1.0), (0.0, 1.0), (1.0, -0.0)}
+            assert normal[2] == 0
 
     def test_absent_slot_is_infinitely_far(self):
-        rows = pack([], 2, 2)
-        assert obstacle_distance(rows[0], np.zeros(2)) == np.inf
-        assert clear_of_obstacles(np.zeros(2), rows, 1e9)
+        absent = world([], 2)
+        assert distance_to(absent, 0, ORIGIN) == np.inf
+        assert clear_of_obstacles(ORIGIN, absent, 1e9)
 
     def test_clear_of_obstacles_asks_for_the_margin_from_every_one(self):
-        rows = pack([Disc((3, 0), 1), Disc((0, 5), 1)], 2, 3)
-        assert clear_of_obstacles(np.zeros(2), rows, 2.0)
-        assert not clear_of_obstacles(np.zeros(2), rows, 2.0 + 1e-9)
-        assert not clear_of_obstacles(np.array([0.0, 4.5]), rows, -0.25)
-        assert clear_of_obstacles(np.array([0.0, 4.5]), rows, -0.75)
+        discs = world([Disc((3, 0), 1), Disc((0, 5), 1)], 3)
+        assert clear_of_obstacles(ORIGIN, discs, 2.0)
+        assert not clear_of_obstacles(ORIGIN, discs, 2.0 + 1e-9)
+        assert not clear_of_obstacles((0.0, 4.5, 0.0), discs, -0.25)
+        assert clear_of_obstacles((0.0, 4.5, 0.0), discs, -0.75)
 
 
 class TestSilhouette2d:
     def test_of_discs_is_the_centre_direction_turned_by_the_half_angle(self):
         rng = np.random.default_rng(3)
         centres, radii = rng.uniform(-10, 10, (N_VIEWS, 2)), rng.uniform(0.05, 5, N_VIEWS)
-        rows = pack([Disc(tuple(c), r) for c, r in zip(centres, radii, strict=True)], 2, N_VIEWS)
+        discs = world([Disc(tuple(c), r) for c, r in zip(centres, radii, strict=True)])
         turn, distance = rng.uniform(0, 7, N_VIEWS), radii * rng.uniform(1.001, 30, N_VIEWS)
-        _, _, seen = views(rows, centres - distance[:, None] * direction(turn))
+        _, _, seen = views(discs, centres - distance[:, None] * direction(turn))
         half = np.arcsin(radii / distance)
         np.testing.assert_allclose(seen[:, 0], direction(turn + half), atol=1e-9)
         np.testing.assert_allclose(seen[:, 1], direction(turn - half), atol=1e-9)
 
     def test_of_polygons_is_the_extreme_vertices(self, polygon_views):
-        rows, positions, shapes = polygon_views
+        obstacles, positions, shapes = polygon_views
         outside = ~shapely.contains(shapes, shapely.points(positions))
-        _, _, seen = views(rows, positions)
+        _, _, seen = views(obstacles, positions)
         for k in np.flatnonzero(outside):
-            corners = rows[k, 4 : 4 + 2 * int(rows[k, 0])].reshape(-1, 2) - positions[k]
+            m = k % len(obstacles.kinds)
+            row, count = obstacles.shapes[m], obstacles.corners[m]
+            corners = row[DETAILS : DETAILS + 2 * count].reshape(-1, 2) - positions[k]
             angles = np.arctan2(corners[:, 1], corners[:, 0])
-            middle = math.atan2(*(rows[k, 2:4] - positions[k])[::-1])
+            middle = math.atan2(*(row[CENTRE : CENTRE + 2] - positions[k])[::-1])
             turns = unwrapped(angles - middle)
             expected = direction(middle + np.array([turns.max(), turns.min()]))
             np.testing.assert_allclose(seen[k], expected, atol=1e-9)
@@ -154,9 +156,10 @@ class TestSilhouette2d:
     def test_no_ray_outside_the_silhouette_meets_the_polygon_and_every_one_inside_does(
         self, polygon_views
     ):
-        rows, positions, shapes = (a[:1000] for a in polygon_views)
+        obstacles, *rest = polygon_views
+        positions, shapes = (a[:1000] for a in rest)
         outside = shapely.distance(shapes, shapely.points(positions)) > 1e-3
-        _, _, seen = views(rows, positions)
+        _, _, seen = views(obstacles, positions)
         for k in np.flatnonzero(outside):
             left, right = np.arctan2(seen[k, :, 1], seen[k, :, 0])
             for edge, inwards in ((left, -1e-6), (right, 1e-6)):
@@ -165,22 +168,22 @@ class TestSilhouette2d:
                     assert shapes[k].intersects(shapely.LineString([positions[k], far])) == hits
 
     def test_on_the_surface_it_is_the_two_directions_along_it(self):
-        square, disc = pack([SQUARE, Disc((0.3, -0.1), 0.7)], 2, 2)
+        both = world([SQUARE, Disc((0.3, -0.1), 0.7)])
         seen = np.empty((2, 2))
         for x in (-1e-16, 0.0, 1e-16):
-            silhouette_2d(square, np.array([x, 0.6]), seen)  # on the left edge, looking right
+            silhouette_2d(both, 0, (x, 0.6, 0.0), seen)  # on the left edge, looking right
             np.testing.assert_allclose(seen, [(0, 1), (0, -1)], atol=1e-12)
-            silhouette_2d(square, np.array([x, x]), seen)  # on a corner
+            silhouette_2d(both, 0, (x, x, 0.0), seen)  # on a corner
             np.testing.assert_allclose(seen, [(0, 1), (1, 0)], atol=1e-12)
-            silhouette_2d(disc, np.array([-0.4 + x, -0.1]), seen)
+            silhouette_2d(both, 1, (-0.4 + x, -0.1, 0.0), seen)
             np.testing.assert_allclose(seen, [(0, 1), (0, -1)], atol=1e-7)
 
 
 class TestSilhouette3d:
     def rays(self, sphere, position, net_bearing, axis_x=(1, 0, 0), axis_y=(0, 1, 0)):
         out = np.full((8, 3), np.nan)
-        vectors = (np.array(v, dtype=float) for v in (position, net_bearing, axis_x, axis_y))
-        silhouette_3d(pack([sphere], 3, 1)[0], *vectors, out)
+        vectors = map(triple, (position, net_bearing, axis_x, axis_y))
+        silhouette_3d(world([sphere]), 0, *vectors, out)
         return out
 
     def test_rays_touch_the_sphere_45_degrees_apart(self):
@@ -252,7 +255,7 @@ class TestFirstCrossing:
         ],
     )
     def test_hand_computed(self, offset, velocity, radius, expected):
-        found = first_crossing(np.array(offset, float), np.array(velocity, float), float(radius))
+        found = first_crossing(triple(offset), triple(velocity), float(radius))
         assert found == pytest.approx(expected, abs=1e-15)
 
     def test_is_the_first_time_on_the_sphere(self):
@@ -262,7 +265,7 @@ class TestFirstCrossing:
         for _ in range(500):
             d = int(rng.integers(2, 4))
             offset, velocity, radius = rng.normal(0, 2, d), rng.normal(0, 4, d), rng.uniform(0.1, 2)
-            s = first_crossing(offset, velocity, radius)
+            s = first_crossing(triple(offset), triple(velocity), radius)
             distances = np.linalg.norm(offset + times[:, None] * velocity, axis=1)
             before = distances[times < s - 1e-9] if s < np.inf else distances
             assert np.all(before > radius - 1e-9)
@@ -272,6 +275,6 @@ class TestFirstCrossing:
         assert crossed > 30
 
     def test_keeps_its_digits_far_away(self):
-        s = first_crossing(np.array([1e6, 0.2]), np.array([-2e6, 0.0]), 0.2 + 1e-9)
+        s = first_crossing((1e6, 0.2, 0.0), (-2e6, 0.0, 0.0), 0.2 + 1e-9)
         assert s == pytest.approx(0.5, abs=1e-10)
-        assert first_crossing(np.array([1e6, 0.2]), np.array([-2e6, 0.0]), 0.2 - 1e-9) == np.inf
+        assert first_crossing((1e6, 0.2, 0.0), (-2e6, 0.0, 0.0), 0.2 - 1e-9) == np.inf

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import importlib
 import os
+import pkgutil
 import subprocess
 import sys
 import tempfile
@@ -14,16 +16,15 @@ import numpy as np
 import pytest
 from conftest import ROOT
 
-from rendezvous_env import compilation as jit
-from rendezvous_env import kernel_cache
-from rendezvous_env.engine import concluding, observing, sharing
-from rendezvous_env.engine import step as kernels
-from rendezvous_env.engine.step import step_blocks
-from rendezvous_env.guarantee import steering
+import baselines
+import rendezvous_env
+import train
+from rendezvous_env import compilation, kernel_cache
+from rendezvous_env.engine import step
 from rendezvous_env.kernel_cache import folder_for
 
 OUTER = """
-from rendezvous_env.jit import kernel
+from rendezvous_env.compilation import kernel
 from .inner import half
 
 @kernel
@@ -31,7 +32,7 @@ def f(x):
     return half(x) + 1.0
 """
 INNER = """
-from rendezvous_env.jit import kernel
+from rendezvous_env.compilation import kernel
 
 @kernel
 def half(x):
@@ -95,7 +96,8 @@ def test_an_edit_anywhere_below_is_noticed(tmp_path, where, chosen):
         folder.mkdir(exist_ok=True)
         (folder / "__init__.py").write_text("")
     (tmp_path / "demo" / "outer.py").write_text(
-        f"from rendezvous_env.jit import kernel\nfrom {names} import (\n    FACTOR as factor,\n)\n"
+        "from rendezvous_env.compilation import kernel\n"
+        f"from {names} import (\n    FACTOR as factor,\n)\n"
         "@kernel\ndef f(x):\n    return factor * x\n"
     )
     for factor in (2.0, 3.0):
@@ -108,20 +110,21 @@ def test_an_edit_anywhere_below_is_noticed(tmp_path, where, chosen):
 
 def test_every_source_that_a_kernel_stands_on_counts():
     """By hand: what the learned policies' perception inlines or freezes, in three packages."""
-    found = kernel_cache._with_imports(ROOT / "train" / "perception.py")
+    found = kernel_cache._with_imports(ROOT / "train" / "learned" / "perception.py")
     names = {str(path.relative_to(ROOT)) for path in found}
-    assert {"train/perception.py", "baselines/silhouettes.py"} <= names
-    assert {f"rendezvous_env/{name}.py" for name in ("heading", "vectors", "jit")} <= names
+    assert {"train/learned/perception.py", "baselines/silhouettes.py"} <= names
+    inlined = ("guarantee/heading", "equations/vectors", "compilation")
+    assert {f"rendezvous_env/{name}.py" for name in inlined} <= names
     assert "rendezvous_env/simulator.py" not in names  # an edit of it need not compile anything
 
 
 def test_a_kernel_of_a_lone_file_is_keyed_by_what_lies_beside_it(tmp_path):
     (tmp_path / "constants.py").write_text("FACTOR = 1.0\n")
     (tmp_path / "mine.py").write_text(
-        "import constants, numpy\nfrom rendezvous_env.jit import kernel\n"
+        "import constants, numpy\nfrom rendezvous_env.compilation import kernel\n"
     )
     found = {path.name for path in kernel_cache._with_imports(tmp_path / "mine.py")}
-    assert found == {"mine.py", "constants.py", "jit.py", "kernel_cache.py"}
+    assert found == {"mine.py", "constants.py", "compilation.py", "kernel_cache.py"}
 
 
 def test_two_installations_leave_each_others_code_alone(tmp_path, monkeypatch):
@@ -213,7 +216,7 @@ def test_bounds_checked_code_is_kept_apart(tmp_path):
 def test_bounds_are_checked_in_inlined_kernels_too(tmp_path):
     """Which count no references: an error has to get through them all the same."""
     (tmp_path / "reading.py").write_text(
-        "import numpy as np\nfrom rendezvous_env.jit import inlined_kernel, kernel\n"
+        "import numpy as np\nfrom rendezvous_env.compilation import inlined_kernel, kernel\n"
         "@inlined_kernel\ndef at(arrays, k):\n    return arrays[0][k]\n"
         "@kernel\ndef read(x, k):\n    return at((x, x), k)\n"
         "try:\n    read(np.zeros(3), 3)\nexcept IndexError as error:\n    print(error)\n"
@@ -223,19 +226,20 @@ def test_bounds_are_checked_in_inlined_kernels_too(tmp_path):
 
 
 def test_kernels_are_serial_release_the_lock_and_divide_like_ieee():
-    options = step_blocks.targetoptions
+    options = step.step_blocks.targetoptions
     assert options["nogil"] and options["error_model"] == "numpy"
     assert not options.get("fastmath") and not options.get("parallel")
 
-    @jit.kernel
+    @compilation.kernel
     def inverse(x):
         return 1.0 / x
 
     assert inverse(0.0) == float("inf")
 
 
-def test_an_inlined_kernel_may_not_allocate():
-    @jit.inlined_kernel
+@pytest.mark.parametrize("decorate", [compilation.kernel, compilation.inlined_kernel])
+def test_a_kernel_may_not_allocate(decorate):
+    @decorate
     def zeros(n):
         return np.zeros(n).sum()
 
@@ -243,35 +247,65 @@ def test_an_inlined_kernel_may_not_allocate():
         zeros(3)
 
 
-def test_no_inlined_kernel_returns_an_array():
+def test_an_allocating_kernel_may_allocate_and_return_arrays():
+    @compilation.allocating_kernel
+    def zeros(n):
+        return np.zeros(n)
+
+    assert zeros(3).tolist() == [0.0, 0.0, 0.0]
+
+
+def all_kernels():
+    """Every kernel of the three packages, by the module and name it was written under."""
+    found = {}
+    for package in (rendezvous_env, baselines, train):
+        for module in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
+            for function in vars(importlib.import_module(module.name)).values():
+                if hasattr(function, "py_func"):
+                    found[f"{function.__module__}.{function.__qualname__}"] = function
+    return found
+
+
+def test_no_kernel_that_counts_no_references_returns_an_array():
     """Nobody would have counted that reference: the array would be freed while it is in use. It is
     refused when it is compiled, so that this holds whether or not code was found on disk.
     """
 
-    @jit.inlined_kernel
+    @compilation.inlined_kernel
     def itself(x):
         return x
 
-    @jit.inlined_kernel
+    @compilation.inlined_kernel
     def within(x):
         return 1, (2.0, x)
 
-    @jit.kernel
+    @compilation.kernel
     def caller(x):
         return within(x)[0]
 
+    @compilation.kernel
+    def lonely(x):
+        return x
+
     ones = np.ones(3)
     assert itself(2.0) == 2.0
-    for function in (itself, within, caller):
+    for function in (itself, within, caller, lonely):
         with pytest.raises(numba.core.errors.TypingError, match="may return no array"):
             function(ones)
-    found = 0
-    for module in (concluding, kernels, observing, sharing, steering):
-        for function in vars(module).values():
-            if getattr(function, "targetoptions", {}).get("forceinline"):
-                found += 1
-                assert function._compiler.compile.__name__ == "compile_checked", function
-    assert found > 15
+    kernels = all_kernels()
+    assert all("_nrt" in kernel.targetoptions for kernel in kernels.values())
+    uncounted = {name: k for name, k in kernels.items() if not k.targetoptions["_nrt"]}
+    unchecked = {
+        name
+        for name, kernel in uncounted.items()
+        if kernel._compiler.compile.__name__ != "compile_checked"
+    }
+    # both give views to kernels that hold the arrays themselves
+    assert unchecked == {f"rendezvous_env.engine.step.{name}" for name in ("_lanes_of", "_hand_of")}
+    assert all(kernels[name].targetoptions["forceinline"] for name in unchecked)
+    folders = {name.rpartition(".")[0].rpartition(".")[0] for name in uncounted}
+    assert {f"rendezvous_env.{name}" for name in ("equations", "engine", "guarantee")} <= folders
+    assert len(uncounted) > 100
 
 
 def test_the_setting_of_numba_is_left_as_it_was():
@@ -283,6 +317,6 @@ def test_the_setting_of_numba_is_left_as_it_was():
 
 @pytest.mark.skipif(bool(numba.config.CACHE_DIR), reason="another place was chosen")
 def test_this_package_keeps_its_kernels_beside_its_sources():
-    here = Path(kernels.__file__)
+    here = Path(step.__file__)
     if os.access(here.parent, os.W_OK):
         assert Path(folder_for(here)).parent == here.parent / "__pycache__"

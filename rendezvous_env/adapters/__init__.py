@@ -1,0 +1,1 @@
+"""Bridges to libraries that train policies; each is loaded by whoever imports it."""

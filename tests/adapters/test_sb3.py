@@ -1,0 +1,267 @@
+"""Slots, ends and advantages, recomputed from single environments in plain Python."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from gymnasium.vector import AutoresetMode
+from stable_baselines3 import PPO
+from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
+
+import rendezvous_env as rv
+from rendezvous_env.adapters.sb3 import RobotVecEnv, make_robots
+from rendezvous_env.vector import HeadingVectorWrapper
+from train.learning.rollout_buffer import RobotPPO
+
+TEAMS, ROBOTS, STEPS, SEED = 8, 3, 90, 4
+GAMMA, LAMBDA = 0.95, 0.9
+SCENARIO = rv.Scenario(
+    n_robots=ROBOTS,
+    merge_radius=0.25,
+    spawn_size=1.1,
+    time_step=0.2,
+    allow_long_step=True,
+    time_limit=4.4,
+)
+"""A small world in which a random policy merges, meets and runs out of time."""
+SETTINGS = {
+    "n_steps": STEPS,
+    "batch_size": 64,
+    "n_epochs": 1,
+    "gamma": GAMMA,
+    "gae_lambda": LAMBDA,
+    "policy_kwargs": {"net_arch": [16]},
+    "device": "cpu",
+    "seed": SEED,
+}
+
+
+@pytest.fixture(autouse=True)
+def one_torch_thread():
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(threads)
+
+
+def collected(algorithm, env):
+    """A model after it has filled its buffer once, before any update."""
+    model = algorithm("MlpPolicy", env, **SETTINGS)
+    with torch.no_grad():
+        model.policy.value_net.weight *= 30.0  # values that matter
+    _, callback = model._setup_learn(STEPS * env.num_envs)
+    model.collect_rollouts(model.env, callback, model.rollout_buffer, STEPS)
+    return model
+
+
+def value_of(model, observation):
+    with torch.no_grad():
+        return model.policy.predict_values(torch.as_tensor(observation[None])).item()
+
+
+class Replay:
+    """One team of a filled buffer, played again in PettingZoo, robot by robot."""
+
+    def __init__(self, model, team):
+        self.model, self.team = model, team
+        self.advantages = {}
+        self.counts = {"met": 0, "merged": 0, "late": 0}
+        self.rewards = {}
+        self.env = rv.parallel_env(SCENARIO)
+        self.seen, _ = self.env.reset(seed=SEED + team)
+        self.open = {name: [] for name in self.env.possible_agents}
+        for t in range(STEPS):
+            self.step(t)
+        for name in self.env.agents:
+            self.close(name, value_of(model, self.seen[name]))
+
+    def step(self, t):
+        alive, buffer = list(self.env.agents), self.model.rollout_buffer
+        actions = {name: buffer.actions[t, self.slot(name)].clip(-2, 2) for name in alive}
+        new, rewards, ends, cuts, infos = self.env.step(actions)
+        met = infos[alive[0]].get("summary", {}).get("success", False)
+        for name in alive:
+            self.rewards[t, self.slot(name)] = rewards[name]
+            self.open[name].append((t, rewards[name], value_of(self.model, self.seen[name])))
+            if met:
+                self.close(name, 0.0)
+            elif ends[name]:
+                self.counts["merged"] += 1
+                self.close(name, value_of(self.model, new[infos[name]["merged_into"]]))
+            elif cuts[name]:
+                self.counts["late"] += 1
+                self.close(name, value_of(self.model, new[name]))
+        self.counts["met"] += met
+        self.seen = new if self.env.agents else self.env.reset()[0]
+
+    def slot(self, name):
+        return self.team * ROBOTS + int(name.removeprefix("robot_"))
+
+    def close(self, name, future):
+        """Generalised advantages of one stretch of life, backwards from the value of its future."""
+        advantage = 0.0
+        for t, reward, value in reversed(self.open[name]):
+            surprise = reward + GAMMA * future - value
+            advantage = surprise + GAMMA * LAMBDA * advantage
+            self.advantages[t, self.slot(name)] = advantage
+            future = value
+        self.open[name] = []
+
+
+def test_advantages_are_those_of_each_robot_on_its_own():
+    np.testing.assert_array_equal(SCENARIO.action_bounds, 2.0)
+    model = collected(RobotPPO, make_robots(SCENARIO, TEAMS))
+    buffer, counts = model.rollout_buffer, {"met": 0, "merged": 0, "late": 0}
+    lived = np.zeros_like(buffer.mask)
+    for team in range(TEAMS):
+        replay = Replay(model, team)
+        for (t, slot), advantage in replay.advantages.items():
+            lived[t, slot] = True
+            assert buffer.advantages[t, slot] == pytest.approx(advantage, abs=2e-5)
+        counts = {key: counts[key] + replay.counts[key] for key in counts}
+    np.testing.assert_array_equal(buffer.mask, lived)
+    assert min(counts.values()) >= 3, counts
+    assert not lived.all()
+
+
+@pytest.mark.filterwarnings("ignore:You have specified a mini-batch size")
+def test_stock_ppo_gets_the_same_rewards_and_values_from_the_infos():
+    ours = collected(RobotPPO, make_robots(SCENARIO, TEAMS)).rollout_buffer
+    stock = collected(PPO, make_robots(SCENARIO, TEAMS)).rollout_buffer
+    mask = ours.mask
+    np.testing.assert_allclose(ours.rewards[mask], stock.rewards[mask], atol=1e-5)
+    np.testing.assert_allclose(ours.advantages[mask], stock.advantages[mask], atol=1e-5)
+    np.testing.assert_array_equal(ours.observations, stock.observations)
+
+
+def test_batches_hold_every_lived_sample_once_and_no_other():
+    buffer = collected(RobotPPO, make_robots(SCENARIO, TEAMS)).rollout_buffer
+    lived = int(buffer.mask.sum())
+    expected = np.sort(buffer.log_probs.swapaxes(0, 1)[buffer.mask.T])
+    batches = list(buffer.get(64))
+    assert {len(batch.returns) for batch in batches} <= {
+        lived // len(batches),
+        lived // len(batches) + 1,
+    }
+    np.testing.assert_array_equal(
+        np.sort(torch.cat([batch.old_log_prob for batch in batches]).numpy()), expected
+    )
+    assert all(batch.observations.abs().sum(dim=(1, 2)).min() > 0 for batch in batches)
+
+
+def random_steps(env, steps, seed=0):
+    random = np.random.default_rng(seed)
+    for _ in range(steps):
+        actions = random.uniform(-2, 2, (env.num_envs, *env.action_space.shape))
+        yield env.step(actions.astype(np.float32))
+
+
+def test_ends_of_slots():
+    env = make_robots(SCENARIO, 20)
+    env.seed(SEED)
+    env.reset()
+    active, merges, meetings, lates = np.ones((20, ROBOTS), bool), 0, 0, 0
+    for obs, rewards, dones, infos in random_steps(env, 60):
+        assert obs.shape == (60, 2, 2) and obs.dtype == rewards.dtype == np.float32
+        assert dones.dtype == bool and obs[dones].shape[0] == dones.sum()
+        np.testing.assert_array_equal(env.acted.reshape(20, ROBOTS), active)
+        for team in range(20):
+            slots = range(team * ROBOTS, (team + 1) * ROBOTS)
+            over = dones[team * ROBOTS]  # robot 0 lives to the end
+            if not over:
+                for slot in slots:
+                    if active[team, slot % ROBOTS] and dones[slot]:
+                        merges += 1
+                        into = env.simulator.merged_into[team, slot % ROBOTS]
+                        survivor = obs[team * ROBOTS + into]
+                        np.testing.assert_array_equal(infos[slot]["terminal_observation"], survivor)
+                        assert infos[slot]["TimeLimit.truncated"] and not obs[slot].any()
+            else:
+                assert all(dones[slot] for slot in slots)
+                told = infos[team * ROBOTS]
+                assert told["is_success"] is told["episode"]["success"]
+                for slot in slots:
+                    cut = active[team, slot % ROBOTS] and not told["is_success"]
+                    assert infos[slot]["TimeLimit.truncated"] == cut
+                    assert infos[slot]["terminal_observation"].shape == (2, 2)
+                meetings, lates = meetings + told["is_success"], lates + (not told["is_success"])
+            assert all("episode" not in infos[slot] for slot in list(slots)[1:])
+        active = env.simulator.active
+    assert merges >= 10 and meetings >= 5 and lates >= 5
+
+
+def test_statistics_are_those_of_teams():
+    env = make_robots(SCENARIO, 4)
+    env.seed(SEED)
+    env.reset()
+    rewards_of, episodes = np.zeros(4), []
+    for _, rewards, _, infos in random_steps(env, 60):
+        rewards_of += rewards[::ROBOTS]
+        for team in range(4):
+            if "episode" in infos[team * ROBOTS]:
+                episode = infos[team * ROBOTS]["episode"]
+                assert episode["r"] == pytest.approx(rewards_of[team], abs=1e-5)
+                assert episode["time"] == pytest.approx(episode["l"] * SCENARIO.tau)
+                rewards_of[team] = 0.0
+                episodes.append(episode)
+    assert len(episodes) >= 8 and {"r", "l", "t", "success", "contacts"} <= episodes[0].keys()
+
+
+def test_nothing_that_was_given_out_changes_later():
+    env = make_robots(SCENARIO, TEAMS)
+    env.reset()
+    kept = []
+    for obs, rewards, dones, infos in random_steps(env, 30):
+        seen = [info["terminal_observation"] for info in infos if "terminal_observation" in info]
+        kept.append([(array, array.copy()) for array in (obs, rewards, dones, *seen)])
+    assert sum(len(step) for step in kept) > 100
+    for step in kept:
+        for array, copy in step:
+            np.testing.assert_array_equal(array, copy)
+
+
+def test_seeds_options_and_attributes_reach_the_teams():
+    env = make_robots(SCENARIO, TEAMS, max_cycles=7)
+    assert env.seed(10) == [10 + slot // ROBOTS for slot in range(TEAMS * ROBOTS)]
+    start = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 2.0]])
+    env.set_options({"positions": start})
+    first = env.reset()
+    np.testing.assert_array_equal(env.simulator.seeds, 10 + np.arange(TEAMS))
+    np.testing.assert_array_equal(env.get_attr("positions", indices=[4])[0], start)
+    assert (env.reset() != first).any()  # options and seeds hold for one reset
+    env.set_options([{"positions": start + slot} for slot in range(env.num_envs)])
+    env.reset()
+    np.testing.assert_array_equal(env.simulator.positions[2], start + 2 * ROBOTS)
+    assert env.get_attr("scenario", indices=0) == [SCENARIO]
+    assert env.get_attr("seeds", indices=[0, 5]) == [10, 11]
+    assert env.env_method("set_max_steps", 9) == [None] * env.num_envs
+    env.set_attr("note", "mine")
+    assert env.get_attr("max_steps")[0] == 9 and env.get_attr("note") == ["mine"] * env.num_envs
+    with pytest.raises(ValueError, match="all slots share"):
+        env.set_attr("note", "other", indices=0)
+    with pytest.raises(AttributeError, match="no_such_thing"):
+        env.get_attr("no_such_thing")
+
+
+def test_other_autoreset_modes_are_refused():
+    with pytest.raises(ValueError, match="SAME_STEP"):
+        RobotVecEnv(rv.make_vec(SCENARIO, 2))
+
+
+def test_ppo_learns_through_wrappers():
+    teams = rv.make_vec(SCENARIO, TEAMS, autoreset_mode=AutoresetMode.SAME_STEP)
+    robots = RobotVecEnv(HeadingVectorWrapper(teams, decision_period=2))
+    assert robots.env_is_wrapped(HeadingVectorWrapper, indices=[1, 2]) == [True, True]
+    model = RobotPPO("MlpPolicy", VecNormalize(robots, norm_obs=False), **SETTINGS)
+    before = model.policy.state_dict()["action_net.weight"].clone()
+    model.learn(STEPS * robots.num_envs)
+    assert (model.policy.state_dict()["action_net.weight"] != before).any()
+    assert len(model.ep_info_buffer) > 0 and "success" in model.ep_info_buffer[0]
+    assert robots.tell_bootstraps
+
+
+def test_ppo_refuses_what_it_cannot_follow():
+    robots = make_robots(SCENARIO, 2)
+    with pytest.raises(TypeError, match="norm_obs"):
+        RobotPPO("MlpPolicy", VecNormalize(VecMonitor(robots)), **SETTINGS).learn(10)

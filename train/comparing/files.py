@@ -1,0 +1,78 @@
+"""The files of a comparison, but for its figures."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+
+from .. import results
+from . import statistics
+from .episodes import Episodes
+from .out_folder import Part
+from .plan import Config
+from .playing import Played
+
+_ROUNDING = 1e-9  # m²/s, of V; a larger rise at a merge above its bound is an error
+
+
+def write(part: Part, played: Sequence[Played], rows: Sequence[dict[str, Any]]) -> list[str]:
+    """Write results.csv, episodes.csv, paired.csv and trajectories.npz; their names."""
+    tables = {
+        "results.csv": (results.RESULT_COLUMNS, rows),
+        "episodes.csv": (results.EPISODE_COLUMNS, _episode_rows(played)),
+        "paired.csv": (results.PAIRED_COLUMNS, _paired_rows(played)),
+    }
+    for name, (columns, content) in tables.items():
+        results.write_csv(part.folder / name, columns, content)
+    results.write_arrays(part.folder / "trajectories.npz", _arrays(played), part.run)
+    return [*tables, "trajectories.npz"]
+
+
+def _episode_rows(played: Sequence[Played]) -> Iterator[dict[str, Any]]:
+    for done in played:
+        head = {"scenario": done.job.scenario.name, "policy": done.job.policy}
+        yield from (head | row for row in done.episodes.rows())
+
+
+def _paired_rows(played: Sequence[Played]) -> Iterator[dict[str, Any]]:
+    by_scenario: dict[str, dict[str, Episodes]] = {}
+    for done in played:
+        by_scenario.setdefault(done.job.scenario.name, {})[done.job.policy] = done.episodes
+    for scenario, episodes in by_scenario.items():
+        yield from statistics.compare_pairs(scenario, episodes)
+
+
+def _arrays(played: Sequence[Played]) -> dict[str, np.ndarray[Any, Any]]:
+    """Recorded arrays under scenario/policy/start/name."""
+    return {
+        f"{done.job.scenario.name}/{done.job.policy}/{start}/{name}": array
+        for done in played
+        for start, recording in enumerate(done.recordings)
+        for name, array in recording.items()
+    }
+
+
+def description(
+    config: Config, played: Sequence[Played], timing: dict[str, float]
+) -> dict[str, Any]:
+    """What run.json says of a comparison."""
+    used = {done.job.scenario.name: done.job.scenario for done in played}
+    return results.provenance() | {
+        "seed": config.seed,
+        "episodes": config.episodes,
+        "keep": config.keep,
+        "scenarios": {name: scenario.to_plain() for name, scenario in used.items()},
+        "policies": {
+            name: [done.job.policy for done in played if done.job.scenario.name == name]
+            for name in used
+        },
+        "merges_above_bound": count_excess(played),
+        "timing": timing,
+    }
+
+
+def count_excess(played: Sequence[Played]) -> int:
+    """Episodes in which a merge raised V above its proven bound."""
+    return sum(int((done.episodes.merge_excess > _ROUNDING).sum()) for done in played)

@@ -1,0 +1,64 @@
+"""Every figure of a comparison."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, Any
+
+from rich.console import Console
+
+from rendezvous_env.experiment.scenario import Scenario
+
+from ..recording import Recording
+from .out_folder import Part
+from .playing import Played
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+def draw(
+    part: Part,
+    rows: Sequence[dict[str, Any]],
+    played: Sequence[Played],
+    pdf: bool,
+    console: Console,
+) -> list[str]:
+    """Draw all figures; the names of their files."""
+    from ..pictures import figures
+
+    files = []
+    with console.status("drawing …"):
+        for name, figure in _figures(rows, played):
+            for ending in ("png", "pdf") if pdf else ("png",):
+                files.append(f"{name}.{ending}")
+                figures.save(figure, part.folder / files[-1], part.run)
+    return files
+
+
+def _figures(
+    rows: Sequence[dict[str, Any]], played: Sequence[Played]
+) -> Iterator[tuple[str, Figure]]:
+    """Every figure with the name of its file."""
+    from ..pictures import figures, path_figures
+
+    yield "success", figures.success_figure(rows)
+    yield "times", figures.time_figure(rows)
+    scenarios = list(dict.fromkeys(done.job.scenario for done in played))
+    for quantity in ("obstacles", "robots"):
+        for number, group in enumerate(figures.sweeps(scenarios, quantity)):
+            figure = figures.sweep_figure(rows, group, quantity)
+            yield f"against-{quantity}" + (f"-{number + 1}" if number else ""), figure
+    for scenario, recordings in _first_starts(played).items():
+        if scenario.dim == 2 and scenario.obstacles:
+            page = path_figures.trajectories_figure(scenario, recordings)
+            yield f"trajectories-{scenario.name}", page
+
+
+def _first_starts(played: Sequence[Played]) -> dict[Scenario, dict[str, Recording]]:
+    """Recordings of the first start, by scenario and policy."""
+    first: dict[Scenario, dict[str, Recording]] = {}
+    for done in played:
+        if done.recordings:
+            first.setdefault(done.job.scenario, {})[done.job.policy] = done.recordings[0]
+    return first

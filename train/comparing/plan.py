@@ -1,0 +1,111 @@
+"""What a comparison is to be: its settings, and the jobs that follow from them."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from rendezvous_env.experiment import scenarios as named_scenarios
+from rendezvous_env.experiment.scenario import Scenario
+
+from ..checks import check_least
+from ..errors import UserError
+from ..learned import policies
+
+DEFAULT_SCENARIOS = (
+    "fig3",
+    "fig4",
+    "duo",
+    "swarm-20",
+    "ring-12",
+    "tree-12",
+    "random-10",
+    "unicycle-6",
+    "uav-6",
+    "cloud-8",
+    "clutter-4",
+    "clutter-8",
+    "clutter-12",
+    "clutter-16",
+    "clutter-24",
+    "clutter-16-team-3",
+    "clutter-16-team-8",
+    "clutter-16-team-16",
+    "clutter-16-team-32",
+)
+
+
+@dataclass(frozen=True)
+class Config:
+    """Compare policies on the same starts and under one speed limit."""
+
+    scenarios: tuple[str, ...] = DEFAULT_SCENARIOS
+    """Names of scenarios, or paths of TOML files."""
+    policies: tuple[str, ...] = ()
+    """Names of policies; none means every one that fits. Where one does not fit it is left out."""
+    episodes: int = 100
+    """Starts for each scenario."""
+    seed: int = 0
+    """Start k of every scenario has the seed SEED + k, whatever the policy."""
+    out: Path = Path("out/compare")
+    """Folder for tables, trajectories and figures; one that is there is replaced at the end. Until
+    then what is finished lies in OUT.part, and the same command goes on with it."""
+    fresh: bool = False
+    """Whether to throw away what another command has left unfinished in OUT.part."""
+    keep: int = 5
+    """Starts of which trajectories are kept."""
+    ceiling: int = 0
+    """Randomised runs of law (4) on each start, the best of which says what any heading policy can
+    reach; 0 leaves this out."""
+    figures: bool = True
+    """Whether to draw figures."""
+    pdf: bool = False
+    """Whether to write each figure as PDF too, for print."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """One policy on one scenario."""
+
+    scenario: Scenario
+    """The experiment."""
+    policy: str
+    """Name of the policy."""
+
+
+def plan(config: Config) -> list[Job]:
+    """The jobs that a configuration asks for.
+
+    Raises:
+        UserError: for an unknown name or an impossible number.
+    """
+    check_least(config, episodes=1, seed=0, keep=0, ceiling=0)
+    if config.seed + config.episodes > 2**63:
+        raise UserError(f"--seed is {config.seed}; with {config.episodes} starts it is too large")
+    policies.check_names(config.policies)
+    jobs: list[Job] = []
+    for scenario in _resolve(config.scenarios):
+        fitting = policies.fitting(scenario, config.policies)
+        if not fitting:
+            known = ", ".join(policies.names(scenario))
+            raise UserError(f"no policy of those named fits {scenario.name}; these do: {known}")
+        jobs += [Job(scenario, name) for name in fitting]
+    return jobs
+
+
+def _resolve(given: Sequence[str]) -> list[Scenario]:
+    if not given:
+        raise UserError("--scenarios names none; known are " + ", ".join(named_scenarios.names()))
+    try:
+        resolved = [named_scenarios.resolve(name) for name in given]
+    except (ValueError, OSError) as error:
+        raise UserError(str(error)) from error
+    names = [scenario.name for scenario in resolved]
+    for name in names:
+        if "/" in name or os.sep in name:
+            raise UserError(f"scenario name {name!r} would name a folder; leave out the slash")
+        if names.count(name) > 1:
+            raise UserError(f"two scenarios are called {name!r}; their results would mix")
+    return resolved

@@ -1,0 +1,83 @@
+"""From what robots see to what they do, a choice in between: the same in training and in use."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rendezvous_env.guarantee.steering import Steering
+
+from .guide import CHOICES, Guide
+from .perception import Perception
+
+
+class GuidedTeams:
+    """B teams whose robots are shown something, choose by it, and head where the guide says.
+
+        show → (a network chooses) → choose → act: guide, certified heading, law (4)
+
+    What is shown moves the memory on, so it is asked for once in each decision; ``act`` follows
+    what is seen in every step.
+
+    Args:
+        steering: of the teams, in the robots' local frames.
+        guide: of their scenario.
+        decision_period: steps for which a choice is held.
+        obstacle_slots: of ``Perception``.
+
+    Raises:
+        ValueError: for robots that ``Perception`` cannot show.
+    """
+
+    def __init__(
+        self,
+        steering: Steering,
+        guide: Guide,
+        *,
+        decision_period: int,
+        obstacle_slots: int | None = None,
+    ) -> None:
+        self.steering, self.guide = steering, guide
+        scenario, teams = steering.scenario, len(steering.alignment)
+        self.perception = Perception(
+            scenario,
+            teams,
+            decision_time=decision_period * scenario.tau,
+            obstacle_slots=obstacle_slots,
+        )
+        self.choices = np.zeros((teams, scenario.n_robots), dtype=np.int64)
+
+    def show(
+        self, observations: NDArray[np.float32], which: NDArray[np.bool_] | None = None
+    ) -> NDArray[np.float32]:
+        """What the robots are shown before they choose; arguments as ``Perception.see``."""
+        return self.perception.see(observations, self.steering.headings, which)
+
+    def choose(self, choices: ArrayLike) -> None:
+        """Take choices (B, n), held until the next ones.
+
+        Raises:
+            ValueError: for another shape, or naming the robot whose choice there is not.
+        """
+        given = np.asarray(choices)
+        if given.shape != self.choices.shape:
+            raise ValueError(
+                f"actions have shape {given.shape}; they must be (B, n) = {self.choices.shape}"
+            )
+        wrong = ~((given >= 0) & (given < CHOICES))
+        for team, robot in np.argwhere(wrong):
+            raise ValueError(
+                f"action of robot_{robot} in team {team} is {given[team, robot]}; it must be a "
+                f"whole number below {CHOICES}"
+            )
+        self.choices = given.astype(np.int64)
+
+    def act(self, observations: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Velocities (B, n, 2), m/s, for observations (B, n, rows, 2) in the local frames."""
+        self.steering.hold(self.guide.aim(observations, self.choices, self.steering.headings))
+        return self.steering.act(observations)
+
+    def forget(self, which: NDArray[np.bool_] | None = None) -> None:
+        """Forget headings and what was seen, of all teams or of those of a mask (B,)."""
+        self.steering.forget(which)
+        self.perception.forget(which)

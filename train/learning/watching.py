@@ -1,0 +1,50 @@
+"""What training tells of its environment: time, alignment, and how episodes ended."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import numpy as np
+
+from rendezvous_env.adapters.sb3 import RobotVecEnv
+
+
+class WatchedRobots(RobotVecEnv):
+    """Robots whose environment's time and alignment are summed up."""
+
+    seconds = 0.0
+    """Spent in steps."""
+    alignment = 0.0
+    """Sum over robots and steps."""
+    aligned = 0
+    """How many terms that sum has."""
+
+    def step_wait(self) -> Any:
+        """As RobotVecEnv, and take the time."""
+        began = time.perf_counter()
+        result = super().step_wait()
+        alignment = self.teams.steering.alignment
+        known = ~np.isnan(alignment)
+        self.alignment += float(alignment[known].sum())
+        self.aligned += int(known.sum())
+        self.seconds += time.perf_counter() - began
+        return result
+
+
+def episode_numbers(episodes: list[dict[str, Any]]) -> dict[str, Any]:
+    """Columns about the episodes that ended in an update; NaN without any."""
+    if not episodes:
+        nothing = dict.fromkeys(("success", "clean_success", "median_time", "return"), np.nan)
+        return {"episodes": 0, **nothing}
+    success = np.array([episode["success"] for episode in episodes])
+    contacts = np.array([episode["contacts"] for episode in episodes])
+    times = np.where(success, [episode["time"] for episode in episodes], np.inf)
+    median = np.median(times)
+    return {
+        "episodes": len(episodes),
+        "success": success.mean(),
+        "clean_success": (success & (contacts == 0)).mean(),
+        "median_time": median if np.isfinite(median) else np.nan,
+        "return": np.mean([episode["r"] for episode in episodes]),
+    }

@@ -1,0 +1,82 @@
+"""What a claim is, what is measured of it, and what is found."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rendezvous_env import Scenario
+from rendezvous_env.trajectory import Policy, Step
+
+from .cases import Case
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+
+@dataclass
+class Record:
+    """What was measured of a batch; all arrays (B,)."""
+
+    case: Case
+    start: Array
+    """V(0), m²/s."""
+    limit: Array
+    """Time by which the team must have met, s."""
+    times: Array
+    """Of the rendezvous, s; inf without."""
+    slack: Array
+    """Least of what V fell in a step beyond what is promised, over V(0)."""
+    fell: Mask
+    """Whether V kept the promise in every step, rounding aside."""
+    excess: Array
+    """Largest rise of V at a merge beyond its bound, over V(0)."""
+    left: NDArray[np.int64]
+    """Robots left at the end."""
+    total: Array
+    """Σ‖u_i‖ at the start over 2 max a_ij; u_i are the speeds the law chose."""
+
+
+Verdict = tuple[Array, Mask]
+"""Margin of each team (negative is bad, rounding aside), and whether the claim held."""
+Draw = Callable[[np.random.Generator, int, float], Case]
+Law = Callable[[Case, int, np.random.Generator], Policy]
+"""(case, B, random numbers) → policy."""
+Bound = Callable[[Case, Array], Array]
+"""(case, V(0) (B,)) → time limits (B,), s."""
+Judge = Callable[[Record], Verdict]
+Promise = Callable[[Scenario, Step], Array]
+"""(scenario, step) → what V must fall in it (B,), m²/s, if nobody merges."""
+
+
+@dataclass(frozen=True)
+class Claim:
+    """One row of the table."""
+
+    name: str
+    statement: str
+    draw: Draw
+    law: Law
+    bound: Bound
+    judges: tuple[Judge, ...]
+    """The first one's margin is reported; a team that fails any violates the claim."""
+    promise: Promise
+    """What V must fall in each step."""
+    timed: bool = False
+    """Whether ``bound`` is a theorem's, so that T/bound is worth reporting."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What one batch says about a claim."""
+
+    trials: int
+    margin: float
+    """Worst over the teams."""
+    time_over_bound: float
+    """Worst over the teams; NaN where the claim names no time."""
+    violations: int
+    case: Case
