@@ -12,7 +12,7 @@ from gymnasium.utils.env_checker import check_env
 import baselines
 import rendezvous_env as rv
 from rendezvous_env import rendezvous_v0
-from rendezvous_env.guarantee.lyapunov import covered, time_bound
+from rendezvous_env.guarantee.bounds import covered, time_bound
 from rendezvous_env.gymnasium_env import make_env
 from rendezvous_env.vector import HeadingVectorWrapper
 
