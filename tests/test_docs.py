@@ -51,11 +51,17 @@ def own_registry(monkeypatch, tmp_path):
 
 @pytest.mark.parametrize("page", with_blocks("python", PAGES[1:]))
 def test_every_python_block_runs(page, tmp_path, monkeypatch, own_registry):
-    """One page is one program, in a folder of its own; README.md is in test_readme.py."""
+    """One page is one program, in a folder of its own; README.md is in test_readme.py.
+
+    A block that begins with the name of a file is that file.
+    """
     monkeypatch.chdir(tmp_path)
     names: dict[str, object] = {}
     for block in blocks(page, "python"):
-        exec(compile(block, str(page), "exec"), names)
+        if file := re.match(r"# (\w+\.py)\n", block):
+            Path(file[1]).write_text(block, encoding="utf-8")
+        else:
+            exec(compile(block, str(page), "exec"), names)
 
 
 @pytest.mark.parametrize("page", with_blocks("bash"))
