@@ -103,7 +103,8 @@ class RendezvousParallelEnv(ParallelEnv[str, NDArray[np.float32], NDArray[np.flo
     | nonholonomic 3-D  | v, ω_α, ω_β    | m/s, rad/s | v_max, 10× turn limit, turn limit; clipped |
 
     v_max is ``max_speed``, the turn limit ``max_turn_rate``; None of either is D̄, the largest sum
-    of gains that a robot can have. a_max is ``max_acceleration``; None is v_max per 0.25 s. Inputs are held over a step τ and integrated exactly.
+    of gains that a robot can have. a_max is ``max_acceleration``; None is v_max per 0.25 s. Inputs
+    are held over a step τ and integrated exactly.
 
     ## Observation space
 
@@ -129,7 +130,8 @@ class RendezvousParallelEnv(ParallelEnv[str, NDArray[np.float32], NDArray[np.flo
     Every robot gets the team reward: progress (V_t − V_{t+1})/V_0, which adds up to at most 1,
     minus ``time_penalty``·τ/time limit, minus ``collision_penalty`` for each robot in contact,
     minus ``clearance_penalty``·max(0, 1 − clearance/``obstacle_range``) for each robot (its weight
-    is 0 unless given), plus ``rendezvous_bonus`` when all have met. With the default weights an episode earns at most 2.
+    is 0 unless given), plus ``rendezvous_bonus`` when all have met. With the default weights an
+    episode earns at most 2.
 
     ## Start
 
