@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import importlib
 import math
+import os
 import subprocess
 import sys
 from pathlib import Path
 from typing import NamedTuple
 
+import numba
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -16,6 +18,8 @@ from scipy.integrate import solve_ivp
 import baselines
 import rendezvous_env as rv
 from baselines import policy
+from rendezvous_env import kernel_cache
+from rendezvous_env.compilation import compiled
 from rendezvous_env.equations import motion
 from rendezvous_env.experiment import robot_models
 
@@ -294,24 +298,29 @@ def test_compare_takes_a_model_and_a_law_of_ones_own(own, tmp_path):
     assert "follow" in (out / "results.csv").read_text()
 
 
-RUN = """
-import numpy as np, rendezvous_env as rv, {module}
+STEP = """
+import numpy as np, rendezvous_env as rv, own_hover
 from rendezvous_env.engine.step import step_blocks
-from rendezvous_env.engine.starts import reset_teams
-sim = rv.Simulator(rv.Scenario(n_robots=2, robot_model={model!r}, time_step=0.1))
-sim.reset(0, {{"positions": [[0.0, 0.0], [9.0, 0.0]]}})
-sim.step({action})
-anew = sum(k.stats.cache_misses.total() if hasattr(k.stats.cache_misses, "total") else
-           sum(k.stats.cache_misses.values()) for k in (step_blocks, reset_teams))
-print(sim.positions[0, 0, 0], anew)
+sim = rv.Simulator(rv.Scenario(n_robots=2, robot_model="hover", time_step=0.1))
+sim.reset(0, {"positions": [[0.0, 0.0], [9.0, 0.0]]})
+sim.step(np.zeros((1, 2, 2)))
+print(sim.positions[0, 0, 0], sum(step_blocks.stats.cache_misses.values()))
 """
+"""A whole step: which takes long to compile."""
+PIECE = """
+import own_hover
+from rendezvous_env.equations.contact import _place_on
+curve = own_hover.Hover(0.1, 9.0), (0.0, 0.0), (1.0, 0.0, 0.0, 1.0), ()
+print(_place_on(curve, (0.0, 0.0, 0.0), 0.1)[0], sum(_place_on.stats.cache_misses.values()))
+"""
+"""A small kernel of the package, in a file that imports no model."""
 
 
-def moved(folder: Path, module: str, model: str, action: str) -> tuple[float, int]:
-    """How far a step goes in a new process, m, and how many of two kernels it compiled anew."""
+def ran(folder: Path, program: str) -> tuple[float, int]:
+    """What a program prints in a new process: a displacement, m, and kernels compiled anew."""
     done = subprocess.run(
-        [sys.executable, "-c", RUN.format(module=module, model=model, action=action)],
-        env={"PYTHONPATH": f"{folder}:{ROOT}", "PATH": ""},
+        [sys.executable, "-c", program],
+        env=os.environ | {"PYTHONPATH": f"{folder}{os.pathsep}{ROOT}"},
         capture_output=True,
         text=True,
     )
@@ -320,18 +329,50 @@ def moved(folder: Path, module: str, model: str, action: str) -> tuple[float, in
     return float(way), int(anew)
 
 
-def test_an_edited_model_moves_as_edited(tmp_path):
-    """Compiled steps are kept on disk: they must follow the file that the model is in, and those
-    that it imports.
+@pytest.mark.skipif(not compiled(), reason="nothing is kept")
+@pytest.mark.parametrize("program", [PIECE, pytest.param(STEP, marks=pytest.mark.slow)])
+def test_an_edited_model_moves_as_edited(program, tmp_path):
+    """Compiled code is kept on disk: it must follow the file that the model is in, and those that
+    it imports.
     """
-    path = tmp_path / "own_hover.py"
-    beside = "WIND = 0.5\n", "from own_weather import WIND\n"
-    path.write_text(HOVER.replace(*beside), encoding="utf-8")
+    text = HOVER.replace("WIND = 0.5\n", "from own_weather import WIND\n")
+    text = text.replace("return (0.0, 0.0)", "return (WIND * time, 0.0)")
+    (tmp_path / "own_hover.py").write_text(text, encoding="utf-8")
     for wind in (0.5, 0.25):
         (tmp_path / "own_weather.py").write_text(f"WIND = {wind}\n", encoding="utf-8")
-        way, _ = moved(tmp_path, "own_hover", "hover", "np.zeros((1, 2, 2))")
-        assert way == pytest.approx(0.1 * wind)
-    assert moved(tmp_path, "own_hover", "hover", "np.zeros((1, 2, 2))") == (way, 0)  # kept
+        assert ran(tmp_path, program)[0] == pytest.approx(0.1 * wind)
+    assert ran(tmp_path, program) == (pytest.approx(0.025), 0)  # what was not edited is kept
+    path = tmp_path / "own_hover.py"
+    path.write_text(text.replace("(WIND *", "(2 * WIND *").replace("+ WIND)", "+ 2 * WIND)"))
+    assert ran(tmp_path, program)[0] == pytest.approx(0.05)
+
+
+@pytest.mark.skipif(not compiled(), reason="there are no types")
+def test_what_is_compiled_for_a_model_stands_on_its_files():
+    """Those of the package too: kernels that take a model need not import it."""
+    one, two = (
+        rv.Scenario(robot_model=name).model.constants(rv.Scenario())
+        for name in ("single_integrator", "double_integrator")
+    )
+    kinds = [numba.typeof(model) for model in (one, two)]
+    nested = (numba.int64, numba.types.Tuple((kinds[0], numba.types.Tuple((kinds[1],)))))
+    found = kernel_cache._files_behind(nested)
+    assert {path.name for path in found} == {"kinematics.py", "double_integrator.py"}
+    assert kernel_cache._files_behind((numba.int64,)) == frozenset()
+    source = Path(kernel_cache.__file__)
+    assert kernel_cache._digest(source) != kernel_cache._digest(source, found)
+
+
+def test_a_model_of_the_script_that_is_run_is_not_kept(monkeypatch):
+    """No later process could find its type again."""
+    kind = type("Loose", (tuple,), {"__module__": "__main__"})
+    monkeypatch.setattr(kernel_cache, "_CHOSEN_BY", {})
+    kernel_cache.depends_on(kind, (follow,))
+    assert kernel_cache._CHOSEN_BY == {kind: None}
+    typed_in = eval(compile("lambda: 0", "<typed in>", "eval"))
+    kind = type("Loose", (tuple,), {"__module__": __name__})
+    kernel_cache.depends_on(kind, (follow, typed_in))
+    assert kernel_cache._CHOSEN_BY[kind] is None
 
 
 class Still(NamedTuple):
