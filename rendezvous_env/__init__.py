@@ -14,6 +14,7 @@ from .experiment.obstacles import Capsule, Disc, ObstacleField, Polygon, Sphere
 from .experiment.rewards import RewardWeights
 from .experiment.robot_models import RobotModel, register_robot_model
 from .experiment.scenario import Scenario, TimeStepWarning
+from .first_use import announce
 from .guarantee.certificate import Certificate, certificate
 from .guarantee.heading import certified_heading
 from .gymnasium_env import make_vec
@@ -57,3 +58,4 @@ __all__ = [
 ]
 
 register()
+announce()

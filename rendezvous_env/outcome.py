@@ -38,7 +38,7 @@ class Outcome:
     active: NDArray[np.bool_]
     """(B, n), whether the robot still exists on its own."""
     status: NDArray[np.int64]
-    """(B,), RUNNING, RENDEZVOUS or TIME_OUT of teams.py."""
+    """(B,), RUNNING, RENDEZVOUS or TIME_OUT of engine.memory."""
     robot_rewards: NDArray[np.float64]
     """(B, n), the team reward of robots that took part in the step, else 0; with ``on_merge``
     "follow" all do."""

@@ -13,16 +13,15 @@ from pettingzoo.utils.env import AECEnv, ParallelEnv
 
 from .aec import OneAfterAnother
 from .drawing.renderer import RENDER_MODES, Renderer, render_metadata
-from .engine.state_checks import check_keys
-from .experiment.checks import shown
 from .experiment.scenario import Scenario
 from .experiment.scenarios import ScenarioLike, resolve
 from .roster import (
     Infos,
     Observations,
     StepReturn,
-    alive_in,
     check_robots,
+    check_state,
+    infos_of_start,
     names_of,
     table_of,
     tell,
@@ -221,12 +220,8 @@ class RendezvousParallelEnv(ParallelEnv[str, NDArray[np.float32], NDArray[np.flo
         """
         observations = self.simulator.reset(seed, options)[0]
         self.agents = self.possible_agents.copy()
-        clearances = zip(self.agents, self.simulator.clearance[0].tolist(), strict=True)
-        infos: Infos = {
-            name: {"merged_into": None, "contact": False, "clearance": clearance}
-            for name, clearance in clearances
-        }
         self.renderer.reset()
+        infos = infos_of_start(self.agents, self.simulator)
         return dict(zip(self.agents, observations, strict=True)), infos
 
     def step(self, actions: Mapping[str, Any]) -> StepReturn:
@@ -285,13 +280,7 @@ class RendezvousParallelEnv(ParallelEnv[str, NDArray[np.float32], NDArray[np.flo
         Raises:
             ValueError: naming what does not fit; nothing has changed then.
         """
-        check_keys(state, ("agents", "simulator"))
-        teams = self.simulator.check_state(state["simulator"])
-        alive, given = alive_in(teams, self.scenario.on_merge), state["agents"]
-        if not isinstance(given, list | tuple) or list(given) != alive:
-            raise ValueError(
-                f"state: agents is {shown(given)}; with this simulator's state it must be {alive}"
-            )
+        teams, alive = check_state(state, self.simulator)
         self.simulator.set_state(teams)
         self.agents = alive
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .engine.memory import RENDEZVOUS, RUNNING, TIME_OUT
+from .engine.state_checks import check_keys
 from .experiment.checks import check_action, floats, refuse, shown
 from .infos import summary_of
 from .outcome import Outcome
@@ -35,6 +36,24 @@ def alive_in(teams: Mapping[str, NDArray[Any]], on_merge: str) -> list[str]:
     if on_merge == "follow":
         return names
     return [name for i, name in enumerate(names) if into[i] == i]
+
+
+def check_state(
+    state: Mapping[str, Any], simulator: Simulator
+) -> tuple[dict[str, NDArray[Any]], list[str]]:
+    """The simulator's part of a state of a team by name, and who is alive in it.
+
+    Raises:
+        ValueError: naming what does not fit.
+    """
+    check_keys(state, ("agents", "simulator"))
+    teams = simulator.check_state(state["simulator"])
+    alive, given = alive_in(teams, simulator.scenario.on_merge), state["agents"]
+    if not isinstance(given, list | tuple) or list(given) != alive:
+        raise ValueError(
+            f"state: agents is {shown(given)}; with this simulator's state it must be {alive}"
+        )
+    return teams, alive
 
 
 def check_robots(actions: Any, alive: Sequence[str], merged_into: NDArray[np.int64]) -> None:
@@ -102,6 +121,14 @@ def _explain(actions: Any, alive: Sequence[str], simulator: Simulator) -> None:
     check_robots(actions, alive, simulator.merged_into[0])
     for name in alive:
         check_action(name, actions[name], simulator.scenario.action_size)
+
+
+def infos_of_start(names: Sequence[str], simulator: Simulator) -> Infos:
+    """What the robots are told at the start of an episode."""
+    return {
+        name: {"merged_into": None, "contact": False, "clearance": clearance}
+        for name, clearance in zip(names, simulator.clearance[0].tolist(), strict=True)
+    }
 
 
 def tell(

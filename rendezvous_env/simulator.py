@@ -28,12 +28,14 @@ from .engine.memory import (
 )
 from .engine.preparation import (
     Arrangement,
+    constants,
     drafts,
     fixed_links,
     fixed_obstacles,
     hands_of_threads,
     lanes_of_threads,
-    physics,
+    layout,
+    robot,
     start_rules,
     whole_rows,
 )
@@ -96,7 +98,8 @@ class Simulator:
         self._acted = (self.num_envs, scenario.n_robots, scenario.action_size)
         self._observed = (self.num_envs, scenario.n_robots, *scenario.observation_layout.shape)
         self._width = _width(scenario, self.num_envs, self.num_threads)
-        self._physics = physics(scenario, self.num_envs, self.max_steps)
+        self._layout, self._robot = layout(scenario, self.num_envs), robot(scenario)
+        self._constants = constants(scenario, self.max_steps)
         self._lanes = tuple(lanes_of_threads(scenario, self.num_envs, self._width))
         self._hands = tuple(hands_of_threads(scenario, self.num_envs, self._width))
         self._blocks = np.arange(self._state.blocks)
@@ -137,8 +140,10 @@ class Simulator:
         Raises:
             ValueError: for a bad option, seed or mask; nothing has changed then.
             RuntimeError: if no room was found for a start or an obstacle; nothing has changed then.
+                Or if the graph drawn gives a robot more neighbours than the observation has rows.
         """
         given = parse_options(self.scenario, self.num_envs, options)
+        self._check_room_for_links(given)
         self._begin(self._which(mask), seeds_of_teams(seed, self.num_envs), given, resting)
         return self.observe()
 
@@ -154,6 +159,7 @@ class Simulator:
         Raises:
             ValueError: for a bad mask, or an outcome of other teams; nothing has changed then.
             RuntimeError: if no room was found for a start or an obstacle; nothing has changed then.
+                Or if the graph drawn gives a robot more neighbours than the observation has rows.
         """
         which = self._which(mask)
         if outcome is not None:
@@ -164,6 +170,7 @@ class Simulator:
             results.contact[which], results.active[which] = False, True
             results.status[which] = RUNNING
             self._observe_blocks(np.unique(which // self._state.lanes), results)
+            self._refuse_crowds(results)
 
     def _begin(
         self,
@@ -183,9 +190,10 @@ class Simulator:
                 rules,
                 self._seed,
                 self._episode,
-                self._physics,
+                self._layout,
+                self._robot,
                 tuple(state.teams),
-                tuple(state.links),
+                state.links,
                 state.obstacles,
                 tuple(array[0] for array in self._hands),
                 tuple(drafts(self.scenario, self.num_envs, len(which))),
@@ -275,10 +283,10 @@ class Simulator:
         """Let up to ``width`` threads step or observe some blocks."""
         state, written = self._state, tuple(results)
         table = table.reshape(self.num_envs, -1)
-        fixed = (moves, blocks, self._physics, tuple(state.teams), tuple(state.links))
-        given = (state.obstacles, table, written, self._lanes, self._hands)
+        fixed = (moves, blocks, self._layout, self._constants, self._robot, tuple(state.teams))
+        given = (state.links, state.obstacles, table, written, self._lanes, self._hands)
         if (run := self._run) is None:  # before threads share it: compiling may be interrupted
-            writable = (state.obstacles, np.empty_like(table), *given[2:])
+            writable = (*given[:2], np.empty_like(table), *given[3:])
             run = self._run = entry_point(step_blocks, (example_part(), *fixed, *writable))
         threads.share(lambda part: run(part, *fixed, *given), len(blocks), width)
 
@@ -490,7 +498,7 @@ class Simulator:
             ValueError: if it is not a positive whole number.
         """
         self.max_steps = whole("max_cycles", max_steps, 1, MOST_STEPS)
-        self._physics = physics(self.scenario, self.num_envs, self.max_steps)
+        self._constants = constants(self.scenario, self.max_steps)
 
     def __getstate__(self) -> dict[str, Any]:
         """Pickle and deepcopy keep the running episodes and leave the working memory behind."""
@@ -538,6 +546,16 @@ class Simulator:
             entropy = np.random.SeedSequence().generate_state(len(unseeded), np.uint64)
             overwrite(self._seed, unseeded, entropy >> np.uint64(1), log)
             overwrite(self._seeded, unseeded, True, log)
+
+    def _check_room_for_links(self, given: StartOptions) -> None:
+        """Refuse given weights with more links than a team of this graph can keep."""
+        room = self._state.room_for_links
+        for weights in () if given.weights is None else given.weights:
+            if (found := np.count_nonzero(np.triu(weights))) > room:
+                raise ValueError(
+                    f"weights have {found} links; teams of this scenario's graph have room for "
+                    f"{room}; give the scenario a graph with as many"
+                )
 
     def _take_given(
         self, which: NDArray[np.int64], given: StartOptions, log: list[Overwritten]

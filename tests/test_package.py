@@ -8,6 +8,7 @@ import os
 import subprocess
 import sys
 import tomllib
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -25,6 +26,43 @@ MODULES = sorted(
     for package in PACKAGES
     for path in (ROOT / package).rglob("*.py")
 )
+FLAT = {
+    "compilation": "compilation", "kernel_cache": "compilation",
+    "simulator": "simulator", "outcome": "simulator", "trajectory": "simulator",
+}  # fmt: skip
+"""Rooms of the files that lie in rendezvous_env itself; the others are faces."""
+BELOW = {
+    "compilation": set(),
+    "rendezvous_env.equations": set(),
+    "rendezvous_env.experiment": {"rendezvous_env.equations"},
+    "rendezvous_env.engine": {
+        "rendezvous_env.equations", "rendezvous_env.experiment",
+    },
+    "rendezvous_env.guarantee": {
+        "rendezvous_env.equations", "rendezvous_env.experiment",
+        "rendezvous_env.engine",
+    },
+    "simulator": {
+        "rendezvous_env.equations", "rendezvous_env.experiment",
+        "rendezvous_env.engine",
+    },
+    "rendezvous_env.drawing": {
+        "simulator", "rendezvous_env.engine", "rendezvous_env.experiment",
+    },
+    "faces": {
+        "simulator", "rendezvous_env.guarantee", "rendezvous_env.engine",
+        "rendezvous_env.experiment", "rendezvous_env.drawing",
+    },
+    "rendezvous_env.adapters": {
+        "faces", "simulator", "rendezvous_env.engine", "rendezvous_env.experiment",
+    },
+}  # fmt: skip
+"""What each room of the environment may import, beside itself and ``compilation``."""
+LONGEST = 300
+MAY_BE_LONGER = {
+    "rendezvous_env.simulator", "rendezvous_env.experiment.graphs",
+    "rendezvous_env.experiment.scenario",
+}  # fmt: skip
 CORE = [name for name in MODULES if not name.startswith("train")]
 
 
@@ -33,15 +71,52 @@ def source_of(module: str) -> Path:
     return path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
 
 
-def imports(module: str) -> set[str]:
-    """Top-level packages that a module imports anywhere in its source."""
+@cache
+def imported_names(module: str) -> set[str]:
+    """Full names that a module imports anywhere in its source, in functions and for types too."""
+    package = module if source_of(module).name == "__init__.py" else module.rpartition(".")[0]
     found = set()
     for node in ast.walk(ast.parse(source_of(module).read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
-            found |= {alias.name.split(".")[0] for alias in node.names}
-        elif isinstance(node, ast.ImportFrom) and node.level == 0:
-            found.add(str(node.module).split(".")[0])
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            parents = package.split(".")[: len(package.split(".")) + 1 - node.level]
+            base = ".".join([*(parents if node.level else []), *filter(None, [node.module])])
+            found |= {f"{base}.{alias.name}" for alias in node.names}
     return found
+
+
+def imports(module: str) -> set[str]:
+    """Top-level packages that a module imports."""
+    return {name.split(".")[0] for name in imported_names(module)}
+
+
+@cache
+def ours(module: str) -> set[str]:
+    """Modules of our packages that a module imports; a package itself if a name of it is."""
+    names = imported_names(module)
+    found = {name if name in MODULES else name.rpartition(".")[0] for name in names}
+    return (found & set(MODULES)) - {module}
+
+
+@cache
+def all_imported(module: str) -> set[str]:
+    """Modules of ours that are imported by it, directly or through others."""
+    seen, left = set(), {module}
+    while left:
+        seen |= left
+        left = {name for each in left for name in ours(each)} - seen
+    return seen
+
+
+def room_of(module: str) -> str:
+    """The folder that a module stands in; files beside others' folders are rooms of their own."""
+    parts = module.split(".")
+    if parts[0] == "rendezvous_env" and len(parts) < 3:
+        return FLAT.get(parts[-1], "faces")
+    if parts[0] == "train" and len(parts) < 3:
+        return module
+    return ".".join(parts[:2]) if len(parts) > 1 else parts[0]
 
 
 def run_python(code: str, cwd: Path, *flags: str, **environment: str) -> str:
@@ -65,7 +140,7 @@ def test_nothing_points_back(module):
     floor = PACKAGES[module.split(".")[0]]
     wrong = {name for name in imports(module) if PACKAGES.get(name, -1) > floor}
     assert not wrong
-    if floor < PACKAGES["train"]:
+    if floor < PACKAGES["train"] and room_of(module) != "rendezvous_env.adapters":
         assert not imports(module) & HEAVY
     assert "tests" not in imports(module)
 
@@ -86,6 +161,46 @@ def test_a_law_reads_no_position():
             assert "Simulator" not in text and ".simulator" not in text
 
 
+def test_the_reader_of_imports_follows_relative_ones():
+    assert "rendezvous_env.equations.vectors" in ours("rendezvous_env.equations.bearings")
+    assert "train.checks" in ours("train.comparing.plan")
+    assert "train.pictures.figures" in ours("train.comparing.gallery")  # in a function
+    assert "rendezvous_env.experiment.scenarios" in ours("rendezvous_env.adapters.sb3")  # a type
+    assert "rendezvous_env.experiment.graphs" in ours("rendezvous_env")
+
+
+@pytest.mark.parametrize("module", MODULES)
+def test_no_file_imports_in_a_circle(module):
+    for name in ours(module):
+        assert module not in all_imported(name), f"{module} and {name} import each other"
+
+
+def test_no_two_rooms_import_each_other():
+    pairs = {(room_of(a), room_of(b)) for a in MODULES for b in ours(a)}
+    assert ("train.comparing", "train.learned") in pairs
+    both = {(a, b) for a, b in pairs if a < b and (b, a) in pairs}
+    assert both == set()
+
+
+@pytest.mark.parametrize("module", [name for name in MODULES if name.startswith("rendezvous_env")])
+def test_rooms_of_the_environment_stand_on_one_another(module):
+    room = room_of(module)
+    assert {room_of(name) for name in ours(module)} <= BELOW[room] | {room, "compilation"}
+
+
+@pytest.mark.parametrize("face", ["gymnasium_env", "vector_env", "vector", "adapters.slots"])
+def test_arrays_need_no_pettingzoo(face):
+    reached = all_imported(f"rendezvous_env.{face}")
+    assert "rendezvous_env.simulator" in reached or face == "adapters.slots"
+    assert not [name for name in reached if "pettingzoo" in imports(name)]
+
+
+@pytest.mark.parametrize("module", MODULES)
+def test_no_file_is_long(module):
+    lines = len(source_of(module).read_text(encoding="utf-8").splitlines())
+    assert lines <= LONGEST or module in MAY_BE_LONGER
+
+
 # ---- importing ----------------------------------------------------------------------------------
 
 
@@ -94,6 +209,20 @@ def test_an_import_pulls_in_nothing_heavy(tmp_path):
     loaded = set(run_python(code, tmp_path, "-W", "error").split())
     assert {"numpy", "numba", "rendezvous_env", "baselines"} <= loaded
     assert not loaded & LAZY
+
+
+def test_train_itself_is_light_and_knows_the_short_names(tmp_path):
+    code = (
+        "import sys, train; light = not {'torch', 'stable_baselines3', 'rich'} & set(sys.modules);"
+        "from train import compare, learned_policy, ppo;"
+        "from train.comparing import compare as c; from train.learning import ppo as p;"
+        "from rendezvous_env.adapters import sb3;"
+        "print(light, compare is c, ppo is p, learned_policy.PRETRAINED.name,"
+        "train.sb3_vec_env.make_robots is sb3.make_robots)"
+    )
+    assert run_python(code, tmp_path).split() == ["True", "True", "True", "pretrained", "True"]
+    with pytest.raises(ImportError, match="cannot import name 'no_such_module'"):
+        exec("from train import no_such_module")
 
 
 def test_a_rollout_needs_nothing_heavy_either(tmp_path):
@@ -151,6 +280,12 @@ def test_the_signatures_of_the_design():
     }.items():  # fmt: skip
         assert defaults[name].default == value, name
     assert rv.Scenario().sensing_graph == rv.graphs.complete()
+
+
+def test_the_project_lists_every_folder():
+    listed = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]
+    folders = {name for name in MODULES if source_of(name).name == "__init__.py"}
+    assert set(listed["setuptools"]["packages"]) == folders
 
 
 def test_versions_agree():

@@ -30,8 +30,8 @@ def policies(scenario: rv.Scenario) -> list[str]:
     return sorted(baselines.names(scenario))
 
 
-def trajectory(name: str, policy_name: str) -> np.ndarray:
-    """Positions (1 + STEPS/EVERY, TEAMS, n, d), m, of a policy in a named scenario."""
+def trajectory(name: str, policy_name: str, steps: int = STEPS) -> np.ndarray:
+    """Positions (1 + steps/EVERY, TEAMS, n, d), m, of a policy in a named scenario."""
     scenario = rv.scenarios.get(name)
     simulator = rv.Simulator(scenario, TEAMS)
     policy = baselines.make(policy_name, scenario)
@@ -39,7 +39,7 @@ def trajectory(name: str, policy_name: str) -> np.ndarray:
         forget()
     observations = simulator.reset(seed=7)
     places = [simulator.positions]
-    for step in range(1, STEPS + 1):
+    for step in range(1, steps + 1):
         actions = np.asarray(policy(observations, simulator.time), dtype=np.float32)
         observations = simulator.step(actions).observations
         if step % EVERY == 0:

@@ -22,6 +22,7 @@ COMMANDS = {
     "bench": ("benchmark.bench", "how fast the environments are on this machine"),
     "render": ("pictures.render", "one episode as a film (gif, mp4) or a figure (png, pdf)"),
     "reproduce": ("pictures.reproduce", "draw figure 3 or 4 of the paper for our start positions"),
+    "warmup": ("benchmark.warmup", "compile beforehand what the first use would compile"),
     "verify": ("verification.verify", "check the theorems on random teams; status 1 if one fails"),
 }
 """Module in ``train`` and one line of help for each command."""

@@ -32,29 +32,41 @@ _CLEARANCE = 1e-9  # m; nearer than this to what it could reach, a robot is move
 
 
 @inlined_kernel
-def advance_block(block, count, physics, teams, links, obstacles, results, buffers, hand):
+def advance_block(
+    block, count, layout, constants, robot, teams, links, obstacles, results, buffers, hand
+):
     """Carry out the displacements; teams in which something can meet go one by one."""
-    lanes = lane_count(physics.width)
+    lanes = lane_count(layout.width)
     first, tally = block * lanes, buffers.tally
     tally[:] = 0.0
     results.contact[first : first + count] = False
-    _mark_near(block, physics, teams, obstacles, buffers)
+    _mark_near(block, layout, constants, teams, obstacles, buffers)
     for lane in range(count):
         if tally[PROXIMITY * lanes + lane] != FREE:
             if teams.statistics[block, STATUS * lanes + lane] == RUNNING:
                 _advance_exactly(
-                    block, lane, physics, teams, links, obstacles, results, buffers, hand
+                    block,
+                    lane,
+                    layout,
+                    constants,
+                    robot,
+                    teams,
+                    links,
+                    obstacles,
+                    results,
+                    buffers,
+                    hand,
                 )
             else:  # nothing meets before an episode's first step or after its last
                 tally[PROXIMITY * lanes + lane] = FREE
     for i in range(buffers.action.shape[0]):
-        _add_displacements(physics, buffers.displacement[i], tally, teams.positions[block, i])
+        _add_displacements(layout, buffers.displacement[i], tally, teams.positions[block, i])
 
 
 @inlined_kernel
-def _add_displacements(physics, displacement, tally, positions):
+def _add_displacements(layout, displacement, tally, positions):
     """Move one robot of every team that is free, and add up the ways."""
-    d, lanes = len(physics.axes), lane_count(physics.width)
+    d, lanes = len(layout.axes), lane_count(layout.width)
     for k in range(d):
         for lane in range(lanes):
             free = tally[PROXIMITY * lanes + lane] == FREE
@@ -64,29 +76,29 @@ def _add_displacements(physics, displacement, tally, positions):
 
 
 @inlined_kernel
-def _mark_near(block, physics, teams, obstacles, buffers):
+def _mark_near(block, layout, constants, teams, obstacles, buffers):
     """Mark teams where neighbours start within r + 2 v_max τ, or a robot within v_max τ of an
     obstacle.
     """
-    lanes = lane_count(physics.width)
-    reach = physics.speed_limit * physics.duration * _ROUNDING
-    square_reach = (physics.merge_radius * _ROUNDING + 2.0 * reach) ** 2
+    lanes = lane_count(layout.width)
+    reach = constants.speed_limit * constants.duration * _ROUNDING
+    square_reach = (constants.merge_radius * _ROUNDING + 2.0 * reach) ** 2
     for lane in range(lanes):
         square_closest = teams.statistics[block, SQUARE_CLOSEST * lanes + lane]
         buffers.tally[PROXIMITY * lanes + lane] = MOVED if square_closest < square_reach else FREE
     if obstacles is not None:
-        if physics.contact_mode != IGNORE:
+        if constants.contact_mode != IGNORE:
             for m in range(buffers.balls.shape[0]):
                 for i in range(buffers.action.shape[0]):
                     _mark_near_ball(
-                        physics, teams.positions[block, i], buffers.balls[m], reach, buffers.tally
+                        layout, teams.positions[block, i], buffers.balls[m], reach, buffers.tally
                     )
 
 
 @inlined_kernel
-def _mark_near_ball(physics, position, ball, reach, tally):
+def _mark_near_ball(layout, position, ball, reach, tally):
     """Mark teams in which a robot is within reach of the bounding ball of an obstacle."""
-    d, lanes = len(physics.axes), lane_count(physics.width)
+    d, lanes = len(layout.axes), lane_count(layout.width)
     for lane in range(lanes):
         square = 0.0
         for k in range(d):
@@ -98,19 +110,23 @@ def _mark_near_ball(physics, position, ball, reach, tally):
 
 
 @kernel
-def _advance_exactly(block, lane, physics, teams, links, obstacles, results, buffers, hand):
+def _advance_exactly(
+    block, lane, layout, constants, robot, teams, links, obstacles, results, buffers, hand
+):
     """Move one team with swept contacts and merges."""
-    lanes, d = lane_count(physics.width), len(physics.axes)
+    lanes, d = lane_count(layout.width), len(layout.axes)
     team = block * lanes + lane
-    _load_team(block, lane, physics, teams, buffers, hand)
+    _load_team(block, lane, layout, teams, buffers, hand)
     if obstacles is not None:
-        if physics.contact_mode != IGNORE:
-            _stay_outside(block, lane, physics, teams, obstacles, results, buffers, hand)
+        if constants.contact_mode != IGNORE:
+            _stay_outside(
+                block, lane, layout, constants, robot, teams, obstacles, results, buffers, hand
+            )
     for i in range(hand.lengths.shape[0]):
         buffers.took_part[lane, i] = teams.merged_into[team, i] == i
         for k in range(d):
             buffers.displacement[i, k * lanes + lane] = hand.displacements[i, k]
-    merges = _merge_team(block, lane, physics, teams, links, obstacles, hand)
+    merges = _merge_team(block, lane, layout, constants, teams, links, obstacles, hand)
     for i in range(hand.lengths.shape[0]):
         buffers.displacement[i, d * lanes + lane] = hand.lengths[i]
         for k in range(d):
@@ -124,9 +140,9 @@ def _advance_exactly(block, lane, physics, teams, links, obstacles, results, buf
 
 
 @kernel
-def _load_team(block, lane, physics, teams, buffers, hand):
+def _load_team(block, lane, layout, teams, buffers, hand):
     """Places and proposed displacements of one team into working memory."""
-    lanes, d = lane_count(physics.width), len(physics.axes)
+    lanes, d = lane_count(layout.width), len(layout.axes)
     for i in range(hand.lengths.shape[0]):
         hand.lengths[i] = buffers.displacement[i, d * lanes + lane]
         for k in range(d):
@@ -135,10 +151,10 @@ def _load_team(block, lane, physics, teams, buffers, hand):
 
 
 @kernel
-def _merge_team(block, lane, physics, teams, links, obstacles, hand):
+def _merge_team(block, lane, layout, constants, teams, links, obstacles, hand):
     """Move the team at hand and merge whom that brings together; number of merges."""
-    team = block * lane_count(physics.width) + lane
-    count = load_links(block, lane, physics, links, hand)
+    team = block * lane_count(layout.width) + lane
+    count = load_links(block, lane, links, hand)
     listed = (hand.first[:count], hand.second[:count], hand.weights[:count])
     hand.report[:] = 0.0
     merges = merge_swept(
@@ -148,19 +164,19 @@ def _merge_team(block, lane, physics, teams, links, obstacles, hand):
         listed,
         teams.merged_into[team],
         world_of(obstacles, team),
-        physics.merge_radius,
+        constants.merge_radius,
         (hand.moments, hand.here, hand.resting),
         hand.report,
     )
     if merges > 0:
-        store_links(block, lane, count, physics, links, hand)
+        store_links(block, lane, count, links, hand)
     return merges
 
 
 @kernel
-def _stay_outside(block, lane, physics, teams, obstacles, results, buffers, hand):
+def _stay_outside(block, lane, layout, constants, robot, teams, obstacles, results, buffers, hand):
     """Replace the displacements of the team at hand by those that obstacles leave."""
-    lanes, width = lane_count(physics.width), physics.width
+    lanes, width = lane_count(layout.width), layout.width
     team = block * lanes + lane
     world = world_of(obstacles, team)
     for i in range(hand.lengths.shape[0]):
@@ -169,14 +185,15 @@ def _stay_outside(block, lane, physics, teams, obstacles, results, buffers, hand
         contact, executed = _hindered(
             load(hand.positions[i]),
             load(hand.displacements[i]),
-            physics,
-            read(buffers.action[i], lane, width, physics.inputs),
-            read(teams.frames[block, i], lane, width, physics.entries),
-            read(teams.memory[block, i], lane, width, physics.memories),
+            constants.contact_mode,
+            robot,
+            read(buffers.action[i], lane, width, robot.inputs),
+            read(teams.frames[block, i], lane, width, layout.entries),
+            read(teams.memory[block, i], lane, width, robot.memories),
             world,
             hand.normals,
         )
-        for k in range(len(physics.axes)):
+        for k in range(len(layout.axes)):
             hand.displacements[i, k] = executed[k]
         if contact:
             results.contact[team, i] = True
@@ -185,8 +202,7 @@ def _stay_outside(block, lane, physics, teams, obstacles, results, buffers, hand
 
 
 @kernel
-def _hindered(point, way, physics, action, frame, memory, world, normals):
-    mode = physics.contact_mode
+def _hindered(point, way, mode, robot, action, frame, memory, world, normals):
     if len(memory) == 0:  # a model that keeps nothing goes straight
         return move_straight(point, way, world, mode, normals)
-    return move_curved(point, way, physics.model, action, frame, memory, world, mode, normals)
+    return move_curved(point, way, robot.model, action, frame, memory, world, mode, normals)

@@ -34,32 +34,33 @@ _AFTER_MERGE = SCORED + LYAPUNOV_AFTER_MERGE
 
 
 @inlined_kernel
-def conclude_block(block, count, physics, teams, results, buffers):
+def conclude_block(block, count, layout, constants, teams, results, buffers):
     """Bring the statistics up to date and write everything but observations, contacts and
     clearances.
     """
-    lanes = lane_count(physics.width)
+    lanes = lane_count(layout.width)
     first, statistics, tally = block * lanes, teams.statistics[block], buffers.tally
-    _conclude(physics, buffers.pair, tally, statistics)
+    _conclude(layout, constants, buffers.pair, tally, statistics)
     for row in range(SCORES):
         for lane in range(count):
             results.scores[row, first + lane] = tally[(SCORED + row) * lanes + lane]
     for lane in range(count):
         results.status[first + lane] = int(statistics[STATUS * lanes + lane])
-    _reward_robots(first, count, physics, statistics, teams, results, buffers)
+    _reward_robots(first, count, layout, constants, statistics, teams, results, buffers)
 
 
 @inlined_kernel
-def _conclude(physics, found, tally, statistics):
+def _conclude(layout, constants, found, tally, statistics):
     """Reward, rendezvous and time limit over lanes: the one place where an episode ends.
 
     Args:
-        physics: constants.
+        layout: of the memory.
+        constants: of the scenario.
         found: half of V, one number.
         tally: see ``Lanes``; its scores are filled in.
         statistics: of these teams, brought up to date.
     """
-    lanes, time_share = lane_count(physics.width), 1.0 / physics.max_steps
+    lanes, time_share = lane_count(layout.width), 1.0 / constants.max_steps
     for lane in range(lanes):
         status = statistics[STATUS * lanes + lane]
         before, now = statistics[LYAPUNOV * lanes + lane], 2.0 * found[lane]
@@ -67,10 +68,12 @@ def _conclude(physics, found, tally, statistics):
         touches, running = tally[TOUCHES * lanes + lane], status == _RUNNING
         steps = statistics[STEPS * lanes + lane] + (1.0 if running else 0.0)
         met = running & (statistics[ACTIVE * lanes + lane] == 1.0)
-        over = running & (steps >= physics.max_steps)
+        over = running & (steps >= constants.max_steps)
         progress = (before - now) / initial if before > 0.0 else 0.0
         closeness = tally[CLOSENESS * lanes + lane]
-        reward = team_reward(progress, time_share, touches, closeness, met, physics.reward_weights)
+        reward = team_reward(
+            progress, time_share, touches, closeness, met, constants.reward_weights
+        )
         ended = _RENDEZVOUS if met else _TIME_OUT if over else _RUNNING
         statistics[STATUS * lanes + lane] = ended if running | (status == _AWAITING) else status
         statistics[STEPS * lanes + lane] = steps
@@ -84,9 +87,9 @@ def _conclude(physics, found, tally, statistics):
 
 
 @inlined_kernel
-def _reward_robots(first, count, physics, statistics, teams, results, buffers):
+def _reward_robots(first, count, layout, constants, statistics, teams, results, buffers):
     """Who exists, and what everybody earns."""
-    n, tally, lanes = teams.merged_into.shape[1], buffers.tally, lane_count(physics.width)
+    n, tally, lanes = teams.merged_into.shape[1], buffers.tally, lane_count(layout.width)
     results.active[first : first + count] = True
     for i in range(n):
         for lane in range(count):
@@ -97,5 +100,5 @@ def _reward_robots(first, count, physics, statistics, teams, results, buffers):
             for i in range(n):
                 active = teams.merged_into[team, i] == i
                 results.active[team, i] = active
-                if not (physics.all_earn or active or (merged and buffers.took_part[lane, i])):
+                if not (constants.all_earn or active or (merged and buffers.took_part[lane, i])):
                     results.robot_rewards[team, i] = 0.0

@@ -3,11 +3,11 @@
 from typing import Any
 
 from ..compilation import chosen_by_type, inlined_kernel, kernel
-from .memory import LinkList
+from .memory import ListedLinks
 
 
 @inlined_kernel
-def _load_pairs(block, lane, physics, links, hand):
+def _load_pairs(block, lane, links, hand):
     """List a team's links with a weight, in the order of their robots; how many there are."""
     count = 0
     for pair in range(links.first.shape[0]):
@@ -21,7 +21,7 @@ def _load_pairs(block, lane, physics, links, hand):
 
 
 @inlined_kernel
-def _load_list(block, lane, physics, links, hand):
+def _load_list(block, lane, links, hand):
     count = 0
     for e in range(links.first.shape[1]):
         if links.weights[block, e] > 0.0:
@@ -32,20 +32,20 @@ def _load_list(block, lane, physics, links, hand):
     return count
 
 
-def load_links(block: int, lane: int, physics: Any, links: Any, hand: Any) -> int:
+def load_links(block: int, lane: int, links: Any, hand: Any) -> int:
     """Bring the links of one team into working memory; how many there are."""
-    chosen = _load_list if physics.kept.sparse else _load_pairs
-    return chosen(block, lane, physics, links, hand)
+    chosen = _load_list if isinstance(links, ListedLinks) else _load_pairs
+    return chosen(block, lane, links, hand)
 
 
 @chosen_by_type(load_links)
-def _compiled_load_links(block, lane, physics, links, hand):
-    chosen = _load_list if kept_as(physics) is LinkList else _load_pairs
-    return lambda block, lane, physics, links, hand: chosen(block, lane, physics, links, hand)
+def _compiled_load_links(block, lane, links, hand):
+    chosen = _load_list if links.instance_class is ListedLinks else _load_pairs
+    return lambda block, lane, links, hand: chosen(block, lane, links, hand)
 
 
 @inlined_kernel
-def _store_pairs(block, lane, count, physics, links, hand):
+def _store_pairs(block, lane, count, links, hand):
     n = hand.lengths.shape[0]
     for pair in range(links.first.shape[0]):
         links.weights[block, pair, lane] = 0.0
@@ -56,34 +56,29 @@ def _store_pairs(block, lane, count, physics, links, hand):
 
 
 @inlined_kernel
-def _store_list(block, lane, count, physics, links, hand):
+def _store_list(block, lane, count, links, hand):
     sort_links(hand.first, hand.second, hand.weights, count)
-    for e in range(links.first.shape[1]):
+    kept = 0
+    for e in range(count):
+        if hand.weights[e] > 0.0:
+            links.first[block, kept] = hand.first[e]
+            links.second[block, kept] = hand.second[e]
+            links.weights[block, kept] = hand.weights[e]
+            kept += 1
+    for e in range(kept, links.first.shape[1]):
         links.weights[block, e] = 0.0
-        if e < count:
-            links.first[block, e] = hand.first[e]
-            links.second[block, e] = hand.second[e]
-            links.weights[block, e] = hand.weights[e]
 
 
-def store_links(block: int, lane: int, count: int, physics: Any, links: Any, hand: Any) -> None:
+def store_links(block: int, lane: int, count: int, links: Any, hand: Any) -> None:
     """Put the first ``count`` links of working memory back; those of weight 0 are gone."""
-    chosen = _store_list if physics.kept.sparse else _store_pairs
-    chosen(block, lane, count, physics, links, hand)
+    chosen = _store_list if isinstance(links, ListedLinks) else _store_pairs
+    chosen(block, lane, count, links, hand)
 
 
 @chosen_by_type(store_links)
-def _compiled_store_links(block, lane, count, physics, links, hand):
-    chosen = _store_list if kept_as(physics) is LinkList else _store_pairs
-    return lambda block, lane, count, physics, links, hand: chosen(
-        block, lane, count, physics, links, hand
-    )
-
-
-def kept_as(physics: Any) -> type:
-    """How the numba type of Physics keeps links: AllPairs, FewRows or LinkList."""
-    kept = physics.types[physics.fields.index("kept")]
-    return kept.instance_class
+def _compiled_store_links(block, lane, count, links, hand):
+    chosen = _store_list if links.instance_class is ListedLinks else _store_pairs
+    return lambda block, lane, count, links, hand: chosen(block, lane, count, links, hand)
 
 
 @kernel

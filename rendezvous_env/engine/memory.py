@@ -79,43 +79,33 @@ def _constant_lane_count(width):
     return lambda width: count
 
 
-class AllPairs(NamedTuple):
-    """A team keeps a weight for each pair i < j of robots, 0 where there is no link; each other
-    robot has its own row of an observation.
-    """
-
-    sparse: bool = False
-
-
-class FewRows(NamedTuple):
-    """The same, with fewer rows than other robots: the neighbours that are there stand first."""
-
-    sparse: bool = False
-
-
-class LinkList(NamedTuple):
-    """A team keeps a list of its links; only with ``OneTeam``."""
-
-    sparse: bool = True
-
-
-class Physics(NamedTuple):
-    """The scenario's constants, as the kernels want them."""
+class Layout(NamedTuple):
+    """How the numbers of a team lie in a block."""
 
     width: ManyTeams | OneTeam
     """Teams of a block."""
-    kept: AllPairs | FewRows | LinkList
-    """How links are kept."""
     axes: tuple[int, ...]
     """(0, 1) or (0, 1, 2): loops over it unroll."""
     entries: tuple[int, ...]
     """(0, …, d² − 1), the numbers of a frame."""
+
+
+class Robot(NamedTuple):
+    """The robot model of a team."""
+
+    model: Any
+    """Its constants; their type names its equations (``equations.motion``)."""
     inputs: tuple[int, ...]
     """(0, …, a − 1), the numbers of an action."""
     memories: tuple[int, ...]
-    """(0, …, k − 1), the numbers that the robot model keeps."""
-    model: Any
-    """Constants of the robot model; their type names its equations (``equations.motion``)."""
+    """(0, …, k − 1), the numbers that the model keeps."""
+
+
+class Constants(NamedTuple):
+    """What else the kernels need to know of a scenario: the same types for all of them, so that
+    stages that need no more are compiled once.
+    """
+
     duration: float
     merge_radius: float
     speed_limit: float
@@ -129,15 +119,29 @@ class Physics(NamedTuple):
     """Whether merged-away robots earn the team reward, too."""
 
 
-class Links(NamedTuple):
-    """Who is linked to whom."""
+class PairLinks(NamedTuple):
+    """Links as a weight for each pair i < j of robots, 0 where there is none."""
 
     first: NDArray[np.int64]
-    """LinkList: (B, E), the lower robot of each link, sorted; AllPairs: (pairs,), of all teams."""
+    """(pairs,), i of every pair, for all teams."""
     second: NDArray[np.int64]
-    """The other robot."""
+    """(pairs,), j."""
     weights: NDArray[np.float64]
-    """LinkList: (B, E); AllPairs: (blocks, pairs, L); a_ij, m/s, 0 where there is no link."""
+    """(blocks, pairs, L), a_ij, m/s."""
+
+
+class ListedLinks(NamedTuple):
+    """Links as a list for each team; only where a block holds one team."""
+
+    first: NDArray[np.int64]
+    """(B, E), the lower robot of each link, sorted."""
+    second: NDArray[np.int64]
+    """(B, E), the other robot."""
+    weights: NDArray[np.float64]
+    """(B, E), a_ij, m/s; 0 behind the last one."""
+
+
+Links = PairLinks | ListedLinks
 
 
 class Teams(NamedTuple):
@@ -220,7 +224,7 @@ class AtHand(NamedTuple):
     resting: NDArray[np.bool_]
     """(n,)."""
     first: NDArray[np.int64]
-    """(E,), its links, see ``Links``."""
+    """(E,), its links, see ``ListedLinks``."""
     second: NDArray[np.int64]
     """(E,)."""
     weights: NDArray[np.float64]

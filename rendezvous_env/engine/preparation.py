@@ -21,15 +21,16 @@ from .memory import (
     SCORES,
     SQUARE_CLOSEST,
     STATISTICS,
-    AllPairs,
     AtHand,
-    FewRows,
+    Constants,
     Lanes,
-    LinkList,
+    Layout,
     Links,
+    ListedLinks,
     ManyTeams,
     OneTeam,
-    Physics,
+    PairLinks,
+    Robot,
     Teams,
 )
 from .starts import Drafts, StartRules
@@ -81,9 +82,9 @@ def empty_links(scenario: Scenario, batch: int) -> Links:
     place = Arrangement(scenario, batch)
     if place.sparse:
         size = (batch, place.n_links)
-        return Links(np.zeros(size, np.int64), np.zeros(size, np.int64), np.zeros(size))
+        return ListedLinks(np.zeros(size, np.int64), np.zeros(size, np.int64), np.zeros(size))
     first, second = (pairs.astype(np.int64) for pairs in np.triu_indices(scenario.n_robots, 1))
-    return Links(first, second, np.zeros((place.blocks, place.n_links, place.lanes)))
+    return PairLinks(first, second, np.zeros((place.blocks, place.n_links, place.lanes)))
 
 
 def empty_obstacles(scenario: Scenario, batch: int) -> Any:
@@ -97,22 +98,28 @@ def empty_obstacles(scenario: Scenario, batch: int) -> Any:
     )
 
 
-def physics(scenario: Scenario, batch: int, max_steps: int) -> tuple[Any, ...]:
-    """The fields of Physics, as a plain tuple."""
-    reward, d, place = scenario.reward, scenario.dim, Arrangement(scenario, batch)
-    all_seen = scenario.observation_layout.neighbour_slots == scenario.n_robots - 1
-    model = constants_of(scenario)
-    constants = Physics(
-        width=place.width,
-        kept=LinkList() if place.sparse else AllPairs() if all_seen else FewRows(),
-        axes=tuple(range(d)),
-        entries=tuple(range(d * d)),
+def layout(scenario: Scenario, batch: int) -> Layout:
+    """How the numbers of these teams lie in memory."""
+    d = scenario.dim
+    return Layout(Arrangement(scenario, batch).width, tuple(range(d)), tuple(range(d * d)))
+
+
+def robot(scenario: Scenario) -> Robot:
+    """The robot model of a scenario."""
+    return Robot(
+        model=constants_of(scenario),
         inputs=tuple(range(scenario.action_size)),
-        memories=tuple(range(scenario.model.memory_size(d))),
-        model=model,
+        memories=tuple(range(scenario.model.memory_size(scenario.dim))),
+    )
+
+
+def constants(scenario: Scenario, max_steps: int) -> tuple[Any, ...]:
+    """The fields of Constants, as a plain tuple."""
+    reward = scenario.reward
+    found = Constants(
         duration=float(scenario.tau),
         merge_radius=float(scenario.merge_radius),
-        speed_limit=float(model.speed_limit),
+        speed_limit=float(constants_of(scenario).speed_limit),
         max_steps=max_steps,
         contact_mode=CONTACT_MODES.index(scenario.obstacle_contact),
         obstacle_range=float(scenario.obstacle_range),
@@ -127,7 +134,7 @@ def physics(scenario: Scenario, batch: int, max_steps: int) -> tuple[Any, ...]:
         ),
         all_earn=scenario.on_merge == "follow",
     )
-    return tuple(constants)
+    return tuple(found)
 
 
 def constants_of(scenario: Scenario) -> Any:

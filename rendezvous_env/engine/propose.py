@@ -7,22 +7,22 @@ from .memory import ACTIVE, RUNNING, STATUS, lane_count, read, write
 
 
 @inlined_kernel
-def load_actions(block, count, physics, teams, actions, buffers):
+def load_actions(block, count, layout, teams, actions, buffers):
     """Copy a block's actions; those of finished teams and merged-away robots are zero."""
-    first = block * lane_count(physics.width)
+    first = block * lane_count(layout.width)
     for k in range(actions.shape[1]):
         for lane in range(count):
             buffers.taken[k, lane] = actions[first + lane, k]
     size = actions.shape[1] // buffers.action.shape[0]
-    _hold_still(block, count, size, physics, teams, buffers.action)
+    _hold_still(block, count, size, layout, teams, buffers.action)
 
 
 @inlined_kernel
-def _hold_still(block, count, parts, physics, teams, values):
+def _hold_still(block, count, parts, layout, teams, values):
     """Make the first ``parts`` numbers of robots that do not move zero: all of a team that is not
     running, and those that have merged away.
     """
-    lanes, statistics = lane_count(physics.width), teams.statistics[block]
+    lanes, statistics = lane_count(layout.width), teams.statistics[block]
     for lane in range(count):
         running = statistics[STATUS * lanes + lane] == RUNNING
         if running and statistics[ACTIVE * lanes + lane] == values.shape[0]:
@@ -34,66 +34,68 @@ def _hold_still(block, count, parts, physics, teams, values):
 
 
 @inlined_kernel
-def propose_block(block, count, physics, teams, buffers):
+def propose_block(block, count, layout, robot, teams, buffers):
     """The displacement of every robot over the step, and the length of its way."""
-    d, lanes = len(physics.axes), lane_count(physics.width)
+    d, lanes = len(layout.axes), lane_count(layout.width)
     for i in range(buffers.action.shape[0]):
         action, out = buffers.action[i], buffers.displacement[i]
         frames, memory = teams.frames[block, i], teams.memory[block, i]
         for lane in range(lanes):
             displacement, length = propose(
-                physics.model,
-                read(action, lane, physics.width, physics.inputs),
-                read(frames, lane, physics.width, physics.entries),
-                read(memory, lane, physics.width, physics.memories),
+                robot.model,
+                read(action, lane, layout.width, robot.inputs),
+                read(frames, lane, layout.width, layout.entries),
+                read(memory, lane, layout.width, robot.memories),
             )
-            write(displacement, out, 0, lane, physics.width)
+            write(displacement, out, 0, lane, layout.width)
             out[d * lanes + lane] = length
-    if drifts(physics.model):
-        _hold_still(block, count, d + 1, physics, teams, buffers.displacement)
+    if drifts(robot.model):
+        _hold_still(block, count, d + 1, layout, teams, buffers.displacement)
 
 
 @inlined_kernel
-def turn_block(block, count, physics, memories, teams, results, buffers):
+def turn_block(block, count, layout, constants, robot, memories, teams, results, buffers):
     """What the robot models keep, brought up to the end of the step, and the frames with it.
 
     Args:
         block: which one.
         count: teams in it.
-        physics: constants.
-        memories: of physics, by itself: without any nothing is compiled.
+        layout: of the memory.
+        constants: of the scenario.
+        robot: its model.
+        memories: of the robot, by itself: without any nothing is compiled.
         teams: state.
         results: gives the contacts.
         buffers: gives actions and displacements.
     """
     if len(memories) > 0:
-        lanes, width = lane_count(physics.width), physics.width
-        met = STOPPED if physics.contact_mode == STOP else SLID
+        lanes, width = lane_count(layout.width), layout.width
+        met = STOPPED if constants.contact_mode == STOP else SLID
         for i in range(buffers.action.shape[0]):
             frames, memory = teams.frames[block, i], teams.memory[block, i]
             for lane in range(count):
                 if teams.statistics[block, STATUS * lanes + lane] == RUNNING:
-                    frame = read(frames, lane, width, physics.entries)
+                    frame = read(frames, lane, width, layout.entries)
                     after = remember(
-                        physics.model,
-                        read(buffers.action[i], lane, width, physics.inputs),
+                        robot.model,
+                        read(buffers.action[i], lane, width, robot.inputs),
                         frame,
                         read(memory, lane, width, memories),
-                        read(buffers.displacement[i], lane, width, physics.axes),
+                        read(buffers.displacement[i], lane, width, layout.axes),
                         met if results.contact[block * lanes + lane, i] else FREE,
                     )
                     write(after, memory, 0, lane, width)
-                    write(frame_of(physics.model, frame, after), frames, 0, lane, width)
+                    write(frame_of(robot.model, frame, after), frames, 0, lane, width)
 
 
 @inlined_kernel
-def bring_frames_up(block, count, physics, memories, teams):
+def bring_frames_up(block, count, layout, robot, memories, teams):
     """Frames from what the robot models keep; arguments as ``turn_block``."""
     if len(memories) > 0:
-        width = physics.width
+        width = layout.width
         for i in range(teams.frames.shape[1]):
             frames, memory = teams.frames[block, i], teams.memory[block, i]
             for lane in range(count):
-                frame = read(frames, lane, width, physics.entries)
+                frame = read(frames, lane, width, layout.entries)
                 kept = read(memory, lane, width, memories)
-                write(frame_of(physics.model, frame, kept), frames, 0, lane, width)
+                write(frame_of(robot.model, frame, kept), frames, 0, lane, width)

@@ -7,84 +7,98 @@ import numpy as np
 from ..compilation import chosen_by_type, inlined_kernel, kernel
 from ..equations.bearings import observed, sighting
 from ..equations.motion import sense_oneself
-from .links import kept_as
-from .memory import SQUARE_CLOSEST, FewRows, LinkList, lane_count, read, write
+from .memory import SQUARE_CLOSEST, ListedLinks, lane_count, read, write
 from .sense_obstacles import sense_obstacles
+
+_ROWS_AT_ONCE = 8
+"""Rows that are copied to each team in turn: as many as a line of the cache holds in the plane."""
 
 
 @inlined_kernel
-def sense_block(block, count, physics, teams, links, obstacles, results, buffers, hand):
+def sense_block(
+    block, count, layout, constants, robot, teams, links, obstacles, results, buffers, hand
+):
     """Write a block's observations and clearances, and who is closest; half of V is left in
     ``buffers.pair``.
     """
-    lanes = lane_count(physics.width)
+    lanes = lane_count(layout.width)
     first = block * lanes
     buffers.pair[:lanes] = 0.0
     buffers.pair[lanes : 2 * lanes] = np.inf
     results.crowded[first : first + count] = -1
-    _sense_neighbours(block, physics, teams, links, results, buffers, hand)
+    _sense_neighbours(block, layout, constants, teams, links, results, buffers, hand)
     for lane in range(lanes):
         teams.statistics[block, SQUARE_CLOSEST * lanes + lane] = buffers.pair[lanes + lane]
-    sense_obstacles(block, count, physics, teams, links, obstacles, results, buffers, hand)
-    _sense_oneself(block, count, physics, teams, buffers)
+    sense_obstacles(
+        block, count, layout, constants, teams, links, obstacles, results, buffers, hand
+    )
+    _sense_oneself(block, count, layout, robot, teams, buffers)
     observations = results.whole_rows[first : first + count]
-    _give_out(block, physics, links, buffers.whole_rows, observations, results, hand)
+    _give_out(block, layout, constants, links, buffers.whole_rows, observations, results, hand)
 
 
 # ---- neighbours ---------------------------------------------------------------------------------
 
 
 def _sense_neighbours(
-    block: int, physics: Any, teams: Any, links: Any, results: Any, buffers: Any, hand: Any
+    block: int,
+    layout: Any,
+    constants: Any,
+    teams: Any,
+    links: Any,
+    results: Any,
+    buffers: Any,
+    hand: Any,
 ) -> None:
-    chosen = _sense_list if physics.kept.sparse else _sense_pairs
-    chosen(block, physics, teams, links, results, buffers, hand)
+    chosen = _sense_list if isinstance(links, ListedLinks) else _sense_pairs
+    chosen(block, layout, constants, teams, links, results, buffers, hand)
 
 
 @chosen_by_type(_sense_neighbours)
-def _compiled_sense_neighbours(block, physics, teams, links, results, buffers, hand):
-    chosen = _sense_list if kept_as(physics) is LinkList else _sense_pairs
-    return lambda block, physics, teams, links, results, buffers, hand: chosen(
-        block, physics, teams, links, results, buffers, hand
+def _compiled_sense_neighbours(block, layout, constants, teams, links, results, buffers, hand):
+    chosen = _sense_list if links.instance_class is ListedLinks else _sense_pairs
+    return lambda block, layout, constants, teams, links, results, buffers, hand: chosen(
+        block, layout, constants, teams, links, results, buffers, hand
     )
 
 
 @inlined_kernel
-def _sense_pairs(block, physics, teams, links, results, buffers, hand):
+def _sense_pairs(block, layout, constants, teams, links, results, buffers, hand):
     """Every pair once, in index order; a link that is absent weighs 0."""
     positions, frames = teams.positions[block], teams.frames[block]
-    d, lanes, n = len(physics.axes), lane_count(physics.width), positions.shape[0]
+    d, lanes, n = len(layout.axes), lane_count(layout.width), positions.shape[0]
     rows = buffers.rows.shape[0] // n
     pair, offset = 0, buffers.pair[2 * lanes :]
+    factor_ij, factor_ji = buffers.pair[(2 + d) * lanes :], buffers.pair[(3 + d) * lanes :]
     for i in range(n):
         for j in range(i + 1, n):
-            _sight(physics, positions[i], positions[j], links.weights[block, pair], buffers.pair)
+            _sight(layout, positions[i], positions[j], links.weights[block, pair], buffers.pair)
             # in index order robot j is row j − 1 of robot i < j, and robot i is row i of robot j
-            _store_row(physics, offset, d, frames[i], buffers.rows[i * rows + j - 1])
-            _store_row(physics, offset, d + 1, frames[j], buffers.rows[j * rows + i])
+            _store_row(layout, offset, factor_ij, frames[i], buffers.rows[i * rows + j - 1])
+            _store_row(layout, offset, factor_ji, frames[j], buffers.rows[j * rows + i])
             pair += 1
 
 
 @inlined_kernel
-def _sight(physics, position_i, position_j, gain, out):
+def _sight(layout, position_i, position_j, gain, out):
     """``sighting`` of two robots in every lane.
 
     Args:
-        physics: constants.
+        layout: of the memory.
         position_i: (d·L,), m.
         position_j: (d·L,), m.
         gain: (L,), a_ij, m/s.
         out: the sum of a_ij ‖p_j − p_i‖, which grows, and the least ‖p_j − p_i‖² of neighbours,
             which falls; then p_j − p_i, the factor of a_ij g_ij, and that of a_ij g_ji.
     """
-    d, lanes = len(physics.axes), lane_count(physics.width)
+    d, lanes = len(layout.axes), lane_count(layout.width)
     for lane in range(lanes):
         offset, square, distance, factor = sighting(
-            read(position_i, lane, physics.width, physics.axes),
-            read(position_j, lane, physics.width, physics.axes),
+            read(position_i, lane, layout.width, layout.axes),
+            read(position_j, lane, layout.width, layout.axes),
             gain[lane],
         )
-        write(offset, out, 2, lane, physics.width)
+        write(offset, out, 2, lane, layout.width)
         least = out[lanes + lane]
         out[lane] += gain[lane] * distance
         out[lanes + lane] = square if (gain[lane] > 0.0) & (square < least) else least
@@ -93,33 +107,39 @@ def _sight(physics, position_i, position_j, gain, out):
 
 
 @inlined_kernel
-def _store_row(physics, vector, factor, frame, row):
+def _store_row(layout, vector, factor, frame, row):
     """Write one row of observations in every lane.
 
     Args:
-        physics: constants.
-        vector: d numbers of the global frame, and then possible factors.
-        factor: which of the numbers of ``vector`` is the factor.
+        layout: of the memory.
+        vector: (d·L,), of the global frame.
+        factor: (L,).
         frame: d² numbers.
         row: (d·L,) float32, the d numbers of a lane side by side.
     """
-    d, lanes = len(physics.axes), lane_count(physics.width)
-    for lane in range(lanes):
+    for lane in range(lane_count(layout.width)):
         seen = observed(
-            read(frame, lane, physics.width, physics.entries),
-            read(vector, lane, physics.width, physics.axes),
-            vector[factor * lanes + lane],
+            read(frame, lane, layout.width, layout.entries),
+            read(vector, lane, layout.width, layout.axes),
+            factor[lane],
         )
-        row[lane * d], row[lane * d + 1] = seen[0], seen[1]
-        if d == 3:
-            row[lane * d + 2] = seen[d - 1]
+        _put(seen, lane, row)
 
 
 @inlined_kernel
-def _sense_list(block, physics, teams, links, results, buffers, hand):
+def _put(seen, lane, row):
+    """Put a pair or triple into one lane of a row of observations."""
+    if len(seen) == 2:
+        row[2 * lane], row[2 * lane + 1] = seen
+    else:
+        row[3 * lane], row[3 * lane + 1], row[3 * lane + 2] = seen
+
+
+@inlined_kernel
+def _sense_list(block, layout, constants, teams, links, results, buffers, hand):
     """Every link of one team once, in the order of its robots, which is that of the rows."""
-    width, d = physics.width, len(physics.axes)
-    n, slots = hand.lengths.shape[0], physics.neighbour_slots
+    width = layout.width
+    n, slots = hand.lengths.shape[0], constants.neighbour_slots
     rows = buffers.rows.shape[0] // n
     buffers.rows[:] = 0.0
     hand.counts[:] = 0
@@ -129,8 +149,8 @@ def _sense_list(block, physics, teams, links, results, buffers, hand):
             continue
         i, j = links.first[block, e], links.second[block, e]
         offset, square, distance, factor = sighting(
-            read(teams.positions[block, i], 0, width, physics.axes),
-            read(teams.positions[block, j], 0, width, physics.axes),
+            read(teams.positions[block, i], 0, width, layout.axes),
+            read(teams.positions[block, j], 0, width, layout.axes),
             gain,
         )
         buffers.pair[0] += gain * distance
@@ -142,28 +162,25 @@ def _sense_list(block, physics, teams, links, results, buffers, hand):
                 results.crowded[block] = robot
                 continue
             hand.counts[robot] = slot + 1
-            frame = read(teams.frames[block, robot], 0, width, physics.entries)
+            frame = read(teams.frames[block, robot], 0, width, layout.entries)
             seen = observed(frame, offset, -factor if end else factor)
-            row = buffers.rows[robot * rows + slot]
-            row[0], row[1] = seen[0], seen[1]
-            if d == 3:
-                row[2] = seen[d - 1]
+            _put(seen, 0, buffers.rows[robot * rows + slot])
 
 
 # ---- oneself ------------------------------------------------------------------------------------
 
 
 @inlined_kernel
-def _sense_oneself(block, count, physics, teams, buffers):
+def _sense_oneself(block, count, layout, robot, teams, buffers):
     """The last row of models that sense something of themselves; zero for robots that are gone."""
-    lanes, n = lane_count(physics.width), buffers.action.shape[0]
+    lanes, n = lane_count(layout.width), buffers.action.shape[0]
     rows = buffers.rows.shape[0] // n
     for i in range(n):
         for lane in range(count):
             seen = sense_oneself(
-                physics.model,
-                read(teams.frames[block, i], lane, physics.width, physics.entries),
-                read(teams.memory[block, i], lane, physics.width, physics.memories),
+                robot.model,
+                read(teams.frames[block, i], lane, layout.width, layout.entries),
+                read(teams.memory[block, i], lane, layout.width, robot.memories),
             )
             active = teams.merged_into[block * lanes + lane, i] == i
             _store_oneself(seen, active, lane, buffers.rows[(i + 1) * rows - 1])
@@ -183,24 +200,39 @@ def _store_oneself(seen, active, lane, row):
 
 
 def _give_out(
-    block: int, physics: Any, links: Any, rows: Any, observations: Any, results: Any, hand: Any
+    block: int,
+    layout: Any,
+    constants: Any,
+    links: Any,
+    rows: Any,
+    observations: Any,
+    results: Any,
+    hand: Any,
 ) -> None:
     """Copy the rows of all lanes into observations (count, numbers)."""
-    chosen = _pack_rows if isinstance(physics.kept, FewRows) else _copy_rows
-    chosen(block, physics, links, rows, observations, results, hand)
+    chosen = _copy_rows if isinstance(links, ListedLinks) else _copy_or_pack
+    chosen(block, layout, constants, links, rows, observations, results, hand)
 
 
 @chosen_by_type(_give_out)
-def _compiled_give_out(block, physics, links, rows, observations, results, hand):
-    chosen = _pack_rows if kept_as(physics) is FewRows else _copy_rows
-    return lambda block, physics, links, rows, observations, results, hand: chosen(
-        block, physics, links, rows, observations, results, hand
+def _compiled_give_out(block, layout, constants, links, rows, observations, results, hand):
+    chosen = _copy_rows if links.instance_class is ListedLinks else _copy_or_pack
+    return lambda block, layout, constants, links, rows, observations, results, hand: chosen(
+        block, layout, constants, links, rows, observations, results, hand
     )
 
 
 @inlined_kernel
-def _copy_rows(block, physics, links, rows, observations, results, hand):
-    parts = 1 if len(physics.axes) == 2 else 3  # see ``Lanes.whole_rows``
+def _copy_or_pack(block, layout, constants, links, rows, observations, results, hand):
+    if rows.shape[0] == hand.lengths.shape[0] * constants.rows:
+        _copy_rows(block, layout, constants, links, rows, observations, results, hand)
+    else:
+        _pack_rows(block, layout, constants, links, rows, observations, results, hand)
+
+
+@inlined_kernel
+def _copy_rows(block, layout, constants, links, rows, observations, results, hand):
+    parts = 1 if len(layout.axes) == 2 else 3  # see ``Lanes.whole_rows``
     for k in range(rows.shape[0]):
         for lane in range(observations.shape[0]):
             for part in range(parts):
@@ -208,13 +240,13 @@ def _copy_rows(block, physics, links, rows, observations, results, hand):
 
 
 @kernel
-def _pack_rows(block, physics, links, rows, observations, results, hand):
+def _pack_rows(block, layout, constants, links, rows, observations, results, hand):
     """The same where there are fewer neighbour rows than other robots: those present stand first,
     in index order.
     """
-    lanes, n = lane_count(physics.width), hand.lengths.shape[0]
+    lanes, n = lane_count(layout.width), hand.lengths.shape[0]
     parts, wide = rows.shape[1] // lanes, rows.shape[0] // n
-    slots, own = physics.neighbour_slots, physics.rows
+    slots, own = constants.neighbour_slots, constants.rows
     observations[:] = 0.0
     for lane in range(observations.shape[0]):
         hand.counts[:] = 0

@@ -22,14 +22,14 @@ from .links import load_links
 from .memory import CLOSENESS, MIN_CLEARANCE, lane_count, read
 from .worlds import world_of
 
-_CLEARANCE_PENALTY = 4  # place in ``Physics.reward_weights``
+_CLEARANCE_PENALTY = 4  # place in ``Constants.reward_weights``
 
 
 @inlined_kernel
-def load_balls(block, count, physics, obstacles, buffers):
+def load_balls(block, count, layout, obstacles, buffers):
     """Bring the bounding balls of a block's obstacles into lanes."""
     if obstacles is not None:
-        lanes, d = lane_count(physics.width), len(physics.axes)
+        lanes, d = lane_count(layout.width), len(layout.axes)
         for lane in range(count):
             team = block * lanes + lane
             for m in range(buffers.balls.shape[0]):
@@ -42,48 +42,52 @@ def load_balls(block, count, physics, obstacles, buffers):
 
 
 @inlined_kernel
-def sense_obstacles(block, count, physics, teams, links, obstacles, results, buffers, hand):
+def sense_obstacles(
+    block, count, layout, constants, teams, links, obstacles, results, buffers, hand
+):
     """Silhouettes, clearances, the least clearance of the episode, and closeness for the reward."""
-    lanes = lane_count(physics.width)
+    lanes = lane_count(layout.width)
     first, n = block * lanes, hand.lengths.shape[0]
     if obstacles is None:
         for lane in range(count):
             for i in range(n):
                 results.clearance[first + lane, i] = np.inf
     else:
-        _see_discs(block, count, physics, teams, results, buffers, physics.axes)
-        _see_others(block, count, physics, teams, links, obstacles, results, buffers, hand)
+        _see_discs(block, count, layout, constants, teams, results, buffers, layout.axes)
+        _see_others(
+            block, count, layout, constants, teams, links, obstacles, results, buffers, hand
+        )
         for lane in range(count):
             least = teams.statistics[block, MIN_CLEARANCE * lanes + lane]
             closeness = 0.0
             for i in range(n):
                 clearance = results.clearance[first + lane, i]
                 least = min(least, clearance)
-                closeness += max(0.0, 1.0 - clearance / physics.obstacle_range)
+                closeness += max(0.0, 1.0 - clearance / constants.obstacle_range)
             teams.statistics[block, MIN_CLEARANCE * lanes + lane] = least
-            weighs = physics.reward_weights[_CLEARANCE_PENALTY] != 0.0
+            weighs = constants.reward_weights[_CLEARANCE_PENALTY] != 0.0
             buffers.tally[CLOSENESS * lanes + lane] = closeness if weighs else 0.0
 
 
 @inlined_kernel
-def _see_discs(block, count, physics, teams, results, buffers, axes):
+def _see_discs(block, count, layout, constants, teams, results, buffers, axes):
     """Discs in the plane, over lanes; what is seen of everything else is nothing after it."""
-    lanes, n = lane_count(physics.width), buffers.action.shape[0]
+    lanes, n = lane_count(layout.width), buffers.action.shape[0]
     first = block * lanes
     disc, wide = buffers.disc, buffers.rows.shape[0] // n
-    others = wide - physics.rows + physics.neighbour_slots
+    others = wide - constants.rows + constants.neighbour_slots
     if len(axes) == 2:
         for i in range(n):
             for lane in range(count):
                 active = teams.merged_into[first + lane, i] == i
-                disc[7 * lanes + lane] = physics.obstacle_range if active else -np.inf
+                disc[7 * lanes + lane] = constants.obstacle_range if active else -np.inf
             disc[:lanes] = np.inf
             row = i * wide + others
             for m in range(buffers.balls.shape[0]):
-                _see_disc(physics, teams.positions[block, i], buffers.balls[m], disc)
+                _see_disc(layout, teams.positions[block, i], buffers.balls[m], disc)
                 for edge in range(2):
                     bearing = disc[(1 + 3 * edge) * lanes :]
-                    _turn_into(physics, bearing, teams.frames[block, i], buffers.rows[row + edge])
+                    _turn_into(layout, bearing, teams.frames[block, i], buffers.rows[row + edge])
                 row += 2
             for lane in range(count):
                 active = disc[7 * lanes + lane] >= 0.0
@@ -95,11 +99,11 @@ def _see_discs(block, count, physics, teams, results, buffers, axes):
 
 
 @inlined_kernel
-def _see_disc(physics, position, ball, out):
+def _see_disc(layout, position, ball, out):
     """Bearings of the two edges of a disc in the global frame, zero where it is not seen.
 
     Args:
-        physics: constants.
+        layout: of the memory.
         position: (2·L,), m.
         ball: centre and radius of the bounding ball and radius of the disc, m; NaN where there is
             none.
@@ -107,7 +111,7 @@ def _see_disc(physics, position, ball, out):
             counter-clockwise edge and 1 unused, the same of the clockwise edge, and from how near
             the robot sees, m.
     """
-    lanes = lane_count(physics.width)
+    lanes = lane_count(layout.width)
     for lane in range(lanes):
         radius = ball[3 * lanes + lane]
         ax, ay, bx, by, distance = disc_edges(
@@ -123,12 +127,12 @@ def _see_disc(physics, position, ball, out):
 
 
 @inlined_kernel
-def _turn_into(physics, bearing, frame, row):
+def _turn_into(layout, bearing, frame, row):
     """Write bearings of the plane into a row of observations, in the robots' own frames."""
-    for lane in range(lane_count(physics.width)):
+    for lane in range(lane_count(layout.width)):
         seen = to_local(
-            read(frame, lane, physics.width, physics.entries),
-            read(bearing, lane, physics.width, physics.axes),
+            read(frame, lane, layout.width, layout.entries),
+            read(bearing, lane, layout.width, layout.axes),
         )
         row[2 * lane], row[2 * lane + 1] = seen[0] + 0.0, seen[1] + 0.0
 
@@ -139,7 +143,8 @@ def _turn_into(physics, bearing, frame, row):
 def _see_others(
     block: int,
     count: int,
-    physics: Any,
+    layout: Any,
+    constants: Any,
     teams: Any,
     links: Any,
     obstacles: Any,
@@ -147,24 +152,43 @@ def _see_others(
     buffers: Any,
     hand: Any,
 ) -> None:
-    if len(physics.axes) == 3 or not isinstance(obstacles, Balls):
-        _see_one_by_one(block, count, physics, teams, links, obstacles, results, buffers, hand)
+    if len(layout.axes) == 3 or not isinstance(obstacles, Balls):
+        _see_one_by_one(
+            block, count, layout, constants, teams, links, obstacles, results, buffers, hand
+        )
+
+
+@inlined_kernel
+def _see_no_others(
+    block, count, layout, constants, teams, links, obstacles, results, buffers, hand
+):
+    pass
 
 
 @chosen_by_type(_see_others)
-def _compiled_see_others(block, count, physics, teams, links, obstacles, results, buffers, hand):
-    axes = physics.types[physics.fields.index("axes")]
-    if axes.count == 2 and obstacles.instance_class is Balls:
-        return lambda block, count, physics, teams, links, obstacles, results, buffers, hand: None
-    return lambda block, count, physics, teams, links, obstacles, results, buffers, hand: (
-        _see_one_by_one(block, count, physics, teams, links, obstacles, results, buffers, hand)
-    )
+def _compiled_see_others(
+    block, count, layout, constants, teams, links, obstacles, results, buffers, hand
+):
+    axes = layout.types[layout.fields.index("axes")]
+    only_discs = axes.count == 2 and obstacles.instance_class is Balls
+    chosen = _see_no_others if only_discs else _see_one_by_one
+
+    def implementation(
+        block, count, layout, constants, teams, links, obstacles, results, buffers, hand
+    ):
+        return chosen(
+            block, count, layout, constants, teams, links, obstacles, results, buffers, hand
+        )
+
+    return implementation
 
 
 @kernel
-def _see_one_by_one(block, count, physics, teams, links, obstacles, results, buffers, hand):
+def _see_one_by_one(
+    block, count, layout, constants, teams, links, obstacles, results, buffers, hand
+):
     """Polygons and capsules of the plane, and everything in space."""
-    lanes, d = lane_count(physics.width), len(physics.axes)
+    lanes, d = lane_count(layout.width), len(layout.axes)
     for lane in range(count):
         team = block * lanes + lane
         world = world_of(obstacles, team)
@@ -174,13 +198,24 @@ def _see_one_by_one(block, count, physics, teams, links, obstacles, results, buf
             for k in range(d):
                 hand.positions[i, k] = teams.positions[block, i, k * lanes + lane]
         if d == 3:
-            found = load_links(block, lane, physics, links, hand)
+            found = load_links(block, lane, links, hand)
             listed = (hand.first[:found], hand.second[:found], hand.weights[:found])
             net_bearings_of_links(hand.positions, listed, hand.here)
         for i in range(hand.lengths.shape[0]):
             active = teams.merged_into[team, i] == i
             _see_all(
-                block, lane, i, active, physics, teams, world, results, buffers, hand, physics.axes
+                block,
+                lane,
+                i,
+                active,
+                layout,
+                constants,
+                teams,
+                world,
+                results,
+                buffers,
+                hand,
+                layout.axes,
             )
 
 
@@ -193,20 +228,20 @@ def _only_discs(world):
 
 
 @kernel
-def _see_all(block, lane, i, active, physics, teams, world, results, buffers, hand, axes):
+def _see_all(block, lane, i, active, layout, constants, teams, world, results, buffers, hand, axes):
     """All obstacles of one robot that ``_see_discs`` leaves out."""
-    width, n = physics.width, hand.lengths.shape[0]
+    width, n = layout.width, hand.lengths.shape[0]
     team, wide = block * lane_count(width) + lane, buffers.rows.shape[0] // n
-    others = wide - physics.rows + physics.neighbour_slots
+    others = wide - constants.rows + constants.neighbour_slots
     point, points = load(hand.positions[i]), hand.silhouette
-    frame = read(teams.frames[block, i], lane, width, physics.entries)
+    frame = read(teams.frames[block, i], lane, width, layout.entries)
     for m in range(world.kinds.shape[0]):
         if len(axes) == 2:
             if world.kinds[m] <= BALL:
                 continue
         distance = distance_to(world, m, point) if active else np.inf
         results.clearance[team, i] = min(results.clearance[team, i], distance)
-        seen = distance <= physics.obstacle_range
+        seen = distance <= constants.obstacle_range
         if seen:
             if len(axes) == 2:
                 silhouette_2d(world, m, point, points)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..compilation import kernel
 from ..equations import double_integrator, kinematics  # noqa: F401 - chosen by type, see motion
-from ..equations.motion import begin_memory
+from ..equations.motion import begin_memory, frame_of
 from ..equations.obstacles import clear_of_obstacles
 from ..equations.potential import distance_squared, lyapunov_of_links
 from ..equations.random_streams import (
@@ -34,10 +34,9 @@ from .memory import (
     STATISTICS,
     STATUS,
     AtHand,
-    Links,
-    Physics,
     Teams,
     lane_count,
+    read,
     write,
 )
 from .worlds import copy_world, world_of
@@ -80,7 +79,19 @@ class Drafts(NamedTuple):
 
 @kernel
 def reset_teams(
-    indices, status, rules, seeds, episodes, physics, teams, links, obstacles, hand, drafts, worlds
+    indices,
+    status,
+    rules,
+    seeds,
+    episodes,
+    layout,
+    robot,
+    teams,
+    links,
+    obstacles,
+    hand,
+    drafts,
+    worlds,
 ):
     """Begin a new episode in the teams with these indices; what is given already stands in the
     state.
@@ -91,9 +102,10 @@ def reset_teams(
         rules: StartRules.
         seeds: (B,) uint64.
         episodes: (B,).
-        physics: the fields of Physics.
+        layout: of the memory.
+        robot: its model.
         teams: the fields of Teams.
-        links: the fields of Links.
+        links: PairLinks or ListedLinks.
         obstacles: Balls or Shapes with a leading axis B, or None.
         hand: the fields of AtHand, of one thread.
         drafts: the fields of Drafts.
@@ -103,18 +115,18 @@ def reset_teams(
         Index of the first team that found no room for its start, its obstacles or its links, or −1;
         and which of them: FITS, NO_ROOM or TOO_MANY_LINKS. Unless it fits nothing has changed.
     """
-    physics, teams, links = Physics(*physics), Teams(*teams), Links(*links)
+    teams = Teams(*teams)
     hand, drafts = AtHand(*hand), Drafts(*drafts)
     for k in range(len(indices)):
         team, positions = indices[k], drafts.positions[k]
         keys = (seeds[team], episodes[team])
-        count = _draw_links(team, keys, rules, rules.graph, physics, links, hand)
+        count = _draw_links(team, keys, rules, rules.graph, layout, links, hand)
         if count < 0:
             return team, TOO_MANY_LINKS
         drafts.n_links[k] = count
         drafted = (drafts.first[k], drafts.second[k], drafts.weights[k])
         copy_links((hand.first, hand.second, hand.weights), drafted, count)
-        _read_positions(team, physics, teams, positions)
+        _read_positions(team, layout, teams, positions)
         copy_world(obstacles, team, worlds, k)
         listed = (hand.first[:count], hand.second[:count], hand.weights[:count])
         world = world_of(worlds, k)
@@ -125,21 +137,21 @@ def reset_teams(
         drafted = (drafts.first[k], drafts.second[k], drafts.weights[k])
         copy_links(drafted, (hand.first, hand.second, hand.weights), count)
         copy_world(worlds, k, obstacles, team)
-        _write_start(team, status, count, physics, teams, links, drafts.positions[k], hand)
-        _draw_attitudes(team, rules, (seeds[team], episodes[team]), physics, teams)
+        _write_start(team, status, count, layout, teams, links, drafts.positions[k], hand)
+        _draw_attitudes(team, rules, (seeds[team], episodes[team]), layout, robot, teams)
     return -1, FITS
 
 
 @kernel
-def _draw_links(team, keys, rules, graph, physics, links, hand):
+def _draw_links(team, keys, rules, graph, layout, links, hand):
     """Links of a start into working memory: drawn, or as given; their number, −1 for too many."""
     if graph is not None:
         if rules.draw_weights:
             key = stream_key(keys[0], keys[1], GRAPH)
             n = len(hand.counts)
             return draw_links(key, n, graph, hand.first, hand.second, hand.weights, hand.counts)
-    lanes = lane_count(physics.width)
-    return load_links(team // lanes, team % lanes, physics, links, hand)
+    lanes = lane_count(layout.width)
+    return load_links(team // lanes, team % lanes, links, hand)
 
 
 @kernel
@@ -197,8 +209,8 @@ def _apart(i, positions, links, least_distance):
 
 
 @kernel
-def _read_positions(team, physics, teams, out):
-    lanes = lane_count(physics.width)
+def _read_positions(team, layout, teams, out):
+    lanes = lane_count(layout.width)
     block, lane = team // lanes, team % lanes
     for i in range(out.shape[0]):
         for k in range(out.shape[1]):
@@ -206,14 +218,14 @@ def _read_positions(team, physics, teams, out):
 
 
 @kernel
-def _write_start(team, status, count, physics, teams, links, positions, hand):
+def _write_start(team, status, count, layout, teams, links, positions, hand):
     """Put a start into the state, and begin the statistics of its episode."""
-    lanes = lane_count(physics.width)
+    lanes = lane_count(layout.width)
     block, lane = team // lanes, team % lanes
     n, d = positions.shape
     listed = (hand.first[:count], hand.second[:count], hand.weights[:count])
     initial = lyapunov_of_links(positions, listed)
-    store_links(block, lane, count, physics, links, hand)
+    store_links(block, lane, count, links, hand)
     for i in range(n):
         teams.merged_into[team, i] = i
         for k in range(d):
@@ -228,15 +240,20 @@ def _write_start(team, status, count, physics, teams, links, positions, hand):
 
 
 @kernel
-def _draw_attitudes(team, rules, keys, physics, teams):
-    """Frames of robots whose frame is fixed, or what the robot model keeps at the start."""
-    lanes = lane_count(physics.width)
+def _draw_attitudes(team, rules, keys, layout, robot, teams):
+    """Frames of robots whose frame is fixed, or what the robot model keeps at the start and the
+    frames that go with it.
+    """
+    lanes, width = lane_count(layout.width), layout.width
     block, lane = team // lanes, team % lanes
     key = stream_key(keys[0], keys[1], FRAMES)
     for i in range(teams.merged_into.shape[1]):
         if rules.draw_frames:
-            frame = draw_rotation(key, 3 * i, physics.axes)
-            write(frame, teams.frames[block, i], 0, lane, physics.width)
+            frame = draw_rotation(key, 3 * i, layout.axes)
+            write(frame, teams.frames[block, i], 0, lane, width)
         if rules.draw_memory:
-            kept = begin_memory(physics.model, key, 3 * i)
-            write(kept, teams.memory[block, i], 0, lane, physics.width)
+            kept = begin_memory(robot.model, key, 3 * i)
+            write(kept, teams.memory[block, i], 0, lane, width)
+        fixed = read(teams.frames[block, i], lane, width, layout.entries)
+        memory = read(teams.memory[block, i], lane, width, robot.memories)
+        write(frame_of(robot.model, fixed, memory), teams.frames[block, i], 0, lane, width)

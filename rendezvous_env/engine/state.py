@@ -19,6 +19,7 @@ from .memory import (
     STATUS,
     STEPS,
     Links,
+    ListedLinks,
     Teams,
 )
 from .preparation import Arrangement, empty_links, empty_obstacles, empty_teams
@@ -72,6 +73,11 @@ class State:
         own = (*self.teams, self.links.weights, *(self.obstacles or ()))
         ends = (self.links.first, self.links.second) if self.sparse else ()
         return sum(array.nbytes for array in (*own, *ends))
+
+    @property
+    def room_for_links(self) -> int:
+        """Links that a team can keep."""
+        return self.links.first.shape[-1]
 
     # ---- reading ----------------------------------------------------------------------------
 
@@ -130,7 +136,7 @@ class State:
             "merged_into": self.teams.merged_into.copy(),
         }
         if self.sparse:
-            state |= {name: getattr(self.links, name).copy() for name in Links._fields}
+            state |= {name: getattr(self.links, name).copy() for name in ListedLinks._fields}
         else:
             state["weights"] = self._by_team(self.links.weights)[..., 0].copy()
         if self.scenario.model.n_angles == 0:
@@ -149,7 +155,7 @@ class State:
                 self._put_table(value, slice(None))
             elif name == "merged_into":
                 self.teams.merged_into[...] = value
-            elif name in Links._fields:
+            elif name in ListedLinks._fields:
                 if self.sparse:
                     getattr(self.links, name)[...] = value
                 else:
@@ -184,8 +190,10 @@ class State:
         which: NDArray[np.int64],
         log: list[Overwritten],
     ) -> None:
-        """Write given links: one list for all of these teams, or one for each."""
-        for k, team in enumerate(which if len(listed) > 1 or self.sparse else [which]):
+        """Write given links: one list for all of these teams, or one for each; at most
+        ``room_for_links`` of them.
+        """
+        for k, team in enumerate(which if len(listed) != 1 or self.sparse else [which]):
             first, second, weight = listed[k % len(listed)]
             if self.sparse:
                 for array, values in zip(self.links, (first, second, weight), strict=True):

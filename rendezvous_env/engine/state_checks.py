@@ -124,6 +124,7 @@ def check_teams(scenario: Scenario, state: Mapping[str, NDArray[Any]]) -> None:
     if scenario.model.keeps_velocity:
         _check_velocities(scenario, state["memory"])
     _check_links(scenario.n_robots, state)
+    _check_rows(scenario, state)
     _check_merges(state)
     _check_obstacles(scenario, state["obstacles"])
 
@@ -147,6 +148,22 @@ def _check_links(n: int, state: Mapping[str, NDArray[Any]]) -> None:
     ahead = np.concatenate([np.full((len(used), 1), -1), order[:, :-1]], axis=1)
     _refuse("first", used & (order <= ahead), first, "in the order of the links, each once")
     _refuse("weights", used[:, 1:] & ~used[:, :-1], state["weights"][:, 1:], "0 after a 0")
+
+
+def _check_rows(scenario: Scenario, state: Mapping[str, NDArray[Any]]) -> None:
+    """Every neighbour needs a row of the observation."""
+    n, slots = scenario.n_robots, scenario.observation_layout.neighbour_slots
+    first, second = (state["first"], state["second"]) if "first" in state else np.triu_indices(n, 1)
+    used, counts = state["weights"] > 0, np.zeros((len(state["weights"]), n), np.int64)
+    team, e = np.nonzero(used)
+    for ends in (first, second):
+        np.add.at(counts, (team, np.broadcast_to(ends, used.shape)[team, e]), 1)
+    if (counts > slots).any():
+        place = tuple(int(k) for k in np.argwhere(counts > slots)[0])
+        raise ValueError(
+            f"state: weights give robot_{place[1]} of team {place[0]} {counts[place]} neighbours; "
+            f"there are rows for neighbour_slots = {slots}"
+        )
 
 
 def _check_merges(state: Mapping[str, NDArray[Any]]) -> None:

@@ -6,7 +6,7 @@ from ..compilation import inlined_kernel, inlined_view, kernel
 from ..equations import double_integrator, kinematics  # noqa: F401 - chosen by type, see motion
 from .advance import advance_block
 from .conclude import conclude_block
-from .memory import LYAPUNOV, AtHand, Lanes, Links, Physics, Results, Teams, lane_count
+from .memory import LYAPUNOV, AtHand, Constants, Lanes, Results, Teams, lane_count
 from .propose import bring_frames_up, load_actions, propose_block, turn_block
 from .sense import sense_block
 from .sense_obstacles import load_balls
@@ -18,7 +18,19 @@ _EXPONENT = np.uint32(0x7F800000)
 
 @inlined_kernel
 def step_blocks(
-    share, moves, blocks, physics, teams, links, obstacles, actions, results, all_lanes, hands
+    share,
+    moves,
+    blocks,
+    layout,
+    constants,
+    robot,
+    teams,
+    links,
+    obstacles,
+    actions,
+    results,
+    all_lanes,
+    hands,
 ):
     """One step of the blocks that this thread takes; finished teams stand still and earn nothing.
 
@@ -27,9 +39,11 @@ def step_blocks(
         moves: whether time passes; if not, the teams are only observed as they are, and frames and
             V are brought up to date.
         blocks: indices of the blocks to do.
-        physics: the fields of Physics.
+        layout: of the memory.
+        constants: the fields of Constants.
+        robot: its model.
         teams: the fields of Teams.
-        links: the fields of Links.
+        links: PairLinks or ListedLinks.
         obstacles: Balls or Shapes with a leading axis B; None without obstacles.
         actions: (B, n·a) finite float32, of all teams.
         results: the fields of Results.
@@ -40,29 +54,45 @@ def step_blocks(
         Whether all blocks are done, see ``sharing.end``.
     """
     # plain tuples cross the border from Python twice as fast as named ones
-    share, physics, teams, links = Share(*share), Physics(*physics), Teams(*teams), Links(*links)
+    share, constants, teams = Share(*share), Constants(*constants), Teams(*teams)
     buffers, hand = (
         _lanes_of(Lanes(*all_lanes), share.thread),
         _hand_of(AtHand(*hands), share.thread),
     )
     results = Results(*results)
-    done, lanes = 0, lane_count(physics.width)
+    done, lanes = 0, lane_count(layout.width)
     begin(share)
     taken = take(share)
     while taken < share.blocks:
         block = blocks[taken]
         count = min(lanes, len(actions) - block * lanes)
-        load_balls(block, count, physics, obstacles, buffers)
+        load_balls(block, count, layout, obstacles, buffers)
         if moves:
-            load_actions(block, count, physics, teams, actions, buffers)
-            propose_block(block, count, physics, teams, buffers)
-            advance_block(block, count, physics, teams, links, obstacles, results, buffers, hand)
-            turn_block(block, count, physics, physics.memories, teams, results, buffers)
+            load_actions(block, count, layout, teams, actions, buffers)
+            propose_block(block, count, layout, robot, teams, buffers)
+            advance_block(
+                block,
+                count,
+                layout,
+                constants,
+                robot,
+                teams,
+                links,
+                obstacles,
+                results,
+                buffers,
+                hand,
+            )
+            turn_block(
+                block, count, layout, constants, robot, robot.memories, teams, results, buffers
+            )
         else:
-            bring_frames_up(block, count, physics, physics.memories, teams)
-        sense_block(block, count, physics, teams, links, obstacles, results, buffers, hand)
+            bring_frames_up(block, count, layout, robot, robot.memories, teams)
+        sense_block(
+            block, count, layout, constants, robot, teams, links, obstacles, results, buffers, hand
+        )
         if moves:
-            conclude_block(block, count, physics, teams, results, buffers)
+            conclude_block(block, count, layout, constants, teams, results, buffers)
         else:
             for lane in range(lanes):
                 teams.statistics[block, LYAPUNOV * lanes + lane] = 2.0 * buffers.pair[lane]

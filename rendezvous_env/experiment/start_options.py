@@ -126,7 +126,19 @@ def _weights(scenario: Scenario, num_envs: int, value: Any) -> NDArray[np.float6
     for matrix in weights:
         graphs.check_weights(matrix, n, "weights")
         _check_within(scenario, matrix)
+        _check_rows(scenario, matrix)
     return weights
+
+
+def _check_rows(scenario: Scenario, weights: NDArray[np.float64]) -> None:
+    """Every neighbour needs a row of the observation."""
+    slots, counts = scenario.observation_layout.neighbour_slots, (weights > 0).sum(axis=1)
+    if counts.max() > slots:
+        robot = int(np.argmax(counts))
+        raise ValueError(
+            f"weights give robot_{robot} {counts[robot]} neighbours; there are rows for "
+            f"neighbour_slots = {slots}; give the scenario more neighbour_slots"
+        )
 
 
 def _check_within(scenario: Scenario, weights: NDArray[np.float64]) -> None:

@@ -237,7 +237,8 @@ def test_the_place_in_the_batch_and_the_number_of_threads_do_not_matter(name, mo
     monkeypatch.setattr(threads, "share", share)
     one = follow(scenario, count, seed=seeds.tolist(), num_threads=1)
     two = follow(scenario, count, seed=seeds[order].tolist(), num_threads=2)
-    assert widths == [1] * 60 + [2] * 60
+    observed = [1]  # at the start, by the caller
+    assert widths == [*observed, *[1] * 60, *observed, *[2] * 60]
     for x, y in zip(one[:2], two[:2], strict=True):
         np.testing.assert_array_equal(y, x[:, order])
     for (entry, x), y in zip(one[2].get_state().items(), two[2].get_state().values(), strict=True):
@@ -445,7 +446,7 @@ def test_a_wrong_state_is_refused_and_changes_nothing():
     sim = _halfway("unicycle")
     good = sim.get_state()
     wrong = [
-        ({k: v for k, v in good.items() if k != "angles"}, "'angles' is missing or unknown"),
+        ({k: v for k, v in good.items() if k != "memory"}, "'memory' is missing or unknown"),
         ({**good, "speed": good["steps"]}, "'speed' is missing or unknown"),
         (
             {**good, "positions": good["positions"][:3]},
@@ -760,7 +761,8 @@ PLAIN_PYTHON = """
 import sys
 import numpy as np
 import numba
-from rendezvous_env import Disc, Scenario, Simulator, kernels
+from rendezvous_env import Disc, Scenario, Simulator
+from rendezvous_env.engine import step as kernels
 
 assert numba.config.DISABLE_JIT == (sys.argv[1] == "plain")
 assert hasattr(kernels.step_blocks, "py_func") == (sys.argv[1] != "plain")

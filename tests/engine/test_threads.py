@@ -8,6 +8,7 @@ import signal
 import threading
 import time
 import weakref
+from types import SimpleNamespace
 
 import numba
 import numpy as np
@@ -27,7 +28,7 @@ from rendezvous_env.engine.sharing import (
     pause,
     take,
 )
-from rendezvous_env.guarantee import steering
+from rendezvous_env.guarantee import teams
 from rendezvous_env.vector import HeadingVectorWrapper
 
 
@@ -275,9 +276,12 @@ def test_a_waiting_thread_pauses():
 
 def test_steering_uses_no_more_threads_than_it_may(monkeypatch):
     used = []
-    monkeypatch.setattr(steering, "_ROBOTS_PER_THREAD", 1)
+    monkeypatch.setattr(teams, "_ROBOTS_PER_THREAD", 1)
     monkeypatch.setattr(threads, "available_cores", lambda: 3)
-    monkeypatch.setattr(threads, "share", lambda run, blocks, most: used.append(most))
+    counted = SimpleNamespace(
+        share=lambda run, blocks, most: used.append(most), most_threads=threads.most_threads
+    )
+    monkeypatch.setattr(teams, "threads", counted)
     for num_threads in (None, 1, 2):
         venv = HeadingVectorWrapper(rv.make_vec("fig3", 64, num_threads=num_threads))
         venv.reset(seed=0)

@@ -83,13 +83,25 @@ def test_lengths_are_the_gains_whatever_the_frames(kind):
 
 
 def test_more_slots_than_neighbours_stay_zero():
-    scenario = five("single_integrator-2d", neighbour_slots=7, local_frames="global")
+    path = {"graph": "path", "local_frames": "global"}
+    plain = Simulator(five("single_integrator-2d", **path)).reset(0, {"positions": START})
+    assert plain.shape == (1, 5, 2, 2)  # nobody on a path has more neighbours
+    scenario = five("single_integrator-2d", neighbour_slots=3, **path)
     seen = Simulator(scenario).reset(0, {"positions": START})
-    plain = Simulator(five("single_integrator-2d", local_frames="global")).reset(
-        0, {"positions": START}
-    )
-    assert seen.shape == (1, 5, 7, 2) and not seen[:, :, 4:].any()
-    np.testing.assert_array_equal(seen[:, :, :4], plain)
+    assert seen.shape == (1, 5, 3, 2) and not seen[:, :, 2:].any()
+    np.testing.assert_array_equal(seen[:, :, :2], plain)
+
+
+def test_few_rows_hold_the_neighbours_in_index_order():
+    """Those of the same robots with a row for everybody, the empty ones left out."""
+    options = {"positions": START}
+    few = five("single_integrator-2d", neighbour_slots=3, local_frames="global")
+    wide = few.replace(neighbour_slots=4)
+    seen, by_index = (Simulator(scenario).reset(0, options)[0] for scenario in (few, wide))
+    for robot in range(5):
+        rows = by_index[robot][np.linalg.norm(by_index[robot], axis=-1) > 0]
+        np.testing.assert_array_equal(seen[robot, : len(rows)], rows)
+        assert len(rows) >= 2 and not seen[robot, len(rows) :].any()
 
 
 def test_obstacles_within_range_and_beyond():
@@ -142,7 +154,8 @@ def test_splitting_gives_views_and_checks_the_shape():
     split = layout.split(table)
     assert split.neighbours.shape == (2, 2, 3) and split.obstacles.shape == (2, 1, 8, 3)
     np.testing.assert_array_equal(split.gravity, table[:, 10])
-    assert all(np.shares_memory(part, table) for part in split)
+    assert split.velocity is None
+    assert all(np.shares_memory(part, table) for part in split if part is not None)
     np.testing.assert_array_equal(layout.net_bearing(table), table[:, 0] + table[:, 1])
     assert ObservationLayout(2, 4).split(np.zeros((4, 2))).gravity is None
     with pytest.raises(

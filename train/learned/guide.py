@@ -24,7 +24,7 @@ class Guide:
     Args:
         scenario: whose robots are guided.
         clearance: rad.
-        persistence: λ of ``baselines.silhouettes.joined_headings_2d``.
+        persistence: λ of ``baselines.joined_plane.joined_headings_2d``.
     """
 
     def __init__(self, scenario: Scenario, *, clearance: float, persistence: float) -> None:

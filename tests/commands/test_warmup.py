@@ -1,0 +1,74 @@
+"""``rendezvous warmup``, and the word about compilation."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+from rendezvous_env import first_use
+from train import cli
+
+
+def test_it_readies_the_scenarios_asked_for(capsys):
+    assert cli.main(["warmup", "--scenarios", "duo", "ring-12"]) == 0
+    assert "2 scenarios are ready" in capsys.readouterr().out
+
+
+def test_an_unknown_scenario_is_the_users_mistake(capsys):
+    assert cli.main(["warmup", "--scenarios", "duoo"]) == 2
+    assert "duo" in capsys.readouterr().err
+
+
+class Event:
+    """What numba tells of a compilation."""
+
+    def __init__(self, module: str) -> None:
+        function = type("function", (), {"__module__": module})
+        self.data = {"dispatcher": type("dispatcher", (), {"py_func": function})}
+
+
+@pytest.mark.parametrize(
+    ("module", "seconds", "said"),
+    [
+        ("rendezvous_env.engine.step", 2.5, 1),
+        ("rendezvous_env.engine.step", 1.5, 0),
+        ("somebody.else", 9.0, 0),
+    ],
+)
+def test_long_compilation_is_announced_once(module, seconds, said, monkeypatch, capsys):
+    clock = [100.0]
+    monkeypatch.setattr(first_use.time, "monotonic", lambda: clock[0])
+    notice, event = first_use.Notice(), Event(module)
+    notice.on_start(event)
+    notice.on_start(event)
+    clock[0] += seconds
+    notice.on_end(event)
+    notice.on_end(event)
+    notice.on_start(event)
+    clock[0] += seconds
+    notice.on_end(event)
+    assert capsys.readouterr().err.count("rendezvous warmup") == said
+
+
+@pytest.mark.slow
+def test_a_cold_first_step_says_that_it_compiles(tmp_path):
+    code = (
+        "import rendezvous_env as rv; env = rv.parallel_env('duo'); env.reset(seed=0);"
+        "env.step({a: env.action_space(a).sample() for a in env.agents})"
+    )
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
+    first, second = (
+        subprocess.run(
+            [sys.executable, "-c", code],
+            env=environment,
+            capture_output=True,
+            text=True,
+            check=True,
+        ).stderr
+        for _ in range(2)
+    )
+    assert first.count("rendezvous warmup") == 1 and first.count("\n") == 1
+    assert second == ""

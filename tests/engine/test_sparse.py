@@ -1,0 +1,325 @@
+"""Large teams with few links keep lists of them: the same motions, in memory that follows the
+links.
+"""
+
+from __future__ import annotations
+
+import copy
+import pickle
+
+import numpy as np
+import pytest
+
+import baselines
+import rendezvous_env as rv
+from rendezvous_env import Scenario, Simulator, graphs
+from rendezvous_env.engine import preparation
+
+SEED = 4
+
+
+def random_links(n: int, seed: int) -> list[tuple[int, int, float]]:
+    """A random spanning tree and as many further links, of unequal weights: mean degree 4."""
+    random = np.random.default_rng(seed)
+    links = {(int(random.integers(i)), i) for i in range(1, n)}
+    while len(links) < 2 * n:
+        i, j = sorted(random.choice(n, 2, replace=False).tolist())
+        links.add((i, j))
+    return [(i, j, float(random.uniform(0.5, 2.0))) for i, j in sorted(links)]
+
+
+RING = Scenario(n_robots=60, graph="cycle", spawn_size=12.0)
+WEB = Scenario(
+    n_robots=60,
+    graph=graphs.from_edges(random_links(60, 1)),
+    spawn_size=12.0,
+    merge_radius=0.4,
+    time_step=0.02,
+    allow_long_step=True,
+    max_speed=4.0,
+)
+SCENARIOS = {
+    "ring": RING,
+    "web": WEB,
+    "web with 40 rows": WEB.replace(neighbour_slots=40),
+    "ring in space": RING.replace(dim=3),
+    "ring among discs": RING.replace(
+        obstacles=[rv.Disc((1.0, 1.0), 0.8), rv.Disc((-3.0, 0.0), 1.0)]
+    ),
+    "unicycles": RING.replace(robot_model="unicycle"),
+    "drawn weights": RING.replace(graph=graphs.path((0.5, 2.0))),
+    "tree": RING.replace(
+        graph=graphs.random_tree(), max_speed=3.0, time_step=0.02, allow_long_step=True
+    ),
+}
+
+COVERED = ("web with 40 rows", "ring in space", "unicycles")
+"""By the others together, but for how they are compiled."""
+
+
+def simulators(scenario: Scenario, batch: int, monkeypatch) -> tuple[Simulator, Simulator]:
+    """One that keeps lists of links, and one that keeps all pairs."""
+    lists = Simulator(scenario, batch)
+    with monkeypatch.context() as patch:
+        patch.setattr(preparation, "_SPARSE_FROM", 10**9)
+        pairs = Simulator(scenario, batch)
+    assert "first" in lists.get_state() and "first" not in pairs.get_state()
+    return lists, pairs
+
+
+def actions_of(scenario: Scenario, observations: np.ndarray) -> np.ndarray:
+    """The net bearing, for unicycles as speed and turn rate."""
+    return scenario.observation_layout.net_bearing(observations)
+
+
+def by_robot(rows: np.ndarray) -> list[np.ndarray]:
+    """The rows of each robot that hold anything, in their order."""
+    flat = rows.reshape(-1, *rows.shape[-2:])
+    return [robot[np.any(robot != 0.0, axis=-1)] for robot in flat]
+
+
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=[pytest.mark.slow] if name in COVERED else []) for name in SCENARIOS],
+)
+def test_lists_of_links_give_the_motion_of_all_pairs(name, monkeypatch):
+    scenario = SCENARIOS[name]
+    lists, pairs = simulators(scenario, 2, monkeypatch)
+    observations = lists.reset(SEED)
+    neighbours = scenario.observation_layout.neighbours
+    seen = pairs.reset(SEED)
+    np.testing.assert_array_equal(lists.weights, pairs.weights)
+    for _ in range(150):
+        for own, other in zip(
+            by_robot(observations[..., neighbours, :]),
+            by_robot(seen[..., neighbours, :]),
+            strict=True,
+        ):
+            np.testing.assert_array_equal(own, other)
+        np.testing.assert_array_equal(lists.lyapunov(), pairs.lyapunov())
+        mine, theirs = (
+            sim.step(actions_of(scenario, rows))
+            for sim, rows in ((lists, observations), (pairs, seen))
+        )
+        observations, seen = mine.observations, theirs.observations
+        np.testing.assert_allclose(lists.positions, pairs.positions, rtol=0, atol=1e-9)
+        np.testing.assert_array_equal(lists.merged_into, pairs.merged_into)
+        np.testing.assert_array_equal(mine.contact, theirs.contact)
+        np.testing.assert_array_equal(mine.active, theirs.active)
+        for score in ("rewards", "lyapunov_before_merge", "lyapunov_after_merge", "merge_excess"):
+            np.testing.assert_allclose(getattr(mine, score), getattr(theirs, score), atol=1e-9)
+    np.testing.assert_array_equal(lists.weights, pairs.weights)
+    np.testing.assert_allclose(lists.path_length, pairs.path_length, rtol=1e-12)
+    assert lists.active.sum() <= 100  # of 120
+
+
+@pytest.mark.parametrize(
+    "graph", [graphs.erdos_renyi(0.05), graphs.erdos_renyi(0.01, (0.5, 2.0)), graphs.random_tree()]
+)
+def test_graphs_are_drawn_alike(graph, monkeypatch):
+    """Of 0.05 most are connected; of 0.01 none is, so that a tree is added."""
+    lists, pairs = simulators(Scenario(n_robots=80, graph=graph), 3, monkeypatch)
+    for seed in (SEED, None):
+        lists.reset(seed), pairs.reset(seed)
+        weights = lists.weights
+        np.testing.assert_array_equal(weights, pairs.weights)
+        np.testing.assert_array_equal(lists.positions, pairs.positions)
+        assert len({team.tobytes() for team in weights}) == 3
+        assert all(len(graphs.components(team)) == 1 for team in weights)
+
+
+@pytest.mark.parametrize("sparse", [False, True])
+def test_a_robot_with_more_neighbours_than_rows_is_named(sparse):
+    """A double star: when its two centres merge, robot 0 has the neighbours of both."""
+    n = 60 if sparse else 8
+    links = [(0, 1)] + [(k % 2, k) for k in range(2, n)]
+    scenario = Scenario(n_robots=n, graph=graphs.from_edges(links), neighbour_slots=n // 2)
+    sim = Simulator(scenario)
+    assert ("first" in sim.get_state()) == sparse
+    turns = 2 * np.pi * np.arange(n) / n
+    positions = 9.0 * np.stack([np.cos(turns), np.sin(turns)], axis=-1)
+    r = scenario.merge_radius
+    positions[:2] = [[-0.55 * r, 0.0], [0.55 * r, 0.0]]
+    frames = np.tile(np.eye(2), (n, 1, 1))
+    sim.reset(0, {"positions": positions, "frames": frames})
+    actions = np.zeros((1, n, 2))
+    sim.step(actions)
+    actions[0, 0, 0] = scenario.speed_limit
+    message = rf"robot_0 of team 0 has more than neighbour_slots = {n // 2} neighbours after step"
+    with pytest.raises(RuntimeError, match=message):
+        for _ in range(100):
+            sim.step(actions)
+    steps = sim.steps[0]
+    with pytest.raises(RuntimeError, match=f"after step {steps}; give the scenario more"):
+        sim.observe()
+
+
+def test_a_drawn_start_with_too_many_neighbours_is_refused():
+    scenario = Scenario(n_robots=6, graph=graphs.erdos_renyi(0.9), neighbour_slots=1)
+    sim = Simulator(scenario, 2)
+    with pytest.raises(RuntimeError, match=r"robot_\d of team 0 has more .* after step 0"):
+        sim.reset(0)
+
+
+def test_a_restart_with_too_many_neighbours_is_refused():
+    """The next episode's star has no room in the rows that were enough for this one's path."""
+    path = np.eye(4, k=1) + np.eye(4, k=-1)
+    sim = Simulator(Scenario(n_robots=4, graph="star", neighbour_slots=2, spawn_size=30.0))
+    sim.reset(0, {"weights": path})
+    outcome = sim.step(np.zeros((1, 4, 2)))
+    with pytest.raises(RuntimeError, match="robot_0 of team 0 has more than neighbour_slots = 2"):
+        sim.restart(np.ones(1, bool), outcome)
+
+
+# ---- a thousand robots --------------------------------------------------------------------------
+
+THOUSAND = Scenario(n_robots=1000, graph="cycle", spawn_size=300.0)
+
+
+def test_a_thousand_robots_through_every_face():
+    shape = (1000, 2, 2)
+    layout = THOUSAND.observation_layout
+    sim = Simulator(THOUSAND, 2)
+    observations = sim.reset(0)
+    assert observations.shape == (2, *shape)
+    falling = [sim.lyapunov()]
+    venv = rv.make_vec(THOUSAND, 2)
+    seen, _ = venv.reset(seed=0)
+    env = rv.parallel_env(THOUSAND)
+    alone, _ = env.reset(seed=0)
+    for _ in range(4):
+        np.testing.assert_array_equal(seen, observations)
+        np.testing.assert_array_equal(np.stack([alone[a] for a in env.agents]), observations[0])
+        actions = layout.net_bearing(observations).astype(np.float32)
+        observations = sim.step(actions).observations
+        seen, *_ = venv.step(actions)
+        alone, *_ = env.step(dict(zip(env.agents, actions[0], strict=True)))
+        assert len(env.agents) == 1000
+        falling.append(sim.lyapunov())
+    assert (np.diff(falling, axis=0) < 0).all()
+    traj = rv.rollout(
+        THOUSAND.replace(time_limit=4 * THOUSAND.tau), baselines.make("bearing-only", THOUSAND)
+    )
+    assert traj.positions.shape[-3:] == (1, 1000, 2)
+    assert sim.nbytes < 2 * 1000 * 200  # of a team; a table of weights alone would be 8 MB
+
+
+# ---- state and options --------------------------------------------------------------------------
+
+
+def halfway(scenario: Scenario) -> Simulator:
+    sim = Simulator(scenario, 2)
+    observations = sim.reset(SEED)
+    while sim.active.all() or sim.steps[0] < 30:
+        observations = sim.step(actions_of(scenario, observations)).observations
+    assert not sim.active.all(axis=1).any() or scenario is WEB
+    return sim
+
+
+def onwards(sim: Simulator) -> list[np.ndarray]:
+    found = [sim.observe()]
+    for _ in range(40):
+        outcome = sim.step(actions_of(sim.scenario, found[-1]))
+        found += [outcome.rewards, sim.positions, sim.weights, outcome.observations]
+    return found
+
+
+def through_state(sim: Simulator) -> Simulator:
+    other = Simulator(sim.scenario, sim.num_envs)
+    other.reset(9)
+    other.set_state(sim.get_state())
+    return other
+
+
+@pytest.mark.parametrize(
+    "twin_of", [through_state, copy.deepcopy, lambda sim: pickle.loads(pickle.dumps(sim))]
+)
+@pytest.mark.parametrize("name", ["ring", "web"])
+def test_a_running_sparse_team_can_be_taken_out_and_put_back(name, twin_of):
+    sim = halfway(SCENARIOS[name])
+    twin = twin_of(sim)
+    for (entry, own), other in zip(sim.get_state().items(), twin.get_state().values(), strict=True):
+        np.testing.assert_array_equal(own, other, err_msg=entry)
+    for own, other in zip(onwards(sim), onwards(twin), strict=True):
+        np.testing.assert_array_equal(own, other)
+    assert sim.active.sum() < 110
+
+
+@pytest.mark.parametrize(
+    ("name", "place", "value", "message"),
+    [
+        ("first", (0, 0), 60, r"first\[0, 0\] is 60; it must be from 0 to 59"),
+        ("second", (1, 5), -1, r"second\[1, 5\] is -1; it must be from 0 to 59"),
+        ("second", (0, 0), 0, r"second\[0, 0\] is 0; it must be above the other robot"),
+        ("first", (0, 3), 0, "in the order of the links, each once"),
+        ("weights", (0, 3), 0.0, "it must be 0 after a 0"),
+        ("weights", (0, 3), -1.0, "it must be 0 or more"),
+        ("merged_into", (0, 1), 0, "it must be 0 for pairs with a merged-away robot"),
+    ],
+)
+def test_links_that_no_team_has_are_refused(name, place, value, message):
+    sim = Simulator(RING, 2)
+    sim.reset(0)
+    before = sim.get_state()
+    spoilt = before[name].copy()
+    spoilt[place] = value
+    with pytest.raises(ValueError, match=message):
+        sim.set_state({**before, name: spoilt})
+    for entry, array in sim.get_state().items():
+        np.testing.assert_array_equal(array, before[entry], err_msg=entry)
+
+
+@pytest.mark.parametrize("n", [6, 60])
+def test_a_state_with_more_neighbours_than_rows_is_refused(n):
+    ring, star = (Scenario(n_robots=n, graph=kind) for kind in ("cycle", "star"))
+    sim, other = Simulator(ring.replace(neighbour_slots=n - 1), 2), Simulator(ring, 2)
+    sim.reset(0), other.reset(0)
+    other.set_state(sim.get_state())
+    sim, slim = Simulator(star, 2), Simulator(star.replace(neighbour_slots=3), 2)
+    sim.reset(0)
+    before, message = slim.get_state(), f"robot_0 of team 0 {n - 1} neighbours; .* = 3"
+    with pytest.raises(ValueError, match=message):
+        slim.set_state(sim.get_state())
+    for entry, array in slim.get_state().items():
+        np.testing.assert_array_equal(array, before[entry], err_msg=entry)
+
+
+def test_given_weights_are_those_of_the_team():
+    n = 60
+    scenario = RING.replace(graph=graphs.cycle((0.5, 2.0)))
+    ring = np.eye(n, k=1) + np.eye(n, k=-1)
+    ring[0, -1] = ring[-1, 0] = 1.0
+    path = np.eye(n, k=1) + np.eye(n, k=-1)
+    sim = Simulator(scenario, 2)
+    sim.reset(0, {"weights": np.stack([ring, path])})
+    np.testing.assert_array_equal(sim.weights, [ring, path])
+    shuffled = np.random.default_rng(0).permutation(n)
+    sim.reset(0, {"weights": ring[np.ix_(shuffled, shuffled)]}, mask=np.array([False, True]))
+    np.testing.assert_array_equal(sim.weights, [ring, ring[np.ix_(shuffled, shuffled)]])
+    sim.set_state(sim.get_state())
+    sim.reset()
+    assert ((sim.weights > 0) == (ring > 0)).all() and sim.weights.max() > 1.0
+
+
+def test_given_weights_that_find_no_room_are_refused_and_change_nothing():
+    scenario = Scenario(n_robots=80, graph=graphs.erdos_renyi(0.05))
+    sim = Simulator(scenario)
+    sim.reset(3)
+    before, everybody = sim.get_state(), np.ones((80, 80)) - np.eye(80)
+    with pytest.raises(ValueError, match=r"weights have 3160 links; .* have room for 361"):
+        sim.reset(None, {"weights": everybody})
+    small = Simulator(Scenario(n_robots=6, neighbour_slots=4))
+    with pytest.raises(ValueError, match=r"robot_0 5 neighbours; .* neighbour_slots = 4"):
+        small.reset(0, {"weights": everybody[:6, :6]})
+    for entry, array in sim.get_state().items():
+        np.testing.assert_array_equal(array, before[entry], err_msg=entry)
+
+
+@pytest.mark.parametrize("n", [5, 60])
+def test_weights_for_teams_that_a_mask_leaves_out_change_nothing(n):
+    sim = Simulator(Scenario(n_robots=n, graph="cycle"), 3)
+    sim.reset(0)
+    before, ring = sim.get_state(), sim.weights
+    sim.reset(options={"weights": ring}, mask=np.zeros(3, bool))
+    for entry, array in sim.get_state().items():
+        np.testing.assert_array_equal(array, before[entry], err_msg=entry)

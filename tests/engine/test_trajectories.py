@@ -1,0 +1,38 @@
+"""The motions of version 0.1, kept as numbers."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from trajectories_v01 import EVERY, KEPT, STEPS, trajectory
+
+with np.load(KEPT) as _file:
+    MOTIONS = dict(_file)
+NAMES = sorted({case.split("|")[0] for case in MOTIONS})
+
+
+def one_of_each_scenario() -> list[str]:
+    """A case for every scenario; of their policies, as many different ones as there are."""
+    chosen = []
+    for k, name in enumerate(NAMES):
+        policies = sorted(case for case in MOTIONS if case.startswith(f"{name}|"))
+        chosen.append(policies[k % len(policies)])
+    return chosen
+
+
+def assert_same_motion(case: str, steps: int) -> None:
+    expected = MOTIONS[case][: 1 + steps // EVERY]
+    found = trajectory(*case.split("|"), steps=steps)
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9)
+    assert np.ptp(expected, axis=0).max() > 0.01 or case.endswith("|zero")
+
+
+@pytest.mark.parametrize("case", one_of_each_scenario())
+def test_motions_are_those_of_version_01(case):
+    assert_same_motion(case, 2 * EVERY)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", MOTIONS)
+def test_all_motions_are_those_of_version_01(case):
+    assert_same_motion(case, STEPS)

@@ -1,0 +1,52 @@
+"""``rendezvous warmup``: compile beforehand what the first use of a scenario would compile."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from rich.console import Console
+from rich.progress import track
+
+import baselines
+import rendezvous_env as rv
+from rendezvous_env.experiment.scenario import Scenario
+from rendezvous_env.experiment.scenarios import names, resolve
+
+from ..errors import UserError
+
+_TOGETHER = 8
+"""Teams of a batch: from five on they are computed side by side, by other code than a few."""
+
+
+@dataclass(frozen=True)
+class Config:
+    """Compile beforehand what the first use of a scenario would compile."""
+
+    scenarios: tuple[str, ...] = ()
+    """Names or TOML files; none is all named scenarios, which takes some minutes."""
+
+
+def run(config: Config) -> None:
+    """Step every scenario once, one team and many, and ask every policy that fits it.
+
+    Raises:
+        UserError: for an unknown scenario or a bad file.
+    """
+    try:
+        scenarios = [resolve(name) for name in config.scenarios or names()]
+    except (OSError, ValueError) as error:
+        raise UserError(str(error)) from error
+    for scenario in track(scenarios, "compiling", console=Console(stderr=True)):
+        for teams in (1, _TOGETHER):
+            _use(scenario, teams)
+    print(f"{len(scenarios)} scenarios are ready")
+
+
+def _use(scenario: Scenario, teams: int) -> None:
+    simulator = rv.Simulator(scenario, teams)
+    observations = simulator.reset(0)
+    for name in baselines.names(scenario):
+        actions = baselines.make(name, scenario)(observations, simulator.time)
+        simulator.step(np.asarray(actions, dtype=np.float32))
+        observations = simulator.reset(0)
