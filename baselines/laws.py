@@ -9,13 +9,19 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rendezvous_env.experiment.checks import bools, floats, shown, whole
+from rendezvous_env.experiment.checks import bools, floats, positive, shown, whole
 from rendezvous_env.experiment.limits import LARGEST_SEED
 from rendezvous_env.experiment.observation_layout import ObservedRows
 from rendezvous_env.guarantee.heading import flexible_velocity
 from rendezvous_env.guarantee.turning import yaw_rate_law
 
-from .policy import Policy, is_single_integrator, register, within_limits
+from .policy import (
+    Policy,
+    is_double_integrator,
+    is_single_integrator,
+    register,
+    within_limits,
+)
 
 if TYPE_CHECKING:
     from rendezvous_env.experiment.scenario import Scenario
@@ -26,6 +32,7 @@ __all__ = [
     "LawPolicy",
     "RandomPolicy",
     "bearing_only_law",
+    "damped_law",
     "flexible_velocity",
     "nonholonomic_3d_law",
     "pitch_of",
@@ -127,6 +134,26 @@ def nonholonomic_3d_law(net_bearing: Array, pitch: Array) -> Array:
     return np.stack([f_x, yaw_rate_law(f_y, pitch), f_z], axis=-1)
 
 
+def damped_law(net_bearing: Array, velocity: Array, *, damping: float) -> Array:
+    """Acceleration of a robot with inertia that goes where law (1) would, with friction.
+
+        a = f − k v
+
+    It is no law of the paper. The energy H = ½ Σ‖v‖² + V/2 falls, Ḣ = −k Σ‖v‖², while no limit
+    holds it back; V itself may rise. Left alone with a constant f a robot comes to v = f/k.
+
+    Args:
+        net_bearing: f, (..., d), m/s, in the robot's own frame; taken in m/s², one per second.
+        velocity: v, (..., d), m/s, in the same frame.
+        damping: k, 1/s.
+
+    Returns:
+        Accelerations, (..., d), m/s².
+    """
+    f, v, k = net_bearing, velocity, damping
+    return f - k * v
+
+
 # ---- as policies --------------------------------------------------------------------------------
 
 
@@ -198,6 +225,17 @@ def _nonholonomic_3d(scenario: Scenario) -> Policy:
     def law(f: Array, seen: ObservedRows, time: ArrayLike) -> Array:
         assert seen.gravity is not None  # these robots always sense it
         return nonholonomic_3d_law(f, pitch_of(seen.gravity))
+
+    return LawPolicy(scenario, law)
+
+
+@register("damped", fits=is_double_integrator)
+def _damped(scenario: Scenario, damping: float = 1.0) -> Policy:
+    k = positive("damping", damping, "1/s")
+
+    def law(f: Array, seen: ObservedRows, time: ArrayLike) -> Array:
+        assert seen.velocity is not None  # these robots always sense it
+        return damped_law(f, seen.velocity.astype(np.float64), damping=k)
 
     return LawPolicy(scenario, law)
 

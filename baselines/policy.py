@@ -132,20 +132,25 @@ def is_single_integrator(scenario: Scenario) -> bool:
     return scenario.robot_model == "single_integrator"
 
 
+def is_double_integrator(scenario: Scenario) -> bool:
+    """Whether actions are accelerations."""
+    return scenario.robot_model == "double_integrator"
+
+
 def within_limits(actions: NDArray[np.float64], scenario: Scenario) -> NDArray[np.float32]:
     """Actions that the scenario's robots can execute.
 
-    Velocities are scaled to the speed limit with their direction kept; speeds and turn rates of the
-    other models are clipped one by one.
+    Velocities and accelerations are scaled to their limit with their direction kept; speeds and
+    turn rates of the other models are clipped one by one.
 
     Args:
-        actions: (..., a), m/s and rad/s.
+        actions: (..., a), m/s, m/s², or m/s and rad/s.
         scenario: whose limits apply.
     """
     bounds = scenario.action_bounds
-    if is_single_integrator(scenario):
-        speeds = np.linalg.norm(actions, axis=-1, keepdims=True)
-        limited_speeds = np.minimum(speeds, scenario.speed_limit)
-        actions = actions * (limited_speeds / np.where(speeds > 0, speeds, 1.0))
+    if is_single_integrator(scenario) or is_double_integrator(scenario):
+        sizes = np.linalg.norm(actions, axis=-1, keepdims=True)
+        limited_sizes = np.minimum(sizes, bounds[0])
+        actions = actions * (limited_sizes / np.where(sizes > 0, sizes, 1.0))
     limited: NDArray[np.float32] = np.clip(actions, -bounds, bounds).astype(np.float32)
     return limited

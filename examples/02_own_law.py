@@ -23,5 +23,5 @@ for name, law in (
     result = rv.rollout(scenario, law, seed=0, num_envs=50)
     print(
         f"{name}: {result.success.mean():.0%} met, "
-        f"largest rise of V between merges {result.largest_rise_between_merges:.1e} m²/s"
+        f"largest rise of V between merges {result.largest_rise_between_merges.max():.1e} m²/s"
     )

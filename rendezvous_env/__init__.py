@@ -5,6 +5,9 @@ must all meet.
 """
 
 from . import rendezvous_v0
+from .compilation import kernel
+from .equations.motion import FREE, SLID, STOPPED, Motion
+from .equations.motion import describe as describe_motion
 from .experiment import graphs, scenarios
 from .experiment.observation_layout import ObservationLayout
 from .experiment.obstacles import Capsule, Disc, ObstacleField, Polygon, Sphere
@@ -23,10 +26,14 @@ from .wrappers import HeadingVectorWrapper
 
 __version__ = "0.1.0"
 __all__ = [
+    "FREE",
+    "SLID",
+    "STOPPED",
     "Capsule",
     "Certificate",
     "Disc",
     "HeadingVectorWrapper",
+    "Motion",
     "ObservationLayout",
     "ObstacleField",
     "Polygon",
@@ -39,7 +46,9 @@ __all__ = [
     "Trajectory",
     "certificate",
     "certified_heading",
+    "describe_motion",
     "graphs",
+    "kernel",
     "make_vec",
     "parallel_env",
     "register_robot_model",

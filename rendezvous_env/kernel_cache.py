@@ -4,6 +4,10 @@ numba notices a change in a kernel's own file, but not in another file whose ker
 or whose constants it has frozen. So the compiled code of a file is kept in a folder named after the
 content of that file and of all that it imports, directly or through others: edit one, or install
 another version, and it is compiled anew. Compiled code that cannot be read is compiled anew, too.
+
+Functions that are chosen by the type of an argument (a robot model's equations) come from files
+that nobody imports. ``depends_on`` says which; what is compiled for arguments of such a type is
+kept in a folder named after those files as well.
 """
 
 from __future__ import annotations
@@ -15,7 +19,7 @@ import shutil
 import tempfile
 import time
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
@@ -47,23 +51,46 @@ def keep(dispatcher: Any) -> None:
 class KernelCache(FunctionCache):
     """numba's cache of one kernel, which neither damaged nor unwritable files can make fail."""
 
+    def __init__(self, function: Callable[..., Any]) -> None:
+        super().__init__(function)
+        self._beside: dict[frozenset[Path], FunctionCache | None] = {}
+
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """The compiled code for a signature, None if there is none that can be read."""
+        if (place := self._place_for(sig)) is None:
+            return None
         try:
-            return super().load_overload(sig, target_context)
+            return FunctionCache.load_overload(place, sig, target_context)
         except Exception:  # damaged bytes make unpickling raise anything
             with suppress(OSError):
-                self.flush()
+                place.flush()
             return None
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Keep the compiled code, unless the disk is full or the folder gone."""
-        with suppress(OSError):
-            super().save_overload(sig, data)
+        if (place := self._place_for(sig)) is not None:
+            with suppress(OSError):
+                FunctionCache.save_overload(place, sig, data)
+
+    def _place_for(self, sig: Any) -> FunctionCache | None:
+        """The cache for a signature; None if what it stands on cannot be followed."""
+        files = _files_behind(sig)
+        if not files:
+            return self if files is not None else None
+        if files not in self._beside:
+            self._beside[files] = self._cache_beside(files)
+        return self._beside[files]
+
+    def _cache_beside(self, files: frozenset[Path]) -> FunctionCache | None:
+        source = Path(self._py_func.__code__.co_filename).absolute()
+        if (folder := folder_for(source, files)) is not None:
+            with cache_in(folder), suppress(RuntimeError):
+                return FunctionCache(self._py_func)
+        return None
 
 
 @cache
-def folder_for(source: Path) -> str | None:
+def folder_for(source: Path, beside: frozenset[Path] = frozenset()) -> str | None:
     """Where the compiled code of a file is kept, as an existing folder that can be written to.
 
     It lies in NUMBA_CACHE_DIR if that is set, else beside the file or at home; where these cannot
@@ -71,11 +98,12 @@ def folder_for(source: Path) -> str | None:
 
     Args:
         source: a Python file.
+        beside: others that its compiled code stands on without importing them.
 
     Returns:
         The folder; None if nothing at all can be written to.
     """
-    name = f"kernels-{source.stem}-{_digest(source)}"
+    name = f"kernels-{source.stem}-{_digest(source, beside)}"
     for parent in _usual_places(source):
         if found := _made(parent, name):
             return found
@@ -159,10 +187,46 @@ def _warn_once(what_then: str) -> None:
 # ---- what compiled code depends on --------------------------------------------------------------
 
 
-def _digest(source: Path) -> str:
+_CHOSEN_BY: dict[type, frozenset[Path] | None] = {}
+"""Files of the functions that are chosen by a type; None where one was typed into an interpreter or
+stands in a script, whose types no later process can find again."""
+
+
+def depends_on(kind: type, functions: tuple[Any, ...]) -> None:
+    """Say that what is compiled for arguments of a type stands on these functions.
+
+    Args:
+        kind: a NamedTuple class.
+        functions: chosen by it, plain or compiled.
+    """
+    codes = [getattr(function, "py_func", function).__code__ for function in functions]
+    files = frozenset(Path(code.co_filename).absolute() for code in codes)
+    found_again = kind.__module__ != "__main__" and all(map(Path.is_file, files))
+    _CHOSEN_BY[kind] = files if found_again else None
+
+
+def _files_behind(signature: Any) -> frozenset[Path] | None:
+    """Files of the functions chosen by types in a signature; None if one cannot be followed."""
+    files: frozenset[Path] = frozenset()
+    for kind in _parts(signature):
+        if (made := getattr(kind, "instance_class", None)) in _CHOSEN_BY:
+            if (chosen := _CHOSEN_BY[made]) is None:
+                return None
+            files |= chosen
+    return files
+
+
+def _parts(kind: Any) -> Iterator[Any]:
+    """A type, or several, and what they are made of."""
+    yield kind
+    for part in kind if isinstance(kind, tuple) else getattr(kind, "types", ()):
+        yield from _parts(part)
+
+
+def _digest(source: Path, beside: frozenset[Path] = frozenset()) -> str:
     """Of all that the compiled code of a file depends on."""
     found = hashlib.sha256(f"{numba.__version__} {bool(_CONFIG.BOUNDSCHECK)}".encode())
-    for path in sorted(_with_imports(source)):
+    for path in sorted(_with_imports(source).union(*map(_with_imports, beside))):
         found.update(path.name.encode() + _text(path).encode())
     return found.hexdigest()[:16]
 

@@ -97,11 +97,13 @@ class RendezvousParallelEnv(ParallelEnv[str, NDArray[np.float32], NDArray[np.flo
     | robot model       | numbers        | unit       | bound |
     |-------------------|----------------|------------|--------------------------------------------|
     | single integrator | velocity (d,)  | m/s        | v_max; norm limited, direction kept |
+    | double integrator | accel. (d,)    | m/s²       | a_max, direction kept; speed within v_max |
     | unicycle          | v, ω           | m/s, rad/s | v_max, turn limit; each clipped |
     | nonholonomic 3-D  | v, ω_α, ω_β    | m/s, rad/s | v_max, 10× turn limit, turn limit; clipped |
 
     v_max is ``max_speed``, the turn limit ``max_turn_rate``; None of either is D̄, the largest sum
-    of gains that a robot can have. Inputs are held over a step τ and integrated exactly.
+    of gains that a robot can have. a_max is ``max_acceleration``; None is v_max per 0.25 s. Inputs
+    are held over a step τ and integrated exactly.
 
     ## Observation space
 
@@ -112,20 +114,23 @@ class RendezvousParallelEnv(ParallelEnv[str, NDArray[np.float32], NDArray[np.flo
     | K                      | a_ij g_ij to the neighbours in index order; sum: f_i    | a_ij   |
     | M × 2 (2-D), × 8 (3-D) | silhouette bearings of obstacles in ``obstacle_range``  | 1      |
     | 1 (3-D nonholonomic)   | direction of gravity, (−sin β, 0, −cos β)               | 1      |
+    | 1 (double integrator)  | its own velocity, m/s                                   | speed  |
 
     K is the most neighbours that a robot can have in an episode, merges included: 2 on a path or
     cycle, n − 1 in general, where each other robot has its own row; with fewer the neighbours that
     are there stand first. A smaller ``neighbour_slots`` may be given.
     In 2-D an obstacle's rows are its counter-clockwise and clockwise edge; in 3-D the rays of its
     cone at 8 azimuths. ``scenario.observation_layout`` names the rows. Frames are a random fixed
-    rotation for each single integrator, the body frame (x = heading, y = left) for the other
-    models.
+    rotation for each single and double integrator, the body frame (x = heading, y = left) for the
+    other models.
 
     ## Reward
 
     Every robot gets the team reward: progress (V_t − V_{t+1})/V_0, which adds up to at most 1,
-    minus ``time_penalty``·τ/time limit, minus ``collision_penalty`` for each robot in contact, plus
-    ``rendezvous_bonus`` when all have met. With the default weights an episode earns at most 2.
+    minus ``time_penalty``·τ/time limit, minus ``collision_penalty`` for each robot in contact,
+    minus ``clearance_penalty``·max(0, 1 − clearance/``obstacle_range``) for each robot (its weight
+    is 0 unless given), plus ``rendezvous_bonus`` when all have met. With the default weights an
+    episode earns at most 2.
 
     ## Start
 

@@ -344,15 +344,17 @@ class Simulator:
 
     @property
     def headings(self) -> NDArray[np.float64]:
-        """Yaw, or yaw and pitch, (B, n, 1 or 2), rad; (B, n, 0) for single integrators."""
+        """Yaw, or yaw and pitch, (B, n, 1 or 2), rad; (B, n, 0) for robots without a heading."""
         return self._state.memory()[..., : self.scenario.model.n_angles].copy()
 
     @property
     def velocities(self) -> NDArray[np.float64]:
-        """Velocities of double integrators in the global frame, (B, n, d), m/s; (B, n, 0) for other
-        models.
+        """Velocities in the global frame, (B, n, d), m/s, of robots with inertia; (B, n, 0) for
+        models that keep none.
         """
-        return self._state.memory()[..., self.scenario.model.n_angles :].copy()
+        model = self.scenario.model
+        kept = self._state.memory()
+        return kept[..., model.n_angles if model.keeps_velocity else kept.shape[-1] :].copy()
 
     @property
     def frames(self) -> NDArray[np.float64]:
@@ -572,7 +574,9 @@ class Simulator:
         if positions is not None:
             state.give("positions", _for_each(positions, which), which, log)
         if angles is not None:
-            state.give("memory", _for_each(angles, which), which, log)
+            kept = np.zeros((*angles.shape[:-1], scenario.model.memory_size(d)))
+            kept[..., : angles.shape[-1]] = angles  # whatever else it keeps begins at zero
+            state.give("memory", _for_each(kept, which), which, log)
         if frames is not None:
             flat = frames.reshape(len(frames), n, d * d)
             state.give("frames", _for_each(flat, which), which, log)

@@ -3,21 +3,26 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+import warnings
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .engine.memory import RENDEZVOUS, RUNNING
-from .experiment.checks import floats, shown
+from .experiment.checks import floats, refuse, shown
 from .experiment.scenario import Scenario
 from .experiment.scenarios import resolve
 from .outcome import Outcome
 from .simulator import Simulator
 
 Policy = Callable[[NDArray[np.float32], NDArray[np.float64]], NDArray[Any]]
+ON_REQUEST = ("observations", "actions")
+"""What a rollout keeps only if it is asked to: observations are by far the largest part."""
+_MUCH = 1e9
+"""Bytes from which a rollout says in advance what it would keep."""
 
 
 class Merge(NamedTuple):
@@ -55,10 +60,6 @@ class Trajectory:
     """(T, B), V just before the first merge of a step; V at its end if there was none."""
     lyapunov_after_merge: NDArray[np.float64]
     """(T, B), V just after the last merge of a step; V at its end if there was none."""
-    observations: NDArray[np.float32]
-    """(T + 1, B, n, rows, d), as the robots saw them."""
-    actions: NDArray[np.float32]
-    """(T, B, n, a), as the policy chose them."""
     rewards: NDArray[np.float64]
     """(T, B)."""
     contacts: NDArray[np.bool_]
@@ -69,6 +70,36 @@ class Trajectory:
     """(B,), s; inf without rendezvous."""
     obstacles: NDArray[np.float64]
     """(B, M, width), tables of ``experiment.packing``."""
+    recorded: Mapping[str, NDArray[np.float32]] = field(default_factory=dict)
+    """What was kept on request, by name."""
+
+    @property
+    def observations(self) -> NDArray[np.float32]:
+        """(T + 1, B, n, rows, d), as the robots saw them.
+
+        Raises:
+            AttributeError: if they were not kept.
+        """
+        return self._kept("observations")
+
+    @property
+    def actions(self) -> NDArray[np.float32]:
+        """(T, B, n, a), as the policy chose them.
+
+        Raises:
+            AttributeError: if they were not kept.
+        """
+        return self._kept("actions")
+
+    def _kept(self, name: str) -> NDArray[np.float32]:
+        if name not in self.recorded:
+            raise AttributeError(f'{name} were not kept; ask for them: rollout(…, record="{name}")')
+        return self.recorded[name]
+
+    @property
+    def running(self) -> NDArray[np.bool_]:
+        """(T, B), whether the team took part in the step."""
+        return np.asarray(self.active[:-1].sum(axis=-1) > 1)
 
     @property
     def merges(self) -> list[Merge]:
@@ -86,9 +117,12 @@ class Trajectory:
         ]
 
     @property
-    def largest_rise_between_merges(self) -> float:
-        """Largest rise of V in a stretch of a step before any merge, m²/s; ≤ 0 if V never rose."""
-        return float(np.max(self.lyapunov_before_merge - self.lyapunov[:-1], initial=-np.inf))
+    def largest_rise_between_merges(self) -> NDArray[np.float64]:
+        """Largest rise of V in the stretch of a step before any merge, (B,), m²/s; negative for a
+        team whose V fell in each of its steps.
+        """
+        rises = self.lyapunov_before_merge - self.lyapunov[:-1]
+        return np.max(rises, axis=0, where=self.running, initial=-np.inf)
 
 
 class Step(NamedTuple):
@@ -135,8 +169,9 @@ def rollout(
     seed: int | None = 0,
     num_envs: int = 1,
     options: Mapping[str, Any] | None = None,
+    record: str | Sequence[str] = (),
 ) -> Trajectory:
-    """Run one episode in each of ``num_envs`` teams and keep all of it.
+    """Run one episode in each of ``num_envs`` teams and keep what happened.
 
     Args:
         scenario: a Scenario, the name of one or the path of a TOML file.
@@ -144,55 +179,97 @@ def rollout(
         seed: team b starts from seed + b.
         num_envs: B.
         options: given parts of the start, see ``Simulator.reset``.
+        record: what to keep besides: "observations", "actions", both, or "all". A warning says so
+            beforehand if all that is kept may come to more than 1 GB.
 
     Raises:
-        ValueError: for a bad scenario, seed, number of teams, option or action.
+        ValueError: for a bad scenario, seed, number of teams, option, record or action.
         TypeError: if the policy cannot be called.
     """
     if not callable(policy):
         raise TypeError(f"policy is {shown(policy)}; it must be callable: baselines.make makes one")
+    asked = _asked_for(record)
     simulator = Simulator(resolve(scenario), num_envs)
-    states = [_State.of(simulator, simulator.reset(seed, options))]
-    steps: list[Step] = []
+    _warn_of_size(simulator, asked)
+    observations = simulator.reset(seed, options)
+    kept = _Kept(asked)
+    kept.state(simulator, observations)
     finished_at = np.full(simulator.num_envs, np.inf)
-    for step in run(simulator, policy, states[0].observations):
-        steps.append(step)
-        states.append(_State.of(simulator, step.outcome.observations))
+    for step in run(simulator, policy, observations):
+        kept.step(step)
+        kept.state(simulator, step.outcome.observations)
         met = step.running & (simulator.status == RENDEZVOUS)
         finished_at[met] = simulator.time[met]
-    outcomes = [step.outcome for step in steps]
+    arrays = kept.arrays()
     return Trajectory(
         scenario=simulator.scenario,
-        times=np.arange(len(states), dtype=np.float64) * simulator.scenario.tau,
-        positions=np.stack([state.positions for state in states]),
-        headings=np.stack([state.headings for state in states]),
-        active=np.stack([state.active for state in states]),
-        lyapunov=np.stack([state.lyapunov for state in states]),
-        lyapunov_before_merge=np.stack([outcome.lyapunov_before_merge for outcome in outcomes]),
-        lyapunov_after_merge=np.stack([outcome.lyapunov_after_merge for outcome in outcomes]),
-        observations=np.stack([state.observations for state in states]),
-        actions=np.stack([step.actions for step in steps]),
-        rewards=np.stack([outcome.rewards for outcome in outcomes]),
-        contacts=np.stack([outcome.contact for outcome in outcomes]),
+        times=np.arange(len(arrays["positions"]), dtype=np.float64) * simulator.scenario.tau,
         success=simulator.status == RENDEZVOUS,
         rendezvous_time=finished_at,
         obstacles=simulator.obstacles,
+        recorded={name: arrays.pop(name) for name in asked},
+        **arrays,
     )
 
 
-class _State(NamedTuple):
-    positions: NDArray[np.float64]
-    headings: NDArray[np.float64]
-    active: NDArray[np.bool_]
-    lyapunov: NDArray[np.float64]
-    observations: NDArray[np.float32]
+def _asked_for(record: Any) -> tuple[str, ...]:
+    if isinstance(record, str) and record == "all":
+        return ON_REQUEST
+    names = (record,) if isinstance(record, str) else record
+    if not isinstance(names, Sequence) or not all(name in ON_REQUEST for name in names):
+        refuse("record", record, f'of {", ".join(map(repr, ON_REQUEST))}, or "all"')
+    return tuple(name for name in ON_REQUEST if name in names)
 
-    @classmethod
-    def of(cls, simulator: Simulator, observations: NDArray[np.float32]) -> _State:
-        return cls(
-            simulator.positions,
-            simulator.headings,
-            simulator.active,
-            simulator.lyapunov(),
-            observations,
+
+def _warn_of_size(simulator: Simulator, asked: tuple[str, ...]) -> None:
+    """Warn if an episode up to the time limit would fill more than ``_MUCH``."""
+    scenario, layout = simulator.scenario, simulator.scenario.observation_layout
+    n, d = scenario.n_robots, scenario.dim
+    numbers = 8 * (n * (d + scenario.model.n_angles) + 4) + 2 * n
+    requested = {"observations": 4 * n * layout.rows * d, "actions": 4 * n * scenario.action_size}
+    a_step = simulator.num_envs * (numbers + sum(requested[name] for name in asked))
+    if (size := a_step * (simulator.max_steps + 1)) > _MUCH:
+        warnings.warn(
+            f"this rollout may keep {size / 1e9:.1f} GB, {a_step / 1e6:.3g} MB a step for up to "
+            f"{simulator.max_steps} steps; take fewer teams or steps"
+            + (", or record less" if asked else ""),
+            stacklevel=3,
         )
+
+
+class _Kept:
+    """What a rollout keeps, step by step."""
+
+    def __init__(self, asked: tuple[str, ...]) -> None:
+        self._asked = asked
+        self._lists: dict[str, list[NDArray[Any]]] = {}
+
+    def _add(self, **arrays: NDArray[Any]) -> None:
+        for name, array in arrays.items():
+            if name not in ON_REQUEST or name in self._asked:
+                self._lists.setdefault(name, []).append(array)
+
+    def state(self, simulator: Simulator, observations: NDArray[np.float32]) -> None:
+        """The teams before or after a step."""
+        self._add(
+            positions=simulator.positions,
+            headings=simulator.headings,
+            active=simulator.active,
+            lyapunov=simulator.lyapunov(),
+            observations=observations,
+        )
+
+    def step(self, step: Step) -> None:
+        """What a step gave out, without keeping the rest of it alive."""
+        outcome = step.outcome
+        self._add(
+            lyapunov_before_merge=outcome.lyapunov_before_merge.copy(),
+            lyapunov_after_merge=outcome.lyapunov_after_merge.copy(),
+            rewards=outcome.rewards.copy(),
+            contacts=outcome.contact,
+            actions=step.actions,
+        )
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """Every list as one array; the lists are given up one by one, to need little room."""
+        return {name: np.stack(self._lists.pop(name)) for name in list(self._lists)}

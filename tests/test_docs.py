@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import shlex
+import sys
 from importlib import import_module
 from pathlib import Path
 from pkgutil import resolve_name
@@ -13,6 +14,7 @@ import tyro
 
 import rendezvous_env as rv
 from baselines import policy
+from rendezvous_env.experiment import robot_models
 from train.cli import COMMANDS
 
 ROOT = Path(__file__).parent.parent
@@ -34,18 +36,33 @@ def with_blocks(language: str, pages: list[Path] = PAGES) -> list[object]:
 
 
 @pytest.fixture
-def own_registry(monkeypatch):
-    """What a page registers is gone after it."""
-    monkeypatch.setattr(policy, "_registry", policy._registry.copy())
+def own_registry(monkeypatch, tmp_path):
+    """What a page registers, or imports from its own folder, is gone after it."""
+    registries = policy._registry, robot_models.ROBOT_MODELS
+    before = [entries.copy() for entries in registries]
+    monkeypatch.syspath_prepend(tmp_path)
+    yield
+    for entries, known in zip(registries, before, strict=True):
+        entries.clear()
+        entries.update(known)
+    for name, module in list(sys.modules.items()):
+        if Path(getattr(module, "__file__", None) or "/").parent == tmp_path:
+            del sys.modules[name]
 
 
 @pytest.mark.parametrize("page", with_blocks("python", PAGES[1:]))
 def test_every_python_block_runs(page, tmp_path, monkeypatch, own_registry):
-    """One page is one program, in a folder of its own; README.md is in test_readme.py."""
+    """One page is one program, in a folder of its own; README.md is in test_readme.py.
+
+    A block that begins with the name of a file is that file.
+    """
     monkeypatch.chdir(tmp_path)
     names: dict[str, object] = {}
     for block in blocks(page, "python"):
-        exec(compile(block, str(page), "exec"), names)
+        if file := re.match(r"# (\w+\.py)\n", block):
+            Path(file[1]).write_text(block, encoding="utf-8")
+        else:
+            exec(compile(block, str(page), "exec"), names)
 
 
 @pytest.mark.parametrize("page", with_blocks("bash"))

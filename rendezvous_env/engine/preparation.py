@@ -7,7 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..equations.motion import is_described
 from ..experiment import packing
+from ..experiment.checks import shown
 from ..experiment.graphs import FIXED
 from ..experiment.obstacles import ObstacleField
 from ..experiment.scenario import CONTACT_MODES, Scenario
@@ -105,7 +107,7 @@ def layout(scenario: Scenario, batch: int) -> Layout:
 def robot(scenario: Scenario) -> Robot:
     """The robot model of a scenario."""
     return Robot(
-        model=scenario.model.constants(scenario),
+        model=constants_of(scenario),
         inputs=tuple(range(scenario.action_size)),
         memories=tuple(range(scenario.model.memory_size(scenario.dim))),
     )
@@ -117,7 +119,7 @@ def constants(scenario: Scenario, max_steps: int) -> tuple[Any, ...]:
     found = Constants(
         duration=float(scenario.tau),
         merge_radius=float(scenario.merge_radius),
-        speed_limit=float(scenario.speed_limit),
+        speed_limit=float(constants_of(scenario).speed_limit),
         max_steps=max_steps,
         contact_mode=CONTACT_MODES.index(scenario.obstacle_contact),
         obstacle_range=float(scenario.obstacle_range),
@@ -133,6 +135,26 @@ def constants(scenario: Scenario, max_steps: int) -> tuple[Any, ...]:
         all_earn=scenario.on_merge == "follow",
     )
     return tuple(found)
+
+
+def constants_of(scenario: Scenario) -> Any:
+    """The constants that the equations of the scenario's robot model take.
+
+    Raises:
+        ValueError: if they are not what the step needs.
+    """
+    model = scenario.model.constants(scenario)
+    who = f"the constants of robot model {scenario.robot_model!r}"
+    if not is_described(type(model)):
+        raise ValueError(
+            f"{who} are a {type(model).__name__}; describe_motion must have said how that moves"
+        )
+    for field, least in (("duration", scenario.tau), ("speed_limit", 0.0)):
+        value = getattr(model, field, None)
+        if not isinstance(value, float) or not least <= value < np.inf:
+            wanted = f"the step, {least:g} s" if field == "duration" else "a float of 0 m/s or more"
+            raise ValueError(f"{who} have {field} = {shown(value)}; it must be {wanted}")
+    return model
 
 
 def _zeros(threads: int, *shape: int, kind: Any = np.float64) -> NDArray[Any]:

@@ -1,7 +1,8 @@
 """The first stage of a step: what every robot would do if nothing were in its way."""
 
 from ..compilation import inlined_kernel
-from ..equations.motion import frame_of, propose, remember
+from ..equations.contact import STOP
+from ..equations.motion import FREE, SLID, STOPPED, drifts, frame_of, propose, remember
 from .memory import ACTIVE, RUNNING, STATUS, lane_count, read, write
 
 
@@ -33,7 +34,7 @@ def _hold_still(block, count, parts, layout, teams, values):
 
 
 @inlined_kernel
-def propose_block(block, count, layout, robot, memories, teams, buffers):
+def propose_block(block, count, layout, robot, teams, buffers):
     """The displacement of every robot over the step, and the length of its way."""
     d, lanes = len(layout.axes), lane_count(layout.width)
     for i in range(buffers.action.shape[0]):
@@ -48,18 +49,19 @@ def propose_block(block, count, layout, robot, memories, teams, buffers):
             )
             write(displacement, out, 0, lane, layout.width)
             out[d * lanes + lane] = length
-    if len(memories) > 0:  # who keeps a velocity would go on without an action
+    if drifts(robot.model):
         _hold_still(block, count, d + 1, layout, teams, buffers.displacement)
 
 
 @inlined_kernel
-def turn_block(block, count, layout, robot, memories, teams, results, buffers):
+def turn_block(block, count, layout, constants, robot, memories, teams, results, buffers):
     """What the robot models keep, brought up to the end of the step, and the frames with it.
 
     Args:
         block: which one.
         count: teams in it.
         layout: of the memory.
+        constants: of the scenario.
         robot: its model.
         memories: of the robot, by itself: without any nothing is compiled.
         teams: state.
@@ -68,6 +70,7 @@ def turn_block(block, count, layout, robot, memories, teams, results, buffers):
     """
     if len(memories) > 0:
         lanes, width = lane_count(layout.width), layout.width
+        met = STOPPED if constants.contact_mode == STOP else SLID
         for i in range(buffers.action.shape[0]):
             frames, memory = teams.frames[block, i], teams.memory[block, i]
             for lane in range(count):
@@ -79,7 +82,7 @@ def turn_block(block, count, layout, robot, memories, teams, results, buffers):
                         frame,
                         read(memory, lane, width, memories),
                         read(buffers.displacement[i], lane, width, layout.axes),
-                        results.contact[block * lanes + lane, i],
+                        met if results.contact[block * lanes + lane, i] else FREE,
                     )
                     write(after, memory, 0, lane, width)
                     write(frame_of(robot.model, frame, after), frames, 0, lane, width)

@@ -121,10 +121,19 @@ def check_teams(scenario: Scenario, state: Mapping[str, NDArray[Any]]) -> None:
     if "frames" in state:  # those of teams that have not begun are not drawn yet
         check_finite(state, ("frames",))
         check_rotations(state, state["episode"] >= 0, _ROUNDING)
+    if scenario.model.keeps_velocity:
+        _check_velocities(scenario, state["memory"])
     _check_links(scenario.n_robots, state)
     _check_rows(scenario, state)
     _check_merges(state)
     _check_obstacles(scenario, state["obstacles"])
+
+
+def _check_velocities(scenario: Scenario, memory: NDArray[np.float64]) -> None:
+    """No robot is faster than its limit: how far it may come in a step stands on that."""
+    velocities, limit = memory[..., scenario.model.n_angles :], scenario.speed_limit
+    too_fast = np.linalg.norm(velocities, axis=-1) > limit * (1 + _ROUNDING)
+    _refuse("memory", too_fast, memory, f"a velocity of at most {limit:g} m/s")
 
 
 def _check_links(n: int, state: Mapping[str, NDArray[Any]]) -> None:

@@ -69,7 +69,7 @@ def step_blocks(
         load_balls(block, count, layout, obstacles, buffers)
         if moves:
             load_actions(block, count, layout, teams, actions, buffers)
-            propose_block(block, count, layout, robot, robot.memories, teams, buffers)
+            propose_block(block, count, layout, robot, teams, buffers)
             advance_block(
                 block,
                 count,
@@ -83,7 +83,9 @@ def step_blocks(
                 buffers,
                 hand,
             )
-            turn_block(block, count, layout, robot, robot.memories, teams, results, buffers)
+            turn_block(
+                block, count, layout, constants, robot, robot.memories, teams, results, buffers
+            )
         else:
             bring_frames_up(block, count, layout, robot, robot.memories, teams)
         sense_block(

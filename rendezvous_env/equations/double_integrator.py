@@ -5,6 +5,9 @@
 An acceleration that would exceed the speed limit at the end of the step is replaced by the constant
 one that reaches the limit in the same direction of motion; so the motion is exact for a held input,
 and the speed never exceeds the limit within the step: ‖ṗ‖ is convex along it.
+
+An obstacle takes away what of the velocity goes into it, without friction; where a contact stops a
+robot it takes away everything.
 """
 
 import math
@@ -12,8 +15,12 @@ from typing import NamedTuple
 
 from ..compilation import kernel
 from .kinematics import keep_frame, speed_scale
-from .motion import Motion, describe
+from .motion import FREE, STOPPED, Motion, describe
 from .vectors import scaled, square, to_global, to_local
+
+_NEARLY_STEADY = 1e-3
+"""Where the velocity changes by less than this share of itself, Simpson's rule has the length of
+the way to rounding, and the closed form would lose digits."""
 
 
 class DoubleIntegrator(NamedTuple):
@@ -55,12 +62,44 @@ def _along(model, action, frame, memory, time):
 
 
 @kernel
+def _dot(a, b):
+    """Scalar product of pairs or triples."""
+    product = a[0] * b[0] + a[1] * b[1]
+    return product if len(a) == 2 else product + a[2] * b[len(b) - 1]
+
+
+@kernel
+def mean_speed(before, after):
+    """∫₀¹ ‖v₀ + s (v₁ − v₀)‖ ds, m/s: the length of a parabola, per second.
+
+    With u the part of the velocity along its change c, and h the part across it, it is
+    [u √(u² + h²) + h² asinh(u/h)] / 2‖c‖ between the ends.
+
+    Args:
+        before: v₀, a pair or triple, m/s.
+        after: v₁, m/s.
+    """
+    start, end = math.sqrt(square(before)), math.sqrt(square(after))
+    change = _plus(after, -1.0, before)
+    size = math.sqrt(square(change))
+    if size <= _NEARLY_STEADY * max(start, end):
+        middle = 0.5 * math.sqrt(square(_plus(before, 1.0, after)))
+        return (start + 4.0 * middle + end) / 6.0
+    along = _dot(before, change) / size
+    across = math.sqrt(square(_plus(before, -along / size, change)))
+    length = (along + size) * end - along * start
+    if across > 0.0:
+        turned = math.asinh((along + size) / across) - math.asinh(along / across)
+        length += across * across * turned
+    return length / (2.0 * size)
+
+
+@kernel
 def _propose(model, action, frame, memory):
-    """The way is a parabola; its length is ∫‖v‖ dt by Simpson's rule."""
+    """The way is a parabola."""
     after = final_velocity(model, action, frame, memory)
     middle = scaled(_plus(memory, 1.0, after), 0.5)
-    speeds = math.sqrt(square(memory)) + 4.0 * math.sqrt(square(middle)) + math.sqrt(square(after))
-    return scaled(middle, model.duration), model.duration * speeds / 6.0
+    return scaled(middle, model.duration), model.duration * mean_speed(memory, after)
 
 
 @kernel
@@ -72,11 +111,19 @@ def _bend(model, action, memory):
 
 
 @kernel
-def _remember(model, action, frame, memory, displacement, touched):
-    """The final velocity; after a contact the mean one of what the obstacle left of the motion."""
-    if touched:
-        return scaled(displacement, 1.0 / model.duration)
-    return final_velocity(model, action, frame, memory)
+def _remember(model, action, frame, memory, displacement, contact):
+    """The final velocity, after a contact without its part along what the obstacle took of the way;
+    that is what went into the obstacle.
+    """
+    velocity = final_velocity(model, action, frame, memory)
+    if contact == FREE:
+        return velocity
+    if contact == STOPPED:
+        return scaled(velocity, 0.0)
+    way = scaled(_plus(memory, 1.0, velocity), 0.5 * model.duration)
+    taken = _plus(way, -1.0, displacement)
+    into, size = _dot(velocity, taken), square(taken)
+    return _plus(velocity, -into / size, taken) if into > 0.0 and size > 0.0 else velocity
 
 
 @kernel

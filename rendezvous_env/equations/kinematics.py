@@ -86,7 +86,7 @@ def _straight(model, action, memory):
 
 
 @inlined_kernel
-def _nothing(model, action, frame, memory, displacement, touched):
+def _nothing(model, action, frame, memory, displacement, contact):
     return memory
 
 
@@ -115,7 +115,7 @@ def _bend_2d(model, action, memory):
 
 
 @kernel
-def _turn_2d(model, action, frame, memory, displacement, touched):
+def _turn_2d(model, action, frame, memory, displacement, contact):
     return (memory[0] + clip(action[1], model.turn_limit) * model.duration,)
 
 
@@ -151,7 +151,7 @@ def _bend_3d(model, action, memory):
 
 
 @kernel
-def _turn_3d(model, action, frame, memory, displacement, touched):
+def _turn_3d(model, action, frame, memory, displacement, contact):
     yaw_rate = clip(action[1], model.yaw_limit)
     pitch_rate = clip(action[2], model.pitch_limit)
     return memory[0] + yaw_rate * model.duration, memory[1] + pitch_rate * model.duration
@@ -195,6 +195,7 @@ describe(
         frame=keep_frame,
         sense=_see_nothing,
         begin=_begin_with_nothing,
+        drifts=False,
     ),
 )
 describe(
@@ -207,6 +208,7 @@ describe(
         frame=_body_frame_2d,
         sense=_see_nothing,
         begin=_uniform_yaw,
+        drifts=False,
     ),
 )
 describe(
@@ -219,5 +221,6 @@ describe(
         frame=_body_frame_3d,
         sense=_gravity,
         begin=_uniform_yaw_and_pitch,
+        drifts=False,
     ),
 )

@@ -7,12 +7,18 @@ the functions by that type while it is compiled; nothing is looked up in a step.
 Everywhere ``action`` is the robot's action in its own frame, a tuple of numbers as it was given;
 ``frame`` its rotation to the global frame, row by row; ``memory`` what the model keeps from step to
 step (angles, a velocity), a tuple that may be empty. A model applies its own limits to the action.
+A model that keeps nothing moves straight: neither ``along`` nor ``bend`` is asked then.
 """
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from ..compilation import chosen_by_type
+from ..kernel_cache import depends_on
+
+FREE, SLID, STOPPED = range(3)
+"""Whether a robot has met an obstacle in a step, and what it did then: nothing met; it slid on;
+it rests where it met it."""
 
 
 class Motion(NamedTuple):
@@ -27,8 +33,8 @@ class Motion(NamedTuple):
     """(model, action, memory) → β, m/s²: in a time h the way is never farther than β h² from its
     chord; 0 for straight ways."""
     remember: Callable[..., Any]
-    """(model, action, frame, memory, displacement, touched) → memory after the step, from the
-    displacement executed, m, and whether there was a contact."""
+    """(model, action, frame, memory, displacement, contact) → memory after the step, from the
+    displacement executed, m, and FREE, SLID or STOPPED."""
     frame: Callable[..., Any]
     """(model, frame, memory) → frame that goes with a memory."""
     sense: Callable[..., Any]
@@ -37,14 +43,40 @@ class Motion(NamedTuple):
     begin: Callable[..., Any]
     """(model, key, counter) → memory at the start of an episode, drawn from at most three numbers
     of the stream ``key`` from ``counter`` on."""
+    drifts: bool = True
+    """Whether a robot may move while its action is zero; False saves a look at every robot."""
 
 
 _MOTIONS: dict[type, Motion] = {}
 
 
 def describe(model: type, motion: Motion) -> None:
-    """Say how robots move whose constants are of this type (a NamedTuple class)."""
+    """Say how robots move whose constants are of this type (a NamedTuple class).
+
+    Raises:
+        ValueError: if something else has been said of this type before, or it is no NamedTuple.
+        TypeError: if one of the equations is no function.
+    """
+    if not (isinstance(model, type) and issubclass(model, tuple) and hasattr(model, "_fields")):
+        raise ValueError(f"model is {model!r}; it must be a NamedTuple class, of its constants")
+    if _MOTIONS.get(model, motion) != motion:
+        raise ValueError(f"how a {model.__name__} moves has been described before")
+    equations = tuple(motion._asdict()[name] for name in Motion._fields[:-1])
+    for name, equation in zip(Motion._fields, equations, strict=False):
+        if not callable(equation):
+            raise TypeError(f"{name} of a {model.__name__} is {equation!r}; it must be a function")
+    depends_on(model, equations)
     _MOTIONS[model] = motion
+
+
+def is_described(model: type) -> bool:
+    """Whether ``describe`` has said how robots move whose constants are of this type."""
+    return model in _MOTIONS
+
+
+def drifts(model):
+    """``Motion.drifts`` of the model."""
+    return _MOTIONS[type(model)].drifts
 
 
 def propose(model, action, frame, memory):
@@ -62,9 +94,9 @@ def bend(model, action, memory):
     return _MOTIONS[type(model)].bend(model, action, memory)
 
 
-def remember(model, action, frame, memory, displacement, touched):
+def remember(model, action, frame, memory, displacement, contact):
     """``Motion.remember`` of the model."""
-    return _MOTIONS[type(model)].remember(model, action, frame, memory, displacement, touched)
+    return _MOTIONS[type(model)].remember(model, action, frame, memory, displacement, contact)
 
 
 def frame_of(model, frame, memory):
@@ -80,6 +112,12 @@ def sense_oneself(model, frame, memory):
 def begin_memory(model, key, counter):
     """``Motion.begin`` of the model."""
     return _MOTIONS[type(model)].begin(model, key, counter)
+
+
+@chosen_by_type(drifts)
+def _drifts(model):
+    chosen = _MOTIONS[model.instance_class].drifts
+    return lambda model: chosen
 
 
 @chosen_by_type(propose)
@@ -101,11 +139,11 @@ def _bend(model, action, memory):
 
 
 @chosen_by_type(remember)
-def _remember(model, action, frame, memory, displacement, touched):
+def _remember(model, action, frame, memory, displacement, contact):
     chosen = _MOTIONS[model.instance_class].remember
 
-    def implementation(model, action, frame, memory, displacement, touched):
-        return chosen(model, action, frame, memory, displacement, touched)
+    def implementation(model, action, frame, memory, displacement, contact):
+        return chosen(model, action, frame, memory, displacement, contact)
 
     return implementation
 

@@ -14,6 +14,8 @@ from .packing import AXIS, CENTRE, CORNERS, DETAILS, KIND, RADIUS, THICKNESS
 
 _ROUND_END = np.linspace(-math.pi / 2, math.pi / 2, 17)
 """Angles of the corners that stand for the half circle at an end of a capsule."""
+_MOST_BEADS = 99
+"""Balls drawn for a capsule; a very thin one is dotted."""
 
 
 class Outline(NamedTuple):
@@ -66,5 +68,6 @@ def balls(table: NDArray[np.float64]) -> Iterator[Ball]:
             continue
         half, thickness = row[AXIS : AXIS + 3], float(row[THICKNESS])
         beads = 1 + 2 * math.ceil(2 * float(np.linalg.norm(half)) / thickness)
+        beads = min(beads, _MOST_BEADS)
         for share in np.linspace(-1.0, 1.0, beads) if beads > 1 else (0.0,):
             yield Ball(centre + share * half, thickness)

@@ -11,9 +11,11 @@ from typing import Any
 
 from ..equations.double_integrator import DoubleIntegrator
 from ..equations.kinematics import Nonholonomic3D, SingleIntegrator, Unicycle
+from .checks import shown
 
 MOST_KEPT = 4
 """Numbers that a robot model may keep from step to step."""
+_SENSES = (None, "gravity", "velocity")
 
 
 @dataclass(frozen=True)
@@ -33,14 +35,19 @@ class RobotModel:
     fixed."""
     n_kept: Callable[[int], int] | None = None
     """Dimension → numbers kept from step to step; None is ``n_angles``."""
+    keeps_velocity: bool = False
+    """Whether the numbers that it keeps after its angles are its velocity in the global frame, m/s,
+    never longer than the speed limit."""
     senses: str | None = None
     """What the last row of an observation is: "gravity", "velocity", or nothing."""
     action: str = "velocity, m/s"
     """What an action is, in words."""
     theorem: str | None = None
-    """Which theorem covers its own law in continuous time; None where none does."""
+    """Which theorem covers its own law in continuous time, e.g. "theorem 3"; None where none
+    does."""
     bounded: bool = False
-    """Whether the time bounds of theory 3 hold for it."""
+    """Whether theorems 1, 2, A and C with the time bounds of theory 3 hold for it: its action is
+    its velocity."""
 
     def memory_size(self, dim: int) -> int:
         """Numbers that a robot keeps from step to step."""
@@ -65,21 +72,39 @@ class RobotModel:
 ROBOT_MODELS: dict[str, RobotModel] = {}
 
 
-def register_robot_model(model: RobotModel) -> None:
+def register_robot_model(model: RobotModel, *, replace: bool = False) -> None:
     """Make a robot model known by its name.
 
     Its equations must have been described by ``equations.motion.describe``.
 
+    Args:
+        model: the model.
+        replace: whether it may take the place of another of that name (in a notebook).
+
     Raises:
-        ValueError: if the name is taken, or the model keeps too many numbers.
+        ValueError: if it is no RobotModel, its name is taken, it exists in no space, keeps too many
+            numbers or senses what no robot can.
     """
-    if model.name in ROBOT_MODELS:
-        raise ValueError(f"robot model {model.name!r} is already registered")
+    if not isinstance(model, RobotModel):
+        raise ValueError(f"model is {shown(model)}; it must be a RobotModel")
+    who = f"robot model {model.name!r}"
+    if model.name in ROBOT_MODELS and not replace:
+        raise ValueError(f"{who} is already registered; replace=True puts this one in its place")
+    if not model.dims or not set(model.dims) <= {2, 3}:
+        raise ValueError(f"{who} has dims {shown(model.dims)}; they must be of 2 and 3")
+    if model.senses not in _SENSES:
+        raise ValueError(f"{who} senses {shown(model.senses)}; it must be one of {_SENSES}")
     for dim in model.dims:
-        if model.memory_size(dim) > MOST_KEPT:
+        size = model.memory_size(dim)
+        if not model.n_angles <= size <= MOST_KEPT:
             raise ValueError(
-                f"robot model {model.name!r} keeps {model.memory_size(dim)} numbers; at most "
-                f"{MOST_KEPT} can be kept"
+                f"{who} keeps {size} numbers; it must be from {model.n_angles}, its angles, to "
+                f"{MOST_KEPT}"
+            )
+        if model.keeps_velocity and size != model.n_angles + dim:
+            raise ValueError(
+                f"{who} keeps {size} numbers; with its velocity in {dim}-D it must be "
+                f"{model.n_angles + dim}"
             )
     ROBOT_MODELS[model.name] = model
 
@@ -134,6 +159,7 @@ register_robot_model(
         ),
         bounds=lambda scenario: [scenario.acceleration_limit] * scenario.dim,
         n_kept=lambda dim: dim,
+        keeps_velocity=True,
         senses="velocity",
         action="acceleration, m/s²",
     )

@@ -89,7 +89,9 @@ def _angles(scenario: Scenario, num_envs: int, value: Any) -> NDArray[np.float64
         return None
     n, width = scenario.n_robots, scenario.model.n_angles
     if width == 0:
-        raise ValueError('headings: single integrators have none; give "frames" instead')
+        raise ValueError(
+            f'headings: {scenario.robot_model} robots have none; give "frames" instead'
+        )
     array = floats("headings", value)
     if width == 1 and array.shape in ((n,), (num_envs, n)):
         array = array[..., None]

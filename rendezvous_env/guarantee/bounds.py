@@ -58,11 +58,11 @@ def time_bound(
 
 
 def covered(scenario: Scenario) -> bool:
-    """Whether theorems A and C bound the time: connected, single integrators, nothing in the
-    way.
+    """Whether theorems A and C bound the time: connected, robots whose action is their velocity,
+    nothing in the way.
     """
     in_the_way = bool(scenario.obstacles) and scenario.obstacle_contact != "ignore"
-    return connected(scenario) and not scenario.model.nonholonomic and not in_the_way
+    return connected(scenario) and scenario.model.bounded and not in_the_way
 
 
 def rendezvous_time_lower_bound(scenario: Scenario, positions: ArrayLike) -> float:

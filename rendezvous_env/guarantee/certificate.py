@@ -65,16 +65,21 @@ def _which_theorem(scenario: Scenario, min_alignment: float) -> tuple[bool, str]
             False,
             "none: the graph is not connected, one robot per component remains (theorem 1)",
         )
+    model = scenario.model
+    if not model.bounded and model.theorem is None:
+        return False, (
+            f"none: no theorem covers {model.name} robots, whose action ({model.action}) is not "
+            "their velocity; V may rise at any time"
+        )
     if scenario.obstacles and scenario.obstacle_contact != "ignore":
         return False, (
             "none: obstacles can hold a robot back for ever (theory 6); with certified headings "
             "V still never rises between merges in a step without a contact"
         )
-    if scenario.model.nonholonomic:
-        number = 3 if scenario.dim == 2 else 4
+    if not model.bounded:
         return (
             True,
-            f"theorem {number} in continuous time (for free turn rates: the gate); no time bound",
+            f"{model.theorem} in continuous time (for free turn rates: the gate); no time bound",
         )
     if long_step and min_alignment == 1:
         return False, (

@@ -47,6 +47,19 @@ class _Constants(NamedTuple):
     long_step: bool
 
 
+def _check_steerable(scenario: Scenario) -> None:
+    """A heading becomes a velocity along it, or the turn rates of a body: nothing else is driven by
+    law (4).
+    """
+    model = scenario.model
+    if not model.bounded and model.theorem is None:
+        raise ValueError(
+            f"scenario has {model.name} robots, whose action is {model.action}; law (4) steers "
+            "robots whose action is a velocity, or a speed and turn rates, as robot_model "
+            "'single_integrator', 'unicycle' and 'nonholonomic_3d'"
+        )
+
+
 class Steering:
     """Headings, frames and held raw vectors of the robots of B teams.
 
@@ -75,6 +88,7 @@ class Steering:
         certified: bool = True,
         num_threads: int | None = None,
     ) -> None:
+        _check_steerable(scenario)
         dead_zone = scenario.dead_zone if scenario.dead_zone > 0 else 1.0
         check_gate_constants(min_alignment, dead_zone)
         max_turn_rate = positive("max_turn_rate", max_turn_rate, "rad/s")

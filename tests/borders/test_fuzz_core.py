@@ -501,7 +501,7 @@ def test_rollouts(effort):
     def check(policy, answer, seed, num_envs):
         scenario = TEAMS["plane"].replace(time_limit=0.1, time_step=0.02, allow_long_step=True)
         act = (lambda observations, time: answer) if policy is None else policy
-        call = lambda: rv.rollout(scenario, act, seed, num_envs)  # noqa: E731
+        call = lambda: rv.rollout(scenario, act, seed, num_envs, record="all")  # noqa: E731
         trajectory = attempt(call, ValueError, TypeError)
         if not isinstance(trajectory, Refused):
             assert_finite(trajectory.positions, trajectory.lyapunov, trajectory.observations)

@@ -100,7 +100,9 @@ class TestFiles:
 
     def test_trajectories(self, folder):
         with np.load(folder / "trajectories.npz") as arrays:
-            alone = rollout("duo", baselines.make("bearing-only", scenarios.get("duo")), seed=4)
+            alone = rollout(
+                "duo", baselines.make("bearing-only", scenarios.get("duo")), seed=4, record="all"
+            )
             key = "duo/bearing-only/1/"
             assert np.array_equal(arrays[key + "positions"], alone.positions[:, 0])
             assert np.array_equal(arrays[key + "observations"], alone.observations[:, 0])

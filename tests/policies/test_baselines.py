@@ -16,6 +16,7 @@ POINT = Scenario(n_robots=3)
 UNICYCLE = Scenario(n_robots=3, robot_model="unicycle", max_turn_rate=0.9)
 SPACE = Scenario(n_robots=3, dim=3, robot_model="nonholonomic_3d")
 CLUTTER = Scenario(n_robots=3, obstacle_slots=2)
+HEAVY = Scenario(n_robots=3, robot_model="double_integrator")
 PITCH = 0.5
 GRAVITY = [-math.sin(PITCH), 0.0, -math.cos(PITCH)]
 
@@ -108,7 +109,8 @@ def test_names_are_those_that_fit():
         *certified,
         *tuned,
     }
-    assert len(baselines.names()) == 13
+    assert set(baselines.names(HEAVY)) == {"damped", *everywhere}
+    assert len(baselines.names()) == 14
 
 
 @pytest.mark.parametrize(

@@ -16,8 +16,9 @@ from rendezvous_env.trajectory import Step
 def alignments(scenario: Scenario, step: Step) -> NDArray[np.float64]:
     """Alignment |vᵀf|/(‖v‖‖f‖) of every robot with ‖f‖ ≥ 2δ, NaN for the others.
 
-    v is the commanded velocity; for nonholonomic robots it has the direction of the body axis. A
-    robot told to rest has alignment 0. Robots of teams that have finished have NaN.
+    v is the commanded velocity; for nonholonomic robots it has the direction of the body axis,
+    for robots with inertia it is the commanded acceleration. A robot told to rest has alignment 0.
+    Robots of teams that have finished have NaN.
 
     Args:
         scenario: gives δ and the robot model.

@@ -58,7 +58,7 @@ def run(config: Config) -> int:
     folder = results.prepare_folder(config.out)
     console = Console()
     with console.status("simulating; the first use on a machine compiles …"):
-        trajectory = rollout(scenario, policy, config.seed)
+        trajectory = rollout(scenario, policy, config.seed, record="observations")
     recording = one_team(trajectory)
     path = folder / f"{config.figure}.png"
     results.write_arrays(path.with_suffix(".npz"), recording)
@@ -67,7 +67,7 @@ def run(config: Config) -> int:
     for ending in (".png", ".pdf"):
         figures.save(figure, path.with_suffix(ending))
     end = f"met after {recording['times'][-1]:.2f} s" if trajectory.success[0] else "did not meet"
-    rise = trajectory.largest_rise_between_merges
+    (rise,) = trajectory.largest_rise_between_merges
     console.print(f"{config.figure}, {name}: {end}; largest change of V in a step {rise:.2g} m²/s")
     console.print(f"picture and data: {path}, .pdf, .npz and .csv")
     return 0
@@ -78,7 +78,8 @@ def one_team(trajectory: Trajectory) -> dict[str, NDArray[Any]]:
     gone = (trajectory.active[:-1, 0] != trajectory.active[1:, 0]).any(axis=-1)
     first = {
         name: getattr(trajectory, name)[:, 0]
-        for name in ("positions", "headings", "active", "lyapunov", "observations")
+        for name in ("positions", "headings", "active", "lyapunov", *trajectory.recorded)
+        if name != "actions"
     }
     jumps = {
         name: np.append(np.nan, np.where(gone, getattr(trajectory, name)[:, 0], np.nan))

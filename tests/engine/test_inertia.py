@@ -1,0 +1,244 @@
+"""Teams of robots with inertia, step by step: contacts, merges, rest, state."""
+
+from __future__ import annotations
+
+import pickle
+
+import numpy as np
+import pytest
+
+import baselines
+from rendezvous_env import Capsule, Disc, Polygon, Scenario, Simulator, Sphere
+from rendezvous_env.equations.obstacles import distance_to
+from rendezvous_env.experiment.packing import pack, world_of
+
+FLAT = (
+    Disc((0.0, 0.0), 1.0),
+    Polygon(((-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0))),
+    Capsule(((-1.0, -0.5), (1.0, 0.5)), 0.4),
+)
+SOLID = (Sphere((0.0, 0.0, 0.0), 1.0), Capsule(((-1.0, -0.5, 0.2), (1.0, 0.5, -0.2)), 0.4))
+FAR = {2: Capsule(((90.0, 0.0), (91.0, 0.0)), 0.1), 3: Capsule(((90.0, 0, 0), (91.0, 0, 0)), 0.1)}
+"""Beside it any obstacle is one of several kinds: what is compiled stays the same."""
+
+
+def two(dim: int = 2, obstacles: tuple = (), **changes: object) -> Scenario:
+    """Two robots, the second one far away and idle."""
+    given = {
+        "n_robots": 2,
+        "dim": dim,
+        "robot_model": "double_integrator",
+        "obstacles": (*obstacles, FAR[dim]),
+        "time_step": 0.1,
+        "max_speed": 3.0,
+        "max_acceleration": 6.0,
+        "local_frames": "global",
+        "time_limit": 600.0,
+        "allow_long_step": True,
+    }
+    return Scenario(**given | changes)
+
+
+def begin(scenario: Scenario, position, velocity=None, num_envs: int = 1) -> Simulator:
+    """Robot 0 at a place with a velocity, robot 1 out of the way."""
+    d, sim = scenario.dim, Simulator(scenario, num_envs, num_threads=1)
+    sim.reset(0, {"positions": [[*position], [50.0] * d]})
+    if velocity is not None:
+        state = sim.get_state()
+        state["memory"][:, 0] = velocity
+        sim.set_state(state)
+    return sim
+
+
+def push(sim: Simulator, acceleration) -> object:
+    """One step with an acceleration of robot 0."""
+    actions = np.zeros((sim.num_envs, 2, sim.scenario.dim), np.float32)
+    actions[:, 0] = acceleration
+    return sim.step(actions)
+
+
+def clearance(scenario: Scenario, point) -> float:
+    world = world_of(pack(scenario.obstacles, len(scenario.obstacles)))
+    where = (*np.asarray(point).tolist(), 0.0)[:3]
+    return min(distance_to(world, m, where) for m in range(len(scenario.obstacles)))
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_free_motion_against_its_own_sum(dim):
+    scenario = two(dim, local_frames="random")
+    sim, random = begin(scenario, [0.0] * dim), np.random.default_rng(0)
+    frame = sim.frames[0, 0]
+    p, v, length = np.zeros(dim), np.zeros(dim), 0.0
+    for _ in range(200):
+        action = random.uniform(-6, 6, dim).astype(np.float32)
+        seen = push(sim, action).observations[0, 0]
+        a = frame @ action.astype(float)
+        a *= min(1.0, 6.0 / np.linalg.norm(a))
+        w = v + 0.1 * a
+        w *= min(1.0, 3.0 / np.linalg.norm(w))
+        shares = (np.arange(2000) + 0.5)[:, None] / 2000
+        length += 0.1 * np.linalg.norm(v + shares * (w - v), axis=1).mean()
+        p, v = p + 0.05 * (v + w), w
+        np.testing.assert_allclose(sim.positions[0, 0], p, atol=1e-9)
+        np.testing.assert_allclose(sim.velocities[0, 0], v, atol=1e-9)
+        assert np.linalg.norm(sim.velocities[0, 0]) <= 3.0 * (1 + 1e-12)
+        split = scenario.observation_layout.split(seen)
+        np.testing.assert_array_equal(split.velocity, seen[-1])
+        np.testing.assert_allclose(split.velocity, frame.T @ v, atol=1e-6)
+    assert sim.path_length[0] == pytest.approx(length, abs=1e-4)
+    assert scenario.observation_layout.velocity == slice(seen.shape[0] - 1, seen.shape[0])
+
+
+@pytest.mark.parametrize("mode", ["slide", "stop"])
+@pytest.mark.parametrize("obstacle", [*FLAT, *SOLID], ids=lambda o: f"{type(o).__name__}{o.dim}")
+def test_nobody_gets_into_or_through_an_obstacle(obstacle, mode):
+    """Robots that are driven at it from all sides, and then this way and that."""
+    dim, teams = obstacle.dim, 4
+    scenario = two(dim, (obstacle,), obstacle_contact=mode, max_speed=30.0, max_acceleration=300.0)
+    sim, random = Simulator(scenario, teams, num_threads=1), np.random.default_rng(1)
+    sim.reset(3, {"positions": [[2.0] * dim, [50.0] * dim]})
+    touched = 0
+    for k in range(150):
+        before, velocity = sim.positions[:, 0], sim.velocities[:, 0]
+        actions = np.zeros((teams, 2, dim), np.float32)
+        actions[:, 0] = -30 * before - 4 * velocity + random.normal(0, 40, (teams, dim))
+        actions[:, 0] *= 1.0 if k % 10 else -10.0
+        contact = sim.step(actions).contact[:, 0]
+        after, speeds = sim.positions[:, 0], np.linalg.norm(sim.velocities[:, 0], axis=-1)
+        touched += contact.sum()
+        assert (speeds <= 30.0 * (1 + 1e-12)).all()
+        for team in range(teams):
+            assert clearance(scenario, after[team]) >= -1e-9
+            if mode == "stop" and contact[team]:
+                assert speeds[team] == 0 and clearance(scenario, after[team]) < 1e-5
+            if mode == "stop":  # it goes straight or nearly so: never to the other side at once
+                middle = 0.5 * (before[team] + after[team])
+                sagitta = 300.0 * 0.1**2 / 8
+                assert clearance(scenario, middle) > -sagitta - 1e-9
+    assert touched > 20
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_ignored_obstacles_change_nothing(dim):
+    scenario = two(dim, (FLAT if dim == 2 else SOLID)[:1], obstacle_contact="ignore")
+    sim = begin(scenario, [2.0] * dim, [-2.0] + [-1.0] * (dim - 1))
+    out = [push(sim, [0.0] * dim) for _ in range(20)]
+    np.testing.assert_allclose(sim.positions[0, 0], [2 - 4.0] + [2 - 2.0] * (dim - 1), atol=1e-12)
+    assert not any(o.contact.any() for o in out)
+
+
+@pytest.mark.parametrize("obstacle", (*FLAT[:2], Capsule(((-1, 0), (1, 0)), 1.0)), ids=type)
+@pytest.mark.parametrize("mode", ["slide", "stop"])
+def test_head_on_it_rests_at_the_surface(obstacle, mode):
+    scenario = two(2, (obstacle,), obstacle_contact=mode)
+    sim = begin(scenario, (0.0, 1.13), (0.0, -3.0))
+    assert push(sim, (0.0, 0.0)).contact[0, 0]
+    for _ in range(5):
+        np.testing.assert_allclose(sim.positions[0, 0], (0.0, 1.0), atol=1e-9)
+        np.testing.assert_allclose(sim.velocities[0, 0], 0.0, atol=1e-9)
+        seen = push(sim, (0.0, -6.0))
+        assert seen.contact[0, 0]
+        np.testing.assert_allclose(seen.observations[0, 0, -1], 0.0, atol=1e-6)
+    push(sim, (0.0, 6.0))  # and leaves as it came
+    np.testing.assert_allclose(sim.velocities[0, 0], (0.0, 0.6), atol=1e-9)
+
+
+def test_along_a_wall_it_gathers_speed_as_if_nothing_rubbed():
+    """Pressed against the wall it has the whole acceleration along it."""
+    scenario = two(2, (FLAT[1],))
+    sim = begin(scenario, (-0.9, 1.0))
+    for k in range(1, 6):
+        assert push(sim, (2.0, -5.0)).contact[0, 0]
+        np.testing.assert_allclose(sim.velocities[0, 0], (0.2 * k, 0.0), atol=1e-6)
+        np.testing.assert_allclose(sim.positions[0, 0], (-0.9 + 0.01 * k * k, 1.0), atol=2e-6)
+
+
+def test_the_survivor_of_a_merge_keeps_its_own_velocity():
+    scenario = two()
+    sim = begin(scenario, (0.0, 0.0), (1.0, 0.5))
+    state = sim.get_state()
+    state["positions"][0, 1], state["memory"][0, 1] = (0.3, 0.0), (-2.0, 0.0)
+    sim.set_state(state)
+    out = push(sim, (0.0, 1.0))
+    assert sim.active[0].tolist() == [True, False] and out.status[0] == 1
+    np.testing.assert_allclose(sim.velocities[0, 0], (1.0, 0.6), atol=1e-9)
+    assert (out.observations[0, 1] == 0).all()
+
+
+def test_who_has_merged_or_finished_does_not_drift():
+    scenario = two(n_robots=3, graph="path")
+    sim = Simulator(scenario, 3, num_threads=1)
+    far = [[0.0, 0.0], [0.25, 0.0], [9.0, 0.0]]
+    near = [[0.0, 0.0], [0.25, 0.0], [0.5, 0.0]]
+    sim.reset(0, {"positions": [far, near, far]})
+    state = sim.get_state()
+    state["memory"][:, 0], state["memory"][:, 1] = (1.0, 0.0), (-1.0, 0.0)
+    state["memory"][:, 2] = (-2.0, 0.0)
+    sim.set_state(state)
+    idle = np.zeros((3, 3, 2), np.float32)
+    sim.step(idle)
+    assert sim.ended.tolist() == [False, True, False] and not sim.active[0, 1]
+    raw, kept = sim.get_state()["positions"].copy(), sim.path_length
+    for _ in range(5):
+        sim.step(idle)
+    now = sim.get_state()["positions"]
+    np.testing.assert_array_equal(now[1], raw[1])  # the finished team
+    np.testing.assert_array_equal(now[0, 1], raw[0, 1])  # the one that merged away
+    assert sim.path_length[1] == kept[1]
+    moved = np.linalg.norm(now[0, 0] - raw[0, 0])
+    assert moved == pytest.approx(0.5)  # and the survivor glides on
+
+
+def test_a_restarted_team_is_at_rest_and_passes_its_first_step():
+    scenario = two()
+    sim = begin(scenario, (0.0, 0.0), (1.0, 0.5), num_envs=2)
+    sim.restart(np.array([True, False]))
+    before = sim.get_state()["positions"].copy()
+    push(sim, (6.0, 0.0))
+    np.testing.assert_array_equal(sim.velocities[0], 0.0)
+    np.testing.assert_array_equal(sim.get_state()["positions"][0], before[0])
+    assert sim.velocities[1, 0] == pytest.approx((1.6, 0.5))
+
+
+def test_state_and_pickle_keep_velocities():
+    scenario = two(3, local_frames="random")
+    sim, random = begin(scenario, (0.0, 0.0, 0.0), (1.0, -0.5, 2.0)), np.random.default_rng(2)
+    push(sim, random.uniform(-6, 6, 3))
+    other = Simulator(scenario, num_threads=1)
+    other.reset(9)
+    other.set_state(sim.get_state())
+    twins = [sim, other, pickle.loads(pickle.dumps(sim))]
+    for _ in range(10):
+        action = random.uniform(-6, 6, 3)
+        seen = [push(twin, action).observations for twin in twins]
+        for twin, one in zip(twins[1:], seen[1:], strict=True):
+            np.testing.assert_array_equal(one, seen[0])
+            np.testing.assert_array_equal(twin.velocities, sim.velocities)
+
+
+def test_a_state_in_which_a_robot_is_too_fast_is_refused():
+    sim = begin(two(), (0.0, 0.0))
+    state = sim.get_state()
+    state["memory"][0, 1] = (0.0, 3.1)
+    with pytest.raises(ValueError, match=r"memory\[0, 1\] is \[0.0, 3.1\].*at most 3 m/s"):
+        sim.set_state(state)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_teams_meet_under_the_damped_law(dim):
+    scenario = Scenario(n_robots=5, dim=dim, robot_model="double_integrator", graph="cycle")
+    policy, sim = baselines.make("damped", scenario), Simulator(scenario, 64)
+    seen = sim.reset(0)
+    energies, one_by_one = [], np.ones(64, bool)
+    while not sim.ended.all():
+        kinetic = 0.5 * (sim.velocities**2).sum((1, 2))
+        energies.append(np.where(sim.ended, np.nan, kinetic + 0.5 * sim.lyapunov()))
+        one_by_one &= sim.active.all(axis=1)
+        seen = sim.step(policy(seen, sim.time)).observations
+        if len(energies) == 40:  # before anybody meets the energy has fallen, in each team
+            calm = one_by_one
+            assert calm.sum() > 30 and (energies[-1] < energies[0])[calm].all()
+    assert (sim.status == 1).all()
+    assert sim.time.max() < 10.0
+    with pytest.raises(ValueError, match=r"damping is -1; it must be a positive"):
+        baselines.make("damped", scenario, damping=-1)

@@ -1,0 +1,413 @@
+"""Robot models of a user's own, in files outside the package, and the code compiled from them."""
+
+from __future__ import annotations
+
+import importlib
+import math
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import NamedTuple
+
+import numba
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import baselines
+import rendezvous_env as rv
+from baselines import policy
+from rendezvous_env import kernel_cache
+from rendezvous_env.compilation import compiled
+from rendezvous_env.equations import motion
+from rendezvous_env.experiment import robot_models
+
+ROOT = Path(__file__).parents[2]
+HOVER = '''"""A hovering robot: its velocity, and a wind that carries it along."""
+
+from typing import NamedTuple
+
+import rendezvous_env as rv
+
+WIND = 0.5
+
+
+class Hover(NamedTuple):
+    duration: float
+    speed_limit: float
+
+
+@rv.kernel
+def propose(model, action, frame, memory):
+    x = model.duration * (frame[0] * action[0] + frame[1] * action[1] + WIND)
+    y = model.duration * (frame[2] * action[0] + frame[3] * action[1])
+    return (x, y), (x * x + y * y) ** 0.5
+
+
+@rv.kernel
+def along(model, action, frame, memory, time):
+    return (0.0, 0.0)
+
+
+@rv.kernel
+def bend(model, action, memory):
+    return 0.0
+
+
+@rv.kernel
+def remember(model, action, frame, memory, displacement, contact):
+    return ()
+
+
+@rv.kernel
+def keep(model, frame, memory):
+    return frame
+
+
+@rv.kernel
+def nothing(model, frame, memory):
+    return ()
+
+
+@rv.kernel
+def begin(model, key, counter):
+    return ()
+
+
+rv.describe_motion(Hover, rv.Motion(propose, along, bend, remember, keep, nothing, begin))
+rv.register_robot_model(
+    rv.RobotModel(
+        "hover",
+        dims=(2,),
+        constants=lambda scenario: Hover(scenario.tau, 2 * scenario.speed_limit + WIND),
+        bounds=lambda scenario: [scenario.speed_limit] * 2,
+    )
+)
+'''
+SLUGGISH = '''"""A unicycle whose speed lags behind the one asked for; it keeps (θ, speed)."""
+
+import cmath
+import math
+from typing import NamedTuple
+
+import rendezvous_env as rv
+
+
+class Sluggish(NamedTuple):
+    duration: float
+    speed_limit: float
+    turn_limit: float
+    lag: float
+
+
+@rv.kernel
+def clip(value, limit):
+    return min(max(value, -limit), limit)
+
+
+@rv.kernel
+def along(model, action, frame, memory, time):
+    """∫ s(t) exp(i(θ + ωt)) dt with s(t) = v + (s₀ − v) exp(−t/T)."""
+    v, w = clip(action[0], model.speed_limit), clip(action[1], model.turn_limit)
+    heading = cmath.exp(1j * memory[0])
+    turn = 1j * w * time
+    steady = time * (1.0 if abs(w * time) < 1e-9 else (cmath.exp(turn) - 1.0) / turn)
+    rate = 1j * w - 1.0 / model.lag
+    way = heading * (v * steady + (memory[1] - v) * (cmath.exp(rate * time) - 1.0) / rate)
+    return way.real, way.imag
+
+
+@rv.kernel
+def propose(model, action, frame, memory):
+    fastest = max(abs(memory[1]), abs(clip(action[0], model.speed_limit)))
+    return along(model, action, frame, memory, model.duration), fastest * model.duration
+
+
+@rv.kernel
+def bend(model, action, memory):
+    return model.speed_limit * (model.turn_limit + 2.0 / model.lag) / 8.0
+
+
+@rv.kernel
+def remember(model, action, frame, memory, displacement, contact):
+    v, w = clip(action[0], model.speed_limit), clip(action[1], model.turn_limit)
+    speed = v + (memory[1] - v) * math.exp(-model.duration / model.lag)
+    return memory[0] + w * model.duration, 0.0 if contact else speed
+
+
+@rv.kernel
+def body(model, frame, memory):
+    c, s = math.cos(memory[0]), math.sin(memory[0])
+    return c, -s, s, c
+
+
+@rv.kernel
+def own_speed(model, frame, memory):
+    return memory[1], 0.0
+
+
+@rv.kernel
+def begin(model, key, counter):
+    return 0.25, 0.0
+
+
+rv.describe_motion(
+    Sluggish,
+    rv.Motion(
+        propose=propose,
+        along=along,
+        bend=bend,
+        remember=remember,
+        frame=body,
+        sense=own_speed,
+        begin=begin,
+    ),
+)
+rv.register_robot_model(
+    rv.RobotModel(
+        "sluggish",
+        dims=(2,),
+        constants=lambda s: Sluggish(s.tau, s.speed_limit, s.turn_limit, 0.3),
+        bounds=lambda s: [s.speed_limit, s.turn_limit],
+        n_angles=1,
+        n_kept=lambda dim: 2,
+        senses="velocity",
+        action="v, ω: m/s, rad/s",
+    )
+)
+'''
+
+
+@pytest.fixture
+def registry():
+    """Models and policies that a test registers are gone after it."""
+    registries = robot_models.ROBOT_MODELS, policy._registry
+    known = [registry.copy() for registry in registries]
+    yield
+    for entries, before in zip(registries, known, strict=True):
+        entries.clear()
+        entries.update(before)
+
+
+@pytest.fixture
+def own(tmp_path, monkeypatch, registry):
+    """Import a module from a text in a folder of its own."""
+    monkeypatch.syspath_prepend(tmp_path)
+    made = []
+
+    def load(name: str, text: str):
+        (tmp_path / f"{name}.py").write_text(text, encoding="utf-8")
+        made.append(name)
+        return importlib.import_module(name)
+
+    yield load
+    for name in made:
+        sys.modules.pop(name, None)
+
+
+def follow(observations, time):
+    """A law for three robots, by the first two rows."""
+    return observations[..., :2, :].sum(axis=-2)
+
+
+def test_a_hovering_robot_in_the_wind_through_every_door(own):
+    own("own_hover", HOVER)
+    scenario = rv.Scenario(n_robots=3, robot_model="hover", time_limit=20.0)
+    start = {"positions": [[0.0, 0.0], [1.0, 0.0], [0.0, 4.0]]}
+    sim = rv.Simulator(scenario, 2)
+    sim.reset(0, start)
+    before = sim.positions
+    sim.step(np.zeros((2, 3, 2)))
+    drift = sim.positions - before
+    np.testing.assert_allclose(drift[..., 0], 0.5 * scenario.tau)
+    np.testing.assert_allclose(drift[..., 1], 0.0)
+
+    env = rv.parallel_env(scenario)
+    env.reset(0)
+    _, rewards, *_ = env.step({name: np.zeros(2, np.float32) for name in env.agents})
+    assert set(rewards) == {"robot_0", "robot_1", "robot_2"}
+    teams = rv.make_vec(scenario, num_envs=2)
+    observations, _ = teams.reset(seed=0)
+    assert observations.shape == (2, 3, 2, 2)
+    teams.step(np.zeros(teams.action_space.shape, np.float32))
+
+    found = rv.rollout(scenario, follow, options=start, num_envs=2)
+    assert found.success.all()  # the wind carries all alike
+    assert "no theorem covers hover robots" in rv.certificate(scenario).theorem
+    with pytest.raises(ValueError, match="scenario has hover robots"):
+        rv.HeadingVectorWrapper(env)
+
+
+def test_finished_teams_and_merged_robots_rest_in_the_wind(own):
+    own("own_hover", HOVER)
+    scenario = rv.Scenario(n_robots=3, robot_model="hover")
+    near, far = [[0.0, 0], [0.1, 0], [0.05, 0.1]], [[0.0, 0], [0.1, 0], [5.0, 0]]
+    sim = rv.Simulator(scenario, 2)
+    sim.reset(0, {"positions": [near, far]})
+    sim.step(np.zeros((2, 3, 2)))
+    assert sim.ended.tolist() == [True, False] and sim.active[1].tolist() == [True, False, True]
+    before = sim.get_state()["positions"]
+    sim.step(np.zeros((2, 3, 2)))
+    moved = sim.get_state()["positions"] - before
+    assert (moved[0] == 0).all() and (moved[1, 1] == 0).all()
+    np.testing.assert_allclose(moved[1, [0, 2], 0], 0.5 * scenario.tau)
+
+
+def test_a_sluggish_unicycle_moves_as_its_equations_say(own):
+    own("own_sluggish", SLUGGISH)
+    wall = rv.Polygon(((3.0, -9.0), (4.0, -9.0), (4.0, 9.0), (3.0, 9.0)))
+    scenario = rv.Scenario(n_robots=2, robot_model="sluggish", obstacles=(wall,), time_step=0.1)
+    sim = rv.Simulator(scenario)
+    sim.reset(0, {"positions": [[0.0, 0.0], [-9.0, 0.0]]})
+    np.testing.assert_array_equal(sim.headings[0], 0.25)
+    limit, turn = scenario.speed_limit, scenario.turn_limit
+    state, random = np.array([0.0, 0.0, 0.25, 0.0]), np.random.default_rng(1)
+    for _ in range(15):
+        v, w = random.uniform((-limit, -turn), (limit, turn)).astype(np.float32)
+        seen = sim.step([[(v, w), (0.0, 0.0)]]).observations
+        rates = lambda t, y, v=v, w=w: (  # noqa: E731
+            y[3] * math.cos(y[2]),
+            y[3] * math.sin(y[2]),
+            w,
+            (v - y[3]) / 0.3,
+        )
+        state = solve_ivp(rates, (0, 0.1), state, rtol=1e-10, atol=1e-12).y[:, -1]
+        np.testing.assert_allclose(sim.positions[0, 0], state[:2], atol=1e-8)
+        np.testing.assert_allclose(sim.get_state()["memory"][0, 0], state[2:], atol=1e-8)
+        np.testing.assert_allclose(seen[0, 0, -1], (state[3], 0.0), atol=1e-6)
+    for _ in range(80):  # and no further than the wall
+        sim.step([[(limit, 0.0), (0.0, 0.0)]])
+        assert sim.positions[0, 0, 0] <= 3.0 + 1e-9
+    sim.reset(0, {"positions": [[0.0, 0.0], [-9.0, 0.0]], "headings": [0.5, 1.0]})
+    np.testing.assert_array_equal(sim.get_state()["memory"][0], [[0.5, 0.0], [1.0, 0.0]])
+
+
+def test_compare_takes_a_model_and_a_law_of_ones_own(own, tmp_path):
+    from train.comparing import compare
+
+    own("own_hover", HOVER)
+    policy.register("follow", fits=lambda scenario: scenario.robot_model == "hover")(
+        lambda scenario: baselines.laws.LawPolicy(scenario, lambda f, seen, time: f)
+    )
+    rv.Scenario(name="gusts", n_robots=3, robot_model="hover").to_toml(tmp_path / "gusts.toml")
+    out = tmp_path / "out"
+    scenarios = (str(tmp_path / "gusts.toml"),)
+    config = compare.Config(scenarios, ("follow", "zero"), episodes=3, out=out, figures=False)
+    assert compare.run(config) == 0
+    assert "follow" in (out / "results.csv").read_text()
+
+
+STEP = """
+import numpy as np, rendezvous_env as rv, own_hover
+from rendezvous_env.engine.step import step_blocks
+sim = rv.Simulator(rv.Scenario(n_robots=2, robot_model="hover", time_step=0.1))
+sim.reset(0, {"positions": [[0.0, 0.0], [9.0, 0.0]]})
+sim.step(np.zeros((1, 2, 2)))
+print(sim.positions[0, 0, 0], sum(step_blocks.stats.cache_misses.values()))
+"""
+"""A whole step: which takes long to compile."""
+PIECE = """
+import own_hover
+from rendezvous_env.equations.contact import _place_on
+curve = own_hover.Hover(0.1, 9.0), (0.0, 0.0), (1.0, 0.0, 0.0, 1.0), ()
+print(_place_on(curve, (0.0, 0.0, 0.0), 0.1)[0], sum(_place_on.stats.cache_misses.values()))
+"""
+"""A small kernel of the package, in a file that imports no model."""
+
+
+def ran(folder: Path, program: str) -> tuple[float, int]:
+    """What a program prints in a new process: a displacement, m, and kernels compiled anew."""
+    done = subprocess.run(
+        [sys.executable, "-c", program],
+        env=os.environ | {"PYTHONPATH": f"{folder}{os.pathsep}{ROOT}"},
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr
+    way, anew = done.stdout.split()
+    return float(way), int(anew)
+
+
+@pytest.mark.skipif(not compiled(), reason="nothing is kept")
+@pytest.mark.parametrize("program", [PIECE, pytest.param(STEP, marks=pytest.mark.slow)])
+def test_an_edited_model_moves_as_edited(program, tmp_path):
+    """Compiled code is kept on disk: it must follow the file that the model is in, and those that
+    it imports.
+    """
+    text = HOVER.replace("WIND = 0.5\n", "from own_weather import WIND\n")
+    text = text.replace("return (0.0, 0.0)", "return (WIND * time, 0.0)")
+    (tmp_path / "own_hover.py").write_text(text, encoding="utf-8")
+    for wind in (0.5, 0.25):
+        (tmp_path / "own_weather.py").write_text(f"WIND = {wind}\n", encoding="utf-8")
+        assert ran(tmp_path, program)[0] == pytest.approx(0.1 * wind)
+    assert ran(tmp_path, program) == (pytest.approx(0.025), 0)  # what was not edited is kept
+    path = tmp_path / "own_hover.py"
+    path.write_text(text.replace("(WIND *", "(2 * WIND *").replace("+ WIND)", "+ 2 * WIND)"))
+    assert ran(tmp_path, program)[0] == pytest.approx(0.05)
+
+
+@pytest.mark.skipif(not compiled(), reason="there are no types")
+def test_what_is_compiled_for_a_model_stands_on_its_files():
+    """Those of the package too: kernels that take a model need not import it."""
+    one, two = (
+        rv.Scenario(robot_model=name).model.constants(rv.Scenario())
+        for name in ("single_integrator", "double_integrator")
+    )
+    kinds = [numba.typeof(model) for model in (one, two)]
+    nested = (numba.int64, numba.types.Tuple((kinds[0], numba.types.Tuple((kinds[1],)))))
+    found = kernel_cache._files_behind(nested)
+    assert {path.name for path in found} == {"kinematics.py", "double_integrator.py"}
+    assert kernel_cache._files_behind((numba.int64,)) == frozenset()
+    source = Path(kernel_cache.__file__)
+    assert kernel_cache._digest(source) != kernel_cache._digest(source, found)
+
+
+def test_a_model_of_the_script_that_is_run_is_not_kept(monkeypatch):
+    """No later process could find its type again."""
+    kind = type("Loose", (tuple,), {"__module__": "__main__"})
+    monkeypatch.setattr(kernel_cache, "_CHOSEN_BY", {})
+    kernel_cache.depends_on(kind, (follow,))
+    assert kernel_cache._CHOSEN_BY == {kind: None}
+    typed_in = eval(compile("lambda: 0", "<typed in>", "eval"))
+    kind = type("Loose", (tuple,), {"__module__": __name__})
+    kernel_cache.depends_on(kind, (follow, typed_in))
+    assert kernel_cache._CHOSEN_BY[kind] is None
+
+
+class Still(NamedTuple):
+    """Constants of a robot that is described only in part."""
+
+    duration: float
+    speed_limit: float
+
+
+def test_what_is_wrong_with_a_model_is_said(registry):
+    good = {"constants": lambda s: Still(s.tau, 1.0), "bounds": lambda s: [1.0] * 2}
+    for changes, message in [
+        ({"name": "unicycle", "dims": (2,)}, "is already registered; replace=True"),
+        ({"name": "still", "dims": ()}, r"dims \(\); they must be of 2 and 3"),
+        ({"name": "still", "dims": (2,), "n_kept": lambda d: 5}, "keeps 5 numbers.* from 0.* to 4"),
+        ({"name": "still", "dims": (2,), "n_angles": 2, "n_kept": lambda d: 1}, "from 2"),
+        ({"name": "still", "dims": (2,), "senses": "smell"}, "senses 'smell'; it must be one of"),
+        ({"name": "still", "dims": (2,), "n_kept": lambda d: 3, "keeps_velocity": True}, "be 2"),
+    ]:
+        with pytest.raises(ValueError, match=message):
+            rv.register_robot_model(rv.RobotModel(**good | changes))
+    with pytest.raises(ValueError, match="it must be a RobotModel"):
+        rv.register_robot_model("still")
+    rv.register_robot_model(rv.RobotModel("still", dims=(2,), **good))
+    with pytest.raises(ValueError, match="are a Still; describe_motion must have said"):
+        rv.Simulator(rv.Scenario(robot_model="still"))
+    hover = motion._MOTIONS[type(rv.Scenario().model.constants(rv.Scenario()))]
+    with pytest.raises(TypeError, match="bend of a Still is 3; it must be a function"):
+        rv.describe_motion(Still, hover._replace(bend=3))
+    with pytest.raises(ValueError, match="must be a NamedTuple class"):
+        rv.describe_motion(dict, hover)
+    rv.describe_motion(Still, hover)
+    with pytest.raises(ValueError, match="has been described before"):
+        rv.describe_motion(Still, hover._replace(drifts=True))
+    short = rv.RobotModel("still", **good | {"dims": (2,), "constants": lambda s: Still(0.0, 1.0)})
+    rv.register_robot_model(short, replace=True)
+    with pytest.raises(ValueError, match=r"have duration = 0\.0; it must be the step, 0\.05 s"):
+        rv.Simulator(rv.Scenario(robot_model="still", time_step=0.05, allow_long_step=True))
