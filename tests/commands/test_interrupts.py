@@ -10,7 +10,7 @@ from itertools import product
 import numpy as np
 import pytest
 
-from baselines import silhouettes
+from baselines import joined_plane
 from train import cli, interrupts
 
 COMMANDS = {
@@ -142,33 +142,36 @@ class TestKernels:
     """Loops over angles end for any input."""
 
     def test_every_number_ends(self):
-        """In a process of its own, which can be killed: an endless kernel hears no signal."""
+        """The kernels themselves: their callers refuse what is not finite. In a process of its own,
+        which can be killed: an endless kernel hears no signal.
+        """
         code = (
             "import itertools, numpy as np\n"
-            "from baselines.obstacle_avoidance import tangent_joined_heading as rule\n"
+            "from baselines.joined_plane import joined_headings_2d as plane\n"
+            "from baselines.joined_space import joined_headings_3d as space\n"
             "from numpy import inf, nan\n"
             f"hostile, random = {HOSTILE!r}, np.random.default_rng(0)\n"
             "f, seen = random.normal(size=(2, 2)), random.normal(size=(2, 5, 2, 2))\n"
             "seen /= np.linalg.norm(seen, axis=-1, keepdims=True)\n"
             "for c, p in itertools.product(hostile, hostile):\n"
             "    for shown in (seen, seen[:, :0], 0 * seen):\n"
-            "        rule(f, shown, clearance=c, carried=f[::-1].copy(), persistence=p)\n"
+            "        plane(f, shown, c, f[::-1].copy(), p, np.empty((2, 2)))\n"
             "for value in hostile:\n"
             "    for part in range(4):\n"
             "        g, s, k = f.copy(), seen.copy(), f[::-1].copy()\n"
             "        (g if part == 0 else k if part == 1 else s).reshape(-1)[part] = value\n"
-            "        rule(g, s, clearance=0.2, carried=k, persistence=0.5)\n"
+            "        plane(g, s, 0.2, k, 0.5, np.empty((2, 2)))\n"
             "        s3, g3 = random.normal(size=(2, 5, 8, 3)), random.normal(size=(2, 3))\n"
             "        (g3 if part == 0 else s3).reshape(-1)[part] = value\n"
-            "        rule(g3, s3, clearance=value)\n"
+            "        space(g3, s3, value, np.empty((2, 3)))\n"
         )
         subprocess.run([sys.executable, "-c", code], check=True, timeout=300)
 
     @pytest.mark.parametrize("turns", [-40, -16, -3, -1, 0, 1, 2, 15.9, 16, 1e6])
     def test_the_angle_is_the_same_direction(self, turns):
-        angle = 1.25 + turns * silhouettes.TWO_PI
-        found = silhouettes._counter_clockwise(angle)
-        assert 0 <= found < silhouettes.TWO_PI
+        angle = 1.25 + turns * joined_plane.TWO_PI
+        found = joined_plane._counter_clockwise(angle)
+        assert 0 <= found < joined_plane.TWO_PI
         expected = [np.cos(angle), np.sin(angle)]
         np.testing.assert_allclose([np.cos(found), np.sin(found)], expected, atol=1e-9)
-        assert np.isnan(silhouettes._counter_clockwise(np.inf))
+        assert np.isnan(joined_plane._counter_clockwise(np.inf))
