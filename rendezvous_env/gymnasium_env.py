@@ -102,7 +102,6 @@ class RendezvousEnv(gymnasium.Env[Any, Any]):
 
         Raises:
             ValueError: for a bad option or seed; nothing has changed then.
-            TypeError: for a seed that is no whole number; likewise.
         """
         seeds = seeds_of_teams(seed, 1)
         observations = self.simulator.reset(seeds, options)

@@ -10,6 +10,7 @@ import rendezvous_env as rv
 from baselines import obstacle_avoidance
 from rendezvous_env import Simulator
 from rendezvous_env.engine.memory import TIME_OUT
+from rendezvous_env.experiment.packing import check_outside
 from rendezvous_env.guarantee.steering import Steering
 from rendezvous_env.gymnasium_env import make_env
 from rendezvous_env.trajectory import Step
@@ -93,9 +94,10 @@ def test_a_seed_of_one_team_is_refused_before_it_begins():
     env = make_env("fig3")
     env.reset(seed=np.int64(3))
     before = env.get_state()
-    with pytest.raises(TypeError):
-        env.reset(seed=[4])
-    assert same(before, env.get_state())
+    for seed in ([4, 5], 4.5):
+        with pytest.raises(ValueError, match="seed .*must be"):
+            env.reset(seed=seed)
+        assert same(before, env.get_state())
 
 
 # ---- what robots see ----------------------------------------------------------------------------
@@ -189,9 +191,9 @@ def test_alignments_refuse_a_step_of_other_robots(kind):
 def test_positions_beside_obstacles_of_another_dimension_are_refused():
     sphere = (rv.Sphere((0.0, 0.0, 0.0), 1.0),)
     with pytest.raises(ValueError, match=r"positions have shape \(3, 2\)"):
-        rv.obstacles.check_outside("positions", np.zeros((3, 2)), sphere)
+        check_outside("positions", np.zeros((3, 2)), sphere)
     with pytest.raises(ValueError, match=r"positions have shape \(3, 1\)"):
-        rv.obstacles.check_outside("positions", np.zeros((3, 1)), (SQUARE,))
+        check_outside("positions", np.zeros((3, 1)), (SQUARE,))
 
 
 def test_a_choice_that_there_is_not_is_refused():

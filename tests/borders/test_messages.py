@@ -439,7 +439,7 @@ WRONG_OPTIONS = [
     ({"positions": DEEP}, "positions is"),
     ({"positions": [[HUGE, 0], [0, 0]]}, "positions is .* numbers"),
     ({"positions": [[1e160, 0], [0, 0]]}, r"positions of robot_0 is \[1e\+160, 0\.0\]; .* 1e\+09"),
-    ({"headings": 5}, "headings: single integrators have none"),
+    ({"headings": 5}, "headings: single_integrator robots have none"),
     ({"frames": 5}, r"frames has shape \(\)"),
     ({"frames": np.full((2, 2, 2), 1e300)}, "frames of robot_0 is"),
     ({"weights": "ab"}, "weights is 'ab'"),
