@@ -95,7 +95,7 @@ def test_a_seed_of_one_team_is_refused_before_it_begins():
     env.reset(seed=np.int64(3))
     before = env.get_state()
     for seed in ([4, 5], 4.5):
-        with pytest.raises(ValueError, match="seed .*must be"):
+        with pytest.raises(ValueError, match=r"seed .*must be"):
             env.reset(seed=seed)
         assert same(before, env.get_state())
 

@@ -563,7 +563,7 @@ BAD_OPTIONS = {
     "positions-coincide": ("unicycle", {"positions": np.zeros((5, 2))},
         "neighbours robot_0 and robot_1 both stand at"),
     "headings-none": ("single_integrator-2d", {"headings": np.zeros(5)},
-        'headings: single integrators have none; give "frames"'),
+        'headings: single_integrator robots have none; give "frames"'),
     "headings-shape": ("nonholonomic_3d", {"headings": np.zeros(5)},
         r"headings has shape \(5,\); it must be \(5, 2\)"),
     "frames-model": ("unicycle", {"frames": np.tile(np.eye(2), (5, 1, 1))}, 'give "headings"'),
