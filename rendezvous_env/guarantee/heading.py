@@ -63,9 +63,10 @@ scale_of_step = kernel(step_scale)
 @kernel
 def turn_limit(max_turn):
     """A largest turn in rad as ``certify_one`` wants it: its cosine, sine and squared chord."""
-    chord = 2.0 * math.sin(0.5 * min(max_turn, math.pi))
+    turn = min(max_turn, math.pi)
+    chord = 2.0 * math.sin(0.5 * turn)
     square = chord * chord if max_turn < math.pi else math.inf
-    return math.cos(max_turn), math.sin(max_turn), square
+    return math.cos(turn), math.sin(turn), square
 
 
 def certified_heading(

@@ -8,11 +8,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from rendezvous_env.compilation import compiled
 from rendezvous_env.guarantee.heading import (
     certified_heading,
     certify,
     flexible_velocity,
     step_scale,
+    turn_limit,
 )
 
 CONSTANTS = {"min_alignment": 0.1, "dead_zone": 0.1, "max_turn": 0.2}
@@ -298,3 +300,10 @@ def test_refusals_name_the_argument(change, message):
     good = {"raw": np.ones((4, 2)), "net_bearing": np.ones((4, 2)), "previous": np.ones((4, 2))}
     with pytest.raises(ValueError, match=message):
         certified_heading(**{**good, **CONSTANTS, **change})
+
+
+def test_no_limit_of_turns_needs_no_compiler():
+    """Plain Python has no cosine of infinity."""
+    cosine, sine, square = turn_limit.py_func(np.inf) if compiled() else turn_limit(np.inf)
+    assert (cosine, square) == (-1.0, np.inf)
+    assert sine == pytest.approx(0.0, abs=1e-15)
