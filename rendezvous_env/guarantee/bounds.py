@@ -53,8 +53,9 @@ def time_bound(
     divisor = 8.0 if min_alignment == 1 else 2.0 * min_alignment**2
     held = 2.0 * max(1.0, 2.0 * scenario.max_degree * scenario.tau / scenario.merge_radius)
     limited = max(1.0, scenario.max_degree / scenario.speed_limit)
-    bound = n * (initial + merge_rise_allowance(scenario)) / (divisor * a**2)
-    return np.asarray(bound * held * limited)
+    with np.errstate(divide="ignore", over="ignore"):  # a margin of almost nothing bounds nothing
+        bound = n * (initial + merge_rise_allowance(scenario)) / (divisor * a**2)
+        return np.asarray(bound * held * limited)
 
 
 def covered(scenario: Scenario) -> bool:

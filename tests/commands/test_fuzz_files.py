@@ -313,7 +313,12 @@ class TestRuns:
             except checkpoints.CheckpointError as error:
                 assert str(place) in str(error)
             else:
-                assert damage.sealed or files == whole
+                assert damage.sealed or meant(files) == meant(whole)
+
+
+def meant(files):
+    """Files by what they say: a damage may put into a description what stood there already."""
+    return files | {"checkpoint.json": json.loads(files["checkpoint.json"])}
 
 
 def _laid(folder, files):

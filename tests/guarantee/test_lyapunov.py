@@ -90,6 +90,10 @@ def test_the_time_bound_by_hand():
             time_bound(team, 1.0, min_alignment=wrong)
 
 
+def test_a_margin_of_almost_nothing_bounds_nothing():
+    assert time_bound(Scenario(n_robots=2), 1.0, min_alignment=5e-324) == np.inf
+
+
 WALL = (Disc((0.0, 0.0), 1.0),)
 
 
