@@ -1,9 +1,8 @@
 # make compare: the main job.  make test: linters, types, fast tests.  Each sets up .venv by itself.
-# make test-slow: the long tests, and those of the kernels once more with every index checked.
+# make test-slow: the long tests, and the fast ones once more with every index of the kernels checked.
 PYTHON ?= python3
 BIN := .venv/bin
 export OMP_WAIT_POLICY := PASSIVE
-KERNELS := tests/equations tests/engine tests/guarantee tests/policies tests/borders/test_borders.py
 
 .PHONY: compare test test-slow lint clean
 .DEFAULT_GOAL := compare
@@ -16,7 +15,7 @@ test: lint
 
 test-slow: .venv/installed
 	$(BIN)/python -m pytest -q -m slow -n 2 --dist loadfile
-	NUMBA_BOUNDSCHECK=1 $(BIN)/python -m pytest -q -n 2 --dist loadfile $(KERNELS)
+	NUMBA_BOUNDSCHECK=1 $(BIN)/python -m pytest -q -n 2 --dist loadfile
 
 lint: .venv/installed
 	$(BIN)/ruff check .
