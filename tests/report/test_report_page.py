@@ -9,6 +9,7 @@ import shutil
 import numpy as np
 import pytest
 
+from rendezvous_env.experiment.outlines import outlines
 from train import results
 from train.report import build as report
 
@@ -338,6 +339,6 @@ def test_the_world_shows_what_is_there(opened, recorded):
         column, row = canvas.evaluate(to_pixels, place.tolist())
         return np.rint(255 * pixels[round(row), round(column) + right]).tolist()
 
-    disc = next(row for row in recorded("obstacles") if row[0] == 0)
-    assert colour(disc[2:4]) == [0xE6, 0x9F, 0x00]
+    centre = next(disc.centre for disc in outlines(recorded("obstacles")) if not len(disc.vertices))
+    assert colour(centre) == [0xE6, 0x9F, 0x00]
     assert colour(recorded("positions")[0, 1], right=6) == [0xD5, 0x5E, 0x00]
