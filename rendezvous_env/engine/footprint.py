@@ -7,8 +7,8 @@ from pathlib import Path
 
 from ..experiment.packing import row_width
 from ..experiment.scenario import Scenario
+from .allocation import Arrangement
 from .memory import STATISTICS
-from .preparation import Arrangement
 
 _UNSEEN = 2**28
 """Bytes that are never asked for: to look up what is free takes longer than a small team."""

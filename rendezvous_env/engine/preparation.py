@@ -1,4 +1,4 @@
-"""From a scenario to what the kernels work on: empty state, constants, working memory, rules."""
+"""From a scenario to what the kernels need to know of it: constants, robot model, rules."""
 
 from __future__ import annotations
 
@@ -13,95 +13,17 @@ from ..experiment.checks import shown
 from ..experiment.graphs import FIXED
 from ..experiment.obstacles import ObstacleField
 from ..experiment.scenario import CONTACT_MODES, Scenario
+from .allocation import Arrangement
 from .draw_field import FieldRules
 from .draw_graph import GraphRules
-from .memory import (
-    MIN_CLEARANCE,
-    SCORED,
-    SCORES,
-    SQUARE_CLOSEST,
-    STATISTICS,
-    AtHand,
-    Constants,
-    Lanes,
-    Layout,
-    Links,
-    ListedLinks,
-    ManyTeams,
-    OneTeam,
-    PairLinks,
-    Robot,
-    Teams,
-)
-from .starts import Drafts, StartRules
-
-_FEWEST_SIDE_BY_SIDE = 5
-"""Teams from which a block of 32 lanes pays; a processor does four of them at once."""
-_SPARSE_FROM = 48
-"""Robots from which a list of links is walked faster, one by one, than all pairs in lanes."""
-_SPARSE_SHARE = 0.25
-"""Share of all pairs above which it is not."""
+from .memory import Constants, Layout, Robot
+from .starts import StartRules
 
 
-class Arrangement:
-    """How the teams of a scenario lie in memory.
-
-    Args:
-        scenario: the experiment.
-        batch: B.
-    """
-
-    def __init__(self, scenario: Scenario, batch: int) -> None:
-        n = scenario.n_robots
-        most = scenario.sensing_graph.most_links(n)
-        self.sparse = n >= _SPARSE_FROM and most <= _SPARSE_SHARE * n * (n - 1) / 2
-        self.width = OneTeam() if self.sparse or batch < _FEWEST_SIDE_BY_SIDE else ManyTeams()
-        self.lanes = self.width.lanes
-        self.blocks = -(-batch // self.lanes)
-        self.n_links = most if self.sparse else n * (n - 1) // 2
-
-
-def empty_teams(scenario: Scenario, batch: int) -> Teams:
-    """State of teams that no reset has touched yet."""
-    place = Arrangement(scenario, batch)
-    n, d, blocks, lanes = scenario.n_robots, scenario.dim, place.blocks, place.lanes
-    statistics = np.zeros((blocks, len(STATISTICS) * lanes))
-    for entry in (MIN_CLEARANCE, SQUARE_CLOSEST):
-        statistics[:, entry * lanes : (entry + 1) * lanes] = np.inf
-    return Teams(
-        positions=np.zeros((blocks, n, d * lanes)),
-        frames=np.zeros((blocks, n, d * d * lanes)),
-        memory=np.zeros((blocks, n, scenario.model.memory_size(d) * lanes)),
-        merged_into=np.tile(np.arange(n), (batch, 1)),
-        statistics=statistics,
-    )
-
-
-def empty_links(scenario: Scenario, batch: int) -> Links:
-    """Links that no reset has touched yet: those of all pairs weigh 0, a list has none."""
-    place = Arrangement(scenario, batch)
-    if place.sparse:
-        size = (batch, place.n_links)
-        return ListedLinks(np.zeros(size, np.int64), np.zeros(size, np.int64), np.zeros(size))
-    first, second = (pairs.astype(np.int64) for pairs in np.triu_indices(scenario.n_robots, 1))
-    return PairLinks(first, second, np.zeros((place.blocks, place.n_links, place.lanes)))
-
-
-def empty_obstacles(scenario: Scenario, batch: int) -> Any:
-    """Balls or Shapes with a leading axis B, all slots absent; None where there are no slots."""
-    slots = scenario.observation_layout.obstacle_slots
-    if slots == 0:
-        return None
-    table = packing.pack((), slots, packing.row_width(scenario.obstacles))
-    return packing.world_of(
-        np.repeat(table[None], batch, axis=0), packing.only_balls(scenario.obstacles)
-    )
-
-
-def layout(scenario: Scenario, batch: int) -> Layout:
+def layout(place: Arrangement) -> Layout:
     """How the numbers of these teams lie in memory."""
-    d = scenario.dim
-    return Layout(Arrangement(scenario, batch).width, tuple(range(d)), tuple(range(d * d)))
+    d = place.scenario.dim
+    return Layout(place.width, tuple(range(d)), tuple(range(d * d)))
 
 
 def robot(scenario: Scenario) -> Robot:
@@ -155,72 +77,6 @@ def constants_of(scenario: Scenario) -> Any:
             wanted = f"the step, {least:g} s" if field == "duration" else "a float of 0 m/s or more"
             raise ValueError(f"{who} have {field} = {shown(value)}; it must be {wanted}")
     return model
-
-
-def _zeros(threads: int, *shape: int, kind: Any = np.float64) -> NDArray[Any]:
-    return np.zeros((threads, *shape), dtype=kind)
-
-
-def lanes_of_threads(scenario: Scenario, batch: int, threads: int) -> Lanes:
-    """Working memory for blocks, with a leading axis for the threads."""
-    place, layout = Arrangement(scenario, batch), scenario.observation_layout
-    n, d, size, lanes = scenario.n_robots, scenario.dim, scenario.action_size, place.lanes
-    neighbours = layout.neighbour_slots if place.sparse else n - 1
-    n_rows = n * (neighbours + layout.rows - layout.neighbour_slots)
-    action = _zeros(threads, n, size * lanes)
-    rows = _zeros(threads, n_rows, d * lanes, kind=np.float32)
-    balls = _zeros(threads, layout.obstacle_slots, (d + 2) * lanes)
-    balls[:] = np.nan
-    return Lanes(
-        action=action,
-        taken=action.reshape(threads, n * size, lanes),
-        displacement=_zeros(threads, n, (d + 1) * lanes),
-        tally=_zeros(threads, (SCORED + SCORES) * lanes),
-        took_part=_zeros(threads, lanes, n, kind=np.bool_),
-        pair=_zeros(threads, (4 + d) * lanes),
-        rows=rows,
-        whole_rows=whole_rows(rows, d),
-        balls=balls,
-        disc=_zeros(threads, 8 * lanes),
-    )
-
-
-def whole_rows(rows: NDArray[np.float32], dim: int) -> NDArray[Any]:
-    """The same memory, both numbers of a row of the plane in one piece: half as many to copy."""
-    return rows.view(np.float64) if dim == 2 else rows
-
-
-def hands_of_threads(scenario: Scenario, batch: int, threads: int) -> AtHand:
-    """Working memory for one team, with a leading axis for the threads."""
-    layout, links = scenario.observation_layout, Arrangement(scenario, batch).n_links
-    n, d = scenario.n_robots, scenario.dim
-    return AtHand(
-        positions=_zeros(threads, n, d),
-        displacements=_zeros(threads, n, d),
-        here=_zeros(threads, n, d),
-        lengths=_zeros(threads, n),
-        resting=_zeros(threads, n, kind=np.bool_),
-        first=_zeros(threads, links, kind=np.int64),
-        second=_zeros(threads, links, kind=np.int64),
-        weights=_zeros(threads, links),
-        moments=_zeros(threads, links),
-        counts=_zeros(threads, n, kind=np.int64),
-        normals=_zeros(threads, 2 * layout.obstacle_slots, 3),
-        silhouette=_zeros(threads, layout.silhouette_points, d),
-        report=_zeros(threads, 4),
-    )
-
-
-def drafts(scenario: Scenario, batch: int, count: int) -> Drafts:
-    """Room for the starts of ``count`` teams."""
-    links = (count, Arrangement(scenario, batch).n_links)
-    return Drafts(
-        positions=np.empty((count, scenario.n_robots, scenario.dim)),
-        first=np.empty(links, np.int64),
-        second=np.empty(links, np.int64),
-        weights=np.empty(links),
-        n_links=np.empty(count, np.int64),
-    )
 
 
 def start_rules(scenario: Scenario) -> StartRules:

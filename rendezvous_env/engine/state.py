@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..experiment import packing
-from ..experiment.scenario import Scenario
+from .allocation import Arrangement, empty_links, empty_obstacles, empty_teams
 from .memory import (
     ACTIVE,
     CONTACTS,
@@ -22,7 +23,6 @@ from .memory import (
     ListedLinks,
     Teams,
 )
-from .preparation import Arrangement, empty_links, empty_obstacles, empty_teams
 
 KEPT = {
     STATISTICS[entry]: (entry, kind)
@@ -38,6 +38,10 @@ KEPT = {
 """What of a team's statistics belongs to its state, and as what; the rest follows."""
 
 
+LinkList = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]
+"""Links of a team: robots (E,), (E,), weights (E,), m/s."""
+
+
 class Overwritten(NamedTuple):
     """One entry of the undo log of a reset."""
 
@@ -50,16 +54,14 @@ class State:
     """State of B teams of one scenario.
 
     Args:
-        scenario: the experiment.
-        batch: B.
+        place: how they lie in memory.
     """
 
-    def __init__(self, scenario: Scenario, batch: int) -> None:
-        self.scenario, self.batch = scenario, batch
-        self.teams: Teams = empty_teams(scenario, batch)
-        self.links: Links = empty_links(scenario, batch)
-        self.obstacles: Any = empty_obstacles(scenario, batch)
-        place = Arrangement(scenario, batch)
+    def __init__(self, place: Arrangement) -> None:
+        self.place, self.scenario, self.batch = place, place.scenario, place.batch
+        self.teams: Teams = empty_teams(place)
+        self.links: Links = empty_links(place)
+        self.obstacles: Any = empty_obstacles(place)
         self.lanes, self.sparse = place.lanes, place.sparse
 
     @property
@@ -73,11 +75,6 @@ class State:
         own = (*self.teams, self.links.weights, *(self.obstacles or ()))
         ends = (self.links.first, self.links.second) if self.sparse else ()
         return sum(array.nbytes for array in (*own, *ends))
-
-    @property
-    def room_for_links(self) -> int:
-        """Links that a team can keep."""
-        return self.links.first.shape[-1]
 
     # ---- reading ----------------------------------------------------------------------------
 
@@ -152,7 +149,9 @@ class State:
             if name in KEPT:
                 self.put_statistic(KEPT[name][0], value)
             elif name == "obstacles":
-                self._put_table(value, slice(None))
+                if self.obstacles is not None:
+                    for array, numbers in zip(self.obstacles, packing.world_of(value), strict=True):
+                        array[...] = numbers
             elif name == "merged_into":
                 self.teams.merged_into[...] = value
             elif name in ListedLinks._fields:
@@ -184,41 +183,42 @@ class State:
         index = (which // self.lanes, slice(None), slice(None), which % self.lanes)
         overwrite(blocks.reshape(*blocks.shape[:2], -1, self.lanes), index, values, log)
 
-    def give_links(
-        self,
-        listed: list[tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]],
-        which: NDArray[np.int64],
-        log: list[Overwritten],
-    ) -> None:
-        """Write given links: one list for all of these teams, or one for each; at most
-        ``room_for_links`` of them.
+    def as_kept(self, listed: Sequence[LinkList]) -> tuple[NDArray[Any], ...]:
+        """Lists of links in the form in which they are kept, each array with an axis for them.
+
+        Args:
+            listed: robots (E,), (E,) and weights (E,), m/s, at most ``place.n_links`` of them.
         """
-        for k, team in enumerate(which if len(listed) != 1 or self.sparse else [which]):
-            first, second, weight = listed[k % len(listed)]
-            if self.sparse:
-                for array, values in zip(self.links, (first, second, weight), strict=True):
-                    whole = np.zeros(array.shape[1], array.dtype)
-                    whole[: len(values)] = values
-                    overwrite(array, team, whole, log)
-            else:
-                n = self.scenario.n_robots
-                pairs = np.zeros(self.links.weights.shape[1])
-                pairs[first * n - first * (first + 1) // 2 + second - first - 1] = weight
-                index = (team // self.lanes, slice(None), team % self.lanes)
-                overwrite(self.links.weights, index, pairs, log)
+        if self.sparse:
+            kept = [np.zeros((len(listed), a.shape[1]), a.dtype) for a in self.links]
+            for k, links in enumerate(listed):
+                for array, values in zip(kept, links, strict=True):
+                    array[k, : len(values)] = values
+            return tuple(kept)
+        n = self.scenario.n_robots
+        weights = np.zeros((len(listed), n, n))
+        for matrix, (first, second, weight) in zip(weights, listed, strict=True):
+            matrix[first, second] = weight
+        return (weights[:, self.links.first, self.links.second],)
+
+    def give_links(
+        self, kept: tuple[NDArray[Any], ...], which: NDArray[np.int64], log: list[Overwritten]
+    ) -> None:
+        """Write links, of ``as_kept``: the same for all of these teams, or of each."""
+        if self.sparse:
+            for array, values in zip(self.links, kept, strict=True):
+                overwrite(array, which, values, log)
+        else:
+            index = (which // self.lanes, slice(None), which % self.lanes)
+            overwrite(self.links.weights, index, kept[0], log)
 
     def give_obstacles(
         self, tables: NDArray[np.float64], which: NDArray[np.int64], log: list[Overwritten]
     ) -> None:
         """Write given obstacles, (count or 1, M, width)."""
         world = packing.world_of(tables)
-        for array, values in zip(self.obstacles, world, strict=True):
-            overwrite(array, which, values, log)
-
-    def _put_table(self, table: NDArray[np.float64], which: Any) -> None:
-        if self.obstacles is not None:
-            for array, values in zip(self.obstacles, packing.world_of(table), strict=True):
-                array[which] = values
+        for array, numbers in zip(self.obstacles, world, strict=True):
+            overwrite(array, which, numbers, log)
 
     def _by_team(self, blocks: NDArray[np.float64]) -> NDArray[np.float64]:
         """Numbers of each team from lane blocks: (blocks, m, c·L) → (B, m, c)."""
@@ -235,8 +235,15 @@ class State:
 
 
 def overwrite(array: NDArray[Any], index: Any, values: ArrayLike, log: list[Overwritten]) -> None:
-    """Write into the state, and keep what was there."""
-    log.append(Overwritten(array, index, np.copy(array[index])))
+    """Write into the state, and keep what was there.
+
+    Args:
+        array: of the state.
+        index: with a list or array of teams in it, so that what it reads is a copy.
+        values: one for all of them, or one for each.
+        log: what was there is added to it.
+    """
+    log.append(Overwritten(array, index, array[index]))
     array[index] = values
 
 

@@ -94,7 +94,7 @@ def test_the_way_is_that_of_the_robots_that_are_left(scenario):
 
 
 def test_more_threads_than_blocks_change_nothing(scenario, monkeypatch):
-    monkeypatch.setattr("rendezvous_env.simulator._WORK_PER_THREAD", 1)
+    monkeypatch.setattr("rendezvous_env.engine.stepper._WORK_PER_THREAD", 1)
     few, _ = halfway(scenario, 40, num_threads=1)
     many, _ = halfway(scenario, 40, num_threads=9)
     for (entry, own), other in zip(few.get_state().items(), many.get_state().values(), strict=True):

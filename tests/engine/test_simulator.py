@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 from conftest import MODELS, ROOT, UNEQUAL, five, law_of
 
-from rendezvous_env import Disc, ObstacleField, Scenario, Simulator, simulator
-from rendezvous_env.engine import threads
+from rendezvous_env import Disc, ObstacleField, Scenario, Simulator
+from rendezvous_env.engine import stepper, threads
 from rendezvous_env.engine.memory import AWAITING_RESET, RENDEZVOUS, RUNNING, TIME_OUT
 from rendezvous_env.engine.step import step_blocks
 from rendezvous_env.experiment import graphs
@@ -227,7 +227,7 @@ def test_the_place_in_the_batch_and_the_number_of_threads_do_not_matter(name, mo
     scenario, count = BATCHED[name], 40
     seeds = np.arange(70, 70 + count)
     order = np.random.default_rng(2).permutation(count)
-    monkeypatch.setattr(simulator, "_WORK_PER_THREAD", 1)
+    monkeypatch.setattr(stepper, "_WORK_PER_THREAD", 1)
     widths, real_share = [], threads.share
 
     def share(run_kernel, blocks, most):
@@ -246,7 +246,7 @@ def test_the_place_in_the_batch_and_the_number_of_threads_do_not_matter(name, mo
 
 
 def test_a_bad_action_in_the_last_block_changes_none(monkeypatch):
-    monkeypatch.setattr(simulator, "_WORK_PER_THREAD", 1)
+    monkeypatch.setattr(stepper, "_WORK_PER_THREAD", 1)
     sim = Simulator(BATCHED["unicycle"], 40, num_threads=2)
     sim.reset(3)
     before, actions = sim.get_state(), np.ones((40, 5, 2), np.float32)
@@ -490,12 +490,12 @@ def _step_in_child(sim: Simulator, actions: np.ndarray, pipe) -> None:
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
 @pytest.mark.filterwarnings("ignore:This process .* is multi-threaded:DeprecationWarning")
 def test_a_fork_after_a_threaded_step_works(monkeypatch):
-    monkeypatch.setattr(simulator, "_WORK_PER_THREAD", 1)
+    monkeypatch.setattr(stepper, "_WORK_PER_THREAD", 1)
     sim = Simulator(five("unicycle"), 64, num_threads=2)
     sim.reset(0)
     actions = np.ones((64, 5, 2), np.float32)
     sim.step(actions)
-    assert sim._width == 2 and len(threads._workers) >= 1
+    assert sim._stepper.width == 2 and len(threads._workers) >= 1
     context = multiprocessing.get_context("fork")
     receiver, sender = context.Pipe(duplex=False)
     child = context.Process(target=_step_in_child, args=(sim, actions, sender))

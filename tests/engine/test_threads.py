@@ -15,9 +15,9 @@ import numpy as np
 import pytest
 
 import rendezvous_env as rv
-from rendezvous_env import Simulator, simulator
+from rendezvous_env import Simulator
 from rendezvous_env.compilation import kernel
-from rendezvous_env.engine import threads
+from rendezvous_env.engine import stepper, threads
 from rendezvous_env.engine.sharing import (
     DONE,
     Share,
@@ -218,12 +218,12 @@ def test_when_the_caller_fails_helpers_come_to_their_end():
 @pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="needs timers")
 def test_an_interrupted_step_is_one_for_all_teams_or_none(monkeypatch):
     """Interrupts by a timer, as Ctrl-C sends them, at all moments of a step of four threads."""
-    monkeypatch.setattr(simulator, "_WORK_PER_THREAD", 1)
+    monkeypatch.setattr(stepper, "_WORK_PER_THREAD", 1)
     sim = Simulator(rv.scenarios.get("swarm-20").replace(time_limit=1e4), 256, num_threads=4)
     sim.reset(0)
     actions = np.full((256, 20, 2), 1e-3, np.float32)
     sim.step(actions)
-    assert sim._width == 4
+    assert sim._stepper.width == 4
 
     def interrupt(*_):
         raise KeyboardInterrupt

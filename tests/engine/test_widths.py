@@ -14,8 +14,8 @@ import pytest
 from conftest import ROOT, UNEQUAL, five
 
 from rendezvous_env import Capsule, Disc, ObstacleField, Polygon, Scenario, Simulator, Sphere
+from rendezvous_env.engine.allocation import Arrangement
 from rendezvous_env.engine.memory import ManyTeams, OneTeam
-from rendezvous_env.engine.preparation import Arrangement
 
 SHAPES = (
     Disc((0.3, 0.2), 0.5),

@@ -1,0 +1,95 @@
+"""The compiled step, run over the blocks of a batch by several threads."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..compilation import entry_point
+from . import threads
+from .allocation import Arrangement, hands_of_threads, lanes_of_threads, new_results
+from .memory import Results
+from .preparation import constants, layout, robot
+from .sharing import example_part
+from .state import State
+from .step import step_blocks
+
+_WORK_PER_THREAD = 4096
+"""Rows computed below which another thread costs more than it saves."""
+
+
+class Stepper:
+    """Advances and observes B teams.
+
+    Args:
+        state: of the teams.
+        num_threads: most threads that may be used; None is one for each core.
+    """
+
+    def __init__(self, state: State, num_threads: int | None) -> None:
+        place = state.place
+        self._state, self.width = state, _width(place, num_threads)
+        self.layout, self.robot = layout(place), robot(place.scenario)
+        self.hands = hands_of_threads(place, self.width)
+        """Working memory for one team, with a leading axis for the threads."""
+        self._at_work = tuple(lanes_of_threads(place, self.width)), tuple(self.hands)
+        self._blocks = np.arange(place.blocks)
+        action = place.scenario.n_robots * place.scenario.action_size
+        self._no_actions = np.zeros((place.batch, action), np.float32)
+        self._run: Callable[..., Any] | None = None
+        self.limit(place.scenario.max_steps)
+
+    def limit(self, max_steps: int) -> None:
+        """Let episodes end after so many steps."""
+        self._constants = constants(self._state.scenario, max_steps)
+
+    def step(self, actions: NDArray[np.float32]) -> Results:
+        """Advance all teams.
+
+        Args:
+            actions: (B, n, a), checked.
+        """
+        results = new_results(self._state.place)
+        table = actions.reshape(self._state.batch, -1)
+        self._share(True, self._blocks, table, results, self.width)
+        return results
+
+    def observe(self) -> Results:
+        """All teams as they are."""
+        results = new_results(self._state.place)
+        self._share(False, self._blocks, self._no_actions, results, 1)
+        return results
+
+    def observe_again(self, which: NDArray[np.int64], results: Results) -> None:
+        """Write anew what some teams see; those that share a block with them see the same."""
+        blocks = np.unique(which // self._state.lanes)
+        self._share(False, blocks, self._no_actions, results, 1)
+
+    def _share(
+        self,
+        moves: bool,
+        blocks: NDArray[np.int64],
+        table: NDArray[np.float32],
+        results: Results,
+        width: int,
+    ) -> None:
+        """Let up to ``width`` threads step or observe some blocks."""
+        state = self._state
+        fixed = (moves, blocks, self.layout, self._constants, self.robot, tuple(state.teams))
+        kept, written = (state.links, state.obstacles), (tuple(results), *self._at_work)
+        given = (*kept, table, *written)
+        if (run := self._run) is None:  # before threads share it: compiling may be interrupted
+            writable = (*kept, np.empty_like(table), *written)
+            run = self._run = entry_point(step_blocks, (example_part(), *fixed, *writable))
+        threads.share(lambda part: run(part, *fixed, *given), len(blocks), width)
+
+
+def _width(place: Arrangement, num_threads: int | None) -> int:
+    """As many threads as are worth their cost."""
+    n, layout = place.scenario.n_robots, place.scenario.observation_layout
+    rows = n * (place.neighbours + 1 + layout.rows - layout.neighbour_slots)
+    most = threads.most_threads(num_threads)
+    return max(1, min(most, place.batch * rows // _WORK_PER_THREAD, place.blocks))

@@ -1,0 +1,131 @@
+"""What can be read of the teams of a simulator."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .engine.episodes import Episodes
+from .engine.memory import (
+    CONTACTS,
+    INITIAL_LYAPUNOV,
+    LYAPUNOV,
+    MIN_CLEARANCE,
+    PATH_LENGTH,
+    RENDEZVOUS,
+    STATUS,
+    STEPS,
+    TIME_OUT,
+)
+from .engine.state import State
+from .experiment.scenario import Scenario
+
+
+class TeamReadings:
+    """The global state of B teams and the statistics of their episodes, as copies."""
+
+    scenario: Scenario
+    _state: State
+    _episodes: Episodes
+
+    @property
+    def positions(self) -> NDArray[np.float64]:
+        """p_i, (B, n, d), m; a merged-away robot is where the robot is that it became part of."""
+        places, into = self._state.positions(), self._state.teams.merged_into
+        return np.take_along_axis(places, into[..., None], axis=1)
+
+    @property
+    def headings(self) -> NDArray[np.float64]:
+        """Yaw, or yaw and pitch, (B, n, 1 or 2), rad; (B, n, 0) for robots without a heading."""
+        return self._state.memory()[..., : self.scenario.model.n_angles].copy()
+
+    @property
+    def velocities(self) -> NDArray[np.float64]:
+        """Velocities in the global frame, (B, n, d), m/s, of robots with inertia; (B, n, 0) for
+        models that keep none.
+        """
+        model = self.scenario.model
+        kept = self._state.memory()
+        return kept[..., model.n_angles if model.keeps_velocity else kept.shape[-1] :].copy()
+
+    @property
+    def frames(self) -> NDArray[np.float64]:
+        """R_i, local → global, (B, n, d, d)."""
+        d, frames = self.scenario.dim, self._state.frames()
+        return frames.reshape(*frames.shape[:2], d, d).copy()
+
+    @property
+    def weights(self) -> NDArray[np.float64]:
+        """a_ij, (B, n, n), m/s, as merging has left them."""
+        return self._state.weights()
+
+    @property
+    def obstacles(self) -> NDArray[np.float64]:
+        """Obstacles as tables, (B, M, width), see ``experiment.packing``."""
+        return self._state.obstacle_table()
+
+    @property
+    def merged_into(self) -> NDArray[np.int64]:
+        """(B, n), index of the robot that each one is now part of; its own while it is active."""
+        return self._state.teams.merged_into.copy()
+
+    @property
+    def active(self) -> NDArray[np.bool_]:
+        """(B, n), whether the robot still exists on its own."""
+        return self._state.teams.merged_into == np.arange(self.scenario.n_robots)
+
+    @property
+    def status(self) -> NDArray[np.int64]:
+        """(B,), RUNNING, RENDEZVOUS, TIME_OUT or AWAITING_RESET of engine.memory."""
+        return self._entry(STATUS).astype(np.int64)
+
+    @property
+    def ended(self) -> NDArray[np.bool_]:
+        """(B,), whether the episode is over."""
+        status = self._entry(STATUS)
+        return (status == RENDEZVOUS) | (status == TIME_OUT)
+
+    @property
+    def steps(self) -> NDArray[np.int64]:
+        """(B,), steps done in this episode."""
+        return self._entry(STEPS).astype(np.int64)
+
+    @property
+    def time(self) -> NDArray[np.float64]:
+        """(B,), s since the start of the episode."""
+        return self._entry(STEPS) * self.scenario.tau
+
+    @property
+    def seeds(self) -> NDArray[np.uint64]:
+        """(B,), seed of each team."""
+        return self._episodes.seed.copy()
+
+    @property
+    def initial_lyapunov(self) -> NDArray[np.float64]:
+        """(B,), V at the start of the episode, m²/s."""
+        return self._entry(INITIAL_LYAPUNOV)
+
+    @property
+    def path_length(self) -> NDArray[np.float64]:
+        """(B,), way of all robots together in this episode, m."""
+        return self._entry(PATH_LENGTH)
+
+    @property
+    def contacts(self) -> NDArray[np.int64]:
+        """(B,), contacts in this episode, one for each robot and step."""
+        return self._entry(CONTACTS).astype(np.int64)
+
+    @property
+    def min_clearance(self) -> NDArray[np.float64]:
+        """(B,), least distance of a robot to an obstacle in this episode, m; inf without
+        obstacles.
+        """
+        return self._entry(MIN_CLEARANCE)
+
+    def lyapunov(self) -> NDArray[np.float64]:
+        """V, (B,), m²/s."""
+        return self._entry(LYAPUNOV)
+
+    def _entry(self, entry: int) -> NDArray[np.float64]:
+        """One entry of every team's statistics, (B,), as a copy."""
+        return self._state.statistic(entry)
