@@ -45,6 +45,7 @@ from .engine.state import Overwritten, State, overwrite, undo
 from .engine.state_checks import check_entries, check_results, check_teams
 from .engine.step import first_not_finite, step_blocks
 from .engine.worlds import empty_worlds
+from .equations.size import size
 from .experiment.checks import bools, floats, refuse, shown, whole
 from .experiment.limits import MOST_STEPS, MOST_TEAMS
 from .experiment.scenario import Scenario
@@ -446,6 +447,11 @@ class Simulator:
     def lyapunov(self) -> NDArray[np.float64]:
         """V, (B,), m²/s."""
         return self._entry(LYAPUNOV)
+
+    def size(self) -> NDArray[np.float64]:
+        """L, (B,), m, of the robots that are left: hull perimeter, in 3-D 2π × mean width."""
+        teams = zip(self._state.positions(), self.active, strict=True)
+        return np.array([size(places[active]) for places, active in teams])
 
     def _entry(self, entry: int) -> NDArray[np.float64]:
         """One entry of every team's statistics, (B,), as a copy."""
