@@ -18,8 +18,8 @@ def least_degrees(scenario: Scenario) -> Array:
     a* (theory 3).
     """
     n, graph = scenario.n_robots, scenario.sensing_graph
-    left = np.arange(2, n + 1)
-    links: Array = np.ones(n - 1)
+    left = np.arange(2.0, n + 1.0)
+    links = np.ones(n - 1)
     if _is_complete(graph, n):
         links = left - 1.0
     elif _is_cycle(graph, n):
