@@ -18,6 +18,7 @@ from .engine.memory import (
     TIME_OUT,
 )
 from .engine.state import State
+from .equations.size import size
 from .experiment.scenario import Scenario
 
 
@@ -125,6 +126,11 @@ class TeamReadings:
     def lyapunov(self) -> NDArray[np.float64]:
         """V, (B,), m²/s."""
         return self._entry(LYAPUNOV)
+
+    def size(self) -> NDArray[np.float64]:
+        """L, (B,), m, of the robots that are left: hull perimeter, in 3-D 2π × mean width."""
+        teams = zip(self._state.positions(), self.active, strict=True)
+        return np.array([size(places[active]) for places, active in teams])
 
     def _entry(self, entry: int) -> NDArray[np.float64]:
         """One entry of every team's statistics, (B,), as a copy."""

@@ -273,7 +273,7 @@ def test_the_signatures_of_the_design():
 
     assert names(rv.parallel_env) == ["scenario", "render_mode", "max_cycles", "overrides"]
     assert names(rv.rollout) == ["scenario", "policy", "seed", "num_envs", "options", "record"]
-    assert names(rv.certificate) == ["scenario", "min_alignment"]
+    assert names(rv.certificate) == ["scenario", "min_alignment", "by", "budget"]
     defaults = inspect.signature(rv.Scenario).parameters
     for name, value in {
         "n_robots": 5, "dim": 2, "robot_model": "single_integrator", "merge_radius": 0.2,

@@ -136,8 +136,8 @@ class TestTheoremA:
     def test_the_bound_is_exact_for_two_robots_before_its_factors(self):
         pair = Scenario(n_robots=2, merge_radius=1e-3)
         length = 5.0
-        bound = time_bound(pair, 2 * length)  # V = 2 a L; V0⁺ adds r W = 1e-3
-        assert bound == pytest.approx(2 * 2 * (2 * length + 1e-3) / 8)
+        bound = time_bound(pair, 2 * length)  # V = 2 a L; the factor 2 is for held inputs
+        assert bound / 2 == pytest.approx(2 * 2 * length / 8)
         assert bound / 2 == pytest.approx(length / 2, rel=1e-3)  # (L − r)/(2a)
 
     def test_no_team_is_faster_than_the_lower_bound(self):

@@ -1,4 +1,4 @@
-"""By when all robots have met, and before when none can have (theorems A and C, theory 3 to 5)."""
+"""By when all robots have met, and before when none can have (theorems A, C and D)."""
 
 from __future__ import annotations
 
@@ -7,9 +7,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..experiment.checks import floats, real, refuse, shown
+from ..experiment.checks import floats, real, refuse
 from ..experiment.scenario import Scenario
+from .degrees import uniform_complete
 from .enclosing_ball import smallest_enclosing_ball
+from .size_bounds import held_size_bound
 
 Array = NDArray[np.float64]
 
@@ -21,41 +23,116 @@ def merge_rise_allowance(scenario: Scenario) -> float:
 
 
 def time_bound(
-    scenario: Scenario, initial_lyapunov: ArrayLike, *, min_alignment: float = 1.0
+    scenario: Scenario,
+    initial_lyapunov: ArrayLike,
+    *,
+    min_alignment: float = 1.0,
+    initial_size: ArrayLike | None = None,
 ) -> Array:
-    """Time by which all robots have met, s (theorems A and C with the factors of theory 4).
+    """Time by which all robots have met with inputs held over the step, s.
 
-        A, law (1):              T ≤ n V0⁺ / (8 a*²)
-        C, certified heading:    T ≤ n V0⁺ / (2 ε² a*²),      V0⁺ = V(0) + (n − 1) r W
+        A, law (1), and C, certified headings:   T ≤ n V0⁺ / (8 ε² a*²),   V0⁺ = V(0) + (n − 1) r W
+        on a complete graph of one weight a:     T ≤ V(0) / (4 (n − 1) ε² a²)   if that is less
 
-    times 2·max(1, 2D̄τ/r) for the held inputs and max(1, D̄/v_max) for the speed limit.
+    times 2·max(1, 2D̄τ/r) for the held inputs and max(1, D̄/v_max) for the speed limit (theory 3 and
+    4, guarantees 13). With L(0) and law (1): theorem N's bound, if that is less.
 
     Args:
-        scenario: gives n, r, W, a*, D̄, τ and v_max.
+        scenario: gives n, r, W, a*, D̄, τ and v_max, and its graph: weights that a reset is given
+            in its place may lose a bound for complete graphs and cycles.
         initial_lyapunov: V(0), (...), m²/s.
         min_alignment: 1 for law (1), the margin ε < 1 for a certified heading.
+        initial_size: L(0), (...), m, as ``Simulator.size`` measures it.
 
     Returns:
         (...), s; infinite where nothing is guaranteed.
 
     Raises:
-        ValueError: if ``min_alignment`` is not in (0, 1].
+        ValueError: if ``min_alignment`` is not in (0, 1], or a V(0) or L(0) is not finite or
+            negative.
     """
-    if not 0 < real(min_alignment) <= 1:
-        raise ValueError(f"min_alignment is {shown(min_alignment)}; it must be in (0, 1]")
+    check_margin(min_alignment)
     check_scenario(scenario)
-    initial = floats("initial_lyapunov", initial_lyapunov)
-    if not (np.isfinite(initial) & (initial >= 0)).all():
-        refuse("initial_lyapunov", initial_lyapunov, "finite and at least 0 m²/s")
+    initial = checked_lyapunov(initial_lyapunov)
     if not covered(scenario):
         return np.full(initial.shape, np.inf)
+    bound = _by_descent(scenario, initial, min_alignment)
+    if initial_size is not None and min_alignment == 1:
+        bound = np.minimum(bound, held_size_bound(scenario, initial_size))
+    return np.asarray(bound)
+
+
+def _by_descent(scenario: Scenario, initial: Array, margin: float) -> Array:
+    """Theorems A and C with the factors of theory 4, s."""
     n, a = scenario.n_robots, scenario.bottleneck_weight
-    divisor = 8.0 if min_alignment == 1 else 2.0 * min_alignment**2
     held = 2.0 * max(1.0, 2.0 * scenario.max_degree * scenario.tau / scenario.merge_radius)
     limited = max(1.0, scenario.max_degree / scenario.speed_limit)
     with np.errstate(divide="ignore", over="ignore"):  # a margin of almost nothing bounds nothing
-        bound = n * (initial + merge_rise_allowance(scenario)) / (divisor * a**2)
+        bound = n * (initial + merge_rise_allowance(scenario)) / (8.0 * margin**2 * a**2)
+        if uniform_complete(scenario) and not scenario.obstacles:
+            bound = np.minimum(bound, initial / (4.0 * (n - 1) * margin**2 * a**2))
         return np.asarray(bound * held * limited)
+
+
+def tank_time_bound(
+    scenario: Scenario,
+    initial_lyapunov: ArrayLike,
+    *,
+    min_alignment: float,
+    budget: float = 0.0,
+) -> Array:
+    """Time by which all robots have met under an energy tank, whatever is wanted, s (theorem D).
+
+        T ≤ n (V0⁺ + (n − 1) r W + ΣB_i) / (4 ε² a*² s_min) + (n − 1) τ,
+        s_min = min(1, r/(2D̄τ), v_max/D̄)
+
+    Args:
+        scenario: gives n, r, W, a*, D̄, τ and v_max.
+        initial_lyapunov: V(0), (...), m²/s.
+        min_alignment: ε in (0, 1], the margin of the law that an empty tank falls back to.
+        budget: B_i that each robot's tank begins with, m²/s, at least 0.
+
+    Returns:
+        (...), s; infinite where nothing is guaranteed.
+
+    Raises:
+        ValueError: if an argument is out of its range.
+    """
+    check_margin(min_alignment)
+    most = tank_lyapunov_bound(scenario, initial_lyapunov, budget=budget)
+    if not covered(scenario):
+        return np.full(most.shape, np.inf)
+    n, tau, degree = scenario.n_robots, scenario.tau, scenario.max_degree
+    slowest = min(1.0, scenario.merge_radius / (2.0 * degree * tau), scenario.speed_limit / degree)
+    with np.errstate(divide="ignore", over="ignore"):
+        rate = 4.0 * min_alignment**2 * scenario.bottleneck_weight**2 * slowest
+        return np.asarray(n * most / rate + (n - 1) * tau)
+
+
+def tank_lyapunov_bound(
+    scenario: Scenario, initial_lyapunov: ArrayLike, *, budget: float = 0.0
+) -> Array:
+    """The most that V can ever be under an energy tank, m²/s (theorem D).
+
+        V ≤ V0⁺ + (n − 1) r W + ΣB_i
+
+    With obstacles in motion without a contact. Arguments and errors as for ``tank_time_bound``.
+    """
+    check_scenario(scenario)
+    if not 0 <= real(budget) < np.inf:
+        refuse("budget", budget, "finite and at least 0 m²/s")
+    stopped = merge_rise_allowance(scenario)
+    return lyapunov_bound(scenario, initial_lyapunov) + stopped + scenario.n_robots * real(budget)
+
+
+def lyapunov_bound(scenario: Scenario, initial_lyapunov: ArrayLike) -> Array:
+    """The most that V can be if it never rises between merges, m²/s: V0⁺ (theory 3).
+
+    At obstacles robots may merge at one robot's place rather than at the midpoint, where V can rise
+    by twice as much (theory 5).
+    """
+    places = 2.0 if scenario.obstacles else 1.0
+    return checked_lyapunov(initial_lyapunov) + places * merge_rise_allowance(scenario)
 
 
 def covered(scenario: Scenario) -> bool:
@@ -87,6 +164,28 @@ def check_scenario(scenario: Any) -> None:
     """
     if not isinstance(scenario, Scenario):
         refuse("scenario", scenario, "a Scenario; scenarios.resolve() takes names and files")
+
+
+def check_margin(min_alignment: Any) -> None:
+    """Refuse a margin ε outside (0, 1].
+
+    Raises:
+        ValueError: saying what was given.
+    """
+    if not 0 < real(min_alignment) <= 1:
+        refuse("min_alignment", min_alignment, "in (0, 1]")
+
+
+def checked_lyapunov(initial_lyapunov: ArrayLike) -> Array:
+    """V(0) as an array of numbers that a team can have.
+
+    Raises:
+        ValueError: if one is not finite or negative.
+    """
+    initial = floats("initial_lyapunov", initial_lyapunov)
+    if not (np.isfinite(initial) & (initial >= 0)).all():
+        refuse("initial_lyapunov", initial_lyapunov, "finite and at least 0 m²/s")
+    return initial
 
 
 def connected(scenario: Scenario) -> bool:

@@ -16,10 +16,11 @@ from rendezvous_env.guarantee.bounds import merge_rise_allowance
 from rendezvous_env.trajectory import run as steps_of
 from train.cli import main
 from train.errors import UserError
-from train.verification import cases, claims
+from train.verification import cases, laws
 from train.verification.adversaries import Steered, adversary
 from train.verification.cases import BATCH, Case
-from train.verification.claims import CLAIMS, bound_a
+from train.verification.claims import CLAIMS
+from train.verification.time_limits import bound_a
 from train.verification.verify import COLUMNS, Config, run
 
 BY_NAME = {claim.name: claim for claim in CLAIMS}
@@ -97,7 +98,7 @@ def test_the_trials_are_of_every_kind():
 def test_merges_do_raise_v_and_stay_below_their_bound():
     """The row merge-rise has something to look at."""
     case = cases.draw_trees(np.random.default_rng(3), 0, 0.3)
-    policy = claims.certified(case, 200, np.random.default_rng(4))
+    policy = laws.certified(case, 200, np.random.default_rng(4))
     simulator = Simulator(case.scenario, 200)
     rises, excess = [], []
     simulator.set_max_steps(1500)
@@ -127,7 +128,7 @@ def asymmetric(case, num_envs, random):
 
 def unscaled(case, num_envs, random):
     """Certified headings whose velocities are not scaled to a long step."""
-    policy = claims.certified(case, num_envs, random)
+    policy = laws.certified(case, num_envs, random)
     policy.steering._constants = policy.steering._constants._replace(long_step=False)
     return policy
 
@@ -162,7 +163,7 @@ def test_a_step_four_times_too_long_without_scaling_is_caught(tmp_path):
 
 
 def test_nonholonomic_robots_without_the_gate_are_caught(tmp_path):
-    claim = with_law("gate", without_gate, bound=lambda case, start: np.full(start.shape, 60.0))
+    claim = with_law("gate", without_gate, bound=lambda case, teams: np.full(teams.num_envs, 60.0))
     row = caught(tmp_path, claim, trials=2 * BATCH)
     assert int(row["violations"]) > 0.9 * int(row["trials"])
 
@@ -172,7 +173,7 @@ def test_headings_without_the_certificate_are_caught(tmp_path):
         chosen = adversary(case.scenario, num_envs, random, kind="orthogonal")
         return Steered(case.scenario, num_envs, chosen, certified=False)
 
-    claim = with_law("theorem-2", bare, bound=lambda case, start: np.full(start.shape, 20.0))
+    claim = with_law("theorem-2", bare, bound=lambda case, teams: np.full(teams.num_envs, 20.0))
     row = caught(tmp_path, claim, trials=2 * BATCH)
     assert int(row["violations"]) == int(row["trials"])
 
@@ -188,11 +189,11 @@ def light_link_left(random, batch, least_margin):
     return Case(scenario, 1.0)
 
 
-def with_max_a(case, start):
+def with_max_a(case, teams):
     """Theorem A's bound with the largest weight in the place of the bottleneck weight."""
     scenario = case.scenario
     heaviest = scenario.sensing_graph.base_weights(scenario.n_robots).max()
-    return bound_a(case, start) * (scenario.bottleneck_weight / heaviest) ** 2
+    return bound_a(case, teams) * (scenario.bottleneck_weight / heaviest) ** 2
 
 
 def test_max_a_in_place_of_the_bottleneck_weight_is_caught(tmp_path):

@@ -1,4 +1,4 @@
-"""V, the bounds that follow from it, the enclosing ball and the certificate."""
+"""V, its rate and gradient, and the enclosing ball."""
 
 from __future__ import annotations
 
@@ -11,13 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import minimize
 
-from rendezvous_env import Disc, Scenario, Simulator, certificate
-from rendezvous_env.experiment import graphs, scenarios
-from rendezvous_env.guarantee.bounds import (
-    merge_rise_allowance,
-    rendezvous_time_lower_bound,
-    time_bound,
-)
+from rendezvous_env import Simulator
 from rendezvous_env.guarantee.enclosing_ball import smallest_enclosing_ball
 from rendezvous_env.guarantee.lyapunov import alignment, lyapunov, lyapunov_rate, net_bearings
 
@@ -63,76 +57,6 @@ def test_the_simulator_agrees_with_these_formulas(kind):
         f = np.einsum("bnij,bnj->bni", sim.frames, f_local)
         np.testing.assert_allclose(f, net_bearings(sim.positions, sim.weights), atol=2e-6)
         observations = sim.step(np.ones((20, 5, sim.scenario.action_size))).observations
-
-
-# ---- time bounds --------------------------------------------------------------------------------
-
-
-def test_the_time_bound_by_hand():
-    team = Scenario(n_robots=5, graph=UNEQUAL, merge_radius=0.2)
-    allowance = 4 * 0.2 * 6.5
-    assert merge_rise_allowance(team) == pytest.approx(allowance)
-    a = 5 * (100 + allowance) / (8 * 0.9**2)
-    c = 5 * (100 + allowance) / (2 * 0.3**2 * 0.9**2)
-    assert time_bound(team, 100.0) == pytest.approx(2 * a)
-    assert time_bound(team, 100.0, min_alignment=0.3) == pytest.approx(2 * c)
-    slow = team.replace(max_speed=1.3)
-    assert time_bound(slow, 100.0) == pytest.approx(2 * a * 5)  # D̄/v_max = 6.5/1.3
-    fast = team.replace(max_speed=100.0)
-    assert time_bound(fast, 100.0) == pytest.approx(2 * a)
-    long = team.replace(time_step=3 * team.certified_step, allow_long_step=True)
-    assert time_bound(long, 100.0) == pytest.approx(2 * 3 * a)
-    short = team.replace(time_step=team.certified_step / 7)
-    assert time_bound(short, 100.0) == pytest.approx(2 * a)
-    np.testing.assert_allclose(time_bound(team, [0.0, 100.0])[1], 2 * a)
-    for wrong in (0.0, -0.1, 1.1, math.nan):
-        with pytest.raises(ValueError, match="min_alignment is"):
-            time_bound(team, 1.0, min_alignment=wrong)
-
-
-def test_a_margin_of_almost_nothing_bounds_nothing():
-    assert time_bound(Scenario(n_robots=2), 1.0, min_alignment=5e-324) == np.inf
-
-
-WALL = (Disc((0.0, 0.0), 1.0),)
-
-
-@pytest.mark.parametrize(
-    ("scenario", "margin", "guaranteed", "finite", "words"),
-    [
-        (Scenario(), 1.0, True, True, "theorems 1 and A"),
-        (Scenario(), 0.1, True, True, "theorems 2 and C"),
-        (Scenario(dim=3), 1.0, True, True, "theorems 1 and A"),
-        (Scenario(robot_model="unicycle"), 1.0, True, False, "theorem 3"),
-        (Scenario(robot_model="nonholonomic_3d", dim=3), 1.0, True, False, "theorem 4"),
-        (Scenario(obstacles=WALL), 1.0, False, False, "none: obstacles"),
-        (Scenario(obstacles=WALL, obstacle_contact="ignore"), 1.0, True, True, "theorems 1 and A"),
-        (Scenario(time_step=0.1, allow_long_step=True), 1.0, False, False, "none for law"),
-        (Scenario(time_step=0.1, allow_long_step=True), 0.1, True, True, "scaled to the long step"),
-        (
-            Scenario(graph=graphs.from_edges([(0, 1)], 5), require_connected=False),
-            1.0,
-            False,
-            False,
-            "none: the graph is not connected",
-        ),
-    ],
-)
-def test_certificates(scenario, margin, guaranteed, finite, words):
-    found = certificate(scenario, margin)
-    assert found.guaranteed is guaranteed and math.isfinite(found.time_bound) is finite
-    assert words in found.theorem
-    assert found.margin == margin and found.dead_zone == scenario.dead_zone
-    assert found.certified_step == scenario.certified_step
-    assert found.bottleneck_weight == scenario.bottleneck_weight
-
-
-@pytest.mark.parametrize("name", ["fig3", "duo", "ring-12", "tree-12", "cloud-8", "random-10"])
-def test_a_certificates_bound_covers_every_start(name):
-    scenario = scenarios.get(name)
-    sim = Simulator(scenario, 200)
-    sim.reset(0)
-    assert certificate(scenario).time_bound >= time_bound(scenario, sim.lyapunov()).max()
 
 
 # ---- the smallest enclosing ball ----------------------------------------------------------------
@@ -184,12 +108,3 @@ def test_the_ball_encloses_and_none_is_smaller(count, d, seed, on_a_grid):
 def test_no_ball(points):
     with pytest.raises(ValueError, match="points have shape"):
         smallest_enclosing_ball(points)
-
-
-def test_the_lower_bound_by_hand():
-    team = Scenario(n_robots=3, merge_radius=0.2, max_speed=0.5)
-    start = [[0.0, 0.0], [6.0, 8.0], [3.0, 4.0]]
-    assert rendezvous_time_lower_bound(team, start) == pytest.approx((5 - 2 * 0.1) / 0.5)
-    crowded = team.replace(obstacles=[Disc((50.0, 0.0), 1.0)])
-    assert rendezvous_time_lower_bound(crowded, start) == pytest.approx((5 - 2 * 0.2) / 0.5)
-    assert rendezvous_time_lower_bound(team, np.zeros((3, 2))) == 0

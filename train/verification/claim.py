@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rendezvous_env import Scenario
+from rendezvous_env import Scenario, Simulator
 from rendezvous_env.trajectory import Policy, Step
 
 from .cases import Case
@@ -38,6 +38,8 @@ class Record:
     """Robots left at the end."""
     total: Array
     """Σ‖u_i‖ at the start over 2 max a_ij; u_i are the speeds the law chose."""
+    watched: Array
+    """Least of what the claim's watch has found; inf without one."""
 
 
 Verdict = tuple[Array, Mask]
@@ -45,11 +47,14 @@ Verdict = tuple[Array, Mask]
 Draw = Callable[[np.random.Generator, int, float], Case]
 Law = Callable[[Case, int, np.random.Generator], Policy]
 """(case, B, random numbers) → policy."""
-Bound = Callable[[Case, Array], Array]
-"""(case, V(0) (B,)) → time limits (B,), s."""
+Bound = Callable[[Case, Simulator], Array]
+"""(case, teams at their start) → time limits (B,), s."""
 Judge = Callable[[Record], Verdict]
 Promise = Callable[[Scenario, Step], Array]
 """(scenario, step) → what V must fall in it (B,), m²/s, if nobody merges."""
+Watch = Callable[[Simulator], Callable[[Step], Array]]
+"""Teams at their start → what is asked after every step: by how much each keeps a promise of its
+own, (B,); negative where it is broken, rounding aside."""
 
 
 @dataclass(frozen=True)
@@ -67,6 +72,8 @@ class Claim:
     """What V must fall in each step."""
     timed: bool = False
     """Whether ``bound`` is a theorem's, so that T/bound is worth reporting."""
+    watch: Watch | None = None
+    """What else is measured in every step, for the judge ``keeps``."""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,7 @@
-"""The claims of docs/theory.md as experiments that can fail: draw a case, run it, judge it."""
+"""All claims as experiments that can fail: draw a case, run it, judge it.
+
+A file of claims is one tuple of them, named in CLAIMS.
+"""
 
 from __future__ import annotations
 
@@ -7,151 +10,13 @@ import zlib
 
 import numpy as np
 
-from .cases import (
-    BATCH,
-    draw_3d,
-    draw_case,
-    draw_disconnected,
-    draw_long_steps,
-    draw_nonholonomic,
-    draw_trees,
-    draw_unicycles,
-    draw_unlimited,
-)
+from .cases import BATCH
 from .claim import Claim, Finding
-from .judging import falls, is_lemma_1, meets, merges_within_bound, stays_apart
-from .laws import at_fixed_angle, by_name, certified, unicycle_laws
 from .measuring import measure
-from .promises import as_chosen, by_law_1, no_rise
-from .time_limits import bound_a, bound_b, bound_c, bound_of_pieces, no_time, patience
+from .size_claims import SIZE
+from .theory_claims import THEORY
 
-_law_1 = by_name("bearing-only")
-
-CLAIMS = (
-    Claim(
-        "lemma-1",
-        "Σ‖f‖ ≥ 2 max a",
-        draw_unlimited,
-        _law_1,
-        no_time,
-        (is_lemma_1,),
-        no_rise,
-    ),
-    Claim(
-        "theorem-1",
-        "law (1): V falls by τ Σ‖f‖² in every step, connected teams meet",
-        draw_case,
-        _law_1,
-        bound_a,
-        (falls, meets),
-        by_law_1,
-        timed=True,
-    ),
-    Claim(
-        "necessity",
-        "law (1): a disconnected graph leaves one robot for each piece",
-        draw_disconnected,
-        _law_1,
-        bound_of_pieces,
-        (stays_apart,),
-        no_rise,
-    ),
-    Claim(
-        "theorem-2",
-        "any policy under certified headings: V never rises between merges, all meet",
-        draw_case,
-        certified,
-        bound_c,
-        (falls, meets),
-        as_chosen,
-        timed=True,
-    ),
-    Claim(
-        "theorem-3",
-        "unicycles meet under (7) with (8) or ω = cos t",
-        draw_unicycles,
-        unicycle_laws,
-        patience,
-        (meets,),
-        no_rise,
-    ),
-    Claim(
-        "theorem-4",
-        "3-D nonholonomic robots meet under (12), (17)",
-        draw_3d,
-        by_name("nonholonomic-3d"),
-        patience,
-        (meets,),
-        no_rise,
-    ),
-    Claim(
-        "bound-A",
-        "law (1): T ≤ A",
-        draw_case,
-        _law_1,
-        bound_a,
-        (meets,),
-        by_law_1,
-        timed=True,
-    ),
-    Claim(
-        "bound-B",
-        "headings at a fixed angle to f: T ≤ B",
-        draw_case,
-        at_fixed_angle,
-        bound_b,
-        (meets, falls),
-        as_chosen,
-        timed=True,
-    ),
-    Claim(
-        "bound-C",
-        "any policy under certified headings: T ≤ C",
-        draw_case,
-        certified,
-        bound_c,
-        (meets,),
-        as_chosen,
-        timed=True,
-    ),
-    Claim(
-        "gate",
-        "any turn rates through the gate: V never rises between merges, all meet",
-        draw_nonholonomic,
-        certified,
-        patience,
-        (meets, falls),
-        no_rise,
-    ),
-    Claim(
-        "certified-step",
-        "τ = r/(2D̄), law (4): V falls by τ Σ(hᵀf)² in every step",
-        draw_case,
-        at_fixed_angle,
-        bound_b,
-        (falls,),
-        as_chosen,
-    ),
-    Claim(
-        "local-scaling",
-        "4 to 10 times that step, scaled: V never rises between merges, all meet",
-        draw_long_steps,
-        certified,
-        bound_c,
-        (falls, meets),
-        as_chosen,
-        timed=True,
-    ),
-    Claim(
-        "merge-rise",
-        "V rises at a merge by at most r max(0, D_i + D_j − 4 a_ij)",
-        draw_trees,
-        certified,
-        bound_c,
-        (merges_within_bound,),
-        as_chosen,
-    ),
-)
+CLAIMS = (*THEORY, *SIZE)
 
 
 def check(claim: Claim, seed: int, batch: int, trials: int, least_margin: float) -> Finding:

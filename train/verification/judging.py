@@ -8,6 +8,7 @@ from .claim import Record, Verdict
 
 _FLOAT64 = 1e-12
 _FLOAT32 = 2.0**-20
+_WATCHED = 1e-9
 
 
 def falls(record: Record) -> Verdict:
@@ -38,3 +39,10 @@ def merges_within_bound(record: Record) -> Verdict:
 def is_lemma_1(record: Record) -> Verdict:
     """Σ‖f_i‖ ≥ 2 max a_ij; law (1) moves at f_i."""
     return record.total - 1.0, record.total >= 1.0 - _FLOAT32
+
+
+def keeps(record: Record) -> Verdict:
+    """What the claim watches has kept its promise in every step; watches are shares of a length,
+    of which rounding takes far less than 10⁻⁹.
+    """
+    return record.watched, record.watched >= -_WATCHED

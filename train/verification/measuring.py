@@ -22,22 +22,27 @@ _FLOAT32 = 2.0**-20
 def measure(claim: Claim, case: Case, policy: Policy, seed: int) -> Record:
     """Run BATCH teams until each has met or is out of time.
 
-    A team in which V has not fallen as the claim demands is not waited for.
+    A team in which V has not fallen as the claim demands is not waited for. A law that looks at
+    positions is shown the teams before the first step (``watch``).
     """
     scenario = case.scenario
     simulator = Simulator(scenario, BATCH)
     observations = simulator.reset(seed, case.options)
-    start = simulator.lyapunov()
-    limit = claim.bound(case, start)
+    if hasattr(policy, "watch"):
+        policy.watch(simulator)
+    limit = claim.bound(case, simulator)
     # one step more: a bound falls within a step
     simulator.set_max_steps(math.ceil(float(limit.max()) / scenario.tau) + 1)
     heaviest = simulator.weights.max(axis=(-2, -1))
-    record = _blank(case, start, limit)
+    record = _blank(case, simulator.lyapunov(), limit)
+    watch = claim.watch(simulator) if claim.watch else None
     pieces = len(scenario.sensing_graph.components(scenario.n_robots))
     for number, step in enumerate(steps_of(simulator, policy, observations)):
         if number == 0:
             record.total = np.linalg.norm(step.actions, axis=-1).sum(axis=-1) / (2 * heaviest)
         _note(record, step, simulator, claim.promise)
+        if watch:
+            record.watched[step.running] = np.minimum(record.watched, watch(step))[step.running]
         undecided = (simulator.active.sum(axis=-1) > pieces) & ~simulator.ended
         waited_for = record.fell | (falls not in claim.judges)
         if not (undecided & waited_for).any():
@@ -57,6 +62,7 @@ def _blank(case: Case, start: Array, limit: Array) -> Record:
         excess=np.full(BATCH, -np.inf),
         left=np.zeros(BATCH, dtype=np.int64),
         total=np.zeros(BATCH),
+        watched=np.full(BATCH, np.inf),
     )
 
 

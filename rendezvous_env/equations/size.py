@@ -1,0 +1,71 @@
+"""The size L of a team, which knows no graph and no weight (guarantees, section 9).
+
+    L = ∫_{|u|=1} max_i u·p_i du
+
+In the plane L is the perimeter of the convex hull, in space 2π times its mean width.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+_FLAT = 1e-10
+"""Extent over the largest one below which a hull counts as flat: it moves L by no larger a
+share."""
+
+
+def size(points: Array) -> float:
+    """L of a set of points, m; 0 for a single place.
+
+    A segment is a polygon with two sides, a flat polygon in space has the mean width P/4, so
+    L = (π/2) P with P its perimeter.
+
+    Args:
+        points: (N, d), m, N ≥ 1, d = 2 or 3, finite.
+    """
+    d = points.shape[1]
+    flat = _in_their_own_axes(points)
+    if flat.shape[1] == 3:
+        return 2.0 * math.pi * _mean_width(flat)
+    return _perimeter(flat) * (1.0 if d == 2 else math.pi / 2.0)
+
+
+def _in_their_own_axes(points: Array) -> Array:
+    """Coordinates (N, k) along the k ≤ d orthogonal directions in which the points extend, m."""
+    offsets = points - points[0]
+    _, extents, axes = np.linalg.svd(offsets, full_matrices=False)
+    k = int(np.sum(extents > _FLAT * extents[0]))
+    coordinates: Array = offsets @ axes[:k].T
+    return coordinates
+
+
+def _perimeter(points: Array) -> float:
+    """Length of the hull's boundary in the plane, m; of a segment both sides count."""
+    if points.shape[1] < 2:
+        return 2.0 * float(np.ptp(points)) if points.size else 0.0
+    return float(_hull(points).area)
+
+
+def _mean_width(points: Array) -> float:
+    """Mean width of a solid hull, m: (1/4π) Σ_edges length × exterior dihedral angle."""
+    hull = _hull(points)
+    normals, total = hull.equations[:, :3], 0.0
+    for k in range(3):  # a facet's edge opposite its corner k is also its neighbour k's
+        ends = np.delete(hull.simplices, k, axis=1)
+        length = np.linalg.norm(points[ends[:, 1]] - points[ends[:, 0]], axis=-1)
+        other = normals[hull.neighbors[:, k]]
+        sine = np.linalg.norm(np.cross(normals, other), axis=-1)
+        total += float(length @ np.arctan2(sine, np.sum(normals * other, axis=-1)))
+    return total / 2.0 / (4.0 * math.pi)  # each edge was met from both sides
+
+
+def _hull(points: Array) -> Any:
+    from scipy.spatial import ConvexHull
+
+    return ConvexHull(points)

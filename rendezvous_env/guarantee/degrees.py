@@ -1,0 +1,59 @@
+"""What is known of the degrees D_i = Σ_j a_ij while merging contracts the graph."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..experiment.graphs import FIXED, Graph
+from ..experiment.scenario import Scenario
+
+Array = NDArray[np.float64]
+
+
+def least_degrees(scenario: Scenario) -> Array:
+    """c_m for m = 2 … n: the least D_i that a robot can have with m robots left, (n − 1,), m/s.
+
+    A complete graph stays complete and a cycle a cycle; elsewhere one link is sure, of at least
+    a* (theory 3).
+    """
+    n, graph = scenario.n_robots, scenario.sensing_graph
+    left = np.arange(2.0, n + 1.0)
+    links = np.ones(n - 1)
+    if _is_complete(graph, n):
+        links = left - 1.0
+    elif _is_cycle(graph, n):
+        links = np.minimum(left - 1.0, 2.0)
+    weights = graph.links(n)[2] * graph.weight_range[0]
+    return np.maximum(links * weights.min(initial=np.inf), scenario.bottleneck_weight)
+
+
+def degrees_stay_equal(scenario: Scenario) -> bool:
+    """Whether all robots that are left always have the same D_i: complete graphs and cycles of one
+    weight.
+    """
+    n, graph = scenario.n_robots, scenario.sensing_graph
+    return _has_one_weight(graph, n) and (_is_complete(graph, n) or _is_cycle(graph, n))
+
+
+def uniform_complete(scenario: Scenario) -> bool:
+    """Whether everyone is linked to everyone with the same weight."""
+    n, graph = scenario.n_robots, scenario.sensing_graph
+    return _is_complete(graph, n) and _has_one_weight(graph, n)
+
+
+def _has_one_weight(graph: Graph, n: int) -> bool:
+    low, high = graph.weight_range
+    weights = graph.links(n)[2]
+    return bool(low == high and weights.min(initial=np.inf) == weights.max(initial=0.0))
+
+
+def _is_complete(graph: Graph, n: int) -> bool:
+    return graph.topology == FIXED and len(graph.links(n)[2]) == n * (n - 1) // 2
+
+
+def _is_cycle(graph: Graph, n: int) -> bool:
+    """Whether everyone has two neighbours; the graph is taken to be connected."""
+    first, second, _ = graph.links(n)
+    counts = np.bincount(np.concatenate([first, second]), minlength=n)
+    return graph.topology == FIXED and bool((counts == 2).all())

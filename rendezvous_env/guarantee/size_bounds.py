@@ -1,0 +1,146 @@
+"""By when all robots have met, from the size L of their start (theorems G and N, E2)."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..experiment.checks import floats, refuse
+from ..experiment.scenario import Scenario
+from .degrees import degrees_stay_equal, least_degrees
+
+Array = NDArray[np.float64]
+
+
+def kappa(n: ArrayLike) -> Array:
+    """κ(n) = min{Σ sin²x_i : Σx_i = π, 0 ≤ x_i ≤ π/2} (guarantees, section 9).
+
+        κ(n) = min( n sin²(π/n), 1 + (n − 1) sin²(π/(2(n − 1))) )
+
+    Args:
+        n: number of robots, (...), at least 2.
+    """
+    m = np.asarray(n, dtype=np.float64)
+    alike = m * np.sin(np.pi / m) ** 2
+    one_flat = 1.0 + (m - 1.0) * np.sin(np.pi / (2.0 * (m - 1.0))) ** 2
+    return np.asarray(np.minimum(alike, one_flat))
+
+
+def shrinking(n: ArrayLike, dim: int, gain: ArrayLike, error: ArrayLike = 0.0) -> Array:
+    """Least −L' of n robots that move with gains Σ_j c_ij ≥ c along their bearings, m/s.
+
+        2-D:   2 c κ(n) sin(π/n − η)/sin(π/n)                           (theorem G; N for η > 0)
+        3-D:   4π c [cos η/n − sin η √(1 − 2/n)]
+
+    Args:
+        n: robots that are left, (...), at least 2.
+        dim: 2 or 3.
+        gain: c, (...), m/s; with an error all Σ_j c_ij must equal it.
+        error: η, (...), rad, the largest angle by which a bearing is wrong.
+
+    Returns:
+        (...); 0 where the error is too large for any promise.
+    """
+    m, c, eta = np.asarray(n, dtype=np.float64), np.asarray(gain), np.asarray(error)
+    if dim == 2:
+        share = np.sin(np.pi / m - eta) / np.sin(np.pi / m)
+        rate = 2.0 * c * kappa(m) * share
+    else:
+        rate = 4.0 * np.pi * c * (np.cos(eta) / m - np.sin(eta) * np.sqrt(1.0 - 2.0 / m))
+    return np.where(eta < np.pi / m, np.maximum(rate, 0.0), 0.0)
+
+
+def size_bound(scenario: Scenario, initial_size: ArrayLike) -> Array:
+    """Time by which law (1) has brought all robots together, s (theorem G).
+
+        2-D   T ≤ L0 / (2 min_m c_m κ(m)),      3-D   T ≤ max_m m w0 / (2 c_m),   w0 = L0/2π
+
+    with c_m the least D_i that m robots can have, or v_max if that is less. Proven for velocities
+    that follow the bearings in continuous time.
+
+    Args:
+        scenario: gives n, the dimension, the graph and v_max.
+        initial_size: L(0), (...), m.
+
+    Returns:
+        (...), s.
+
+    Raises:
+        ValueError: if a size is not finite or negative.
+    """
+    gains = np.minimum(least_degrees(scenario), scenario.speed_limit)
+    left = np.arange(2, scenario.n_robots + 1)
+    slowest = shrinking(left, scenario.dim, gains).min()
+    return checked_size(initial_size) / slowest
+
+
+def held_size_bound(scenario: Scenario, initial_size: ArrayLike) -> Array:
+    """The same for inputs held over the step τ, s (theorem N).
+
+        η_m = asin(2 c_m τ/r),      T ≤ L0 / min_m shrinking(m, c_m, η_m) + (n − 1) τ
+
+    A held bearing is a bearing with an error, which N forgives if all D_i are equal at any time and
+    nobody is slowed down. Two robots are never wrong about each other: they move on one line.
+
+    Args:
+        scenario: gives n, the dimension, the graph, r, τ and v_max.
+        initial_size: L(0), (...), m.
+
+    Returns:
+        (...), s; infinite where nothing is proven.
+
+    Raises:
+        ValueError: if a size is not finite or negative.
+    """
+    initial = checked_size(initial_size)
+    n, tau, gains = scenario.n_robots, scenario.tau, least_degrees(scenario)
+    if not degrees_stay_equal(scenario) or scenario.speed_limit < gains.max():
+        return np.full(initial.shape, np.inf)
+    left = np.arange(2, n + 1)
+    sine = np.where(left > 2, 2.0 * gains * tau / scenario.merge_radius, 0.0)
+    error = np.arcsin(np.minimum(sine, 1.0))
+    slowest = shrinking(left, scenario.dim, gains, error).min()
+    if slowest == 0.0:
+        return np.full(initial.shape, np.inf)
+    return initial / slowest + (n - 1) * tau
+
+
+def pursuit_bound(scenario: Scenario, initial_size: ArrayLike, speed: float) -> Array:
+    """Time by which pursuers with a turn limit have met, s (E2, guarantees 13).
+
+        2-D   T ≤ L0/(2 c κ(n)) + nπ/(ω_max − 2c/r),      3-D   n w0/(2c) + the same
+
+    Each robot pursues one that it sees until a merge: it turns towards it at ω_max, and drives at c
+    only while it points at it. In continuous time, on any graph.
+
+    Args:
+        scenario: gives n, the dimension, r and ω_max.
+        initial_size: L(0), (...), m.
+        speed: c, m/s, positive and less than ω_max r/2.
+
+    Returns:
+        (...), s.
+
+    Raises:
+        ValueError: for a speed at which a target can run out of sight, or a size that is none.
+    """
+    n, fastest = scenario.n_robots, scenario.turn_limit * scenario.merge_radius / 2.0
+    if not 0 < speed < fastest:
+        refuse("speed", speed, f"positive and less than ω_max r/2 = {fastest:.6g} m/s")
+    spare = scenario.turn_limit - 2.0 * speed / scenario.merge_radius
+    driving = checked_size(initial_size) / shrinking(n, scenario.dim, speed)
+    return np.asarray(driving + n * math.pi / spare)
+
+
+def checked_size(initial_size: ArrayLike) -> Array:
+    """L(0) as an array of numbers that a team can have.
+
+    Raises:
+        ValueError: if one is not finite or negative.
+    """
+    initial = floats("initial_size", initial_size)
+    if not (np.isfinite(initial) & (initial >= 0)).all():
+        refuse("initial_size", initial_size, "finite and at least 0 m")
+    return initial

@@ -1,0 +1,248 @@
+"""Claims about the size of a team hold, and are found violated where something is made wrong."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import baselines
+from rendezvous_env import Scenario, Simulator
+from rendezvous_env.experiment import graphs
+from rendezvous_env.trajectory import run
+from train.verification import laws, occlusion, pursuit, size_cases, watches
+from train.verification.cases import BATCH, Case, draw_case
+from train.verification.claims import CLAIMS, check
+from train.verification.size_claims import SIZE
+
+BY_NAME = {claim.name: claim for claim in SIZE}
+
+
+def findings(name, batches=4, **changes):
+    """Teams tried, violations and worst T/bound of a claim with something changed."""
+    claim = dataclasses.replace(BY_NAME[name], **changes)
+    found = [check(claim, 7, batch, BATCH, 0.3) for batch in range(batches)]
+    return (
+        sum(f.trials for f in found),
+        sum(f.violations for f in found),
+        max(f.time_over_bound for f in found),
+    )
+
+
+@pytest.mark.parametrize("name", BY_NAME)
+def test_nothing_is_violated(name):
+    trials, violations, ratio = findings(name, 4)
+    assert trials == 4 * BATCH and violations == 0
+    if BY_NAME[name].timed:
+        assert 0.02 < ratio <= 1  # a bound that nobody comes near checks little
+
+
+def test_they_are_among_the_claims_of_the_command():
+    assert set(SIZE) < set(CLAIMS)
+    assert len({claim.name for claim in CLAIMS}) == len(CLAIMS)
+
+
+def tenth(bound):
+    return lambda case, teams: bound(case, teams) / 10
+
+
+@pytest.mark.parametrize("name", [name for name in BY_NAME if BY_NAME[name].timed])
+def test_a_bound_ten_times_too_small_is_caught(name):
+    assert findings(name, bound=tenth(BY_NAME[name].bound))[1] > 0
+
+
+@pytest.mark.parametrize("name", ["theorem-G", "bound-N", "bound-C-uniform"])
+def test_robots_that_flee_are_caught(name):
+    def flee(case, num_envs, random):
+        law = baselines.make("bearing-only", case.scenario)
+        return lambda observations, time: -law(observations, time)
+
+    trials, violations, _ = findings(name, 1, law=flee, bound=lambda case, teams: np.ones(BATCH))
+    assert violations == trials
+
+
+def test_a_hull_that_grows_for_a_moment_is_caught():
+    """Law (1) but for one step, in which all robots go backwards."""
+
+    def nudged(case, num_envs, random):
+        law = baselines.make("bearing-only", case.scenario)
+        steps = iter(range(10**9))
+
+        def policy(observations, time):
+            actions = law(observations, time)
+            if next(steps) == 1:
+                actions *= -1
+            return actions
+
+        return policy
+
+    claim = dataclasses.replace(BY_NAME["theorem-G"], judges=BY_NAME["theorem-G"].judges[1:])
+    found = check(dataclasses.replace(claim, law=nudged), 7, 2, BATCH, 0.3)
+    assert found.violations > 0 and found.margin < -1e-6
+
+
+def test_a_held_step_that_is_too_long_is_caught():
+    """Twenty times the certified step: robots jump past each other, and the hull grows."""
+
+    def draw(random, batch, least_margin):
+        case = draw_case(random, 3, least_margin)
+        scenario = case.scenario.replace(graph=graphs.path(), max_speed=None)
+        step = 20 * scenario.certified_step
+        return Case(scenario.replace(time_step=step, allow_long_step=True), 1.0)
+
+    limit = BY_NAME["occlusion"].bound
+    assert findings("theorem-G", draw=draw, bound=limit, batches=2)[1] > BATCH
+
+
+# ---- pursuit -------------------------------------------------------------------------------------
+
+
+def test_pursuers_that_do_not_turn_are_caught():
+    def blind(case, num_envs, random):
+        pursuer = pursuit.Pursuit(case.scenario, num_envs, random)
+
+        def policy(observations, time):
+            actions = pursuer(observations, time)
+            actions[..., 0], actions[..., 1:] = case.scenario.speed_limit, 0.0
+            return actions
+
+        return policy
+
+    trials, violations, _ = findings("pursuit", 2, law=blind)
+    assert violations > 0.9 * trials
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_a_pursuer_turns_to_its_target_and_then_drives_straight_at_it(dim):
+    model = {2: "unicycle", 3: "nonholonomic_3d"}[dim]
+    scenario = Scenario(
+        n_robots=3, dim=dim, robot_model=model, max_turn_rate=3.0, max_speed=0.2, time_step=0.02,
+        allow_long_step=True, neighbour_slots=2, graph="path", time_limit=60.0,
+    )  # fmt: skip
+    simulator = Simulator(scenario, 30)
+    law = pursuit.Pursuit(scenario, 30, np.random.default_rng(0))
+    observations = simulator.reset(1)
+    drove = 0
+    for step in run(simulator, law, observations):
+        speeds = step.actions[..., 0]
+        assert set(np.unique(speeds)) <= {np.float32(0), np.float32(0.2)}
+        seen = scenario.observation_layout.split(step.observations).neighbours
+        units = seen / np.maximum(np.linalg.norm(seen, axis=-1, keepdims=True), 1e-12)
+        ahead = np.max(units[..., 0], axis=-1, initial=0.0)  # cosine to the nearest bearing
+        driving = (speeds > 0) & step.running[:, None]
+        assert (ahead[driving] >= np.cos(3.0 * 0.02) - 1e-6).all()
+        drove += driving.sum()
+    assert drove > 1000 and (simulator.active.sum(axis=-1) == 1).all()
+
+
+def test_yaw_and_pitch_point_the_body_at_a_bearing():
+    random = np.random.default_rng(0)
+    yaw, pitch = random.uniform(-np.pi, np.pi, 100), random.uniform(-1.5, 1.5, 100)
+    target = random.normal(size=(100, 3))
+    target /= np.linalg.norm(target, axis=-1, keepdims=True)
+
+    def axis(a, b):
+        return np.stack([np.cos(b) * np.cos(a), np.cos(b) * np.sin(a), np.sin(b)], axis=-1)
+
+    forward, left = axis(yaw, pitch), np.stack([-np.sin(yaw), np.cos(yaw), 0 * yaw], axis=-1)
+    up = np.cross(forward, left)
+    body = np.stack([np.sum(target * v, axis=-1) for v in (forward, left, up)], axis=-1)
+    turns = pursuit._yaw_and_pitch(body, pitch)
+    np.testing.assert_allclose(axis(yaw + turns[:, 0], pitch + turns[:, 1]), target, atol=1e-12)
+
+
+# ---- bodies --------------------------------------------------------------------------------------
+
+
+def test_bodies_larger_than_half_the_merge_radius_are_caught():
+    assert findings("bodies", watch=watches.bodies(0.51))[1] > 0
+
+
+def test_bodies_where_not_every_pair_docks_are_caught():
+    def draw(random, batch, least_margin):
+        case = draw_case(random, 3, least_margin, dims=(2,))
+        return Case(case.scenario.replace(graph=graphs.star()), case.margin)
+
+    assert findings("bodies", draw=draw)[1] > 0
+
+
+def test_the_nearest_moment_of_a_step_counts_not_only_its_ends():
+    before = np.array([[[-1.0, 0.0], [1.0, 0.3], [0.0, 5.0]]])
+    after = np.array([[[1.0, 0.0], [-1.0, 0.3], [0.0, 0.0]]])
+    all_three = np.ones((1, 3), dtype=bool)
+    without = np.array([[True, True, False]])
+    assert watches._nearest_in_a_step(before, after, without) == pytest.approx(0.3)
+    assert watches._nearest_in_a_step(before, after, without & ~without) == np.inf
+    # the third crosses y = 0 at the end, when the first has gone on to x = 1
+    times = np.linspace(0, 1, 100_001)[:, None, None]
+    places = before + times * (after - before)
+    expected = min(
+        np.linalg.norm(places[:, i] - places[:, j], axis=-1).min()
+        for i, j in ((0, 1), (0, 2), (1, 2))
+    )
+    found = watches._nearest_in_a_step(before, after, all_three)
+    assert found == pytest.approx(expected, abs=1e-4)
+
+
+# ---- occlusion -----------------------------------------------------------------------------------
+
+
+def test_who_hides_whom_by_hand():
+    places = np.array([[[0.0, 0.0], [1.0, 0.05], [3.0, 0.0], [0.0, 2.0], [3.0, 1.0]]])
+    there = np.ones((1, 5), dtype=bool)
+    hidden = occlusion.hidden_by_robots(places, there, 0.1)[0]
+    assert hidden[0].tolist() == [False, False, True, False, False]
+    assert hidden[2].tolist() == [True, False, False, False, False]
+    assert not hidden[[1, 3, 4]].any()
+    gone = there.copy()
+    gone[0, 1] = False
+    assert not occlusion.hidden_by_robots(places, gone, 0.1).any()
+    assert not occlusion.hidden_by_robots(places, there, 0.04)[0, 0].any()
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_the_nearest_is_always_seen(dim):
+    random = np.random.default_rng(dim)
+    places = random.normal(size=(200, 8, dim))
+    distance = np.linalg.norm(places[:, :, None] - places[:, None], axis=-1)
+    distance += 1e9 * np.eye(8)
+    there = np.ones((200, 8), dtype=bool)
+    hidden = occlusion.hidden_by_robots(places, there, 0.3)
+    nearest = np.argmin(distance, axis=-1)
+    assert not np.take_along_axis(hidden, nearest[..., None], axis=-1).any()
+    assert 0.05 < hidden.mean() < 0.9
+
+
+def test_robots_that_see_nobody_are_caught():
+    """The nearest one hidden too."""
+
+    class Hidden(occlusion.Occluded):
+        def hides(self, positions, active, radius):
+            distance = np.linalg.norm(positions[:, :, None] - positions[:, None], axis=-1)
+            distance[distance == 0] = np.inf
+            nearest = distance <= distance.min(axis=-1, keepdims=True)
+            return super().hides(positions, active, radius) | nearest
+
+    trials, violations, _ = findings("occlusion", 2, law=lambda *given: Hidden())
+    assert violations > 0.2 * trials
+
+
+def test_occlusion_without_anything_hidden_is_law_1():
+    case = size_cases.draw_uniform(np.random.default_rng(3), 3, 0.3)
+
+    class Clear(occlusion.Occluded):
+        def hides(self, positions, active, radius):
+            return np.zeros((*active.shape, active.shape[1]), dtype=bool)
+
+    simulator, law = Simulator(case.scenario, BATCH), Clear()
+    observations = simulator.reset(0)
+    law.watch(simulator)
+    expected = laws.by_name("bearing-only")(case, BATCH, None)(observations, simulator.time)
+    speed = np.linalg.norm(expected, axis=-1)
+    limit = case.scenario.speed_limit
+    free = speed < 0.999 * limit
+    assert free.any()
+    np.testing.assert_allclose(
+        law(observations, simulator.time)[free], expected[free], rtol=1e-5, atol=1e-6
+    )
