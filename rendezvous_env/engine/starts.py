@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..compilation import kernel
-from ..equations import double_integrator, kinematics  # noqa: F401 - chosen by type, see motion
 from ..equations.motion import begin_memory, frame_of
 from ..equations.obstacles import clear_of_obstacles
 from ..equations.potential import distance_squared, lyapunov_of_links

@@ -3,7 +3,6 @@
 import numpy as np
 
 from ..compilation import inlined_kernel, inlined_view, kernel
-from ..equations import double_integrator, kinematics  # noqa: F401 - chosen by type, see motion
 from .advance import advance_block
 from .conclude import conclude_block
 from .memory import LYAPUNOV, AtHand, Constants, Lanes, Results, Teams, lane_count
