@@ -17,6 +17,8 @@ from .tank_law import book_deposits, spend_tanks
 from .teams import over_teams
 
 _LARGEST = float(np.finfo(np.float32).max)
+_FULLEST = 1e60
+"""Level that no episode can have, m²/s: sums of such levels are still finite."""
 
 
 class _Constants(NamedTuple):
@@ -171,17 +173,17 @@ class EnergyTank(ActionFilter):
         book_deposits(self._levels, self._deposits, touched, survivors, passed)
 
     def check_state(self, state: Any) -> dict[str, NDArray[Any]]:
-        """As ``ActionFilter.check_state``; a level is 0 or more.
+        """As ``ActionFilter.check_state``; no level is below zero.
 
         Raises:
             ValueError: naming what does not fit.
         """
         checked = super().check_state(state)
-        if (below := checked["levels"] < 0).any():
-            team, robot = np.argwhere(below)[0].tolist()
+        if (wrong := (checked["levels"] < 0) | (checked["levels"] > _FULLEST)).any():
+            team, robot = np.argwhere(wrong)[0].tolist()
             raise ValueError(
                 f"state: levels of robot_{robot} in team {team} is "
-                f"{checked['levels'][team, robot]}; it must be 0 or more (m²/s)"
+                f"{checked['levels'][team, robot]}; it must be from 0 to {_FULLEST:g} m²/s"
             )
         return checked
 
