@@ -357,10 +357,9 @@ def test_a_wish_is_carried_out_as_it_is(kind):
     np.testing.assert_allclose(actions, expected, rtol=1e-6)
 
 
-def test_with_an_empty_tank_a_body_turns_through_the_gate_and_drives_with_m(kind):
-    if not kind.startswith(("unicycle", "nonholonomic")):
-        pytest.skip("has no body axis")
-    scenario = five(kind, spawn_size=6.0, max_turn_rate=2.0)
+@pytest.mark.parametrize("model", ["unicycle", "nonholonomic_3d"])
+def test_with_an_empty_tank_a_body_turns_through_the_gate_and_drives_with_m(model):
+    scenario = five(model, spawn_size=6.0, max_turn_rate=2.0)
     tank, observations = EnergyTank(scenario, 8), Simulator(scenario, 8).reset(0)
     f = scenario.observation_layout.net_bearing(observations)
     wishes = np.zeros((8, 5, scenario.action_size))
