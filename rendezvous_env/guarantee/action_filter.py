@@ -5,6 +5,7 @@ Everything here comes from the robots' own observations: no position, no global 
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
@@ -51,7 +52,7 @@ def _check_steerable(scenario: Scenario) -> None:
         )
 
 
-class ActionFilter:
+class ActionFilter(ABC):
     """What the policies of B teams chose, held, and what the robots do because of it.
 
     A subclass says what that is (``act``) and what more is remembered (``_memory``).
@@ -72,7 +73,7 @@ class ActionFilter:
     keeps_ledger = False
     """Whether it wants to be told how a step went, see ``book``."""
     observes_level = False
-    """Whether ``view`` shows one row more than there is to see."""
+    """Whether ``view`` adds one row, the level of a robot's own tank."""
 
     def __init__(
         self,
@@ -174,6 +175,7 @@ class ActionFilter:
             vectors = np.einsum("bnij,bnj->bni", self._frames, vectors)
         self._held[...] = vectors
 
+    @abstractmethod
     def act(self, observations: NDArray[np.float32]) -> NDArray[np.float32]:
         """Actions for the base environment; sets what is ``told``.
 
@@ -186,15 +188,14 @@ class ActionFilter:
         Raises:
             ValueError: for observations of another shape or type; nothing has changed then.
         """
-        raise NotImplementedError
 
-    def book(
+    def book(  # noqa: B027 - most keep no ledger
         self,
         contact: ArrayLike | None = None,
         merged_into: ArrayLike | None = None,
         resting: ArrayLike | None = None,
     ) -> None:
-        """Learn how the step went in which the actions last given were held.
+        """Learn how the step went in which the actions last given were held; see ``keeps_ledger``.
 
         Args:
             contact: (B, n) bool, whether the robot touched an obstacle; None is nobody.
