@@ -21,6 +21,7 @@ from .gymnasium_env import make_vec
 from .registration import register
 from .rendezvous_v0 import parallel_env
 from .simulator import Simulator
+from .tank_wrapper import EnergyTankWrapper
 from .trajectory import Trajectory, rollout
 from .wrappers import HeadingVectorWrapper
 
@@ -32,6 +33,7 @@ __all__ = [
     "Capsule",
     "Certificate",
     "Disc",
+    "EnergyTankWrapper",
     "HeadingVectorWrapper",
     "Motion",
     "ObservationLayout",

@@ -1,4 +1,4 @@
-"""What the heading wrappers of both worlds share: their decision period, and their memory."""
+"""What wrappers with a guarantee share in both worlds: their decision period, and their memory."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from .engine.state_checks import check_entries, check_finite, check_keys
 from .experiment.checks import whole
 from .experiment.limits import MOST_HELD_STEPS
-from .guarantee.steering import Steering
+from .guarantee.action_filter import ActionFilter
 
 
 def check_period(decision_period: int) -> int:
@@ -24,15 +24,20 @@ def check_period(decision_period: int) -> int:
 
 
 def restore(
-    env: Any, steering: Steering, shape: tuple[int, ...], state: Mapping[str, Any]
+    env: Any,
+    memory: str,
+    action_filter: ActionFilter,
+    observed: NDArray[np.float32],
+    state: Mapping[str, Any],
 ) -> NDArray[np.float32]:
-    """Put a wrapper's state back: the environment's episodes, the steering's memory.
+    """Put a wrapper's state back: the environment's episodes, the filter's memory.
 
     Args:
         env: what is wrapped.
-        steering: the wrapper's.
-        shape: of the observations it remembers.
-        state: "env", "steering" and "observed".
+        memory: what the filter's part of the state is called.
+        action_filter: the wrapper's.
+        observed: observations like those it remembers.
+        state: "env", the filter's part, and "observed".
 
     Returns:
         The remembered observations.
@@ -40,10 +45,10 @@ def restore(
     Raises:
         ValueError: naming what does not fit; nothing has changed then.
     """
-    check_keys(state, ("env", "steering", "observed"))
-    checked = check_entries({"observed": np.zeros(shape, dtype=np.float32)}, state)
+    check_keys(state, ("env", memory, "observed"))
+    checked = check_entries({"observed": observed}, state)
     check_finite(checked, ("observed",))
-    memory = steering.check_state(state["steering"])
+    remembered = action_filter.check_state(state[memory])
     env.set_state(state["env"])
-    steering.set_state(memory)
+    action_filter.set_state(remembered)
     return checked["observed"].copy()

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from .experiment.packing import row_width
 from .experiment.scenario import Scenario
-from .guarantee.steering import Steering
+from .guarantee.action_filter import ActionFilter
 from .simulator import Simulator
 
 
@@ -42,16 +42,22 @@ def action_box(scenario: Scenario) -> Box:
     return Box(-bounds, bounds, dtype=np.float32)
 
 
-def heading_box(steering: Steering) -> Box:
-    """Space of one robot's raw vectors, or of its turn rates in units of the largest."""
-    return Box(-1.0, 1.0, (steering.action_size,), dtype=np.float32)
+def choice_box(action_filter: ActionFilter) -> Box:
+    """Space of what a policy chooses for one robot, in units of the largest."""
+    return Box(-1.0, 1.0, (action_filter.action_size,), dtype=np.float32)
 
 
-def heading_observation_box(scenario: Scenario, steering: Steering) -> Box:
-    """Space of one robot's observations under steering: a turned row keeps only its length."""
-    bounds = observation_bounds(scenario)
-    if steering.along_net_bearing:
+def filtered_observation_box(action_filter: ActionFilter) -> Box:
+    """Space of one robot's observations as a filter shows them: a turned row keeps only its
+    length, and the level of a tank has no bound.
+    """
+    bounds = observation_bounds(action_filter.scenario)
+    if action_filter.along_net_bearing:
         bounds = bounds * np.float32(1.0 + 1e-6)
+    if action_filter.observes_level:
+        level = np.ones((1, bounds.shape[1]), dtype=np.float32)
+        level[0, 0] = np.finfo(np.float32).max
+        bounds = np.concatenate([bounds, level])
     return Box(-bounds, bounds, dtype=np.float32)
 
 

@@ -1,29 +1,16 @@
-"""HeadingVectorWrapper for the vector environment: the same steering, for B teams at once."""
+"""The wrappers with a guarantee for the vector environment: the same, for B teams at once."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from functools import cached_property
-from typing import Any
-
-import gymnasium
-import numpy as np
-from gymnasium.spaces import Box, Space
-from gymnasium.vector import AutoresetMode
-from gymnasium.vector.utils import batch_space
-from numpy.typing import ArrayLike, NDArray
-
-from .engine.memory import RENDEZVOUS, TIME_OUT
-from .experiment.start_options import as_options
+from .guarantee.energy_tank import EnergyTank
 from .guarantee.steering import Steering
-from .holding import check_period, restore
-from .infos import Info, Transition, masked, of_all, step_info, summary_of
-from .outcome import Outcome
-from .spaces import heading_box, heading_observation_box
 from .vector_env import RendezvousVectorEnv
+from .vector_filter_wrapper import VectorFilterWrapper, check_ours, team_box
+
+__all__ = ["EnergyTankWrapper", "HeadingVectorWrapper", "team_box"]
 
 
-class HeadingVectorWrapper(gymnasium.vector.VectorWrapper):
+class HeadingVectorWrapper(VectorFilterWrapper):
     """Teams choose heading vectors h_i; law (4) moves them, and any policy keeps theorem C.
 
     Actions, observations, arguments and guarantee are those of ``wrappers.HeadingVectorWrapper``,
@@ -45,8 +32,6 @@ class HeadingVectorWrapper(gymnasium.vector.VectorWrapper):
         ValueError: naming the argument, its value and what would be right.
     """
 
-    env: RendezvousVectorEnv
-
     def __init__(
         self,
         env: RendezvousVectorEnv,
@@ -56,15 +41,8 @@ class HeadingVectorWrapper(gymnasium.vector.VectorWrapper):
         decision_period: int = 1,
         certified: bool = True,
     ) -> None:
-        if not isinstance(env, RendezvousVectorEnv):
-            raise TypeError(
-                f"env is a {type(env).__name__}; it must be a RendezvousVectorEnv, as make_vec "
-                "makes one (for a PettingZoo environment take rendezvous_env.HeadingVectorWrapper)"
-            )
-        super().__init__(env)
-        self.decision_period = check_period(decision_period)
         self.steering = Steering(
-            env.scenario,
+            check_ours(env, "HeadingVectorWrapper").scenario,
             env.num_envs,
             min_alignment=min_alignment,
             max_turn_rate=max_turn_rate,
@@ -72,145 +50,47 @@ class HeadingVectorWrapper(gymnasium.vector.VectorWrapper):
             certified=certified,
             num_threads=env.simulator.num_threads,
         )
-        robot = heading_observation_box(env.scenario, self.steering)
-        n = env.scenario.n_robots
-        self.single_observation_space = team_box(robot, n)
-        self.single_action_space = team_box(heading_box(self.steering), n)
-        self._observed = np.zeros(
-            (env.num_envs, n, *env.scenario.observation_layout.shape), dtype=np.float32
-        )
+        super().__init__(env, self.steering, "steering", decision_period)
 
-    @cached_property
-    def observation_space(self) -> Space[Any]:  # type: ignore[override]
-        """Of all teams."""
-        return batch_space(self.single_observation_space, self.num_envs)
 
-    @cached_property
-    def action_space(self) -> Space[Any]:  # type: ignore[override]
-        """Of all teams."""
-        return batch_space(self.single_action_space, self.num_envs)
+class EnergyTankWrapper(VectorFilterWrapper):
+    """Teams say where they want to go; their robots' energy tanks say how long V may rise for it.
 
-    def reset(
+    Actions, observations, arguments and guarantee are those of ``tank_wrapper.EnergyTankWrapper``,
+    in arrays: wishes (B, n, a) in [−1, 1], observations (B, n, rows, d). Infos carry "tank",
+    "carried_out", "alignment" and "lyapunov_rate", (B, n) each, of the last base step; the tank of
+    a robot that is gone is 0. A team that ends within a decision period stands still for the rest
+    of it, and its tanks rest with it; one that has begun anew has its budget.
+
+    Args:
+        env: a RendezvousVectorEnv, in any autoreset mode.
+        budget: B_i, the level of each robot's tank at the start of an episode, m²/s.
+        min_alignment: ε, in (0, 1).
+        frame: "net_bearing" or "local".
+        decision_period: base steps for which a wish is held; the ledger is kept in each.
+        observe_level: whether robots see the level of their own tank, in one row more.
+
+    Raises:
+        TypeError: for another kind of environment.
+        ValueError: naming the argument, its value and what would be right.
+    """
+
+    def __init__(
         self,
-        *,
-        seed: int | Sequence[int | None] | None = None,
-        options: Mapping[str, Any] | None = None,
-    ) -> tuple[NDArray[np.float32], Info]:
-        """Begin anew, as ``RendezvousVectorEnv.reset``; teams that do forget their headings."""
-        self._observed, infos = self.env.reset(seed=seed, options=options)
-        which = as_options(options).get("reset_mask")
-        if which is not None:
-            which = np.asarray(which)
-        self._forget(which)
-        return self._see(which), infos
-
-    def step(self, actions: ArrayLike) -> Transition:
-        """Hold the raw vectors for ``decision_period`` base steps.
-
-        Args:
-            actions: raw vectors (B, n, k).
-
-        Returns:
-            As ``RendezvousVectorEnv.step``, with the rewards of the base steps summed.
-
-        Raises:
-            ValueError: for a wrong shape, or naming the robot whose vector is not finite.
-            RuntimeError: before the first reset.
-        """
-        env, simulator = self.env, self.env.simulator
-        resting = simulator.ended
-        self._take(actions)
-        rewards, infos, outcome = self._drive()
-        if env.autoreset_mode is AutoresetMode.NEXT_STEP and resting.any():
-            self._begin_anew(resting, outcome, infos)
-        terminations = simulator.status == RENDEZVOUS
-        truncations = simulator.status == TIME_OUT
-        ended = terminations | truncations
-        summary = {"summary": masked(summary_of(simulator), ended)} if ended.any() else {}
-        final: Info = {}
-        seen = self._see(None)
-        if env.autoreset_mode is AutoresetMode.SAME_STEP and ended.any():
-            final = _final(seen, ended, infos | summary)
-            self._begin_anew(ended, outcome, infos)
-            seen[ended] = self._see(ended)[ended]
-            summary = {}
-        infos = of_all(infos, self.num_envs) | masked(summary | final, ended)
-        return seen, rewards, terminations, truncations, infos
-
-    def _drive(self) -> tuple[NDArray[np.float64], Info, Outcome]:
-        """Base steps under the held vectors: summed rewards, bare infos, the last outcome."""
-        simulator, steering = self.env.simulator, self.steering
-        rewards, infos = np.zeros(self.num_envs), {}
-        robot_rewards = np.zeros(self._observed.shape[:2])
-        contact = np.zeros(self._observed.shape[:2], dtype=np.bool_)
-        for _ in range(self.decision_period):
-            outcome = simulator.step(self._act())
-            self.env.renderer.see(outcome.contact)
-            self._observed = outcome.observations
-            infos = step_info(simulator, outcome)
-            rewards += outcome.rewards
-            robot_rewards += infos["robot_rewards"]
-            contact |= outcome.contact
-        infos |= {
-            "robot_rewards": robot_rewards,
-            "contact": contact,
-            "alignment": steering.alignment.copy(),
-            "lyapunov_rate": steering.lyapunov_rate.copy(),
-        }
-        return rewards, infos, outcome
-
-    def _begin_anew(self, which: NDArray[np.bool_], outcome: Outcome, infos: Info) -> None:
-        """Next episodes of these teams; what the robots see and what is told of them follows."""
-        simulator = self.env.simulator
-        simulator.restart(which, outcome)
-        self._forget(which)
-        infos["merged_into"] = simulator.merged_into
-        infos["contact"][which] = False
-        infos["alignment"][which], infos["lyapunov_rate"][which] = np.nan, 0.0
-
-    def _take(self, actions: ArrayLike) -> None:
-        """Take the decisions of this period."""
-        self.steering.hold(actions)
-
-    def _act(self) -> NDArray[np.float32]:
-        """Actions of the next base step."""
-        return self.steering.act(self._observed)
-
-    def _see(self, which: NDArray[np.bool_] | None) -> NDArray[np.float32]:
-        """What the policy sees, (B, n, ...); only teams of the mask, None is all, saw more."""
-        return self.steering.view(self._observed)
-
-    def _forget(self, which: NDArray[np.bool_] | None) -> None:
-        """These teams, None is all, begin anew."""
-        self.steering.forget(which)
-
-    def get_state(self) -> dict[str, Any]:
-        """The running episodes and the wrapper's memory, as copies."""
-        return {
-            "env": self.env.get_state(),
-            "steering": self.steering.get_state(),
-            "observed": self._observed.copy(),
-        }
-
-    def set_state(self, state: Mapping[str, Any]) -> None:
-        """Put back what ``get_state`` took out.
-
-        Raises:
-            ValueError: naming what does not fit; nothing has changed then.
-        """
-        self._observed = restore(self.env, self.steering, self._observed.shape, state)
-
-
-def _final(seen: NDArray[np.float32], ended: NDArray[np.bool_], infos: Info) -> Info:
-    """How these teams ended and what they saw last, in Gymnasium's form."""
-    final_obs = np.full(len(ended), None, dtype=object)
-    for team in np.flatnonzero(ended).tolist():
-        final_obs[team] = seen[team].copy()
-    kept = {key: value.copy() for key, value in infos.items()}
-    return {"final_obs": final_obs, "final_info": masked(kept, ended)}
-
-
-def team_box(robot: Box, n: int) -> Box:
-    """Space of a team of n robots that all have the same one."""
-    low, high = (np.broadcast_to(bound, (n, *robot.shape)) for bound in (robot.low, robot.high))
-    return Box(low, high, dtype=np.float32)
+        env: RendezvousVectorEnv,
+        budget: float = 0.0,
+        min_alignment: float = 0.05,
+        frame: str = "net_bearing",
+        decision_period: int = 1,
+        observe_level: bool = False,
+    ) -> None:
+        self.tank = EnergyTank(
+            check_ours(env, "EnergyTankWrapper").scenario,
+            env.num_envs,
+            budget=budget,
+            min_alignment=min_alignment,
+            frame=frame,
+            observe_level=observe_level,
+            num_threads=env.simulator.num_threads,
+        )
+        super().__init__(env, self.tank, "tank", decision_period)

@@ -1,37 +1,22 @@
 """Steering: raw vectors in, actions out. The memory and the arithmetic behind both heading
 wrappers.
-
-Everything here comes from the robots' own observations: no position, no global frame.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from ..engine.state_checks import (
-    check_entries,
-    check_finite,
-    check_mask,
-    check_observations,
-    check_rotations,
-)
-from ..experiment.checks import choice, flag, floats, positive, shown, whole
-from ..experiment.limits import MOST_TEAMS
+from ..engine.state_checks import check_observations
+from ..experiment.checks import flag, positive
 from ..experiment.scenario import Scenario
+from .action_filter import ActionFilter
 from .flexible_law import steer_headings
-from .frames import look_along_net_bearing
-from .heading import check_gate_constants, step_scale
+from .heading import step_scale
 from .teams import over_teams
 from .turning import gate_2d, gate_3d, mean_body_axis_2d, mean_body_axis_3d
-
-FRAMES = ("net_bearing", "local")
-_LARGEST_FLOAT32 = float(np.finfo(np.float32).max)
-_ROUNDING = 1e-6
-"""So far from a rotation may a frame be that was put back."""
 
 
 class _Constants(NamedTuple):
@@ -47,20 +32,7 @@ class _Constants(NamedTuple):
     long_step: bool
 
 
-def _check_steerable(scenario: Scenario) -> None:
-    """A heading becomes a velocity along it, or the turn rates of a body: nothing else is driven by
-    law (4).
-    """
-    model = scenario.model
-    if not model.bounded and model.theorem is None:
-        raise ValueError(
-            f"scenario has {model.name} robots, whose action is {model.action}; law (4) steers "
-            "robots whose action is a velocity, or a speed and turn rates, as robot_model "
-            "'single_integrator', 'unicycle' and 'nonholonomic_3d'"
-        )
-
-
-class Steering:
+class Steering(ActionFilter):
     """Headings, frames and held raw vectors of the robots of B teams.
 
     Args:
@@ -88,37 +60,29 @@ class Steering:
         certified: bool = True,
         num_threads: int | None = None,
     ) -> None:
-        _check_steerable(scenario)
-        dead_zone = scenario.dead_zone if scenario.dead_zone > 0 else 1.0
-        check_gate_constants(min_alignment, dead_zone)
+        turns_body = scenario.model.nonholonomic
+        super().__init__(
+            scenario,
+            num_envs,
+            action_size=scenario.model.n_angles if turns_body else scenario.dim,
+            min_alignment=min_alignment,
+            frame=frame,
+            num_threads=num_threads,
+        )
         max_turn_rate = positive("max_turn_rate", max_turn_rate, "rad/s")
-        choice("frame", frame, FRAMES)
         flag("certified", certified)
-        if num_threads is not None:
-            num_threads = whole("num_threads", num_threads, 1, MOST_TEAMS)
-        self.scenario = scenario
-        self.turns_body = scenario.model.nonholonomic
-        self.along_net_bearing = frame == "net_bearing" and not self.turns_body
-        self.action_size = scenario.model.n_angles if self.turns_body else scenario.dim
         self._limits = self._turn_limits(max_turn_rate)
         self._constants = _Constants(
-            neighbour_slots=scenario.observation_layout.neighbour_slots,
+            neighbour_slots=self._sight.neighbour_slots,
             merge_radius=scenario.merge_radius,
             duration=scenario.tau,
             min_alignment=float(min_alignment),
-            dead_zone=float(dead_zone),
+            dead_zone=self._sight.dead_zone,
             max_turn=float(self._limits[0]) * scenario.tau,
             certified=bool(certified),
             long_step=scenario.tau > scenario.certified_step,
         )
-        n, d = scenario.n_robots, scenario.dim
-        self._batch = num_envs, n, num_threads
-        self._seen = (num_envs, n, *scenario.observation_layout.shape)
-        self._headings = np.zeros((num_envs, n, d))
-        self._frames = np.tile(np.eye(d), (num_envs, n, 1, 1))
-        self._held = np.zeros((num_envs, n, self.action_size))
-        self.alignment = np.full((num_envs, n), np.nan)
-        self.lyapunov_rate = np.zeros((num_envs, n))
+        self._headings = np.zeros((num_envs, scenario.n_robots, scenario.dim))
 
     def _turn_limits(self, max_turn_rate: float) -> NDArray[np.float64]:
         """Limit of each turn rate, rad/s: the smaller of the wrapper's and the scenario's."""
@@ -132,65 +96,13 @@ class Steering:
         """h_i, (B, n, d), in the robots' own frames; zero for a robot that has none yet."""
         return self._headings.copy()
 
-    def forget(self, mask: NDArray[np.bool_] | None = None) -> None:
-        """Forget everything about all teams, or about those of a mask (B,).
+    @property
+    def _memory(self) -> dict[str, NDArray[np.float64]]:
+        return {"headings": self._headings, **super()._memory}
 
-        Raises:
-            ValueError: for a bad mask; nothing has changed then.
-        """
-        which = slice(None) if mask is None else check_mask(mask, len(self._held))
+    def _begin(self, which: Any) -> None:
+        super()._begin(which)
         self._headings[which] = 0.0
-        self._frames[which] = np.eye(self.scenario.dim)
-        self._held[which] = 0.0
-        self.alignment[which] = np.nan
-        self.lyapunov_rate[which] = 0.0
-
-    def view(self, observations: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Observations as the policy sees them; brings the frames up to date.
-
-        Args:
-            observations: (B, n, rows, d), in the robots' own frames.
-
-        Returns:
-            Of the same shape; with x along f where that is asked for, unchanged otherwise.
-
-        Raises:
-            ValueError: for observations of another shape or type; nothing has changed then.
-        """
-        observations = check_observations(observations, self._seen)
-        if not self.along_net_bearing:
-            return observations
-        seen = np.empty_like(observations)
-        first_rows = self.scenario.observation_layout.obstacles.stop
-
-        fixed = (observations, self._constants, first_rows, self._frames, seen)
-        over_teams(lambda part: look_along_net_bearing(part, *fixed), *self._batch)
-        return seen
-
-    def hold(self, raw: ArrayLike) -> None:
-        """Take new raw vectors, fixed in the robots' local frames from now on.
-
-        Args:
-            raw: (B, n, k): vectors (d,) as the policy sees them, or turn rates in units of
-                ``max_turn_rate``.
-
-        Raises:
-            ValueError: for a wrong shape, or naming the robot whose vector is not finite.
-        """
-        vectors = floats("actions", raw)
-        if vectors.shape != self._held.shape:
-            raise ValueError(
-                f"actions have shape {vectors.shape}; they must be (B, n, k) = {self._held.shape}"
-            )
-        if not (finite := np.abs(vectors) <= _LARGEST_FLOAT32).all():
-            team, robot, _ = (int(k) for k in np.argwhere(~finite)[0])
-            raise ValueError(
-                f"action of robot_{robot} in team {team} is "
-                f"{shown(vectors[team, robot].tolist())}; it must be finite, in float32"
-            )
-        if self.along_net_bearing:
-            vectors = np.einsum("bnij,bnj->bni", self._frames, vectors)
-        self._held[...] = vectors
 
     def act(self, observations: NDArray[np.float32]) -> NDArray[np.float32]:
         """Actions for the base environment; sets ``alignment`` and ``lyapunov_rate``.
@@ -254,33 +166,3 @@ class Steering:
         else:
             gate_3d(flat, f.reshape(-1, d), pitch.reshape(-1), *margins, self._limits, gated)
         rates[...] = gated.reshape(rates.shape)
-
-    def get_state(self) -> dict[str, NDArray[np.float64]]:
-        """The memory: headings, frames and held raw vectors, as copies."""
-        return {
-            "headings": self._headings.copy(),
-            "frames": self._frames.copy(),
-            "held": self._held.copy(),
-        }
-
-    def set_state(self, state: Mapping[str, ArrayLike]) -> None:
-        """Put back what ``get_state`` took out.
-
-        Raises:
-            ValueError: naming what does not fit, see ``check_state``; nothing has changed then.
-        """
-        checked = self.check_state(state)
-        self._headings[...], self._frames[...] = checked["headings"], checked["frames"]
-        self._held[...] = checked["held"]
-
-    def check_state(self, state: Any) -> dict[str, NDArray[Any]]:
-        """The arrays of a state that ``set_state`` would put back.
-
-        Raises:
-            ValueError: naming an entry that is missing, of another shape or not finite, or a frame
-                that is no rotation.
-        """
-        checked = check_entries(self.get_state(), state)
-        check_finite(checked, tuple(checked))
-        check_rotations(checked, np.ones(len(self._held), np.bool_), _ROUNDING)
-        return checked

@@ -152,27 +152,44 @@ def _checked(name: str, value: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.
 def gate_2d(requested, net_bearing, min_alignment, dead_zone, duration, limits, out):
     """``gated_turn_rate`` for N unicycles, unchecked; rates (N, 1), net bearings (N, 2)."""
     for i in range(out.shape[0]):
-        f = load(net_bearing[i])
-        rate = clip(requested[i, 0], limits[0])
-        mean_axis = mean_axis_2d(rate, duration)
-        if not keeps_margin(f, mean_axis, min_alignment, dead_zone):
-            rate = clip(f[1], limits[0])
-        out[i, 0] = rate
+        f, wanted = load(net_bearing[i]), requested[i, 0]
+        out[i, 0] = gated_rate_2d(wanted, f, min_alignment, dead_zone, duration, limits[0])
 
 
 @kernel
 def gate_3d(requested, net_bearing, pitch, min_alignment, dead_zone, duration, limits, out):
     """``gated_turn_rate`` for N robots in space, unchecked; rates (N, 2), pitch (N,)."""
     for i in range(out.shape[0]):
-        f = load(net_bearing[i])
-        yaw_rate, pitch_rate = clip(requested[i, 0], limits[0]), clip(requested[i, 1], limits[1])
-        mean_axis = mean_axis_3d(yaw_rate, pitch_rate, pitch[i], duration)
-        if not keeps_margin(f, mean_axis, min_alignment, dead_zone):
-            yaw_rate, pitch_rate = (
-                clip(_yaw_rate_law(f[1], pitch[i]), limits[0]),
-                clip(f[2], limits[1]),
-            )
-        out[i, 0], out[i, 1] = yaw_rate, pitch_rate
+        f, wanted = load(net_bearing[i]), (requested[i, 0], requested[i, 1])
+        out[i, 0], out[i, 1] = gated_rates_3d(
+            wanted,
+            f,
+            pitch[i],
+            min_alignment,
+            dead_zone,
+            duration,
+            (limits[0], limits[1]),
+        )
+
+
+@kernel
+def gated_rate_2d(requested, net_bearing, min_alignment, dead_zone, duration, limit):
+    """``gated_turn_rate`` of one unicycle; the net bearing is a triple."""
+    rate = clip(requested, limit)
+    if keeps_margin(net_bearing, mean_axis_2d(rate, duration), min_alignment, dead_zone):
+        return rate
+    return clip(net_bearing[1], limit)
+
+
+@kernel
+def gated_rates_3d(requested, net_bearing, pitch, min_alignment, dead_zone, duration, limits):
+    """``gated_turn_rate`` of one robot in space; rates and limits are pairs of yaw and pitch."""
+    yaw_rate, pitch_rate = clip(requested[0], limits[0]), clip(requested[1], limits[1])
+    mean_axis = mean_axis_3d(yaw_rate, pitch_rate, pitch, duration)
+    if keeps_margin(net_bearing, mean_axis, min_alignment, dead_zone):
+        return yaw_rate, pitch_rate
+    by_law = clip(_yaw_rate_law(net_bearing[1], pitch), limits[0])
+    return by_law, clip(net_bearing[2], limits[1])
 
 
 @kernel

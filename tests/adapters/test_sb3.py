@@ -11,7 +11,7 @@ from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
 
 import rendezvous_env as rv
 from rendezvous_env.adapters.sb3 import RobotVecEnv, make_robots
-from rendezvous_env.vector import HeadingVectorWrapper
+from rendezvous_env.vector import EnergyTankWrapper, HeadingVectorWrapper
 from train.learning.rollout_buffer import RobotPPO
 
 TEAMS, ROBOTS, STEPS, SEED = 8, 3, 90, 4
@@ -249,10 +249,14 @@ def test_other_autoreset_modes_are_refused():
         RobotVecEnv(rv.make_vec(SCENARIO, 2))
 
 
-def test_ppo_learns_through_wrappers():
+@pytest.mark.parametrize(
+    ("wrapper", "options"),
+    [(HeadingVectorWrapper, {}), (EnergyTankWrapper, {"budget": 1.0, "observe_level": True})],
+)
+def test_ppo_learns_through_wrappers(wrapper, options):
     teams = rv.make_vec(SCENARIO, TEAMS, autoreset_mode=AutoresetMode.SAME_STEP)
-    robots = RobotVecEnv(HeadingVectorWrapper(teams, decision_period=2))
-    assert robots.env_is_wrapped(HeadingVectorWrapper, indices=[1, 2]) == [True, True]
+    robots = RobotVecEnv(wrapper(teams, decision_period=2, **options))
+    assert robots.env_is_wrapped(wrapper, indices=[1, 2]) == [True, True]
     model = RobotPPO("MlpPolicy", VecNormalize(robots, norm_obs=False), **SETTINGS)
     before = model.policy.state_dict()["action_net.weight"].clone()
     model.learn(STEPS * robots.num_envs)

@@ -133,6 +133,9 @@ def warm() -> None:
         wrapped = rv.HeadingVectorWrapper(rv.parallel_env(scenario))
         observations, _ = wrapped.reset(seed=0)
         wrapped.step({name: np.ones(wrapped.steering.action_size) for name in observations})
+        tank = rv.EnergyTankWrapper(rv.parallel_env(scenario))
+        observations, _ = tank.reset(seed=0)
+        tank.step({name: np.ones(scenario.action_size) for name in observations})
         d = scenario.dim
         ones = np.ones(d)
         rv.certified_heading(ones, ones, ones, min_alignment=0.1, dead_zone=0.1, max_turn=0.1)
@@ -198,8 +201,8 @@ class Door:
     """One kind of environment, and how to look at its episode."""
 
     def __init__(self, name: str, scenario: Scenario) -> None:
-        together = {"simulator": 3, "vector": 3, "same step": 2, "disabled": 2, "vector heading": 2}
-        self.num_envs = together.get(name, 1)
+        together = {"simulator": 3, "vector": 3, "same step": 2, "disabled": 2}
+        self.num_envs = together.get(name, 2 if name.startswith("vector ") else 1)
         self.size, self.n = scenario.action_size, scenario.n_robots
         self.env = getattr(self, "_" + name.replace(" ", "_"))(scenario)
         if "heading" in name:
@@ -233,6 +236,13 @@ class Door:
         env = rv.make_vec(scenario, self.num_envs, max_cycles=3)
         return vector.HeadingVectorWrapper(env, decision_period=2)
 
+    def _tank(self, scenario: Scenario) -> Any:
+        return rv.EnergyTankWrapper(rv.parallel_env(scenario), decision_period=2)
+
+    def _vector_tank(self, scenario: Scenario) -> Any:
+        env = rv.make_vec(scenario, self.num_envs, max_cycles=3)
+        return vector.EnergyTankWrapper(env, budget=1.0, observe_level=True)
+
     @property
     def simulator(self) -> Simulator:
         """What everything is around."""
@@ -263,7 +273,7 @@ def door(name: str, team: str) -> Door:
 
 
 NAMES = ["simulator", "pettingzoo", "aec", "gymnasium", "vector", "same step", "disabled",
-         "heading", "vector heading"]  # fmt: skip
+         "heading", "vector heading", "tank", "vector tank"]  # fmt: skip
 names = st.sampled_from(NAMES)
 
 
@@ -410,6 +420,12 @@ WRAPPER = {
     "decision_period": nearly(periods, 0, 2.0),
     "certified": nearly(st.booleans(), 1),
 }
+TANK = {
+    "budget": nearly(soup.lengths, -1e-9),
+    "observe_level": nearly(st.booleans(), 1),
+    **{name: WRAPPER[name] for name in ("min_alignment", "frame", "decision_period")},
+}
+WRAPPERS = [("HeadingVectorWrapper", WRAPPER), ("EnergyTankWrapper", TANK)]
 BATCH = {
     "num_envs": nearly(st.integers(1, 4), 0, 2.0),
     "num_threads": nearly(st.sampled_from([None, 1, 2]), 0),
@@ -429,17 +445,18 @@ def some_of(values: dict[str, st.SearchStrategy]) -> st.SearchStrategy:
 
 @pytest.mark.parametrize("effort", EFFORTS)
 def test_arguments_of_wrappers(effort):
-    def check(team, alone, arguments, data):
+    def check(team, alone, kind, data):
         scenario = TEAMS[team]
         base = rv.parallel_env(scenario) if alone else rv.make_vec(scenario, 2, max_cycles=3)
-        wrap = rv.HeadingVectorWrapper if alone else vector.HeadingVectorWrapper
+        name, settings = kind
+        wrap, arguments = getattr(rv if alone else vector, name), data.draw(some_of(settings))
         if data.draw(st.integers(0, 9)) == 0:
             base = data.draw(absurd)
         env = attempt(lambda: wrap(base, **arguments), ValueError, TypeError)
         if isinstance(env, Refused):
             return
         env.reset(seed=0)
-        size, simulator = env.steering.action_size, env.unwrapped.simulator
+        size, simulator = env._filter.action_size, env.unwrapped.simulator
         for k in range(3):
             raw = np.full(size, (1.0, -3e38, 1e-40)[k])
             if alone:
@@ -448,7 +465,7 @@ def test_arguments_of_wrappers(effort):
                 env.step(np.tile(raw, (2, scenario.n_robots, 1)))
             assert_finite(simulator.positions, simulator.lyapunov(), simulator.observe())
 
-    explore(check, 40 * effort, teams, st.booleans(), some_of(WRAPPER), st.data())
+    explore(check, 60 * effort, teams, st.booleans(), st.sampled_from(WRAPPERS), st.data())
 
 
 @pytest.mark.parametrize("effort", EFFORTS)

@@ -288,10 +288,9 @@ WRONG_ACTIONS = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize("wrapped", [False, True])
-def test_pettingzoo_refuses_actions_of_any_wrong_kind(wrapped):
-    env = rv.parallel_env(PAIR)
-    env = rv.HeadingVectorWrapper(env) if wrapped else env
+@pytest.mark.parametrize("wrap", [lambda env: env, rv.HeadingVectorWrapper, rv.EnergyTankWrapper])
+def test_pettingzoo_refuses_actions_of_any_wrong_kind(wrap):
+    env = wrap(rv.parallel_env(PAIR))
     env.reset(seed=0)
     before = env.get_state()
     for wrong in WRONG_ACTIONS:
@@ -345,6 +344,7 @@ def arrays(wrong):
         lambda: Simulator(PAIR),
         lambda: rv.make_vec(PAIR, 1),
         lambda: rv_vector.HeadingVectorWrapper(rv.make_vec(PAIR, 1)),
+        lambda: rv_vector.EnergyTankWrapper(rv.make_vec(PAIR, 1)),
     ],
 )
 def test_arrays_of_actions_of_any_wrong_kind_are_refused(make):
@@ -385,6 +385,8 @@ DOORS = {
     "vector": lambda: rv.make_vec(PAIR, 1),
     "heading": lambda: rv.HeadingVectorWrapper(rv.parallel_env(PAIR)),
     "vector heading": lambda: rv_vector.HeadingVectorWrapper(rv.make_vec(PAIR, 1)),
+    "tank": lambda: rv.EnergyTankWrapper(rv.parallel_env(PAIR)),
+    "vector tank": lambda: rv_vector.EnergyTankWrapper(rv.make_vec(PAIR, 1)),
 }
 
 

@@ -14,7 +14,7 @@ from rendezvous_env.adapters.sb3 import RobotVecEnv
 from rendezvous_env.engine.memory import AWAITING_RESET, RENDEZVOUS, TIME_OUT
 from rendezvous_env.experiment.packing import CORNERS, DETAILS, KIND, RADIUS
 from rendezvous_env.guarantee.steering import Steering
-from rendezvous_env.vector import HeadingVectorWrapper
+from rendezvous_env.vector import EnergyTankWrapper, HeadingVectorWrapper
 from train.learned.guide import Guide
 from train.learning.perceiving import PerceivingTeams
 
@@ -212,6 +212,12 @@ def wrapped():
     return venv
 
 
+def tank():
+    venv = EnergyTankWrapper(rv.make_vec("clutter-16", 2), budget=1.0)
+    venv.reset(seed=0)
+    return venv
+
+
 def perceiving():
     scenario = rv.scenarios.get("clutter-16")
     teams = rv.make_vec(scenario, 2, autoreset_mode="SameStep")
@@ -232,7 +238,7 @@ def leaves(state, path=()):
         yield from leaves(value, (*path, key)) if isinstance(value, dict) else [(*path, key)]
 
 
-@pytest.mark.parametrize("make", [wrapped, perceiving, robots])
+@pytest.mark.parametrize("make", [wrapped, tank, perceiving, robots])
 def test_every_entry_of_a_nested_state_is_checked_before_any_is_taken(make):
     """Entries of another moment, one of them spoilt: none of the others may get in."""
     target = make()

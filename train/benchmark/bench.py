@@ -18,6 +18,7 @@ from rendezvous_env.engine import threads
 
 from ..results import provenance, write_json
 from .bench_cases import LIMIT, Case, among_discs, batched, one_team, spread_out
+from .bench_guarantees import wrapped
 from .bench_settings import GROUPS, Config, check
 from .measuring import Row, bytes_per_team, measure
 
@@ -64,6 +65,9 @@ def _groups(config: Config, console: Console) -> Iterator[list[Case]]:
     if "obstacles" in wanted:
         yield one_team(among_discs(), "obstacles", peer=False)
         yield batched(among_discs(), "obstacles", *size)
+    for n in config.robots:
+        if "wrapped" in wanted:
+            yield wrapped(n, *size)
     if {"robots", "ppo", "heading-ppo"} & set(wanted):
         yield from _learning_groups(config, wanted, console)
 

@@ -1,0 +1,80 @@
+"""Theorem D's energy tank: what a step earns, what it owes, and what is done with an empty tank.
+
+docs/theory.md, section 8. Each robot keeps this account alone, from its own bearings. Vectors are
+triples in one frame; a vector of the plane has z = 0 and keeps it.
+"""
+
+from ..compilation import kernel
+from ..equations.vectors import combine, dot, split
+from .heading import into_cap, scale_of_step
+
+
+@kernel
+def descent_scale(strength, degree, merge_radius, duration, speed_limit):
+    """Factor s on f with which a step is sure to let V fall, and no faster than the robot may go.
+
+        s = min(1, r/(2 D τ), v_max/‖f‖)
+
+    Args:
+        strength: ‖f‖, m/s.
+        degree: D, the summed lengths of the neighbour rows, positive, m/s.
+        merge_radius: r, m.
+        duration: τ, s.
+        speed_limit: v_max, m/s.
+    """
+    unhurried = speed_limit / max(strength, speed_limit)
+    return min(scale_of_step(degree, merge_radius, duration), unhurried)
+
+
+@kernel
+def certain_descent(net_bearing, degree, displacement, merge_radius):
+    """This robot's part in what V is sure to fall by, m²/s; negative where V may rise.
+
+        2 f·Δ − (2/r) D ‖Δ‖²
+
+    Summed over the robots this bounds V(t) − V(t + τ) while neighbours stay at least r apart.
+
+    Args:
+        net_bearing: f, m/s.
+        degree: D, m/s.
+        displacement: Δ over the step, m.
+        merge_radius: r, m.
+    """
+    spent = 2.0 / merge_radius * degree * dot(displacement, displacement)
+    return 2.0 * dot(net_bearing, displacement) - spent
+
+
+@kernel
+def promised_descent(strength, scale, min_alignment, duration):
+    """What a robot owes in every step, so that all meet in finite time: ε² τ s ‖f‖², m²/s.
+
+    Args:
+        strength: ‖f‖, m/s.
+        scale: s.
+        min_alignment: ε.
+        duration: τ, s.
+    """
+    return min_alignment * min_alignment * duration * scale * strength * strength
+
+
+@kernel
+def descending_velocity(wanted, net_bearing, scale, min_alignment):
+    """Law (4) along the wanted line, which earns at least what is owed.
+
+        v = s h hᵀf,   h the wanted direction projected onto the cap |hᵀf| ≥ ε‖f‖
+
+    The direction is f/‖f‖ where nothing is wanted.
+
+    Args:
+        wanted: velocity, of any length.
+        net_bearing: f, not zero, m/s.
+        scale: s.
+        min_alignment: ε.
+    """
+    (length, h), (_, towards) = split(wanted), split(net_bearing)
+    if length == 0.0:
+        h = towards
+    elif dot(h, towards) < 0.0:  # h and −h are the same line
+        h = combine(-1.0, h, 0.0, h)
+    h = into_cap(h, towards, min_alignment, towards)
+    return combine(scale * dot(h, net_bearing), h, 0.0, h)
