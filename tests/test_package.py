@@ -63,9 +63,6 @@ BELOW = {
 BELOW["front"] = set(BELOW) - {"rendezvous_env.adapters"}
 """What each room of the environment may import, beside itself and ``compilation``."""
 LONGEST = 300
-MAY_BE_LONGER = {
-    "rendezvous_env.experiment.graphs", "rendezvous_env.experiment.scenario",
-}  # fmt: skip
 CORE = [name for name in MODULES if not name.startswith("train")]
 
 
@@ -201,7 +198,7 @@ def test_arrays_need_no_pettingzoo(face):
 @pytest.mark.parametrize("module", MODULES)
 def test_no_file_is_long(module):
     lines = len(source_of(module).read_text(encoding="utf-8").splitlines())
-    assert lines <= LONGEST or module in MAY_BE_LONGER
+    assert lines <= LONGEST
 
 
 # ---- importing ----------------------------------------------------------------------------------
