@@ -65,10 +65,28 @@ class DerivedConstants:
         """τ = r/(2D̄), s: the longest step with which V cannot rise between merges (theory 4)."""
         return self.merge_radius / (2 * self.max_degree) if self.max_degree > 0 else math.inf
 
+    @cached_property
+    def step_degree(self) -> float:
+        """The D_i, m/s, that default step and speed are made for: D̄, or less in large sparse graphs
+        of single integrators (``Graph.step_degree``).
+        """
+        if not self.model.bounded:
+            return self.max_degree
+        return self.sensing_graph.step_degree(self.n_robots)
+
+    @property
+    def scales_velocity(self) -> bool:
+        """Whether the step in force is the default one of a large sparse graph, longer than
+        certified: laws then scale their velocities by r/(2 D_i τ) where that is below 1 (theory 4).
+        """
+        return self.time_step is None and self.step_degree < self.max_degree
+
     @property
     def tau(self) -> float:
-        """τ, s: the step in force."""
-        return self.certified_step if self.time_step is None else self.time_step
+        """τ, s: the step in force, r/(2D) with D the ``step_degree`` if none is given."""
+        if self.time_step is not None:
+            return self.time_step
+        return self.merge_radius / (2 * self.step_degree) if self.step_degree > 0 else math.inf
 
     @property
     def max_steps(self) -> int:
@@ -78,7 +96,7 @@ class DerivedConstants:
     @property
     def speed_limit(self) -> float:
         """v_max in force, m/s."""
-        return self.max_degree if self.max_speed is None else self.max_speed
+        return self.step_degree if self.max_speed is None else self.max_speed
 
     @property
     def acceleration_limit(self) -> float:

@@ -17,6 +17,8 @@ from .limits import MOST_ROBOTS
 FIXED, RANDOM_TREE, ERDOS_RENYI = range(3)
 """How an episode chooses its edges."""
 _TOPOLOGIES = {"random_tree": RANDOM_TREE, "erdos_renyi": ERDOS_RENYI}
+_LARGE_TEAM = 48
+"""Robots from which a step is made for what they see rather than for the worst of all merges."""
 _FIXED_KINDS = ("complete", "path", "cycle", "star")
 
 
@@ -148,6 +150,22 @@ class Graph:
         if self.topology == RANDOM_TREE:
             return (n - 1) * high
         return max((max_degree(base[np.ix_(c, c)] * high) for c in components(base)), default=0.0)
+
+    def step_degree(self, n: int) -> float:
+        """The D_i, m/s, that a step of single integrators is made for: D̄ of a small team; of a
+        large one the largest that a fixed graph has before any merge, twice the mean of a family.
+
+        Merges could turn a large sparse graph into a star, and a step for that would be hundreds of
+        times too short for the robots there are. Whoever has a larger D_i goes more slowly
+        (theory 4).
+        """
+        worst, (_, high) = self.max_degree(n), self.weight_range
+        if n < _LARGE_TEAM:
+            return worst
+        if self.topology == FIXED:
+            return min(worst, high * float(self.base_weights(n).sum(axis=1).max()))
+        mean = 2.0 * (n - 1) / n if self.topology == RANDOM_TREE else self.probability * (n - 1)
+        return min(worst, 2.0 * mean * high)
 
     def bottleneck_weight(self, n: int) -> float:
         """a*, m/s: the least a* over all graphs that an episode can draw (theory 3)."""

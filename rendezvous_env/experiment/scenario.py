@@ -270,5 +270,5 @@ class Scenario(DerivedConstants):
                 f"time_limit is {self.time_limit:g} s: {self.max_steps:.3g} steps of {self.tau:g} "
                 f"s; it must be at most {MOST_STEPS:.3g} steps"
             )
-        if not self.allow_long_step:
+        if not (self.allow_long_step or self.scales_velocity):
             warn_of_long_step(self.tau, self.certified_step)
