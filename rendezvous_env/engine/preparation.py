@@ -11,10 +11,13 @@ from ..equations.motion import is_described
 from ..experiment import packing
 from ..experiment.checks import shown
 from ..experiment.graphs import FIXED
-from ..experiment.obstacles import ObstacleField
+from ..experiment.obstacles import Field, ObstacleField
 from ..experiment.scenario import CONTACT_MODES, Scenario
+from ..experiment.walls import LAYOUTS
 from .draw_field import FieldRules
 from .draw_graph import GraphRules
+from .draw_walls import WallRules
+from .fields import Rules
 from .memory import (
     MIN_CLEARANCE,
     SCORED,
@@ -220,13 +223,14 @@ def drafts(scenario: Scenario, batch: int, count: int) -> Drafts:
         second=np.empty(links, np.int64),
         weights=np.empty(links),
         n_links=np.empty(count, np.int64),
+        chains=np.empty((scenario.observation_layout.obstacle_slots, 2), np.int64),
     )
 
 
 def start_rules(scenario: Scenario) -> StartRules:
     """The rules of a start of which nothing is given."""
     field = scenario.obstacles if scenario.observation_layout.obstacle_slots else ()
-    is_field = isinstance(field, ObstacleField)
+    is_field = isinstance(field, Field)
     fixed_frame = scenario.model.n_angles == 0
     return StartRules(
         draw_positions=True,
@@ -236,9 +240,9 @@ def start_rules(scenario: Scenario) -> StartRules:
         draw_obstacles=is_field,
         spawn_size=float(scenario.spawn_size),
         least_distance=2.0 * scenario.merge_radius,
-        keep_out=float(field.keep_out) if isinstance(field, ObstacleField) else 0.0,
+        keep_out=float(field.keep_out) if isinstance(field, Field) else 0.0,
         graph=_graph_rules(scenario),
-        field=_field_rules(field) if isinstance(field, ObstacleField) else None,
+        field=_field_rules(field) if isinstance(field, Field) else None,
     )
 
 
@@ -263,13 +267,23 @@ def _graph_rules(scenario: Scenario) -> GraphRules | None:
 _NO_LINKS = (np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0))
 
 
-def _field_rules(field: ObstacleField) -> FieldRules:
-    return FieldRules(
-        counts=field.count_range,
-        radii=field.radius,
-        region=float(field.region),
-        keep_out=float(field.keep_out),
-        overlap=field.overlap,
+def _field_rules(field: Field) -> Rules:
+    if isinstance(field, ObstacleField):
+        return FieldRules(
+            counts=field.count_range,
+            radii=field.radius,
+            region=field.region,
+            keep_out=field.keep_out,
+            overlap=field.overlap,
+            passage=field.passage,
+        )
+    return WallRules(
+        layout=list(LAYOUTS).index(field.layout),
+        sizes=field.size,
+        openings=field.opening,
+        thickness=field.thickness,
+        region=field.region,
+        keep_out=field.keep_out,
     )
 
 
@@ -285,6 +299,6 @@ def fixed_links(
 
 def fixed_obstacles(scenario: Scenario) -> NDArray[np.float64] | None:
     """The table of the scenario's obstacles, (1, M, width); None if they are drawn."""
-    if isinstance(scenario.obstacles, ObstacleField):
+    if isinstance(scenario.obstacles, Field):
         return None
     return packing.pack(scenario.obstacles, scenario.observation_layout.obstacle_slots)[None]

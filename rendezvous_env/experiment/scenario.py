@@ -20,7 +20,7 @@ from .checks import nearest_word as nearest_word
 from .graphs import Graph, GraphLike
 from .limits import LARGEST, LONGEST_NAME, MOST_OBSTACLES, MOST_ROBOTS, MOST_STEPS
 from .observation_layout import ObservationLayout
-from .obstacles import ObstacleField, Obstacles
+from .obstacles import Field, Obstacles
 from .rewards import RewardWeights
 from .robot_models import ROBOT_MODELS, RobotModel
 
@@ -88,7 +88,7 @@ class Scenario:
     """Largest ω, ω_β in rad/s (ω_α may be ten times larger, see nonholonomic_3d); None is D̄."""
     max_acceleration: float | None = None
     """a_max in m/s² of a double integrator, direction kept; None is v_max per 0.25 s."""
-    obstacles: Obstacles | ObstacleField = ()
+    obstacles: Obstacles = ()
     """Discs, convex polygons, capsules or spheres, or a random field drawn for every episode."""
     obstacle_range: float = 2.0
     """An obstacle is seen while its nearest point is within this distance, m."""
@@ -349,7 +349,7 @@ class Scenario:
             check_distinct(
                 "start_positions", positions, self.sensing_graph.base_weights(self.n_robots)
             )
-            if not isinstance(self.obstacles, ObstacleField) and self.obstacle_contact != "ignore":
+            if not isinstance(self.obstacles, Field) and self.obstacle_contact != "ignore":
                 packing.check_outside("start_positions", positions, self.obstacles)
 
     def _check_time_step(self) -> None:
