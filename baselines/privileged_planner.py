@@ -43,19 +43,21 @@ class Meeting:
 def meeting_place(roadmap: Roadmap, positions: Array) -> Meeting:
     """Where the last robot arrives first; among equals, where the ways together are shortest.
 
-    Of the places of a grid over the team, the corners of obstacles and the robots' own places, and
-    then of a finer grid about the best of these.
+    Of the robots' own places, the corners of obstacles and a grid over the team; and then of a
+    finer grid about the best of these.
 
     Args:
         roadmap: of the team.
         positions: (n, 2), m.
     """
+    to_corners, _ = roadmap.to_corners(positions)
     low, high = positions.min(axis=0), positions.max(axis=0)
-    places = np.concatenate([_grid(low, high), roadmap.corners, positions])
-    best = _best(roadmap, positions, places)
+    places = np.concatenate([_grid(low, high), positions])
+    ways = roadmap.distances(positions, to_corners, places)
+    best = _best(np.concatenate([places, roadmap.corners]), np.hstack([ways, to_corners]))
     reach = (high - low).max() / (_GRID - 1)
-    finer = _grid(best.place - reach, best.place + reach)
-    return _best(roadmap, positions, np.concatenate([best.place[None], finer]))
+    finer = np.concatenate([best.place[None], _grid(best.place - reach, best.place + reach)])
+    return _best(finer, roadmap.distances(positions, to_corners, finer))
 
 
 def _grid(low: Array, high: Array) -> Array:
@@ -63,10 +65,10 @@ def _grid(low: Array, high: Array) -> Array:
     return np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
 
 
-def _best(roadmap: Roadmap, positions: Array, places: Array) -> Meeting:
-    ways = roadmap.distances(positions, places)
+def _best(places: Array, ways: Array) -> Meeting:
+    """Of places (K, 2), to which the ways (n, K) lead, m."""
     left_out = np.isinf(ways).sum(axis=0)
-    ways[np.isinf(ways)] = 0.0
+    ways = np.where(np.isinf(ways), 0.0, ways)
     chosen = np.lexsort((ways.sum(axis=0), ways.max(axis=0), left_out))[0]
     return Meeting(places[chosen], int(left_out[chosen]))
 
@@ -195,13 +197,13 @@ class PrivilegedPlanner:
         begun = np.array([goal is None for goal in self._goals]) | (steps < self._steps)
         merged = (active != self._active).any(axis=1)
         self._active, self._steps = active, steps
-        for team in np.flatnonzero((begun | merged) & (active.sum(axis=1) > 1)):
+        for team in np.flatnonzero((begun | merged) & (active.sum(axis=1) > 1)).tolist():
             here = positions[team]
             if begun[team] or self._goals[team] is None:
                 self._goals[team] = plan(simulator.obstacles[team], here[active[team]])
             goal = self._goals[team]
             assert goal is not None
-            for robot in np.flatnonzero(active[team]):
+            for robot in np.flatnonzero(active[team]).tolist():
                 self._put(team, robot, goal.way(here[robot]))
 
     def _put(self, team: int, robot: int, way: Array) -> None:

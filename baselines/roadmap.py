@@ -14,9 +14,10 @@ import scipy.sparse
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import dijkstra
 
-from rendezvous_env.compilation import kernel
-from rendezvous_env.equations.obstacles import ABSENT, CAPSULE, POLYGON, distance_to, entry
+from rendezvous_env.equations.obstacles import ABSENT, CAPSULE, POLYGON
 from rendezvous_env.experiment import packing
+
+from .straight_ways import margins_at, straight_ways
 
 Array = NDArray[np.float64]
 _QUARTER = 4
@@ -25,7 +26,6 @@ _SPIKE = 1e3
 """Longest corner of a pointed obstacle, in clearances."""
 _KEPT = 0.9
 """Share of the clearance that a way must keep: corners lie at all of it, up to rounding."""
-_TOUCH = 1e-7  # m; a robot at a surface may leave along it, which is no contact
 
 
 class Roadmap:
@@ -40,13 +40,13 @@ class Roadmap:
         self._world = packing.world_of(table)
         self._clearance = clearance
         corners = _corners(table, clearance)
-        self.corners: Array = corners[self._distances(corners) >= _KEPT * clearance]
+        self.corners: Array = corners[self._margins(corners) == _KEPT * clearance]
         """(C, 2), m."""
         self._lengths = self.straight(self.corners, self.corners)
 
-    def _distances(self, points: Array) -> Array:
+    def _margins(self, points: Array) -> Array:
         out = np.empty(len(points))
-        _nearest(self._world, points, out)
+        margins_at(self._world, points, _KEPT * self._clearance, out)
         return out
 
     def straight(self, points: Array, targets: Array) -> Array:
@@ -56,9 +56,8 @@ class Roadmap:
             points: (N, 2), m.
             targets: (K, 2), m.
         """
-        margins = _KEPT * np.minimum(self._clearance, self._distances(points)) - _TOUCH
         out = np.empty((len(points), len(targets)))
-        _straight_ways(self._world, points, targets, margins, out)
+        straight_ways(self._world, points, targets, self._margins(points), out)
         return out
 
     def to_corners(self, points: Array) -> tuple[Array, NDArray[np.int32]]:
@@ -75,16 +74,17 @@ class Roadmap:
         found, before = dijkstra(_sparse(lengths), indices=range(n), return_predecessors=True)
         return found[:, n:], before[:, n:] - n
 
-    def distances(self, points: Array, places: Array) -> Array:
+    def distances(self, points: Array, to_corners: Array, places: Array) -> Array:
         """Lengths of the shortest ways, (N, K), m; inf where there is none.
 
         Args:
             points: (N, 2), m.
+            to_corners: from there, (N, C), m.
             places: (K, 2), m.
         """
         out, last = self.straight(points, places), self.straight(self.corners, places)
         if len(self.corners):
-            for row, to_corner in zip(out, self.to_corners(points)[0], strict=True):
+            for row, to_corner in zip(out, to_corners, strict=True):
                 np.minimum(row, (to_corner[:, None] + last).min(axis=0), out=row)
         return out
 
@@ -153,25 +153,3 @@ def _corners(table: Array, clearance: float) -> Array:
     )
     rings = [shapely.get_coordinates(polygon)[:-1] for polygon in fatter]
     return np.concatenate(rings) if rings else np.empty((0, 2))
-
-
-@kernel
-def _nearest(world, points, out):
-    """Distance of each point to the nearest obstacle, m; inf if there is none."""
-    for i in range(len(points)):
-        out[i] = np.inf
-        for m in range(len(world.kinds)):
-            out[i] = min(out[i], distance_to(world, m, (points[i, 0], points[i, 1], 0.0)))
-
-
-@kernel
-def _straight_ways(world, points, targets, margins, out):
-    for i in range(len(points)):
-        here = (points[i, 0], points[i, 1], 0.0)
-        for k in range(len(targets)):
-            way = (targets[k, 0] - here[0], targets[k, 1] - here[1], 0.0)
-            out[i, k] = math.hypot(way[0], way[1])
-            for m in range(len(world.kinds)):
-                if world.kinds[m] != ABSENT and entry(world, m, here, way, -margins[i]) < np.inf:
-                    out[i, k] = np.inf
-                    break
