@@ -11,13 +11,10 @@ from ..equations.motion import is_described
 from ..experiment import packing
 from ..experiment.checks import shown
 from ..experiment.graphs import FIXED
-from ..experiment.obstacles import Field, ObstacleField
+from ..experiment.obstacles import Field
 from ..experiment.scenario import CONTACT_MODES, Scenario
-from ..experiment.walls import LAYOUTS
-from .draw_field import FieldRules
 from .draw_graph import GraphRules
-from .draw_walls import WallRules
-from .fields import Rules
+from .field_rules import field_rules
 from .memory import (
     MIN_CLEARANCE,
     SCORED,
@@ -242,7 +239,7 @@ def start_rules(scenario: Scenario) -> StartRules:
         least_distance=2.0 * scenario.merge_radius,
         keep_out=float(field.keep_out) if isinstance(field, Field) else 0.0,
         graph=_graph_rules(scenario),
-        field=_field_rules(field) if isinstance(field, Field) else None,
+        field=field_rules(field) if isinstance(field, Field) else None,
     )
 
 
@@ -265,26 +262,6 @@ def _graph_rules(scenario: Scenario) -> GraphRules | None:
 
 
 _NO_LINKS = (np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0))
-
-
-def _field_rules(field: Field) -> Rules:
-    if isinstance(field, ObstacleField):
-        return FieldRules(
-            counts=field.count_range,
-            radii=field.radius,
-            region=field.region,
-            keep_out=field.keep_out,
-            overlap=field.overlap,
-            passage=field.passage,
-        )
-    return WallRules(
-        layout=list(LAYOUTS).index(field.layout),
-        sizes=field.size,
-        openings=field.opening,
-        thickness=field.thickness,
-        region=field.region,
-        keep_out=field.keep_out,
-    )
 
 
 def fixed_links(

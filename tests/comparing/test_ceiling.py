@@ -46,7 +46,8 @@ def test_a_row_counts_the_starts():
     assert set(row) == set(ceiling.COLUMNS)
     assert row == {
         "scenario": "clutter-12", "episodes": 4, "runs": 2,
-        "clean_planner": 0.75, "clean_best": 0.5, "success_best": 0.75, "clean_mean": 0.25, "never_clean": 2, "never_met": 1,
+        "clean_planner": 0.75, "clean_best": 0.5, "success_best": 0.75,
+        "clean_mean": 0.25, "never_clean": 2, "never_met": 1,
     }  # fmt: skip
 
 
