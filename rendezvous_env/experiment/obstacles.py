@@ -258,7 +258,7 @@ def _kind_of(values: Mapping[str, Any], dim: int) -> str:
         return "capsule"
     if values.keys() & {"layout", "size", "opening", "thickness"}:
         return "walls"
-    if values.keys() & {"count", "region", "keep_out", "overlap"}:
+    if values.keys() & {"count", "region", "keep_out", "overlap", "passage"}:
         return "field"
     return "disc" if dim == 2 else "sphere"
 
