@@ -65,7 +65,7 @@ def _clutter(discs: int, robots: int = 4, passage: float = 0.0) -> Scenario:
 def _walls(
     layout: str, size: tuple[float, float], opening: tuple[float, float], spawn_size: float
 ) -> Scenario:
-    """Walls longer than the team is wide: most ways round them raise V, and law (4) is often stuck."""
+    """Walls longer than the team is wide: most ways round them raise V, which law (4) may not."""
     return Scenario(
         name=layout,
         n_robots=5,
