@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from . import obstacles
 from .graphs import Graph, GraphLike
 from .observation_layout import ObservationLayout
-from .obstacles import ObstacleField, Obstacles
+from .obstacles import Field, Obstacles
 from .robot_models import ROBOT_MODELS, RobotModel
 
 
@@ -29,7 +29,7 @@ class DerivedConstants:
     max_speed: float | None
     max_turn_rate: float | None
     max_acceleration: float | None
-    obstacles: Obstacles | ObstacleField
+    obstacles: Obstacles | Field
     obstacle_slots: int | None
     neighbour_slots: int | None
 

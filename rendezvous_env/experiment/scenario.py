@@ -19,7 +19,7 @@ from .graphs import GraphLike
 from .limits import LONGEST_NAME, MOST_OBSTACLES, MOST_ROBOTS, MOST_STEPS
 from .long_step import TimeStepWarning as TimeStepWarning
 from .long_step import warn_of_long_step
-from .obstacles import ObstacleField, Obstacles
+from .obstacles import Field, Obstacles
 from .rewards import RewardWeights
 from .robot_models import ROBOT_MODELS
 from .start_tables import check_distinct, check_table
@@ -84,7 +84,7 @@ class Scenario(DerivedConstants):
     """Largest ω, ω_β in rad/s (ω_α may be ten times larger, see nonholonomic_3d); None is D̄."""
     max_acceleration: float | None = None
     """a_max in m/s² of a double integrator, direction kept; None is v_max per 0.25 s."""
-    obstacles: Obstacles | ObstacleField = ()
+    obstacles: Obstacles = ()
     """Discs, convex polygons, capsules or spheres, or a random field drawn for every episode."""
     obstacle_range: float = 2.0
     """An obstacle is seen while its nearest point is within this distance, m."""
@@ -259,7 +259,7 @@ class Scenario(DerivedConstants):
             check_distinct(
                 "start_positions", positions, self.sensing_graph.base_weights(self.n_robots)
             )
-            if not isinstance(self.obstacles, ObstacleField) and self.obstacle_contact != "ignore":
+            if not isinstance(self.obstacles, Field) and self.obstacle_contact != "ignore":
                 packing.check_outside("start_positions", positions, self.obstacles)
 
     def _check_time_step(self) -> None:

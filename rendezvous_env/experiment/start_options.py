@@ -168,7 +168,7 @@ def _obstacles(scenario: Scenario, value: Any) -> NDArray[np.float64] | None:
     if value is None:
         return None
     parsed = obstacles.parse(value, scenario.dim)
-    if isinstance(parsed, obstacles.ObstacleField):
+    if isinstance(parsed, obstacles.Field):
         raise ValueError(
             "obstacles: give them one by one; a random field belongs into the scenario"
         )
