@@ -211,7 +211,7 @@ def _bearing_only(scenario: Scenario) -> Policy:
         velocity = bearing_only_law(f)
         if not scenario.scales_velocity:
             return velocity
-        degree = np.linalg.norm(seen.neighbours, axis=-1).sum(axis=-1, keepdims=True)
+        degree = np.linalg.norm(seen.neighbours, axis=-1).sum(-1, np.float64, keepdims=True)
         scaled: Array = velocity * step_scale(degree, scenario.merge_radius, scenario.tau)
         return scaled
 
