@@ -16,7 +16,7 @@ from .vectors import load, subtract
 
 @kernel
 def merge_swept(positions, displacements, lengths, links, merged_into, world, radius, work, report):
-    """Move one team by its displacements and merge whom the motion brings together.
+    """Move one team by its displacements and merge whom the motion brings together (theory 5).
 
     Pairs merge at the first moment of the motion when their distance falls to r, earliest first and
     then by index; both rest for what is left of the step. Afterwards pairs that stand closer than r
@@ -174,9 +174,14 @@ def _pull_at_merge(i, j, links, at_midpoint):
 
 @kernel
 def contract(i, j, links):
-    """The links of j become those of i, i < j; of two to the same robot the heavier gain stays.
+    """The links of j become those of i; of two to the same robot the heavier gain stays.
 
-    a_ik ← max(a_ik, a_jk)                                     (assumption 2)
+        a_ik ← max(a_ik, a_jk),   a_ij ← 0                         (assumption 2)
+
+    Args:
+        i: index of the robot that stays, i < j.
+        j: index of the robot that becomes part of it.
+        links: (first, second, weight), each (E,); weights a_ij in m/s; changed in place.
     """
     first, second, weight = links
     for e in range(len(first)):
