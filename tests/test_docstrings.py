@@ -23,7 +23,7 @@ UNIT = re.compile(
     r"|\b(?:same|their|its|row's|any) units?\b|\bfraction of\b|\bindex\b"
 )
 SOURCE = re.compile(
-    r"(?:=|≤|≥|<|>|←|∈|≠) ?(?!\d)\S|[‖√Σ∫Π×·ᵀ⊥]| [−+] [^\d\s]|\beqs?\. |\btheor(?:y|ems?)\b"
+    r"(?:=|≤|≥|<|>|←|∈|≠) ?(?!\d)\S|[‖√Σ∫Π×·±ᵀ∇⊥]|\b(?:min|max)\(| [−+] [^\d\s]|\beqs?\. |\btheor(?:y|ems?)\b"
     r"|\bguarantees\b|\bassumption \d|\bsection \w|\(\d{4}\)|\b[12]\d{3}\)"
 )
 REFERENCE = re.compile(r"\b[Aa]s (?:for )?``(\w+)``")

@@ -79,7 +79,7 @@ def is_described(model: type) -> bool:
 
 
 def drifts(model):
-    """Whether a robot may move while its action is zero, ‖Δ‖ > 0 m at a = 0: ``Motion.drifts``.
+    """Whether a robot may move while its action is zero, ‖Δ‖ > 0 m: ``Motion.drifts``, a bool.
 
     Args:
         model: constants of a robot model, a NamedTuple.
@@ -155,14 +155,17 @@ def sense_oneself(model, frame, memory):
 
 
 def begin_memory(model, key, counter):
-    """Memory at the start of an episode, a tuple of numbers, rad or m/s: ``Motion.begin``.
+    """What a model keeps at the start of an episode: ``Motion.begin``.
 
-    Uniform over [−π, π) for a yaw, at most three numbers of the stream in all.
+        α = π (2u − 1) for a yaw, a pitch within ± π/4, no velocity
 
     Args:
         model: constants of a robot model, a NamedTuple.
-        key: of the stream, uint64.
-        counter: index of its first number that may be used.
+        key: of the stream of the uniform numbers u, uint64.
+        counter: index of the first of at most three that may be used.
+
+    Returns:
+        A tuple of numbers, rad or m/s, that may be empty.
     """
     return _MOTIONS[type(model)].begin(model, key, counter)
 

@@ -38,9 +38,14 @@ def lyapunov_of_links(positions, links):
 
 @kernel
 def net_bearings_of_links(positions, links, out):
-    """f_i = Σ_j a_ij g_ij of every robot in the global frame, m/s, written to ``out`` (n, d).
+    """f_i = Σ_j a_ij g_ij of every robot in the global frame.
 
     Links that are sorted by their robots add up in the order of the neighbours.
+
+    Args:
+        positions: (n, d), m.
+        links: (first, second, weight), each (E,); weights a_ij in m/s, 0 where there is no link.
+        out: f_i, (n, d), m/s; filled in.
     """
     first, second, weight = links
     out[:] = 0.0

@@ -17,14 +17,14 @@ ORIGIN = (0.0, 0.0, 0.0)
 
 @kernel
 def load(row):
-    """A row (d,), d = 2 or 3, as the triple (x, y, z), z ← 0 in the plane; in the row's unit."""
+    """A row (d,) as the triple v = (x, y, z), z = 0 where d is 2; in the unit of the row."""
     z = np.float64(row[2]) if row.shape[0] == 3 else 0.0
     return np.float64(row[0]), np.float64(row[1]), z
 
 
 @inlined_kernel
 def triple(v):
-    """A pair (x, y) or triple v as the triple (x, y, z), z ← 0 for a pair; in the unit of v."""
+    """A pair or triple as the triple v = (x, y, z), z = 0 for a pair; in its unit."""
     if len(v) == 2:
         return v[0], v[1], 0.0
     return v
@@ -32,7 +32,7 @@ def triple(v):
 
 @kernel
 def store(vector, out):
-    """Write the first d numbers of a triple v to a row (d,): out_k ← v_k, in the unit of v."""
+    """Write a triple v to the row ``out`` (d,), d = 2 or 3: out_k ← v_k, in the unit of v."""
     out[0], out[1] = vector[0], vector[1]
     if out.shape[0] == 3:
         out[2] = vector[2]
@@ -148,14 +148,14 @@ def scaled(v, factor):
 
 @inlined_kernel
 def to_global(frame, v):
-    """R v: from a local frame to the global one.
+    """Turn a vector from a local frame to the global one: w = R v.
 
     Args:
         frame: R, row by row, 4 or 9 numbers without unit.
         v: pair or triple of the local frame, of any unit.
 
     Returns:
-        R v, as long as v and of its unit.
+        w, as long as v and of its unit.
     """
     if len(v) == 2:
         return frame[0] * v[0] + frame[1] * v[1], frame[2] * v[0] + frame[3] * v[1]
@@ -168,7 +168,15 @@ def to_global(frame, v):
 
 @inlined_kernel
 def to_local(frame, v):
-    """Rᵀ v: from the global frame to a local one; arguments and result as ``to_global``."""
+    """Turn a vector from the global frame to a local one: w = Rᵀ v.
+
+    Args:
+        frame: R, local → global, row by row, 4 or 9 numbers without unit.
+        v: pair or triple of the global frame, of any unit.
+
+    Returns:
+        w, as long as v and of its unit.
+    """
     if len(v) == 2:
         return frame[0] * v[0] + frame[2] * v[1], frame[1] * v[0] + frame[3] * v[1]
     return (
@@ -180,14 +188,14 @@ def to_local(frame, v):
 
 @kernel
 def local_axis(frame, k):
-    """R e_k: axis k of a local frame, in the global one.
+    """Axis k of a local frame in the global one: x = R e_k.
 
     Args:
         frame: R, row by row, 4 or 9 numbers without unit.
         k: index of the axis.
 
     Returns:
-        A unit triple, z = 0 in the plane.
+        x, a unit triple, with z = 0 in the plane.
     """
     if len(frame) == 4:
         return frame[k], frame[2 + k], 0.0

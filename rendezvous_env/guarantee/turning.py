@@ -173,7 +173,8 @@ def gate_2d(requested, net_bearing, min_alignment, dead_zone, duration, limits, 
 def gate_3d(requested, net_bearing, pitch, min_alignment, dead_zone, duration, limits, out):
     """The same for N robots in space: (ω_α, ω_β), or law (17) where |hᵀf| < ε‖f‖.
 
-    Arrays are (N, 2), (N, 3) and (N,), ``limits`` (2,), ``pitch`` in rad; the others as ``gate_2d``.
+    Rates are (N, 2), net bearings (N, 3), ``pitch`` (N,), rad, and ``limits`` (2,); units and the
+    other arguments as ``gate_2d``.
     """
     for i in range(out.shape[0]):
         f, wanted = load(net_bearing[i]), (requested[i, 0], requested[i, 1])
@@ -192,7 +193,8 @@ def gate_3d(requested, net_bearing, pitch, min_alignment, dead_zone, duration, l
 def gated_rate_2d(requested, net_bearing, min_alignment, dead_zone, duration, limit):
     """``gated_turn_rate`` of one unicycle, a number, rad/s: ω, or f_y of law (8), both limited.
 
-    ``requested`` and ``limit`` are numbers, ``net_bearing`` a triple; units as ``gate_2d`` has them.
+    ``requested`` and ``limit`` are numbers, ``net_bearing`` is a triple; their units and the other
+    arguments as ``gate_2d``.
     """
     rate = clip(requested, limit)
     if keeps_margin(net_bearing, mean_axis_2d(rate, duration), min_alignment, dead_zone):
@@ -204,8 +206,8 @@ def gated_rate_2d(requested, net_bearing, min_alignment, dead_zone, duration, li
 def gated_rates_3d(requested, net_bearing, pitch, min_alignment, dead_zone, duration, limits):
     """``gated_turn_rate`` of one robot in space, a pair, rad/s: as asked, or (f_y/cos β, f_z).
 
-    ``requested`` and ``limits`` are pairs of yaw and pitch, ``net_bearing`` a triple, ``pitch`` a
-    number, rad; units as ``gate_2d`` has them.
+    ``requested`` and ``limits`` are pairs of yaw and pitch, ``net_bearing`` is a triple, ``pitch`` is
+    a number, rad; units and the other arguments as ``gate_2d``.
     """
     yaw_rate, pitch_rate = clip(requested[0], limits[0]), clip(requested[1], limits[1])
     mean_axis = mean_axis_3d(yaw_rate, pitch_rate, pitch, duration)
