@@ -15,16 +15,16 @@ LEAST_SHARE = 0.9
 KIND = re.compile(
     r"\(\.\.\.[,)]"  # (..., d)
     r"|\((?:[nNBMESdkK]|2M|\d|count|width)[^()\s]*,[^()]*\)"  # (n, d), (B,)
-    r"|\b(?:pairs?|triples?|numbers?|arrays?|tuples?|any shape|uint64|bool)\b"
+    r"|\b(?:pairs?|triples?|numbers?|arrays?|tuples?|any shape|uint64|bool|unit vectors?)\b"
 )
 UNIT = re.compile(
     r"\bm\b|\bm²|\b1/s\b|\brad\b|, s[,;:.)\n]|, s$|\bin s\b"
     r"|\bunits? of\b|\bwithout unit\b|\bunit (?:vectors?|triples?)\b"
-    r"|\b(?:same|their|its|row's|any) units?\b|\bfraction of\b|\bindex\b"
+    r"|\b(?:same|their|its|row's|any) units?\b|\bfraction of\b"
 )
 SOURCE = re.compile(
-    r"(?:=|≤|≥|<|>|←|∈|≠) ?(?!\d)\S|[‖√Σ∫Π×·±ᵀ∇⊥]|\b(?:min|max)\(| [−+] [^\d\s]|\beqs?\. |\btheor(?:y|ems?)\b"
-    r"|\bguarantees\b|\bassumption \d|\bsection \w|\(\d{4}\)|\b[12]\d{3}\)"
+    r"(?:=|≤|≥|<|>|←|∈|≠) ?(?!\d)\S|[‖√Σ∫Π×·±ᵀ∇⊥]|\b(?:min|max)\(| [−+] [^\d\s]"
+    r"|\beqs?\. |\btheor(?:y|ems?)\b|\bguarantees\b|\bassumption \d|\bsection \w|\d{4}\)"
 )
 REFERENCE = re.compile(r"\b[Aa]s (?:for )?``(\w+)``")
 

@@ -121,5 +121,5 @@ def body_frame_3d(yaw, pitch):
 
 @kernel
 def clip(value, bound):
-    """min(max(value, −bound), bound), a number; ``value`` and ``bound`` ≥ 0 are of the same unit."""
+    """min(max(value, −bound), bound), a number in their unit; they are of the same unit."""
     return min(max(value, -bound), bound)

@@ -157,7 +157,7 @@ def sense_oneself(model, frame, memory):
 def begin_memory(model, key, counter):
     """What a model keeps at the start of an episode: ``Motion.begin``.
 
-        α = π (2u − 1) for a yaw, a pitch within ± π/4, no velocity
+        α = π (2u − 1) for a yaw, a pitch within ± π/4, a zero velocity
 
     Args:
         model: constants of a robot model, a NamedTuple.

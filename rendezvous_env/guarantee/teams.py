@@ -22,7 +22,7 @@ def teams_of_block(block, num_envs):
         num_envs: B.
 
     Returns:
-        A pair, the index of the first one and that of the one after the last.
+        A pair of indices, without unit: of the first one, and of the one after the last.
     """
     return block * TEAMS_AT_ONCE, min((block + 1) * TEAMS_AT_ONCE, num_envs)
 

@@ -206,8 +206,8 @@ def gated_rate_2d(requested, net_bearing, min_alignment, dead_zone, duration, li
 def gated_rates_3d(requested, net_bearing, pitch, min_alignment, dead_zone, duration, limits):
     """``gated_turn_rate`` of one robot in space, a pair, rad/s: as asked, or (f_y/cos β, f_z).
 
-    ``requested`` and ``limits`` are pairs of yaw and pitch, ``net_bearing`` is a triple, ``pitch`` is
-    a number, rad; units and the other arguments as ``gate_2d``.
+    ``requested`` and ``limits`` are pairs of yaw and pitch, ``net_bearing`` is a triple, ``pitch``
+    is a number, rad; units and the other arguments as ``gate_2d``.
     """
     yaw_rate, pitch_rate = clip(requested[0], limits[0]), clip(requested[1], limits[1])
     mean_axis = mean_axis_3d(yaw_rate, pitch_rate, pitch, duration)
