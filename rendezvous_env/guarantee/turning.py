@@ -153,7 +153,7 @@ def _checked(name: str, value: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.
 
 @kernel
 def gate_2d(requested, net_bearing, min_alignment, dead_zone, duration, limits, out):
-    """``gated_turn_rate`` for N unicycles, unchecked: ω, or law (8) where |hᵀf| < ε‖f‖.
+    """``gated_turn_rate`` for N unicycles, unchecked: ω, or ω = f_y of law (8) (theory 3, the gate).
 
     Args:
         requested: ω, (N, 1), rad/s.
@@ -171,7 +171,7 @@ def gate_2d(requested, net_bearing, min_alignment, dead_zone, duration, limits, 
 
 @kernel
 def gate_3d(requested, net_bearing, pitch, min_alignment, dead_zone, duration, limits, out):
-    """The same for N robots in space: (ω_α, ω_β), or law (17) where |hᵀf| < ε‖f‖.
+    """``gated_turn_rate`` for N robots in space, unchecked: (ω_α, ω_β), or law (17) (theory 3).
 
     Rates are (N, 2), net bearings (N, 3), ``pitch`` (N,), rad, and ``limits`` (2,); units and the
     other arguments as ``gate_2d``.
