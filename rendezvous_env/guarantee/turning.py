@@ -153,7 +153,7 @@ def _checked(name: str, value: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.
 
 @kernel
 def gate_2d(requested, net_bearing, min_alignment, dead_zone, duration, limits, out):
-    """``gated_turn_rate`` for N unicycles, unchecked: ω, or ω = f_y of law (8) (theory 3, the gate).
+    """``gated_turn_rate`` for N unicycles, unchecked: ω, or f_y of law (8) (theory 3, the gate).
 
     Args:
         requested: ω, (N, 1), rad/s.
