@@ -41,12 +41,8 @@ class TankJoinedPolicy:
     """ε of the tank, in (0, 1)."""
     clearance: float = 0.2
     """Angle by which to stay clear of an edge, rad."""
-    persistence: float = 0.5
-    """λ of ``joined_plane.joined_headings_2d``, for the choice of a side."""
     patience: float = 1.0
     """How far from f a first try may lead, m."""
-    rest_time: float = 20.0
-    """For so long must the tank last at rest after any step that costs something, s."""
     _tank: EnergyTank | None = field(init=False, repr=False, default=None)
     _memory: Array = field(init=False, repr=False, default_factory=lambda: np.zeros(0))
 
@@ -54,15 +50,11 @@ class TankJoinedPolicy:
         number("budget", self.budget, 0.0, unit="m²/s")
         between("min_alignment", self.margin, 0, 1)
         check_clearance(self.clearance)
-        number("persistence", self.persistence, 0)
         positive("patience", self.patience, "m")
-        number("rest_time", self.rest_time, 0.0, unit="s")
         scenario = self.scenario
         self._settings = Settings(
             clearance=float(self.clearance),
-            persistence=float(self.persistence),
             patience=float(self.patience),
-            rest_time=float(self.rest_time),
             min_alignment=float(self.margin),
             merge_radius=float(scenario.merge_radius),
             duration=float(scenario.tau),
@@ -135,7 +127,6 @@ def _tank_joined(
     budget: float = TankJoinedPolicy.budget,
     min_alignment: float = TankJoinedPolicy.margin,
     clearance: float = TankJoinedPolicy.clearance,
-    persistence: float = TankJoinedPolicy.persistence,
     patience: float = TankJoinedPolicy.patience,
 ) -> Policy:
-    return TankJoinedPolicy(scenario, budget, min_alignment, clearance, persistence, patience)
+    return TankJoinedPolicy(scenario, budget, min_alignment, clearance, patience)

@@ -28,6 +28,8 @@ _BEHIND_EDGE = 0.9
 """Of the clearance: how far beside the heading the wall is felt for."""
 _LARGEST_PATIENCE = 1e3
 """m."""
+_REST_TIME = 30.0
+"""For so long must the tank last at rest after any step that costs something, s."""
 
 
 class Settings(NamedTuple):
@@ -35,12 +37,8 @@ class Settings(NamedTuple):
 
     clearance: float
     """Angle by which to stay clear of an edge, rad."""
-    persistence: float
-    """λ of ``joined_plane.joined_headings_2d``, for the choice of a side."""
     patience: float
     """How far back a first try may lead, m; each turn doubles it."""
-    rest_time: float
-    """For so long must the tank last at rest after any step that costs something, s."""
     min_alignment: float
     """ε of the tank."""
     merge_radius: float
@@ -98,7 +96,7 @@ def _turn(towards, strength, short, silhouettes, settings, memory, intervals):
         return True, 0.0
     kept = _kept_angle(towards, memory)
     held = memory[SIDE]
-    _choose_side(joined, kept, strength, short, settings, memory)
+    _choose_side(joined, strength, short, memory)
     side = memory[SIDE]
     edge, gap = _edge(joined, side)
     if held == side and abs(_wrapped(edge - kept)) > _JUMP:
@@ -107,14 +105,10 @@ def _turn(towards, strength, short, silhouettes, settings, memory, intervals):
 
 
 @kernel
-def _choose_side(joined, kept, strength, short, settings, memory):
+def _choose_side(joined, strength, short, memory):
     """Take the nearer edge at first; the other side once work or tank are spent."""
     if memory[SIDE] == 0.0:
-        above, below = abs(joined[1]), abs(joined[0])
-        if memory[HEADING_X] != 0.0 or memory[HEADING_Y] != 0.0:
-            above += settings.persistence * abs(_wrapped(joined[1] - kept))
-            below += settings.persistence * abs(_wrapped(joined[0] - kept))
-        memory[SIDE] = 1.0 if above <= below else -1.0
+        memory[SIDE] = 1.0 if abs(joined[1]) <= abs(joined[0]) else -1.0
         memory[WORK] = 0.0
     elif short or memory[WORK] < -memory[PATIENCE] * strength:
         memory[SIDE] = -memory[SIDE]
@@ -155,7 +149,7 @@ def _affordable(f, degree, level, heading, free, settings, memory):
     moved = combine(speed * duration, heading, 0.0, heading)
     owed = promised_descent(strength, scale, settings.min_alignment, duration)
     deposit = certain_descent(f, degree, moved, r) - owed
-    reserve = owed * settings.rest_time / duration
+    reserve = owed * _REST_TIME / duration
     if free and (deposit >= 0.0 or level + deposit >= reserve):
         return combine(speed, heading, 0.0, heading)
     memory[SHORT] = 1.0
