@@ -66,7 +66,9 @@ class TankJoinedPolicy:
         layout = self.scenario.observation_layout
         f, degrees = layout.net_bearing(observations), layout.degree(observations)
         tank, memory = self._remembered(f.shape[:-1])
-        seen = np.ascontiguousarray(observations, np.float32).reshape(-1, f.shape[-2], *layout.shape)
+        seen = np.ascontiguousarray(observations, np.float32).reshape(
+            -1, f.shape[-2], *layout.shape
+        )
         silhouettes = np.ascontiguousarray(layout.split(seen).obstacles)
         wished = np.zeros((f.size // 2, 2))
         wall_following_wishes(

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from rendezvous_env import Scenario, Simulator
+from rendezvous_env import Simulator
 from rendezvous_env.engine.memory import RENDEZVOUS
 from rendezvous_env.trajectory import Policy, Step
 from rendezvous_env.trajectory import run as steps_of
