@@ -16,7 +16,7 @@ BAY = Scenario(
     n_robots=2,
     start_positions=((-3.0, 0.3), (3.0, 0.0)),
     obstacles=tuple(
-        rv.Capsule(start=a, end=b, radius=0.2)
+        rv.Capsule(ends=(a, b), radius=0.2)
         for a, b in [((0, -2), (0, 2)), ((0, 2), (-2, 2)), ((0, -2), (-2, -2))]
     ),
     max_speed=1.0,
