@@ -9,6 +9,7 @@ from ..equations.bearings import observed, sighting
 from ..equations.motion import sense_oneself
 from .memory import SQUARE_CLOSEST, ListedLinks, lane_count, read, write
 from .sense_obstacles import sense_obstacles
+from .sense_with_errors import err
 
 _ROWS_AT_ONCE = 8
 """Rows that are copied to each team in turn: as many as a line of the cache holds in the plane."""
@@ -16,7 +17,19 @@ _ROWS_AT_ONCE = 8
 
 @inlined_kernel
 def sense_block(
-    block, count, layout, constants, robot, teams, links, obstacles, results, buffers, hand
+    block,
+    count,
+    layout,
+    constants,
+    robot,
+    sensor,
+    moves,
+    teams,
+    links,
+    obstacles,
+    results,
+    buffers,
+    hand,
 ):
     """Write a block's observations and clearances, and who is closest; half of V is left in
     ``buffers.pair``.
@@ -35,6 +48,8 @@ def sense_block(
     _sense_oneself(block, count, layout, robot, teams, buffers)
     observations = results.whole_rows[first : first + count]
     _give_out(block, layout, constants, links, buffers.whole_rows, observations, results, hand)
+    if sensor is not None:
+        err(block, count, layout, constants, sensor, moves, teams, links, obstacles, results, hand)
 
 
 # ---- neighbours ---------------------------------------------------------------------------------

@@ -24,6 +24,7 @@ def step_blocks(
     layout,
     constants,
     robot,
+    sensor,
     teams,
     links,
     obstacles,
@@ -42,6 +43,7 @@ def step_blocks(
         layout: of the memory.
         constants: the fields of Constants.
         robot: its model.
+        sensor: one that is not exact, or None.
         teams: the fields of Teams.
         links: PairLinks or ListedLinks.
         obstacles: Balls or Shapes with a leading axis B; None without obstacles.
@@ -89,7 +91,19 @@ def step_blocks(
         else:
             bring_frames_up(block, count, layout, robot, robot.memories, teams)
         sense_block(
-            block, count, layout, constants, robot, teams, links, obstacles, results, buffers, hand
+            block,
+            count,
+            layout,
+            constants,
+            robot,
+            sensor,
+            moves,
+            teams,
+            links,
+            obstacles,
+            results,
+            buffers,
+            hand,
         )
         if moves:
             conclude_block(block, count, layout, constants, teams, results, buffers)
