@@ -9,7 +9,7 @@ from ..equations.bearings import observed, sighting
 from ..equations.motion import sense_oneself
 from .memory import SQUARE_CLOSEST, ListedLinks, lane_count, read, write
 from .sense_obstacles import sense_obstacles
-from .sense_with_errors import err
+from .sensors import err
 
 _ROWS_AT_ONCE = 8
 """Rows that are copied to each team in turn: as many as a line of the cache holds in the plane."""
@@ -48,8 +48,7 @@ def sense_block(
     _sense_oneself(block, count, layout, robot, teams, buffers)
     observations = results.whole_rows[first : first + count]
     _give_out(block, layout, constants, links, buffers.whole_rows, observations, results, hand)
-    if sensor is not None:
-        err(block, count, layout, constants, sensor, moves, teams, links, obstacles, results, hand)
+    err(sensor, block, count, layout, constants, moves, teams, links, obstacles, results, hand)
 
 
 # ---- neighbours ---------------------------------------------------------------------------------

@@ -1,7 +1,4 @@
-"""The sensor that errs: what it makes of the exact observations of a team.
-
-The one place where a sensor enters the step. With the exact one nothing of this is compiled.
-"""
+"""The sensor that errs: what it makes of the exact observations of a team."""
 
 from typing import NamedTuple
 
@@ -26,6 +23,7 @@ from ..equations.sensing import (
 from ..equations.vectors import ORIGIN, load, square, subtract, to_local
 from .links import load_links
 from .memory import RUNNING, STATUS, STEPS, lane_count, read
+from .sensors import describe
 from .worlds import world_of
 
 
@@ -55,24 +53,8 @@ class Sensor(NamedTuple):
 
 
 @kernel
-def err(block, count, layout, constants, sensor, moves, teams, links, obstacles, results, hand):
-    """Replace the exact observations of a block by what its robots see.
-
-    It may be done again for the same step: what is drawn follows from the number of the step.
-
-    Args:
-        block: index.
-        count: its teams.
-        layout: of the memory.
-        constants: the fields of Constants.
-        sensor: that errs.
-        moves: whether a step is being done, which its teams have not counted yet.
-        teams: the fields of Teams.
-        links: PairLinks or ListedLinks.
-        obstacles: with a leading axis B, or None.
-        results: whose observations are exact.
-        hand: working memory.
-    """
+def _err(sensor, block, count, layout, constants, moves, teams, links, obstacles, results, hand):
+    """Team by team, see ``sensors.err``."""
     lanes = lane_count(layout.width)
     for lane in range(count):
         team = block * lanes + lane
@@ -257,3 +239,6 @@ def _put(row, rows, place):
     rows[place], rows[place + 1] = row[0] + 0.0, row[1] + 0.0
     if len(row) == 3:
         rows[place + 2] = row[2] + 0.0
+
+
+describe(Sensor, _err)

@@ -99,7 +99,7 @@ def _exterior_angle(positions, merged_into, i, along):
                 return 0.0
     if not found:
         return 0.0
-    return math.pi - math.atan2(cross(first, last)[2], dot(first, last))
+    return math.pi - math.atan2(abs(cross(first, last)[2]), dot(first, last))
 
 
 @kernel

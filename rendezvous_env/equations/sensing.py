@@ -35,7 +35,7 @@ def is_seen(offset, reach, half_field):
         half_field: half the field of view about the x axis, rad; π sees all round.
     """
     x, y, z = triple(offset)
-    return square(offset) <= reach * reach and math.atan2(math.hypot(y, z), x) <= half_field
+    return square(offset) <= reach * reach and math.atan2(math.sqrt(y * y + z * z), x) <= half_field
 
 
 @kernel
@@ -135,9 +135,9 @@ def in_sectors(row, sectors):
     width = 2.0 * math.pi / sectors
     yaw = width * math.floor(math.atan2(row[1], row[0]) / width + 0.5)
     if len(row) == 2:
-        length = math.hypot(row[0], row[1])
+        length = math.sqrt(square(row))
         return length * math.cos(yaw), length * math.sin(yaw)
-    length, level = norm(row), math.hypot(row[0], row[1])
+    length, level = norm(row), math.sqrt(row[0] * row[0] + row[1] * row[1])
     highest = math.floor(0.5 * math.pi / width + 1e-9)
     steps = math.floor(math.atan2(row[2], level) / width + 0.5)
     pitch = width * min(max(steps, -highest), highest)
