@@ -92,11 +92,11 @@ def rest(sim: rv.Simulator) -> None:
 
 def act(sim: rv.Simulator, step: int):
     """A step with inputs that know nothing of what is seen."""
-    random = np.random.default_rng(step)
     shape = (sim.scenario.n_robots, sim.scenario.action_size)
-    drawn = random.uniform(-1.0, 1.0, shape) * sim.scenario.action_bounds
-    towards = -sim.positions / 4.0 if sim.scenario.model.n_angles == 0 else 0.0
-    return sim.step(np.broadcast_to(drawn, (sim.num_envs, *shape)) + towards)
+    drawn = 0.3 * np.random.default_rng(step).normal(size=shape) * sim.scenario.action_bounds
+    target = np.array([1.5, 1.5, 0.0])[: sim.scenario.dim]  # clear of all obstacles
+    wish = np.einsum("bikl,bik->bil", sim.frames, target - sim.positions)
+    return sim.step(drawn + wish)
 
 
 # ---- noise and bias -----------------------------------------------------------------------------
@@ -218,17 +218,17 @@ def test_the_adversary_turns_by_exactly_its_angle_and_raises_the_size_most(scena
 
 
 def test_regular_polygons_grow_from_the_angle_of_theorem_n_on():
-    """Law (1) on the complete graph: the threshold π/n of theorem N is sharp."""
+    """Law (1) on a cycle: the threshold π/n of theorem N is sharp."""
     turn = 2 * math.pi * np.arange(5) / 5
     start = 3.0 * np.stack([np.cos(turn), np.sin(turn)], axis=-1)
     grows = {}
     for share in (0.9, 1.05):
-        scenario = sensing(PLANE, error=share * math.pi / 5)
+        scenario = sensing(PLANE.replace(graph="cycle"), error=share * math.pi / 5)
         sim = rv.Simulator(scenario)
         seen = sim.reset(0, {"positions": start})
         before = sim.size()[0]
         for _ in range(20):
-            seen = sim.step(seen[:, :, :4].sum(axis=2)).observations
+            seen = sim.step(seen.sum(axis=2)).observations
         grows[share] = sim.size()[0] > before
     assert grows == {0.9: False, 1.05: True}
 
@@ -300,12 +300,12 @@ def test_an_obstacle_is_seen_whole_while_a_point_of_it_is_in_the_field_of_view()
 
 @pytest.mark.parametrize("what", ["none", "obstacles", "robots", "both"])
 def test_occlusion_against_shapely(what):
-    hidden = 0
-    for seed in range(8):
-        sim = simulator(sensing(WALLED, occlusion=what), seed=seed)
-        exact = by_robot(neighbours(simulator(WALLED, seed=seed)))[0]
+    hidden, scenario = 0, WALLED.replace(merge_radius=0.5)
+    for seed in range(10):
+        sim = simulator(sensing(scenario, occlusion=what), seed=seed)
+        exact = by_robot(neighbours(simulator(scenario, seed=seed)))[0]
         found, places = by_robot(neighbours(sim))[0], sim.positions[0]
-        walls, radius = unary_union(OUTLINES), 0.5 * WALLED.merge_radius
+        walls, radius = unary_union(OUTLINES), 0.25
         for i in range(5):
             for j in range(5):
                 if i == j:
@@ -332,8 +332,8 @@ def test_in_space_spheres_hide_what_is_behind_them():
     sim.reset(0, {"positions": places})
     seen = by_robot(neighbours(sim))[0].any(axis=-1)
     expected = ~np.eye(5, dtype=bool)
-    expected[0, 1] = expected[1, 0] = False  # the sphere
-    assert (seen == expected).all() or not seen[2, 3] == expected[2, 3]
+    expected[0, 1] = expected[1, 0] = False  # behind the sphere
+    assert (seen == expected).all()
     places[4] = 0.3, 7.0, 0.08  # behind two others
     sim.reset(0, {"positions": places})
     seen = by_robot(neighbours(sim))[0].any(axis=-1)
@@ -358,7 +358,8 @@ def test_sectors_leave_so_many_bearings():
 @pytest.mark.parametrize("scenario", [WALLED, SPACE, BODIES], ids=["plane", "space", "bodies"])
 @pytest.mark.parametrize("fields", [{}, {"noise": 0.1, "dropout": 0.3, "bias": 0.1}])
 def test_what_is_seen_is_late_by_exactly_so_many_steps(scenario, fields):
-    delay, steps = 4, 60
+    delay, steps = 4, 90
+    scenario = scenario if scenario.obstacles else scenario.replace(spawn_size=2.0)
     prompt, late = (
         simulator(sensing(scenario, delay=wait, **fields), seed=8) for wait in (0, delay)
     )
@@ -366,12 +367,13 @@ def test_what_is_seen_is_late_by_exactly_so_many_steps(scenario, fields):
     for step in range(steps):
         history.append(act(prompt, step).observations)
         outcome = act(late, step)
-        assert (outcome.active == prompt.active).all() and (
-            late.positions == prompt.positions
-        ).all()
+        for name in ("active", "positions"):
+            assert (getattr(late, name) == getattr(prompt, name)).all()
         due = np.where(outcome.active[..., None, None], history[max(0, step + 1 - delay)], 0.0)
         assert (outcome.observations == due).all()
         merged = merged or not outcome.active.all()
+        if late.ended.all():
+            break
     assert merged
 
 
