@@ -12,14 +12,12 @@ from ..equations.sensing import (
     DRAWS,
     gaussian,
     in_sectors,
-    is_hidden_by_obstacles,
-    is_hidden_by_robot,
-    is_seen,
     random_axis,
     step_key,
     turned,
     turned_towards,
 )
+from ..equations.sight import is_hidden_by_obstacles, is_hidden_by_robot, is_seen
 from ..equations.vectors import ORIGIN, load, square, subtract, to_local
 from .links import load_links
 from .memory import RUNNING, STATUS, STEPS, lane_count, read

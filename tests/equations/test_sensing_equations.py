@@ -16,14 +16,12 @@ from rendezvous_env.equations.random_streams import SENSING, stream_key
 from rendezvous_env.equations.sensing import (
     gaussian,
     in_sectors,
-    is_hidden_by_obstacles,
-    is_hidden_by_robot,
-    is_seen,
     random_axis,
     step_key,
     turned,
     turned_towards,
 )
+from rendezvous_env.equations.sight import is_hidden_by_obstacles, is_hidden_by_robot, is_seen
 from rendezvous_env.equations.size import size
 
 Z_AXIS = (0.0, 0.0, 1.0)
