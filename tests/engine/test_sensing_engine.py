@@ -18,6 +18,8 @@ from shapely.geometry import LineString, Point, Polygon
 from shapely.ops import unary_union
 
 import rendezvous_env as rv
+from rendezvous_env import kernel_cache
+from rendezvous_env.engine import step as step_of_all
 from rendezvous_env.engine.allocation import Arrangement
 from rendezvous_env.engine.memory import ManyTeams, OneTeam
 from rendezvous_env.equations.size import size
@@ -492,6 +494,13 @@ def test_with_few_rows_those_that_are_seen_stand_first(scenario):
         rest(exact)
         rest(erring)
     assert moved > 0
+
+
+def test_the_step_of_exact_sensors_is_compiled_without_any_other():
+    assert simulator(PLANE)._stepper._sensor is None
+    behind = {path.name for path in kernel_cache._with_imports(Path(step_of_all.__file__))}
+    assert "sensors.py" in behind
+    assert not behind & {"sense_with_errors.py", "sensing.py", "sight.py", "outward.py"}
 
 
 # ---- faces and plain Python ---------------------------------------------------------------------
