@@ -14,6 +14,7 @@ from .experiment.obstacles import Capsule, Disc, ObstacleField, Polygon, Sphere
 from .experiment.rewards import RewardWeights
 from .experiment.robot_models import RobotModel, register_robot_model
 from .experiment.scenario import Scenario, TimeStepWarning
+from .experiment.sensing import Sensing
 from .experiment.walls import WallField
 from .first_use import announce
 from .guarantee.certificate import Certificate, certificate
@@ -43,6 +44,7 @@ __all__ = [
     "RewardWeights",
     "RobotModel",
     "Scenario",
+    "Sensing",
     "Simulator",
     "Sphere",
     "TimeStepWarning",

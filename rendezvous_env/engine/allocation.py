@@ -95,6 +95,13 @@ def empty_obstacles(place: Arrangement) -> Any:
     )
 
 
+def empty_past(place: Arrangement) -> NDArray[np.float32]:
+    """What a sensor with a delay has seen, (B, delay + 1, n, K + M·S, d); of none without one."""
+    layout, delay = place.scenario.observation_layout, place.scenario.sensing.delay
+    shape = place.scenario.n_robots, layout.obstacles.stop, layout.dim
+    return np.zeros((place.batch, delay + 1 if delay else 0, *shape), np.float32)
+
+
 def lanes_of_threads(place: Arrangement, threads: int) -> Lanes:
     """Working memory for blocks, with a leading axis for the threads."""
     scenario, lanes = place.scenario, place.lanes

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import nullcontext
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..compilation import compiled, entry_point
+from ..compilation import entry_point
 from ..experiment.start_options import StartOptions
 from .allocation import drafts
 from .memory import AWAITING_RESET, RUNNING, AtHand, Layout, Robot
 from .preparation import fixed_links, fixed_obstacles, start_rules
+from .quiet import quietly
 from .starts import TOO_MANY_LINKS, StartRules, reset_teams
 from .state import LinkList, Overwritten, State, overwrite, undo
 from .worlds import empty_worlds
@@ -30,10 +30,7 @@ class Episodes:
     """
 
     def __init__(self, state: State, layout: Layout, robot: Robot, hands: AtHand) -> None:
-        self.seed = np.zeros(state.batch, dtype=np.uint64)
-        """(B,), of each team."""
-        self.number = np.full(state.batch, -1)
-        """(B,), of the team's episode, −1 before its first."""
+        self.seed, self.number = state.seed, state.number
         self._state, self._layout, self._robot = state, layout, robot
         self._hand = tuple(array[0] for array in hands)
         scenario = state.scenario
@@ -65,12 +62,11 @@ class Episodes:
         self._check_room_for_links(given)
         if (reset := self._reset) is None:  # compiling may be interrupted: before anything changes
             arguments = self._arguments(which, resting, self._rules)
-            reset = self._reset = entry_point(reset_teams, arguments)
+            reset = self._reset = quietly(entry_point(reset_teams, arguments))
         log: list[Overwritten] = []
         self._assign_seeds(which, seeds, log)
         rules = self._take_given(which, given, log)
-        with _quiet_integers():
-            failed, why = reset(*self._arguments(which, resting, rules))
+        failed, why = reset(*self._arguments(which, resting, rules))
         if failed >= 0:
             undo(log)
             raise RuntimeError(self._no_room(failed, why))
@@ -186,8 +182,3 @@ def _listed(weights: NDArray[np.float64]) -> LinkList:
     """The links of a matrix of weights, in the order of their robots."""
     first, second = np.nonzero(np.triu(weights))
     return first, second, weights[first, second]
-
-
-def _quiet_integers() -> Any:
-    """Without compilation NumPy would warn of every product of 64-bit numbers that wraps around."""
-    return nullcontext() if compiled() else np.errstate(over="ignore")

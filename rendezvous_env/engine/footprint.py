@@ -27,8 +27,11 @@ def needed_bytes(scenario: Scenario, num_envs: int) -> int:
     in_lanes = n * (d + d * d + scenario.model.memory_size(d)) + links + len(STATISTICS)
     drawn = n * d + 3 * place.n_links + obstacles
     observed = n * layout.rows * d
+    delay = scenario.sensing.delay
+    past = (delay + 1) * n * layout.obstacles.stop * d if delay else 0
     state = place.blocks * place.lanes * in_lanes + num_envs * (obstacles + n + drawn)
-    return 8 * state + 4 * observed * (num_envs * _KEPT_OBSERVATIONS + _BOUNDS)
+    kept = num_envs * _KEPT_OBSERVATIONS + _BOUNDS
+    return 8 * state + 4 * (observed * kept + num_envs * past)
 
 
 def check_memory(scenario: Scenario, num_envs: int) -> None:

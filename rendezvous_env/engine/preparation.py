@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,9 @@ from .allocation import Arrangement
 from .draw_graph import GraphRules
 from .field_rules import field_rules
 from .memory import Constants, Layout, Robot
+from .sense_with_errors import Sensor
 from .starts import StartRules
+from .state import State
 
 
 def layout(place: Arrangement) -> Layout:
@@ -32,6 +35,29 @@ def robot(scenario: Scenario) -> Robot:
         model=constants_of(scenario),
         inputs=tuple(range(scenario.action_size)),
         memories=tuple(range(scenario.model.memory_size(scenario.dim))),
+    )
+
+
+def sensor(state: State) -> Sensor | None:
+    """The sensor of a scenario's robots; None is the exact one."""
+    scenario, place = state.scenario, state.place
+    sensing = scenario.sensing
+    if sensing.exact:
+        return None
+    return Sensor(
+        reach=math.inf if sensing.range is None else sensing.range,
+        half_field=0.5 * sensing.field_of_view,
+        noise=sensing.noise,
+        bias=sensing.bias,
+        error=sensing.error,
+        dropout=sensing.dropout,
+        sectors=sensing.sectors or 0,
+        obstacles_hide=sensing.occlusion in ("obstacles", "both"),
+        robots_hide=sensing.occlusion in ("robots", "both"),
+        packed=place.sparse or place.neighbours != scenario.observation_layout.neighbour_slots,
+        seeds=state.seed,
+        episodes=state.number,
+        past=state.past,
     )
 
 

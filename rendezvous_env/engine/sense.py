@@ -9,11 +9,24 @@ from ..equations.bearings import observed, sighting
 from ..equations.motion import sense_oneself
 from .memory import SQUARE_CLOSEST, ListedLinks, lane_count, read, write
 from .sense_obstacles import sense_obstacles
+from .sensors import err
 
 
 @inlined_kernel
 def sense_block(
-    block, count, layout, constants, robot, teams, links, obstacles, results, buffers, hand
+    block,
+    count,
+    layout,
+    constants,
+    robot,
+    sensor,
+    moves,
+    teams,
+    links,
+    obstacles,
+    results,
+    buffers,
+    hand,
 ):
     """Write a block's observations and clearances, and who is closest; half of V is left in
     ``buffers.pair``.
@@ -32,6 +45,7 @@ def sense_block(
     _sense_oneself(block, count, layout, robot, teams, buffers)
     observations = results.whole_rows[first : first + count]
     _give_out(block, layout, constants, links, buffers.whole_rows, observations, results, hand)
+    err(sensor, block, count, layout, constants, moves, teams, links, obstacles, results, hand)
 
 
 # ---- neighbours ---------------------------------------------------------------------------------

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..experiment import packing
-from .allocation import Arrangement, empty_links, empty_obstacles, empty_teams
+from .allocation import Arrangement, empty_links, empty_obstacles, empty_past, empty_teams
 from .memory import (
     ACTIVE,
     CONTACTS,
@@ -62,6 +62,12 @@ class State:
         self.teams: Teams = empty_teams(place)
         self.links: Links = empty_links(place)
         self.obstacles: Any = empty_obstacles(place)
+        self.seed = np.zeros(place.batch, dtype=np.uint64)
+        """(B,), of each team."""
+        self.number = np.full(place.batch, -1)
+        """(B,), of the team's episode, −1 before its first."""
+        self.past = empty_past(place)
+        """What a sensor with a delay has seen, see ``Sensor.past``."""
         self.lanes, self.sparse = place.lanes, place.sparse
 
     @property
@@ -72,7 +78,7 @@ class State:
     @property
     def nbytes(self) -> int:
         """Bytes of the state of all teams."""
-        own = (*self.teams, self.links.weights, *(self.obstacles or ()))
+        own = (*self.teams, self.links.weights, *(self.obstacles or ()), self.past)
         ends = (self.links.first, self.links.second) if self.sparse else ()
         return sum(array.nbytes for array in (*own, *ends))
 
@@ -136,6 +142,8 @@ class State:
             state |= {name: getattr(self.links, name).copy() for name in ListedLinks._fields}
         else:
             state["weights"] = self._by_team(self.links.weights)[..., 0].copy()
+        if self.past.shape[1] > 1:
+            state["past"] = self.past.copy()
         if self.scenario.model.n_angles == 0:
             state["frames"] = self.frames().copy()
         kept = {name: self.statistic(k).astype(kind) for name, (k, kind) in KEPT.items()}
@@ -154,6 +162,8 @@ class State:
                         array[...] = numbers
             elif name == "merged_into":
                 self.teams.merged_into[...] = value
+            elif name == "past":
+                self.past[...] = value
             elif name in ListedLinks._fields:
                 if self.sparse:
                     getattr(self.links, name)[...] = value

@@ -121,6 +121,9 @@ def check_teams(scenario: Scenario, state: Mapping[str, NDArray[Any]]) -> None:
     if "frames" in state:  # those of teams that have not begun are not drawn yet
         check_finite(state, ("frames",))
         check_rotations(state, state["episode"] >= 0, _ROUNDING)
+    if "past" in state:
+        check_finite(state, ("past",))
+        _refuse("past", np.abs(state["past"]) > 1e13, state["past"], "at most 1e+13")
     if scenario.model.keeps_velocity:
         _check_velocities(scenario, state["memory"])
     _check_links(scenario.n_robots, state)

@@ -23,6 +23,7 @@ def step_blocks(
     layout,
     constants,
     robot,
+    sensor,
     teams,
     links,
     obstacles,
@@ -41,6 +42,7 @@ def step_blocks(
         layout: of the memory.
         constants: the fields of Constants.
         robot: its model.
+        sensor: one that is not exact, or None.
         teams: the fields of Teams.
         links: PairLinks or ListedLinks.
         obstacles: Balls or Shapes with a leading axis B; None without obstacles.
@@ -63,6 +65,7 @@ def step_blocks(
             layout,
             Constants(*constants),
             robot,
+            sensor,
             Teams(*teams),
             links,
             obstacles,
@@ -82,6 +85,7 @@ def _step_block(
     layout,
     constants,
     robot,
+    sensor,
     teams,
     links,
     obstacles,
@@ -115,7 +119,19 @@ def _step_block(
     else:
         bring_frames_up(block, count, layout, robot, robot.memories, teams)
     sense_block(
-        block, count, layout, constants, robot, teams, links, obstacles, results, buffers, hand
+        block,
+        count,
+        layout,
+        constants,
+        robot,
+        sensor,
+        moves,
+        teams,
+        links,
+        obstacles,
+        results,
+        buffers,
+        hand,
     )
     if moves:
         conclude_block(block, count, layout, constants, teams, results, buffers)

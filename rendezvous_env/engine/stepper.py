@@ -12,7 +12,8 @@ from ..compilation import entry_point
 from . import threads
 from .allocation import Arrangement, hands_of_threads, lanes_of_threads, new_results
 from .memory import Results
-from .preparation import constants, layout, robot
+from .preparation import constants, layout, robot, sensor
+from .quiet import quietly
 from .sharing import example_part
 from .state import State
 from .step import step_blocks
@@ -33,6 +34,7 @@ class Stepper:
         place = state.place
         self._state, self.width = state, _width(place, num_threads)
         self.layout, self.robot = layout(place), robot(place.scenario)
+        self._sensor = sensor(state)
         self.hands = hands_of_threads(place, self.width)
         """Working memory for one team, with a leading axis for the threads."""
         self._at_work = tuple(lanes_of_threads(place, self.width)), tuple(self.hands)
@@ -78,12 +80,14 @@ class Stepper:
     ) -> None:
         """Let up to ``width`` threads step or observe some blocks."""
         state = self._state
-        fixed = (moves, blocks, self.layout, self._constants, self.robot, tuple(state.teams))
+        seen_by = (self.robot, self._sensor)
+        fixed = (moves, blocks, self.layout, self._constants, *seen_by, tuple(state.teams))
         kept, written = (state.links, state.obstacles), (tuple(results), *self._at_work)
         given = (*kept, table, *written)
         if (run := self._run) is None:  # before threads share it: compiling may be interrupted
             writable = (*kept, np.empty_like(table), *written)
-            run = self._run = entry_point(step_blocks, (example_part(), *fixed, *writable))
+            run = entry_point(step_blocks, (example_part(), *fixed, *writable))
+            run = self._run = quietly(run)
         threads.share(lambda part: run(part, *fixed, *given), len(blocks), width)
 
 

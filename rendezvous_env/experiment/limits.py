@@ -25,3 +25,7 @@ LONGEST_NAME = 255
 """Characters."""
 LARGEST_SEED = 2**63 - 1
 """Of any team."""
+MOST_DELAY = 10_000
+"""Steps by which a sensor may be late: so many observations are kept."""
+MOST_SECTORS = 1_000_000
+"""Directions to which bearings may be rounded."""

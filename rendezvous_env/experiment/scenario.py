@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from . import checks, graphs, obstacles, packing, scenario_files
+from . import checks, graphs, obstacles, packing, scenario_files, sensing
 from .checks import is_whole, known_fields
 from .checks import nearest_word as nearest_word
 from .derived_constants import DerivedConstants
@@ -22,6 +22,7 @@ from .long_step import warn_of_long_step
 from .obstacles import Field, Obstacles
 from .rewards import RewardWeights
 from .robot_models import ROBOT_MODELS
+from .sensing import Sensing
 from .start_tables import check_distinct, check_table
 
 CONTACT_MODES = ("slide", "stop", "ignore")
@@ -105,6 +106,8 @@ class Scenario(DerivedConstants):
     """Frames of single integrators: a random fixed rotation for each robot, or the global frame."""
     on_merge: str = "remove"
     """A merged-away robot ends (remove), or stays with zero observations (follow)."""
+    sensing: Sensing = dataclasses.field(default_factory=Sensing)
+    """What the robots' sensors get wrong; by default nothing."""
     reward: RewardWeights = dataclasses.field(default_factory=RewardWeights)
     """Weights of the reward terms."""
 
@@ -152,7 +155,11 @@ class Scenario(DerivedConstants):
         known_fields(plain, [field.name for field in dataclasses.fields(cls)], "scenario")
         reward = checks.mapping("reward", plain.get("reward", {}), "a table of its weights")
         known_fields(reward, [f.name for f in dataclasses.fields(RewardWeights)], "reward")
-        return cls(**{**plain, "reward": RewardWeights(**reward)})
+        parts = {
+            "reward": RewardWeights(**reward),
+            "sensing": sensing.from_plain(plain.get("sensing", {})),
+        }
+        return cls(**{**plain, **parts})
 
     def to_plain(self) -> dict[str, Any]:
         """The scenario as plain data; ``from_plain`` gives an equal scenario. None is an absent
@@ -162,6 +169,7 @@ class Scenario(DerivedConstants):
         plain["graph"] = self.sensing_graph.to_plain()
         plain["obstacles"] = obstacles.to_plain(self.obstacles)
         plain["reward"] = dataclasses.asdict(self.reward)
+        plain["sensing"] = None if self.sensing.exact else self.sensing.to_plain()
         for key in ("start_positions", "start_headings"):
             if plain[key] is not None:
                 plain[key] = [list(row) for row in plain[key]]
@@ -210,6 +218,8 @@ class Scenario(DerivedConstants):
         name = self.name
         if not isinstance(name, str) or not 0 < len(name) <= LONGEST_NAME or not name.isprintable():
             self._refuse("name", f"a word of at most {LONGEST_NAME} printable characters")
+        if not isinstance(self.sensing, Sensing):
+            self._refuse("sensing", "a Sensing")
         if not isinstance(self.reward, RewardWeights):
             self._refuse("reward", "a RewardWeights")
 

@@ -119,6 +119,11 @@ def _hindrance(scenario: Scenario) -> str:
     """Why no theorem says anything of such robots; empty if one does."""
     if not connected(scenario):
         return "none: the graph is not connected, one robot per component remains (theorem 1)"
+    if not scenario.sensing.exact:
+        return (
+            f"none: the theorems hold for exact bearings, and this sensor's are not "
+            f"({scenario.sensing.departures()}); with a sensor that errs nothing is claimed here"
+        )
     model = scenario.model
     if not model.bounded and model.theorem is None:
         return (

@@ -131,6 +131,7 @@ def _scenario(scenario: Scenario) -> dict[str, Any]:
     return {
         "limit": scenario.max_steps * scenario.tau,
         "nonholonomic": scenario.model.nonholonomic,
+        "exact": scenario.sensing.exact,
         "neighbour_slots": layout.neighbour_slots,
         "obstacle_slots": layout.obstacle_slots,
         "silhouette_points": layout.silhouette_points,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable
 
 import numpy as np
@@ -15,17 +14,11 @@ from .claim import Array, Watch
 
 
 def hull_shrinks(teams: Simulator, case: Case) -> Callable[[Step], Array]:
-    """By what share of L(0) L falls in a step: in two of every eight, and over the others together.
-
-    To measure it takes longer than the step itself.
-    """
+    """By what share of L(0) L falls in a step."""
     start = latest = teams.size()
-    steps = itertools.count()
 
     def look(step: Step) -> Array:
         nonlocal latest
-        if next(steps) % 8 > 1:
-            return np.full(teams.num_envs, np.inf)
         before, latest = latest, teams.size()
         return (before - latest) / start
 

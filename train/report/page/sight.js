@@ -1,4 +1,4 @@
-// What one robot sees: its observation rows as they were recorded.
+// What one robot sees: its observation rows as they were recorded, and what is true if its sensor errs.
 
 /** Rows present at a frame: {kind, index, point, vector}; absent ones, all zero, are left out. */
 function rowsOf(rec, frame, robot) {
@@ -17,6 +17,25 @@ function rowsOf(rec, frame, robot) {
         kind: "obstacle", index: Math.floor(slot / points), point: slot % points, vector,
       });
     else found.push({ kind: "gravity", index: 0, vector });
+  }
+  return found;
+}
+
+/** Unit directions, in the robot's own frame, in which the others that are left truly stand. */
+function trueDirections(rec, frame, robot) {
+  const [, robots, dim] = rec.shape.positions;
+  const rowsFrom = (array, j, size) =>
+    array.subarray((frame * robots + j) * size, (frame * robots + j + 1) * size);
+  const own = rowsFrom(rec.positions, robot, dim);
+  const turn = rowsFrom(rec.frames, robot, dim * dim);
+  const found = [];
+  for (let j = 0; j < robots; j++) {
+    if (j === robot || !isActive(rec, frame, j)) continue;
+    const offset = Array.from(rowsFrom(rec.positions, j, dim), (x, k) => x - own[k]);
+    const length = Math.hypot(...offset);
+    if (length > 0)
+      found.push(offset.map((_, axis) =>
+        offset.reduce((sum, x, k) => sum + turn[k * dim + axis] * x, 0) / length));
   }
   return found;
 }
@@ -59,6 +78,9 @@ function drawSight(canvas, rec, frame, robot, axes) {
     cx + length * radius * vector[axes[0]], cy - length * radius * vector[axes[1]],
   ];
   for (const points of silhouettes(rows)) drawSilhouette(pen, points, at, cx, cy, radius);
+  if (!DATA.scenarios[rec.scenario].exact)
+    for (const direction of trueDirections(rec, frame, robot))
+      drawTruth(pen, at(direction, 1), cx, cy);
   drawNet(pen, rows, at, cx, cy);
   const gain = largestGain(rec);
   for (const { kind, index, vector } of rows)
@@ -81,6 +103,13 @@ function drawRim(pen, cx, cy, radius, axes) {
   pen.textAlign = "center";
   pen.fillText("xyz"[axes[0]], cx + radius - 8, cy - 4);
   pen.fillText("xyz"[axes[1]], cx + 8, cy - radius + 12);
+}
+
+/** A thin grey ray: where another robot is, whatever the sensor says. */
+function drawTruth(pen, [x, y], cx, cy) {
+  pen.strokeStyle = colour("muted");
+  pen.lineWidth = 1;
+  line(pen, cx, cy, x, y);
 }
 
 /** In the plane the angle between both edges; in space the outline of the boundary rays. */

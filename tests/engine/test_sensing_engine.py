@@ -1,0 +1,536 @@
+"""Sensors that err: against NumPy, SciPy and shapely, and as part of a step."""
+
+from __future__ import annotations
+
+import copy
+import math
+import os
+import pickle
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import ROOT
+from scipy import stats
+from shapely.geometry import LineString, Point, Polygon
+from shapely.ops import unary_union
+
+import rendezvous_env as rv
+from rendezvous_env import kernel_cache
+from rendezvous_env.engine import step as step_of_all
+from rendezvous_env.engine.allocation import Arrangement
+from rendezvous_env.engine.memory import ManyTeams, OneTeam
+from rendezvous_env.equations.size import size
+
+CORNERS, ENDS = ((-1.5, -0.5), (-0.7, -0.8), (-0.9, 0.4)), ((0.5, -1.2), (1.6, -0.6))
+SHAPES = (rv.Disc((0.3, 0.2), 0.5), rv.Polygon(CORNERS), rv.Capsule(ENDS, 0.25))
+OUTLINES = (
+    Point(0.3, 0.2).buffer(0.5, quad_segs=512),
+    Polygon(CORNERS),
+    LineString(ENDS).buffer(0.25, quad_segs=512),
+)
+PLANE = rv.Scenario(n_robots=5, graph=rv.graphs.complete(0.7))
+SPACE = PLANE.replace(dim=3, obstacles=(rv.Sphere((0.3, 0.2, 0.0), 0.8),), obstacle_range=6.0)
+WALLED = PLANE.replace(obstacles=SHAPES, spawn_size=5.0, obstacle_range=6.0, merge_radius=0.3)
+BODIES = PLANE.replace(robot_model="unicycle")
+RING = rv.Scenario(n_robots=6, graph="cycle")
+SPARSE = rv.Scenario(n_robots=60, graph="cycle", spawn_size=40.0)
+WORST = rv.Sensing(
+    range=6.0, field_of_view=5.0, noise=0.1, bias=0.2, error=0.15, dropout=0.2, delay=3,
+    sectors=720, occlusion="both",
+)  # fmt: skip
+
+
+def sensing(scenario: rv.Scenario, **fields) -> rv.Scenario:
+    return scenario.replace(sensing=rv.Sensing(**fields))
+
+
+def simulator(scenario: rv.Scenario, batch: int = 1, seed: int = 3, **options) -> rv.Simulator:
+    sim = rv.Simulator(scenario, batch, **options)
+    sim.reset(seed)
+    return sim
+
+
+def neighbours(sim: rv.Simulator) -> np.ndarray:
+    """Neighbour rows, (B, n, K, d)."""
+    return sim.observe()[..., sim.scenario.observation_layout.neighbours, :].astype(np.float64)
+
+
+def true_rows(sim: rv.Simulator) -> np.ndarray:
+    """a_ij g_ij in the robots' own frames, (B, n, n, d), from positions; zero on the diagonal."""
+    p = sim.positions
+    offsets = p[:, None] - p[:, :, None]
+    with np.errstate(invalid="ignore"):
+        units = np.nan_to_num(offsets / np.linalg.norm(offsets, axis=-1, keepdims=True))
+    return np.einsum("bikl,bijk->bijl", sim.frames, sim.weights[..., None] * units)
+
+
+def by_robot(rows: np.ndarray) -> np.ndarray:
+    """Rows (B, n, n − 1, d) with one for the robot itself, (B, n, n, d)."""
+    batch, n, _, d = rows.shape
+    table = np.zeros((batch, n, n, d))
+    for i in range(n):
+        table[:, i, [j for j in range(n) if j != i]] = rows[:, i]
+    return table
+
+
+def turns(found: np.ndarray, true: np.ndarray) -> np.ndarray:
+    """Signed angles from true rows of the plane to found ones."""
+    cross = true[..., 0] * found[..., 1] - true[..., 1] * found[..., 0]
+    return np.arctan2(cross, (true * found).sum(axis=-1))
+
+
+def angles(found: np.ndarray, true: np.ndarray) -> np.ndarray:
+    """Angles between rows of space."""
+    return np.arctan2(np.linalg.norm(np.cross(true, found), axis=-1), (true * found).sum(axis=-1))
+
+
+def rest(sim: rv.Simulator) -> None:
+    """A step in which nobody moves."""
+    sim.step(np.zeros((sim.num_envs, sim.scenario.n_robots, sim.scenario.action_size)))
+
+
+def act(sim: rv.Simulator, step: int):
+    """A step with inputs that know nothing of what is seen."""
+    shape = (sim.scenario.n_robots, sim.scenario.action_size)
+    drawn = 0.3 * np.random.default_rng(step).normal(size=shape) * sim.scenario.action_bounds
+    target = np.array([1.5, 1.5, 0.0])[: sim.scenario.dim]  # clear of all obstacles
+    wish = np.einsum("bikl,bik->bil", sim.frames, target - sim.positions)
+    return sim.step(drawn + wish)
+
+
+# ---- noise and bias -----------------------------------------------------------------------------
+
+
+def test_noise_is_gaussian_and_drawn_anew_for_every_pair_and_step():
+    sim = simulator(sensing(PLANE, noise=0.2), batch=40)
+    true, found = true_rows(sim), []
+    for _ in range(3):
+        rows = by_robot(neighbours(sim))
+        assert np.linalg.norm(rows, axis=-1) == pytest.approx(sim.weights, rel=1e-6)
+        others = ~np.eye(5, dtype=bool)
+        found.append((turns(rows, true) / 0.2)[:, others].ravel())
+        rest(sim)
+    assert stats.kstest(np.concatenate(found), "norm").pvalue > 0.01
+    assert np.abs(np.corrcoef(found)[np.triu_indices(3, 1)]).max() < 0.12
+    pairs = found[0].reshape(40, 20)
+    assert np.abs(np.corrcoef(pairs.T)[np.triu_indices(20, 1)]).max() < 0.65
+
+
+def test_bias_is_gaussian_and_belongs_to_pair_and_episode():
+    sim = simulator(sensing(PLANE, bias=0.2), batch=40)
+    others, true = ~np.eye(5, dtype=bool), true_rows(sim)
+    first = turns(by_robot(neighbours(sim)), true)[:, others]
+    assert stats.kstest(first.ravel() / 0.2, "norm").pvalue > 0.01
+    for step in range(4):
+        act(sim, step)
+    gone = ~sim.active.all(axis=1)
+    later = turns(by_robot(neighbours(sim)), true_rows(sim))[:, others]
+    assert later[~gone] == pytest.approx(first[~gone], abs=1e-5) and (~gone).any()
+    sim.reset()
+    again = turns(by_robot(neighbours(sim)), true_rows(sim))[:, others]
+    assert abs(np.corrcoef(first.ravel(), again.ravel())[0, 1]) < 0.15
+
+
+def test_in_space_noise_turns_about_axes_in_all_directions():
+    sim = simulator(sensing(SPACE, noise=0.2), batch=6)
+    found, around = [], []
+    for _ in range(15):
+        rows, true = by_robot(neighbours(sim)), true_rows(sim)
+        others = ~np.eye(5, dtype=bool)
+        g, seen = true[:, others] / 0.7, rows[:, others] / 0.7
+        found.append(angles(seen, g).ravel())
+        e = np.cross(g, [0.0, 0.0, 1.0])
+        e /= np.linalg.norm(e, axis=-1, keepdims=True)
+        w = np.cross(g, e)
+        around.append(np.arctan2((seen * w).sum(-1), (seen * e).sum(-1)).ravel())
+        rest(sim)
+    assert stats.kstest(np.concatenate(found) / 0.2, "halfnorm").pvalue > 0.01
+    turn = np.concatenate(around) / (2 * math.pi) % 1.0
+    assert stats.kstest(turn, "uniform").pvalue > 0.01
+
+
+def test_what_is_drawn_for_sensors_changes_no_start():
+    for scenario in (PLANE, SPACE, BODIES):
+        exact, erring = simulator(scenario), simulator(sensing(scenario, noise=0.1, delay=2))
+        for name in ("positions", "frames", "weights"):
+            assert (getattr(exact, name) == getattr(erring, name)).all()
+
+
+@pytest.mark.parametrize("field", ["noise", "bias"])
+@pytest.mark.parametrize("scenario", [WALLED, SPACE], ids=["plane", "space"])
+def test_silhouettes_are_turned_point_by_point(scenario, field):
+    exact, erring = (
+        simulator(scenario, seed=5),
+        simulator(sensing(scenario, **{field: 0.1}), seed=5),
+    )
+    rows = scenario.observation_layout.obstacles
+    true, found = (sim.observe()[0, :, rows].astype(np.float64) for sim in (exact, erring))
+    there = true.any(axis=-1)
+    assert there.sum() > 10 and (found.any(axis=-1) == there).all()
+    measure = turns if scenario.dim == 2 else angles
+    law = "norm" if scenario.dim == 2 else "halfnorm"
+    turned = measure(found, true)[there] / 0.1
+    assert stats.kstest(turned, law).pvalue > 0.01 and len(set(np.round(turned, 6))) == there.sum()
+    rest(erring)
+    again = measure(erring.observe()[0, :, rows].astype(np.float64), true)[there] / 0.1
+    assert (np.abs(again - turned).max() < 1e-4) == (field == "bias")
+
+
+# ---- the adversary ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("scenario", [PLANE, SPACE], ids=["plane", "space"])
+def test_the_adversary_turns_by_exactly_its_angle_and_raises_the_size_most(scenario):
+    """The size after a short motion along the bearings as they are seen, against what other turns
+    by the same angle would have made of it.
+    """
+    eta, short, random = 0.3, 1e-5, np.random.default_rng(0)
+    sim = simulator(sensing(scenario, error=eta), batch=6, seed=11)
+    rows, true = by_robot(neighbours(sim)), true_rows(sim)
+    others = ~np.eye(5, dtype=bool)
+    found = np.abs(turns(rows, true)) if scenario.dim == 2 else angles(rows, true)
+    assert found[:, others] == pytest.approx(eta, abs=1e-6)
+    to_world = lambda table: np.einsum("bilk,bijk->bijl", sim.frames, table)  # noqa: E731
+    true, rows = to_world(true), to_world(rows)
+    for team in range(6):
+        p = sim.positions[team]
+
+        def grown(seen, p=p):
+            return (size(p + short * seen.sum(axis=1)) - size(p)) / short
+
+        worst = grown(rows[team])
+        for _ in range(10):
+            axes = random.normal(size=(5, 5, 3))
+            if scenario.dim == 2:
+                sense = np.where(axes[..., 0] > 0, eta, -eta)
+                c, s = np.cos(sense), np.sin(sense)
+                x, y = true[team, ..., 0], true[team, ..., 1]
+                other = np.stack([c * x - s * y, s * x + c * y], axis=-1)
+            else:
+                g = true[team]
+                e = np.cross(g, axes)
+                lengths = np.linalg.norm(e, axis=-1, keepdims=True)
+                e = np.divide(e, lengths, out=np.zeros_like(e), where=lengths > 0)
+                other = np.cos(eta) * g + np.sin(eta) * 0.7 * e
+            assert grown(other) <= worst + 1e-3
+        assert worst > grown(true[team]) + 1e-3
+
+
+def test_regular_polygons_grow_from_the_angle_of_theorem_n_on():
+    """Law (1) on a cycle: the threshold π/n of theorem N is sharp."""
+    turn = 2 * math.pi * np.arange(5) / 5
+    start = 3.0 * np.stack([np.cos(turn), np.sin(turn)], axis=-1)
+    grows = {}
+    for share in (0.9, 1.05):
+        scenario = sensing(PLANE.replace(graph="cycle"), error=share * math.pi / 5)
+        sim = rv.Simulator(scenario)
+        seen = sim.reset(0, {"positions": start})
+        before = sim.size()[0]
+        for _ in range(20):
+            seen = sim.step(seen.sum(axis=2)).observations
+        grows[share] = sim.size()[0] > before
+    assert grows == {0.9: False, 1.05: True}
+
+
+# ---- what is not seen ---------------------------------------------------------------------------
+
+
+def test_dropout_leaves_out_so_many_rows_and_the_rest_as_they_are():
+    sim, exact = simulator(sensing(PLANE, dropout=0.3), batch=40), simulator(PLANE, batch=40)
+    missing = []
+    for _ in range(4):
+        rows, true = neighbours(sim), neighbours(exact)
+        there = rows.any(axis=-1)
+        assert (rows[there] == true[there]).all()
+        missing.append(~there)
+        rest(sim)
+    count = np.sum(missing)
+    assert stats.binomtest(int(count), 4 * 40 * 20, 0.3).pvalue > 0.01
+    both = (missing[0] & missing[1]).mean()
+    assert both == pytest.approx(0.09, abs=0.03)
+    assert not neighbours(simulator(sensing(PLANE, dropout=1.0), batch=40)).any()
+
+
+@pytest.mark.parametrize("scenario", [PLANE, SPACE, BODIES], ids=["plane", "space", "bodies"])
+def test_range_and_field_of_view(scenario):
+    seen = 0
+    for seed in range(6):
+        exact = simulator(scenario, seed=seed)
+        rows, true = by_robot(neighbours(exact)), true_rows(exact)
+        assert rows == pytest.approx(true, abs=1e-6)
+        p = exact.positions
+        distances = np.linalg.norm(p[:, None] - p[:, :, None], axis=-1)
+        ahead = np.arccos(np.clip(true[..., 0] / 0.7, -1, 1))
+        for fields, wanted in (
+            ({"range": 5.0}, distances <= 5.0),
+            ({"field_of_view": 2.0}, ahead <= 1.0),
+            ({"range": 6.0, "field_of_view": 3.0}, (distances <= 6.0) & (ahead <= 1.5)),
+        ):
+            found = by_robot(neighbours(simulator(sensing(scenario, **fields), seed=seed)))
+            expected = np.where(wanted[..., None], rows, 0.0)
+            assert (found == expected).all()
+            seen += int(found.any(axis=-1).sum())
+    assert 30 < seen < 300
+
+
+def test_bodies_look_along_their_headings():
+    start = {"positions": np.array([[0, 0], [3, 0], [0, 3], [-3, 0], [0, -3.0]])}
+    sim = rv.Simulator(sensing(BODIES, field_of_view=1.0))
+    for heading, ahead in ((0.0, 1), (math.pi / 2, 2), (math.pi, 3), (-math.pi / 2, 4)):
+        sim.reset(0, start | {"headings": np.full(5, heading)})
+        assert np.flatnonzero(neighbours(sim)[0, 0].any(axis=-1)).tolist() == [ahead - 1]
+
+
+def test_an_obstacle_is_seen_whole_while_a_point_of_it_is_in_the_field_of_view():
+    partly = 0
+    for scenario in (WALLED, SPACE):
+        layout = scenario.observation_layout
+        for seed in range(4):
+            exact = layout.split(simulator(scenario, seed=seed).observe()).obstacles[0]
+            sim = simulator(sensing(scenario, field_of_view=1.5), seed=seed)
+            found = layout.split(sim.observe()).obstacles[0]
+            inside = np.arccos(np.clip(exact[..., 0], -1, 1)) <= 0.75
+            inside &= exact.any(axis=-1)
+            seen = inside.any(axis=-1)
+            assert (found == np.where(seen[..., None, None], exact, 0.0)).all()
+            partly += int((seen & ~inside.all(axis=-1)).sum())
+    assert partly > 0
+
+
+@pytest.mark.parametrize("what", ["none", "obstacles", "robots", "both"])
+def test_occlusion_against_shapely(what):
+    hidden, scenario = 0, WALLED.replace(merge_radius=0.5)
+    for seed in range(10):
+        sim = simulator(sensing(scenario, occlusion=what), seed=seed)
+        exact = by_robot(neighbours(simulator(scenario, seed=seed)))[0]
+        found, places = by_robot(neighbours(sim))[0], sim.positions[0]
+        walls, radius = unary_union(OUTLINES), 0.25
+        for i in range(5):
+            for j in range(5):
+                if i == j:
+                    continue
+                way = LineString([places[i], places[j]])
+                nearer = [
+                    Point(places[k]).buffer(radius, quad_segs=256)
+                    for k in range(5)
+                    if k not in (i, j) and np.linalg.norm(places[k] - places[i]) < way.length
+                ]
+                walled = way.intersection(walls).length > 1e-3
+                crowded = any(way.intersects(disc) for disc in nearer)
+                hides = (walled and what in ("obstacles", "both")) or (
+                    crowded and what in ("robots", "both")
+                )
+                assert (found[i, j] == (0.0 if hides else exact[i, j])).all()
+                hidden += hides
+    assert (hidden > 10) == (what != "none")
+
+
+def test_in_space_spheres_hide_what_is_behind_them():
+    sim = rv.Simulator(sensing(SPACE, occlusion="both"))
+    places = np.array([[-3, 0.2, 0], [3, 0.2, 0], [0.3, 3, 0.05], [0.3, 5, 0.05], [0, 0, 4.0]])
+    sim.reset(0, {"positions": places})
+    seen = by_robot(neighbours(sim))[0].any(axis=-1)
+    expected = ~np.eye(5, dtype=bool)
+    expected[0, 1] = expected[1, 0] = False  # behind the sphere
+    assert (seen == expected).all()
+    places[4] = 0.3, 7.0, 0.08  # behind two others
+    sim.reset(0, {"positions": places})
+    seen = by_robot(neighbours(sim))[0].any(axis=-1)
+    assert not seen[2, 4] and not seen[4, 2] and seen[2, 3] and seen[3, 4] and not seen[0, 1]
+
+
+# ---- sectors and delay --------------------------------------------------------------------------
+
+
+def test_sectors_leave_so_many_bearings():
+    sim = simulator(sensing(WALLED, sectors=12), seed=5)
+    rows, true = by_robot(neighbours(sim)), true_rows(sim)
+    others = ~np.eye(5, dtype=bool)
+    turn = np.arctan2(rows[..., 1], rows[..., 0])[:, others] / (math.pi / 6)
+    assert turn == pytest.approx(np.round(turn), abs=1e-5)
+    assert np.abs(turns(rows, true))[:, others].max() <= math.pi / 12 + 1e-6
+    points = sim.observe()[0, :, WALLED.observation_layout.obstacles]
+    turn = np.arctan2(points[..., 1], points[..., 0])[points.any(axis=-1)] / (math.pi / 6)
+    assert len(turn) > 5 and turn == pytest.approx(np.round(turn), abs=1e-5)
+
+
+@pytest.mark.parametrize("scenario", [WALLED, SPACE, BODIES], ids=["plane", "space", "bodies"])
+@pytest.mark.parametrize("fields", [{}, {"noise": 0.1, "dropout": 0.3, "bias": 0.1}])
+def test_what_is_seen_is_late_by_exactly_so_many_steps(scenario, fields):
+    delay, steps = 4, 90
+    scenario = scenario if scenario.obstacles else scenario.replace(spawn_size=2.0)
+    prompt, late = (
+        simulator(sensing(scenario, delay=wait, **fields), seed=8) for wait in (0, delay)
+    )
+    history, merged = [prompt.observe()], False
+    for step in range(steps):
+        history.append(act(prompt, step).observations)
+        outcome = act(late, step)
+        for name in ("active", "positions"):
+            assert (getattr(late, name) == getattr(prompt, name)).all()
+        due = np.where(outcome.active[..., None, None], history[max(0, step + 1 - delay)], 0.0)
+        assert (outcome.observations == due).all()
+        merged = merged or not outcome.active.all()
+        if late.ended.all():
+            break
+    assert merged
+
+
+def test_a_robot_feels_its_own_velocity_and_gravity_at_once():
+    scenario = rv.Scenario(robot_model="double_integrator", n_robots=3, sensing=rv.Sensing(delay=3))
+    sim = simulator(scenario)
+    for step in range(5):
+        seen = act(sim, step).observations[0, :, -1]
+        felt = np.einsum("ikl,ik->il", sim.frames[0], sim.velocities[0])
+        assert seen == pytest.approx(felt, abs=1e-6) and seen.any()
+
+
+# ---- as part of a step --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("scenario", [WALLED, SPACE, BODIES, RING], ids=["a", "b", "c", "d"])
+def test_motion_merges_and_v_follow_the_graph_not_what_is_seen(scenario):
+    exact, erring = simulator(scenario), simulator(scenario.replace(sensing=WORST))
+    for step in range(60):
+        true, found = act(exact, step), act(erring, step)
+        for name in ("rewards", "contact", "clearance", "active", "lyapunov_after_merge"):
+            assert (getattr(true, name) == getattr(found, name)).all()
+    assert (exact.positions == erring.positions).all() and (exact.weights == erring.weights).all()
+    assert (exact.lyapunov() == erring.lyapunov()).all()
+
+
+def episode(scenario: rv.Scenario, batch: int, seed: int, **options) -> np.ndarray:
+    """Observations over a few steps, (steps, B, …)."""
+    sim = simulator(scenario, batch, seed, **options)
+    return np.stack([sim.observe(), *(act(sim, step).observations for step in range(12))])
+
+
+@pytest.mark.parametrize("scenario", [PLANE, WALLED, SPACE, RING], ids=["a", "b", "c", "d"])
+def test_a_team_among_many_sees_what_it_sees_alone(scenario):
+    erring, batch = scenario.replace(sensing=WORST), 37
+    assert Arrangement(erring, batch).width == ManyTeams()
+    assert Arrangement(erring, 1).width == OneTeam()
+    together = episode(erring, batch, 3)
+    for team in (0, 31, 36):
+        assert (together[:, team : team + 1] == episode(erring, 1, 3 + team)).all()
+    assert together.any()
+
+
+def test_threads_change_nothing():
+    erring = PLANE.replace(n_robots=12, sensing=WORST)
+    one, many = (episode(erring, 200, 5, num_threads=k) for k in (1, 3))
+    assert (one == many).all()
+
+
+def test_to_look_twice_shows_the_same():
+    sim = simulator(PLANE.replace(sensing=WORST), batch=2)
+    for step in range(6):
+        seen = act(sim, step).observations
+        assert (sim.observe() == seen).all() and sim.clearance is not None
+        assert (sim.observe() == seen).all()
+
+
+@pytest.mark.parametrize("copied", ["state", "pickle", "deepcopy"])
+def test_a_running_episode_is_taken_up_again(copied):
+    scenario = PLANE.replace(sensing=WORST)
+    sim = simulator(scenario, batch=2)
+    for step in range(7):
+        act(sim, step)
+    if copied == "state":
+        other = simulator(scenario, batch=2, seed=99)
+        other.set_state(sim.get_state())
+    else:
+        other = pickle.loads(pickle.dumps(sim)) if copied == "pickle" else copy.deepcopy(sim)
+    assert (other.observe() == sim.observe()).all()
+    for step in range(7, 14):
+        assert (act(other, step).observations == act(sim, step).observations).all()
+
+
+def test_the_state_knows_the_past_only_with_a_delay():
+    assert "past" not in simulator(sensing(PLANE, noise=0.1)).get_state()
+    sim = simulator(sensing(PLANE, delay=2))
+    state = sim.get_state()
+    assert state["past"].shape == (1, 3, 5, 4, 2) and state["past"].dtype == np.float32
+    for wrong, message in ((np.nan, "finite"), (1e20, "at most"), (-np.inf, "finite")):
+        bad = state["past"].copy()
+        bad[0, 1, 2] = wrong
+        with pytest.raises(ValueError, match=rf"state: past\[0, 1, 2, 0, 0\].*{message}"):
+            sim.set_state(state | {"past": bad})
+    with pytest.raises(ValueError, match="past"):
+        sim.set_state({name: value for name, value in state.items() if name != "past"})
+    with pytest.raises(ValueError, match="past is float32 of shape"):
+        sim.set_state(state | {"past": state["past"][:, :2]})
+    assert (sim.get_state()["past"] == state["past"]).all()
+
+
+def test_a_restart_forgets_what_was_seen():
+    scenario = PLANE.replace(sensing=WORST)
+    sim = simulator(scenario, batch=3)
+    for step in range(5):
+        outcome = act(sim, step)
+    kept = outcome.observations.copy()
+    sim.restart(np.array([False, True, False]), outcome)
+    fresh = rv.Simulator(scenario)
+    fresh.reset(4)
+    assert (outcome.observations[1:2] == fresh.reset()).all()
+    assert (outcome.observations[[0, 2]] == kept[[0, 2]]).all()
+    for step in range(5, 9):
+        assert (act(sim, step).observations[1:2] == act(fresh, step).observations).all()
+
+
+@pytest.mark.parametrize("scenario", [RING, SPARSE], ids=["pairs", "list"])
+def test_with_few_rows_those_that_are_seen_stand_first(scenario):
+    exact, erring = simulator(scenario), simulator(sensing(scenario, dropout=0.5))
+    n, moved = scenario.n_robots, 0
+    for _ in range(3):
+        true, found = neighbours(exact)[0], neighbours(erring)[0]
+        for i in range(n):
+            kept = [row for row in true[i].tolist() if row in found[i].tolist()]
+            assert found[i].tolist() == kept + [[0.0, 0.0]] * (2 - len(kept))
+            moved += kept == [true[i, 1].tolist()]
+        rest(exact)
+        rest(erring)
+    assert moved > 0
+
+
+def test_the_step_of_exact_sensors_is_compiled_without_any_other():
+    assert simulator(PLANE)._stepper._sensor is None
+    behind = {path.name for path in kernel_cache._with_imports(Path(step_of_all.__file__))}
+    assert "sensors.py" in behind
+    assert not behind & {"sense_with_errors.py", "sensing.py", "sight.py", "outward.py"}
+
+
+# ---- faces and plain Python ---------------------------------------------------------------------
+
+
+def test_environments_give_it_out_within_their_spaces():
+    env = rv.parallel_env("fig3", sensing=rv.Sensing(noise=0.3, sectors=8, delay=1))
+    seen, _ = env.reset(seed=2)
+    space = env.observation_space("robot_0")
+    for _ in range(5):
+        assert all(space.contains(rows) for rows in seen.values())
+        actions = {robot: np.zeros(2, np.float32) for robot in env.agents}
+        seen, *_ = env.step(actions)
+    assert env.unwrapped.scenario.sensing.noise == 0.3
+
+
+def save(path: str) -> None:
+    found = {name: episode(one, 1, 3) for name, one in {
+        "plane": WALLED.replace(sensing=WORST), "space": SPACE.replace(sensing=WORST),
+    }.items()}  # fmt: skip
+    np.savez(path, **found)
+
+
+def test_plain_python_gives_the_same_numbers(tmp_path):
+    paths = [str(Path(__file__).parent), str(ROOT / "tests"), str(ROOT)]
+    environment = {**os.environ, "NUMBA_DISABLE_JIT": "1", "PYTHONPATH": os.pathsep.join(paths)}
+    script = f"import test_sensing_engine; test_sensing_engine.save({str(tmp_path / 'p.npz')!r})"
+    command = [sys.executable, "-W", "error", "-c", script]
+    subprocess.run(command, check=True, env=environment, timeout=500)
+    save(str(tmp_path / "c.npz"))
+    with np.load(tmp_path / "p.npz") as plain, np.load(tmp_path / "c.npz") as compiled:
+        for name in plain:
+            assert (plain[name] == compiled[name]).all() and plain[name].any()
