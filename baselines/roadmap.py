@@ -14,7 +14,7 @@ import scipy.sparse
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import dijkstra
 
-from rendezvous_env.equations.obstacles import ABSENT, CAPSULE, POLYGON
+from rendezvous_env.equations.shapes.obstacles import ABSENT, CAPSULE, POLYGON
 from rendezvous_env.experiment import packing
 
 from .straight_ways import margins_at, straight_ways

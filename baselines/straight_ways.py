@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from rendezvous_env.compilation import kernel
-from rendezvous_env.equations.obstacles import ABSENT, entry
+from rendezvous_env.equations.shapes.obstacles import ABSENT, entry
 
 _HALVINGS = 12
 _TOUCH = 1e-7

@@ -6,8 +6,8 @@ must all meet.
 
 from . import rendezvous_v0
 from .compilation import kernel
-from .equations.motion import FREE, SLID, STOPPED, Motion
-from .equations.motion import describe as describe_motion
+from .equations.robots.motion import FREE, SLID, STOPPED, Motion
+from .equations.robots.motion import describe as describe_motion
 from .experiment import graphs, scenarios
 from .experiment.observation_layout import ObservationLayout
 from .experiment.obstacles import Capsule, Disc, ObstacleField, Polygon, Sphere
@@ -16,6 +16,7 @@ from .experiment.robot_models import RobotModel, register_robot_model
 from .experiment.scenario import Scenario, TimeStepWarning
 from .experiment.sensing import Sensing
 from .experiment.walls import WallField
+from .faces.tank_wrapper import EnergyTankWrapper
 from .first_use import announce
 from .guarantee.certificate import Certificate, certificate
 from .guarantee.heading import certified_heading
@@ -23,7 +24,6 @@ from .gymnasium_env import make_vec
 from .registration import register
 from .rendezvous_v0 import parallel_env
 from .simulator import Simulator
-from .tank_wrapper import EnergyTankWrapper
 from .trajectory import Trajectory, rollout
 from .wrappers import HeadingVectorWrapper
 

@@ -16,10 +16,10 @@ from .experiment.checks import choice, floats
 from .experiment.scenario import Scenario
 from .experiment.scenarios import ScenarioLike, resolve
 from .experiment.seeding import seeds_of_teams
-from .infos import Info, of_first_team, start_info, step_info, summary_of
+from .faces.infos import Info, of_first_team, start_info, step_info, summary_of
+from .faces.spaces import team_action_box, team_observation_box
+from .faces.vector_env import RendezvousVectorEnv
 from .simulator import Simulator
-from .spaces import team_action_box, team_observation_box
-from .vector_env import RendezvousVectorEnv
 
 __all__ = ["RendezvousEnv", "RendezvousVectorEnv", "make_env", "make_vec"]
 

@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from pettingzoo.utils import wrappers
 from pettingzoo.utils.env import AECEnv, ParallelEnv
 
-from .aec import OneAfterAnother
 from .drawing.renderer import RENDER_MODES, Renderer, render_metadata
 from .experiment.scenario import Scenario
 from .experiment.scenarios import ScenarioLike, resolve
-from .roster import (
+from .faces.aec import OneAfterAnother
+from .faces.roster import (
     Infos,
     Observations,
     StepReturn,
@@ -26,8 +26,8 @@ from .roster import (
     table_of,
     tell,
 )
+from .faces.spaces import action_box, observation_box, state_box, team_state
 from .simulator import Simulator
-from .spaces import action_box, observation_box, state_box, team_state
 
 
 def parallel_env(

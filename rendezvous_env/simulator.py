@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .engine.allocation import Arrangement, new_results
-from .engine.episodes import Episodes
+from .engine.beginning.episodes import Episodes
 from .engine.footprint import check_memory
 from .engine.memory import RUNNING, Results
 from .engine.state import State

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from .engine.episodes import Episodes
+from .engine.beginning.episodes import Episodes
 from .engine.memory import (
     CONTACTS,
     INITIAL_LYAPUNOV,

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+from .faces.vector_env import RendezvousVectorEnv
+from .faces.vector_filter_wrapper import VectorFilterWrapper, check_ours, team_box
 from .guarantee.energy_tank import EnergyTank
 from .guarantee.steering import Steering
-from .vector_env import RendezvousVectorEnv
-from .vector_filter_wrapper import VectorFilterWrapper, check_ours, team_box
 
 __all__ = ["EnergyTankWrapper", "HeadingVectorWrapper", "team_box"]
 

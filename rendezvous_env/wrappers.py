@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from .filter_wrapper import FilterWrapper, base_of
+from .faces.filter_wrapper import FilterWrapper, base_of
 from .guarantee.steering import Steering
 from .rendezvous_v0 import RendezvousParallelEnv
 

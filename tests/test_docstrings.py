@@ -34,7 +34,7 @@ def functions() -> dict[str, ast.FunctionDef]:
     return {
         node.name: node
         for folder in FOLDERS
-        for path in sorted((ROOT / "rendezvous_env" / folder).glob("*.py"))
+        for path in sorted((ROOT / "rendezvous_env" / folder).rglob("*.py"))
         for node in ast.parse(path.read_text(encoding="utf-8")).body
         if isinstance(node, ast.FunctionDef)
     }

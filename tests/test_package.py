@@ -114,6 +114,8 @@ def room_of(module: str) -> str:
     parts = module.split(".")
     if parts[0] == "rendezvous_env" and len(parts) < 3:
         return FLAT.get(parts[-1], "faces")
+    if parts[:2] == ["rendezvous_env", "faces"]:
+        return "faces"
     if parts[0] == "train" and len(parts) < 3:
         return module
     return ".".join(parts[:2]) if len(parts) > 1 else parts[0]
@@ -190,7 +192,7 @@ def test_rooms_of_the_environment_stand_on_one_another(module):
     assert {room_of(name) for name in ours(module)} <= BELOW[room] | {room, "compilation"}
 
 
-@pytest.mark.parametrize("face", ["gymnasium_env", "vector_env", "vector", "adapters.slots"])
+@pytest.mark.parametrize("face", ["gymnasium_env", "faces.vector_env", "vector", "adapters.slots"])
 def test_arrays_need_no_pettingzoo(face):
     reached = all_imported(f"rendezvous_env.{face}")
     assert "rendezvous_env.simulator" in reached or face == "adapters.slots"

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from rendezvous_env.equations.arcs import arc_2d, arc_3d, body_frame_2d, body_frame_3d
-from rendezvous_env.equations.obstacles import World
+from rendezvous_env.equations.robots.arcs import arc_2d, arc_3d, body_frame_2d, body_frame_3d
+from rendezvous_env.equations.shapes.obstacles import World
 from rendezvous_env.experiment.obstacles import Obstacle
 from rendezvous_env.experiment.packing import only_balls, pack, world_of
 

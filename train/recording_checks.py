@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from rendezvous_env.equations.obstacles import ABSENT, BALL, CAPSULE, POLYGON
+from rendezvous_env.equations.shapes.obstacles import ABSENT, BALL, CAPSULE, POLYGON
 from rendezvous_env.experiment.packing import CORNERS, DETAILS, KIND
 from rendezvous_env.experiment.scenario import Scenario
 

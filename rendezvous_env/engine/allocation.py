@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from ..experiment import packing
 from ..experiment.scenario import Scenario
+from .beginning.starts import Drafts
 from .memory import (
     MIN_CLEARANCE,
     SCORED,
@@ -25,7 +26,6 @@ from .memory import (
     Results,
     Teams,
 )
-from .starts import Drafts
 
 _FEWEST_SIDE_BY_SIDE = 5
 """Teams from which a block of 32 lanes pays; a processor does four of them at once."""

@@ -8,18 +8,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..equations.motion import is_described
+from ..equations.robots.motion import is_described
 from ..experiment import packing
 from ..experiment.checks import shown
 from ..experiment.graphs import FIXED
 from ..experiment.obstacles import Field
 from ..experiment.scenario import CONTACT_MODES, Scenario
 from .allocation import Arrangement
-from .draw_graph import GraphRules
-from .field_rules import field_rules
+from .beginning.draw_graph import GraphRules
+from .beginning.field_rules import field_rules
+from .beginning.starts import StartRules
 from .memory import Constants, Layout, Robot
 from .sense_with_errors import Sensor
-from .starts import StartRules
 from .state import State
 
 

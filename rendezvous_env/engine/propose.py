@@ -2,7 +2,7 @@
 
 from ..compilation import inlined_kernel
 from ..equations.contact import STOP
-from ..equations.motion import FREE, SLID, STOPPED, drifts, frame_of, propose, remember
+from ..equations.robots.motion import FREE, SLID, STOPPED, drifts, frame_of, propose, remember
 from .memory import ACTIVE, RUNNING, STATUS, lane_count, read, write
 
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from ..compilation import chosen_by_type, inlined_kernel, kernel
 from ..equations.bearings import observed, sighting
-from ..equations.motion import sense_oneself
+from ..equations.robots.motion import sense_oneself
 from .memory import SQUARE_CLOSEST, ListedLinks, lane_count, read, write
 from .sense_obstacles import sense_obstacles
 from .sensors import err

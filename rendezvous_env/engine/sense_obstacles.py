@@ -5,8 +5,9 @@ from typing import Any
 import numpy as np
 
 from ..compilation import chosen_by_type, inlined_kernel, kernel
-from ..equations.balls import disc_edges
-from ..equations.obstacles import (
+from ..equations.potential import net_bearings_of_links
+from ..equations.shapes.balls import disc_edges
+from ..equations.shapes.obstacles import (
     ABSENT,
     BALL,
     CENTRE,
@@ -16,7 +17,6 @@ from ..equations.obstacles import (
     silhouette_2d,
     silhouette_3d,
 )
-from ..equations.potential import net_bearings_of_links
 from ..equations.vectors import load, local_axis, to_local
 from .links import load_links
 from .memory import CLOSENESS, MIN_CLEARANCE, lane_count, read

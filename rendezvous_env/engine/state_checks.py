@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..equations.obstacles import ABSENT, BALL, CAPSULE, POLYGON
+from ..equations.shapes.obstacles import ABSENT, BALL, CAPSULE, POLYGON
 from ..experiment.checks import shown
 from ..experiment.packing import CORNERS, DETAILS, KIND, RADIUS, THICKNESS, only_balls
 from ..experiment.scenario import Scenario

@@ -6,10 +6,10 @@ from ..compilation import inlined_kernel, inlined_view, kernel
 from .advance import advance_block
 from .conclude import conclude_block
 from .memory import LYAPUNOV, AtHand, Constants, Lanes, Results, Teams, lane_count
+from .pool.sharing import Share, each_block
 from .propose import bring_frames_up, load_actions, propose_block, turn_block
 from .sense import sense_block
 from .sense_obstacles import load_balls
-from .sharing import Share, each_block
 
 _EXPONENT = np.uint32(0x7F800000)
 """The exponent bits of a float32."""

@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..compilation import entry_point
-from . import threads
 from .allocation import Arrangement, hands_of_threads, lanes_of_threads, new_results
 from .memory import Results
+from .pool import threads
+from .pool.sharing import example_part
 from .preparation import constants, layout, robot, sensor
 from .quiet import quietly
-from .sharing import example_part
 from .state import State
 from .step import step_blocks
 

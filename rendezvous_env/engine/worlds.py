@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from ..compilation import chosen_by_type, kernel
-from ..equations.obstacles import Balls, Shapes
+from ..equations.shapes.obstacles import Balls, Shapes
 
 
 def world_of(obstacles: Any, team: int) -> Any:

@@ -12,9 +12,9 @@ so that vᵀṗ = ‖ṗ‖² ≥ 0, and law (1) lets V fall along obstacles too
 import numpy as np
 
 from ..compilation import kernel
-from .cones import free_part
-from .motion import along, bend
-from .obstacles import distance_to, entry, surface, within
+from .robots.motion import along, bend
+from .shapes.cones import free_part
+from .shapes.obstacles import distance_to, entry, surface, within
 from .vectors import add, norm, subtract, triple
 
 SLIDE, STOP, IGNORE = range(3)

@@ -8,9 +8,9 @@ that the number of links never grows and nothing has to be allocated.
 import numpy as np
 
 from ..compilation import kernel
-from .crossings import first_crossing
-from .obstacles import clear_of_obstacles
 from .potential import distance_squared, lyapunov_of_links
+from .shapes.crossings import first_crossing
+from .shapes.obstacles import clear_of_obstacles
 from .vectors import load, subtract
 
 

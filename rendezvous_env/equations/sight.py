@@ -4,7 +4,7 @@ import math
 
 from ..compilation import inlined_kernel, kernel
 from .contact import CONTACT_DEPTH
-from .obstacles import ABSENT, entry
+from .shapes.obstacles import ABSENT, entry
 from .vectors import dot, square, triple
 
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..equations.obstacles import ABSENT, CAPSULE, POLYGON
+from ..equations.shapes.obstacles import ABSENT, CAPSULE, POLYGON
 from .packing import AXIS, CENTRE, CORNERS, DETAILS, KIND, RADIUS, THICKNESS
 
 _ROUND_END = np.linspace(-math.pi / 2, math.pi / 2, 17)

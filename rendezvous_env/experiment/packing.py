@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..equations import obstacles as equations
-from ..equations.obstacles import ABSENT, BALL, CAPSULE, POLYGON, Balls, Shapes, World
+from ..equations.shapes import obstacles as equations
+from ..equations.shapes.obstacles import ABSENT, BALL, CAPSULE, POLYGON, Balls, Shapes, World
 from .checks import shown
 from .obstacles import Capsule, Disc, Field, Obstacle, Obstacles, Polygon, Sphere
 from .walls import WallField

@@ -9,8 +9,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from ..equations.double_integrator import DoubleIntegrator
-from ..equations.kinematics import Nonholonomic3D, SingleIntegrator, Unicycle
+from ..equations.robots.double_integrator import DoubleIntegrator
+from ..equations.robots.kinematics import Nonholonomic3D, SingleIntegrator, Unicycle
 from .checks import shown
 
 MOST_KEPT = 4

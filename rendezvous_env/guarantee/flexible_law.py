@@ -3,7 +3,7 @@
 import numpy as np
 
 from ..compilation import inlined_kernel, kernel
-from ..engine.sharing import each_block
+from ..engine.pool.sharing import each_block
 from ..equations.rows import degree_of, net_bearing_of
 from ..equations.vectors import combine, dot, load, split, store
 from .heading import certify_one, scale_of_step, turn_limit

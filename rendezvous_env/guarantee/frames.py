@@ -1,7 +1,7 @@
 """Observations in frames with x along f: a policy does not notice how the world is turned."""
 
 from ..compilation import inlined_kernel, kernel
-from ..engine.sharing import each_block
+from ..engine.pool.sharing import each_block
 from ..equations.rows import net_bearing_of
 from ..equations.vectors import cross, load, split, store, without
 from .teams import teams_of_block

@@ -5,9 +5,9 @@ import math
 import numpy as np
 
 from ..compilation import inlined_kernel, kernel
-from ..engine.sharing import each_block
-from ..equations.arcs import clip
-from ..equations.kinematics import speed_scale
+from ..engine.pool.sharing import each_block
+from ..equations.robots.arcs import clip
+from ..equations.robots.kinematics import speed_scale
 from ..equations.rows import degree_of, net_bearing_of
 from ..equations.vectors import dot, load, scaled, split, store
 from .tank import certain_descent, descending_velocity, descent_scale, promised_descent

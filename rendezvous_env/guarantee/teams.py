@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from ..compilation import inlined_kernel
-from ..engine import threads
-from ..engine.sharing import Part
+from ..engine.pool import threads
+from ..engine.pool.sharing import Part
 
 TEAMS_AT_ONCE = 32
 """That a thread takes at a time."""

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..compilation import kernel
-from ..equations.arcs import arc_3d, clip, mean_cos_sin
+from ..equations.robots.arcs import arc_3d, clip, mean_cos_sin
 from ..equations.vectors import dot, load
 from ..experiment.checks import floats, positive, shown
 from .heading import check_gate_constants, check_vectors

@@ -8,7 +8,7 @@ import json
 import numpy as np
 import pytest
 
-from rendezvous_env.engine import threads
+from rendezvous_env.engine.pool import threads
 from train.benchmark.bench import GROUPS, Config, Row, measure, run
 from train.benchmark.bench_cases import (
     Case,

@@ -101,7 +101,7 @@ class TestReproduce:
         assert [row["robots"] for row in rows][-1] == "1.0"
 
     def test_fig3_goes_through_and_fig4_round_every_obstacle(self, tmp_path):
-        from rendezvous_env.equations.obstacles import distance_to
+        from rendezvous_env.equations.shapes.obstacles import distance_to
         from rendezvous_env.experiment.packing import world_of
 
         depths = {}

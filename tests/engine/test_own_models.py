@@ -20,7 +20,7 @@ import rendezvous_env as rv
 from baselines import policy
 from rendezvous_env import kernel_cache
 from rendezvous_env.compilation import compiled
-from rendezvous_env.equations import motion
+from rendezvous_env.equations.robots import motion
 from rendezvous_env.experiment import robot_models
 
 ROOT = Path(__file__).parents[2]

@@ -14,8 +14,9 @@ import pytest
 from conftest import MODELS, ROOT, UNEQUAL, five, law_of
 
 from rendezvous_env import Disc, ObstacleField, Scenario, Simulator
-from rendezvous_env.engine import stepper, threads
+from rendezvous_env.engine import stepper
 from rendezvous_env.engine.memory import AWAITING_RESET, RENDEZVOUS, RUNNING, TIME_OUT
+from rendezvous_env.engine.pool import threads
 from rendezvous_env.engine.step import step_blocks
 from rendezvous_env.experiment import graphs
 

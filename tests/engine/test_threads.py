@@ -17,8 +17,9 @@ import pytest
 import rendezvous_env as rv
 from rendezvous_env import Simulator
 from rendezvous_env.compilation import inlined_kernel, kernel
-from rendezvous_env.engine import stepper, threads
-from rendezvous_env.engine.sharing import (
+from rendezvous_env.engine import stepper
+from rendezvous_env.engine.pool import threads
+from rendezvous_env.engine.pool.sharing import (
     DONE,
     Share,
     each_block,

@@ -11,14 +11,19 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from rendezvous_env import Capsule, Disc, Sphere
-from rendezvous_env.equations.balls import azimuth_axes, centre_direction, disc_edges
-from rendezvous_env.equations.capsules import (
+from rendezvous_env.equations.shapes.balls import azimuth_axes, centre_direction, disc_edges
+from rendezvous_env.equations.shapes.capsules import (
     capsule_entry,
     capsule_ray,
     capsule_silhouette,
     capsule_surface,
 )
-from rendezvous_env.equations.obstacles import distance_to, entry, silhouette_2d, silhouette_3d
+from rendezvous_env.equations.shapes.obstacles import (
+    distance_to,
+    entry,
+    silhouette_2d,
+    silhouette_3d,
+)
 from rendezvous_env.experiment.packing import pack, world_of
 
 ZERO = (0.0, 0.0, 0.0)

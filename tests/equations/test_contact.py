@@ -16,7 +16,7 @@ from rendezvous_env.equations.contact import (
     move_curved,
     move_straight,
 )
-from rendezvous_env.equations.kinematics import Nonholonomic3D, Unicycle
+from rendezvous_env.equations.robots.kinematics import Nonholonomic3D, Unicycle
 from rendezvous_env.experiment.obstacles import Disc, Polygon, Sphere
 
 MICRON = 1e-6

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.integrate import quad, solve_ivp
 
-from rendezvous_env.equations import motion
-from rendezvous_env.equations.double_integrator import (
+from rendezvous_env.equations.robots import motion
+from rendezvous_env.equations.robots.double_integrator import (
     DoubleIntegrator,
     final_velocity,
     mean_speed,

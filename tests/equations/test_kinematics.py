@@ -12,7 +12,7 @@ from scipy.integrate import solve_ivp
 from tuples import arc, body_frame
 
 from rendezvous_env import Scenario
-from rendezvous_env.equations.arcs import mean_cos_sin
+from rendezvous_env.equations.robots.arcs import mean_cos_sin
 from rendezvous_env.experiment.robot_models import ROBOT_MODELS
 
 angles = st.floats(-3.2, 3.2)

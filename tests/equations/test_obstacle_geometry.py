@@ -7,8 +7,8 @@ import pytest
 import shapely
 from tuples import triple, world
 
-from rendezvous_env.equations.crossings import first_crossing
-from rendezvous_env.equations.obstacles import (
+from rendezvous_env.equations.shapes.crossings import first_crossing
+from rendezvous_env.equations.shapes.obstacles import (
     CENTRE,
     DETAILS,
     clear_of_obstacles,

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 import shapely
 
-from rendezvous_env.engine.draw_field import draw_field
-from rendezvous_env.engine.field_rules import field_rules
-from rendezvous_env.equations.obstacles import ABSENT, BALL, CAPSULE, POLYGON
+from rendezvous_env.engine.beginning.draw_field import draw_field
+from rendezvous_env.engine.beginning.field_rules import field_rules
 from rendezvous_env.equations.random_streams import OBSTACLES, stream_key
+from rendezvous_env.equations.shapes.obstacles import ABSENT, BALL, CAPSULE, POLYGON
 from rendezvous_env.experiment.obstacles import (
     Capsule,
     Disc,

@@ -9,7 +9,7 @@ import shapely
 
 import rendezvous_env as rv
 from rendezvous_env import ObstacleField, Scenario, Simulator, WallField
-from rendezvous_env.engine.walled_in import none_walled_in
+from rendezvous_env.engine.beginning.walled_in import none_walled_in
 from rendezvous_env.experiment.obstacles import max_count, parse, to_plain
 from rendezvous_env.experiment.packing import (
     CENTRE,

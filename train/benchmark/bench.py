@@ -14,7 +14,7 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from rendezvous_env.engine import threads
+from rendezvous_env.engine.pool import threads
 
 from ..results import provenance, write_json
 from .bench_cases import LIMIT, Case, among_discs, batched, one_team, spread_out

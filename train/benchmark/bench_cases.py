@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 import rendezvous_env as rv
 from rendezvous_env.compilation import allocating_kernel
-from rendezvous_env.engine import threads
-from rendezvous_env.engine.sharing import each_block
+from rendezvous_env.engine.pool import threads
+from rendezvous_env.engine.pool.sharing import each_block
 from rendezvous_env.outcome import Outcome
 
 EPISODE = 200

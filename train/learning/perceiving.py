@@ -11,9 +11,9 @@ from gymnasium.vector import AutoresetMode
 from numpy.typing import ArrayLike, NDArray
 
 from rendezvous_env.engine.state_checks import check_entries, check_keys
-from rendezvous_env.infos import Transition
+from rendezvous_env.faces.infos import Transition
+from rendezvous_env.faces.vector_env import RendezvousVectorEnv
 from rendezvous_env.vector import HeadingVectorWrapper, team_box
-from rendezvous_env.vector_env import RendezvousVectorEnv
 
 from ..learned.guide import CHOICES, Guide
 from ..learned.guided import GuidedTeams

@@ -11,7 +11,7 @@ import torch
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from rendezvous_env.engine.threads import available_cores
+from rendezvous_env.engine.pool.threads import available_cores
 
 from .. import folders, interrupts, results
 from ..checks import check_types

@@ -1,0 +1,1 @@
+"""How episodes begin: seeds, graphs, fields, places; drawn before anything is written."""

@@ -1,0 +1,1 @@
+"""Several threads that do the blocks of one kernel call."""

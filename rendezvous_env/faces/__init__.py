@@ -1,0 +1,1 @@
+"""What the environments of PettingZoo and Gymnasium share, and their wrappers."""

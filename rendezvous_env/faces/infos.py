@@ -1,0 +1,72 @@
+"""What is told of a step beside observations and rewards, in the forms of Gymnasium."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..engine.memory import RENDEZVOUS
+from ..outcome import Outcome
+from ..simulator import Simulator
+
+Info = dict[str, Any]
+Transition = tuple[
+    NDArray[np.float32], NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], Info
+]
+"""Observations, rewards, terminations, truncations and infos of B teams."""
+
+
+def start_info(simulator: Simulator) -> Info:
+    """Infos of all teams at the start of an episode, without masks."""
+    active = simulator.active
+    return {
+        "robot_rewards": np.zeros(active.shape),
+        "active": active,
+        "merged_into": simulator.merged_into,
+        "contact": np.zeros(active.shape, dtype=np.bool_),
+        "clearance": simulator.clearance,
+    }
+
+
+def step_info(simulator: Simulator, outcome: Outcome) -> Info:
+    """Infos of all teams after a step, without masks."""
+    return {
+        "robot_rewards": outcome.robot_rewards,
+        "active": outcome.active,
+        "merged_into": simulator.merged_into,
+        "contact": outcome.contact,
+        "clearance": outcome.clearance,
+    }
+
+
+def summary_of(simulator: Simulator) -> Info:
+    """How the teams stand at the end of an episode, (B,) each: s, m, m²/s."""
+    return {
+        "success": simulator.status == RENDEZVOUS,
+        "time": simulator.time,
+        "contacts": simulator.contacts,
+        "path_length": simulator.path_length,
+        "lyapunov": simulator.lyapunov(),
+    }
+
+
+def of_all(infos: Info, num_envs: int) -> Info:
+    """Infos that every team has, in Gymnasium's form."""
+    return _with_masks(infos, np.ones((len(infos), num_envs), dtype=np.bool_))
+
+
+def masked(infos: Info, mask: NDArray[np.bool_]) -> Info:
+    """Infos of the teams of a mask, in Gymnasium's form."""
+    return _with_masks(infos, np.repeat(mask[None], len(infos), axis=0))
+
+
+def _with_masks(infos: Info, masks: NDArray[np.bool_]) -> Info:
+    """To every key a mask ``_key`` of its own."""
+    return infos | {f"_{key}": own for key, own in zip(infos, masks, strict=True)}
+
+
+def of_first_team(infos: Info) -> Info:
+    """Infos of team 0, without the axis of teams."""
+    return {key: values[0] for key, values in infos.items()}
