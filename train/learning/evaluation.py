@@ -29,7 +29,7 @@ def held_out(scenario: str, network: Any, settings: PolicySettings, starts: int)
         episodes, _ = play(
             chosen,
             lambda: LearnedPolicy(chosen, network, settings),
-            margin=settings.min_alignment,
+            margin=settings.promised_margin,
             episodes=starts,
             seed=EVALUATION_SEEDS,
         )

@@ -108,12 +108,9 @@ class Training:
         return WatchedRobots(
             PerceivingTeams(
                 teams,
-                self.settings.make_guide(teams.scenario),
+                self.settings,
                 touch_penalty=config.touch_penalty,
                 obstacle_slots=config.obstacle_slots(),
-                min_alignment=config.min_alignment,
-                max_turn_rate=config.max_turn_rate,
-                decision_period=config.decision_period,
             )
         )
 
