@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import importlib.util
 import math
 import shutil
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,19 +17,18 @@ from rendezvous_env.experiment.scenario import Scenario
 
 from . import checkpoints
 from .checkpoints import CheckpointError
+from .chooser import Chooser
+from .guided import TankTeams
 from .perception import check_readable
 from .policy_settings import PolicySettings
 
-if TYPE_CHECKING:
-    from .networks import HeadingNetwork
+__all__ = ["LearnedPolicy", "PolicySettings", "load", "ship", "shipped"]
 
-__all__ = ["LearnedPolicy", "PolicySettings", "load", "ship"]
-
-NAME = "learned"
+NAME, TANK_NAME = "learned", "learned-tank"
 PRETRAINED = Path(__file__).parents[1] / "pretrained"
-"""The policy called ``learned``, once it is there."""
-_AT_ONCE = 1024
-"""Robots whose actions are computed together; the rows of more do not fit the processor's cache."""
+"""The policy called ``learned``: certified headings."""
+PRETRAINED_TANK = Path(__file__).parents[1] / "pretrained_tank"
+"""The policy called ``learned-tank``."""
 
 
 class LearnedPolicy:
@@ -40,22 +41,23 @@ class LearnedPolicy:
 
     Args:
         scenario: whose robots it steers.
-        network: for ``settings``.
+        weights: of the network, by name, as a checkpoint has them.
         settings: of the network and of the guarantee.
 
     Raises:
-        ValueError: for robots that it cannot steer.
+        ValueError: for robots that it cannot steer, or weights that do not fit the settings.
     """
 
     def __init__(
-        self, scenario: Scenario, network: HeadingNetwork, settings: PolicySettings
+        self, scenario: Scenario, weights: Mapping[str, NDArray[Any]], settings: PolicySettings
     ) -> None:
         check_readable(scenario)
         self.scenario, self.settings = scenario, settings
         self.min_alignment = settings.promised_margin
         self.decision_period = settings.decision_period(scenario)
         rows = scenario.observation_layout
-        self._network = _for_slots(network, rows.neighbour_slots, rows.obstacle_slots, settings)
+        layout = settings.layout(rows.neighbour_slots, rows.obstacle_slots)
+        self._chooser = Chooser(weights, settings, layout)
         self._leading: tuple[int, ...] | None = None
 
     def __call__(self, observations: NDArray[Any], time: ArrayLike) -> NDArray[np.float32]:
@@ -90,6 +92,13 @@ class LearnedPolicy:
             self._guided.forget(which)
             self._wait[which] = 0
 
+    @property
+    def levels(self) -> NDArray[np.float64] | None:
+        """Of the tanks, (..., n), m²/s; None without tanks or before the first action."""
+        if self._leading is None or not isinstance(self._guided, TankTeams):
+            return None
+        return self._guided.steering.levels.reshape(*self._leading, -1)
+
     def _begin(self, leading: tuple[int, ...]) -> None:
         teams = math.prod(leading)
         self._guided = self.settings.make_teams(self.scenario, teams)
@@ -101,30 +110,8 @@ class LearnedPolicy:
         shown = self._guided.show(observations, due)
         choices, alive = self._guided.choices.copy(), shown.any(axis=-1)
         choices[due] = 0
-        choices[alive] = self._choose(shown[alive])
+        choices[alive] = self._chooser.choose(shown[alive])
         self._guided.choose(choices)
-
-    def _choose(self, shown: NDArray[np.float32]) -> NDArray[np.int64]:
-        """The likeliest choices (N,) for what N robots are shown."""
-        import torch
-
-        choices = np.empty(len(shown), dtype=np.int64)
-        with torch.inference_mode():
-            for first in range(0, len(shown), _AT_ONCE):
-                some = torch.from_numpy(shown[first : first + _AT_ONCE])
-                likeliest = self._network.get_distribution(some).mode()
-                choices[first : first + _AT_ONCE] = likeliest.cpu().numpy()
-        return choices
-
-
-def _for_slots(
-    network: HeadingNetwork, neighbours: int, obstacles: int, settings: PolicySettings
-) -> HeadingNetwork:
-    """The same weights in a network for other numbers of slots."""
-    own = settings.make_network(settings.layout(neighbours, obstacles))
-    own.load_state_dict(network.state_dict())
-    own.set_training_mode(False)
-    return own
 
 
 def load(path: Path, scenario: Scenario) -> LearnedPolicy:
@@ -132,22 +119,23 @@ def load(path: Path, scenario: Scenario) -> LearnedPolicy:
 
     Raises:
         CheckpointError: if it cannot be read or does not belong to this version, naming the file.
-        ValueError: for robots that it cannot steer, or if torch is missing.
+        ValueError: for robots that it cannot steer, or if weights cannot be read here.
     """
     check_readable(scenario)
-    require_torch()
-    import torch
-
+    if reason := missing_extra():
+        raise ValueError(f"{reason}; pip install 'rendezvous-env[train]'")
     place = checkpoints.find(path)
     about, tables = checkpoints.read(place, ["network"])
     try:
         settings = PolicySettings.from_plain(about.get("policy"))
-        network = settings.make_network(settings.layout(1, 1))
-        weights = {name: torch.from_numpy(value) for name, value in tables["network"].items()}
-        network.load_state_dict(weights)
-    except (TypeError, ValueError, RuntimeError) as error:
+        return LearnedPolicy(scenario, tables["network"], settings)
+    except (TypeError, ValueError) as error:
         raise CheckpointError(f"{place}: is no policy of this version: {error}") from error
-    return LearnedPolicy(scenario, network, settings)
+
+
+def shipped(name: str) -> Path:
+    """The folder of the shipped policy of that name."""
+    return {NAME: PRETRAINED, TANK_NAME: PRETRAINED_TANK}[name]
 
 
 def ship(run: Path, folder: Path) -> None:
@@ -167,21 +155,24 @@ def ship(run: Path, folder: Path) -> None:
         shutil.copyfile(place.parent.parent / name, folder / name)
 
 
+def missing_extra() -> str | None:
+    """Why no weights can be read here, in words; None if they can."""
+    return _missing("learned policies need", ("safetensors",))
+
+
 def require_torch() -> None:
-    """Refuse to go on without the ``train`` extra.
+    """Refuse to train without the ``train`` extra.
 
     Raises:
         ValueError: saying how to install it.
     """
-    if reason := missing_extra():
+    needed = ("torch", "stable_baselines3", "safetensors")
+    if reason := _missing("training needs", needed):
         raise ValueError(f"{reason}; pip install 'rendezvous-env[train]'")
 
 
-def missing_extra() -> str | None:
-    """Which package of the ``train`` extra is not installed, in words; None if all are."""
-    from importlib.util import find_spec
-
-    for package in ("torch", "stable_baselines3", "safetensors"):
-        if find_spec(package) is None:
-            return f"learned policies need {package}"
+def _missing(who: str, packages: Sequence[str]) -> str | None:
+    for package in packages:
+        if importlib.util.find_spec(package) is None:
+            return f"{who} {package}"
     return None

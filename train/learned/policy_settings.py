@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import MISSING, asdict, dataclass, fields
-from typing import TYPE_CHECKING, Any, Literal, get_type_hints
+from typing import Any, Literal, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,9 +21,6 @@ from .headed_tank import HeadedTank
 from .perception import Perception
 from .perception_layout import LEVEL_COLUMNS, WALL_COLUMNS, PerceptionLayout
 from .tank_perception import TankPerception
-
-if TYPE_CHECKING:
-    from .networks import HeadingNetwork
 
 
 @dataclass(frozen=True)
@@ -110,13 +107,6 @@ class PolicySettings:
         if self.guarantee == "tank":
             columns = LEVEL_COLUMNS + (WALL_COLUMNS if self.memory else 0)
         return PerceptionLayout(neighbour_slots, obstacle_slots, columns)
-
-    def make_network(self, layout: PerceptionLayout) -> HeadingNetwork:
-        """An untrained network for what ``layout`` shows."""
-        from .networks import make_network
-
-        sizes: dict[str, Any] = {"set_width": self.set_width, "hidden": self.hidden}
-        return make_network(layout, len(self.angles), **sizes)
 
     def make_guide(self, scenario: Scenario) -> Guide:
         """What turns its choices into headings."""

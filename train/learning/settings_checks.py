@@ -38,6 +38,7 @@ def check(config: Config) -> None:
     check_fields(config)
     check_least(config, **least)
     check_most(config, **_MOST)
+    _check_guarantee(config)
     for name in ("gamma", "gae_lambda"):
         if not 0 <= getattr(config, name) <= 1:
             raise UserError(f"{flag(name)} is {getattr(config, name)}; it must be in [0, 1]")
@@ -46,11 +47,6 @@ def check(config: Config) -> None:
             raise UserError(f"{flag(name)} is {getattr(config, name)}; it must be positive")
     if not 0 <= config.clearance < math.pi:
         raise UserError(f"--clearance is {config.clearance}; it must be an angle in [0, π) rad")
-    if not 0 < config.min_alignment < 1:
-        raise UserError(f"--min-alignment is {config.min_alignment}; it must be in (0, 1)")
-    for name in ("budget", "memory") if config.guarantee == "heading" else ():
-        if value := getattr(config, name):
-            raise UserError(f"{flag(name)} is {value}; headings have none: add --guarantee tank")
     if config.seed >= 2**29:
         raise UserError(f"--seed is {config.seed}; it must be below 2^29")
     if any(count < 0 for count in (*config.curriculum, config.fewest_obstacles or 0)):
@@ -69,6 +65,14 @@ def check(config: Config) -> None:
         config.obstacle_slots()
     except (ValueError, OSError) as error:
         raise UserError(str(error)) from error
+
+
+def _check_guarantee(config: Config) -> None:
+    if not 0 < config.min_alignment < 1:
+        raise UserError(f"--min-alignment is {config.min_alignment}; it must be in (0, 1)")
+    for name in ("budget", "memory") if config.guarantee == "heading" else ():
+        if value := getattr(config, name):
+            raise UserError(f"{flag(name)} is {value}; headings have none: add --guarantee tank")
 
 
 def resumed(config: Config, stored: Config) -> Config:
