@@ -1,6 +1,8 @@
-"""Scripted policies: observations in, actions out, never a position."""
+"""Scripted policies: observations in, actions out, never a position, but for those that say
+``privileged`` in their names.
+"""
 
-from . import laws, obstacle_avoidance
+from . import laws, obstacle_avoidance, privileged_planner
 from .policy import Policy, make, names
 
-__all__ = ["Policy", "laws", "make", "names", "obstacle_avoidance"]
+__all__ = ["Policy", "laws", "make", "names", "obstacle_avoidance", "privileged_planner"]

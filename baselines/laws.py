@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from rendezvous_env.experiment.checks import bools, floats, positive, shown, whole
 from rendezvous_env.experiment.limits import LARGEST_SEED
 from rendezvous_env.experiment.observation_layout import ObservedRows
-from rendezvous_env.guarantee.heading import flexible_velocity
+from rendezvous_env.guarantee.heading import flexible_velocity, step_scale
 from rendezvous_env.guarantee.turning import yaw_rate_law
 
 from .policy import (
@@ -207,7 +207,15 @@ class RandomPolicy:
 
 @register("bearing-only", fits=is_single_integrator)
 def _bearing_only(scenario: Scenario) -> Policy:
-    return LawPolicy(scenario, lambda f, seen, time: bearing_only_law(f))
+    def law(f: Array, seen: ObservedRows, time: ArrayLike) -> Array:
+        velocity = bearing_only_law(f)
+        if not scenario.scales_velocity:
+            return velocity
+        degree = np.linalg.norm(seen.neighbours, axis=-1).sum(-1, np.float64, keepdims=True)
+        scaled: Array = velocity * step_scale(degree, scenario.merge_radius, scenario.tau)
+        return scaled
+
+    return LawPolicy(scenario, law)
 
 
 @register("unicycle", fits=lambda scenario: scenario.robot_model == "unicycle")

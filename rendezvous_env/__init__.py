@@ -14,6 +14,7 @@ from .experiment.obstacles import Capsule, Disc, ObstacleField, Polygon, Sphere
 from .experiment.rewards import RewardWeights
 from .experiment.robot_models import RobotModel, register_robot_model
 from .experiment.scenario import Scenario, TimeStepWarning
+from .experiment.walls import WallField
 from .first_use import announce
 from .guarantee.certificate import Certificate, certificate
 from .guarantee.heading import certified_heading
@@ -46,6 +47,7 @@ __all__ = [
     "Sphere",
     "TimeStepWarning",
     "Trajectory",
+    "WallField",
     "certificate",
     "certified_heading",
     "describe_motion",

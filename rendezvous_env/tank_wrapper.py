@@ -10,7 +10,7 @@ from .rendezvous_v0 import RendezvousParallelEnv
 class EnergyTankWrapper(FilterWrapper):
     """Robots say where they want to go; their energy tanks say how long V may rise for it.
 
-        A_i ← A_i + G_i(Δ_i),   G_i(Δ) = 2 f_i·Δ − (2/r) D_i ‖Δ‖² − ε² τ s_i ‖f_i‖²     (theory 8)
+        A_i ← A_i + G_i(Δ_i),   G_i(Δ) = 2 f_i·Δ − (2/r) D_i ‖Δ‖² − ε² τ s_i ‖f_i‖²  (guarantees 8)
 
     What a robot wants is carried out while A_i + G_i ≥ 0, even straight away from f_i. Otherwise
     law (4) moves it along the wanted direction, projected onto the cap |hᵀf_i| ≥ ε‖f_i‖, or along

@@ -140,21 +140,31 @@ class Step(NamedTuple):
     """What came of it."""
 
 
+def begin(policy: Policy, simulator: Simulator) -> None:
+    """Tell a policy that episodes begin: call its ``reset(mask=None)`` and ``watch(simulator)``, if
+    it has them. Only privileged policies, which read positions, watch.
+
+    Args:
+        policy: who will steer the teams.
+        simulator: the teams, freshly reset.
+    """
+    for method, arguments in (("reset", ()), ("watch", (simulator,))):
+        if callable(found := getattr(policy, method, None)):
+            found(*arguments)
+
+
 def run(simulator: Simulator, policy: Policy, observations: NDArray[np.float32]) -> Iterator[Step]:
     """Step until every team has finished; after each step the caller may look at the simulator.
 
     Args:
         simulator: the teams, freshly reset.
-        policy: (B, n, rows, d) observations and (B,) times in s → (B, n, a) actions. Its method
-            ``reset(mask=None)`` is called first if it has one.
+        policy: (B, n, rows, d) observations and (B,) times in s → (B, n, a) actions; see ``begin``.
         observations: what the reset returned.
 
     Raises:
         ValueError: if an action has the wrong shape or is not finite.
     """
-    forget = getattr(policy, "reset", None)
-    if callable(forget):
-        forget()
+    begin(policy, simulator)
     while (running := simulator.status == RUNNING).any():
         actions = floats("actions", policy(observations, simulator.time), np.float32)
         before = simulator.lyapunov()

@@ -150,6 +150,7 @@ def drafts(place: Arrangement, count: int) -> Drafts:
         second=np.empty(links, np.int64),
         weights=np.empty(links),
         n_links=np.empty(count, np.int64),
+        chains=np.empty((scenario.observation_layout.obstacle_slots, 2), np.int64),
     )
 
 

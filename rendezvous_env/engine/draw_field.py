@@ -23,6 +23,8 @@ class FieldRules(NamedTuple):
     """Least distance of a start from a surface, m."""
     overlap: bool
     """Whether obstacles may overlap."""
+    passage: float
+    """Width of the gaps that join all robots of a start, m; 0 if that is not looked at."""
 
 
 @kernel

@@ -11,11 +11,11 @@ from ..equations.motion import is_described
 from ..experiment import packing
 from ..experiment.checks import shown
 from ..experiment.graphs import FIXED
-from ..experiment.obstacles import ObstacleField
+from ..experiment.obstacles import Field
 from ..experiment.scenario import CONTACT_MODES, Scenario
 from .allocation import Arrangement
-from .draw_field import FieldRules
 from .draw_graph import GraphRules
+from .field_rules import field_rules
 from .memory import Constants, Layout, Robot
 from .starts import StartRules
 
@@ -82,7 +82,7 @@ def constants_of(scenario: Scenario) -> Any:
 def start_rules(scenario: Scenario) -> StartRules:
     """The rules of a start of which nothing is given."""
     field = scenario.obstacles if scenario.observation_layout.obstacle_slots else ()
-    is_field = isinstance(field, ObstacleField)
+    is_field = isinstance(field, Field)
     fixed_frame = scenario.model.n_angles == 0
     return StartRules(
         draw_positions=True,
@@ -92,9 +92,9 @@ def start_rules(scenario: Scenario) -> StartRules:
         draw_obstacles=is_field,
         spawn_size=float(scenario.spawn_size),
         least_distance=2.0 * scenario.merge_radius,
-        keep_out=float(field.keep_out) if isinstance(field, ObstacleField) else 0.0,
+        keep_out=float(field.keep_out) if isinstance(field, Field) else 0.0,
         graph=_graph_rules(scenario),
-        field=_field_rules(field) if isinstance(field, ObstacleField) else None,
+        field=field_rules(field) if isinstance(field, Field) else None,
     )
 
 
@@ -119,16 +119,6 @@ def _graph_rules(scenario: Scenario) -> GraphRules | None:
 _NO_LINKS = (np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0))
 
 
-def _field_rules(field: ObstacleField) -> FieldRules:
-    return FieldRules(
-        counts=field.count_range,
-        radii=field.radius,
-        region=float(field.region),
-        keep_out=float(field.keep_out),
-        overlap=field.overlap,
-    )
-
-
 def fixed_links(
     scenario: Scenario,
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]] | None:
@@ -141,6 +131,6 @@ def fixed_links(
 
 def fixed_obstacles(scenario: Scenario) -> NDArray[np.float64] | None:
     """The table of the scenario's obstacles, (1, M, width); None if they are drawn."""
-    if isinstance(scenario.obstacles, ObstacleField):
+    if isinstance(scenario.obstacles, Field):
         return None
     return packing.pack(scenario.obstacles, scenario.observation_layout.obstacle_slots)[None]

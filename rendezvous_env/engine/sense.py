@@ -10,9 +10,6 @@ from ..equations.motion import sense_oneself
 from .memory import SQUARE_CLOSEST, ListedLinks, lane_count, read, write
 from .sense_obstacles import sense_obstacles
 
-_ROWS_AT_ONCE = 8
-"""Rows that are copied to each team in turn: as many as a line of the cache holds in the plane."""
-
 
 @inlined_kernel
 def sense_block(

@@ -4,14 +4,9 @@ The kernel that everybody runs takes the blocks one after another, so that none 
 that wakes late. It is compiled code that tells of new work and waits for its end, because a thread
 that returned to Python would need the interpreter lock, and be put to sleep for it:
 
-    share, done = Share(*share), 0
-    begin(share)
-    block = take(share)
-    while block < share.blocks:
-        ...
-        done += 1
-        block = take(share)
-    return end(share, done)
+    @kernel
+    def step_blocks(share, positions, …):
+        return each_block(share, _step_block, (positions, …))
 """
 
 import platform
@@ -23,7 +18,7 @@ from numba.core import types
 from numba.extending import intrinsic, overload
 from numpy.typing import NDArray
 
-from ..compilation import inlined_kernel, kernel
+from ..compilation import chosen_by_type, inlined_kernel, kernel
 
 _LINE = 8
 """Counters in use stand in cache lines of their own."""
@@ -52,13 +47,13 @@ class Share(NamedTuple):
     counters: NDArray[np.int64]
     """Zeros at first, see ``new_counters``: blocks done, whether the caller sleeps, blocks taken of
     every thread's range."""
-    bell: NDArray[np.int64]
+    epoch: NDArray[np.int64]
     """(1,), grows with every job of the pool."""
-    heard: int
-    """What the bell is at in this job, for a helper; −1 for the caller, who rings it."""
+    joined: int
+    """The epoch of this job, for a helper; −1 for the caller, who begins it."""
     thread: int
     """Which of the threads this is; the caller is 0."""
-    patience: int
+    spin_limit: int
     """How often a thread looks whether there is news before it sleeps; 0 with no others."""
 
 
@@ -72,15 +67,41 @@ def example_part() -> Part:
     return 0, new_counters(1), np.zeros(1, np.int64), -1, 0, 0
 
 
+def each_block(share, work, arguments):
+    """Do the blocks that this thread takes: ``work(block, *arguments)`` for each.
+
+    Args:
+        share: the fields of a Share.
+        work: an inlined kernel.
+        arguments: a tuple.
+
+    Returns:
+        Whether all blocks are done; if not, helpers report their ends in Python, too.
+    """
+    share, done = Share(*share), 0
+    _begin(share)
+    block = _take(share)
+    while block < share.blocks:
+        work(block, *arguments)
+        done += 1
+        block = _take(share)
+    return _end(share, done)
+
+
+@chosen_by_type(each_block)
+def _compiled_each_block(share, work, arguments):
+    return each_block  # for the kernel that is handed on: its type names it
+
+
 @inlined_kernel
-def begin(share):
+def _begin(share):
     """The caller tells waiting helpers that there is work."""
-    if share.heard < 0 and share.patience > 0:
-        fetch_add(share.bell, 0, 1)
+    if share.joined < 0 and share.spin_limit > 0:
+        fetch_add(share.epoch, 0, 1)
 
 
 @inlined_kernel
-def take(share):
+def _take(share):
     """Index of the next block that nobody has taken; ``share.blocks`` or more if none is left.
 
     Every thread begins with a range of its own, the same in every call, whose teams it may still
@@ -99,16 +120,14 @@ def take(share):
 
 
 @inlined_kernel
-def end(share, done):
-    """Report blocks done, and wait: the caller for the others, a helper for the next job.
-
-    Returns:
-        Whether all blocks are done; if not, helpers report their ends in Python, too.
+def _end(share, done):
+    """Report blocks done, and wait: the caller for the others, a helper for the next job; whether
+    all are done.
     """
     total = fetch_add(share.counters, DONE, done) + done
-    if share.heard < 0:
+    if share.joined < 0:
         looks = 0
-        while total < share.blocks and looks < share.patience:
+        while total < share.blocks and looks < share.spin_limit:
             pause()
             total = fetch(share.counters, DONE)
             looks += 1
@@ -117,8 +136,8 @@ def end(share, done):
     elif done > 0:  # else it woke too late to be of use, and would be again
         looks = 0
         while (
-            looks < share.patience
-            and fetch(share.bell, 0) == share.heard
+            looks < share.spin_limit
+            and fetch(share.epoch, 0) == share.joined
             and fetch(share.counters, _ASLEEP) == 0
         ):
             pause()
@@ -128,7 +147,7 @@ def end(share, done):
 
 @kernel
 def look_in_vain(counters, looks):
-    """Look so often whether there is news, as ``end`` does; to measure how long that takes."""
+    """Look so often whether there is news, as ``_end`` does; to measure how long that takes."""
     k = 0
     while k < looks and fetch(counters, 0) == 0:
         pause()

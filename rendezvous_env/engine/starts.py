@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..compilation import kernel
-from ..equations import double_integrator, kinematics  # noqa: F401 - chosen by type, see motion
 from ..equations.motion import begin_memory, frame_of
 from ..equations.obstacles import clear_of_obstacles
 from ..equations.potential import distance_squared, lyapunov_of_links
@@ -20,12 +19,13 @@ from ..equations.random_streams import (
     OBSTACLES,
     START,
     draw_rotation,
+    mix,
     stream_key,
     uniform,
 )
 from ..equations.vectors import load
-from .draw_field import FieldRules, draw_field
 from .draw_graph import GraphRules, draw_links
+from .fields import Rules, draw_obstacles, is_possible
 from .links import copy_links, load_links, store_links
 from .memory import (
     ACTIVE,
@@ -42,6 +42,7 @@ from .memory import (
 from .worlds import copy_world, world_of
 
 _TRIES_FOR_START = 1000
+_TRIES_FOR_WAYS = 1000
 FITS, NO_ROOM, TOO_MANY_LINKS = range(3)
 
 
@@ -58,7 +59,7 @@ class StartRules(NamedTuple):
     keep_out: float
     graph: GraphRules | None
     """None where no episode draws anything of its graph: then nothing of that is compiled."""
-    field: FieldRules | None
+    field: Rules | None
     """Likewise, of its obstacles."""
 
 
@@ -75,6 +76,8 @@ class Drafts(NamedTuple):
     """(count, E), m/s."""
     n_links: NDArray[np.int64]
     """(count,)."""
+    chains: NDArray[np.int64]
+    """(M, 2), working memory, see ``walled_in``."""
 
 
 @kernel
@@ -130,7 +133,7 @@ def reset_teams(
         copy_world(obstacles, team, worlds, k)
         listed = (hand.first[:count], hand.second[:count], hand.weights[:count])
         world = world_of(worlds, k)
-        if not _draw_room(keys, rules, rules.field, listed, world, positions):
+        if not _draw_room(keys, rules, rules.field, listed, world, positions, drafts.chains):
             return team, NO_ROOM
     for k in range(len(indices)):
         team, count = indices[k], drafts.n_links[k]
@@ -155,16 +158,37 @@ def _draw_links(team, keys, rules, graph, layout, links, hand):
 
 
 @kernel
-def _draw_room(keys, rules, field, links, world, positions):
-    """What of one team's start may find no room: obstacles and places; whether it fits."""
+def _draw_room(keys, rules, field, links, world, positions, chains):
+    """What of one team's start may find no room: obstacles and places; whether it fits.
+
+    A start in which some robots are walled in, where the field promises none, is drawn again.
+    """
+    key = stream_key(keys[0], keys[1], START)
     if field is not None:
         if rules.draw_obstacles:
             n_starts = 0 if rules.draw_positions else positions.shape[0]
-            key = stream_key(keys[0], keys[1], OBSTACLES)
-            if not draw_field(key, field, positions, n_starts, world):
-                return False
+            field_key = stream_key(keys[0], keys[1], OBSTACLES)
+            for trial in range(_TRIES_FOR_WAYS):
+                if not draw_obstacles(
+                    _stream_of_try(field_key, trial), field, positions, n_starts, world
+                ) or not _draw_places(_stream_of_try(key, trial), rules, links, world, positions):
+                    return False
+                if is_possible(field, world, positions, chains):
+                    return True
+            return False
+    return _draw_places(key, rules, links, world, positions)
+
+
+@kernel
+def _stream_of_try(key, trial):
+    """The stream itself at first, then one of its own for each further try."""
+    return key if trial == 0 else mix(key ^ np.uint64(trial))
+
+
+@kernel
+def _draw_places(key, rules, links, world, positions):
+    """Places, unless they are given; whether they fit."""
     if rules.draw_positions:
-        key = stream_key(keys[0], keys[1], START)
         return _draw_positions(key, rules, links, world, positions)
     return True
 

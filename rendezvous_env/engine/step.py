@@ -3,14 +3,13 @@
 import numpy as np
 
 from ..compilation import inlined_kernel, inlined_view, kernel
-from ..equations import double_integrator, kinematics  # noqa: F401 - chosen by type, see motion
 from .advance import advance_block
 from .conclude import conclude_block
 from .memory import LYAPUNOV, AtHand, Constants, Lanes, Results, Teams, lane_count
 from .propose import bring_frames_up, load_actions, propose_block, turn_block
 from .sense import sense_block
 from .sense_obstacles import load_balls
-from .sharing import Share, begin, end, take
+from .sharing import Share, each_block
 
 _EXPONENT = np.uint32(0x7F800000)
 """The exponent bits of a float32."""
@@ -51,54 +50,77 @@ def step_blocks(
         hands: the fields of AtHand, likewise.
 
     Returns:
-        Whether all blocks are done, see ``sharing.end``.
+        Whether all blocks are done, see ``each_block``.
     """
     # plain tuples cross the border from Python twice as fast as named ones
-    share, constants, teams = Share(*share), Constants(*constants), Teams(*teams)
-    buffers, hand = (
-        _lanes_of(Lanes(*all_lanes), share.thread),
-        _hand_of(AtHand(*hands), share.thread),
+    thread = Share(*share).thread
+    return each_block(
+        share,
+        _step_block,
+        (
+            moves,
+            blocks,
+            layout,
+            Constants(*constants),
+            robot,
+            Teams(*teams),
+            links,
+            obstacles,
+            actions,
+            Results(*results),
+            _lanes_of(Lanes(*all_lanes), thread),
+            _hand_of(AtHand(*hands), thread),
+        ),
     )
-    results = Results(*results)
-    done, lanes = 0, lane_count(layout.width)
-    begin(share)
-    taken = take(share)
-    while taken < share.blocks:
-        block = blocks[taken]
-        count = min(lanes, len(actions) - block * lanes)
-        load_balls(block, count, layout, obstacles, buffers)
-        if moves:
-            load_actions(block, count, layout, teams, actions, buffers)
-            propose_block(block, count, layout, robot, teams, buffers)
-            advance_block(
-                block,
-                count,
-                layout,
-                constants,
-                robot,
-                teams,
-                links,
-                obstacles,
-                results,
-                buffers,
-                hand,
-            )
-            turn_block(
-                block, count, layout, constants, robot, robot.memories, teams, results, buffers
-            )
-        else:
-            bring_frames_up(block, count, layout, robot, robot.memories, teams)
-        sense_block(
-            block, count, layout, constants, robot, teams, links, obstacles, results, buffers, hand
+
+
+@inlined_kernel
+def _step_block(
+    taken,
+    moves,
+    blocks,
+    layout,
+    constants,
+    robot,
+    teams,
+    links,
+    obstacles,
+    actions,
+    results,
+    buffers,
+    hand,
+):
+    """Propose → contact → merge → turn → sense → conclude."""
+    block, lanes = blocks[taken], lane_count(layout.width)
+    count = min(lanes, len(actions) - block * lanes)
+    load_balls(block, count, layout, obstacles, buffers)
+    if moves:
+        load_actions(block, count, layout, teams, actions, buffers)
+        propose_block(block, count, layout, robot, teams, buffers)
+        advance_block(
+            block,
+            count,
+            layout,
+            constants,
+            robot,
+            teams,
+            links,
+            obstacles,
+            results,
+            buffers,
+            hand,
         )
-        if moves:
-            conclude_block(block, count, layout, constants, teams, results, buffers)
-        else:
-            for lane in range(lanes):
-                teams.statistics[block, LYAPUNOV * lanes + lane] = 2.0 * buffers.pair[lane]
-        done += 1
-        taken = take(share)
-    return end(share, done)
+        turn_block(block, count, layout, constants, robot, robot.memories, teams, results, buffers)
+    else:
+        bring_frames_up(block, count, layout, robot, robot.memories, teams)
+    sense_block(
+        block, count, layout, constants, robot, teams, links, obstacles, results, buffers, hand
+    )
+    if moves:
+        conclude_block(block, count, layout, constants, teams, results, buffers)
+    else:
+        for lane in range(lanes):
+            teams.statistics[block, LYAPUNOV * lanes + lane] = 2.0 * buffers.pair[lane]
 
 
 @inlined_view

@@ -57,7 +57,7 @@ class _Job:
 _jobs: SimpleQueue[tuple[_Job, Part]] = SimpleQueue()
 _workers: list[threading.Thread] = []
 _workers_lock = threading.Lock()
-_bell: NDArray[np.int64] = np.zeros(1, dtype=np.int64)
+_epoch: NDArray[np.int64] = np.zeros(1, dtype=np.int64)
 
 
 def most_threads(asked: int | None) -> int:
@@ -82,14 +82,14 @@ def share(run_kernel: Callable[[Part], bool], blocks: int, most: int) -> None:
     """
     counters = new_counters(most)
     if most == 1 or not compiled():
-        run_kernel((blocks, counters, _bell, -1, 0, 0))
+        run_kernel((blocks, counters, _epoch, -1, 0, 0))
         return
     _ensure_workers(most - 1)
-    job, heard, looks = _Job(run_kernel), int(_bell[0]) + 1, _looks()
-    part = (blocks, counters, _bell, -1, 0, looks)
+    job, joined, spins = _Job(run_kernel), int(_epoch[0]) + 1, _spin_limit()
+    part = (blocks, counters, _epoch, -1, 0, spins)
     try:
         for thread in range(1, most):
-            _jobs.put((job, (blocks, counters, _bell, heard, thread, looks)))
+            _jobs.put((job, (blocks, counters, _epoch, joined, thread, spins)))
         all_done = run_kernel(part)
         while not all_done:
             if (end := job.ends.get()) is not None:
@@ -123,7 +123,7 @@ def _settle(job: _Job, part: Part) -> None:
 
 
 @lru_cache
-def _looks() -> int:
+def _spin_limit() -> int:
     """How often a waiting thread looks for news in the time that it stays awake."""
     tries, counters = 1000, new_counters(1)
     look_in_vain(counters, 1)  # compiled by now

@@ -16,7 +16,7 @@ from typing import NamedTuple
 from ..compilation import kernel
 from .kinematics import keep_frame, speed_scale
 from .motion import FREE, STOPPED, Motion, describe
-from .vectors import scaled, square, to_global, to_local
+from .vectors import plus, product, scaled, square, to_global, to_local
 
 _NEARLY_STEADY = 1e-3
 """Where the velocity changes by less than this share of itself, Simpson's rule has the length of
@@ -37,35 +37,20 @@ class DoubleIntegrator(NamedTuple):
 
 
 @kernel
-def _plus(a, factor, b):
-    """The pair or triple a + factor b."""
-    if len(a) == 2:
-        return a[0] + factor * b[0], a[1] + factor * b[1]
-    return a[0] + factor * b[0], a[1] + factor * b[1], a[2] + factor * b[2]
-
-
-@kernel
 def final_velocity(model, action, frame, velocity):
-    """V + τ R a with ‖a‖ and then the speed limited, direction kept; m/s, global frame."""
+    """Velocity v + τ R a with ‖a‖ and then the speed limited, direction kept; m/s, global."""
     _, factor = speed_scale(square(action), model.acceleration_limit)
-    pushed = _plus(velocity, model.duration * factor, to_global(frame, action))
+    pushed = plus(velocity, model.duration * factor, to_global(frame, action))
     _, factor = speed_scale(square(pushed), model.speed_limit)
     return scaled(pushed, factor)
 
 
 @kernel
 def _along(model, action, frame, memory, time):
-    """V t + ½ a t², with a = (v(τ) − v)/τ."""
-    change = _plus(final_velocity(model, action, frame, memory), -1.0, memory)
+    """The way v t + ½ a t², with a = (v(τ) − v)/τ."""
+    change = plus(final_velocity(model, action, frame, memory), -1.0, memory)
     half = 0.5 * time * time / model.duration
-    return _plus(scaled(memory, time), half, change)
-
-
-@kernel
-def _dot(a, b):
-    """Scalar product of pairs or triples."""
-    product = a[0] * b[0] + a[1] * b[1]
-    return product if len(a) == 2 else product + a[2] * b[len(b) - 1]
+    return plus(scaled(memory, time), half, change)
 
 
 @kernel
@@ -80,13 +65,13 @@ def mean_speed(before, after):
         after: v₁, m/s.
     """
     start, end = math.sqrt(square(before)), math.sqrt(square(after))
-    change = _plus(after, -1.0, before)
+    change = plus(after, -1.0, before)
     size = math.sqrt(square(change))
     if size <= _NEARLY_STEADY * max(start, end):
-        middle = 0.5 * math.sqrt(square(_plus(before, 1.0, after)))
+        middle = 0.5 * math.sqrt(square(plus(before, 1.0, after)))
         return (start + 4.0 * middle + end) / 6.0
-    along = _dot(before, change) / size
-    across = math.sqrt(square(_plus(before, -along / size, change)))
+    along = product(before, change) / size
+    across = math.sqrt(square(plus(before, -along / size, change)))
     length = (along + size) * end - along * start
     if across > 0.0:
         turned = math.asinh((along + size) / across) - math.asinh(along / across)
@@ -98,7 +83,7 @@ def mean_speed(before, after):
 def _propose(model, action, frame, memory):
     """The way is a parabola."""
     after = final_velocity(model, action, frame, memory)
-    middle = scaled(_plus(memory, 1.0, after), 0.5)
+    middle = scaled(plus(memory, 1.0, after), 0.5)
     return scaled(middle, model.duration), model.duration * mean_speed(memory, after)
 
 
@@ -120,10 +105,10 @@ def _remember(model, action, frame, memory, displacement, contact):
         return velocity
     if contact == STOPPED:
         return scaled(velocity, 0.0)
-    way = scaled(_plus(memory, 1.0, velocity), 0.5 * model.duration)
-    taken = _plus(way, -1.0, displacement)
-    into, size = _dot(velocity, taken), square(taken)
-    return _plus(velocity, -into / size, taken) if into > 0.0 and size > 0.0 else velocity
+    way = scaled(plus(memory, 1.0, velocity), 0.5 * model.duration)
+    taken = plus(way, -1.0, displacement)
+    into, size = product(velocity, taken), square(taken)
+    return plus(velocity, -into / size, taken) if into > 0.0 and size > 0.0 else velocity
 
 
 @kernel

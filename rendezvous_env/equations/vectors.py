@@ -116,6 +116,22 @@ def square(v):
 
 
 @inlined_kernel
+def plus(a, factor, b):
+    """The pair or triple a + factor b."""
+    if len(a) == 2:
+        return a[0] + factor * b[0], a[1] + factor * b[1]
+    return a[0] + factor * b[0], a[1] + factor * b[1], a[2] + factor * b[2]
+
+
+@inlined_kernel
+def product(a, b):
+    """Scalar product of two pairs or triples."""
+    if len(a) == 2:
+        return a[0] * b[0] + a[1] * b[1]
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@inlined_kernel
 def scaled(v, factor):
     """A pair or triple times a number."""
     if len(v) == 2:

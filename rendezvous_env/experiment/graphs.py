@@ -9,12 +9,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .checks import floats, is_whole, real, refuse, shown, whole
-from .limits import LARGEST, MOST_ROBOTS, SMALLEST
+from .checks import floats, real, shown, whole
+from .graph_checks import as_edge, as_range, check_weights, listed_edges, ordered_edges
+from .graph_numbers import bottleneck_weight, components, max_degree
+from .limits import MOST_ROBOTS
 
 FIXED, RANDOM_TREE, ERDOS_RENYI = range(3)
 """How an episode chooses its edges."""
 _TOPOLOGIES = {"random_tree": RANDOM_TREE, "erdos_renyi": ERDOS_RENYI}
+_LARGE_TEAM = 48
+"""Robots from which a step is made for what they see rather than for the worst of all merges."""
 _FIXED_KINDS = ("complete", "path", "cycle", "star")
 
 
@@ -42,7 +46,7 @@ class Graph:
             raise ValueError(
                 f"graph: {shown(self.kind)} is not a graph; choose one of {', '.join(kinds)}"
             )
-        object.__setattr__(self, "weight_range", _as_range(self.weight_range))
+        object.__setattr__(self, "weight_range", as_range(self.weight_range))
         if not 0 < real(self.probability) <= 1:
             raise ValueError(f"graph: probability {shown(self.probability)} must be in (0, 1]")
         object.__setattr__(self, "probability", real(self.probability))
@@ -54,7 +58,7 @@ class Graph:
                 raise ValueError(f"graph: a {self.kind} has neither edges nor n_nodes")
             return
         n = whole("graph: n_nodes", self.n_nodes, 1, MOST_ROBOTS)
-        object.__setattr__(self, "edges", _ordered_edges(self.edges, n))
+        object.__setattr__(self, "edges", ordered_edges(self.edges, n))
         object.__setattr__(self, "n_nodes", n)
 
     @property
@@ -147,6 +151,22 @@ class Graph:
             return (n - 1) * high
         return max((max_degree(base[np.ix_(c, c)] * high) for c in components(base)), default=0.0)
 
+    def step_degree(self, n: int) -> float:
+        """The D_i, m/s, that a step of single integrators is made for: D̄ of a small team; of a
+        large one the largest that a fixed graph has before any merge, twice the mean of a family.
+
+        Merges could turn a large sparse graph into a star, and a step for that would be hundreds of
+        times too short for the robots there are. Whoever has a larger D_i goes more slowly
+        (theory 4).
+        """
+        worst, (_, high) = self.max_degree(n), self.weight_range
+        if n < _LARGE_TEAM:
+            return worst
+        if self.topology == FIXED:
+            return min(worst, high * float(self.base_weights(n).sum(axis=1).max()))
+        mean = 2.0 * (n - 1) / n if self.topology == RANDOM_TREE else self.probability * (n - 1)
+        return min(worst, 2.0 * mean * high)
+
     def bottleneck_weight(self, n: int) -> float:
         """a*, m/s: the least a* over all graphs that an episode can draw (theory 3)."""
         low, _ = self.weight_range
@@ -176,27 +196,27 @@ GraphLike = Graph | str | Sequence[Sequence[float]] | NDArray[Any]
 
 def complete(weight: float | tuple[float, float] = 1.0) -> Graph:
     """Everyone sees everyone; ``weight`` in m/s, or a range to draw from."""
-    return Graph("complete", _as_range(weight))
+    return Graph("complete", as_range(weight))
 
 
 def path(weight: float | tuple[float, float] = 1.0) -> Graph:
     """Robot i sees i - 1 and i + 1."""
-    return Graph("path", _as_range(weight))
+    return Graph("path", as_range(weight))
 
 
 def cycle(weight: float | tuple[float, float] = 1.0) -> Graph:
     """A path whose ends see each other."""
-    return Graph("cycle", _as_range(weight))
+    return Graph("cycle", as_range(weight))
 
 
 def star(weight: float | tuple[float, float] = 1.0) -> Graph:
     """Everyone sees robot 0 and is seen by it."""
-    return Graph("star", _as_range(weight))
+    return Graph("star", as_range(weight))
 
 
 def random_tree(weight: float | tuple[float, float] = 1.0) -> Graph:
     """A uniformly random labelled tree, drawn anew for every episode."""
-    return Graph("random_tree", _as_range(weight))
+    return Graph("random_tree", as_range(weight))
 
 
 def erdos_renyi(probability: float, weight: float | tuple[float, float] = 1.0) -> Graph:
@@ -205,7 +225,7 @@ def erdos_renyi(probability: float, weight: float | tuple[float, float] = 1.0) -
     Draws are repeated until one is connected; after 100 in vain a uniformly random spanning tree is
     added to the last one.
     """
-    return Graph("erdos_renyi", _as_range(weight), probability=probability)
+    return Graph("erdos_renyi", as_range(weight), probability=probability)
 
 
 def from_edges(edges: Iterable[Sequence[float]], n_robots: int | None = None) -> Graph:
@@ -214,43 +234,9 @@ def from_edges(edges: Iterable[Sequence[float]], n_robots: int | None = None) ->
     Raises:
         ValueError: for a loop, a repeated edge, an index out of range or a bad weight.
     """
-    listed = _listed(edges)
-    last = max((max(i, j) for i, j, _ in map(_edge, listed)), default=0)
+    listed = listed_edges(edges)
+    last = max((max(i, j) for i, j, _ in map(as_edge, listed)), default=0)
     return Graph("edges", edges=listed, n_nodes=n_robots or 1 + max(0, last))
-
-
-def _listed(edges: Any) -> tuple[Any, ...]:
-    if not isinstance(edges, Iterable) or isinstance(edges, str | bytes):
-        refuse("graph: edges", edges, "a sequence of (i, j) or (i, j, weight)")
-    return tuple(edges)
-
-
-def _edge(edge: Any) -> tuple[int, int, float]:
-    """One edge, its weight 1 m/s if it is not given; whole numbers may come as floats."""
-    row = edge.tolist() if isinstance(edge, np.ndarray) else edge
-    if not isinstance(row, Sequence) or isinstance(row, str | bytes) or len(row) not in (2, 3):
-        refuse("graph: an edge", edge, "(i, j) or (i, j, weight) with indices of robots")
-    i, j, weight = (*row, 1.0)[:3]
-    if not all(is_whole(k) or real(k).is_integer() for k in (i, j)):
-        refuse("graph: an edge", edge, "(i, j) or (i, j, weight) with whole indices of robots")
-    if not SMALLEST <= real(weight) <= LARGEST:
-        raise ValueError(
-            f"graph: edge ({int(i)}, {int(j)}) has weight {shown(weight)}; it must be positive and "
-            f"finite, from {SMALLEST:g} to {LARGEST:g} m/s"
-        )
-    return int(i), int(j), real(weight)
-
-
-def _ordered_edges(edges: Any, n: int) -> tuple[tuple[int, int, float], ...]:
-    ordered: dict[tuple[int, int], float] = {}
-    for i, j, weight in map(_edge, _listed(edges)):
-        pair = (min(i, j), max(i, j))
-        if i == j or pair in ordered or pair[0] < 0 or pair[1] >= n:
-            raise ValueError(
-                f"graph: edge ({i}, {j}) must join two different robots of 0..{n - 1}, once"
-            )
-        ordered[pair] = weight
-    return tuple((i, j, weight) for (i, j), weight in sorted(ordered.items()))
 
 
 def from_matrix(weights: ArrayLike) -> Graph:
@@ -283,82 +269,9 @@ def _from_plain(plain: dict[str, Any]) -> Graph:
         raise ValueError(
             f"graph: unknown key {shown(unknown[0])}; known keys are {', '.join(sorted(known))}"
         )
-    weight_range = _as_range(plain.get("weight_range", 1.0))
+    weight_range = as_range(plain.get("weight_range", 1.0))
     kind = plain.get("kind", "edges" if "edges" in plain else "complete")
     if kind == "edges":
         graph = from_edges(plain.get("edges", ()), plain.get("n_nodes"))
         return Graph("edges", weight_range, graph.edges, graph.n_nodes)
     return Graph(kind, weight_range, probability=plain.get("probability", 0.5))
-
-
-def check_weights(weights: NDArray[np.float64], n: int | None = None, field: str = "graph") -> None:
-    """Refuse a matrix that is no set of sensing weights.
-
-    Args:
-        weights: to be (n, n), symmetric, non-negative, finite, zero on the diagonal.
-        n: number of robots, if known.
-        field: what the message calls the matrix.
-
-    Raises:
-        ValueError: naming the shape or the first entry that is wrong.
-    """
-    size = n if n is not None else (weights.shape[0] if weights.ndim else 0)
-    if weights.shape != (size, size):
-        raise ValueError(
-            f"{field}: weights have shape {weights.shape}; they must be ({size}, {size})"
-        )
-    reasons = (
-        (~np.isfinite(weights), "must be finite"),
-        (weights < 0, "must not be negative"),
-        (
-            (weights != 0) & ((weights < SMALLEST) | (weights > LARGEST)),
-            f"must be 0, or from {SMALLEST:g} to {LARGEST:g} m/s",
-        ),
-        (np.diag(np.diag(weights) != 0), "must be 0: no robot is its own neighbour"),
-        (
-            weights != weights.T,
-            "must equal its mirror image: the graph is undirected (a_ij = a_ji)",
-        ),
-    )
-    for wrong, reason in reasons:
-        if np.any(wrong):
-            i, j = (int(k) for k in np.argwhere(wrong)[0])
-            raise ValueError(f"{field}: weight a[{i}, {j}] = {weights[i, j]} {reason}")
-
-
-def components(weights: NDArray[np.float64]) -> list[list[int]]:
-    """Connected components of a weight matrix, as lists of indices."""
-    from scipy.sparse.csgraph import connected_components
-
-    count, labels = connected_components(weights > 0, directed=False)
-    return [np.flatnonzero(labels == label).tolist() for label in range(count)]
-
-
-def max_degree(weights: NDArray[np.float64]) -> float:
-    """D̄ of one connected weight matrix: the largest D_i that merging can produce (theory 4)."""
-    if not np.any(weights > 0):
-        return 0.0
-    n, heaviest = len(weights), float(weights.max())
-    neighbours = int((weights > 0).sum(axis=1).max())
-    most = 2 if neighbours <= 2 else n - 1
-    return min(most * heaviest, float(np.triu(weights).sum()))
-
-
-def bottleneck_weight(weights: NDArray[np.float64]) -> float:
-    """a* of a weight matrix: the least edge of a maximum spanning tree (of each component)."""
-    from scipy.sparse import csr_array
-    from scipy.sparse.csgraph import minimum_spanning_tree
-
-    links = csr_array(np.where(weights > 0, -weights, 0.0))  # of dense ones SciPy drops small links
-    tree = minimum_spanning_tree(links)
-    return float(-tree.data.max()) if tree.nnz else 0.0
-
-
-def _as_range(weight: Any) -> tuple[float, float]:
-    pair = tuple(weight) if isinstance(weight, list | tuple) else (weight, weight)
-    if len(pair) != 2 or not SMALLEST <= real(pair[0]) <= real(pair[1]) <= LARGEST:
-        raise ValueError(
-            f"graph: weight_range {shown(pair)} must be finite, 0 < low <= high, from "
-            f"{SMALLEST:g} to {LARGEST:g} m/s"
-        )
-    return real(pair[0]), real(pair[1])

@@ -39,25 +39,25 @@ def check_ends(value: Any) -> tuple[tuple[float, ...], tuple[float, ...]]:
     return first, second
 
 
-def check_radius(kind: str, value: Any) -> float:
-    """A radius that a contact 1 µm deep cannot pass through."""
+def check_radius(kind: str, value: Any, field: str = "radius") -> float:
+    """A radius, or another thickness, that a contact 1 µm deep cannot pass through."""
     if not _LEAST_THICKNESS <= real(value) <= LARGEST:
         raise ValueError(
-            f"obstacles: radius {shown(value)} of a {kind} must be finite and at least "
+            f"obstacles: {field} {shown(value)} of a {kind} must be finite and at least "
             f"{_LEAST_THICKNESS:g} m, at most {LARGEST:g} m"
         )
     return float(value)
 
 
-def check_radius_range(value: Any) -> tuple[float, float]:
-    """Least and largest radius of a field."""
+def check_range(kind: str, field: str, value: Any) -> tuple[float, float]:
+    """Least and largest radius, or other length above zero, of a field."""
     pair = tuple(value) if _is_sequence(value) else (value, value)
     if len(pair) != 2 or not real(pair[0]) <= real(pair[1]) <= LARGEST:
         raise ValueError(
-            f"obstacles: radius {shown(value)} of an ObstacleField must be a pair (low, high), m, "
+            f"obstacles: {field} {shown(value)} of {_article(kind)} must be a pair (low, high), m, "
             f"with low <= high <= {LARGEST:g}"
         )
-    return check_radius("ObstacleField", pair[0]), float(pair[1])
+    return check_radius(kind, pair[0], field), float(pair[1])
 
 
 def check_count(value: Any) -> tuple[int, int]:
@@ -72,14 +72,18 @@ def check_count(value: Any) -> tuple[int, int]:
     return int(pair[0]), int(pair[1])
 
 
-def check_length(field: str, value: Any) -> float:
+def check_length(kind: str, field: str, value: Any) -> float:
     """A length that may be zero."""
     if not 0 <= real(value) <= LARGEST:
         raise ValueError(
-            f"obstacles: {field} {shown(value)} of an ObstacleField must be finite and at least "
+            f"obstacles: {field} {shown(value)} of {_article(kind)} must be finite and at least "
             f"0 m, at most {LARGEST:g} m"
         )
     return float(value)
+
+
+def _article(kind: str) -> str:
+    return f"an {kind}" if kind[0] in "AEIO" else f"a {kind}"
 
 
 def _is_sequence(value: Any) -> bool:

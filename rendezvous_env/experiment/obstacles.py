@@ -1,4 +1,4 @@
-"""Discs, convex polygons, capsules and spheres; random fields of discs or spheres."""
+"""Discs, convex polygons, capsules and spheres; random fields of discs, spheres or walls."""
 
 from __future__ import annotations
 
@@ -15,9 +15,10 @@ from .obstacle_checks import (
     check_point,
     check_polygon,
     check_radius,
-    check_radius_range,
+    check_range,
     twice_area,
 )
+from .walls import WallField
 
 
 @dataclass(frozen=True)
@@ -118,13 +119,22 @@ class ObstacleField:
     """No robot starts nearer than this to a surface, m."""
     overlap: bool = True
     """Whether obstacles may overlap."""
+    passage: float = 0.0
+    """Every robot can reach every other through gaps at least this wide, m: a start where some are
+    walled in is drawn again. 0, and always in space: that is not looked at."""
 
     def __post_init__(self) -> None:
         low, high = check_count(self.count)
         object.__setattr__(self, "count", low if is_whole(self.count) else (low, high))
-        object.__setattr__(self, "radius", check_radius_range(self.radius))
-        object.__setattr__(self, "region", check_length("region", self.region))
-        object.__setattr__(self, "keep_out", check_length("keep_out", self.keep_out))
+        object.__setattr__(self, "radius", check_range("ObstacleField", "radius", self.radius))
+        for field in ("region", "keep_out", "passage"):
+            value = check_length("ObstacleField", field, getattr(self, field))
+            object.__setattr__(self, field, value)
+        if self.passage > 2 * self.keep_out:
+            raise ValueError(
+                f"obstacles: passage {shown(self.passage)} of an ObstacleField must be at most "
+                f"twice keep_out, {2 * self.keep_out:g} m, or a start may lie within a gap"
+            )
         if not isinstance(self.overlap, bool):
             raise ValueError(
                 f"obstacles: overlap {shown(self.overlap)} of an ObstacleField must be True or "
@@ -137,7 +147,9 @@ class ObstacleField:
         return (self.count, self.count) if isinstance(self.count, int) else self.count
 
 
-Obstacles = tuple[Obstacle, ...] | ObstacleField
+Field = ObstacleField | WallField
+"""What draws the obstacles of every episode."""
+Obstacles = tuple[Obstacle, ...] | Field
 
 
 def parse(value: Any, dim: int) -> Obstacles:
@@ -153,8 +165,8 @@ def parse(value: Any, dim: int) -> Obstacles:
     """
     if isinstance(value, Mapping):
         value = _from_plain(value, dim)
-    if isinstance(value, ObstacleField):
-        return value
+    if isinstance(value, Field):
+        return _checked_field(value, dim)
     listed = [value] if isinstance(value, Obstacle) else value
     if not isinstance(listed, Sequence) or isinstance(listed, str | bytes):
         raise ValueError(
@@ -163,36 +175,53 @@ def parse(value: Any, dim: int) -> Obstacles:
     return tuple(_parse_entry(k, entry, dim) for k, entry in enumerate(listed))
 
 
+def _checked_field(field: Field, dim: int) -> Field:
+    if dim == 2:
+        return field
+    if isinstance(field, WallField):
+        raise ValueError(f"obstacles: {shown(field)} is 2-D; in {dim}-D use an ObstacleField")
+    if field.passage > 0:
+        raise ValueError(
+            f"obstacles: passage {field.passage:g} of an ObstacleField must be 0 in {dim}-D; who "
+            "is walled in is known in the plane only"
+        )
+    return field
+
+
 def to_plain(value: Obstacles) -> dict[str, Any] | list[dict[str, Any]]:
     """Plain data for TOML; ``parse`` turns it back into an equal value."""
-    if isinstance(value, ObstacleField):
+    if isinstance(value, Field):
         return _plain(value)
     return [_plain(obstacle) for obstacle in value]
 
 
 def max_count(value: Obstacles) -> int:
     """Largest number of obstacles that an episode can have."""
+    if isinstance(value, WallField):
+        return value.boxes
     return value.count_range[1] if isinstance(value, ObstacleField) else len(value)
 
 
-_KINDS: dict[str, Callable[..., Obstacle | ObstacleField]] = {
+_KINDS: dict[str, Callable[..., Obstacle | Field]] = {
     "disc": Disc,
     "sphere": Sphere,
     "polygon": Polygon,
     "capsule": Capsule,
     "field": ObstacleField,
+    "walls": WallField,
 }
 _KEYS = {
     "disc": ("centre", "radius"),
     "sphere": ("centre", "radius"),
     "polygon": ("vertices",),
     "capsule": ("ends", "radius"),
-    "field": ("count", "radius", "region", "keep_out", "overlap"),
+    "field": ("count", "radius", "region", "keep_out", "overlap", "passage"),
+    "walls": ("layout", "size", "opening", "thickness", "region", "keep_out"),
 }
-_OPTIONAL_KEYS = {"overlap"}
+_OPTIONAL_KEYS = {"overlap", "passage"}
 
 
-def _plain(value: Obstacle | ObstacleField) -> dict[str, Any]:
+def _plain(value: Obstacle | Field) -> dict[str, Any]:
     kind = next(name for name, made in _KINDS.items() if type(value) is made)
     return {"kind": kind} | {key: _as_lists(getattr(value, key)) for key in _KEYS[kind]}
 
@@ -208,7 +237,7 @@ def _as_tuples(value: Any, depth: int = 3) -> Any:
     return tuple(_as_tuples(entry, depth - 1) for entry in value)
 
 
-def _from_plain(plain: Mapping[str, Any], dim: int) -> Obstacle | ObstacleField:
+def _from_plain(plain: Mapping[str, Any], dim: int) -> Obstacle | Field:
     """One obstacle or field; the kind may be left out, the keys tell it."""
     values = dict(plain)
     kind = values.pop("kind", None) or _kind_of(values, dim)
@@ -227,7 +256,9 @@ def _kind_of(values: Mapping[str, Any], dim: int) -> str:
         return "polygon"
     if "ends" in values:
         return "capsule"
-    if values.keys() & {"count", "region", "keep_out", "overlap"}:
+    if values.keys() & {"layout", "size", "opening", "thickness"}:
+        return "walls"
+    if values.keys() & {"count", "region", "keep_out", "overlap", "passage"}:
         return "field"
     return "disc" if dim == 2 else "sphere"
 
@@ -242,8 +273,8 @@ def _unknown_key(key: Any, kind: str) -> str:
 def _parse_entry(k: int, entry: Any, dim: int) -> Obstacle:
     if isinstance(entry, Mapping):
         entry = _from_plain(entry, dim)
-    if isinstance(entry, ObstacleField):
-        raise ValueError(f"obstacles[{k}]: an ObstacleField stands alone, not in a list")
+    if isinstance(entry, Field):
+        raise ValueError(f"obstacles[{k}]: a random field stands alone, not in a list")
     if not isinstance(entry, Obstacle):
         raise ValueError(
             f"obstacles[{k}]: {shown(entry)} must be a Disc, Polygon, Capsule or Sphere"

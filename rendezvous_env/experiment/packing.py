@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 from ..equations import obstacles as equations
 from ..equations.obstacles import ABSENT, BALL, CAPSULE, POLYGON, Balls, Shapes, World
 from .checks import shown
-from .obstacles import Capsule, Disc, Obstacle, ObstacleField, Obstacles, Polygon, Sphere
+from .obstacles import Capsule, Disc, Field, Obstacle, Obstacles, Polygon, Sphere
+from .walls import WallField
 
 KIND, CORNERS = 0, 1
 _SHAPE = 2
@@ -27,16 +28,20 @@ _SHAPE = 2
 RADIUS, CENTRE, DETAILS = (
     _SHAPE + column for column in (equations.RADIUS, equations.CENTRE, equations.DETAILS)
 )
+_BOX = 8
+"""Numbers of the four vertices of a drawn wall."""
 AXIS, THICKNESS = _SHAPE + equations.AXIS, _SHAPE + equations.THICKNESS
 
 
 def row_width(value: Obstacles) -> int:
     """Columns of the table of a scenario's obstacles: as few as the largest of them needs."""
+    if isinstance(value, WallField):
+        return DETAILS + _BOX
     return DETAILS + max((len(_details(obstacle)) for obstacle in _listed(value)), default=0)
 
 
 def _listed(value: Obstacles) -> Sequence[Obstacle]:
-    return () if isinstance(value, ObstacleField) else value
+    return () if isinstance(value, Field) else value
 
 
 def pack(
@@ -118,6 +123,8 @@ def table_of(world: Any) -> NDArray[np.float64]:
 
 def only_balls(value: Obstacles) -> bool:
     """Whether a scenario's obstacles are discs or spheres, however they are drawn."""
+    if isinstance(value, WallField):
+        return False
     return all(isinstance(obstacle, Disc | Sphere) for obstacle in _listed(value))
 
 

@@ -5,24 +5,24 @@ from __future__ import annotations
 import dataclasses
 import math
 import os
-import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from . import checks, graphs, obstacles, packing, scenario_files
-from .checks import is_whole, known_fields, shown
+from .checks import is_whole, known_fields
 from .checks import nearest_word as nearest_word
-from .graphs import Graph, GraphLike
-from .limits import LARGEST, LONGEST_NAME, MOST_OBSTACLES, MOST_ROBOTS, MOST_STEPS
-from .observation_layout import ObservationLayout
-from .obstacles import ObstacleField, Obstacles
+from .derived_constants import DerivedConstants
+from .graphs import GraphLike
+from .limits import LONGEST_NAME, MOST_OBSTACLES, MOST_ROBOTS, MOST_STEPS
+from .long_step import TimeStepWarning as TimeStepWarning
+from .long_step import warn_of_long_step
+from .obstacles import Field, Obstacles
 from .rewards import RewardWeights
-from .robot_models import ROBOT_MODELS, RobotModel
+from .robot_models import ROBOT_MODELS
+from .start_tables import check_distinct, check_table
 
 CONTACT_MODES = ("slide", "stop", "ignore")
 LOCAL_FRAMES = ("random", "global")
@@ -41,13 +41,9 @@ _UNITS = {
 _MAY_BE_NONE = ("time_step", "max_speed", "max_turn_rate", "max_acceleration")
 
 
-class TimeStepWarning(UserWarning):
-    """The time step is longer than the certified one, so V may rise between merges."""
-
-
 @checks.names_unknown_fields("scenario")
 @dataclass(frozen=True, kw_only=True)
-class Scenario:
+class Scenario(DerivedConstants):
     """One experiment: the team, its graph, the world, the clock and the reward.
 
     Instances are immutable, hashable and equal when their fields are. Derived constants of
@@ -88,7 +84,7 @@ class Scenario:
     """Largest ω, ω_β in rad/s (ω_α may be ten times larger, see nonholonomic_3d); None is D̄."""
     max_acceleration: float | None = None
     """a_max in m/s² of a double integrator, direction kept; None is v_max per 0.25 s."""
-    obstacles: Obstacles | ObstacleField = ()
+    obstacles: Obstacles = ()
     """Discs, convex polygons, capsules or spheres, or a random field drawn for every episode."""
     obstacle_range: float = 2.0
     """An obstacle is seen while its nearest point is within this distance, m."""
@@ -181,92 +177,6 @@ class Scenario:
         """
         scenario_files.write(path, self.to_plain())
 
-    # ---- derived constants --------------------------------------------------------------------
-
-    @property
-    def sensing_graph(self) -> Graph:
-        """The field ``graph`` as a Graph, which it is after construction."""
-        return cast(Graph, self.graph)
-
-    @property
-    def model(self) -> RobotModel:
-        """The robot model."""
-        return ROBOT_MODELS[self.robot_model]
-
-    @cached_property
-    def max_degree(self) -> float:
-        """D̄, m/s: the largest D_i = Σ_j a_ij that an episode or its merges can produce (theory
-        4).
-        """
-        return self.sensing_graph.max_degree(self.n_robots)
-
-    @cached_property
-    def bottleneck_weight(self) -> float:
-        """a*, m/s: the least edge of a maximum spanning tree, in the worst case (theory 3)."""
-        return self.sensing_graph.bottleneck_weight(self.n_robots)
-
-    @property
-    def dead_zone(self) -> float:
-        """δ = a*/(2n), m/s: below it a certified heading need not follow the net bearing."""
-        return self.bottleneck_weight / (2 * self.n_robots)
-
-    @property
-    def certified_step(self) -> float:
-        """τ = r/(2D̄), s: the longest step with which V cannot rise between merges (theory 4)."""
-        return self.merge_radius / (2 * self.max_degree) if self.max_degree > 0 else math.inf
-
-    @property
-    def tau(self) -> float:
-        """τ, s: the step in force."""
-        return self.certified_step if self.time_step is None else self.time_step
-
-    @property
-    def max_steps(self) -> int:
-        """Steps until the time limit."""
-        return max(1, math.ceil(self.time_limit / self.tau - 1e-9))
-
-    @property
-    def speed_limit(self) -> float:
-        """v_max in force, m/s."""
-        return self.max_degree if self.max_speed is None else self.max_speed
-
-    @property
-    def acceleration_limit(self) -> float:
-        """Largest acceleration in force, m/s²."""
-        return 4.0 * self.speed_limit if self.max_acceleration is None else self.max_acceleration
-
-    @property
-    def turn_limit(self) -> float:
-        """Largest turn rate in force, rad/s."""
-        return self.max_degree if self.max_turn_rate is None else self.max_turn_rate
-
-    @property
-    def action_size(self) -> int:
-        """Numbers in one robot's action."""
-        return len(self.action_bounds)
-
-    @cached_property
-    def action_bounds(self) -> NDArray[np.float64]:
-        """Symmetric bound on each number of an action, (a,): m/s, m/s², or m/s and rad/s.
-
-        The rate ω_α of a 3-D robot has ten times the bound of the others, because law (17) divides
-        it by cos β; at the bound it saturates.
-        """
-        return np.array(self.model.bounds(self), dtype=np.float64)
-
-    @cached_property
-    def observation_layout(self) -> ObservationLayout:
-        """Which row of an observation is what."""
-        slots = self.obstacle_slots
-        return ObservationLayout(
-            dim=self.dim,
-            neighbour_slots=self.neighbour_slots
-            or self.sensing_graph.most_neighbours(self.n_robots),
-            obstacle_slots=obstacles.max_count(self.obstacles) if slots is None else slots,
-            senses_gravity=self.model.senses_gravity,
-            senses_velocity=self.model.senses_velocity,
-        )
-
     # ---- checks -------------------------------------------------------------------------------
 
     def _refuse(self, field: str, wanted: str) -> None:
@@ -349,7 +259,7 @@ class Scenario:
             check_distinct(
                 "start_positions", positions, self.sensing_graph.base_weights(self.n_robots)
             )
-            if not isinstance(self.obstacles, ObstacleField) and self.obstacle_contact != "ignore":
+            if not isinstance(self.obstacles, Field) and self.obstacle_contact != "ignore":
                 packing.check_outside("start_positions", positions, self.obstacles)
 
     def _check_time_step(self) -> None:
@@ -360,66 +270,5 @@ class Scenario:
                 f"time_limit is {self.time_limit:g} s: {self.max_steps:.3g} steps of {self.tau:g} "
                 f"s; it must be at most {MOST_STEPS:.3g} steps"
             )
-        if not self.allow_long_step and self.tau > self.certified_step * (1 + 1e-12):
-            warnings.warn(
-                f"time_step is {self.tau:.6g} s, longer than the certified step "
-                f"{self.certified_step:.6g} s: V may rise between merges unless velocities are "
-                "scaled (theory 4); pass allow_long_step=True if this is meant",
-                TimeStepWarning,
-                stacklevel=_frames_to_caller(),
-            )
-
-
-def check_table(field: str, value: Any, shape: tuple[int, ...]) -> NDArray[np.float64]:
-    """A float64 array of a shape, of numbers within the limits.
-
-    Raises:
-        ValueError: naming the field, and its shape or the robot whose entry is not finite.
-    """
-    table = np.array(checks.floats(field, value))
-    if table.shape != shape:
-        raise ValueError(f"{field} has shape {table.shape}; it must be {shape}")
-    if not (wanted := np.abs(table) <= LARGEST).all():
-        at = tuple(int(k) for k in np.argwhere(~wanted)[0])
-        raise ValueError(
-            f"{field} of robot_{at[0]} is {shown(table[at[0]].tolist())}; it must be finite, and "
-            f"from {-LARGEST:g} to {LARGEST:g}"
-        )
-    return table
-
-
-def check_distinct(
-    field: str, positions: NDArray[np.float64], weights: NDArray[np.float64]
-) -> None:
-    """Refuse neighbours that stand in the same place: no bearing exists between them.
-
-    Args:
-        field: what the message calls the positions.
-        positions: (n, d), m.
-        weights: (n, n); only pairs with a positive weight are looked at.
-
-    Raises:
-        ValueError: naming the pair.
-    """
-    offsets = positions[None] - positions[:, None]
-    coincident = (np.abs(offsets).max(axis=-1) == 0) & np.triu(weights > 0)
-    for i, j in np.argwhere(coincident):
-        raise ValueError(
-            f"{field}: neighbours robot_{i} and robot_{j} both stand at {positions[i].tolist()}; "
-            "they must not coincide"
-        )
-
-
-def _frames_to_caller() -> int:
-    """How far up the stack the code stands that made the scenario, for the warning's line
-    number.
-    """
-    import sys
-
-    level, frame = 1, sys._getframe(1)
-    inside: Callable[[str], bool] = lambda name: name.startswith(("rendezvous_env.", "dataclasses"))  # noqa: E731
-    while frame.f_back and (
-        inside(frame.f_globals.get("__name__", "")) or frame.f_code.co_name == "__init__"
-    ):
-        frame, level = frame.f_back, level + 1
-    return level
+        if not (self.allow_long_step or self.scales_velocity):
+            warn_of_long_step(self.tau, self.certified_step)

@@ -11,6 +11,7 @@ from . import graphs
 from .checks import nearest_word, refuse, shown
 from .obstacles import Disc, ObstacleField, Polygon
 from .scenario import Scenario
+from .walls import WallField
 
 ScenarioLike = Scenario | str | os.PathLike[str]
 """A Scenario, the name of one, or the path of a TOML file."""
@@ -35,19 +36,42 @@ def _figure(name: str, obstacle_contact: str) -> Scenario:
     )
 
 
-def _clutter(discs: int, robots: int = 4) -> Scenario:
-    """The experiment of theory 6: the long step is meant, V still falls with it."""
+_AMONG_OBSTACLES: dict[str, Any] = {
+    "max_speed": 1.0,
+    "time_step": 0.05,
+    "allow_long_step": True,
+    "time_limit": 60.0,
+}
+"""The experiment of theory 6: the long step is meant, V still falls with it."""
+
+
+def _clutter(discs: int, robots: int = 4, passage: float = 0.0) -> Scenario:
     return Scenario(
         name=f"clutter-{discs}" if robots == 4 else f"clutter-{discs}-team-{robots}",
         n_robots=robots,
         obstacles=ObstacleField(
-            count=discs, radius=(0.8, 2.0), region=16.0, keep_out=0.5, overlap=True
+            count=discs,
+            radius=(0.8, 2.0),
+            region=16.0,
+            keep_out=0.5,
+            overlap=True,
+            passage=passage,
         ),
         spawn_size=20.0,
-        max_speed=1.0,
-        time_step=0.05,
-        allow_long_step=True,
-        time_limit=60.0,
+        **_AMONG_OBSTACLES,
+    )
+
+
+def _walls(
+    layout: str, size: tuple[float, float], opening: tuple[float, float], spawn_size: float
+) -> Scenario:
+    """Walls longer than the team is wide: most ways round them raise V, which law (4) may not."""
+    return Scenario(
+        name=layout,
+        n_robots=5,
+        obstacles=WallField(layout, size, opening, thickness=0.5, region=2.0, keep_out=0.5),
+        spawn_size=spawn_size,
+        **_AMONG_OBSTACLES,
     )
 
 
@@ -68,6 +92,10 @@ _BUILDERS: dict[str, Callable[[], Scenario]] = {
     "cloud-8": lambda: Scenario(name="cloud-8", n_robots=8, dim=3),
     **{f"clutter-{discs}": partial(_clutter, discs) for discs in (4, 8, 12, 16, 24)},
     **{f"clutter-16-team-{robots}": partial(_clutter, 16, robots) for robots in (3, 8, 16, 32)},
+    "clutter-32": partial(_clutter, 32, passage=0.2),
+    "trap": partial(_walls, "trap", (7.0, 10.0), (5.0, 8.0), 12.0),
+    "corridor": partial(_walls, "corridor", (16.0, 20.0), (2.0, 4.0), 12.0),
+    "rooms": partial(_walls, "rooms", (10.0, 14.0), (0.8, 1.2), 14.0),
     "clutter-3d": lambda: Scenario(
         name="clutter-3d",
         n_robots=4,
@@ -76,10 +104,7 @@ _BUILDERS: dict[str, Callable[[], Scenario]] = {
             count=12, radius=(0.8, 2.0), region=10.0, keep_out=0.5, overlap=True
         ),
         spawn_size=14.0,
-        max_speed=1.0,
-        time_step=0.05,
-        allow_long_step=True,
-        time_limit=60.0,
+        **_AMONG_OBSTACLES,
     ),
     "wall": lambda: Scenario(
         name="wall",

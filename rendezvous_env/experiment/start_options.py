@@ -8,9 +8,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from . import graphs, obstacles, packing
+from . import graph_numbers, obstacles, packing
 from .checks import floats, mapping, nearest_word, shown
-from .scenario import Scenario, check_distinct, check_table
+from .graph_checks import check_weights
+from .scenario import Scenario
+from .start_tables import check_distinct, check_table
 
 OPTIONS = ("positions", "headings", "frames", "weights", "obstacles")
 _ROUNDING = 1e-9
@@ -124,7 +126,7 @@ def _weights(scenario: Scenario, num_envs: int, value: Any) -> NDArray[np.float6
     if weights.shape not in ((1, n, n), (num_envs, n, n)):
         raise ValueError(f"weights have shape {given.shape}; they must be {(n, n)}")
     for matrix in weights:
-        graphs.check_weights(matrix, n, "weights")
+        check_weights(matrix, n, "weights")
         _check_within(scenario, matrix)
         _check_rows(scenario, matrix)
     return weights
@@ -143,18 +145,18 @@ def _check_rows(scenario: Scenario, weights: NDArray[np.float64]) -> None:
 
 def _check_within(scenario: Scenario, weights: NDArray[np.float64]) -> None:
     """The constants D̄ and a* of the mission must hold for the given weights too."""
-    pieces = graphs.components(weights)
+    pieces = graph_numbers.components(weights)
     if len(pieces) > 1 and scenario.require_connected:
         raise ValueError(
             f"weights are not connected: they fall into {' and '.join(map(str, pieces))}"
         )
-    degree = max(graphs.max_degree(weights[np.ix_(piece, piece)]) for piece in pieces)
+    degree = max(graph_numbers.max_degree(weights[np.ix_(piece, piece)]) for piece in pieces)
     if degree > scenario.max_degree * (1 + _ROUNDING):
         raise ValueError(
             f"weights reach D = {degree:.6g} m/s; the scenario's step and limits stand on at most "
             f"{scenario.max_degree:.6g}"
         )
-    bottleneck = graphs.bottleneck_weight(weights)
+    bottleneck = graph_numbers.bottleneck_weight(weights)
     if bottleneck < scenario.bottleneck_weight * (1 - _ROUNDING):
         raise ValueError(
             f"weights have the bottleneck a* = {bottleneck:.6g} m/s; the scenario's guarantee "
@@ -166,7 +168,7 @@ def _obstacles(scenario: Scenario, value: Any) -> NDArray[np.float64] | None:
     if value is None:
         return None
     parsed = obstacles.parse(value, scenario.dim)
-    if isinstance(parsed, obstacles.ObstacleField):
+    if isinstance(parsed, obstacles.Field):
         raise ValueError(
             "obstacles: give them one by one; a random field belongs into the scenario"
         )

@@ -138,7 +138,8 @@ def _of_law_4(scenario: Scenario, without: Certificate) -> Certificate:
             "none: obstacles can hold a robot back for ever (theory 6); with certified headings "
             "V still never rises between merges in a step without a contact"
         )
-        rises = by_law and (long_step or not scenario.model.bounded)
+        unscaled = long_step and not scenario.scales_velocity
+        rises = by_law and (unscaled or not scenario.model.bounded)
         most = math.inf if rises else without.lyapunov_bound
         return replace(without, theorem=words, lyapunov_bound=most)
     if not scenario.model.bounded:
@@ -147,6 +148,8 @@ def _of_law_4(scenario: Scenario, without: Certificate) -> Certificate:
             "bound"
         )
         return replace(without, guaranteed=True, theorem=words, continuous_time=True)
+    if long_step and by_law and scenario.scales_velocity:
+        return _of_scaled_law_1(scenario, without)
     if long_step and by_law:
         words = (
             f"none for law (1) as it stands: the step {scenario.tau:.4g} s is longer than the "
@@ -175,6 +178,16 @@ def _of_law_1(scenario: Scenario, without: Certificate) -> Certificate:
         continuous_time=True,
         held_time_bound=held,
     )
+
+
+def _of_scaled_law_1(scenario: Scenario, without: Certificate) -> Certificate:
+    """Law (1) in a large sparse graph: theorem A, for velocities scaled to the step (theory 4)."""
+    bound = float(time_bound(scenario, largest_lyapunov(scenario)))
+    words = (
+        "theorem 1: law (1) meets in finite time, with velocities scaled by r/(2 D_i τ) where that "
+        "is below 1, as the policy bearing-only does here (theory 4)"
+    )
+    return replace(without, guaranteed=True, theorem=words, time_bound=bound, held_time_bound=bound)
 
 
 def _of_headings(scenario: Scenario, without: Certificate, long_step: bool) -> Certificate:

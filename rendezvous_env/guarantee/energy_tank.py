@@ -38,7 +38,7 @@ class _Constants(NamedTuple):
 class EnergyTank(ActionFilter):
     """Energy tanks, frames and held wishes of the robots of B teams (theorem D).
 
-        A ← A + G(Δ),   G(Δ) = 2 f·Δ − (2/r) D ‖Δ‖² − ε² τ s ‖f‖²              (theory 8)
+        A ← A + G(Δ),   G(Δ) = 2 f·Δ − (2/r) D ‖Δ‖² − ε² τ s ‖f‖²              (guarantees 8)
 
     A wish is carried out where A + G ≥ 0, else law (4) along it: see tank.py. Nonholonomic robots
     keep the account without the term ε²; with an empty tank they drive with v = s mᵀf, and turn

@@ -3,38 +3,27 @@
 import numpy as np
 
 from ..compilation import inlined_kernel, kernel
-from ..engine.sharing import Share, begin, end, take
+from ..engine.sharing import each_block
 from ..equations.rows import degree_of, net_bearing_of
 from ..equations.vectors import combine, dot, load, split, store
 from .heading import certify_one, scale_of_step, turn_limit
-from .teams import TEAMS_AT_ONCE
+from .teams import teams_of_block
 
 
 @kernel
 def steer_headings(
     share, observations, constants, held, headings, actions, alignment, lyapunov_rate
 ):
-    """``_steer_teams`` of the teams that this thread takes."""
-    share, done = Share(*share), 0
-    begin(share)
-    block = take(share)
-    while block < share.blocks:
-        first, last = block * TEAMS_AT_ONCE, min((block + 1) * TEAMS_AT_ONCE, len(observations))
-        _steer_teams(
-            first, last, observations, constants, held, headings, actions, alignment, lyapunov_rate
-        )
-        done += 1
-        block = take(share)
-    return end(share, done)
+    """Law (4) with the certified heading: v = min(1, r/(2Dτ)) h hᵀ f, for the teams that this
+    thread takes.
+    """
+    arguments = observations, constants, held, headings, actions, alignment, lyapunov_rate
+    return each_block(share, _steer_teams, arguments)
 
 
 @inlined_kernel
-def _steer_teams(
-    first, last, observations, constants, held, headings, actions, alignment, lyapunov_rate
-):
-    """Law (4) with the certified heading: v = min(1, r/(2Dτ)) h hᵀ f, for teams first … last −
-    1.
-    """
+def _steer_teams(block, observations, constants, held, headings, actions, alignment, lyapunov_rate):
+    first, last = teams_of_block(block, len(observations))
     limit = turn_limit(constants.max_turn)
     for team in range(first, last):
         for i in range(observations.shape[1]):

@@ -1,10 +1,10 @@
 """Observations in frames with x along f: a policy does not notice how the world is turned."""
 
 from ..compilation import inlined_kernel, kernel
-from ..engine.sharing import Share, begin, end, take
+from ..engine.sharing import each_block
 from ..equations.rows import net_bearing_of
 from ..equations.vectors import cross, load, split, store, without
-from .teams import TEAMS_AT_ONCE
+from .teams import teams_of_block
 
 _NEARLY_ALONG = 1e-6
 """A row whose part across f is shorter than this cannot give a frame its second axis, m/s."""
@@ -14,24 +14,17 @@ _CLEARLY_LONGER = 1.001
 
 @kernel
 def look_along_net_bearing(share, observations, constants, visible_rows, frames, seen):
-    """``_look_from_teams`` of the teams that this thread takes."""
-    share, done = Share(*share), 0
-    begin(share)
-    block = take(share)
-    while block < share.blocks:
-        first, last = block * TEAMS_AT_ONCE, min((block + 1) * TEAMS_AT_ONCE, len(observations))
-        _look_from_teams(first, last, observations, constants, visible_rows, frames, seen)
-        done += 1
-        block = take(share)
-    return end(share, done)
-
-
-@inlined_kernel
-def _look_from_teams(first, last, observations, constants, visible_rows, frames, seen):
-    """Turn observations into frames with x along f, for teams first … last − 1.
+    """Turn observations into frames with x along f, for the teams that this thread takes.
 
     Where ‖f‖ < δ the last frame is kept.
     """
+    arguments = observations, constants, visible_rows, frames, seen
+    return each_block(share, _look_from_teams, arguments)
+
+
+@inlined_kernel
+def _look_from_teams(block, observations, constants, visible_rows, frames, seen):
+    first, last = teams_of_block(block, len(observations))
     n, n_rows, d = observations.shape[1:]
     for team in range(first, last):
         for i in range(n):

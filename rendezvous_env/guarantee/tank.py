@@ -1,7 +1,7 @@
 """Theorem D's energy tank: what a step earns, what it owes, and what is done with an empty tank.
 
-docs/theory.md, section 8. Each robot keeps this account alone, from its own bearings. Vectors are
-triples in one frame; a vector of the plane has z = 0 and keeps it.
+docs/guarantees.md, section 8. Each robot keeps this account alone, from its own bearings. Vectors
+are triples in one frame; a vector of the plane has z = 0 and keeps it.
 """
 
 from ..compilation import kernel

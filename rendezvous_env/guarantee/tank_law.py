@@ -5,13 +5,13 @@ import math
 import numpy as np
 
 from ..compilation import inlined_kernel, kernel
-from ..engine.sharing import Share, begin, end, take
+from ..engine.sharing import each_block
 from ..equations.arcs import clip
 from ..equations.kinematics import speed_scale
 from ..equations.rows import degree_of, net_bearing_of
 from ..equations.vectors import dot, load, scaled, split, store
 from .tank import certain_descent, descending_velocity, descent_scale, promised_descent
-from .teams import TEAMS_AT_ONCE
+from .teams import teams_of_block
 from .turning import gated_rate_2d, gated_rates_3d, mean_axis_2d, mean_axis_3d
 
 
@@ -29,24 +29,24 @@ def spend_tanks(share, turns_body, observations, constants, held, levels, action
         actions: (B, n, a) float32, all zero; filled in.
         told: deposits (m²/s), carried_out, alignment and lyapunov_rate, (B, n) each; filled in.
     """
-    share, done = Share(*share), 0
-    begin(share)
-    block = take(share)
-    while block < share.blocks:
-        first, last = block * TEAMS_AT_ONCE, min((block + 1) * TEAMS_AT_ONCE, len(observations))
-        for team in range(first, last):
-            _spend_team(
-                turns_body,
-                observations[team],
-                constants,
-                held[team],
-                levels[team],
-                actions[team],
-                (told[0][team], told[1][team], told[2][team], told[3][team]),
-            )
-        done += 1
-        block = take(share)
-    return end(share, done)
+    return each_block(
+        share, _spend_teams, (turns_body, observations, constants, held, levels, actions, told)
+    )
+
+
+@inlined_kernel
+def _spend_teams(block, turns_body, observations, constants, held, levels, actions, told):
+    first, last = teams_of_block(block, len(observations))
+    for team in range(first, last):
+        _spend_team(
+            turns_body,
+            observations[team],
+            constants,
+            held[team],
+            levels[team],
+            actions[team],
+            (told[0][team], told[1][team], told[2][team], told[3][team]),
+        )
 
 
 @inlined_kernel

@@ -4,12 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from ..compilation import inlined_kernel
 from ..engine import threads
 from ..engine.sharing import Part
 
 TEAMS_AT_ONCE = 32
 """That a thread takes at a time."""
 _ROBOTS_PER_THREAD = 2048
+
+
+@inlined_kernel
+def teams_of_block(block, num_envs):
+    """First of a block's teams, and the one after its last."""
+    return block * TEAMS_AT_ONCE, min((block + 1) * TEAMS_AT_ONCE, num_envs)
 
 
 def over_teams(

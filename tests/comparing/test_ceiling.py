@@ -41,11 +41,13 @@ def test_every_run_keeps_the_margin():
 def test_a_row_counts_the_starts():
     clean = np.array([[True, False, False, False], [False, True, False, False]])
     success = np.array([[True, True, False, False], [False, True, True, False]])
-    row = ceiling.Ceiling(success, clean).row(CLUTTER)
+    planned = np.array([True, True, True, False])
+    row = ceiling.Ceiling(success, clean, planned).row(CLUTTER)
     assert set(row) == set(ceiling.COLUMNS)
     assert row == {
-        "scenario": "clutter-12", "episodes": 4, "runs": 2, "clean_best": 0.5,
-        "success_best": 0.75, "clean_mean": 0.25, "never_clean": 2, "never_met": 1,
+        "scenario": "clutter-12", "episodes": 4, "runs": 2,
+        "clean_planner": 0.75, "clean_best": 0.5, "success_best": 0.75,
+        "clean_mean": 0.25, "never_clean": 2, "never_met": 1,
     }  # fmt: skip
 
 
@@ -56,7 +58,31 @@ def test_compare_writes_it(tmp_path, capsys):
     )
     (row,) = results.read_csv(tmp_path / "ceiling.csv")
     assert row["scenario"] == "fig4" and row["runs"] == "2" and row["episodes"] == "3"
-    assert "What law (4) can reach" in capsys.readouterr().out
+    assert row["clean_planner"] == "1.0"
+    assert "What can be reached" in capsys.readouterr().out
+
+
+def test_the_planner_is_the_ceiling_where_it_fits():
+    trap = scenarios.get("trap")
+    estimate = ceiling.estimate(trap, 1, episodes=20, seed=1000)
+    assert estimate.planned.shape == (20,) and estimate.planned.mean() > estimate.clean.mean()
+    assert estimate.row(trap)["clean_planner"] == 1.0
+
+    space = scenarios.get("clutter-3d").replace(time_limit=0.5)
+    nothing = ceiling.estimate(space, 1, episodes=2, seed=0)
+    assert nothing.planned.shape == (0,) and np.isnan(nothing.row(space)["clean_planner"])
+
+
+def test_compare_plays_the_planner_unless_others_are_named(tmp_path, capsys):
+    """It is a row of its own, and the table says what the row means."""
+    words = ["--scenarios", "duo", "--episodes", "3", "--no-figures"]
+    assert cli.main(["compare", *words, "--out", str(tmp_path / "all")]) == 0
+    rows = {row["policy"]: row for row in results.read_csv(tmp_path / "all" / "results.csv")}
+    assert float(rows["privileged-planner"]["clean_success"]) == 1.0
+    assert "knows the map and all positions" in capsys.readouterr().out
+    words += ["--policies", "bearing-only"]
+    assert cli.main(["compare", *words, "--out", str(tmp_path / "one")]) == 0
+    assert "knows the map" not in capsys.readouterr().out
 
 
 def test_a_negative_number_is_refused(capsys):

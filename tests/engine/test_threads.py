@@ -16,17 +16,15 @@ import pytest
 
 import rendezvous_env as rv
 from rendezvous_env import Simulator
-from rendezvous_env.compilation import kernel
+from rendezvous_env.compilation import inlined_kernel, kernel
 from rendezvous_env.engine import stepper, threads
 from rendezvous_env.engine.sharing import (
     DONE,
     Share,
-    begin,
-    end,
+    each_block,
     look_in_vain,
     new_counters,
     pause,
-    take,
 )
 from rendezvous_env.guarantee import teams
 from rendezvous_env.vector import HeadingVectorWrapper
@@ -35,17 +33,15 @@ from rendezvous_env.vector import HeadingVectorWrapper
 @kernel
 def mark(share, marks, work):
     """Count how often each block is taken; ``work`` makes it take its time."""
-    share, done = Share(*share), 0
-    begin(share)
-    block = take(share)
-    while block < share.blocks:
-        waste = 1.0
-        for _ in range(work):
-            waste = np.sqrt(waste + 1.0)
-        marks[block] += 1.0 + 0.0 * waste
-        done += 1
-        block = take(share)
-    return end(share, done)
+    return each_block(share, _mark_block, (marks, work))
+
+
+@inlined_kernel
+def _mark_block(block, marks, work):
+    waste = 1.0
+    for _ in range(work):
+        waste = np.sqrt(waste + 1.0)
+    marks[block] += 1.0 + 0.0 * waste
 
 
 def marked(blocks, most, work=0):
@@ -57,15 +53,7 @@ def marked(blocks, most, work=0):
 def share_slowly(run, blocks, most):
     """As a kernel would, but in Python, so that a test can see and hold up the threads."""
 
-    def run_kernel(part):
-        part, done = Share(*part), 0
-        begin(part)
-        while (block := take(part)) < blocks:
-            run(block)
-            done += 1
-        return end(part, done)
-
-    threads.share(run_kernel, blocks, most)
+    threads.share(lambda part: each_block(part, run, ()), blocks, most)
 
 
 def is_caller():
@@ -255,7 +243,7 @@ def test_a_waiting_thread_looks_for_a_tenth_of_a_millisecond():
     took = []
     for _ in range(20):
         start = time.perf_counter()
-        assert look_in_vain(counters, threads._looks()) == threads._looks()
+        assert look_in_vain(counters, threads._spin_limit()) == threads._spin_limit()
         took.append(time.perf_counter() - start)
     assert 0.2e-4 < min(took) < 5e-4
     counters[0] = 1

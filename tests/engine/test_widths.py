@@ -13,7 +13,16 @@ import numpy as np
 import pytest
 from conftest import ROOT, UNEQUAL, five
 
-from rendezvous_env import Capsule, Disc, ObstacleField, Polygon, Scenario, Simulator, Sphere
+from rendezvous_env import (
+    Capsule,
+    Disc,
+    ObstacleField,
+    Polygon,
+    Scenario,
+    Simulator,
+    Sphere,
+    WallField,
+)
 from rendezvous_env.engine.allocation import Arrangement
 from rendezvous_env.engine.memory import ManyTeams, OneTeam
 
@@ -24,13 +33,15 @@ SHAPES = (
 )
 SOLIDS = (Sphere((0.3, 0.2, 0.0), 0.5), Capsule(((-1.0, -0.5, -0.5), (-0.4, 0.6, 0.4)), 0.3))
 TIGHT = {"spawn_size": 5.0, "merge_radius": 0.3, "obstacle_range": 2.0}
-FIELD = ObstacleField(count=(1, 3), radius=(0.2, 0.4), region=4.0, keep_out=0.1)
+FIELD = ObstacleField(count=(1, 3), radius=(0.2, 0.4), region=4.0, keep_out=0.1, passage=0.1)
+WALLS = WallField("rooms", (2.0, 2.5), (0.6, 0.9), thickness=0.2, region=0.5, keep_out=0.1)
 INERT = {"n_robots": 5, "graph": UNEQUAL, "robot_model": "double_integrator"}
 SCENARIOS = {
     "nothing in the way": five("single_integrator-2d", spawn_size=3.0),
     "discs": five("single_integrator-2d", obstacles=SHAPES[:1], **TIGHT),
     "shapes": five("single_integrator-2d", obstacles=SHAPES, obstacle_contact="stop", **TIGHT),
     "field": five("single_integrator-2d", obstacles=FIELD, **TIGHT),
+    "walls": five("single_integrator-2d", obstacles=WALLS, **TIGHT),
     "spheres": five("single_integrator-3d", obstacles=SOLIDS[:1], **TIGHT),
     "solids": five("single_integrator-3d", obstacles=SOLIDS, **TIGHT),
     "unicycles": five("unicycle", obstacles=SHAPES, **TIGHT),

@@ -11,7 +11,7 @@ from scipy import stats
 
 from rendezvous_env import Scenario, Simulator
 from rendezvous_env.experiment import graphs
-from rendezvous_env.experiment.graphs import bottleneck_weight, components, max_degree
+from rendezvous_env.experiment.graph_numbers import bottleneck_weight, components, max_degree
 
 
 def drawn(graph: graphs.Graph, n: int, count: int) -> np.ndarray:

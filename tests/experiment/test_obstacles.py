@@ -8,7 +8,7 @@ import pytest
 import shapely
 
 from rendezvous_env.engine.draw_field import draw_field
-from rendezvous_env.engine.preparation import _field_rules
+from rendezvous_env.engine.field_rules import field_rules
 from rendezvous_env.equations.obstacles import ABSENT, BALL, CAPSULE, POLYGON
 from rendezvous_env.equations.random_streams import OBSTACLES, stream_key
 from rendezvous_env.experiment.obstacles import (
@@ -217,7 +217,7 @@ def draw(field, episode, starts, slots=6):
     key = np.uint64(stream_key(11, episode, OBSTACLES))
     table = np.full((slots, row_width(field)), 77.0)
     obstacles = world_of(table, only_balls=True)
-    drawn = draw_field(key, _field_rules(field), starts, len(starts), obstacles)
+    drawn = draw_field(key, field_rules(field), starts, len(starts), obstacles)
     return drawn, table_of(obstacles)
 
 
@@ -256,7 +256,7 @@ class TestDrawField:
 
     def test_only_the_first_starts_count(self):
         starts, key = np.array([[9.0, 9.0], [0.0, 0.0]]), np.uint64(stream_key(0, 0, OBSTACLES))
-        rules = _field_rules(ObstacleField(1, (1.0, 1.0), 0.1, 0.5))
+        rules = field_rules(ObstacleField(1, (1.0, 1.0), 0.1, 0.5))
         obstacles = world_of(pack([], 6), only_balls=True)
         assert draw_field(key, rules, starts, 1, obstacles)
         assert not draw_field(key, rules, starts, 2, obstacles)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 import rendezvous_env as rv
 from rendezvous_env.compilation import allocating_kernel
 from rendezvous_env.engine import threads
-from rendezvous_env.engine.sharing import Share, begin, end, take
+from rendezvous_env.engine.sharing import each_block
 from rendezvous_env.outcome import Outcome
 
 EPISODE = 200
@@ -199,44 +199,38 @@ def _limit(n: int, num_envs: int, count: int, pairs: bool) -> Running:
 @allocating_kernel
 def limit_by_pairs(share, positions, bearings):  # noqa: ANN001, ANN201
     """Every pair once, then the sums."""
-    n = positions.shape[1]
-    f = np.zeros((n, 2 * _LANES))
-    share, done = Share(*share), 0
-    begin(share)
-    block = take(share)
-    while block < share.blocks:
-        p, g = positions[block], bearings[block]
-        for i in range(n):
-            for j in range(i + 1, n):
-                _bearing_of_pair(p[i], p[j], g[i, j - 1], g[j, i])
-        for i in range(n):
-            for k in range(n - 1):
-                _add(g[i, k], f[i])
-            _euler_step(f[i], p[i])
-        done += 1
-        block = take(share)
-    return end(share, done)
+    f = np.zeros((positions.shape[1], 2 * _LANES))
+    return each_block(share, _pairs_of_block, (positions, bearings, f))
+
+
+@allocating_kernel
+def _pairs_of_block(block, positions, bearings, f):  # noqa: ANN001, ANN202
+    n, p, g = positions.shape[1], positions[block], bearings[block]
+    for i in range(n):
+        for j in range(i + 1, n):
+            _bearing_of_pair(p[i], p[j], g[i, j - 1], g[j, i])
+    for i in range(n):
+        for k in range(n - 1):
+            _add(g[i, k], f[i])
+        _euler_step(f[i], p[i])
 
 
 @allocating_kernel
 def limit_by_rows(share, positions, bearings):  # noqa: ANN001, ANN201
     """Every robot's bearings one after another, summed at once."""
-    n = positions.shape[1]
-    f = np.zeros((n, 2 * _LANES))
-    share, done = Share(*share), 0
-    begin(share)
-    block = take(share)
-    while block < share.blocks:
-        p, g = positions[block], bearings[block]
-        for i in range(n):
-            for j in range(n):
-                if j != i:
-                    _bearing_and_sum(p[i], p[j], g[i, j - (j > i)], f[i])
-        for i in range(n):
-            _euler_step(f[i], p[i])
-        done += 1
-        block = take(share)
-    return end(share, done)
+    f = np.zeros((positions.shape[1], 2 * _LANES))
+    return each_block(share, _rows_of_block, (positions, bearings, f))
+
+
+@allocating_kernel
+def _rows_of_block(block, positions, bearings, f):  # noqa: ANN001, ANN202
+    n, p, g = positions.shape[1], positions[block], bearings[block]
+    for i in range(n):
+        for j in range(n):
+            if j != i:
+                _bearing_and_sum(p[i], p[j], g[i, j - (j > i)], f[i])
+    for i in range(n):
+        _euler_step(f[i], p[i])
 
 
 @allocating_kernel

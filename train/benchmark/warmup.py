@@ -12,6 +12,7 @@ import baselines
 import rendezvous_env as rv
 from rendezvous_env.experiment.scenario import Scenario
 from rendezvous_env.experiment.scenarios import names, resolve
+from rendezvous_env.trajectory import begin
 
 from ..errors import UserError
 
@@ -47,6 +48,8 @@ def _use(scenario: Scenario, teams: int) -> None:
     simulator = rv.Simulator(scenario, teams)
     observations = simulator.reset(0)
     for name in baselines.names(scenario):
-        actions = baselines.make(name, scenario)(observations, simulator.time)
+        policy = baselines.make(name, scenario)
+        begin(policy, simulator)
+        actions = policy(observations, simulator.time)
         simulator.step(np.asarray(actions, dtype=np.float32))
         observations = simulator.reset(0)

@@ -1,7 +1,8 @@
-"""How much law (4) can reach at all: the best of many randomised certified headings on each start.
+"""How much can be reached at all: by a planner that knows the map, and by law (4).
 
-What some run of law (4) has done a policy could have done, so the share of starts that at least one
-run passed cleanly is an estimate, from below, of what any heading policy can reach.
+What the planner passes cleanly is the share of starts that are possible. What some run of law (4)
+has done a policy could have done, so the share of starts that at least one of many randomised
+certified runs passed cleanly is an estimate, from below, of what any heading policy can reach.
 """
 
 from __future__ import annotations
@@ -15,8 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 import baselines
+from baselines import privileged_planner
 from baselines.obstacle_avoidance import CertifiedHeadingPolicy, tangent_joined_heading
 from rendezvous_env.experiment.scenario import Scenario
+from rendezvous_env.trajectory import Policy
 
 from .episodes import play
 
@@ -37,6 +40,8 @@ class Ceiling:
     """(R, N), whether all met."""
     clean: NDArray[np.bool_]
     """(R, N), whether they met without touching an obstacle."""
+    planned: NDArray[np.bool_]
+    """(N,), whether the planner passed cleanly; (0,) where it steers no such robots."""
 
     def row(self, scenario: Scenario) -> dict[str, Any]:
         """One row of ceiling.csv."""
@@ -44,6 +49,7 @@ class Ceiling:
             "scenario": scenario.name,
             "episodes": self.clean.shape[1],
             "runs": len(self.clean),
+            "clean_planner": float(self.planned.mean()) if self.planned.size else math.nan,
             "clean_best": float(self.clean.any(axis=0).mean()),
             "success_best": float(self.success.any(axis=0).mean()),
             "clean_mean": float(self.clean.mean()),
@@ -56,13 +62,15 @@ COLUMNS = (
     "scenario",
     "episodes",
     "runs",
+    "clean_planner",
     "clean_best",
     "success_best",
     "clean_mean",
     "never_clean",
     "never_met",
 )
-"""Of ceiling.csv: fractions 0–1 of the starts; starts that no run passed cleanly, or at all."""
+"""Of ceiling.csv: fractions 0–1 of the starts, that of the planner empty where it does not fit; and
+starts that no run passed cleanly, or at all."""
 
 
 def applies(scenario: Scenario) -> bool:
@@ -78,7 +86,7 @@ def estimate(
     seed: int,
     on_progress: Callable[[float], None] = lambda share: None,
 ) -> Ceiling:
-    """Play ``runs`` randomised policies on the starts that follow from ``seed``.
+    """Play the planner and ``runs`` randomised policies on the starts that follow from ``seed``.
 
     The first run is the joined rule with nothing random but its clearance.
 
@@ -99,7 +107,19 @@ def estimate(
         success.append(done.success)
         clean.append(done.clean)
         on_progress((run + 1) / runs)
-    return Ceiling(np.array(success), np.array(clean))
+    return Ceiling(np.array(success), np.array(clean), _planned(scenario, episodes, seed))
+
+
+def _planned(scenario: Scenario, episodes: int, seed: int) -> NDArray[np.bool_]:
+    """Whether the planner passes each start cleanly; (0,) where it does not fit."""
+    name = privileged_planner.NAME
+    if name not in baselines.names(scenario):
+        return np.zeros(0, np.bool_)
+
+    def make() -> Policy:
+        return baselines.make(name, scenario)
+
+    return play(scenario, make, margin=None, episodes=episodes, seed=seed)[0].clean
 
 
 def randomised(scenario: Scenario, *, seed: int, spread: float) -> CertifiedHeadingPolicy:

@@ -95,14 +95,14 @@ def load(part: Part, number: int) -> Cell | None:
 
 def save_ceiling(part: Part, number: int, ceiling: Ceiling) -> None:
     """Keep the ceiling of a scenario."""
-    arrays = {"success": ceiling.success, "clean": ceiling.clean}
+    arrays = {field.name: getattr(ceiling, field.name) for field in fields(Ceiling)}
     results.write_arrays(part.cell(_ceiling(number)), arrays, part.run)
 
 
 def load_ceiling(part: Part, number: int) -> Ceiling | None:
     """The ceiling of a scenario; None if it is not finished, or cannot be read."""
     arrays = _read(part, _ceiling(number))
-    return None if arrays is None else Ceiling(arrays["success"], arrays["clean"])
+    return None if arrays is None else Ceiling(**arrays)
 
 
 def _job(number: int) -> str:

@@ -34,6 +34,10 @@ DEFAULT_SCENARIOS = (
     "clutter-16-team-8",
     "clutter-16-team-16",
     "clutter-16-team-32",
+    "clutter-32",
+    "trap",
+    "corridor",
+    "rooms",
 )
 
 
@@ -58,7 +62,7 @@ class Config:
     """Starts of which trajectories are kept."""
     ceiling: int = 0
     """Randomised runs of law (4) on each start, the best of which says what any heading policy can
-    reach; 0 leaves this out."""
+    reach, beside what a planner can that knows the map; 0 leaves this out."""
     figures: bool = True
     """Whether to draw figures."""
     pdf: bool = False

@@ -104,7 +104,7 @@ def _advance(progress: Progress, bar: Any, number: int) -> Any:
 
 
 def play_ceilings(part: Part, jobs: Sequence[Job], config: Config, console: Console) -> list[str]:
-    """Estimate what law (4) can reach in each scenario with obstacles; a table and ceiling.csv.
+    """Estimate what can be reached in each scenario with obstacles; a table and ceiling.csv.
 
     Returns:
         Names of the files.

@@ -7,6 +7,7 @@ from typing import Any
 
 from rich.table import Table
 
+from baselines import privileged_planner
 from rendezvous_env.experiment.scenario import Scenario
 
 _COLUMNS = (
@@ -49,6 +50,11 @@ def results_table(rows: Sequence[Mapping[str, Any]], scenarios: Mapping[str, Sce
         "clearance,\nalignment: the worst of all starts; V rise 0: it never rose, and contacts can "
         "raise it"
     )
+    if any(row["policy"] == privileged_planner.NAME for row in rows):
+        table.caption += (
+            f"\n{privileged_planner.NAME} knows the map and all positions: what it passes cleanly "
+            "is possible"
+        )
     return table
 
 
@@ -89,19 +95,20 @@ def _number(value: float, style: str) -> str:
 def ceiling_table(rows: Sequence[Mapping[str, Any]]) -> Table:
     """The rows of ceiling.csv for people."""
     table = Table(
-        title="What law (4) can reach: the best of randomised runs on each start",
+        title="What can be reached: by a planner, and by law (4), the best of its randomised runs",
         box=None,
         header_style="bold",
         pad_edge=False,
     )
-    for column in ("scenario", "runs", "cleanly %", "met %", "mean run cleanly %", "never cleanly"):
+    columns = ("planner cleanly %", "cleanly %", "met %", "mean run cleanly %", "never cleanly")
+    for column in ("scenario", "runs", *columns):
         table.add_column(column, justify="left" if column == "scenario" else "right")
     for row in rows:
-        shares = (row[name] for name in ("clean_best", "success_best", "clean_mean"))
+        names = ("clean_planner", "clean_best", "success_best", "clean_mean")
         table.add_row(
             row["scenario"],
             str(row["runs"]),
-            *(f"{100 * share:.1f}" for share in shares),
+            *(_number(100 * row[name], ".1f") for name in names),
             f"{row['never_clean']} of {row['episodes']}",
         )
     return table

@@ -32,6 +32,7 @@ _POLICY_COLOURS = {
     "unicycle": BLUE,
     "nonholonomic-3d": BLUE,
     "unicycle-cosine": SKY,
+    "privileged-planner": SKY,
     "tangent": DARK_RED,
     "tangent-blocking": PURPLE,
     "tangent-joined": GREEN,

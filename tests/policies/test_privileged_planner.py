@@ -1,0 +1,207 @@
+"""The planner that knows the map: what it reads, which ways it takes, and that it passes."""
+
+import copy
+import math
+
+import numpy as np
+import pytest
+
+import baselines
+import rendezvous_env as rv
+from baselines.privileged_planner import NAME, meeting_place
+from baselines.roadmap import Roadmap, WaysTo
+from rendezvous_env import Capsule, Disc, Polygon, Scenario, Simulator
+from rendezvous_env.experiment.packing import pack
+
+BOX = Polygon(((-0.5, -2), (0.5, -2), (0.5, 2), (-0.5, 2)))
+CLUTTER = rv.scenarios.get("clutter-8")
+SLOW = {"max_speed": 1.0, "time_step": 0.05, "allow_long_step": True, "time_limit": 60.0}
+
+
+def planner(scenario):
+    return baselines.make(NAME, scenario)
+
+
+def clean(found):
+    return found.success & ~found.contacts.any(axis=(0, 2))
+
+
+class TestWays:
+    def test_round_a_box_by_hand(self):
+        roadmap = Roadmap(pack([BOX], 1), 0.1)
+        here, there = np.array([[-2.0, 0.5]]), np.array([[2.0, 0.5]])
+        expected = 2 * math.hypot(1.4, 1.6) + 1.2  # over (∓0.6, 2.1)
+        to_corners, _ = roadmap.to_corners(here)
+        assert roadmap.distances(here, to_corners, there)[0, 0] == pytest.approx(expected)
+        way = WaysTo(roadmap, there[0]).way(here[0])
+        np.testing.assert_allclose(way, [(-0.6, 2.1), (0.6, 2.1), (2.0, 0.5)])
+        assert np.isinf(roadmap.straight(here, there)).all()
+
+    @pytest.mark.parametrize("round_one", [Disc((0, 0), 1), Capsule(((0, 0), (0, 1e-3)), 1)])
+    def test_round_a_disc_it_is_nearly_the_tangents_and_the_arc(self, round_one):
+        roadmap = Roadmap(pack([round_one], 1), 0.1)
+        here, there = np.array([[-3.0, 0.0]]), np.array([[3.0, 0.0]])
+        angle = math.acos(1.1 / 3)
+        shortest = 2 * math.sqrt(9 - 1.1**2) + 1.1 * (math.pi - 2 * angle)
+        found = roadmap.distances(here, roadmap.to_corners(here)[0], there)[0, 0]
+        assert shortest <= found * (1 + 1e-3) and found < 1.01 * shortest
+
+    def test_with_nothing_in_the_way_they_are_straight(self):
+        roadmap = Roadmap(pack([], 0), 0.1)
+        here, there = np.array([[0.0, 0.0], [1.0, 1.0]]), np.array([[3.0, 4.0]])
+        lengths = roadmap.distances(here, roadmap.to_corners(here)[0], there)
+        np.testing.assert_allclose(lengths, [[5.0], [math.hypot(2, 3)]])
+        assert WaysTo(roadmap, there[0]).way(here[0]).tolist() == [[3.0, 4.0]]
+
+    def test_no_place_of_many_is_much_better_than_where_they_meet(self):
+        random = np.random.default_rng(3)
+        roadmap = Roadmap(pack([BOX, Disc((2, 2), 1)], 2), 0.1)
+        team = np.array([[-2.0, 0.0], [2.0, 0.0], [2.0, 4.0], [-1.0, -3.0]])
+        to_corners, _ = roadmap.to_corners(team)
+        meeting = meeting_place(roadmap, team)
+        chosen = roadmap.distances(team, to_corners, meeting.place[None]).max()
+        others = roadmap.distances(team, to_corners, random.uniform(-4, 5, (3000, 2)))
+        assert meeting.left_out == 0
+        assert chosen <= 1.03 * others.max(axis=0).min()
+
+
+class TestItPasses:
+    def test_clutter_cleanly_and_within_the_speed_limit(self):
+        found = rv.rollout(CLUTTER, planner(CLUTTER), 0, num_envs=50, record="actions")
+        assert clean(found).mean() >= 0.99
+        assert np.linalg.norm(found.actions, axis=-1).max() <= 1.0 + 1e-6
+        steps = np.diff(found.positions, axis=0)[:, found.success]
+        kept = found.active[1:, found.success] & found.active[:-1, found.success]
+        merging = (found.active[1:] != found.active[:-1]).any(axis=-1)[:, found.success]
+        assert np.linalg.norm(steps, axis=-1)[kept & ~merging[..., None]].max() <= 0.05 + 1e-6
+
+    @pytest.mark.parametrize("name", ["trap", "corridor", "rooms", "clutter-32"])
+    def test_fields_in_which_law_4_fails(self, name):
+        scenario = rv.scenarios.get(name)
+        law = baselines.make("tangent-joined-tuned", scenario)
+        possible = clean(rv.rollout(scenario, planner(scenario), 1000, num_envs=40))
+        reached = clean(rv.rollout(scenario, law, 1000, num_envs=40))
+        assert possible.mean() >= 0.99
+        assert reached.mean() <= 0.8
+
+    def test_every_kind_of_obstacle(self):
+        obstacles = (BOX, Disc((3, 3), 1), Capsule(((-4, -3), (-2, -4)), 0.5))
+        scenario = Scenario(n_robots=5, obstacles=obstacles, spawn_size=12.0, **SLOW)
+        assert clean(rv.rollout(scenario, planner(scenario), 3, num_envs=40)).all()
+
+    def test_on_a_ring_too(self):
+        scenario = CLUTTER.replace(graph="cycle", n_robots=6)
+        assert clean(rv.rollout(scenario, planner(scenario), 3, num_envs=10)).all()
+
+    def test_a_merge_beside_a_corner_does_not_stop_the_survivor(self):
+        """The midpoint of two robots that go round a corner is nearer to it than they were."""
+        trap = rv.scenarios.get("trap")
+        assert clean(rv.rollout(trap, planner(trap), 1147)).all()
+
+    def test_two_robots_meet_as_soon_as_can_be(self):
+        scenario = Scenario(n_robots=2, start_positions=((-2, 0), (2, 0)), **SLOW)
+        found = rv.rollout(scenario, planner(scenario))
+        assert found.rendezvous_time[0] == pytest.approx((4.0 - 0.2) / 2, abs=0.051)
+
+    def test_who_is_walled_in_stays_and_the_others_meet(self):
+        wall = [((-2, -2), (2, -2)), ((2, -2), (2, 2)), ((2, 2), (-2, 2)), ((-2, 2), (-2, -2))]
+        scenario = Scenario(
+            n_robots=3,
+            obstacles=tuple(Capsule(ends, 0.2) for ends in wall),
+            start_positions=((0, 0), (-5, 0), (5, 0)),
+            **SLOW | {"time_limit": 20.0},
+        )
+        found = rv.rollout(scenario, planner(scenario))
+        assert not found.success[0] and not found.contacts.any()
+        assert found.active[-1, 0].tolist() == [True, True, False]
+        assert found.positions[-1, 0, 0].tolist() == [0, 0]
+
+    def test_a_start_at_a_surface(self):
+        starts = ((-0.5, 0.0), (0.5, 0.3), (0.500001, 2.0))
+        scenario = Scenario(n_robots=3, obstacles=(BOX,), start_positions=starts, **SLOW)
+        assert clean(rv.rollout(scenario, planner(scenario))).all()
+
+
+class TestItWatches:
+    def test_it_refuses_to_act_without(self):
+        policy, layout = planner(CLUTTER), CLUTTER.observation_layout
+        policy.reset()
+        with pytest.raises(RuntimeError, match=r"reads positions: call its watch\(simulator\)"):
+            policy(np.zeros((4, *layout.shape)), 0.0)
+
+    def test_observations_of_other_teams_are_refused(self):
+        policy, simulator = planner(CLUTTER), Simulator(CLUTTER, 2)
+        seen = simulator.reset(0)
+        policy.watch(simulator)
+        assert policy(seen, simulator.time).shape == (2, 4, 2)
+        with pytest.raises(ValueError, match=r"watches have \(2, 4, 19, 2\)"):
+            policy(seen[:1], 0.0)
+        with pytest.raises(ValueError, match="observations have shape"):
+            policy(np.zeros((2, 4, 3, 2)), 0.0)
+
+    @pytest.mark.parametrize(
+        "watched",
+        [None, "clutter-8", Simulator(rv.scenarios.get("cloud-8")), Simulator(Scenario())],
+    )
+    def test_what_it_cannot_steer_is_refused(self, watched):
+        with pytest.raises(ValueError, match="a Simulator of 4 single integrators in 2-D"):
+            planner(CLUTTER).watch(watched)
+
+    def test_it_fits_single_integrators_of_the_plane(self):
+        fitting = [
+            name for name in rv.scenarios.names() if NAME in baselines.names(rv.scenarios.get(name))
+        ]
+        assert set(rv.scenarios.names()) - set(fitting) == {
+            "unicycle-6", "uav-6", "cloud-8", "clutter-3d"
+        }  # fmt: skip
+
+    def test_a_batch_is_its_teams_one_by_one(self):
+        scenario = rv.scenarios.get("trap")
+        together = rv.rollout(scenario, planner(scenario), 7, num_envs=6)
+        for team in range(6):
+            alone = rv.rollout(scenario, planner(scenario), 7 + team)
+            steps = len(alone.positions)
+            np.testing.assert_array_equal(alone.positions[:, 0], together.positions[:steps, team])
+
+    def test_one_team_as_pettingzoo_has_it(self):
+        env = rv.parallel_env("trap")
+        policy = planner(env.scenario)
+        observations, infos = env.reset(seed=4)
+        policy.watch(env.unwrapped.simulator)
+        while env.agents:
+            seen = np.zeros((5, *env.scenario.observation_layout.shape), np.float32)
+            for name in env.agents:
+                seen[env.possible_agents.index(name)] = observations[name]
+            actions = policy(seen, 0.0)
+            asked = {name: actions[env.possible_agents.index(name)] for name in env.agents}
+            observations, _, _, _, infos = env.step(asked)
+        summary = next(iter(infos.values()))["summary"]
+        assert summary["success"] and summary["contacts"] == 0
+
+    def test_the_next_episode_is_planned_anew(self):
+        scenario = rv.scenarios.get("rooms")
+        simulator, policy = Simulator(scenario, 3), planner(scenario)
+        seen = simulator.reset(5)
+        policy.watch(simulator)
+        for _ in range(2):
+            while not simulator.ended.all():
+                seen = simulator.step(policy(seen, simulator.time)).observations
+            assert (simulator.contacts == 0).all() and (simulator.active.sum(axis=1) == 1).all()
+            seen = simulator.reset()
+
+    def test_a_mask_plans_anew_for_some(self):
+        simulator, policy = Simulator(CLUTTER, 2), planner(CLUTTER)
+        seen = simulator.reset(0)
+        policy.watch(simulator)
+        before = policy(seen, 0.0)
+        policy.reset(np.array([True, False]))
+        np.testing.assert_array_equal(policy(seen, 0.0), before)
+        with pytest.raises(ValueError, match="mask"):
+            policy.reset(np.ones(3, bool))
+
+    def test_a_copy_goes_on_by_itself(self):
+        simulator, policy = Simulator(CLUTTER, 2), planner(CLUTTER)
+        seen = simulator.reset(0)
+        policy.watch(simulator)
+        twin = copy.deepcopy(policy)
+        np.testing.assert_array_equal(twin(seen, 0.0), policy(seen, 0.0))
