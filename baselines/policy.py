@@ -47,6 +47,8 @@ class _Entry:
 
 
 _registry: dict[str, _Entry] = {}
+_TRAINED = {"learned": "PRETRAINED", "learned-tank": "PRETRAINED_TANK"}
+"""Policies that are shipped with weights, and what their folder is called."""
 _Builder = TypeVar("_Builder", bound=Callable[..., Policy])
 
 
@@ -85,10 +87,10 @@ def make(name: str, scenario: ScenarioLike, **options: Any) -> Policy:
     """
     scenario = resolve(scenario)
     fitting = names(scenario)
-    if isinstance(name, str) and name == "learned":
+    if isinstance(name, str) and name in _TRAINED:
         raise ValueError(
-            "policy 'learned' is not scripted; "
-            "train.learned_policy.load(train.learned_policy.PRETRAINED, scenario) reads it"
+            f"policy {name!r} is not scripted; "
+            f"train.learned_policy.load(train.learned_policy.{_TRAINED[name]}, scenario) reads it"
         )
     if not isinstance(name, str) or name not in fitting:
         listed = isinstance(name, str) and name in _registry

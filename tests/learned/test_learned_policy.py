@@ -12,8 +12,9 @@ from rendezvous_env import Scenario, Simulator, rollout
 from rendezvous_env.experiment import scenarios
 from train.errors import UserError
 from train.learned import checkpoints, learned_policy, policies
+from train.learned.guide import ALL_ROUND
 from train.learned.learned_policy import LearnedPolicy, PolicySettings
-from train.learned.perception_layout import PerceptionLayout
+from train.learned.networks import make_network
 
 SETTINGS = PolicySettings(
     set_width=8,
@@ -24,12 +25,15 @@ SETTINGS = PolicySettings(
     max_turn_rate=3.0,
     decision_time=0.05,
 )
+TANK = {"guarantee": "tank", "budget": 2.0, "memory": True}
 CLUTTER = scenarios.get("clutter-12").replace(time_limit=10.0)
 
 
 def network(trained=True, **changes):
     torch.manual_seed(5)
-    made = PolicySettings(**SETTINGS.__dict__ | changes).make_network(PerceptionLayout(3, 8))
+    settings = PolicySettings(**SETTINGS.__dict__ | changes)
+    sizes = {"set_width": settings.set_width, "hidden": settings.hidden}
+    made = make_network(settings.layout(3, 12), len(settings.angles), **sizes)
     if trained:
         with torch.no_grad():
             torch.nn.init.normal_(made.action_net.weight, std=0.5)
@@ -38,12 +42,16 @@ def network(trained=True, **changes):
 
 def learned(scenario=CLUTTER, trained=True, **changes):
     settings = PolicySettings(**SETTINGS.__dict__ | changes)
-    return LearnedPolicy(scenario, network(trained, **changes), settings)
+    return LearnedPolicy(scenario, weights(network(trained, **changes)), settings)
+
+
+def weights(made):
+    return {name: value.detach().numpy() for name, value in made.state_dict().items()}
 
 
 def write(folder, **changes):
     """A checkpoint of a trained network; its folder."""
-    tables = {"network": {k: v.numpy() for k, v in network(**changes).state_dict().items()}}
+    tables = {"network": weights(network(**changes))}
     settings = PolicySettings(**SETTINGS.__dict__ | changes)
     folder.mkdir(parents=True, exist_ok=True)
     return checkpoints.write(folder, 3, {"policy": settings.to_plain()}, tables)
@@ -61,9 +69,10 @@ def episode(scenario, teams=6, seed=2, steps=150):
 class TestActions:
     def test_choosing_nothing_it_acts_as_the_tuned_rule(self):
         """Only sums in another order differ."""
-        ours = learned(trained=False)
+        made = network(trained=False)
         with torch.no_grad():
-            ours._network.action_net.bias[0] = 10.0
+            made.action_net.bias[0] = 10.0
+        ours = LearnedPolicy(CLUTTER, weights(made), SETTINGS)
         rule = baselines.make("tangent-joined-tuned", CLUTTER, clearance=0.1, persistence=0.5,
                               min_alignment=0.1, max_turn_rate=3.0)  # fmt: skip
         turned = 0
@@ -77,28 +86,36 @@ class TestActions:
         assert turned > 100
 
     @pytest.mark.parametrize("period", [1, 4])
-    def test_it_acts_as_in_the_environment_it_was_trained_in(self, period):
-        """Fed with the network's choices."""
+    @pytest.mark.parametrize("changes", [{}, TANK], ids=["heading", "tank"])
+    def test_it_acts_as_in_the_environment_it_was_trained_in(self, period, changes):
+        """Fed with the network's choices; with a tank bit for bit."""
         from gymnasium.vector import AutoresetMode
 
         from rendezvous_env import make_vec
         from train.learning.perceiving import PerceivingTeams
 
         venv = make_vec(CLUTTER, 6, autoreset_mode=AutoresetMode.SAME_STEP)
-        guide = SETTINGS.make_guide(CLUTTER)
-        teams = PerceivingTeams(venv, guide, min_alignment=0.1, decision_period=period)
-        policy = learned(decision_time=0.05 * period)
+        policy = learned(decision_time=0.05 * period, **changes)
+        teams = PerceivingTeams(venv, policy.settings)
+        chosen = network(**changes)
         shown, _ = teams.reset(seed=2)
         simulator = Simulator(CLUTTER, 6)
         observations = simulator.reset(2)
         for _ in range(120 // period):
-            choices = policy._choose(shown.reshape(-1, shown.shape[-1])).reshape(6, -1)
+            seen = torch.as_tensor(shown.reshape(-1, shown.shape[-1]))
+            choices = chosen.get_distribution(seen).mode().numpy().reshape(6, -1)
             choices[~shown.any(axis=-1)] = 0
             shown, _, ends, cuts, _ = teams.step(choices)
             assert not (ends | cuts).any()
             for _ in range(period):
                 observations = simulator.step(policy(observations, 0.0)).observations
-            np.testing.assert_allclose(teams._observed, observations, atol=1e-5)
+            tolerance = 0.0 if changes else 1e-5  # a heading's speed is limited afterwards
+            np.testing.assert_allclose(teams._observed, observations, rtol=0.0, atol=tolerance)
+        if changes:
+            np.testing.assert_array_equal(
+                teams.guided.steering.levels, policy._guided.steering.levels
+            )
+            assert (teams.guided.steering.levels != 1.2).any()
 
     def test_turning_the_world_turns_the_actions(self):
         angles = np.random.default_rng(1).uniform(-np.pi, np.pi, (6, CLUTTER.n_robots))
@@ -166,6 +183,34 @@ class TestActions:
             assert (trajectory.largest_rise_between_merges <= 1e-9).all()
             assert name != "duo" or trajectory.success.all()
 
+    def test_with_a_tank_it_promises_no_margin_and_uses_its_freedom(self):
+        policy, away = learned(decision_time=0.2, **TANK), 0
+        for observations in episode(CLUTTER, steps=60):
+            actions = policy(observations, 0.0)
+            f = CLUTTER.observation_layout.net_bearing(observations)
+            away += (np.sum(f * actions, axis=-1) < -0.1).sum()
+        assert away > 20 and policy.min_alignment is None
+        assert (policy._guided.steering.levels >= 0.0).all()
+
+    def test_the_budget_is_in_units_of_the_team(self):
+        """So that a network is shown the same full tank in a team of any size."""
+        for name, unit in (("clutter-12", 0.2 * 3), ("clutter-16-team-8", 0.2 * 7)):
+            scenario = scenarios.get(name).replace(time_limit=1.0)
+            policy = learned(scenario, **TANK)
+            assert policy.levels is None
+            policy(np.zeros((2, *Simulator(scenario, 1).reset(0).shape[1:])), 0.0)
+            np.testing.assert_allclose(policy.levels, np.full((2, scenario.n_robots), 2 * unit))
+
+    def test_the_level_shown_counts(self):
+        """The same robots, with little and with much to spend, choose otherwise."""
+        poor, rich = learned(**TANK), learned(**TANK | {"budget": 200.0})
+        observations = next(episode(CLUTTER))
+        for policy in (poor, rich):
+            policy(observations, 0.0)
+        assert (poor._guided.choices != rich._guided.choices).any()
+        assert len(np.unique(rich._guided.choices)) > 1
+        assert rich._guided.choices.max() < len(ALL_ROUND)
+
     def test_time_between_decisions_is_kept_in_other_scenarios(self):
         periods = {tau: learned(CLUTTER.replace(time_step=tau), decision_time=0.2).decision_period
                    for tau in (0.05, 0.03, 0.1, 0.5)}  # fmt: skip
@@ -207,6 +252,9 @@ class TestFiles:
     @pytest.mark.parametrize(
         ("changes", "message"),
         [
+            ({"guarantee": "hope"}, "guarantee is 'hope'; it must be of type"),
+            ({"budget": -1.0}, "budget is -1.0"),
+            ({"guarantee": "tank"}, "size mismatch"),
             ({"perception": 99}, "perception is 99; this version has"),
             ({"set_width": 9}, "size mismatch"),
             ({"colour": "blue"}, "field 'colour' is missing or unknown"),
@@ -224,7 +272,22 @@ class TestFiles:
 
         write(tmp_path)
         monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-        with pytest.raises(ValueError, match=r"learned policies need torch; pip install .*train"):
+        with pytest.raises(ValueError, match=r"policies need safetensors; pip install .*train"):
+            learned_policy.load(tmp_path, CLUTTER)
+
+    def test_of_a_version_without_tanks(self, tmp_path):
+        place = write(tmp_path)
+        about, tables = checkpoints.read(place, ["network"])
+        policy = {k: v for k, v in about["policy"].items() if k not in TANK}
+        checkpoints.write_folder(place, {"policy": policy}, tables)
+        assert learned_policy.load(tmp_path, CLUTTER).settings == SETTINGS
+
+    def test_weights_that_are_no_numbers(self, tmp_path):
+        place = write(tmp_path)
+        about, tables = checkpoints.read(place, ["network"])
+        tables["network"]["action_net.bias"][0] = np.nan
+        checkpoints.write_folder(place, {"policy": about["policy"]}, tables)
+        with pytest.raises(checkpoints.CheckpointError, match=r"action_net\.bias must be finite"):
             learned_policy.load(tmp_path, CLUTTER)
 
 
@@ -259,9 +322,9 @@ class TestNames:
         assert "learned" not in policies.names(scenarios.get("uav-6"))
         policies.check_names(["learned"])
         assert policies.make("learned", CLUTTER).settings == SETTINGS
-        monkeypatch.setattr(learned_policy, "missing_extra", lambda: "learned policies need torch")
+        monkeypatch.setattr(learned_policy, "missing_extra", lambda: "it needs a package")
         assert "learned" not in policies.names(CLUTTER)
-        with pytest.raises(UserError, match="'learned': learned policies need torch"):
+        with pytest.raises(UserError, match="'learned': it needs a package"):
             policies.check_names(["learned"])
 
     def test_two_robots_are_enough(self, tmp_path):
@@ -272,9 +335,11 @@ class TestNames:
 def test_compare_says_what_it_leaves_out(tmp_path, monkeypatch, capsys):
     from train import cli
 
-    monkeypatch.setattr(policies, "left_out", lambda: "learned policies need torch")
+    monkeypatch.setattr(policies, "left_out", lambda name: "it needs a package")
     words = ["--scenarios", "duo", "--episodes", "2", "--no-figures", "--out", str(tmp_path)]
     assert cli.main(["compare", *words]) == 0
-    assert "left out: learned (learned policies need torch)" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "left out: learned (it needs a package)" in said
+    assert "left out: learned-tank (it needs a package)" in said
     assert cli.main(["compare", *words, "--policies", "zero"]) == 0
     assert "left out" not in capsys.readouterr().out

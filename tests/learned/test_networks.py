@@ -5,9 +5,11 @@ import pytest
 import torch
 from torch import nn
 
+from train.learned.chooser import Chooser
 from train.learned.guide import CHOICES
 from train.learned.networks import make_network
 from train.learned.perception_layout import CONTEXT_COLUMNS, PerceptionLayout
+from train.learned.policy_settings import PolicySettings
 
 K, M = 4, 6
 SETTINGS = {"set_width": 8, "hidden": (16,)}
@@ -100,3 +102,41 @@ def test_gradients_reach_every_weight():
     (value.sum() + log_prob.sum() + entropy.sum()).backward()
     for name, weight in made.named_parameters():
         assert weight.grad is not None and weight.grad.abs().sum() > 0, name
+
+
+@pytest.mark.parametrize("tank", [False, True])
+def test_numpy_chooses_as_torch(tank):
+    """With other numbers of slots too; the critic's weights are not asked for."""
+    settings = PolicySettings(
+        **SETTINGS, clearance=0.1, persistence=0.5, min_alignment=0.1, max_turn_rate=3.0,
+        decision_time=0.2, **({"guarantee": "tank", "memory": True} if tank else {}),
+    )  # fmt: skip
+    torch.manual_seed(2)
+    layout = settings.layout(K, M)
+    made = make_network(layout, len(settings.angles), **SETTINGS)
+    with torch.no_grad():
+        nn.init.normal_(made.action_net.weight, std=0.3)
+    neighbours, obstacles, _ = shown(robots=3000)
+    context = np.random.default_rng(4).normal(size=(3000, layout.context_columns))
+    context[:5] = neighbours[:5] = obstacles[:5] = 0.0
+    flat = np.concatenate(
+        [part.reshape(3000, -1) for part in (neighbours, obstacles, context)], axis=1
+    ).astype(np.float32)
+    weights = {k: v.numpy() for k, v in made.state_dict().items() if "value" not in k}
+    ours = Chooser(weights, settings, layout)
+    with torch.no_grad():
+        distribution = made.get_distribution(torch.as_tensor(flat))
+    expected = distribution.distribution.logits.numpy()
+    preferences = ours.preferences(flat)
+    np.testing.assert_allclose(
+        preferences - preferences.max(axis=1, keepdims=True),
+        expected - expected.max(axis=1, keepdims=True),
+        atol=2e-5,
+    )
+    chosen = ours.choose(flat)
+    clear = np.diff(np.sort(expected, axis=1)[:, -2:])[:, 0] > 1e-4
+    np.testing.assert_array_equal(chosen[clear], distribution.mode().numpy()[clear])
+    assert clear.mean() > 0.99 and len(np.unique(chosen)) > 3
+    del weights["action_net.bias"]
+    with pytest.raises(ValueError, match=r"weights have no 'action_net\.bias'"):
+        Chooser(weights, settings, layout)

@@ -1,5 +1,7 @@
 """The environment of a heading policy, recomputed from its parts."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
@@ -7,13 +9,24 @@ from gymnasium.vector import AutoresetMode
 import rendezvous_env as rv
 from rendezvous_env.adapters.sb3 import RobotVecEnv
 from rendezvous_env.vector import HeadingVectorWrapper
-from train.learned.guide import ANGLES, CHOICES, Guide
+from train.learned.guide import ALL_ROUND, ANGLES, CHOICES, Guide
 from train.learned.perception import Perception
+from train.learned.policy_settings import PolicySettings
 from train.learning.perceiving import PerceivingTeams
 from train.learning.run_state import flatten, unflatten
 
 TEAMS, PERIOD = 5, 3
 SCENARIO = rv.scenarios.get("clutter-12").replace(time_limit=6.0)
+HEADING = PolicySettings(
+    set_width=8,
+    hidden=(16,),
+    clearance=0.1,
+    persistence=0.5,
+    min_alignment=0.1,
+    max_turn_rate=3.0,
+    decision_time=PERIOD * SCENARIO.tau,
+)
+TANK = replace(HEADING, guarantee="tank", budget=0.5, memory=True)
 
 
 def base(**options):
@@ -24,14 +37,14 @@ def guide():
     return Guide(SCENARIO, clearance=0.1, persistence=0.5)
 
 
-def teams(**options):
-    return PerceivingTeams(base(), guide(), decision_period=PERIOD, **options)
+def teams(settings=HEADING, **options):
+    return PerceivingTeams(base(), settings, **options)
 
 
-def tape(length, seed=0):
+def tape(length, seed=0, choices=CHOICES):
     """Choices that keep a robot from going straight, so that it takes time and touches things."""
     shape = (length, TEAMS, SCENARIO.n_robots)
-    return np.random.default_rng(seed).integers(CHOICES, size=shape)
+    return np.random.default_rng(seed).integers(choices, size=shape)
 
 
 class Plain:
@@ -114,15 +127,57 @@ def test_the_guide_turns_f_before_the_rule():
     np.testing.assert_allclose(turned, ANGLES[choices], atol=1e-6)
 
 
-def test_robots_go_on_bit_by_bit_from_their_state():
-    robots = RobotVecEnv(teams(touch_penalty=1.0))
+def test_with_a_tank_robots_go_where_they_choose_as_fast_as_law_one():
+    """In a field without obstacles, away from f too; and the velocity is along R(φ) f."""
+    free = SCENARIO.replace(obstacles=())
+    settings = replace(TANK, budget=1e6)
+    guided, simulator = settings.make_teams(free, 4), rv.Simulator(free, 4)
+    observations = simulator.reset(0)
+    choices = np.arange(16).reshape(4, 4) % len(ALL_ROUND)
+    guided.choose(choices)
+    v = guided.act(observations).astype(np.float64)
+    f = free.observation_layout.net_bearing(observations)
+    turned = np.arctan2(f[..., 0] * v[..., 1] - f[..., 1] * v[..., 0], np.sum(f * v, axis=-1))
+    off = np.abs(np.angle(np.exp(1j * (turned - ALL_ROUND[choices]))))
+    np.testing.assert_allclose(off, 0.0, atol=1e-5)
+    strength = np.linalg.norm(f, axis=-1)
+    scale = np.minimum(1.0, free.merge_radius / (2 * 3 * free.tau))
+    expected = np.minimum(free.max_speed, scale * strength)
+    np.testing.assert_allclose(np.linalg.norm(v, axis=-1), expected, rtol=1e-5)
+
+
+@pytest.mark.parametrize("budget", [0.0, 3.0])
+def test_v_and_the_tanks_together_never_rise(budget):
+    """Theorem D under arbitrary choices without obstacles, until the first merge."""
+    free = SCENARIO.replace(obstacles=(), time_step=None, time_limit=60.0)
+    settings = replace(TANK, budget=budget / 0.6)  # in units of r D̄
+    guided, simulator = settings.make_teams(free, TEAMS), rv.Simulator(free, TEAMS)
+    observations, random = simulator.reset(4), np.random.default_rng(4)
+    before = simulator.lyapunov() + free.n_robots * budget
+    rises, apart = 0, np.ones(TEAMS, bool)
+    for _ in range(300):
+        guided.choose(random.integers(len(ALL_ROUND), size=guided.choices.shape))
+        v = simulator.lyapunov()
+        observations = simulator.step(guided.act(observations)).observations
+        apart &= (simulator.merged_into == np.arange(free.n_robots)).all(axis=1)
+        rises += int((simulator.lyapunov() > v)[apart].sum())
+        now = simulator.lyapunov() + guided.steering.levels.sum(axis=1)
+        assert (now <= before + 1e-9)[apart].all()
+        assert guided.steering.levels.min() >= 0.0
+        before = now
+    assert rises > 20  # the freedom is used
+
+
+@pytest.mark.parametrize("settings", [HEADING, TANK], ids=["heading", "tank"])
+def test_robots_go_on_bit_by_bit_from_their_state(settings):
+    robots = RobotVecEnv(teams(settings, touch_penalty=1.0))
     robots.seed(8)
     robots.reset()
-    actions = tape(80).reshape(80, -1)
+    actions = tape(80, choices=len(settings.angles)).reshape(80, -1)
     for raw in actions[:30]:
         robots.step(raw)
     state = unflatten(flatten(robots.get_state()))
-    other = RobotVecEnv(teams(touch_penalty=1.0))
+    other = RobotVecEnv(teams(settings, touch_penalty=1.0))
     other.reset()
     other.set_state(state)
     for raw in actions[30:]:
@@ -139,4 +194,4 @@ def test_robots_go_on_bit_by_bit_from_their_state():
 
 def test_other_autoreset_modes_are_refused():
     with pytest.raises(ValueError, match="must be SAME_STEP"):
-        PerceivingTeams(rv.make_vec(SCENARIO, 2), guide())
+        PerceivingTeams(rv.make_vec(SCENARIO, 2), HEADING)

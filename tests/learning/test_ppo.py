@@ -2,6 +2,7 @@
 
 import dataclasses
 import errno
+import importlib.util
 import json
 import os
 import random
@@ -278,6 +279,31 @@ class TestResume:
         assert "nothing was left to do" in capsys.readouterr().out
         assert metrics(folder) == before
 
+    @pytest.mark.parametrize("more", [{}, {"memory": True}], ids=["plain", "memory"])
+    def test_with_a_tank(self, tmp_path, more):
+        """Ledgers and memory of running episodes are part of a checkpoint."""
+        tank = {"guarantee": "tank", "budget": 2.0, "eval_every": 1500, "prior": 0.5} | more
+        short = tank | {"total_steps": 4 * UPDATE}
+        assert ppo.run(config(tmp_path / "whole", **short)) == 0
+        assert stopped_after(config(tmp_path / "run", **short), 3) == 128 + signal.SIGTERM
+        assert ppo.run(Config(resume=tmp_path / "run")) == 0
+        assert_same_run(tmp_path / "whole", tmp_path / "run")
+        about, tables = checkpoints.read(checkpoints.find(tmp_path / "run"), training.STATE_FILES)
+        levels = tables["state"]["robots/teams/tank/levels"]
+        assert levels.shape == (8, 4) and (levels >= 0.0).all() and (levels != 2.0).any()
+        assert about["policy"]["guarantee"] == "tank" and about["policy"]["budget"] == 2.0 / (
+            0.2 * 3
+        )
+
+    def test_a_run_of_a_version_without_tanks(self, whole, tmp_path):
+        folder = shutil.copytree(whole, tmp_path / "run")
+        plain = json.loads((folder / "config.json").read_text())
+        for name in ("guarantee", "budget", "memory"):
+            del plain[name]
+        (folder / "config.json").write_text(json.dumps(plain))
+        assert ppo.run(Config(resume=folder)) == 0
+        assert ppo.run(Config(resume=folder, total_steps=13 * UPDATE)) == 0
+
     def test_before_the_first_checkpoint(self, whole, tmp_path, monkeypatch):
         folder = tmp_path / "run"
 
@@ -306,6 +332,9 @@ class TestMistakes:
             (["--min-alignment", "1"], "--min-alignment is 1.0; it must be in (0, 1)"),
             (["--learning-rate", "nan"], "--learning-rate is nan; it must be a finite number"),
             (["--seed", str(2**29)], "must be below 2^29"),
+            (["--budget", "3"], "--budget is 3.0; headings have none: add --guarantee tank"),
+            (["--memory"], "--memory is True; headings have none"),
+            (["--guarantee", "tank", "--budget", "-1"], "--budget is -1.0; it must be 0 or more"),
             (["--start-from", "nowhere"], "nowhere: no such folder"),
         ],
     )
@@ -370,7 +399,7 @@ class TestMistakes:
         assert cli.main(["train", "--resume", str(folder)]) == 0
 
     def test_no_extra(self, tmp_path, capsys, monkeypatch):
-        monkeypatch.setattr(learned_policy, "missing_extra", lambda: "learned policies need torch")
+        monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
         assert cli.main(["train", *flags(tmp_path / "run")]) == 2
         assert "pip install" in capsys.readouterr().err
 

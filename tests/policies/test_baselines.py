@@ -2,6 +2,7 @@
 
 import copy
 import math
+import re
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ import rendezvous_env as rv
 from baselines import laws
 from baselines.policy import within_limits
 from rendezvous_env.experiment.scenario import Scenario
+from train.learned import learned_policy
 
 POINT = Scenario(n_robots=3)
 UNICYCLE = Scenario(n_robots=3, robot_model="unicycle", max_turn_rate=0.9)
@@ -166,6 +168,9 @@ def test_make_takes_a_name_of_a_scenario():
     assert own.scenario == rv.scenarios.get("ring-12")
 
 
-def test_make_says_where_the_learned_policy_is():
-    with pytest.raises(ValueError, match=r"not scripted; train\.learned_policy\.load"):
-        baselines.make("learned", "clutter-8")
+@pytest.mark.parametrize("name", ["learned", "learned-tank"])
+def test_make_says_where_a_learned_policy_is(name):
+    with pytest.raises(ValueError, match=r"not scripted; train\.learned_policy\.load") as caught:
+        baselines.make(name, "clutter-8")
+    folder = re.search(r"learned_policy\.(PRETRAINED\w*)", str(caught.value))[1]
+    assert getattr(learned_policy, folder) == learned_policy.shipped(name)

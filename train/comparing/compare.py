@@ -51,8 +51,9 @@ def run(config: Config) -> int:
 
 
 def _run(config: Config, jobs: Sequence[Job], part: Part, console: Console) -> int:
-    if not config.policies and (reason := policies.left_out()):
-        console.print(f"left out: {policies.LEARNED} ({reason})")
+    for name in () if config.policies else policies.SHIPPED:
+        if reason := policies.left_out(name):
+            console.print(f"left out: {name} ({reason})")
     if count := part.count():
         console.print(f"goes on with {count} finished parts in {part.folder}")
     began = time.perf_counter()

@@ -9,7 +9,10 @@ from baselines.obstacle_avoidance import tangent_joined_heading
 from rendezvous_env.experiment.scenario import Scenario
 
 ANGLES = np.array([0.0, 0.3, -0.3, 0.6, -0.6, 1.0, -1.0, 1.4, -1.4])
-"""What can be chosen, rad counter-clockwise from f; the first choice is the rule itself."""
+"""What can be chosen where headings are certified, rad counter-clockwise from f; the first choice
+is the rule itself."""
+ALL_ROUND = np.array([*ANGLES, 1.9, -1.9, 2.5, -2.5, np.pi])
+"""What can be chosen where a tank pays for going away from f, rad; begins as ANGLES."""
 CHOICES = len(ANGLES)
 
 
@@ -25,9 +28,18 @@ class Guide:
         scenario: whose robots are guided.
         clearance: rad.
         persistence: λ of ``baselines.joined_plane.joined_headings_2d``.
+        angles: φ of every choice, rad.
     """
 
-    def __init__(self, scenario: Scenario, *, clearance: float, persistence: float) -> None:
+    def __init__(
+        self,
+        scenario: Scenario,
+        *,
+        clearance: float,
+        persistence: float,
+        angles: NDArray[np.float64] = ANGLES,
+    ) -> None:
+        self.angles = angles
         self._layout = scenario.observation_layout
         self._clearance, self._persistence = clearance, persistence
 
@@ -41,11 +53,11 @@ class Guide:
 
         Args:
             observations: (B, n, rows, 2), in the robots' own frames.
-            choices: (B, n), indices of ANGLES.
+            choices: (B, n), indices of ``angles``.
             carried: headings of the step before, (B, n, 2), zero where there is none.
         """
         f = self._layout.net_bearing(observations).astype(np.float64)
-        c, s = np.cos(ANGLES)[choices], np.sin(ANGLES)[choices]
+        c, s = np.cos(self.angles)[choices], np.sin(self.angles)[choices]
         aside = np.stack((c * f[..., 0] - s * f[..., 1], s * f[..., 0] + c * f[..., 1]), axis=-1)
         return tangent_joined_heading(
             aside,

@@ -7,8 +7,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from rendezvous_env.guarantee.steering import Steering
 
-from .guide import CHOICES, Guide
+from .guide import Guide
+from .headed_tank import HeadedTank
 from .perception import Perception
+from .tank_perception import TankPerception
 
 
 class GuidedTeams:
@@ -20,32 +22,19 @@ class GuidedTeams:
     what is seen in every step.
 
     Args:
-        steering: of the teams, in the robots' local frames.
+        steering: of the teams, in the robots' local frames: certified headings, or a tank.
         guide: of their scenario.
-        decision_period: steps for which a choice is held.
-        obstacle_slots: of ``Perception``.
-
-    Raises:
-        ValueError: for robots that ``Perception`` cannot show.
+        perception: of the teams.
     """
 
+    steering_memory = "steering"
+    """What the steering's part of a state is called."""
+
     def __init__(
-        self,
-        steering: Steering,
-        guide: Guide,
-        *,
-        decision_period: int,
-        obstacle_slots: int | None = None,
+        self, steering: Steering | HeadedTank, guide: Guide, perception: Perception
     ) -> None:
-        self.steering, self.guide = steering, guide
-        scenario, teams = steering.scenario, len(steering.alignment)
-        self.perception = Perception(
-            scenario,
-            teams,
-            decision_time=decision_period * scenario.tau,
-            obstacle_slots=obstacle_slots,
-        )
-        self.choices = np.zeros((teams, scenario.n_robots), dtype=np.int64)
+        self.steering, self.guide, self.perception = steering, guide, perception
+        self.choices = np.zeros(steering.alignment.shape, dtype=np.int64)
 
     def show(
         self, observations: NDArray[np.float32], which: NDArray[np.bool_] | None = None
@@ -59,16 +48,16 @@ class GuidedTeams:
         Raises:
             ValueError: for another shape, or naming the robot whose choice there is not.
         """
-        given = np.asarray(choices)
+        given, count = np.asarray(choices), len(self.guide.angles)
         if given.shape != self.choices.shape:
             raise ValueError(
                 f"actions have shape {given.shape}; they must be (B, n) = {self.choices.shape}"
             )
-        wrong = ~((given >= 0) & (given < CHOICES))
+        wrong = ~((given >= 0) & (given < count))
         for team, robot in np.argwhere(wrong):
             raise ValueError(
                 f"action of robot_{robot} in team {team} is {given[team, robot]}; it must be a "
-                f"whole number below {CHOICES}"
+                f"whole number below {count}"
             )
         self.choices = given.astype(np.int64)
 
@@ -81,3 +70,35 @@ class GuidedTeams:
         """Forget headings and what was seen, of all teams or of those of a mask (B,)."""
         self.steering.forget(which)
         self.perception.forget(which)
+
+
+class TankTeams(GuidedTeams):
+    """The same with theorem D: headings all round, as far as the tanks pay for them.
+
+    Args:
+        steering: the tanks.
+        guide: of the scenario.
+        perception: which shows the level too.
+    """
+
+    steering: HeadedTank
+    perception: TankPerception
+    steering_memory = "tank"
+
+    def show(
+        self, observations: NDArray[np.float32], which: NDArray[np.bool_] | None = None
+    ) -> NDArray[np.float32]:
+        """As ``GuidedTeams.show``."""
+        tank = self.steering
+        return self.perception.see_tank(
+            observations,
+            tank.headings,
+            which,
+            velocities=tank.velocities,
+            levels=tank.normalised_levels,
+        )
+
+    def choose(self, choices: ArrayLike) -> None:
+        """As ``GuidedTeams.choose``; the perception remembers them."""
+        super().choose(choices)
+        self.perception.note(self.guide.angles[self.choices])

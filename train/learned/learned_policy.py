@@ -2,137 +2,62 @@
 
 from __future__ import annotations
 
+import importlib.util
 import math
 import shutil
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, get_type_hints
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from baselines.policy import within_limits
 from rendezvous_env.experiment.scenario import Scenario
-from rendezvous_env.guarantee.steering import Steering
 
-from ..checks import check_types
-from . import checkpoints, perception_layout
+from . import checkpoints
 from .checkpoints import CheckpointError
-from .guide import Guide
-from .guided import GuidedTeams
+from .chooser import Chooser
+from .guided import TankTeams
 from .perception import check_readable
-from .perception_layout import PerceptionLayout
+from .policy_settings import PolicySettings
 
-if TYPE_CHECKING:
-    from .networks import HeadingNetwork
+__all__ = ["LearnedPolicy", "PolicySettings", "load", "ship", "shipped"]
 
-NAME = "learned"
+NAME, TANK_NAME = "learned", "learned-tank"
 PRETRAINED = Path(__file__).parents[1] / "pretrained"
-"""The policy called ``learned``, once it is there."""
-_AT_ONCE = 1024
-"""Robots whose actions are computed together; the rows of more do not fit the processor's cache."""
-
-
-@dataclass(frozen=True)
-class PolicySettings:
-    """All that a policy is, beside its weights."""
-
-    set_width: int
-    """Of the networks that read one row."""
-    hidden: tuple[int, ...]
-    """Widths of the layers behind them."""
-    clearance: float
-    """Of the guide, rad."""
-    persistence: float
-    """Of the guide."""
-    min_alignment: float
-    """ε, which the certified heading keeps."""
-    max_turn_rate: float
-    """Of the heading, rad/s."""
-    decision_time: float
-    """s between decisions."""
-
-    def __post_init__(self) -> None:
-        """Refuse what no network and no heading can have."""
-        check_types(vars(self), get_type_hints(type(self)))
-        ranges = {
-            "set_width": (1, 2**12), "clearance": (0.0, math.pi), "persistence": (0.0, 1e9),
-            "min_alignment": (1e-9, 1.0), "max_turn_rate": (1e-9, 1e9),
-            "decision_time": (1e-9, 1e9),
-        }  # fmt: skip
-        for name, (least, most) in ranges.items():
-            if not least <= getattr(self, name) <= most:
-                raise ValueError(
-                    f"{name} is {getattr(self, name)}; it must be in [{least}, {most}]"
-                )
-        if not all(1 <= width <= 2**12 for width in self.hidden):
-            raise ValueError(f"hidden is {self.hidden}; each must be in [1, {2**12}]")
-
-    def to_plain(self) -> dict[str, Any]:
-        """As plain data, with the version of the perception that the weights belong to."""
-        return asdict(self) | {"perception": perception_layout.VERSION}
-
-    @classmethod
-    def from_plain(cls, plain: Any) -> PolicySettings:
-        """What ``to_plain`` gave.
-
-        Raises:
-            ValueError: for missing or unknown fields, or another perception.
-        """
-        if not isinstance(plain, Mapping) or plain.get("perception") != perception_layout.VERSION:
-            version = plain.get("perception") if isinstance(plain, Mapping) else plain
-            raise ValueError(
-                f"perception is {version!r}; this version has {perception_layout.VERSION}"
-            )
-        given = {key: value for key, value in plain.items() if key != "perception"}
-        if wrong := sorted(set(given) ^ set(cls.__dataclass_fields__)):
-            raise ValueError(f"field {wrong[0]!r} is missing or unknown")
-        check_types(given, {"hidden": list[int] | tuple[int, ...]})
-        return cls(**given | {"hidden": tuple(given["hidden"])})
-
-    def decision_period(self, scenario: Scenario) -> int:
-        """Base steps between decisions in a scenario; 1 where a step is longer."""
-        return max(1, round(self.decision_time / scenario.tau))
-
-    def make_network(self, layout: PerceptionLayout) -> HeadingNetwork:
-        """An untrained network for that many slots."""
-        from .networks import make_network
-
-        return make_network(layout, set_width=self.set_width, hidden=self.hidden)
-
-    def make_guide(self, scenario: Scenario) -> Guide:
-        """What turns its choices into headings."""
-        return Guide(scenario, clearance=self.clearance, persistence=self.persistence)
+"""The policy called ``learned``: certified headings."""
+PRETRAINED_TANK = Path(__file__).parents[1] / "pretrained_tank"
+"""The policy called ``learned-tank``."""
 
 
 class LearnedPolicy:
-    """A network's likeliest choice, certified: theorem C holds whatever the weights.
+    """A network's likeliest choice, made safe: theorem C, or D, holds whatever the weights.
 
-    It chooses every ``decision_time``; guide and certified heading follow what is seen in each
-    step. Teams of any size and
-    any number of obstacles; single integrators in the plane. The memory has the leading axes of the
-    observations; other leading axes are other teams, and start anew.
+    It chooses every ``decision_time``; guide and certified heading, or tank, follow what is seen in
+    each step. Teams of any size and any number of obstacles; single integrators in the plane. The
+    memory has the leading axes of the observations; other leading axes are other teams, and start
+    anew.
 
     Args:
         scenario: whose robots it steers.
-        network: for ``settings``.
-        settings: of the network and of the certified heading.
+        weights: of the network, by name, as a checkpoint has them.
+        settings: of the network and of the guarantee.
 
     Raises:
-        ValueError: for robots that it cannot steer.
+        ValueError: for robots that it cannot steer, or weights that do not fit the settings.
     """
 
     def __init__(
-        self, scenario: Scenario, network: HeadingNetwork, settings: PolicySettings
+        self, scenario: Scenario, weights: Mapping[str, NDArray[Any]], settings: PolicySettings
     ) -> None:
         check_readable(scenario)
         self.scenario, self.settings = scenario, settings
-        self.min_alignment = settings.min_alignment
+        self.min_alignment = settings.promised_margin
         self.decision_period = settings.decision_period(scenario)
         rows = scenario.observation_layout
-        self._network = _for_slots(network, rows.neighbour_slots, rows.obstacle_slots, settings)
-        self._guide = settings.make_guide(scenario)
+        layout = settings.layout(rows.neighbour_slots, rows.obstacle_slots)
+        self._chooser = Chooser(weights, settings, layout)
         self._leading: tuple[int, ...] | None = None
 
     def __call__(self, observations: NDArray[Any], time: ArrayLike) -> NDArray[np.float32]:
@@ -167,16 +92,16 @@ class LearnedPolicy:
             self._guided.forget(which)
             self._wait[which] = 0
 
+    @property
+    def levels(self) -> NDArray[np.float64] | None:
+        """Of the tanks, (..., n), m²/s; None without tanks or before the first action."""
+        if self._leading is None or not isinstance(self._guided, TankTeams):
+            return None
+        return self._guided.steering.levels.reshape(*self._leading, -1)
+
     def _begin(self, leading: tuple[int, ...]) -> None:
-        settings, teams = self.settings, math.prod(leading)
-        steering = Steering(
-            self.scenario,
-            teams,
-            min_alignment=settings.min_alignment,
-            max_turn_rate=settings.max_turn_rate,
-            frame="local",
-        )
-        self._guided = GuidedTeams(steering, self._guide, decision_period=self.decision_period)
+        teams = math.prod(leading)
+        self._guided = self.settings.make_teams(self.scenario, teams)
         self._wait = np.zeros(teams, dtype=np.int64)
         self._leading = leading
 
@@ -185,30 +110,8 @@ class LearnedPolicy:
         shown = self._guided.show(observations, due)
         choices, alive = self._guided.choices.copy(), shown.any(axis=-1)
         choices[due] = 0
-        choices[alive] = self._choose(shown[alive])
+        choices[alive] = self._chooser.choose(shown[alive])
         self._guided.choose(choices)
-
-    def _choose(self, shown: NDArray[np.float32]) -> NDArray[np.int64]:
-        """The likeliest choices (N,) for what N robots are shown."""
-        import torch
-
-        choices = np.empty(len(shown), dtype=np.int64)
-        with torch.inference_mode():
-            for first in range(0, len(shown), _AT_ONCE):
-                some = torch.from_numpy(shown[first : first + _AT_ONCE])
-                likeliest = self._network.get_distribution(some).mode()
-                choices[first : first + _AT_ONCE] = likeliest.cpu().numpy()
-        return choices
-
-
-def _for_slots(
-    network: HeadingNetwork, neighbours: int, obstacles: int, settings: PolicySettings
-) -> HeadingNetwork:
-    """The same weights in a network for other numbers of slots."""
-    own = settings.make_network(PerceptionLayout(neighbours, obstacles))
-    own.load_state_dict(network.state_dict())
-    own.set_training_mode(False)
-    return own
 
 
 def load(path: Path, scenario: Scenario) -> LearnedPolicy:
@@ -216,22 +119,23 @@ def load(path: Path, scenario: Scenario) -> LearnedPolicy:
 
     Raises:
         CheckpointError: if it cannot be read or does not belong to this version, naming the file.
-        ValueError: for robots that it cannot steer, or if torch is missing.
+        ValueError: for robots that it cannot steer, or if weights cannot be read here.
     """
     check_readable(scenario)
-    require_torch()
-    import torch
-
+    if reason := missing_extra():
+        raise ValueError(f"{reason}; pip install 'rendezvous-env[train]'")
     place = checkpoints.find(path)
     about, tables = checkpoints.read(place, ["network"])
     try:
         settings = PolicySettings.from_plain(about.get("policy"))
-        network = settings.make_network(PerceptionLayout(1, 1))
-        weights = {name: torch.from_numpy(value) for name, value in tables["network"].items()}
-        network.load_state_dict(weights)
-    except (TypeError, ValueError, RuntimeError) as error:
+        return LearnedPolicy(scenario, tables["network"], settings)
+    except (TypeError, ValueError) as error:
         raise CheckpointError(f"{place}: is no policy of this version: {error}") from error
-    return LearnedPolicy(scenario, network, settings)
+
+
+def shipped(name: str) -> Path:
+    """The folder of the shipped policy of that name."""
+    return {NAME: PRETRAINED, TANK_NAME: PRETRAINED_TANK}[name]
 
 
 def ship(run: Path, folder: Path) -> None:
@@ -251,21 +155,24 @@ def ship(run: Path, folder: Path) -> None:
         shutil.copyfile(place.parent.parent / name, folder / name)
 
 
+def missing_extra() -> str | None:
+    """Why no weights can be read here, in words; None if they can."""
+    return _missing("learned policies need", ("safetensors",))
+
+
 def require_torch() -> None:
-    """Refuse to go on without the ``train`` extra.
+    """Refuse to train without the ``train`` extra.
 
     Raises:
         ValueError: saying how to install it.
     """
-    if reason := missing_extra():
+    needed = ("torch", "stable_baselines3", "safetensors")
+    if reason := _missing("training needs", needed):
         raise ValueError(f"{reason}; pip install 'rendezvous-env[train]'")
 
 
-def missing_extra() -> str | None:
-    """Which package of the ``train`` extra is not installed, in words; None if all are."""
-    from importlib.util import find_spec
-
-    for package in ("torch", "stable_baselines3", "safetensors"):
-        if find_spec(package) is None:
-            return f"learned policies need {package}"
+def _missing(who: str, packages: Sequence[str]) -> str | None:
+    for package in packages:
+        if importlib.util.find_spec(package) is None:
+            return f"{who} {package}"
     return None

@@ -13,7 +13,6 @@ from torch import Tensor, nn
 
 from .guide import CHOICES
 from .perception_layout import (
-    CONTEXT_COLUMNS,
     NEIGHBOUR_COLUMNS,
     OBSTACLE_COLUMNS,
     Perceived,
@@ -38,7 +37,7 @@ class SetFeatures(BaseFeaturesExtractor):
     """
 
     def __init__(self, observation_space: Box, layout: PerceptionLayout, width: int) -> None:
-        super().__init__(observation_space, features_dim=4 * width + CONTEXT_COLUMNS)
+        super().__init__(observation_space, features_dim=4 * width + layout.context_columns)
         self.layout = layout
         self.neighbour_net = _row_network(NEIGHBOUR_COLUMNS, width)
         self.obstacle_net = _row_network(OBSTACLE_COLUMNS, width)
@@ -103,7 +102,9 @@ def network_settings(
     }
 
 
-def make_network(layout: PerceptionLayout, **settings: Any) -> HeadingNetwork:
+def make_network(
+    layout: PerceptionLayout, choices: int = CHOICES, **settings: Any
+) -> HeadingNetwork:
     """A network on its own, for inference; settings as ``network_settings``."""
     arguments = network_settings(layout, **settings)
-    return HeadingNetwork(observation_box(layout), Discrete(CHOICES), lambda _: 0.0, **arguments)
+    return HeadingNetwork(observation_box(layout), Discrete(choices), lambda _: 0.0, **arguments)

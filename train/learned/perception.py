@@ -22,7 +22,7 @@ from rendezvous_env.engine.state_checks import (
 from rendezvous_env.experiment.scenario import Scenario
 
 from .perception_layout import PerceptionLayout
-from .showing import Constants, Memory, show
+from .showing import Constants, Memory, law_velocities, show
 
 
 def check_readable(scenario: Scenario) -> None:
@@ -89,6 +89,7 @@ class Perception:
         observations: NDArray[np.float32],
         headings: NDArray[np.float64],
         which: NDArray[np.bool_] | None = None,
+        velocities: NDArray[np.float64] | None = None,
     ) -> NDArray[np.float32]:
         """What the robots are shown; brings the memory up to date.
 
@@ -96,6 +97,7 @@ class Perception:
             observations: (B, n, rows, 2), in the robots' own frames.
             headings: those carried, (B, n, 2), in the same frames; zero where there is none.
             which: (B,), whose memory moves on; the others are shown as zeros. None is all teams.
+            velocities: of the robots, (B, n, 2), m/s; None is those of law (4).
 
         Returns:
             (B, n, layout.size); zeros for a robot without neighbours.
@@ -108,9 +110,19 @@ class Perception:
         teams = np.arange(len(observations))
         if which is not None:
             teams = np.flatnonzero(check_mask(which, len(observations)))
-        shown = np.zeros((*observations.shape[:2], self.layout.size), dtype=np.float32)
-        show(teams, observations, headings, self._constants, self._memory, shown)
+        if velocities is None:
+            velocities = np.empty_like(headings)
+            law_velocities(observations, headings, self._constants, velocities)
+        size = self.layout._replace(tank_columns=0).size
+        shown = np.zeros((*observations.shape[:2], size), dtype=np.float32)
+        moving = headings, np.ascontiguousarray(velocities)
+        show(teams, observations, *moving, self._constants, self._memory, shown)
         return shown
+
+    @property
+    def _remembered(self) -> dict[str, NDArray[np.float64]]:
+        """All memory by name; not copied."""
+        return self._memory._asdict()
 
     def forget(self, mask: NDArray[np.bool_] | None = None) -> None:
         """Forget what all teams saw, or those of a mask (B,).
@@ -119,12 +131,12 @@ class Perception:
             ValueError: for a bad mask; nothing has changed then.
         """
         which = slice(None) if mask is None else check_mask(mask, len(self._memory.time))
-        for array in self._memory:
+        for array in self._remembered.values():
             array[which] = 0.0
 
     def get_state(self) -> dict[str, NDArray[np.float64]]:
         """The memory, as copies."""
-        return {name: array.copy() for name, array in self._memory._asdict().items()}
+        return {name: array.copy() for name, array in self._remembered.items()}
 
     def set_state(self, state: Mapping[str, ArrayLike]) -> None:
         """Put back what ``get_state`` took out.
@@ -132,8 +144,9 @@ class Perception:
         Raises:
             ValueError: naming what does not fit, see ``check_state``; nothing has changed then.
         """
-        for name, array in self.check_state(state).items():
-            getattr(self._memory, name)[...] = array
+        checked = self.check_state(state)
+        for name, array in self._remembered.items():
+            array[...] = checked[name]
 
     def check_state(self, state: Any) -> dict[str, NDArray[Any]]:
         """The arrays of a state that ``set_state`` would put back.
@@ -141,6 +154,6 @@ class Perception:
         Raises:
             ValueError: naming an entry that is missing, of another shape or not finite.
         """
-        checked = check_entries(self._memory._asdict(), state)
+        checked = check_entries(self._remembered, state)
         check_finite(checked, tuple(checked))
         return checked

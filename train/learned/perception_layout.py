@@ -15,6 +15,12 @@ CONTEXT_COLUMNS = 22
 is; own velocity and direction of f, averaged over a short and a long time, x, y each; how fast f
 turns, rad/s; the carried heading, x, y; of the silhouettes joined before f whether they leave
 nothing free, whether any is seen, both edges and the gaps beyond them, rad."""
+BLOCKED = slice(16, 18)
+"""Of the context: whether the joined silhouettes leave nothing free, whether any is seen."""
+LEVEL_COLUMNS = 1
+"""After the context, with a tank: log(1 + A/(r D̄))."""
+WALL_COLUMNS = 12
+"""After that, with a memory of walls: see ``tank_perception``."""
 
 
 class Perceived(NamedTuple):
@@ -25,7 +31,7 @@ class Perceived(NamedTuple):
     obstacles: Any
     """(..., M, OBSTACLE_COLUMNS); zero rows are absent."""
     context: Any
-    """(..., CONTEXT_COLUMNS)."""
+    """(..., CONTEXT_COLUMNS and what a tank adds)."""
 
 
 class PerceptionLayout(NamedTuple):
@@ -35,19 +41,26 @@ class PerceptionLayout(NamedTuple):
     """K."""
     obstacle_slots: int
     """M."""
+    tank_columns: int = 0
+    """What a tank adds to the context."""
+
+    @property
+    def context_columns(self) -> int:
+        """Numbers that belong to no set."""
+        return CONTEXT_COLUMNS + self.tank_columns
 
     @property
     def size(self) -> int:
         """Numbers for each robot."""
         sets = self.neighbour_slots * NEIGHBOUR_COLUMNS + self.obstacle_slots * OBSTACLE_COLUMNS
-        return sets + CONTEXT_COLUMNS
+        return sets + self.context_columns
 
     def split(self, shown: Any) -> Perceived:
         """Take (..., size) apart, an array or a tensor."""
         leading, K, M = shown.shape[:-1], self.neighbour_slots, self.obstacle_slots
-        stop = K * NEIGHBOUR_COLUMNS
+        stop, context = K * NEIGHBOUR_COLUMNS, shown.shape[-1] - self.context_columns
         return Perceived(
             shown[..., :stop].reshape(*leading, K, NEIGHBOUR_COLUMNS),
-            shown[..., stop:-CONTEXT_COLUMNS].reshape(*leading, M, OBSTACLE_COLUMNS),
-            shown[..., -CONTEXT_COLUMNS:],
+            shown[..., stop:context].reshape(*leading, M, OBSTACLE_COLUMNS),
+            shown[..., context:],
         )

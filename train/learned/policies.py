@@ -1,7 +1,7 @@
 """Which policies a command can compare: the scripted and the learned ones, by name.
 
-The one place that turns a name into a policy. ``learned`` is the one that is shipped,
-``learned:PATH`` that of a run or a checkpoint.
+The one place that turns a name into a policy. ``learned`` and ``learned-tank`` are shipped,
+``learned:PATH`` is that of a run or a checkpoint.
 """
 
 from __future__ import annotations
@@ -18,18 +18,20 @@ from . import learned_policy
 from .perception import check_readable
 
 LEARNED = learned_policy.NAME
+LEARNED_TANK = learned_policy.TANK_NAME
+SHIPPED = (LEARNED, LEARNED_TANK)
 _AT_PATH = f"{LEARNED}:"
 
 
 def names(scenario: Scenario) -> list[str]:
     """Names of all policies that fit a scenario and can run here, sorted."""
-    shipped = [LEARNED] if left_out() is None and _can_steer(scenario) else []
+    shipped = [name for name in SHIPPED if left_out(name) is None and _can_steer(scenario)]
     return sorted(baselines.names(scenario) + shipped)
 
 
-def left_out() -> str | None:
-    """Why ``learned`` cannot run here, in words; None if it can."""
-    if not (learned_policy.PRETRAINED / "checkpoint.json").is_file():
+def left_out(name: str = LEARNED) -> str | None:
+    """Why a policy that is shipped cannot run here, in words; None if it can."""
+    if not (learned_policy.shipped(name) / "checkpoint.json").is_file():
         return "no pretrained policy is installed"
     return learned_policy.missing_extra()
 
@@ -47,8 +49,8 @@ def make(name: str, scenario: Scenario) -> Policy:
 
 def learned_path(name: str) -> Path | None:
     """Folder of a learned policy; None for the name of a scripted one."""
-    if name == LEARNED:
-        return learned_policy.PRETRAINED
+    if name in SHIPPED:
+        return learned_policy.shipped(name)
     return Path(name.removeprefix(_AT_PATH)) if name.startswith(_AT_PATH) else None
 
 
@@ -79,7 +81,7 @@ def check_names(wanted: Sequence[str]) -> None:
     Raises:
         UserError: with the nearest known name, or with what is wrong with the learned policy.
     """
-    known = [*baselines.names(), LEARNED]
+    known = [*baselines.names(), *SHIPPED]
     for name in wanted:
         if learned_path(name) is not None:
             _check_learned(name)
@@ -92,8 +94,8 @@ def check_names(wanted: Sequence[str]) -> None:
 
 
 def _check_learned(name: str) -> None:
-    if name == LEARNED and (reason := left_out()):
-        raise UserError(f"policy 'learned': {reason}")
+    if name in SHIPPED and (reason := left_out(name)):
+        raise UserError(f"policy {name!r}: {reason}")
     try:
         learned_policy.load(learned_path(name), Scenario(n_robots=2))
     except ValueError as error:

@@ -46,8 +46,22 @@ class Constants(NamedTuple):
     speed_limit: float
 
 
+@kernel
+def law_velocities(observations, headings, constants, velocities):
+    """With what velocities law (4) drives robots along their headings, (B, n, 2) each, m/s."""
+    K = constants.neighbour_slots
+    for team in range(observations.shape[0]):
+        for i in range(observations.shape[1]):
+            rows, h = observations[team, i], headings[team, i]
+            f, degree = net_bearing_of(rows, K), degree_of(rows, K)
+            speed = h[0] * f[0] + h[1] * f[1]
+            speed *= scale_of_step(degree, constants.merge_radius, constants.duration)
+            speed = min(max(speed, -constants.speed_limit), constants.speed_limit)
+            velocities[team, i, 0], velocities[team, i, 1] = speed * h[0], speed * h[1]
+
+
 @allocating_kernel
-def show(teams, observations, headings, constants, memory, shown):
+def show(teams, observations, headings, velocities, constants, memory, shown):
     """Fill the rows of ``shown`` (B, n, size) that belong to these teams."""
     K, M = constants.neighbour_slots, memory.edges.shape[2]
     intervals = np.empty((M, 2))
@@ -71,7 +85,8 @@ def show(teams, observations, headings, constants, memory, shown):
             context = out[out.shape[0] - CONTEXT_COLUMNS :]
             context[0], context[1] = strength / degree, min(strength, 2.0)
             context[2] = 1.0 / count
-            _show_motion(team, i, f, degree, u, headings[team, i], constants, memory, context[3:16])
+            moving = headings[team, i], velocities[team, i]
+            _show_motion(team, i, u, moving, constants.decision_time, memory, context[3:16])
             silhouettes = rows[K : K + 2 * M].reshape((M, 2, 2))
             _show_joined(joined_interval_2d(u, silhouettes, intervals), context[16:])
 
@@ -126,28 +141,26 @@ def _show_obstacle(edges, u, before, time, out):
 
 
 @kernel
-def _show_motion(team, i, f, degree, u, heading, constants, memory, out):
+def _show_motion(team, i, u, moving, decision_time, memory, out):
     """Write and remember what only time tells: own motion, turning of f, the carried heading."""
+    heading, velocity = moving
     towards, averages = memory.towards[team, i], memory.averages[team, i]
     first = towards[0] == 0.0 and towards[1] == 0.0
-    speed = heading[0] * f[0] + heading[1] * f[1]
-    speed *= scale_of_step(degree, constants.merge_radius, constants.duration)
-    speed = min(max(speed, -constants.speed_limit), constants.speed_limit)
     for axis in range(2):
         for k in range(4):
-            now = speed * heading[axis] if k < 2 else u[axis]
+            now = velocity[axis] if k < 2 else u[axis]
             before = averages[k, axis] if not first else (0.0 if k < 2 else now)
-            kept = math.exp(-constants.decision_time / (SHORT if k % 2 == 0 else LONG))
+            kept = math.exp(-decision_time / (SHORT if k % 2 == 0 else LONG))
             averages[k, axis] = kept * before + (1.0 - kept) * now
     out[0] = memory.time[team, i] / 60.0
     out[1] = math.exp(-memory.time[team, i] / _FRESH)
     for k in range(4):
         _along(averages[k], u, out[2 + 2 * k : 4 + 2 * k])
     if not first:
-        out[10] = _turn_rate(towards, u, constants.decision_time)
+        out[10] = _turn_rate(towards, u, decision_time)
     _along(heading, u, out[11:13])
     towards[0], towards[1] = u[0], u[1]
-    memory.time[team, i] += constants.decision_time
+    memory.time[team, i] += decision_time
 
 
 @kernel

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
-import torch
+from numpy.typing import NDArray
 
 from rendezvous_env.experiment import scenarios
 
@@ -15,23 +16,24 @@ from ..learned.learned_policy import LearnedPolicy, PolicySettings
 from .settings import EVALUATION_SEEDS
 
 
-def held_out(scenario: str, network: Any, settings: PolicySettings, starts: int) -> dict[str, Any]:
+def held_out(
+    scenario: str, weights: Mapping[str, NDArray[Any]], settings: PolicySettings, starts: int
+) -> dict[str, Any]:
     """The row of results.csv that a network earns, choosing without noise.
 
     Args:
         scenario: name, or path of a TOML file.
-        network: for ``settings``.
+        weights: of the network, by name.
         settings: of the policy.
         starts: how many.
     """
     chosen = scenarios.resolve(scenario)
-    with torch.random.fork_rng():
-        episodes, _ = play(
-            chosen,
-            lambda: LearnedPolicy(chosen, network, settings),
-            margin=settings.min_alignment,
-            episodes=starts,
-            seed=EVALUATION_SEEDS,
-        )
+    episodes, _ = play(
+        chosen,
+        lambda: LearnedPolicy(chosen, weights, settings),
+        margin=settings.promised_margin,
+        episodes=starts,
+        seed=EVALUATION_SEEDS,
+    )
     limit = chosen.max_steps * chosen.tau
     return statistics.summarise(chosen.name, learned_policy.NAME, episodes, limit)

@@ -1,4 +1,4 @@
-"""What a heading policy is trained in: steering, perception, and the price of a touch."""
+"""What a policy is trained in: guided teams, perception, and the price of a touch."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from numpy.typing import ArrayLike, NDArray
 from rendezvous_env.engine.state_checks import check_entries, check_keys
 from rendezvous_env.faces.infos import Transition
 from rendezvous_env.faces.vector_env import RendezvousVectorEnv
-from rendezvous_env.vector import HeadingVectorWrapper, team_box
+from rendezvous_env.faces.vector_filter_wrapper import VectorFilterWrapper
+from rendezvous_env.vector import team_box
 
-from ..learned.guide import CHOICES, Guide
-from ..learned.guided import GuidedTeams
 from ..learned.networks import observation_box
 from ..learned.perception_layout import PerceptionLayout
+from ..learned.policy_settings import PolicySettings
 
 
-class PerceivingTeams(HeadingVectorWrapper):
+class PerceivingTeams(VectorFilterWrapper):
     """Teams whose robots choose by what ``Perception`` shows them, and head where ``Guide`` says.
 
     Actions are choices (B, n), each held for ``decision_period`` base steps, in each of which the
@@ -30,10 +30,9 @@ class PerceivingTeams(HeadingVectorWrapper):
 
     Args:
         env: teams of single integrators in the plane, with SAME_STEP autoreset.
-        guide: of their scenario.
+        settings: of the policy that is trained.
         touch_penalty: taken from ``robot_rewards``, once in an episode.
         obstacle_slots: of ``Perception``.
-        arguments: of ``HeadingVectorWrapper``: min_alignment, max_turn_rate, decision_period.
 
     Raises:
         ValueError: for robots that ``Perception`` cannot show, or another autoreset mode.
@@ -42,24 +41,25 @@ class PerceivingTeams(HeadingVectorWrapper):
     def __init__(
         self,
         env: RendezvousVectorEnv,
-        guide: Guide,
+        settings: PolicySettings,
         *,
         touch_penalty: float = 0.0,
         obstacle_slots: int | None = None,
-        **arguments: Any,
     ) -> None:
         if env.autoreset_mode is not AutoresetMode.SAME_STEP:
             raise ValueError(f"autoreset_mode is {env.autoreset_mode}; it must be SAME_STEP")
-        super().__init__(env, frame="local", **arguments)
-        self.guided = GuidedTeams(
-            self.steering,
-            guide,
-            decision_period=self.decision_period,
+        scenario = env.scenario
+        self.guided = settings.make_teams(
+            scenario,
+            env.num_envs,
             obstacle_slots=obstacle_slots,
+            num_threads=env.simulator.num_threads,
         )
-        n = env.scenario.n_robots
+        guided, period = self.guided, settings.decision_period(scenario)
+        super().__init__(env, guided.steering, guided.steering_memory, period)
+        n = scenario.n_robots
         self.single_observation_space = team_box(observation_box(self.layout), n)
-        self.single_action_space = MultiDiscrete([CHOICES] * n)
+        self.single_action_space = MultiDiscrete([len(settings.angles)] * n)
         self.touch_penalty = float(touch_penalty)
         self._touched = np.zeros((env.num_envs, n), dtype=np.bool_)
 
@@ -69,7 +69,7 @@ class PerceivingTeams(HeadingVectorWrapper):
         return self.guided.perception.layout
 
     def step(self, actions: ArrayLike) -> Transition:
-        """As ``HeadingVectorWrapper.step``, with touches paid for in ``robot_rewards``."""
+        """As ``VectorFilterWrapper.step``, with touches paid for in ``robot_rewards``."""
         touched = self._touched.copy()
         seen, rewards, ends, cuts, infos = super().step(actions)
         contact = infos["contact"]

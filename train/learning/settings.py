@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, get_type_hints
+from typing import TYPE_CHECKING, Any, Literal, get_type_hints
 
 from rendezvous_env.experiment import scenarios as named_scenarios
 from rendezvous_env.experiment.obstacles import ObstacleField
@@ -22,10 +22,13 @@ TRAINING_SEEDS, EVALUATION_SEEDS = 2**62, 2**61
 counts up from its --seed, which is far below, so no policy is judged on starts it was trained on.
 """
 
+_OF_TANKS = ("guarantee", "budget", "memory")
+"""Fields that runs without tanks may not have written."""
+
 
 @dataclass(frozen=True)
 class Config:
-    """Train a heading policy; the team keeps its guarantee whatever the network says."""
+    """Train a policy; the team keeps its guarantee whatever the network says."""
 
     scenario: str = "clutter-24"
     """Name of a scenario, or path of a TOML file; single integrators in the plane."""
@@ -78,9 +81,16 @@ class Config:
     decision_period: int = 12
     """Base steps for which a choice is held."""
     min_alignment: float = 0.05
-    """ε of the certified heading."""
+    """ε of the certified heading, or of what a tank owes."""
     max_turn_rate: float = 100.0
     """Of the certified heading, rad/s."""
+    guarantee: Literal["heading", "tank"] = "heading"
+    """Certified headings (theorem C), or an energy tank for each robot (theorem D)."""
+    budget: float = 0.0
+    """Level of each tank at the start, m²/s. The policy keeps it in units of r D̄, for other
+    teams."""
+    memory: bool = False
+    """With a tank: whether robots remember the wall that they are at."""
 
     progress: float = 0.5
     """Reward for V falling from its first value to 0."""
@@ -121,10 +131,12 @@ class Config:
         """What ``to_plain`` gave.
 
         Raises:
-            ValueError: for a missing or unknown field, or one of a wrong type.
+            ValueError: for a missing or unknown field, or one of a wrong type. Fields that came
+                with tanks may be missing.
         """
         if not isinstance(plain, dict):
             raise ValueError(f"the configuration is a {type(plain).__name__}, not named fields")
+        plain = {name: getattr(cls, name) for name in _OF_TANKS} | plain
         if wrong := sorted(set(plain) ^ {field.name for field in fields(cls)}):
             raise ValueError(f"field {wrong[0]!r} of the configuration is missing or unknown")
         paths = ("out", "resume", "start_from")
@@ -182,8 +194,10 @@ class Config:
 
     def policy_settings(self) -> PolicySettings:
         """What the policy is, once it is trained."""
+        from ..learned.headed_tank import unit_of_tanks
         from ..learned.learned_policy import PolicySettings
 
+        scenario = self.base_scenario()
         return PolicySettings(
             set_width=self.set_width,
             hidden=self.hidden,
@@ -191,5 +205,8 @@ class Config:
             persistence=self.persistence,
             min_alignment=self.min_alignment,
             max_turn_rate=self.max_turn_rate,
-            decision_time=self.decision_period * self.base_scenario().tau,
+            decision_time=self.decision_period * scenario.tau,
+            guarantee=self.guarantee,
+            budget=self.budget / unit_of_tanks(scenario),
+            memory=self.memory,
         )

@@ -16,7 +16,7 @@ _MOST = {
     "set_width": 2**12, "hidden": 2**12, "decision_period": 10**6, "eval_starts": 2**32,
     "num_threads": 2**10, "total_steps": 2**62, "checkpoint_every": 2**62, "eval_every": 2**62,
     "learning_rate": 1e6, "epochs": 2**31, "batch_size": 2**31, "curriculum": 2**10,
-    "fewest_obstacles": 2**10,
+    "fewest_obstacles": 2**10, "budget": 1e9,
 }  # fmt: skip
 _MOST_SAMPLES = 2**31
 MAY_CHANGE = ("total_steps", "eval_every", "eval_starts", "checkpoint_every", "num_threads")
@@ -33,10 +33,12 @@ def check(config: Config) -> None:
         "total_steps": 1, "seed": 0, "num_teams": 1, "n_steps": 2, "batch_size": 2, "epochs": 1,
         "set_width": 1, "decision_period": 1, "eval_every": 0, "eval_starts": 1,
         "checkpoint_every": 1, "touch_penalty": 0, "num_threads": 1, "hidden": 1, "persistence": 0,
+        "budget": 0,
     }  # fmt: skip
     check_fields(config)
     check_least(config, **least)
     check_most(config, **_MOST)
+    _check_guarantee(config)
     for name in ("gamma", "gae_lambda"):
         if not 0 <= getattr(config, name) <= 1:
             raise UserError(f"{flag(name)} is {getattr(config, name)}; it must be in [0, 1]")
@@ -45,8 +47,6 @@ def check(config: Config) -> None:
             raise UserError(f"{flag(name)} is {getattr(config, name)}; it must be positive")
     if not 0 <= config.clearance < math.pi:
         raise UserError(f"--clearance is {config.clearance}; it must be an angle in [0, π) rad")
-    if not 0 < config.min_alignment < 1:
-        raise UserError(f"--min-alignment is {config.min_alignment}; it must be in (0, 1)")
     if config.seed >= 2**29:
         raise UserError(f"--seed is {config.seed}; it must be below 2^29")
     if any(count < 0 for count in (*config.curriculum, config.fewest_obstacles or 0)):
@@ -65,6 +65,14 @@ def check(config: Config) -> None:
         config.obstacle_slots()
     except (ValueError, OSError) as error:
         raise UserError(str(error)) from error
+
+
+def _check_guarantee(config: Config) -> None:
+    if not 0 < config.min_alignment < 1:
+        raise UserError(f"--min-alignment is {config.min_alignment}; it must be in (0, 1)")
+    for name in ("budget", "memory") if config.guarantee == "heading" else ():
+        if value := getattr(config, name):
+            raise UserError(f"{flag(name)} is {value}; headings have none: add --guarantee tank")
 
 
 def resumed(config: Config, stored: Config) -> Config:

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import torch
 from gymnasium.vector import AutoresetMode
+from numpy.typing import NDArray
 from stable_baselines3.common.logger import Logger
 
 from rendezvous_env import make_vec
@@ -108,12 +109,9 @@ class Training:
         return WatchedRobots(
             PerceivingTeams(
                 teams,
-                self.settings.make_guide(teams.scenario),
+                self.settings,
                 touch_penalty=config.touch_penalty,
                 obstacle_slots=config.obstacle_slots(),
-                min_alignment=config.min_alignment,
-                max_turn_rate=config.max_turn_rate,
-                decision_period=config.decision_period,
             )
         )
 
@@ -213,7 +211,7 @@ class Training:
             "provenance": results.provenance(("torch", "stable-baselines3", "safetensors")),
         }
         tables = {  # as STATE_FILES says
-            "network": {k: v.cpu().numpy() for k, v in model.policy.state_dict().items()},
+            "network": self._weights(),
             "optimizer": optimizer_arrays(model.policy.optimizer),
             "state": flatten(state),
         }
@@ -266,14 +264,17 @@ class Training:
 
     def evaluate(self) -> list[dict[str, Any]]:
         """Rows of evaluation.csv: the policy without noise on held-out starts."""
-        config, rows = self.config, []
+        config, weights, rows = self.config, self._weights(), []
         for name in config.eval_scenarios or (config.scenario,):
-            numbers = held_out(name, self.model.policy, self.settings, config.eval_starts)
+            numbers = held_out(name, weights, self.settings, config.eval_starts)
             row = {"step": self.model.num_timesteps, **numbers}
             self._evaluations.add(row)
             self._events.add(f"evaluation-{row['scenario']}", row)
             rows.append(row)
         return rows
+
+    def _weights(self) -> dict[str, NDArray[Any]]:
+        return {k: v.cpu().numpy() for k, v in self.model.policy.state_dict().items()}
 
     def speed(self) -> str:
         """How much time the environment took since this process began or resumed the run."""

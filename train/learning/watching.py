@@ -24,7 +24,7 @@ class WatchedRobots(RobotVecEnv):
         """As RobotVecEnv, and take the time."""
         began = time.perf_counter()
         result = super().step_wait()
-        alignment = self.teams.steering.alignment
+        alignment = self.teams.guided.steering.alignment
         known = ~np.isnan(alignment)
         self.alignment += float(alignment[known].sum())
         self.aligned += int(known.sum())

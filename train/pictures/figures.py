@@ -39,7 +39,7 @@ _POLICY_COLOURS = {
     "learned": VERMILLION,
 }
 """The paper's laws (1), (7) and (12) never meet in one scenario and share a colour."""
-_VARIANTS = {"-certified": "s", "-tuned": "^"}
+_VARIANTS = {"-certified": "s", "-tuned": "^", "-tank": "D"}
 """Variants of a policy have its colour and another marker."""
 _DPI = 150
 

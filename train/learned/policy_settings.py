@@ -1,0 +1,150 @@
+"""All that a learned policy is, beside its weights, and what is made of it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import MISSING, asdict, dataclass, fields
+from typing import Any, Literal, get_type_hints
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rendezvous_env.experiment.scenario import Scenario
+from rendezvous_env.guarantee.steering import Steering
+
+from ..checks import check_types
+from . import perception_layout
+from .guide import ALL_ROUND, ANGLES, Guide
+from .guided import GuidedTeams, TankTeams
+from .headed_tank import HeadedTank, unit_of_tanks
+from .perception import Perception
+from .perception_layout import LEVEL_COLUMNS, WALL_COLUMNS, PerceptionLayout
+from .tank_perception import TankPerception
+
+
+@dataclass(frozen=True)
+class PolicySettings:
+    """All that a policy is, beside its weights."""
+
+    set_width: int
+    """Of the networks that read one row."""
+    hidden: tuple[int, ...]
+    """Widths of the layers behind them."""
+    clearance: float
+    """Of the guide, rad."""
+    persistence: float
+    """Of the guide."""
+    min_alignment: float
+    """ε, which the certified heading keeps, or which the tank owes."""
+    max_turn_rate: float
+    """Of the certified heading, rad/s."""
+    decision_time: float
+    """s between decisions."""
+    guarantee: Literal["heading", "tank"] = "heading"
+    """Theorem C's certified heading, or theorem D's energy tank."""
+    budget: float = 0.0
+    """Of each tank at the start, in units of r D̄ of the scenario."""
+    memory: bool = False
+    """With a tank: whether walls are remembered."""
+
+    def __post_init__(self) -> None:
+        """Refuse what no network and no heading can have."""
+        check_types(vars(self), get_type_hints(type(self)))
+        ranges = {
+            "set_width": (1, 2**12), "clearance": (0.0, math.pi), "persistence": (0.0, 1e9),
+            "min_alignment": (1e-9, 1.0), "max_turn_rate": (1e-9, 1e9),
+            "decision_time": (1e-9, 1e9), "budget": (0.0, 1e9),
+        }  # fmt: skip
+        for name, (least, most) in ranges.items():
+            if not least <= getattr(self, name) <= most:
+                raise ValueError(
+                    f"{name} is {getattr(self, name)}; it must be in [{least}, {most}]"
+                )
+        if not all(1 <= width <= 2**12 for width in self.hidden):
+            raise ValueError(f"hidden is {self.hidden}; each must be in [1, {2**12}]")
+
+    def to_plain(self) -> dict[str, Any]:
+        """As plain data, with the version of the perception that the weights belong to."""
+        return asdict(self) | {"perception": perception_layout.VERSION}
+
+    @classmethod
+    def from_plain(cls, plain: Any) -> PolicySettings:
+        """What ``to_plain`` gave, or that of a version without tanks.
+
+        Raises:
+            ValueError: for missing or unknown fields, or another perception.
+        """
+        if not isinstance(plain, Mapping) or plain.get("perception") != perception_layout.VERSION:
+            version = plain.get("perception") if isinstance(plain, Mapping) else plain
+            raise ValueError(
+                f"perception is {version!r}; this version has {perception_layout.VERSION}"
+            )
+        given = {field.name: field.default for field in fields(cls) if field.default is not MISSING}
+        given |= {key: value for key, value in plain.items() if key != "perception"}
+        if wrong := sorted(set(given) ^ set(cls.__dataclass_fields__)):
+            raise ValueError(f"field {wrong[0]!r} is missing or unknown")
+        check_types(given, {"hidden": list[int] | tuple[int, ...]})
+        return cls(**given | {"hidden": tuple(given["hidden"])})
+
+    @property
+    def promised_margin(self) -> float | None:
+        """The alignment that is kept in every step, ε of theorem C; None with a tank."""
+        return self.min_alignment if self.guarantee == "heading" else None
+
+    @property
+    def angles(self) -> NDArray[np.float64]:
+        """What can be chosen, rad."""
+        return ANGLES if self.guarantee == "heading" else ALL_ROUND
+
+    def decision_period(self, scenario: Scenario) -> int:
+        """Base steps between decisions in a scenario; 1 where a step is longer."""
+        return max(1, round(self.decision_time / scenario.tau))
+
+    def layout(self, neighbour_slots: int, obstacle_slots: int) -> PerceptionLayout:
+        """What the network is shown, with so many slots."""
+        columns = 0
+        if self.guarantee == "tank":
+            columns = LEVEL_COLUMNS + (WALL_COLUMNS if self.memory else 0)
+        return PerceptionLayout(neighbour_slots, obstacle_slots, columns)
+
+    def make_guide(self, scenario: Scenario) -> Guide:
+        """What turns its choices into headings."""
+        return Guide(
+            scenario,
+            clearance=self.clearance,
+            persistence=self.persistence,
+            angles=self.angles,
+        )
+
+    def make_teams(
+        self,
+        scenario: Scenario,
+        num_envs: int,
+        *,
+        obstacle_slots: int | None = None,
+        num_threads: int | None = None,
+    ) -> GuidedTeams:
+        """Teams that decide, are guided and are kept to the guarantee.
+
+        Args:
+            scenario: whose robots they are.
+            num_envs: B.
+            obstacle_slots: of ``Perception``.
+            num_threads: most threads that may be used.
+
+        Raises:
+            ValueError: for robots that ``Perception`` cannot show.
+        """
+        guide = self.make_guide(scenario)
+        decision_time = self.decision_period(scenario) * scenario.tau
+        shown: dict[str, Any] = {"decision_time": decision_time, "obstacle_slots": obstacle_slots}
+        common: dict[str, Any] = {"min_alignment": self.min_alignment, "num_threads": num_threads}
+        if self.guarantee == "heading":
+            perception = Perception(scenario, num_envs, **shown)
+            turning: dict[str, Any] = {"max_turn_rate": self.max_turn_rate, "frame": "local"}
+            return GuidedTeams(Steering(scenario, num_envs, **turning, **common), guide, perception)
+        seen = TankPerception(scenario, num_envs, walls=self.memory, **shown)
+        budget = self.budget * unit_of_tanks(scenario)
+        tank = HeadedTank(scenario, num_envs, budget=budget, **common)
+        return TankTeams(tank, guide, seen)

@@ -1,0 +1,123 @@
+"""Figures of learning: how training went, and how a robot spends what its tank holds."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .. import results
+from .figures import BLACK, BLUE, GREY, ROBOT_COLOURS, VERMILLION, new_figure
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+_COLOURS = (VERMILLION, BLUE, BLACK)
+_FIRST_UPDATES = 8
+"""Not drawn: all teams begin together, so that quick episodes end first and the others at once."""
+
+
+def learning_figure(runs: Mapping[str, Path], scenario: str) -> Figure:
+    """Clean success over decisions: held-out starts with 95 % intervals, and training itself.
+
+    Dots are what the likeliest choices reach, thin lines what training itself saw while it
+    explored, on other starts.
+
+    Args:
+        runs: folder with metrics.csv and evaluation.csv, by the name that is shown.
+        scenario: name of the one whose held-out starts are drawn.
+
+    Raises:
+        OSError: if a file cannot be read.
+    """
+    figure = new_figure(6.4, 3.6)
+    axes = figure.add_subplot()
+    for colour, (name, folder) in zip(_COLOURS * len(runs), runs.items(), strict=False):
+        metrics = results.read_csv(folder / "metrics.csv")
+        kept = metrics[_FIRST_UPDATES:]
+        axes.plot(*_columns(kept, "clean_success"), color=colour, linewidth=0.7, alpha=0.5)
+        evaluated = results.read_csv(folder / "evaluation.csv")
+        _draw_held_out(
+            axes, [row for row in evaluated if row["scenario"] == scenario], colour, name
+        )
+    axes.set(xlabel="decisions / million", ylabel="clean success", ylim=(None, 1.005))
+    axes.grid(color="0.92")
+    figure.legend(frameon=False, fontsize=8, loc="outside upper center", ncols=len(runs))
+    return figure
+
+
+def _columns(
+    rows: Sequence[Mapping[str, str]], name: str
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    return (
+        np.array([float(row["step"]) for row in rows]) / 1e6,
+        np.array([float(row[name]) for row in rows]),
+    )
+
+
+def _draw_held_out(axes: Axes, rows: Sequence[Mapping[str, str]], colour: str, name: str) -> None:
+    steps, share = _columns(rows, "clean_success")
+    low, high = (_columns(rows, end)[1] for end in ("clean_low", "clean_high"))
+    spread = np.stack([share - low, high - share])
+    axes.errorbar(
+        steps, share, spread, color=colour, fmt="o-", markersize=3.5, linewidth=1.4, label=name
+    )
+
+
+def tank_figure(
+    times: NDArray[np.float64],
+    lyapunov: NDArray[np.float64],
+    levels: NDArray[np.float64],
+    active: NDArray[np.bool_],
+) -> Figure:
+    """V of a team, and the level of each robot's tank, over time.
+
+    Args:
+        times: (T,), s.
+        lyapunov: V, (T,), m²/s.
+        levels: A, (T, n), m²/s.
+        active: (T, n), which robots are there.
+    """
+    figure = new_figure(6.4, 4.4)
+    above, below = figure.subplots(2, 1, sharex=True)
+    total = lyapunov + np.where(active, levels, 0.0).sum(axis=1)
+    above.plot(times, total, color=GREY, linewidth=1.4, label="V + ΣA, which does not rise")
+    above.plot(times, lyapunov, color=BLUE, linewidth=1.6, label="V")
+    above.set(ylabel="V / (m²/s)", ylim=(0, None))
+    for robot in range(levels.shape[1]):
+        shown = np.where(active[:, robot], levels[:, robot], np.nan)
+        colour = ROBOT_COLOURS[robot % len(ROBOT_COLOURS)]
+        below.plot(times, shown, color=colour, linewidth=1.4, label=f"robot {robot}")
+    below.set(xlabel="time / s", ylabel="level A of the tank / (m²/s)", ylim=(0, None))
+    for axes in (above, below):
+        axes.grid(color="0.92")
+        axes.legend(frameon=False, fontsize=8)
+    return figure
+
+
+def watch_tanks(scenario: Any, policy: Any, seed: int) -> dict[str, NDArray[Any]]:
+    """One episode of a policy with tanks: the arguments of ``tank_figure``, and contacts (T,).
+
+    Args:
+        scenario: the experiment.
+        policy: with ``levels``, (..., n).
+        seed: of the start.
+    """
+    from rendezvous_env.simulator import Simulator
+    from rendezvous_env.trajectory import run
+
+    simulator = Simulator(scenario, 1)
+    observations = simulator.reset(seed)
+    rows: list[tuple[Any, ...]] = []
+    for _ in run(simulator, policy, observations):
+        contacts = int(simulator.contacts[0].sum())
+        now = simulator.time[0], simulator.lyapunov()[0], policy.levels[0], simulator.active[0]
+        rows.append((*map(np.copy, now), contacts))
+    names = ("times", "lyapunov", "levels", "active", "contacts")
+    return {
+        name: np.array(values) for name, values in zip(names, zip(*rows, strict=True), strict=True)
+    }
