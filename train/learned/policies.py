@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import baselines
+from baselines import policy as registry
 from rendezvous_env.experiment.scenario import Scenario, nearest_word
 from rendezvous_env.trajectory import Policy
 
@@ -19,12 +20,24 @@ from .perception import check_readable
 
 LEARNED = learned_policy.NAME
 _AT_PATH = f"{LEARNED}:"
+_ABOUT = "Chooses how far aside of f the joined rule aims; certified, shipped with its weights"
 
 
 def names(scenario: Scenario) -> list[str]:
-    """Names of all policies that fit a scenario and can run here, sorted."""
+    """Names of all policies that fit a scenario and can run here, in the order of their kinds."""
     shipped = [LEARNED] if left_out() is None and _can_steer(scenario) else []
-    return sorted(baselines.names(scenario) + shipped)
+    found = baselines.names(scenario) + shipped
+    return sorted(found, key=lambda name: registry.in_order(kind_of(name)))
+
+
+def kind_of(name: str) -> str:
+    """The kind of a policy, one of ``baselines.policy.KINDS``."""
+    return LEARNED if learned_path(name) is not None else registry.kind_of(name)
+
+
+def about(name: str) -> str:
+    """What a policy is, in a line; empty if nothing is said of it."""
+    return _ABOUT if name == LEARNED else registry.about(name)
 
 
 def left_out() -> str | None:
@@ -53,10 +66,12 @@ def learned_path(name: str) -> Path | None:
 
 
 def fitting(scenario: Scenario, wanted: Sequence[str]) -> list[str]:
-    """Those of the wanted policies that fit a scenario; all that fit if none is named."""
+    """Those of the wanted policies that fit a scenario; if none is named all that fit, but those
+    that see nothing only where nothing else fits.
+    """
     known = names(scenario)
     if not wanted:
-        return known
+        return [name for name in known if kind_of(name) != "blind"] or known
     return [
         name
         for name in wanted
@@ -84,7 +99,7 @@ def check_names(wanted: Sequence[str]) -> None:
         if learned_path(name) is not None:
             _check_learned(name)
         elif name not in known:
-            near = nearest_word(name, known, cutoff=0.0)
+            near = nearest_word(name, known)
             hint = f"did you mean {near!r}? " if near else ""
             raise UserError(
                 f"policy {name!r} is unknown; {hint}known are {', '.join(known)}, {_AT_PATH}PATH"
