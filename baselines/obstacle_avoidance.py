@@ -61,7 +61,7 @@ def _tangent_joined(scenario: Scenario, clearance: float = 0.05) -> Policy:
 def _tangent_certified(
     scenario: Scenario, min_alignment: float = 0.1, max_turn_rate: float = 3.0
 ) -> Policy:
-    """tangent through the certified heading of theorem C."""
+    """The rule tangent through the certified heading of theorem C."""
     return CertifiedHeadingPolicy(scenario, tangent_heading, min_alignment, max_turn_rate)
 
 
@@ -69,7 +69,7 @@ def _tangent_certified(
 def _tangent_blocking_certified(
     scenario: Scenario, min_alignment: float = 0.1, max_turn_rate: float = 3.0
 ) -> Policy:
-    """tangent-blocking through the certified heading of theorem C."""
+    """The rule tangent-blocking through the certified heading of theorem C."""
     return CertifiedHeadingPolicy(scenario, tangent_blocking_heading, min_alignment, max_turn_rate)
 
 
@@ -80,7 +80,7 @@ def _tangent_joined_certified(
     min_alignment: float = 0.1,
     max_turn_rate: float = 3.0,
 ) -> Policy:
-    """tangent-joined through the certified heading of theorem C."""
+    """The rule tangent-joined through the certified heading of theorem C."""
     rule = _joined_with(clearance)
     return CertifiedHeadingPolicy(scenario, rule, min_alignment, max_turn_rate)
 
@@ -95,7 +95,7 @@ def _tangent_joined_tuned(
     min_alignment: float = 0.05,
     max_turn_rate: float = 100.0,
 ) -> Policy:
-    """tangent-joined, certified and tuned: it keeps to a side once taken."""
+    """The joined rule, certified and tuned: it keeps to a side once taken."""
     return TunedJoinedPolicy(
         scenario,
         _joined_with(clearance),

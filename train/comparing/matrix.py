@@ -20,7 +20,7 @@ BEST, TIED = "*", "="
 
 
 def show(rankings: Sequence[Ranking], console: Console) -> None:
-    """Print the matrix, in as many parts as it takes to fit the console, and what its marks mean."""
+    """Print the matrix, in as many parts as the console is too narrow for, and its marks."""
     for part in _parts(rankings, console.width):
         console.print(_table(part))
     for note in _notes(rankings):

@@ -130,8 +130,8 @@ def _points(value: float, low: float, high: float) -> str:
     """A difference in percentage points with its interval."""
     if value != value:
         return "–"
-    interval = f" [{low:z+.1f}, {high:z+.1f}]" if low == low else ""
-    return f"{value:z+.1f}{interval}"
+    interval = f" [{low:+z.1f}, {high:+z.1f}]" if low == low else ""
+    return f"{value:+z.1f}{interval}"
 
 
 def ceiling_table(rows: Sequence[Mapping[str, Any]]) -> Table:
