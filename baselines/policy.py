@@ -43,11 +43,11 @@ class Policy(Protocol):
 KINDS = {
     "law": "laws, most of them of the paper",
     "rule": "rules for obstacles",
-    "tank": "under an energy tank",
-    "own": "entered from outside",
-    "learned": "learned",
+    "tank": "rules under an energy tank",
+    "own": "policies entered from outside",
+    "learned": "learned policies",
     "privileged": "references that know the map and all positions",
-    "blind": "see nothing",
+    "blind": "policies that see nothing",
 }
 """What policies there are, in the order in which lists and tables show them."""
 

@@ -39,11 +39,15 @@ class _Clock:
         """Since the command began, s."""
         return time.perf_counter() - self.began
 
+    def timing(self) -> dict[str, float]:
+        """The parts and the time in all, s, as run.json names them."""
+        parts = {f"{name.replace(' ', '_')}_s": seconds for name, seconds in self.parts.items()}
+        return parts | {"total_s": self.total}
+
     def line(self) -> str:
         """The time in all, and its parts."""
-        rest = self.total - sum(self.parts.values())
-        split = (f"{name} {seconds:.1f}" for name, seconds in (self.parts | {"rest": rest}).items())
-        return f"{self.total:.1f} s ({', '.join(split)})"
+        split = ", ".join(f"{name} {seconds:.1f}" for name, seconds in self.parts.items())
+        return f"{self.total:.1f} s: {split}"
 
 
 def run(config: Config) -> int:
@@ -86,7 +90,8 @@ def _run(config: Config, jobs: Sequence[Job], part: Part, console: Console, cloc
     played, compile_time = play_all(jobs, config, part, console)
     files = play_ceilings(part, jobs, config, console) if config.ceiling else []
     clock.now("playing")
-    clock.parts |= {"compiling": compile_time, "playing": clock.parts["playing"] - compile_time}
+    playing = clock.parts.pop("playing") - compile_time
+    clock.parts |= {"compiling": compile_time, "playing": playing}
     rows, rankings = [summary(done) for done in played], ranking.rank(played)
     pairs = paired_rows(played, config.against)
     files += write(part, played, rows, pairs)
@@ -95,17 +100,13 @@ def _run(config: Config, jobs: Sequence[Job], part: Part, console: Console, cloc
     if config.figures:
         files += gallery.draw(part, rows, played, config.pdf, console)
         clock.now("drawing")
-    timing = {**{f"{name}_s": seconds for name, seconds in clock.parts.items()}}
-    about = description(config, played, {**timing, "total_s": clock.total})
+    about = description(config, played, clock.timing())
     part.finish(files, about)
     if config.json is not None:
         kept = {name: about[name] for name in ("seed", "command_line", "versions", "timing")}
         write_summary(config.json, rankings, rows, pairs, kept)
     episodes = sum(len(done.episodes.success) for done in played)
-    console.print(
-        f"{len(jobs)} policies on scenarios, {episodes} episodes in {clock.line()}; "
-        f"files in {config.out}"
-    )
+    console.print(f"{episodes} episodes in {clock.line()}; files in {config.out}")
     return _report_excess(played)
 
 

@@ -36,7 +36,11 @@ def results_table(rows: Sequence[Mapping[str, Any]], scenarios: Mapping[str, Sce
         scenarios: by name; give the time limits.
     """
     table = Table(
-        title="Policies on the same starts", box=None, header_style="bold", pad_edge=False
+        title="Policies on the same starts",
+        box=None,
+        header_style="bold",
+        pad_edge=False,
+        caption_justify="left",
     )
     for column in _COLUMNS:
         table.add_column(column, justify="left" if column == "policy" else "right", no_wrap=True)
@@ -50,9 +54,9 @@ def results_table(rows: Sequence[Mapping[str, Any]], scenarios: Mapping[str, Sce
         scenario = scenarios[row["scenario"]]
         table.add_row(*_cells(row, scenario.max_steps * scenario.tau))
     table.caption = (
-        "median: time-outs count as later than the limit; T/bound, V rise, clearance, alignment: "
-        "the worst of all starts;\nV rise: the largest in a step up to its first merge, m²/s; "
-        "none: V fell in every step, or stayed (contacts can raise it)"
+        "median: time-outs count as later than the limit; T/bound, V rise, clear, align: the worst "
+        "of all starts\nV rise: the largest in a step up to its first merge, m²/s; none: V fell in "
+        "every step, or stayed; contacts can raise it"
     )
     return table
 
@@ -106,6 +110,7 @@ def paired_table(rows: Sequence[Mapping[str, Any]]) -> Table:
         box=None,
         header_style="bold",
         pad_edge=False,
+        caption_justify="left",
         caption="points: of clean success; better: meeting cleanly and sooner on a start, a tie "
         "counts half; [95 % bootstrap intervals]",
     )
