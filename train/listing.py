@@ -108,6 +108,6 @@ def _obstacles(scenario: Scenario) -> str:
         shapes = "discs" if scenario.dim == 2 else "spheres"
         return f"{count} drawn {shapes}{passed}"
     if isinstance(field, WallField):
-        return f"a drawn {field.layout} of walls{passed}"
+        return f"{field.layout} of drawn walls{passed}"
     plural = "s" if len(field) > 1 else ""
     return f"{len(field)} fixed obstacle{plural}{passed}" if field else ""

@@ -150,25 +150,26 @@ class TestTables:
 QUICK = {"scenarios": ("fig4",), "episodes": 3, "keep": 0, "figures": False}
 
 
-class TestCommand:
-    @pytest.fixture(scope="class")
-    def said(self, tmp_path_factory):
-        """What a comparison prints, and its summary."""
-        out = tmp_path_factory.mktemp("answer")
-        names = ("bearing-only", "tangent-joined", "zero")
-        config = compare.Config(
-            **QUICK,
-            policies=names,
-            out=out / "out",
-            json=out / "new" / "short.json",
-            against="tangent-joined",
-        )
-        with pytest.MonkeyPatch.context() as patch:
-            console = Console(file=io.StringIO(), width=80)
-            patch.setattr(compare, "Console", lambda **options: console)
-            assert compare.run(config) == 0
-        return console.file.getvalue(), json.loads((out / "new" / "short.json").read_text())
+@pytest.fixture(scope="module")
+def said(tmp_path_factory):
+    """What a comparison prints, and its summary."""
+    out = tmp_path_factory.mktemp("answer")
+    names = ("bearing-only", "tangent-joined", "zero")
+    config = compare.Config(
+        **QUICK,
+        policies=names,
+        out=out / "out",
+        json=out / "new" / "short.json",
+        against="tangent-joined",
+    )
+    with pytest.MonkeyPatch.context() as patch:
+        console = Console(file=io.StringIO(), width=80)
+        patch.setattr(compare, "Console", lambda **options: console)
+        assert compare.run(config) == 0
+    return console.file.getvalue(), json.loads((out / "new" / "short.json").read_text())
 
+
+class TestCommand:
     def test_the_answer_comes_before_the_tables(self, said):
         text, summary = said
         places = [text.index(part) for part in (summary["answer"][:30], "met cleanly", "Against")]
