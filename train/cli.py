@@ -10,6 +10,7 @@ import argparse
 import os
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from importlib import import_module
 from typing import Any
 
@@ -106,7 +107,8 @@ class _Completion(argparse.Action):
             for name, (module, line) in COMMANDS.items()
         ]
         every: Any = Union[tuple(configs)]  # noqa: UP007 - made of a list
-        tyro.cli(every, prog=parser.prog, args=["--tyro-print-completion", shell])
+        with suppress(SystemExit):
+            tyro.cli(every, prog=parser.prog, args=["--tyro-print-completion", shell])
         parser.exit()
 
 
