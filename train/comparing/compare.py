@@ -67,7 +67,10 @@ def run(config: Config) -> int:
         asked = cells.plan_of(jobs, config)
         part = out_folder.open_part(config.out, out, asked, fresh=config.fresh)
         if part is None:
-            console.print(f"{out} holds this comparison: it was finished, but not renamed yet")
+            console.print(
+                f"{out} holds this comparison: it was finished, but not renamed yet",
+                soft_wrap=True,
+            )
             return 0
         try:
             return _run(config, jobs, part, console, clock)
@@ -85,7 +88,7 @@ def _run(config: Config, jobs: Sequence[Job], part: Part, console: Console, cloc
     if not config.policies and (reason := policies.left_out()):
         console.print(f"left out: {policies.LEARNED} ({reason})")
     if count := part.count():
-        console.print(f"goes on with {count} finished parts in {part.folder}")
+        console.print(f"goes on with {count} finished parts in {part.folder}", soft_wrap=True)
     clock.now("setting up")
     played, compile_time = play_all(jobs, config, part, console)
     files = play_ceilings(part, jobs, config, console) if config.ceiling else []
@@ -106,7 +109,7 @@ def _run(config: Config, jobs: Sequence[Job], part: Part, console: Console, cloc
         kept = {name: about[name] for name in ("seed", "command_line", "versions", "timing")}
         write_summary(config.json, rankings, rows, pairs, kept)
     episodes = sum(len(done.episodes.success) for done in played)
-    console.print(f"{episodes} episodes in {clock.line()}; files in {config.out}")
+    console.print(f"{episodes} episodes in {clock.line()}; files in {config.out}", soft_wrap=True)
     return _report_excess(played)
 
 

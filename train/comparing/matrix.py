@@ -79,7 +79,10 @@ def _notes(rankings: Sequence[Ranking]) -> Iterator[str]:
             "95 % bootstrap interval of the difference on the same starts holds 0"
         )
     if references := dict.fromkeys(name for ranking in rankings for name in ranking.references):
-        yield f"{', '.join(references)}: what is possible for who knows the map; not in the contest"
+        yield (
+            f"{', '.join(references)}: reference, knows the map and all positions; what it passes "
+            "cleanly is possible"
+        )
     if through := [ranking.scenario for ranking in rankings if _unknown(ranking)]:
         yield f"– in {', '.join(through)}: robots pass through obstacles, nothing is clean or not"
 
