@@ -205,8 +205,10 @@ class RandomPolicy:
             self._generator = np.random.default_rng(self.seed)
 
 
-@register("bearing-only", fits=is_single_integrator)
+@register("bearing-only", fits=is_single_integrator, kind="law")
 def _bearing_only(scenario: Scenario) -> Policy:
+    """Law (1): along the net bearing, as fast as it is long."""
+
     def law(f: Array, seen: ObservedRows, time: ArrayLike) -> Array:
         velocity = bearing_only_law(f)
         if not scenario.scales_velocity:
@@ -218,18 +220,24 @@ def _bearing_only(scenario: Scenario) -> Policy:
     return LawPolicy(scenario, law)
 
 
-@register("unicycle", fits=lambda scenario: scenario.robot_model == "unicycle")
+@register("unicycle", fits=lambda scenario: scenario.robot_model == "unicycle", kind="law")
 def _unicycle(scenario: Scenario) -> Policy:
+    """Laws (7) and (8) of unicycles: the speed along f, turning towards it."""
     return LawPolicy(scenario, lambda f, seen, time: unicycle_law(f))
 
 
-@register("unicycle-cosine", fits=lambda scenario: scenario.robot_model == "unicycle")
+@register("unicycle-cosine", fits=lambda scenario: scenario.robot_model == "unicycle", kind="law")
 def _unicycle_cosine(scenario: Scenario) -> Policy:
+    """Law (7) of unicycles that turn to and fro, ω = cos t, whatever they see."""
     return LawPolicy(scenario, lambda f, seen, time: unicycle_cosine_law(f, time))
 
 
-@register("nonholonomic-3d", fits=lambda scenario: scenario.robot_model == "nonholonomic_3d")
+@register(
+    "nonholonomic-3d", fits=lambda scenario: scenario.robot_model == "nonholonomic_3d", kind="law"
+)
 def _nonholonomic_3d(scenario: Scenario) -> Policy:
+    """Laws (12) and (17) of nonholonomic robots in space."""
+
     def law(f: Array, seen: ObservedRows, time: ArrayLike) -> Array:
         assert seen.gravity is not None  # these robots always sense it
         return nonholonomic_3d_law(f, pitch_of(seen.gravity))
@@ -237,8 +245,9 @@ def _nonholonomic_3d(scenario: Scenario) -> Policy:
     return LawPolicy(scenario, law)
 
 
-@register("damped", fits=is_double_integrator)
+@register("damped", fits=is_double_integrator, kind="law")
 def _damped(scenario: Scenario, damping: float = 1.0) -> Policy:
+    """For robots with inertia: where law (1) would go, with friction; not of the paper."""
     k = positive("damping", damping, "1/s")
 
     def law(f: Array, seen: ObservedRows, time: ArrayLike) -> Array:
@@ -248,13 +257,16 @@ def _damped(scenario: Scenario, damping: float = 1.0) -> Policy:
     return LawPolicy(scenario, law)
 
 
-@register("random", fits=lambda scenario: True)
+@register("random", fits=lambda scenario: True, kind="blind")
 def _random(scenario: Scenario, seed: int = 0) -> Policy:
+    """Actions drawn at random, whatever is seen."""
     return RandomPolicy(scenario, seed)
 
 
-@register("zero", fits=lambda scenario: True)
+@register("zero", fits=lambda scenario: True, kind="blind")
 def _zero(scenario: Scenario) -> Policy:
+    """No action at all."""
+
     def law(f: Array, seen: ObservedRows, time: ArrayLike) -> Array:
         return np.zeros((*f.shape[:-1], scenario.action_size))
 

@@ -40,10 +40,23 @@ class Policy(Protocol):
         ...
 
 
+KINDS = {
+    "law": "laws, most of them of the paper",
+    "rule": "rules for obstacles",
+    "tank": "rules under an energy tank",
+    "own": "policies entered from outside",
+    "learned": "learned policies",
+    "privileged": "references that know the map and all positions",
+    "blind": "policies that see nothing",
+}
+"""What policies there are, in the order in which lists and tables show them."""
+
+
 @dataclass(frozen=True)
 class _Entry:
     build: Callable[..., Policy]
     fits: Callable[[Scenario], bool]
+    kind: str
 
 
 _registry: dict[str, _Entry] = {}
@@ -52,25 +65,56 @@ _TRAINED = {"learned": "PRETRAINED", "learned-tank": "PRETRAINED_TANK"}
 _Builder = TypeVar("_Builder", bound=Callable[..., Policy])
 
 
-def register(name: str, fits: Callable[[Scenario], bool]) -> Callable[[_Builder], _Builder]:
+def register(
+    name: str, fits: Callable[[Scenario], bool], *, kind: str = "own"
+) -> Callable[[_Builder], _Builder]:
     """Enter the decorated builder ``(scenario, **options) -> Policy`` under a name.
 
     Args:
         name: what ``make`` calls it.
         fits: whether the policy can steer the robots of a scenario.
+        kind: one of KINDS; within a kind policies stand in the order in which they are entered.
+
+    Raises:
+        ValueError: for another kind.
     """
+    if kind not in KINDS:
+        raise ValueError(f"kind is {shown(kind)}; it must be one of {', '.join(KINDS)}")
 
     def enter(build: _Builder) -> _Builder:
-        _registry[name] = _Entry(build, fits)
+        _registry[name] = _Entry(build, fits, kind)
         return build
 
     return enter
 
 
 def names(scenario: Scenario | None = None) -> list[str]:
-    """Names of the policies that fit a scenario, or of all of them, sorted."""
-    fitting = (n for n, entry in _registry.items() if scenario is None or entry.fits(scenario))
-    return sorted(fitting)
+    """Names of the policies that fit a scenario, or of all of them, in the order of KINDS."""
+    fitting = [n for n, entry in _registry.items() if scenario is None or entry.fits(scenario)]
+    return sorted(fitting, key=lambda name: in_order(_registry[name].kind))
+
+
+def in_order(kind: str) -> int:
+    """The place of a kind among KINDS."""
+    return list(KINDS).index(kind)
+
+
+def kind_of(name: str) -> str:
+    """The kind of a policy.
+
+    Raises:
+        KeyError: for an unknown name.
+    """
+    return _registry[name].kind
+
+
+def about(name: str) -> str:
+    """What a policy is, the first line of its builder's docstring; empty without one.
+
+    Raises:
+        KeyError: for an unknown name.
+    """
+    return (inspect.getdoc(_registry[name].build) or "").partition("\n")[0].rstrip(".")
 
 
 def make(name: str, scenario: ScenarioLike, **options: Any) -> Policy:
@@ -95,7 +139,7 @@ def make(name: str, scenario: ScenarioLike, **options: Any) -> Policy:
     if not isinstance(name, str) or name not in fitting:
         listed = isinstance(name, str) and name in _registry
         known = f"does not fit {_describe(scenario)}" if listed else "is unknown"
-        near = nearest_word(name, fitting, cutoff=0.0)
+        near = nearest_word(name, fitting)
         hint = f"; did you mean {near!r}?" if near else ""
         raise ValueError(
             f"policy {shown(name)} {known}; those that fit are {', '.join(fitting)}{hint}"

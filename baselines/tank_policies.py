@@ -123,7 +123,7 @@ def _fits(scenario: Scenario) -> bool:
     return is_single_integrator(scenario) and scenario.dim == 2 and slots > 0
 
 
-@register("tank-joined", fits=_fits)
+@register("tank-joined", fits=_fits, kind="tank")
 def _tank_joined(
     scenario: Scenario,
     budget: float = TankJoinedPolicy.budget,

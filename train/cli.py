@@ -10,7 +10,9 @@ import argparse
 import os
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from importlib import import_module
+from typing import Any
 
 from . import interrupts
 from .errors import UserError
@@ -18,6 +20,7 @@ from .errors import UserError
 COMMANDS = {
     "compare": ("comparing.compare", "compare policies on the same starts: table, files, figures"),
     "train": ("learning.ppo", "PPO learns headings that keep the guarantee; stop it, resume it"),
+    "list": ("listing", "the scenarios or the policies, a line for each"),
     "report": ("report.build", "an HTML page of what compare found, with an interactive replay"),
     "bench": ("benchmark.bench", "how fast the environments are on this machine"),
     "render": ("pictures.render", "one episode as a film (gif, mp4) or a figure (png, pdf)"),
@@ -26,6 +29,7 @@ COMMANDS = {
     "verify": ("verification.verify", "check the theorems on random teams; status 1 if one fails"),
 }
 """Module in ``train`` and one line of help for each command."""
+_COMPLETION = "--completion"
 _LONGEST_LINE = 1000
 """Characters; of a longer one the beginning and the end are shown."""
 
@@ -42,7 +46,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     """
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # before anything loads torch
     words = list(sys.argv[1:] if argv is None else argv)
-    command = _parser().parse_args(words[:1]).command
+    own = 2 if words[:1] == [_COMPLETION] else 1  # words that are not the command's
+    command = _parser().parse_args(words[:own]).command
     try:
         with interrupts.raised(command):
             return _run(command, words[1:])
@@ -74,6 +79,39 @@ def _run(command: str, flags: Sequence[str]) -> int:
     return int(module.run(config) or 0)
 
 
+class _Version(argparse.Action):
+    """Says the version and ends."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *given: Any) -> None:
+        from importlib.metadata import version
+
+        print(f"rendezvous {version('rendezvous-env')}")
+        parser.exit()
+
+
+class _Completion(argparse.Action):
+    """Prints what makes a shell complete the commands and their flags, and ends."""
+
+    def __call__(
+        self, parser: argparse.ArgumentParser, namespace: Any, shell: Any, *given: Any
+    ) -> None:
+        from typing import Annotated, Union
+
+        import tyro
+
+        configs = [
+            Annotated[
+                import_module(f"train.{module}").Config,
+                tyro.conf.subcommand(name, prefix_name=False, description=line),
+            ]
+            for name, (module, line) in COMMANDS.items()
+        ]
+        every: Any = Union[tuple(configs)]  # noqa: UP007 - made of a list
+        with suppress(SystemExit):
+            tyro.cli(every, prog=parser.prog, args=["--tyro-print-completion", shell])
+        parser.exit()
+
+
 def _say(command: str, what: str) -> int:
     """One line about the user's mistake, which may quote anything; the exit status."""
     line = " ".join(map(str.strip, what.splitlines()))
@@ -88,6 +126,13 @@ def _parser() -> argparse.ArgumentParser:
         prog="rendezvous",
         description="Bearing-only multi-robot rendezvous.",
         epilog="rendezvous COMMAND --help lists the flags of a command.",
+    )
+    parser.add_argument("--version", nargs=0, action=_Version, help="show the version and end")
+    parser.add_argument(
+        _COMPLETION,
+        choices=("bash", "zsh", "tcsh"),
+        action=_Completion,
+        help='print what completes commands and flags: eval "$(rendezvous --completion bash)"',
     )
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     for name, (_, line) in COMMANDS.items():

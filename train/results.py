@@ -19,7 +19,7 @@ import numpy as np
 
 from .errors import UserError
 
-FORMAT_VERSION = 3
+FORMAT_VERSION = 4
 """Of the files of ``compare``; a change that a reader would notice raises it."""
 
 RESULT_COLUMNS = (
@@ -94,8 +94,12 @@ def atomic(path: Path) -> Iterator[Path]:
         temporary.unlink(missing_ok=True)
 
 
-def prepare_folder(folder: Path) -> Path:
+def prepare_folder(folder: Path, flag: str | None = None) -> Path:
     """Make a folder that can be written to, before any work is spent on its content.
+
+    Args:
+        folder: to make.
+        flag: what asked for it, with its value; None is --out with the folder.
 
     Raises:
         UserError: if it cannot be made or written to.
@@ -106,7 +110,8 @@ def prepare_folder(folder: Path) -> Path:
         probe.touch()
         probe.unlink()
     except OSError as error:
-        raise UserError(f"--out {folder}: cannot write there: {error.strerror}") from error
+        asked = flag or f"--out {folder}"
+        raise UserError(f"{asked}: cannot write there: {error.strerror}") from error
     return folder
 
 

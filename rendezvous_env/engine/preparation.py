@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..equations.robots.motion import is_described
+from ..equations.robots.motion import begin_memory, is_described
 from ..experiment import packing
 from ..experiment.checks import shown
 from ..experiment.graphs import FIXED
@@ -153,6 +153,23 @@ def fixed_links(
         return None
     first, second, weights = scenario.sensing_graph.links(scenario.n_robots)
     return first, second, weights * scenario.sensing_graph.weight_range[0]
+
+
+def begins_alike(scenario: Scenario) -> bool:
+    """Whether all episodes are one and the same: places, attitudes, graph and obstacles are given.
+
+    The robots' frames may be drawn all the same: they turn what a robot sees and what it does
+    alike, and a policy that goes by what it sees moves as in any other frame.
+    """
+    rules, model = start_rules(scenario), scenario.model
+    if scenario.start_positions is None or rules.graph is not None or rules.draw_obstacles:
+        return False
+    given = 0 if scenario.start_headings is None else model.n_angles
+    if model.memory_size(scenario.dim) == given:
+        return True
+    with np.errstate(over="ignore"):  # the streams wrap around; uncompiled, NumPy would warn
+        one, other = (begin_memory(constants_of(scenario), np.uint64(key), 0) for key in (1, 2))
+    return bool(one[given:] == other[given:])
 
 
 def fixed_obstacles(scenario: Scenario) -> NDArray[np.float64] | None:

@@ -6,6 +6,7 @@ import dataclasses
 import difflib
 import functools
 import math
+import re
 import reprlib
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any, NoReturn, TypeVar, cast
@@ -207,11 +208,21 @@ def bools(field: str, value: Any, shape: tuple[int, ...] | None, of_what: str) -
     return array
 
 
-def nearest_word(word: Any, words: Iterable[str], cutoff: float = 0.6) -> str | None:
-    """The word most like ``word``, if any is much like it."""
+def nearest_word(word: Any, words: Iterable[str], cutoff: float = 0.65) -> str | None:
+    """The word most like ``word``, if any is much like it, or has it as a part.
+
+    Args:
+        word: what was given.
+        words: what is known; their parts stand between - and _.
+        cutoff: least likeness, from 0 to 1.
+    """
     if not isinstance(word, str) or len(word) > _LONGEST_WORD:
         return None
-    close = difflib.get_close_matches(word, list(words), n=1, cutoff=cutoff)
+    known = list(words)
+    close = difflib.get_close_matches(word, known, n=1, cutoff=cutoff)
+    if not close:
+        having = [one for one in known if word in re.split("[-_]", one)]
+        close = difflib.get_close_matches(word, having, n=1, cutoff=0.0)
     return close[0] if close else None
 
 
@@ -224,7 +235,7 @@ def known_fields(given: Iterable[Any], known: Iterable[str], what: str) -> None:
     known = list(known)
     for key in given:
         if key not in known:
-            near = nearest_word(key, known, cutoff=0.4)
+            near = nearest_word(key, known)
             hint = f"did you mean {near!r}?" if near else f"known are {', '.join(known)}"
             raise UnknownFieldError(f"{what} has no field {shown(key)}; {hint}")
 

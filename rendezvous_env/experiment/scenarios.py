@@ -129,7 +129,7 @@ def get(name: str) -> Scenario:
         ValueError: for an unknown name, with the nearest known one.
     """
     if not isinstance(name, str) or name not in _BUILDERS:
-        near = nearest_word(name, _BUILDERS, cutoff=0.4)
+        near = nearest_word(name, _BUILDERS)
         hint = f"did you mean {near!r}? " if near else ""
         raise ValueError(
             f"scenario {shown(name)} is unknown; {hint}known are {', '.join(_BUILDERS)}"

@@ -3,11 +3,15 @@
 import os
 import subprocess
 import sys
+from importlib import metadata
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+import baselines
+from baselines import policy
+from rendezvous_env.experiment import scenarios
 from train import cli, results
 
 SCRIPT = Path(sys.executable).with_name("rendezvous")
@@ -30,6 +34,7 @@ class TestMistakes:
             (["--scenarios"], "names none"),
             (["--scenarios", "duo", "duo"], "two scenarios"),
             (["--policies", "bearing-onyl"], "did you mean 'bearing-only'"),
+            (["--policies", "foo"], "'foo' is unknown; known are bearing-only"),
             (["--scenarios", "duo", "--policies", "unicycle"], "no policy of those named fits duo"),
             (["--episodes", "0"], "--episodes is 0"),
             (["--seed", "-1"], "--seed is -1"),
@@ -80,6 +85,48 @@ def test_every_command_has_a_config_and_help(capsys):
     for name in cli.COMMANDS:
         assert run(name, "--help") == 0
         assert f"rendezvous {name}" in capsys.readouterr().out
+
+
+class TestList:
+    def lines(self, what, capsys):
+        assert run("list", what) == 0
+        return " ".join(capsys.readouterr().out.split())
+
+    def test_every_scenario_is_described(self, capsys):
+        said = self.lines("scenarios", capsys)
+        for name in scenarios.names():
+            assert f"{name} {scenarios.get(name).n_robots} robots" in said
+        assert "3 fixed obstacles, which robots pass through, one start" in said
+        assert "random tree graph with gains of 0.5 to 2 m/s" in said
+        assert "rooms 5 robots in the plane, complete graph, rooms of drawn walls" in said
+
+    def test_every_policy_has_its_line_and_its_scenarios(self, capsys):
+        said = self.lines("policies", capsys)
+        for name in baselines.names():
+            assert f"{name} {policy.about(name).split(':')[0]}" in said and policy.about(name)
+        assert "Fits unicycle-6." in said and "random Actions drawn" in said
+        assert "law (1) would go, with friction; not of the paper. Fits none of" in said
+        assert said.index("tangent ") < said.index("privileged-planner ") < said.index("zero ")
+
+    def test_what_else_there_is(self):
+        assert run("list", "robots") == 2
+
+
+def test_version(capsys):
+    assert run("--version") == 0
+    assert capsys.readouterr().out == f"rendezvous {metadata.version('rendezvous-env')}\n"
+
+
+def test_completion_knows_every_command_and_flag(tmp_path, capsys):
+    assert run("--completion", "bash") == 0
+    script = capsys.readouterr().out
+    assert all(f"--{flag}" in script for flag in ("ceiling", "against", "total-steps"))
+    path = tmp_path / "completion.bash"
+    path.write_text(script)
+    code = f"source {path}; complete -p rendezvous"
+    done = subprocess.run(["bash", "-c", code], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0 and done.stdout.startswith("complete -F"), done.stderr
+    assert run("--completion", "ksh") == 2
 
 
 class TestReproduce:

@@ -68,7 +68,9 @@ class TestFiles:
             own = [
                 r for r in rows if (r["scenario"], r["policy"]) == (row["scenario"], row["policy"])
             ]
-            assert [int(r["start"]) for r in own] == list(range(7))
+            starts = {"duo": 7, "fig4": 1}[row["scenario"]]  # that of fig4 is given
+            assert [int(r["start"]) for r in own] == list(range(starts))
+            assert int(row["episodes"]) == starts
             column = lambda name, own=own: [float(r[name]) for r in own if r[name]]  # noqa: E731
             assert float(row["success"]) == np.mean(column("success"))
             assert float(row["clean_success"]) == np.mean(column("clean"))
@@ -86,6 +88,9 @@ class TestFiles:
         for row in results.read_csv(folder / "results.csv"):
             for name in results.RESULT_COLUMNS[2:]:
                 assert row[name] == "" or math.isfinite(float(row[name]))
+        for row in results.read_csv(folder / "results.csv"):
+            ends = [row[name] for name in row if name.endswith(("_low", "_high"))]
+            assert all(ends) == (row["scenario"] == "duo") and any(ends) == all(ends)
         duo = results.read_csv(folder / "results.csv")[0]
         assert duo["scenario"] == "duo" and duo["min_clearance"] == ""
 
@@ -159,6 +164,13 @@ class TestFiles:
 
 
 class TestMeasures:
+    def test_nothing_is_clean_where_robots_pass_through_obstacles(self):
+        done, _ = run_play(scenarios.get("fig3"), "bearing-only", 3)
+        assert done.success.tolist() == [True] and done.clearance[0] < -0.5
+        assert np.isnan(done.clean).all()
+        stopped, _ = run_play(scenarios.get("fig4"), "bearing-only", 3)
+        assert stopped.clean.tolist() == [0.0]
+
     def test_law_1_is_aligned_falls_and_keeps_its_bound(self):
         scenario = scenarios.get("random-10")
         done, _ = run_play(scenario, "bearing-only", 5)
@@ -251,8 +263,26 @@ class TestStatistics:
         assert low < median < high
         assert low < math.log(2) < high and high - low < 0.35
 
-    def test_a_single_start_is_its_own_interval(self):
-        assert statistics.censored_median(np.ones(1), np.ones(1, bool), 9.0) == (1.0, (1.0, 1.0))
+    def test_a_single_start_has_no_interval(self):
+        median, interval = statistics.censored_median(np.ones(1), np.ones(1, bool), 9.0)
+        assert median == 1.0 and np.isnan(interval).all()
+        assert np.isnan(statistics.fraction_interval(np.ones(1, bool))).all()
+
+    def test_where_contacts_do_not_count_nothing_is_clean_or_not(self):
+        through = batch(clean=np.full(4, np.nan))
+        row = statistics.summarise("s", "p", through, limit=10.0)
+        assert np.isnan([row["clean_success"], row["clean_low"], row["clean_high"]]).all()
+        assert row["success"] == 0.75 and row["success_low"] > 0
+        assert [episode["clean"] for episode in through.rows()] == [None] * 4
+        sooner = batch(clean=through.clean, time=np.array([1.0, 1, 1, 10]))
+        (pair,) = statistics.compare_pairs("s", {"bearing-only": through, "other": sooner})
+        assert np.isnan(pair["clean_difference"])
+        assert pair["probability_of_improvement"] == (1 + 1 + 1 + 0.5) / 4  # by meeting sooner
+
+    def test_another_reference_on_request(self):
+        played = {"bearing-only": batch(), "other": batch()}
+        (row,) = statistics.compare_pairs("s", played, against="other")
+        assert (row["policy"], row["against"]) == ("bearing-only", "other")
 
     def test_pairs_by_hand(self):
         better = batch(clean=np.array([True, True, True, False]), time=np.array([1.0, 4, 9, 10]))

@@ -59,6 +59,22 @@ class TestColours:
             assert set(drawn) == wanted
 
 
+class TestWhatDoesNotApply:
+    def test_no_mark_where_nothing_is_clean_and_no_bar_from_a_single_start(self, tmp_path):
+        nothing = dict.fromkeys(("success_low", "success_high", "time_low", "time_high"), np.nan)
+        alone = row("fig3", "tangent", np.nan, episodes=1, **nothing)
+        figure = figures.success_figure([alone])
+        axes = figure.axes[0]
+        assert axes.get_title() == "fig3, one start"
+        [success] = axes.containers  # and none of clean success
+        assert success.lines[0].get_xdata() == [1.0]
+        [bars] = success.lines[2]
+        assert np.ptp(bars.get_segments()[0][:, 0]) == 0
+        times = figures.time_figure([alone])
+        assert times.axes[0].get_xlim()[1] == pytest.approx(1.15 * 4.0)
+        figures.save(times, tmp_path / "times.png")
+
+
 class TestSweeps:
     def test_scenarios_that_differ_in_one_number_are_grouped(self):
         names = ["clutter-16", "fig4", "clutter-4", "duo", "clutter-8"]

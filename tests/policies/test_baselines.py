@@ -9,7 +9,7 @@ import pytest
 
 import baselines
 import rendezvous_env as rv
-from baselines import laws
+from baselines import laws, policy
 from baselines.policy import within_limits
 from rendezvous_env.experiment.scenario import Scenario
 from train.learned import learned_policy
@@ -174,3 +174,23 @@ def test_make_says_where_a_learned_policy_is(name):
         baselines.make(name, "clutter-8")
     folder = re.search(r"learned_policy\.(PRETRAINED\w*)", str(caught.value))[1]
     assert getattr(learned_policy, folder) == learned_policy.shipped(name)
+
+
+def test_every_policy_says_what_it_is_and_of_which_kind():
+    """A reader of positions is privileged by its name and by its kind, and nobody else is."""
+    for name in baselines.names():
+        assert policy.about(name), name
+        assert policy.kind_of(name) != "own", name
+        assert name.startswith("privileged") == (policy.kind_of(name) == "privileged")
+
+
+def test_names_are_in_the_order_of_their_kinds():
+    kinds = [policy.kind_of(name) for name in baselines.names()]
+    assert kinds == sorted(kinds, key=list(policy.KINDS).index)
+    assert baselines.names(UNICYCLE) == ["unicycle", "unicycle-cosine", "random", "zero"]
+
+
+def test_another_kind_is_refused_and_nothing_is_entered():
+    with pytest.raises(ValueError, match="kind is 'best'; it must be one of law, rule"):
+        policy.register("mine", fits=lambda scenario: True, kind="best")
+    assert "mine" not in baselines.names()

@@ -71,7 +71,7 @@ class TestPage:
     def test_recordings_are_those_of_the_file_to_the_stated_rounding(self, folder):
         data, blobs = data_of(report.page(read(folder)))
         with np.load(folder / "trajectories.npz") as arrays:
-            assert len(data["recordings"]) == len(blobs) == 2 * 5
+            assert len(data["recordings"]) == len(blobs) == 2 * 2 + 3  # fig4 has one start
             for entry, raw in zip(data["recordings"], blobs, strict=True):
                 shown = decode(entry["fields"], raw)
                 key = f"{entry['scenario']}/{entry['policy']}/{entry['start']}/"
@@ -97,6 +97,23 @@ class TestPage:
                 assert sorted(corners) == [0, 0, 4] and len(scenario.obstacles) == 3
             else:
                 assert entry["obstacles"] == []
+
+    def test_one_start_is_one_start(self, folder):
+        found = read(folder)
+        assert {row["scenario"]: row["episodes"] for row in found.rows} == {
+            "fig4": "1",
+            "uav-6": "4",
+        }
+        text = report.page(found)
+        assert "4 starts each (seeds 3–6); one of fig4, whose start is given" in text
+
+    def test_what_is_neither_clean_nor_not_may_be_empty(self, folder, reseal):
+        path = folder / "results.csv"
+        rows = results.read_csv(path)
+        rows[0]["clean_success"] = ""
+        results.write_csv(path, results.RESULT_COLUMNS, rows)
+        reseal(folder)
+        assert data_of(report.page(read(folder)))[0]["results"][0]["clean_success"] == ""
 
     def test_the_rounding_is_stated(self, folder):
         text = report.page(read(folder))
@@ -158,7 +175,7 @@ class TestPage:
             path.write_text(path.read_text().replace("zero", "learned:a/b"))
         reseal(folder)
         data, _ = data_of(report.page(read(folder)))
-        assert ("fig4", "learned:a/b", 1) in {
+        assert ("fig4", "learned:a/b", 0) in {
             (r["scenario"], r["policy"], r["start"]) for r in data["recordings"]
         }
 
@@ -180,7 +197,7 @@ class TestSize:
         assert {key for key, stride in strides.items() if stride > 1} == {
             key for key, size in sizes.items() if size > budget // len(sizes)
         }
-        assert f"{sum(s > 1 for s in strides.values())} of 10 recordings are thinned out" in text
+        assert f"{sum(s > 1 for s in strides.values())} of 7 recordings are thinned out" in text
         assert sum(map(len, re.findall(r'type="application/gzip">(.*?)<', text))) <= budget
         for entry, raw in zip(data["recordings"], blobs, strict=True):
             recording = whole.recordings[entry["scenario"], entry["policy"], entry["start"]]
@@ -244,10 +261,10 @@ class TestRefusals:
     def test_a_count_is_none(self, cell, message, folder, reseal, capsys):
         path = folder / "results.csv"
         lines = path.read_text().splitlines()
-        lines[2] = lines[2].replace(",4,", f",{cell},", 1)
+        lines[4] = lines[4].replace(",4,", f",{cell},", 1)
         path.write_text("\n".join(lines))
         reseal(folder)
-        assert f"line 3: episodes is {message}" in refused(folder, capsys)
+        assert f"line 5: episodes is {message}" in refused(folder, capsys)
 
     @pytest.mark.parametrize("version", [1, 2, results.FORMAT_VERSION + 1, "new"])
     def test_another_version(self, version, folder, capsys):
@@ -310,14 +327,14 @@ class TestRefusals:
         run = json.loads((folder / "run.json").read_text())["run"]
         with np.load(folder / "trajectories.npz") as file:
             arrays = {name: file[name] for name in file.files}
-        name = f"fig4/zero/1/{kind}"
+        name = f"fig4/zero/0/{kind}"
         changed = arrays.pop(name)
         if change is not None:
             arrays[name] = change(changed)
         results.write_arrays(folder / "trajectories.npz", arrays, run)
         reseal(folder)
         said = refused(folder, capsys)
-        assert "trajectories.npz: fig4/zero/1 " in said and message in said
+        assert "trajectories.npz: fig4/zero/0 " in said and message in said
 
     def test_trajectories_of_another_run(self, folder, reseal, capsys):
         results.write_arrays(folder / "trajectories.npz", {}, "another")

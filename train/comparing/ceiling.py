@@ -21,7 +21,7 @@ from baselines.obstacle_avoidance import CertifiedHeadingPolicy, tangent_joined_
 from rendezvous_env.experiment.scenario import Scenario
 from rendezvous_env.trajectory import Policy
 
-from .episodes import play
+from .episodes import counts_contacts, play
 
 MIN_ALIGNMENT = 0.05
 """ε of every run."""
@@ -74,8 +74,10 @@ starts that no run passed cleanly, or at all."""
 
 
 def applies(scenario: Scenario) -> bool:
-    """Whether there is anything to steer around: single integrators among obstacles."""
-    return "tangent-joined" in baselines.names(scenario)
+    """Whether there is anything to steer around: single integrators among obstacles that stop
+    them.
+    """
+    return "tangent-joined" in baselines.names(scenario) and counts_contacts(scenario)
 
 
 def estimate(
@@ -105,7 +107,7 @@ def estimate(
 
         done, _ = play(scenario, make, margin=MIN_ALIGNMENT, episodes=episodes, seed=seed)
         success.append(done.success)
-        clean.append(done.clean)
+        clean.append(done.clean == 1)
         on_progress((run + 1) / runs)
     return Ceiling(np.array(success), np.array(clean), _planned(scenario, episodes, seed))
 
@@ -119,7 +121,7 @@ def _planned(scenario: Scenario, episodes: int, seed: int) -> NDArray[np.bool_]:
     def make() -> Policy:
         return baselines.make(name, scenario)
 
-    return play(scenario, make, margin=None, episodes=episodes, seed=seed)[0].clean
+    return play(scenario, make, margin=None, episodes=episodes, seed=seed)[0].clean == 1
 
 
 def randomised(scenario: Scenario, *, seed: int, spread: float) -> CertifiedHeadingPolicy:

@@ -1,17 +1,19 @@
-"""``rendezvous compare``: policies on the same starts, as a table, files and figures."""
+"""``rendezvous compare``: policies on the same starts, as an answer, tables, files and figures."""
 
 from __future__ import annotations
 
 import sys
 import time
 from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
 
 from rich.console import Console
 
 from .. import folders
 from ..learned import policies
-from . import cells, gallery, out_folder, tables
-from .files import count_excess, description, write
+from . import cells, gallery, matrix, out_folder, ranking, tables
+from .files import count_excess, description, paired_rows, write, write_summary
 from .out_folder import Part
 from .plan import Config, Job, plan
 from .playing import Played, play_all, play_ceilings, play_job, summary
@@ -19,8 +21,37 @@ from .playing import Played, play_all, play_ceilings, play_job, summary
 __all__ = ["Config", "Job", "Played", "plan", "play_job", "run", "summary"]
 
 
+@dataclass
+class _Clock:
+    """Where the time goes, by the wall clock."""
+
+    began: float = field(default_factory=time.perf_counter)
+    """When the command began, s."""
+    parts: dict[str, float] = field(default_factory=dict)
+    """Time of each part that is over, s."""
+
+    def now(self, part: str) -> None:
+        """All since the last call was spent on ``part``."""
+        self.parts[part] = self.total - sum(self.parts.values())
+
+    @property
+    def total(self) -> float:
+        """Since the command began, s."""
+        return time.perf_counter() - self.began
+
+    def timing(self) -> dict[str, float]:
+        """The parts and the time in all, s, as run.json names them."""
+        parts = {f"{name.replace(' ', '_')}_s": seconds for name, seconds in self.parts.items()}
+        return parts | {"total_s": self.total}
+
+    def line(self) -> str:
+        """The time in all, and its parts."""
+        split = ", ".join(f"{name} {seconds:.1f}" for name, seconds in self.parts.items())
+        return f"{self.total:.1f} s: {split}"
+
+
 def run(config: Config) -> int:
-    """Compare, print the table, write all files.
+    """Compare, print the answer, write all files.
 
     Returns:
         Exit status: 1 if a merge raised V above its proven bound, else 0.
@@ -28,7 +59,7 @@ def run(config: Config) -> int:
     Raises:
         UserError: for an unknown name, an impossible number or a folder that cannot be written.
     """
-    console = Console(width=max(Console().width, tables.WIDTH))
+    console, clock = Console(), _Clock()
     jobs = plan(config)
     out = out_folder.destination(config.out)
     lock = folders.held(out_folder.lock_of(out), f"--out {config.out}")
@@ -36,10 +67,13 @@ def run(config: Config) -> int:
         asked = cells.plan_of(jobs, config)
         part = out_folder.open_part(config.out, out, asked, fresh=config.fresh)
         if part is None:
-            console.print(f"{out} holds this comparison: it was finished, but not renamed yet")
+            console.print(
+                f"{out} holds this comparison: it was finished, but not renamed yet",
+                soft_wrap=True,
+            )
             return 0
         try:
-            return _run(config, jobs, part, console)
+            return _run(config, jobs, part, console, clock)
         except KeyboardInterrupt as error:
             if count := part.count():
                 error.add_note(
@@ -50,27 +84,60 @@ def run(config: Config) -> int:
             part.discard_if_empty()
 
 
-def _run(config: Config, jobs: Sequence[Job], part: Part, console: Console) -> int:
+def _run(config: Config, jobs: Sequence[Job], part: Part, console: Console, clock: _Clock) -> int:
     for name in () if config.policies else policies.SHIPPED:
         if reason := policies.left_out(name):
             console.print(f"left out: {name} ({reason})")
     if count := part.count():
-        console.print(f"goes on with {count} finished parts in {part.folder}")
-    began = time.perf_counter()
+        console.print(f"goes on with {count} finished parts in {part.folder}", soft_wrap=True)
+    clock.now("setting up")
     played, compile_time = play_all(jobs, config, part, console)
-    duration = time.perf_counter() - began - compile_time
-    rows = [summary(done) for done in played]
     files = play_ceilings(part, jobs, config, console) if config.ceiling else []
-    files += write(part, played, rows)
-    console.print(tables.results_table(rows, {job.scenario.name: job.scenario for job in jobs}))
+    clock.now("playing")
+    playing = clock.parts.pop("playing") - compile_time
+    clock.parts |= {"compiling": compile_time, "playing": playing}
+    rows, rankings = [summary(done) for done in played], ranking.rank(played)
+    pairs = paired_rows(played, config.against)
+    files += write(part, played, rows, pairs)
+    _show(config, jobs, console, rankings, rows, pairs)
+    clock.now("tables")
     if config.figures:
         files += gallery.draw(part, rows, played, config.pdf, console)
-    timing = {"compile_s": compile_time, "compare_s": duration}
-    part.finish(files, description(config, played, timing))
-    console.print(
-        f"{len(jobs)} × {config.episodes} episodes in {duration:.1f} s; files in {config.out}"
-    )
+        clock.now("drawing")
+    about = description(config, played, clock.timing())
+    part.finish(files, about)
+    if config.json is not None:
+        kept = {name: about[name] for name in ("seed", "command_line", "versions", "timing")}
+        write_summary(config.json, rankings, rows, pairs, kept)
+    episodes = sum(len(done.episodes.success) for done in played)
+    console.print(f"{episodes} episodes in {clock.line()}; files in {config.out}", soft_wrap=True)
     return _report_excess(played)
+
+
+def _show(
+    config: Config,
+    jobs: Sequence[Job],
+    console: Console,
+    rankings: Sequence[ranking.Ranking],
+    rows: Sequence[dict[str, Any]],
+    pairs: Sequence[dict[str, Any]],
+) -> None:
+    """The answer, the matrix, and what was asked for besides."""
+    console.print(f"\n[bold]{ranking.answer(rankings)}[/bold]\n")
+    matrix.show(rankings, console)
+    if config.against is not None:
+        console.print()
+        console.print(
+            tables.paired_table([row for row in pairs if row["against"] == config.against])
+        )
+    if config.details:
+        used = {job.scenario.name: job.scenario for job in jobs}
+        wide = Console(width=max(console.width, tables.WIDTH))
+        wide.print()
+        wide.print(tables.results_table(rows, used))
+    else:
+        console.print("times, lengths, margins: --details, or results.csv")
+    console.print()
 
 
 def _report_excess(played: Sequence[Played]) -> int:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rendezvous_env.engine.memory import RENDEZVOUS
+from rendezvous_env.engine.preparation import begins_alike
 from rendezvous_env.experiment.scenario import Scenario
 from rendezvous_env.guarantee.bounds import time_bound
 from rendezvous_env.guarantee.certificate import certificate
@@ -30,8 +31,9 @@ class Episodes:
 
     success: NDArray[np.bool_]
     """Whether all robots met within the time limit."""
-    clean: NDArray[np.bool_]
-    """Whether they met without touching an obstacle."""
+    clean: NDArray[np.float64]
+    """1 if they met without touching an obstacle, else 0; NaN where contacts do not count, because
+    robots pass through obstacles."""
     time: NDArray[np.float64]
     """When they met, s; the time limit if they did not."""
     path_length: NDArray[np.float64]
@@ -64,6 +66,7 @@ class Episodes:
     def rows(self) -> Iterator[dict[str, Any]]:
         """One row for each start, as in episodes.csv."""
         columns = {field.name: getattr(self, field.name).tolist() for field in fields(self)}
+        columns["clean"] = [None if value != value else int(value) for value in self.clean]
         for start in range(len(self.success)):
             yield {"start": start} | {name: values[start] for name, values in columns.items()}
 
@@ -80,7 +83,8 @@ def play(
 ) -> tuple[Episodes, list[Recording]]:
     """Run one policy from the starts ``seed``, ``seed`` + 1, … of a scenario.
 
-    The starts depend on their seeds alone, so every policy meets the same ones.
+    The starts depend on their seeds alone, so every policy meets the same ones. A scenario whose
+    episodes are all one and the same is played once.
 
     Args:
         scenario: the experiment.
@@ -94,6 +98,7 @@ def play(
     Raises:
         UserError: if the scenario has no room for a start.
     """
+    episodes = starts_of(scenario, episodes)
     parts: list[Episodes] = []
     recordings: list[Recording] = []
     firsts = range(0, episodes, CHUNK)
@@ -111,6 +116,18 @@ def play(
         parts.append(meter.episodes(margin))
         recordings += [recorder.finish() for recorder in recorders]
     return Episodes.joined(parts), recordings
+
+
+def starts_of(scenario: Scenario, asked: int) -> int:
+    """How many different starts a scenario has, of as many as are asked for."""
+    return 1 if begins_alike(scenario) else asked
+
+
+def counts_contacts(scenario: Scenario) -> bool:
+    """Whether a contact with an obstacle is counted: robots that pass through none are not clean,
+    nor the contrary.
+    """
+    return not scenario.obstacles or scenario.obstacle_contact != "ignore"
 
 
 def _reset(simulator: Simulator, seed: int) -> NDArray[np.float32]:
@@ -155,7 +172,7 @@ class _Meter:
         contacts, clearance = simulator.contacts, simulator.min_clearance
         return Episodes(
             success=success,
-            clean=success & (contacts == 0),
+            clean=np.where(counts_contacts(scenario), success & (contacts == 0), np.nan),
             time=simulator.time,
             path_length=simulator.path_length,
             contacts=contacts,

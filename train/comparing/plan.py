@@ -8,8 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from rendezvous_env.experiment import scenarios as named_scenarios
-from rendezvous_env.experiment.scenario import Scenario
+from rendezvous_env.experiment.scenario import Scenario, nearest_word
 
+from .. import results
 from ..checks import check_least
 from ..errors import UserError
 from ..learned import policies
@@ -48,9 +49,10 @@ class Config:
     scenarios: tuple[str, ...] = DEFAULT_SCENARIOS
     """Names of scenarios, or paths of TOML files."""
     policies: tuple[str, ...] = ()
-    """Names of policies; none means every one that fits. Where one does not fit it is left out."""
+    """Names of policies; none means every one that fits but random and zero. Where one does not fit
+    it is left out."""
     episodes: int = 100
-    """Starts for each scenario."""
+    """Starts for each scenario; one whose start is given is played once."""
     seed: int = 0
     """Start k of every scenario has the seed SEED + k, whatever the policy."""
     out: Path = Path("out/compare")
@@ -63,6 +65,14 @@ class Config:
     ceiling: int = 0
     """Randomised runs of law (4) on each start, the best of which says what any heading policy can
     reach, beside what a planner can that knows the map; 0 leaves this out."""
+    details: bool = False
+    """Whether to print times, lengths and margins of every policy too, which always stand in
+    results.csv."""
+    against: str | None = None
+    """Policy that the others are compared with, start by start: paired differences with intervals,
+    printed and in paired.csv."""
+    json: Path | None = None
+    """File for all that is found in short, as JSON."""
     figures: bool = True
     """Whether to draw figures."""
     pdf: bool = False
@@ -96,7 +106,32 @@ def plan(config: Config) -> list[Job]:
             known = ", ".join(policies.names(scenario))
             raise UserError(f"no policy of those named fits {scenario.name}; these do: {known}")
         jobs += [Job(scenario, name) for name in fitting]
+    _check_against(config.against, jobs)
+    _check_json(config)
     return jobs
+
+
+def _check_against(against: str | None, jobs: Sequence[Job]) -> None:
+    """Refuse a reference that nobody can be compared with."""
+    played = list(dict.fromkeys(job.policy for job in jobs))
+    if against is not None and against not in played:
+        near = nearest_word(against, played)
+        hint = f"did you mean {near!r}? " if near else ""
+        raise UserError(
+            f"--against {against!r} is not compared; {hint}these are: {', '.join(played)}"
+        )
+
+
+def _check_json(config: Config) -> None:
+    """Refuse a file that cannot be written, before any work."""
+    if config.json is None:
+        return
+    path, out = Path(os.path.realpath(config.json)), Path(os.path.realpath(config.out))
+    if path == out or out in path.parents:
+        raise UserError(f"--json {config.json}: lies in --out, which is replaced as a whole")
+    if path.is_dir():
+        raise UserError(f"--json {config.json}: is a folder; name a file")
+    results.prepare_folder(path.parent, f"--json {config.json}")
 
 
 def _resolve(given: Sequence[str]) -> list[Scenario]:

@@ -17,13 +17,20 @@ RESAMPLES = 2000
 Interval = tuple[float, float]
 
 
-def fraction_interval(hits: NDArray[np.bool_]) -> Interval:
+_NONE: Interval = (np.nan, np.nan)
+"""What is known of other starts from a single one, or of what does not apply."""
+
+
+def fraction_interval(hits: NDArray[Any]) -> Interval:
     """Wilson interval of a fraction, which unlike the bootstrap is honest about 0 and 1.
 
     Args:
-        hits: (N,).
+        hits: (N,), 0 or 1; a single one has no interval, nor has NaN.
     """
     from scipy.stats import binomtest
+
+    if len(hits) == 1 or np.isnan(hits).any():
+        return _NONE
 
     test = binomtest(int(hits.sum()), len(hits))
     interval = test.proportion_ci(CONFIDENCE, method="wilson")
@@ -31,19 +38,18 @@ def fraction_interval(hits: NDArray[np.bool_]) -> Interval:
 
 
 def bootstrap_interval(
-    samples: tuple[NDArray[Any], ...], statistic: Callable[..., Any], value: float
+    samples: tuple[NDArray[Any], ...], statistic: Callable[..., Any]
 ) -> Interval:
     """Percentile bootstrap interval over starts; the same for the same samples.
 
     Args:
-        samples: each (N,), paired by start.
+        samples: each (N,), paired by start; a single start has no interval, nor has NaN.
         statistic: of samples along ``axis``.
-        value: of the statistic, which is all that is known where there is a single start.
     """
     from scipy.stats import bootstrap
 
-    if len(samples[0]) == 1:
-        return value, value
+    if len(samples[0]) == 1 or np.isnan(samples[0]).any():
+        return _NONE
     result = bootstrap(
         samples,
         statistic,
@@ -77,7 +83,7 @@ def censored_median(
 
     censored = np.where(success, times, np.inf)
     value = float(median(censored))
-    return value, bootstrap_interval((censored,), median, value)
+    return value, bootstrap_interval((censored,), median)
 
 
 def summarise(scenario: str, policy: str, episodes: Episodes, limit: float) -> dict[str, Any]:
@@ -85,8 +91,9 @@ def summarise(scenario: str, policy: str, episodes: Episodes, limit: float) -> d
 
     Medians over starts: median_time (s, censored, see ``censored_median``) and path_length (m, all
     robots together). Worst over starts: time_over_bound (largest), min_clearance (m),
-    max_rise_between_merges (m²/s; negative if V always fell), min_alignment. Mean over starts:
-    contacts. NaN where it does not apply.
+    max_rise_between_merges (m²/s; negative: V fell all the way in each of them), min_alignment.
+    Mean over starts: contacts. NaN where it does not apply: intervals of a single start, clean
+    success where robots pass through obstacles.
 
     Args:
         scenario: its name.
@@ -125,12 +132,25 @@ def reference_policy(played: dict[str, Episodes]) -> str:
     Args:
         played: episodes of every policy on the same starts of a scenario.
     """
-    if "bearing-only" in played:
-        return "bearing-only"
-    return max(played, key=lambda name: (played[name].clean.mean(), -np.median(played[name].time)))
+    return "bearing-only" if "bearing-only" in played else best_policy(played)
 
 
-def compare_pairs(scenario: str, played: dict[str, Episodes]) -> list[dict[str, Any]]:
+def best_policy(played: dict[str, Episodes]) -> str:
+    """The policy that meets most often, cleanly where contacts count; among equals the soonest."""
+    return max(played, key=lambda name: (_good(played[name]).mean(), -np.median(played[name].time)))
+
+
+def clean_difference(own: Episodes, other: Episodes) -> tuple[float, Interval]:
+    """Difference of the fractions of clean success on the same starts, and its 95 % bootstrap
+    interval over starts; NaN where contacts do not count.
+    """
+    difference = own.clean.astype(float) - other.clean
+    return float(difference.mean()), _mean_interval(difference)
+
+
+def compare_pairs(
+    scenario: str, played: dict[str, Episodes], against: str | None = None
+) -> list[dict[str, Any]]:
     """Rows of paired.csv: every policy against the reference on the same starts.
 
     clean_difference is that of the fractions of clean success, probability_of_improvement that of
@@ -140,23 +160,23 @@ def compare_pairs(scenario: str, played: dict[str, Episodes]) -> list[dict[str, 
     Args:
         scenario: its name.
         played: episodes of every policy on the same starts.
+        against: name of the reference; None is ``reference_policy``.
     """
-    against = reference_policy(played)
+    against = against or reference_policy(played)
     other = played[against]
     rows = []
     for name, own in played.items():
         if name == against:
             continue
-        difference = own.clean.astype(float) - other.clean
+        difference, (difference_low, difference_high) = clean_difference(own, other)
         better = _improvement(_cost(own), _cost(other))
-        difference_low, difference_high = _mean_interval(difference)
         better_low, better_high = _mean_interval(better)
         rows.append(
             {
                 "scenario": scenario,
                 "policy": name,
                 "against": against,
-                "clean_difference": difference.mean(),
+                "clean_difference": difference,
                 "clean_difference_low": difference_low,
                 "clean_difference_high": difference_high,
                 "probability_of_improvement": better.mean(),
@@ -167,9 +187,14 @@ def compare_pairs(scenario: str, played: dict[str, Episodes]) -> list[dict[str, 
     return rows
 
 
+def _good(episodes: Episodes) -> NDArray[np.bool_]:
+    """(N,), whether all met: cleanly, where contacts count."""
+    return np.where(np.isnan(episodes.clean), episodes.success, episodes.clean == 1)
+
+
 def _cost(episodes: Episodes) -> NDArray[np.float64]:
-    """(N,), s: the time of a clean rendezvous, inf for anything else."""
-    return np.where(episodes.clean, episodes.time, np.inf)
+    """(N,), s: the time of a rendezvous as ``_good`` has it, inf for anything else."""
+    return np.where(_good(episodes), episodes.time, np.inf)
 
 
 def _improvement(own: NDArray[np.float64], other: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -178,4 +203,4 @@ def _improvement(own: NDArray[np.float64], other: NDArray[np.float64]) -> NDArra
 
 
 def _mean_interval(values: NDArray[np.float64]) -> Interval:
-    return bootstrap_interval((values,), np.mean, float(values.mean()))
+    return bootstrap_interval((values,), np.mean)

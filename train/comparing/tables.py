@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from rich.markup import escape
 from rich.table import Table
 
-from baselines import privileged_planner
 from rendezvous_env.experiment.scenario import Scenario
 
 _COLUMNS = (
@@ -22,6 +22,8 @@ _COLUMNS = (
     "align",
 )
 
+_ROUNDING = 1e-9  # m²/s, of V
+
 WIDTH = 118
 """Characters that the table needs; on a narrower terminal its lines wrap, and nothing is lost."""
 
@@ -34,7 +36,11 @@ def results_table(rows: Sequence[Mapping[str, Any]], scenarios: Mapping[str, Sce
         scenarios: by name; give the time limits.
     """
     table = Table(
-        title="Policies on the same starts", box=None, header_style="bold", pad_edge=False
+        title="Policies on the same starts",
+        box=None,
+        header_style="bold",
+        pad_edge=False,
+        caption_justify="left",
     )
     for column in _COLUMNS:
         table.add_column(column, justify="left" if column == "policy" else "right", no_wrap=True)
@@ -42,54 +48,95 @@ def results_table(rows: Sequence[Mapping[str, Any]], scenarios: Mapping[str, Sce
     for row in rows:
         if row["scenario"] != last:
             last = row["scenario"]
-            table.add_row(f"[bold]{last}[/bold]")
+            count = row["episodes"]
+            starts = "one start" if count == 1 else f"{count} starts"
+            table.add_row(f"[bold]{escape(last)}[/bold], {starts}")
         scenario = scenarios[row["scenario"]]
         table.add_row(*_cells(row, scenario.max_steps * scenario.tau))
     table.caption = (
-        "median: time-outs count as later than the limit; T/bound, V rise between merges (m²/s), "
-        "clearance,\nalignment: the worst of all starts; V rise 0: it never rose, and contacts can "
-        "raise it"
+        "median: time-outs count as later than the limit; T/bound, V rise, clear, align: the worst "
+        "of all starts\nV rise: the largest in a step up to its first merge, m²/s; none: V fell in "
+        "every step, or stayed; contacts can raise it"
     )
-    if any(row["policy"] == privileged_planner.NAME for row in rows):
-        table.caption += (
-            f"\n{privileged_planner.NAME} knows the map and all positions: what it passes cleanly "
-            "is possible"
-        )
     return table
 
 
 def _cells(row: Mapping[str, Any], limit: float) -> tuple[str, ...]:
     return (
-        f"  {row['policy']}",
+        f"  {escape(row['policy'])}",
         f"{100 * row['success']:.0f}",
         _percent(row["clean_success"], row["clean_low"], row["clean_high"]),
         _time_cell(row, limit),
         _number(row["time_over_bound"], ".2g"),
         _number(row["path_length"], ".1f"),
-        "0" if row["max_rise_between_merges"] <= 1e-9 else f"{row['max_rise_between_merges']:.2g}",
+        _rise(row["max_rise_between_merges"]),
         _number(row["min_clearance"], ".2f"),
         _number(row["min_alignment"], ".2f"),
     )
 
 
+def _rise(value: float) -> str:
+    """Of V; a negative one says that V fell all the way."""
+    return "none" if value <= _ROUNDING else f"{value:.2g}"
+
+
 def _percent(value: float, low: float, high: float) -> str:
-    return f"{100 * value:.0f} [{100 * low:.0f}, {100 * high:.0f}]"
+    """A share with its interval, if it has one; – where it does not apply."""
+    if value != value:
+        return "–"
+    interval = f" [{100 * low:.0f}, {100 * high:.0f}]" if low == low else ""
+    return f"{100 * value:.0f}{interval}"
 
 
 def _time_cell(row: Mapping[str, Any], limit: float) -> str:
-    """Median and interval; a time at the limit is later than it."""
-    if row["time_low"] >= limit:
-        return f"> {limit:.3g}"
+    """Median and interval, if it has one; a time at the limit is later than it."""
     median, low, high = (
         f"> {limit:.3g}" if row[name] >= limit else f"{row[name]:.3g}"
         for name in ("median_time", "time_low", "time_high")
     )
-    return f"{median} [{low}, {high}]"
+    has_interval = row["time_low"] < limit
+    return f"{median} [{low}, {high}]" if has_interval else median
 
 
 def _number(value: float, style: str) -> str:
     """A number, without a minus sign on a rounded zero; – where it does not apply."""
     return "–" if value != value else format(value, "z" + style)
+
+
+def paired_table(rows: Sequence[Mapping[str, Any]]) -> Table:
+    """Rows of paired.csv for people: one policy against the others, start by start."""
+    table = Table(
+        title=f"Against {escape(rows[0]['against'])} on the same starts",
+        box=None,
+        header_style="bold",
+        pad_edge=False,
+        caption_justify="left",
+        caption="points: of clean success; better: meeting cleanly and sooner on a start, a tie "
+        "counts half; [95 % bootstrap intervals]",
+    )
+    for column in ("policy", "points", "better %"):
+        table.add_column(column, justify="left" if column == "policy" else "right")
+    last = None
+    for row in rows:
+        if row["scenario"] != last:
+            last = row["scenario"]
+            table.add_row(f"[bold]{escape(last)}[/bold]")
+        ends = (
+            ("clean_difference_low", "clean_difference_high"),
+            ("improvement_low", "improvement_high"),
+        )
+        difference = [100 * row[name] for name in ("clean_difference", *ends[0])]
+        better = (row[name] for name in ("probability_of_improvement", *ends[1]))
+        table.add_row(f"  {escape(row['policy'])}", _points(*difference), _percent(*better))
+    return table
+
+
+def _points(value: float, low: float, high: float) -> str:
+    """A difference in percentage points with its interval."""
+    if value != value:
+        return "–"
+    interval = f" [{low:+z.1f}, {high:+z.1f}]" if low == low else ""
+    return f"{value:+z.1f}{interval}"
 
 
 def ceiling_table(rows: Sequence[Mapping[str, Any]]) -> Table:

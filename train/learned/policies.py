@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import baselines
+from baselines import policy as registry
 from rendezvous_env.experiment.scenario import Scenario, nearest_word
 from rendezvous_env.trajectory import Policy
 
@@ -21,12 +22,27 @@ LEARNED = learned_policy.NAME
 LEARNED_TANK = learned_policy.TANK_NAME
 SHIPPED = (LEARNED, LEARNED_TANK)
 _AT_PATH = f"{LEARNED}:"
+_ABOUT = {
+    LEARNED: "Chooses how far aside of f the joined rule aims; certified, shipped with its weights",
+    LEARNED_TANK: "Chooses where to go, all round, under an energy tank; shipped with its weights",
+}
 
 
 def names(scenario: Scenario) -> list[str]:
-    """Names of all policies that fit a scenario and can run here, sorted."""
+    """Names of all policies that fit a scenario and can run here, in the order of their kinds."""
     shipped = [name for name in SHIPPED if left_out(name) is None and _can_steer(scenario)]
-    return sorted(baselines.names(scenario) + shipped)
+    found = baselines.names(scenario) + shipped
+    return sorted(found, key=lambda name: registry.in_order(kind_of(name)))
+
+
+def kind_of(name: str) -> str:
+    """The kind of a policy, one of ``baselines.policy.KINDS``."""
+    return LEARNED if learned_path(name) is not None else registry.kind_of(name)
+
+
+def about(name: str) -> str:
+    """What a policy is, in a line; empty if nothing is said of it."""
+    return _ABOUT[name] if name in SHIPPED else registry.about(name)
 
 
 def left_out(name: str = LEARNED) -> str | None:
@@ -55,10 +71,12 @@ def learned_path(name: str) -> Path | None:
 
 
 def fitting(scenario: Scenario, wanted: Sequence[str]) -> list[str]:
-    """Those of the wanted policies that fit a scenario; all that fit if none is named."""
+    """Those of the wanted policies that fit a scenario; if none is named all that fit, but those
+    that see nothing only where nothing else fits.
+    """
     known = names(scenario)
     if not wanted:
-        return known
+        return [name for name in known if kind_of(name) != "blind"] or known
     return [
         name
         for name in wanted
@@ -86,7 +104,7 @@ def check_names(wanted: Sequence[str]) -> None:
         if learned_path(name) is not None:
             _check_learned(name)
         elif name not in known:
-            near = nearest_word(name, known, cutoff=0.0)
+            near = nearest_word(name, known)
             hint = f"did you mean {near!r}? " if near else ""
             raise UserError(
                 f"policy {name!r} is unknown; {hint}known are {', '.join(known)}, {_AT_PATH}PATH"

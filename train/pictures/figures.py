@@ -130,7 +130,8 @@ def time_figure(rows: Sequence[Mapping[str, Any]]) -> Figure:
                     color="0.4",
                 )
                 note.set_in_layout(False)  # in a panel of time-outs alone it would take all room
-        axes.set_xlim(0, 1.15 * max([row["time_high"] for row in met], default=1.0))
+        latest = [np.fmax(row["time_high"], row["median_time"]) for row in met]
+        axes.set_xlim(0, 1.15 * max(latest, default=1.0))
 
     return _panels(rows, draw, "median rendezvous time / s, with 95 % interval")
 
@@ -147,13 +148,17 @@ def _panels(rows: Sequence[Mapping[str, Any]], draw: Any, label: str) -> Figure:
         for place, row in enumerate(panel):
             row["place"] = place
         draw(axes, panel)
-        axes.set_title(name, fontsize=9)
+        axes.set_title(f"{name}, one start" if _is_single(panel[0]) else name, fontsize=9)
         axes.set_yticks(range(len(panel)), [row["policy"] for row in panel], fontsize=7)
         axes.set_ylim(len(panel) - 0.5, -0.5)
         axes.tick_params(axis="x", labelsize=7)
         axes.grid(axis="x", color="0.9")
     figure.supxlabel(label, fontsize=9)
     return figure
+
+
+def _is_single(row: Mapping[str, Any]) -> bool:
+    return row.get("episodes") == 1
 
 
 def _intervals(
@@ -165,13 +170,17 @@ def _intervals(
     *,
     filled: bool = True,
 ) -> None:
-    """A marker with a horizontal interval for each row, ``shift`` below its line."""
+    """A marker with a horizontal interval for each row, ``shift`` below its line; nothing where the
+    value does not apply, and no interval where there is none.
+    """
     for row in rows:
         centre, low, high = (float(row[key]) for key in (value, *_ends(interval)))
+        if math.isnan(centre):
+            continue
         axes.errorbar(
             [centre],
             [row["place"] + shift],
-            xerr=[[max(0.0, centre - low)], [max(0.0, high - centre)]],
+            xerr=np.fmax(0.0, [[centre - low], [high - centre]]),
             fmt=policy_marker(row["policy"]),
             color=policy_colour(row["policy"]),
             markerfacecolor=None if filled else "white",
@@ -262,7 +271,7 @@ def _line(axes: Axes, policy: str, x: Sequence[float], rows: Sequence[Mapping[st
     axes.errorbar(
         x,
         centre,
-        yerr=np.maximum(0.0, [centre - low, high - centre]),
+        yerr=np.fmax(0.0, [centre - low, high - centre]),
         fmt=policy_marker(policy),
         linestyle="-" if policy == _base(policy) else "--",
         color=policy_colour(policy),

@@ -159,7 +159,9 @@ def _summary(found: Comparison) -> str:
     policies = {name for played in found.run["policies"].values() for name in played}
     first, count = found.run["seed"], found.run["episodes"]
     starts = f"{count} starts each (seeds {first}–{first + count - 1})"
-    return f"{len(found.scenarios)} scenarios, {len(policies)} policies, {starts}"
+    single = [name for name, of_it in found.run["starts"].items() if of_it == 1 < count]
+    alone = f"; one of {', '.join(single)}, whose start is given" if single else ""
+    return f"{len(found.scenarios)} scenarios, {len(policies)} policies, {starts}{alone}"
 
 
 def _figures(found: Comparison) -> Iterator[str]:

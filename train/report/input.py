@@ -26,6 +26,8 @@ Row = dict[str, str]
 _WORDS = ("scenario", "policy", "against")
 _WHOLE = ("episodes", "start")
 _SHARES = ("success", "clean_success")
+_MAY_NOT_APPLY = ("clean_success",)
+"""Shares that are empty where robots pass through obstacles."""
 _TABLES = ("results.csv", "paired.csv", "episodes.csv")
 
 
@@ -36,6 +38,7 @@ class Run(TypedDict):
     policies: dict[str, list[str]]
     seed: int
     episodes: int
+    starts: dict[str, int]
     keep: int
     versions: dict[str, str]
     command_line: list[str]
@@ -199,6 +202,8 @@ def _check_cell(path: Path, number: int, column: str, cell: str | None) -> None:
         raise _half_written(path, f"{where}, no number")
     if column in _WHOLE and not (cell.isascii() and cell.isdigit()):
         raise _half_written(path, f"{where}; it must be a whole number")
+    if column in _MAY_NOT_APPLY and not cell:
+        return
     if column in _SHARES and not (cell and 0 <= float(cell) <= 1):
         raise _half_written(path, f"{where}; it must be from 0 to 1")
 
@@ -213,8 +218,9 @@ def _is_number(cell: str) -> bool:
 def _check_agreement(folder: Path, found: Comparison) -> None:
     """Refuse files that do not belong together."""
     wanted = [(name, policy) for name, played in found.run["policies"].items() for policy in played]
-    if set(found.run["policies"]) != set(found.scenarios):
-        raise _half_written(folder / RUN, "scenarios and policies name different scenarios")
+    for key in ("policies", "starts"):
+        if set(found.run[key]) != set(found.scenarios):
+            raise _half_written(folder / RUN, f"scenarios and {key} name different scenarios")
     if sorted(wanted) != sorted((row["scenario"], row["policy"]) for row in found.rows):
         raise _half_written(folder / "results.csv", "its rows are not those that run.json names")
     shares: dict[tuple[str, str], list[float]] = {pair: [] for pair in wanted}
@@ -223,10 +229,10 @@ def _check_agreement(folder: Path, found: Comparison) -> None:
     for row in found.rows:
         met = shares[row["scenario"], row["policy"]]
         what = f"{row['policy']} on {row['scenario']}"
-        if len(met) != int(row["episodes"]) or len(met) != found.run["episodes"]:
+        starts = found.run["starts"][row["scenario"]]
+        if len(met) != int(row["episodes"]) or len(met) != starts:
             raise _half_written(
-                folder / "episodes.csv",
-                f"{len(met)} starts of {what}; run.json says {found.run['episodes']}",
+                folder / "episodes.csv", f"{len(met)} starts of {what}; run.json says {starts}"
             )
         if not math.isclose(sum(met) / len(met), float(row["success"]), abs_tol=1e-12):
             raise _half_written(folder, f"results.csv and episodes.csv differ in {what}")

@@ -75,10 +75,9 @@ def check_config(config: Config) -> None:
     known = [claim.name for claim in CLAIMS]
     for name in config.claims:
         if name not in known:
-            near = nearest_word(name, known, cutoff=0.0)
-            raise UserError(
-                f"claim {name!r} is unknown; did you mean {near!r}? Known are {', '.join(known)}"
-            )
+            near = nearest_word(name, known)
+            hint = f"did you mean {near!r}? " if near else ""
+            raise UserError(f"claim {name!r} is unknown; {hint}known are {', '.join(known)}")
 
 
 @dataclass(frozen=True)

@@ -37,7 +37,7 @@ const RESULT_COLUMNS = [
   { title: "contacts", value: "contacts", show: (cell) => fixed(cell, 1) },
   { title: "clearance m", value: "min_clearance", show: (cell) => fixed(cell, 2) },
   { title: "V rise m²/s", value: "max_rise_between_merges",
-    show: (cell) => (Number(cell) <= 1e-9 ? "0" : short(cell)) },
+    show: (cell) => (Number(cell) <= 1e-9 ? "none" : short(cell)) },
   { title: "alignment", value: "min_alignment", show: (cell) => fixed(cell, 2) },
 ];
 
@@ -102,6 +102,7 @@ function tableRow(columns, row) {
     if (!column.range) return box;
     const [low, high] = column.range.map((name) => row[name]);
     Object.assign(box.dataset, { low, high });
+    if (low === "" || high === "") return box;
     const ends = [low, high].map((end) => column.show(end, row)).join(", ");
     box.append(make("span", { className: "range", textContent: `[${ends}]` }));
     if (column.bar) box.append(bar(Number(cell), Number(low), Number(high)));

@@ -1,0 +1,113 @@
+"""``rendezvous list``: the scenarios and the policies, a line for each."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+from tyro.conf import Positional
+
+import baselines
+from baselines.policy import KINDS
+from rendezvous_env.engine.preparation import begins_alike
+from rendezvous_env.experiment import scenarios
+from rendezvous_env.experiment.obstacles import ObstacleField
+from rendezvous_env.experiment.scenario import Scenario
+from rendezvous_env.experiment.walls import WallField
+
+from .learned import policies
+
+
+@dataclass(frozen=True)
+class Config:
+    """List the scenarios or the policies, a line for each, with which policies fit which."""
+
+    what: Positional[Literal["scenarios", "policies"]]
+    """Which of them."""
+
+
+def run(config: Config) -> int:
+    """Print the list."""
+    console = Console()
+    for title, rows in _scenarios() if config.what == "scenarios" else _policies():
+        table = Table.grid(padding=(0, 2, 0, 0))
+        table.add_column(no_wrap=True)
+        for name, about in rows:
+            table.add_row(escape(name), escape(about))
+        if title:
+            console.print(f"\n[bold]{title}[/bold]")
+        console.print(table)
+    return 0
+
+
+Group = tuple[str, list[tuple[str, str]]]
+"""A title, and lines of a name and what it is."""
+
+
+def _scenarios() -> Iterator[Group]:
+    yield "", [(name, describe(scenarios.get(name))) for name in scenarios.names()]
+
+
+def _policies() -> Iterator[Group]:
+    """Every policy, by kinds, in the order of ``compare``."""
+    fitting = {name: policies.names(scenarios.get(name)) for name in scenarios.names()}
+    shipped = [] if policies.left_out() else [policies.LEARNED]
+    known = [*baselines.names(), *shipped]
+    for kind, title in KINDS.items():
+        rows = [
+            (name, f"{policies.about(name)}. {_fits(name, fitting)}.".removeprefix(". "))
+            for name in known
+            if policies.kind_of(name) == kind
+        ]
+        if rows:
+            yield title, rows
+
+
+def _fits(policy: str, fitting: Mapping[str, Sequence[str]]) -> str:
+    """Which scenarios a policy fits, or which not, whichever is shorter."""
+    own = [scenario for scenario, names in fitting.items() if policy in names]
+    others = [scenario for scenario in fitting if scenario not in own]
+    if not others:
+        return "Fits all scenarios"
+    if len(others) < len(own):
+        return f"Fits all but {', '.join(others)}"
+    return f"Fits {', '.join(own) or 'none of the named scenarios'}"
+
+
+# ---- a scenario in words ------------------------------------------------------------------------
+
+
+def describe(scenario: Scenario) -> str:
+    """What a scenario is, in a line that follows from its fields; single integrators go unsaid."""
+    where = "in the plane" if scenario.dim == 2 else "in space"
+    parts = [f"{scenario.n_robots} robots {where}"]
+    if scenario.robot_model != "single_integrator":
+        parts.append(scenario.robot_model.replace("_", " "))
+    parts += [_graph(scenario), _obstacles(scenario)]
+    parts += ["one start, which is given"] if begins_alike(scenario) else []
+    return ", ".join(part for part in parts if part)
+
+
+def _graph(scenario: Scenario) -> str:
+    graph = scenario.sensing_graph
+    low, high = graph.weight_range
+    gains = "" if low == high else f" with gains of {low:g} to {high:g} m/s"
+    return f"{graph.kind.replace('_', ' ')} graph{gains}"
+
+
+def _obstacles(scenario: Scenario) -> str:
+    field = scenario.obstacles
+    passed = ", which robots pass through" if scenario.obstacle_contact == "ignore" else ""
+    if isinstance(field, ObstacleField):
+        low, high = field.count_range
+        count = f"{low}" if low == high else f"{low} to {high}"
+        shapes = "discs" if scenario.dim == 2 else "spheres"
+        return f"{count} drawn {shapes}{passed}"
+    if isinstance(field, WallField):
+        return f"{field.layout} of drawn walls{passed}"
+    plural = "s" if len(field) > 1 else ""
+    return f"{len(field)} fixed obstacle{plural}{passed}" if field else ""
