@@ -2,7 +2,15 @@
 ``privileged`` in their names.
 """
 
-from . import laws, obstacle_avoidance, privileged_planner
+from . import laws, obstacle_avoidance, privileged_planner, tank_policies
 from .policy import Policy, make, names
 
-__all__ = ["Policy", "laws", "make", "names", "obstacle_avoidance", "privileged_planner"]
+__all__ = [
+    "Policy",
+    "laws",
+    "make",
+    "names",
+    "obstacle_avoidance",
+    "privileged_planner",
+    "tank_policies",
+]

@@ -69,6 +69,7 @@ def _add_displacements(layout, displacement, tally, positions):
     d, lanes = len(layout.axes), lane_count(layout.width)
     for k in range(d):
         for lane in range(lanes):
+            # the others stand at their ends already; a choice, not a branch, keeps the loop SIMD
             free = tally[PROXIMITY * lanes + lane] == FREE
             positions[k * lanes + lane] += displacement[k * lanes + lane] if free else 0.0
     for lane in range(lanes):
@@ -84,6 +85,7 @@ def _mark_near(block, layout, constants, teams, obstacles, buffers):
     reach = constants.speed_limit * constants.duration * _ROUNDING
     square_reach = (constants.merge_radius * _ROUNDING + 2.0 * reach) ** 2
     for lane in range(lanes):
+        # as of the last observation, which is of the places where this step begins
         square_closest = teams.statistics[block, SQUARE_CLOSEST * lanes + lane]
         buffers.tally[PROXIMITY * lanes + lane] = MOVED if square_closest < square_reach else FREE
     if obstacles is not None:
@@ -123,8 +125,10 @@ def _advance_exactly(
                 block, lane, layout, constants, robot, teams, obstacles, results, buffers, hand
             )
     for i in range(hand.lengths.shape[0]):
+        # before merging: who is merged away in this step still took part in it, and earns
         buffers.took_part[lane, i] = teams.merged_into[team, i] == i
         for k in range(d):
+            # what obstacles left, uncut by merges: it is what the robot model learns of the step
             buffers.displacement[i, k * lanes + lane] = hand.displacements[i, k]
     merges = _merge_team(block, lane, layout, constants, teams, links, obstacles, hand)
     for i in range(hand.lengths.shape[0]):
@@ -198,7 +202,7 @@ def _stay_outside(block, lane, layout, constants, robot, teams, obstacles, resul
         if contact:
             results.contact[team, i] = True
             buffers.tally[TOUCHES * lanes + lane] += 1.0
-            hand.lengths[i] = norm(executed)
+            hand.lengths[i] = norm(executed)  # of the chord: the way along a surface is not kept
 
 
 @kernel

@@ -120,6 +120,7 @@ def reset_teams(
     """
     teams = Teams(*teams)
     hand, drafts = AtHand(*hand), Drafts(*drafts)
+    # there is one team's working memory at hand: starts wait in the drafts until all teams have one
     for k in range(len(indices)):
         team, positions = indices[k], drafts.positions[k]
         keys = (seeds[team], episodes[team])
@@ -148,6 +149,7 @@ def reset_teams(
 @kernel
 def _draw_links(team, keys, rules, graph, layout, links, hand):
     """Links of a start into working memory: drawn, or as given; their number, −1 for too many."""
+    # known while compiling: without rules for a graph nothing of its drawing is compiled
     if graph is not None:
         if rules.draw_weights:
             key = stream_key(keys[0], keys[1], GRAPH)
@@ -166,6 +168,7 @@ def _draw_room(keys, rules, field, links, world, positions, chains):
     key = stream_key(keys[0], keys[1], START)
     if field is not None:
         if rules.draw_obstacles:
+            # obstacles keep clear of given places; places that are drawn keep clear of obstacles
             n_starts = 0 if rules.draw_positions else positions.shape[0]
             field_key = stream_key(keys[0], keys[1], OBSTACLES)
             for trial in range(_TRIES_FOR_WAYS):
@@ -226,7 +229,7 @@ def _apart(i, positions, links, least_distance):
     """Whether robot i is far enough from the neighbours that have a place already."""
     first, second, _ = links
     for e in range(len(first)):
-        if second[e] == i:
+        if second[e] == i:  # links name the lower robot first, and it has been placed before
             if distance_squared(positions, first[e], i) < least_distance * least_distance:
                 return False
     return True
@@ -257,6 +260,7 @@ def _write_start(team, status, count, layout, teams, links, positions, hand):
     statistics = teams.statistics[block]
     for entry in range(len(STATISTICS)):
         statistics[entry * lanes + lane] = 0.0
+    # V now and the closest pair follow with the next observation
     statistics[STATUS * lanes + lane] = status
     statistics[ACTIVE * lanes + lane] = n
     statistics[MIN_CLEARANCE * lanes + lane] = np.inf
@@ -272,6 +276,7 @@ def _draw_attitudes(team, rules, keys, layout, robot, teams):
     block, lane = team // lanes, team % lanes
     key = stream_key(keys[0], keys[1], FRAMES)
     for i in range(teams.merged_into.shape[1]):
+        # numbers 3i to 3i + 2 are robot i's own, used or not: nobody's attitude shifts another's
         if rules.draw_frames:
             frame = draw_rotation(key, 3 * i, layout.axes)
             write(frame, teams.frames[block, i], 0, lane, width)

@@ -92,6 +92,7 @@ def _step_block(
 ):
     """Propose → contact → merge → turn → sense → conclude."""
     block, lanes = blocks[taken], lane_count(layout.width)
+    # loops over what the user gets end with the last team; those over lanes do all, to be SIMD
     count = min(lanes, len(actions) - block * lanes)
     load_balls(block, count, layout, obstacles, buffers)
     if moves:
@@ -119,6 +120,7 @@ def _step_block(
     if moves:
         conclude_block(block, count, layout, constants, teams, results, buffers)
     else:
+        # each pair was seen once, and V counts each edge twice
         for lane in range(lanes):
             teams.statistics[block, LYAPUNOV * lanes + lane] = 2.0 * buffers.pair[lane]
 
@@ -163,6 +165,7 @@ def _hand_of(hands, thread):
 @kernel
 def first_not_finite(values):
     """Index of the first number whose exponent bits are all set (infinite or NaN), or −1."""
+    # a maximum has no branch and becomes SIMD; the place is looked for only if there is one
     bits = values.view(np.uint32)
     largest = np.uint32(0)
     for k in range(bits.shape[0]):

@@ -11,10 +11,17 @@ from ..compilation import kernel
 
 @kernel
 def mean_cos_sin(angle, swept):
-    """Means of cos and sin over an angle that grows evenly from ``angle`` by ``swept``, both rad.
+    """Means of cos and sin over an angle that grows evenly from ``angle`` by ``swept``.
 
     With S = sin(x)/x and C = (1 − cos x)/x they are (S cos a − C sin a, S sin a + C cos a); C is
     written as sin²(x/2)/(x/2), which loses no digits as x → 0.
+
+    Args:
+        angle: a, rad.
+        swept: x, rad, of either sign.
+
+    Returns:
+        Two numbers in [−1, 1], without unit: the mean of cos, that of sin.
     """
     half = 0.5 * swept
     if abs(half) < 1e-8:
@@ -29,7 +36,7 @@ def mean_cos_sin(angle, swept):
 
 @kernel
 def arc_2d(speed, yaw, yaw_rate, duration):
-    """Exact displacement (m) of a unicycle with held inputs.
+    """Exact displacement of a unicycle with held inputs.
 
         ẋ = v cos θ,  ẏ = v sin θ,  θ̇ = ω                         (eq. 5)
 
@@ -38,6 +45,9 @@ def arc_2d(speed, yaw, yaw_rate, duration):
         yaw: θ at the start, rad.
         yaw_rate: ω, rad/s.
         duration: s.
+
+    Returns:
+        (x, y), a pair, m, in the frame that θ is measured in.
     """
     distance = speed * duration
     mean_cos, mean_sin = mean_cos_sin(yaw, yaw_rate * duration)
@@ -46,7 +56,7 @@ def arc_2d(speed, yaw, yaw_rate, duration):
 
 @kernel
 def arc_3d(speed, yaw, pitch, yaw_rate, pitch_rate, duration):
-    """Exact displacement (m) of a 3-D nonholonomic robot with held inputs.
+    """Exact displacement of a 3-D nonholonomic robot with held inputs.
 
         ẋ = v cos β cos α,  ẏ = v cos β sin α,  ż = v sin β,  α̇ = ω_α,  β̇ = ω_β     (eq. 9)
 
@@ -60,6 +70,9 @@ def arc_3d(speed, yaw, pitch, yaw_rate, pitch_rate, duration):
         yaw_rate: ω_α, rad/s.
         pitch_rate: ω_β, rad/s.
         duration: s.
+
+    Returns:
+        (x, y, z), a triple, m, in the frame that α and β are measured in.
     """
     distance = speed * duration
     cos_sum, sin_sum = mean_cos_sin(yaw + pitch, (yaw_rate + pitch_rate) * duration)
@@ -74,14 +87,33 @@ def arc_3d(speed, yaw, pitch, yaw_rate, pitch_rate, duration):
 
 @kernel
 def body_frame_2d(yaw):
-    """Rotation from the body frame (x = heading, y = left) to the global one, row by row."""
+    """R = (cos θ, −sin θ; sin θ, cos θ), from the body frame to the global one.
+
+    The body frame has x = heading, y = left.
+
+    Args:
+        yaw: θ, rad.
+
+    Returns:
+        R row by row, 4 numbers without unit.
+    """
     c, s = math.cos(yaw), math.sin(yaw)
     return c, -s, s, c
 
 
 @kernel
 def body_frame_3d(yaw, pitch):
-    """The same in space, row by row: x = heading h, y = horizontal left, z = up-ish."""
+    """R = R_z(α) R_y(−β), from the body frame of a robot in space to the global one.
+
+    The body frame has x = heading h of eq. (9), y = horizontal left, z = up-ish.
+
+    Args:
+        yaw: α, rad.
+        pitch: β, rad.
+
+    Returns:
+        R row by row, 9 numbers without unit.
+    """
     ca, sa = math.cos(yaw), math.sin(yaw)
     cb, sb = math.cos(pitch), math.sin(pitch)
     return cb * ca, -sa, -sb * ca, cb * sa, ca, -sb * sa, sb, 0.0, cb
@@ -89,5 +121,5 @@ def body_frame_3d(yaw, pitch):
 
 @kernel
 def clip(value, bound):
-    """The value, at most ``bound`` either way."""
+    """min(max(value, −bound), bound), a number in their unit; they are of the same unit."""
     return min(max(value, -bound), bound)

@@ -18,9 +18,18 @@ SIN_AZIMUTH = tuple(np.sin(_AZIMUTHS).tolist())
 
 @kernel
 def ball_surface(point, centre, radius):
-    """Signed distance (m) of a point from a ball, negative inside, and the unit normal there.
+    """Signed distance of a point from a ball, and the unit normal there.
 
-    At the centre the normal is the x axis.
+        ‖p − c‖ − R,   (p − c)/‖p − c‖
+
+    Args:
+        point: p, a triple, m.
+        centre: c, a triple, m.
+        radius: R, m.
+
+    Returns:
+        The distance, m, negative inside; and the outward normal, a unit triple, at the centre the x
+        axis.
     """
     offset = subtract(point, centre)
     distance = norm(offset)
@@ -32,8 +41,20 @@ def ball_surface(point, centre, radius):
 
 @kernel
 def ball_entry(point, way, centre, radius, depth):
-    """Fraction of a straight way at which it meets the surface of a ball that it goes deeper than
-    ``depth`` (m) into; inf if it does not. A negative depth makes the ball fatter by so much.
+    """Where a straight way meets a ball that it goes deeper than ``depth`` into.
+
+        least s in [0, 1] with ‖p + s w − c‖ ≤ R + max(0, −depth),
+        if ‖p + s w − c‖ ≤ R − depth somewhere on the way
+
+    Args:
+        point: p, where the way begins, a triple, m.
+        way: w, a triple, m.
+        centre: c, a triple, m.
+        radius: R, m.
+        depth: m; a negative one makes the ball fatter by so much.
+
+    Returns:
+        s, a fraction of the way; inf if there is none.
     """
     offset = subtract(point, centre)
     if first_crossing(offset, way, radius - depth) > 1.0:
@@ -56,8 +77,8 @@ def disc_edges(x, y, radius):
         radius: R, m.
 
     Returns:
-        x and y of the counter-clockwise edge, of the clockwise edge, and the distance of the
-        centre, m.
+        Five numbers: x and y of the counter-clockwise edge and of the clockwise edge, unit vectors,
+        and the distance of the centre, m.
     """
     distance = math.sqrt(x * x + y * y)
     along = distance if distance > 0.0 else 1.0
@@ -71,7 +92,15 @@ def disc_edges(x, y, radius):
 
 @kernel
 def centre_direction(point, centre):
-    """Unit vector from a point towards a centre, and the distance (m); the x axis at the centre."""
+    """Unit vector u = (c − p)/‖c − p‖ from a point towards a centre, and their distance.
+
+    Args:
+        point: p, a triple, m.
+        centre: c, a triple, m.
+
+    Returns:
+        u, a unit triple, the x axis at the centre itself; and ‖c − p‖, m.
+    """
     offset = subtract(centre, point)
     distance = norm(offset)
     if distance == 0.0:
@@ -81,7 +110,15 @@ def centre_direction(point, centre):
 
 @kernel
 def half_angle(distance, radius):
-    """Cosine and sine of half the angle under which a ball is seen: sin α = R/distance."""
+    """Half the angle under which a ball is seen: sin α = R/distance.
+
+    Args:
+        distance: of its centre, m.
+        radius: R, m.
+
+    Returns:
+        cos α and sin α, two numbers without unit; (0, 1) on the ball and inside.
+    """
     if distance <= radius:
         return 0.0, 1.0
     return math.sqrt((distance - radius) * (distance + radius)) / distance, radius / distance
@@ -89,10 +126,20 @@ def half_angle(distance, radius):
 
 @kernel
 def azimuth_axes(towards, net_bearing, axis_x, axis_y):
-    """The unit vectors e (azimuth 0) and u × e across the direction u = ``towards``.
+    """The unit vectors e (azimuth 0) and u × e across the direction u.
 
-    e is the part of the net bearing that is perpendicular to u; if that vanishes, of axis_x, and
-    then of axis_y.
+        e = (f − (fᵀu) u)/‖f − (fᵀu) u‖
+
+    If that vanishes, axis_x takes the place of f, and then axis_y.
+
+    Args:
+        towards: u, a unit triple.
+        net_bearing: f, a triple, m/s, in the same frame.
+        axis_x: the robot's local x axis, a unit triple.
+        axis_y: its y axis.
+
+    Returns:
+        e and u × e, two unit triples.
     """
     across = _across(net_bearing, towards)
     if norm(across) <= NEARLY_ZERO:
@@ -122,6 +169,9 @@ def sphere_ray(towards, e, w, cosine, sine, k):
         cosine: cos α, from ``half_angle``.
         sine: sin α.
         k: 0 … 7.
+
+    Returns:
+        The ray, a unit triple.
     """
     aside = combine(sine * COS_AZIMUTH[k], e, sine * SIN_AZIMUTH[k], w)
     return combine(cosine, towards, 1.0, aside)

@@ -37,11 +37,11 @@ def observed(frame, offset, factor):
 
     Args:
         frame: R, local → global, row by row, 4 or 9 numbers.
-        offset: a pair or triple of the global frame.
-        factor: what it is multiplied by.
+        offset: a pair or triple of the global frame, m.
+        factor: what it is multiplied by, 1/s.
 
     Returns:
-        The row in the robot's own frame, a pair or triple.
+        The row in the robot's own frame, a pair or triple, m/s.
     """
     row = scaled(to_local(frame, offset), factor)
     if len(offset) == 2:

@@ -26,15 +26,20 @@ def _nearest_share(offset, half):
 
 @kernel
 def capsule_surface(point, centre, half, radius):
-    """Signed distance (m) of a point from a capsule, negative inside, and the unit normal there.
+    """Signed distance of a point from a capsule, and the unit normal there.
+
+        ‖o − s h‖ − R,   o = p − c,   s = clip(oᵀh/‖h‖², −1, 1)
 
     On the segment itself the normal is any direction across it.
 
     Args:
-        point: a triple, m.
-        centre: middle of the segment, a triple, m.
-        half: from there to one end, a triple, m.
-        radius: m.
+        point: p, a triple, m.
+        centre: c, middle of the segment, a triple, m.
+        half: h, from there to one end, a triple, m.
+        radius: R, m.
+
+    Returns:
+        The distance, m, negative inside; and the outward normal, a unit triple.
     """
     offset = subtract(point, centre)
     aside = add(offset, -_nearest_share(offset, half), half)
@@ -51,8 +56,21 @@ def capsule_surface(point, centre, half, radius):
 
 @kernel
 def capsule_entry(point, way, centre, half, radius, depth):
-    """Fraction of a straight way at which it meets a capsule that it goes deeper than ``depth`` (m)
-    into; inf if it does not. A negative depth makes the capsule fatter by so much.
+    """Where a straight way meets a capsule that it goes deeper than ``depth`` into.
+
+        least s in [0, 1] at which p + s w is within R + max(0, −depth) of the segment c ± h,
+        if it comes within R − depth of it somewhere on the way
+
+    Args:
+        point: p, where the way begins, a triple, m.
+        way: w, a triple, m.
+        centre: c, middle of the segment, a triple, m.
+        half: h, from there to one end, a triple, m.
+        radius: R, m.
+        depth: m; a negative one makes the capsule fatter by so much.
+
+    Returns:
+        s, a fraction of the way; inf if there is none.
     """
     offset = subtract(point, centre)
     if capsule_crossing(offset, way, half, radius - depth) > 1.0:
@@ -64,7 +82,16 @@ def capsule_entry(point, way, centre, half, radius, depth):
 def capsule_silhouette(point, centre, half, radius):
     """Bearings of the counter-clockwise and the clockwise edge of a capsule of the plane.
 
-    It is the hull of the discs about its ends, so each edge is the outer one of theirs.
+    It is the hull of the discs about its ends c ± h, so each edge is the outer one of theirs.
+
+    Args:
+        point: the robot, a triple, m, outside the capsule or on it.
+        centre: c, middle of the segment, a triple, m.
+        half: h, from there to one end, a triple, m.
+        radius: m.
+
+    Returns:
+        Two unit triples with z = 0.
     """
     x, y = centre[0] - point[0], centre[1] - point[1]
     ax, ay, bx, by, _ = disc_edges(x - half[0], y - half[1], radius)
@@ -92,6 +119,9 @@ def capsule_ray(point, centre, half, radius, towards, e, w, k):
         e: azimuth 0, a unit vector across u.
         w: u × e.
         k: 0 … 7.
+
+    Returns:
+        The ray, a unit triple.
     """
     offset = subtract(centre, point)
     aside = combine(COS_AZIMUTH[k], e, SIN_AZIMUTH[k], w)

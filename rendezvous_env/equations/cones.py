@@ -20,11 +20,14 @@ def free_part(velocity, point, world, reach, touched):
     planes meet, 0 — that lie in T, the longest is the projection onto T.
 
     Args:
-        velocity: v, a triple; its z is 0 in the plane, and so is the result's.
+        velocity: v, a triple, m/s, or of any other unit; its z is 0 in the plane.
         point: a triple, m.
         world: obstacles of the team.
         reach: touched are those nearer to the point than this, m.
         touched: (2M, 3) working memory.
+
+    Returns:
+        Π_T v, a triple in the unit of v; z = 0 in the plane.
     """
     count = _normals_touched(point, world, reach, touched)
     if _is_free(velocity, touched, count):

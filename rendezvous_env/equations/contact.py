@@ -31,7 +31,7 @@ _MAX_PUSHES = 8
 
 @kernel
 def move_straight(point, way, world, mode, normals):
-    """Move a robot straight, as far as the obstacles let it.
+    """Move a robot straight, as far as the obstacles let it: ṗ = Π_T(p) v (theory 6).
 
     Args:
         point: a triple, m, outside every obstacle or on its surface.
@@ -41,8 +41,8 @@ def move_straight(point, way, world, mode, normals):
         normals: (2M, 3) working memory.
 
     Returns:
-        Whether there was a contact, and the displacement executed, m: bit-equal to ``way`` on a
-        path that touches nothing.
+        Whether there was a contact, and the displacement executed, a triple, m: bit-equal to
+        ``way`` on a path that touches nothing.
     """
     if mode == IGNORE:
         return False, way
@@ -57,7 +57,7 @@ def move_curved(point, way, model, action, frame, memory, world, mode, normals):
     """Move a robot along its curved way, as far as the obstacles let it.
 
     From the contact on, what is left of the way is replaced by its chord, which slides as in
-    ``move_straight``.
+    ``move_straight``, with ṗ = Π_T(p) v.
 
     Args:
         point: a triple, m, outside every obstacle or on its surface.
@@ -90,7 +90,12 @@ def move_curved(point, way, model, action, frame, memory, world, mode, normals):
 
 @kernel
 def outside_all(point, world):
-    """Whether a point lies in no obstacle, but for rounding."""
+    """Whether a point lies in no obstacle: but for rounding, all signed distances are ≥ zero, m.
+
+    Args:
+        point: a triple, m.
+        world: obstacles of the team.
+    """
     for m in range(world.kinds.shape[0]):
         if within(world, m, point, 0.0) and distance_to(world, m, point) < -_SURFACE_TOLERANCE:
             return False

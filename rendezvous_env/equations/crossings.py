@@ -20,7 +20,7 @@ def first_crossing(offset, velocity, radius):
         radius: of the ball, m.
 
     Returns:
-        s; 0.0 if the point is within from the start, inf if it never is.
+        s, a number; 0.0 if the point is within from the start, inf if it never is.
     """
     distance = norm(offset)
     if distance <= radius:
@@ -40,9 +40,10 @@ def first_crossing(offset, velocity, radius):
 
 @kernel
 def capsule_crossing(offset, velocity, half, radius):
-    """The same for a capsule: all points within ``radius`` of a segment.
+    """When a point that moves straight comes within a capsule, all points near a segment.
 
-    It is entered through the ball about one of its ends, or through the cylinder between them.
+    The smallest s in [0, 1] with ‖offset + s velocity − q‖ ≤ radius for a q of the segment. It is
+    entered through the ball about one of its ends, or through the cylinder between them.
 
     Args:
         offset: from the middle of the segment to the point, a triple, m.
@@ -51,7 +52,7 @@ def capsule_crossing(offset, velocity, half, radius):
         radius: m.
 
     Returns:
-        s in [0, 1]; 0.0 if the point is within from the start, inf if it never is.
+        s, a number; 0.0 if the point is within from the start, inf if it never is.
     """
     first = min(
         first_crossing(subtract(offset, half), velocity, radius),

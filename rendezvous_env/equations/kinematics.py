@@ -50,11 +50,14 @@ class Nonholonomic3D(NamedTuple):
 
 @inlined_kernel
 def speed_scale(square_speed, limit):
-    """Speed (m/s), and the factor that limits it to ``limit`` and keeps the direction.
+    """Speed ‖v‖, and the factor min(1, v_max/‖v‖) that limits it and keeps the direction.
 
     Args:
         square_speed: ‖v‖², m²/s².
         limit: v_max, m/s.
+
+    Returns:
+        Two numbers: ‖v‖, m/s, and the factor. Of accelerations likewise, in m/s².
     """
     speed = math.sqrt(square_speed)
     return speed, limit / speed if speed > limit else 1.0
@@ -62,7 +65,16 @@ def speed_scale(square_speed, limit):
 
 @inlined_kernel
 def keep_frame(model, frame, memory):
-    """A frame that never turns."""
+    """A frame that never turns: R(t + τ) = R(t).
+
+    Args:
+        model: constants of a robot model, a NamedTuple.
+        frame: R, local → global, row by row, 4 or 9 numbers without unit.
+        memory: what the model keeps.
+
+    Returns:
+        R, as it was given.
+    """
     return frame
 
 

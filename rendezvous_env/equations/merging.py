@@ -16,7 +16,7 @@ from .vectors import load, subtract
 
 @kernel
 def merge_swept(positions, displacements, lengths, links, merged_into, world, radius, work, report):
-    """Move one team by its displacements and merge whom the motion brings together.
+    """Move one team by its displacements and merge whom the motion brings together (theory 5).
 
     Pairs merge at the first moment of the motion when their distance falls to r, earliest first and
     then by index; both rest for what is left of the step. Afterwards pairs that stand closer than r
@@ -48,6 +48,7 @@ def merge_swept(positions, displacements, lengths, links, merged_into, world, ra
         e = _earliest(moments, first, second, resting)
         if e < 0:
             break
+        # the moments found at the start stay true: whose links a merge changes rests from then on
         # V at a merge is that of the places at its moment, when the others are still under way
         moment, i, j = moments[e], first[e], second[e]
         for k in range(n):
@@ -58,13 +59,14 @@ def merge_swept(positions, displacements, lengths, links, merged_into, world, ra
         merges += 1
         for robot in (i, j):
             resting[robot] = True
-            lengths[robot] *= moment
+            lengths[robot] *= moment  # as if the way grew evenly; it does but for accelerations
             for axis in range(d):
                 positions[robot, axis] = here[robot, axis]
                 displacements[robot, axis] = 0.0
     for k in range(n):
         for axis in range(d):
             positions[k, axis] += displacements[k, axis]
+    # a place at a midpoint, or a robot at rest, may be nearer than r to others without a crossing
     while True:
         e = _nearest_within(positions, links, radius)
         if e < 0:
@@ -89,6 +91,7 @@ def _meeting_moments(positions, displacements, links, radius, moments):
 @kernel
 def _comes_before(first, second, e, best):
     """Whether the robots of link e come before those of another one by index; −1 is none."""
+    # by robots, not by e: a contraction leaves the links unsorted, and ties must not depend on that
     if best < 0 or first[e] != first[best]:
         return best < 0 or first[e] < first[best]
     return second[e] < second[best]
@@ -128,6 +131,7 @@ def _merge(e, positions, links, merged_into, world, radius, earlier_merges, repo
     i, j, gain = first[e], second[e], weight[e]
     before = lyapunov_of_links(positions, links)
     at_midpoint = _place(i, j, positions, world)
+    # the bound speaks of the degrees before the links are contracted
     bound = radius * max(0.0, _pull_at_merge(i, j, links, at_midpoint) - 4.0 * gain)
     contract(i, j, links)
     for k in range(len(merged_into)):
@@ -148,7 +152,7 @@ def _place(i, j, positions, world):
     """
     d = positions.shape[1]
     at_midpoint = True
-    if world is not None:
+    if world is not None:  # the lower index' own place is free, so nobody lands in an obstacle
         a, b = load(positions[i]), load(positions[j])
         midpoint = 0.5 * (a[0] + b[0]), 0.5 * (a[1] + b[1]), 0.5 * (a[2] + b[2])
         at_midpoint = clear_of_obstacles(midpoint, world, 0.0)
@@ -174,9 +178,14 @@ def _pull_at_merge(i, j, links, at_midpoint):
 
 @kernel
 def contract(i, j, links):
-    """The links of j become those of i, i < j; of two to the same robot the heavier gain stays.
+    """The links of j become those of i; of two to the same robot the heavier gain stays.
 
-    a_ik ← max(a_ik, a_jk)                                     (assumption 2)
+        a_ik ← max(a_ik, a_jk),   a_ij ← 0                         (assumption 2)
+
+    Args:
+        i: index of the robot that stays, i < j.
+        j: index of the robot that becomes part of it.
+        links: (first, second, weight), each (E,); weights a_ij in m/s; changed in place.
     """
     first, second, weight = links
     for e in range(len(first)):
@@ -188,6 +197,8 @@ def contract(i, j, links):
             low, high = min(i, k), max(i, k)
             twin = _link_between(low, high, links)
             if twin >= 0:
+                # the heavier, not the sum: no D_i outgrows the D̄ that the certified step is for,
+                # and a* never falls (theory 3 and 4)
                 weight[twin] = max(weight[twin], weight[e])
                 weight[e] = 0.0
             else:

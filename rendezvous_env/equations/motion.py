@@ -51,7 +51,11 @@ _MOTIONS: dict[type, Motion] = {}
 
 
 def describe(model: type, motion: Motion) -> None:
-    """Say how robots move whose constants are of this type (a NamedTuple class).
+    """Say how robots move whose constants are of this type.
+
+    Args:
+        model: a NamedTuple class.
+        motion: its equations.
 
     Raises:
         ValueError: if something else has been said of this type before, or it is no NamedTuple.
@@ -75,42 +79,94 @@ def is_described(model: type) -> bool:
 
 
 def drifts(model):
-    """``Motion.drifts`` of the model."""
+    """Whether a robot may move while its action is zero, ‖Δ‖ > 0 m: ``Motion.drifts``, a bool.
+
+    Args:
+        model: constants of a robot model, a NamedTuple.
+    """
     return _MOTIONS[type(model)].drifts
 
 
 def propose(model, action, frame, memory):
-    """``Motion.propose`` of the model."""
+    """What a robot would do in a step with nothing in its way: ``Motion.propose`` of the model.
+
+        Δ = ∫₀^τ ṗ dt,   way = ∫₀^τ ‖ṗ‖ dt
+
+    Args:
+        model: constants of a robot model, a NamedTuple.
+        action: a tuple of numbers in the robot's own frame, in the units of the model.
+        frame: R, local → global, row by row, 4 or 9 numbers.
+        memory: what the model keeps, a tuple of numbers, in rad or m/s.
+
+    Returns:
+        Δ in the global frame, a pair or triple, m, and the length of the way, m.
+    """
     return _MOTIONS[type(model)].propose(model, action, frame, memory)
 
 
 def along(model, action, frame, memory, time):
-    """``Motion.along`` of the model."""
+    """∫₀ᵗ ṗ dt: displacement after ``time`` t, s, a pair or triple, m, in the global frame.
+
+    ``Motion.along`` of the model; the other arguments as ``propose`` takes them.
+    """
     return _MOTIONS[type(model)].along(model, action, frame, memory, time)
 
 
 def bend(model, action, memory):
-    """``Motion.bend`` of the model."""
+    """β, m/s², with ‖p(t) − chord‖ ≤ β h² within any time h of the step; 0 for straight ways.
+
+    ``Motion.bend`` of the model; arguments as ``propose``.
+    """
     return _MOTIONS[type(model)].bend(model, action, memory)
 
 
 def remember(model, action, frame, memory, displacement, contact):
-    """``Motion.remember`` of the model."""
+    """What a model keeps after a step, as many numbers as before: ``Motion.remember``.
+
+    Args:
+        model: constants of a robot model, a NamedTuple.
+        action: as ``propose`` takes it.
+        frame: likewise.
+        memory: before the step, a tuple of numbers.
+        displacement: Δ executed, a pair or triple, m, in the global frame.
+        contact: FREE, SLID or STOPPED.
+
+    Returns:
+        Angles, α(t + τ) = α(t) + ω τ, rad, or a velocity, m/s; a tuple.
+    """
     return _MOTIONS[type(model)].remember(model, action, frame, memory, displacement, contact)
 
 
 def frame_of(model, frame, memory):
-    """``Motion.frame`` of the model."""
+    """R(memory), the frame that goes with a memory, row by row, 4 or 9 numbers: ``Motion.frame``.
+
+    Arguments as ``propose``; ``frame`` is the one before.
+    """
     return _MOTIONS[type(model)].frame(model, frame, memory)
 
 
 def sense_oneself(model, frame, memory):
-    """``Motion.sense`` of the model."""
+    """What a robot observes of itself in its own frame: Rᵀv, or the direction of gravity.
+
+    A pair or triple, m/s or without unit, or () for nothing: ``Motion.sense`` of the model.
+    Arguments as ``propose``.
+    """
     return _MOTIONS[type(model)].sense(model, frame, memory)
 
 
 def begin_memory(model, key, counter):
-    """``Motion.begin`` of the model."""
+    """What a model keeps at the start of an episode: ``Motion.begin``.
+
+        α = π (2u − 1) for a yaw, a pitch within ± π/4, a zero velocity
+
+    Args:
+        model: constants of a robot model, a NamedTuple.
+        key: of the stream of the uniform numbers u, uint64.
+        counter: index of the first of at most three that may be used.
+
+    Returns:
+        A tuple of numbers, rad or m/s, that may be empty.
+    """
     return _MOTIONS[type(model)].begin(model, key, counter)
 
 

@@ -62,7 +62,7 @@ World = Balls | Shapes
 
 @kernel
 def centre_of(world, m):
-    """Centre of an obstacle, a triple, m."""
+    """Centre c_m = (x, y, z) of obstacle m (an index) of a world, a triple, m."""
     return world.shapes[m, CENTRE], world.shapes[m, CENTRE + 1], world.shapes[m, CENTRE + 2]
 
 
@@ -102,14 +102,16 @@ def _compiled_surface(world, m, point):
 def surface(world, m, point):
     """Signed distance from a point to the surface of obstacle m, and the unit normal there.
 
+        ± min_q ‖p − q‖ over its surface, and ∇ of that
+
     Args:
         world: obstacles of one team.
-        m: which one.
-        point: a triple, m.
+        m: which one, an index.
+        point: p, a triple, m.
 
     Returns:
         Distance in m, negative inside, inf for an absent slot; and the outward normal at the
-        nearest point of the surface, a triple.
+        nearest point of the surface, a unit triple.
     """
     if world.kinds[m] == ABSENT:
         return np.inf, X_AXIS
@@ -118,14 +120,14 @@ def surface(world, m, point):
 
 @kernel
 def distance_to(world, m, point):
-    """Signed distance from a point to obstacle m, m; inf for an absent slot."""
+    """± min_q ‖p − q‖, a number, m: signed distance to obstacle m; arguments as ``surface``."""
     distance, _ = surface(world, m, point)
     return distance
 
 
 @kernel
 def clear_of_obstacles(point, world, margin):
-    """Whether a point is at least ``margin`` (m, signed) from every surface."""
+    """Whether a point (a triple, m) has distances ≥ ``margin`` (m, signed) to a whole world."""
     for m in range(world.kinds.shape[0]):
         if distance_to(world, m, point) < margin:
             return False
@@ -134,7 +136,14 @@ def clear_of_obstacles(point, world, margin):
 
 @kernel
 def within(world, m, point, reach):
-    """Whether the bounding ball of obstacle m is nearer to a point than ``reach``, m."""
+    """Whether the bounding ball (c, R) of obstacle m is near: ‖p − c‖ ≤ R + reach.
+
+    Args:
+        world: obstacles of one team.
+        m: which one, an index.
+        point: p, a triple, m.
+        reach: m.
+    """
     if world.kinds[m] == ABSENT:
         return False
     square, bound = 0.0, world.shapes[m, RADIUS] + reach
@@ -161,18 +170,18 @@ def _entry_of_any(world, m, point, way, depth):
 
 
 def entry(world, m, point, way, depth):
-    """Fraction of a straight way at which it meets the surface of an obstacle.
+    """Fraction s of a straight way p + s w at which it meets the surface of an obstacle.
 
     Args:
         world: obstacles of one team.
-        m: which one; it is there.
-        point: where the way begins, a triple, m.
-        way: a triple, m.
+        m: which one, an index; it is there.
+        point: p, where the way begins, a triple, m.
+        way: w, a triple, m.
         depth: only a way that goes deeper than this (m) meets it; a negative depth makes the
             obstacle fatter by so much.
 
     Returns:
-        Fraction; inf if it does not meet it.
+        s, a number in [0, 1]; inf if it does not meet it.
     """
     chosen = _entry_of_ball if isinstance(world, Balls) else _entry_of_any
     return chosen(world, m, point, way, depth)
@@ -199,8 +208,9 @@ def _normals_of_any(world, m, point):
 
 
 def normals(world, m, point):
-    """Two normals of an obstacle that a point touches; they differ on the vertex of a polygon only,
-    where either edge may be slid along.
+    """Two unit triples n = ∇ distance of an obstacle touched by a point; arguments as ``surface``.
+
+    They differ on the vertex of a polygon only, where either edge may be slid along.
     """
     chosen = _normals_of_ball if isinstance(world, Balls) else _normals_of_any
     return chosen(world, m, point)
@@ -216,12 +226,12 @@ def _compiled_normals(world, m, point):
 def silhouette_2d(world, m, point, out):
     """Bearings of the two edges of an obstacle of the plane, as seen from a point outside it.
 
-    On the surface they are the two directions along it.
+    With t the tangent point these are (t − p)/‖t − p‖; on the surface, the two directions along it.
 
     Args:
         world: obstacles of one team.
-        m: which one; it is there.
-        point: a triple, m.
+        m: which one, an index; it is there.
+        point: p, a triple, m.
         out: (2, d) array for unit vectors in the global frame: first the counter-clockwise edge,
             then the clockwise one.
     """

@@ -16,9 +16,20 @@ _VERTEX_TOLERANCE = 1e-9  # m; on a vertex are points that are no deeper behind 
 
 @kernel
 def polygon_edge(shape, first, corners, k):
-    """Edge k of a polygon: its first vertex (x, y), unit direction (ex, ey) and length, m.
+    """Edge k of a polygon: its first vertex, unit direction (ex, ey) and length.
+
+        e = (v_{k+1} − v_k)/‖v_{k+1} − v_k‖
 
     The outward normal is (ey, −ex), because the vertices go round counter-clockwise.
+
+    Args:
+        shape: row (width,) of the obstacle, m.
+        first: column of the first vertex.
+        corners: number of vertices.
+        k: index of the edge.
+
+    Returns:
+        Five numbers: x and y of v_k, m, ex and ey, without unit, and the length, m.
     """
     here = first + 2 * k
     there = here + 2 if k + 1 < corners else first
@@ -30,10 +41,21 @@ def polygon_edge(shape, first, corners, k):
 
 @kernel
 def polygon_surface(point, shape, first, corners):
-    """Signed distance (m) of a point from a convex polygon, and its unit normal there.
+    """Signed distance of a point from a convex polygon, and its unit normal there.
+
+        max_k n_kᵀ(p − v_k) inside,   min_q ‖p − q‖ over the edges outside
 
     The plane falls into the inside, one strip before each edge and one wedge before each vertex. On
     a vertex, where there is no one normal, it is that of an adjacent edge.
+
+    Args:
+        point: p, a triple, m.
+        shape: row (width,) of the obstacle, m.
+        first: column of the first vertex.
+        corners: number of vertices.
+
+    Returns:
+        The distance, m, negative inside; and the outward normal, a unit triple with z = 0.
     """
     highest, normal_x, normal_y = -np.inf, 0.0, 0.0
     nearest, vertex_x, vertex_y = np.inf, 0.0, 0.0
@@ -58,10 +80,19 @@ def polygon_surface(point, shape, first, corners):
 
 @kernel
 def edges_touched(point, shape, first, corners, normal):
-    """The normals of the edges that a point on the surface has behind it, the last two of them.
+    """Normals n_k of the edges that a point on the surface has behind it: n_kᵀ(p − v_k) ≥ 0.
 
-    Two that differ only on a vertex, where either edge may be slid along; ``normal`` where no edge
-    qualifies.
+    But for rounding. Two that differ only on a vertex, where either edge may be slid along.
+
+    Args:
+        point: p, a triple, m.
+        shape: row (width,) of the obstacle, m.
+        first: column of the first vertex.
+        corners: number of vertices.
+        normal: a unit triple, to return where no edge qualifies.
+
+    Returns:
+        The last two of the normals, unit triples.
     """
     one, other = normal, normal
     for k in range(corners):
@@ -73,8 +104,22 @@ def edges_touched(point, shape, first, corners, normal):
 
 @kernel
 def polygon_entry(point, way, shape, first, corners, depth):
-    """Fraction of a straight way at which it meets a polygon that it goes deeper than ``depth`` (m)
-    into: the way is clipped by the edges, moved inwards by so much; inf if it does not.
+    """Where a straight way meets a polygon that it goes deeper than ``depth`` into.
+
+        max_k of the s with n_kᵀ(p + s w − v_k) = max(0, −depth), at the edges that it comes in by,
+
+    if the way, clipped by all edges moved inwards by ``depth``, leaves something.
+
+    Args:
+        point: p, where the way begins, a triple, m.
+        way: w, a triple, m.
+        shape: row (width,) of the obstacle, m.
+        first: column of the first vertex.
+        corners: number of vertices.
+        depth: m; a negative one makes the polygon fatter by so much.
+
+    Returns:
+        s, a fraction of the way; inf if there is none.
     """
     fatter = max(0.0, -depth)
     surface, entered, left = 0.0, 0.0, 1.0
@@ -94,12 +139,12 @@ def polygon_entry(point, way, shape, first, corners, depth):
 
 @kernel
 def polygon_silhouette(point, towards, shape, first, corners):
-    """Bearings of the vertices farthest to the left and to the right of a direction inside.
+    """Bearings (v − p)/‖v − p‖ of the vertices farthest left and right of a direction inside.
 
     Args:
-        point: a triple, m, outside the polygon or on it.
+        point: p, a triple, m, outside the polygon or on it.
         towards: unit vector to the centroid.
-        shape: row of the obstacle.
+        shape: row (width,) of the obstacle, m.
         first: column of the first vertex.
         corners: number of vertices.
 

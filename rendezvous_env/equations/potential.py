@@ -10,7 +10,7 @@ from ..compilation import kernel
 
 @kernel
 def distance_squared(positions, i, j):
-    """‖p_i − p_j‖² of two robots of one team, m²; positions (n, d)."""
+    """‖p_i − p_j‖² of the robots with indices i and j of one team, m²; positions (n, d), m."""
     square = 0.0
     for k in range(positions.shape[1]):
         square += (positions[j, k] - positions[i, k]) ** 2
@@ -19,11 +19,14 @@ def distance_squared(positions, i, j):
 
 @kernel
 def lyapunov_of_links(positions, links):
-    """V of one team, m²/s: each edge counts twice, as in the paper.
+    """V = Σ_i Σ_j a_ij ‖p_i − p_j‖ of one team: each edge counts twice, as in the paper.
 
     Args:
         positions: (n, d), m.
         links: (first, second, weight), each (E,); weights a_ij in m/s, 0 where there is no link.
+
+    Returns:
+        V, a number, m²/s.
     """
     first, second, weight = links
     total = 0.0
@@ -35,9 +38,14 @@ def lyapunov_of_links(positions, links):
 
 @kernel
 def net_bearings_of_links(positions, links, out):
-    """f_i = Σ_j a_ij g_ij of every robot in the global frame, m/s, written to ``out`` (n, d).
+    """f_i = Σ_j a_ij g_ij of every robot in the global frame.
 
     Links that are sorted by their robots add up in the order of the neighbours.
+
+    Args:
+        positions: (n, d), m.
+        links: (first, second, weight), each (E,); weights a_ij in m/s, 0 where there is no link.
+        out: f_i, (n, d), m/s; filled in.
     """
     first, second, weight = links
     out[:] = 0.0

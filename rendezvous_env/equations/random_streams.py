@@ -22,7 +22,16 @@ _TO_UNIT_INTERVAL = 2.0**-53
 
 @kernel
 def mix(word):
-    """Scramble 64 bits: the finaliser of SplitMix64, a bijection of uint64."""
+    """Scramble 64 bits: the finaliser of SplitMix64, a bijection of uint64, without unit.
+
+        z ← (z ⊕ z≫30) · c₁,   z ← (z ⊕ z≫27) · c₂,   z ← z ⊕ z≫31
+
+    Args:
+        word: z, uint64.
+
+    Returns:
+        The last z.
+    """
     word = (word ^ (word >> _SHIFT_30)) * _FACTOR_1
     word = (word ^ (word >> _SHIFT_27)) * _FACTOR_2
     return word ^ (word >> _SHIFT_31)
@@ -30,7 +39,18 @@ def mix(word):
 
 @kernel
 def stream_key(seed, episode, purpose):
-    """Key of the stream for one purpose in one episode of a seed; uint64."""
+    """Key of the stream for one purpose in one episode of a seed.
+
+        mix(mix(mix(seed + γ) ⊕ (episode + γ)) ⊕ (purpose + γ)),   γ the increment of SplitMix64
+
+    Args:
+        seed: uint64.
+        episode: its number, from 0 on.
+        purpose: START … ACTUATION.
+
+    Returns:
+        uint64, without unit.
+    """
     key = mix(np.uint64(seed) + _INCREMENT)
     key = mix(key ^ (np.uint64(episode) + _INCREMENT))
     return mix(key ^ (np.uint64(purpose) + _INCREMENT))
@@ -38,19 +58,32 @@ def stream_key(seed, episode, purpose):
 
 @kernel
 def uniform(key, counter):
-    """The ``counter``-th number of the stream, uniform in [0, 1)."""
+    """Number of a stream at an index, uniform in [0, 1): the upper 53 bits of mix(key + (k + 1) γ).
+
+    Args:
+        key: of the stream, uint64.
+        counter: k, an index from 0 on.
+
+    Returns:
+        A number without unit.
+    """
     word = mix(key + np.uint64(counter + 1) * _INCREMENT)
     return np.float64(word >> _SHIFT_11) * _TO_UNIT_INTERVAL
 
 
 @kernel
 def draw_rotation(key, first_counter, axes):
-    """A uniformly distributed rotation matrix, row by row, from at most three numbers of a stream.
+    """A uniformly distributed rotation matrix, from at most three numbers of a stream.
+
+    In the plane by an angle 2πu; in space of a uniform unit quaternion (Shoemake, 1992).
 
     Args:
-        key: stream.
-        first_counter: where in the stream to begin.
+        key: of the stream, uint64.
+        first_counter: index in the stream to begin at.
         axes: (0, 1) for 4 numbers, (0, 1, 2) for 9.
+
+    Returns:
+        R row by row, 4 or 9 numbers without unit.
     """
     turn = 2.0 * math.pi * uniform(key, first_counter)
     if len(axes) == 2:

@@ -11,11 +11,14 @@ from .vectors import combine, dot, load
 
 @inlined_kernel
 def net_bearing_of(rows, neighbour_slots):
-    """f_i = Σ_j a_ij g_ij, the sum of the neighbour rows, as a triple, m/s.
+    """f_i = Σ_j a_ij g_ij, the sum of the neighbour rows.
 
     Args:
-        rows: of one robot, (rows, d).
+        rows: of one robot, (rows, d), m/s.
         neighbour_slots: K, how many of them, from the first, are neighbours.
+
+    Returns:
+        f_i, a triple, m/s, in the frame of the rows.
     """
     f = (0.0, 0.0, 0.0)
     for k in range(neighbour_slots):
@@ -25,8 +28,9 @@ def net_bearing_of(rows, neighbour_slots):
 
 @inlined_kernel
 def degree_of(rows, neighbour_slots):
-    """D_i = Σ_j a_ij, the sum of the lengths of the neighbour rows, m/s; arguments as
-    ``net_bearing_of``.
+    """D_i = Σ_j a_ij, the sum of the lengths of the neighbour rows, a number, m/s.
+
+    Arguments as ``net_bearing_of``.
     """
     total = 0.0
     for k in range(neighbour_slots):

@@ -19,25 +19,27 @@ def _is_left(a, b, point):
 
 @kernel
 def crosses(a, b, p, q):
-    """Whether the segment a b crosses the segment p q.
+    """Whether the segments a b and p q of the plane cross, each with its ends on both sides.
+
+        sign((b − a) × (p − a)) ≠ sign((b − a) × (q − a)), and with the pairs exchanged
 
     Args:
-        a: end of a segment, m; only x and y count.
-        b: its other end.
-        p: end of the other segment, m.
-        q: its other end.
+        a: end of a segment, a triple, m; only x and y count.
+        b: its other end, likewise.
+        p: end of the other segment, likewise.
+        q: its other end, likewise.
     """
     return _is_left(p, q, a) != _is_left(p, q, b) and _is_left(a, b, p) != _is_left(a, b, q)
 
 
 @kernel
 def are_joined(a, b, reach):
-    """Whether two discs of which the radii add up to ``reach`` (m) overlap.
+    """Whether two discs of the plane count as overlapping: ‖b − a‖ < reach.
 
     Args:
-        a: centre, m; only x and y count.
-        b: centre of the other.
-        reach: sum of their radii.
+        a: centre of one, a triple, m; only x and y count.
+        b: centre of the other, likewise.
+        reach: sum of their radii, and of what gap counts as closed, m.
     """
     x, y = b[0] - a[0], b[1] - a[1]
     return x * x + y * y < reach * reach

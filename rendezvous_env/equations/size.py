@@ -21,13 +21,16 @@ share."""
 
 
 def size(points: Array) -> float:
-    """L of a set of points, m; 0 for a single place.
+    """L = ∫_{|u|=1} max_i u·p_i du of points; 0 for a single place (guarantees, section 9).
 
     A segment is a polygon with two sides, a flat polygon in space has the mean width P/4, so
     L = (π/2) P with P its perimeter.
 
     Args:
-        points: (N, d), m, N ≥ 1, d = 2 or 3, finite.
+        points: p, (N, d), m, N ≥ 1, d = 2 or 3, finite.
+
+    Returns:
+        L, m.
     """
     d = points.shape[1]
     flat = _in_their_own_axes(points)

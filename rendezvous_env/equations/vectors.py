@@ -17,14 +17,14 @@ ORIGIN = (0.0, 0.0, 0.0)
 
 @kernel
 def load(row):
-    """A row of d = 2 or 3 numbers as (x, y, z)."""
+    """A row (d,) as the triple v = (x, y, z), z = 0 where d is 2; in the unit of the row."""
     z = np.float64(row[2]) if row.shape[0] == 3 else 0.0
     return np.float64(row[0]), np.float64(row[1]), z
 
 
 @inlined_kernel
 def triple(v):
-    """A pair or triple as (x, y, z)."""
+    """A pair or triple as the triple v = (x, y, z), z = 0 for a pair; in its unit."""
     if len(v) == 2:
         return v[0], v[1], 0.0
     return v
@@ -32,7 +32,7 @@ def triple(v):
 
 @kernel
 def store(vector, out):
-    """The first d numbers of a triple into a row ``out`` of d = 2 or 3."""
+    """Write a triple v to the row ``out`` (d,), d = 2 or 3: out_k ← v_k, in the unit of v."""
     out[0], out[1] = vector[0], vector[1]
     if out.shape[0] == 3:
         out[2] = vector[2]
@@ -40,44 +40,48 @@ def store(vector, out):
 
 @kernel
 def dot(a, b):
-    """Scalar product aᵀb of triples."""
+    """Scalar product aᵀb of two triples, a number; unit of a times unit of b."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 @kernel
 def cross(a, b):
-    """Vector product a × b of triples."""
+    """Vector product a × b of two triples, a triple; unit of a times unit of b."""
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
 @kernel
 def combine(p, a, q, b):
-    """The vector p a + q b of triples."""
+    """The triple p a + q b of numbers p, q and triples a, b; unit of p times unit of a."""
     return p * a[0] + q * b[0], p * a[1] + q * b[1], p * a[2] + q * b[2]
 
 
 @kernel
 def add(a, factor, b):
-    """The vector a + factor b of triples; a itself, bit for bit, where b is zero."""
+    """The triple a + factor b of two triples and a number, in the unit of a; a itself, bit for bit,
+    where b is zero.
+    """
     return a[0] + factor * b[0], a[1] + factor * b[1], a[2] + factor * b[2]
 
 
 @kernel
 def subtract(a, b):
-    """The vector a − b of triples."""
+    """The triple a − b of two triples, in their unit."""
     return a[0] - b[0], a[1] - b[1], a[2] - b[2]
 
 
 @kernel
 def norm(a):
-    """Length ‖a‖ of a triple."""
+    """Length ‖a‖ = √(aᵀa) of a triple, a number in the unit of a."""
     return math.sqrt(dot(a, a))
 
 
 @kernel
 def split(a):
-    """Length and unit vector of a triple; (0, zero) for the zero vector. Safe for any finite
-    numbers.
+    """Length ‖a‖ and unit vector a/‖a‖ of a triple: a number in the unit of a, and a triple.
+
+    (0, zero) for the zero vector. Safe for any finite numbers, of which the squares may overflow or
+    vanish.
     """
     square = dot(a, a)
     if 1e-200 < square < 1e200:
@@ -94,14 +98,17 @@ def split(a):
 
 @kernel
 def without(a, h):
-    """The part of a across the unit vector h; done twice, so that rounding leaves none of h."""
+    """The part a − (hᵀa) h of a triple across a unit triple h, a triple in the unit of a.
+
+    Taken twice, so that rounding leaves none of h.
+    """
     once = combine(1.0, a, -dot(a, h), h)
     return combine(1.0, once, -dot(once, h), h)
 
 
 @inlined_kernel
 def difference(a, b):
-    """B − a of pairs or triples."""
+    """The offset b − a of two pairs or two triples, one like them, in their unit."""
     if len(a) == 2:
         return b[0] - a[0], b[1] - a[1]
     return b[0] - a[0], b[1] - a[1], b[2] - a[2]
@@ -109,7 +116,7 @@ def difference(a, b):
 
 @inlined_kernel
 def square(v):
-    """‖v‖² of a pair or triple."""
+    """Squared length ‖v‖² of a pair or triple, a number; unit of v squared."""
     if len(v) == 2:
         return v[0] * v[0] + v[1] * v[1]
     return v[0] * v[0] + v[1] * v[1] + v[2] * v[2]
@@ -117,7 +124,7 @@ def square(v):
 
 @inlined_kernel
 def plus(a, factor, b):
-    """The pair or triple a + factor b."""
+    """The pair or triple a + factor b of two pairs or triples and a number, in the unit of a."""
     if len(a) == 2:
         return a[0] + factor * b[0], a[1] + factor * b[1]
     return a[0] + factor * b[0], a[1] + factor * b[1], a[2] + factor * b[2]
@@ -125,7 +132,7 @@ def plus(a, factor, b):
 
 @inlined_kernel
 def product(a, b):
-    """Scalar product of two pairs or triples."""
+    """Scalar product aᵀb of two pairs or two triples, a number; unit of a times unit of b."""
     if len(a) == 2:
         return a[0] * b[0] + a[1] * b[1]
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
@@ -133,7 +140,7 @@ def product(a, b):
 
 @inlined_kernel
 def scaled(v, factor):
-    """A pair or triple times a number."""
+    """The pair or triple factor · v, factor a number; unit of v times unit of the factor."""
     if len(v) == 2:
         return v[0] * factor, v[1] * factor
     return v[0] * factor, v[1] * factor, v[2] * factor
@@ -141,11 +148,14 @@ def scaled(v, factor):
 
 @inlined_kernel
 def to_global(frame, v):
-    """R v: from a local frame to the global one.
+    """Turn a vector from a local frame to the global one: w = R v.
 
     Args:
-        frame: R, row by row, 4 or 9 numbers.
-        v: pair or triple.
+        frame: R, row by row, 4 or 9 numbers without unit.
+        v: pair or triple of the local frame, of any unit.
+
+    Returns:
+        w, as long as v and of its unit.
     """
     if len(v) == 2:
         return frame[0] * v[0] + frame[1] * v[1], frame[2] * v[0] + frame[3] * v[1]
@@ -158,7 +168,15 @@ def to_global(frame, v):
 
 @inlined_kernel
 def to_local(frame, v):
-    """Rᵀ v: from the global frame to a local one; arguments as ``to_global``."""
+    """Turn a vector from the global frame to a local one: w = Rᵀ v.
+
+    Args:
+        frame: R, local → global, row by row, 4 or 9 numbers without unit.
+        v: pair or triple of the global frame, of any unit.
+
+    Returns:
+        w, as long as v and of its unit.
+    """
     if len(v) == 2:
         return frame[0] * v[0] + frame[2] * v[1], frame[1] * v[0] + frame[3] * v[1]
     return (
@@ -170,7 +188,15 @@ def to_local(frame, v):
 
 @kernel
 def local_axis(frame, k):
-    """Axis k of a local frame, 4 or 9 numbers row by row, as a triple of the global frame."""
+    """Axis k of a local frame in the global one: x = R e_k.
+
+    Args:
+        frame: R, row by row, 4 or 9 numbers without unit.
+        k: index of the axis.
+
+    Returns:
+        x, a unit triple, with z = 0 in the plane.
+    """
     if len(frame) == 4:
         return frame[k], frame[2 + k], 0.0
     return frame[k], frame[3 + k], frame[6 + k]

@@ -17,7 +17,14 @@ Array = NDArray[np.float64]
 
 
 def merge_rise_allowance(scenario: Scenario) -> float:
-    """(n − 1) r W, m²/s: no sequence of merges can raise V by more (theory 3 and 5)."""
+    """(n − 1) r W: no sequence of merges can raise V by more (theory 3 and 5).
+
+    Args:
+        scenario: gives n, r and W = Σ a_ij over its edges.
+
+    Returns:
+        A number, m²/s.
+    """
     n, total = scenario.n_robots, scenario.sensing_graph.weight_sum(scenario.n_robots)
     return (n - 1) * scenario.merge_radius * total
 
@@ -112,11 +119,22 @@ def tank_time_bound(
 def tank_lyapunov_bound(
     scenario: Scenario, initial_lyapunov: ArrayLike, *, budget: float = 0.0
 ) -> Array:
-    """The most that V can ever be under an energy tank, m²/s (theorem D).
+    """The most that V can ever be under an energy tank (theorem D).
 
         V ≤ V0⁺ + (n − 1) r W + ΣB_i
 
-    With obstacles in motion without a contact. Arguments and errors as for ``tank_time_bound``.
+    With obstacles in motion without a contact.
+
+    Args:
+        scenario: gives n, r and W.
+        initial_lyapunov: V(0), (...), m²/s.
+        budget: B_i that each robot's tank begins with, m²/s, at least 0.
+
+    Returns:
+        (...), m²/s.
+
+    Raises:
+        ValueError: if an argument is out of its range.
     """
     check_scenario(scenario)
     if not 0 <= real(budget) < np.inf:
@@ -126,10 +144,20 @@ def tank_lyapunov_bound(
 
 
 def lyapunov_bound(scenario: Scenario, initial_lyapunov: ArrayLike) -> Array:
-    """The most that V can be if it never rises between merges, m²/s: V0⁺ (theory 3).
+    """The most that V can be if it never rises between merges: V0⁺ = V(0) + (n − 1) r W (theory 3).
 
     At obstacles robots may merge at one robot's place rather than at the midpoint, where V can rise
     by twice as much (theory 5).
+
+    Args:
+        scenario: gives n, r, W and whether there are obstacles.
+        initial_lyapunov: V(0), (...), m²/s.
+
+    Returns:
+        (...), m²/s.
+
+    Raises:
+        ValueError: if a V(0) is not finite or negative.
     """
     places = 2.0 if scenario.obstacles else 1.0
     return checked_lyapunov(initial_lyapunov) + places * merge_rise_allowance(scenario)
@@ -144,11 +172,17 @@ def covered(scenario: Scenario) -> bool:
 
 
 def rendezvous_time_lower_bound(scenario: Scenario, positions: ArrayLike) -> float:
-    """No policy meets sooner: T ≥ (R − (n − 1) r/2)/v_max, s; (n − 1) r with obstacles (theory 3).
+    """No policy meets sooner: T ≥ (R − (n − 1) r/2)/v_max; (n − 1) r with obstacles (theory 3).
 
     Args:
         scenario: gives n, r and v_max.
         positions: start, (n, d), m.
+
+    Returns:
+        A number, s.
+
+    Raises:
+        ValueError: if a position is not finite, or there is none.
     """
     _, radius = smallest_enclosing_ball(positions)
     share = 1.0 if scenario.obstacles else 0.5
@@ -167,7 +201,7 @@ def check_scenario(scenario: Any) -> None:
 
 
 def check_margin(min_alignment: Any) -> None:
-    """Refuse a margin ε outside (0, 1].
+    """Refuse a margin ε, a number without unit, unless 0 < ε ≤ 1 (theorem B).
 
     Raises:
         ValueError: saying what was given.
@@ -177,7 +211,13 @@ def check_margin(min_alignment: Any) -> None:
 
 
 def checked_lyapunov(initial_lyapunov: ArrayLike) -> Array:
-    """V(0) as an array of numbers that a team can have.
+    """V(0) as an array of numbers that a team can have: finite, V ≥ zero.
+
+    Args:
+        initial_lyapunov: V(0), (...), m²/s.
+
+    Returns:
+        The same, float64.
 
     Raises:
         ValueError: if one is not finite or negative.

@@ -65,14 +65,17 @@ def certificate(
 ) -> Certificate:
     """What is guaranteed for a scenario under law (1), certified headings or an energy tank.
 
-    For the scenario's own graph, and starts in its spawn area.
+    For the scenario's own graph, and starts in its spawn area; by theorems 1, 2, A, C, D, G and N.
 
     Args:
         scenario: the experiment.
-        min_alignment: 1 for the paper's own laws, ε in (0, 1) for certified headings of that
-            margin, ε in (0, 1] for a tank.
+        min_alignment: a number without unit: 1 for the paper's own laws, ε in (0, 1) for certified
+            headings of that margin, ε in (0, 1] for a tank.
         by: "law", "heading" or "tank"; None is "law" if ``min_alignment`` is 1, else "heading".
         budget: B_i that each robot's tank begins with, m²/s.
+
+    Returns:
+        A Certificate, each of whose fields says its unit.
 
     Raises:
         ValueError: naming the argument that is out of its range, or does not go with ``by``.

@@ -12,10 +12,16 @@ Array = NDArray[np.float64]
 
 
 def least_degrees(scenario: Scenario) -> Array:
-    """c_m for m = 2 … n: the least D_i that a robot can have with m robots left, (n − 1,), m/s.
+    """The least D_i = Σ_j a_ij that a robot can have with m robots left, for m = 2 … n.
 
     A complete graph stays complete and a cycle a cycle; elsewhere one link is sure, of at least
     a* (theory 3).
+
+    Args:
+        scenario: gives n and the graph.
+
+    Returns:
+        c_m, an array (n − 1,), m/s.
     """
     n, graph = scenario.n_robots, scenario.sensing_graph
     left = np.arange(2.0, n + 1.0)

@@ -15,9 +15,15 @@ Array = NDArray[np.float64]
 
 
 def smallest_enclosing_ball(points: ArrayLike) -> tuple[Array, float]:
-    """Centre (d,) and radius of the smallest ball that holds all points (N, d), N ≥ 1.
+    """The smallest ball that holds all points: min_c max_k ‖p_k − c‖.
 
-    Welzl's algorithm with move-to-front, on at most d + 1 points at a time.
+    Welzl's algorithm (1991) with move-to-front, on at most d + 1 points at a time.
+
+    Args:
+        points: p, (N, d), N ≥ 1, m.
+
+    Returns:
+        Centre c, (d,), m, and radius, m.
 
     Raises:
         ValueError: if there is no point or one is not finite.

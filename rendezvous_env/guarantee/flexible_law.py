@@ -14,8 +14,22 @@ from .teams import teams_of_block
 def steer_headings(
     share, observations, constants, held, headings, actions, alignment, lyapunov_rate
 ):
-    """Law (4) with the certified heading: v = min(1, r/(2Dτ)) h hᵀ f, for the teams that this
-    thread takes.
+    """Law (4) with the certified heading, for the teams that this thread takes.
+
+        v = min(1, r/(2Dτ)) h hᵀ f                                  (eq. 4, theorem C, theory 4)
+
+    Args:
+        share: this thread's part, as sharing.py says.
+        observations: (B, n, rows, d), m/s, in the robots' own frames.
+        constants: of the scenario and of the wrapper, see steering.py.
+        held: raw vectors, (B, n, d), of any unit.
+        headings: h, (B, n, d), unit vectors or zero; brought up to date.
+        actions: v, (B, n, d) float32, m/s; filled in.
+        alignment: |hᵀf|/‖f‖, (B, n); filled in, NaN where f is zero.
+        lyapunov_rate: −2 (hᵀf)², (B, n), m²/s²; filled in.
+
+    Returns:
+        Whether all blocks are done, see ``each_block``.
     """
     arguments = observations, constants, held, headings, actions, alignment, lyapunov_rate
     return each_block(share, _steer_teams, arguments)

@@ -16,7 +16,20 @@ _CLEARLY_LONGER = 1.001
 def look_along_net_bearing(share, observations, constants, visible_rows, frames, seen):
     """Turn observations into frames with x along f, for the teams that this thread takes.
 
+        row ← Fᵀ row,   F = (f/‖f‖, …)                              (theory 7)
+
     Where ‖f‖ < δ the last frame is kept.
+
+    Args:
+        share: this thread's part, as sharing.py says.
+        observations: (B, n, rows, d) float32, in the robots' own frames; neighbour rows in m/s.
+        constants: the number of neighbour rows, and δ, m/s, see action_filter.py.
+        visible_rows: how many rows, from the first, may give a frame its second axis.
+        frames: F, (B, n, d, d), columns are unit vectors; brought up to date.
+        seen: rows along f, of the shape and units of ``observations``; filled in.
+
+    Returns:
+        Whether all blocks are done, see ``each_block``.
     """
     arguments = observations, constants, visible_rows, frames, seen
     return each_block(share, _look_from_teams, arguments)

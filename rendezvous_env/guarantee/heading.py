@@ -62,7 +62,14 @@ scale_of_step = kernel(step_scale)
 
 @kernel
 def turn_limit(max_turn):
-    """A largest turn in rad as ``certify_one`` wants it: its cosine, sine and squared chord."""
+    """A largest turn γ as ``certify_one`` wants it: cos γ, sin γ, squared chord 4 sin²(γ/2).
+
+    Args:
+        max_turn: γ, rad; π or more is no limit.
+
+    Returns:
+        Three numbers without unit; the chord is inf where there is no limit.
+    """
     turn = min(max_turn, math.pi)
     chord = 2.0 * math.sin(0.5 * turn)
     square = chord * chord if max_turn < math.pi else math.inf
@@ -121,7 +128,11 @@ def certified_heading(
 
 
 def check_gate_constants(min_alignment: float, dead_zone: float) -> None:
-    """Refuse a margin ε outside (0, 1) and a dead zone δ that is not positive and finite.
+    """Refuse constants of theorem C's margin unless 0 < ε < 1 and 0 < δ < ∞.
+
+    Args:
+        min_alignment: ε, a number without unit.
+        dead_zone: δ = a*/(2n), a number, m/s.
 
     Raises:
         ValueError: naming the constant and its value.
@@ -137,12 +148,15 @@ def check_gate_constants(min_alignment: float, dead_zone: float) -> None:
 def check_vectors(
     name: str, value: ArrayLike, like: NDArray[np.float64] | None = None
 ) -> NDArray[np.float64]:
-    """Finite vectors of the plane or of space, (..., d), as contiguous float64.
+    """Finite vectors of the plane or of space as contiguous float64, d = 2 or 3.
 
     Args:
         name: what the message calls them.
-        value: the vectors.
+        value: the vectors, (..., d), of any unit.
         like: vectors whose shape they must have, if any.
+
+    Returns:
+        The vectors, (..., d), in the same unit.
 
     Raises:
         ValueError: naming the argument, and its shape or that it is not finite.
@@ -162,9 +176,16 @@ def check_vectors(
 
 @kernel
 def certify(raw, net_bearing, previous, min_alignment, dead_zone, max_turn, out):
-    """``certified_heading`` for N robots, unchecked; all arrays (N, d), float64.
+    """``certified_heading`` for N robots, unchecked: hᵀf ≥ ε_i ‖f‖ (theorem C).
 
-    ``out`` may be ``previous`` itself.
+    Args:
+        raw: (N, d), of any unit, float64 like all of these arrays.
+        net_bearing: f, (N, d), m/s.
+        previous: (N, d), unit vectors or zero.
+        min_alignment: ε.
+        dead_zone: δ, m/s.
+        max_turn: rad; inf is no limit.
+        out: (N, d), for unit vectors; may be ``previous`` itself.
     """
     limit = turn_limit(max_turn)
     for i in range(out.shape[0]):
@@ -177,7 +198,19 @@ def certify(raw, net_bearing, previous, min_alignment, dead_zone, max_turn, out)
 
 @kernel
 def certify_one(raw, net_bearing, previous, min_alignment, dead_zone, limit):
-    """``certified_heading`` of one robot, vectors as triples; ``limit`` from ``turn_limit``."""
+    """``certified_heading`` of one robot: hᵀf ≥ ε_i ‖f‖ (theorem C).
+
+    Args:
+        raw: a triple, of any unit.
+        net_bearing: f, a triple, m/s.
+        previous: a unit triple or zero.
+        min_alignment: ε.
+        dead_zone: δ, m/s.
+        limit: from ``turn_limit``.
+
+    Returns:
+        h, a unit triple.
+    """
     strength, towards = split(net_bearing)
     margin = min_alignment * min(max(strength / dead_zone - 1.0, 0.0), 1.0)
     if strength == 0.0:
@@ -204,10 +237,13 @@ def into_cap(direction, towards, margin, otherwise):
     """Nearest unit vector h with h·u ≥ margin: ε u + √(1 − ε²) w, w the part across u.
 
     Args:
-        direction: a unit vector.
-        towards: u, the centre of the cap, a unit vector.
+        direction: a unit triple.
+        towards: u, the centre of the cap, a unit triple.
         margin: ε, the cosine of the cap's half angle.
         otherwise: what to return where the direction is −u, all of the edge being equally near.
+
+    Returns:
+        h, a unit triple.
     """
     if dot(direction, towards) >= margin:
         return direction

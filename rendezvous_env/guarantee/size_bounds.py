@@ -21,6 +21,9 @@ def kappa(n: ArrayLike) -> Array:
 
     Args:
         n: number of robots, (...), at least 2.
+
+    Returns:
+        (...), without unit.
     """
     m = np.asarray(n, dtype=np.float64)
     alike = m * np.sin(np.pi / m) ** 2
@@ -135,7 +138,13 @@ def pursuit_bound(scenario: Scenario, initial_size: ArrayLike, speed: float) -> 
 
 
 def checked_size(initial_size: ArrayLike) -> Array:
-    """L(0) as an array of numbers that a team can have.
+    """L(0) as an array of numbers that a team can have: finite, L ≥ zero.
+
+    Args:
+        initial_size: L(0), (...), m.
+
+    Returns:
+        The same, float64.
 
     Raises:
         ValueError: if one is not finite or negative.

@@ -13,7 +13,7 @@ from .heading import into_cap, scale_of_step
 def descent_scale(strength, degree, merge_radius, duration, speed_limit):
     """Factor s on f with which a step is sure to let V fall, and no faster than the robot may go.
 
-        s = min(1, r/(2 D τ), v_max/‖f‖)
+        s = min(1, r/(2 D τ), v_max/‖f‖)                            (theorem D)
 
     Args:
         strength: ‖f‖, m/s.
@@ -21,6 +21,9 @@ def descent_scale(strength, degree, merge_radius, duration, speed_limit):
         merge_radius: r, m.
         duration: τ, s.
         speed_limit: v_max, m/s.
+
+    Returns:
+        s, a number in (0, 1], without unit.
     """
     unhurried = speed_limit / max(strength, speed_limit)
     return min(scale_of_step(degree, merge_radius, duration), unhurried)
@@ -28,17 +31,20 @@ def descent_scale(strength, degree, merge_radius, duration, speed_limit):
 
 @kernel
 def certain_descent(net_bearing, degree, displacement, merge_radius):
-    """This robot's part in what V is sure to fall by, m²/s; negative where V may rise.
+    """This robot's part in what V is sure to fall by; negative where V may rise.
 
-        2 f·Δ − (2/r) D ‖Δ‖²
+        2 f·Δ − (2/r) D ‖Δ‖²                                        (theorem D)
 
     Summed over the robots this bounds V(t) − V(t + τ) while neighbours stay at least r apart.
 
     Args:
-        net_bearing: f, m/s.
+        net_bearing: f, a triple, m/s.
         degree: D, m/s.
-        displacement: Δ over the step, m.
+        displacement: Δ over the step, a triple, m.
         merge_radius: r, m.
+
+    Returns:
+        A number, m²/s.
     """
     spent = 2.0 / merge_radius * degree * dot(displacement, displacement)
     return 2.0 * dot(net_bearing, displacement) - spent
@@ -46,13 +52,16 @@ def certain_descent(net_bearing, degree, displacement, merge_radius):
 
 @kernel
 def promised_descent(strength, scale, min_alignment, duration):
-    """What a robot owes in every step, so that all meet in finite time: ε² τ s ‖f‖², m²/s.
+    """What a robot owes in every step, so that all meet in finite time: ε² τ s ‖f‖² (theorem D).
 
     Args:
         strength: ‖f‖, m/s.
-        scale: s.
-        min_alignment: ε.
+        scale: s, without unit.
+        min_alignment: ε, without unit.
         duration: τ, s.
+
+    Returns:
+        A number, m²/s.
     """
     return min_alignment * min_alignment * duration * scale * strength * strength
 
@@ -61,15 +70,18 @@ def promised_descent(strength, scale, min_alignment, duration):
 def descending_velocity(wanted, net_bearing, scale, min_alignment):
     """Law (4) along the wanted line, which earns at least what is owed.
 
-        v = s h hᵀf,   h the wanted direction projected onto the cap |hᵀf| ≥ ε‖f‖
+        v = s h hᵀf,   h the wanted direction projected onto the cap |hᵀf| ≥ ε‖f‖    (theorem D)
 
     The direction is f/‖f‖ where nothing is wanted.
 
     Args:
-        wanted: velocity, of any length.
-        net_bearing: f, not zero, m/s.
-        scale: s.
-        min_alignment: ε.
+        wanted: a triple, of any length and unit.
+        net_bearing: f, a triple, not zero, m/s.
+        scale: s, without unit.
+        min_alignment: ε, without unit.
+
+    Returns:
+        v, a triple, m/s.
     """
     (length, h), (_, towards) = split(wanted), split(net_bearing)
     if length == 0.0:

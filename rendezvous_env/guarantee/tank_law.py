@@ -17,17 +17,23 @@ from .turning import gated_rate_2d, gated_rates_3d, mean_axis_2d, mean_axis_3d
 
 @kernel
 def spend_tanks(share, turns_body, observations, constants, held, levels, actions, told):
-    """The actions of the teams that this thread takes, and what is told of them.
+    """The actions of the teams that this thread takes, and what is told of them (theorem D).
+
+        carried out if A + G(Δ) ≥ 0,   G(Δ) = 2 f·Δ − (2/r) D ‖Δ‖² − ε² τ s ‖f‖²
 
     Args:
-        share: as sharing.py says.
+        share: this thread's part, as sharing.py says.
         turns_body: whether the robots are nonholonomic.
-        observations: (B, n, rows, d).
+        observations: (B, n, rows, d), in the robots' own frames; neighbour rows in m/s.
         constants: of the tank, see energy_tank.py.
-        held: what is wanted, (B, n, k).
+        held: what is wanted, (B, n, k), as shares of the limits.
         levels: A, (B, n), m²/s.
-        actions: (B, n, a) float32, all zero; filled in.
-        told: deposits (m²/s), carried_out, alignment and lyapunov_rate, (B, n) each; filled in.
+        actions: (B, n, a) float32, all zero; filled in, m/s and rad/s.
+        told: deposits G (m²/s), carried_out, alignment |hᵀf|/‖f‖ and lyapunov_rate −2 f·Δ/τ
+            (m²/s²), (B, n) each; filled in.
+
+    Returns:
+        Whether all blocks are done, see ``each_block``.
     """
     return each_block(
         share, _spend_teams, (turns_body, observations, constants, held, levels, actions, told)
@@ -171,10 +177,17 @@ def _drive(mean_axis, constants, action):
 
 @kernel
 def book_deposits(levels, deposits, contact, merged_into, resting):
-    """Bring the levels A of B teams up to the end of a step, in place; deposits are zero then.
+    """Bring the levels of B teams up to the end of a step: A ← max(A + G, 0), in place (theorem D).
 
     A robot that presses against a wall along f would earn without end: in a step with contact only
     a loss is booked. A loss that would empty a tank is rounding. A survivor takes all.
+
+    Args:
+        levels: A, (B, n), m²/s.
+        deposits: G, (B, n), m²/s; zero afterwards.
+        contact: (B, n) bool, whether the robot touched an obstacle.
+        merged_into: (B, n), index of the robot that each one is now part of.
+        resting: (B,) bool, teams that the step passed by.
     """
     for team in range(len(levels)):
         for i in range(levels.shape[1]):

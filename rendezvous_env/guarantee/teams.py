@@ -15,7 +15,15 @@ _ROBOTS_PER_THREAD = 2048
 
 @inlined_kernel
 def teams_of_block(block, num_envs):
-    """First of a block's teams, and the one after its last."""
+    """The teams of a block k: 32 k ≤ team < min(32 (k + 1), B).
+
+    Args:
+        block: k, an index.
+        num_envs: B.
+
+    Returns:
+        A pair of indices, without unit: of the first one, and of the one after the last.
+    """
     return block * TEAMS_AT_ONCE, min((block + 1) * TEAMS_AT_ONCE, num_envs)
 
 

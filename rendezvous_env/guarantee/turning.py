@@ -28,6 +28,9 @@ def yaw_rate_law(left: Any, pitch: Any) -> Any:
     Args:
         left: f_y, the net bearing's part along the body's left, any shape, m/s.
         pitch: β, of the same shape, rad.
+
+    Returns:
+        α̇, of the same shape, rad/s: the law's gain is 1 rad/m.
     """
     cos_pitch = np.cos(pitch)
     return left / np.copysign(np.maximum(np.abs(cos_pitch), SMALLEST_COSINE), cos_pitch)
@@ -150,7 +153,17 @@ def _checked(name: str, value: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.
 
 @kernel
 def gate_2d(requested, net_bearing, min_alignment, dead_zone, duration, limits, out):
-    """``gated_turn_rate`` for N unicycles, unchecked; rates (N, 1), net bearings (N, 2)."""
+    """``gated_turn_rate`` for N unicycles, unchecked: ω, or f_y of law (8) (theory 3, the gate).
+
+    Args:
+        requested: ω, (N, 1), rad/s.
+        net_bearing: f, (N, 2), m/s.
+        min_alignment: ε.
+        dead_zone: δ, m/s.
+        duration: τ, s.
+        limits: (1,), rad/s.
+        out: (N, 1), for turn rates, rad/s.
+    """
     for i in range(out.shape[0]):
         f, wanted = load(net_bearing[i]), requested[i, 0]
         out[i, 0] = gated_rate_2d(wanted, f, min_alignment, dead_zone, duration, limits[0])
@@ -158,7 +171,11 @@ def gate_2d(requested, net_bearing, min_alignment, dead_zone, duration, limits, 
 
 @kernel
 def gate_3d(requested, net_bearing, pitch, min_alignment, dead_zone, duration, limits, out):
-    """``gated_turn_rate`` for N robots in space, unchecked; rates (N, 2), pitch (N,)."""
+    """``gated_turn_rate`` for N robots in space, unchecked: (ω_α, ω_β), or law (17) (theory 3).
+
+    Rates are (N, 2), net bearings (N, 3), ``pitch`` (N,), rad, and ``limits`` (2,); units and the
+    other arguments as ``gate_2d``.
+    """
     for i in range(out.shape[0]):
         f, wanted = load(net_bearing[i]), (requested[i, 0], requested[i, 1])
         out[i, 0], out[i, 1] = gated_rates_3d(
@@ -174,7 +191,11 @@ def gate_3d(requested, net_bearing, pitch, min_alignment, dead_zone, duration, l
 
 @kernel
 def gated_rate_2d(requested, net_bearing, min_alignment, dead_zone, duration, limit):
-    """``gated_turn_rate`` of one unicycle; the net bearing is a triple."""
+    """``gated_turn_rate`` of one unicycle, a number, rad/s: ω, or f_y of law (8), both limited.
+
+    ``requested`` and ``limit`` are numbers, ``net_bearing`` is a triple; their units and the other
+    arguments as ``gate_2d``.
+    """
     rate = clip(requested, limit)
     if keeps_margin(net_bearing, mean_axis_2d(rate, duration), min_alignment, dead_zone):
         return rate
@@ -183,7 +204,11 @@ def gated_rate_2d(requested, net_bearing, min_alignment, dead_zone, duration, li
 
 @kernel
 def gated_rates_3d(requested, net_bearing, pitch, min_alignment, dead_zone, duration, limits):
-    """``gated_turn_rate`` of one robot in space; rates and limits are pairs of yaw and pitch."""
+    """``gated_turn_rate`` of one robot in space, a pair, rad/s: as asked, or (f_y/cos β, f_z).
+
+    ``requested`` and ``limits`` are pairs of yaw and pitch, ``net_bearing`` is a triple, ``pitch``
+    is a number, rad; units and the other arguments as ``gate_2d``.
+    """
     yaw_rate, pitch_rate = clip(requested[0], limits[0]), clip(requested[1], limits[1])
     mean_axis = mean_axis_3d(yaw_rate, pitch_rate, pitch, duration)
     if keeps_margin(net_bearing, mean_axis, min_alignment, dead_zone):
@@ -194,7 +219,14 @@ def gated_rates_3d(requested, net_bearing, pitch, min_alignment, dead_zone, dura
 
 @kernel
 def keeps_margin(net_bearing, mean_axis, min_alignment, dead_zone):
-    """Whether |hᵀf| ≥ ε‖f‖ now and |mᵀf| ≥ ε‖f‖/2 over the step, or ‖f‖ ≤ δ; h is the x axis."""
+    """Whether |hᵀf| ≥ ε‖f‖ now and |mᵀf| ≥ ε‖f‖/2 over the step, or ‖f‖ ≤ δ; h is the x axis.
+
+    Args:
+        net_bearing: f, a triple, m/s.
+        mean_axis: m, a triple without unit.
+        min_alignment: ε.
+        dead_zone: δ, m/s.
+    """
     f, m = net_bearing, mean_axis
     strength = math.sqrt(dot(f, f))
     if strength <= dead_zone:
@@ -205,14 +237,26 @@ def keeps_margin(net_bearing, mean_axis, min_alignment, dead_zone):
 
 @kernel
 def mean_axis_2d(rate, duration):
-    """``mean_body_axis_2d`` of one robot as (x, y, 0)."""
+    """``mean_body_axis_2d`` of one robot, (sin ωτ, 1 − cos ωτ, 0)/(ωτ), a triple without unit.
+
+    Args:
+        rate: ω, rad/s.
+        duration: τ, s.
+    """
     mean_cos, mean_sin = mean_cos_sin(0.0, rate * duration)
     return mean_cos, mean_sin, 0.0
 
 
 @kernel
 def mean_axis_3d(yaw_rate, pitch_rate, pitch, duration):
-    """``mean_body_axis_3d`` of one robot as (x, y, z)."""
+    """``mean_body_axis_3d`` of one robot, m = (1/τ) ∫ h dt, a triple without unit.
+
+    Args:
+        yaw_rate: ω_α, rad/s.
+        pitch_rate: ω_β, rad/s.
+        pitch: β at the start of the step, rad.
+        duration: τ, s.
+    """
     forward, left, up = arc_3d(1.0 / duration, 0.0, pitch, yaw_rate, pitch_rate, duration)
     c, s = math.cos(pitch), math.sin(pitch)
     return c * forward + s * up, left, c * up - s * forward

@@ -14,7 +14,16 @@ from .lyapunov import lyapunov
 
 
 def largest_lyapunov(scenario: Scenario) -> float:
-    """V(0) of the given start, or an upper bound over all starts that can be drawn, m²/s."""
+    """V(0) of the given start, or an upper bound over all starts that can be drawn.
+
+        V ≤ 2 W s √d,   s the side of the spawn area
+
+    Args:
+        scenario: gives the start, or s, d and the largest W = Σ a_ij over the edges.
+
+    Returns:
+        A number, m²/s.
+    """
     n, graph = scenario.n_robots, scenario.sensing_graph
     if scenario.start_positions is not None:
         weights = graph.base_weights(n) * graph.weight_range[1]
@@ -23,7 +32,16 @@ def largest_lyapunov(scenario: Scenario) -> float:
 
 
 def largest_size(scenario: Scenario) -> float:
-    """L(0) of the given start, or of the worst one in the spawn area, m."""
+    """L(0) of the given start, or of the worst one in the spawn area (guarantees, section 9).
+
+    L = s L(unit cube), s the side of the spawn area, with all robots at corners.
+
+    Args:
+        scenario: gives the start, or n, d and s.
+
+    Returns:
+        A number, m.
+    """
     if scenario.start_positions is not None:
         return size(np.array(scenario.start_positions))
     return scenario.spawn_size * _largest_size_in_unit_cube(scenario.n_robots, scenario.dim)

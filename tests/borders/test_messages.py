@@ -503,6 +503,8 @@ CLUTTER = Scenario(n_robots=2, obstacle_slots=2)
                 ("tangent-joined", "clearance"),
                 ("tangent-joined-tuned", "clearance"),
                 ("tangent-joined-tuned", "persistence"),
+                ("tank-joined", "budget"),
+                ("tank-joined", "patience"),
                 ("tangent-certified", "min_alignment"),
                 ("tangent-blocking-certified", "max_turn_rate"),
                 ("random", "seed"),

@@ -21,56 +21,14 @@ from rendezvous_env.guarantee.tank import (
     descent_scale,
     promised_descent,
 )
+from train.verification.tank_adversaries import WISHES, wishes
 
 TEAMS = 24
 ROUNDING = 2.0**-20
 """Of float32 rows, relative to n D̄² τ; what is displaced in float32 is booked as it is."""
-WISHES = ("flee", "orthogonal", "spiral", "frozen", "random", "switching", "rest", "mixed")
 
 
-# ---- adversaries, and who watches them -----------------------------------------------------------
-
-
-def wishes_of(scenario, num_envs, kind, random):
-    """Wished velocities (B, n, d) in units of v_max, by what is seen and the number of the step."""
-    size = (num_envs, scenario.n_robots, scenario.dim)
-    frozen = random.normal(size=size)
-
-    def choose(observations, step):
-        f = scenario.observation_layout.net_bearing(observations)
-        ahead = f / np.maximum(np.linalg.norm(f, axis=-1, keepdims=True), 1e-12)
-        across = frozen - np.sum(frozen * ahead, axis=-1, keepdims=True) * ahead
-        across /= np.linalg.norm(across, axis=-1, keepdims=True)
-        wished = {
-            "flee": -ahead,
-            "orthogonal": across,
-            "spiral": across - 0.4 * ahead,
-            "frozen": frozen,
-            "random": random.normal(size=size) * random.uniform(0, 2, (*size[:2], 1)),
-            "switching": ahead if step // 7 % 2 else -ahead,
-            "rest": np.zeros(size),
-        }
-        if kind != "mixed":
-            return wished[kind]
-        own = np.arange(size[0] * size[1]).reshape(size[:2]) % len(wished)
-        return np.choose(own[..., None], list(wished.values()))
-
-    return choose
-
-
-def controls_of(scenario, num_envs, random):
-    """Speeds and turn rates of nonholonomic robots in units of their bounds, of three kinds."""
-    size = (num_envs, scenario.n_robots, scenario.action_size)
-    frozen = random.uniform(-1, 1, size)
-    backwards = np.zeros(size)
-
-    def choose(observations, step):
-        f = scenario.observation_layout.net_bearing(observations)
-        backwards[..., 0] = -np.sign(f[..., 0])
-        own = np.arange(size[1])[:, None] % 3
-        return np.choose(own, [frozen, random.uniform(-1.5, 1.5, size), backwards])
-
-    return choose
+# ---- who watches the adversaries -----------------------------------------------------------------
 
 
 class Ledgers:
@@ -79,10 +37,7 @@ class Ledgers:
     def __init__(self, scenario, *, kind="mixed", seed=0, steps=None, num_envs=TEAMS, **options):
         made = options.pop("tank", EnergyTank)
         self.tank = made(scenario, num_envs, frame="local", **options)
-        random, chooser = np.random.default_rng(seed), controls_of
-        if not scenario.model.nonholonomic:
-            chooser = lambda *given: wishes_of(*given[:2], kind, given[2])  # noqa: E731
-        choose = chooser(scenario, num_envs, random)
+        choose = wishes(scenario, num_envs, np.random.default_rng(seed), kind)
         simulator = Simulator(scenario, num_envs)
         observations = simulator.reset(seed)
         self.start, n = simulator.lyapunov(), scenario.n_robots

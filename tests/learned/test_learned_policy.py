@@ -115,7 +115,7 @@ class TestActions:
             np.testing.assert_array_equal(
                 teams.guided.steering.levels, policy._guided.steering.levels
             )
-            assert (teams.guided.steering.levels != 2.0).any()
+            assert (teams.guided.steering.levels != 1.2).any()
 
     def test_turning_the_world_turns_the_actions(self):
         angles = np.random.default_rng(1).uniform(-np.pi, np.pi, (6, CLUTTER.n_robots))
@@ -191,6 +191,15 @@ class TestActions:
             away += (np.sum(f * actions, axis=-1) < -0.1).sum()
         assert away > 20 and policy.min_alignment is None
         assert (policy._guided.steering.levels >= 0.0).all()
+
+    def test_the_budget_is_in_units_of_the_team(self):
+        """So that a network is shown the same full tank in a team of any size."""
+        for name, unit in (("clutter-12", 0.2 * 3), ("clutter-16-team-8", 0.2 * 7)):
+            scenario = scenarios.get(name).replace(time_limit=1.0)
+            policy = learned(scenario, **TANK)
+            assert policy.levels is None
+            policy(np.zeros((2, *Simulator(scenario, 1).reset(0).shape[1:])), 0.0)
+            np.testing.assert_allclose(policy.levels, np.full((2, scenario.n_robots), 2 * unit))
 
     def test_the_level_shown_counts(self):
         """The same robots, with little and with much to spend, choose otherwise."""

@@ -150,7 +150,7 @@ def test_with_a_tank_robots_go_where_they_choose_as_fast_as_law_one():
 def test_v_and_the_tanks_together_never_rise(budget):
     """Theorem D under arbitrary choices without obstacles, until the first merge."""
     free = SCENARIO.replace(obstacles=(), time_step=None, time_limit=60.0)
-    settings = replace(TANK, budget=budget)
+    settings = replace(TANK, budget=budget / 0.6)  # in units of r D̄
     guided, simulator = settings.make_teams(free, TEAMS), rv.Simulator(free, TEAMS)
     observations, random = simulator.reset(4), np.random.default_rng(4)
     before = simulator.lyapunov() + free.n_robots * budget

@@ -295,7 +295,9 @@ class TestResume:
         about, tables = checkpoints.read(checkpoints.find(tmp_path / "run"), training.STATE_FILES)
         levels = tables["state"]["robots/teams/tank/levels"]
         assert levels.shape == (8, 4) and (levels >= 0.0).all() and (levels != 2.0).any()
-        assert about["policy"]["guarantee"] == "tank" and about["policy"]["budget"] == 2.0
+        assert about["policy"]["guarantee"] == "tank" and about["policy"]["budget"] == 2.0 / (
+            0.2 * 3
+        )
 
     def test_a_run_of_a_version_without_tanks(self, whole, tmp_path):
         folder = shutil.copytree(whole, tmp_path / "run")

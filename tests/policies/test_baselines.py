@@ -105,7 +105,7 @@ def test_names_are_those_that_fit():
     assert set(baselines.names(SPACE)) == {"nonholonomic-3d", *everywhere}
     rules = {"tangent", "tangent-blocking", "tangent-joined"}
     certified = {f"{rule}-certified" for rule in rules}
-    tuned = {"tangent-joined-tuned"}
+    tuned = {"tangent-joined-tuned", "tank-joined"}
     assert set(baselines.names(CLUTTER)) == {
         "bearing-only",
         *everywhere,
@@ -115,7 +115,7 @@ def test_names_are_those_that_fit():
         *privileged,
     }
     assert set(baselines.names(HEAVY)) == {"damped", *everywhere}
-    assert len(baselines.names()) == 15
+    assert len(baselines.names()) == 16
 
 
 @pytest.mark.parametrize(

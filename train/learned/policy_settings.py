@@ -17,7 +17,7 @@ from ..checks import check_types
 from . import perception_layout
 from .guide import ALL_ROUND, ANGLES, Guide
 from .guided import GuidedTeams, TankTeams
-from .headed_tank import HeadedTank
+from .headed_tank import HeadedTank, unit_of_tanks
 from .perception import Perception
 from .perception_layout import LEVEL_COLUMNS, WALL_COLUMNS, PerceptionLayout
 from .tank_perception import TankPerception
@@ -52,7 +52,7 @@ class PolicySettings:
     guarantee: Literal["heading", "tank"] = "heading"
     """Theorem C's certified heading, or theorem D's energy tank."""
     budget: float = 0.0
-    """Of the tank, m²/s."""
+    """Of each tank at the start, in units of r D̄ of the scenario."""
     memory: Memory = "none"
     """Nothing, or with a tank features of walls, or whatever a recurrent unit keeps."""
     memory_units: int = 64
@@ -167,5 +167,6 @@ class PolicySettings:
             turning: dict[str, Any] = {"max_turn_rate": self.max_turn_rate, "frame": "local"}
             return GuidedTeams(Steering(scenario, num_envs, **turning, **common), guide, perception)
         seen = TankPerception(scenario, num_envs, walls=self._walls, **shown)
-        tank = HeadedTank(scenario, num_envs, budget=self.budget, **common)
+        budget = self.budget * unit_of_tanks(scenario)
+        tank = HeadedTank(scenario, num_envs, budget=budget, **common)
         return TankTeams(tank, guide, seen)

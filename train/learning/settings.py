@@ -87,7 +87,8 @@ class Config:
     guarantee: Literal["heading", "tank"] = "heading"
     """Certified headings (theorem C), or an energy tank for each robot (theorem D)."""
     budget: float = 0.0
-    """Level of each tank at the start, m²/s."""
+    """Level of each tank at the start, m²/s. The policy keeps it in units of r D̄, for other
+    teams."""
     memory: Literal["none", "features", "recurrent"] = "none"
     """What robots remember beside the last decisions: nothing; with a tank, features of the wall
     that they are at; whatever a recurrent unit learns to keep."""
@@ -202,8 +203,10 @@ class Config:
 
     def policy_settings(self) -> PolicySettings:
         """What the policy is, once it is trained."""
+        from ..learned.headed_tank import unit_of_tanks
         from ..learned.learned_policy import PolicySettings
 
+        scenario = self.base_scenario()
         return PolicySettings(
             set_width=self.set_width,
             hidden=self.hidden,
@@ -211,9 +214,9 @@ class Config:
             persistence=self.persistence,
             min_alignment=self.min_alignment,
             max_turn_rate=self.max_turn_rate,
-            decision_time=self.decision_period * self.base_scenario().tau,
+            decision_time=self.decision_period * scenario.tau,
             guarantee=self.guarantee,
-            budget=self.budget,
+            budget=self.budget / unit_of_tanks(scenario),
             memory=self.memory,
             memory_units=self.memory_units,
         )

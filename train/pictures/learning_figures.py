@@ -17,21 +17,19 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _COLOURS = (VERMILLION, BLUE, BLACK)
-_LEAST_EPISODES = 300
-"""Of an update whose share is drawn: the first updates see only the episodes that end early."""
+_FIRST_UPDATES = 8
+"""Not drawn: all teams begin together, so that quick episodes end first and the others at once."""
 
 
-def learning_figure(
-    runs: Mapping[str, Path], scenario: str, levels: Mapping[str, float] | None = None
-) -> Figure:
+def learning_figure(runs: Mapping[str, Path], scenario: str) -> Figure:
     """Clean success over decisions: held-out starts with 95 % intervals, and training itself.
 
-    Training is exploring, so its share (thin) lies below that of the held-out starts (dots).
+    Dots are what the likeliest choices reach, thin lines what training itself saw while it
+    explored, on other starts.
 
     Args:
         runs: folder with metrics.csv and evaluation.csv, by the name that is shown.
         scenario: name of the one whose held-out starts are drawn.
-        levels: shares of other policies to draw as lines, by name.
 
     Raises:
         OSError: if a file cannot be read.
@@ -40,19 +38,15 @@ def learning_figure(
     axes = figure.add_subplot()
     for colour, (name, folder) in zip(_COLOURS * len(runs), runs.items(), strict=False):
         metrics = results.read_csv(folder / "metrics.csv")
-        kept = [row for row in metrics if int(row["episodes"]) >= _LEAST_EPISODES]
+        kept = metrics[_FIRST_UPDATES:]
         axes.plot(*_columns(kept, "clean_success"), color=colour, linewidth=0.7, alpha=0.5)
         evaluated = results.read_csv(folder / "evaluation.csv")
         _draw_held_out(
             axes, [row for row in evaluated if row["scenario"] == scenario], colour, name
         )
-    for name, level in (levels or {}).items():
-        axes.axhline(level, color=GREY, linestyle="--", linewidth=1.0)
-        axes.annotate(name, (0.99, level), xycoords=("axes fraction", "data"), fontsize=8,
-                      ha="right", va="bottom", color="0.4")  # fmt: skip
     axes.set(xlabel="decisions / million", ylabel="clean success", ylim=(None, 1.005))
     axes.grid(color="0.92")
-    axes.legend(frameon=False, fontsize=8, loc="lower right")
+    figure.legend(frameon=False, fontsize=8, loc="outside upper center", ncols=len(runs))
     return figure
 
 

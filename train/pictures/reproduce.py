@@ -1,4 +1,6 @@
-"""``rendezvous reproduce``: figures 3 and 4 of the paper for our start positions."""
+"""``rendezvous reproduce``: figures 3 and 4 of the paper for our start positions, and what the
+margin and the budget of an energy tank buy.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,7 @@ from .. import results
 from ..checks import check_least, check_most
 from ..errors import UserError
 from ..learned import policies
-from . import figures, path_figures
+from . import figures, path_figures, tank_figure
 
 _LAWS = {"fig3": "bearing-only", "fig4": "tangent-joined"}
 """Figure 3: law (1), through the obstacles. Figure 4: law (4) round them."""
@@ -28,17 +30,21 @@ _LAWS = {"fig3": "bearing-only", "fig4": "tangent-joined"}
 class Config:
     """Draw a figure of the paper: (a) the paths, (b) V(t) with its jumps at merges.
 
-    The paper prints no coordinates; start positions and obstacles are our own choice.
+    The paper prints no coordinates; start positions and obstacles are our own choice. Or draw
+    what a tank's margin and budget buy: clean success and the time bound.
     """
 
-    figure: Positional[Literal["fig3", "fig4"]]
-    """fig3: law (1), obstacles ignored. fig4: law (4) with headings round the obstacles."""
+    figure: Positional[Literal["fig3", "fig4", "tank"]]
+    """fig3: law (1), obstacles ignored. fig4: law (4) with headings round the obstacles. tank:
+    tank-joined among 24 discs with other margins and budgets."""
     policy: str | None = None
-    """Another policy than the figure's own, bearing-only or tangent-joined."""
+    """Another policy than the figure's own, bearing-only or tangent-joined; not for tank."""
     out: Path = Path("out/reproduce")
     """Folder for the picture and its data; made if there is none."""
     seed: int = 0
-    """Of the robots' local frames, which do not change what is drawn."""
+    """Of the robots' local frames, which do not change what is drawn; of tank's first start."""
+    episodes: int = 256
+    """Starts for each point of tank."""
 
 
 def run(config: Config) -> int:
@@ -47,8 +53,10 @@ def run(config: Config) -> int:
     Raises:
         UserError: for a policy that does not fit or a folder that cannot be written.
     """
-    check_least(config, seed=0)
-    check_most(config, seed=2**63 - 1)
+    check_least(config, seed=0, episodes=1)
+    check_most(config, seed=2**63 - 1, episodes=10**6)
+    if config.figure == "tank":
+        return _tank(config)
     scenario = scenarios.get(config.figure)
     name = config.policy or _LAWS[config.figure]
     try:
@@ -70,6 +78,30 @@ def run(config: Config) -> int:
     (rise,) = trajectory.largest_rise_between_merges
     console.print(f"{config.figure}, {name}: {end}; largest change of V in a step {rise:.2g} m²/s")
     console.print(f"picture and data: {path}, .pdf, .npz and .csv")
+    return 0
+
+
+def _tank(config: Config) -> int:
+    """Play, draw, and write tank.png, tank.pdf and tank.csv.
+
+    Raises:
+        UserError: if another policy is asked for.
+    """
+    if config.policy is not None:
+        raise UserError(f"--policy is {config.policy}; tank shows {tank_figure.POLICY} alone")
+    path, console = results.prepare_folder(config.out) / "tank.png", Console()
+    with console.status("playing; the first use on a machine compiles …"):
+        rows = list(tank_figure.measured(config.episodes, config.seed))
+    results.write_csv(path.with_suffix(".csv"), tank_figure.COLUMNS, rows)
+    figure = tank_figure.draw(rows)
+    for ending in (".png", ".pdf"):
+        figures.save(figure, path.with_suffix(ending))
+    for row in rows:
+        console.print(
+            f"B = {row['budget']:g} m²/s, ε = {row['min_alignment']:g}: "
+            f"{row['clean_success']:.1%} without a contact; theorem D: {row['bound']:.4g} s"
+        )
+    console.print(f"picture and data: {path}, .pdf and .csv")
     return 0
 
 

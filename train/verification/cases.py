@@ -28,6 +28,8 @@ class Case:
     """ε of the certified heading, or of a heading at a fixed angle to f."""
     options: dict[str, Any] = field(default_factory=dict)
     """Given parts of the start, as ``Simulator.reset`` takes them."""
+    budget: float = 0.0
+    """B of each robot's energy tank, m²/s."""
 
 
 FAMILIES: dict[str, Callable[[int, tuple[float, float], np.random.Generator], graphs.Graph]] = {

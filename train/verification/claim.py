@@ -52,9 +52,9 @@ Bound = Callable[[Case, Simulator], Array]
 Judge = Callable[[Record], Verdict]
 Promise = Callable[[Scenario, Step], Array]
 """(scenario, step) → what V must fall in it (B,), m²/s, if nobody merges."""
-Watch = Callable[[Simulator], Callable[[Step], Array]]
-"""Teams at their start → what is asked after every step: by how much each keeps a promise of its
-own, (B,); negative where it is broken, rounding aside."""
+Watch = Callable[[Simulator, Case], Callable[[Step], Array]]
+"""(teams at their start, case) → what is asked after every step: by how much each keeps a promise
+of its own, (B,); negative where it is broken, rounding aside."""
 
 
 @dataclass(frozen=True)

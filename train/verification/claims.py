@@ -14,9 +14,10 @@ from .cases import BATCH
 from .claim import Claim, Finding
 from .measuring import measure
 from .size_claims import SIZE
+from .tank_claims import TANK
 from .theory_claims import THEORY
 
-CLAIMS = (*THEORY, *SIZE)
+CLAIMS = (*THEORY, *SIZE, *TANK)
 
 
 def check(claim: Claim, seed: int, batch: int, trials: int, least_margin: float) -> Finding:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from .claim import Record, Verdict
+from rendezvous_env import Scenario
+
+from .claim import Array, Record, Verdict
 
 _FLOAT64 = 1e-12
 _FLOAT32 = 2.0**-20
@@ -46,3 +48,15 @@ def keeps(record: Record) -> Verdict:
     of which rounding takes far less than 10⁻⁹.
     """
     return record.watched, record.watched >= -_WATCHED
+
+
+def rounding(scenario: Scenario, lyapunov: Array) -> Array:
+    """By how much rounding alone can make V miss its promise, m²/s.
+
+    V is summed in float64. Rows and actions are float32: f_i is off by 2⁻²⁴ D̄, u_i by as much
+    again, in up to three components; V changes by 2 f_iᵀδu_i τ ≤ 2 D̄ · 2√3 · 2⁻²⁴ D̄ τ < 2⁻²¹ D̄²τ
+    for each robot. Arcs have angles in float32 too, which doubles it.
+    """
+    return (
+        _FLOAT64 * lyapunov + _FLOAT32 * scenario.n_robots * scenario.max_degree**2 * scenario.tau
+    )

@@ -6,17 +6,14 @@ import math
 
 import numpy as np
 
-from rendezvous_env import Scenario, Simulator
+from rendezvous_env import Simulator
 from rendezvous_env.engine.memory import RENDEZVOUS
 from rendezvous_env.trajectory import Policy, Step
 from rendezvous_env.trajectory import run as steps_of
 
 from .cases import BATCH, Case
 from .claim import Array, Claim, Promise, Record
-from .judging import falls
-
-_FLOAT64 = 1e-12
-_FLOAT32 = 2.0**-20
+from .judging import falls, rounding
 
 
 def measure(claim: Claim, case: Case, policy: Policy, seed: int) -> Record:
@@ -35,7 +32,7 @@ def measure(claim: Claim, case: Case, policy: Policy, seed: int) -> Record:
     simulator.set_max_steps(math.ceil(float(limit.max()) / scenario.tau) + 1)
     heaviest = simulator.weights.max(axis=(-2, -1))
     record = _blank(case, simulator.lyapunov(), limit)
-    watch = claim.watch(simulator) if claim.watch else None
+    watch = claim.watch(simulator, case) if claim.watch else None
     pieces = len(scenario.sensing_graph.components(scenario.n_robots))
     for number, step in enumerate(steps_of(simulator, policy, observations)):
         if number == 0:
@@ -72,21 +69,9 @@ def _note(record: Record, step: Step, simulator: Simulator, promise: Promise) ->
     calm = out.lyapunov_after_merge == out.lyapunov_before_merge
     promised = np.where(calm, promise(record.case.scenario, step), 0.0)
     slack = step.lyapunov - out.lyapunov_before_merge - promised
-    rounding = _rounding(record.case.scenario, step.lyapunov)
+    error = rounding(record.case.scenario, step.lyapunov)
     record.slack[on] = np.minimum(record.slack, slack / record.start)[on]
-    record.fell &= ~on | (slack >= -rounding)
+    record.fell &= ~on | (slack >= -error)
     record.excess[on] = np.maximum(record.excess, out.merge_excess / record.start)[on]
     met = on & (out.status == RENDEZVOUS)
     record.times[met] = simulator.time[met]
-
-
-def _rounding(scenario: Scenario, lyapunov: Array) -> Array:
-    """By how much rounding alone can make V miss its promise, m²/s.
-
-    V is summed in float64. Rows and actions are float32: f_i is off by 2⁻²⁴ D̄, u_i by as much
-    again, in up to three components; V changes by 2 f_iᵀδu_i τ ≤ 2 D̄ · 2√3 · 2⁻²⁴ D̄ τ < 2⁻²¹ D̄²τ
-    for each robot. Arcs have angles in float32 too, which doubles it.
-    """
-    return (
-        _FLOAT64 * lyapunov + _FLOAT32 * scenario.n_robots * scenario.max_degree**2 * scenario.tau
-    )

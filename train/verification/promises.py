@@ -10,6 +10,11 @@ from rendezvous_env.trajectory import Step
 from .claim import Array
 
 
+def anything(scenario: Scenario, step: Step) -> Array:
+    """Nothing."""
+    return np.full(len(step.running), -np.inf)
+
+
 def no_rise(scenario: Scenario, step: Step) -> Array:
     """V does not rise."""
     return np.zeros(len(step.running))

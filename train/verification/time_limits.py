@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from rendezvous_env import Simulator
-from rendezvous_env.guarantee.bounds import merge_rise_allowance, time_bound
+from rendezvous_env.guarantee.bounds import merge_rise_allowance, tank_time_bound, time_bound
 from rendezvous_env.guarantee.size_bounds import (
     held_size_bound,
     pursuit_bound,
@@ -18,6 +18,8 @@ from .claim import Array
 
 PATIENCE = 500.0
 """Nonholonomic robots have no time bound; after this many seconds they are held not to meet."""
+_A_WHILE = 300
+"""Steps."""
 
 
 def bound_a(case: Case, teams: Simulator) -> Array:
@@ -35,6 +37,13 @@ def bound_c(case: Case, teams: Simulator) -> Array:
     return time_bound(case.scenario, teams.lyapunov(), min_alignment=case.margin)
 
 
+def bound_d(case: Case, teams: Simulator) -> Array:
+    """Of theorem D, s."""
+    return tank_time_bound(
+        case.scenario, teams.lyapunov(), min_alignment=case.margin, budget=case.budget
+    )
+
+
 def bound_of_pieces(case: Case, teams: Simulator) -> Array:
     """Time by which each piece of a disconnected graph has met, s: the proof of A holds for it."""
     scenario = case.scenario
@@ -45,6 +54,11 @@ def bound_of_pieces(case: Case, teams: Simulator) -> Array:
 def patience(case: Case, teams: Simulator) -> Array:
     """No theorem's: PATIENCE."""
     return np.full(teams.num_envs, PATIENCE)
+
+
+def for_a_while(case: Case, teams: Simulator) -> Array:
+    """Of no theorem: as long as it takes to show what there is to see in every step."""
+    return np.full(teams.num_envs, _A_WHILE * case.scenario.tau)
 
 
 def no_time(case: Case, teams: Simulator) -> Array:

@@ -1,0 +1,200 @@
+"""The joined rule under a tank: its ledger, its memory, and walls that law (4) cannot round."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import baselines
+import rendezvous_env as rv
+from rendezvous_env import Scenario, Simulator
+from rendezvous_env.engine.memory import RENDEZVOUS, RUNNING
+from rendezvous_env.trajectory import run
+
+CLUTTER = rv.scenarios.get("clutter-8").replace(time_limit=20.0)
+BAY = Scenario(
+    n_robots=2,
+    start_positions=((-3.0, 0.3), (3.0, 0.0)),
+    obstacles=tuple(
+        rv.Capsule(ends=(a, b), radius=0.2)
+        for a, b in [((0, -2), (0, 2)), ((0, 2), (-2, 2)), ((0, -2), (-2, -2))]
+    ),
+    max_speed=1.0,
+    time_step=0.05,
+    allow_long_step=True,
+    time_limit=60.0,
+)
+"""A bay that opens to the left: the way out leads away from the other robot."""
+
+
+def made(scenario=CLUTTER, **options):
+    return baselines.make("tank-joined", scenario, **options)
+
+
+def seen(scenario=CLUTTER, num_envs=3, steps=10):
+    """Observations along an episode, (steps, B, n, rows, d)."""
+    simulator = Simulator(scenario, num_envs)
+    observations = [simulator.reset(4)]
+    law = baselines.make("bearing-only", scenario)
+    for step in run(simulator, law, observations[0]):
+        observations.append(step.outcome.observations)
+        if len(observations) == steps:
+            break
+    return np.array(observations)
+
+
+def play(policy, scenario, num_envs=1):
+    simulator = Simulator(scenario, num_envs)
+    for _ in run(simulator, policy, simulator.reset(0)):
+        pass
+    return simulator
+
+
+@pytest.mark.parametrize("budget", [0.0, 5.0])
+def test_v_and_the_ledger_fall_together_where_nothing_is_touched(budget):
+    scenario = rv.scenarios.get("clutter-24").replace(time_limit=20.0)
+    policy, simulator = made(scenario, budget=budget), Simulator(scenario, 32)
+    observations, calm_steps, away = simulator.reset(0), 0, 0
+    policy.reset()
+    before = simulator.lyapunov() + 4 * budget
+    while (on := simulator.status == RUNNING).any():
+        active, actions = simulator.active, policy(observations, simulator.time)
+        f = scenario.observation_layout.net_bearing(observations)
+        away += int(np.sum(np.sum(f * actions, axis=-1) < -1e-3))
+        outcome = simulator.step(actions)
+        observations, whole = outcome.observations, (active == outcome.active).all(axis=-1)
+        total = simulator.lyapunov() + policy.levels.sum(axis=-1)
+        calm = on & whole & ~outcome.contact.any(axis=-1)
+        assert (total[calm] <= before[calm] * (1 + 1e-6)).all()
+        assert (policy.levels >= 0).all()
+        before, calm_steps = total, calm_steps + int(calm.sum())
+    assert calm_steps > 1000 and away > 100
+
+
+def test_a_bay_is_left_by_the_tank_and_not_by_a_heading():
+    heading = play(baselines.make("tangent-joined-tuned", BAY), BAY)
+    assert heading.status[0] != RENDEZVOUS
+    simulator, policy = Simulator(BAY), made(BAY)
+    farthest = -np.inf
+    start = simulator.reset(0)
+    for _ in run(simulator, policy, start):
+        farthest = max(farthest, float(simulator.lyapunov()[0]))
+    assert simulator.status[0] == RENDEZVOUS and simulator.contacts[0] == 0
+    assert simulator.initial_lyapunov[0] < farthest <= simulator.initial_lyapunov[0] + 2 * 50.0
+
+
+def test_without_anything_in_the_way_it_goes_along_f():
+    scenario = Scenario(n_robots=4, obstacle_slots=2, max_speed=1.0)
+    observations = Simulator(scenario, 5).reset(0)
+    f = scenario.observation_layout.net_bearing(observations)
+    actions = made(scenario)(observations, 0.0)
+    units = [v / np.linalg.norm(v, axis=-1, keepdims=True) for v in (f, actions)]
+    np.testing.assert_allclose(units[0], units[1], atol=1e-6)
+    speeds = np.minimum(1.0, np.linalg.norm(f, axis=-1))
+    np.testing.assert_allclose(np.linalg.norm(actions, axis=-1), speeds, rtol=1e-5)
+
+
+def in_a_corner():
+    """A scenario and what its first robot sees: f along x, and a wall from −2.5 to 2.4 rad."""
+    scenario = Scenario(n_robots=2, obstacle_slots=2, time_step=0.05, max_speed=1.0)
+    layout = scenario.observation_layout
+    free = np.zeros((2, *layout.shape), np.float32)
+    free[0, layout.neighbours] = [1.0, 0.0]
+    angles = np.array([0.1, -2.5, 2.4, -0.1])  # two silhouettes that overlap straight ahead
+    walled = free.copy()
+    walled[0, layout.obstacles] = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    return scenario, free, walled
+
+
+def test_it_turns_back_once_it_has_lost_enough():
+    """A wall that never ends: 0.2 rad outside either end, first 1 m back from f, then 2 m."""
+    scenario, _, walled = in_a_corner()
+    policy = made(scenario, patience=1.0)
+    sides = [float(np.sign(policy(walled, 0.0)[0, 1])) for _ in range(60)]
+    turns = np.flatnonzero(np.diff(sides)) + 1
+    assert sides[0] == 1.0 and len(turns) == 2
+    assert turns[0] == pytest.approx(1.0 / (0.05 * abs(np.cos(2.6))), abs=1.5)
+    assert turns[1] - turns[0] == pytest.approx(1.0 / (0.05 * abs(np.cos(2.7))), abs=1.5)
+
+
+def test_a_robot_whose_tank_would_not_last_rests():
+    scenario, free, walled = in_a_corner()
+    policy = made(scenario, budget=0.0)
+    for _ in range(6):
+        assert policy(free, 0.0)[0] == pytest.approx([1.0, 0.0])  # earns a little
+    moved = np.array([policy(walled, 0.0)[0] for _ in range(100)])
+    assert (moved[0] != 0).any()  # what was earned is spent
+    assert not moved[-20:].any() and policy.levels[0] > 0
+
+
+def test_a_batch_is_its_teams_one_by_one():
+    observations = seen()
+    batch, alone = made(budget=1.0), [made(budget=1.0) for _ in range(3)]
+    for row in observations:
+        together = batch(row, 0.0)
+        for team, policy in enumerate(alone):
+            np.testing.assert_array_equal(policy(row[team], 0.0), together[team])
+            np.testing.assert_array_equal(policy.levels, batch.levels[team])
+
+
+def test_reset_forgets_the_masked_teams_only():
+    observations = seen()
+    policy, other = made(), made()
+    for row in observations:
+        policy(row, 0.0)
+        other(row, 0.0)
+    before = policy.levels
+    policy.reset(np.array([False, True, False]))
+    assert (policy.levels[1] == 50.0).all() and (before[1] != 50.0).all()
+    np.testing.assert_array_equal(policy.levels[[0, 2]], before[[0, 2]])
+    kept, fresh = other(observations[-1], 0.0), made()(observations[-1], 0.0)
+    found = policy(observations[-1], 0.0)
+    np.testing.assert_array_equal(found[[0, 2]], kept[[0, 2]])
+    np.testing.assert_array_equal(found[1], fresh[1])
+    policy.reset()
+    assert policy.levels.size == 0
+    with pytest.raises(ValueError, match="mask"):
+        other.reset(np.array([True, False]))
+    made().reset(np.array([True]))  # nothing to forget yet
+
+
+def test_positions_are_nothing_to_it():
+    """The same sights from elsewhere, and turned: the same motions, turned."""
+    angle = 1.1
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    plain, turned = made(), made()
+    for row in seen():
+        expected = plain(row, 0.0) @ turn.T
+        found = turned((row @ turn.T).astype(np.float32), 7.0)
+        np.testing.assert_allclose(found, expected, atol=2e-4)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"budget": -1.0}, "budget is -1"),
+        ({"budget": np.nan}, "budget is nan"),
+        ({"min_alignment": 0.0}, "min_alignment is 0"),
+        ({"min_alignment": 1.0}, "min_alignment is 1"),
+        ({"clearance": -0.1}, "clearance is -0.1"),
+        ({"patience": 0.0}, "patience is 0"),
+        ({"persistance": 1.0}, "no option 'persistance'; it has budget, min_alignment"),
+    ],
+)
+def test_options_are_checked(options, message):
+    with pytest.raises(ValueError, match=message):
+        made(**options)
+
+
+def test_it_promises_no_margin_of_its_own():
+    """Theorem C's bound is not the tank's."""
+    from train.learned.policies import promised_margin
+
+    assert promised_margin("tank-joined", made()) is None
+
+
+def test_it_fits_points_among_obstacles_in_the_plane():
+    assert "tank-joined" in baselines.names(CLUTTER)
+    for name in ("clutter-3d", "fig3", "unicycle-6", "swarm-20"):
+        fits = "tangent-joined-tuned" in baselines.names(rv.scenarios.get(name))
+        assert ("tank-joined" in baselines.names(rv.scenarios.get(name))) == fits
