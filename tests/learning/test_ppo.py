@@ -341,6 +341,10 @@ class TestMistakes:
                 ["--memory", "features"],
                 "--memory is features; headings have none: add --guarantee tank",
             ),
+            (
+                ["--memory-units", "9"],
+                "--memory-units is 9; there are none without --memory recurrent",
+            ),
             (["--memory-units", "0"], "--memory-units is 0; it must be 1 or more"),
             (["--guarantee", "tank", "--budget", "-1"], "--budget is -1.0; it must be 0 or more"),
             (["--start-from", "nowhere"], "nowhere: no such folder"),

@@ -35,7 +35,8 @@ class PerceivingTeams(VectorFilterWrapper):
         settings: of the policy that is trained.
         touch_penalty: taken from ``robot_rewards``, once in an episode.
         obstacle_slots: of ``Perception``.
-        privileged: whether the global state follows what is shown, for critics.
+        privileged: whether the global state follows what is shown, for critics: ``global_state``
+            tells its columns, which are beyond the first layout.size.
 
     Raises:
         ValueError: for robots that ``Perception`` cannot show, or another autoreset mode.

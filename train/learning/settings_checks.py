@@ -77,6 +77,9 @@ def _check_guarantee(config: Config) -> None:
         if given:
             value = getattr(config, name)
             raise UserError(f"{flag(name)} is {value}; headings have none: add --guarantee tank")
+    if config.memory != "recurrent" and config.memory_units != Config.memory_units:
+        units = config.memory_units
+        raise UserError(f"--memory-units is {units}; there are none without --memory recurrent")
 
 
 def _check_words(config: Config) -> None:
