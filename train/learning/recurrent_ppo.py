@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from stable_baselines3.common.buffers import RolloutBuffer
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.policies import ActorCriticPolicy
 from stable_baselines3.common.type_aliases import RolloutBufferSamples
@@ -16,7 +17,7 @@ from stable_baselines3.common.vec_env import VecEnv
 from rendezvous_env.adapters.sb3 import RobotVecEnv
 
 from .recurrent_network import RecurrentNetwork, Sequences
-from .rollout_buffer import RobotPPO, RobotRolloutBuffer, RolloutBuffer
+from .rollout_buffer import RobotPPO, RobotRolloutBuffer
 
 _SAMPLES = ("actions", "values", "log_probs", "advantages", "returns")
 
@@ -62,9 +63,11 @@ class SequenceBuffer(RobotRolloutBuffer):
 
     def _of_slots(self, slots: NDArray[np.int64]) -> RolloutBufferSamples:
         kept = self.mask[:, slots]
-        seen = self.observations[:, slots], self.episode_starts[:, slots]
         sequences = Sequences(
-            *map(self.to_torch, seen), self._hidden[slots], torch.as_tensor(kept).to(self.device)
+            observations=self.to_torch(self.observations[:, slots]),
+            starts=self.to_torch(self.episode_starts[:, slots]),
+            hidden=self._hidden[slots],
+            kept=self.to_torch(kept),
         )
         actions, *numbers = (
             self.to_torch(table[:, slots][kept]) for table in self._tables.values()
