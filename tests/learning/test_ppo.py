@@ -299,6 +299,14 @@ class TestResume:
             0.2 * 3
         )
 
+    def test_memory_with_certified_headings(self, tmp_path):
+        more = {"memory": "recurrent", "memory_units": 4, "total_steps": 2 * UPDATE}
+        assert ppo.run(config(tmp_path, eval_every=UPDATE, **more)) == 0
+        rows = results.read_csv(tmp_path / "evaluation.csv")
+        assert len(rows) == 2
+        assert all(float(row["min_alignment"]) >= 0.05 - 1e-6 for row in rows)
+        assert network(tmp_path)["memory.weight_hh"].shape == (12, 4)
+
     def test_a_run_of_a_version_without_tanks(self, whole, tmp_path):
         folder = shutil.copytree(whole, tmp_path / "run")
         plain = json.loads((folder / "config.json").read_text())
