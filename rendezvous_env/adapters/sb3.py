@@ -56,8 +56,12 @@ class RobotVecEnv(VecEnv):
 
     acted: NDArray[np.bool_]
     """(slots,), whose robot took part in the last step; what is added to a buffer after it."""
+    ended: NDArray[np.bool_]
+    """(slots,), whose episode the last step ended, in whatever way."""
     bootstrapped: NDArray[np.int64]
     """(k,), slots that the last step cut off at a time-out or a merge."""
+    survivors: NDArray[np.int64]
+    """(k,), slots of the robots that each of them is now part of; its own at a time-out."""
     bootstrap_observations: NDArray[np.float32]
     """(k, rows, d), or as the teams' space is; what the value of these slots' future is estimated
     from."""
@@ -107,7 +111,8 @@ class RobotVecEnv(VecEnv):
 
     def _forget_step(self) -> None:
         self.acted = self._active.reshape(-1).copy()
-        self.bootstrapped = np.empty(0, dtype=np.int64)
+        self.ended = np.zeros(self._active.size, dtype=np.bool_)
+        self.bootstrapped = self.survivors = np.empty(0, dtype=np.int64)
         self.bootstrap_observations = np.empty((0, *self._observed[2:]), dtype=np.float32)
 
     def step_async(self, actions: NDArray[np.float32]) -> None:
@@ -129,9 +134,9 @@ class RobotVecEnv(VecEnv):
         self._returns += rewards
         self._lengths += 1
         told = self._infos(over, last, infos)
-        dones = (merged | over[:, None]).reshape(-1)
+        self.ended = (merged | over[:, None]).reshape(-1)
         earned = infos["robot_rewards"].astype(np.float32).reshape(-1)
-        return self._by_slot(observations), earned, dones, told
+        return self._by_slot(observations), earned, self.ended.copy(), told
 
     def _note_bootstraps(
         self,
@@ -141,8 +146,10 @@ class RobotVecEnv(VecEnv):
     ) -> None:
         """Keep what the cut-off slots are valued by: the last observation of their survivors."""
         team, robot = np.nonzero(truncated)
+        survivor = into[team, robot]
         self.bootstrapped = team * self.n_robots + robot
-        self.bootstrap_observations = last[team, into[team, robot]]
+        self.survivors = team * self.n_robots + survivor
+        self.bootstrap_observations = last[team, survivor]
 
     def _infos(
         self, over: NDArray[np.bool_], last: NDArray[np.float32], infos: Mapping[str, Any]

@@ -25,7 +25,7 @@ SETTINGS = PolicySettings(
     max_turn_rate=3.0,
     decision_time=0.05,
 )
-TANK = {"guarantee": "tank", "budget": 2.0, "memory": True}
+TANK = {"guarantee": "tank", "budget": 2.0, "memory": "features"}
 CLUTTER = scenarios.get("clutter-12").replace(time_limit=10.0)
 
 

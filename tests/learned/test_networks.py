@@ -109,7 +109,7 @@ def test_numpy_chooses_as_torch(tank):
     """With other numbers of slots too; the critic's weights are not asked for."""
     settings = PolicySettings(
         **SETTINGS, clearance=0.1, persistence=0.5, min_alignment=0.1, max_turn_rate=3.0,
-        decision_time=0.2, **({"guarantee": "tank", "memory": True} if tank else {}),
+        decision_time=0.2, **({"guarantee": "tank", "memory": "features"} if tank else {}),
     )  # fmt: skip
     torch.manual_seed(2)
     layout = settings.layout(K, M)

@@ -26,7 +26,7 @@ HEADING = PolicySettings(
     max_turn_rate=3.0,
     decision_time=PERIOD * SCENARIO.tau,
 )
-TANK = replace(HEADING, guarantee="tank", budget=0.5, memory=True)
+TANK = replace(HEADING, guarantee="tank", budget=0.5, memory="features")
 
 
 def base(**options):

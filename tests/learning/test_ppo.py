@@ -279,7 +279,11 @@ class TestResume:
         assert "nothing was left to do" in capsys.readouterr().out
         assert metrics(folder) == before
 
-    @pytest.mark.parametrize("more", [{}, {"memory": True}], ids=["plain", "memory"])
+    @pytest.mark.parametrize(
+        "more",
+        [{}, {"memory": "features"}, {"memory": "recurrent", "critic": "global"}],
+        ids=["plain", "features", "recurrent and global"],
+    )
     def test_with_a_tank(self, tmp_path, more):
         """Ledgers and memory of running episodes are part of a checkpoint."""
         tank = {"guarantee": "tank", "budget": 2.0, "eval_every": 1500, "prior": 0.5} | more
@@ -295,10 +299,18 @@ class TestResume:
             0.2 * 3
         )
 
+    def test_memory_with_certified_headings(self, tmp_path):
+        more = {"memory": "recurrent", "memory_units": 4, "total_steps": 2 * UPDATE}
+        assert ppo.run(config(tmp_path, eval_every=UPDATE, **more)) == 0
+        rows = results.read_csv(tmp_path / "evaluation.csv")
+        assert len(rows) == 2
+        assert all(float(row["min_alignment"]) >= 0.05 - 1e-6 for row in rows)
+        assert network(tmp_path)["memory.weight_hh"].shape == (12, 4)
+
     def test_a_run_of_a_version_without_tanks(self, whole, tmp_path):
         folder = shutil.copytree(whole, tmp_path / "run")
         plain = json.loads((folder / "config.json").read_text())
-        for name in ("guarantee", "budget", "memory"):
+        for name in ("guarantee", "budget", "memory", "memory_units", "critic"):
             del plain[name]
         (folder / "config.json").write_text(json.dumps(plain))
         assert ppo.run(Config(resume=folder)) == 0
@@ -333,7 +345,15 @@ class TestMistakes:
             (["--learning-rate", "nan"], "--learning-rate is nan; it must be a finite number"),
             (["--seed", str(2**29)], "must be below 2^29"),
             (["--budget", "3"], "--budget is 3.0; headings have none: add --guarantee tank"),
-            (["--memory"], "--memory is True; headings have none"),
+            (
+                ["--memory", "features"],
+                "--memory is features; headings have none: add --guarantee tank",
+            ),
+            (
+                ["--memory-units", "9"],
+                "--memory-units is 9; there are none without --memory recurrent",
+            ),
+            (["--memory-units", "0"], "--memory-units is 0; it must be 1 or more"),
             (["--guarantee", "tank", "--budget", "-1"], "--budget is -1.0; it must be 0 or more"),
             (["--start-from", "nowhere"], "nowhere: no such folder"),
         ],

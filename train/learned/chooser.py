@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from .linear_layers import Array, Layer, linear_layer, linear_layers, through
 from .perception_layout import NEIGHBOUR_COLUMNS, OBSTACLE_COLUMNS, PerceptionLayout
 from .policy_settings import PolicySettings
+from .recurrent_unit import RecurrentUnit
 
-Array = NDArray[np.float32]
 _AT_ONCE = 1024
 """Robots whose choices are computed together; the rows of more do not fit the processor's cache."""
 
@@ -39,65 +39,50 @@ class Chooser:
         rows = {"neighbour_net": NEIGHBOUR_COLUMNS, "obstacle_net": OBSTACLE_COLUMNS}
         self._layout = layout
         self._sets = [
-            _layers(weights, f"features_extractor.{name}", (columns, width, width))
+            linear_layers(weights, f"features_extractor.{name}", (columns, width, width))
             for name, columns in rows.items()
         ]
-        sizes = (4 * width + layout.context_columns, *hidden)
-        self._policy = _layers(weights, "mlp_extractor.policy_net", sizes)
+        features = 4 * width + layout.context_columns
+        units = settings.units
+        self._memory = RecurrentUnit(weights, features, units) if units else None
+        sizes = (units + features, *hidden)
+        self._policy = linear_layers(weights, "mlp_extractor.policy_net", sizes)
         last = sizes[-1], len(settings.angles)
-        self._action = _layer(weights, "action_net", *last)
+        self._action = linear_layer(weights, "action_net.weight", "action_net.bias", *last)
 
-    def choose(self, shown: Array) -> NDArray[np.int64]:
-        """The likeliest choices (N,) for what N robots are shown, (N, layout.size)."""
+    def choose(self, shown: Array, hidden: Array | None = None) -> NDArray[np.int64]:
+        """The likeliest choices (N,) of N robots.
+
+        Args:
+            shown: what they are shown, (N, layout.size).
+            hidden: what they remember, (N, units); it moves on in place. None is nothing.
+        """
         choices = np.empty(len(shown), dtype=np.int64)
         for first in range(0, len(shown), _AT_ONCE):
             some = slice(first, first + _AT_ONCE)
-            choices[some] = self.preferences(shown[some]).argmax(axis=-1)
+            known = None if hidden is None else hidden[some]
+            choices[some] = self.preferences(shown[some], known).argmax(axis=-1)
         return choices
 
-    def preferences(self, shown: Array) -> Array:
-        """Logarithms of the choices' chances up to a constant, (N, choices)."""
+    def preferences(self, shown: Array, hidden: Array | None = None) -> Array:
+        """Logarithms of the choices' chances up to a constant, (N, choices); as ``choose``."""
         seen = self._layout.split(shown)
         sets = zip(self._sets, (seen.neighbours, seen.obstacles), strict=True)
         pooled = [part for layers, rows in sets for part in _pooled(layers, rows)]
         features = np.concatenate([*pooled, seen.context], axis=-1)
+        if self._memory is not None:
+            hidden = self._memory.nothing(len(shown)) if hidden is None else hidden
+            hidden[...] = self._memory.next(features, hidden)
+            features = np.concatenate([hidden, features], axis=-1)
         weight, bias = self._action
-        return _through(self._policy, features) @ weight.T + bias
-
-
-Layer = tuple[Array, Array]
-
-
-def _layers(weights: Mapping[str, NDArray[Any]], name: str, sizes: tuple[int, ...]) -> list[Layer]:
-    """Linear layers with a ReLU behind each, which takes a number of its own."""
-    pairs = enumerate(pairwise(sizes))
-    return [_layer(weights, f"{name}.{2 * k}", *pair) for k, pair in pairs]
-
-
-def _layer(weights: Mapping[str, NDArray[Any]], name: str, inputs: int, outputs: int) -> Layer:
-    shapes = {f"{name}.weight": (outputs, inputs), f"{name}.bias": (outputs,)}
-    for key, shape in shapes.items():
-        if key not in weights:
-            raise ValueError(f"weights have no {key!r}")
-        if weights[key].shape != shape:
-            raise ValueError(f"size mismatch: {key} is {weights[key].shape}; it must be {shape}")
-        if not np.isfinite(weights[key]).all():
-            raise ValueError(f"{key} must be finite")
-    weight, bias = (np.asarray(weights[key], dtype=np.float32) for key in shapes)
-    return weight, bias
-
-
-def _through(layers: list[Layer], values: Array) -> Array:
-    for weight, bias in layers:
-        values = np.maximum(values @ weight.T + bias, np.float32(0.0))
-    return values
+        return through(self._policy, features) @ weight.T + bias
 
 
 def _pooled(layers: list[Layer], rows: Array) -> tuple[Array, Array]:
     """Mean and largest feature over the rows that are present, (N, width) each."""
     present = rows.any(axis=-1)
     count = present.sum(axis=-1)
-    features = _through(layers, rows[present])
+    features = through(layers, rows[present])
     mean = np.zeros((len(rows), features.shape[-1]), dtype=np.float32)
     largest = np.zeros_like(mean)
     if len(features):

@@ -90,6 +90,7 @@ class LearnedPolicy:
         elif self._leading is not None:
             which = np.broadcast_to(np.asarray(mask, dtype=bool), self._leading).reshape(-1)
             self._guided.forget(which)
+            self._hidden[which] = 0.0
             self._wait[which] = 0
 
     @property
@@ -103,6 +104,8 @@ class LearnedPolicy:
         teams = math.prod(leading)
         self._guided = self.settings.make_teams(self.scenario, teams)
         self._wait = np.zeros(teams, dtype=np.int64)
+        remembered = (teams, self.scenario.n_robots, self.settings.units)
+        self._hidden = np.zeros(remembered, dtype=np.float32)
         self._leading = leading
 
     def _decide(self, observations: NDArray[np.float32], due: NDArray[np.bool_]) -> None:
@@ -110,7 +113,10 @@ class LearnedPolicy:
         shown = self._guided.show(observations, due)
         choices, alive = self._guided.choices.copy(), shown.any(axis=-1)
         choices[due] = 0
-        choices[alive] = self._chooser.choose(shown[alive])
+        hidden = self._hidden[alive]
+        choices[alive] = self._chooser.choose(shown[alive], hidden)
+        self._hidden[due] = 0.0  # a robot that is shown nothing remembers nothing
+        self._hidden[alive] = hidden
         self._guided.choose(choices)
 
 

@@ -38,24 +38,25 @@ class SetFeatures(BaseFeaturesExtractor):
 
     def __init__(self, observation_space: Box, layout: PerceptionLayout, width: int) -> None:
         super().__init__(observation_space, features_dim=4 * width + layout.context_columns)
+        self.local_dim = self.features_dim
         self.layout = layout
-        self.neighbour_net = _row_network(NEIGHBOUR_COLUMNS, width)
-        self.obstacle_net = _row_network(OBSTACLE_COLUMNS, width)
+        self.neighbour_net = row_network(NEIGHBOUR_COLUMNS, width)
+        self.obstacle_net = row_network(OBSTACLE_COLUMNS, width)
 
     def forward(self, observations: Tensor) -> Tensor:
         """Features (N, features_dim) of what N robots are shown."""
         seen: Perceived = self.layout.split(observations)
-        neighbours = _pooled(self.neighbour_net, seen.neighbours)
-        obstacles = _pooled(self.obstacle_net, seen.obstacles)
+        neighbours = pooled(self.neighbour_net, seen.neighbours)
+        obstacles = pooled(self.obstacle_net, seen.obstacles)
         return torch.cat((*neighbours, *obstacles, seen.context), dim=-1)
 
 
-def _row_network(columns: int, width: int) -> nn.Sequential:
-    """Ends in a ReLU: no feature is below the zeros of an empty set."""
+def row_network(columns: int, width: int) -> nn.Sequential:
+    """Reads one row. Ends in a ReLU: no feature is below the zeros of an empty set."""
     return nn.Sequential(nn.Linear(columns, width), nn.ReLU(), nn.Linear(width, width), nn.ReLU())
 
 
-def _pooled(network: nn.Sequential, rows: Tensor) -> tuple[Tensor, Tensor]:
+def pooled(network: nn.Sequential, rows: Tensor) -> tuple[Tensor, Tensor]:
     """Mean and largest feature over the rows that are present, (N, width) each."""
     present = rows.any(dim=-1)
     owner = present.nonzero()[:, 0]
@@ -84,9 +85,9 @@ class HeadingNetwork(ActorCriticPolicy):
             self.action_net.bias[0] = prior
 
 
-def observation_box(layout: PerceptionLayout) -> Box:
-    """Space of what one robot is shown."""
-    return Box(-np.inf, np.inf, (layout.size,), dtype=np.float32)
+def observation_box(size: int) -> Box:
+    """Space of what one robot is shown, so many numbers."""
+    return Box(-np.inf, np.inf, (size,), dtype=np.float32)
 
 
 def network_settings(
@@ -107,4 +108,6 @@ def make_network(
 ) -> HeadingNetwork:
     """A network on its own, for inference; settings as ``network_settings``."""
     arguments = network_settings(layout, **settings)
-    return HeadingNetwork(observation_box(layout), Discrete(choices), lambda _: 0.0, **arguments)
+    return HeadingNetwork(
+        observation_box(layout.size), Discrete(choices), lambda _: 0.0, **arguments
+    )

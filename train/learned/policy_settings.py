@@ -22,6 +22,14 @@ from .perception import Perception
 from .perception_layout import LEVEL_COLUMNS, WALL_COLUMNS, PerceptionLayout
 from .tank_perception import TankPerception
 
+Memory = Literal["none", "features", "recurrent"]
+"""What a robot remembers beside the last decisions."""
+
+
+def memory_of(written: Any) -> Any:
+    """The kind of memory that was written down; versions with one kind wrote whether it is on."""
+    return ("none", "features")[written] if isinstance(written, bool) else written
+
 
 @dataclass(frozen=True)
 class PolicySettings:
@@ -45,8 +53,10 @@ class PolicySettings:
     """Theorem C's certified heading, or theorem D's energy tank."""
     budget: float = 0.0
     """Of each tank at the start, in units of r D̄ of the scenario."""
-    memory: bool = False
-    """With a tank: whether walls are remembered."""
+    memory: Memory = "none"
+    """Nothing, or with a tank features of walls, or whatever a recurrent unit keeps."""
+    memory_units: int = 64
+    """Of the recurrent unit."""
 
     def __post_init__(self) -> None:
         """Refuse what no network and no heading can have."""
@@ -55,6 +65,7 @@ class PolicySettings:
             "set_width": (1, 2**12), "clearance": (0.0, math.pi), "persistence": (0.0, 1e9),
             "min_alignment": (1e-9, 1.0), "max_turn_rate": (1e-9, 1e9),
             "decision_time": (1e-9, 1e9), "budget": (0.0, 1e9),
+            "memory_units": (1, 2**12),
         }  # fmt: skip
         for name, (least, most) in ranges.items():
             if not least <= getattr(self, name) <= most:
@@ -85,12 +96,23 @@ class PolicySettings:
         if wrong := sorted(set(given) ^ set(cls.__dataclass_fields__)):
             raise ValueError(f"field {wrong[0]!r} is missing or unknown")
         check_types(given, {"hidden": list[int] | tuple[int, ...]})
-        return cls(**given | {"hidden": tuple(given["hidden"])})
+        memory = memory_of(given["memory"])
+        return cls(**given | {"hidden": tuple(given["hidden"]), "memory": memory})
 
     @property
     def promised_margin(self) -> float | None:
         """The alignment that is kept in every step, ε of theorem C; None with a tank."""
         return self.min_alignment if self.guarantee == "heading" else None
+
+    @property
+    def units(self) -> int:
+        """Numbers that a recurrent unit keeps for each robot; 0 without one."""
+        return self.memory_units if self.memory == "recurrent" else 0
+
+    @property
+    def _walls(self) -> bool:
+        """Whether features of walls are remembered."""
+        return self.memory == "features"
 
     @property
     def angles(self) -> NDArray[np.float64]:
@@ -105,7 +127,7 @@ class PolicySettings:
         """What the network is shown, with so many slots."""
         columns = 0
         if self.guarantee == "tank":
-            columns = LEVEL_COLUMNS + (WALL_COLUMNS if self.memory else 0)
+            columns = LEVEL_COLUMNS + (WALL_COLUMNS if self._walls else 0)
         return PerceptionLayout(neighbour_slots, obstacle_slots, columns)
 
     def make_guide(self, scenario: Scenario) -> Guide:
@@ -144,7 +166,7 @@ class PolicySettings:
             perception = Perception(scenario, num_envs, **shown)
             turning: dict[str, Any] = {"max_turn_rate": self.max_turn_rate, "frame": "local"}
             return GuidedTeams(Steering(scenario, num_envs, **turning, **common), guide, perception)
-        seen = TankPerception(scenario, num_envs, walls=self.memory, **shown)
+        seen = TankPerception(scenario, num_envs, walls=self._walls, **shown)
         budget = self.budget * unit_of_tanks(scenario)
         tank = HeadedTank(scenario, num_envs, budget=budget, **common)
         return TankTeams(tank, guide, seen)

@@ -16,9 +16,11 @@ from rendezvous_env.faces.vector_env import RendezvousVectorEnv
 from rendezvous_env.faces.vector_filter_wrapper import VectorFilterWrapper
 from rendezvous_env.vector import team_box
 
+from ..learned.headed_tank import HeadedTank
 from ..learned.networks import observation_box
 from ..learned.perception_layout import PerceptionLayout
 from ..learned.policy_settings import PolicySettings
+from .global_state import GlobalStateLayout
 
 
 class PerceivingTeams(VectorFilterWrapper):
@@ -33,6 +35,8 @@ class PerceivingTeams(VectorFilterWrapper):
         settings: of the policy that is trained.
         touch_penalty: taken from ``robot_rewards``, once in an episode.
         obstacle_slots: of ``Perception``.
+        privileged: whether the global state follows what is shown, for critics: ``global_state``
+            tells its columns, which are beyond the first layout.size.
 
     Raises:
         ValueError: for robots that ``Perception`` cannot show, or another autoreset mode.
@@ -45,6 +49,7 @@ class PerceivingTeams(VectorFilterWrapper):
         *,
         touch_penalty: float = 0.0,
         obstacle_slots: int | None = None,
+        privileged: bool = False,
     ) -> None:
         if env.autoreset_mode is not AutoresetMode.SAME_STEP:
             raise ValueError(f"autoreset_mode is {env.autoreset_mode}; it must be SAME_STEP")
@@ -58,7 +63,10 @@ class PerceivingTeams(VectorFilterWrapper):
         guided, period = self.guided, settings.decision_period(scenario)
         super().__init__(env, guided.steering, guided.steering_memory, period)
         n = scenario.n_robots
-        self.single_observation_space = team_box(observation_box(self.layout), n)
+        slots = self.layout.obstacle_slots
+        self.global_state = GlobalStateLayout(n, slots) if privileged else None
+        more = self.global_state.size if self.global_state else 0
+        self.single_observation_space = team_box(observation_box(self.layout.size + more), n)
         self.single_action_space = MultiDiscrete([len(settings.angles)] * n)
         self.touch_penalty = float(touch_penalty)
         self._touched = np.zeros((env.num_envs, n), dtype=np.bool_)
@@ -67,6 +75,14 @@ class PerceivingTeams(VectorFilterWrapper):
     def layout(self) -> PerceptionLayout:
         """Which number of what a robot is shown is what."""
         return self.guided.perception.layout
+
+    @property
+    def _levels(self) -> NDArray[np.float64]:
+        """A/(r D̄) of the tanks, (B, n); 0 without."""
+        steering = self.guided.steering
+        if isinstance(steering, HeadedTank):
+            return steering.normalised_levels
+        return np.zeros(self._touched.shape)
 
     def step(self, actions: ArrayLike) -> Transition:
         """As ``VectorFilterWrapper.step``, with touches paid for in ``robot_rewards``."""
@@ -86,7 +102,12 @@ class PerceivingTeams(VectorFilterWrapper):
         return self.guided.act(self._observed)
 
     def _see(self, which: NDArray[np.bool_] | None) -> NDArray[np.float32]:
-        return self.guided.show(self._observed, which)
+        shown = self.guided.show(self._observed, which)
+        if self.global_state is None:
+            return shown
+        towards = self.env.scenario.observation_layout.net_bearing(self._observed)
+        state = self.global_state.states(self.env.simulator, towards, self._levels)
+        return np.concatenate((shown, state), axis=-1)
 
     def _forget(self, which: NDArray[np.bool_] | None) -> None:
         self.guided.forget(which)

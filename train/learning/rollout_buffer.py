@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator
-from typing import Any
+from collections.abc import Iterator, Mapping
+from typing import Any, ClassVar
 
 import numpy as np
 import torch
@@ -63,9 +63,13 @@ class RobotRolloutBuffer(RolloutBuffer):
         if robots.bootstrapped.size:
             with torch.no_grad():
                 seen = torch.as_tensor(robots.bootstrap_observations, device=self.device)
-                estimates = self._policy.predict_values(seen)
+                estimates = self._value_of(seen, robots)
             values[robots.bootstrapped] = estimates.flatten().cpu().numpy()
         return values
+
+    def _value_of(self, seen: torch.Tensor, robots: RobotVecEnv) -> torch.Tensor:
+        """Values (k, 1) of what the slots in ``robots.bootstrapped`` saw last, (k, size)."""
+        return self._policy.predict_values(seen)
 
     def get(self, batch_size: int | None = None) -> Iterator[RolloutBufferSamples]:
         """The samples in random order, in batches of nearly equal size near ``batch_size``."""
@@ -87,6 +91,7 @@ class RobotPPO(PPO):
     normalised, observations not.
     """
 
+    buffer_class: ClassVar[type[RobotRolloutBuffer]] = RobotRolloutBuffer
     rollout_buffer: RobotRolloutBuffer
 
     def __init__(self, *arguments: Any, **settings: Any) -> None:
@@ -95,8 +100,15 @@ class RobotPPO(PPO):
             super().__init__(*arguments, **settings)
 
     def _setup_model(self) -> None:
-        self.rollout_buffer_class = RobotRolloutBuffer
+        self.rollout_buffer_class = self.buffer_class
         super()._setup_model()
+
+    def get_memory(self) -> dict[str, NDArray[Any]]:
+        """What the network remembers of running episodes, by name."""
+        return {}
+
+    def set_memory(self, state: Mapping[str, NDArray[Any]]) -> None:
+        """Put back what ``get_memory`` took out."""
 
     def collect_rollouts(
         self,

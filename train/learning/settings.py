@@ -22,8 +22,8 @@ TRAINING_SEEDS, EVALUATION_SEEDS = 2**62, 2**61
 counts up from its --seed, which is far below, so no policy is judged on starts it was trained on.
 """
 
-_OF_TANKS = ("guarantee", "budget", "memory")
-"""Fields that runs without tanks may not have written."""
+_LATER = ("guarantee", "budget", "memory", "memory_units", "critic")
+"""Fields that runs of earlier versions have not written."""
 
 
 @dataclass(frozen=True)
@@ -89,8 +89,14 @@ class Config:
     budget: float = 0.0
     """Level of each tank at the start, m²/s. The policy keeps it in units of r D̄, for other
     teams."""
-    memory: bool = False
-    """With a tank: whether robots remember the wall that they are at."""
+    memory: Literal["none", "features", "recurrent"] = "none"
+    """What robots remember beside the last decisions: nothing; with a tank, features of the wall
+    that they are at; whatever a recurrent unit learns to keep."""
+    memory_units: int = 64
+    """Numbers that the recurrent unit keeps for each robot."""
+    critic: Literal["local", "global"] = "local"
+    """What values are estimated from: what the robot is shown, or the state of the whole team too.
+    That is privileged, and for training only: the policy never sees it."""
 
     progress: float = 0.5
     """Reward for V falling from its first value to 0."""
@@ -131,12 +137,15 @@ class Config:
         """What ``to_plain`` gave.
 
         Raises:
-            ValueError: for a missing or unknown field, or one of a wrong type. Fields that came
-                with tanks may be missing.
+            ValueError: for a missing or unknown field, or one of a wrong type. Fields that
+                came later may be missing.
         """
         if not isinstance(plain, dict):
             raise ValueError(f"the configuration is a {type(plain).__name__}, not named fields")
-        plain = {name: getattr(cls, name) for name in _OF_TANKS} | plain
+        from ..learned.policy_settings import memory_of
+
+        plain = {name: getattr(cls, name) for name in _LATER} | plain
+        plain["memory"] = memory_of(plain["memory"])
         if wrong := sorted(set(plain) ^ {field.name for field in fields(cls)}):
             raise ValueError(f"field {wrong[0]!r} of the configuration is missing or unknown")
         paths = ("out", "resume", "start_from")
@@ -209,4 +218,5 @@ class Config:
             guarantee=self.guarantee,
             budget=self.budget / unit_of_tanks(scenario),
             memory=self.memory,
+            memory_units=self.memory_units,
         )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import fields, replace
+from typing import get_args, get_type_hints
 
 from rendezvous_env.experiment import scenarios as named_scenarios
 
@@ -16,7 +17,7 @@ _MOST = {
     "set_width": 2**12, "hidden": 2**12, "decision_period": 10**6, "eval_starts": 2**32,
     "num_threads": 2**10, "total_steps": 2**62, "checkpoint_every": 2**62, "eval_every": 2**62,
     "learning_rate": 1e6, "epochs": 2**31, "batch_size": 2**31, "curriculum": 2**10,
-    "fewest_obstacles": 2**10, "budget": 1e9,
+    "fewest_obstacles": 2**10, "budget": 1e9, "memory_units": 2**12,
 }  # fmt: skip
 _MOST_SAMPLES = 2**31
 MAY_CHANGE = ("total_steps", "eval_every", "eval_starts", "checkpoint_every", "num_threads")
@@ -33,11 +34,12 @@ def check(config: Config) -> None:
         "total_steps": 1, "seed": 0, "num_teams": 1, "n_steps": 2, "batch_size": 2, "epochs": 1,
         "set_width": 1, "decision_period": 1, "eval_every": 0, "eval_starts": 1,
         "checkpoint_every": 1, "touch_penalty": 0, "num_threads": 1, "hidden": 1, "persistence": 0,
-        "budget": 0,
+        "budget": 0, "memory_units": 1,
     }  # fmt: skip
     check_fields(config)
     check_least(config, **least)
     check_most(config, **_MOST)
+    _check_words(config)
     _check_guarantee(config)
     for name in ("gamma", "gae_lambda"):
         if not 0 <= getattr(config, name) <= 1:
@@ -70,9 +72,21 @@ def check(config: Config) -> None:
 def _check_guarantee(config: Config) -> None:
     if not 0 < config.min_alignment < 1:
         raise UserError(f"--min-alignment is {config.min_alignment}; it must be in (0, 1)")
-    for name in ("budget", "memory") if config.guarantee == "heading" else ():
-        if value := getattr(config, name):
+    of_tanks = {"budget": config.budget > 0, "memory": config.memory == "features"}
+    for name, given in of_tanks.items() if config.guarantee == "heading" else ():
+        if given:
+            value = getattr(config, name)
             raise UserError(f"{flag(name)} is {value}; headings have none: add --guarantee tank")
+    if config.memory != "recurrent" and config.memory_units != Config.memory_units:
+        units = config.memory_units
+        raise UserError(f"--memory-units is {units}; there are none without --memory recurrent")
+
+
+def _check_words(config: Config) -> None:
+    hints = get_type_hints(Config)
+    for name in ("guarantee", "memory", "critic"):
+        if (value := getattr(config, name)) not in (words := get_args(hints[name])):
+            raise UserError(f"{flag(name)} is {value!r}; it must be one of {', '.join(words)}")
 
 
 def resumed(config: Config, stored: Config) -> Config:

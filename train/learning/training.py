@@ -18,11 +18,11 @@ from rendezvous_env import make_vec
 
 from .. import results
 from ..errors import UserError
-from ..learned import checkpoints, networks
+from ..learned import checkpoints
 from ..learned.checkpoints import CheckpointError
+from .architecture import learner_of, network_of, network_settings
 from .evaluation import held_out
 from .perceiving import PerceivingTeams
-from .rollout_buffer import RobotPPO
 from .run_log import EVALUATION, METRICS, Events, Table
 from .run_state import (
     check_fits,
@@ -71,9 +71,8 @@ class Training:
         self.settings = config.policy_settings()
         self.stage = 0
         self.robots = self._make_robots(0)
-        layout = self.robots.teams.layout
-        self.model = RobotPPO(
-            networks.HeadingNetwork,
+        self.model = learner_of(config)(
+            network_of(config, self.robots.teams),
             self.robots,
             learning_rate=lambda _: self._learning_rate(),
             n_steps=config.n_steps,
@@ -86,12 +85,7 @@ class Training:
             seed=config.seed,
             device=config.device,
             stats_window_size=10**6,
-            policy_kwargs=networks.network_settings(
-                layout,
-                set_width=config.set_width,
-                hidden=config.hidden,
-                prior=config.prior,
-            ),
+            policy_kwargs=network_settings(config, self.robots.teams),
         )
         self.model.set_logger(Logger(None, []))
         self._seconds = self._environment_seconds = 0.0
@@ -112,6 +106,7 @@ class Training:
                 self.settings,
                 touch_penalty=config.touch_penalty,
                 obstacle_slots=config.obstacle_slots(),
+                privileged=config.critic == "global",
             )
         )
 
@@ -173,6 +168,7 @@ class Training:
             self.robots.set_state(state["robots"])
             model._last_obs = state["last_observations"]
             model._last_episode_starts = state["last_episode_starts"]
+            model.set_memory(state)
             restore_random(state["random"])
             model.num_timesteps, model._n_updates = about["step"], about["updates"]
             self._wall_before = about["wall_s"]
@@ -198,6 +194,7 @@ class Training:
             "last_observations": model._last_obs,
             "last_episode_starts": model._last_episode_starts,
             "random": random_state(),
+            **model.get_memory(),
         }
         description = {
             "step": model.num_timesteps,
