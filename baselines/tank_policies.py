@@ -131,4 +131,5 @@ def _tank_joined(
     clearance: float = TankJoinedPolicy.clearance,
     patience: float = TankJoinedPolicy.patience,
 ) -> Policy:
+    """Follows walls under an energy tank, the one side or the other, ever farther."""
     return TankJoinedPolicy(scenario, budget, min_alignment, clearance, patience)

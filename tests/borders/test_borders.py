@@ -17,6 +17,7 @@ from rendezvous_env.trajectory import Step
 from train.comparing.alignment import alignments
 from train.learned.guide import Guide
 from train.learned.perception import Perception
+from train.learned.policy_settings import PolicySettings
 from train.learning.perceiving import PerceivingTeams
 
 TEAMS = 6
@@ -199,7 +200,8 @@ def test_positions_beside_obstacles_of_another_dimension_are_refused():
 def test_a_choice_that_there_is_not_is_refused():
     scenario = rv.scenarios.get("clutter-16")
     teams = rv.make_vec(scenario, 2, autoreset_mode="SameStep")
-    teams = PerceivingTeams(teams, Guide(scenario, clearance=0.1, persistence=0.5))
+    settings = PolicySettings(8, (16,), 0.1, 0.5, 0.1, 3.0, scenario.tau)
+    teams = PerceivingTeams(teams, settings)
     teams.reset(seed=0)
     before = teams.get_state()
     for wrong in (-1, 9, 10_000):

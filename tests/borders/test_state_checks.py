@@ -15,7 +15,7 @@ from rendezvous_env.engine.memory import AWAITING_RESET, RENDEZVOUS, TIME_OUT
 from rendezvous_env.experiment.packing import CORNERS, DETAILS, KIND, RADIUS
 from rendezvous_env.guarantee.steering import Steering
 from rendezvous_env.vector import EnergyTankWrapper, HeadingVectorWrapper
-from train.learned.guide import Guide
+from train.learned.policy_settings import PolicySettings
 from train.learning.perceiving import PerceivingTeams
 
 TEAMS = 6
@@ -221,7 +221,8 @@ def tank():
 def perceiving():
     scenario = rv.scenarios.get("clutter-16")
     teams = rv.make_vec(scenario, 2, autoreset_mode="SameStep")
-    teams = PerceivingTeams(teams, Guide(scenario, clearance=0.1, persistence=0.5))
+    settings = PolicySettings(8, (16,), 0.1, 0.5, 0.1, 3.0, scenario.tau)
+    teams = PerceivingTeams(teams, settings)
     teams.reset(seed=0)
     return teams
 

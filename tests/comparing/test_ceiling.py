@@ -52,12 +52,12 @@ def test_a_row_counts_the_starts():
 
 
 def test_compare_writes_it(tmp_path, capsys):
-    words = ["--scenarios", "duo", "fig4", "--policies", "bearing-only", "--episodes", "3"]
+    words = ["--scenarios", "duo", "clutter-4", "--policies", "bearing-only", "--episodes", "3"]
     assert (
         cli.main(["compare", *words, "--ceiling", "2", "--no-figures", "--out", str(tmp_path)]) == 0
     )
     (row,) = results.read_csv(tmp_path / "ceiling.csv")
-    assert row["scenario"] == "fig4" and row["runs"] == "2" and row["episodes"] == "3"
+    assert row["scenario"] == "clutter-4" and row["runs"] == "2" and row["episodes"] == "3"
     assert row["clean_planner"] == "1.0"
     assert "What can be reached" in capsys.readouterr().out
 

@@ -1,5 +1,6 @@
 """OUT is whole or not there; what was finished is gone on with; one process at a time writes."""
 
+import dataclasses
 import json
 import os
 import shutil
@@ -146,7 +147,7 @@ class TestGoingOn:
         registry = policy._registry
         jobs = compare.plan(config(tmp_path, scenarios=("duo",), policies=("zero",)))
         first = cells.plan_of(jobs, config(tmp_path))
-        mine = registry["zero"].__class__(lambda scenario: None, registry["zero"].fits)
+        mine = dataclasses.replace(registry["zero"], build=lambda scenario: None)
         monkeypatch.setitem(registry, "zero", mine)
         assert out_folder.run_id(first) != out_folder.run_id(cells.plan_of(jobs, config(tmp_path)))
 
