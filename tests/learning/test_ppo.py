@@ -22,7 +22,7 @@ from train import cli, results
 from train.errors import UserError
 from train.learned import checkpoints, learned_policy
 from train.learned.guide import CHOICES
-from train.learning import ppo, training
+from train.learning import ppo, rollout_buffer, training
 from train.learning.ppo import Config
 from train.learning.run_log import EVALUATION, METRICS, WALL_TIME, Table
 
@@ -552,13 +552,13 @@ class TestDamaged:
 
 
 def test_training_that_diverges_is_a_message(tmp_path, capsys, monkeypatch):
-    real = training.RobotPPO.learn
+    real = rollout_buffer.RobotPPO.learn
 
     def learn(self, *given, **options):
         real(self, *given, **options)
         next(self.policy.parameters()).data[0] = np.nan
 
-    monkeypatch.setattr(training.RobotPPO, "learn", learn)
+    monkeypatch.setattr(rollout_buffer.RobotPPO, "learn", learn)
     assert cli.main(["train", *flags(tmp_path / "run")]) == 2
     said = capsys.readouterr().err
     assert "training diverged" in said and "--learning-rate below 0.001" in said
