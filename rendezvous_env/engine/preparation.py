@@ -19,6 +19,7 @@ from .beginning.draw_graph import GraphRules
 from .beginning.field_rules import field_rules
 from .beginning.starts import StartRules
 from .memory import Constants, Layout, Robot
+from .quiet import quietly
 from .sense_with_errors import Sensor
 from .state import State
 
@@ -167,8 +168,8 @@ def begins_alike(scenario: Scenario) -> bool:
     given = 0 if scenario.start_headings is None else model.n_angles
     if model.memory_size(scenario.dim) == given:
         return True
-    with np.errstate(over="ignore"):  # the streams wrap around; uncompiled, NumPy would warn
-        one, other = (begin_memory(constants_of(scenario), np.uint64(key), 0) for key in (1, 2))
+    begin = quietly(begin_memory)
+    one, other = (begin(constants_of(scenario), np.uint64(key), 0) for key in (1, 2))
     return bool(one[given:] == other[given:])
 
 

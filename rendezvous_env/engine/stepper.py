@@ -28,9 +28,10 @@ class Stepper:
     Args:
         state: of the teams.
         num_threads: most threads that may be used; None is one for each core.
+        max_steps: after which episodes end.
     """
 
-    def __init__(self, state: State, num_threads: int | None) -> None:
+    def __init__(self, state: State, num_threads: int | None, max_steps: int) -> None:
         place = state.place
         self._state, self.width = state, _width(place, num_threads)
         self.layout, self.robot = layout(place), robot(place.scenario)
@@ -42,7 +43,7 @@ class Stepper:
         action = place.scenario.n_robots * place.scenario.action_size
         self._no_actions = np.zeros((place.batch, action), np.float32)
         self._run: Callable[..., Any] | None = None
-        self.limit(place.scenario.max_steps)
+        self.limit(max_steps)
 
     def limit(self, max_steps: int) -> None:
         """Let episodes end after so many steps."""

@@ -83,11 +83,6 @@ class Sensing:
         """Whether nothing is missed and no bearing is wrong."""
         return self == Sensing()
 
-    @property
-    def draws(self) -> bool:
-        """Whether chance decides what is seen."""
-        return max(self.noise, self.bias, self.dropout) > 0.0
-
     def departures(self) -> str:
         """The fields that are not those of an exact sensor, in words."""
         own, ideal = dataclasses.asdict(self), dataclasses.asdict(Sensing())

@@ -35,6 +35,13 @@ class _Constants(NamedTuple):
     pitch_limit: float
 
 
+def unit_of_tanks(scenario: Scenario) -> float:
+    """The unit r D̄, m²/s, in which levels are shown: twice the most that a robot can earn in a
+    step; 1 without links.
+    """
+    return float(scenario.merge_radius * scenario.max_degree) or 1.0
+
+
 class EnergyTank(ActionFilter):
     """Energy tanks, frames and held wishes of the robots of B teams (theorem D).
 
@@ -113,9 +120,8 @@ class EnergyTank(ActionFilter):
 
     @property
     def normalised_levels(self) -> NDArray[np.float64]:
-        """A/(r D̄), (B, n): the unit is twice the most that a robot can earn in a step."""
-        unit = self.scenario.merge_radius * self.scenario.max_degree
-        return self._levels / unit if unit > 0.0 else self.levels
+        """A/(r D̄), (B, n), see ``unit_of_tanks``."""
+        return self._levels / unit_of_tanks(self.scenario)
 
     @property
     def told(self) -> dict[str, NDArray[Any]]:

@@ -17,14 +17,6 @@ _WITHIN = 1.0 - 1e-6
 and what is sent is what the ledger has booked."""
 
 
-def unit_of_tanks(scenario: Scenario) -> float:
-    """R D̄, m²/s, in which levels are shown: twice the most that a robot can earn in a step.
-
-    A budget of so many units means the same in teams of any size. It is 1 without links.
-    """
-    return float(scenario.merge_radius * scenario.max_degree) or 1.0
-
-
 class HeadedTank(EnergyTank):
     """Robots want to go along their headings as fast as law (1) goes along f (theorem D).
 

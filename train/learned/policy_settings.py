@@ -11,13 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rendezvous_env.experiment.scenario import Scenario
+from rendezvous_env.guarantee.energy_tank import unit_of_tanks
 from rendezvous_env.guarantee.steering import Steering
 
 from ..checks import check_types
 from . import perception_layout
 from .guide import ALL_ROUND, ANGLES, Guide
 from .guided import GuidedTeams, TankTeams
-from .headed_tank import HeadedTank, unit_of_tanks
+from .headed_tank import HeadedTank
 from .perception import Perception
 from .perception_layout import LEVEL_COLUMNS, WALL_COLUMNS, PerceptionLayout
 from .tank_perception import TankPerception
@@ -52,7 +53,7 @@ class PolicySettings:
     guarantee: Literal["heading", "tank"] = "heading"
     """Theorem C's certified heading, or theorem D's energy tank."""
     budget: float = 0.0
-    """Of each tank at the start, in units of r D̄ of the scenario."""
+    """Of each tank at the start, in units of r D̄ of the scenario: the same for teams of any size."""
     memory: Memory = "none"
     """Nothing, or with a tank features of walls, or whatever a recurrent unit keeps."""
     memory_units: int = 64

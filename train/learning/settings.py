@@ -203,7 +203,8 @@ class Config:
 
     def policy_settings(self) -> PolicySettings:
         """What the policy is, once it is trained."""
-        from ..learned.headed_tank import unit_of_tanks
+        from rendezvous_env.guarantee.energy_tank import unit_of_tanks
+
         from ..learned.learned_policy import PolicySettings
 
         scenario = self.base_scenario()

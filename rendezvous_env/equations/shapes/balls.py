@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from ...compilation import kernel
-from ..vectors import ORIGIN, X_AXIS, combine, cross, dot, norm, subtract
+from ..vectors import X_AXIS, combine, cross, dot, norm, subtract
 from .crossings import first_crossing
 
 NEARLY_ZERO = 1e-9
@@ -175,7 +175,3 @@ def sphere_ray(towards, e, w, cosine, sine, k):
     """
     aside = combine(sine * COS_AZIMUTH[k], e, sine * SIN_AZIMUTH[k], w)
     return combine(cosine, towards, 1.0, aside)
-
-
-NOWHERE = ORIGIN
-"""A bearing of nothing."""
