@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from ...compilation import kernel
 from ...equations.random_streams import uniform
-from ...experiment.graphs import ERDOS_RENYI, FIXED
+from ...experiment.topologies import ERDOS_RENYI, FIXED
 from ..links import copy_links, pair_index, sort_links
 
 _TRIES_FOR_CONNECTED = 100
