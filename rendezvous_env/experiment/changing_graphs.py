@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from . import checks
 from .checks import refuse, shown
 from .directed_graphs import why_not_led_together
-from .graph_kinds import Graph
+from .graph_kinds import LARGE_TEAM, Graph
 from .topologies import DIRECTED, FIXED, PROXIMITY, SWITCHING
 
 ORDERS = ("cyclic", "random")
@@ -104,8 +104,11 @@ class SwitchingGraph(Graph):
         return worst
 
     def step_degree(self, n: int) -> float:
-        """The D_i, m/s, that a step is made for: the largest of the list."""
-        return min(self.max_degree(n), max(graph.step_degree(n) for graph in self.graphs))
+        """The D_i, m/s, that a step is made for; of a large team the largest of the list."""
+        worst = self.max_degree(n)
+        if n < LARGE_TEAM:
+            return worst
+        return min(worst, max(graph.step_degree(n) for graph in self.graphs))
 
     def bottleneck_weight(self, n: int) -> float:
         """The least of the list, m/s, of those that have links: no D_i of a robot that sees someone

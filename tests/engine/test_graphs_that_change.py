@@ -157,7 +157,7 @@ def test_law_1_moves_as_a_reference_written_from_the_definitions(kind, seed):
     rows = sim.reset(seed)
     reference = Reference(kind, sim.positions[0], sim.scenario.merge_radius, sim.scenario.tau)
     seen = []
-    for _ in range(160):
+    for _ in range(480):
         f = reference.bearings()
         k = sim.scenario.observation_layout.neighbours
         np.testing.assert_allclose(rows[0, :, k].sum(axis=1), f, atol=1e-5)
