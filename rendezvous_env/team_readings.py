@@ -57,8 +57,8 @@ class TeamReadings:
 
     @property
     def weights(self) -> NDArray[np.float64]:
-        """What robot i gives to its neighbour j, a_ij, (B, n, n), m/s, at the moment, as merging has
-        left it.
+        """What robot i gives to its neighbour j, a_ij, (B, n, n), m/s, at the moment and as merging
+        has left it.
         """
         return self._state.weights()
 

@@ -77,12 +77,12 @@ Links = PairLinks | ListedLinks | Arcs
 
 
 def arcs_of(links: Any, team: int) -> Any:
-    """The matrix of arcs of one team, (n, n); None of links that go both ways."""
-    return links.weights[team] if isinstance(links, Arcs) else None
+    """Arcs of one team, whose weights are (n, n); None of links that go both ways."""
+    return Arcs(links.weights[team], None) if isinstance(links, Arcs) else None
 
 
 @chosen_by_type(arcs_of)
 def _compiled_arcs_of(links, team):
     if links.instance_class is Arcs:
-        return lambda links, team: links.weights[team]
+        return lambda links, team: Arcs(links.weights[team], None)
     return lambda links, team: None

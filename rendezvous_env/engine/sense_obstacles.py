@@ -223,7 +223,7 @@ def _see_one_by_one(
 @inlined_kernel
 def _net_bearings(positions, listed, arcs, out):
     if arcs is not None:
-        net_bearings_of_arcs(positions, arcs, out)
+        net_bearings_of_arcs(positions, arcs.weights, out)
     else:
         net_bearings_of_links(positions, listed, out)
 

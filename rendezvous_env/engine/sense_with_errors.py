@@ -119,7 +119,7 @@ def _see_neighbours(block, lane, keys, layout, constants, sensor, teams, links, 
 def _leads(arcs, i, j):
     """Whether robot i sees robot j, whom a link joins."""
     if arcs is not None:
-        return arcs[i, j] > 0.0
+        return arcs.weights[i, j] > 0.0
     return True
 
 

@@ -5,7 +5,7 @@ link e, ``weight[e]`` its a_ij in m/s. A link that merging makes superfluous get
 that the number of links never grows and nothing has to be allocated.
 
 Where links can be one-way, a pair merges if either sees the other: a link then weighs the mean of
-a_ij and a_ji, which makes V of the links that of the arcs, and ``arcs`` (n, n) holds the two.
+a_ij and a_ji, which makes V of the links that of the arcs, and ``arcs`` holds the two.
 """
 
 import numpy as np
@@ -32,7 +32,8 @@ def merge_swept(
         displacements: (n, d), m; straight or the chord of an arc. Overwritten.
         lengths: (n,) of the ways, m; shortened for robots that rest.
         links: (first, second, weight), each (E,); contracted in place.
-        arcs: a_ij, (n, n), m/s, of links that can be one-way; contracted in place. None of others.
+        arcs: of links that can be one-way, with ``weights`` a_ij, (n, n), m/s, contracted in place;
+            None of others.
         merged_into: (n,), index of the robot that each one is now part of; updated in place.
         world: obstacles, in which no merged robot may be placed; None where there are none.
         radius: r, m.
@@ -141,7 +142,7 @@ def _merge(e, positions, links, arcs, merged_into, world, radius, earlier_merges
     bound = radius * max(0.0, _pull_at_merge(i, j, links, at_midpoint) - 4.0 * gain)
     contract(i, j, links)
     if arcs is not None:
-        contract_arcs(i, j, links, arcs)
+        contract_arcs(i, j, links, arcs.weights)
     for k in range(len(merged_into)):
         if merged_into[k] == j:
             merged_into[k] = i
