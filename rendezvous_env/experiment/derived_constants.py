@@ -55,7 +55,9 @@ class DerivedConstants:
 
     @cached_property
     def bottleneck_weight(self) -> float:
-        """a*, m/s: the least edge of a maximum spanning tree, in the worst case (theory 3)."""
+        """a*, m/s: the least edge of a maximum spanning tree, in the worst case (theory 3); of
+        directed and changing graphs a number below which no D_i of a robot that sees someone falls.
+        """
         return self.sensing_graph.bottleneck_weight(self.n_robots)
 
     @property
@@ -75,7 +77,9 @@ class DerivedConstants:
 
     @property
     def certified_step(self) -> float:
-        """τ = r/(2D̄), s: the longest step with which V cannot rise between merges (theory 4)."""
+        """τ = r/(2D̄), s: the longest step with which V cannot rise between merges (theory 4); on
+        graphs that are directed or change, half the longest with which the hull cannot grow.
+        """
         return self.merge_radius / (2 * self.max_degree) if self.max_degree > 0 else math.inf
 
     @cached_property

@@ -210,6 +210,14 @@ def test_a_symmetric_matrix_of_arcs_is_the_undirected_graph():
         assert_same(played(graph=graphs.directed(SYMMETRIC), **same), plain)
 
 
+def test_arcs_in_space_turn_silhouettes_as_links_do():
+    """The first ray of a silhouette stands on f."""
+    field = rv.ObstacleField(count=3, radius=(0.3, 0.6), region=5.0, keep_out=0.3)
+    same = STEP | {"dim": 3, "obstacles": field}
+    plain = played(graph=SYMMETRIC, **same)
+    assert_same(played(graph=graphs.directed(SYMMETRIC), **same), plain)
+
+
 def test_a_list_of_one_graph_is_that_graph_with_weights_drawn_alike():
     plain = graphs.path((0.5, 2.0))
     alone = played(graph=plain, **STEP)
