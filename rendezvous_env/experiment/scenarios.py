@@ -75,6 +75,28 @@ def _walls(
     )
 
 
+def _rotating_paths() -> Scenario:
+    """Law (4) does not survive switching (guarantees, section 10): the three paths of three robots,
+    one after another.
+
+    At an end of the path f is one bearing. A heading on the edge of the cap, hᵀf = ε‖f‖, turned
+    away from the other end, moves it by ε(ε g + √(1 − ε²) g⊥): mostly along the hull's outside. In
+    an equilateral triangle each end adds ε(√3/2 √(1 − ε²) − 3/2 ε) to L', the middle −3ε² at least:
+
+        L' = √3 ε √(1 − ε²) − 6 ε² > 0   for   ε < 1/√13 = 0.277
+
+    and as the middle goes round, the triangle stays equilateral and L' the same.
+    """
+    paths = [[(middle, end) for end in range(3) if end != middle] for middle in range(3)]
+    return Scenario(
+        name="rotating-paths",
+        n_robots=3,
+        graph=graphs.switching([graphs.from_edges(path) for path in paths], dwell=1.0),
+        start_positions=((0.0, 1.0), (-(0.75**0.5), -0.5), (0.75**0.5, -0.5)),
+        time_limit=400.0,
+    )
+
+
 _BUILDERS: dict[str, Callable[[], Scenario]] = {
     "fig3": lambda: _figure("fig3", "ignore"),
     "fig4": lambda: _figure("fig4", "slide"),
@@ -106,6 +128,7 @@ _BUILDERS: dict[str, Callable[[], Scenario]] = {
         spawn_size=14.0,
         **_AMONG_OBSTACLES,
     ),
+    "rotating-paths": _rotating_paths,
     "wall": lambda: Scenario(
         name="wall",
         n_robots=2,
