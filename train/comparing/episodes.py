@@ -200,6 +200,11 @@ def _bounds(
     scenario: Scenario, initial_lyapunov: NDArray[np.float64], margin: float | None
 ) -> NDArray[np.float64]:
     """Proven times in s, NaN where none is proven."""
-    if margin is None or not np.isfinite(certificate(scenario, margin).time_bound):
-        return np.full(initial_lyapunov.shape, np.nan)
-    return time_bound(scenario, initial_lyapunov, min_alignment=margin)
+    nothing = np.full(initial_lyapunov.shape, np.nan)
+    if margin is None:
+        return nothing
+    found = certificate(scenario, margin)
+    if not np.isfinite(found.time_bound) or found.bearing_error > 0.0:
+        return nothing
+    bounds = time_bound(scenario, initial_lyapunov, min_alignment=margin)
+    return np.where(np.isfinite(bounds), bounds, nothing)
