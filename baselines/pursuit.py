@@ -27,6 +27,7 @@ _SHARE = 0.8
 class Pursuer:
     """Keeps a target while it is seen, and then takes the first that is seen in an order of rows.
 
+    Where nobody is seen it turns on the spot at ω_max: with a narrow field of view it searches.
     Other leading axes of the observations are other teams, and start anew.
     """
 
@@ -46,10 +47,14 @@ class Pursuer:
         rows = self.scenario.observation_layout.split(observations)
         seen = np.any(rows.neighbours, axis=-1)
         bearing = chosen_rows(rows.neighbours, self._targets(seen))
-        return within_limits(self._actions(bearing, seen.any(axis=-1), rows), self.scenario)
+        searching = np.zeros(self.scenario.action_size)
+        searching[1] = self.scenario.turn_limit
+        found = seen.any(axis=-1, keepdims=True)
+        actions = np.where(found, self._actions(bearing, rows), searching)
+        return within_limits(actions, self.scenario)
 
-    def _actions(self, bearing: Array, seen: NDArray[np.bool_], rows: ObservedRows) -> Array:
-        """(..., n, a) for bearings (..., n, d) of targets, where one is seen (..., n)."""
+    def _actions(self, bearing: Array, rows: ObservedRows) -> Array:
+        """(..., n, a) for bearings (..., n, d) of targets."""
         raise NotImplementedError
 
     def _targets(self, seen: NDArray[np.bool_]) -> NDArray[np.int64]:
@@ -79,15 +84,14 @@ class Pursuit(Pursuer):
                                                                         (guarantees 13, E2)
     """
 
-    def _actions(self, bearing: Array, seen: NDArray[np.bool_], rows: ObservedRows) -> Array:
+    def _actions(self, bearing: Array, rows: ObservedRows) -> Array:
         if rows.gravity is None:
             turns = np.arctan2(bearing[..., 1:], bearing[..., :1])
         else:
             turns = yaw_and_pitch(bearing, pitch_of(rows.gravity))
         tau, fastest = self.scenario.tau, self.scenario.turn_limit
         off_course = np.arctan2(np.linalg.norm(bearing[..., 1:], axis=-1), bearing[..., 0])
-        aligned = (off_course <= fastest * tau) & seen
-        speed = np.where(aligned, self.speed, 0.0)
+        speed = np.where(off_course <= fastest * tau, self.speed, 0.0)
         return np.concatenate([speed[..., np.newaxis], turns / tau], axis=-1)
 
 
@@ -101,10 +105,10 @@ class Windshield(Pursuer):
     half_angle: float = field(kw_only=True)
     """φ, rad."""
 
-    def _actions(self, bearing: Array, seen: NDArray[np.bool_], rows: ObservedRows) -> Array:
+    def _actions(self, bearing: Array, rows: ObservedRows) -> Array:
         angle = np.arctan2(bearing[..., 1], bearing[..., 0])
         turn = np.where(np.abs(angle) > self.half_angle, np.sign(angle), 0.0)
-        speed = np.where(seen, self.speed, 0.0)
+        speed = np.full(turn.shape, self.speed)
         return np.stack([speed, self.scenario.turn_limit * turn], axis=-1)
 
 

@@ -198,6 +198,6 @@ def test_names_are_in_the_order_of_their_kinds():
 
 
 def test_another_kind_is_refused_and_nothing_is_entered():
-    with pytest.raises(ValueError, match="kind is 'best'; it must be one of law, rule"):
+    with pytest.raises(ValueError, match="kind is 'best'; it must be one of law, field, rule"):
         policy.register("mine", fits=lambda scenario: True, kind="best")
     assert "mine" not in baselines.names()
