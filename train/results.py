@@ -19,7 +19,7 @@ import numpy as np
 
 from .errors import UserError
 
-FORMAT_VERSION = 4
+FORMAT_VERSION = 5
 """Of the files of ``compare``; a change that a reader would notice raises it."""
 
 RESULT_COLUMNS = (
@@ -60,6 +60,7 @@ EPISODE_COLUMNS = (
     "min_alignment",
     "initial_lyapunov",
     "time_bound",
+    "max_rise_of_size",
 )
 """Of episodes.csv; ``episodes.Episodes`` says what each means."""
 

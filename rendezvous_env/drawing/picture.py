@@ -181,9 +181,10 @@ class TeamPicture:
     def _draw_edges(
         self, canvas: pygame.Surface, pixels: Floats, weights: Floats, active: NDArray[np.bool_]
     ) -> None:
-        """A thin line between robots that sense each other."""
+        """A thin line between robots of which one senses the other."""
         places, width = pixels.tolist(), max(1, round(self._unit))
-        sensed = np.triu((weights > 0) & active & active[:, None])
+        linked = (weights > 0) | (weights.T > 0)
+        sensed = np.triu(linked & active & active[:, None])
         for i, j in np.argwhere(sensed).tolist():
             pygame.draw.line(canvas, ink.EDGE, places[i], places[j], width)
 

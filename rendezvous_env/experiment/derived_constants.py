@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import obstacles
-from .graphs import Graph, GraphLike
+from .graphs import PROXIMITY, Graph, GraphLike
 from .observation_layout import ObservationLayout
 from .obstacles import Field, Obstacles
 from .robot_models import ROBOT_MODELS, RobotModel
+from .sensing import Sensing
 
 
 class DerivedConstants:
@@ -23,6 +24,8 @@ class DerivedConstants:
     dim: int
     robot_model: str
     graph: GraphLike
+    require_connected: bool
+    sensing: Sensing
     merge_radius: float
     time_step: float | None
     time_limit: float
@@ -54,6 +57,16 @@ class DerivedConstants:
     def bottleneck_weight(self) -> float:
         """a*, m/s: the least edge of a maximum spanning tree, in the worst case (theory 3)."""
         return self.sensing_graph.bottleneck_weight(self.n_robots)
+
+    @property
+    def start_reach(self) -> float:
+        """R − (n − 1) r/2, m: links up to this length connect every start that is drawn for a
+        proximity graph with a range R (guarantees, section 12); infinite where none need to.
+        """
+        sight = self.sensing.range
+        if self.sensing_graph.topology != PROXIMITY or sight is None or not self.require_connected:
+            return math.inf
+        return sight - (self.n_robots - 1) * self.merge_radius / 2.0
 
     @property
     def dead_zone(self) -> float:

@@ -179,6 +179,16 @@ class TestMeasures:
         bound = time_bound(scenario, done.initial_lyapunov)
         assert np.array_equal(done.time_bound, bound) and (done.time < bound).all()
 
+    def test_size_counts_where_the_graph_changes(self):
+        scenario = scenarios.get("rotating-paths")
+        law, _ = run_play(scenario, "bearing-only", 5)
+        assert len(law.success) == 1, "one start, which is given"
+        assert law.success.all() and (law.max_rise_of_size <= 0).all()
+        chance, _ = run_play(scenario.replace(time_limit=1.0), "random", 5)
+        assert (chance.max_rise_of_size > 0).all()
+        fixed, _ = run_play(scenarios.get("duo"), "bearing-only", 2)
+        assert np.isnan(fixed.max_rise_of_size).all()
+
     def test_certified_headings_keep_their_margin(self):
         done, _ = run_play(scenarios.get("fig3"), "tangent-certified", 2)
         assert (done.min_alignment >= 0.1 - 1e-6).all()

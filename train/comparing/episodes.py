@@ -56,6 +56,9 @@ class Episodes:
     """V at the start, m²/s."""
     time_bound: NDArray[np.float64]
     """Time by which the policy is proven to have met, s; NaN where nothing is proven."""
+    max_rise_of_size: NDArray[np.float64]
+    """Largest change of the size L in a step, m; negative if L always fell. NaN where the graph is
+    undirected and fixed: there V is what must not rise."""
 
     @classmethod
     def joined(cls, parts: list[Episodes]) -> Episodes:
@@ -146,6 +149,9 @@ class _Meter:
         self._rise = np.full(batch, -np.inf)
         self._merge_rise, self._merge_excess = np.zeros(batch), np.zeros(batch)
         self._alignment = np.full(batch, np.inf)
+        self._growth = np.full(batch, -np.inf)
+        sized = not simulator.scenario.sensing_graph.undirected
+        self._size = simulator.size() if sized else np.full(batch, np.nan)
         self._steps = 0
 
     @property
@@ -162,6 +168,9 @@ class _Meter:
         np.maximum(self._merge_excess, outcome.merge_excess, out=self._merge_excess, where=at)
         aligned = alignments(self._simulator.scenario, step)
         np.fmin(self._alignment, np.fmin.reduce(aligned, axis=1), out=self._alignment, where=at)
+        if not np.isnan(self._size).any():  # a hull for every team and step costs more than a step
+            before, self._size = self._size, self._simulator.size()
+            np.maximum(self._growth, self._size - before, out=self._growth, where=at)
         self._steps += 1
         return aligned
 
@@ -183,6 +192,7 @@ class _Meter:
             min_alignment=np.where(np.isfinite(self._alignment), self._alignment, np.nan),
             initial_lyapunov=simulator.initial_lyapunov,
             time_bound=_bounds(scenario, simulator.initial_lyapunov, margin),
+            max_rise_of_size=np.where(np.isfinite(self._growth), self._growth, np.nan),
         )
 
 
