@@ -99,12 +99,13 @@ class TestList:
         assert "3 fixed obstacles, which robots pass through, one start" in said
         assert "random tree graph with gains of 0.5 to 2 m/s" in said
         assert "rooms 5 robots in the plane, complete graph, rooms of drawn walls" in said
+        assert "complete graph, sensing with noise = 0.3, dropout = 0.1" in said
 
     def test_every_policy_has_its_line_and_its_scenarios(self, capsys):
         said = self.lines("policies", capsys)
         for name in baselines.names():
             assert f"{name} {policy.about(name).split(':')[0]}" in said and policy.about(name)
-        assert "Fits unicycle-6." in said and "random Actions drawn" in said
+        assert "Fits unicycle-6, fov-8, " in said and "random Actions drawn" in said
         assert "law (1) would go, with friction; not of the paper. Fits none of" in said
         assert said.index("tangent ") < said.index("privileged-planner ") < said.index("zero ")
 

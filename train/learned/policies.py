@@ -71,12 +71,13 @@ def learned_path(name: str) -> Path | None:
 
 
 def fitting(scenario: Scenario, wanted: Sequence[str]) -> list[str]:
-    """Those of the wanted policies that fit a scenario; if none is named all that fit, but those
-    that see nothing only where nothing else fits.
+    """Those of the wanted policies that fit a scenario; if none is named all that fit and are not
+    only there on request, but those that see nothing only where nothing else fits.
     """
     known = names(scenario)
     if not wanted:
-        return [name for name in known if kind_of(name) != "blind"] or known
+        usual = [name for name in known if name in SHIPPED or not registry.on_request(name)]
+        return [name for name in usual if kind_of(name) != "blind"] or usual
     return [
         name
         for name in wanted
