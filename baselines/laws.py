@@ -13,6 +13,7 @@ from rendezvous_env.experiment.checks import bools, floats, positive, shown, who
 from rendezvous_env.experiment.limits import LARGEST_SEED
 from rendezvous_env.experiment.observation_layout import ObservedRows
 from rendezvous_env.guarantee.heading import flexible_velocity, step_scale
+from rendezvous_env.guarantee.link_keeping import least_norm_points, link_keeping_law
 from rendezvous_env.guarantee.turning import yaw_rate_law
 
 from .policy import (
@@ -33,7 +34,9 @@ __all__ = [
     "RandomPolicy",
     "bearing_only_law",
     "damped_law",
+    "degree_of",
     "flexible_velocity",
+    "link_keeping_law",
     "nonholonomic_3d_law",
     "pitch_of",
     "unicycle_cosine_law",
@@ -42,6 +45,11 @@ __all__ = [
 
 
 # ---- what a robot sees --------------------------------------------------------------------------
+
+
+def degree_of(seen: ObservedRows) -> Array:
+    """D_i = Σ_j a_ij, the summed lengths of the neighbour rows, (...), m/s."""
+    return np.asarray(np.linalg.norm(seen.neighbours, axis=-1).sum(-1, np.float64))
 
 
 def pitch_of(gravity: NDArray[Any]) -> Array:
@@ -213,9 +221,20 @@ def _bearing_only(scenario: Scenario) -> Policy:
         velocity = bearing_only_law(f)
         if not scenario.scales_velocity:
             return velocity
-        degree = np.linalg.norm(seen.neighbours, axis=-1).sum(-1, np.float64, keepdims=True)
-        scaled: Array = velocity * step_scale(degree, scenario.merge_radius, scenario.tau)
-        return scaled
+        scale: Array = step_scale(degree_of(seen), scenario.merge_radius, scenario.tau)
+        return velocity * scale[..., np.newaxis]
+
+    return LawPolicy(scenario, law)
+
+
+@register("link-keeping", fits=is_single_integrator, kind="law")
+def _link_keeping(scenario: Scenario) -> Policy:
+    """Law (R b): into the middle of all that is seen, so that no link grows longer."""
+    r, tau = scenario.merge_radius, scenario.tau
+
+    def law(f: Array, seen: ObservedRows, time: ArrayLike) -> Array:
+        point = least_norm_points(seen.neighbours)
+        return link_keeping_law(point, degree_of(seen), merge_radius=r, duration=tau)
 
     return LawPolicy(scenario, law)
 
