@@ -211,7 +211,7 @@ def noisy_mean_time(
     max_degree: float,
     bottleneck_weight: float,
     mean_cosine: ArrayLike,
-    square_weights: float,
+    square_weights: ArrayLike,
     merge_radius: float,
     step: float,
 ) -> Array:
@@ -228,7 +228,7 @@ def noisy_mean_time(
         max_degree: D̄, m/s.
         bottleneck_weight: a*, m/s.
         mean_cosine: γ = E cos ξ of the angle ξ by which a bearing is off, (...), without unit.
-        square_weights: Σ_i Σ_j a_ij², each link in both directions, m²/s².
+        square_weights: Σ_i Σ_j a_ij², each link in both directions, (...), m²/s².
         merge_radius: r, m.
         step: τ, s.
 
@@ -237,7 +237,7 @@ def noisy_mean_time(
     """
     gamma, theta = np.asarray(mean_cosine), 2.0 * max_degree * step / merge_radius
     cut_short = n * (n - 1) * merge_radius * theta * max_degree
-    nu = n * (1.0 - gamma**2) * square_weights / (4.0 * bottleneck_weight**2)
+    nu = n * (1.0 - gamma**2) * np.asarray(square_weights) / (4.0 * bottleneck_weight**2)
     share = gamma * (2.0 - theta * gamma) - theta * nu
     return _by(n * (np.asarray(lyapunov_bound) + cut_short), 4.0 * bottleneck_weight**2 * share)
 
@@ -259,7 +259,7 @@ def largest_age(max_degree: float, merge_radius: float, *, law_4: bool = False) 
 
 
 def stale_time(
-    n: int, lyapunov_bound: ArrayLike, *, bottleneck_weight: float, slowest: ArrayLike = 1.0
+    n: int, lyapunov_bound: ArrayLike, *, bottleneck_weight: ArrayLike, slowest: ArrayLike = 1.0
 ) -> Array:
     """T of law (1) with bearings of any age up to r/(2D̄), pair by pair, s (E1).
 
@@ -270,13 +270,16 @@ def stale_time(
     Args:
         n: number of robots.
         lyapunov_bound: V0⁺, (...), m²/s.
-        bottleneck_weight: a*, m/s.
+        bottleneck_weight: a*, (...), m/s.
         slowest: s in (0, 1], (...): a robot moves at s_i(t) f̂_i, s ≤ s_i ≤ 1.
 
     Returns:
         (...), s.
     """
-    return _by(n * np.asarray(lyapunov_bound), 4.0 * bottleneck_weight**2 * np.asarray(slowest))
+    return _by(
+        n * np.asarray(lyapunov_bound),
+        4.0 * np.asarray(bottleneck_weight) ** 2 * np.asarray(slowest),
+    )
 
 
 def _by(above: Array, rate: ArrayLike) -> Array:
