@@ -16,6 +16,8 @@ from .experiment.robot_models import RobotModel, register_robot_model
 from .experiment.scenario import Scenario, TimeStepWarning
 from .experiment.sensing import Sensing
 from .experiment.walls import WallField
+from .faces.gain_wrapper import GainWrapper
+from .faces.link_keeping_wrapper import LinkKeepingWrapper
 from .faces.tank_wrapper import EnergyTankWrapper
 from .first_use import announce
 from .guarantee.certificate import Certificate, certificate
@@ -36,7 +38,9 @@ __all__ = [
     "Certificate",
     "Disc",
     "EnergyTankWrapper",
+    "GainWrapper",
     "HeadingVectorWrapper",
+    "LinkKeepingWrapper",
     "Motion",
     "ObservationLayout",
     "ObstacleField",

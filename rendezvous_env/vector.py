@@ -5,9 +5,17 @@ from __future__ import annotations
 from .faces.vector_env import RendezvousVectorEnv
 from .faces.vector_filter_wrapper import VectorFilterWrapper, check_ours, team_box
 from .guarantee.energy_tank import EnergyTank
+from .guarantee.gains import Gains
+from .guarantee.links import LinkKeeping
 from .guarantee.steering import Steering
 
-__all__ = ["EnergyTankWrapper", "HeadingVectorWrapper", "team_box"]
+__all__ = [
+    "EnergyTankWrapper",
+    "GainWrapper",
+    "HeadingVectorWrapper",
+    "LinkKeepingWrapper",
+    "team_box",
+]
 
 
 class HeadingVectorWrapper(VectorFilterWrapper):
@@ -94,3 +102,83 @@ class EnergyTankWrapper(VectorFilterWrapper):
             num_threads=env.simulator.num_threads,
         )
         super().__init__(env, self.tank, "tank", decision_period)
+
+
+class GainWrapper(VectorFilterWrapper):
+    """Teams weigh their robots' neighbours; the hull of a team never grows.
+
+    Actions, observations, arguments and guarantee are those of ``gain_wrapper.GainWrapper``, in
+    arrays: weights (B, n, K) in [0, 1], observations (B, n, rows, d). Infos carry "gain",
+    "alignment" and "lyapunov_rate", (B, n) each, of the last base step. A team that ends within a
+    decision period stands still for the rest of it.
+
+    Args:
+        env: a RendezvousVectorEnv of robots whose action is their velocity, in any autoreset mode.
+        min_gain: least Σ_j c_ij of a robot that sees somebody, m/s; None is a*.
+        max_gain: the most, m/s; None is D̄. Never more than r/τ.
+        frame: "net_bearing" or "local".
+        decision_period: base steps for which weights are held.
+
+    Raises:
+        TypeError: for another kind of environment.
+        ValueError: naming the argument, its value and what would be right.
+    """
+
+    def __init__(
+        self,
+        env: RendezvousVectorEnv,
+        min_gain: float | None = None,
+        max_gain: float | None = None,
+        frame: str = "net_bearing",
+        decision_period: int = 1,
+    ) -> None:
+        self.gains = Gains(
+            check_ours(env, "GainWrapper").scenario,
+            env.num_envs,
+            min_gain=min_gain,
+            max_gain=max_gain,
+            frame=frame,
+            num_threads=env.simulator.num_threads,
+        )
+        super().__init__(env, self.gains, "gains", decision_period)
+
+
+class LinkKeepingWrapper(VectorFilterWrapper):
+    """Teams say where they want to go; their robots go as near to that as their links allow.
+
+    Actions, observations, arguments and guarantee are those of
+    ``link_keeping_wrapper.LinkKeepingWrapper``, in arrays: wishes (B, n, d) in [−1, 1],
+    observations (B, n, rows, d). Infos carry "alignment" and "lyapunov_rate", (B, n) each, of the
+    last base step. A team that ends within a decision period stands still for the rest of it.
+
+    Args:
+        env: a RendezvousVectorEnv of robots whose action is their velocity and whose sight is
+            symmetric, in any autoreset mode.
+        share: λ, in (0, 1]: how much of each velocity is the link-keeping law's.
+        bearing_error: η, rad: links are kept while no bearing is wrong by more.
+        frame: "net_bearing" or "local".
+        decision_period: base steps for which a wish is held; it is projected in each.
+
+    Raises:
+        TypeError: for another kind of environment.
+        ValueError: naming the argument, its value and what would be right, or why the robots of
+            this scenario cannot keep their links.
+    """
+
+    def __init__(
+        self,
+        env: RendezvousVectorEnv,
+        share: float = 0.5,
+        bearing_error: float = 0.0,
+        frame: str = "net_bearing",
+        decision_period: int = 1,
+    ) -> None:
+        self.links = LinkKeeping(
+            check_ours(env, "LinkKeepingWrapper").scenario,
+            env.num_envs,
+            share=share,
+            bearing_error=bearing_error,
+            frame=frame,
+            num_threads=env.simulator.num_threads,
+        )
+        super().__init__(env, self.links, "links", decision_period)

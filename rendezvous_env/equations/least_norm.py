@@ -81,11 +81,11 @@ def _least_in_space(rows, neighbour_slots):
     nearer one while some bearing g lies on this side of it, q·g < ‖q‖² (Gilbert, Johnson and
     Keerthi, 1988).
     """
-    a = _least_along(rows, neighbour_slots, ORIGIN)
+    a = least_along(rows, neighbour_slots, ORIGIN)
     b, c, q = a, a, a
     for _ in range(_MOST_ROUNDS):
         square = dot(q, q)
-        g = _least_along(rows, neighbour_slots, q)
+        g = least_along(rows, neighbour_slots, q)
         if dot(q, subtract(q, g)) <= _ROUNDING * math.sqrt(square):
             break
         if _holds_origin(g, a, b, c):
@@ -102,8 +102,17 @@ def _least_in_space(rows, neighbour_slots):
 
 
 @kernel
-def _least_along(rows, neighbour_slots, direction):
-    """The bearing that lies least far along a direction; zero where nobody is seen."""
+def least_along(rows, neighbour_slots, direction):
+    """The bearing that lies least far along a direction, argmin g·u; zero where nobody is seen.
+
+    Args:
+        rows: of one robot, (rows, d), of any unit; zero rows are absent.
+        neighbour_slots: K.
+        direction: u, a triple, of any unit.
+
+    Returns:
+        g, a unit triple.
+    """
     least, bearing = math.inf, ORIGIN
     for k in range(neighbour_slots):
         length, g = split(load(rows[k]))

@@ -44,7 +44,7 @@ def action_box(scenario: Scenario) -> Box:
 
 def choice_box(action_filter: ActionFilter) -> Box:
     """Space of what a policy chooses for one robot, in units of the largest."""
-    return Box(-1.0, 1.0, (action_filter.action_size,), dtype=np.float32)
+    return Box(action_filter.lowest_choice, 1.0, (action_filter.action_size,), dtype=np.float32)
 
 
 def filtered_observation_box(action_filter: ActionFilter) -> Box:

@@ -52,6 +52,24 @@ def _check_steerable(scenario: Scenario) -> None:
         )
 
 
+def check_goes_anywhere(scenario: Scenario, theorem: str) -> None:
+    """Refuse robots whose action is not their velocity.
+
+    Args:
+        scenario: whose robots they are.
+        theorem: which needs it, in words.
+
+    Raises:
+        ValueError: naming the robot model.
+    """
+    model = scenario.model
+    if not model.bounded:
+        raise ValueError(
+            f"scenario has {model.name} robots, whose action is {model.action}; {theorem} needs "
+            "robots whose action is their velocity, as robot_model 'single_integrator'"
+        )
+
+
 class ActionFilter(ABC):
     """What the policies of B teams chose, held, and what the robots do because of it.
 
@@ -61,7 +79,7 @@ class ActionFilter(ABC):
         scenario: whose robots they are.
         num_envs: B.
         action_size: numbers that a policy chooses for a robot.
-        min_alignment: ε, in (0, 1).
+        min_alignment: ε, in (0, 1); None for a theorem that has none.
         frame: "net_bearing" (x along f; single integrators only, the other models keep the body
             frame) or "local".
         num_threads: most threads that may be used; None is one for each core.
@@ -70,6 +88,10 @@ class ActionFilter(ABC):
         ValueError: naming the argument, its value and what would be right.
     """
 
+    chooses_vectors = True
+    """Whether a choice is a vector, which turns with the frame it is seen in."""
+    lowest_choice = -1.0
+    """The least that each number of a choice can be; the most is 1."""
     keeps_ledger = False
     """Whether it wants to be told how a step went, see ``book``."""
     observes_level = False
@@ -81,13 +103,14 @@ class ActionFilter(ABC):
         num_envs: int,
         *,
         action_size: int,
-        min_alignment: float,
+        min_alignment: float | None,
         frame: str,
         num_threads: int | None,
     ) -> None:
         _check_steerable(scenario)
         dead_zone = scenario.dead_zone if scenario.dead_zone > 0 else 1.0
-        check_gate_constants(min_alignment, dead_zone)
+        if min_alignment is not None:
+            check_gate_constants(min_alignment, dead_zone)
         choice("frame", frame, FRAMES)
         if num_threads is not None:
             num_threads = whole("num_threads", num_threads, 1, MOST_TEAMS)
@@ -171,7 +194,7 @@ class ActionFilter(ABC):
                 f"action of robot_{robot} in team {team} is "
                 f"{shown(vectors[team, robot].tolist())}; it must be finite, in float32"
             )
-        if self.along_net_bearing:
+        if self.along_net_bearing and self.chooses_vectors:
             vectors = np.einsum("bnij,bnj->bni", self._frames, vectors)
         self._held[...] = vectors
 
