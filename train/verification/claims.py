@@ -15,6 +15,7 @@ from .claim import Claim, Finding
 from .error_claims import ERRORS
 from .flow_claim import FlowClaim, check_flow
 from .flow_claims import FLOW
+from .link_claims import LINKS
 from .measuring import measure
 from .size_claims import SIZE
 from .stale_claims import STALE
@@ -22,7 +23,7 @@ from .tank_claims import TANK
 from .theory_claims import THEORY
 
 AnyClaim = Claim | FlowClaim
-CLAIMS: tuple[AnyClaim, ...] = (*THEORY, *SIZE, *TANK, *FLOW, *STALE, *ERRORS)
+CLAIMS: tuple[AnyClaim, ...] = (*THEORY, *SIZE, *TANK, *FLOW, *STALE, *ERRORS, *LINKS)
 
 
 def check(claim: AnyClaim, seed: int, batch: int, trials: int, least_margin: float) -> Finding:
