@@ -9,10 +9,8 @@ import numpy as np
 
 from .claim import Finding
 from .flow_sights import directions, extents
-from .free_flow import Look, Teams, Trial, integrate
+from .free_flow import ROUNDING, Array, Look, Teams, Trial, integrate
 
-_ROUNDING = 1e-9
-"""Of shares of a length, of which rounding takes far less."""
 _PLANE = 64
 _NOW_AND_THEN = 100
 """Calls between two looks at what is slow to measure."""
@@ -36,7 +34,7 @@ def check_flow(claim: FlowClaim, random: np.random.Generator, batch: int, trials
     trial = claim.draw(random, batch, least_margin)
     times, kept = (found[:trials] for found in integrate(trial))
     limit = trial.limit[:trials]
-    held = kept >= -_ROUNDING
+    held = kept >= -ROUNDING
     if not claim.meets:
         return Finding(len(held), float(kept.min()), float("nan"), int(np.sum(~held)))
     held &= times <= limit
@@ -49,7 +47,7 @@ def hull_is_nested(teams: Teams) -> Look:
     along = directions(teams.dim, _PLANE) if teams.dim == 2 else directions(3)
     start, latest = teams.size(), extents(teams, along)
 
-    def look(teams: Teams) -> np.ndarray:
+    def look(teams: Teams) -> Array:
         nonlocal latest
         before, latest = latest, extents(teams, along)
         return np.asarray((before - latest).min(axis=-1) / start)
@@ -63,7 +61,7 @@ def shrinks_by(teams: Teams, rate: float) -> Look:
     """
     start, calls = teams.size(), 0
 
-    def look(teams: Teams) -> np.ndarray:
+    def look(teams: Teams) -> Array:
         nonlocal calls
         calls += 1
         if calls % _NOW_AND_THEN:
@@ -74,6 +72,6 @@ def shrinks_by(teams: Teams, rate: float) -> Look:
     return look
 
 
-def stays_below(teams: Teams, bound: np.ndarray) -> Look:
+def stays_below(teams: Teams, bound: Array) -> Look:
     """By what share V is below a bound, (B,), m²/s."""
     return lambda teams: np.asarray(1.0 - teams.lyapunov() / bound)

@@ -20,6 +20,9 @@ from rendezvous_env.equations.size import size
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
+ROUNDING = 1e-9
+"""Of shares of a length, of which rounding takes far less."""
+
 
 class Sights(NamedTuple):
     """What robots could see of one another; index order [team, observer, neighbour]."""
@@ -150,7 +153,8 @@ class Trial:
 
 
 def integrate(trial: Trial) -> tuple[Array, Array]:
-    """Run the teams of a trial until they have met or are out of time.
+    """Run the teams of a trial until they have met, are out of time, or have broken what is
+    promised beside it.
 
     Returns:
         Times of the rendezvous (B,), s, infinite without; and the least that ``look`` found (B,).
@@ -158,7 +162,7 @@ def integrate(trial: Trial) -> tuple[Array, Array]:
     teams, limit = trial.teams, trial.limit
     times, kept = np.full(limit.shape, np.inf), np.full(limit.shape, np.inf)
     while True:
-        running = (teams.left > 1) & (teams.time < limit)
+        running = (teams.left > 1) & (teams.time < limit) & (kept >= -ROUNDING)
         if not running.any():
             return times, kept
         velocities = trial.law(teams)
