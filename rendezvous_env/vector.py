@@ -34,6 +34,7 @@ class HeadingVectorWrapper(VectorFilterWrapper):
         frame: "net_bearing" or "local".
         decision_period: base steps for which a raw vector is held.
         certified: False lets the raw vector through as h_i, without any guarantee.
+        bearing_error: η, rad: V never rises between merges while no bearing is wrong by more.
 
     Raises:
         TypeError: for another kind of environment.
@@ -48,6 +49,7 @@ class HeadingVectorWrapper(VectorFilterWrapper):
         frame: str = "net_bearing",
         decision_period: int = 1,
         certified: bool = True,
+        bearing_error: float = 0.0,
     ) -> None:
         self.steering = Steering(
             check_ours(env, "HeadingVectorWrapper").scenario,
@@ -56,6 +58,7 @@ class HeadingVectorWrapper(VectorFilterWrapper):
             max_turn_rate=max_turn_rate,
             frame=frame,
             certified=certified,
+            bearing_error=bearing_error,
             num_threads=env.simulator.num_threads,
         )
         super().__init__(env, self.steering, "steering", decision_period)
@@ -77,6 +80,7 @@ class EnergyTankWrapper(VectorFilterWrapper):
         frame: "net_bearing" or "local".
         decision_period: base steps for which a wish is held; the ledger is kept in each.
         observe_level: whether robots see the level of their own tank, in one row more.
+        bearing_error: η, rad: the promises hold while no bearing is wrong by more.
 
     Raises:
         TypeError: for another kind of environment.
@@ -91,6 +95,7 @@ class EnergyTankWrapper(VectorFilterWrapper):
         frame: str = "net_bearing",
         decision_period: int = 1,
         observe_level: bool = False,
+        bearing_error: float = 0.0,
     ) -> None:
         self.tank = EnergyTank(
             check_ours(env, "EnergyTankWrapper").scenario,
@@ -99,6 +104,7 @@ class EnergyTankWrapper(VectorFilterWrapper):
             min_alignment=min_alignment,
             frame=frame,
             observe_level=observe_level,
+            bearing_error=bearing_error,
             num_threads=env.simulator.num_threads,
         )
         super().__init__(env, self.tank, "tank", decision_period)

@@ -43,6 +43,8 @@ class HeadingVectorWrapper(FilterWrapper):
             f_i in each. Rewards are summed, and a robot that merges on the way ends with its
             last observation.
         certified: False lets the raw vector through as h_i, without any guarantee.
+        bearing_error: η, rad: V never rises between merges while no bearing is wrong by more.
+            Robots then go max(0, h_iᵀf_i − e_i) along h_i, e_i = 2 sin(η/2) D_i (theorem N1').
 
     Raises:
         TypeError: for another kind of environment.
@@ -57,6 +59,7 @@ class HeadingVectorWrapper(FilterWrapper):
         frame: str = "net_bearing",
         decision_period: int = 1,
         certified: bool = True,
+        bearing_error: float = 0.0,
     ) -> None:
         self.steering = Steering(
             base_of(env, "HeadingVectorWrapper").scenario,
@@ -65,5 +68,6 @@ class HeadingVectorWrapper(FilterWrapper):
             max_turn_rate=max_turn_rate,
             frame=frame,
             certified=certified,
+            bearing_error=bearing_error,
         )
         super().__init__(env, self.steering, "steering", decision_period)

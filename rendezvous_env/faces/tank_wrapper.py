@@ -53,6 +53,8 @@ class EnergyTankWrapper(FilterWrapper):
         decision_period: base steps for which a wish is held; the ledger is kept in each. Rewards
             are summed, and a robot that merges on the way ends with its last observation.
         observe_level: whether robots see the level of their own tank.
+        bearing_error: η, rad: the promises hold while no bearing is wrong by more; each step is
+            charged what that could feign.
 
     Raises:
         TypeError: for another kind of environment.
@@ -67,6 +69,7 @@ class EnergyTankWrapper(FilterWrapper):
         frame: str = "net_bearing",
         decision_period: int = 1,
         observe_level: bool = False,
+        bearing_error: float = 0.0,
     ) -> None:
         self.tank = EnergyTank(
             base_of(env, "EnergyTankWrapper").scenario,
@@ -75,5 +78,6 @@ class EnergyTankWrapper(FilterWrapper):
             min_alignment=min_alignment,
             frame=frame,
             observe_level=observe_level,
+            bearing_error=bearing_error,
         )
         super().__init__(env, self.tank, "tank", decision_period)

@@ -13,6 +13,7 @@ from ..engine.state_checks import check_observations
 from ..experiment.checks import bools, flag, number, refuse
 from ..experiment.scenario import Scenario
 from .action_filter import ActionFilter
+from .bearing_errors import check_bearing_error, error_chord
 from .tank_law import book_deposits, spend_tanks
 from .teams import over_teams
 
@@ -33,6 +34,7 @@ class _Constants(NamedTuple):
     speed_limit: float
     yaw_limit: float
     pitch_limit: float
+    error_chord: float
 
 
 def unit_of_tanks(scenario: Scenario) -> float:
@@ -65,6 +67,9 @@ class EnergyTank(ActionFilter):
         frame: "net_bearing" (x along f; single integrators only, the other models keep the body
             frame) or "local".
         observe_level: whether ``view`` shows one row more, (A/(r D̄), 0, …).
+        bearing_error: η, rad: the account stays right while no bearing is wrong by more. A step is
+            charged 2 e ‖Δ‖ more, e = 2 sin(η/2) D, and owes τ s max(0, ε‖f‖ − e)² in place of its
+            last term. (Section 8 fades ε there; a tank needs no dead zone, and owes more without.)
         num_threads: most threads that may be used; None is one for each core.
 
     Raises:
@@ -82,6 +87,7 @@ class EnergyTank(ActionFilter):
         min_alignment: float = 0.05,
         frame: str = "net_bearing",
         observe_level: bool = False,
+        bearing_error: float = 0.0,
         num_threads: int | None = None,
     ) -> None:
         super().__init__(
@@ -105,6 +111,7 @@ class EnergyTank(ActionFilter):
             speed_limit=bounds[0],
             yaw_limit=bounds[1],
             pitch_limit=bounds[2],
+            error_chord=error_chord(check_bearing_error(bearing_error)),
         )
         team = num_envs, scenario.n_robots
         self._levels = np.full(team, self.budget)

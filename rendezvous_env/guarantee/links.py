@@ -15,9 +15,10 @@ from ..equations.least_norm import least_norm_of
 from ..equations.robots.kinematics import speed_scale
 from ..equations.rows import degree_of, net_bearing_of
 from ..equations.vectors import combine, dot, load, scaled, split, store
-from ..experiment.checks import number, real, refuse
+from ..experiment.checks import real, refuse
 from ..experiment.scenario import Scenario
 from .action_filter import ActionFilter, check_goes_anywhere
+from .bearing_errors import check_bearing_error
 from .link_set import project_on_links
 from .teams import over_teams, teams_of_block
 
@@ -121,15 +122,6 @@ def check_share(share: Any) -> float:
     if not 0.0 < real(share) <= 1.0:
         refuse("share", share, "in (0, 1]")
     return real(share)
-
-
-def check_bearing_error(bearing_error: Any) -> float:
-    """η, rad, from 0 to π/2 (guarantees 11).
-
-    Raises:
-        ValueError: saying what was given.
-    """
-    return number("bearing_error", bearing_error, 0.0, math.pi / 2.0, "rad")
 
 
 @kernel

@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..engine.state_checks import check_observations
-from ..experiment.checks import flag, positive
+from ..experiment.checks import flag, positive, refuse
 from ..experiment.scenario import Scenario
 from .action_filter import ActionFilter
+from .bearing_errors import check_bearing_error, error_chord
 from .flexible_law import steer_headings
 from .heading import step_scale
 from .teams import over_teams
@@ -30,6 +31,7 @@ class _Constants(NamedTuple):
     max_turn: float
     certified: bool
     long_step: bool
+    error_chord: float
 
 
 class Steering(ActionFilter):
@@ -43,6 +45,8 @@ class Steering(ActionFilter):
         frame: "net_bearing" (x along f; single integrators only, the other models keep the body
             frame) or "local".
         certified: False lets the raw vector through: law (4) bare, without margin or gate.
+        bearing_error: η, rad: a robot goes slower by what bearings that are wrong by no more than
+            that could feign (theorem N1').
         num_threads: most threads that may be used; None is one for each core.
 
     Raises:
@@ -58,6 +62,7 @@ class Steering(ActionFilter):
         max_turn_rate: float = 3.0,
         frame: str = "net_bearing",
         certified: bool = True,
+        bearing_error: float = 0.0,
         num_threads: int | None = None,
     ) -> None:
         turns_body = scenario.model.nonholonomic
@@ -71,6 +76,9 @@ class Steering(ActionFilter):
         )
         max_turn_rate = positive("max_turn_rate", max_turn_rate, "rad/s")
         flag("certified", certified)
+        bearing_error = check_bearing_error(bearing_error)
+        if bearing_error > 0.0 and not certified:
+            refuse("bearing_error", bearing_error, "0 with certified=False: nothing is promised")
         self._limits = self._turn_limits(max_turn_rate)
         self._constants = _Constants(
             neighbour_slots=self._sight.neighbour_slots,
@@ -81,6 +89,7 @@ class Steering(ActionFilter):
             max_turn=float(self._limits[0]) * scenario.tau,
             certified=bool(certified),
             long_step=scenario.tau > scenario.certified_step,
+            error_chord=error_chord(bearing_error),
         )
         self._headings = np.zeros((num_envs, scenario.n_robots, scenario.dim))
 
@@ -129,7 +138,10 @@ class Steering(ActionFilter):
         return actions
 
     def _turn_bodies(self, observations: NDArray[np.float32], actions: NDArray[np.float32]) -> None:
-        """Gated turn rates, and the speed v = mᵀf for the mean body axis m (theory 4, arcs)."""
+        """Gated turn rates, and the speed v = mᵀf for the mean body axis m (theory 4, arcs).
+
+        With bearing errors it is less by e, so that V falls whatever f is.
+        """
         constants, scenario = self._constants, self.scenario
         seen = scenario.observation_layout.split(observations)
         f = scenario.observation_layout.net_bearing(observations)
@@ -148,11 +160,14 @@ class Steering(ActionFilter):
         along = np.sum(mean_axis * f, axis=-1)
         scale = step_scale(degree, constants.merge_radius, constants.duration)
         alone = degree == 0
-        actions[..., 0] = np.where(alone, 0.0, along * (scale if constants.certified else 1.0))
+        sure = along
+        if constants.error_chord > 0.0:
+            sure = np.copysign(np.maximum(abs(along) - constants.error_chord * degree, 0.0), along)
+        actions[..., 0] = np.where(alone, 0.0, sure * (scale if constants.certified else 1.0))
         actions[..., 1:] = np.where(alone[..., None], 0.0, rates)
         with np.errstate(invalid="ignore", divide="ignore"):
             self.alignment[...] = np.abs(f[..., 0]) / np.linalg.norm(f, axis=-1)
-        self.lyapunov_rate[...] = -2.0 * along**2
+        self.lyapunov_rate[...] = -2.0 * along * sure
 
     def _gate(
         self, f: NDArray[np.float64], pitch: NDArray[np.float64], rates: NDArray[np.float64]

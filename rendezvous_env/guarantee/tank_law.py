@@ -21,6 +21,8 @@ def spend_tanks(share, turns_body, observations, constants, held, levels, action
 
         carried out if A + G(Δ) ≥ 0,   G(Δ) = 2 f·Δ − (2/r) D ‖Δ‖² − ε² τ s ‖f‖²
 
+    With bearing errors f may be wrong by e = 2 sin(η/2) D: see tank.py for what is charged then.
+
     Args:
         share: this thread's part, as sharing.py says.
         turns_body: whether the robots are nonholonomic.
@@ -85,20 +87,21 @@ def _spend_team(turns_body, observations, constants, held, levels, actions, told
 @inlined_kernel
 def _spend_going(f, strength, degree, constants, held, level, action):
     """One robot that goes anywhere: whether its wish is carried out, its deposit, displacement."""
+    error = constants.error_chord * degree
     scale = descent_scale(
         strength, degree, constants.merge_radius, constants.duration, constants.speed_limit
     )
-    owed = promised_descent(strength, scale, constants.min_alignment, constants.duration)
+    owed = promised_descent(strength, scale, constants.min_alignment, constants.duration, error)
     wanted = scaled(load(held), constants.speed_limit)
     _, within = speed_scale(dot(wanted, wanted), constants.speed_limit)
     moved = _go(scaled(wanted, within), constants, action)
-    deposit = certain_descent(f, degree, moved, constants.merge_radius) - owed
+    deposit = certain_descent(f, degree, moved, constants.merge_radius, error) - owed
     carried_out = level + deposit >= 0.0
     if not carried_out:
         moved = _go(
-            descending_velocity(wanted, f, scale, constants.min_alignment), constants, action
+            descending_velocity(wanted, f, scale, constants.min_alignment, error), constants, action
         )
-        deposit = certain_descent(f, degree, moved, constants.merge_radius) - owed
+        deposit = certain_descent(f, degree, moved, constants.merge_radius, error) - owed
     return carried_out, deposit, moved
 
 
@@ -114,7 +117,7 @@ def _go(velocity, constants, action):
 @inlined_kernel
 def _spend_turning(rows, f, strength, degree, constants, held, level, action):
     """One nonholonomic robot, in its body frame; returns as ``_spend_going``."""
-    pitch = 0.0
+    pitch, error = 0.0, constants.error_chord * degree
     if len(held) == 3:
         gravity = load(rows[constants.gravity_row])
         pitch = math.atan2(-gravity[0], -gravity[2])
@@ -123,7 +126,7 @@ def _spend_turning(rows, f, strength, degree, constants, held, level, action):
     if len(held) == 3:
         action[2] = clip(held[2], 1.0) * constants.pitch_limit
     moved = _drive(_mean_axis(action, pitch, constants), constants, action)
-    deposit = certain_descent(f, degree, moved, constants.merge_radius)
+    deposit = certain_descent(f, degree, moved, constants.merge_radius, error)
     carried_out = level + deposit >= 0.0
     if not carried_out:
         _gate(f, pitch, constants, action)
@@ -131,9 +134,12 @@ def _spend_turning(rows, f, strength, degree, constants, held, level, action):
         scale = descent_scale(
             strength, degree, constants.merge_radius, constants.duration, constants.speed_limit
         )
-        action[0] = scale * dot(mean_axis, f)
+        along = dot(mean_axis, f)
+        if error > 0.0:
+            along = math.copysign(max(abs(along) - error, 0.0), along)
+        action[0] = scale * along
         moved = _drive(mean_axis, constants, action)
-        deposit = certain_descent(f, degree, moved, constants.merge_radius)
+        deposit = certain_descent(f, degree, moved, constants.merge_radius, error)
     return carried_out, deposit, moved
 
 
