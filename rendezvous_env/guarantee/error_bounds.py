@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from .bearing_errors import error_chord
 from .size_bounds import shrinking
 
 Array = NDArray[np.float64]
@@ -93,29 +94,27 @@ def wrong_bearings_time(
         return np.asarray(np.asarray(initial_size) / rate)
 
 
-def most_wrong(degree: ArrayLike, error: ArrayLike) -> Array:
+def most_wrong(degree: ArrayLike, error: float) -> Array:
     """The most by which a net bearing can be wrong, e_i = 2 sin(η/2) D_i (theorem N1), m/s.
 
     Args:
         degree: D_i = Σ_j a_ij, (...), m/s.
-        error: η, (...), rad: no bearing is off by more.
+        error: η, a number, rad: no bearing is off by more.
 
     Returns:
         (...), m/s.
     """
-    return np.asarray(2.0 * np.sin(np.asarray(error) / 2.0) * np.asarray(degree))
+    return np.asarray(error_chord(error) * np.asarray(degree))
 
 
-def error_share(
-    n: int, max_degree: ArrayLike, bottleneck_weight: ArrayLike, error: ArrayLike
-) -> Array:
+def error_share(n: int, max_degree: ArrayLike, bottleneck_weight: ArrayLike, error: float) -> Array:
     """ρ = n D̄ sin(η/2)/a*, what errors take from Σ‖f_i‖ ≥ 2 a* (theorem N1).
 
     Args:
         n: number of robots.
         max_degree: D̄, (...), m/s.
         bottleneck_weight: a*, (...), m/s.
-        error: η, (...), rad.
+        error: η, a number, rad.
 
     Returns:
         (...), without unit.
@@ -129,7 +128,7 @@ def wrong_law_1_time(
     *,
     max_degree: float,
     bottleneck_weight: float,
-    error: ArrayLike,
+    error: float,
     step: float,
 ) -> Array:
     """T of law (1) with bearings that are off by η at most, s (theorem N1).
@@ -144,7 +143,7 @@ def wrong_law_1_time(
         lyapunov_bound: V0⁺ = V(0) + (n−1) r W, (...), m²/s.
         max_degree: D̄, m/s.
         bottleneck_weight: a*, m/s.
-        error: η, (...), rad.
+        error: η, a number, rad.
         step: τ, s.
 
     Returns:

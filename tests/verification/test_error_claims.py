@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 
 from rendezvous_env import Scenario, Simulator
-from rendezvous_env.trajectory import run
+from rendezvous_env.guarantee.energy_tank import EnergyTank
 from train.verification import error_claims, wrong_rows
-from train.verification.cases import BATCH, Case
+from train.verification.cases import BATCH
 from train.verification.claims import CLAIMS, check
 from train.verification.laws import by_name
 from train.verification.size_claims import SIZE
+from train.verification.tank_adversaries import Tanked, wishes
 
 BY_NAME = {claim.name: claim for claim in error_claims.ERRORS}
 GAINS = next(claim for claim in SIZE if claim.name == "gain-wrapper")
@@ -58,15 +59,40 @@ def test_errors_larger_than_the_ledger_says_are_caught():
 
 
 def test_headings_that_trust_wrong_bearings_are_caught():
-    """Certified and carried out, but without slowing down."""
+    """Certified and carried out, but without slowing down; all bearings lean to the heading."""
+
+    class TowardsHeading(wrong_rows.Misled):
+        def _towards(self, rows):
+            headings = self.policy.steering.headings[:, :, None]
+            return np.broadcast_to(headings, rows.shape)
 
     def trusting(case, num_envs, random):
-        policy = wrong_rows.misled_headings(case, num_envs, random)
-        policy.policy._wrong = 0.0
-        return policy
+        blind = dataclasses.replace(case, error=0.0)
+        steered = wrong_rows.misled_headings(blind, num_envs, random).policy
+        return TowardsHeading(case.scenario, steered, case.error, random)
 
     claim = BY_NAME["wrong-headings"]
     assert findings(claim, 4, law=trusting, judges=claim.judges[1:], bound=for_fifty_steps)[0] > 0
+
+
+def test_tanks_that_trust_wrong_bearings_are_caught():
+    """The worst that bearings can feign: what is wished for earns."""
+
+    class TowardsWish(wrong_rows.Misled):
+        def _towards(self, rows):
+            return np.broadcast_to(self.policy.tank._held[:, :, None], rows.shape)
+
+    def trusting(case, num_envs, random):
+        tank = EnergyTank(
+            case.scenario, num_envs, budget=case.budget, min_alignment=0.02, frame="local"
+        )
+        policy = Tanked(tank, wishes(case.scenario, num_envs, random, "flee"), 5)
+        return TowardsWish(case.scenario, policy, 3.0 * case.error, random)
+
+    claim = BY_NAME["wrong-tank"]
+    judges = claim.judges[1:]
+    long = {"bound": lambda case, teams: np.full(BATCH, 500 * case.scenario.tau)}
+    assert findings(claim, 3, law=trusting, judges=judges, **long)[0] > 0
 
 
 def test_noise_with_a_bias_is_caught():
@@ -115,20 +141,3 @@ def test_rows_are_turned_by_the_error_and_stay_as_long(dim):
     angles = np.arccos(np.sum(a * b, axis=-1)[:, there] / lengths[there] ** 2)
     np.testing.assert_allclose(angles, 0.3, atol=1e-3)
     assert 0 < there.mean() < 1 and not b[:, ~there].any()
-
-
-def test_careful_robots_never_go_faster_than_they_are_sure_of():
-    case = dataclasses.replace(Case(Scenario(n_robots=5, graph="cycle"), 0.5), error=0.1)
-    policy = wrong_rows.misled_headings(case, BATCH, np.random.default_rng(0))
-    simulator, went = Simulator(case.scenario, BATCH), 0
-    observations = simulator.reset(0)
-    layout = case.scenario.observation_layout
-    for number, step in enumerate(run(simulator, policy, observations)):
-        f = layout.net_bearing(step.observations)
-        u = step.actions.astype(float)
-        square = np.sum(u**2, axis=-1)
-        assert (np.sum(u * f, axis=-1) >= square - 1e-5).all()
-        went += (square > 1e-6).sum()
-        if number == 20:
-            break
-    assert went > BATCH

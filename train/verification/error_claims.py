@@ -11,7 +11,7 @@ from collections.abc import Callable
 import numpy as np
 
 from rendezvous_env import Scenario, Sensing, Simulator
-from rendezvous_env.guarantee.bounds import lyapunov_bound
+from rendezvous_env.guarantee.bounds import lyapunov_bound, tank_lyapunov_bound
 from rendezvous_env.guarantee.error_bounds import (
     certified_share,
     error_share,
@@ -27,7 +27,9 @@ from .claim import Array, Claim
 from .judging import falls, keeps, meets, meets_on_average, rounding
 from .laws import by_name
 from .promises import anything
-from .wrong_rows import misled_headings, misled_law_1
+from .tank_cases import draw_timed
+from .tank_watches import nothing_rises_above
+from .wrong_rows import misled_headings, misled_law_1, misled_tanks
 
 _STEPS = (0.3, 1.0)
 """τ over the certified step."""
@@ -74,6 +76,13 @@ def draw_wrong_headings(random: np.random.Generator, batch: int, least_margin: f
     return dataclasses.replace(case, error=_error_of(case.scenario, rho))
 
 
+def draw_wrong_tanks(random: np.random.Generator, batch: int, least_margin: float) -> Case:
+    """Errors that an energy tank bears; it has no dead zone."""
+    case = draw_timed(random, batch, least_margin)
+    rho = random.uniform(0.1, 0.7) * case.margin / (1.0 + case.margin)
+    return dataclasses.replace(case, error=_error_of(case.scenario, rho))
+
+
 def draw_noisy(random: np.random.Generator, batch: int, least_margin: float) -> Case:
     """Noise, and a step that beats it."""
     scenario = draw_case(random, batch, least_margin, speed_limits=False).scenario
@@ -108,6 +117,22 @@ def bound_wrong_headings(case: Case, teams: Simulator) -> Array:
         bottleneck_weight=scenario.bottleneck_weight,
         share=certified_share(case.margin, rho_of(case), _DEAD_ZONE),
         step=scenario.tau,
+    )
+
+
+def bound_wrong_tanks(case: Case, teams: Simulator) -> Array:
+    """Of theorem D with bearing errors, s."""
+    scenario = case.scenario
+    degree, tau = scenario.max_degree, scenario.tau
+    return wrong_certified_time(
+        scenario.n_robots,
+        tank_lyapunov_bound(scenario, teams.lyapunov(), budget=case.budget),
+        bottleneck_weight=scenario.bottleneck_weight,
+        share=certified_share(case.margin, rho_of(case), 0.0),
+        step=tau,
+        slowest=min(
+            1.0, scenario.merge_radius / (2.0 * degree * tau), scenario.speed_limit / degree
+        ),
     )
 
 
@@ -172,6 +197,17 @@ ERRORS = (
         (meets, falls),
         by_its_square,
         timed=True,
+    ),
+    Claim(
+        "wrong-tank",
+        "any wishes under a tank that allows for η: V ≤ V(0) + ΣB until a merge, T ≤ D with errors",
+        draw_wrong_tanks,
+        misled_tanks,
+        bound_wrong_tanks,
+        (meets, keeps),
+        anything,
+        timed=True,
+        watch=nothing_rises_above,
     ),
     Claim(
         "noise",

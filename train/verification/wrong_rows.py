@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rendezvous_env import Scenario
-from rendezvous_env.guarantee.error_bounds import most_wrong
 from rendezvous_env.trajectory import Policy
 
 from .adversaries import Steered, across, adversary
@@ -14,6 +13,7 @@ from .cases import BATCH, Case
 from .claim import Array
 from .flow_sights import turned, unit
 from .laws import by_name
+from .tank_cases import tanked
 
 KINDS = ("against", "spinning", "anyhow", "switching", "outward")
 _SWITCHING = 7
@@ -74,36 +74,23 @@ def misled_law_1(case: Case, num_envs: int, random: np.random.Generator) -> Poli
     return Misled(case.scenario, law, case.error, random)
 
 
-class Careful(Steered):
-    """Any raw vectors, certified against what is seen, and slowed down by what may be wrong.
-
-    v_i = max(0, h·f̂_i − e_i) h                                                  (theorem N1')
-    """
-
-    def __init__(self, scenario: Scenario, error: float, *given: object, **options: object) -> None:
-        super().__init__(scenario, BATCH, *given, **options)  # type: ignore[arg-type]
-        self._layout, self._wrong = scenario.observation_layout, error
-
-    def __call__(self, observations: NDArray[np.float32], time: ArrayLike) -> NDArray[np.float32]:
-        """Velocities (B, n, d), m/s."""
-        super().__call__(observations, time)
-        h, f = self.steering.headings, self._layout.net_bearing(observations)
-        wrong = most_wrong(self._layout.degree(observations), self._wrong)
-        speed = np.maximum(np.sum(h * f, axis=-1) - wrong, 0.0)
-        return np.asarray(speed[..., None] * h, dtype=np.float32)
-
-
 def misled_headings(case: Case, num_envs: int, random: np.random.Generator) -> Policy:
     """All adversaries under headings that allow for errors, on wrong bearings."""
     scenario = case.scenario
     chooser = adversary(scenario, num_envs, random)
-    careful = Careful(
+    careful = Steered(
         scenario,
-        case.error,
+        num_envs,
         chooser,
         decision_period=int(random.choice([1, 1, 5])),
         min_alignment=case.margin,
         max_turn_rate=float(random.uniform(1.0, 10.0)),
         frame=str(random.choice(["net_bearing", "local"])),
+        bearing_error=case.error,
     )
     return Misled(scenario, careful, case.error, random)
+
+
+def misled_tanks(case: Case, num_envs: int, random: np.random.Generator) -> Policy:
+    """All wishes under a tank that allows for errors, on wrong bearings."""
+    return Misled(case.scenario, tanked(case, num_envs, random), case.error, random)
