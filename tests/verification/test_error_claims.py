@@ -17,6 +17,8 @@ from train.verification.size_claims import SIZE
 from train.verification.tank_adversaries import Tanked, wishes
 
 BY_NAME = {claim.name: claim for claim in error_claims.ERRORS}
+FAR = 1.0
+"""By what errors exceed what is claimed of them, rad."""
 GAINS = next(claim for claim in SIZE if claim.name == "gain-wrapper")
 
 
@@ -52,14 +54,14 @@ def for_fifty_steps(case, teams):
 def test_errors_larger_than_the_ledger_says_are_caught():
     def worse(case, num_envs, random):
         law = by_name("bearing-only")(case, num_envs, random)
-        return wrong_rows.Misled(case.scenario, law, min(4.0 * case.error + 0.5, 3.0), random)
+        return wrong_rows.Misled(case.scenario, law, case.error + FAR, random)
 
     watched = BY_NAME["wrong-law-1"].judges[1:]
     assert findings(BY_NAME["wrong-law-1"], law=worse, judges=watched, bound=for_fifty_steps)[0] > 0
 
 
 def test_headings_that_trust_wrong_bearings_are_caught():
-    """Certified and carried out, but without slowing down; all bearings lean to the heading."""
+    """All bearings lean to the heading, by more than it allows for."""
 
     class TowardsHeading(wrong_rows.Misled):
         def _towards(self, rows):
@@ -67,16 +69,15 @@ def test_headings_that_trust_wrong_bearings_are_caught():
             return np.broadcast_to(headings, rows.shape)
 
     def trusting(case, num_envs, random):
-        blind = dataclasses.replace(case, error=0.0)
-        steered = wrong_rows.misled_headings(blind, num_envs, random).policy
-        return TowardsHeading(case.scenario, steered, case.error, random)
+        steered = wrong_rows.misled_headings(case, num_envs, random).policy
+        return TowardsHeading(case.scenario, steered, case.error + FAR, random)
 
     claim = BY_NAME["wrong-headings"]
     assert findings(claim, 4, law=trusting, judges=claim.judges[1:], bound=for_fifty_steps)[0] > 0
 
 
 def test_tanks_that_trust_wrong_bearings_are_caught():
-    """The worst that bearings can feign: what is wished for earns."""
+    """All bearings lean to the wish, so that it seems to earn."""
 
     class TowardsWish(wrong_rows.Misled):
         def _towards(self, rows):
@@ -87,7 +88,7 @@ def test_tanks_that_trust_wrong_bearings_are_caught():
             case.scenario, num_envs, budget=case.budget, min_alignment=0.02, frame="local"
         )
         policy = Tanked(tank, wishes(case.scenario, num_envs, random, "flee"), 5)
-        return TowardsWish(case.scenario, policy, 3.0 * case.error, random)
+        return TowardsWish(case.scenario, policy, case.error + FAR, random)
 
     claim = BY_NAME["wrong-tank"]
     judges = claim.judges[1:]
