@@ -30,6 +30,8 @@ class Case:
     """Given parts of the start, as ``Simulator.reset`` takes them."""
     budget: float = 0.0
     """B of each robot's energy tank, m²/s."""
+    error: float = 0.0
+    """η, the most by which a bearing is wrong, rad."""
 
 
 FAMILIES: dict[str, Callable[[int, tuple[float, float], np.random.Generator], graphs.Graph]] = {

@@ -74,6 +74,8 @@ class Claim:
     """Whether ``bound`` is a theorem's, so that T/bound is worth reporting."""
     watch: Watch | None = None
     """What else is measured in every step, for the judge ``keeps``."""
+    patience: float = 1.0
+    """Times ``bound`` for which teams are waited for: more than 1 where it bounds a mean."""
 
 
 @dataclass(frozen=True)
@@ -86,4 +88,5 @@ class Finding:
     time_over_bound: float
     """Worst over the teams; NaN where the claim names no time."""
     violations: int
-    case: Case
+    case: Case | None = None
+    """What its teams shared, in the environment."""

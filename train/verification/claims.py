@@ -12,15 +12,21 @@ import numpy as np
 
 from .cases import BATCH
 from .claim import Claim, Finding
+from .error_claims import ERRORS
+from .flow_claim import FlowClaim, check_flow
+from .flow_claims import FLOW
+from .link_claims import LINKS
 from .measuring import measure
 from .size_claims import SIZE
+from .stale_claims import STALE
 from .tank_claims import TANK
 from .theory_claims import THEORY
 
-CLAIMS = (*THEORY, *SIZE, *TANK)
+AnyClaim = Claim | FlowClaim
+CLAIMS: tuple[AnyClaim, ...] = (*THEORY, *SIZE, *TANK, *FLOW, *STALE, *ERRORS, *LINKS)
 
 
-def check(claim: Claim, seed: int, batch: int, trials: int, least_margin: float) -> Finding:
+def check(claim: AnyClaim, seed: int, batch: int, trials: int, least_margin: float) -> Finding:
     """Run one batch of a claim; the same arguments give the same finding.
 
     Args:
@@ -31,6 +37,8 @@ def check(claim: Claim, seed: int, batch: int, trials: int, least_margin: float)
         least_margin: smallest ε to draw.
     """
     random = np.random.default_rng([seed, zlib.crc32(claim.name.encode()), batch])
+    if isinstance(claim, FlowClaim):
+        return check_flow(claim, random, batch, trials, least_margin)
     case = claim.draw(random, batch, least_margin)
     policy = claim.law(case, BATCH, random)
     start_seed = int(random.integers(2**40))

@@ -11,6 +11,8 @@ from .claim import Array, Record, Verdict
 _FLOAT64 = 1e-12
 _FLOAT32 = 2.0**-20
 _WATCHED = 1e-9
+_CONFIDENCE = 3.0
+"""Standard errors."""
 
 
 def falls(record: Record) -> Verdict:
@@ -22,6 +24,16 @@ def meets(record: Record) -> Verdict:
     """All have met by the time limit; the margin is the share of it that is left."""
     margin = 1.0 - record.times / record.limit
     return margin, record.times <= record.limit
+
+
+def meets_on_average(record: Record) -> Verdict:
+    """The mean of T/bound over the teams of a batch is at most 1, with three standard errors to
+    spare.
+    """
+    ratio = record.times / record.limit
+    spread = np.std(ratio, ddof=1) if np.isfinite(ratio).all() else np.inf
+    margin = 1.0 - np.mean(ratio) - _CONFIDENCE * spread / np.sqrt(len(ratio))
+    return np.full(len(ratio), margin), np.full(len(ratio), bool(margin >= 0))
 
 
 def stays_apart(record: Record) -> Verdict:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import baselines
+from rendezvous_env.guarantee.gains import Gains
 from rendezvous_env.guarantee.heading import flexible_velocity
 from rendezvous_env.trajectory import Policy
 
@@ -52,6 +53,28 @@ def at_fixed_angle(case: Case, num_envs: int, random: np.random.Generator) -> Po
         f = scenario.observation_layout.net_bearing(observations)
         h = epsilon * _unit(f) + side * math.sqrt(1 - epsilon**2) * _unit(across(f, axis))
         return flexible_velocity(f, h).astype(np.float32)
+
+    return policy
+
+
+def weighted(case: Case, num_envs: int, random: np.random.Generator) -> Policy:
+    """Any weights of neighbours under theorem G: one neighbour, whoever is most against the rest,
+    or drawn anew in every step.
+    """
+    scenario = case.scenario
+    gains, layout = Gains(scenario, num_envs, frame="local"), scenario.observation_layout
+    kinds = random.integers(3, size=(num_envs, scenario.n_robots, 1))
+    liking = random.random((num_envs, scenario.n_robots, layout.neighbour_slots))
+
+    def policy(observations: NDArray[np.float32], time: Array) -> NDArray[np.float32]:
+        rows = layout.split(observations).neighbours.astype(np.float64)
+        seen = np.any(rows, axis=-1)
+        against = -np.sum(_unit(rows) * rows.sum(axis=-2, keepdims=True), axis=-1)
+        score = np.where(kinds == 0, liking, against)
+        score[~seen] = -np.inf
+        one = score == score.max(axis=-1, keepdims=True)
+        gains.hold(np.where(kinds == 2, random.random(liking.shape), one))
+        return gains.act(observations)
 
     return policy
 

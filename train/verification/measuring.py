@@ -29,7 +29,7 @@ def measure(claim: Claim, case: Case, policy: Policy, seed: int) -> Record:
         policy.watch(simulator)
     limit = claim.bound(case, simulator)
     # one step more: a bound falls within a step
-    simulator.set_max_steps(math.ceil(float(limit.max()) / scenario.tau) + 1)
+    simulator.set_max_steps(math.ceil(claim.patience * float(limit.max()) / scenario.tau) + 1)
     heaviest = simulator.weights.max(axis=(-2, -1))
     record = _blank(case, simulator.lyapunov(), limit)
     watch = claim.watch(simulator, case) if claim.watch else None

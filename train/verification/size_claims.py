@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from .claim import Claim
 from .judging import falls, keeps, meets
-from .laws import by_name, certified
+from .laws import by_name, certified, weighted
 from .occlusion import what_is_seen
 from .promises import as_chosen, by_law_1, no_rise
 from .pursuit import pursuit
@@ -14,7 +14,14 @@ from .size_cases import (
     draw_pursuers,
     draw_uniform,
 )
-from .time_limits import bound_c, bound_held, bound_law_1, bound_occluded, bound_pursuit
+from .time_limits import (
+    bound_c,
+    bound_gains,
+    bound_held,
+    bound_law_1,
+    bound_occluded,
+    bound_pursuit,
+)
 from .watches import bodies_stay_apart, hull_shrinks
 
 _law_1 = by_name("bearing-only")
@@ -42,6 +49,17 @@ SIZE = (
         watch=hull_shrinks,
     ),
     Claim(
+        "gain-wrapper",
+        "any weights of neighbours, a* ≤ Σ_j c_ij ≤ D̄: the hull never grows, T ≤ G with c = a*",
+        draw_followed,
+        weighted,
+        bound_gains,
+        (meets, keeps),
+        no_rise,
+        timed=True,
+        watch=hull_shrinks,
+    ),
+    Claim(
         "bound-N",
         "law (1), all D_i equal, τ ≤ (r/2c) sin(βπ/n): T ≤ G sin(π/n)/sin((1−β)π/n) + (n−1)τ",
         draw_held,
@@ -53,7 +71,7 @@ SIZE = (
     ),
     Claim(
         "pursuit",
-        "turn to one robot, drive at c < ω_max r/2 while aligned: T ≤ G + nπ/(ω_max − 2c/r)",
+        "2-D, 3-D: turn to one robot, drive at c < ω_max r/2 if aligned: T ≤ G + nπ/(ω_max − 2c/r)",
         draw_pursuers,
         pursuit,
         bound_pursuit,

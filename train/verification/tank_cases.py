@@ -67,5 +67,6 @@ def tanked(case: Case, num_envs: int, random: np.random.Generator) -> Policy:
         budget=case.budget,
         min_alignment=case.margin,
         frame=str(random.choice(["net_bearing", "local"])),
+        bearing_error=case.error,
     )
     return Tanked(tank, wishes(case.scenario, num_envs, random), int(random.choice([1, 1, 5])))

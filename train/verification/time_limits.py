@@ -83,9 +83,13 @@ def bound_pursuit(case: Case, teams: Simulator) -> Array:
     return pursuit_bound(case.scenario, teams.size(), case.scenario.speed_limit)
 
 
-def bound_occluded(case: Case, teams: Simulator) -> Array:
+def bound_gains(case: Case, teams: Simulator) -> Array:
     """Of theorem G where each robot sees at least one other, c = a*, s, up to a step a merge."""
     scenario = case.scenario
     gain = min(scenario.bottleneck_weight, scenario.speed_limit)
     rate = shrinking(scenario.n_robots, scenario.dim, gain)
     return teams.size() / rate + (scenario.n_robots - 1) * scenario.tau
+
+
+bound_occluded = bound_gains
+"""The nearest robot is never hidden."""

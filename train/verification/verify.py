@@ -20,7 +20,7 @@ from ..checks import check_least, check_most
 from ..errors import UserError
 from ..results import prepare_folder, write_csv
 from .cases import BATCH
-from .claims import CLAIMS, Claim, check
+from .claims import CLAIMS, AnyClaim, check
 
 COLUMNS = (
     "claim",
@@ -84,7 +84,7 @@ def check_config(config: Config) -> None:
 class Row:
     """What was found about one claim."""
 
-    claim: Claim
+    claim: AnyClaim
     trials: int
     margin: float
     time_over_bound: float
@@ -95,7 +95,7 @@ class Row:
     """The command that repeats it; empty without any."""
 
 
-def verify(claim: Claim, config: Config, advance: Callable[[int], None]) -> Row:
+def verify(claim: AnyClaim, config: Config, advance: Callable[[int], None]) -> Row:
     """Check one claim on ``config.trials`` teams.
 
     Args:
@@ -121,7 +121,7 @@ def verify(claim: Claim, config: Config, advance: Callable[[int], None]) -> Row:
     )
 
 
-def command_for(claim: Claim, config: Config, batch: int) -> str:
+def command_for(claim: AnyClaim, config: Config, batch: int) -> str:
     """The command line that repeats one batch of one claim."""
     return (
         f"rendezvous verify --claims {claim.name} --seed {config.seed} --only-batch {batch} "
@@ -129,7 +129,7 @@ def command_for(claim: Claim, config: Config, batch: int) -> str:
     )
 
 
-def run(config: Config, claims: Sequence[Claim] = CLAIMS, console: Console | None = None) -> int:
+def run(config: Config, claims: Sequence[AnyClaim] = CLAIMS, console: Console | None = None) -> int:
     """Check the claims, print the table, write verify.csv; the exit status.
 
     Raises:
