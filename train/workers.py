@@ -141,7 +141,9 @@ def _spread(work: Any, tasks: list[tuple[int, Any]], workers: Workers) -> Iterat
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # that not all results were asked for
             found.close()
-        get_reusable_executor(reuse=True).shutdown(kill_workers=True)  # they would wait for more to do
+        get_reusable_executor(reuse=True).shutdown(
+            kill_workers=True
+        )  # they would wait for more to do
 
 
 @contextmanager

@@ -13,10 +13,11 @@ from rich.console import Console
 from .. import folders
 from ..learned import policies
 from . import cells, gallery, matrix, out_folder, ranking, tables
+from .ceilings import play_ceilings
 from .files import count_excess, description, paired_rows, write, write_summary
 from .out_folder import Part
 from .plan import Config, Job, plan
-from .playing import Played, play_all, play_ceilings, play_job, summary
+from .playing import Played, play_all, play_job, summary
 
 __all__ = ["Config", "Job", "Played", "plan", "play_job", "run", "summary"]
 

@@ -79,7 +79,6 @@ def play(
     episodes: int,
     seed: int,
     keep: int = 0,
-    on_progress: Callable[[float], None] = lambda share: None,
 ) -> tuple[Episodes, list[Recording]]:
     """Run one policy from the starts ``seed``, ``seed`` + 1, … of a scenario.
 
@@ -93,7 +92,6 @@ def play(
         episodes: N.
         seed: of the first start.
         keep: how many of the first starts to record.
-        on_progress: told after every step which share of the longest possible run is done.
 
     Raises:
         UserError: if the scenario has no room for a start.
@@ -101,18 +99,17 @@ def play(
     episodes = starts_of(scenario, episodes)
     parts: list[Episodes] = []
     recordings: list[Recording] = []
-    firsts = range(0, episodes, CHUNK)
-    for chunk, first in enumerate(firsts):
+    for first in range(0, episodes, CHUNK):
         simulator = Simulator(scenario, min(CHUNK, episodes - first))
         observations = _reset(simulator, seed + first)
         kept = range(min(keep, episodes)) if first == 0 else ()
-        recorders = [Recorder(Snapshot(simulator), team, observations) for team in kept]
+        start, exact = Snapshot(simulator), scenario.sensing.exact
+        recorders = [Recorder(start, team, observations, exact) for team in kept]
         meter = _Meter(simulator)
         for step in run(simulator, make_policy(), observations):
             aligned, after = meter.see(step), Snapshot(simulator)
             for recorder in recorders:
                 recorder.see(step, aligned, after)
-            on_progress((chunk + meter.share_of_limit) / len(firsts))
         parts.append(meter.episodes(margin))
         recordings += [recorder.finish() for recorder in recorders]
     return Episodes.joined(parts), recordings
@@ -146,12 +143,6 @@ class _Meter:
         self._rise = np.full(batch, -np.inf)
         self._merge_rise, self._merge_excess = np.zeros(batch), np.zeros(batch)
         self._alignment = np.full(batch, np.inf)
-        self._steps = 0
-
-    @property
-    def share_of_limit(self) -> float:
-        """Steps done, as a share of the time limit."""
-        return self._steps / self._simulator.max_steps
 
     def see(self, step: Step) -> NDArray[np.float64]:
         """Take in one step; returns the alignments of its robots, (B, n)."""
@@ -162,7 +153,6 @@ class _Meter:
         np.maximum(self._merge_excess, outcome.merge_excess, out=self._merge_excess, where=at)
         aligned = alignments(self._simulator.scenario, step)
         np.fmin(self._alignment, np.fmin.reduce(aligned, axis=1), out=self._alignment, where=at)
-        self._steps += 1
         return aligned
 
     def episodes(self, margin: float | None) -> Episodes:

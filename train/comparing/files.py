@@ -74,7 +74,7 @@ def description(
     used = {done.job.scenario.name: done.job.scenario for done in played}
     return results.provenance() | {
         "seed": config.seed,
-        "episodes": config.episodes,
+        "episodes": config.episodes or max(len(done.episodes.success) for done in played),
         "keep": config.keep,
         "starts": {done.job.scenario.name: len(done.episodes.success) for done in played},
         "scenarios": {name: scenario.to_plain() for name, scenario in used.items()},

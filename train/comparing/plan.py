@@ -14,6 +14,8 @@ from .. import results
 from ..checks import check_least
 from ..errors import UserError
 from ..learned import policies
+from ..workers import Place, Workers
+from .episodes import starts_of
 
 DEFAULT_SCENARIOS = (
     "fig3",
@@ -41,6 +43,10 @@ DEFAULT_SCENARIOS = (
     "rooms",
 )
 
+_STARTS = 100
+_LARGE = 8
+"""Robots; what more of them do among obstacles takes so long that fewer starts must do."""
+
 
 @dataclass(frozen=True)
 class Config:
@@ -49,10 +55,11 @@ class Config:
     scenarios: tuple[str, ...] = DEFAULT_SCENARIOS
     """Names of scenarios, or paths of TOML files."""
     policies: tuple[str, ...] = ()
-    """Names of policies; none means every one that fits but random and zero. Where one does not fit
-    it is left out."""
-    episodes: int = 100
-    """Starts for each scenario; one whose start is given is played once."""
+    """Names of policies; none means every one that fits but those that see nothing, and references,
+    which see everything. Where one does not fit it is left out."""
+    episodes: int | None = None
+    """Starts for each scenario; none is 100, and fewer for more than eight robots among obstacles:
+    800 over their number. A scenario whose start is given is played once."""
     seed: int = 0
     """Start k of every scenario has the seed SEED + k, whatever the policy."""
     out: Path = Path("out/compare")
@@ -77,6 +84,25 @@ class Config:
     """Whether to draw figures."""
     pdf: bool = False
     """Whether to write each figure as PDF too, for print."""
+    jobs: int | None = None
+    """Worker processes; none is one on each core, or all that a cluster has. Results are the same,
+    bit for bit, whatever their number."""
+    on: Place = "here"
+    """Where they work: on this machine, or on a Ray cluster."""
+    address: str | None = None
+    """Of the Ray cluster; none starts one on this machine."""
+
+    @property
+    def workers(self) -> Workers:
+        """Who plays."""
+        return Workers(self.jobs, self.on, self.address)
+
+    def starts(self, scenario: Scenario) -> int:
+        """How many different starts of a scenario are played."""
+        usual = _STARTS
+        if scenario.obstacles and scenario.n_robots > _LARGE:
+            usual = max(1, _STARTS * _LARGE // scenario.n_robots)
+        return starts_of(scenario, usual if self.episodes is None else self.episodes)
 
 
 @dataclass(frozen=True)
@@ -96,8 +122,10 @@ def plan(config: Config) -> list[Job]:
         UserError: for an unknown name or an impossible number.
     """
     check_least(config, episodes=1, seed=0, keep=0, ceiling=0)
-    if config.seed + config.episodes > 2**63:
-        raise UserError(f"--seed is {config.seed}; with {config.episodes} starts it is too large")
+    episodes = config.episodes or _STARTS
+    if config.seed + episodes > 2**63:
+        raise UserError(f"--seed is {config.seed}; with {episodes} starts it is too large")
+    _ = config.workers  # refuses what cannot be
     policies.check_names(config.policies)
     jobs: list[Job] = []
     for scenario in _resolve(config.scenarios):

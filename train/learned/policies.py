@@ -22,6 +22,8 @@ LEARNED = learned_policy.NAME
 LEARNED_TANK = learned_policy.TANK_NAME
 SHIPPED = (LEARNED, LEARNED_TANK)
 _AT_PATH = f"{LEARNED}:"
+_ON_REQUEST = ("blind", "privileged")
+"""Kinds of policies that are compared where they are named."""
 _ABOUT = {
     LEARNED: "Chooses how far aside of f the joined rule aims; certified, shipped with its weights",
     LEARNED_TANK: "Chooses where to go, all round, under an energy tank; shipped with its weights",
@@ -72,11 +74,11 @@ def learned_path(name: str) -> Path | None:
 
 def fitting(scenario: Scenario, wanted: Sequence[str]) -> list[str]:
     """Those of the wanted policies that fit a scenario; if none is named all that fit, but those
-    that see nothing only where nothing else fits.
+    that see nothing or everything only where nothing else fits.
     """
     known = names(scenario)
     if not wanted:
-        return [name for name in known if kind_of(name) != "blind"] or known
+        return [name for name in known if kind_of(name) not in _ON_REQUEST] or known
     return [
         name
         for name in wanted

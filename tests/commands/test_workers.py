@@ -1,0 +1,139 @@
+"""Tasks done by other processes: the same results, whoever does them and whatever is lost."""
+
+import os
+import signal
+import time
+
+import pytest
+
+from train import interrupts, workers
+from train.comparing import compare
+from train.errors import UserError
+from train.verification import verify
+from train.verification.claims import CLAIMS
+from train.workers import Workers, each
+
+
+@pytest.fixture(autouse=True)
+def at_once(monkeypatch):
+    """Workers begin at once."""
+    monkeypatch.setattr(workers, "_ALONE", 0.0)
+
+
+def where(task):
+    time.sleep(0.05)
+    return task, os.getpid(), os.environ.get("NUMBA_NUM_THREADS"), workers.available_cores()
+
+
+def dies_once(task):
+    """Ends its process, unless somebody has done so before."""
+    number, folder = task
+    if number == 3 and not (folder / "died").exists():
+        (folder / "died").touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return number
+
+
+def dies(task):
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def refuses(task):
+    raise UserError(f"task {task} cannot be")
+
+
+class TestEach:
+    def test_one_worker_is_this_process(self):
+        found = list(each(where, "abc", Workers(1)))
+        assert [number for number, _ in found] == [0, 1, 2]
+        assert [result[:2] for _, result in found] == [(letter, os.getpid()) for letter in "abc"]
+
+    def test_two_are_others_with_one_thread_each(self):
+        found = dict(each(where, range(12), Workers(2)))
+        assert sorted(found) == list(range(12))
+        assert all(found[number][0] == number for number in found)
+        assert {result[2:] for result in found.values()} == {("1", 1)}
+        processes = {result[1] for result in found.values()}
+        assert os.getpid() not in processes and 1 <= len(processes) <= 2
+
+    def test_what_must_stay_here_stays(self):
+        found = dict(each(where, range(6), Workers(2), here=lambda task: task % 2 == 0))
+        assert [found[number][1] == os.getpid() for number in range(6)] == [True, False] * 3
+
+    def test_a_lost_worker_costs_what_it_was_at(self, tmp_path):
+        tasks = [(number, tmp_path) for number in range(8)]
+        assert dict(each(dies_once, tasks, Workers(2))) == {number: number for number in range(8)}
+        assert (tmp_path / "died").exists()
+
+    def test_workers_that_are_always_lost_are_an_error(self):
+        with pytest.raises(UserError, match="workers ended 3 times before any task was done"):
+            list(each(dies, range(4), Workers(2)))
+
+    @pytest.mark.parametrize("count", [1, 2])
+    def test_what_a_task_raises_is_raised(self, count):
+        with pytest.raises(UserError, match=r"task \d cannot be"):
+            list(each(refuses, range(4), Workers(count)))
+
+    def test_ctrl_c_ends_them(self):
+        processes = set()
+        with interrupts.raised("test"), pytest.raises(KeyboardInterrupt):
+            for number, found in each(where, range(10_000), Workers(2)):
+                processes.add(found[1])
+                if number == 4:
+                    os.kill(os.getpid(), signal.SIGINT)
+        assert processes
+        for process in processes:
+            with pytest.raises(ProcessLookupError):
+                os.kill(process, 0)
+
+    def test_short_work_is_done_here(self, monkeypatch):
+        monkeypatch.setattr(workers, "_ALONE", 60.0)
+        found = list(each(where, range(5), Workers(2)))
+        assert {result[1] for _, result in found} == {os.getpid()}
+
+
+class TestRefusals:
+    @pytest.mark.parametrize(
+        ("given", "message"),
+        [
+            ({"jobs": 0}, "--jobs is 0; it must be 1 or more"),
+            ({"address": "auto"}, "--address is auto; only --on ray has one"),
+        ],
+    )
+    def test_by_name(self, given, message):
+        with pytest.raises(UserError, match=message):
+            Workers(**given)
+        with pytest.raises(UserError, match=message):
+            compare.plan(compare.Config(**given))
+        with pytest.raises(UserError, match=message):
+            verify.check_config(verify.Config(**given))
+
+    def test_a_missing_ray(self, monkeypatch):
+        monkeypatch.setattr(workers.importlib.util, "find_spec", lambda name: None)
+        with pytest.raises(
+            UserError, match=r"--on ray needs Ray; pip install 'rendezvous-env\[ray\]"
+        ):
+            Workers(on="ray")
+
+
+def compared(out, **changes):
+    """The files of a comparison whose numbers may not depend on who plays."""
+    given = {"scenarios": ("duo", "clutter-8"), "policies": ("bearing-only", "learned")}
+    config = compare.Config(**given, episodes=140, keep=2, figures=False, ceiling=1, out=out)
+    assert compare.run(compare.Config(**vars(config) | changes)) == 0
+    names = ("results.csv", "episodes.csv", "paired.csv", "ceiling.csv", "trajectories.npz")
+    return [(out / name).read_bytes() for name in names]
+
+
+def test_a_comparison_by_two_is_that_of_one(tmp_path):
+    assert compared(tmp_path / "one", jobs=1) == compared(tmp_path / "two", jobs=2)
+
+
+def test_so_is_a_verification(tmp_path):
+    claims = [claim for claim in CLAIMS if claim.name in ("lemma-1", "theorem-1")]
+    found = []
+    for jobs in (1, 2):
+        assert verify.run(verify.Config(trials=120, jobs=jobs, out=tmp_path), claims) == 0
+        lines = (tmp_path / "verify.csv").read_text().splitlines()
+        found.append([[*line.split(",")[:5], line.split(",")[6]] for line in lines])
+    assert found[0] == found[1] and len(found[0]) == 3
