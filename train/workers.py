@@ -69,8 +69,8 @@ def each(
     """Do all tasks; what each gives does not depend on who does it, nor on when.
 
     Workers are processes: most of a step is Python's, and holds its lock. A worker that is lost (a
-    kill, or no memory) costs what was in the air, which is done again. Close the iterator, or let
-    an exception pass it, and the workers end.
+    kill, or no memory) costs what was in the air, which is done again. The workers end when the
+    iterator is closed, which a caller that may be interrupted sees to itself.
 
     Args:
         work: what to do with a task; both travel to other processes, as the result does.
@@ -136,7 +136,8 @@ def _spread(work: Any, tasks: list[tuple[int, Any]], workers: Workers) -> Iterat
     ):
         found = Parallel(count, return_as="generator_unordered", batch_size=1)(calls)
     try:
-        yield from found
+        for one in found:  # "yield from" would close it before the warning is off
+            yield one
     finally:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # that not all results were asked for

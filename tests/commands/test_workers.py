@@ -3,6 +3,7 @@
 import os
 import signal
 import time
+from contextlib import closing
 
 import pytest
 
@@ -76,8 +77,9 @@ class TestEach:
 
     def test_ctrl_c_ends_them(self):
         processes = set()
-        with interrupts.raised("test"), pytest.raises(KeyboardInterrupt):
-            for number, found in each(where, range(10_000), Workers(2)):
+        tasks = each(where, range(10_000), Workers(2))
+        with interrupts.raised("test"), pytest.raises(KeyboardInterrupt), closing(tasks):
+            for number, found in tasks:
                 processes.add(found[1])
                 if number == 4:
                     os.kill(os.getpid(), signal.SIGINT)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import closing
 
 from rich.console import Console
 
@@ -32,10 +33,11 @@ def play_ceilings(part: Part, jobs: Sequence[Job], config: Config, console: Cons
     names = {task: f"ceiling-{task.scenario.name}-{task.run:04d}" for task in tasks}
     found = {task: cells.load_run(part, name) for task, name in names.items()}
     left = [task for task in tasks if found[task] is None]
-    with progress(console) as shown:
+    runs = each(ceiling.play_run, left, config.workers)
+    with progress(console) as shown, closing(runs):
         done = len(tasks) - len(left)
         bar = shown.add_task("best of many", total=len(tasks), completed=done)
-        for number, run in each(ceiling.play_run, left, config.workers):
+        for number, run in runs:
             found[left[number]] = run
             cells.save_run(part, names[left[number]], run)
             name = f"{left[number].scenario.name} · best of {config.ceiling}".ljust(40)

@@ -15,6 +15,7 @@ from ..checks import check_least
 from ..errors import UserError
 from ..learned import policies
 from ..workers import Place, Workers
+from . import levels
 from .episodes import starts_of
 
 DEFAULT_SCENARIOS = (
@@ -54,6 +55,10 @@ class Config:
 
     scenarios: tuple[str, ...] = DEFAULT_SCENARIOS
     """Names of scenarios, or paths of TOML files."""
+    sensing: tuple[str, ...] = ()
+    """Fields of the sensor and levels of each, as in noise=0,0.1,0.2 range=none,4,2: each scenario
+    is played at each of them, one field at a time, and drawn against it. The level none is that of
+    an exact sensor."""
     policies: tuple[str, ...] = ()
     """Names of policies; none means every one that fits but those that see nothing, and references,
     which see everything. Where one does not fit it is left out."""
@@ -92,6 +97,10 @@ class Config:
     address: str | None = None
     """Of the Ray cluster; none starts one on this machine."""
 
+    def sweeps(self) -> list[levels.Sweep]:
+        """What the figures against levels of a sensor show."""
+        return levels.sweeps(_resolve(self.scenarios), self.sensing)
+
     @property
     def workers(self) -> Workers:
         """Who plays."""
@@ -128,7 +137,7 @@ def plan(config: Config) -> list[Job]:
     _ = config.workers  # refuses what cannot be
     policies.check_names(config.policies)
     jobs: list[Job] = []
-    for scenario in _resolve(config.scenarios):
+    for scenario in _at_levels(_resolve(config.scenarios), config.sensing):
         fitting = policies.fitting(scenario, config.policies)
         if not fitting:
             known = ", ".join(policies.names(scenario))
@@ -137,6 +146,14 @@ def plan(config: Config) -> list[Job]:
     _check_against(config.against, jobs)
     _check_json(config)
     return jobs
+
+
+def _at_levels(scenarios: Sequence[Scenario], words: Sequence[str]) -> list[Scenario]:
+    """The scenarios, or each of them once at every level of its sensor."""
+    if not words:
+        return list(scenarios)
+    swept = [one for sweep in levels.sweeps(scenarios, words) for one in sweep.scenarios]
+    return list(dict.fromkeys(swept))
 
 
 def _check_against(against: str | None, jobs: Sequence[Job]) -> None:

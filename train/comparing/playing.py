@@ -7,7 +7,7 @@ import os
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
+from contextlib import closing, suppress
 from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
@@ -151,11 +151,12 @@ def play_all(
     found = {task: cells.load(part, task.name) for task in tasks}
     left = [task for task in tasks if found[task] is None]
     ready = 0.0
-    with progress(console) as shown:
+    results = each(play_task, left, config.workers, _stays)
+    with progress(console) as shown, closing(results):
         total = sum(task.count for task in tasks)
         done = total - sum(task.count for task in left)
         bar = shown.add_task("playing", total=total, completed=done)
-        for number, (cell, seconds) in each(play_task, left, config.workers, _stays):
+        for number, (cell, seconds) in results:
             task, ready = left[number], ready + seconds
             cells.save(part, task.name, cell)
             found[task] = cell

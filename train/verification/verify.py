@@ -6,6 +6,7 @@ import math
 import sys
 import time
 from collections.abc import Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -198,9 +199,10 @@ def run(config: Config, claims: Sequence[Claim] = CLAIMS, console: Console | Non
     )
     blocks = [block for claim in chosen for block in blocks_of(claim, config)]
     seen: dict[int, Seen] = {}
-    with Progress(*bar, console=console, transient=True) as progress:
+    found = each(look, blocks, config.workers)
+    with Progress(*bar, console=console, transient=True) as progress, closing(found):
         tasks = {claim.name: progress.add_task(claim.name, total=trials) for claim in chosen}
-        for number, one in each(look, blocks, config.workers):
+        for number, one in found:
             seen[number] = one
             progress.advance(tasks[blocks[number].claim.name], one.finding.trials)
     of_claim: dict[str, list[Seen]] = {claim.name: [] for claim in chosen}

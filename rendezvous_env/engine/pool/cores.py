@@ -1,4 +1,4 @@
-"""How many cores this process may keep busy: its affinity, what its container and its user grant."""
+"""How many cores this process may keep busy: by its affinity, its container and its user."""
 
 from __future__ import annotations
 
