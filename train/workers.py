@@ -65,6 +65,8 @@ def each(
     tasks: Sequence[Task],
     workers: Workers,
     here: Callable[[Task], bool] = lambda task: False,
+    *,
+    long: bool = False,
 ) -> Iterator[tuple[int, Result]]:
     """Do all tasks; what each gives does not depend on who does it, nor on when.
 
@@ -77,6 +79,8 @@ def each(
         tasks: any.
         workers: who does them.
         here: whether a task must be done in this process.
+        long: whether a single task is worth starting workers; else they start when the first tasks
+            have taken some seconds.
 
     Yields:
         Number of a task and what it gave, in the order in which they end.
@@ -89,7 +93,7 @@ def each(
     alone = workers.on == "here" and workers.count == 1
     began = time.monotonic()
     for number, task in enumerate(tasks):
-        at_first = workers.on == "here" and time.monotonic() - began < _ALONE
+        at_first = workers.on == "here" and not long and time.monotonic() - began < _ALONE
         if alone or at_first or here(task):
             yield number, work(left.pop(number))
     lost = 0
@@ -136,7 +140,7 @@ def _spread(work: Any, tasks: list[tuple[int, Any]], workers: Workers) -> Iterat
     ):
         found = Parallel(count, return_as="generator_unordered", batch_size=1)(calls)
     try:
-        for one in found:  # "yield from" would close it before the warning is off
+        for one in found:  # noqa: UP028 - would close it before the warning is off
             yield one
     finally:
         with warnings.catch_warnings():

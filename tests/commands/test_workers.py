@@ -4,12 +4,16 @@ import os
 import signal
 import time
 from contextlib import closing
+from importlib.util import find_spec
 
+import numpy as np
 import pytest
 
 from train import interrupts, workers
 from train.comparing import compare
 from train.errors import UserError
+from train.learned import checkpoints
+from train.learning import train
 from train.verification import verify
 from train.verification.claims import CLAIMS
 from train.workers import Workers, each
@@ -139,3 +143,60 @@ def test_so_is_a_verification(tmp_path):
         lines = (tmp_path / "verify.csv").read_text().splitlines()
         found.append([[*line.split(",")[:5], line.split(",")[6]] for line in lines])
     assert found[0] == found[1] and len(found[0]) == 3
+
+
+SMALL = {
+    "scenario": "clutter-4", "num_teams": 4, "n_steps": 8, "batch_size": 64, "epochs": 1,
+    "total_steps": 256, "set_width": 4, "hidden": (8,), "eval_every": 0,
+    "checkpoint_every": 128, "tensorboard": False,
+}  # fmt: skip
+
+
+class TestSeeds:
+    def config(self, out, **changes):
+        return train.Config(**SMALL | {"seeds": (0, 3), "out": out} | changes)
+
+    @staticmethod
+    def weights(folder):
+        return checkpoints.read(checkpoints.find(folder), ["network"])[1]["network"]
+
+    def test_two_at_once_are_those_of_one_after_the_other(self, tmp_path):
+        for jobs in (1, 2):
+            assert train.run(self.config(tmp_path / str(jobs), jobs=jobs)) == 0
+        for seed in (0, 3):
+            one, two = (self.weights(tmp_path / jobs / f"seed-{seed}") for jobs in "12")
+            assert all(np.array_equal(one[name], two[name]) for name in one)
+        other = self.weights(tmp_path / "1" / "seed-0")
+        assert any(not np.array_equal(one[name], other[name]) for name in one)
+        assert "done: 256 steps" in (tmp_path / "1" / "seed-0.txt").read_text()
+
+    def test_the_same_command_goes_on(self, tmp_path):
+        assert train.run(self.config(tmp_path, seeds=(0,), jobs=1)) == 0
+        before = self.weights(tmp_path / "seed-0")
+        assert train.run(self.config(tmp_path, jobs=1)) == 0
+        after = self.weights(tmp_path / "seed-0")
+        assert all(np.array_equal(before[name], after[name]) for name in before)
+        assert self.weights(tmp_path / "seed-3")
+        with pytest.raises(UserError, match="seed-0 holds a run of other settings"):
+            train.run(self.config(tmp_path, learning_rate=1e-4))
+
+    @pytest.mark.parametrize(
+        ("given", "message"),
+        [
+            ({"seeds": (1, 1)}, "--seeds 1 1: name each once"),
+            ({"seed": 2}, "--seed is 2; --seeds says which runs there are"),
+            ({"seeds": (0, -1)}, "--seed is -1"),
+        ],
+    )
+    def test_refusals(self, given, message, tmp_path):
+        with pytest.raises(UserError, match=message):
+            train.run(self.config(tmp_path / "out", **given))
+        assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not find_spec("ray"), reason="Ray is an extra")
+@pytest.mark.filterwarnings("ignore")  # Ray's own
+def test_a_comparison_on_a_cluster_is_that_of_this_machine(tmp_path):
+    whole = compared(tmp_path / "here", jobs=1)
+    assert compared(tmp_path / "ray", jobs=2, on="ray") == whole

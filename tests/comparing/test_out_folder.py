@@ -76,7 +76,7 @@ class TestGoingOn:
             return real(job, **options)
 
         monkeypatch.setattr(playing, "play_job", play_job)
-        playing._make_ready.cache_clear()
+        playing.make_ready.cache_clear()
         assert compare.run(config(tmp_path / "out")) == 0
         left = [("clutter-4", "zero"), ("clutter-4", "tangent-joined")]
         assert played == [name for name in left for _ in range(2)]  # kernels, then all starts

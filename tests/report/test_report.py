@@ -318,7 +318,7 @@ class TestRefusals:
             ("positions", lambda a: a[:, :-1], "positions has shape"),
             ("times", lambda a: a[:0], "times has shape (0,); it must be (1,)"),
             ("headings", lambda a: a.astype(str), "headings holds <U32, no numbers"),
-            ("merged_into", lambda a: a + 1, "merged_into is 1; it must be"),
+            ("merged_into", lambda a: a + 1, "merged_into[0, 0] is 1; it must be"),
             ("weights", lambda a: a[:0], "weights has 0 rows; it must have 1"),
             ("lyapunov", lambda a: a / 0.0, "lyapunov holds a number that is not finite"),
             ("obstacles", lambda a: a + 0.5, "obstacles: a row has"),

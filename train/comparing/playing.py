@@ -31,7 +31,7 @@ from .plan import Config, Job
 BLOCK = 128
 """Most starts of a task. The same for any number of workers: matrices of another size may be
 multiplied in another order, and rounded otherwise."""
-_TOGETHER = 8
+TOGETHER = 8
 """Starts that are computed side by side, by other code than a few."""
 
 
@@ -101,14 +101,14 @@ def tasks_of(jobs: Sequence[Job], config: Config) -> Iterator[Task]:
 def play_task(task: Task) -> tuple[cells.Cell, float]:
     """What came of a task, and how long it took to make its kernels ready, s."""
     began = time.perf_counter()
-    _make_ready(task.job, min(task.count, _TOGETHER))
+    make_ready(task.job, min(task.count, TOGETHER))
     seconds = time.perf_counter() - began
     done = play_job(task.job, episodes=task.count, seed=task.seed, keep=task.keep)
     return (done.episodes, done.recordings), seconds
 
 
 @cache
-def _make_ready(job: Job, starts: int) -> None:
+def make_ready(job: Job, starts: int) -> None:
     """Play two steps, so that the kernels of a job are loaded, or compiled by one process while the
     others that need the like wait for it.
     """
