@@ -55,10 +55,6 @@ class Config:
 
     scenarios: tuple[str, ...] = DEFAULT_SCENARIOS
     """Names of scenarios, or paths of TOML files."""
-    sensing: tuple[str, ...] = ()
-    """Fields of the sensor and levels of each, as in noise=0,0.1,0.2 range=none,4,2: each scenario
-    is played at each of them, one field at a time, and drawn against it. The level none is that of
-    an exact sensor."""
     policies: tuple[str, ...] = ()
     """Names of policies; none means every one that fits but those that see nothing, and references,
     which see everything. Where one does not fit it is left out."""
@@ -74,6 +70,10 @@ class Config:
     """Whether to throw away what another command has left unfinished in OUT.part."""
     keep: int = 5
     """Starts of which trajectories are kept."""
+    sensing: tuple[str, ...] = ()
+    """Fields of the sensor and levels of each, as in noise=0,0.1,0.2 range=none,4,2: each scenario
+    is played at each of them, one field at a time, and drawn against it. The level none is that of
+    an exact sensor."""
     ceiling: int = 0
     """Randomised runs of law (4) on each start, the best of which says what any heading policy can
     reach, beside what a planner can that knows the map; 0 leaves this out."""
