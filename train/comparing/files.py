@@ -75,7 +75,7 @@ def description(
     return results.provenance() | {
         "seed": config.seed,
         "episodes": config.episodes or max(len(done.episodes.success) for done in played),
-        "keep": config.keep,
+        "keep": max(len(done.recordings) for done in played),
         "starts": {done.job.scenario.name: len(done.episodes.success) for done in played},
         "scenarios": {name: scenario.to_plain() for name, scenario in used.items()},
         "policies": {

@@ -44,9 +44,10 @@ DEFAULT_SCENARIOS = (
     "rooms",
 )
 
-_STARTS = 100
+_STARTS, _KEPT = 100, 5
 _LARGE = 8
-"""Robots; what more of them do among obstacles takes so long that fewer starts must do."""
+"""Robots; what more of them do among obstacles takes so long, and so much room, that fewer starts
+must do."""
 
 
 @dataclass(frozen=True)
@@ -68,8 +69,8 @@ class Config:
     then what is finished lies in OUT.part, and the same command goes on with it."""
     fresh: bool = False
     """Whether to throw away what another command has left unfinished in OUT.part."""
-    keep: int = 5
-    """Starts of which trajectories are kept."""
+    keep: int | None = None
+    """Starts of which trajectories are kept; none is 5, and fewer where there are fewer starts."""
     sensing: tuple[str, ...] = ()
     """Fields of the sensor and levels of each, as in noise=0,0.1,0.2 range=none,4,2: each scenario
     is played at each of them, one field at a time, and drawn against it. The level none is that of
@@ -108,10 +109,18 @@ class Config:
 
     def starts(self, scenario: Scenario) -> int:
         """How many different starts of a scenario are played."""
-        usual = _STARTS
-        if scenario.obstacles and scenario.n_robots > _LARGE:
-            usual = max(1, _STARTS * _LARGE // scenario.n_robots)
-        return starts_of(scenario, usual if self.episodes is None else self.episodes)
+        asked = _fewer(_STARTS, scenario) if self.episodes is None else self.episodes
+        return starts_of(scenario, asked)
+
+    def kept(self, scenario: Scenario) -> int:
+        """How many of them are recorded."""
+        return _fewer(_KEPT, scenario) if self.keep is None else self.keep
+
+
+def _fewer(usual: int, scenario: Scenario) -> int:
+    """As many as usual, or fewer for a large team among obstacles."""
+    large = scenario.obstacles and scenario.n_robots > _LARGE
+    return max(1, usual * _LARGE // scenario.n_robots) if large else usual
 
 
 @dataclass(frozen=True)

@@ -94,7 +94,7 @@ def tasks_of(jobs: Sequence[Job], config: Config) -> Iterator[Task]:
     for number, job in enumerate(jobs):
         starts = config.starts(job.scenario)
         for first in range(0, starts, BLOCK):
-            count, kept = min(BLOCK, starts - first), max(0, config.keep - first)
+            count, kept = min(BLOCK, starts - first), max(0, config.kept(job.scenario) - first)
             yield Task(number, job, first, count, config.seed + first, min(kept, count))
 
 
