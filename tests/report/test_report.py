@@ -69,20 +69,20 @@ class TestPage:
         assert [p.name for p in folder.iterdir() if p.name.startswith(".")] == []
 
     def test_recordings_are_those_of_the_file_to_the_stated_rounding(self, folder):
-        data, blobs = data_of(report.page(read(folder)))
-        with np.load(folder / "trajectories.npz") as arrays:
-            assert len(data["recordings"]) == len(blobs) == 2 * 2 + 3  # fig4 has one start
-            for entry, raw in zip(data["recordings"], blobs, strict=True):
-                shown = decode(entry["fields"], raw)
-                key = f"{entry['scenario']}/{entry['policy']}/{entry['start']}/"
-                scales = {f["name"]: f.get("scale", 0.0) for f in entry["fields"]}
-                for name, array in shown.items():
-                    recorded = arrays[key + name].astype(float)
-                    close = {"atol": 0.501 * scales[name], "rtol": 1e-7}
-                    np.testing.assert_allclose(array, recorded, **close)
-                absent = (arrays[key + "observations"] == 0).all(axis=-1)
-                assert (shown["observations"][absent] == 0).all()
-                assert scales["observations"] < 1e-4 and scales["positions"] < 1e-3
+        found = read(folder)
+        data, blobs = data_of(report.page(found))
+        assert len(data["recordings"]) == len(blobs) == 2 * 2 + 3  # fig4 has one start
+        for entry, raw in zip(data["recordings"], blobs, strict=True):
+            shown = decode(entry["fields"], raw)
+            arrays = found.recordings[entry["scenario"], entry["policy"], entry["start"]]
+            scales = {f["name"]: f.get("scale", 0.0) for f in entry["fields"]}
+            for name, array in shown.items():
+                recorded = arrays[name].astype(float)
+                close = {"atol": 0.501 * scales[name], "rtol": 1e-7}
+                np.testing.assert_allclose(array, recorded, **close)
+            absent = (arrays["observations"] == 0).all(axis=-1)
+            assert (shown["observations"][absent] == 0).all()
+            assert scales["observations"] < 1e-4 and scales["positions"] < 1e-3
 
     def test_outcomes_and_obstacles_of_a_start(self, folder):
         data, _ = data_of(report.page(read(folder)))
@@ -317,7 +317,9 @@ class TestRefusals:
             ("frames", None, "has no 'frames'"),
             ("positions", lambda a: a[:, :-1], "positions has shape"),
             ("times", lambda a: a[:0], "times has shape (0,); it must be (1,)"),
-            ("observations", lambda a: a.astype(str), "observations holds <U32, no numbers"),
+            ("headings", lambda a: a.astype(str), "headings holds <U32, no numbers"),
+            ("merged_into", lambda a: a + 1, "merged_into[0, 0] is 1; it must be"),
+            ("weights", lambda a: a[:0], "weights has 0 rows; it must have 1"),
             ("lyapunov", lambda a: a / 0.0, "lyapunov holds a number that is not finite"),
             ("obstacles", lambda a: a + 0.5, "obstacles: a row has"),
         ],
@@ -334,7 +336,7 @@ class TestRefusals:
         results.write_arrays(folder / "trajectories.npz", arrays, run)
         reseal(folder)
         said = refused(folder, capsys)
-        assert "trajectories.npz: fig4/zero/0 " in said and message in said
+        assert "trajectories.npz: fig4/zero/0" in said and message in said
 
     def test_trajectories_of_another_run(self, folder, reseal, capsys):
         results.write_arrays(folder / "trajectories.npz", {}, "another")

@@ -12,6 +12,7 @@ import pytest
 from rendezvous_env.experiment.outlines import outlines
 from train import results
 from train.report import build as report
+from train.report.input import read
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "chrome"))), None)
 pytestmark = pytest.mark.skipif(
@@ -56,11 +57,11 @@ def opened(browser, address):
 
 @pytest.fixture
 def recorded(compared):
-    """A function: an array of a start as it was recorded."""
-    with np.load(compared / "trajectories.npz") as arrays:
-        yield lambda name, policy="bearing-only", start=0, scenario="fig4": arrays[
-            f"{scenario}/{policy}/{start}/{name}"
-        ]
+    """A function: an array of a start as it was recorded, or found again."""
+    found = read(compared).recordings
+    return lambda name, policy="bearing-only", start=0, scenario="fig4": found[
+        scenario, policy, start
+    ][name]
 
 
 def clock(page):

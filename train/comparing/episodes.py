@@ -82,7 +82,6 @@ def play(
     episodes: int,
     seed: int,
     keep: int = 0,
-    on_progress: Callable[[float], None] = lambda share: None,
 ) -> tuple[Episodes, list[Recording]]:
     """Run one policy from the starts ``seed``, ``seed`` + 1, … of a scenario.
 
@@ -96,7 +95,6 @@ def play(
         episodes: N.
         seed: of the first start.
         keep: how many of the first starts to record.
-        on_progress: told after every step which share of the longest possible run is done.
 
     Raises:
         UserError: if the scenario has no room for a start.
@@ -104,18 +102,17 @@ def play(
     episodes = starts_of(scenario, episodes)
     parts: list[Episodes] = []
     recordings: list[Recording] = []
-    firsts = range(0, episodes, CHUNK)
-    for chunk, first in enumerate(firsts):
+    for first in range(0, episodes, CHUNK):
         simulator = Simulator(scenario, min(CHUNK, episodes - first))
         observations = _reset(simulator, seed + first)
         kept = range(min(keep, episodes)) if first == 0 else ()
-        recorders = [Recorder(Snapshot(simulator), team, observations) for team in kept]
+        start, exact = Snapshot(simulator), scenario.sensing.exact
+        recorders = [Recorder(start, team, observations, exact) for team in kept]
         meter = _Meter(simulator)
         for step in run(simulator, make_policy(), observations):
             aligned, after = meter.see(step), Snapshot(simulator)
             for recorder in recorders:
                 recorder.see(step, aligned, after)
-            on_progress((chunk + meter.share_of_limit) / len(firsts))
         parts.append(meter.episodes(margin))
         recordings += [recorder.finish() for recorder in recorders]
     return Episodes.joined(parts), recordings
@@ -152,12 +149,6 @@ class _Meter:
         self._growth = np.full(batch, -np.inf)
         sized = not simulator.scenario.sensing_graph.undirected
         self._size = simulator.size() if sized else np.full(batch, np.nan)
-        self._steps = 0
-
-    @property
-    def share_of_limit(self) -> float:
-        """Steps done, as a share of the time limit."""
-        return self._steps / self._simulator.max_steps
 
     def see(self, step: Step) -> NDArray[np.float64]:
         """Take in one step; returns the alignments of its robots, (B, n)."""
@@ -171,7 +162,6 @@ class _Meter:
         if not np.isnan(self._size).any():  # a hull for every team and step costs more than a step
             before, self._size = self._size, self._simulator.size()
             np.maximum(self._growth, self._size - before, out=self._growth, where=at)
-        self._steps += 1
         return aligned
 
     def episodes(self, margin: float | None) -> Episodes:

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rendezvous_env.drawing.palette import OBSTACLE, ROBOTS, code
 from rendezvous_env.experiment.scenario import Scenario
@@ -36,6 +37,7 @@ _POLICY_COLOURS = {
     "tangent": DARK_RED,
     "tangent-blocking": PURPLE,
     "tangent-joined": GREEN,
+    "tank-joined": GREEN,
     "learned": VERMILLION,
 }
 """The paper's laws (1), (7) and (12) never meet in one scenario and share a colour."""
@@ -52,6 +54,8 @@ def policy_colour(name: str) -> str:
 
 def policy_marker(name: str) -> str:
     """The marker of a policy, which tells its variants apart."""
+    if name.startswith("tank-"):
+        return _VARIANTS["-tank"]
     return next((mark for end, mark in _VARIANTS.items() if name.endswith(end)), "o")
 
 
@@ -248,7 +252,8 @@ def sweep_figure(
         own = [row for row in inside if row["policy"] == policy]
         own.sort(key=lambda row: numbers[row["scenario"]])
         shift = apart * (place - (len(policies) - 1) / 2)
-        _line(axes, policy, [numbers[row["scenario"]] + shift for row in own], own)
+        x = [numbers[row["scenario"]] + shift for row in own]
+        policy_line(axes, policy, x, 100.0 * columns_of(own, "clean_success", "clean"))
     axes.set_xticks(sorted(numbers.values()))
     axes.set(xlabel=f"number of {quantity}", ylim=(-2, 102))
     axes.set_ylabel("met without contact / % of starts")
@@ -262,12 +267,18 @@ def sweep_figure(
     return figure
 
 
-def _line(axes: Axes, policy: str, x: Sequence[float], rows: Sequence[Mapping[str, Any]]) -> None:
-    """One policy, with its intervals."""
-    centre, low, high = (
-        100 * np.array([row[key] for row in rows], dtype=float)
-        for key in ("clean_success", "clean_low", "clean_high")
-    )
+def policy_line(
+    axes: Axes, policy: str, x: Sequence[float] | NDArray[Any], numbers: NDArray[Any]
+) -> None:
+    """One policy, with its intervals.
+
+    Args:
+        axes: to draw into.
+        policy: its name, which says how it is drawn.
+        x: (N,).
+        numbers: values and the ends of their intervals, (3, N).
+    """
+    centre, low, high = numbers
     axes.errorbar(
         x,
         centre,
@@ -280,3 +291,9 @@ def _line(axes: Axes, policy: str, x: Sequence[float], rows: Sequence[Mapping[st
         elinewidth=0.9,
         label=policy,
     )
+
+
+def columns_of(rows: Sequence[Mapping[str, Any]], value: str, interval: str) -> NDArray[Any]:
+    """Values and the ends of their intervals, (3, N), of rows of results.csv."""
+    names = (value, *_ends(interval))
+    return np.array([[row[name] for row in rows] for name in names], dtype=float)

@@ -161,7 +161,10 @@ def _summary(found: Comparison) -> str:
     starts = f"{count} starts each (seeds {first}–{first + count - 1})"
     single = [name for name, of_it in found.run["starts"].items() if of_it == 1 < count]
     alone = f"; one of {', '.join(single)}, whose start is given" if single else ""
-    return f"{len(found.scenarios)} scenarios, {len(policies)} policies, {starts}{alone}"
+    fewer = "".join(
+        f"; {of_it} of {name}" for name, of_it in found.run["starts"].items() if 1 < of_it < count
+    )
+    return f"{len(found.scenarios)} scenarios, {len(policies)} policies, {starts}{alone}{fewer}"
 
 
 def _figures(found: Comparison) -> Iterator[str]:
