@@ -1,12 +1,14 @@
 """Recordings as text for a page: rounded to 16 bits, differences in time, gzip, base64.
 
-A recording of 400 frames of 20 robots shrinks to a hundredth of what its numbers take as JSON.
+A recording of 400 frames of 20 robots shrinks to a hundredth of what its numbers take as JSON. In
+the plane a row of an observation goes as its length, which hardly ever changes, and its angle.
 """
 
 from __future__ import annotations
 
 import base64
 import gzip
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -19,11 +21,17 @@ from ..recording import Recording
 LARGEST = 32767
 """Of a rounded number; one below minus this stands for NaN."""
 
-BUDGET = 11_000_000
+BUDGET = 4_800_000
 """Characters that all recordings of a page may take together before they are thinned out."""
 
+ANGLE = 2 * np.pi / 2**16
+"""Of one in 16 bits, rad: angles wrap round as integers do."""
+_COARSE = 4
+"""Angles are multiples of so many of these; finer ones would take more room than they show."""
+
 _EXACT = ("times", "lyapunov", "lyapunov_before_merge", "lyapunov_after_merge", "contacts")
-_ROUNDED = ("positions", "frames", "alignment", "observations")
+_ROUNDED = ("positions", "frames", "alignment")
+_KEPT = ("active", "observations", *_EXACT, *_ROUNDED)
 
 
 @dataclass(frozen=True)
@@ -32,7 +40,8 @@ class Encoded:
 
     fields: list[dict[str, Any]]
     """Of each array, in order: name, type ("float32", "uint8" or "int16"), shape, and of an int16
-    the scale, so that a number is scale · integer."""
+    the scale, so that a number is scale · integer. In the plane "lengths" and "angles" stand for
+    the observations."""
     text: str
     """All arrays, little-endian, in base64 of gzip."""
     stride: int
@@ -40,20 +49,29 @@ class Encoded:
 
 
 def encode_all(recordings: Sequence[Recording]) -> list[Encoded]:
-    """Encode recordings; if they exceed BUDGET, thin out those that take more than their share."""
+    """Encode recordings; if they exceed BUDGET, thin out the largest as far as is needed."""
     whole = [encode(recording) for recording in recordings]
-    if sum(len(encoded.text) for encoded in whole) <= BUDGET:
-        return whole
-    share = BUDGET // len(whole)
+    share = _share([len(encoded.text) for encoded in whole])
     return [
         _encode_within(share, recording, encoded)
         for recording, encoded in zip(recordings, whole, strict=True)
     ]
 
 
-def _encode_within(share: int, recording: Recording, encoded: Encoded) -> Encoded:
+def _share(sizes: Sequence[int]) -> float:
+    """The largest size that each may have, so that all together keep to BUDGET."""
+    left = BUDGET
+    for count, size in zip(range(len(sizes), 0, -1), sorted(sizes), strict=True):
+        if size * count > left:
+            return left / count
+        left -= size
+    return np.inf
+
+
+def _encode_within(share: float, recording: Recording, encoded: Encoded) -> Encoded:
     while len(encoded.text) > share and encoded.stride < len(recording["times"]):
-        encoded = encode(recording, 2 * encoded.stride)
+        excess = len(encoded.text) / share
+        encoded = encode(recording, encoded.stride * 2 ** math.ceil(math.log2(excess)))
     return encoded
 
 
@@ -61,7 +79,7 @@ def thinned(recording: Recording, stride: int) -> Recording:
     """Every stride-th frame, every merge and the end."""
     stays = ~np.isnan(recording["lyapunov_before_merge"])
     stays[::stride] = stays[-1] = True
-    return {name: recording[name][stays] for name in ("active", *_EXACT, *_ROUNDED)}
+    return {name: recording[name][stays] for name in _KEPT}
 
 
 def encode(recording: Recording, stride: int = 1) -> Encoded:
@@ -73,11 +91,11 @@ def encode(recording: Recording, stride: int = 1) -> Encoded:
         parts.append(recording[name].astype("<f4").tobytes())
     fields.append({"name": "active", "type": "uint8", "shape": recording["active"].shape})
     parts.append(recording["active"].astype(np.uint8).tobytes())
-    for name in _ROUNDED:
-        scale, shape = rounding(recording[name]), recording[name].shape
-        fields.append({"name": name, "type": "int16", "shape": shape, "scale": scale})
-        parts.append(_differences(_rounded(recording[name], scale)))
-    packed = gzip.compress(b"".join(parts), compresslevel=9, mtime=0)
+    rounded = {name: _rounded(recording[name]) for name in _ROUNDED}
+    for name, (values, scale) in (rounded | _seen(recording["observations"])).items():
+        fields.append({"name": name, "type": "int16", "shape": values.shape, "scale": scale})
+        parts.append(_differences(values))
+    packed = gzip.compress(b"".join(parts), compresslevel=6, mtime=0)
     return Encoded(fields, base64.b64encode(packed).decode("ascii"), stride)
 
 
@@ -87,9 +105,26 @@ def rounding(array: NDArray[np.floating[Any]]) -> float:
     return reach / LARGEST or 1.0
 
 
-def _rounded(array: NDArray[np.floating[Any]], scale: float) -> NDArray[np.int16]:
+def _rounded(array: NDArray[np.floating[Any]]) -> tuple[NDArray[np.int16], float]:
+    """An array in 16 bits, and its scale."""
+    scale = rounding(array)
     rounded = np.rint(array.astype(np.float64) / scale)
-    return np.where(np.isnan(rounded), -LARGEST - 1, rounded).astype(np.int16)
+    return np.where(np.isnan(rounded), -LARGEST - 1, rounded).astype(np.int16), scale
+
+
+def _seen(
+    observations: NDArray[np.floating[Any]],
+) -> dict[str, tuple[NDArray[np.int16], float]]:
+    """Observations in 16 bits, (T, n, rows, d); in the plane their lengths and angles."""
+    if observations.shape[-1] != 2:
+        return {"observations": _rounded(observations)}
+    x, y = np.moveaxis(observations.astype(np.float64), -1, 0)
+    lengths = np.hypot(x, y)
+    angles = np.rint(np.arctan2(y, x) / (_COARSE * ANGLE)).astype(np.int64) * _COARSE
+    angles = np.clip(angles, -LARGEST, LARGEST)  # one below means NaN
+    last = np.where(lengths > 0.0, np.arange(len(lengths))[:, None, None], 0)
+    steady = np.take_along_axis(angles, np.maximum.accumulate(last, axis=0), axis=0)
+    return {"lengths": _rounded(lengths), "angles": (steady.astype(np.int16), ANGLE)}
 
 
 def _differences(values: NDArray[np.int16]) -> bytes:

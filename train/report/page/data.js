@@ -23,7 +23,18 @@ async function decode(number) {
     found.shape[field.name] = field.shape;
     at += size;
   }
+  if (found.angles) rowsFromAngles(found);
   return found;
+}
+
+/** In the plane a row of an observation comes as its length and its angle. */
+function rowsFromAngles(found) {
+  found.observations = new Float32Array(2 * found.angles.length);
+  found.angles.forEach((angle, k) => {
+    found.observations[2 * k] = found.lengths[k] * Math.cos(angle);
+    found.observations[2 * k + 1] = found.lengths[k] * Math.sin(angle);
+  });
+  found.shape.observations = [...found.shape.angles, 2];
 }
 
 const READERS = {
@@ -32,7 +43,7 @@ const READERS = {
   int16: (bytes, field) => fromDifferences(bytes, field.shape[0], field.scale),
 };
 
-/** Undo train/report_encoding.py: low bytes, then high bytes, of differences in time. */
+/** Undo train/report/encoding.py: low bytes, then high bytes, of differences in time. */
 function fromDifferences(bytes, frames, scale) {
   const count = bytes.length / 2;
   const width = count / frames;
@@ -59,6 +70,8 @@ function frameAt(times, time) {
   }
   return low;
 }
+
+const find = (id) => document.getElementById(id);
 
 /** An element with properties and children. */
 function make(tag, properties = {}, ...children) {
