@@ -532,31 +532,33 @@ def test_the_world_shows_what_is_there(opened, recorded):
     assert colour(recorded("positions")[0, 1], right=6) == [0xD5, 0x5E, 0x00]
 
 
-class TestErringSensor:
-    @pytest.fixture(scope="class")
-    def folder(self, tmp_path_factory):
-        out = tmp_path_factory.mktemp("blurred")
-        sensor = rv.Sensing(noise=0.3, dropout=0.3)
-        scenario = rv.Scenario(name="blurred", n_robots=4, time_limit=1.0, sensing=sensor)
-        scenario.to_toml(out / "blurred.toml")
-        config = compare.Config(
-            (str(out / "blurred.toml"), "ring-12"), ("bearing-only",), episodes=1, out=out / "out",
-            figures=False,
-        )  # fmt: skip
-        assert compare.run(config) == 0
-        return out / "out"
+@pytest.fixture(scope="module")
+def erring(tmp_path_factory):
+    """A comparison in which bearings are noisy and now and then missing, beside an exact one."""
+    out = tmp_path_factory.mktemp("blurred")
+    sensor = rv.Sensing(noise=0.3, dropout=0.3)
+    scenario = rv.Scenario(name="blurred", n_robots=4, time_limit=1.0, sensing=sensor)
+    scenario.to_toml(out / "blurred.toml")
+    config = compare.Config(
+        (str(out / "blurred.toml"), "ring-12"), ("bearing-only",), episodes=1, out=out / "out",
+        figures=False,
+    )  # fmt: skip
+    assert compare.run(config) == 0
+    return out / "out"
 
+
+class TestErringSensor:
     @pytest.fixture
-    def seen_page(self, browser, folder):
-        if not (folder / "report.html").exists():
-            assert report.run(report.Config(folder)) == 0
-        with visited(browser, (folder / "report.html").as_uri()) as page:
+    def seen_page(self, browser, erring):
+        if not (erring / "report.html").exists():
+            assert report.run(report.Config(erring)) == 0
+        with visited(browser, (erring / "report.html").as_uri()) as page:
             yield page
 
     @pytest.fixture
-    def kept(self, folder):
+    def kept(self, erring):
         """Arrays of the only start."""
-        with np.load(folder / "trajectories.npz") as arrays:
+        with np.load(erring / "trajectories.npz") as arrays:
             yield lambda name, scenario: arrays[f"{scenario}/bearing-only/0/{name}"]
 
     def test_what_is_true_stands_beside_what_is_seen(self, seen_page, kept):
