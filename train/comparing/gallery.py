@@ -25,14 +25,14 @@ def draw(
     console: Console,
 ) -> list[str]:
     """Draw all figures; the names of their files."""
-    from ..pictures import figures
+    from ..pictures import style
 
     files = []
     with console.status("drawing …"):
         for name, figure in _figures(rows, played):
             for ending in ("png", "pdf") if pdf else ("png",):
                 files.append(f"{name}.{ending}")
-                figures.save(figure, part.folder / files[-1], part.run)
+                style.save(figure, part.folder / files[-1], part.run)
     return files
 
 

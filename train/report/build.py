@@ -31,6 +31,16 @@ from .words import caption, counts, rankings
 
 _PAGE = files("train.report") / "page"
 _SCRIPTS = ("data", "choice", "save", "world", "sight", "plots", "tables", "pane", "replay")
+_OUTCOME = (
+    "success",
+    "clean",
+    "time",
+    "path_length",
+    "contacts",
+    "clearance",
+    "min_alignment",
+)
+"""Columns of episodes.csv that are shown beside a replay."""
 _NOTHING_KEPT = "No start was kept (compare ran with --keep 0), so there is nothing to replay."
 
 
@@ -108,9 +118,11 @@ def _data(
 ) -> dict[str, Any]:
     """What the scripts read, besides the recordings themselves."""
     outcomes = {(row["scenario"], row["policy"], int(row["start"])): row for row in found.episodes}
-    entries = []
+    entries, worlds = [], dict[tuple[str, int], list[dict[str, Any]]]()
     recordings = found.recordings.items()
     for ((scenario, policy, start), recording), one in zip(recordings, encoded, strict=True):
+        table = recording["obstacles"]
+        worlds.setdefault((scenario, start), list(_obstacles(table, found.scenarios[scenario])))
         entries.append(
             {
                 "scenario": scenario,
@@ -118,8 +130,8 @@ def _data(
                 "start": start,
                 "fields": one.fields,
                 "stride": one.stride,
-                "obstacles": list(_obstacles(recording["obstacles"], found.scenarios[scenario])),
-                "outcome": outcomes[scenario, policy, start],
+                "obstacles": list(worlds).index((scenario, start)),
+                "outcome": {name: outcomes[scenario, policy, start][name] for name in _OUTCOME},
             }
         )
     return {
@@ -136,6 +148,7 @@ def _data(
         "leaders": leaders(ranked),
         "results": found.rows,
         "paired": found.paired,
+        "obstacles": list(worlds.values()),
         "recordings": entries,
         "robot_colours": ROBOT_COLOURS,
     }
