@@ -190,7 +190,7 @@ def draw_lyapunov(axes: Axes, recording: Mapping[str, NDArray[Any]]) -> None:
     if merges.size:
         axes.legend(loc="lower left")
     if merges.size and times[merges[0]] > _LATE * times[-1]:
-        inset = axes.inset_axes((0.58, 0.5, 0.41, 0.38))
+        inset = axes.inset_axes((0.62, 0.56, 0.37, 0.32))
         _plot_lyapunov(inset, recording, merges)
         span = times[-1] - times[merges[0]] + 0.06 * times[-1]
         inset.set(xlim=(times[-1] - span, times[-1] + 0.1 * span))
