@@ -13,6 +13,7 @@ from ..experiment.outlines import balls, outlines
 from ..experiment.scenario import Scenario
 from . import ink
 from .camera import Area, Floats, fit, nice_step
+from .facing import facing
 from .history import History, Moment
 from .palette import OBSTACLE, OBSTACLE_EDGE, robot_colour
 
@@ -236,10 +237,7 @@ class TeamPicture:
         none, along their last motion; zero for one that has not moved.
         """
         if moment.headings.shape[1]:
-            yaw, pitch = moment.headings[:, 0], moment.headings[:, 1:].sum(axis=1)
-            flat = np.stack([np.cos(yaw) * np.cos(pitch), np.sin(yaw) * np.cos(pitch)], axis=-1)
-            lift = np.sin(pitch)[:, None]
-            return flat if self._scenario.dim == 2 else np.concatenate([flat, lift], axis=1)
+            return facing(moment.headings, self._scenario.dim)
         before = self._history.moments[-2:][0].positions
         motion = moment.positions - before
         length = np.linalg.norm(motion, axis=-1, keepdims=True)

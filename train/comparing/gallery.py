@@ -28,7 +28,7 @@ def draw(
     console: Console,
 ) -> list[str]:
     """Draw all figures; the names of their files."""
-    from ..pictures import figures
+    from ..pictures import style
 
     files = []
     found = chain(level_tables.figures(config.sweeps(), rows), _figures(rows, played))
@@ -36,7 +36,7 @@ def draw(
         for name, figure in found:
             for ending in ("png", "pdf") if config.pdf else ("png",):
                 files.append(f"{name}.{ending}")
-                figures.save(figure, part.folder / files[-1], part.run)
+                style.save(figure, part.folder / files[-1], part.run)
     return files
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -9,7 +10,8 @@ import numpy as np
 
 from rendezvous_env.experiment.scenario import Scenario
 
-from .figures import columns_of, new_figure, policy_line
+from .figures import LEGEND_COLUMNS, LINE, columns_of, policy_line
+from .style import COLUMN, new_figure, styled
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -22,10 +24,9 @@ _UNITS = {
     "error": "rad",
     "delay": "steps",
 }
-_APART = 0.05
-"""Of the policies of a level, as a share of the distance between two levels."""
 
 
+@styled
 def level_figure(
     base: Scenario, field: str, labels: Sequence[str], rows: Sequence[dict[str, Any]]
 ) -> Figure:
@@ -40,15 +41,16 @@ def level_figure(
         labels: its levels.
         rows: of levels.csv.
     """
-    figure = new_figure(6.4, 5.4)
+    lines = math.ceil(len({row["policy"] for row in rows}) / LEGEND_COLUMNS)
+    figure = new_figure(COLUMN, 4.2 + LINE * lines)
     above, below = figure.subplots(2, 1, sharex=True)
     policies = list(dict.fromkeys(row["policy"] for row in rows))
     limit = base.max_steps * base.tau
     counts = not np.isnan([row["clean_success"] for row in rows]).any()
     names = ("clean_success", "clean") if counts else ("success", "success")
-    for place, policy in enumerate(policies):
+    for policy in policies:
         own = [row for row in rows if row["policy"] == policy]
-        x = np.arange(len(own)) + _APART * (place - (len(policies) - 1) / 2)
+        x = np.arange(len(own))
         policy_line(above, policy, x, 100.0 * columns_of(own, *names))
         times = columns_of(own, "median_time", "time")
         met = times[0] < limit
@@ -59,9 +61,9 @@ def level_figure(
     unit = f" / {_UNITS[field]}" if field in _UNITS else ""
     below.set_xlabel(f"{field.replace('_', ' ')}{unit}")
     for axes in (above, below):
-        axes.grid(color="0.92")
+        axes.grid()
     starts = rows[0]["episodes"]
-    above.set_title(f"{base.name}, {starts} starts; bars: 95 % intervals", fontsize=9)
-    handles, labels = above.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside right upper", fontsize=8, frameon=False)
+    above.set_title(f"{base.name}, {starts} starts, 95 % intervals")
+    handles, names = above.get_legend_handles_labels()
+    figure.legend(handles, names, loc="outside lower center", ncols=LEGEND_COLUMNS)
     return figure

@@ -23,7 +23,7 @@ from rendezvous_env.trajectory import run as steps_of
 from ..errors import UserError
 from ..learned import policies
 from ..results import atomic, prepare_folder
-from . import figures, films, path_figures
+from . import films, path_figures, style
 from .reproduce import one_team
 
 STILLS = (".png", ".pdf")
@@ -72,7 +72,7 @@ def run(config: Config) -> int:
     try:
         if config.out.suffix.lower() in STILLS:
             figure = path_figures.team_figure(scenario, one_team(trajectory), name)
-            figures.save(figure, config.out)
+            style.save(figure, config.out)
         else:
             _write_film(config, name, trajectory, console)
     except OSError as error:
