@@ -14,16 +14,25 @@ from rendezvous_env.trajectory import Step
 MAX_FRAMES = 400
 """Frames kept of one episode; of a longer one only every second, fourth, … step is kept."""
 
+ARRAYS = {
+    "times": "(T,), s",
+    "positions": "(T, n, d), m",
+    "headings": "(T, n, k), rad: yaw, or yaw and pitch; k is 0 where a model has none",
+    "frames": "(T, n, d, d), rotations R_i from the robots' own frames to the world",
+    "active": "(T, n), whether the robot still exists on its own",
+    "lyapunov": "(T,), V, m²/s",
+    "lyapunov_before_merge": "(T,), V just before the first merge of the step that led to the "
+    "frame, m²/s; NaN if there was none",
+    "lyapunov_after_merge": "(T,), V just after the last merge of that step, m²/s, or NaN",
+    "contacts": "(T, n), steps with a contact up to the frame",
+    "alignment": "(T, n), of the step that led to the frame; NaN where there is none",
+    "observations": "(T, n, rows, d), what the robots saw",
+    "obstacles": "(M, width), a table as ``rendezvous_env.experiment.packing`` says",
+}
+"""Arrays of a recording; in trajectories.npz each under scenario/policy/start/name."""
 Recording = dict[str, NDArray[Any]]
-"""One team's episode over T frames (the start, some of the steps, every merge and the end):
-
-times (T,) s; positions (T, n, d) m; headings (T, n, k) rad; active (T, n); lyapunov (T,) m²/s;
-frames (T, n, d, d), rotations R_i from the robots' own frames to the world; contacts (T, n), steps
-with a contact up to the frame; alignment (T, n), of the step that led to the frame, NaN where there
-is none; observations (T, n, rows, d); obstacles (M, width), a table as ``experiment.packing`` says;
-lyapunov_before_merge and lyapunov_after_merge (T,), V just before the first and just after the last
-merge of the step that led to the frame, m²/s, NaN if there was none.
-"""
+"""One team's episode over T frames: the start, some of the steps, every merge and the end. The
+arrays are those of ``ARRAYS``."""
 
 
 class Snapshot:
