@@ -25,8 +25,10 @@ def docstrings(kind: type[Any]) -> dict[str, tuple[str, str]]:
 
 def default_of(field: dataclasses.Field[Any]) -> str:
     """What a field is if it is not given; a dash where it must be."""
+    if isinstance(field.default, tuple):
+        return " ".join(f"`{entry}`" for entry in field.default) or "none"
     if field.default is not dataclasses.MISSING:
-        return f"`{field.default}`" if field.default != () else "none"
+        return f"`{field.default}`"
     if field.default_factory is not dataclasses.MISSING:
         return f"`{field.default_factory.__name__}()`"
     return "–"
@@ -42,6 +44,20 @@ def fields_table(kind: type[Any]) -> str:
     return table(("field", "type", "default", "what it is"), rows)
 
 
+def flags_table(config: type[Any]) -> str:
+    """Flag, type, default and meaning of every field of a command's settings, as Markdown."""
+    told = docstrings(config)
+    rows = []
+    for field in dataclasses.fields(config):
+        annotation, text = told[field.name]
+        word = field.name.replace("_", "-")
+        flag = f"`--{word}`, `--no-{word}`" if annotation == "bool" else f"`--{word}`"
+        if annotation.startswith("Positional["):
+            flag, annotation = f"`{word.upper()}`", annotation[len("Positional[") : -1]
+        rows.append((flag, f"`{annotation}`", default_of(field), text))
+    return table(("flag", "type", "default", "what it is"), rows)
+
+
 def meanings_table(head: str, meanings: Mapping[str, str]) -> str:
     """Names and what they mean, as Markdown."""
     return table((head, "what it is"), ((f"`{name}`", text) for name, text in meanings.items()))
@@ -55,4 +71,6 @@ def table(head: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
 
 
 def _cell(text: str) -> str:
-    return " ".join(text.split()).replace("``", "`").replace("|", r"\|")
+    """One line, in which a bar outside of code is no end of the cell."""
+    parts = " ".join(text.split()).replace("``", "`").split("`")
+    return "`".join(p if k % 2 else p.replace("|", r"\|") for k, p in enumerate(parts))

@@ -12,7 +12,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from attributes import docstrings, fields_table, meanings_table
+from attributes import docstrings, fields_table, flags_table, meanings_table
 
 import baselines
 import rendezvous_env as rv
@@ -90,13 +90,14 @@ def commands() -> str:
     """Every command and its flags."""
     parts = [
         "# Commands and flags\n",
-        "`rendezvous COMMAND --help` shows the same on the terminal. A field `total_steps` is the "
-        "flag `--total-steps`.\n",
+        "`rendezvous COMMAND --help` shows the same on the terminal, `rendezvous --version` which "
+        'version it is. `eval "$(rendezvous --completion bash)"` completes commands and flags '
+        "(`zsh` and `tcsh` too).\n",
     ]
     for name, (module, line) in COMMANDS.items():
         config = import_module(f"train.{module}").Config
         parts += [f"## `rendezvous {name}`\n", f"{line[0].upper()}{line[1:]}.\n"]
-        parts.append(fields_table(config))
+        parts.append(flags_table(config))
     return "\n".join(parts)
 
 
@@ -140,7 +141,7 @@ def reference() -> Iterator[tuple[str, str]]:
         modules = [
             ".".join(path.relative_to(ROOT).with_suffix("").parts)
             for path in sorted(place.glob(deep))
-            if not path.name.startswith("_")
+            if not path.name.startswith("_") and "checks" not in path.name
         ]
         yield page, f"# {title}\n\n" + "\n".join(f"::: {module}\n" for module in modules)
 
@@ -155,14 +156,17 @@ def notebook(path: Path) -> tuple[str, dict[str, bytes]]:
             parts.append(source)
             continue
         parts.append(f"```python\n{source}\n```")
+        said: list[str] = []
         for output in cell["outputs"]:
             shown = output.get("data", {})
             if "image/png" in shown:
                 name = f"{path.stem}-{len(pictures)}.png"
                 pictures[name] = base64.b64decode(shown["image/png"])
-                parts.append(f"![output]({name})")
-            elif text := _plain("".join(output.get("text", shown.get("text/plain", "")))):
-                parts.append(f"```text\n{text}\n```")
+                parts.append(f"![What the program drew]({name})")
+            else:
+                said.append(_plain("".join(output.get("text", shown.get("text/plain", "")))))
+        if text := "\n".join(filter(None, said)):
+            parts.append(f"```text\n{text}\n```")
     return "\n\n".join(parts), pictures
 
 
