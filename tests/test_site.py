@@ -170,6 +170,13 @@ def test_the_tutorial_runs_and_shows_what_it_says(tmp_path):
 
     assert pictures(new) == pictures(kept) == 2
     assert "tangent-joined met cleanly 9" in said(new) and "report.html" in said(new)
-    for shown in ("shy", "bearing-only", "learned:runs/short"):
-        (before,) = re.findall(rf"^{shown} +clean .*$", said(kept), re.MULTILINE)
-        assert (shown == "learned:runs/short") or before in said(new), shown
+    for name in (
+        "shy",
+        "bearing-only",
+        "tangent-joined",
+    ):  # on another processor a start may differ
+        (before,), (now,) = (
+            re.findall(rf"^{name} +clean (\d+)%", said(cells), re.MULTILINE)
+            for cells in (kept, new)
+        )
+        assert abs(int(before) - int(now)) <= 5, name

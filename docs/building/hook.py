@@ -22,6 +22,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
         "overview.md": root / "docs/README.md",
         "changelog.md": root / "CHANGELOG.md",
         "contributing.md": root / "CONTRIBUTING.md",
+        "CITATION.cff": root / "CITATION.cff",
         "data.md": pages.data(),
         "commands.md": pages.commands(),
         "examples.md": pages.examples(),
