@@ -1,10 +1,11 @@
 # make compare: the main job.  make test: linters, types, fast tests.  Each sets up .venv by itself.
 # make test-slow: the long tests, and the fast ones once more with every index of the kernels checked.
+# make docs: the documentation as a site, in out/site.
 PYTHON ?= python3
 BIN := .venv/bin
 export OMP_WAIT_POLICY := PASSIVE
 
-.PHONY: compare test test-slow test-floors lint clean
+.PHONY: compare test test-slow test-floors lint docs clean
 .DEFAULT_GOAL := compare
 
 compare: .venv/installed
@@ -26,10 +27,14 @@ lint: .venv/installed
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
+docs: .venv/installed
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+	@echo "out/site/index.html; with search: $(BIN)/python -m http.server -d out/site"
+
 .venv/installed: pyproject.toml constraints.txt
 	test -x $(BIN)/python || $(PYTHON) -m venv .venv
 	$(BIN)/pip install --quiet --constraint constraints.txt torch==2.13.0
-	$(BIN)/pip install --quiet --constraint constraints.txt --editable '.[train,render,dev]'
+	$(BIN)/pip install --quiet --constraint constraints.txt --editable '.[train,render,analysis,docs,dev]'
 	touch $@
 
 .venv-floors/installed: pyproject.toml constraints.txt constraints-floors.txt

@@ -1,4 +1,4 @@
-"""The laws of the paper, with its equation numbers, and two policies that know nothing."""
+"""The laws of the paper, with its equation numbers, and two policies that see nothing."""
 
 from __future__ import annotations
 

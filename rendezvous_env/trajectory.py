@@ -6,17 +6,22 @@ import os
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from . import trajectory_tables
 from .engine.memory import RENDEZVOUS, RUNNING
 from .experiment.checks import floats, refuse, shown
 from .experiment.scenario import Scenario
 from .experiment.scenarios import resolve
 from .outcome import Outcome
 from .simulator import Simulator
+
+if TYPE_CHECKING:
+    import pandas
+    import xarray
 
 Policy = Callable[[NDArray[np.float32], NDArray[np.float64]], NDArray[Any]]
 ON_REQUEST = ("observations", "actions")
@@ -123,6 +128,14 @@ class Trajectory:
         """
         rises = self.lyapunov_before_merge - self.lyapunov[:-1]
         return np.max(rises, axis=0, where=self.running, initial=-np.inf)
+
+    def to_dataframe(self) -> pandas.DataFrame:
+        """A row for each moment, team and robot; see ``trajectory_tables.dataframe``."""
+        return trajectory_tables.dataframe(vars(self))
+
+    def to_xarray(self) -> xarray.Dataset:
+        """Every array with named dimensions and units; see ``trajectory_tables.dataset``."""
+        return trajectory_tables.dataset(vars(self))
 
 
 class Step(NamedTuple):

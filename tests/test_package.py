@@ -20,7 +20,10 @@ import rendezvous_env as rv
 PACKAGES = {"rendezvous_env": 0, "baselines": 1, "train": 2}
 """Each may import what stands on a lower floor."""
 HEAVY = {"torch", "stable_baselines3", "safetensors", "tensorboard"}
-LAZY = {"torch", "stable_baselines3", "matplotlib", "pygame", "shapely", "PIL", "tyro", "networkx"}
+LAZY = {
+    "torch", "stable_baselines3", "matplotlib", "pygame", "shapely", "PIL", "tyro", "networkx",
+    "pandas", "xarray",
+}  # fmt: skip
 MODULES = sorted(
     path.relative_to(ROOT).with_suffix("").as_posix().replace("/", ".").removesuffix(".__init__")
     for package in PACKAGES
@@ -29,7 +32,7 @@ MODULES = sorted(
 FLAT = {
     "compilation": "compilation", "kernel_cache": "compilation",
     "simulator": "simulator", "team_readings": "simulator",
-    "outcome": "simulator", "trajectory": "simulator",
+    "outcome": "simulator", "trajectory": "simulator", "trajectory_tables": "simulator",
     "rendezvous_env": "front",
 }  # fmt: skip
 """Rooms of the files that lie in rendezvous_env itself; the others are faces. The front gives out

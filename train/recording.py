@@ -8,31 +8,54 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rendezvous_env.engine.memory import RUNNING
+from rendezvous_env.experiment.scenario import Scenario
 from rendezvous_env.simulator import Simulator
 from rendezvous_env.trajectory import Step
 
 MAX_FRAMES = 400
 """Frames kept of one episode; of a longer one only every second, fourth, … step is kept."""
 
+ARRAYS = {
+    "times": "(T,), s",
+    "positions": "(T, n, d), m",
+    "headings": "(T, n, k), rad: yaw, or yaw and pitch; k is 0 where a model has none",
+    "velocities": "(T, n, d), m/s, of robots with inertia, else (T, n, 0)",
+    "frames": "(T, n, d, d), rotations R_i from the robots' own frames to the world",
+    "active": "(T, n), whether the robot still exists on its own",
+    "merged_into": "(T, n), index of the robot that each one is now part of; its own while active",
+    "lyapunov": "(T,), V, m²/s",
+    "lyapunov_before_merge": "(T,), V just before the first merge of the step that led to the "
+    "frame, m²/s; NaN if there was none",
+    "lyapunov_after_merge": "(T,), V just after the last merge of that step, m²/s, or NaN",
+    "contacts": "(T, n), steps with a contact up to the frame",
+    "alignment": "(T, n), of the step that led to the frame; NaN where there is none",
+    "observations": "(T, n, rows, d), what the robots saw; only where sensors err or links are not "
+    "fixed and undirected, else ``report`` finds it again",
+    "weights": "elsewhere: the links at the start and after each merge, as "
+    "``Simulator.get_state`` gives them",
+    "first": "lower robot of each link, likewise; of large sparse teams only",
+    "second": "higher robot of each link, likewise",
+    "obstacles": "(M, width), a table as ``rendezvous_env.experiment.packing`` says",
+}
+"""Arrays of a recording; in trajectories.npz each under scenario/policy/start/name."""
 Recording = dict[str, NDArray[Any]]
-"""One team's episode over T frames (the start, some of the steps, every merge and the end):
+"""One team's episode over T frames: the start, some of the steps, every merge and the end. The
+arrays are those of ``ARRAYS``.
 
-times (T,) s; positions (T, n, d) m; headings (T, n, k) rad; velocities (T, n, d) m/s, of robots
-with inertia, else (T, n, 0); active (T, n); merged_into (T, n), see ``Simulator.merged_into``;
-lyapunov (T,) m²/s; frames (T, n, d, d), rotations R_i from the robots' own frames to the world;
-contacts (T, n), steps with a contact up to the frame; alignment (T, n), of the step that led to the
-frame, NaN where there is none; obstacles (M, width), a table as ``experiment.packing`` says;
-lyapunov_before_merge and lyapunov_after_merge (T,), V just before the first and just after the last
-merge of the step that led to the frame, m²/s, NaN if there was none; observations (T, n, rows, d),
-as the robots saw them.
-
-A recording that is kept has observations only where they cannot be found again
-(``seeing_again.observations``); else it has links: of the start and after each merge, one row for
-each, as ``Simulator.get_state`` gives them.
+A recording that is kept has observations only where they cannot be found again (``seen_again``);
+else it has links.
 """
 
 LINKS = ("weights", "first", "second")
 """Entries of a simulator's state that merging changes, of which a team may have the last two."""
+
+LINKS = ("weights", "first", "second")
+"""Entries of a simulator's state that merging changes, of which a team may have the last two."""
+
+
+def seen_again(scenario: Scenario) -> bool:
+    """Whether what robots saw follows from where they were: exact sensors, fixed links."""
+    return scenario.sensing.exact and scenario.sensing_graph.undirected
 
 
 class Snapshot:

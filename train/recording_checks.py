@@ -8,7 +8,7 @@ from rendezvous_env.equations.shapes.obstacles import ABSENT, BALL, CAPSULE, POL
 from rendezvous_env.experiment.packing import CORNERS, DETAILS, KIND
 from rendezvous_env.experiment.scenario import Scenario
 
-from .recording import Recording
+from .recording import Recording, seen_again
 
 Shape = tuple[int | None, ...]
 _MAY_BE_NAN = ("lyapunov_before_merge", "lyapunov_after_merge", "alignment")
@@ -38,7 +38,7 @@ def _shapes(recording: Recording, scenario: Scenario) -> dict[str, Shape]:
     times: Shape = (frames,)
     model = scenario.model
     seen: dict[str, Shape] = {"observations": (frames, n, rows, d)}
-    if scenario.sensing.exact:
+    if seen_again(scenario):
         velocities = d if model.keeps_velocity else 0
         seen = {
             "headings": (frames, n, model.n_angles),

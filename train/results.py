@@ -17,32 +17,14 @@ from typing import Any
 
 import numpy as np
 
+from . import columns
 from .errors import UserError
 
 FORMAT_VERSION = 5
 """Of the files of ``compare``; a change that a reader would notice raises it."""
 
-RESULT_COLUMNS = (
-    "scenario",
-    "policy",
-    "episodes",
-    "success",
-    "success_low",
-    "success_high",
-    "clean_success",
-    "clean_low",
-    "clean_high",
-    "median_time",
-    "time_low",
-    "time_high",
-    "time_over_bound",
-    "path_length",
-    "min_clearance",
-    "max_rise_between_merges",
-    "min_alignment",
-    "contacts",
-)
-"""Of results.csv: fractions 0–1, s, m, m²/s; ``statistics.summarise`` says what each means."""
+RESULT_COLUMNS = tuple(columns.RESULTS)
+"""Of results.csv."""
 
 EPISODE_COLUMNS = (
     "scenario",
@@ -64,18 +46,8 @@ EPISODE_COLUMNS = (
 )
 """Of episodes.csv; ``episodes.Episodes`` says what each means."""
 
-PAIRED_COLUMNS = (
-    "scenario",
-    "policy",
-    "against",
-    "clean_difference",
-    "clean_difference_low",
-    "clean_difference_high",
-    "probability_of_improvement",
-    "improvement_low",
-    "improvement_high",
-)
-"""Of paired.csv; ``statistics.compare_pairs`` says what each means."""
+PAIRED_COLUMNS = tuple(columns.PAIRED)
+"""Of paired.csv."""
 
 _PACKAGES = ("rendezvous-env", "numpy", "numba", "scipy", "gymnasium", "pettingzoo")
 

@@ -18,7 +18,7 @@ from rendezvous_env.simulator import Simulator
 from rendezvous_env.trajectory import Policy, Step, run
 
 from ..errors import UserError
-from ..recording import Recorder, Recording, Snapshot
+from ..recording import Recorder, Recording, Snapshot, seen_again
 from .alignment import alignments
 
 CHUNK = 1024
@@ -106,7 +106,7 @@ def play(
         simulator = Simulator(scenario, min(CHUNK, episodes - first))
         observations = _reset(simulator, seed + first)
         kept = range(min(keep, episodes)) if first == 0 else ()
-        start, exact = Snapshot(simulator), scenario.sensing.exact
+        start, exact = Snapshot(simulator), seen_again(scenario)
         recorders = [Recorder(start, team, observations, exact) for team in kept]
         meter = _Meter(simulator)
         for step in run(simulator, make_policy(), observations):

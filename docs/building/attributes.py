@@ -1,0 +1,76 @@
+"""Tables of the fields of dataclasses, from their annotations, defaults and docstrings."""
+
+from __future__ import annotations
+
+import ast
+import dataclasses
+import inspect
+import textwrap
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+
+def docstrings(kind: type[Any]) -> dict[str, tuple[str, str]]:
+    """Annotation and docstring of every field that the class itself writes down."""
+    (body,) = ast.parse(textwrap.dedent(inspect.getsource(kind))).body
+    assert isinstance(body, ast.ClassDef)
+    found = {}
+    for node, after in zip(body.body, [*body.body[1:], None], strict=True):
+        if isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name):
+            told = isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant)
+            text = inspect.cleandoc(str(after.value.value)) if told else ""
+            found[node.target.id] = ast.unparse(node.annotation), text
+    return found
+
+
+def default_of(field: dataclasses.Field[Any]) -> str:
+    """What a field is if it is not given; a dash where it must be."""
+    if isinstance(field.default, tuple):
+        return " ".join(f"`{entry}`" for entry in field.default) or "none"
+    if field.default is not dataclasses.MISSING:
+        return f"`{field.default}`"
+    if field.default_factory is not dataclasses.MISSING:
+        return f"`{field.default_factory.__name__}()`"
+    return "–"
+
+
+def fields_table(kind: type[Any]) -> str:
+    """Name, type, default and meaning of every field of a dataclass, as Markdown."""
+    told = docstrings(kind)
+    rows = (
+        (f"`{field.name}`", f"`{told[field.name][0]}`", default_of(field), told[field.name][1])
+        for field in dataclasses.fields(kind)
+    )
+    return table(("field", "type", "default", "what it is"), rows)
+
+
+def flags_table(config: type[Any]) -> str:
+    """Flag, type, default and meaning of every field of a command's settings, as Markdown."""
+    told = docstrings(config)
+    rows = []
+    for field in dataclasses.fields(config):
+        annotation, text = told[field.name]
+        word = field.name.replace("_", "-")
+        flag = f"`--{word}`, `--no-{word}`" if annotation == "bool" else f"`--{word}`"
+        if annotation.startswith("Positional["):
+            flag, annotation = f"`{word.upper()}`", annotation[len("Positional[") : -1]
+        rows.append((flag, f"`{annotation}`", default_of(field), text))
+    return table(("flag", "type", "default", "what it is"), rows)
+
+
+def meanings_table(head: str, meanings: Mapping[str, str]) -> str:
+    """Names and what they mean, as Markdown."""
+    return table((head, "what it is"), ((f"`{name}`", text) for name, text in meanings.items()))
+
+
+def table(head: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
+    """A Markdown table; cells may hold any text."""
+    head = tuple(head)
+    lines = [head, ("---",) * len(head), *rows]
+    return "\n".join("| " + " | ".join(map(_cell, line)) + " |" for line in lines) + "\n"
+
+
+def _cell(text: str) -> str:
+    """One line, in which a bar outside of code is no end of the cell."""
+    parts = " ".join(text.split()).replace("``", "`").split("`")
+    return "`".join(p if k % 2 else p.replace("|", r"\|") for k, p in enumerate(parts))

@@ -1,0 +1,193 @@
+"""Pages that are made while the site is built, so that they cannot fall behind the code."""
+
+from __future__ import annotations
+
+import base64
+import inspect
+import json
+import re
+import tempfile
+from collections.abc import Iterator
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from attributes import docstrings, fields_table, flags_table, meanings_table
+
+import baselines
+import rendezvous_env as rv
+from train import columns, recording
+from train.cli import COMMANDS
+from train.comparing.episodes import Episodes
+
+ROOT = Path(__file__).parents[2]
+DATA = (
+    (rv.Scenario, "Keys of a TOML file have the same names; a key that is absent has its default."),
+    (rv.RewardWeights, "The table `[reward]` of a TOML file."),
+    (rv.Sensing, "The table `[sensing]` of a TOML file."),
+    (rv.Disc, "One of `[[obstacles]]`, in the plane."),
+    (rv.Sphere, "One of `[[obstacles]]`, in space."),
+    (rv.Capsule, "One of `[[obstacles]]`, in the plane or in space."),
+    (rv.Polygon, "One of `[[obstacles]]`, in the plane."),
+    (rv.ObstacleField, "The table `[obstacles]`: drawn anew for every episode."),
+    (rv.WallField, "The table `[obstacles]`: drawn anew for every episode."),
+)
+"""Dataclasses that describe an experiment, and how a file has them."""
+SHOWN_AS_FILES = ("fig4", "random-10", "trap")
+REFERENCE = {
+    "experiment": ("Scenarios, graphs, obstacles", "rendezvous_env/experiment"),
+    "simulator": ("Simulator and trajectories", "rendezvous_env"),
+    "faces": ("Environments and wrappers", "rendezvous_env/faces"),
+    "adapters": ("Adapters to learners", "rendezvous_env/adapters"),
+    "guarantee": ("Guarantees", "rendezvous_env/guarantee"),
+    "equations": ("Equations", "rendezvous_env/equations"),
+    "baselines": ("Policies", "baselines"),
+    "learned": ("Learned policies", "train/learned"),
+}
+"""Pages of the reference: a title, and the folder of the modules on it."""
+
+
+def data() -> str:
+    """Fields, keys, columns and arrays."""
+    parts = [
+        "# Fields, keys and columns\n",
+        "Made from the code when this site is built. The numbers that a field takes are bounded by "
+        "`rendezvous_env/experiment/limits.py`.\n",
+    ]
+    for kind, note in DATA:
+        parts += [f"## `{kind.__name__}`\n", f"{note}\n", fields_table(kind)]
+    parts.append("## Scenarios as files\n")
+    for name in SHOWN_AS_FILES:
+        parts += [f"`rv.scenarios.get({name!r}).to_toml(…)` writes\n", _toml(name)]
+    episodes = {"scenario": "its name", "policy": "its name", "start": "k; its seed is SEED + k"}
+    episodes |= {name: text for name, (_, text) in docstrings(Episodes).items()}
+    parts += [
+        "## `results.csv`\n",
+        "One row for each scenario and policy. Empty where a column does not apply.\n",
+        meanings_table("column", columns.RESULTS),
+        "## `episodes.csv`\n",
+        "One row for each scenario, policy and start.\n",
+        meanings_table("column", episodes),
+        "## `paired.csv`\n",
+        "One row for each scenario and policy but the one that the others are compared with.\n",
+        meanings_table("column", columns.PAIRED),
+        "## `trajectories.npz`\n",
+        "Of the first `--keep` starts. Each array stands under `scenario/policy/start/name`. T "
+        f"counts frames, at most about {recording.MAX_FRAMES}.\n",
+        meanings_table("array", recording.ARRAYS),
+    ]
+    return "\n".join(parts)
+
+
+def _toml(name: str) -> str:
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "scenario.toml"
+        rv.scenarios.get(name).to_toml(path)
+        return f"```toml\n{path.read_text(encoding='utf-8')}```\n"
+
+
+def commands() -> str:
+    """Every command and its flags."""
+    parts = [
+        "# Commands and flags\n",
+        "`rendezvous COMMAND --help` shows the same on the terminal, `rendezvous --version` which "
+        'version it is. `eval "$(rendezvous --completion bash)"` completes commands and flags '
+        "(`zsh` and `tcsh` too).\n",
+    ]
+    for name, (module, line) in COMMANDS.items():
+        config = import_module(f"train.{module}").Config
+        parts += [f"## `rendezvous {name}`\n", f"{line[0].upper()}{line[1:]}.\n"]
+        parts.append(flags_table(config))
+    return "\n".join(parts)
+
+
+def examples() -> str:
+    """The programs of examples/."""
+    parts = ["# Examples\n", "Four programs to read, run and change. They lie in `examples/`.\n"]
+    for path in sorted((ROOT / "examples").glob("*.py")):
+        parts.append(f"## `{path.name}`\n\n```python\n{path.read_text(encoding='utf-8')}```\n")
+    return "\n".join(parts)
+
+
+def public() -> str:
+    """The front of the reference: what the packages give out, a line for each name."""
+    parts = ["# Reference\n"]
+    for package, alias in ((rv, "rv"), (baselines, "baselines")):
+        parts.append(f"## `{package.__name__}`\n\n{inspect.getdoc(package)}\n")
+        for name in sorted(package.__all__, key=str.lower):
+            found = getattr(package, name)
+            first = (inspect.getdoc(found) or "").split("\n\n")[0]
+            if isinstance(found, int):
+                first = "A kind of contact; see `rendezvous_env.equations.robots.motion`."
+            parts.append(f"* {_link(f'{alias}.{name}', found)}: {' '.join(first.split())}")
+        parts.append("")
+    return "\n".join(parts).replace("``", "`")
+
+
+def _link(shown: str, found: Any) -> str:
+    """A name, as a link to where it is documented."""
+    name = getattr(found, "__module__", None) or getattr(found, "__name__", "")
+    target = f"{name}.{getattr(found, '__qualname__', '')}".rstrip(".")
+    folder = target.replace(".", "/")
+    documented = any(folder.startswith(f"{place}/") for _, place in REFERENCE.values())
+    return f"[`{shown}`][{target}]" if documented else f"`{shown}`"
+
+
+def reference() -> Iterator[tuple[str, str]]:
+    """A page for each folder: its name, and Markdown that asks for its modules."""
+    for page, (title, folder) in REFERENCE.items():
+        place = ROOT / folder
+        deep = "*.py" if folder == "rendezvous_env" else "**/*.py"
+        modules = [
+            ".".join(path.relative_to(ROOT).with_suffix("").parts)
+            for path in sorted(place.glob(deep))
+            if not path.name.startswith("_") and "checks" not in path.name
+        ]
+        yield page, f"# {title}\n\n" + "\n".join(f"::: {module}\n" for module in modules)
+
+
+def notebook(path: Path) -> tuple[str, dict[str, bytes]]:
+    """A notebook with its outputs as Markdown, and the pictures in it by their names."""
+    parts: list[str] = []
+    pictures: dict[str, bytes] = {}
+    for cell in json.loads(path.read_text(encoding="utf-8"))["cells"]:
+        source = "".join(cell["source"])
+        if cell["cell_type"] == "markdown":
+            parts.append(source)
+            continue
+        parts.append(f"```python\n{source}\n```")
+        said: list[str] = []
+        for output in cell["outputs"]:
+            shown = output.get("data", {})
+            if "image/png" in shown:
+                name = f"{path.stem}-{len(pictures)}.png"
+                pictures[name] = base64.b64decode(shown["image/png"])
+                parts.append(f"![What the program drew]({name})")
+            else:
+                said.append(_plain("".join(output.get("text", shown.get("text/plain", "")))))
+        if text := "\n".join(filter(None, said)):
+            parts.append(f"```text\n{text}\n```")
+    return "\n\n".join(parts), pictures
+
+
+def _plain(text: str) -> str:
+    """Output without the colours of a terminal."""
+    return re.sub(r"\x1b\[[0-9;]*m", "", text).strip("\n")
+
+
+def without_links_to_code(text: str) -> str:
+    """Markdown of a folder of docs/ in which what lies outside of the site is only named."""
+    return re.sub(r"\[([^\]]+)\]\(\.\./\.\./[^)]*\)", r"`\1`", text)
+
+
+def for_site(text: str) -> str:
+    """Markdown from the top of the repository or of docs/ with links that hold in the site."""
+
+    def moved(match: re.Match[str]) -> str:
+        target = match[1].removeprefix("../").removeprefix("docs/").rstrip("/")
+        renamed = {"README.md": "overview.md", "examples": "examples.md", "docs": "overview.md"}
+        renamed |= {"CHANGELOG.md": "changelog.md", "CONTRIBUTING.md": "contributing.md"}
+        renamed |= {"decisions": "decisions/README.md", "tutorial.ipynb": "tutorial.md"}
+        return f"]({renamed.get(target, target)}{match[2]})"
+
+    return re.sub(r"\]\((?!https?:|#|mailto:)([^)#\s]+)([^)]*)\)", moved, text)

@@ -1,0 +1,118 @@
+"""Trajectories as tables of other libraries: a pandas DataFrame, an xarray Dataset."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    import pandas
+    import xarray
+
+DIMENSIONS = {
+    "positions": (("time", "env", "robot", "axis"), "m"),
+    "headings": (("time", "env", "robot", "angle"), "rad"),
+    "active": (("time", "env", "robot"), ""),
+    "lyapunov": (("time", "env"), "m²/s"),
+    "lyapunov_before_merge": (("step", "env"), "m²/s"),
+    "lyapunov_after_merge": (("step", "env"), "m²/s"),
+    "rewards": (("step", "env"), ""),
+    "contacts": (("step", "env", "robot"), ""),
+    "success": (("env",), ""),
+    "rendezvous_time": (("env",), "s"),
+    "obstacles": (("env", "obstacle", "column"), ""),
+    "observations": (("time", "env", "robot", "row", "axis"), ""),
+    "actions": (("step", "env", "robot", "action"), ""),
+}
+"""Dimensions and unit of every array of a trajectory."""
+AXES = ("x", "y", "z")
+ANGLES = ("yaw", "pitch")
+
+
+def dataset(trajectory: Mapping[str, Any]) -> xarray.Dataset:
+    """An xarray Dataset with the arrays under their own names, shaped as ``DIMENSIONS`` says.
+
+    Args:
+        trajectory: the fields of a Trajectory.
+
+    Returns:
+        Coordinates ``time`` (T + 1,), s, and ``step_end`` (T,), s, when each step ended; the
+        attribute ``scenario`` holds the scenario as JSON.
+
+    Raises:
+        ImportError: if xarray is not installed, saying how to get it.
+    """
+    library = _library("xarray", "to_xarray")
+    scenario, times, arrays = trajectory["scenario"], trajectory["times"], _arrays(trajectory)
+    coordinates: dict[str, Any] = {
+        "time": ("time", times, {"units": "s"}),
+        "step_end": ("step", times[1:], {"units": "s"}),
+        "axis": list(AXES[: scenario.dim]),
+        "angle": list(ANGLES[: arrays["headings"].shape[-1]]),
+    }
+    variables = {}
+    for name, array in arrays.items():
+        dimensions, unit = DIMENSIONS[name]
+        variables[name] = (dimensions, array, {"units": unit} if unit else {})
+    attributes = {"scenario": json.dumps(scenario.to_plain())}
+    made: xarray.Dataset = library.Dataset(variables, coordinates, attributes)
+    return made
+
+
+def dataframe(trajectory: Mapping[str, Any]) -> pandas.DataFrame:
+    """A pandas DataFrame with a row for each moment, team and robot.
+
+    Args:
+        trajectory: the fields of a Trajectory.
+
+    Returns:
+        Index ``env``, ``robot``, ``step`` (0 is the start). Columns: ``time`` s; ``x``, ``y``,
+        ``z`` m; ``yaw``, ``pitch`` rad; ``active``; ``lyapunov`` m²/s, of the team; ``reward``
+        and ``contact`` of the step that led there, NaN and False at the start.
+
+    Raises:
+        ImportError: if pandas is not installed, saying how to get it.
+    """
+    library = _library("pandas", "to_dataframe")
+    arrays = _arrays(trajectory)
+    positions, headings = arrays["positions"], arrays["headings"]
+    shape = positions.shape[:3]
+    _, teams, _ = shape
+    reward = np.concatenate([np.full((1, teams), np.nan), arrays["rewards"]])
+    contact = np.concatenate([np.zeros((1, *shape[1:]), dtype=bool), arrays["contacts"]])
+    columns = {
+        "time": trajectory["times"][:, np.newaxis, np.newaxis],
+        **{axis: positions[..., k] for k, axis in enumerate(AXES[: positions.shape[-1]])},
+        **{angle: headings[..., k] for k, angle in enumerate(ANGLES[: headings.shape[-1]])},
+        "active": arrays["active"],
+        "lyapunov": arrays["lyapunov"][..., np.newaxis],
+        "reward": reward[..., np.newaxis],
+        "contact": contact,
+    }
+    steps, envs, robots = (index.ravel() for index in np.indices(shape))
+    made: pandas.DataFrame = library.DataFrame(
+        {name: np.broadcast_to(column, shape).ravel() for name, column in columns.items()},
+        index=library.MultiIndex.from_arrays([envs, robots, steps], names=["env", "robot", "step"]),
+    )
+    return made.sort_index()
+
+
+def _arrays(trajectory: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
+    """What is kept of every trajectory, and what was kept on request."""
+    own = {name: array for name, array in trajectory.items() if name in DIMENSIONS}
+    return own | trajectory["recorded"]
+
+
+def _library(name: str, asked: str) -> Any:
+    """The library, imported when it is first used."""
+    try:
+        return import_module(name)
+    except ImportError as error:
+        raise ImportError(
+            f"{asked}() needs {name}: pip install 'rendezvous-env[analysis]'", name=name
+        ) from error

@@ -1,0 +1,182 @@
+"""The site and its tutorial: both are made without a complaint, and pages fetch nothing."""
+
+from __future__ import annotations
+
+import http.server
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+import threading
+from functools import partial
+from html.parser import HTMLParser
+
+import pytest
+from conftest import ROOT
+
+pytestmark = pytest.mark.slow
+NOTEBOOK = ROOT / "docs" / "tutorial.ipynb"
+LOADS = {
+    "script": "src", "img": "src", "iframe": "src", "source": "src", "video": "src",
+    "link": "href", "object": "data", "use": "href",
+}  # fmt: skip
+"""Attributes that make a browser fetch something; links that a reader follows are not among
+them."""
+ELSEWHERE = re.compile(r"^\s*(?:https?:)?//")
+CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "chrome"))), None)
+
+
+def run(*words: object, **environment: str) -> str:
+    """What a Python program says, on both streams."""
+    done = subprocess.run(
+        [sys.executable, *map(str, words)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        cwd=ROOT,
+        env={**os.environ, "PYTHONPATH": str(ROOT), **environment},
+        timeout=900,
+    )
+    assert done.returncode == 0, done.stdout[-5000:]
+    return done.stdout
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    """The site, and what was said while it was built."""
+    folder = tmp_path_factory.mktemp("site")
+    words = ("-m", "mkdocs", "build", "--strict", "--site-dir", folder)
+    return folder, run(*words, NO_MKDOCS_2_WARNING="1")
+
+
+class Fetched(HTMLParser):
+    """Collects what a page makes a browser fetch."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.found: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        """See what a tag fetches, and what the style that stands in it does."""
+        given = dict(attrs)
+        self.found.append(given.get(LOADS.get(tag, "")) or "")
+        self.found += re.findall(r"url\(['\"]?([^)'\"]+)", given.get("style") or "")
+
+
+def fetched(text: str) -> list[str]:
+    """What a page fetches from elsewhere."""
+    reader = Fetched()
+    reader.feed(text)
+    return [address for address in reader.found if ELSEWHERE.match(address)]
+
+
+def test_the_reader_finds_what_is_fetched():
+    page = '<a href="https://a.b"><script src="//c.d/e.js"></script><link href="https://f">'
+    assert fetched(page + '<img src="x.png" style="background: url(http://g)">') == [
+        "//c.d/e.js", "https://f", "http://g",
+    ]  # fmt: skip
+
+
+def test_it_is_built_without_a_warning(site):
+    folder, said = site
+    assert not re.search(r"warning|error", said, re.IGNORECASE), said
+    assert len(list(folder.rglob("*.html"))) > 30
+    for made in ("index", "tutorial", "data", "commands", "reference/index", "reference/equations"):
+        assert (folder / f"{made}.html").stat().st_size > 10_000, made
+
+
+def test_pages_fetch_nothing_from_elsewhere(site):
+    folder, _ = site
+    for page in folder.rglob("*.html"):
+        assert fetched(page.read_text(encoding="utf-8")) == [], page.name
+    for sheet in folder.rglob("*.css"):
+        text = sheet.read_text(encoding="utf-8")
+        assert not re.search(r"(?:url\(|@import)\s*['\"]?(?:https?:)?//", text), sheet.name
+
+
+def test_equations_are_drawn_while_it_is_built(site):
+    folder, _ = site
+    pages = {page: page.read_text(encoding="utf-8") for page in folder.rglob("*.html")}
+    assert sum("<math" in text for text in pages.values()) >= 3
+    assert not [page.name for page, text in pages.items() if "arithmatex" in text]
+
+
+class Silent(http.server.SimpleHTTPRequestHandler):
+    """Serves files and keeps no log."""
+
+    def log_message(self, *_: object) -> None:
+        """Say nothing."""
+
+
+@pytest.mark.skipif(
+    CHROMIUM is None and not os.environ.get("CI"),
+    reason="no chromium on this machine; apt-get install chromium",
+)
+def test_a_browser_asks_nobody_else_and_finds_words(site):
+    from playwright.sync_api import sync_playwright
+
+    folder, _ = site
+    handler = partial(Silent, directory=folder)
+    with (
+        http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler) as server,
+        sync_playwright() as playwright,
+    ):
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        home = f"http://127.0.0.1:{server.server_port}/"
+        flags = ["--no-sandbox"] if os.geteuid() == 0 else []
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=flags)
+        page = browser.new_page()
+        asked, complaints = [], []
+        page.on("request", lambda request: asked.append(request.url))
+        page.on("pageerror", lambda error: complaints.append(str(error)))
+        for name in ("tutorial", "theory", "reference/experiment", "index"):
+            page.goto(f"{home}{name}.html", wait_until="networkidle")
+        page.fill("input[name=query]", "certificate")
+        page.wait_for_selector(".md-search-result__item")
+        browser.close()
+        server.shutdown()
+    assert complaints == [] and len(asked) > 10
+    assert [address for address in asked if not address.startswith((home, "data:", "blob:"))] == []
+
+
+EXECUTE = """
+import json, sys, nbformat
+from nbclient import NotebookClient
+notebook = nbformat.read(sys.argv[1], 4)
+NotebookClient(notebook, timeout=600, kernel_name="python3").execute()
+nbformat.write(notebook, sys.argv[2])
+"""
+
+
+def test_the_tutorial_runs_and_shows_what_it_says(tmp_path):
+    run("-W", "ignore", "-c", EXECUTE, NOTEBOOK, tmp_path / "run.ipynb")
+    kept = json.loads(NOTEBOOK.read_text(encoding="utf-8"))["cells"]
+    new = json.loads((tmp_path / "run.ipynb").read_text(encoding="utf-8"))["cells"]
+    assert len(new) == len(kept)
+
+    def pictures(cells: list[dict]) -> int:
+        outputs = [output for cell in cells for output in cell.get("outputs", ())]
+        return sum("image/png" in output.get("data", {}) for output in outputs)
+
+    def said(cells: list[dict]) -> str:
+        return "".join(
+            "".join(output["text"])
+            for cell in cells
+            for output in cell.get("outputs", ())
+            if output["output_type"] == "stream"
+        )
+
+    assert pictures(new) == pictures(kept) == 2
+    assert "tangent-joined met cleanly 9" in said(new) and "report.html" in said(new)
+    for name in (
+        "shy",
+        "bearing-only",
+        "tangent-joined",
+    ):  # on another processor a start may differ
+        (before,), (now,) = (
+            re.findall(rf"^{name} +clean (\d+)%", said(cells), re.MULTILINE)
+            for cells in (kept, new)
+        )
+        assert abs(int(before) - int(now)) <= 5, name

@@ -1,0 +1,179 @@
+"""Pages of the site that are made from the code name everything that the code has."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import re
+from importlib import import_module
+from typing import Any
+
+import numpy as np
+import pytest
+from conftest import ROOT
+from test_package import MODULES
+
+import baselines
+import rendezvous_env as rv
+from train import columns, recording, results
+from train.cli import COMMANDS
+from train.comparing.episodes import Episodes
+
+
+@pytest.fixture(scope="module")
+def pages():
+    """The module that makes pages."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(ROOT / "docs" / "building")
+        yield import_module("pages")
+
+
+@pytest.fixture(scope="module")
+def attributes(pages):
+    """The module that makes tables of dataclasses."""
+    return import_module("attributes")
+
+
+def section(page: str, title: str) -> str:
+    """What stands under a heading."""
+    (found,) = re.findall(rf"^## `{re.escape(title)}`\n(.*?)(?=^## |\Z)", page, re.DOTALL | re.M)
+    return found
+
+
+@dataclasses.dataclass
+class Sample:
+    """A dataclass as the code has them."""
+
+    least: float
+    """Of two | three values, m;
+    never negative."""
+    names: tuple[str, ...] = ("a", "b")
+    unit: int | None = None
+    """In ``x|y``."""
+    more: dict[str, Any] = dataclasses.field(default_factory=dict)
+    """And others."""
+
+
+def test_a_table_of_fields_by_hand(attributes):
+    rows = attributes.fields_table(Sample).splitlines()
+    assert rows[2:] == [
+        r"| `least` | `float` | – | Of two \| three values, m; never negative. |",
+        "| `names` | `tuple[str, ...]` | `a` `b` |  |",
+        "| `unit` | `int | None` | `None` | In `x|y`. |",
+        "| `more` | `dict[str, Any]` | `dict()` | And others. |",
+    ]
+
+
+def test_every_field_of_an_experiment_is_told(pages):
+    page = pages.data()
+    for kind, _ in pages.DATA:
+        rows = section(page, kind.__name__)
+        for field in dataclasses.fields(kind):
+            found = re.search(rf"^\| `{field.name}` \|.*\| (.*) \|$", rows, re.MULTILINE)
+            assert found and found[1], f"{kind.__name__}.{field.name}"
+
+
+def test_every_column_and_array_is_told(pages):
+    page = pages.data()
+    for file, names in {
+        "results.csv": results.RESULT_COLUMNS,
+        "episodes.csv": results.EPISODE_COLUMNS,
+        "paired.csv": results.PAIRED_COLUMNS,
+        "trajectories.npz": tuple(recording.ARRAYS),
+    }.items():
+        told = re.findall(r"^\| `(\w+)` \| \S", section(page, file), re.MULTILINE)
+        assert tuple(told) == names
+
+
+def test_files_have_the_columns_and_arrays_that_are_told(compared):
+    for file, names in (("results.csv", columns.RESULTS), ("paired.csv", columns.PAIRED)):
+        header = (compared / file).read_text(encoding="utf-8").splitlines()[0]
+        assert header.split(",") == list(names)
+    header = (compared / "episodes.csv").read_text(encoding="utf-8").splitlines()[0]
+    fields = [field.name for field in dataclasses.fields(Episodes)]
+    assert header.split(",") == ["scenario", "policy", "start", *fields]
+    with np.load(compared / "trajectories.npz") as arrays:
+        there = {name.rpartition("/")[2] for name in arrays}
+    assert there <= set(recording.ARRAYS)
+    # the links of small teams stand in one array; observations are found again
+    assert set(recording.ARRAYS) - there == {"observations", "first", "second"}
+
+
+def test_every_flag_of_every_command_is_told(pages):
+    page = pages.commands()
+    for name, (module, _) in COMMANDS.items():
+        rows = section(page, f"rendezvous {name}")
+        for field in dataclasses.fields(import_module(f"train.{module}").Config):
+            word = field.name.replace("_", "-")
+            assert re.search(rf"^\| `(?:--{word}|{word.upper()})`", rows, re.MULTILINE), (
+                name,
+                word,
+            )
+
+
+def test_files_of_scenarios_are_shown_as_they_are_read(pages, tmp_path):
+    shown = re.findall(r"```toml\n(.*?)```", pages.data(), re.DOTALL)
+    assert len(shown) == len(pages.SHOWN_AS_FILES)
+    for name, text in zip(pages.SHOWN_AS_FILES, shown, strict=True):
+        (tmp_path / "it.toml").write_text(text, encoding="utf-8")
+        assert rv.Scenario.from_toml(tmp_path / "it.toml") == rv.scenarios.get(name)
+
+
+def test_the_reference_has_every_public_name_and_module(pages):
+    front = pages.public()
+    for alias, package in (("rv", rv), ("baselines", baselines)):
+        for name in package.__all__:
+            assert re.search(rf"^\* \[?`{alias}\.{name}`.*: \S", front, re.MULTILINE), name
+    asked = set(re.findall(r"^::: (\S+)$", "\n".join(text for _, text in pages.reference()), re.M))
+    hidden = re.compile(r"checks|\.(engine|drawing)\b|/_|\.(building|__init__)")
+    folders = {name for name in MODULES if any(other.startswith(f"{name}.") for other in MODULES)}
+    wanted = {
+        name
+        for name in set(MODULES) - folders
+        if not name.startswith("train") and not hidden.search(name)
+    }
+    assert len(wanted) > 80 and wanted <= asked
+    assert asked <= set(MODULES)
+
+
+def test_a_notebook_becomes_a_page(pages, tmp_path):
+    pixel = "aGVsbG8="
+    cells = [
+        {"cell_type": "markdown", "source": ["# A\n", "b"]},
+        {
+            "cell_type": "code",
+            "source": ["x = 1\n", "x"],
+            "outputs": [
+                {"output_type": "stream", "text": ["\x1b[1mone\x1b[0m\n"]},
+                {"output_type": "execute_result", "data": {"text/plain": ["1"]}},
+                {"output_type": "display_data", "data": {"image/png": pixel, "text/plain": "F"}},
+            ],
+        },
+    ]
+    path = tmp_path / "note.ipynb"
+    path.write_text(json.dumps({"cells": cells}), encoding="utf-8")
+    text, pictures = pages.notebook(path)
+    assert text.startswith("# A\nb\n\n```python\nx = 1\nx\n```\n\n")
+    assert "```text\none\n1\n```" in text
+    assert pictures == {"note-0.png": b"hello"} and "](note-0.png)" in text
+
+
+@pytest.mark.parametrize(
+    ("link", "expected"),
+    [
+        ("[a](docs/theory.md#x)", "[a](theory.md#x)"),
+        ("[a](docs/README.md)", "[a](overview.md)"),
+        ("[a](../examples)", "[a](examples.md)"),
+        ("![a](docs/images/a.png)", "![a](images/a.png)"),
+        ("[a](https://a.b/docs/)", "[a](https://a.b/docs/)"),
+        ("[a](#b)", "[a](#b)"),
+    ],
+)
+def test_links_hold_in_the_site(pages, link, expected):
+    assert pages.for_site(f"x {link} y") == f"x {expected} y"
+
+
+def test_who_is_cited_and_which_version():
+    text = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+    assert re.search(rf"^version: {re.escape(rv.__version__)}$", text, re.MULTILINE)
+    assert "Flexible Bearing-Only Rendezvous Control of Mobile Robots" in text
