@@ -6,8 +6,8 @@ import signal
 
 import numpy as np
 import pytest
+from test_ppo import UPDATE, assert_same_run, config, flags, stopped_after
 
-from rendezvous_env.experiment import scenarios
 from rendezvous_env.experiment.sensing import Sensing
 from train import cli
 from train.learned import checkpoints
@@ -15,8 +15,6 @@ from train.learning import ppo, training
 from train.learning.ppo import Config
 from train.learning.sensing_ranges import SensingRanges
 from train.learning.training_teams import make_teams
-
-from test_ppo import UPDATE, assert_same_run, config, flags, stopped_after
 
 RANGES = SensingRanges(
     noise=(0.05, 0.2),
