@@ -62,7 +62,6 @@ class _Entry:
 _registry: dict[str, _Entry] = {}
 _TRAINED = {
     "learned": "PRETRAINED",
-    "learned-noise": "PRETRAINED_NOISE",
     "learned-tank": "PRETRAINED_TANK",
     "learned-tank-noise": "PRETRAINED_TANK_NOISE",
 }

@@ -25,16 +25,14 @@ from .policy_settings import PolicySettings
 __all__ = ["LearnedPolicy", "PolicySettings", "load", "ship", "shipped"]
 
 NAME, TANK_NAME = "learned", "learned-tank"
-NOISE_NAME, TANK_NOISE_NAME = "learned-noise", "learned-tank-noise"
+TANK_NOISE_NAME = "learned-tank-noise"
 _PACKAGE = Path(__file__).parents[1]
 PRETRAINED = _PACKAGE / "pretrained"
 """The policy called ``learned``: certified headings."""
 PRETRAINED_TANK = _PACKAGE / "pretrained_tank"
 """The policy called ``learned-tank``."""
-PRETRAINED_NOISE = _PACKAGE / "pretrained_noise"
-"""The policy called ``learned-noise``: the first one, trained on with sensors that err."""
 PRETRAINED_TANK_NOISE = _PACKAGE / "pretrained_tank_noise"
-"""The policy called ``learned-tank-noise``: the same on a tank."""
+"""The policy called ``learned-tank-noise``: that one, trained on with sensors that err."""
 
 
 class LearnedPolicy:
@@ -149,7 +147,6 @@ def shipped(name: str) -> Path:
     """The folder of the shipped policy of that name."""
     return {
         NAME: PRETRAINED,
-        NOISE_NAME: PRETRAINED_NOISE,
         TANK_NAME: PRETRAINED_TANK,
         TANK_NOISE_NAME: PRETRAINED_TANK_NOISE,
     }[name]

@@ -20,14 +20,13 @@ from .perception import check_readable
 
 LEARNED = learned_policy.NAME
 LEARNED_TANK = learned_policy.TANK_NAME
-_NOISE, _TANK_NOISE = learned_policy.NOISE_NAME, learned_policy.TANK_NOISE_NAME
-SHIPPED = (LEARNED, _NOISE, LEARNED_TANK, _TANK_NOISE)
+LEARNED_TANK_NOISE = learned_policy.TANK_NOISE_NAME
+SHIPPED = (LEARNED, LEARNED_TANK, LEARNED_TANK_NOISE)
 _AT_PATH = f"{LEARNED}:"
 _ABOUT = {
     LEARNED: "Chooses how far aside of f the joined rule aims; certified, shipped with its weights",
-    _NOISE: "The same, trained on with sensors that err and kept farther from edges; shipped",
     LEARNED_TANK: "Chooses where to go, all round, under an energy tank; shipped with its weights",
-    _TANK_NOISE: "The same, trained on with sensors that err and kept farther from edges; shipped",
+    LEARNED_TANK_NOISE: "The same, trained on with sensors that err, farther from edges; shipped",
 }
 
 

@@ -39,13 +39,7 @@ _POLICY_COLOURS = {
     "learned": VERMILLION,
 }
 """The paper's laws (1), (7) and (12) never meet in one scenario and share a colour."""
-_VARIANTS = {
-    "-tank-noise": "P",
-    "-noise": "X",
-    "-certified": "s",
-    "-tuned": "^",
-    "-tank": "D",
-}
+_VARIANTS = {"-certified": "s", "-tuned": "^", "-tank": "D", "-tank-noise": "P"}
 """Variants of a policy have its colour and another marker."""
 _DPI = 150
 
