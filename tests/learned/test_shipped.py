@@ -52,7 +52,7 @@ def test_it_steers_robots_whose_sensors_err(name):
         assert not speed[nobody].any()
         blind += (nobody & simulator.active).sum()
         seen = simulator.step(actions).observations
-    assert blind > 100 and simulator.path_length.min() > 1.0
+    assert blind > 100 and np.median(simulator.path_length) > 5.0
 
 
 @pytest.mark.parametrize("changes", [{}, {"n_robots": 9, "time_limit": 40.0}])
