@@ -62,7 +62,11 @@ class _Entry:
 
 
 _registry: dict[str, _Entry] = {}
-_TRAINED = {"learned": "PRETRAINED", "learned-tank": "PRETRAINED_TANK"}
+_TRAINED = {
+    "learned": "PRETRAINED",
+    "learned-tank": "PRETRAINED_TANK",
+    "learned-tank-noise": "PRETRAINED_TANK_NOISE",
+}
 """Policies that are shipped with weights, and what their folder is called."""
 _Builder = TypeVar("_Builder", bound=Callable[..., Policy])
 

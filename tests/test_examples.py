@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from train import results
+
 EXAMPLES = Path(__file__).parent.parent / "examples"
 
 
@@ -46,3 +48,21 @@ def test_ppo_in_one_file_learns():
     text = run("04_cleanrl_ppo.py", "--updates", "25", "--teams", "32", "--steps", "64")
     rewards = [float(reward) for reward in re.findall(r"reward ([+-]\d+\.\d+)", text)]
     assert len(rewards) == 25 and "100% of" in text
+
+
+def test_noisy_sensors(tmp_path):
+    table, figure = tmp_path / "rows.csv", tmp_path / "clean.png"
+    counts = ("--scenarios", "clutter-4", "--episodes", "3", "--sensors", "exact", "noise 0.2")
+    policies = ("bearing-only", "learned", "learned@0.6")
+    files = ("--out", str(table), "--figure", str(figure))
+    said = run("05_noisy_sensors.py", *counts, "--policies", *policies, *files)
+    head, _, *rows = said.splitlines()
+    assert head == "| clutter-4 | exact | noise 0.2 |"
+    found = results.read_csv(table)
+    assert [row["policy"] for row in found[::2]] == list(policies)
+    for line, exact, noisy in zip(rows, found[::2], found[1::2], strict=True):
+        clean = [f"{100 * float(row['clean']):.1f}" for row in (exact, noisy)]
+        assert line == f"| {exact['policy']} | {clean[0]} | {clean[1]} |"
+    times = {row["policy"]: float(row["time"]) for row in found if row["sensor"] == "noise 0.2"}
+    assert times["learned"] != times["learned@0.6"]
+    assert figure.stat().st_size > 5000

@@ -13,6 +13,7 @@ from baselines import laws, policy
 from baselines.policy import within_limits
 from rendezvous_env.experiment.scenario import Scenario
 from train.learned import learned_policy
+from train.learned.policies import SHIPPED
 
 POINT = Scenario(n_robots=3)
 UNICYCLE = Scenario(n_robots=3, robot_model="unicycle", max_turn_rate=0.9)
@@ -173,7 +174,7 @@ def test_make_takes_a_name_of_a_scenario():
     assert own.scenario == rv.scenarios.get("ring-12")
 
 
-@pytest.mark.parametrize("name", ["learned", "learned-tank"])
+@pytest.mark.parametrize("name", SHIPPED)
 def test_make_says_where_a_learned_policy_is(name):
     with pytest.raises(ValueError, match=r"not scripted; train\.learned_policy\.load") as caught:
         baselines.make(name, "clutter-8")

@@ -25,10 +25,14 @@ from .policy_settings import PolicySettings
 __all__ = ["LearnedPolicy", "PolicySettings", "load", "ship", "shipped"]
 
 NAME, TANK_NAME = "learned", "learned-tank"
-PRETRAINED = Path(__file__).parents[1] / "pretrained"
+TANK_NOISE_NAME = "learned-tank-noise"
+_PACKAGE = Path(__file__).parents[1]
+PRETRAINED = _PACKAGE / "pretrained"
 """The policy called ``learned``: certified headings."""
-PRETRAINED_TANK = Path(__file__).parents[1] / "pretrained_tank"
+PRETRAINED_TANK = _PACKAGE / "pretrained_tank"
 """The policy called ``learned-tank``."""
+PRETRAINED_TANK_NOISE = _PACKAGE / "pretrained_tank_noise"
+"""The policy called ``learned-tank-noise``: that one, trained on with sensors that err."""
 
 
 class LearnedPolicy:
@@ -141,7 +145,11 @@ def load(path: Path, scenario: Scenario) -> LearnedPolicy:
 
 def shipped(name: str) -> Path:
     """The folder of the shipped policy of that name."""
-    return {NAME: PRETRAINED, TANK_NAME: PRETRAINED_TANK}[name]
+    return {
+        NAME: PRETRAINED,
+        TANK_NAME: PRETRAINED_TANK,
+        TANK_NOISE_NAME: PRETRAINED_TANK_NOISE,
+    }[name]
 
 
 def ship(run: Path, folder: Path) -> None:

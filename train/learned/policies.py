@@ -1,6 +1,6 @@
 """Which policies a command can compare: the scripted and the learned ones, by name.
 
-The one place that turns a name into a policy. ``learned`` and ``learned-tank`` are shipped,
+The one place that turns a name into a policy. Those in ``SHIPPED`` come with their weights,
 ``learned:PATH`` is that of a run or a checkpoint.
 """
 
@@ -20,7 +20,8 @@ from .perception import check_readable
 
 LEARNED = learned_policy.NAME
 LEARNED_TANK = learned_policy.TANK_NAME
-SHIPPED = (LEARNED, LEARNED_TANK)
+LEARNED_TANK_NOISE = learned_policy.TANK_NOISE_NAME
+SHIPPED = (LEARNED, LEARNED_TANK, LEARNED_TANK_NOISE)
 _AT_PATH = f"{LEARNED}:"
 _BEST = (LEARNED_TANK, "tank-joined", LEARNED, "tangent-joined-tuned", "tangent-joined")
 """Policies for obstacles; the sooner, the more starts are met cleanly (README, Results)."""
@@ -29,6 +30,7 @@ _ON_REQUEST = ("blind", "privileged")
 _ABOUT = {
     LEARNED: "Chooses how far aside of f the joined rule aims; certified, shipped with its weights",
     LEARNED_TANK: "Chooses where to go, all round, under an energy tank; shipped with its weights",
+    LEARNED_TANK_NOISE: "The same, trained on with sensors that err, farther from edges; shipped",
 }
 
 

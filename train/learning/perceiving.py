@@ -77,6 +77,11 @@ class PerceivingTeams(VectorFilterWrapper):
         return self.guided.perception.layout
 
     @property
+    def alignment(self) -> NDArray[np.float64]:
+        """Of the headings with f in the last base step, (B, n); NaN where there is none."""
+        return self.guided.steering.alignment
+
+    @property
     def _levels(self) -> NDArray[np.float64]:
         """A/(r D̄) of the tanks, (B, n); 0 without."""
         steering = self.guided.steering

@@ -13,6 +13,7 @@ from rendezvous_env.experiment.scenario import Scenario
 
 from ..checks import check_types
 from ..errors import UserError
+from .sensing_ranges import SensingRanges
 
 if TYPE_CHECKING:
     from ..learned.learned_policy import PolicySettings
@@ -22,7 +23,15 @@ TRAINING_SEEDS, EVALUATION_SEEDS = 2**62, 2**61
 counts up from its --seed, which is far below, so no policy is judged on starts it was trained on.
 """
 
-_LATER = ("guarantee", "budget", "memory", "memory_units", "critic")
+_SENSING = (
+    "sensing_noise", "sensing_bias", "sensing_dropout", "sensing_range", "sensing_field_of_view",
+    "sensing_occlusion", "sensing_delay", "sensing_chance",
+)  # fmt: skip
+"""Fields that say from what sensors are drawn."""
+_LATER = (
+    "guarantee", "budget", "memory", "memory_units", "critic", *_SENSING, "sensing_groups",
+    "sensing_updates",
+)  # fmt: skip
 """Fields that runs of earlier versions have not written."""
 
 
@@ -97,6 +106,28 @@ class Config:
     critic: Literal["local", "global"] = "local"
     """What values are estimated from: what the robot is shown, or the state of the whole team too.
     That is privileged, and for training only: the policy never sees it."""
+
+    sensing_noise: tuple[float, float] | None = None
+    """Least and most noise of a sensor that is drawn, rad; this and the other ranges are of the
+    fields of Sensing. None leaves what the scenario says."""
+    sensing_bias: tuple[float, float] | None = None
+    """The same for the bias, rad."""
+    sensing_dropout: tuple[float, float] | None = None
+    """The same for the chance of dropout."""
+    sensing_range: tuple[float, float] | None = None
+    """The same for the range, m."""
+    sensing_field_of_view: tuple[float, float] | None = None
+    """The same for the field of view, rad."""
+    sensing_occlusion: tuple[str, ...] = ()
+    """Kinds of occlusion, all as likely."""
+    sensing_delay: tuple[int, int] | None = None
+    """Least and most delay, steps."""
+    sensing_chance: float = 0.5
+    """Chance that a sensor departs from the scenario's in a field that has a range."""
+    sensing_groups: int = 16
+    """Groups of teams that have a sensor each, where sensors are drawn."""
+    sensing_updates: int = 8
+    """Updates for which a group keeps its sensor; with the next one it begins new episodes."""
 
     progress: float = 0.5
     """Reward for V falling from its first value to 0."""
@@ -179,6 +210,14 @@ class Config:
             rendezvous_bonus=self.rendezvous_bonus,
         )
         return named_scenarios.resolve(self.scenario).replace(reward=rewards)
+
+    def sensing_ranges(self) -> SensingRanges:
+        """From what the sensors of the teams are drawn; false if they are the scenario's.
+
+        Raises:
+            ValueError: naming the field of a range that no sensor can have.
+        """
+        return SensingRanges(**{k.removeprefix("sensing_"): getattr(self, k) for k in _SENSING})
 
     def stage(self, step: int) -> int:
         """Which stage of the curriculum a step belongs to; 0 without one."""

@@ -18,6 +18,7 @@ _MOST = {
     "num_threads": 2**10, "total_steps": 2**62, "checkpoint_every": 2**62, "eval_every": 2**62,
     "learning_rate": 1e6, "epochs": 2**31, "batch_size": 2**31, "curriculum": 2**10,
     "fewest_obstacles": 2**10, "budget": 1e9, "memory_units": 2**12,
+    "sensing_groups": 2**20, "sensing_updates": 2**31,
 }  # fmt: skip
 _MOST_SAMPLES = 2**31
 MAY_CHANGE = ("total_steps", "eval_every", "eval_starts", "checkpoint_every", "num_threads")
@@ -34,13 +35,14 @@ def check(config: Config) -> None:
         "total_steps": 1, "seed": 0, "num_teams": 1, "n_steps": 2, "batch_size": 2, "epochs": 1,
         "set_width": 1, "decision_period": 1, "eval_every": 0, "eval_starts": 1,
         "checkpoint_every": 1, "touch_penalty": 0, "num_threads": 1, "hidden": 1, "persistence": 0,
-        "budget": 0, "memory_units": 1,
+        "budget": 0, "memory_units": 1, "sensing_groups": 1, "sensing_updates": 1,
     }  # fmt: skip
     check_fields(config)
     check_least(config, **least)
     check_most(config, **_MOST)
     _check_words(config)
     _check_guarantee(config)
+    _check_sensing(config)
     for name in ("gamma", "gae_lambda"):
         if not 0 <= getattr(config, name) <= 1:
             raise UserError(f"{flag(name)} is {getattr(config, name)}; it must be in [0, 1]")
@@ -80,6 +82,23 @@ def _check_guarantee(config: Config) -> None:
     if config.memory != "recurrent" and config.memory_units != Config.memory_units:
         units = config.memory_units
         raise UserError(f"--memory-units is {units}; there are none without --memory recurrent")
+
+
+def _check_sensing(config: Config) -> None:
+    try:
+        drawn = bool(config.sensing_ranges())
+    except ValueError as error:
+        raise UserError(f"--sensing-… draws sensors: {error}") from error
+    if drawn and config.sensing_groups > config.num_teams:
+        raise UserError(
+            f"--sensing-groups is {config.sensing_groups}; it must be {config.num_teams} or less, "
+            "as --num-teams"
+        )
+    for name in () if drawn else ("sensing_chance", "sensing_groups", "sensing_updates"):
+        if (value := getattr(config, name)) != getattr(Config, name):
+            raise UserError(
+                f"{flag(name)} is {value}; no sensors are drawn: add a range, as --sensing-noise"
+            )
 
 
 def _check_words(config: Config) -> None:

@@ -10,11 +10,8 @@ from typing import Any
 
 import numpy as np
 import torch
-from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 from stable_baselines3.common.logger import Logger
-
-from rendezvous_env import make_vec
 
 from .. import results
 from ..errors import UserError
@@ -22,7 +19,6 @@ from ..learned import checkpoints
 from ..learned.checkpoints import CheckpointError
 from .architecture import learner_of, network_of, network_settings
 from .evaluation import held_out
-from .perceiving import PerceivingTeams
 from .run_log import EVALUATION, METRICS, Events, Table
 from .run_state import (
     check_fits,
@@ -35,6 +31,7 @@ from .run_state import (
     unflatten,
 )
 from .settings import Config
+from .training_teams import make_teams
 from .watching import WatchedRobots, episode_numbers
 
 CONFIG = "config.json"
@@ -70,7 +67,7 @@ class Training:
         self.config = config
         self.settings = config.policy_settings()
         self.stage = 0
-        self.robots = self._make_robots(0)
+        self.robots = WatchedRobots(make_teams(config, 0))
         self.model = learner_of(config)(
             network_of(config, self.robots.teams),
             self.robots,
@@ -91,24 +88,6 @@ class Training:
         self._seconds = self._environment_seconds = 0.0
         self._wall_before = 0.0
         self._began = time.perf_counter()
-
-    def _make_robots(self, stage: int) -> WatchedRobots:
-        config = self.config
-        teams = make_vec(
-            config.stage_scenario(stage),
-            config.num_teams,
-            autoreset_mode=AutoresetMode.SAME_STEP,
-            num_threads=config.num_threads,
-        )
-        return WatchedRobots(
-            PerceivingTeams(
-                teams,
-                self.settings,
-                touch_penalty=config.touch_penalty,
-                obstacle_slots=config.obstacle_slots(),
-                privileged=config.critic == "global",
-            )
-        )
 
     def _learning_rate(self) -> float:
         done = self.model.num_timesteps / self.config.total_steps if hasattr(self, "model") else 0.0
@@ -138,7 +117,7 @@ class Training:
         self.model._last_episode_starts = np.ones(self.robots.num_envs, dtype=np.bool_)
 
     def _enter_stage(self, stage: int) -> None:
-        self.stage, self.robots = stage, self._make_robots(stage)
+        self.stage, self.robots = stage, WatchedRobots(make_teams(self.config, stage))
         self.model.set_env(self.robots, force_reset=False)
 
     def _open_log(self, step: int) -> None:
@@ -222,6 +201,8 @@ class Training:
         if (stage := config.stage(model.num_timesteps)) != self.stage:
             self._enter_stage(stage)
             self._reset_robots()
+        begun, seen = self.robots.renew_sensors(model._n_updates // config.epochs)
+        model._last_obs[begun], model._last_episode_starts[begun] = seen, True
         began, robots = time.perf_counter(), self.robots
         robots.seconds, robots.alignment, robots.aligned = 0.0, 0.0, 0
         model.learn(config.samples_per_update, log_interval=None, reset_num_timesteps=False)

@@ -6,8 +6,11 @@ import time
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rendezvous_env.adapters.sb3 import RobotVecEnv
+
+from .sensing_groups import SensingGroups
 
 
 class WatchedRobots(RobotVecEnv):
@@ -24,12 +27,25 @@ class WatchedRobots(RobotVecEnv):
         """As RobotVecEnv, and take the time."""
         began = time.perf_counter()
         result = super().step_wait()
-        alignment = self.teams.guided.steering.alignment
+        alignment = self.teams.alignment
         known = ~np.isnan(alignment)
         self.alignment += float(alignment[known].sum())
         self.aligned += int(known.sum())
         self.seconds += time.perf_counter() - began
         return result
+
+    def renew_sensors(self, update: int) -> tuple[NDArray[np.bool_], NDArray[np.float32]]:
+        """Give groups of teams whose time has come before this update their next sensor.
+
+        Returns:
+            Slots that have begun a new episode, (slots,), and what they are shown, (k, size).
+        """
+        if not isinstance(self.teams, SensingGroups):
+            return np.zeros(self.num_envs, dtype=np.bool_), np.empty((0, *self._observed[2:]))
+        which, observations = self.teams.renew(update)
+        self._active[which] = True
+        self._returns[which], self._lengths[which] = 0.0, 0
+        return np.repeat(which, self.n_robots), self._by_slot(observations)
 
 
 def episode_numbers(episodes: list[dict[str, Any]]) -> dict[str, Any]:

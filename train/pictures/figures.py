@@ -45,7 +45,7 @@ LINE = 0.155
 LEGEND_COLUMNS = 2
 _CROWDED = 0.07
 """Share of an axis in which two numbers would touch."""
-_VARIANTS = {"-certified": "s", "-tuned": "^", "-tank": "D"}
+_VARIANTS = {"-certified": "s", "-tuned": "^", "-tank": "D", "-tank-noise": "P"}
 """Variants of a policy have its colour and another marker."""
 
 

@@ -1,0 +1,100 @@
+"""What policies are worth when sensors err: clean success on the same starts, sensor by sensor.
+
+A policy is a name, learned:PATH, or a shipped one with another clearance of its guide, in rad, as
+learned@0.4: the same weights, used otherwise.
+"""
+
+import argparse
+import dataclasses
+import math
+from pathlib import Path
+
+from rendezvous_env import Sensing
+from rendezvous_env.experiment import scenarios
+from train import results
+from train.comparing import episodes, statistics
+from train.learned import checkpoints, learned_policy, policies
+from train.pictures import figures
+
+SENSORS = {
+    "exact": Sensing(),
+    "noise 0.05": Sensing(noise=0.05),
+    "noise 0.1": Sensing(noise=0.1),
+    "noise 0.2": Sensing(noise=0.2),
+    "bias 0.1": Sensing(bias=0.1),
+    "dropout 0.2": Sensing(dropout=0.2),
+    "range 15 m": Sensing(range=15.0),
+    "view 3π/2": Sensing(field_of_view=1.5 * math.pi),
+}
+NOISES = {"exact": 0.0, "noise 0.05": 0.05, "noise 0.1": 0.1, "noise 0.2": 0.2}
+COLUMNS = ("scenario", "sensor", "policy", "episodes", "success", "clean", "low", "high", "time")
+
+
+def make(name, scenario):
+    """The policy of a name; see above."""
+    base, _, clearance = name.partition("@")
+    policy = policies.make(base, scenario)
+    if not clearance:
+        return policy
+    _, tables = checkpoints.read(learned_policy.shipped(base), ["network"])
+    settings = dataclasses.replace(policy.settings, clearance=float(clearance))
+    return learned_policy.LearnedPolicy(scenario, tables["network"], settings)
+
+
+def row(name, label, policy, given):
+    """How a policy does on a scenario with a sensor, as in the file."""
+    scenario = scenarios.get(name).replace(sensing=SENSORS[label])
+    counts = {"episodes": given.episodes, "seed": given.seed}
+    played, _ = episodes.play(scenario, lambda: make(policy, scenario), margin=None, **counts)
+    limit = scenario.max_steps * scenario.tau
+    median, _ = statistics.censored_median(played.time, played.success, limit)
+    success, clean = played.success.mean(), played.clean.mean()
+    ends = statistics.fraction_interval(played.clean)
+    values = (name, label, policy, given.episodes, success, clean, *ends, median)
+    return dict(zip(COLUMNS, values, strict=True))
+
+
+def draw(rows, path):
+    """Clean success over noise, a panel for each scenario, with 95 % intervals."""
+    names = list(dict.fromkeys(row["scenario"] for row in rows))
+    figure = figures.new_figure(3.4 * len(names), 3.4)
+    panels = figure.subplots(1, len(names), sharey=True, squeeze=False)[0]
+    for axes, name in zip(panels, names, strict=True):
+        for policy in dict.fromkeys(row["policy"] for row in rows):
+            mine = [r for r in rows if (r["scenario"], r["policy"]) == (name, policy)]
+            mine = [r for r in mine if r["sensor"] in NOISES]
+            clean = [r["clean"] for r in mine]
+            spread = [[r["clean"] - r["low"] for r in mine], [r["high"] - r["clean"] for r in mine]]
+            axes.errorbar(
+                [NOISES[r["sensor"]] for r in mine], clean, spread, label=policy,
+                color=figures.policy_colour(policy), marker=figures.policy_marker(policy),
+            )  # fmt: skip
+        axes.set(title=name, xlabel="noise / rad")
+        axes.grid(color="0.92")
+    panels[0].set_ylabel("clean success")
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=4)
+    figures.save(figure, path)
+
+
+parser = argparse.ArgumentParser(description=__doc__)
+parser.add_argument("--scenarios", nargs="+", default=["clutter-8", "clutter-16"])
+parser.add_argument("--policies", nargs="+", default=["tangent-joined-tuned", "learned"])
+parser.add_argument("--sensors", nargs="+", default=list(SENSORS), choices=list(SENSORS))
+parser.add_argument("--episodes", type=int, default=200)
+parser.add_argument("--seed", type=int, default=5000)
+parser.add_argument("--out", type=Path, default=None, help="a CSV file of all rows")
+parser.add_argument("--figure", type=Path, default=None, help="PNG or PDF of clean over noise")
+given = parser.parse_args()
+
+found = []
+for name in given.scenarios:
+    print(f"| {name} |", " | ".join(given.sensors), "|")
+    print("|---" * (1 + len(given.sensors)) + "|")
+    for policy in given.policies:
+        own = [row(name, label, policy, given) for label in given.sensors]
+        print(f"| {policy} |", " | ".join(f"{100 * r['clean']:.1f}" for r in own), "|", flush=True)
+        found += own
+if given.out:
+    results.write_csv(given.out, COLUMNS, found)
+if given.figure:
+    draw(found, given.figure)
