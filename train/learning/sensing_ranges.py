@@ -16,7 +16,7 @@ Range = tuple[float, float]
 class SensingRanges:
     """From what the sensor of a group of teams is drawn: domain randomisation over ``Sensing``.
 
-    A field that has a range departs from the exact sensor with ``chance``, each on its own, and is
+    A field that has a range departs from the sensor given with ``chance``, each on its own, and is
     uniform in its range then. None, and no words for ``occlusion``, leave a field as it is.
 
     Raises:
