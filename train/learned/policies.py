@@ -27,6 +27,8 @@ _BEST = (LEARNED_TANK, "tank-joined", LEARNED, "tangent-joined-tuned", "tangent-
 """Policies for obstacles; the sooner, the more starts are met cleanly (README, Results)."""
 _ON_REQUEST = ("blind", "privileged")
 """Kinds of policies that are compared where they are named."""
+_WHERE_SENSORS_ERR = (LEARNED_TANK_NOISE,)
+"""Policies that have nothing over others where sensors are exact."""
 _ABOUT = {
     LEARNED: "Chooses how far aside of f the joined rule aims; certified, shipped with its weights",
     LEARNED_TANK: "Chooses where to go, all round, under an energy tank; shipped with its weights",
@@ -83,6 +85,8 @@ def fitting(scenario: Scenario, wanted: Sequence[str]) -> list[str]:
     known = names(scenario)
     if not wanted:
         usual = [name for name in known if name in SHIPPED or not registry.on_request(name)]
+        if scenario.sensing.exact:
+            usual = [name for name in usual if name not in _WHERE_SENSORS_ERR]
         return [name for name in usual if kind_of(name) not in _ON_REQUEST] or usual
     return [
         name
