@@ -277,7 +277,13 @@ def test_the_signatures_of_the_design():
 
     assert names(rv.parallel_env) == ["scenario", "render_mode", "max_cycles", "overrides"]
     assert names(rv.rollout) == ["scenario", "policy", "seed", "num_envs", "options", "record"]
-    assert names(rv.certificate) == ["scenario", "min_alignment", "by", "budget"]
+    assert names(rv.certificate) == [
+        "scenario", "min_alignment", "by", "budget", "min_gain", "max_gain", "share",
+        "bearing_error",
+    ]  # fmt: skip
+    for home in (rv, rv.vector):
+        assert names(home.GainWrapper)[:3] == ["env", "min_gain", "max_gain"]
+        assert names(home.LinkKeepingWrapper)[:3] == ["env", "share", "bearing_error"]
     defaults = inspect.signature(rv.Scenario).parameters
     for name, value in {
         "n_robots": 5, "dim": 2, "robot_model": "single_integrator", "merge_radius": 0.2,

@@ -37,7 +37,8 @@ def least_norm_of(rows, neighbour_slots):
 
 @kernel
 def cone_of(rows, neighbour_slots):
-    """The two ends of the narrowest angle of the plane that holds all bearings, if it is at most π.
+    """The two ends of the narrowest angle of the plane that holds all bearings, if it is at most π:
+    q is halfway between them (lemma 2).
 
     Args:
         rows: of one robot, (rows, 2), of any unit; zero rows are absent.

@@ -23,7 +23,6 @@ from ..experiment.checks import choice, floats, shown, whole
 from ..experiment.limits import MOST_TEAMS
 from ..experiment.scenario import Scenario
 from .frames import look_along_net_bearing
-from .heading import check_gate_constants
 from .teams import over_teams
 
 FRAMES = ("net_bearing", "local")
@@ -79,7 +78,6 @@ class ActionFilter(ABC):
         scenario: whose robots they are.
         num_envs: B.
         action_size: numbers that a policy chooses for a robot.
-        min_alignment: ε, in (0, 1); None for a theorem that has none.
         frame: "net_bearing" (x along f; single integrators only, the other models keep the body
             frame) or "local".
         num_threads: most threads that may be used; None is one for each core.
@@ -103,14 +101,11 @@ class ActionFilter(ABC):
         num_envs: int,
         *,
         action_size: int,
-        min_alignment: float | None,
         frame: str,
         num_threads: int | None,
     ) -> None:
         _check_steerable(scenario)
         dead_zone = scenario.dead_zone if scenario.dead_zone > 0 else 1.0
-        if min_alignment is not None:
-            check_gate_constants(min_alignment, dead_zone)
         choice("frame", frame, FRAMES)
         if num_threads is not None:
             num_threads = whole("num_threads", num_threads, 1, MOST_TEAMS)

@@ -10,7 +10,7 @@ from ..experiment.sensing import Sensing
 
 
 def check_bearing_error(bearing_error: Any) -> float:
-    """η, rad, from 0 to π/2.
+    """η, a number, rad, from 0 to π/2 (theorems N1' and R d).
 
     Args:
         bearing_error: what was given.
@@ -31,7 +31,7 @@ def bounded_error(sensing: Sensing, dim: int) -> float:
         dim: 2 or 3.
 
     Returns:
-        η, rad.
+        η, a number, rad.
     """
     if sensing.sectors is None:
         return sensing.error

@@ -56,7 +56,7 @@ def _has_one_weight(graph: Graph, n: int) -> bool:
 
 
 def is_complete(graph: Graph, n: int) -> bool:
-    """Whether every robot is linked to every other, in every episode.
+    """Whether every robot is linked to every other in every episode, n (n − 1)/2 links (theory 2).
 
     Args:
         graph: of a scenario.

@@ -14,6 +14,7 @@ from ..experiment.checks import bools, flag, number, refuse
 from ..experiment.scenario import Scenario
 from .action_filter import ActionFilter
 from .bearing_errors import check_bearing_error, error_chord
+from .heading import check_gate_constants
 from .tank_law import book_deposits, spend_tanks
 from .teams import over_teams
 
@@ -94,10 +95,10 @@ class EnergyTank(ActionFilter):
             scenario,
             num_envs,
             action_size=scenario.action_size,
-            min_alignment=min_alignment,
             frame=frame,
             num_threads=num_threads,
         )
+        check_gate_constants(min_alignment, self._sight.dead_zone)
         self.budget = number("budget", budget, 0.0, unit="m²/s")
         self.observes_level = flag("observe_level", observe_level)
         bounds = [*map(float, scenario.action_bounds), 0.0, 0.0]

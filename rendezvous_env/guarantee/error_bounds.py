@@ -72,7 +72,7 @@ def law_time_bound(scenario: Scenario, start: float, error: float) -> float:
 
 
 def law_error_borne(scenario: Scenario) -> float:
-    """The η that law (1) bears on an undirected graph, rad: ρ < 1 (theorem N1)."""
+    """The η that law (1) bears on an undirected graph, a number, rad: ρ < 1 (theorem N1)."""
     return _error_of_share(scenario, 1.0)
 
 
@@ -267,5 +267,5 @@ def link_time_bound(
 
 
 def link_error_borne(scenario: Scenario) -> float:
-    """π/(2n), rad: any less is borne (theorem R d)."""
+    """π/(2n), a number, rad: any less is borne (theorem R d)."""
     return math.pi / (2.0 * scenario.n_robots)

@@ -50,7 +50,7 @@ def gain_range(scenario: Scenario, min_gain: Any = None, max_gain: Any = None) -
         max_gain: m/s; None is D̄, or ``min_gain`` if that is more.
 
     Returns:
-        A GainRange.
+        Two numbers, m/s.
 
     Raises:
         ValueError: naming the argument that is not positive, too large for the step, or less than
@@ -109,7 +109,6 @@ class Gains(ActionFilter):
             scenario,
             num_envs,
             action_size=scenario.observation_layout.neighbour_slots,
-            min_alignment=None,
             frame=frame,
             num_threads=num_threads,
         )

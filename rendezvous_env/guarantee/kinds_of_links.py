@@ -40,7 +40,7 @@ def leaders(scenario: Scenario) -> list[list[int]]:
         scenario: gives n and the graph.
 
     Returns:
-        Indices of robots, group by group.
+        Indices of robots without unit, group by group.
     """
     graph: Any = scenario.sensing_graph
     moments = graph.graphs if kind_of_links(graph) == SWITCHING else (graph,)

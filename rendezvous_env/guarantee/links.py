@@ -72,7 +72,6 @@ class LinkKeeping(ActionFilter):
             scenario,
             num_envs,
             action_size=scenario.action_size,
-            min_alignment=None,
             frame=frame,
             num_threads=num_threads,
         )

@@ -15,7 +15,7 @@ from ..experiment.scenario import Scenario
 from .action_filter import ActionFilter
 from .bearing_errors import check_bearing_error, error_chord
 from .flexible_law import steer_headings
-from .heading import step_scale
+from .heading import check_gate_constants, step_scale
 from .teams import over_teams
 from .turning import gate_2d, gate_3d, mean_body_axis_2d, mean_body_axis_3d
 
@@ -70,10 +70,10 @@ class Steering(ActionFilter):
             scenario,
             num_envs,
             action_size=scenario.model.n_angles if turns_body else scenario.dim,
-            min_alignment=min_alignment,
             frame=frame,
             num_threads=num_threads,
         )
+        check_gate_constants(min_alignment, self._sight.dead_zone)
         max_turn_rate = positive("max_turn_rate", max_turn_rate, "rad/s")
         flag("certified", certified)
         bearing_error = check_bearing_error(bearing_error)

@@ -425,7 +425,22 @@ TANK = {
     "observe_level": nearly(st.booleans(), 1),
     **{name: WRAPPER[name] for name in ("min_alignment", "frame", "decision_period")},
 }
-WRAPPERS = [("HeadingVectorWrapper", WRAPPER), ("EnergyTankWrapper", TANK)]
+GAINS = {
+    "min_gain": nearly(st.none() | soup.lengths, 0.0, np.nan),
+    "max_gain": nearly(st.none() | soup.lengths, -1.0),
+    **{name: WRAPPER[name] for name in ("frame", "decision_period")},
+}
+LINKS = {
+    "share": nearly(st.floats(0.01, 1.0), 0.0, 1.1),
+    "bearing_error": nearly(st.floats(0.0, 1.5), -0.1, 2.0),
+    **{name: WRAPPER[name] for name in ("frame", "decision_period")},
+}
+WRAPPERS = [
+    ("HeadingVectorWrapper", WRAPPER),
+    ("EnergyTankWrapper", TANK | {"bearing_error": LINKS["bearing_error"]}),
+    ("GainWrapper", GAINS),
+    ("LinkKeepingWrapper", LINKS),
+]
 BATCH = {
     "num_envs": nearly(st.integers(1, 4), 0, 2.0),
     "num_threads": nearly(st.sampled_from([None, 1, 2]), 0),

@@ -288,7 +288,15 @@ WRONG_ACTIONS = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize("wrap", [lambda env: env, rv.HeadingVectorWrapper, rv.EnergyTankWrapper])
+@pytest.mark.parametrize(
+    "wrap",
+    [
+        lambda env: env,
+        rv.HeadingVectorWrapper,
+        rv.EnergyTankWrapper,
+        rv.LinkKeepingWrapper,
+    ],
+)
 def test_pettingzoo_refuses_actions_of_any_wrong_kind(wrap):
     env = wrap(rv.parallel_env(PAIR))
     env.reset(seed=0)
@@ -345,6 +353,7 @@ def arrays(wrong):
         lambda: rv.make_vec(PAIR, 1),
         lambda: rv_vector.HeadingVectorWrapper(rv.make_vec(PAIR, 1)),
         lambda: rv_vector.EnergyTankWrapper(rv.make_vec(PAIR, 1)),
+        lambda: rv_vector.LinkKeepingWrapper(rv.make_vec(PAIR, 1)),
     ],
 )
 def test_arrays_of_actions_of_any_wrong_kind_are_refused(make):
@@ -387,6 +396,10 @@ DOORS = {
     "vector heading": lambda: rv_vector.HeadingVectorWrapper(rv.make_vec(PAIR, 1)),
     "tank": lambda: rv.EnergyTankWrapper(rv.parallel_env(PAIR)),
     "vector tank": lambda: rv_vector.EnergyTankWrapper(rv.make_vec(PAIR, 1)),
+    "gains": lambda: rv.GainWrapper(rv.parallel_env(PAIR)),
+    "vector gains": lambda: rv_vector.GainWrapper(rv.make_vec(PAIR, 1)),
+    "links": lambda: rv.LinkKeepingWrapper(rv.parallel_env(PAIR)),
+    "vector links": lambda: rv_vector.LinkKeepingWrapper(rv.make_vec(PAIR, 1)),
 }
 
 
