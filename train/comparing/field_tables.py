@@ -29,7 +29,7 @@ _PENALTY = 0.001
 _WORLD = 100.0
 """m, edge of their world."""
 _NOISES = (0.0, 0.1, 0.35, 1.0)
-"""rad; the second is RSSDOA's, the third that of an earlier version of its main file."""
+"""rad; the second and third stand in versions of RSSDOA's main file."""
 _SLOW = ("privileged-circumcentre",)
 """A smallest ball for each robot and step, in Python: left out where it would take minutes."""
 
