@@ -29,7 +29,7 @@ _PENALTY = 0.001
 _WORLD = 100.0
 """m, edge of their world."""
 _NOISES = (0.0, 0.1, 0.35, 1.0)
-"""rad; the second is RSSDOA's, the third that of an earlier version of its main file."""
+"""rad; the second and third stand in versions of RSSDOA's main file."""
 _SLOW = ("privileged-circumcentre",)
 """A smallest ball for each robot and step, in Python: left out where it would take minutes."""
 
@@ -150,14 +150,21 @@ def _huettenrauch(config: Config) -> Iterator[Sequence[str]]:
 def _rssdoa(config: Config) -> Iterator[Sequence[str]]:
     yield "σ, rad", "law", "success", "median time, s", "final diameter, m: median, 90 %"
     scenario = scenarios.get("rssdoa-15")
-    laws = [name for name in baselines.names(scenario) if kind_of(name) != "blind"]
+    laws = [name for name in baselines.names(scenario) if name not in _SLOW]
+    references = [name for name in laws if kind_of(name) == "privileged"]
     for noise in _NOISES:
         noisy = scenario.replace(sensing=dataclasses.replace(scenario.sensing, noise=noise))
         for law in laws:
-            if law not in _SLOW:
-                ends = play(noisy, law, config.episodes, config.seed)
-                low, high = np.quantile(ends.diameter, (0.5, 0.9))
-                yield f"{noise:g}", law, *_shares(ends), f"{low:.2f}, {high:.2f}"
+            if kind_of(law) not in ("privileged", "blind"):
+                yield f"{noise:g}", *_ends_row(noisy, law, config)
+    for law in references:  # whose bearings have no noise
+        yield "any", *_ends_row(scenario, law, config)
+
+
+def _ends_row(scenario: Scenario, law: str, config: Config) -> tuple[str, ...]:
+    ends = play(scenario, law, config.episodes, config.seed)
+    middle, high = np.quantile(ends.diameter, (0.5, 0.9))
+    return law, *_shares(ends), f"{middle:.2f}, {high:.2f}"
 
 
 def _shares(ends: Ends) -> tuple[str, str]:
