@@ -4,7 +4,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 export OMP_WAIT_POLICY := PASSIVE
 
-.PHONY: compare test test-slow lint clean
+.PHONY: compare test test-slow test-floors lint clean
 .DEFAULT_GOAL := compare
 
 compare: .venv/installed
@@ -17,6 +17,10 @@ test-slow: .venv/installed
 	$(BIN)/python -m pytest -q -m slow -n 2 --dist loadfile
 	NUMBA_BOUNDSCHECK=1 $(BIN)/python -m pytest -q -n 2 --dist loadfile
 
+# the oldest Gymnasium and PettingZoo that are supported, in an environment of their own
+test-floors: .venv-floors/installed
+	.venv-floors/bin/python -m pytest -q -n 2 --dist loadfile tests/faces tests/adapters tests/experiment
+
 lint: .venv/installed
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
@@ -28,6 +32,14 @@ lint: .venv/installed
 	$(BIN)/pip install --quiet --constraint constraints.txt --editable '.[train,render,dev]'
 	touch $@
 
+.venv-floors/installed: pyproject.toml constraints.txt constraints-floors.txt
+	test -x .venv-floors/bin/python || $(PYTHON) -m venv .venv-floors
+	.venv-floors/bin/pip install --quiet --constraint constraints.txt torch==2.13.0
+	grep -v --regexp='^gymnasium==' --regexp='^pettingzoo==' constraints.txt > .venv-floors/constraints.txt
+	.venv-floors/bin/pip install --quiet --constraint .venv-floors/constraints.txt \
+		--requirement constraints-floors.txt --editable '.[train,render,dev]'
+	touch $@
+
 clean:
-	rm -rf .venv out build *.egg-info
+	rm -rf .venv .venv-floors out build *.egg-info
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

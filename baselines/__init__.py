@@ -2,15 +2,26 @@
 ``privileged`` in their names.
 """
 
-from . import laws, obstacle_avoidance, privileged_planner, tank_policies
+from . import (
+    field_laws,
+    laws,
+    obstacle_avoidance,
+    privileged_laws,
+    privileged_planner,
+    pursuit,
+    tank_policies,
+)
 from .policy import Policy, make, names
 
 __all__ = [
     "Policy",
+    "field_laws",
     "laws",
     "make",
     "names",
     "obstacle_avoidance",
+    "privileged_laws",
     "privileged_planner",
+    "pursuit",
     "tank_policies",
 ]

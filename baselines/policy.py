@@ -42,6 +42,7 @@ class Policy(Protocol):
 
 KINDS = {
     "law": "laws, most of them of the paper",
+    "field": "laws of others",
     "rule": "rules for obstacles",
     "tank": "rules under an energy tank",
     "own": "policies entered from outside",
@@ -57,6 +58,7 @@ class _Entry:
     build: Callable[..., Policy]
     fits: Callable[[Scenario], bool]
     kind: str
+    on_request: bool
 
 
 _registry: dict[str, _Entry] = {}
@@ -66,7 +68,11 @@ _Builder = TypeVar("_Builder", bound=Callable[..., Policy])
 
 
 def register(
-    name: str, fits: Callable[[Scenario], bool], *, kind: str = "own"
+    name: str,
+    fits: Callable[[Scenario], bool],
+    *,
+    kind: str = "own",
+    on_request: bool = False,
 ) -> Callable[[_Builder], _Builder]:
     """Enter the decorated builder ``(scenario, **options) -> Policy`` under a name.
 
@@ -74,6 +80,7 @@ def register(
         name: what ``make`` calls it.
         fits: whether the policy can steer the robots of a scenario.
         kind: one of KINDS; within a kind policies stand in the order in which they are entered.
+        on_request: whether a comparison takes it only if it is named.
 
     Raises:
         ValueError: for another kind.
@@ -82,7 +89,7 @@ def register(
         raise ValueError(f"kind is {shown(kind)}; it must be one of {', '.join(KINDS)}")
 
     def enter(build: _Builder) -> _Builder:
-        _registry[name] = _Entry(build, fits, kind)
+        _registry[name] = _Entry(build, fits, kind, on_request)
         return build
 
     return enter
@@ -106,6 +113,15 @@ def kind_of(name: str) -> str:
         KeyError: for an unknown name.
     """
     return _registry[name].kind
+
+
+def on_request(name: str) -> bool:
+    """Whether a comparison takes a policy only if it is named.
+
+    Raises:
+        KeyError: for an unknown name.
+    """
+    return _registry[name].on_request
 
 
 def about(name: str) -> str:

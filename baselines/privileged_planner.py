@@ -7,15 +7,15 @@ that see bearings alone.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from rendezvous_env.experiment.checks import bools, refuse
 from rendezvous_env.simulator import Simulator
 
-from .policy import Policy, is_single_integrator, register, within_limits
+from .policy import Policy, is_single_integrator, register
+from .privileged_policy import PrivilegedPolicy
 from .roadmap import Array, Roadmap, WaysTo
 
 if TYPE_CHECKING:
@@ -92,7 +92,7 @@ def plan(table: Array, positions: Array) -> WaysTo:
     return WaysTo(found[0], found[1].place)
 
 
-class PrivilegedPlanner:
+class PrivilegedPlanner(PrivilegedPolicy):
     """Every robot takes the shortest way to the place where the last of them arrives first.
 
     It goes at full speed from turn to turn, and shortens the step before one so that it never
@@ -103,86 +103,37 @@ class PrivilegedPlanner:
         scenario: single integrators in the plane.
     """
 
+    name = NAME
+
     def __init__(self, scenario: Scenario) -> None:
-        self.scenario = scenario
-        self._simulator: Simulator | None = None
+        super().__init__(scenario)
         self._goals: list[WaysTo | None] = []
         self._active: NDArray[np.bool_] = np.zeros((0, 0), np.bool_)
-        self._steps: NDArray[np.int64] = np.zeros(0, np.int64)
         self._turns: Array = np.zeros((0, 0, 0, 2))
         self._next: NDArray[np.int64] = np.zeros((0, 0), np.int64)
 
     def watch(self, simulator: Simulator) -> None:
-        """Take the teams whose map and positions it may read; call it before an episode.
-
-        Args:
-            simulator: freshly reset.
-
-        Raises:
-            ValueError: if it is no simulator of such robots.
-        """
-        wanted = f"a Simulator of {self.scenario.n_robots} single integrators in 2-D"
-        if not isinstance(simulator, Simulator):
-            refuse("simulator", simulator, wanted)
-        scenario = simulator.scenario
-        if not _fits(scenario) or scenario.n_robots != self.scenario.n_robots:
-            refuse("simulator", scenario, wanted)
-        self._simulator = simulator
-        self._active, self._steps = simulator.active, simulator.steps
+        """Take the teams whose map and positions it may read; see ``PrivilegedPolicy``."""
+        super().watch(simulator)
+        self._active = simulator.active
+        self._goals = [None] * simulator.num_envs
         self._turns = simulator.positions[:, :, None]
         self._next = np.zeros(self._active.shape, np.int64)
-        self.reset()
 
-    def reset(self, mask: NDArray[np.bool_] | None = None) -> None:
-        """Plan anew at the next call, for the teams where ``mask`` (B,) is true or for all."""
-        if self._simulator is not None:
-            batch = self._simulator.num_envs
-            chosen = (
-                np.ones(batch, bool) if mask is None else bools("mask", mask, (batch,), "teams")
-            )
-            kept = self._goals if self._goals else [None] * batch
-            self._goals = [None if anew else goal for anew, goal in zip(chosen, kept, strict=True)]
-
-    def __call__(self, observations: NDArray[Any], time: ArrayLike) -> NDArray[np.float32]:
-        """Velocities (..., n, 2), of the teams that it watches; see ``Policy``.
-
-        Raises:
-            RuntimeError: if it watches none.
-            ValueError: if the observations are those of other teams.
-        """
-        seen = self.scenario.observation_layout.checked(observations)
-        if (simulator := self._simulator) is None:
-            raise RuntimeError(
-                f"{NAME} reads positions: call its watch(simulator) before an episode, as rollout "
-                "and compare do"
-            )
-        teams = (simulator.num_envs, self.scenario.n_robots)
-        if seen.shape[:-2] not in (teams, teams[teams[0] == 1 :]):
-            raise ValueError(
-                f"observations have shape {seen.shape}; those of the teams that {NAME} watches "
-                f"have {(*teams, *seen.shape[-2:])}"
-            )
-        velocities = self._velocities(simulator)
-        return within_limits(velocities, self.scenario).reshape(*seen.shape[:-2], 2)
-
-    def _velocities(self, simulator: Simulator) -> Array:
-        """(B, n, 2), m/s, in the robots' own frames."""
-        positions, active = simulator.positions, simulator.active
-        self._keep_up(simulator, positions, active)
+    def _velocities(
+        self,
+        simulator: Simulator,
+        positions: Array,
+        active: NDArray[np.bool_],
+        begun: NDArray[np.bool_],
+    ) -> Array:
+        self._keep_up(simulator, positions, active, begun)
         speed, duration = simulator.scenario.speed_limit, simulator.scenario.tau
         rest, distance = self._to_next_turn(positions)
         self._next += distance <= _ARRIVED * speed * duration
         rest, distance = self._to_next_turn(positions)
         rate = np.minimum(speed / np.where(distance > 0, distance, 1.0), 1.0 / duration)
-        x, y = np.moveaxis(np.where(active[..., None], rest * rate[..., None], 0.0), -1, 0)
-        frames = simulator.frames  # local → global; their transpose leads back
-        return np.stack(
-            [
-                frames[..., 0, 0] * x + frames[..., 1, 0] * y,
-                frames[..., 0, 1] * x + frames[..., 1, 1] * y,
-            ],
-            axis=-1,
-        )
+        return rest * rate[..., None]
 
     def _to_next_turn(self, positions: Array) -> tuple[Array, Array]:
         """The straight way (B, n, 2) to the turn that comes next, and its length (B, n), m."""
@@ -191,12 +142,16 @@ class PrivilegedPlanner:
         rest = turn - positions
         return rest, np.hypot(rest[..., 0], rest[..., 1])
 
-    def _keep_up(self, simulator: Simulator, positions: Array, active: NDArray[np.bool_]) -> None:
+    def _keep_up(
+        self,
+        simulator: Simulator,
+        positions: Array,
+        active: NDArray[np.bool_],
+        begun: NDArray[np.bool_],
+    ) -> None:
         """Plan for teams that begin an episode, and find new ways where robots have merged."""
-        steps = simulator.steps
-        begun = np.array([goal is None for goal in self._goals]) | (steps < self._steps)
         merged = (active != self._active).any(axis=1)
-        self._active, self._steps = active, steps
+        self._active = active
         for team in np.flatnonzero((begun | merged) & (active.sum(axis=1) > 1)).tolist():
             here = positions[team]
             if begun[team] or self._goals[team] is None:

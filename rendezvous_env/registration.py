@@ -8,15 +8,22 @@ def register() -> None:
     Gymnasium, once; time is ours, so without ``max_episode_steps``.
     """
     import gymnasium
-    from pettingzoo.env_registry import registration
 
-    name, module = "rendezvous/rendezvous-v0", "rendezvous_env.rendezvous_v0"
-    if name not in registration.parallel_registry:
-        registration.register("parallel", name, entry_point=f"{module}:parallel_env")
-    if name not in registration.aec_registry:
-        registration.register("aec", name, entry_point=f"{module}:env")
+    _register_in_pettingzoo()
     name, module = "rendezvous/Rendezvous-v0", "rendezvous_env.gymnasium_env"
     if name not in gymnasium.registry:
         gymnasium.register(
             name, entry_point=f"{module}:make_env", vector_entry_point=f"{module}:make_vec"
         )
+
+
+def _register_in_pettingzoo() -> None:
+    try:
+        from pettingzoo.env_registry import registration
+    except ImportError:  # PettingZoo before 1.27 has no registry
+        return
+    name, module = "rendezvous/rendezvous-v0", "rendezvous_env.rendezvous_v0"
+    if name not in registration.parallel_registry:
+        registration.register("parallel", name, entry_point=f"{module}:parallel_env")
+    if name not in registration.aec_registry:
+        registration.register("aec", name, entry_point=f"{module}:env")

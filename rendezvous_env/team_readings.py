@@ -57,7 +57,9 @@ class TeamReadings:
 
     @property
     def weights(self) -> NDArray[np.float64]:
-        """a_ij, (B, n, n), m/s, as merging has left them."""
+        """What robot i gives to its neighbour j, a_ij, (B, n, n), m/s, at the moment and as merging
+        has left it.
+        """
         return self._state.weights()
 
     @property
@@ -124,7 +126,7 @@ class TeamReadings:
         return self._entry(MIN_CLEARANCE)
 
     def lyapunov(self) -> NDArray[np.float64]:
-        """V, (B,), m²/s."""
+        """V = Σ_i Σ_j a_ij ‖p_i − p_j‖, (B,), m²/s, of the graph of the moment."""
         return self._entry(LYAPUNOV)
 
     def size(self) -> NDArray[np.float64]:

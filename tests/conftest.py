@@ -142,6 +142,14 @@ def without_rights() -> Callable[[Path], AbstractContextManager[None]]:
     return revoke
 
 
+@pytest.fixture(autouse=True, scope="session")
+def one_process():
+    """Commands start no workers unless a test asks for them: it could not look into those."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("train.workers.available_cores", lambda: 1)
+        yield
+
+
 @pytest.fixture(scope="session")
 def compared(tmp_path_factory):
     """What a small comparison writes: obstacles in the plane, and flying robots."""

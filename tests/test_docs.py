@@ -142,7 +142,7 @@ def test_every_page_is_in_the_index():
 
 
 def test_all_scenarios_and_policies_are_listed():
-    described = (ROOT / "docs/environment.md").read_text(encoding="utf-8")
+    described = (ROOT / "docs/scenarios.md").read_text(encoding="utf-8")
     for name in rv.scenarios.names():
         scenario = rv.scenarios.get(name)
         row = f"| `{name}` | {scenario.n_robots} | {scenario.dim} | {scenario.robot_model} |"

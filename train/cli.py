@@ -19,7 +19,7 @@ from .errors import UserError
 
 COMMANDS = {
     "compare": ("comparing.compare", "compare policies on the same starts: table, files, figures"),
-    "train": ("learning.ppo", "PPO learns headings that keep the guarantee; stop it, resume it"),
+    "train": ("learning.train", "PPO learns headings that keep the guarantee; stop it, resume it"),
     "list": ("listing", "the scenarios or the policies, a line for each"),
     "report": ("report.build", "an HTML page of what compare found, with an interactive replay"),
     "bench": ("benchmark.bench", "how fast the environments are on this machine"),
@@ -45,6 +45,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         full, 130 when interrupted (Ctrl-C), 143 when terminated.
     """
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # before anything loads torch
+    # what a small network computes must not depend on the number of cores, nor wait for them
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     words = list(sys.argv[1:] if argv is None else argv)
     own = 2 if words[:1] == [_COMPLETION] else 1  # words that are not the command's
     command = _parser().parse_args(words[:own]).command

@@ -87,7 +87,7 @@ def describe(scenario: Scenario) -> str:
     parts = [f"{scenario.n_robots} robots {where}"]
     if scenario.robot_model != "single_integrator":
         parts.append(scenario.robot_model.replace("_", " "))
-    parts += [_graph(scenario), _obstacles(scenario)]
+    parts += [_graph(scenario), _obstacles(scenario), _sensing(scenario)]
     parts += ["one start, which is given"] if begins_alike(scenario) else []
     return ", ".join(part for part in parts if part)
 
@@ -97,6 +97,10 @@ def _graph(scenario: Scenario) -> str:
     low, high = graph.weight_range
     gains = "" if low == high else f" with gains of {low:g} to {high:g} m/s"
     return f"{graph.kind.replace('_', ' ')} graph{gains}"
+
+
+def _sensing(scenario: Scenario) -> str:
+    return "" if scenario.sensing.exact else f"sensing with {scenario.sensing.departures()}"
 
 
 def _obstacles(scenario: Scenario) -> str:

@@ -17,13 +17,22 @@ MAX_FRAMES = 400
 Recording = dict[str, NDArray[Any]]
 """One team's episode over T frames (the start, some of the steps, every merge and the end):
 
-times (T,) s; positions (T, n, d) m; headings (T, n, k) rad; active (T, n); lyapunov (T,) m²/s;
-frames (T, n, d, d), rotations R_i from the robots' own frames to the world; contacts (T, n), steps
-with a contact up to the frame; alignment (T, n), of the step that led to the frame, NaN where there
-is none; observations (T, n, rows, d); obstacles (M, width), a table as ``experiment.packing`` says;
+times (T,) s; positions (T, n, d) m; headings (T, n, k) rad; velocities (T, n, d) m/s, of robots
+with inertia, else (T, n, 0); active (T, n); merged_into (T, n), see ``Simulator.merged_into``;
+lyapunov (T,) m²/s; frames (T, n, d, d), rotations R_i from the robots' own frames to the world;
+contacts (T, n), steps with a contact up to the frame; alignment (T, n), of the step that led to the
+frame, NaN where there is none; obstacles (M, width), a table as ``experiment.packing`` says;
 lyapunov_before_merge and lyapunov_after_merge (T,), V just before the first and just after the last
-merge of the step that led to the frame, m²/s, NaN if there was none.
+merge of the step that led to the frame, m²/s, NaN if there was none; observations (T, n, rows, d),
+as the robots saw them.
+
+A recording that is kept has observations only where they cannot be found again
+(``seeing_again.observations``); else it has links: of the start and after each merge, one row for
+each, as ``Simulator.get_state`` gives them.
 """
+
+LINKS = ("weights", "first", "second")
+"""Entries of a simulator's state that merging changes, of which a team may have the last two."""
 
 
 class Snapshot:
@@ -38,6 +47,10 @@ class Snapshot:
         self.__dict__[name] = value() if callable(value) else value
         return self.__dict__[name]
 
+    def links(self, team: int) -> Recording:
+        """The links of a team, by the names that its state has for them."""
+        return {name: self.get_state[name][team] for name in LINKS if name in self.get_state}
+
 
 class Recorder:
     """Records one team of a batch.
@@ -46,14 +59,18 @@ class Recorder:
         start: the batch, freshly reset.
         team: which one.
         observations: of the start, (B, n, rows, d).
+        exact: whether robots see nothing but what follows from where they are.
     """
 
-    def __init__(self, start: Snapshot, team: int, observations: NDArray[np.float32]) -> None:
-        self._team = team
+    def __init__(
+        self, start: Snapshot, team: int, observations: NDArray[np.float32], exact: bool
+    ) -> None:
+        self._team, self._exact = team, exact
         self._obstacles = start.obstacles[team]
         self._active = start.active[team]
         self._contacts = np.zeros(len(self._active), dtype=np.int64)
         self._stride = 1
+        self._links = [start.links(team)]
         self._frames: list[tuple[int, Recording]] = []
         alignment = np.full(len(self._active), np.nan)
         self._add(start, observations[team], alignment, (np.nan, np.nan))
@@ -67,6 +84,7 @@ class Recorder:
         merged = bool((outcome.active[team] != self._active).any())
         self._active = outcome.active[team]
         if merged:
+            self._links.append(after.links(team))
             jump = outcome.lyapunov_before_merge[team], outcome.lyapunov_after_merge[team]
             self._add(after, outcome.observations[team], alignments[team], jump)
         elif after.steps[team] % self._stride == 0 or outcome.status[team] != RUNNING:
@@ -86,15 +104,18 @@ class Recorder:
             "times": state.time[team],
             "positions": state.positions[team].copy(),
             "headings": state.headings[team].copy(),
+            "velocities": state.velocities[team].copy(),
             "frames": state.frames[team].copy(),
             "active": state.active[team].copy(),
+            "merged_into": state.merged_into[team].astype(np.int32),
             "lyapunov": state.lyapunov[team],
             "lyapunov_before_merge": np.float64(jump[0]),
             "lyapunov_after_merge": np.float64(jump[1]),
             "contacts": self._contacts.copy(),
-            "alignment": alignment.copy(),
-            "observations": observations.copy(),
+            "alignment": alignment.astype(np.float32),
         }
+        if not self._exact:
+            frame["observations"] = observations.copy()
         if len(self._frames) >= MAX_FRAMES:
             self._stride *= 2
             self._frames = [entry for entry in self._frames if self._stays(*entry)]
@@ -108,4 +129,8 @@ class Recorder:
         """The recording, once the team has finished."""
         frames = [frame for _, frame in self._frames]
         stacked = {name: np.stack([frame[name] for frame in frames]) for name in frames[0]}
+        if self._exact:
+            stacked |= {
+                name: np.stack([row[name] for row in self._links]) for name in self._links[0]
+            }
         return stacked | {"obstacles": self._obstacles}

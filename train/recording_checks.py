@@ -36,6 +36,16 @@ def _shapes(recording: Recording, scenario: Scenario) -> dict[str, Shape]:
     rows = scenario.observation_layout.shape[0]
     frames = max(1, len(np.atleast_1d(recording.get("times", np.zeros(1)))))
     times: Shape = (frames,)
+    model = scenario.model
+    seen: dict[str, Shape] = {"observations": (frames, n, rows, d)}
+    if scenario.sensing.exact:
+        velocities = d if model.keeps_velocity else 0
+        seen = {
+            "headings": (frames, n, model.n_angles),
+            "velocities": (frames, n, velocities),
+            "merged_into": (frames, n),
+            "weights": (None, None),
+        }
     return {
         "times": times,
         "positions": (frames, n, d),
@@ -46,7 +56,7 @@ def _shapes(recording: Recording, scenario: Scenario) -> dict[str, Shape]:
         "lyapunov_after_merge": times,
         "contacts": (frames, n),
         "alignment": (frames, n),
-        "observations": (frames, n, rows, d),
+        **seen,
         "obstacles": (None, None),
     }
 

@@ -19,7 +19,7 @@ import numpy as np
 
 from .errors import UserError
 
-FORMAT_VERSION = 4
+FORMAT_VERSION = 5
 """Of the files of ``compare``; a change that a reader would notice raises it."""
 
 RESULT_COLUMNS = (
@@ -60,6 +60,7 @@ EPISODE_COLUMNS = (
     "min_alignment",
     "initial_lyapunov",
     "time_bound",
+    "max_rise_of_size",
 )
 """Of episodes.csv; ``episodes.Episodes`` says what each means."""
 
@@ -147,17 +148,21 @@ def read_csv(path: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
-def write_arrays(path: Path, arrays: Mapping[str, Any], run: str = "") -> None:
-    """Write named arrays to a compressed npz file; names may hold slashes.
+def write_arrays(
+    path: Path, arrays: Mapping[str, Any], run: str = "", *, packed: bool = True
+) -> None:
+    """Write named arrays to an npz file; names may hold slashes.
 
     Args:
         path: of the file.
         arrays: by name.
         run: id of the run that they are of; it becomes the comment of the archive.
+        packed: whether to compress them.
     """
+    write = np.savez_compressed if packed else np.savez
     with atomic(path) as temporary:
         with temporary.open("wb") as file:
-            np.savez_compressed(file, **dict(arrays))
+            write(file, **dict(arrays))
         with zipfile.ZipFile(temporary, "a") as archive:
             archive.comment = run.encode()
 

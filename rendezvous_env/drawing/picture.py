@@ -13,6 +13,7 @@ from ..experiment.outlines import balls, outlines
 from ..experiment.scenario import Scenario
 from . import ink
 from .camera import Area, Floats, fit, nice_step
+from .facing import facing
 from .history import History, Moment
 from .palette import OBSTACLE, OBSTACLE_EDGE, robot_colour
 
@@ -181,9 +182,10 @@ class TeamPicture:
     def _draw_edges(
         self, canvas: pygame.Surface, pixels: Floats, weights: Floats, active: NDArray[np.bool_]
     ) -> None:
-        """A thin line between robots that sense each other."""
+        """A thin line between robots of which one senses the other."""
         places, width = pixels.tolist(), max(1, round(self._unit))
-        sensed = np.triu((weights > 0) & active & active[:, None])
+        linked = (weights > 0) | (weights.T > 0)
+        sensed = np.triu(linked & active & active[:, None])
         for i, j in np.argwhere(sensed).tolist():
             pygame.draw.line(canvas, ink.EDGE, places[i], places[j], width)
 
@@ -235,10 +237,7 @@ class TeamPicture:
         none, along their last motion; zero for one that has not moved.
         """
         if moment.headings.shape[1]:
-            yaw, pitch = moment.headings[:, 0], moment.headings[:, 1:].sum(axis=1)
-            flat = np.stack([np.cos(yaw) * np.cos(pitch), np.sin(yaw) * np.cos(pitch)], axis=-1)
-            lift = np.sin(pitch)[:, None]
-            return flat if self._scenario.dim == 2 else np.concatenate([flat, lift], axis=1)
+            return facing(moment.headings, self._scenario.dim)
         before = self._history.moments[-2:][0].positions
         motion = moment.positions - before
         length = np.linalg.norm(motion, axis=-1, keepdims=True)

@@ -8,6 +8,7 @@ from ..compilation import inlined_kernel, kernel
 from ..equations.contact import IGNORE, move_curved, move_straight
 from ..equations.merging import merge_swept
 from ..equations.vectors import load, norm
+from .link_kinds import arcs_of
 from .links import load_links, store_links
 from .memory import (
     ACTIVE,
@@ -166,6 +167,7 @@ def _merge_team(block, lane, layout, constants, teams, links, obstacles, hand):
         hand.displacements,
         hand.lengths,
         listed,
+        arcs_of(links, block),
         teams.merged_into[team],
         world_of(obstacles, team),
         constants.merge_radius,

@@ -18,11 +18,8 @@ from .memory import (
     STATISTICS,
     AtHand,
     Lanes,
-    Links,
-    ListedLinks,
     ManyTeams,
     OneTeam,
-    PairLinks,
     Results,
     Teams,
 )
@@ -47,13 +44,17 @@ class Arrangement:
         self.scenario, self.batch = scenario, batch
         n = scenario.n_robots
         most = scenario.sensing_graph.most_links(n)
-        self.sparse = n >= _SPARSE_FROM and most <= _SPARSE_SHARE * n * (n - 1) / 2
-        self.width = OneTeam() if self.sparse or batch < _FEWEST_SIDE_BY_SIDE else ManyTeams()
+        self.one_way = not scenario.sensing_graph.undirected
+        few = n >= _SPARSE_FROM and most <= _SPARSE_SHARE * n * (n - 1) / 2
+        self.sparse = few and not self.one_way
+        alone = self.sparse or self.one_way
+        self.width = OneTeam() if alone or batch < _FEWEST_SIDE_BY_SIDE else ManyTeams()
         self.lanes = self.width.lanes
         self.blocks = -(-batch // self.lanes)
         self.n_links = most if self.sparse else n * (n - 1) // 2
         slots = scenario.observation_layout.neighbour_slots
-        self.neighbours = slots if self.sparse else n - 1
+        self.neighbours = slots if alone else n - 1
+        self.packed = self.sparse or slots != n - 1
 
 
 def empty_teams(place: Arrangement) -> Teams:
@@ -70,17 +71,6 @@ def empty_teams(place: Arrangement) -> Teams:
         merged_into=np.tile(np.arange(n), (place.batch, 1)),
         statistics=statistics,
     )
-
-
-def empty_links(place: Arrangement) -> Links:
-    """Links that no reset has touched yet: those of all pairs weigh 0, a list has none."""
-    if place.sparse:
-        size = (place.batch, place.n_links)
-        return ListedLinks(np.zeros(size, np.int64), np.zeros(size, np.int64), np.zeros(size))
-    first, second = (
-        pairs.astype(np.int64) for pairs in np.triu_indices(place.scenario.n_robots, 1)
-    )
-    return PairLinks(first, second, np.zeros((place.blocks, place.n_links, place.lanes)))
 
 
 def empty_obstacles(place: Arrangement) -> Any:

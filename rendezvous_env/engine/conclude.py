@@ -69,7 +69,8 @@ def _conclude(layout, constants, found, tally, statistics):
         steps = statistics[STEPS * lanes + lane] + (1.0 if running else 0.0)
         met = running & (statistics[ACTIVE * lanes + lane] == 1.0)
         over = running & (steps >= constants.max_steps)
-        progress = (before - now) / initial if before > 0.0 else 0.0
+        # where edges come and go there may be none at the start
+        progress = (before - now) / initial if initial > 0.0 else 0.0
         closeness = tally[CLOSENESS * lanes + lane]
         reward = team_reward(
             progress, time_share, touches, closeness, met, constants.reward_weights

@@ -23,7 +23,7 @@ def needed_bytes(scenario: Scenario, num_envs: int) -> int:
     n, d, layout = scenario.n_robots, scenario.dim, scenario.observation_layout
     place = Arrangement(scenario, num_envs)
     obstacles = layout.obstacle_slots * row_width(scenario.obstacles)
-    links = place.n_links * (3 if place.sparse else 1)
+    links = n * n if place.one_way else place.n_links * (3 if place.sparse else 1)
     in_lanes = n * (d + d * d + scenario.model.memory_size(d)) + links + len(STATISTICS)
     drawn = n * d + 3 * place.n_links + obstacles
     observed = n * layout.rows * d

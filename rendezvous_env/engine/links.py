@@ -3,7 +3,7 @@
 from typing import Any
 
 from ..compilation import chosen_by_type, inlined_kernel, kernel
-from .memory import ListedLinks
+from .link_kinds import Arcs, ListedLinks, PairLinks
 
 
 @inlined_kernel
@@ -32,15 +32,30 @@ def _load_list(block, lane, links, hand):
     return count
 
 
+@inlined_kernel
+def _load_arcs(block, lane, links, hand):
+    count, n = 0, links.weights.shape[1]
+    for i in range(n):
+        for j in range(i + 1, n):
+            both = links.weights[block, i, j] + links.weights[block, j, i]
+            if both > 0.0:
+                hand.first[count], hand.second[count] = i, j
+                hand.weights[count] = 0.5 * both
+                count += 1
+    return count
+
+
+_LOAD = {PairLinks: _load_pairs, ListedLinks: _load_list, Arcs: _load_arcs}
+
+
 def load_links(block: int, lane: int, links: Any, hand: Any) -> int:
     """Bring the links of one team into working memory; how many there are."""
-    chosen = _load_list if isinstance(links, ListedLinks) else _load_pairs
-    return chosen(block, lane, links, hand)
+    return int(_LOAD[type(links)](block, lane, links, hand))
 
 
 @chosen_by_type(load_links)
 def _compiled_load_links(block, lane, links, hand):
-    chosen = _load_list if links.instance_class is ListedLinks else _load_pairs
+    chosen = _LOAD[links.instance_class]
     return lambda block, lane, links, hand: chosen(block, lane, links, hand)
 
 
@@ -69,15 +84,22 @@ def _store_list(block, lane, count, links, hand):
         links.weights[block, e] = 0.0
 
 
+@inlined_kernel
+def _store_arcs(block, lane, count, links, hand):
+    """Nothing: merges contract the matrix itself, see ``merge_swept``."""
+
+
+_STORE = {PairLinks: _store_pairs, ListedLinks: _store_list, Arcs: _store_arcs}
+
+
 def store_links(block: int, lane: int, count: int, links: Any, hand: Any) -> None:
     """Put the first ``count`` links of working memory back; those of weight 0 are gone."""
-    chosen = _store_list if isinstance(links, ListedLinks) else _store_pairs
-    chosen(block, lane, count, links, hand)
+    _STORE[type(links)](block, lane, count, links, hand)
 
 
 @chosen_by_type(store_links)
 def _compiled_store_links(block, lane, count, links, hand):
-    chosen = _store_list if links.instance_class is ListedLinks else _store_pairs
+    chosen = _STORE[links.instance_class]
     return lambda block, lane, count, links, hand: chosen(block, lane, count, links, hand)
 
 

@@ -119,31 +119,6 @@ class Constants(NamedTuple):
     """Whether merged-away robots earn the team reward, too."""
 
 
-class PairLinks(NamedTuple):
-    """Links as a weight for each pair i < j of robots, 0 where there is none."""
-
-    first: NDArray[np.int64]
-    """(pairs,), i of every pair, for all teams."""
-    second: NDArray[np.int64]
-    """(pairs,), j."""
-    weights: NDArray[np.float64]
-    """(blocks, pairs, L), a_ij, m/s."""
-
-
-class ListedLinks(NamedTuple):
-    """Links as a list for each team; only where a block holds one team."""
-
-    first: NDArray[np.int64]
-    """(B, E), the lower robot of each link, sorted."""
-    second: NDArray[np.int64]
-    """(B, E), the other robot."""
-    weights: NDArray[np.float64]
-    """(B, E), a_ij, m/s; 0 behind the last one."""
-
-
-Links = PairLinks | ListedLinks
-
-
 class Teams(NamedTuple):
     """State of B teams in lane blocks: team b is lane b % L of block b // L, and the last block is
     filled up with lanes that belong to no team.
@@ -224,7 +199,7 @@ class AtHand(NamedTuple):
     resting: NDArray[np.bool_]
     """(n,)."""
     first: NDArray[np.int64]
-    """(E,), its links, see ``ListedLinks``."""
+    """(E,), its links, see ``link_kinds.ListedLinks``."""
     second: NDArray[np.int64]
     """(E,)."""
     weights: NDArray[np.float64]

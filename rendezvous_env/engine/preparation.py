@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 from ..equations.robots.motion import begin_memory, is_described
 from ..experiment import packing
 from ..experiment.checks import shown
-from ..experiment.graphs import FIXED
 from ..experiment.obstacles import Field
 from ..experiment.scenario import CONTACT_MODES, Scenario
+from ..experiment.topologies import DIRECTED, FIXED
 from .allocation import Arrangement
 from .beginning.draw_graph import GraphRules
 from .beginning.field_rules import field_rules
-from .beginning.starts import StartRules
+from .beginning.starts import Spacing, StartRules
 from .memory import Constants, Layout, Robot
 from .quiet import quietly
 from .sense_with_errors import Sensor
@@ -55,7 +55,7 @@ def sensor(state: State) -> Sensor | None:
         sectors=sensing.sectors or 0,
         obstacles_hide=sensing.occlusion in ("obstacles", "both"),
         robots_hide=sensing.occlusion in ("robots", "both"),
-        packed=place.sparse or place.neighbours != scenario.observation_layout.neighbour_slots,
+        packed=place.packed,
         seeds=state.seed,
         episodes=state.number,
         past=state.past,
@@ -121,15 +121,17 @@ def start_rules(scenario: Scenario) -> StartRules:
         least_distance=2.0 * scenario.merge_radius,
         keep_out=float(field.keep_out) if isinstance(field, Field) else 0.0,
         graph=_graph_rules(scenario),
+        factors=_factors(scenario),
+        spacing=Spacing(float(scenario.start_reach)) if scenario.sensing_graph.changes else None,
         field=field_rules(field) if isinstance(field, Field) else None,
     )
 
 
 def _graph_rules(scenario: Scenario) -> GraphRules | None:
-    """None where every episode has the same links."""
+    """None where every episode has the same links, and of arcs."""
     graph = scenario.sensing_graph
     low, high = graph.weight_range
-    if graph.topology == FIXED and low == high:
+    if not graph.undirected or (graph.topology == FIXED and low == high):
         return None
     fixed = graph.topology == FIXED
     first, second, weights = graph.links(scenario.n_robots) if fixed else _NO_LINKS
@@ -143,17 +145,27 @@ def _graph_rules(scenario: Scenario) -> GraphRules | None:
     )
 
 
+def _factors(scenario: Scenario) -> tuple[float, float] | None:
+    """The range of weights of a directed graph; None where nothing of it is drawn at the start."""
+    graph = scenario.sensing_graph
+    low, high = graph.weight_range
+    return (low, high) if graph.topology == DIRECTED and low < high else None
+
+
 _NO_LINKS = (np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0))
 
 
 def fixed_links(
     scenario: Scenario,
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]] | None:
-    """The links of every episode: robots (E,), (E,), weights (E,), m/s; None if they are drawn."""
-    if _graph_rules(scenario) is not None:
+    """The links of every episode: robots (E,), (E,), weights (E,), m/s; None if they are drawn or
+    change. Those of a directed graph are still to be multiplied by what is drawn for them.
+    """
+    graph = scenario.sensing_graph
+    if graph.changes or _graph_rules(scenario) is not None:
         return None
-    first, second, weights = scenario.sensing_graph.links(scenario.n_robots)
-    return first, second, weights * scenario.sensing_graph.weight_range[0]
+    first, second, weights = graph.links(scenario.n_robots)
+    return first, second, weights if _factors(scenario) else weights * graph.weight_range[0]
 
 
 def begins_alike(scenario: Scenario) -> bool:
@@ -163,7 +175,7 @@ def begins_alike(scenario: Scenario) -> bool:
     alike, and a policy that goes by what it sees moves as in any other frame.
     """
     rules, model = start_rules(scenario), scenario.model
-    if scenario.start_positions is None or rules.graph is not None or rules.draw_obstacles:
+    if scenario.start_positions is None or _draws_links(scenario) or rules.draw_obstacles:
         return False
     given = 0 if scenario.start_headings is None else model.n_angles
     if model.memory_size(scenario.dim) == given:
@@ -171,6 +183,16 @@ def begins_alike(scenario: Scenario) -> bool:
     begin = quietly(begin_memory)
     one, other = (begin(constants_of(scenario), np.uint64(key), 0) for key in (1, 2))
     return bool(one[given:] == other[given:])
+
+
+def _draws_links(scenario: Scenario) -> bool:
+    """Whether anything of an episode's links is drawn."""
+    graph = scenario.sensing_graph
+    if not graph.changes:
+        return _graph_rules(scenario) is not None or _factors(scenario) is not None
+    listed = getattr(graph, "graphs", (graph,))
+    drawn = any(one.weight_range[0] < one.weight_range[1] for one in listed)
+    return drawn or getattr(graph, "order", "cyclic") == "random"
 
 
 def fixed_obstacles(scenario: Scenario) -> NDArray[np.float64] | None:

@@ -7,7 +7,10 @@ import numpy as np
 from ..compilation import chosen_by_type, inlined_kernel, kernel
 from ..equations.bearings import observed, sighting
 from ..equations.robots.motion import sense_oneself
-from .memory import SQUARE_CLOSEST, ListedLinks, lane_count, read, write
+from .changing_links import bring_links_up
+from .link_kinds import Arcs, ListedLinks, PairLinks
+from .memory import SQUARE_CLOSEST, lane_count, read, write
+from .sense_arcs import sense_arcs
 from .sense_obstacles import sense_obstacles
 from .sensors import err
 
@@ -36,6 +39,7 @@ def sense_block(
     buffers.pair[:lanes] = 0.0
     buffers.pair[lanes : 2 * lanes] = np.inf
     results.crowded[first : first + count] = -1
+    bring_links_up(block, layout, constants, moves, teams, links)
     _sense_neighbours(block, layout, constants, teams, links, results, buffers, hand)
     for lane in range(lanes):
         teams.statistics[block, SQUARE_CLOSEST * lanes + lane] = buffers.pair[lanes + lane]
@@ -61,13 +65,13 @@ def _sense_neighbours(
     buffers: Any,
     hand: Any,
 ) -> None:
-    chosen = _sense_list if isinstance(links, ListedLinks) else _sense_pairs
+    chosen = _SENSE[type(links)]
     chosen(block, layout, constants, teams, links, results, buffers, hand)
 
 
 @chosen_by_type(_sense_neighbours)
 def _compiled_sense_neighbours(block, layout, constants, teams, links, results, buffers, hand):
-    chosen = _sense_list if links.instance_class is ListedLinks else _sense_pairs
+    chosen = _SENSE[links.instance_class]
     return lambda block, layout, constants, teams, links, results, buffers, hand: chosen(
         block, layout, constants, teams, links, results, buffers, hand
     )
@@ -178,6 +182,9 @@ def _sense_list(block, layout, constants, teams, links, results, buffers, hand):
             _put(seen, 0, buffers.rows[robot * rows + slot])
 
 
+_SENSE = {PairLinks: _sense_pairs, ListedLinks: _sense_list, Arcs: sense_arcs}
+
+
 # ---- oneself ------------------------------------------------------------------------------------
 
 
@@ -221,13 +228,13 @@ def _give_out(
     hand: Any,
 ) -> None:
     """Copy the rows of all lanes into observations (count, numbers)."""
-    chosen = _copy_rows if isinstance(links, ListedLinks) else _copy_or_pack
+    chosen = _copy_or_pack if isinstance(links, PairLinks) else _copy_rows
     chosen(block, layout, constants, links, rows, observations, results, hand)
 
 
 @chosen_by_type(_give_out)
 def _compiled_give_out(block, layout, constants, links, rows, observations, results, hand):
-    chosen = _copy_rows if links.instance_class is ListedLinks else _copy_or_pack
+    chosen = _copy_or_pack if links.instance_class is PairLinks else _copy_rows
     return lambda block, layout, constants, links, rows, observations, results, hand: chosen(
         block, layout, constants, links, rows, observations, results, hand
     )

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from ..compilation import chosen_by_type, inlined_kernel, kernel
-from ..equations.potential import net_bearings_of_links
+from ..equations.potential import net_bearings_of_arcs, net_bearings_of_links
 from ..equations.shapes.balls import disc_edges
 from ..equations.shapes.obstacles import (
     ABSENT,
@@ -18,6 +18,7 @@ from ..equations.shapes.obstacles import (
     silhouette_3d,
 )
 from ..equations.vectors import load, local_axis, to_local
+from .link_kinds import arcs_of
 from .links import load_links
 from .memory import CLOSENESS, MIN_CLEARANCE, lane_count, read
 from .worlds import world_of
@@ -200,7 +201,7 @@ def _see_one_by_one(
         if d == 3:
             found = load_links(block, lane, links, hand)
             listed = (hand.first[:found], hand.second[:found], hand.weights[:found])
-            net_bearings_of_links(hand.positions, listed, hand.here)
+            _net_bearings(hand.positions, listed, arcs_of(links, block), hand.here)
         for i in range(hand.lengths.shape[0]):
             active = teams.merged_into[team, i] == i
             _see_all(
@@ -217,6 +218,14 @@ def _see_one_by_one(
                 hand,
                 layout.axes,
             )
+
+
+@inlined_kernel
+def _net_bearings(positions, listed, arcs, out):
+    if arcs is not None:
+        net_bearings_of_arcs(positions, arcs.weights, out)
+    else:
+        net_bearings_of_links(positions, listed, out)
 
 
 @kernel

@@ -19,6 +19,7 @@ from ..equations.sensing import (
 )
 from ..equations.sight import is_hidden_by_obstacles, is_hidden_by_robot, is_seen
 from ..equations.vectors import ORIGIN, load, square, subtract, to_local
+from .link_kinds import arcs_of
 from .links import load_links
 from .memory import RUNNING, STATUS, STEPS, lane_count, read
 from .sensors import describe
@@ -89,7 +90,7 @@ def _err(sensor, block, count, layout, constants, moves, teams, links, obstacles
 
 @kernel
 def _see_neighbours(block, lane, keys, layout, constants, sensor, teams, links, world, rows, hand):
-    """Both ends of every link, in the order in which their rows stand."""
+    """Both ends of every link, in the order in which their rows stand; of a one-way link one."""
     n, d = hand.positions.shape
     merged_into = teams.merged_into[block * lane_count(layout.width) + lane]
     found = load_links(block, lane, links, hand)
@@ -97,6 +98,8 @@ def _see_neighbours(block, lane, keys, layout, constants, sensor, teams, links, 
     for end in range(2 * found):
         first, second = hand.first[end // 2], hand.second[end // 2]
         i, j = (second, first) if end % 2 else (first, second)
+        if not _leads(arcs_of(links, block), i, j):
+            continue
         slot = hand.counts[i] if sensor.packed else j - (j > i)
         hand.counts[i] += 1
         if slot < constants.neighbour_slots:
@@ -110,6 +113,14 @@ def _see_neighbours(block, lane, keys, layout, constants, sensor, teams, links, 
     if sensor.packed:
         for i in range(n):
             _close_ranks(i, constants, d, rows)
+
+
+@inlined_kernel
+def _leads(arcs, i, j):
+    """Whether robot i sees robot j, whom a link joins."""
+    if arcs is not None:
+        return arcs.weights[i, j] > 0.0
+    return True
 
 
 @kernel

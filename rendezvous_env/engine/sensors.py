@@ -38,7 +38,7 @@ def err(sensor, block, count, layout, constants, moves, teams, links, obstacles,
         constants: the fields of Constants.
         moves: whether a step is being done, which its teams have not counted yet.
         teams: the fields of Teams.
-        links: PairLinks or ListedLinks.
+        links: of a kind of ``link_kinds``.
         obstacles: with a leading axis B, or None.
         results: whose observations are exact.
         hand: working memory.

@@ -9,7 +9,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..experiment import packing
-from .allocation import Arrangement, empty_links, empty_obstacles, empty_past, empty_teams
+from . import link_tables
+from .allocation import Arrangement, empty_obstacles, empty_past, empty_teams
+from .link_kinds import Links, PairLinks
+from .link_tables import LinkList
 from .memory import (
     ACTIVE,
     CONTACTS,
@@ -19,8 +22,6 @@ from .memory import (
     STATISTICS,
     STATUS,
     STEPS,
-    Links,
-    ListedLinks,
     Teams,
 )
 
@@ -36,10 +37,6 @@ KEPT = {
     )
 }
 """What of a team's statistics belongs to its state, and as what; the rest follows."""
-
-
-LinkList = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]
-"""Links of a team: robots (E,), (E,), weights (E,), m/s."""
 
 
 class Overwritten(NamedTuple):
@@ -60,15 +57,15 @@ class State:
     def __init__(self, place: Arrangement) -> None:
         self.place, self.scenario, self.batch = place, place.scenario, place.batch
         self.teams: Teams = empty_teams(place)
-        self.links: Links = empty_links(place)
         self.obstacles: Any = empty_obstacles(place)
         self.seed = np.zeros(place.batch, dtype=np.uint64)
         """(B,), of each team."""
         self.number = np.full(place.batch, -1)
         """(B,), of the team's episode, −1 before its first."""
+        self.links: Links = link_tables.empty_links(place, self.seed, self.number)
         self.past = empty_past(place)
         """What a sensor with a delay has seen, see ``Sensor.past``."""
-        self.lanes, self.sparse = place.lanes, place.sparse
+        self.lanes = place.lanes
 
     @property
     def blocks(self) -> int:
@@ -78,9 +75,9 @@ class State:
     @property
     def nbytes(self) -> int:
         """Bytes of the state of all teams."""
-        own = (*self.teams, self.links.weights, *(self.obstacles or ()), self.past)
-        ends = (self.links.first, self.links.second) if self.sparse else ()
-        return sum(array.nbytes for array in (*own, *ends))
+        links = link_tables.arrays_of(self.links).values()
+        own = (*self.teams, *links, *(self.obstacles or ()), self.past)
+        return sum(array.nbytes for array in own)
 
     # ---- reading ----------------------------------------------------------------------------
 
@@ -109,19 +106,7 @@ class State:
 
     def weights(self) -> NDArray[np.float64]:
         """a_ij, (B, n, n), m/s."""
-        n = self.scenario.n_robots
-        weights = np.zeros((self.batch, n, n))
-        if self.sparse:
-            team, e = np.nonzero(self.links.weights > 0)
-            first, second = self.links.first[team, e], self.links.second[team, e]
-            weights[team, first, second] = weights[team, second, first] = self.links.weights[
-                team, e
-            ]
-        else:
-            first, second = self.links.first, self.links.second
-            pairs = self._by_team(self.links.weights)[..., 0]
-            weights[:, first, second] = weights[:, second, first] = pairs
-        return weights
+        return link_tables.matrices(self.links, self.batch, self.scenario.n_robots)
 
     def obstacle_table(self) -> NDArray[np.float64]:
         """Obstacles as tables, (B, M, width), see ``experiment.packing``."""
@@ -138,10 +123,11 @@ class State:
             "obstacles": self.obstacle_table().copy(),
             "merged_into": self.teams.merged_into.copy(),
         }
-        if self.sparse:
-            state |= {name: getattr(self.links, name).copy() for name in ListedLinks._fields}
-        else:
+        if isinstance(self.links, PairLinks):
             state["weights"] = self._by_team(self.links.weights)[..., 0].copy()
+        else:
+            kept_links = link_tables.arrays_of(self.links)
+            state |= {name: array.copy() for name, array in kept_links.items()}
         if self.past.shape[1] > 1:
             state["past"] = self.past.copy()
         if self.scenario.model.n_angles == 0:
@@ -164,11 +150,11 @@ class State:
                 self.teams.merged_into[...] = value
             elif name == "past":
                 self.past[...] = value
-            elif name in ListedLinks._fields:
-                if self.sparse:
-                    getattr(self.links, name)[...] = value
-                else:
+            elif name in ("first", "second", "weights"):
+                if isinstance(self.links, PairLinks):
                     self._to_lanes(value[..., None], self.links.weights)
+                else:
+                    getattr(self.links, name)[...] = value
             else:
                 self._to_lanes(value, getattr(self.teams, name))
         active = (self.teams.merged_into == np.arange(self.scenario.n_robots)).sum(axis=1)
@@ -194,33 +180,20 @@ class State:
         overwrite(blocks.reshape(*blocks.shape[:2], -1, self.lanes), index, values, log)
 
     def as_kept(self, listed: Sequence[LinkList]) -> tuple[NDArray[Any], ...]:
-        """Lists of links in the form in which they are kept, each array with an axis for them.
-
-        Args:
-            listed: robots (E,), (E,) and weights (E,), m/s, at most ``place.n_links`` of them.
-        """
-        if self.sparse:
-            kept = [np.zeros((len(listed), a.shape[1]), a.dtype) for a in self.links]
-            for k, links in enumerate(listed):
-                for array, values in zip(kept, links, strict=True):
-                    array[k, : len(values)] = values
-            return tuple(kept)
-        n = self.scenario.n_robots
-        weights = np.zeros((len(listed), n, n))
-        for matrix, (first, second, weight) in zip(weights, listed, strict=True):
-            matrix[first, second] = weight
-        return (weights[:, self.links.first, self.links.second],)
+        """Lists of links in the form in which they are kept, see ``link_tables``."""
+        return link_tables.as_kept(self.links, listed, self.scenario.n_robots)
 
     def give_links(
         self, kept: tuple[NDArray[Any], ...], which: NDArray[np.int64], log: list[Overwritten]
     ) -> None:
         """Write links, of ``as_kept``: the same for all of these teams, or of each."""
-        if self.sparse:
-            for array, values in zip(self.links, kept, strict=True):
-                overwrite(array, which, values, log)
-        else:
+        if isinstance(self.links, PairLinks):
             index = (which // self.lanes, slice(None), which % self.lanes)
             overwrite(self.links.weights, index, kept[0], log)
+        else:
+            arrays = link_tables.arrays_of(self.links).values()
+            for array, values in zip(arrays, kept, strict=True):
+                overwrite(array, which, values, log)
 
     def give_obstacles(
         self, tables: NDArray[np.float64], which: NDArray[np.int64], log: list[Overwritten]

@@ -12,6 +12,8 @@ from ..equations.shapes.obstacles import ABSENT, BALL, CAPSULE, POLYGON
 from ..experiment.checks import shown
 from ..experiment.packing import CORNERS, DETAILS, KIND, RADIUS, THICKNESS, only_balls
 from ..experiment.scenario import Scenario
+from . import link_checks
+from .link_checks import refuse_first
 from .memory import AWAITING_RESET, RENDEZVOUS, Results
 
 _ROUNDING = 1e-9
@@ -71,7 +73,7 @@ def check_finite(state: Mapping[str, NDArray[Any]], names: tuple[str, ...]) -> N
         ValueError: naming the entry and the first place where it is not.
     """
     for name in names:
-        _refuse(name, ~np.isfinite(state[name]), state[name], "finite")
+        refuse_first(name, ~np.isfinite(state[name]), state[name], "finite")
 
 
 def check_rotations(state: Mapping[str, NDArray[Any]], teams: Any, tolerance: float) -> None:
@@ -86,7 +88,7 @@ def check_rotations(state: Mapping[str, NDArray[Any]], teams: Any, tolerance: fl
     with np.errstate(over="ignore", invalid="ignore"):  # what is huge is refused
         gap = np.abs(np.swapaxes(frames, -1, -2) @ frames - np.eye(d)).max(axis=(-2, -1))
         wrong = ~((gap <= tolerance) & (np.linalg.det(frames) > 0))
-    _refuse("frames", wrong & np.reshape(teams, (-1, 1)), frames, "a rotation")
+    refuse_first("frames", wrong & np.reshape(teams, (-1, 1)), frames, "a rotation")
 
 
 def check_teams(scenario: Scenario, state: Mapping[str, NDArray[Any]]) -> None:
@@ -101,7 +103,7 @@ def check_teams(scenario: Scenario, state: Mapping[str, NDArray[Any]]) -> None:
     """
     check_finite(state, ("positions", "memory", "weights", "path_length", "initial_lyapunov"))
     for name in ("weights", "steps", "contacts", "path_length", "initial_lyapunov"):
-        _refuse(name, state[name] < 0, state[name], "0 or more")
+        refuse_first(name, state[name] < 0, state[name], "0 or more")
     for name, most in (
         ("positions", 1e36),
         ("memory", 1e36),
@@ -110,25 +112,30 @@ def check_teams(scenario: Scenario, state: Mapping[str, NDArray[Any]]) -> None:
         ("initial_lyapunov", 1e54),
         ("obstacles", 1e9),
     ):
-        _refuse(name, np.abs(state[name]) > most, state[name], f"at most {most:g}")
+        refuse_first(name, np.abs(state[name]) > most, state[name], f"at most {most:g}")
     initial = state["initial_lyapunov"]
-    _refuse("initial_lyapunov", (initial != 0) & (initial < 1e-30), initial, "0, or 1e-30 or more")
+    refuse_first(
+        "initial_lyapunov", (initial != 0) & (initial < 1e-30), initial, "0, or 1e-30 or more"
+    )
     clearance, status = state["min_clearance"], state["status"]
-    _refuse("min_clearance", ~(clearance > -np.inf), clearance, "a length or inf, m")
-    _refuse("status", (status < 0) | (status > AWAITING_RESET), status, f"0 to {AWAITING_RESET}")
-    _refuse("seed", state["seed"] >= 2**63, state["seed"], "below 2**63")
-    _refuse("episode", state["episode"] < -1, state["episode"], "-1 (none yet) or more")
+    refuse_first("min_clearance", ~(clearance > -np.inf), clearance, "a length or inf, m")
+    refuse_first(
+        "status", (status < 0) | (status > AWAITING_RESET), status, f"0 to {AWAITING_RESET}"
+    )
+    refuse_first("seed", state["seed"] >= 2**63, state["seed"], "below 2**63")
+    refuse_first("episode", state["episode"] < -1, state["episode"], "-1 (none yet) or more")
     if "frames" in state:  # those of teams that have not begun are not drawn yet
         check_finite(state, ("frames",))
         check_rotations(state, state["episode"] >= 0, _ROUNDING)
     if "past" in state:
         check_finite(state, ("past",))
-        _refuse("past", np.abs(state["past"]) > 1e13, state["past"], "at most 1e+13")
+        refuse_first("past", np.abs(state["past"]) > 1e13, state["past"], "at most 1e+13")
     if scenario.model.keeps_velocity:
         _check_velocities(scenario, state["memory"])
-    _check_links(scenario.n_robots, state)
-    _check_rows(scenario, state)
+    link_checks.check_lists(scenario.n_robots, state)
+    link_checks.check_rows(scenario, state)
     _check_merges(state)
+    link_checks.check_nobody_sees_the_merged(state)
     _check_obstacles(scenario, state["obstacles"])
 
 
@@ -136,58 +143,21 @@ def _check_velocities(scenario: Scenario, memory: NDArray[np.float64]) -> None:
     """No robot is faster than its limit: how far it may come in a step stands on that."""
     velocities, limit = memory[..., scenario.model.n_angles :], scenario.speed_limit
     too_fast = np.linalg.norm(velocities, axis=-1) > limit * (1 + _ROUNDING)
-    _refuse("memory", too_fast, memory, f"a velocity of at most {limit:g} m/s")
-
-
-def _check_links(n: int, state: Mapping[str, NDArray[Any]]) -> None:
-    """Lists of links: indices of two robots, the lower one first, sorted, those in use first."""
-    if "first" not in state:
-        return
-    first, second, used = state["first"], state["second"], state["weights"] > 0
-    _refuse("first", (first < 0) | (first >= n), first, f"from 0 to {n - 1}")
-    _refuse("second", (second < 0) | (second >= n), second, f"from 0 to {n - 1}")
-    _refuse("second", used & (second <= first), second, "above the other robot of its link")
-    order = first * n + second
-    ahead = np.concatenate([np.full((len(used), 1), -1), order[:, :-1]], axis=1)
-    _refuse("first", used & (order <= ahead), first, "in the order of the links, each once")
-    _refuse("weights", used[:, 1:] & ~used[:, :-1], state["weights"][:, 1:], "0 after a 0")
-
-
-def _check_rows(scenario: Scenario, state: Mapping[str, NDArray[Any]]) -> None:
-    """Every neighbour needs a row of the observation."""
-    n, slots = scenario.n_robots, scenario.observation_layout.neighbour_slots
-    first, second = (state["first"], state["second"]) if "first" in state else np.triu_indices(n, 1)
-    used, counts = state["weights"] > 0, np.zeros((len(state["weights"]), n), np.int64)
-    team, e = np.nonzero(used)
-    for ends in (first, second):
-        np.add.at(counts, (team, np.broadcast_to(ends, used.shape)[team, e]), 1)
-    if (counts > slots).any():
-        place = tuple(int(k) for k in np.argwhere(counts > slots)[0])
-        raise ValueError(
-            f"state: weights give robot_{place[1]} of team {place[0]} {counts[place]} neighbours; "
-            f"there are rows for neighbour_slots = {slots}"
-        )
+    refuse_first("memory", too_fast, memory, f"a velocity of at most {limit:g} m/s")
 
 
 def _check_merges(state: Mapping[str, NDArray[Any]]) -> None:
-    """Robots are part of one with a lower index, which is itself; then nobody sees them."""
+    """Robots are part of one with a lower index, which is itself."""
     into, status = state["merged_into"], state["status"]
     n = into.shape[1]
-    _refuse("merged_into", (into < 0) | (into > np.arange(n)), into, "from 0 to the robot's own")
+    refuse_first(
+        "merged_into", (into < 0) | (into > np.arange(n)), into, "from 0 to the robot's own"
+    )
     survives = np.take_along_axis(into, into, axis=1) == into
-    _refuse("merged_into", ~survives, into, "a robot that has itself not merged")
-    gone = into != np.arange(n)
-    if "first" in state:
-        i, j = state["first"], state["second"]
-        of_gone = np.take_along_axis(gone, i, axis=1) | np.take_along_axis(gone, j, axis=1)
-    else:
-        first, second = np.triu_indices(n, 1)
-        of_gone = gone[:, first] | gone[:, second]
-    linked = (state["weights"] > 0) & of_gone
-    _refuse("weights", linked, state["weights"], "0 for pairs with a merged-away robot")
-    one_left = gone.sum(axis=1) == n - 1
+    refuse_first("merged_into", ~survives, into, "a robot that has itself not merged")
+    one_left = (into != np.arange(n)).sum(axis=1) == n - 1
     what = f"{RENDEZVOUS} exactly in teams in which one robot is left"
-    _refuse("status", (status == RENDEZVOUS) != one_left, status, what)
+    refuse_first("status", (status == RENDEZVOUS) != one_left, status, what)
 
 
 def _check_obstacles(scenario: Scenario, rows: NDArray[np.float64]) -> None:
@@ -199,24 +169,14 @@ def _check_obstacles(scenario: Scenario, rows: NDArray[np.float64]) -> None:
     if not only_balls(scenario.obstacles):
         known += [POLYGON] if scenario.dim == 2 else []
         known += [CAPSULE] if width > THICKNESS else []
-    _refuse("obstacles", ~np.isin(kind, known), rows, f"a row that begins with one of {known}")
+    refuse_first("obstacles", ~np.isin(kind, known), rows, f"a row that begins with one of {known}")
     most = (width - DETAILS) // 2
     polygon = (corners >= 3) & (corners <= most) & (corners == np.floor(corners))
     what = f"a row with 3 to {most} corners if it is a polygon, else 0"
-    _refuse("obstacles", np.where(kind == POLYGON, ~polygon, corners != 0), rows, what)
-    _refuse("obstacles", np.asarray(~np.isfinite(rows).all(axis=-1)), rows, "finite")
+    refuse_first("obstacles", np.where(kind == POLYGON, ~polygon, corners != 0), rows, what)
+    refuse_first("obstacles", np.asarray(~np.isfinite(rows).all(axis=-1)), rows, "finite")
     negative = np.logical_and(kind != ABSENT, rows[..., RADIUS] < 0)
-    _refuse("obstacles", negative, rows, "of radius 0 or more")
-
-
-def _refuse(name: str, wrong: NDArray[np.bool_], values: NDArray[Any], what: str) -> None:
-    """Name the first wrong place, (team,), (team, robot), (team, slot) or deeper, if there is
-    one.
-    """
-    if wrong.any():
-        place = tuple(int(k) for k in np.argwhere(wrong)[0])
-        where = ", ".join(map(str, place))
-        raise ValueError(f"state: {name}[{where}] is {values[place].tolist()}; it must be {what}")
+    refuse_first("obstacles", negative, rows, "of radius 0 or more")
 
 
 def check_results(

@@ -44,7 +44,7 @@ def step_blocks(
         robot: its model.
         sensor: one that is not exact, or None.
         teams: the fields of Teams.
-        links: PairLinks or ListedLinks.
+        links: of a kind of ``link_kinds``.
         obstacles: Balls or Shapes with a leading axis B; None without obstacles.
         actions: (B, n·a) finite float32, of all teams.
         results: the fields of Results.

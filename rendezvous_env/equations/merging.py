@@ -3,6 +3,9 @@
 One team at a time, given by its places and its links: ``first[e] < second[e]`` are the robots of
 link e, ``weight[e]`` its a_ij in m/s. A link that merging makes superfluous gets the weight 0, so
 that the number of links never grows and nothing has to be allocated.
+
+Where links can be one-way, a pair merges if either sees the other: a link then weighs the mean of
+a_ij and a_ji, which makes V of the links that of the arcs, and ``arcs`` holds the two.
 """
 
 import numpy as np
@@ -15,7 +18,9 @@ from .vectors import load, subtract
 
 
 @kernel
-def merge_swept(positions, displacements, lengths, links, merged_into, world, radius, work, report):
+def merge_swept(
+    positions, displacements, lengths, links, arcs, merged_into, world, radius, work, report
+):
     """Move one team by its displacements and merge whom the motion brings together (theory 5).
 
     Pairs merge at the first moment of the motion when their distance falls to r, earliest first and
@@ -27,6 +32,8 @@ def merge_swept(positions, displacements, lengths, links, merged_into, world, ra
         displacements: (n, d), m; straight or the chord of an arc. Overwritten.
         lengths: (n,) of the ways, m; shortened for robots that rest.
         links: (first, second, weight), each (E,); contracted in place.
+        arcs: of links that can be one-way, with ``weights`` a_ij, (n, n), m/s, contracted in place;
+            None of others.
         merged_into: (n,), index of the robot that each one is now part of; updated in place.
         world: obstacles, in which no merged robot may be placed; None where there are none.
         radius: r, m.
@@ -55,7 +62,7 @@ def merge_swept(positions, displacements, lengths, links, merged_into, world, ra
             share = 0.0 if resting[k] else moment
             for axis in range(d):
                 here[k, axis] = positions[k, axis] + share * displacements[k, axis]
-        _merge(e, here, links, merged_into, world, radius, merges, report)
+        _merge(e, here, links, arcs, merged_into, world, radius, merges, report)
         merges += 1
         for robot in (i, j):
             resting[robot] = True
@@ -71,7 +78,7 @@ def merge_swept(positions, displacements, lengths, links, merged_into, world, ra
         e = _nearest_within(positions, links, radius)
         if e < 0:
             return merges
-        _merge(e, positions, links, merged_into, world, radius, merges, report)
+        _merge(e, positions, links, arcs, merged_into, world, radius, merges, report)
         merges += 1
 
 
@@ -125,7 +132,7 @@ def _nearest_within(positions, links, radius):
 
 
 @kernel
-def _merge(e, positions, links, merged_into, world, radius, earlier_merges, report):
+def _merge(e, positions, links, arcs, merged_into, world, radius, earlier_merges, report):
     """Make the second robot of link e part of the first, and report what that does to V."""
     first, second, weight = links
     i, j, gain = first[e], second[e], weight[e]
@@ -134,6 +141,8 @@ def _merge(e, positions, links, merged_into, world, radius, earlier_merges, repo
     # the bound speaks of the degrees before the links are contracted
     bound = radius * max(0.0, _pull_at_merge(i, j, links, at_midpoint) - 4.0 * gain)
     contract(i, j, links)
+    if arcs is not None:
+        contract_arcs(i, j, links, arcs.weights)
     for k in range(len(merged_into)):
         if merged_into[k] == j:
             merged_into[k] = i
@@ -212,3 +221,28 @@ def _link_between(low, high, links):
         if weight[e] > 0.0 and first[e] == low and second[e] == high:
             return e
     return -1
+
+
+@kernel
+def contract_arcs(i, j, links, arcs):
+    """The arcs of j, from it and to it, become those of i; of two the heavier gain stays.
+
+        a_ik ← max(a_ik, a_jk),   a_ki ← max(a_ki, a_kj),   a_ij, a_ji ← 0     (assumption 2)
+
+    Args:
+        i: index of the robot that stays.
+        j: index of the robot that becomes part of it.
+        links: of these arcs, contracted already; they get their new mean weights.
+        arcs: a_ij, (n, n), m/s; changed in place.
+    """
+    n = arcs.shape[0]
+    for k in range(n):
+        arcs[i, k] = max(arcs[i, k], arcs[j, k])
+        arcs[k, i] = max(arcs[k, i], arcs[k, j])
+    for k in range(n):
+        arcs[j, k] = arcs[k, j] = 0.0
+    arcs[i, i] = 0.0
+    first, second, weight = links
+    for e in range(len(first)):
+        if weight[e] > 0.0 and (first[e] == i or second[e] == i):
+            weight[e] = 0.5 * (arcs[first[e], second[e]] + arcs[second[e], first[e]])

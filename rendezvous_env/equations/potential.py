@@ -23,7 +23,8 @@ def lyapunov_of_links(positions, links):
 
     Args:
         positions: (n, d), m.
-        links: (first, second, weight), each (E,); weights a_ij in m/s, 0 where there is no link.
+        links: (first, second, weight), each (E,); weights a_ij in m/s, 0 where there is no link;
+            (a_ij + a_ji)/2 where the two differ.
 
     Returns:
         V, a number, m²/s.
@@ -59,3 +60,23 @@ def net_bearings_of_links(positions, links, out):
                     pull = gain * (positions[j, k] - positions[i, k])
                     out[i, k] += pull
                     out[j, k] -= pull
+
+
+@kernel
+def net_bearings_of_arcs(positions, arcs, out):
+    """f_i = Σ_j a_ij g_ij of every robot in the global frame, where a_ij need not be a_ji.
+
+    Args:
+        positions: (n, d), m.
+        arcs: a_ij, (n, n), m/s, 0 where robot i does not see robot j.
+        out: f_i, (n, d), m/s; filled in.
+    """
+    out[:] = 0.0
+    for i in range(arcs.shape[0]):
+        for j in range(arcs.shape[0]):
+            if arcs[i, j] > 0.0:
+                square = distance_squared(positions, i, j)
+                if square > 0.0:
+                    gain = arcs[i, j] / math.sqrt(square)
+                    for k in range(positions.shape[1]):
+                        out[i, k] += gain * (positions[j, k] - positions[i, k])

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..compilation import kernel
 
-START, FRAMES, OBSTACLES, GRAPH, SENSING, ACTUATION = range(6)
+START, FRAMES, OBSTACLES, GRAPH, SENSING, ACTUATION, SWITCHING = range(7)
 """Purposes; a stream of its own for each, so that one never shifts another."""
 
 _INCREMENT = np.uint64(0x9E3779B97F4A7C15)
@@ -46,7 +46,7 @@ def stream_key(seed, episode, purpose):
     Args:
         seed: uint64.
         episode: its number, from 0 on.
-        purpose: START … ACTUATION.
+        purpose: START … SWITCHING.
 
     Returns:
         uint64, without unit.

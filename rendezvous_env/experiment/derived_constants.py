@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import obstacles
-from .graphs import Graph, GraphLike
+from .graphs import PROXIMITY, Graph, GraphLike
 from .observation_layout import ObservationLayout
 from .obstacles import Field, Obstacles
 from .robot_models import ROBOT_MODELS, RobotModel
+from .sensing import Sensing
 
 
 class DerivedConstants:
@@ -23,6 +24,8 @@ class DerivedConstants:
     dim: int
     robot_model: str
     graph: GraphLike
+    require_connected: bool
+    sensing: Sensing
     merge_radius: float
     time_step: float | None
     time_limit: float
@@ -52,8 +55,20 @@ class DerivedConstants:
 
     @cached_property
     def bottleneck_weight(self) -> float:
-        """a*, m/s: the least edge of a maximum spanning tree, in the worst case (theory 3)."""
+        """a*, m/s: the least edge of a maximum spanning tree, in the worst case (theory 3); of
+        directed and changing graphs a number below which no D_i of a robot that sees someone falls.
+        """
         return self.sensing_graph.bottleneck_weight(self.n_robots)
+
+    @property
+    def start_reach(self) -> float:
+        """R − (n − 1) r/2, m: links up to this length connect every start that is drawn for a
+        proximity graph with a range R (guarantees, section 12); infinite where none need to.
+        """
+        sight = self.sensing.range
+        if self.sensing_graph.topology != PROXIMITY or sight is None or not self.require_connected:
+            return math.inf
+        return sight - (self.n_robots - 1) * self.merge_radius / 2.0
 
     @property
     def dead_zone(self) -> float:
@@ -62,7 +77,9 @@ class DerivedConstants:
 
     @property
     def certified_step(self) -> float:
-        """τ = r/(2D̄), s: the longest step with which V cannot rise between merges (theory 4)."""
+        """τ = r/(2D̄), s: the longest step with which V cannot rise between merges (theory 4); on
+        graphs that are directed or change, half the longest with which the hull cannot grow.
+        """
         return self.merge_radius / (2 * self.max_degree) if self.max_degree > 0 else math.inf
 
     @cached_property

@@ -64,24 +64,48 @@ def ordered_edges(edges: Any, n: int) -> tuple[tuple[int, int, float], ...]:
     Raises:
         ValueError: for a loop, a repeated edge or an index out of range.
     """
+    listed = map(as_edge, listed_edges(edges))
+    return _sorted_once([(min(i, j), max(i, j), i, j, weight) for i, j, weight in listed], n)
+
+
+def ordered_arcs(arcs: Any, n: int) -> tuple[tuple[int, int, float], ...]:
+    """Arcs (i, j, a_ij), robot i sees robot j, sorted.
+
+    Raises:
+        ValueError: for a loop, a repeated arc or an index out of range.
+    """
+    listed = map(as_edge, listed_edges(arcs))
+    return _sorted_once([(i, j, i, j, weight) for i, j, weight in listed], n)
+
+
+def _sorted_once(
+    named: list[tuple[int, int, int, int, float]], n: int
+) -> tuple[tuple[int, int, float], ...]:
+    """Edges by the pair that names them; each is also given as it was written."""
     ordered: dict[tuple[int, int], float] = {}
-    for i, j, weight in map(as_edge, listed_edges(edges)):
-        pair = (min(i, j), max(i, j))
-        if i == j or pair in ordered or pair[0] < 0 or pair[1] >= n:
+    for low, high, i, j, weight in named:
+        if i == j or (low, high) in ordered or not (0 <= low < n and 0 <= high < n):
             raise ValueError(
                 f"graph: edge ({i}, {j}) must join two different robots of 0..{n - 1}, once"
             )
-        ordered[pair] = weight
+        ordered[low, high] = weight
     return tuple((i, j, weight) for (i, j), weight in sorted(ordered.items()))
 
 
-def check_weights(weights: NDArray[np.float64], n: int | None = None, field: str = "graph") -> None:
+def check_weights(
+    weights: NDArray[np.float64],
+    n: int | None = None,
+    field: str = "graph",
+    *,
+    directed: bool = False,
+) -> None:
     """Refuse a matrix that is no set of sensing weights.
 
     Args:
         weights: to be (n, n), symmetric, non-negative, finite, zero on the diagonal.
         n: number of robots, if known.
         field: what the message calls the matrix.
+        directed: whether it need not be symmetric.
 
     Raises:
         ValueError: naming the shape or the first entry that is wrong.
@@ -100,8 +124,9 @@ def check_weights(weights: NDArray[np.float64], n: int | None = None, field: str
         ),
         (np.diag(np.diag(weights) != 0), "must be 0: no robot is its own neighbour"),
         (
-            weights != weights.T,
-            "must equal its mirror image: the graph is undirected (a_ij = a_ji)",
+            (weights != weights.T) & (not directed),
+            "must equal its mirror image: the graph is undirected (a_ij = a_ji); graphs.directed "
+            "takes others",
         ),
     )
     for wrong, reason in reasons:

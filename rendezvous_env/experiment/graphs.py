@@ -1,195 +1,23 @@
-"""Sensing graphs: fixed ones, and families from which every episode draws its own."""
+"""Sensing graphs: undirected or directed, fixed, drawn for every episode, or changing in it."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .checks import floats, real, shown, whole
-from .graph_checks import as_edge, as_range, check_weights, listed_edges, ordered_edges
-from .graph_numbers import bottleneck_weight, components, max_degree
-from .limits import MOST_ROBOTS
-
-FIXED, RANDOM_TREE, ERDOS_RENYI = range(3)
-"""How an episode chooses its edges."""
-_TOPOLOGIES = {"random_tree": RANDOM_TREE, "erdos_renyi": ERDOS_RENYI}
-_LARGE_TEAM = 48
-"""Robots from which a step is made for what they see rather than for the worst of all merges."""
-_FIXED_KINDS = ("complete", "path", "cycle", "star")
-
-
-@dataclass(frozen=True)
-class Graph:
-    """An undirected weighted sensing graph for any number of robots, or a family of them.
-
-    Make one with the functions of this module rather than by hand.
-    """
-
-    kind: str
-    """complete, path, cycle, star, edges, random_tree or erdos_renyi."""
-    weight_range: tuple[float, float] = (1.0, 1.0)
-    """Each edge draws its weight a_ij uniformly from this range, m/s; factors for kind "edges"."""
-    edges: tuple[tuple[int, int, float], ...] = ()
-    """(i, j, a_ij) with i < j; for kind "edges" only."""
-    n_nodes: int | None = None
-    """Number of robots that the edges are for; for kind "edges" only."""
-    probability: float = 0.5
-    """Chance of each edge; for kind "erdos_renyi" only."""
-
-    def __post_init__(self) -> None:
-        kinds = (*_FIXED_KINDS, "edges", *_TOPOLOGIES)
-        if not isinstance(self.kind, str) or self.kind not in kinds:
-            raise ValueError(
-                f"graph: {shown(self.kind)} is not a graph; choose one of {', '.join(kinds)}"
-            )
-        object.__setattr__(self, "weight_range", as_range(self.weight_range))
-        if not 0 < real(self.probability) <= 1:
-            raise ValueError(f"graph: probability {shown(self.probability)} must be in (0, 1]")
-        object.__setattr__(self, "probability", real(self.probability))
-        self._check_edges()
-
-    def _check_edges(self) -> None:
-        if self.kind != "edges":
-            if self.edges or self.n_nodes is not None:
-                raise ValueError(f"graph: a {self.kind} has neither edges nor n_nodes")
-            return
-        n = whole("graph: n_nodes", self.n_nodes, 1, MOST_ROBOTS)
-        object.__setattr__(self, "edges", ordered_edges(self.edges, n))
-        object.__setattr__(self, "n_nodes", n)
-
-    @property
-    def topology(self) -> int:
-        """How an episode draws its edges: FIXED, RANDOM_TREE or ERDOS_RENYI."""
-        return _TOPOLOGIES.get(self.kind, FIXED)
-
-    def base_weights(self, n: int) -> NDArray[np.float64]:
-        """Weights before drawing, (n, n): an episode keeps some edges and scales each by a draw.
-
-        Raises:
-            ValueError: if the graph's edges are for another number of robots.
-        """
-        weights = np.zeros((n, n))
-        if self.kind == "edges":
-            if n != self.n_nodes:
-                raise ValueError(
-                    f"graph: its matrix or edge list is for {self.n_nodes} robots, not for {n}"
-                )
-            for i, j, weight in self.edges:
-                weights[i, j] = weights[j, i] = weight
-        elif self.kind == "path":
-            weights = np.eye(n, k=1) + np.eye(n, k=-1)
-        elif self.kind == "cycle":
-            weights = np.eye(n, k=1) + np.eye(n, k=-1)
-            weights[0, -1] = weights[-1, 0] = 1.0
-        elif self.kind == "star":
-            weights[0, 1:] = weights[1:, 0] = 1.0
-        else:
-            weights = 1.0 - np.eye(n)
-        return weights
-
-    def most_neighbours(self, n: int) -> int:
-        """The most neighbours that a robot can have in any episode, merges included.
-
-        Contraction leaves a path a path and a cycle a cycle; others it can turn into a star.
-        """
-        if self.kind in ("path", "cycle"):
-            return min(2, n - 1)
-        if self.kind == "edges":
-            counts = np.bincount([robot for i, j, _ in self.edges for robot in (i, j)], minlength=n)
-            return min(2, n - 1) if counts.max(initial=0) <= 2 else n - 1
-        return n - 1
-
-    def links(self, n: int) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
-        """The edges before drawing: lower and higher robots, sorted, and weights in m/s; each (E,).
-
-        The same as ``base_weights``, in memory that follows the edges.
-        """
-        if self.kind == "path":
-            pairs = [(i, i + 1, 1.0) for i in range(n - 1)]
-        elif self.kind == "cycle":
-            pairs = sorted({*((i, i + 1, 1.0) for i in range(n - 1)), (0, n - 1, 1.0)})
-        elif self.kind == "star":
-            pairs = [(0, j, 1.0) for j in range(1, n)]
-        elif self.kind == "edges":
-            if n != self.n_nodes:
-                raise ValueError(
-                    f"graph: its matrix or edge list is for {self.n_nodes} robots, not for {n}"
-                )
-            pairs = list(self.edges)
-        else:
-            first, second = np.triu_indices(n, 1)
-            return first.astype(np.int64), second.astype(np.int64), np.ones(len(first))
-        table = np.array(pairs, dtype=np.float64).reshape(-1, 3)
-        return table[:, 0].astype(np.int64), table[:, 1].astype(np.int64), table[:, 2].copy()
-
-    def most_links(self, n: int) -> int:
-        """Links that an episode can have; of a random family, with a chance of 10⁻⁹ at most to have
-        more (ten standard deviations).
-        """
-        pairs = n * (n - 1) // 2
-        if self.topology == RANDOM_TREE:
-            return n - 1
-        if self.topology == ERDOS_RENYI:
-            spread = 10 * np.sqrt(pairs * self.probability * (1 - self.probability))
-            return min(pairs, int(np.ceil(pairs * self.probability + spread)) + n)
-        return len(self.links(n)[0])
-
-    def components(self, n: int) -> list[list[int]]:
-        """Connected components as lists of robot indices; a family only draws connected graphs."""
-        return components(self.base_weights(n))
-
-    def max_degree(self, n: int) -> float:
-        """D̄, m/s: the largest D_i = Σ_j a_ij that an episode or its merges can produce (theory
-        4).
-        """
-        base, (_, high) = self.base_weights(n), self.weight_range
-        if self.topology == RANDOM_TREE:
-            return (n - 1) * high
-        return max((max_degree(base[np.ix_(c, c)] * high) for c in components(base)), default=0.0)
-
-    def step_degree(self, n: int) -> float:
-        """The D_i, m/s, that a step of single integrators is made for: D̄ of a small team; of a
-        large one the largest that a fixed graph has before any merge, twice the mean of a family.
-
-        Merges could turn a large sparse graph into a star, and a step for that would be hundreds of
-        times too short for the robots there are. Whoever has a larger D_i goes more slowly
-        (theory 4).
-        """
-        worst, (_, high) = self.max_degree(n), self.weight_range
-        if n < _LARGE_TEAM:
-            return worst
-        if self.topology == FIXED:
-            return min(worst, high * float(self.base_weights(n).sum(axis=1).max()))
-        mean = 2.0 * (n - 1) / n if self.topology == RANDOM_TREE else self.probability * (n - 1)
-        return min(worst, 2.0 * mean * high)
-
-    def bottleneck_weight(self, n: int) -> float:
-        """a*, m/s: the least a* over all graphs that an episode can draw (theory 3)."""
-        low, _ = self.weight_range
-        return low if self.topology != FIXED else bottleneck_weight(self.base_weights(n) * low)
-
-    def weight_sum(self, n: int) -> float:
-        """W, m/s: the largest sum of edge weights that an episode can draw."""
-        high = self.weight_range[1]
-        if self.topology == RANDOM_TREE:
-            return (n - 1) * high
-        return float(np.triu(self.base_weights(n)).sum()) * high
-
-    def to_plain(self) -> str | dict[str, Any]:
-        """The graph as plain data for TOML; ``parse`` turns it back into an equal graph."""
-        if self.kind != "edges" and self == Graph(self.kind):
-            return self.kind
-        plain: dict[str, Any] = {"kind": self.kind, "weight_range": list(self.weight_range)}
-        if self.kind == "edges":
-            plain |= {"n_nodes": self.n_nodes, "edges": [list(edge) for edge in self.edges]}
-        if self.kind == "erdos_renyi" or self.probability != Graph("complete").probability:
-            plain["probability"] = self.probability
-        return plain
-
+from .changing_graphs import ProximityGraph, SwitchingGraph
+from .checks import floats, refuse, shown
+from .directed_graphs import DirectedGraph
+from .graph_checks import as_edge, as_range, check_weights, listed_edges
+from .graph_kinds import Graph as Graph
+from .graph_numbers import bottleneck_weight as bottleneck_weight
+from .topologies import ERDOS_RENYI as ERDOS_RENYI
+from .topologies import FIXED as FIXED
+from .topologies import PROXIMITY as PROXIMITY
+from .topologies import RANDOM_TREE as RANDOM_TREE
 
 GraphLike = Graph | str | Sequence[Sequence[float]] | NDArray[Any]
 
@@ -235,8 +63,7 @@ def from_edges(edges: Iterable[Sequence[float]], n_robots: int | None = None) ->
         ValueError: for a loop, a repeated edge, an index out of range or a bad weight.
     """
     listed = listed_edges(edges)
-    last = max((max(i, j) for i, j, _ in map(as_edge, listed)), default=0)
-    return Graph("edges", edges=listed, n_nodes=n_robots or 1 + max(0, last))
+    return Graph("edges", edges=listed, n_nodes=n_robots or _count_of(listed))
 
 
 def from_matrix(weights: ArrayLike) -> Graph:
@@ -252,26 +79,117 @@ def from_matrix(weights: ArrayLike) -> Graph:
     return Graph("edges", edges=tuple(edges), n_nodes=len(matrix))
 
 
+def directed(arcs: Any, n_robots: int | None = None) -> Graph:
+    """Robot i sees robot j where there is an arc (i, j); j need not see i.
+
+    Args:
+        arcs: an (n, n) matrix of weights, row i what robot i gives to those it sees, m/s, 0 = no
+            arc; or a list of (i, j) or (i, j, weight), weight 1 m/s if not given. An array or a
+            square list of lists is a matrix, tuples are arcs.
+        n_robots: for a list of arcs; without it the largest index is the last robot's.
+
+    Raises:
+        ValueError: naming the arc or the entry that is wrong.
+    """
+    if _is_matrix(arcs):
+        matrix = floats("graph", arcs)
+        check_weights(matrix, n_robots, directed=True)
+        sees, seen = np.nonzero(matrix)
+        weights = matrix[sees, seen].tolist()
+        listed = tuple(zip(sees.tolist(), seen.tolist(), weights, strict=True))
+        return DirectedGraph("directed", edges=listed, n_nodes=len(matrix))
+    listed = listed_edges(arcs)
+    return DirectedGraph("directed", edges=listed, n_nodes=n_robots or _count_of(listed))
+
+
+def _is_matrix(arcs: Any) -> bool:
+    if isinstance(arcs, np.ndarray):
+        return True
+    return isinstance(arcs, list) and all(
+        isinstance(row, list | np.ndarray) and len(row) == len(arcs) for row in arcs
+    )
+
+
+def _count_of(edges: Iterable[Any]) -> int:
+    """One more than the largest index."""
+    last = max((max(i, j) for i, j, _ in map(as_edge, edges)), default=0)
+    return 1 + max(0, last)
+
+
+def directed_cycle(weight: float | tuple[float, float] = 1.0) -> Graph:
+    """Robot i sees i + 1, the last one robot 0: cyclic pursuit."""
+    return DirectedGraph("directed_cycle", as_range(weight))
+
+
+def switching(
+    graphs: Iterable[GraphLike | dict[str, Any]], dwell: float = 1.0, order: str = "cyclic"
+) -> Graph:
+    """A list of fixed graphs of which each holds for a dwell time.
+
+    Args:
+        graphs: what ``parse`` takes, undirected or directed; their weights may be drawn from a
+            range for every episode.
+        dwell: s, at least a step.
+        order: "cyclic", one after another, or "random", each time drawn anew.
+
+    Raises:
+        ValueError: naming the entry of the list that has no fixed edges, or the bad dwell or order.
+    """
+    if not isinstance(graphs, Iterable) or isinstance(graphs, str | bytes | dict | Graph):
+        refuse("graph: graphs", graphs, "a list of graphs")
+    listed = tuple(_member(k, graph) for k, graph in enumerate(graphs))
+    return SwitchingGraph("switching", graphs=listed, dwell=dwell, order=order)
+
+
+def _member(k: int, graph: Any) -> Graph:
+    # looked at before it is parsed: tables could be nested without end
+    if isinstance(graph, dict) and graph.get("kind") == "switching":
+        raise ValueError(f"graph: graphs[{k}] is itself a switching graph; list its graphs instead")
+    return parse(graph)
+
+
+def proximity(weight: float | tuple[float, float] = 1.0) -> Graph:
+    """Robot i sees robot j while j is within the range and field of view of ``Scenario.sensing``.
+
+    Every pair has a weight of its own, which both give.
+    """
+    return ProximityGraph("proximity", as_range(weight))
+
+
 def parse(value: GraphLike | dict[str, Any]) -> Graph:
     """A Graph from a Graph, a name, a matrix, or the plain data of ``Graph.to_plain``."""
     if isinstance(value, Graph):
         return value
     if isinstance(value, str):
-        return Graph(value)
+        return _from_plain({"kind": value})
     if isinstance(value, dict):
         return _from_plain(value)
     return from_matrix(value)
 
 
+_KINDS: dict[str, type[Graph]] = {
+    "directed": DirectedGraph,
+    "directed_cycle": DirectedGraph,
+    "switching": SwitchingGraph,
+    "proximity": ProximityGraph,
+}
+_KEYS = {"kind", "weight_range", "edges", "n_nodes", "probability"}
+
+
 def _from_plain(plain: dict[str, Any]) -> Graph:
-    known = {"kind", "weight_range", "edges", "n_nodes", "probability"}
+    kind = plain.get("kind", "edges" if "edges" in plain else "complete")
+    known = {"kind", "graphs", "dwell", "order"} if kind == "switching" else _KEYS
     if unknown := [key for key in plain if key not in known]:
         raise ValueError(
             f"graph: unknown key {shown(unknown[0])}; known keys are {', '.join(sorted(known))}"
         )
-    weight_range = as_range(plain.get("weight_range", 1.0))
-    kind = plain.get("kind", "edges" if "edges" in plain else "complete")
-    if kind == "edges":
-        graph = from_edges(plain.get("edges", ()), plain.get("n_nodes"))
-        return Graph("edges", weight_range, graph.edges, graph.n_nodes)
-    return Graph(kind, weight_range, probability=plain.get("probability", 0.5))
+    if kind == "switching":
+        return switching(
+            plain.get("graphs", ()), plain.get("dwell", 1.0), plain.get("order", "cyclic")
+        )
+    made = _KINDS.get(kind, Graph) if isinstance(kind, str) else Graph
+    fields = {**plain, "kind": kind, "weight_range": as_range(plain.get("weight_range", 1.0))}
+    if kind in ("edges", "directed"):
+        fields["edges"] = listed_edges(plain.get("edges", ()))
+        fields["n_nodes"] = plain.get("n_nodes") or _count_of(fields["edges"])
+    return made(**fields)

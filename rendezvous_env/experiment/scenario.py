@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from . import checks, graphs, obstacles, packing, scenario_files, sensing
+from . import changing_checks, checks, graphs, obstacles, packing, scenario_files, sensing
 from .checks import is_whole, known_fields
 from .checks import nearest_word as nearest_word
 from .derived_constants import DerivedConstants
@@ -70,7 +70,9 @@ class Scenario(DerivedConstants):
     """Who sees whom: a Graph, the name of one, or a symmetric (n, n) matrix of weights a_ij in
     m/s."""
     require_connected: bool = True
-    """Refuse a graph that is not connected: its robots can never all meet (theorem 1)."""
+    """Refuse a graph that is not connected: its robots can never all meet (theorem 1). A directed
+    one must have a robot that is reached from all, a switching one taken together; with a proximity
+    graph starts are drawn connected."""
     merge_radius: float = 0.2
     """r in m: neighbours that come this close become one robot."""
     time_step: float | None = None
@@ -226,13 +228,10 @@ class Scenario(DerivedConstants):
     def _check_graph(self) -> None:
         graph = graphs.parse(self.graph)
         object.__setattr__(self, "graph", graph)
-        pieces = graph.components(self.n_robots)
-        if len(pieces) > 1 and self.require_connected:
-            listed = " and ".join(str(piece) for piece in pieces)
-            raise ValueError(
-                f"graph is not connected: it falls into {listed}, which can never meet "
-                "(theorem 1); join them by an edge, or pass require_connected=False"
-            )
+        why = graph.why_not_joined(self.n_robots)
+        if why is not None and self.require_connected:
+            raise ValueError(f"graph is not connected: {why}, or pass require_connected=False")
+        changing_checks.check_sight(self)
         most = self.n_robots - 1
         if self.neighbour_slots is not None and not (
             is_whole(self.neighbour_slots) and 1 <= self.neighbour_slots <= most
@@ -275,6 +274,7 @@ class Scenario(DerivedConstants):
     def _check_time_step(self) -> None:
         if self.time_step is None and not math.isfinite(self.certified_step):
             self._refuse("time_step", "given where the graph has no edge: no step is certified")
+        changing_checks.check_dwell(self)
         if self.max_steps > MOST_STEPS:
             raise ValueError(
                 f"time_limit is {self.time_limit:g} s: {self.max_steps:.3g} steps of {self.tau:g} "

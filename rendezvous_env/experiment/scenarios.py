@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable
 from functools import partial
@@ -11,6 +12,7 @@ from . import graphs
 from .checks import nearest_word, refuse, shown
 from .obstacles import Disc, ObstacleField, Polygon
 from .scenario import Scenario
+from .sensing import Sensing
 from .walls import WallField
 
 ScenarioLike = Scenario | str | os.PathLike[str]
@@ -75,6 +77,71 @@ def _walls(
     )
 
 
+def _occluded() -> Scenario:
+    """Discs that stand in the way of sight as of robots, and robots that hide one another."""
+    return _clutter(8, 8).replace(name="occluded-8", sensing=Sensing(occlusion="both"))
+
+
+def _huettenrauch(sight: float | None = None) -> Scenario:
+    """After Hüttenrauch, Šošić & Neumann (2019), with bearings alone; docs/scenarios.md says what
+    is not kept. Who is far away is not seen, but is met all the same.
+    """
+    return Scenario(
+        name="huettenrauch-20" if sight is None else f"huettenrauch-20-sight-{sight:g}",
+        n_robots=20,
+        robot_model="unicycle",
+        merge_radius=1.0,
+        time_step=0.1,
+        allow_long_step=True,
+        time_limit=102.4,
+        max_speed=10.0,
+        max_turn_rate=math.pi,
+        spawn_size=90.0,
+        sensing=Sensing(range=sight),
+    )
+
+
+def _rotating_paths() -> Scenario:
+    """Law (4) does not survive switching (guarantees, section 10): the three paths of three robots,
+    one after another.
+
+    At an end of the path f is one bearing. A heading on the edge of the cap, hᵀf = ε‖f‖, turned
+    away from the other end, moves it by ε(ε g + √(1 − ε²) g⊥): mostly along the hull's outside. In
+    an equilateral triangle each end adds ε(√3/2 √(1 − ε²) − 3/2 ε) to L', the middle −3ε² at least:
+
+        L' = √3 ε √(1 − ε²) − 6 ε² > 0   for   ε < 1/√13 = 0.277
+
+    and as the middle goes round, the triangle stays equilateral and L' the same.
+    """
+    paths = [[(middle, end) for end in range(3) if end != middle] for middle in range(3)]
+    return Scenario(
+        name="rotating-paths",
+        n_robots=3,
+        graph=graphs.switching([graphs.from_edges(path) for path in paths], dwell=1.0),
+        start_positions=((0.0, 1.0), (-(0.75**0.5), -0.5), (0.75**0.5, -0.5)),
+        time_limit=400.0,
+    )
+
+
+def _rssdoa() -> Scenario:
+    """After the open code RSSDOA, without its signal strengths; docs/scenarios.md says what is not
+    kept. No start can be certain to keep its links: 14 merges may lengthen one by 0.7 m.
+    """
+    return Scenario(
+        name="rssdoa-15",
+        n_robots=15,
+        graph=graphs.proximity(),
+        require_connected=False,
+        merge_radius=0.1,
+        time_step=0.033,
+        allow_long_step=True,
+        time_limit=33.0,
+        max_speed=0.075,
+        spawn_size=2.0,
+        sensing=Sensing(range=0.8, noise=0.1),
+    )
+
+
 _BUILDERS: dict[str, Callable[[], Scenario]] = {
     "fig3": lambda: _figure("fig3", "ignore"),
     "fig4": lambda: _figure("fig4", "slide"),
@@ -106,6 +173,7 @@ _BUILDERS: dict[str, Callable[[], Scenario]] = {
         spawn_size=14.0,
         **_AMONG_OBSTACLES,
     ),
+    "rotating-paths": _rotating_paths,
     "wall": lambda: Scenario(
         name="wall",
         n_robots=2,
@@ -114,6 +182,35 @@ _BUILDERS: dict[str, Callable[[], Scenario]] = {
         max_speed=1.0,
         time_limit=30.0,
     ),
+    "noisy-8": lambda: Scenario(
+        name="noisy-8", n_robots=8, sensing=Sensing(noise=0.3, dropout=0.1)
+    ),
+    "fov-8": lambda: Scenario(
+        name="fov-8",
+        n_robots=8,
+        robot_model="unicycle",
+        sensing=Sensing(field_of_view=2.0 * math.pi / 3.0),
+    ),
+    "occluded-8": _occluded,
+    "range-12": lambda: Scenario(
+        name="range-12",
+        n_robots=12,
+        graph=graphs.proximity(),
+        spawn_size=8.0,
+        sensing=Sensing(range=4.0),
+    ),
+    "switching-8": lambda: Scenario(
+        name="switching-8",
+        n_robots=8,
+        graph=graphs.switching([graphs.path(), graphs.star(), graphs.cycle()], dwell=1.0),
+        time_limit=60.0,
+    ),
+    "pursuit-6": lambda: Scenario(
+        name="pursuit-6", n_robots=6, graph=graphs.directed_cycle(), time_limit=60.0
+    ),
+    "rssdoa-15": _rssdoa,
+    "huettenrauch-20": _huettenrauch,
+    "huettenrauch-20-sight-40": partial(_huettenrauch, 40.0),
 }
 
 

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from . import graph_numbers, obstacles, packing
+from . import graphs, obstacles, packing
 from .checks import floats, mapping, nearest_word, shown
 from .graph_checks import check_weights
 from .scenario import Scenario
@@ -125,8 +125,14 @@ def _weights(scenario: Scenario, num_envs: int, value: Any) -> NDArray[np.float6
     weights = given[None] if given.ndim == 2 else given
     if weights.shape not in ((1, n, n), (num_envs, n, n)):
         raise ValueError(f"weights have shape {given.shape}; they must be {(n, n)}")
+    graph = scenario.sensing_graph
+    if graph.changes:
+        raise ValueError(
+            f"weights: none can be given where the graph changes: those of a {graph.kind} graph "
+            "are of the moment"
+        )
     for matrix in weights:
-        check_weights(matrix, n, "weights")
+        check_weights(matrix, n, "weights", directed=graph.directed)
         _check_within(scenario, matrix)
         _check_rows(scenario, matrix)
     return weights
@@ -145,18 +151,17 @@ def _check_rows(scenario: Scenario, weights: NDArray[np.float64]) -> None:
 
 def _check_within(scenario: Scenario, weights: NDArray[np.float64]) -> None:
     """The constants D̄ and a* of the mission must hold for the given weights too."""
-    pieces = graph_numbers.components(weights)
-    if len(pieces) > 1 and scenario.require_connected:
-        raise ValueError(
-            f"weights are not connected: they fall into {' and '.join(map(str, pieces))}"
-        )
-    degree = max(graph_numbers.max_degree(weights[np.ix_(piece, piece)]) for piece in pieces)
+    n, directed = scenario.n_robots, scenario.sensing_graph.directed
+    given = graphs.directed(weights) if directed else graphs.from_matrix(weights)
+    if scenario.require_connected and (why := given.why_not_joined(n)) is not None:
+        raise ValueError(f"weights are not connected: {why}")
+    degree = given.max_degree(n)
     if degree > scenario.max_degree * (1 + _ROUNDING):
         raise ValueError(
             f"weights reach D = {degree:.6g} m/s; the scenario's step and limits stand on at most "
             f"{scenario.max_degree:.6g}"
         )
-    bottleneck = graph_numbers.bottleneck_weight(weights)
+    bottleneck = given.bottleneck_weight(n)
     if bottleneck < scenario.bottleneck_weight * (1 - _ROUNDING):
         raise ValueError(
             f"weights have the bottleneck a* = {bottleneck:.6g} m/s; the scenario's guarantee "

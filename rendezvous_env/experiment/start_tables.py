@@ -38,13 +38,13 @@ def check_distinct(
     Args:
         field: what the message calls the positions.
         positions: (n, d), m.
-        weights: (n, n); only pairs with a positive weight are looked at.
+        weights: (n, n); only pairs with a positive weight, in either way, are looked at.
 
     Raises:
         ValueError: naming the pair.
     """
     offsets = positions[None] - positions[:, None]
-    coincident = (np.abs(offsets).max(axis=-1) == 0) & np.triu(weights > 0)
+    coincident = (np.abs(offsets).max(axis=-1) == 0) & np.triu((weights > 0) | (weights.T > 0))
     for i, j in np.argwhere(coincident):
         raise ValueError(
             f"{field}: neighbours robot_{i} and robot_{j} both stand at {positions[i].tolist()}; "

@@ -11,6 +11,7 @@ from ..experiment.checks import floats, real, refuse
 from ..experiment.scenario import Scenario
 from .degrees import uniform_complete
 from .enclosing_ball import smallest_enclosing_ball
+from .kinds_of_links import UNDIRECTED, kind_of_links
 from .size_bounds import held_size_bound
 
 Array = NDArray[np.float64]
@@ -164,11 +165,16 @@ def lyapunov_bound(scenario: Scenario, initial_lyapunov: ArrayLike) -> Array:
 
 
 def covered(scenario: Scenario) -> bool:
-    """Whether theorems A and C bound the time: connected, robots whose action is their velocity,
-    nothing in the way.
+    """Whether theorems A and C bound the time: undirected links that last, connected, robots whose
+    action is their velocity, nothing in the way.
     """
-    in_the_way = bool(scenario.obstacles) and scenario.obstacle_contact != "ignore"
-    return connected(scenario) and scenario.model.bounded and not in_the_way
+    mutual = kind_of_links(scenario.sensing_graph) == UNDIRECTED
+    return mutual and connected(scenario) and scenario.model.bounded and not walled(scenario)
+
+
+def walled(scenario: Scenario) -> bool:
+    """Whether there are obstacles that robots cannot pass through."""
+    return bool(scenario.obstacles) and scenario.obstacle_contact != "ignore"
 
 
 def rendezvous_time_lower_bound(scenario: Scenario, positions: ArrayLike) -> float:

@@ -3,57 +3,33 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 from ..experiment.checks import choice, real, refuse
 from ..experiment.scenario import Scenario
-from .bounds import (
-    check_margin,
-    check_scenario,
-    connected,
-    lyapunov_bound,
-    tank_lyapunov_bound,
-    tank_time_bound,
-    time_bound,
-)
-from .size_bounds import size_bound
-from .worst_starts import largest_lyapunov, largest_size
+from . import error_bounds
+from .bearing_errors import bounded_error, check_bearing_error
+from .bounds import check_margin, check_scenario, covered
+from .gains import gain_range
+from .hindrances import hindrance
+from .links import check_share
+from .promise import CHOICES as CHOICES
+from .promise import Asked
+from .promise import Certificate as Certificate
+from .promises_on_hull import of_gains, of_links
+from .promises_on_v import of_headings, of_law, of_tank
+from .worst_starts import largest_lyapunov
 
-CHOICES = ("law", "heading", "tank")
-"""What keeps the guarantee: law (1) itself, certified headings, or an energy tank."""
-
-
-@dataclass(frozen=True)
-class Certificate:
-    """What is guaranteed for a scenario, and why or why not."""
-
-    margin: float
-    """ε: the least alignment |hᵀf|/‖f‖ that the guarantee builds on; 1 for law (1)."""
-    dead_zone: float
-    """δ = a*/(2n), m/s."""
-    certified_step: float
-    """r/(2D̄), s."""
-    bottleneck_weight: float
-    """a*, m/s."""
-    time_bound: float
-    """Time in s by which all robots have met from any start in the spawn area, or from the given
-    start; inf without a bound."""
-    guaranteed: bool
-    """Whether rendezvous is guaranteed."""
-    theorem: str
-    """Which theorem covers the scenario, or why none does."""
-    by: str = "law"
-    """What keeps the guarantee, one of CHOICES."""
-    continuous_time: bool = False
-    """Whether ``time_bound``, or the guarantee if there is no bound, is proven for velocities that
-    follow the bearings in continuous time only."""
-    held_time_bound: float = math.inf
-    """Time in s by which all robots have met with inputs held over the scenario's step; inf without
-    a bound."""
-    lyapunov_bound: float = math.inf
-    """What V never exceeds, m²/s, with obstacles in motion without a contact; inf without a
-    bound."""
+_PROMISES: dict[str, Callable[[Scenario, Certificate, Asked], Certificate]] = {
+    "law": of_law,
+    "heading": of_headings,
+    "tank": of_tank,
+    "gains": of_gains,
+    "links": of_links,
+}
+_DEFAULT_SHARE = 0.5
 
 
 def certificate(
@@ -62,17 +38,28 @@ def certificate(
     *,
     by: str | None = None,
     budget: float = 0.0,
+    min_gain: float | None = None,
+    max_gain: float | None = None,
+    share: float = _DEFAULT_SHARE,
+    bearing_error: float = 0.0,
 ) -> Certificate:
-    """What is guaranteed for a scenario under law (1), certified headings or an energy tank.
+    """What is guaranteed for a scenario under law (1), or whatever a policy does under a wrapper.
 
-    For the scenario's own graph, and starts in its spawn area; by theorems 1, 2, A, C, D, G and N.
+    For the scenario's own graph, and starts in its spawn area; by theorems 1 to 4, A, C, D, G, N
+    and R. Bounded errors of the scenario's sensor count: η is the larger of them and of
+    ``bearing_error``. The wrapper is to be given the same numbers.
 
     Args:
         scenario: the experiment.
-        min_alignment: a number without unit: 1 for the paper's own laws, ε in (0, 1) for certified
-            headings of that margin, ε in (0, 1] for a tank.
-        by: "law", "heading" or "tank"; None is "law" if ``min_alignment`` is 1, else "heading".
+        min_alignment: a number without unit: 1 for the paper's own laws, gains and links, ε in
+            (0, 1) for certified headings of that margin, ε in (0, 1] for a tank.
+        by: "law", "heading", "tank", "gains" or "links"; None is "law" if ``min_alignment`` is 1,
+            else "heading".
         budget: B_i that each robot's tank begins with, m²/s.
+        min_gain: the least that a robot's gains add up to, m/s; None is a*.
+        max_gain: the most, m/s; None is D̄.
+        share: λ in (0, 1], how much of a velocity is the link-keeping law's.
+        bearing_error: η, rad, by how much bearings may be wrong.
 
     Returns:
         A Certificate, each of whose fields says its unit.
@@ -81,7 +68,12 @@ def certificate(
         ValueError: naming the argument that is out of its range, or does not go with ``by``.
     """
     check_scenario(scenario)
+    error = max(check_bearing_error(bearing_error), bounded_error(scenario.sensing, scenario.dim))
     chosen = _checked(min_alignment, by, budget)
+    check_share(share)
+    _check_goes_with(chosen, min_gain=min_gain, max_gain=max_gain, share=share)
+    if chosen == "gains":
+        gain_range(scenario, min_gain, max_gain)
     without = Certificate(
         margin=min_alignment,
         dead_zone=scenario.dead_zone,
@@ -91,13 +83,15 @@ def certificate(
         guaranteed=False,
         theorem="",
         by=chosen,
+        bearing_error=error,
     )
-    if hindrance := _hindrance(scenario):
-        return replace(without, theorem=hindrance)
-    if chosen == "tank":
-        return _of_tank(scenario, without, budget)
-    most = float(lyapunov_bound(scenario, largest_lyapunov(scenario)))
-    return _of_law_4(scenario, replace(without, lyapunov_bound=most))
+    if words := hindrance(scenario, chosen):
+        return replace(
+            without, theorem=words, expected_time_bound=_expected_time(scenario, without)
+        )
+    return _PROMISES[chosen](
+        scenario, without, Asked(chosen, real(budget), min_gain, max_gain, real(share), error)
+    )
 
 
 def _checked(min_alignment: float, by: Any, budget: float) -> str:
@@ -106,8 +100,8 @@ def _checked(min_alignment: float, by: Any, budget: float) -> str:
     if by is None:
         by = "law" if min_alignment == 1 else "heading"
     choice("by", by, CHOICES)
-    if by == "law" and min_alignment != 1:
-        refuse("min_alignment", min_alignment, 'exactly 1 with by="law"')
+    if by in ("law", "gains", "links") and min_alignment != 1:
+        refuse("min_alignment", min_alignment, f'exactly 1 with by="{by}"')
     if by == "heading" and min_alignment == 1:
         refuse("min_alignment", min_alignment, 'less than 1 with by="heading"')
     if by != "tank" and real(budget) != 0:
@@ -115,114 +109,22 @@ def _checked(min_alignment: float, by: Any, budget: float) -> str:
     return str(by)
 
 
-def _hindrance(scenario: Scenario) -> str:
-    """Why no theorem says anything of such robots; empty if one does."""
-    if not connected(scenario):
-        return "none: the graph is not connected, one robot per component remains (theorem 1)"
-    if not scenario.sensing.exact:
-        return (
-            f"none: the theorems hold for exact bearings, and this sensor's are not "
-            f"({scenario.sensing.departures()}); with a sensor that errs nothing is claimed here"
-        )
-    model = scenario.model
-    if not model.bounded and model.theorem is None:
-        return (
-            f"none: no theorem covers {model.name} robots, whose action ({model.action}) is not "
-            "their velocity; V may rise at any time"
-        )
-    return ""
+def _check_goes_with(
+    by: str, *, min_gain: float | None, max_gain: float | None, share: float
+) -> None:
+    """Refuse numbers of another wrapper."""
+    for name, value in (("min_gain", min_gain), ("max_gain", max_gain)):
+        if by != "gains" and value is not None:
+            refuse(name, value, f'None with by="{by}": only gains have one')
+    if by != "links" and share != _DEFAULT_SHARE:
+        refuse("share", share, f'{_DEFAULT_SHARE} with by="{by}": only links have one')
 
 
-def _walled(scenario: Scenario) -> bool:
-    return bool(scenario.obstacles) and scenario.obstacle_contact != "ignore"
-
-
-def _of_law_4(scenario: Scenario, without: Certificate) -> Certificate:
-    """Law (1), or any policy under certified headings."""
-    by_law = without.by == "law"
-    long_step = scenario.tau > scenario.certified_step * (1 + 1e-12)
-    if _walled(scenario):
-        words = (
-            "none: obstacles can hold a robot back for ever (theory 6); with certified headings "
-            "V still never rises between merges in a step without a contact"
-        )
-        unscaled = long_step and not scenario.scales_velocity
-        rises = by_law and (unscaled or not scenario.model.bounded)
-        most = math.inf if rises else without.lyapunov_bound
-        return replace(without, theorem=words, lyapunov_bound=most)
-    if not scenario.model.bounded:
-        words = (
-            f"{scenario.model.theorem} in continuous time (for free turn rates: the gate); no time "
-            "bound"
-        )
-        return replace(without, guaranteed=True, theorem=words, continuous_time=True)
-    if long_step and by_law and scenario.scales_velocity:
-        return _of_scaled_law_1(scenario, without)
-    if long_step and by_law:
-        words = (
-            f"none for law (1) as it stands: the step {scenario.tau:.4g} s is longer than the "
-            f"certified {scenario.certified_step:.4g} s; certified headings scale the velocity "
-            "and are covered"
-        )
-        return replace(without, theorem=words, lyapunov_bound=math.inf)
-    return _of_law_1(scenario, without) if by_law else _of_headings(scenario, without, long_step)
-
-
-def _of_law_1(scenario: Scenario, without: Certificate) -> Certificate:
-    """Theorem G's bound, which is never above A's (V(0) ≥ a* L0 in the plane, 4 a* w0 in space),
-    and what is proven for held inputs.
-    """
-    start, extent = largest_lyapunov(scenario), largest_size(scenario)
-    held = float(time_bound(scenario, start, initial_size=extent))
-    words = (
-        "theorems 1 and G: law (1) meets in finite time; this bound is proven in continuous time, "
-        f"for inputs held over the step it is {held:.4g} s"
-    )
-    return replace(
-        without,
-        guaranteed=True,
-        theorem=words,
-        time_bound=float(size_bound(scenario, extent)),
-        continuous_time=True,
-        held_time_bound=held,
-    )
-
-
-def _of_scaled_law_1(scenario: Scenario, without: Certificate) -> Certificate:
-    """Law (1) in a large sparse graph: theorem A, for velocities scaled to the step (theory 4)."""
-    bound = float(time_bound(scenario, largest_lyapunov(scenario)))
-    words = (
-        "theorem 1: law (1) meets in finite time, with velocities scaled by r/(2 D_i τ) where that "
-        "is below 1, as the policy bearing-only does here (theory 4)"
-    )
-    return replace(without, guaranteed=True, theorem=words, time_bound=bound, held_time_bound=bound)
-
-
-def _of_headings(scenario: Scenario, without: Certificate, long_step: bool) -> Certificate:
-    bound = float(time_bound(scenario, largest_lyapunov(scenario), min_alignment=without.margin))
-    scaled = " with velocities scaled to the long step" if long_step else ""
-    words = f"theorems 2 and C: every policy under certified headings meets in finite time{scaled}"
-    return replace(without, guaranteed=True, theorem=words, time_bound=bound, held_time_bound=bound)
-
-
-def _of_tank(scenario: Scenario, without: Certificate, budget: float) -> Certificate:
-    """Theorem D: any motion at all, while the ledger lasts."""
-    start = largest_lyapunov(scenario)
-    most = float(tank_lyapunov_bound(scenario, start, budget=budget))
-    found = replace(without, lyapunov_bound=most)
-    stays = f"theorem D still keeps V at or below {most:.4g} m²/s"
-    if _walled(scenario):
-        words = (
-            f"none: obstacles can hold a robot back for ever (theory 6); {stays} in motion "
-            "without a contact, but no time is proven"
-        )
-        return replace(found, theorem=words)
-    if not scenario.model.bounded:
-        words = (
-            f"none: no time by which {scenario.model.name} robots meet under a tank is proven; "
-            f"{stays}"
-        )
-        return replace(found, theorem=words)
-    bound = float(tank_time_bound(scenario, start, min_alignment=without.margin, budget=budget))
-    words = "theorem D: whatever is wanted, all robots meet in finite time while a tank keeps count"
-    return replace(found, guaranteed=True, theorem=words, time_bound=bound, held_time_bound=bound)
+def _expected_time(scenario: Scenario, without: Certificate) -> float:
+    """E[T] of law (1) if independent noise is all that a sensor gets wrong, s; else inf."""
+    noise = scenario.sensing.noise
+    if without.by != "law" or not noise or scenario.sensing != type(scenario.sensing)(noise=noise):
+        return math.inf
+    if without.bearing_error or not covered(scenario):
+        return math.inf
+    return error_bounds.expected_time_bound(scenario, largest_lyapunov(scenario))

@@ -26,7 +26,7 @@ def least_degrees(scenario: Scenario) -> Array:
     n, graph = scenario.n_robots, scenario.sensing_graph
     left = np.arange(2.0, n + 1.0)
     links = np.ones(n - 1)
-    if _is_complete(graph, n):
+    if is_complete(graph, n):
         links = left - 1.0
     elif _is_cycle(graph, n):
         links = np.minimum(left - 1.0, 2.0)
@@ -36,16 +36,17 @@ def least_degrees(scenario: Scenario) -> Array:
 
 def degrees_stay_equal(scenario: Scenario) -> bool:
     """Whether all robots that are left always have the same D_i: complete graphs and cycles of one
-    weight.
+    weight, directed cycles too.
     """
     n, graph = scenario.n_robots, scenario.sensing_graph
-    return _has_one_weight(graph, n) and (_is_complete(graph, n) or _is_cycle(graph, n))
+    even = is_complete(graph, n) or graph.kind == "directed_cycle" or _is_cycle(graph, n)
+    return even and _has_one_weight(graph, n)
 
 
 def uniform_complete(scenario: Scenario) -> bool:
     """Whether everyone is linked to everyone with the same weight."""
     n, graph = scenario.n_robots, scenario.sensing_graph
-    return _is_complete(graph, n) and _has_one_weight(graph, n)
+    return is_complete(graph, n) and _has_one_weight(graph, n)
 
 
 def _has_one_weight(graph: Graph, n: int) -> bool:
@@ -54,7 +55,13 @@ def _has_one_weight(graph: Graph, n: int) -> bool:
     return bool(low == high and weights.min(initial=np.inf) == weights.max(initial=0.0))
 
 
-def _is_complete(graph: Graph, n: int) -> bool:
+def is_complete(graph: Graph, n: int) -> bool:
+    """Whether every robot is linked to every other, in every episode.
+
+    Args:
+        graph: of a scenario.
+        n: how many robots.
+    """
     return graph.topology == FIXED and len(graph.links(n)[2]) == n * (n - 1) // 2
 
 

@@ -1,288 +1,271 @@
-"""By when all robots have met although bearings are wrong, noisy or late (guarantees, 11).
-
-Functions of numbers, which broadcast; an infinite time says that nothing is promised.
-"""
+"""By when all have met although bearings are wrong, and how wrong they may be (theorems N, R d)."""
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
+import math
 
-from .bearing_errors import error_chord
+import numpy as np
+
+from ..experiment.scenario import Scenario
+from .bounds import merge_rise_allowance
+from .degrees import degrees_stay_equal, least_degrees
 from .size_bounds import shrinking
 
-Array = NDArray[np.float64]
 
-
-def largest_error(n: ArrayLike, dim: int) -> Array:
-    """η below which theorem N promises a rendezvous, rad.
-
-        2-D   η < π/n (sharp),        3-D   tan η < 1/√(n(n − 2)), sufficient
+def share_of_errors(scenario: Scenario, error: float) -> float:
+    """ρ = n D̄ sin(η/2)/a*: what errors can feign, Σ e_i, as a share of 2 a* (theorem N1).
 
     Args:
-        n: number of robots, (...), at least 2.
-        dim: 2 or 3.
+        scenario: gives n, D̄ and a*.
+        error: η, rad.
 
     Returns:
-        (...), rad.
+        A number without unit.
     """
-    m = np.asarray(n, dtype=np.float64)
-    if dim == 2:
-        return np.asarray(np.pi / m)
-    return np.arctan2(1.0, np.sqrt(m * (m - 2.0)))
+    n, degree = scenario.n_robots, scenario.max_degree
+    return n * degree * math.sin(error / 2.0) / scenario.bottleneck_weight
 
 
-def held_error(gain: ArrayLike, duration: ArrayLike, merge_radius: float) -> Array:
-    """The error of a bearing that is held, or late, for a while (theorem N, one budget), rad.
+def _error_of_share(scenario: Scenario, share: float) -> float:
+    """The η with that ρ, rad."""
+    sine = share * scenario.bottleneck_weight / (scenario.n_robots * scenario.max_degree)
+    return 2.0 * math.asin(min(sine, math.sin(math.pi / 4.0)))
 
-        η = asin(2 c (τ + delay)/r)
 
-    It adds to the errors of the sensor and of the direction of the motion.
+def slowdown(scenario: Scenario) -> float:
+    """1/s_min = max(1, 2D̄τ/r, D̄/v_max): by how much a long step or a speed limit slow robots down.
 
     Args:
-        gain: c, no robot is faster, (...), m/s.
-        duration: τ + delay, (...), s.
-        merge_radius: r, m.
+        scenario: gives D̄, τ, r and v_max.
 
     Returns:
-        (...), rad; π where a neighbour can be passed meanwhile.
+        A number without unit.
     """
-    sine = 2.0 * np.asarray(gain) * np.asarray(duration) / merge_radius
-    return np.where(sine < 1.0, np.arcsin(np.minimum(sine, 1.0)), np.pi)
+    degree = scenario.max_degree
+    longer = 2.0 * degree * scenario.tau / scenario.merge_radius
+    return max(1.0, longer, degree / scenario.speed_limit)
 
 
-def longest_held_step(n: ArrayLike, gain: ArrayLike, merge_radius: float, share: float) -> Array:
-    """The step in which held inputs use up a share β of the errors that theorem N forgives, s.
+# ---- law (1) -------------------------------------------------------------------------------------
 
-        τ = (r/2c) sin(β π/n)
+
+def law_time_bound(scenario: Scenario, start: float, error: float) -> float:
+    """Theorem N1's T for law (1) as it is, inputs held, s.
+
+        T ≤ n (V0⁺ + (n − 1) τ Σ e_i²) / (4 a*² (1 − ρ²)) + (n − 1) τ,      e_i = 2 sin(η/2) D_i
 
     Args:
-        n: number of robots, (...), at least 2.
-        gain: c, (...), m/s.
-        merge_radius: r, m.
-        share: β in (0, 1).
+        scenario: undirected and connected, with a step that is certified.
+        start: V(0), m²/s.
+        error: η, rad.
 
     Returns:
-        (...), s.
+        A number, s; infinite for ρ ≥ 1, or if robots can be slowed down.
     """
-    m = np.asarray(n, dtype=np.float64)
-    return np.asarray(merge_radius / (2.0 * np.asarray(gain)) * np.sin(share * np.pi / m))
+    n, a, tau = scenario.n_robots, scenario.bottleneck_weight, scenario.tau
+    rho = share_of_errors(scenario, error)
+    if rho >= 1.0 or scenario.speed_limit < scenario.max_degree:
+        return math.inf
+    feigned = n * (2.0 * math.sin(error / 2.0) * scenario.max_degree) ** 2
+    above = start + merge_rise_allowance(scenario) + (n - 1) * tau * feigned
+    return n * above / (4.0 * a**2 * (1.0 - rho**2)) + (n - 1) * tau
 
 
-def wrong_bearings_time(
-    n: int, dim: int, initial_size: ArrayLike, gain: ArrayLike, error: ArrayLike
-) -> Array:
-    """T where all Σ_j c_ij are equal and every bearing is off by η at most, s (theorem N).
+def law_error_borne(scenario: Scenario) -> float:
+    """The η that law (1) bears on an undirected graph, rad: ρ < 1 (theorem N1)."""
+    return _error_of_share(scenario, 1.0)
 
-        2-D   T ≤ L0 sin(π/n)/(2 c κ(n) sin(π/n − η)),
-        3-D   T ≤ w0/(2c [cos η/n − sin η √(1 − 2/n)]),   w0 = L0/2π
 
-    On any directed graph that may switch, in continuous time.
+def even_time_bound(
+    scenario: Scenario, size: float, error: float, *, held: bool, gain: float | None = None
+) -> float:
+    """Theorem N's T for robots whose gains add up to the same, s.
+
+        η' = η + asin(2cτ/r) if held,     T ≤ L0/min_m shrinking(m, c_m, η') (+ (n − 1) τ)
 
     Args:
-        n: number of robots, at least 2.
-        dim: 2 or 3.
-        initial_size: L0, (...), m.
-        gain: c, (...), m/s.
-        error: η, (...), rad.
+        scenario: gives n, the dimension, r, τ and the graph.
+        size: L(0), m.
+        error: η, rad.
+        held: whether inputs are held over the step.
+        gain: c, m/s; None takes the degrees of law (1), which must stay equal.
 
     Returns:
-        (...), s.
+        A number, s; infinite where η' is too large.
     """
-    rate = shrinking(n, dim, gain, error)
+    left, gains = np.arange(2, scenario.n_robots + 1), _gains(scenario, gain)
+    late_by = _held_error(scenario, gains) if held else np.zeros(len(left))
+    if error == 0.0:
+        late_by[0] = 0.0  # two robots move on one line
+    errors = error + late_by
+    slowest = float(shrinking(left, scenario.dim, gains, errors).min())
+    late = (scenario.n_robots - 1) * scenario.tau if held else 0.0
+    return size / slowest + late if slowest > 0.0 else math.inf
+
+
+def even_error_borne(scenario: Scenario, gain: float | None = None) -> float:
+    """The η that robots bear whose gains add up to the same, inputs held (theorem N).
+
+        π/n − asin(2cτ/r);      in space atan(1/√(n(n − 2))) − asin(2cτ/r)
+
+    Args:
+        scenario: gives n, the dimension, r and τ.
+        gain: c, m/s; None takes the degrees of law (1).
+
+    Returns:
+        A number, rad, at least 0.
+    """
+    m, gains = np.arange(2.0, scenario.n_robots + 1), _gains(scenario, gain)
     with np.errstate(divide="ignore"):
-        return np.asarray(np.asarray(initial_size) / rate)
+        bears = np.pi / m if scenario.dim == 2 else np.arctan(1.0 / np.sqrt(m * (m - 2.0)))
+    return max(0.0, float((bears - _held_error(scenario, gains)).min()))
 
 
-def most_wrong(degree: ArrayLike, error: float) -> Array:
-    """The most by which a net bearing can be wrong, e_i = 2 sin(η/2) D_i (theorem N1), m/s.
-
-    Args:
-        degree: D_i = Σ_j a_ij, (...), m/s.
-        error: η, a number, rad: no bearing is off by more.
-
-    Returns:
-        (...), m/s.
-    """
-    return np.asarray(error_chord(error) * np.asarray(degree))
+def _gains(scenario: Scenario, gain: float | None) -> np.ndarray:
+    """c_m for m = 2 … n robots that are left, m/s."""
+    return least_degrees(scenario) if gain is None else np.full(scenario.n_robots - 1, gain)
 
 
-def error_share(n: int, max_degree: ArrayLike, bottleneck_weight: ArrayLike, error: float) -> Array:
-    """ρ = n D̄ sin(η/2)/a*, what errors take from Σ‖f_i‖ ≥ 2 a* (theorem N1).
-
-    Args:
-        n: number of robots.
-        max_degree: D̄, (...), m/s.
-        bottleneck_weight: a*, (...), m/s.
-        error: η, a number, rad.
-
-    Returns:
-        (...), without unit.
-    """
-    return n * most_wrong(max_degree, error) / (2.0 * np.asarray(bottleneck_weight))
+def _held_error(scenario: Scenario, gains: np.ndarray) -> np.ndarray:
+    """asin(2cτ/r), rad, π/2 at most: by how much a bearing is wrong that is held for a step."""
+    sine = np.minimum(2.0 * gains * scenario.tau / scenario.merge_radius, 1.0)
+    return np.asarray(np.arcsin(sine))
 
 
-def wrong_law_1_time(
-    n: int,
-    lyapunov_bound: ArrayLike,
-    *,
-    max_degree: float,
-    bottleneck_weight: float,
-    error: float,
-    step: float,
-) -> Array:
-    """T of law (1) with bearings that are off by η at most, s (theorem N1).
+def evenly_moved(scenario: Scenario) -> bool:
+    """Whether law (1) gives all robots the same gains at any time, and nobody is slowed down."""
+    fast = scenario.speed_limit >= least_degrees(scenario).max(initial=0.0)
+    return degrees_stay_equal(scenario) and bool(fast)
 
-        T ≤ n (V0⁺ + (n−1) τ Σ e_i²)/(4 a*² (1 − ρ²)) + (n−1) τ,   ρ < 1,   e_i = 2 sin(η/2) D̄
 
-    On an undirected graph, with inputs held over τ ≤ r/(2D̄). Between merges V rises by no more
-    than τ Σ e_i² in a step.
+def expected_time_bound(scenario: Scenario, start: float) -> float:
+    """E[T] of law (1) under unbiased noise that is drawn anew for every bearing and step, s.
+
+        E[T] ≤ n (V0⁺ + n (n − 1) r θ D̄) / (4 a*² [γ(2 − θγ) − θν]),      θ = 2D̄τ/r,
+        γ = E cos ξ = exp(−σ²/2),   ν = n (1 − γ²) Σ_i Σ_j a_ij² / (4 a*²)
 
     Args:
-        n: number of robots.
-        lyapunov_bound: V0⁺ = V(0) + (n−1) r W, (...), m²/s.
-        max_degree: D̄, m/s.
-        bottleneck_weight: a*, m/s.
-        error: η, a number, rad.
-        step: τ, s.
+        scenario: undirected and connected; gives n, r, τ, D̄, a* and σ.
+        start: V(0), m²/s.
 
     Returns:
-        (...), s.
+        A number, s; infinite if the step is too long for this noise, or robots can be slowed down.
     """
-    rho = error_share(n, max_degree, bottleneck_weight, error)
-    lost = (n - 1) * step * n * most_wrong(max_degree, error) ** 2
-    rate = 4.0 * bottleneck_weight**2 * (1.0 - rho**2)
-    return _by(n * (np.asarray(lyapunov_bound) + lost), rate) + (n - 1) * step
+    n, a, degree = scenario.n_robots, scenario.bottleneck_weight, scenario.max_degree
+    theta = 2.0 * degree * scenario.tau / scenario.merge_radius
+    gamma = math.exp(-0.5 * scenario.sensing.noise**2)
+    weights = scenario.sensing_graph.links(n)[2] * scenario.sensing_graph.weight_range[1]
+    nu = n * (1.0 - gamma**2) * 2.0 * float(weights @ weights) / (4.0 * a**2)
+    rate = gamma * (2.0 - theta * gamma) - theta * nu
+    if rate <= 0.0 or scenario.speed_limit < degree:
+        return math.inf
+    above = start + merge_rise_allowance(scenario)
+    above += n * (n - 1) * scenario.merge_radius * theta * degree
+    return n * above / (4.0 * a**2 * rate)
 
 
-def certified_share(min_alignment: ArrayLike, rho: ArrayLike, dead_zone: float = 0.5) -> Array:
-    """Share q = ε (2 − β) − 2 (1 + ε) ρ: Σ_i (h·f̂_i − e_i)₊ ≥ q a* (theorem N1').
+# ---- headings and tanks --------------------------------------------------------------------------
+
+DEAD_ZONE_SHARE = 0.5
+"""β of the dead zone δ = βa*/n in use."""
+
+
+def heading_time_bound(
+    scenario: Scenario, start: float, error: float, min_alignment: float
+) -> float:
+    """Theorem N1''s T for certified headings that allow for errors, inputs held, s.
+
+        T ≤ n V0⁺/(a*² q²) + (n − 1) τ,      q = ε(2 − β) − 2(1 + ε)ρ > 0
+
+    times ``slowdown``, and β the share of ``DEAD_ZONE_SHARE``.
 
     Args:
-        min_alignment: ε, (...), without unit.
-        rho: ρ of ``error_share``, (...), without unit.
-        dead_zone: β, the dead zone δ in units of a*/n.
+        scenario: undirected and connected.
+        start: V(0), m²/s.
+        error: η, rad.
+        min_alignment: ε.
 
     Returns:
-        (...), without unit; nothing is promised unless it is positive.
+        A number, s; infinite for q ≤ 0.
     """
-    epsilon = np.asarray(min_alignment)
-    return np.asarray(epsilon * (2.0 - dead_zone) - 2.0 * (1.0 + epsilon) * np.asarray(rho))
+    q = min_alignment * (2.0 - DEAD_ZONE_SHARE)
+    q -= 2.0 * (1.0 + min_alignment) * share_of_errors(scenario, error)
+    above = start + merge_rise_allowance(scenario)
+    return _by_descent(scenario, above, q)
 
 
-def wrong_certified_time(
-    n: int,
-    lyapunov_bound: ArrayLike,
-    *,
-    bottleneck_weight: float,
-    share: ArrayLike,
-    step: float,
-    slowest: float = 1.0,
-) -> Array:
-    """T of any policy whose heading is certified against what it sees, s (theorem N1').
+def heading_error_borne(scenario: Scenario, min_alignment: float) -> float:
+    """The η with q = 0, rad: any less is borne; arguments as ``heading_time_bound``."""
+    share = min_alignment * (2.0 - DEAD_ZONE_SHARE) / (2.0 * (1.0 + min_alignment))
+    return _error_of_share(scenario, share)
 
-        v_i = max(0, h·f̂_i − e_i) h,      T ≤ n V0⁺/(a*² q² s) + (n−1) τ
 
-    With inputs held over τ, each robot slowed down by a factor of at least s. The same for an
-    energy tank that pays for errors (theorem D), with V0⁺ + (n−1) r W + ΣB_i in place of V0⁺.
+def tank_error_time_bound(
+    scenario: Scenario, most: float, error: float, min_alignment: float
+) -> float:
+    """T under an energy tank that allows for errors, s (theorem D with section 8's charges).
+
+        T ≤ n V_max/(a*² q² s_min) + (n − 1) τ,      q = 2ε − 2(1 + ε)ρ > 0
+
+    as Σ(ε‖f̂_i‖ − e_i)₊ ≥ a* q; this is theorem D's T for η = 0.
 
     Args:
-        n: number of robots.
-        lyapunov_bound: V0⁺, (...), m²/s.
-        bottleneck_weight: a*, m/s.
-        share: q of ``certified_share``, (...), without unit.
-        step: τ, s.
-        slowest: s in (0, 1], without unit: min(1, r/(2D̄τ), v_max/D̄).
+        scenario: undirected and connected.
+        most: V_max = V0⁺ + (n − 1) r W + ΣB_i, m²/s.
+        error: η, rad.
+        min_alignment: ε.
 
     Returns:
-        (...), s.
+        A number, s; infinite for q ≤ 0.
     """
-    q = np.maximum(np.asarray(share), 0.0)
-    return _by(n * np.asarray(lyapunov_bound), (bottleneck_weight * q) ** 2 * slowest) + (
-        (n - 1) * step
-    )
+    rho = share_of_errors(scenario, error)
+    return _by_descent(scenario, most, 2.0 * min_alignment - 2.0 * (1.0 + min_alignment) * rho)
 
 
-def noisy_mean_time(
-    n: int,
-    lyapunov_bound: ArrayLike,
-    *,
-    max_degree: float,
-    bottleneck_weight: float,
-    mean_cosine: ArrayLike,
-    square_weights: ArrayLike,
-    merge_radius: float,
-    step: float,
-) -> Array:
-    """The most that E[T] of law (1) can be with independent, isotropic noise, s.
+def tank_error_borne(scenario: Scenario, min_alignment: float) -> float:
+    """The η with q = 0, rad: any less is borne; arguments as ``tank_error_time_bound``."""
+    return _error_of_share(scenario, min_alignment / (1.0 + min_alignment))
 
-        E[T] ≤ n (V0⁺ + n (n−1) r θ D̄)/(4 a*² [γ (2 − θγ) − θν]),    θ = 2 D̄ τ/r < 2γ/(γ² + ν),
-        ν = n (1 − γ²) Σ a_ij²/(4 a*²)
 
-    On an undirected graph. Any unbiased noise is beaten by a short enough step.
+def _by_descent(scenario: Scenario, above: float, q: float) -> float:
+    """The time n V/(a*² q²) times ``slowdown``, and a step for each merge, s; inf for q ≤ 0."""
+    if q <= 0.0:
+        return math.inf
+    n, a = scenario.n_robots, scenario.bottleneck_weight
+    return n * above / (a * q) ** 2 * slowdown(scenario) + (n - 1) * scenario.tau
+
+
+# ---- links ---------------------------------------------------------------------------------------
+
+
+def link_time_bound(
+    scenario: Scenario, most: float, least_weight: float, share: float, error: float
+) -> float:
+    """Theorem R's T for velocities that keep all links, inputs held, s.
+
+        T ≤ n V_tot / (4 λ d_min s (1 − 2nη/π)²) + (n − 1) τ,      s = min(d_min, v_max, r/(2τ))
+
+    With a long step or a slow robot the law's part is s q in place of d q, which lies in the same
+    set and descends at λ d s ‖q‖².
 
     Args:
-        n: number of robots.
-        lyapunov_bound: V0⁺, (...), m²/s.
-        max_degree: D̄, m/s.
-        bottleneck_weight: a*, m/s.
-        mean_cosine: γ = E cos ξ of the angle ξ by which a bearing is off, (...), without unit.
-        square_weights: Σ_i Σ_j a_ij², each link in both directions, (...), m²/s².
-        merge_radius: r, m.
-        step: τ, s.
+        scenario: gives n, r, τ and v_max.
+        most: V_tot, m²/s.
+        least_weight: d_min, m/s.
+        share: λ.
+        error: η, rad.
 
     Returns:
-        (...), s.
+        A number, s; infinite for η ≥ π/(2n).
     """
-    gamma, theta = np.asarray(mean_cosine), 2.0 * max_degree * step / merge_radius
-    cut_short = n * (n - 1) * merge_radius * theta * max_degree
-    nu = n * (1.0 - gamma**2) * np.asarray(square_weights) / (4.0 * bottleneck_weight**2)
-    share = gamma * (2.0 - theta * gamma) - theta * nu
-    return _by(n * (np.asarray(lyapunov_bound) + cut_short), 4.0 * bottleneck_weight**2 * share)
+    n = scenario.n_robots
+    spare = 1.0 - 2.0 * n * error / math.pi
+    if spare <= 0.0:
+        return math.inf
+    slowest = min(least_weight, scenario.speed_limit, scenario.merge_radius / (2 * scenario.tau))
+    return n * most / (4.0 * share * least_weight * slowest * spare**2) + (n - 1) * scenario.tau
 
 
-def largest_age(max_degree: float, merge_radius: float, *, law_4: bool = False) -> float:
-    """The age that bearings may have, a number, s (E1).
-
-        law (1): r/(2D̄),        law (4): r/(2√3 D̄)
-
-    Args:
-        max_degree: D̄, m/s.
-        merge_radius: r, m.
-        law_4: whether robots move along headings.
-
-    Returns:
-        Δ, s.
-    """
-    return merge_radius / (2.0 * max_degree) / (np.sqrt(3.0) if law_4 else 1.0)
-
-
-def stale_time(
-    n: int, lyapunov_bound: ArrayLike, *, bottleneck_weight: ArrayLike, slowest: ArrayLike = 1.0
-) -> Array:
-    """T of law (1) with bearings of any age up to r/(2D̄), pair by pair, s (E1).
-
-        T ≤ n V0⁺/(4 s a*²);      law (4), up to r/(2√3 D̄):  T ≤ n V0⁺/(ε² a*²), s = ε²/4
-
-    Bearings of a robot that has just merged are fresh; the margin of law (4) is not faded.
-
-    Args:
-        n: number of robots.
-        lyapunov_bound: V0⁺, (...), m²/s.
-        bottleneck_weight: a*, (...), m/s.
-        slowest: s in (0, 1], (...): a robot moves at s_i(t) f̂_i, s ≤ s_i ≤ 1.
-
-    Returns:
-        (...), s.
-    """
-    return _by(
-        n * np.asarray(lyapunov_bound),
-        4.0 * np.asarray(bottleneck_weight) ** 2 * np.asarray(slowest),
-    )
-
-
-def _by(above: Array, rate: ArrayLike) -> Array:
-    """Above over a rate; infinite for a rate that is not positive."""
-    below = np.asarray(rate, dtype=np.float64)
-    with np.errstate(divide="ignore", over="ignore"):
-        return np.where(below > 0.0, above / np.where(below > 0.0, below, 1.0), np.inf)
+def link_error_borne(scenario: Scenario) -> float:
+    """π/(2n), rad: any less is borne (theorem R d)."""
+    return math.pi / (2.0 * scenario.n_robots)

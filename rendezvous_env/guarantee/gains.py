@@ -115,7 +115,10 @@ class Gains(ActionFilter):
         )
         self.range = gain_range(scenario, min_gain, max_gain)
         self._constants = _Constants(
-            self._sight.neighbour_slots, *map(float, self.range), float(scenario.speed_limit)
+            neighbour_slots=self._sight.neighbour_slots,
+            min_gain=float(self.range.least),
+            max_gain=float(self.range.most),
+            speed_limit=float(scenario.speed_limit),
         )
         self.gain = np.zeros((num_envs, scenario.n_robots))
 

@@ -19,6 +19,7 @@ from ..experiment.checks import real, refuse
 from ..experiment.scenario import Scenario
 from .action_filter import ActionFilter, check_goes_anywhere
 from .bearing_errors import check_bearing_error
+from .kinds_of_links import DIRECTED, SWITCHING, kind_of_links
 from .link_set import project_on_links
 from .teams import over_teams, teams_of_block
 
@@ -102,8 +103,10 @@ def asymmetric_sight(scenario: Scenario) -> str:
     Returns:
         Words; empty where sight is symmetric.
     """
-    sensing = scenario.sensing
+    sensing, kind = scenario.sensing, kind_of_links(scenario.sensing_graph)
     needs = "theorem R needs that both see each other while they are near"
+    if kind in (DIRECTED, SWITCHING):
+        return f"graph is a {kind} one; {needs}: it must be undirected, or follow sight"
     if sensing.field_of_view < 2.0 * math.pi:
         return f"sensing.field_of_view is {sensing.field_of_view:.6g} rad; {needs}: it must be 2π"
     if sensing.dropout > 0.0:

@@ -55,6 +55,51 @@ def shrinking(n: ArrayLike, dim: int, gain: ArrayLike, error: ArrayLike = 0.0) -
     return np.where(eta < np.pi / m, np.maximum(rate, 0.0), 0.0)
 
 
+def shrinking_to_leader(n: ArrayLike, dim: int, gain: ArrayLike) -> Array:
+    """Least −L' if one robot may rest and see nobody, the others as in ``shrinking``, m/s.
+
+        2-D:   2 c κ₁(n),   κ₁(n) = (n − 1) sin²(π/(2(n − 1)));      3-D:   π c/(n − 1)
+
+    Args:
+        n: number of robots, (...), at least 2.
+        dim: 2 or 3.
+        gain: c, (...), m/s.
+
+    Returns:
+        (...).
+    """
+    others, c = np.asarray(n, dtype=np.float64) - 1.0, np.asarray(gain)
+    if dim == 2:
+        return np.asarray(2.0 * c * others * np.sin(np.pi / (2.0 * others)) ** 2)
+    return np.asarray(np.pi * c / others)
+
+
+def gain_bound(
+    scenario: Scenario, initial_size: ArrayLike, gain: float, *, led: bool = False
+) -> Array:
+    """Time by which all have met with gains of at least c per robot, s (theorem G).
+
+        T ≤ L0 / min_m shrinking(m, c),   c no more than v_max
+
+    Proven for velocities that follow the bearings in continuous time.
+
+    Args:
+        scenario: gives n, the dimension and v_max.
+        initial_size: L(0), (...), m.
+        gain: c, m/s.
+        led: whether one robot may rest and see nobody.
+
+    Returns:
+        (...), s.
+
+    Raises:
+        ValueError: if a size is not finite or negative.
+    """
+    left, c = np.arange(2, scenario.n_robots + 1), min(gain, scenario.speed_limit)
+    rates = shrinking_to_leader if led else shrinking
+    return checked_size(initial_size) / rates(left, scenario.dim, c).min()
+
+
 def size_bound(scenario: Scenario, initial_size: ArrayLike) -> Array:
     """Time by which law (1) has brought all robots together, s (theorem G).
 

@@ -13,9 +13,14 @@ from train.comparing.episodes import play
 CLUTTER = scenarios.get("clutter-12").replace(time_limit=40.0)
 
 
+def estimated(scenario, runs, **starts):
+    tasks = ceiling.tasks_of(scenario, runs, **starts)
+    return ceiling.joined({task: ceiling.play_run(task) for task in tasks})
+
+
 def test_the_first_run_is_the_joined_rule_that_never_turns_against_f():
     """And the others are different from it and from each other."""
-    estimate = ceiling.estimate(CLUTTER, 4, episodes=20, seed=5)
+    estimate = estimated(CLUTTER, 4, episodes=20, seed=5)
     assert estimate.clean.shape == estimate.success.shape == (4, 20)
     assert not (estimate.clean & ~estimate.success).any()
 
@@ -64,25 +69,27 @@ def test_compare_writes_it(tmp_path, capsys):
 
 def test_the_planner_is_the_ceiling_where_it_fits():
     trap = scenarios.get("trap")
-    estimate = ceiling.estimate(trap, 1, episodes=20, seed=1000)
+    estimate = estimated(trap, 1, episodes=20, seed=1000)
     assert estimate.planned.shape == (20,) and estimate.planned.mean() > estimate.clean.mean()
     assert estimate.row(trap)["clean_planner"] == 1.0
 
     space = scenarios.get("clutter-3d").replace(time_limit=0.5)
-    nothing = ceiling.estimate(space, 1, episodes=2, seed=0)
+    nothing = estimated(space, 1, episodes=2, seed=0)
     assert nothing.planned.shape == (0,) and np.isnan(nothing.row(space)["clean_planner"])
 
 
-def test_compare_plays_the_planner_unless_others_are_named(tmp_path, capsys):
+def test_compare_plays_the_planner_where_it_is_named(tmp_path, capsys):
     """It is a row of its own, and the table says what the row means."""
     words = ["--scenarios", "duo", "--episodes", "3", "--no-figures"]
     assert cli.main(["compare", *words, "--out", str(tmp_path / "all")]) == 0
     rows = {row["policy"]: row for row in results.read_csv(tmp_path / "all" / "results.csv")}
+    assert "bearing-only" in rows and "privileged-planner" not in rows
+    assert "knows the map" not in capsys.readouterr().out
+    words += ["--policies", "bearing-only", "privileged-planner"]
+    assert cli.main(["compare", *words, "--out", str(tmp_path / "two")]) == 0
+    rows = {row["policy"]: row for row in results.read_csv(tmp_path / "two" / "results.csv")}
     assert float(rows["privileged-planner"]["clean_success"]) == 1.0
     assert "knows the map and all positions" in capsys.readouterr().out
-    words += ["--policies", "bearing-only"]
-    assert cli.main(["compare", *words, "--out", str(tmp_path / "one")]) == 0
-    assert "knows the map" not in capsys.readouterr().out
 
 
 def test_a_negative_number_is_refused(capsys):

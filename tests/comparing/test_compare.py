@@ -15,6 +15,8 @@ from train import results
 from train.comparing import compare, episodes, files, playing, statistics
 from train.comparing.episodes import Episodes, play
 from train.learned import policies
+from train.report.input import read
+from train.seeing_again import whole
 
 QUICK = {"scenarios": ("duo", "fig4"), "policies": ("bearing-only", "tangent-joined", "zero")}
 
@@ -110,7 +112,9 @@ class TestFiles:
             )
             key = "duo/bearing-only/1/"
             assert np.array_equal(arrays[key + "positions"], alone.positions[:, 0])
-            assert np.array_equal(arrays[key + "observations"], alone.observations[:, 0])
+            seen = read(folder).recordings["duo", "bearing-only", 1]["observations"]
+            assert np.array_equal(seen, alone.observations[:, 0])
+            assert not any(name.endswith("observations") for name in arrays)
             assert np.array_equal(arrays[key + "lyapunov"], alone.lyapunov[:, 0])
             assert arrays[key + "times"][-1] == alone.rendezvous_time[0]
             jumps = np.flatnonzero(~np.isnan(arrays[key + "lyapunov_before_merge"]))
@@ -178,6 +182,16 @@ class TestMeasures:
         assert (done.max_rise_between_merges <= 0).all() and (done.merge_excess == 0).all()
         bound = time_bound(scenario, done.initial_lyapunov)
         assert np.array_equal(done.time_bound, bound) and (done.time < bound).all()
+
+    def test_size_counts_where_the_graph_changes(self):
+        scenario = scenarios.get("rotating-paths")
+        law, _ = run_play(scenario, "bearing-only", 5)
+        assert len(law.success) == 1, "one start, which is given"
+        assert law.success.all() and (law.max_rise_of_size <= 0).all()
+        chance, _ = run_play(scenario.replace(time_limit=1.0), "random", 5)
+        assert (chance.max_rise_of_size > 0).all()
+        fixed, _ = run_play(scenarios.get("duo"), "bearing-only", 2)
+        assert np.isnan(fixed.max_rise_of_size).all()
 
     def test_certified_headings_keep_their_margin(self):
         done, _ = run_play(scenarios.get("fig3"), "tangent-certified", 2)
@@ -331,6 +345,7 @@ def test_recorded_frames_turn_what_is_seen_into_the_world(name):
     scenario = scenarios.get(name)
     law = "unicycle" if name == "unicycle-6" else "bearing-only"
     _, (kept,) = run_play(scenario, law, 1, keep=1)
+    kept = whole(kept, scenario)
     merges = np.flatnonzero(~np.isnan(kept["lyapunov_before_merge"]))
     seen = kept["observations"][: merges[0], 2, 0]  # robot 2 sees robot 0
     way = kept["positions"][: merges[0], 0] - kept["positions"][: merges[0], 2]

@@ -47,8 +47,8 @@ def test_learning(run):
     figure = learning_figure({"tank": run}, "clutter-24")
     lines = {line.get_label(): line for line in figure.axes[0].get_lines()}
     training, held_out = list(lines.values())[:2]
-    np.testing.assert_allclose(training.get_xydata(), [[9, 0.45], [10, 0.5], [11, 0.55]])
-    np.testing.assert_allclose(held_out.get_xydata(), [[1, 0.3], [2, 0.6]])
+    np.testing.assert_allclose(training.get_xydata(), [[9, 45], [10, 50], [11, 55]])
+    np.testing.assert_allclose(held_out.get_xydata(), [[1, 30], [2, 60]])
     assert [text.get_text() for text in figure.legends[0].get_texts()] == ["tank"]
 
 

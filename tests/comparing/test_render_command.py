@@ -179,3 +179,14 @@ def test_a_still_loads_no_pygame_and_a_film_no_torch(tmp_path):
     )
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "a.gif").stat().st_size > 1000
+
+
+@pytest.mark.parametrize(
+    ("scenario", "policy"),
+    [("uav-6", "nonholonomic-3d"), ("duo", "bearing-only"), ("fig4", "learned-tank")],
+)
+def test_without_a_policy_it_takes_the_best_that_fits(scenario, policy, tmp_path, capsys):
+    path = tmp_path / "still.png"
+    assert main(["render", "--scenario", scenario, "--out", str(path)]) == 0
+    assert f"{scenario}, {policy}: met after" in capsys.readouterr().out
+    assert path.stat().st_size > 1000

@@ -32,6 +32,7 @@ class Moved:
             self.displacements,
             self.lengths,
             links,
+            None,
             self.merged_into,
             obstacles,
             radius,

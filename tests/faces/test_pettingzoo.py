@@ -187,6 +187,7 @@ def _sample(aec):
 
 
 def test_the_registry_of_pettingzoo():
+    pytest.importorskip("pettingzoo.env_registry", reason="PettingZoo has it from 1.27 on")
     env = pettingzoo.make("parallel", "rendezvous/rendezvous-v0", scenario="duo")
     assert env.unwrapped.scenario == Scenario(name="duo", n_robots=2)
     assert env.unwrapped.possible_agents == ["robot_0", "robot_1"]

@@ -179,7 +179,7 @@ def test_v_is_bounded_where_it_never_rises_between_merges():
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        ({"by": "gains"}, "by is 'gains'; it must be one of 'law', 'heading', 'tank'"),
+        ({"by": "gain"}, "by is 'gain'; it must be one of 'law', 'heading', 'tank', 'gains'"),
         ({"by": 3}, "by is 3"),
         ({"by": "law", "min_alignment": 0.5}, "min_alignment is 0.5; it must be exactly 1 with by"),
         ({"by": "heading"}, "min_alignment is 1.0; it must be less than 1 with by"),
@@ -187,6 +187,14 @@ def test_v_is_bounded_where_it_never_rises_between_merges():
         ({"by": "tank", "budget": -1.0}, "budget is -1.0; it must be finite and at least 0"),
         ({"by": "tank", "budget": math.nan}, "budget is nan"),
         ({"budget": 1.0}, 'budget is 1.0; it must be 0 with by="law": only a tank has one'),
+        ({"by": "gains", "min_alignment": 0.5}, "min_alignment is 0.5; it must be exactly 1"),
+        ({"by": "links", "budget": 1.0}, "budget is 1.0; it must be 0 with by"),
+        ({"by": "tank", "min_gain": 1.0}, "min_gain is 1.0; it must be None with by"),
+        ({"by": "links", "max_gain": 1.0}, "max_gain is 1.0; it must be None with by"),
+        ({"by": "gains", "min_gain": -1.0}, "min_gain is -1.0; it must be a positive"),
+        ({"by": "gains", "share": 0.2}, "share is 0.2; it must be 0.5 with by"),
+        ({"by": "links", "share": 0.0}, r"share is 0.0; it must be in \(0, 1\]"),
+        ({"bearing_error": 2.0}, "bearing_error is 2.0; it must be"),
     ],
 )
 def test_arguments_that_do_not_go_together_are_refused(given, message):

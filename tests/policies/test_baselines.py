@@ -99,15 +99,20 @@ def test_every_fitting_policy_has_any_leading_axes_and_stays_in_bounds(scenario)
 
 
 def test_names_are_those_that_fit():
-    everywhere, privileged = {"random", "zero"}, {"privileged-planner"}
-    assert set(baselines.names(POINT)) == {"bearing-only", *everywhere, *privileged}
-    assert set(baselines.names(UNICYCLE)) == {"unicycle", "unicycle-cosine", *everywhere}
-    assert set(baselines.names(SPACE)) == {"nonholonomic-3d", *everywhere}
+    everywhere = {"random", "zero"}
+    references = {"consensus", "circumcentre", "enclosing-ball", "nearest-pursuit", "planner"}
+    privileged = {f"privileged-{name}" for name in references}
+    field = {"unit-mean", "smallest-sector", "quantised", "cyclic-pursuit"}
+    assert set(baselines.names(POINT)) == {"bearing-only", *field, *everywhere, *privileged}
+    cars = {"unicycle", "unicycle-cosine", "pursuit", "windshield"}
+    assert set(baselines.names(UNICYCLE)) == {*cars, *everywhere}
+    assert set(baselines.names(SPACE)) == {"nonholonomic-3d", "pursuit", *everywhere}
     rules = {"tangent", "tangent-blocking", "tangent-joined"}
     certified = {f"{rule}-certified" for rule in rules}
     tuned = {"tangent-joined-tuned", "tank-joined"}
     assert set(baselines.names(CLUTTER)) == {
         "bearing-only",
+        *field,
         *everywhere,
         *rules,
         *certified,
@@ -115,7 +120,7 @@ def test_names_are_those_that_fit():
         *privileged,
     }
     assert set(baselines.names(HEAVY)) == {"damped", *everywhere}
-    assert len(baselines.names()) == 16
+    assert len(baselines.names()) == 26
 
 
 @pytest.mark.parametrize(
@@ -187,10 +192,12 @@ def test_every_policy_says_what_it_is_and_of_which_kind():
 def test_names_are_in_the_order_of_their_kinds():
     kinds = [policy.kind_of(name) for name in baselines.names()]
     assert kinds == sorted(kinds, key=list(policy.KINDS).index)
-    assert baselines.names(UNICYCLE) == ["unicycle", "unicycle-cosine", "random", "zero"]
+    assert baselines.names(UNICYCLE) == [
+        "unicycle", "unicycle-cosine", "pursuit", "windshield", "random", "zero"
+    ]  # fmt: skip
 
 
 def test_another_kind_is_refused_and_nothing_is_entered():
-    with pytest.raises(ValueError, match="kind is 'best'; it must be one of law, rule"):
+    with pytest.raises(ValueError, match="kind is 'best'; it must be one of law, field, rule"):
         policy.register("mine", fits=lambda scenario: True, kind="best")
     assert "mine" not in baselines.names()

@@ -152,7 +152,8 @@ class TestItWatches:
             name for name in rv.scenarios.names() if NAME in baselines.names(rv.scenarios.get(name))
         ]
         assert set(rv.scenarios.names()) - set(fitting) == {
-            "unicycle-6", "uav-6", "cloud-8", "clutter-3d"
+            "unicycle-6", "uav-6", "cloud-8", "clutter-3d", "fov-8", "huettenrauch-20",
+            "huettenrauch-20-sight-40",
         }  # fmt: skip
 
     def test_a_batch_is_its_teams_one_by_one(self):

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 import baselines
-from rendezvous_env import Scenario, Simulator
+from rendezvous_env import Simulator
 from rendezvous_env.experiment import graphs
-from rendezvous_env.trajectory import run
 from train.verification import laws, occlusion, pursuit, size_cases, watches
 from train.verification.cases import BATCH, Case, draw_case
 from train.verification.claims import CLAIMS, check
@@ -100,7 +99,7 @@ def test_a_held_step_that_is_too_long_is_caught():
 
 def test_pursuers_that_do_not_turn_are_caught():
     def blind(case, num_envs, random):
-        pursuer = pursuit.Pursuit(case.scenario, num_envs, random)
+        pursuer = pursuit.pursuit(case, num_envs, random)
 
         def policy(observations, time):
             actions = pursuer(observations, time)
@@ -111,45 +110,6 @@ def test_pursuers_that_do_not_turn_are_caught():
 
     trials, violations, _ = findings("pursuit", 2, law=blind)
     assert violations > 0.9 * trials
-
-
-@pytest.mark.parametrize("dim", [2, 3])
-def test_a_pursuer_turns_to_its_target_and_then_drives_straight_at_it(dim):
-    model = {2: "unicycle", 3: "nonholonomic_3d"}[dim]
-    scenario = Scenario(
-        n_robots=3, dim=dim, robot_model=model, max_turn_rate=3.0, max_speed=0.2, time_step=0.02,
-        allow_long_step=True, neighbour_slots=2, graph="path", time_limit=60.0,
-    )  # fmt: skip
-    simulator = Simulator(scenario, 30)
-    law = pursuit.Pursuit(scenario, 30, np.random.default_rng(0))
-    observations = simulator.reset(1)
-    drove = 0
-    for step in run(simulator, law, observations):
-        speeds = step.actions[..., 0]
-        assert set(np.unique(speeds)) <= {np.float32(0), np.float32(0.2)}
-        seen = scenario.observation_layout.split(step.observations).neighbours
-        units = seen / np.maximum(np.linalg.norm(seen, axis=-1, keepdims=True), 1e-12)
-        ahead = np.max(units[..., 0], axis=-1, initial=0.0)  # cosine to the nearest bearing
-        driving = (speeds > 0) & step.running[:, None]
-        assert (ahead[driving] >= np.cos(3.0 * 0.02) - 1e-6).all()
-        drove += driving.sum()
-    assert drove > 1000 and (simulator.active.sum(axis=-1) == 1).all()
-
-
-def test_yaw_and_pitch_point_the_body_at_a_bearing():
-    random = np.random.default_rng(0)
-    yaw, pitch = random.uniform(-np.pi, np.pi, 100), random.uniform(-1.5, 1.5, 100)
-    target = random.normal(size=(100, 3))
-    target /= np.linalg.norm(target, axis=-1, keepdims=True)
-
-    def axis(a, b):
-        return np.stack([np.cos(b) * np.cos(a), np.cos(b) * np.sin(a), np.sin(b)], axis=-1)
-
-    forward, left = axis(yaw, pitch), np.stack([-np.sin(yaw), np.cos(yaw), 0 * yaw], axis=-1)
-    up = np.cross(forward, left)
-    body = np.stack([np.sum(target * v, axis=-1) for v in (forward, left, up)], axis=-1)
-    turns = pursuit._yaw_and_pitch(body, pitch)
-    np.testing.assert_allclose(axis(yaw + turns[:, 0], pitch + turns[:, 1]), target, atol=1e-12)
 
 
 # ---- bodies --------------------------------------------------------------------------------------

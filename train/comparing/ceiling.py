@@ -8,9 +8,10 @@ certified runs passed cleanly is an estimate, from below, of what any heading po
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from functools import partial
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -80,48 +81,63 @@ def applies(scenario: Scenario) -> bool:
     return "tangent-joined" in baselines.names(scenario) and counts_contacts(scenario)
 
 
-def estimate(
-    scenario: Scenario,
-    runs: int,
-    *,
-    episodes: int,
-    seed: int,
-    on_progress: Callable[[float], None] = lambda share: None,
-) -> Ceiling:
-    """Play the planner and ``runs`` randomised policies on the starts that follow from ``seed``.
+class Run(NamedTuple):
+    """What one run did on N starts."""
 
-    The first run is the joined rule with nothing random but its clearance.
-
-    Args:
-        scenario: single integrators among obstacles.
-        runs: R.
-        episodes: N.
-        seed: of the first start.
-        on_progress: told which share of the runs is done.
-    """
-    success, clean = [], []
-    for run in range(runs):
-
-        def make(run: int = run) -> CertifiedHeadingPolicy:
-            return randomised(scenario, seed=run, spread=_SPREADS[run % 3] if run else 0.0)
-
-        done, _ = play(scenario, make, margin=MIN_ALIGNMENT, episodes=episodes, seed=seed)
-        success.append(done.success)
-        clean.append(done.clean == 1)
-        on_progress((run + 1) / runs)
-    return Ceiling(np.array(success), np.array(clean), _planned(scenario, episodes, seed))
+    success: NDArray[np.bool_]
+    """(N,), whether all met."""
+    clean: NDArray[np.bool_]
+    """(N,), whether they met without touching an obstacle."""
 
 
-def _planned(scenario: Scenario, episodes: int, seed: int) -> NDArray[np.bool_]:
-    """Whether the planner passes each start cleanly; (0,) where it does not fit."""
-    name = privileged_planner.NAME
-    if name not in baselines.names(scenario):
-        return np.zeros(0, np.bool_)
+@dataclass(frozen=True)
+class Task:
+    """One run on one scenario."""
 
-    def make() -> Policy:
-        return baselines.make(name, scenario)
+    scenario: Scenario
+    """Single integrators among obstacles."""
+    run: int
+    """Its number, of which all that is random follows; the first is the joined rule with nothing
+    random but its clearance. PLANNER is no run of law (4), but the planner's."""
+    episodes: int
+    """N."""
+    seed: int
+    """Of the first start."""
 
-    return play(scenario, make, margin=None, episodes=episodes, seed=seed)[0].clean == 1
+
+PLANNER = -1
+
+
+def tasks_of(scenario: Scenario, runs: int, *, episodes: int, seed: int) -> list[Task]:
+    """R runs on the starts that follow from ``seed``, and the planner's where it fits."""
+    fits = privileged_planner.NAME in baselines.names(scenario)
+    numbers = (*range(runs), *((PLANNER,) if fits else ()))
+    return [Task(scenario, run, episodes, seed) for run in numbers]
+
+
+def play_run(task: Task) -> Run:
+    """Play a run."""
+    scenario, run = task.scenario, task.run
+    make: Callable[[], Policy]
+    if run == PLANNER:
+        make, margin = partial(baselines.make, privileged_planner.NAME, scenario), None
+    else:
+        spread = _SPREADS[run % 3] if run else 0.0
+        make = partial(randomised, scenario, seed=run, spread=spread)
+        margin = MIN_ALIGNMENT
+    done, _ = play(scenario, make, margin=margin, episodes=task.episodes, seed=task.seed)
+    return Run(done.success, done.clean == 1)
+
+
+def joined(runs: Mapping[Task, Run]) -> Ceiling:
+    """What all runs on one scenario say."""
+    own = [run for task, run in runs.items() if task.run != PLANNER]
+    planned = [run.clean for task, run in runs.items() if task.run == PLANNER]
+    return Ceiling(
+        success=np.array([run.success for run in own]),
+        clean=np.array([run.clean for run in own]),
+        planned=planned[0] if planned else np.zeros(0, np.bool_),
+    )
 
 
 def randomised(scenario: Scenario, *, seed: int, spread: float) -> CertifiedHeadingPolicy:

@@ -1,7 +1,8 @@
 """What a comparison consists of, and its finished parts on disk.
 
-A cell is one policy on one scenario, or the ceiling of one scenario. It depends on nothing but the
-plan, so a comparison that goes on after a kill finds what an uninterrupted one would have found.
+A cell is a block of starts of one policy on one scenario, or one run of a ceiling. It depends on
+nothing but the plan, so a comparison that goes on after a kill finds what an uninterrupted one
+would have found.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from baselines.policy import source_file
 from .. import results
 from ..learned import checkpoints, policies
 from ..recording import Recording
-from .ceiling import Ceiling
+from .ceiling import Run
 from .episodes import Episodes
 from .out_folder import Part
 from .plan import Config, Job
@@ -71,18 +72,18 @@ def _source() -> str:
 # ---- cells --------------------------------------------------------------------------------------
 
 
-def save(part: Part, number: int, cell: Cell) -> None:
-    """Keep the cell of a job."""
+def save(part: Part, name: str, cell: Cell) -> None:
+    """Keep the cell of a task."""
     episodes, recordings = cell
     arrays = {f"episodes/{field.name}": getattr(episodes, field.name) for field in fields(Episodes)}
     for start, recording in enumerate(recordings):
         arrays |= {f"{start}/{name}": array for name, array in recording.items()}
-    results.write_arrays(part.cell(_job(number)), arrays, part.run)
+    results.write_arrays(part.cell(name), arrays, part.run, packed=False)
 
 
-def load(part: Part, number: int) -> Cell | None:
-    """The cell of a job; None if it is not finished, or cannot be read."""
-    arrays = _read(part, _job(number))
+def load(part: Part, name: str) -> Cell | None:
+    """The cell of a task; None if it is not finished, or cannot be read."""
+    arrays = _read(part, name)
     if arrays is None:
         return None
     episodes = Episodes(*(arrays.pop(f"episodes/{field.name}") for field in fields(Episodes)))
@@ -93,24 +94,15 @@ def load(part: Part, number: int) -> Cell | None:
     return episodes, [recordings[start] for start in sorted(recordings)]
 
 
-def save_ceiling(part: Part, number: int, ceiling: Ceiling) -> None:
-    """Keep the ceiling of a scenario."""
-    arrays = {field.name: getattr(ceiling, field.name) for field in fields(Ceiling)}
-    results.write_arrays(part.cell(_ceiling(number)), arrays, part.run)
+def save_run(part: Part, name: str, run: Run) -> None:
+    """Keep a run of a ceiling."""
+    results.write_arrays(part.cell(name), run._asdict(), part.run, packed=False)
 
 
-def load_ceiling(part: Part, number: int) -> Ceiling | None:
-    """The ceiling of a scenario; None if it is not finished, or cannot be read."""
-    arrays = _read(part, _ceiling(number))
-    return None if arrays is None else Ceiling(**arrays)
-
-
-def _job(number: int) -> str:
-    return f"job-{number:04d}"
-
-
-def _ceiling(number: int) -> str:
-    return f"ceiling-{number:04d}"
+def load_run(part: Part, name: str) -> Run | None:
+    """A run of a ceiling; None if it is not finished, or cannot be read."""
+    arrays = _read(part, name)
+    return None if arrays is None else Run(**arrays)
 
 
 def _read(part: Part, name: str) -> dict[str, np.ndarray[Any, Any]] | None:

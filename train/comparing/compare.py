@@ -12,11 +12,12 @@ from rich.console import Console
 
 from .. import folders
 from ..learned import policies
-from . import cells, gallery, matrix, out_folder, ranking, tables
+from . import cells, gallery, level_tables, matrix, out_folder, ranking, tables
+from .ceilings import play_ceilings
 from .files import count_excess, description, paired_rows, write, write_summary
 from .out_folder import Part
 from .plan import Config, Job, plan
-from .playing import Played, play_all, play_ceilings, play_job, summary
+from .playing import Played, play_all, play_job, summary
 
 __all__ = ["Config", "Job", "Played", "plan", "play_job", "run", "summary"]
 
@@ -99,10 +100,12 @@ def _run(config: Config, jobs: Sequence[Job], part: Part, console: Console, cloc
     rows, rankings = [summary(done) for done in played], ranking.rank(played)
     pairs = paired_rows(played, config.against)
     files += write(part, played, rows, pairs)
+    if sweeps := config.sweeps():
+        files += level_tables.write(part, sweeps, rows)
     _show(config, jobs, console, rankings, rows, pairs)
     clock.now("tables")
     if config.figures:
-        files += gallery.draw(part, rows, played, config.pdf, console)
+        files += gallery.draw(part, rows, played, config, console)
         clock.now("drawing")
     about = description(config, played, clock.timing())
     part.finish(files, about)
@@ -124,7 +127,10 @@ def _show(
 ) -> None:
     """The answer, the matrix, and what was asked for besides."""
     console.print(f"\n[bold]{ranking.answer(rankings)}[/bold]\n")
-    matrix.show(rankings, console)
+    if config.sensing:
+        level_tables.show(config.sweeps(), rows, console)
+    else:
+        matrix.show(rankings, console)
     if config.against is not None:
         console.print()
         console.print(

@@ -56,6 +56,9 @@ class Episodes:
     """V at the start, m²/s."""
     time_bound: NDArray[np.float64]
     """Time by which the policy is proven to have met, s; NaN where nothing is proven."""
+    max_rise_of_size: NDArray[np.float64]
+    """Largest change of the size L in a step, m; negative if L always fell. NaN where the graph is
+    undirected and fixed: there V is what must not rise."""
 
     @classmethod
     def joined(cls, parts: list[Episodes]) -> Episodes:
@@ -79,7 +82,6 @@ def play(
     episodes: int,
     seed: int,
     keep: int = 0,
-    on_progress: Callable[[float], None] = lambda share: None,
 ) -> tuple[Episodes, list[Recording]]:
     """Run one policy from the starts ``seed``, ``seed`` + 1, … of a scenario.
 
@@ -93,7 +95,6 @@ def play(
         episodes: N.
         seed: of the first start.
         keep: how many of the first starts to record.
-        on_progress: told after every step which share of the longest possible run is done.
 
     Raises:
         UserError: if the scenario has no room for a start.
@@ -101,18 +102,17 @@ def play(
     episodes = starts_of(scenario, episodes)
     parts: list[Episodes] = []
     recordings: list[Recording] = []
-    firsts = range(0, episodes, CHUNK)
-    for chunk, first in enumerate(firsts):
+    for first in range(0, episodes, CHUNK):
         simulator = Simulator(scenario, min(CHUNK, episodes - first))
         observations = _reset(simulator, seed + first)
         kept = range(min(keep, episodes)) if first == 0 else ()
-        recorders = [Recorder(Snapshot(simulator), team, observations) for team in kept]
+        start, exact = Snapshot(simulator), scenario.sensing.exact
+        recorders = [Recorder(start, team, observations, exact) for team in kept]
         meter = _Meter(simulator)
         for step in run(simulator, make_policy(), observations):
             aligned, after = meter.see(step), Snapshot(simulator)
             for recorder in recorders:
                 recorder.see(step, aligned, after)
-            on_progress((chunk + meter.share_of_limit) / len(firsts))
         parts.append(meter.episodes(margin))
         recordings += [recorder.finish() for recorder in recorders]
     return Episodes.joined(parts), recordings
@@ -146,12 +146,9 @@ class _Meter:
         self._rise = np.full(batch, -np.inf)
         self._merge_rise, self._merge_excess = np.zeros(batch), np.zeros(batch)
         self._alignment = np.full(batch, np.inf)
-        self._steps = 0
-
-    @property
-    def share_of_limit(self) -> float:
-        """Steps done, as a share of the time limit."""
-        return self._steps / self._simulator.max_steps
+        self._growth = np.full(batch, -np.inf)
+        sized = not simulator.scenario.sensing_graph.undirected
+        self._size = simulator.size() if sized else np.full(batch, np.nan)
 
     def see(self, step: Step) -> NDArray[np.float64]:
         """Take in one step; returns the alignments of its robots, (B, n)."""
@@ -162,7 +159,9 @@ class _Meter:
         np.maximum(self._merge_excess, outcome.merge_excess, out=self._merge_excess, where=at)
         aligned = alignments(self._simulator.scenario, step)
         np.fmin(self._alignment, np.fmin.reduce(aligned, axis=1), out=self._alignment, where=at)
-        self._steps += 1
+        if not np.isnan(self._size).any():  # a hull for every team and step costs more than a step
+            before, self._size = self._size, self._simulator.size()
+            np.maximum(self._growth, self._size - before, out=self._growth, where=at)
         return aligned
 
     def episodes(self, margin: float | None) -> Episodes:
@@ -183,6 +182,7 @@ class _Meter:
             min_alignment=np.where(np.isfinite(self._alignment), self._alignment, np.nan),
             initial_lyapunov=simulator.initial_lyapunov,
             time_bound=_bounds(scenario, simulator.initial_lyapunov, margin),
+            max_rise_of_size=np.where(np.isfinite(self._growth), self._growth, np.nan),
         )
 
 
@@ -190,6 +190,11 @@ def _bounds(
     scenario: Scenario, initial_lyapunov: NDArray[np.float64], margin: float | None
 ) -> NDArray[np.float64]:
     """Proven times in s, NaN where none is proven."""
-    if margin is None or not np.isfinite(certificate(scenario, margin).time_bound):
-        return np.full(initial_lyapunov.shape, np.nan)
-    return time_bound(scenario, initial_lyapunov, min_alignment=margin)
+    nothing = np.full(initial_lyapunov.shape, np.nan)
+    if margin is None:
+        return nothing
+    found = certificate(scenario, margin)
+    if not np.isfinite(found.time_bound) or found.bearing_error > 0.0:
+        return nothing
+    bounds = time_bound(scenario, initial_lyapunov, min_alignment=margin)
+    return np.where(np.isfinite(bounds), bounds, nothing)

@@ -74,8 +74,8 @@ def description(
     used = {done.job.scenario.name: done.job.scenario for done in played}
     return results.provenance() | {
         "seed": config.seed,
-        "episodes": config.episodes,
-        "keep": config.keep,
+        "episodes": config.episodes or max(len(done.episodes.success) for done in played),
+        "keep": max(len(done.recordings) for done in played),
         "starts": {done.job.scenario.name: len(done.episodes.success) for done in played},
         "scenarios": {name: scenario.to_plain() for name, scenario in used.items()},
         "policies": {

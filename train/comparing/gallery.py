@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from itertools import chain
 from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
@@ -10,7 +11,9 @@ from rich.console import Console
 from rendezvous_env.experiment.scenario import Scenario
 
 from ..recording import Recording
+from . import level_tables
 from .out_folder import Part
+from .plan import Config
 from .playing import Played
 
 if TYPE_CHECKING:
@@ -21,18 +24,19 @@ def draw(
     part: Part,
     rows: Sequence[dict[str, Any]],
     played: Sequence[Played],
-    pdf: bool,
+    config: Config,
     console: Console,
 ) -> list[str]:
     """Draw all figures; the names of their files."""
-    from ..pictures import figures
+    from ..pictures import style
 
     files = []
+    found = chain(level_tables.figures(config.sweeps(), rows), _figures(rows, played))
     with console.status("drawing …"):
-        for name, figure in _figures(rows, played):
-            for ending in ("png", "pdf") if pdf else ("png",):
+        for name, figure in found:
+            for ending in ("png", "pdf") if config.pdf else ("png",):
                 files.append(f"{name}.{ending}")
-                figures.save(figure, part.folder / files[-1], part.run)
+                style.save(figure, part.folder / files[-1], part.run)
     return files
 
 

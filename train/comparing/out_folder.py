@@ -22,8 +22,8 @@ from ..errors import UserError
 
 PLAN, RUN, _CELLS = "plan.json", "run.json", "cells"
 _OURS = re.compile(
-    r"(results|episodes|paired|ceiling)\.csv|trajectories\.npz|run\.json|report\.html"
-    r"|(success|times|against-.+|trajectories-.+)\.(png|pdf)"
+    r"(results|episodes|paired|ceiling|levels)\.csv|trajectories\.npz|run\.json|report\.html"
+    r"|(success|times|against-.+|levels-.+|trajectories-.+)\.(png|pdf)"
 )
 _LITTER = re.compile(r"\..+\.part(\.\w+)?")
 """What a kill leaves of a file that was being written."""

@@ -14,6 +14,9 @@ from .. import results
 from ..checks import check_least
 from ..errors import UserError
 from ..learned import policies
+from ..workers import Place, Workers
+from . import levels
+from .episodes import starts_of
 
 DEFAULT_SCENARIOS = (
     "fig3",
@@ -41,6 +44,11 @@ DEFAULT_SCENARIOS = (
     "rooms",
 )
 
+_STARTS, _KEPT = 100, 5
+_LARGE = 8
+"""Robots; what more of them do among obstacles takes so long, and so much room, that fewer starts
+must do."""
+
 
 @dataclass(frozen=True)
 class Config:
@@ -49,10 +57,11 @@ class Config:
     scenarios: tuple[str, ...] = DEFAULT_SCENARIOS
     """Names of scenarios, or paths of TOML files."""
     policies: tuple[str, ...] = ()
-    """Names of policies; none means every one that fits but random and zero. Where one does not fit
-    it is left out."""
-    episodes: int = 100
-    """Starts for each scenario; one whose start is given is played once."""
+    """Names of policies; none means every one that fits but those that see nothing, and references,
+    which see everything. Where one does not fit it is left out."""
+    episodes: int | None = None
+    """Starts for each scenario; none is 100, and fewer for more than eight robots among obstacles:
+    800 over their number. A scenario whose start is given is played once."""
     seed: int = 0
     """Start k of every scenario has the seed SEED + k, whatever the policy."""
     out: Path = Path("out/compare")
@@ -60,8 +69,12 @@ class Config:
     then what is finished lies in OUT.part, and the same command goes on with it."""
     fresh: bool = False
     """Whether to throw away what another command has left unfinished in OUT.part."""
-    keep: int = 5
-    """Starts of which trajectories are kept."""
+    keep: int | None = None
+    """Starts of which trajectories are kept; none is 5, and fewer where there are fewer starts."""
+    sensing: tuple[str, ...] = ()
+    """Fields of the sensor and levels of each, as in noise=0,0.1,0.2 range=none,4,2: each scenario
+    is played at each of them, one field at a time, and drawn against it. The level none is that of
+    an exact sensor."""
     ceiling: int = 0
     """Randomised runs of law (4) on each start, the best of which says what any heading policy can
     reach, beside what a planner can that knows the map; 0 leaves this out."""
@@ -77,6 +90,37 @@ class Config:
     """Whether to draw figures."""
     pdf: bool = False
     """Whether to write each figure as PDF too, for print."""
+    jobs: int | None = None
+    """Worker processes; none is one on each core, or all that a cluster has. Results are the same,
+    bit for bit, whatever their number."""
+    on: Place = "here"
+    """Where they work: on this machine, or on a Ray cluster."""
+    address: str | None = None
+    """Of the Ray cluster; none starts one on this machine."""
+
+    def sweeps(self) -> list[levels.Sweep]:
+        """What the figures against levels of a sensor show."""
+        return levels.sweeps(_resolve(self.scenarios), self.sensing)
+
+    @property
+    def workers(self) -> Workers:
+        """Who plays."""
+        return Workers(self.jobs, self.on, self.address)
+
+    def starts(self, scenario: Scenario) -> int:
+        """How many different starts of a scenario are played."""
+        asked = _fewer(_STARTS, scenario) if self.episodes is None else self.episodes
+        return starts_of(scenario, asked)
+
+    def kept(self, scenario: Scenario) -> int:
+        """How many of them are recorded."""
+        return _fewer(_KEPT, scenario) if self.keep is None else self.keep
+
+
+def _fewer(usual: int, scenario: Scenario) -> int:
+    """As many as usual, or fewer for a large team among obstacles."""
+    large = scenario.obstacles and scenario.n_robots > _LARGE
+    return max(1, usual * _LARGE // scenario.n_robots) if large else usual
 
 
 @dataclass(frozen=True)
@@ -96,11 +140,13 @@ def plan(config: Config) -> list[Job]:
         UserError: for an unknown name or an impossible number.
     """
     check_least(config, episodes=1, seed=0, keep=0, ceiling=0)
-    if config.seed + config.episodes > 2**63:
-        raise UserError(f"--seed is {config.seed}; with {config.episodes} starts it is too large")
+    episodes = config.episodes or _STARTS
+    if config.seed + episodes > 2**63:
+        raise UserError(f"--seed is {config.seed}; with {episodes} starts it is too large")
+    _ = config.workers  # refuses what cannot be
     policies.check_names(config.policies)
     jobs: list[Job] = []
-    for scenario in _resolve(config.scenarios):
+    for scenario in _at_levels(_resolve(config.scenarios), config.sensing):
         fitting = policies.fitting(scenario, config.policies)
         if not fitting:
             known = ", ".join(policies.names(scenario))
@@ -109,6 +155,14 @@ def plan(config: Config) -> list[Job]:
     _check_against(config.against, jobs)
     _check_json(config)
     return jobs
+
+
+def _at_levels(scenarios: Sequence[Scenario], words: Sequence[str]) -> list[Scenario]:
+    """The scenarios, or each of them once at every level of its sensor."""
+    if not words:
+        return list(scenarios)
+    swept = [one for sweep in levels.sweeps(scenarios, words) for one in sweep.scenarios]
+    return list(dict.fromkeys(swept))
 
 
 def _check_against(against: str | None, jobs: Sequence[Job]) -> None:

@@ -1,23 +1,38 @@
-"""Play the jobs of a comparison, those that are finished aside."""
+"""Play what is left of a comparison, cut into tasks that do not depend on each other."""
 
 from __future__ import annotations
 
+import hashlib
+import os
+import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import closing, suppress
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
+from pathlib import Path
 from typing import Any
 
+from filelock import FileLock
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from .. import results
+from baselines import policy as registry
+from rendezvous_env.experiment.scenario import Scenario
+
 from ..learned import policies
 from ..recording import Recording
-from . import ceiling, cells, statistics, tables
+from ..workers import each
+from . import cells, statistics
 from .episodes import Episodes, play
 from .out_folder import Part
 from .plan import Config, Job
+
+BLOCK = 128
+"""Most starts of a task. The same for any number of workers: matrices of another size may be
+multiplied in another order, and rounded otherwise."""
+TOGETHER = 8
+"""Starts that are computed side by side, by other code than a few."""
 
 
 @dataclass(frozen=True)
@@ -32,12 +47,35 @@ class Played:
     """Of the first starts."""
 
 
-def play_job(job: Job, *, episodes: int, seed: int, keep: int = 0, **options: Any) -> Played:
-    """Play one job; ``options`` are those of ``episodes.play``."""
+@dataclass(frozen=True)
+class Task:
+    """A block of the starts of a job."""
+
+    number: int
+    """Of the job."""
+    job: Job
+    """The job."""
+    first: int
+    """Number of the first start."""
+    count: int
+    """How many there are."""
+    seed: int
+    """Of the first start."""
+    keep: int
+    """How many of them to record."""
+
+    @property
+    def name(self) -> str:
+        """Of its cell."""
+        return f"job-{self.number:04d}-{self.first:06d}"
+
+
+def play_job(job: Job, *, episodes: int, seed: int, keep: int = 0) -> Played:
+    """Play one job; the arguments are those of ``episodes.play``."""
     scenario, name = job.scenario, job.policy
     make = partial(policies.make, name, scenario)
     margin = policies.promised_margin(name, make())
-    done = play(scenario, make, margin=margin, episodes=episodes, seed=seed, keep=keep, **options)
+    done = play(scenario, make, margin=margin, episodes=episodes, seed=seed, keep=keep)
     return Played(job, *done)
 
 
@@ -48,89 +86,98 @@ def summary(played: Played) -> dict[str, Any]:
     return statistics.summarise(scenario.name, name, played.episodes, limit)
 
 
-def _compile(jobs: Sequence[Job], console: Console) -> float:
-    """Play two steps of every job, so that its kernels are compiled; the time it took, s."""
+# ---- tasks --------------------------------------------------------------------------------------
+
+
+def tasks_of(jobs: Sequence[Job], config: Config) -> Iterator[Task]:
+    """The tasks of a comparison, in the order of its jobs."""
+    for number, job in enumerate(jobs):
+        starts = config.starts(job.scenario)
+        for first in range(0, starts, BLOCK):
+            count, kept = min(BLOCK, starts - first), max(0, config.kept(job.scenario) - first)
+            yield Task(number, job, first, count, config.seed + first, min(kept, count))
+
+
+def play_task(task: Task) -> tuple[cells.Cell, float]:
+    """What came of a task, and how long it took to make its kernels ready, s."""
     began = time.perf_counter()
-    with console.status("preparing; the first use on a machine compiles, which takes a minute …"):
-        for job in jobs:
-            limit = 2 * job.scenario.tau
-            short = Job(job.scenario.replace(time_limit=limit), job.policy)
-            play_job(short, episodes=2, seed=0)
+    make_ready(task.job, min(task.count, TOGETHER))
     seconds = time.perf_counter() - began
-    console.print(f"kernels ready in {seconds:.1f} s (compiled on first use, then cached)")
-    return seconds
+    done = play_job(task.job, episodes=task.count, seed=task.seed, keep=task.keep)
+    return (done.episodes, done.recordings), seconds
+
+
+@cache
+def make_ready(job: Job, starts: int) -> None:
+    """Play two steps, so that the kernels of a job are loaded, or compiled by one process while the
+    others that need the like wait for it.
+    """
+    scenario = job.scenario
+    short = Job(scenario.replace(time_limit=2 * scenario.tau), job.policy)
+    with FileLock(_lock_of(scenario)):
+        play_job(short, episodes=starts, seed=0)
+
+
+def _lock_of(scenario: Scenario) -> Path:
+    """The lock of the scenarios that are stepped by the same kernels as this one, or by few others:
+    in a folder of this user's own.
+    """
+    layout = scenario.observation_layout
+    kind = scenario.robot_model, scenario.dim, type(scenario.obstacles).__name__
+    kind = *kind, scenario.sensing.exact, layout.neighbour_slots == scenario.n_robots - 1
+    user = os.getuid() if hasattr(os, "getuid") else 0
+    folder = Path(tempfile.gettempdir()) / f"rendezvous-env-locks-{user}"
+    folder.mkdir(mode=0o700, exist_ok=True)
+    return folder / f"{hashlib.sha256(repr(kind).encode()).hexdigest()[:16]}.lock"
+
+
+def _stays(task: Task) -> bool:
+    """Whether only this process knows the policy: it was entered from outside."""
+    with suppress(KeyError):
+        return registry.kind_of(task.job.policy) == "own"
+    return False
 
 
 def play_all(
     jobs: Sequence[Job], config: Config, part: Part, console: Console
 ) -> tuple[list[Played], float]:
-    """Play all jobs that are not finished one after the other, under a progress bar.
+    """Play all tasks that are not finished, under a progress bar.
 
     Returns:
-        What came of all jobs, and the time that compiling took, s.
+        What came of all jobs, and the time for which workers made kernels ready, s, for each of
+        them.
     """
-    finished = [cells.load(part, number) for number in range(len(jobs))]
-    left = [job for job, cell in zip(jobs, finished, strict=True) if cell is None]
-    compile_time = _compile(left, console)
-    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
-    played = []
-    with Progress(*columns, console=console) as progress:
-        bar = progress.add_task("", total=len(jobs))
-        for number, (job, cell) in enumerate(zip(jobs, finished, strict=True)):
-            progress.update(bar, description=f"{job.scenario.name} · {job.policy}".ljust(40))
-            if cell is None:
-                advance = _advance(progress, bar, number)
-                counts = {"episodes": config.episodes, "seed": config.seed, "keep": config.keep}
-                played.append(play_job(job, **counts, on_progress=advance))
-                cells.save(part, number, (played[-1].episodes, played[-1].recordings))
-            else:
-                played.append(Played(job, *cell))
-            progress.update(bar, completed=number + 1)
-        progress.update(bar, description="done".ljust(40))
-    return played, compile_time
+    tasks = list(tasks_of(jobs, config))
+    found = {task: cells.load(part, task.name) for task in tasks}
+    left = [task for task in tasks if found[task] is None]
+    ready = 0.0
+    results = each(play_task, left, config.workers, _stays)
+    with progress(console) as shown, closing(results):
+        total = sum(task.count for task in tasks)
+        done = total - sum(task.count for task in left)
+        bar = shown.add_task("playing", total=total, completed=done)
+        for number, (cell, seconds) in results:
+            task, ready = left[number], ready + seconds
+            cells.save(part, task.name, cell)
+            found[task] = cell
+            name = f"{task.job.scenario.name} · {task.job.policy}".ljust(40)
+            shown.update(bar, advance=task.count, description=name)
+        shown.update(bar, description="played".ljust(40))
+    return list(_joined(jobs, found)), ready / config.workers.count
 
 
-def _advance(progress: Progress, bar: Any, number: int) -> Any:
-    """What moves the bar within job ``number``, at most every tenth of a second."""
-    last = time.monotonic()
-
-    def advance(share: float) -> None:
-        nonlocal last
-        if time.monotonic() - last > 0.1:
-            last = time.monotonic()
-            progress.update(bar, completed=number + share)
-
-    return advance
+def _joined(jobs: Sequence[Job], found: dict[Task, cells.Cell | None]) -> Iterator[Played]:
+    """What came of each job, of the cells of its tasks."""
+    parts: list[list[cells.Cell]] = [[] for _ in jobs]
+    for task, cell in found.items():
+        assert cell is not None
+        parts[task.number].append(cell)
+    for job, blocks in zip(jobs, parts, strict=True):
+        episodes = Episodes.joined([episodes for episodes, _ in blocks])
+        yield Played(job, episodes, [one for _, recordings in blocks for one in recordings])
 
 
-def play_ceilings(part: Part, jobs: Sequence[Job], config: Config, console: Console) -> list[str]:
-    """Estimate what can be reached in each scenario with obstacles; a table and ceiling.csv.
-
-    Returns:
-        Names of the files.
-    """
-    scenarios = [job.scenario for job in jobs]
-    reachable = [scenario for scenario in dict.fromkeys(scenarios) if ceiling.applies(scenario)]
-    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
-    rows = []
-    with Progress(*columns, console=console) as progress:
-        bar = progress.add_task("", total=len(reachable))
-        for number, scenario in enumerate(reachable):
-            progress.update(
-                bar, description=f"{scenario.name} · best of {config.ceiling}".ljust(40)
-            )
-            best = cells.load_ceiling(part, number)
-            if best is None:
-                best = ceiling.estimate(
-                    scenario,
-                    config.ceiling,
-                    episodes=config.episodes,
-                    seed=config.seed,
-                    on_progress=_advance(progress, bar, number),
-                )
-                cells.save_ceiling(part, number, best)
-            rows.append(best.row(scenario))
-        progress.update(bar, completed=len(reachable), description="done".ljust(40))
-    results.write_csv(part.folder / "ceiling.csv", ceiling.COLUMNS, rows)
-    console.print(tables.ceiling_table(rows))
-    return ["ceiling.csv"]
+def progress(console: Console) -> Progress:
+    """A progress bar for starts."""
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
+    return Progress(*columns, TimeElapsedColumn(), console=console)

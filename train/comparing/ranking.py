@@ -84,9 +84,8 @@ def answer(rankings: Sequence[Ranking]) -> str:
     contests = [ranking for ranking in rankings if ranking.is_contest]
     if not contests:
         return "Nothing to win: no scenario has two policies whose clean success can be compared."
-    tops = Counter(name for ranking in contests for name in ranking.top)
-    alone = Counter(ranking.best for ranking in contests if not ranking.tied)
-    order = sorted(tops, key=lambda name: (-tops[name], -alone[name]))
+    tops, alone = _counts(contests)
+    order = leaders(rankings)
     leader = order[0]
     level = [name for name in order if (tops[name], alone[name]) == (tops[leader], alone[leader])]
     where = f"best, or not told from the best, in {_of(tops[leader], len(contests))}"
@@ -95,6 +94,18 @@ def answer(rankings: Sequence[Ranking]) -> str:
     by_itself = f", alone in {alone[leader]}" if alone[leader] and len(contests) > 1 else ""
     then = f"; then {order[1]}, in {tops[order[1]]}" if len(order) > 1 else ""
     return f"{leader} leads in clean success: {where}{by_itself}{then}."
+
+
+def leaders(rankings: Sequence[Ranking]) -> list[str]:
+    """Policies that are best of a scenario or not told from it, those of most scenarios first."""
+    tops, alone = _counts([ranking for ranking in rankings if ranking.is_contest])
+    return sorted(tops, key=lambda name: (-tops[name], -alone[name]))
+
+
+def _counts(contests: Sequence[Ranking]) -> tuple[Counter[str], Counter[str]]:
+    """In how many scenarios each policy is at the top, and in how many alone."""
+    tops = Counter(name for ranking in contests for name in ranking.top)
+    return tops, Counter(ranking.top[0] for ranking in contests if not ranking.tied)
 
 
 def _of(count: int, total: int) -> str:

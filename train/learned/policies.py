@@ -22,6 +22,10 @@ LEARNED = learned_policy.NAME
 LEARNED_TANK = learned_policy.TANK_NAME
 SHIPPED = (LEARNED, LEARNED_TANK)
 _AT_PATH = f"{LEARNED}:"
+_BEST = (LEARNED_TANK, "tank-joined", LEARNED, "tangent-joined-tuned", "tangent-joined")
+"""Policies for obstacles; the sooner, the more starts are met cleanly (README, Results)."""
+_ON_REQUEST = ("blind", "privileged")
+"""Kinds of policies that are compared where they are named."""
 _ABOUT = {
     LEARNED: "Chooses how far aside of f the joined rule aims; certified, shipped with its weights",
     LEARNED_TANK: "Chooses where to go, all round, under an energy tank; shipped with its weights",
@@ -71,17 +75,26 @@ def learned_path(name: str) -> Path | None:
 
 
 def fitting(scenario: Scenario, wanted: Sequence[str]) -> list[str]:
-    """Those of the wanted policies that fit a scenario; if none is named all that fit, but those
-    that see nothing only where nothing else fits.
+    """Those of the wanted policies that fit a scenario; if none is named all that fit and are not
+    only there on request, but those that see nothing or everything only where nothing else fits.
     """
     known = names(scenario)
     if not wanted:
-        return [name for name in known if kind_of(name) != "blind"] or known
+        usual = [name for name in known if name in SHIPPED or not registry.on_request(name)]
+        return [name for name in usual if kind_of(name) not in _ON_REQUEST] or usual
     return [
         name
         for name in wanted
         if name in known or (learned_path(name) is not None and _can_steer(scenario))
     ]
+
+
+def best(scenario: Scenario) -> str:
+    """The policy to take where none is named: the best that fits, for obstacles if there are any,
+    else the law of such robots.
+    """
+    known = fitting(scenario, ())
+    return next((name for name in _BEST if scenario.obstacles and name in known), known[0])
 
 
 def _can_steer(scenario: Scenario) -> bool:

@@ -53,7 +53,7 @@ class PolicySettings:
     guarantee: Literal["heading", "tank"] = "heading"
     """Theorem C's certified heading, or theorem D's energy tank."""
     budget: float = 0.0
-    """Of each tank at the start, in units of r D̄ of the scenario: the same for teams of any size."""
+    """Of each tank at the start, in units of r D̄: the same for teams of any size."""
     memory: Memory = "none"
     """Nothing, or with a tank features of walls, or whatever a recurrent unit keeps."""
     memory_units: int = 64

@@ -8,15 +8,15 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rendezvous_env.drawing.palette import OBSTACLE, ROBOTS, code
 from rendezvous_env.experiment.scenario import Scenario
 
-from ..results import atomic
+from .style import COLUMN, PAGE, SMALL, new_figure, styled
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -36,12 +36,17 @@ _POLICY_COLOURS = {
     "tangent": DARK_RED,
     "tangent-blocking": PURPLE,
     "tangent-joined": GREEN,
+    "tank-joined": GREEN,
     "learned": VERMILLION,
 }
 """The paper's laws (1), (7) and (12) never meet in one scenario and share a colour."""
+LINE = 0.155
+"""Height of a line of a panel or a legend, inch."""
+LEGEND_COLUMNS = 2
+_CROWDED = 0.07
+"""Share of an axis in which two numbers would touch."""
 _VARIANTS = {"-certified": "s", "-tuned": "^", "-tank": "D"}
 """Variants of a policy have its colour and another marker."""
-_DPI = 150
 
 
 def policy_colour(name: str) -> str:
@@ -52,7 +57,14 @@ def policy_colour(name: str) -> str:
 
 def policy_marker(name: str) -> str:
     """The marker of a policy, which tells its variants apart."""
+    if name.startswith("tank-"):
+        return _VARIANTS["-tank"]
     return next((mark for end, mark in _VARIANTS.items() if name.endswith(end)), "o")
+
+
+def _line_style(name: str) -> str:
+    """Solid for a policy, broken for a variant, dotted under a tank."""
+    return {"o": "-", _VARIANTS["-tank"]: ":"}.get(policy_marker(name), "--")
 
 
 def _base(name: str) -> str:
@@ -62,30 +74,10 @@ def _base(name: str) -> str:
     return name
 
 
-def save(figure: Figure, path: Path, run: str = "") -> None:
-    """Write a figure as PNG or PDF, by the name's ending, whole or not at all.
-
-    Args:
-        figure: to write.
-        path: of the file.
-        run: id of the run that it shows; it goes into the file as its subject.
-    """
-    ending = path.suffix.lower().removeprefix(".")
-    about = {"Subject": f"rendezvous compare, run {run}"} if run else None
-    with atomic(path) as temporary:
-        figure.savefig(temporary, dpi=_DPI, format=ending, metadata=about)
-
-
-def new_figure(width: float, height: float) -> Figure:
-    """A figure of so many inches that no window system has to show."""
-    from matplotlib.figure import Figure
-
-    return Figure(figsize=(width, height), layout="constrained")
-
-
 # ---- compare ------------------------------------------------------------------------------------
 
 
+@styled
 def success_figure(rows: Sequence[Mapping[str, Any]]) -> Figure:
     """Success and clean success of every policy, one panel for each scenario.
 
@@ -94,20 +86,23 @@ def success_figure(rows: Sequence[Mapping[str, Any]]) -> Figure:
     """
 
     def draw(axes: Axes, panel: Sequence[Mapping[str, Any]]) -> None:
-        _intervals(axes, panel, "success", "success", -0.16, filled=False)
-        _intervals(axes, panel, "clean_success", "clean", 0.16)
-        axes.set_xlim(-0.04, 1.04)
+        _intervals(axes, panel, "success", "success", above=True, factor=100.0)
+        _intervals(axes, panel, "clean_success", "clean", factor=100.0)
+        axes.set_xlim(-4, 104)
+        axes.set_xticks(range(0, 101, 25))
 
-    figure = _panels(rows, draw, "fraction of starts, with 95 % interval")
+    figure = _panels(rows, draw, "share of starts / %")
     axes = figure.axes[0]
     handles = [
-        axes.plot([], [], "o", color=GREY, fillstyle="none", label="success")[0],
-        axes.plot([], [], "o", color=GREY, label="success without contact")[0],
+        axes.plot([], [], "o", color=GREY, fillstyle="none", label="all robots met")[0],
+        axes.plot([], [], "o", color=GREY, label="and none touched an obstacle")[0],
+        axes.plot([], [], "-", color=GREY, label="95 % interval")[0],
     ]
-    figure.legend(handles=handles, loc="outside upper right", ncols=2, fontsize=8, frameon=False)
+    figure.legend(handles=handles, loc="outside upper center", ncols=3)
     return figure
 
 
+@styled
 def time_figure(rows: Sequence[Mapping[str, Any]]) -> Figure:
     """Median rendezvous times of the policies that meet, one panel for each scenario.
 
@@ -117,7 +112,7 @@ def time_figure(rows: Sequence[Mapping[str, Any]]) -> Figure:
 
     def draw(axes: Axes, panel: Sequence[Mapping[str, Any]]) -> None:
         met = [row for row in panel if row["success"] > 0.5]
-        _intervals(axes, met, "median_time", "time", 0.0)
+        _intervals(axes, met, "median_time", "time")
         for row in panel:
             if row not in met:
                 note = axes.text(
@@ -126,34 +121,40 @@ def time_figure(rows: Sequence[Mapping[str, Any]]) -> Figure:
                     "more than half time out",
                     transform=axes.get_yaxis_transform(),
                     va="center",
-                    fontsize=7,
+                    fontsize=SMALL - 1,
                     color="0.4",
                 )
                 note.set_in_layout(False)  # in a panel of time-outs alone it would take all room
         latest = [np.fmax(row["time_high"], row["median_time"]) for row in met]
         axes.set_xlim(0, 1.15 * max(latest, default=1.0))
 
-    return _panels(rows, draw, "median rendezvous time / s, with 95 % interval")
+    figure = _panels(rows, draw, "median rendezvous time / s")
+    handle = figure.axes[0].plot([], [], "o-", color=GREY, label="median, 95 % interval")[0]
+    figure.legend(handles=[handle], loc="outside upper center")
+    return figure
 
 
 def _panels(rows: Sequence[Mapping[str, Any]], draw: Any, label: str) -> Figure:
-    """A grid with one panel for each scenario and one line for each of its policies."""
+    """A page with one panel for each scenario and one line for each of its policies."""
     names = list(dict.fromkeys(row["scenario"] for row in rows))
-    columns = min(4, len(names))
-    grid_rows = math.ceil(len(names) / columns)
-    figure = new_figure(max(4.5, 3.4 * columns), 0.7 + 2.3 * grid_rows)
-    for number, name in enumerate(names):
-        axes = figure.add_subplot(grid_rows, columns, number + 1)
-        panel = [dict(row) for row in rows if row["scenario"] == name]
+    panels = [[dict(row) for row in rows if row["scenario"] == name] for name in names]
+    columns = min(3, len(names))
+    tallest = [max(map(len, panels[k : k + columns])) for k in range(0, len(names), columns)]
+    heights = [0.35 + LINE * lines for lines in tallest]
+    width = COLUMN if columns == 1 else PAGE
+    figure = new_figure(width, 0.6 + sum(heights))
+    grid = figure.add_gridspec(len(heights), columns, height_ratios=heights)
+    for number, (name, panel) in enumerate(zip(names, panels, strict=True)):
+        axes = figure.add_subplot(grid[number // columns, number % columns])
         for place, row in enumerate(panel):
             row["place"] = place
         draw(axes, panel)
-        axes.set_title(f"{name}, one start" if _is_single(panel[0]) else name, fontsize=9)
-        axes.set_yticks(range(len(panel)), [row["policy"] for row in panel], fontsize=7)
-        axes.set_ylim(len(panel) - 0.5, -0.5)
-        axes.tick_params(axis="x", labelsize=7)
-        axes.grid(axis="x", color="0.9")
-    figure.supxlabel(label, fontsize=9)
+        axes.set_title(f"{name}, one start" if _is_single(panel[0]) else name)
+        axes.set_yticks(range(len(panel)), [row["policy"] for row in panel])
+        axes.set_ylim(tallest[number // columns] - 0.5, -0.5)
+        axes.tick_params(length=2)
+        axes.grid(axis="x")
+    figure.supxlabel(label, fontsize=8)
     return figure
 
 
@@ -166,15 +167,16 @@ def _intervals(
     rows: Sequence[Mapping[str, Any]],
     value: str,
     interval: str,
-    shift: float,
     *,
-    filled: bool = True,
+    above: bool = False,
+    factor: float = 1.0,
 ) -> None:
-    """A marker with a horizontal interval for each row, ``shift`` below its line; nothing where the
-    value does not apply, and no interval where there is none.
+    """A marker with a horizontal interval for each row, open and over the line where another one
+    stands below it; nothing where the value does not apply, and no interval where there is none.
     """
+    shift = 0.17 if interval == "clean" else -0.17 if above else 0.0
     for row in rows:
-        centre, low, high = (float(row[key]) for key in (value, *_ends(interval)))
+        centre, low, high = (factor * float(row[key]) for key in (value, *_ends(interval)))
         if math.isnan(centre):
             continue
         axes.errorbar(
@@ -183,9 +185,10 @@ def _intervals(
             xerr=np.fmax(0.0, [[centre - low], [high - centre]]),
             fmt=policy_marker(row["policy"]),
             color=policy_colour(row["policy"]),
-            markerfacecolor=None if filled else "white",
-            markersize=4,
-            linewidth=1.2,
+            markerfacecolor="white" if above else None,
+            markersize=3,
+            linewidth=1.0,
+            markeredgewidth=0.8,
             clip_on=False,
         )
 
@@ -228,6 +231,7 @@ def _number(scenario: Scenario, quantity: str) -> int | None:
     return count if isinstance(count, int) and not isinstance(scenario.obstacles, tuple) else None
 
 
+@styled
 def sweep_figure(
     rows: Sequence[Mapping[str, Any]], group: Sequence[Scenario], quantity: str
 ) -> Figure:
@@ -241,42 +245,56 @@ def sweep_figure(
     numbers = {scenario.name: _number(scenario, quantity) or 0 for scenario in group}
     inside = [row for row in rows if row["scenario"] in numbers]
     policies = list(dict.fromkeys(row["policy"] for row in inside))
-    figure = new_figure(6.4, 4.0)
+    lines = math.ceil(len(policies) / LEGEND_COLUMNS)
+    figure = new_figure(COLUMN, 2.75 + LINE * lines)
     axes = figure.add_subplot()
-    apart = 0.008 * (max(numbers.values()) - min(numbers.values()))
-    for place, policy in enumerate(policies):
+    for policy in policies:
         own = [row for row in inside if row["policy"] == policy]
         own.sort(key=lambda row: numbers[row["scenario"]])
-        shift = apart * (place - (len(policies) - 1) / 2)
-        _line(axes, policy, [numbers[row["scenario"]] + shift for row in own], own)
-    axes.set_xticks(sorted(numbers.values()))
-    axes.set(xlabel=f"number of {quantity}", ylim=(-2, 102))
-    axes.set_ylabel("met without contact / % of starts")
-    axes.grid(color="0.92")
+        x = [numbers[row["scenario"]] for row in own]
+        policy_line(axes, policy, x, 100.0 * columns_of(own, "clean_success", "clean"))
+    places = sorted(numbers.values())
+    if min(np.diff(places)) < _CROWDED * (places[-1] - places[0]):
+        axes.set_xscale("log")
+    axes.set_xticks(places, [str(place) for place in places])
+    axes.minorticks_off()
+    axes.set(xlabel=f"number of {quantity}", ylim=(-3, 103))
+    axes.set_ylabel("met without a contact / % of starts")
+    axes.grid()
     example = group[0]
     count = _number(example, "obstacles")
     clutter = f"{count} obstacles" if count else "the same obstacles"
     fixed = f"{example.n_robots} robots" if quantity == "obstacles" else clutter
-    axes.set_title(f"{fixed}; bars: 95 % intervals", fontsize=9)
-    figure.legend(loc="outside right upper", fontsize=8, frameon=False)
+    axes.set_title(f"Teams that meet cleanly: {fixed}, 95 % intervals")
+    figure.legend(loc="outside lower center", ncols=LEGEND_COLUMNS)
     return figure
 
 
-def _line(axes: Axes, policy: str, x: Sequence[float], rows: Sequence[Mapping[str, Any]]) -> None:
-    """One policy, with its intervals."""
-    centre, low, high = (
-        100 * np.array([row[key] for row in rows], dtype=float)
-        for key in ("clean_success", "clean_low", "clean_high")
-    )
+def policy_line(
+    axes: Axes, policy: str, x: Sequence[float] | NDArray[Any], numbers: NDArray[Any]
+) -> None:
+    """One policy, with its intervals.
+
+    Args:
+        axes: to draw into.
+        policy: its name, which says how it is drawn.
+        x: (N,).
+        numbers: values and the ends of their intervals, (3, N).
+    """
+    centre, low, high = numbers
     axes.errorbar(
         x,
         centre,
         yerr=np.fmax(0.0, [centre - low, high - centre]),
         fmt=policy_marker(policy),
-        linestyle="-" if policy == _base(policy) else "--",
+        linestyle=_line_style(policy),
         color=policy_colour(policy),
-        markersize=4.5,
-        linewidth=1.3,
-        elinewidth=0.9,
+        elinewidth=0.6,
         label=policy,
     )
+
+
+def columns_of(rows: Sequence[Mapping[str, Any]], value: str, interval: str) -> NDArray[Any]:
+    """Values and the ends of their intervals, (3, N), of rows of results.csv."""
+    names = (value, *_ends(interval))
+    return np.array([[row[name] for row in rows] for name in names], dtype=float)

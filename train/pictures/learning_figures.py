@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import results
-from .figures import BLACK, BLUE, GREY, ROBOT_COLOURS, VERMILLION, new_figure
+from .figures import BLACK, BLUE, GREY, ROBOT_COLOURS, VERMILLION
+from .style import COLUMN, new_figure, styled
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -21,6 +22,7 @@ _FIRST_UPDATES = 8
 """Not drawn: all teams begin together, so that quick episodes end first and the others at once."""
 
 
+@styled
 def learning_figure(runs: Mapping[str, Path], scenario: str) -> Figure:
     """Clean success over decisions: held-out starts with 95 % intervals, and training itself.
 
@@ -34,19 +36,19 @@ def learning_figure(runs: Mapping[str, Path], scenario: str) -> Figure:
     Raises:
         OSError: if a file cannot be read.
     """
-    figure = new_figure(6.4, 3.6)
+    figure = new_figure(COLUMN, 2.6)
     axes = figure.add_subplot()
     for colour, (name, folder) in zip(_COLOURS * len(runs), runs.items(), strict=False):
         metrics = results.read_csv(folder / "metrics.csv")
-        kept = metrics[_FIRST_UPDATES:]
-        axes.plot(*_columns(kept, "clean_success"), color=colour, linewidth=0.7, alpha=0.5)
+        steps, share = _columns(metrics[_FIRST_UPDATES:], "clean_success")
+        axes.plot(steps, 100 * share, color=colour, linewidth=0.6, alpha=0.5)
         evaluated = results.read_csv(folder / "evaluation.csv")
         _draw_held_out(
             axes, [row for row in evaluated if row["scenario"] == scenario], colour, name
         )
-    axes.set(xlabel="decisions / million", ylabel="clean success", ylim=(None, 1.005))
-    axes.grid(color="0.92")
-    figure.legend(frameon=False, fontsize=8, loc="outside upper center", ncols=len(runs))
+    axes.set(xlabel="decisions / million", ylabel="met without a contact / %", ylim=(None, 100.5))
+    axes.grid()
+    figure.legend(loc="outside upper center", ncols=2)
     return figure
 
 
@@ -62,12 +64,13 @@ def _columns(
 def _draw_held_out(axes: Axes, rows: Sequence[Mapping[str, str]], colour: str, name: str) -> None:
     steps, share = _columns(rows, "clean_success")
     low, high = (_columns(rows, end)[1] for end in ("clean_low", "clean_high"))
-    spread = np.stack([share - low, high - share])
+    spread = 100 * np.stack([share - low, high - share])
     axes.errorbar(
-        steps, share, spread, color=colour, fmt="o-", markersize=3.5, linewidth=1.4, label=name
+        steps, 100 * share, spread, color=colour, fmt="o-", markersize=3, elinewidth=0.8, label=name
     )
 
 
+@styled
 def tank_figure(
     times: NDArray[np.float64],
     lyapunov: NDArray[np.float64],
@@ -82,20 +85,20 @@ def tank_figure(
         levels: A, (T, n), m²/s.
         active: (T, n), which robots are there.
     """
-    figure = new_figure(6.4, 4.4)
+    figure = new_figure(COLUMN, 3.6)
     above, below = figure.subplots(2, 1, sharex=True)
     total = lyapunov + np.where(active, levels, 0.0).sum(axis=1)
-    above.plot(times, total, color=GREY, linewidth=1.4, label="V + ΣA, which does not rise")
-    above.plot(times, lyapunov, color=BLUE, linewidth=1.6, label="V")
+    above.plot(times, total, color=GREY, label="V + ΣA, which does not rise")
+    above.plot(times, lyapunov, color=BLUE, label="V")
     above.set(ylabel="V / (m²/s)", ylim=(0, None))
     for robot in range(levels.shape[1]):
         shown = np.where(active[:, robot], levels[:, robot], np.nan)
         colour = ROBOT_COLOURS[robot % len(ROBOT_COLOURS)]
-        below.plot(times, shown, color=colour, linewidth=1.4, label=f"robot {robot}")
-    below.set(xlabel="time / s", ylabel="level A of the tank / (m²/s)", ylim=(0, None))
+        below.plot(times, shown, color=colour, label=f"robot {robot}")
+    below.set(xlabel="time / s", ylabel="level A of a tank / (m²/s)", ylim=(0, None))
     for axes in (above, below):
-        axes.grid(color="0.92")
-        axes.legend(frameon=False, fontsize=8)
+        axes.grid()
+        axes.legend()
     return figure
 
 

@@ -23,7 +23,7 @@ from rendezvous_env.trajectory import run as steps_of
 from ..errors import UserError
 from ..learned import policies
 from ..results import atomic, prepare_folder
-from . import figures, films, path_figures
+from . import films, path_figures, style
 from .reproduce import one_team
 
 STILLS = (".png", ".pdf")
@@ -41,8 +41,8 @@ class Config:
 
     scenario: str = "fig4"
     """Name of a scenario, or path of a TOML file."""
-    policy: str = "tangent-joined"
-    """Name of a policy; learned and learned:PATH are among them."""
+    policy: str | None = None
+    """Name of a policy; learned and learned:PATH are among them. None is the best that fits."""
     seed: int = 0
     """Of the start."""
     out: Path = Path("out/render.gif")
@@ -63,28 +63,28 @@ def run(config: Config) -> int:
         UserError: for an unknown name or ending, an impossible number, a file that cannot be
             written, or a missing extra.
     """
-    scenario = _check(config)
+    scenario, name = _check(config)
     prepare_folder(config.out.parent)
     console = Console()
     with console.status("simulating; the first use on a machine compiles …"):
-        policy = policies.make(config.policy, scenario)
+        policy = policies.make(name, scenario)
         trajectory = rollout(scenario, policy, config.seed)
     try:
         if config.out.suffix.lower() in STILLS:
-            figure = path_figures.team_figure(scenario, one_team(trajectory), config.policy)
-            figures.save(figure, config.out)
+            figure = path_figures.team_figure(scenario, one_team(trajectory), name)
+            style.save(figure, config.out)
         else:
-            _write_film(config, scenario, trajectory, console)
+            _write_film(config, name, trajectory, console)
     except OSError as error:
         raise UserError(f"--out {config.out}: cannot write there: {error.strerror}") from error
     end = "met" if trajectory.success[0] else "did not meet, stopped"
     seconds = float(trajectory.times[-1])
-    console.print(f"{scenario.name}, {config.policy}: {end} after {seconds:.2f} s; {config.out}")
+    console.print(f"{scenario.name}, {name}: {end} after {seconds:.2f} s; {config.out}")
     return 0
 
 
-def _check(config: Config) -> Scenario:
-    """The scenario, once everything is known to be right."""
+def _check(config: Config) -> tuple[Scenario, str]:
+    """The scenario and the policy's name, once everything is known to be right."""
     ending, known = config.out.suffix.lower(), (*films.ENDINGS, *STILLS)
     if ending not in known:
         raise UserError(
@@ -94,21 +94,21 @@ def _check(config: Config) -> Scenario:
         value = getattr(config, field)
         if value is not None and not least <= value <= most:
             raise UserError(f"--{field} is {value}; it must be from {least} to {most}")
-    policies.check_names([config.policy])
+    policies.check_names([config.policy] if config.policy else [])
     try:
         scenario = resolve(config.scenario)
-        policies.make(config.policy, scenario)
+        name = config.policy or policies.best(scenario)
+        policies.make(name, scenario)
     except (ValueError, OSError) as error:
         raise UserError(str(error)) from error
     if ending in films.ENDINGS:
         films.check(config.out)
-    return scenario
+    return scenario, name
 
 
-def _write_film(
-    config: Config, scenario: Scenario, trajectory: Trajectory, console: Console
-) -> None:
+def _write_film(config: Config, name: str, trajectory: Trajectory, console: Console) -> None:
     """Play the episode once more, with a renderer looking on."""
+    scenario = trajectory.scenario
     length = float(trajectory.times[-1])
     fps = films.rate(config.out, config.fps)
     steps = len(trajectory.times) - 1
@@ -117,7 +117,7 @@ def _write_film(
     simulator = Simulator(scenario)
     observations = simulator.reset(config.seed)
     renderer = Renderer(simulator, "rgb_array", (edge, edge), horizon=length)
-    policy = policies.make(config.policy, scenario)
+    policy = policies.make(name, scenario)
     pictures = _pictures(renderer, simulator, policy, observations, (speed / fps, fps))
     total = math.ceil(length * fps / speed) + round(_LAST_PICTURE * fps)
     with Progress(console=console, transient=True) as progress, atomic(config.out) as temporary:

@@ -20,7 +20,7 @@ from .. import results
 from ..checks import check_least, check_most
 from ..errors import UserError
 from ..learned import policies
-from . import figures, path_figures, tank_figure
+from . import path_figures, style, tank_figure
 
 _LAWS = {"fig3": "bearing-only", "fig4": "tangent-joined"}
 """Figure 3: law (1), through the obstacles. Figure 4: law (4) round them."""
@@ -73,7 +73,7 @@ def run(config: Config) -> int:
     results.write_csv(path.with_suffix(".csv"), _columns(scenario.n_robots), _rows(recording))
     figure = path_figures.team_figure(scenario, recording, name)
     for ending in (".png", ".pdf"):
-        figures.save(figure, path.with_suffix(ending))
+        style.save(figure, path.with_suffix(ending))
     end = f"met after {recording['times'][-1]:.2f} s" if trajectory.success[0] else "did not meet"
     (rise,) = trajectory.largest_rise_between_merges
     console.print(f"{config.figure}, {name}: {end}; largest change of V in a step {rise:.2g} m²/s")
@@ -95,7 +95,7 @@ def _tank(config: Config) -> int:
     results.write_csv(path.with_suffix(".csv"), tank_figure.COLUMNS, rows)
     figure = tank_figure.draw(rows)
     for ending in (".png", ".pdf"):
-        figures.save(figure, path.with_suffix(ending))
+        style.save(figure, path.with_suffix(ending))
     for row in rows:
         console.print(
             f"B = {row['budget']:g} m²/s, ε = {row['min_alignment']:g}: "

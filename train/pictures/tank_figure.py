@@ -10,7 +10,8 @@ from rendezvous_env.experiment import scenarios
 from rendezvous_env.guarantee.certificate import certificate
 from rendezvous_env.trajectory import rollout
 
-from .figures import BLUE, VERMILLION, new_figure
+from .figures import BLUE, VERMILLION
+from .style import PAGE, new_figure, styled
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -53,27 +54,32 @@ def bound(margin: float, budget: float) -> float:
     return certificate(free, margin, by="tank", budget=budget).time_bound
 
 
+@styled
 def draw(rows: Sequence[dict[str, Any]]) -> Figure:
     """Clean success and the bound against ε, one line for each budget.
 
     Args:
         rows: as ``measured`` gives them.
     """
-    figure = new_figure(8.0, 3.4)
+    figure = new_figure(PAGE, 2.6)
     left, right = figure.subplots(1, 2)
     for budget, colour in zip(BUDGETS, _COLOURS, strict=True):
         line = [row for row in rows if row["budget"] == budget]
         margins = [row["min_alignment"] for row in line]
         label = f"B = {budget:g} m²/s"
-        left.plot(margins, [row["clean_success"] for row in line], "o-", color=colour, label=label)
+        left.plot(
+            margins, [100 * row["clean_success"] for row in line], "o-", color=colour, label=label
+        )
         right.plot(margins, [row["bound"] for row in line], "o-", color=colour, label=label)
     starts = rows[0]["episodes"]
-    left.set(ylim=(0, 1.03), ylabel="meet without a contact", title=f"{SCENARIO}, {starts} starts")
-    right.set(yscale="log", ylabel="time bound / s", title="theorem D, nothing in the way")
+    left.set(ylim=(0, 103), ylabel="met without a contact / %")
+    left.set(title=f"What is reached: {SCENARIO}, {starts} starts")
+    right.set(yscale="log", ylabel="time bound / s")
+    right.set(title="What theorem D promises with nothing in the way")
     for axes in (left, right):
-        axes.set(xscale="log", xlabel="margin ε")
+        axes.set(xscale="log", xlabel="alignment margin ε")
         axes.set_xticks(MARGINS, [f"{margin:g}" for margin in MARGINS])
         axes.minorticks_off()
-        axes.grid(alpha=0.3)
-    left.legend(loc="lower left", frameon=False)
+        axes.grid()
+    left.legend(loc="lower left")
     return figure

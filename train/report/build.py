@@ -20,15 +20,27 @@ from tyro.conf import Positional
 from rendezvous_env.experiment.outlines import balls, outlines
 from rendezvous_env.experiment.scenario import Scenario
 
+from ..comparing.ranking import Ranking, answer, leaders
 from ..errors import UserError
 from ..pictures.figures import ROBOT_COLOURS
 from ..recording import MAX_FRAMES
 from ..results import atomic
 from .encoding import Encoded, encode_all, rounding
 from .input import Comparison, read
+from .words import caption, counts, rankings
 
 _PAGE = files("train.report") / "page"
-_SCRIPTS = ("data", "world", "sight", "plots", "tables", "replay")
+_SCRIPTS = ("data", "choice", "save", "world", "sight", "plots", "tables", "pane", "replay")
+_OUTCOME = (
+    "success",
+    "clean",
+    "time",
+    "path_length",
+    "contacts",
+    "clearance",
+    "min_alignment",
+)
+"""Columns of episodes.csv that are shown beside a replay."""
 _NOTHING_KEPT = "No start was kept (compare ran with --keep 0), so there is nothing to replay."
 
 
@@ -69,9 +81,11 @@ def run(config: Config) -> int:
 def page(found: Comparison) -> str:
     """The whole page."""
     encoded = encode_all(list(found.recordings.values()))
+    ranked = rankings(found)
     return Template(_part("page.html")).substitute(
         title=escape(f"Rendezvous: {', '.join(found.scenarios)}"),
-        summary=escape(_summary(found)),
+        answer=escape(answer(ranked)),
+        counts=escape(counts(found)),
         css=_part("page.css"),
         uplot_css=_part("uPlot.min.css"),
         uplot_js=_part("uPlot.iife.min.js"),
@@ -83,7 +97,7 @@ def page(found: Comparison) -> str:
             f'<script id="recording-{number}" type="application/gzip">{one.text}</script>'
             for number, one in enumerate(encoded)
         ),
-        data=_json(_data(found, encoded)),
+        data=_json(_data(found, ranked, encoded)),
     )
 
 
@@ -99,12 +113,16 @@ def _json(data: Any) -> str:
 # ---- data ---------------------------------------------------------------------------------------
 
 
-def _data(found: Comparison, encoded: Sequence[Encoded]) -> dict[str, Any]:
+def _data(
+    found: Comparison, ranked: Sequence[Ranking], encoded: Sequence[Encoded]
+) -> dict[str, Any]:
     """What the scripts read, besides the recordings themselves."""
     outcomes = {(row["scenario"], row["policy"], int(row["start"])): row for row in found.episodes}
-    entries = []
+    entries, worlds = [], dict[tuple[str, int], list[dict[str, Any]]]()
     recordings = found.recordings.items()
     for ((scenario, policy, start), recording), one in zip(recordings, encoded, strict=True):
+        table = recording["obstacles"]
+        worlds.setdefault((scenario, start), list(_obstacles(table, found.scenarios[scenario])))
         entries.append(
             {
                 "scenario": scenario,
@@ -112,15 +130,25 @@ def _data(found: Comparison, encoded: Sequence[Encoded]) -> dict[str, Any]:
                 "start": start,
                 "fields": one.fields,
                 "stride": one.stride,
-                "obstacles": list(_obstacles(recording["obstacles"], found.scenarios[scenario])),
-                "outcome": outcomes[scenario, policy, start],
+                "obstacles": list(worlds).index((scenario, start)),
+                "outcome": {name: outcomes[scenario, policy, start][name] for name in _OUTCOME},
             }
         )
     return {
         "run": {"seed": found.run["seed"]},
         "scenarios": {name: _scenario(scenario) for name, scenario in found.scenarios.items()},
+        "rankings": [
+            {
+                "scenario": ranking.scenario,
+                "top": list(ranking.top) if ranking.is_contest else [],
+                "references": list(ranking.references),
+            }
+            for ranking in ranked
+        ],
+        "leaders": leaders(ranked),
         "results": found.rows,
         "paired": found.paired,
+        "obstacles": list(worlds.values()),
         "recordings": entries,
         "robot_colours": ROBOT_COLOURS,
     }
@@ -132,6 +160,7 @@ def _scenario(scenario: Scenario) -> dict[str, Any]:
         "limit": scenario.max_steps * scenario.tau,
         "nonholonomic": scenario.model.nonholonomic,
         "exact": scenario.sensing.exact,
+        "own_row": "gravity" if scenario.model.nonholonomic else "own velocity",
         "neighbour_slots": layout.neighbour_slots,
         "obstacle_slots": layout.obstacle_slots,
         "silhouette_points": layout.silhouette_points,
@@ -155,22 +184,15 @@ def _obstacles(packed: NDArray[np.float64], scenario: Scenario) -> Iterator[dict
 # ---- words --------------------------------------------------------------------------------------
 
 
-def _summary(found: Comparison) -> str:
-    policies = {name for played in found.run["policies"].values() for name in played}
-    first, count = found.run["seed"], found.run["episodes"]
-    starts = f"{count} starts each (seeds {first}–{first + count - 1})"
-    single = [name for name, of_it in found.run["starts"].items() if of_it == 1 < count]
-    alone = f"; one of {', '.join(single)}, whose start is given" if single else ""
-    return f"{len(found.scenarios)} scenarios, {len(policies)} policies, {starts}{alone}"
-
-
 def _figures(found: Comparison) -> Iterator[str]:
     for path in found.figures:
         source = base64.b64encode(path.read_bytes()).decode("ascii")
-        name = escape(path.stem)
+        name, said = escape(path.name), escape(caption(path.stem))
         yield (
-            f'<figure><img loading="lazy" alt="{name}" src="data:image/png;base64,{source}">'
-            f"<figcaption>{name}</figcaption></figure>"
+            f'<figure id="{escape(path.stem)}"><img loading="lazy" alt="{said}" '
+            f'src="data:image/png;base64,{source}"><figcaption>{said} <button type="button" '
+            f'class="save" data-name="{name}" aria-label="Save {name}">PNG</button></figcaption>'
+            "</figure>"
         )
     if not found.figures:
         yield '<p class="note">The folder has no figures; compare draws them by default.</p>'

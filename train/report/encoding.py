@@ -1,12 +1,15 @@
 """Recordings as text for a page: rounded to 16 bits, differences in time, gzip, base64.
 
-A recording of 400 frames of 20 robots shrinks to a hundredth of what its numbers take as JSON.
+A recording of 400 frames of 20 robots shrinks to a hundredth of what its numbers take as JSON. In
+the plane a row of an observation goes as its length, which hardly ever changes, and its angle: of a
+neighbour's row only what the places of the robots do not say, nearly nothing if sensors are exact.
 """
 
 from __future__ import annotations
 
 import base64
 import gzip
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -19,11 +22,17 @@ from ..recording import Recording
 LARGEST = 32767
 """Of a rounded number; one below minus this stands for NaN."""
 
-BUDGET = 11_000_000
+BUDGET = 3_600_000
 """Characters that all recordings of a page may take together before they are thinned out."""
 
+ANGLE = 2 * np.pi / 2**16
+"""Of one in 16 bits, rad: angles wrap round as integers do."""
+_COARSE = 4
+"""Angles are multiples of so many of these; finer ones would take more room than they show."""
+
 _EXACT = ("times", "lyapunov", "lyapunov_before_merge", "lyapunov_after_merge", "contacts")
-_ROUNDED = ("positions", "frames", "alignment", "observations")
+_ROUNDED = ("positions", "frames", "alignment")
+_KEPT = ("active", "observations", *_EXACT, *_ROUNDED)
 
 
 @dataclass(frozen=True)
@@ -32,7 +41,8 @@ class Encoded:
 
     fields: list[dict[str, Any]]
     """Of each array, in order: name, type ("float32", "uint8" or "int16"), shape, and of an int16
-    the scale, so that a number is scale · integer."""
+    the scale, so that a number is scale · integer. In the plane "lengths" and "angles" stand for
+    the observations."""
     text: str
     """All arrays, little-endian, in base64 of gzip."""
     stride: int
@@ -40,20 +50,29 @@ class Encoded:
 
 
 def encode_all(recordings: Sequence[Recording]) -> list[Encoded]:
-    """Encode recordings; if they exceed BUDGET, thin out those that take more than their share."""
+    """Encode recordings; if they exceed BUDGET, thin out the largest as far as is needed."""
     whole = [encode(recording) for recording in recordings]
-    if sum(len(encoded.text) for encoded in whole) <= BUDGET:
-        return whole
-    share = BUDGET // len(whole)
+    share = _share([len(encoded.text) for encoded in whole])
     return [
         _encode_within(share, recording, encoded)
         for recording, encoded in zip(recordings, whole, strict=True)
     ]
 
 
-def _encode_within(share: int, recording: Recording, encoded: Encoded) -> Encoded:
+def _share(sizes: Sequence[int]) -> float:
+    """The largest size that each may have, so that all together keep to BUDGET."""
+    left = BUDGET
+    for count, size in zip(range(len(sizes), 0, -1), sorted(sizes), strict=True):
+        if size * count > left:
+            return left / count
+        left -= size
+    return np.inf
+
+
+def _encode_within(share: float, recording: Recording, encoded: Encoded) -> Encoded:
     while len(encoded.text) > share and encoded.stride < len(recording["times"]):
-        encoded = encode(recording, 2 * encoded.stride)
+        excess = len(encoded.text) / share
+        encoded = encode(recording, encoded.stride * 2 ** math.ceil(math.log2(excess)))
     return encoded
 
 
@@ -61,7 +80,7 @@ def thinned(recording: Recording, stride: int) -> Recording:
     """Every stride-th frame, every merge and the end."""
     stays = ~np.isnan(recording["lyapunov_before_merge"])
     stays[::stride] = stays[-1] = True
-    return {name: recording[name][stays] for name in ("active", *_EXACT, *_ROUNDED)}
+    return {name: recording[name][stays] for name in _KEPT}
 
 
 def encode(recording: Recording, stride: int = 1) -> Encoded:
@@ -73,11 +92,16 @@ def encode(recording: Recording, stride: int = 1) -> Encoded:
         parts.append(recording[name].astype("<f4").tobytes())
     fields.append({"name": "active", "type": "uint8", "shape": recording["active"].shape})
     parts.append(recording["active"].astype(np.uint8).tobytes())
-    for name in _ROUNDED:
-        scale, shape = rounding(recording[name]), recording[name].shape
-        fields.append({"name": name, "type": "int16", "shape": shape, "scale": scale})
-        parts.append(_differences(_rounded(recording[name], scale)))
-    packed = gzip.compress(b"".join(parts), compresslevel=9, mtime=0)
+    rounded = {name: _rounded(recording[name]) for name in _ROUNDED}
+    if recording["positions"].shape[-1] == 2:
+        placed, turned = (_restored(*rounded[name]) for name in ("positions", "frames"))
+        seen = _seen(recording["observations"], placed, turned)
+    else:
+        seen = {"observations": _rounded(recording["observations"])}
+    for name, (values, scale) in (rounded | seen).items():
+        fields.append({"name": name, "type": "int16", "shape": values.shape, "scale": scale})
+        parts.append(_differences(values))
+    packed = gzip.compress(b"".join(parts), compresslevel=6, mtime=0)
     return Encoded(fields, base64.b64encode(packed).decode("ascii"), stride)
 
 
@@ -87,9 +111,42 @@ def rounding(array: NDArray[np.floating[Any]]) -> float:
     return reach / LARGEST or 1.0
 
 
-def _rounded(array: NDArray[np.floating[Any]], scale: float) -> NDArray[np.int16]:
+def _rounded(array: NDArray[np.floating[Any]]) -> tuple[NDArray[np.int16], float]:
+    """An array in 16 bits, and its scale."""
+    scale = rounding(array)
     rounded = np.rint(array.astype(np.float64) / scale)
-    return np.where(np.isnan(rounded), -LARGEST - 1, rounded).astype(np.int16)
+    return np.where(np.isnan(rounded), -LARGEST - 1, rounded).astype(np.int16), scale
+
+
+def _restored(values: NDArray[np.int16], scale: float) -> NDArray[np.float64]:
+    """Numbers as the page has them."""
+    return values * scale
+
+
+def _seen(
+    observations: NDArray[np.floating[Any]],
+    positions: NDArray[np.float64],
+    frames: NDArray[np.float64],
+) -> dict[str, tuple[NDArray[np.int16], float]]:
+    """Lengths and angles of observations in the plane, (T, n, rows, 2), in 16 bits."""
+    x, y = np.moveaxis(observations.astype(np.float64), -1, 0)
+    lengths, off = np.hypot(x, y), np.arctan2(y, x)
+    rows = min(off.shape[-1], off.shape[1] - 1)
+    off[..., :rows] -= _bearings(positions, frames)[..., :rows]
+    whole = np.rint((off + np.pi) % (2 * np.pi) / (_COARSE * ANGLE)).astype(np.int64) * _COARSE
+    last = np.where(lengths > 0.0, np.arange(len(lengths))[:, None, None], 0)
+    steady = np.take_along_axis(whole, np.maximum.accumulate(last, axis=0), axis=0)
+    angles = np.clip(steady - 2**15, -LARGEST, LARGEST)  # one below means NaN
+    return {"lengths": _rounded(lengths), "angles": (angles.astype(np.int16), ANGLE)}
+
+
+def _bearings(positions: NDArray[np.float64], frames: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Angles (T, n, n − 1), rad, at which robots have all others in their own frames."""
+    n = positions.shape[1]
+    others = np.array([[j for j in range(n) if j != i] for i in range(n)], dtype=np.int64)
+    offsets = positions[:, others] - positions[:, :, None]
+    own = np.einsum("tiba,tikb->tika", frames, offsets)
+    return np.asarray(np.arctan2(own[..., 1], own[..., 0]))
 
 
 def _differences(values: NDArray[np.int16]) -> bytes:

@@ -17,6 +17,7 @@ from ..comparing.out_folder import RUN, is_ours, is_sealed, part_of
 from ..errors import UserError
 from ..recording import Recording
 from ..recording_checks import fault_of
+from ..seeing_again import whole
 
 Key = tuple[str, str, int]
 """Scenario, policy and start."""
@@ -64,7 +65,7 @@ class Comparison:
     episodes: list[Row]
     """episodes.csv."""
     recordings: dict[Key, Recording]
-    """trajectories.npz."""
+    """trajectories.npz, with what the robots saw."""
     figures: list[Path]
     """Its PNG files."""
 
@@ -273,6 +274,10 @@ def _read_recordings(
             raise _half_written(path, f"{key[1]} on {key[0]} is not in run.json")
         if fault := fault_of(recording, scenarios[key[0]]):
             raise _half_written(path, f"{'/'.join(map(str, key))} {fault}")
+        try:
+            found[key] = whole(recording, scenarios[key[0]])
+        except ValueError as error:
+            raise _half_written(path, f"{'/'.join(map(str, key))}: {error}") from error
     return found
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -80,7 +80,7 @@ class Claim:
 
 @dataclass(frozen=True)
 class Finding:
-    """What one batch says about a claim."""
+    """What one batch says about a claim, or several."""
 
     trials: int
     margin: float
@@ -88,5 +88,13 @@ class Finding:
     time_over_bound: float
     """Worst over the teams; NaN where the claim names no time."""
     violations: int
-    case: Case | None = None
-    """What its teams shared, in the environment."""
+
+
+def worst(findings: Sequence[Finding]) -> Finding:
+    """What several batches say together."""
+    return Finding(
+        trials=sum(finding.trials for finding in findings),
+        margin=min(finding.margin for finding in findings),
+        time_over_bound=max(finding.time_over_bound for finding in findings),
+        violations=sum(finding.violations for finding in findings),
+    )

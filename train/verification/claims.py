@@ -47,4 +47,4 @@ def check(claim: AnyClaim, seed: int, batch: int, trials: int, least_margin: flo
     held = np.logical_and.reduce([ok for _, ok in verdicts])[:trials]
     ratio = np.max((record.times / record.limit)[:trials]) if claim.timed else math.nan
     margin = float(np.min(verdicts[0][0][:trials]))
-    return Finding(len(held), margin, float(ratio), int(np.sum(~held)), case)
+    return Finding(len(held), margin, float(ratio), int(np.sum(~held)))

@@ -12,7 +12,7 @@ import numpy as np
 
 from rendezvous_env import Scenario, Sensing, Simulator
 from rendezvous_env.guarantee.bounds import lyapunov_bound, tank_lyapunov_bound
-from rendezvous_env.guarantee.error_bounds import (
+from rendezvous_env.guarantee.error_times import (
     certified_share,
     error_share,
     most_wrong,

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from rendezvous_env.guarantee.error_bounds import held_error, largest_error, wrong_bearings_time
+from rendezvous_env.guarantee.error_times import held_error, largest_error, wrong_bearings_time
 from rendezvous_env.guarantee.graph_bounds import cone_time, gains_time, led_time, windows_time
 from rendezvous_env.guarantee.size_bounds import shrinking
 

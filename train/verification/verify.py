@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
@@ -19,7 +20,9 @@ from rendezvous_env.experiment.scenario import nearest_word
 from ..checks import check_least, check_most
 from ..errors import UserError
 from ..results import prepare_folder, write_csv
+from ..workers import Place, Workers, each
 from .cases import BATCH
+from .claim import Finding, worst
 from .claims import CLAIMS, AnyClaim, check
 
 COLUMNS = (
@@ -33,6 +36,9 @@ COLUMNS = (
 )
 """Of verify.csv; the margin is a share (of V(0), of the time limit, of 2 max a), and negative
 means violated, rounding aside."""
+
+_MOST_BLOCKS = 256
+"""Tasks of a claim."""
 
 
 @dataclass(frozen=True)
@@ -51,6 +57,18 @@ class Config:
     """Names of the claims to check; all if none is given."""
     only_batch: int | None = None
     """Repeat one batch of teams, as a violation's report names it."""
+    jobs: int | None = None
+    """Worker processes; none is one on each core, or all that a cluster has. What is found is the
+    same whatever their number."""
+    on: Place = "here"
+    """Where they work: on this machine, or on a Ray cluster."""
+    address: str | None = None
+    """Of the Ray cluster; none starts one on this machine."""
+
+    @property
+    def workers(self) -> Workers:
+        """Who checks."""
+        return Workers(self.jobs, self.on, self.address)
 
     def batches(self) -> list[tuple[int, int]]:
         """(number, teams that count) of each batch to run."""
@@ -68,6 +86,7 @@ def check_config(config: Config) -> None:
     """
     check_least(config, trials=1, seed=0, only_batch=0)
     check_most(config, trials=10**8)
+    _ = config.workers  # refuses what cannot be
     if not 0 < config.min_alignment < 1:
         raise UserError(
             f"--min-alignment is {config.min_alignment}; it must lie between 0 and 1, exclusive"
@@ -95,29 +114,61 @@ class Row:
     """The command that repeats it; empty without any."""
 
 
-def verify(claim: AnyClaim, config: Config, advance: Callable[[int], None]) -> Row:
-    """Check one claim on ``config.trials`` teams.
+@dataclass(frozen=True)
+class Block:
+    """Some batches of one claim, a task of its own."""
 
-    Args:
-        claim: what to check.
-        config: how many teams, from which seed.
-        advance: told how many teams have been done.
-    """
-    started, first, findings = time.perf_counter(), "", []
-    for batch, trials in config.batches():
-        finding = check(claim, config.seed, batch, trials, config.min_alignment)
-        findings.append(finding)
-        if finding.violations and not first:
-            first = command_for(claim, config, batch)
-        advance(trials)
+    claim: AnyClaim
+    batches: tuple[tuple[int, int], ...]
+    """Numbers, and teams that count."""
+    seed: int
+    min_alignment: float
+
+
+class Seen(NamedTuple):
+    """What a block says."""
+
+    finding: Finding
+    seconds: float
+    first: int | None
+    """Number of the first batch with a violation."""
+
+
+def blocks_of(claim: AnyClaim, config: Config) -> list[Block]:
+    """The batches of a claim, cut into tasks."""
+    batches = config.batches()
+    size = math.ceil(len(batches) / _MOST_BLOCKS)
+    return [
+        Block(claim, tuple(batches[k : k + size]), config.seed, config.min_alignment)
+        for k in range(0, len(batches), size)
+    ]
+
+
+def look(block: Block) -> Seen:
+    """Check the batches of a block."""
+    began = time.perf_counter()
+    findings = [
+        check(block.claim, block.seed, batch, trials, block.min_alignment)
+        for batch, trials in block.batches
+    ]
+    numbers = (batch for batch, _ in block.batches)
+    violated = zip(numbers, findings, strict=True)
+    first = next((batch for batch, finding in violated if finding.violations), None)
+    return Seen(worst(findings), time.perf_counter() - began, first)
+
+
+def row_of(claim: AnyClaim, config: Config, seen: Sequence[Seen]) -> Row:
+    """What all blocks of a claim say, in their order."""
+    found = worst([one.finding for one in seen])
+    first = next((one.first for one in seen if one.first is not None), None)
     return Row(
         claim=claim,
-        trials=sum(finding.trials for finding in findings),
-        margin=min(finding.margin for finding in findings),
-        time_over_bound=max(finding.time_over_bound for finding in findings),
-        violations=sum(finding.violations for finding in findings),
-        seconds=time.perf_counter() - started,
-        first_violation=first,
+        trials=found.trials,
+        margin=found.margin,
+        time_over_bound=found.time_over_bound,
+        violations=found.violations,
+        seconds=sum(one.seconds for one in seen),
+        first_violation="" if first is None else command_for(claim, config, first),
     )
 
 
@@ -146,11 +197,18 @@ def run(config: Config, claims: Sequence[AnyClaim] = CLAIMS, console: Console | 
         MofNCompleteColumn(),
         TimeElapsedColumn(),
     )
-    rows = []
-    with Progress(*bar, console=console, transient=True) as progress:
-        for claim in chosen:
-            task = progress.add_task(claim.name, total=trials)
-            rows.append(verify(claim, config, lambda n, task=task: progress.advance(task, n)))
+    blocks = [block for claim in chosen for block in blocks_of(claim, config)]
+    seen: dict[int, Seen] = {}
+    found = each(look, blocks, config.workers)
+    with Progress(*bar, console=console, transient=True) as progress, closing(found):
+        tasks = {claim.name: progress.add_task(claim.name, total=trials) for claim in chosen}
+        for number, one in found:
+            seen[number] = one
+            progress.advance(tasks[blocks[number].claim.name], one.finding.trials)
+    of_claim: dict[str, list[Seen]] = {claim.name: [] for claim in chosen}
+    for number in sorted(seen):
+        of_claim[blocks[number].claim.name].append(seen[number])
+    rows = [row_of(claim, config, of_claim[claim.name]) for claim in chosen]
     console.print(table_of(rows))
     write_csv(path, COLUMNS, map(as_plain, rows))
     violated = [row for row in rows if row.violations]
@@ -159,7 +217,7 @@ def run(config: Config, claims: Sequence[AnyClaim] = CLAIMS, console: Console | 
         console.print(f"  {row.first_violation}", soft_wrap=True)
     seconds = sum(row.seconds for row in rows)
     total = sum(row.violations for row in rows)
-    console.print(f"{total} violations in {seconds:.0f} s; {path}", soft_wrap=True)
+    console.print(f"{total} violations in {seconds:.0f} s of work; {path}", soft_wrap=True)
     return int(bool(violated))
 
 

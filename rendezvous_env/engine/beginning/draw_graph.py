@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from ...compilation import kernel
 from ...equations.random_streams import uniform
-from ...experiment.graphs import ERDOS_RENYI, FIXED
+from ...experiment.topologies import ERDOS_RENYI, FIXED
 from ..links import copy_links, pair_index, sort_links
 
 _TRIES_FOR_CONNECTED = 100
@@ -125,11 +125,18 @@ def _is_connected(first, second, count, places):
         places[i] = i
     groups = n
     for e in range(count):
-        a, b = _leader(first[e], places), _leader(second[e], places)
-        if a != b:
-            places[max(a, b)] = min(a, b)
-            groups -= 1
+        groups -= join(first[e], second[e], places)
     return groups == 1
+
+
+@kernel
+def join(i, j, places):
+    """Make one group of those of two robots; 1, or 0 if they are in one already."""
+    a, b = _leader(i, places), _leader(j, places)
+    if a == b:
+        return 0
+    places[max(a, b)] = min(a, b)
+    return 1
 
 
 @kernel

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -11,10 +12,11 @@ from numpy.typing import NDArray
 from ...compilation import entry_point
 from ...experiment.start_options import StartOptions
 from ..allocation import drafts
+from ..link_tables import listed
 from ..memory import AWAITING_RESET, RUNNING, AtHand, Layout, Robot
 from ..preparation import fixed_links, fixed_obstacles, start_rules
 from ..quiet import quietly
-from ..state import LinkList, Overwritten, State, overwrite, undo
+from ..state import Overwritten, State, overwrite, undo
 from ..worlds import empty_worlds
 from .starts import TOO_MANY_LINKS, StartRules, reset_teams
 
@@ -98,6 +100,14 @@ class Episodes:
             return (
                 f"the graph drawn for team {team} has more links than expected; choose another seed"
             )
+        if scenario.start_reach < math.inf:
+            return (
+                f"no start found for team {team}: {scenario.n_robots} robots in a spawn_size of "
+                f"{scenario.spawn_size} m, connected by links of at most range − (n − 1) "
+                f"merge_radius/2 = {scenario.start_reach:.6g} m, 2 merge_radius apart and clear of "
+                "obstacles; make spawn_size smaller or sensing.range larger, thin out the "
+                "obstacles, or pass require_connected=False"
+            )
         return (
             f"no room for the start of team {team}: {scenario.n_robots} robots, "
             f"neighbours at least 2 merge_radius = {2 * scenario.merge_radius} m apart "
@@ -154,8 +164,9 @@ class Episodes:
             flat = frames.reshape(len(frames), n, d * d)
             state.give("frames", _for_each(flat, which), which, log)
         if given.weights is not None:
-            listed = [_listed(matrix) for matrix in _for_each(given.weights, which)]
-            state.give_links(state.as_kept(listed), which, log)
+            one_way = state.place.one_way
+            links = [listed(m, one_way=one_way) for m in _for_each(given.weights, which)]
+            state.give_links(state.as_kept(links), which, log)
         elif self._links is not None:
             state.give_links(self._links, which, log)
         if obstacles is not None and obstacles.size:
@@ -176,9 +187,3 @@ def _or(value: NDArray[np.float64] | None, default: Any) -> NDArray[np.float64]:
 def _for_each(values: NDArray[np.float64], which: NDArray[np.int64]) -> NDArray[np.float64]:
     """One entry for each of these teams, from one for all or one for every team of the batch."""
     return values if len(values) == 1 else values[which]
-
-
-def _listed(weights: NDArray[np.float64]) -> LinkList:
-    """The links of a matrix of weights, in the order of their robots."""
-    first, second = np.nonzero(np.triu(weights))
-    return first, second, weights[first, second]

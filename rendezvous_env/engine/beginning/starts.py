@@ -10,20 +10,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...compilation import kernel
-from ...equations.potential import distance_squared, lyapunov_of_links
+from ...equations.potential import lyapunov_of_links
 from ...equations.random_streams import (
     FRAMES,
     GRAPH,
     OBSTACLES,
     START,
     draw_rotation,
-    mix,
     stream_key,
-    uniform,
 )
 from ...equations.robots.motion import begin_memory, frame_of
-from ...equations.shapes.obstacles import clear_of_obstacles
-from ...equations.vectors import load
+from ..changing_links import begin_links
 from ..links import copy_links, load_links, store_links
 from ..memory import (
     ACTIVE,
@@ -40,10 +37,16 @@ from ..memory import (
 from ..worlds import copy_world, world_of
 from .draw_graph import GraphRules, draw_links
 from .fields import Rules, draw_obstacles, is_possible
+from .places import TRIES_FOR_WAYS, draw_places, stream_of_try
 
-_TRIES_FOR_START = 1000
-_TRIES_FOR_WAYS = 1000
 FITS, NO_ROOM, TOO_MANY_LINKS = range(3)
+
+
+class Spacing(NamedTuple):
+    """How places are drawn where links change: everyone keeps apart from everyone."""
+
+    reach: float
+    """Links up to this length (m) connect the start; inf if that is not asked for."""
 
 
 class StartRules(NamedTuple):
@@ -57,6 +60,10 @@ class StartRules(NamedTuple):
     spawn_size: float
     least_distance: float
     keep_out: float
+    factors: tuple[float, float] | None
+    """The range of what given arcs are multiplied by, or None."""
+    spacing: Spacing | None
+    """Of places where links change; None where robots keep apart from their neighbours alone."""
     graph: GraphRules | None
     """None where no episode draws anything of its graph: then nothing of that is compiled."""
     field: Rules | None
@@ -108,7 +115,7 @@ def reset_teams(
         layout: of the memory.
         robot: its model.
         teams: the fields of Teams.
-        links: PairLinks or ListedLinks.
+        links: of a kind of ``link_kinds``.
         obstacles: Balls or Shapes with a leading axis B, or None.
         hand: the fields of AtHand, of one thread.
         drafts: the fields of Drafts.
@@ -134,7 +141,9 @@ def reset_teams(
         copy_world(obstacles, team, worlds, k)
         listed = (hand.first[:count], hand.second[:count], hand.weights[:count])
         world = world_of(worlds, k)
-        if not _draw_room(keys, rules, rules.field, listed, world, positions, drafts.chains):
+        if not _draw_room(
+            keys, rules, rules.field, rules.spacing, listed, world, positions, drafts.chains, hand
+        ):
             return team, NO_ROOM
     for k in range(len(indices)):
         team, count = indices[k], drafts.n_links[k]
@@ -143,6 +152,10 @@ def reset_teams(
         copy_world(worlds, k, obstacles, team)
         _write_start(team, status, count, layout, teams, links, drafts.positions[k], hand)
         _draw_attitudes(team, rules, (seeds[team], episodes[team]), layout, robot, teams)
+        key = stream_key(seeds[team], episodes[team], GRAPH)
+        begin_links(
+            team, key, rules, rules.factors, layout, teams, links, drafts.positions[k], hand
+        )
     return -1, FITS
 
 
@@ -160,7 +173,7 @@ def _draw_links(team, keys, rules, graph, layout, links, hand):
 
 
 @kernel
-def _draw_room(keys, rules, field, links, world, positions, chains):
+def _draw_room(keys, rules, field, spacing, links, world, positions, chains, hand):
     """What of one team's start may find no room: obstacles and places; whether it fits.
 
     A start in which some robots are walled in, where the field promises none, is drawn again.
@@ -171,68 +184,17 @@ def _draw_room(keys, rules, field, links, world, positions, chains):
             # obstacles keep clear of given places; places that are drawn keep clear of obstacles
             n_starts = 0 if rules.draw_positions else positions.shape[0]
             field_key = stream_key(keys[0], keys[1], OBSTACLES)
-            for trial in range(_TRIES_FOR_WAYS):
+            for trial in range(TRIES_FOR_WAYS):
                 if not draw_obstacles(
-                    _stream_of_try(field_key, trial), field, positions, n_starts, world
-                ) or not _draw_places(_stream_of_try(key, trial), rules, links, world, positions):
+                    stream_of_try(field_key, trial), field, positions, n_starts, world
+                ) or not draw_places(
+                    stream_of_try(key, trial), rules, spacing, links, world, positions, hand
+                ):
                     return False
                 if is_possible(field, world, positions, chains):
                     return True
             return False
-    return _draw_places(key, rules, links, world, positions)
-
-
-@kernel
-def _stream_of_try(key, trial):
-    """The stream itself at first, then one of its own for each further try."""
-    return key if trial == 0 else mix(key ^ np.uint64(trial))
-
-
-@kernel
-def _draw_places(key, rules, links, world, positions):
-    """Places, unless they are given; whether they fit."""
-    if rules.draw_positions:
-        return _draw_positions(key, rules, links, world, positions)
-    return True
-
-
-@kernel
-def _draw_positions(key, rules, links, world, positions):
-    """Uniform in the spawn area, neighbours at least 2r apart, clear of obstacles; whether it
-    fits.
-    """
-    n, d = positions.shape
-    counter = 0
-    for i in range(n):
-        for _ in range(_TRIES_FOR_START):
-            for k in range(d):
-                positions[i, k] = rules.spawn_size * (uniform(key, counter) - 0.5)
-                counter += 1
-            if _apart(i, positions, links, rules.least_distance) and _clear(
-                positions[i], world, rules.keep_out
-            ):
-                break
-        else:
-            return False
-    return True
-
-
-@kernel
-def _clear(position, world, margin):
-    if world is not None:
-        return clear_of_obstacles(load(position), world, margin)
-    return True
-
-
-@kernel
-def _apart(i, positions, links, least_distance):
-    """Whether robot i is far enough from the neighbours that have a place already."""
-    first, second, _ = links
-    for e in range(len(first)):
-        if second[e] == i:  # links name the lower robot first, and it has been placed before
-            if distance_squared(positions, first[e], i) < least_distance * least_distance:
-                return False
-    return True
+    return draw_places(key, rules, spacing, links, world, positions, hand)
 
 
 @kernel

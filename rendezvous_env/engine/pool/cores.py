@@ -1,4 +1,4 @@
-"""How many cores this process may keep busy: its affinity, and what its container grants."""
+"""How many cores this process may keep busy: by its affinity, its container and its user."""
 
 from __future__ import annotations
 
@@ -9,14 +9,21 @@ from pathlib import Path, PurePosixPath
 
 
 def available_cores() -> int:
-    """Cores that this process may run on, and no more than its container's quota of processor time.
+    """Cores that this process may run on, and no more than its container's quota of processor time
+    or NUMBA_NUM_THREADS, by which a process that is one of many is told to keep to its share.
 
     A part of a core is not counted: threads that look for news would use up the quota of all.
     """
     affine = (
         len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     )
-    return max(1, int(min(affine, cpu_quota())))
+    return max(1, int(min(affine, cpu_quota(), _granted())))
+
+
+def _granted() -> float:
+    """What the user's environment grants; inf without a number there."""
+    share = os.environ.get("NUMBA_NUM_THREADS", "")
+    return int(share) if share.isdecimal() and int(share) else float("inf")
 
 
 @lru_cache

@@ -23,7 +23,34 @@ async function decode(number) {
     found.shape[field.name] = field.shape;
     at += size;
   }
+  found.obstacles = DATA.obstacles[found.obstacles];
+  if (found.angles) rowsFromAngles(found);
   return found;
+}
+
+/** In the plane a row comes as its length and its angle, a neighbour's from where it truly stands. */
+function rowsFromAngles(found) {
+  const [frames, robots, rows] = found.shape.angles;
+  found.observations = new Float32Array(2 * found.angles.length);
+  for (let frame = 0, at = 0; frame < frames; frame++)
+    for (let robot = 0; robot < robots; robot++)
+      for (let row = 0; row < rows; row++, at++) {
+        const length = found.lengths[at];
+        if (length === 0) continue;
+        const other = row + (row >= robot);
+        const base = other < robots ? bearing(found, frame, robot, other) : 0;
+        found.observations[2 * at] = length * Math.cos(base + found.angles[at]);
+        found.observations[2 * at + 1] = length * Math.sin(base + found.angles[at]);
+      }
+  found.shape.observations = [...found.shape.angles, 2];
+}
+
+/** Angle at which a robot in the plane has another in its own frame. */
+function bearing({ positions, frames, shape }, frame, robot, other) {
+  const [own, its] = [robot, other].map((k) => 2 * (frame * shape.positions[1] + k));
+  const [x, y] = [0, 1].map((axis) => positions[its + axis] - positions[own + axis]);
+  const [a, b, c, d] = frames.subarray(2 * own, 2 * own + 4);
+  return Math.atan2(b * x + d * y, a * x + c * y);
 }
 
 const READERS = {
@@ -32,7 +59,7 @@ const READERS = {
   int16: (bytes, field) => fromDifferences(bytes, field.shape[0], field.scale),
 };
 
-/** Undo train/report_encoding.py: low bytes, then high bytes, of differences in time. */
+/** Undo train/report/encoding.py: low bytes, then high bytes, of differences in time. */
 function fromDifferences(bytes, frames, scale) {
   const count = bytes.length / 2;
   const width = count / frames;
@@ -59,6 +86,8 @@ function frameAt(times, time) {
   }
   return low;
 }
+
+const find = (id) => document.getElementById(id);
 
 /** An element with properties and children. */
 function make(tag, properties = {}, ...children) {

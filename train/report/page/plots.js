@@ -20,11 +20,11 @@ function plot(box, series, data, yRange, xMax, seek) {
     pxAlign: 0,
     legend: { show: false },
     cursor: { show: false },
-    padding: [6, 12, 0, 0],
+    padding: [6, 20, 0, 0],
     scales: { x: { time: false, range: [0, xMax] }, y: { range: yRange } },
     axes: [
       { ...axis, size: 26, gap: 7, values: (_, at) => at.map((x) => `${x} s`) },
-      { ...axis, size: 40, gap: 4, space: 26 },
+      { ...axis, size: (_, texts) => 12 + 7 * longest(texts), gap: 4, space: 26 },
     ],
     series: [{}, ...series],
   };
@@ -50,6 +50,11 @@ function plot(box, series, data, yRange, xMax, seek) {
     shown = time;
     move(chart);
   };
+}
+
+/** Letters of the longest label, so that none is cut. */
+function longest(texts) {
+  return Math.max(4, ...(texts ?? []).map((text) => String(text).length));
 }
 
 /** V(t) as points, with the jump of each merge as a vertical line. */

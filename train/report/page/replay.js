@@ -2,111 +2,9 @@
 
 const SPEEDS = [0.1, 0.25, 0.5, 1, 2, 4, 8];
 const state = {
-  scenario: "", start: 0, time: 0, end: 1, bounds: null, playing: false, speed: 1, chosen: 0,
-  loading: 0,
+  time: 0, end: 1, bounds: null, playing: false, speed: 1, chosen: 0, loading: 0, side: 1,
 };
 const panes = [];
-const find = (id) => document.getElementById(id);
-
-// ---- panes --------------------------------------------------------------------------------------
-
-class Pane {
-  constructor(side) {
-    this.root = find("pane").content.firstElementChild.cloneNode(true);
-    this.root.setAttribute("aria-label", `${side} policy`);
-    this.part = (name) => this.root.querySelector(name);
-    this.choice = this.part(".policy");
-    this.choice.addEventListener("change", load);
-    this.part("details").addEventListener("toggle", () => this.rec && this.draw());
-  }
-
-  /** Canvases for one projection in the plane, two in space. */
-  lay(dim, policy) {
-    this.root.classList.toggle("space", dim === 3);
-    this.axes = dim === 2 ? [[0, 1]] : [[0, 1], [0, 2]];
-    const canvases = (box, what) => {
-      const made = this.axes.map(([a, b]) => {
-        const canvas = make("canvas");
-        canvas.setAttribute("role", "img");
-        canvas.setAttribute("aria-label", `${what}, ${policy}, ${"xyz"[a]}–${"xyz"[b]} plane`);
-        return canvas;
-      });
-      this.part(box).replaceChildren(...made);
-      return made;
-    };
-    this.worlds = canvases(".world", "World");
-    this.eyes = canvases(".eye", "What the chosen robot sees");
-    for (const canvas of this.worlds)
-      canvas.addEventListener("click", (event) => {
-        const near = robotNear(canvas, this.rec, this.moment, event.offsetX, event.offsetY);
-        if (near !== null) choose(near);
-      });
-  }
-
-  /** The frame at the time of the replay, and how far on to the next one. */
-  get moment() {
-    const { times } = this.rec;
-    const frame = frameAt(times, state.time);
-    const next = Math.min(frame + 1, times.length - 1);
-    const share = next > frame ? (state.time - times[frame]) / (times[next] - times[frame]) : 0;
-    return { frame, share: Math.min(1, Math.max(0, share)), time: state.time };
-  }
-
-  plots(other) {
-    const top = Math.max(...panes.map(({ rec }) => largest(rec)));
-    const differs = other.rec !== this.rec;
-    this.lines = [
-      lyapunovPlot(this.part(".v"), this.rec, differs && other.rec, top, state.end, seek),
-      alignmentPlot(this.part(".a"), this.rec, state.chosen, state.end, seek),
-    ];
-    this.part(".other").textContent = differs ? `dashed: ${other.rec.policy}` : "";
-  }
-
-  draw() {
-    const { rec, moment } = this;
-    this.worlds.forEach((canvas, k) =>
-      drawWorld(canvas, rec, moment, state.bounds, this.axes, k, state.chosen));
-    this.eyes.forEach((canvas, k) =>
-      drawSight(canvas, rec, moment.frame, state.chosen, this.axes[k]));
-    if (this.part("details").open)
-      listRows(this.part(".rows"), rec, moment.frame, state.chosen);
-    this.lines.forEach((move) => move(state.time));
-    this.say(rec, moment.frame);
-  }
-
-  say(rec, frame) {
-    const robots = rec.shape.active[1];
-    const sum = (array) => array.subarray(frame * robots, (frame + 1) * robots)
-      .reduce((a, b) => a + b, 0);
-    const [left, contacts] = [sum(rec.active), sum(rec.contacts)];
-    const over = frame === rec.times.length - 1;
-    const end = left === 1 ? "met" : "time out";
-    this.part(".state").textContent =
-      `${over ? `${end} at ${rec.times[frame].toFixed(2)} s · ` : ""}${left} of ${robots} robots left` +
-      (contacts ? ` · ${contacts} contacts` : "");
-    const value = rec.lyapunov[frame];
-    this.part(".v-now").textContent = value < 100 ? value.toPrecision(3) : value.toFixed(0);
-    const chosen = rec.alignment[frame * robots + (state.chosen ?? 0)];
-    this.part(".a-now").textContent =
-      state.chosen === null || Number.isNaN(chosen) ? "" :
-      `robot ${state.chosen}: ${chosen.toFixed(3)}`;
-  }
-
-  showOutcome() {
-    const row = this.rec.outcome;
-    this.part(".outcome").textContent =
-      `${row.success === "1" ? "met" : "not met"} after ${fixed(row.time, 2)} s · ` +
-      `${row.contacts} contacts · path ${fixed(row.path_length, 1)} m` +
-      (row.clearance ? ` · clearance ≥ ${fixed(row.clearance, 2)} m` : "") +
-      (row.min_alignment ? ` · alignment ≥ ${fixed(row.min_alignment, 2)}` : "") +
-      (this.rec.stride > 1 ? ` · one in ${this.rec.stride} recorded frames is shown` : "");
-  }
-}
-
-function largest(rec) {
-  return rec.lyapunov.reduce((a, b) => Math.max(a, b), 0);
-}
-
 // ---- choosing -----------------------------------------------------------------------------------
 
 function fill(select, values, labels = values) {
@@ -116,29 +14,31 @@ function fill(select, values, labels = values) {
   if (values.map(String).includes(before)) select.value = before;
 }
 
-const kept = (test) => DATA.recordings.filter(test);
-const unique = (values) => [...new Set(values)];
-
-/** What a scenario has, after it was chosen. */
-function chooseScenario() {
-  const own = kept(({ scenario }) => scenario === find("scenario").value);
-  const starts = unique(own.map(({ start }) => start));
-  fill(find("start"), starts, starts.map((start) => `${start} (seed ${DATA.run.seed + start})`));
-  const policies = unique(own.map(({ policy }) => policy));
-  panes.forEach(({ choice }) => fill(choice, policies));
-  const rivals = policies.slice(1);
-  if (rivals.length) {
-    const score = (policy) => Number(DATA.results.find((row) =>
-      row.scenario === own[0].scenario && row.policy === policy).clean_success);
-    panes[0].choice.value = policies[0];
-    panes[1].choice.value = rivals.reduce((a, b) => (score(b) > score(a) ? b : a));
-  }
-  state.chosen = 0;
-  return load();
+/** Show a start under two policies, or one; from its beginning unless a time is said. */
+function show({ scenario, start, policies, robot = 0, time }) {
+  find("scenario").value = scenario;
+  const own = kept((one) => one.scenario === scenario);
+  const starts = unique(own.map((one) => one.start));
+  fill(find("start"), starts, starts.map((k) => `${k} (seed ${DATA.run.seed + k})`));
+  find("start").value = start;
+  const names = unique(own.map(({ policy }) => policy));
+  panes.forEach((pane, k) => {
+    fill(pane.choice, names);
+    pane.choice.value = policies[k] ?? policies[0];
+  });
+  state.chosen = robot;
+  return load(time);
 }
 
-/** Take up both recordings that are chosen, from time 0. */
-async function load() {
+/** A policy chosen on one side; the other side takes the one that stood here if they were alike. */
+function choosePolicy(pane) {
+  const other = panes[1 - panes.indexOf(pane)];
+  if (other.choice.value === pane.choice.value) other.choice.value = pane.rec.policy;
+  load();
+}
+
+/** Take up both recordings that are chosen, from the beginning unless a time is said. */
+async function load(time) {
   const turn = ++state.loading;
   pause();
   const numbers = panes.map(({ choice }) => DATA.recordings.findIndex((entry) =>
@@ -151,14 +51,66 @@ async function load() {
     panes[k].lay(rec.shape.positions[2], rec.policy);
     panes[k].showOutcome();
   });
+  const alone = found[0] === found[1];
+  document.querySelector(".panes").classList.toggle("alone", alone);
   state.bounds = boundsOf(found);
   state.end = Math.max(...found.map(({ times }) => times.at(-1)));
   state.frames = unique(found.flatMap(({ times }) => Array.from(times))).sort((a, b) => a - b);
   find("time").max = state.end;
   robotButtons(found[0].shape.positions[1]);
+  switchButtons(alone ? [] : found);
+  find("said").textContent = sentence(alone ? found.slice(0, 1) : found);
   redraw();
-  seek(0);
+  seek(time ?? 0);
+  writeAddress();
   find("player").dataset.ready = numbers.join(" ");
+}
+
+/** What can be seen here, in words. */
+function sentence(found) {
+  const [{ scenario, start, outcome }] = found;
+  const single = DATA.results.find((row) => row.scenario === scenario).episodes === "1";
+  const where = single ? scenario : `${scenario}, start ${start}`;
+  return outcome && `${where}: ${found.map(ending).join("; ")}.`;
+}
+
+/** On a narrow screen one policy is shown at a time. */
+function switchButtons(found) {
+  const buttons = found.map(({ policy }, side) => {
+    const button = make("button", { type: "button", textContent: policy });
+    button.addEventListener("click", () => turnTo(side));
+    return button;
+  });
+  find("switch").replaceChildren(...buttons);
+  turnTo(found.length ? state.side : 0);
+}
+
+function turnTo(side) {
+  state.side = side;
+  panes.forEach(({ root }, k) => root.classList.toggle("behind", k !== side));
+  find("switch").childNodes.forEach((button, k) => button.setAttribute("aria-pressed", k === side));
+  redraw();
+}
+
+/** Let the address say what is shown, so that it can be shared. */
+function writeAddress() {
+  const { scenario, start, policy } = panes[0].rec;
+  const policies = unique([policy, panes[1].rec.policy]);
+  history.replaceState(null, "", fragmentOf({
+    scenario, start, policies, robot: state.chosen, time: state.time,
+  }));
+}
+
+async function copyLink() {
+  writeAddress();
+  const button = find("copy");
+  try {
+    await navigator.clipboard.writeText(location.href);
+    button.textContent = "Copied";
+  } catch {
+    button.textContent = "It is in the address bar";
+  }
+  setTimeout(() => (button.textContent = "Copy link"), 2000);
 }
 
 function robotButtons(robots) {
@@ -175,6 +127,7 @@ function robotButtons(robots) {
 function choose(robot) {
   state.chosen = robot;
   redraw();
+  writeAddress();
 }
 
 // ---- time ---------------------------------------------------------------------------------------
@@ -190,12 +143,11 @@ function seek(time) {
 
 /** To the next recorded frame of either policy, or the one before. */
 function stepFrame(direction) {
-  pause();
   const { frames, time } = state;
   const next = direction > 0
     ? frames.find((frame) => frame > time + 1e-6)
     : frames.findLast((frame) => frame < time - 1e-6);
-  seek(next ?? (direction > 0 ? state.end : 0));
+  jump(next ?? (direction > 0 ? state.end : 0));
 }
 
 function play() {
@@ -214,6 +166,7 @@ function play() {
 }
 
 function pause() {
+  if (state.playing) writeAddress();
   state.playing = false;
   showPlaying();
 }
@@ -229,6 +182,8 @@ const toggle = () => (state.playing ? pause() : play());
 function jump(time) {
   pause();
   seek(time);
+  clearTimeout(state.writing); // browsers allow few changes of the address in a second
+  state.writing = setTimeout(writeAddress, 250);
 }
 
 function changeSpeed(by) {
@@ -277,13 +232,12 @@ function press(event) {
 function startReplay() {
   for (const side of ["Left", "Right"]) panes.push(new Pane(side));
   document.querySelector(".panes").append(...panes.map(({ root }) => root));
-  const names = unique(DATA.recordings.map(({ scenario }) => scenario));
-  fill(find("scenario"), names);
-  find("scenario").value = names.find((name) => DATA.scenarios[name].obstacle_slots) ?? names[0];
+  fill(find("scenario"), unique(DATA.recordings.map(({ scenario }) => scenario)));
   fill(find("speed"), SPEEDS, SPEEDS.map((speed) => `${speed}×`));
   find("speed").value = state.speed;
-  find("scenario").addEventListener("change", chooseScenario);
-  find("start").addEventListener("change", load);
+  find("scenario").addEventListener("change", () => show(opening(find("scenario").value)));
+  find("start").addEventListener("change", () => load());
+  find("copy").addEventListener("click", copyLink);
   find("speed").addEventListener("change", () => (state.speed = Number(find("speed").value)));
   find("play").addEventListener("click", toggle);
   find("to-start").addEventListener("click", KEYS.Home);
@@ -294,7 +248,19 @@ function startReplay() {
   document.addEventListener("keydown", press);
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", redraw);
   new ResizeObserver(redraw).observe(document.querySelector(".panes"));
-  chooseScenario();
+  addEventListener("hashchange", () => {
+    const found = asked();
+    if (found) show(found);
+  });
+  begin();
+}
+
+/** What the address asks for, or a start on which policies differ, playing. */
+async function begin() {
+  const found = asked();
+  await show(found ?? opening());
+  const still = matchMedia("(prefers-reduced-motion: reduce)").matches;
+  if (!still && found?.time === undefined) play();
 }
 
 if (DATA.recordings.length) startReplay();

@@ -11,17 +11,27 @@ function rowsOf(rec, frame, robot) {
     const vector = Array.from(rec.observations.subarray(start, start + dim));
     if (vector.every((part) => part === 0)) continue;
     const slot = row - slots;
-    if (slot < 0) found.push({ kind: "neighbour", index: row + (row >= robot), vector });
-    else if (slot < obstacles * points)
+    if (slot < 0) {
+      const index = slots === robots - 1 ? row + (row >= robot) : seenIn(rec, frame, robot, vector);
+      found.push({ kind: "neighbour", index, vector });
+    } else if (slot < obstacles * points)
       found.push({
         kind: "obstacle", index: Math.floor(slot / points), point: slot % points, vector,
       });
-    else found.push({ kind: "gravity", index: 0, vector });
+    else found.push({ kind: "own", index: 0, vector });
   }
   return found;
 }
 
-/** Unit directions, in the robot's own frame, in which the others that are left truly stand. */
+/** Which robot stands in a direction, where rows do not say it; null if the sensor errs. */
+function seenIn(rec, frame, robot, vector) {
+  if (!DATA.scenarios[rec.scenario].exact) return null;
+  const along = ({ direction }) => direction.reduce((sum, x, k) => sum + x * vector[k], 0);
+  const others = trueDirections(rec, frame, robot);
+  return others.reduce((a, b) => (along(b) > along(a) ? b : a)).index;
+}
+
+/** Unit directions {index, direction}, in the robot's own frame, in which the others truly stand. */
 function trueDirections(rec, frame, robot) {
   const [, robots, dim] = rec.shape.positions;
   const rowsFrom = (array, j, size) =>
@@ -34,8 +44,11 @@ function trueDirections(rec, frame, robot) {
     const offset = Array.from(rowsFrom(rec.positions, j, dim), (x, k) => x - own[k]);
     const length = Math.hypot(...offset);
     if (length > 0)
-      found.push(offset.map((_, axis) =>
-        offset.reduce((sum, x, k) => sum + turn[k * dim + axis] * x, 0) / length));
+      found.push({
+        index: j,
+        direction: offset.map((_, axis) =>
+          offset.reduce((sum, x, k) => sum + turn[k * dim + axis] * x, 0) / length),
+      });
   }
   return found;
 }
@@ -79,13 +92,14 @@ function drawSight(canvas, rec, frame, robot, axes) {
   ];
   for (const points of silhouettes(rows)) drawSilhouette(pen, points, at, cx, cy, radius);
   if (!DATA.scenarios[rec.scenario].exact)
-    for (const direction of trueDirections(rec, frame, robot))
+    for (const { direction } of trueDirections(rec, frame, robot))
       drawTruth(pen, at(direction, 1), cx, cy);
   drawNet(pen, rows, at, cx, cy);
   const gain = largestGain(rec);
+  const labels = [];
   for (const { kind, index, vector } of rows)
-    if (kind === "neighbour") drawBearing(pen, vector, index, at(vector, 1 / gain), cx, cy);
-    else if (kind === "gravity") drawGravity(pen, at(vector, 0.9), cx, cy);
+    if (kind === "neighbour") drawBearing(pen, vector, index, at(vector, 1 / gain), cx, cy, labels);
+    else if (kind === "own") drawOwn(pen, at(vector, 0.9 / Math.max(1, Math.hypot(...vector))), cx, cy, rec);
   pen.fillStyle = robotColour(robot);
   pen.beginPath();
   pen.arc(cx, cy, 5, 0, 2 * Math.PI);
@@ -131,15 +145,19 @@ function drawSilhouette(pen, points, at, cx, cy, radius) {
   else for (const [x, y] of ends) line(pen, cx, cy, x, y);
 }
 
-function drawBearing(pen, vector, index, [x, y], cx, cy) {
-  pen.strokeStyle = pen.fillStyle = robotColour(index);
+function drawBearing(pen, vector, index, [x, y], cx, cy, labels) {
+  pen.strokeStyle = pen.fillStyle = index === null ? colour("accent") : robotColour(index);
   pen.lineWidth = 2;
   arrow(pen, cx, cy, x - cx, y - cy);
   const length = Math.hypot(x - cx, y - cy);
-  if (length < 12) return;
+  if (length < 12 || index === null) return;
   pen.fillStyle = colour("ink");
   pen.textAlign = "center";
-  pen.fillText(index, x + (11 * (x - cx)) / length, y + (11 * (y - cy)) / length + 4);
+  const out = (pixels) => [x, y].map((end, k) => end + (pixels * (end - [cx, cy][k])) / length);
+  const isFree = ([left, top]) => labels.every(([a, b]) => Math.hypot(left - a, top - b) > 12);
+  const spot = [11, -14, -27, -40].map(out).find(isFree) ?? out(11);
+  labels.push(spot);
+  pen.fillText(index, spot[0], spot[1] + 4);
 }
 
 /** f, the sum of the neighbours' rows, as a share of the sum of their lengths. */
@@ -159,25 +177,50 @@ function drawNet(pen, rows, at, cx, cy) {
     pen.fillText("f", cx + 0.55 * (x - cx) + 9, cy + 0.55 * (y - cy) - 5);
 }
 
-function drawGravity(pen, [x, y], cx, cy) {
+/** What a robot senses of itself: gravity, or its own velocity. */
+function drawOwn(pen, [x, y], cx, cy, rec) {
   pen.strokeStyle = pen.fillStyle = colour("muted");
   pen.lineWidth = 1.5;
   pen.setLineDash([4, 3]);
   arrow(pen, cx, cy, x - cx, y - cy);
   pen.setLineDash([]);
-  if (Math.hypot(x - cx, y - cy) > 12) pen.fillText("gravity", x, y + (y > cy ? 12 : -6));
+  pen.textAlign = "center";
+  if (Math.hypot(x - cx, y - cy) > 12)
+    pen.fillText(DATA.scenarios[rec.scenario].own_row, x, y + (y > cy ? 12 : -6));
 }
 
-/** The same rows as a table of numbers. */
+/** The same rows as a table of numbers; where the sensor errs, beside what is true. */
 function listRows(box, rec, frame, robot) {
   const lives = robot !== null && isActive(rec, frame, robot);
   const rows = lives ? rowsOf(rec, frame, robot) : [];
+  const errs = lives && !DATA.scenarios[rec.scenario].exact;
   const name = ({ kind, index, point }) =>
-    kind === "neighbour" ? `robot ${index}` :
-    kind === "gravity" ? "gravity" :
+    kind === "neighbour" ? (index === null ? "a neighbour" : `robot ${index}`) :
+    kind === "own" ? DATA.scenarios[rec.scenario].own_row :
     `obstacle ${index}, ${rec.shape.positions[2] === 2 ? ["left", "right"][point] : `ray ${point}`}`;
-  box.replaceChildren(make("table", {}, ...rows.map((row) =>
-    make("tr", {}, make("td", { className: "word", textContent: name(row) }),
-      ...row.vector.map((part) =>
-        make("td", { textContent: part.toFixed(3).replace("-", "−") }))))));
+  const lines = rows.map((row) => numbers(name(row), row.vector));
+  if (errs) lines.push(...trueLines(rec, frame, robot, rows));
+  box.replaceChildren(make("table", {}, make("tbody", {}, ...lines)));
+}
+
+function numbers(name, vector, ...more) {
+  const cells = [...vector.map((part) => part.toFixed(3).replace("-", "−")), ...more];
+  return make("tr", {}, make("td", { className: "word", textContent: name }),
+    ...cells.map((textContent) => make("td", { textContent })));
+}
+
+/** The true direction of every other robot, and how far off it is seen. */
+function trueLines(rec, frame, robot, rows) {
+  return trueDirections(rec, frame, robot).map(({ index, direction }) => {
+    const seen = rows.find((row) => row.kind === "neighbour" && row.index === index);
+    const line = numbers(`truly ${index}`, direction, seen ? `${offBy(seen.vector, direction)}°` : "unseen");
+    line.className = "true";
+    return line;
+  });
+}
+
+/** Angle between two directions, whole degrees. */
+function offBy(seen, direction) {
+  const along = seen.reduce((sum, x, k) => sum + x * direction[k], 0) / Math.hypot(...seen);
+  return Math.round((Math.acos(Math.min(1, Math.max(-1, along))) * 180) / Math.PI);
 }

@@ -23,65 +23,93 @@ function seconds(cell, row) {
   return Number(cell) >= limit - 1e-9 ? `> ${short(String(limit))}` : fixed(cell, 2);
 }
 
+// best: which end of a column is the better one, 1 the largest, -1 the least; words begin with a.
+// key: shown on a narrow screen too.
+const CLEAN = { title: "met cleanly %", value: "clean_success", range: ["clean_low", "clean_high"],
+  show: percent, bar: true, best: 1, key: true };
+const TIME = { title: "median time s", value: "median_time", range: ["time_low", "time_high"],
+  show: seconds, best: -1, key: true };
+const SCENARIO = { title: "scenario", value: "scenario", word: true };
+const POLICY = { title: "policy", value: "policy", word: true, link: true, key: true };
+
 const RESULT_COLUMNS = [
-  { title: "scenario", value: "scenario", word: true },
-  { title: "policy", value: "policy", word: true },
-  { title: "starts", value: "episodes", show: (cell) => cell },
-  { title: "met %", value: "success", range: ["success_low", "success_high"], show: percent },
-  { title: "met cleanly %", value: "clean_success", range: ["clean_low", "clean_high"],
-    show: percent, bar: true },
-  { title: "median time s", value: "median_time", range: ["time_low", "time_high"],
-    show: seconds },
-  { title: "time/bound", value: "time_over_bound", show: short },
-  { title: "path m", value: "path_length", show: (cell) => fixed(cell, 1) },
-  { title: "contacts", value: "contacts", show: (cell) => fixed(cell, 1) },
-  { title: "clearance m", value: "min_clearance", show: (cell) => fixed(cell, 2) },
-  { title: "V rise m²/s", value: "max_rise_between_merges",
+  SCENARIO,
+  POLICY,
+  { title: "starts", value: "episodes", show: (cell) => cell, best: 1 },
+  { title: "met %", value: "success", range: ["success_low", "success_high"], show: percent,
+    best: 1 },
+  CLEAN,
+  TIME,
+  { title: "time/bound", value: "time_over_bound", show: short, best: -1 },
+  { title: "path m", value: "path_length", show: (cell) => fixed(cell, 1), best: -1 },
+  { title: "contacts", value: "contacts", show: (cell) => fixed(cell, 1), best: -1 },
+  { title: "clearance m", value: "min_clearance", show: (cell) => fixed(cell, 2), best: 1 },
+  { title: "V rise m²/s", value: "max_rise_between_merges", best: -1,
     show: (cell) => (Number(cell) <= 1e-9 ? "none" : short(cell)) },
-  { title: "alignment", value: "min_alignment", show: (cell) => fixed(cell, 2) },
+  { title: "alignment", value: "min_alignment", show: (cell) => fixed(cell, 2), best: 1 },
 ];
 
 const PAIRED_COLUMNS = [
-  { title: "scenario", value: "scenario", word: true },
-  { title: "policy", value: "policy", word: true },
+  SCENARIO,
+  POLICY,
   { title: "against", value: "against", word: true },
-  { title: "difference, clean %", value: "clean_difference",
+  { title: "difference, clean %", value: "clean_difference", best: 1, key: true,
     range: ["clean_difference_low", "clean_difference_high"], show: percent },
-  { title: "better on a start, %", value: "probability_of_improvement",
+  { title: "better on a start, %", value: "probability_of_improvement", best: 1, key: true,
     range: ["improvement_low", "improvement_high"], show: percent, bar: true },
 ];
 
-/** Fill a table; the returned function shows one scenario, or all for "". */
+const BEST_COLUMNS = [
+  SCENARIO,
+  { ...POLICY, title: "best" },
+  CLEAN,
+  TIME,
+  { title: "not told from it", value: "tied", word: true, wraps: true },
+];
+
+/**
+ * Fill a table; show(scenario) of what is returned shows one scenario, or all for "", and rows()
+ * are the rows in the order in which they stand there.
+ */
 function sortableTable(table, columns, rows) {
   const body = make("tbody");
   const lines = rows.map((row) => ({ row, element: tableRow(columns, row) }));
   let shown = "";
+  const found = () => lines.filter(({ row }) => !shown || row.scenario === shown);
   const show = () => {
-    const found = lines.filter(({ row }) => !shown || row.scenario === shown);
-    found.forEach(({ row, element }, place) =>
-      element.classList.toggle("first",
-        place > 0 && found[place - 1].row.scenario !== row.scenario));
-    body.replaceChildren(...found.map(({ element }) => element));
+    found().forEach(({ row, element }, place, all) =>
+      element.classList.toggle("first", place > 0 && all[place - 1].row.scenario !== row.scenario));
+    body.replaceChildren(...found().map(({ element }) => element));
   };
   const heads = columns.map((column) => {
-    const head = make("th", { scope: "col", className: column.word ? "word" : "" });
+    const head = make("th", { scope: "col", className: classOf(column) });
     const button = make("button", { type: "button", textContent: column.title });
     button.addEventListener("click", () => {
-      const down = head.getAttribute("aria-sort") === "ascending";
-      heads.forEach((other) => other.removeAttribute("aria-sort"));
-      head.setAttribute("aria-sort", down ? "descending" : "ascending");
-      lines.sort((a, b) => inOrder(a.row[column.value], b.row[column.value], column, down));
+      const first = column.best === 1 ? "descending" : "ascending";
+      const other = column.best === 1 ? "ascending" : "descending";
+      const order = head.getAttribute("aria-sort") === first ? other : first;
+      heads.forEach((one) => one.removeAttribute("aria-sort"));
+      head.setAttribute("aria-sort", order);
+      lines.sort((a, b) =>
+        inOrder(a.row[column.value], b.row[column.value], column, order === "descending"));
       show();
     });
     head.append(button);
     return head;
   });
-  table.replaceChildren(make("thead", {}, make("tr", {}, ...heads)), body);
+  table.append(make("thead", {}, make("tr", {}, ...heads)), body);
   show();
-  return (scenario) => {
-    shown = scenario;
-    show();
+  return {
+    show: (scenario) => {
+      shown = scenario;
+      show();
+    },
+    rows: () => found().map(({ row }) => row),
   };
+}
+
+function classOf({ word, key, wraps }) {
+  return [word && "word", !key && "more", wraps && "wraps"].filter(Boolean).join(" ");
 }
 
 /** Words by letter, numbers by size, empty cells last either way. */
@@ -92,22 +120,46 @@ function inOrder(a, b, column, down) {
 }
 
 function tableRow(columns, row) {
-  return make("tr", {}, ...columns.map((column) => {
-    const cell = row[column.value];
-    const box = make("td", { className: column.word ? "word" : "" });
-    box.dataset.column = column.value;
-    box.dataset.value = cell;
-    if (column.word) box.textContent = cell;
-    else box.append(make("span", { textContent: column.show(cell, row) }));
-    if (!column.range) return box;
-    const [low, high] = column.range.map((name) => row[name]);
-    Object.assign(box.dataset, { low, high });
-    if (low === "" || high === "") return box;
-    const ends = [low, high].map((end) => column.show(end, row)).join(", ");
-    box.append(make("span", { className: "range", textContent: `[${ends}]` }));
-    if (column.bar) box.append(bar(Number(cell), Number(low), Number(high)));
-    return box;
-  }));
+  const line = make("tr", {}, ...columns.map((column) => tableCell(column, row)));
+  const link = line.querySelector("a");
+  if (link) {
+    line.classList.add("replays");
+    line.addEventListener("click", (event) => {
+      if (event.target !== link && !String(getSelection())) link.click();
+    });
+  }
+  return line;
+}
+
+function tableCell(column, row) {
+  const cell = row[column.value];
+  const box = make("td", { className: classOf(column) });
+  box.dataset.column = column.value;
+  box.dataset.value = cell;
+  if (column.link) {
+    box.dataset.scenario = row.scenario;
+    box.append(replayLink(row) ?? cell);
+  } else if (column.word) box.textContent = cell;
+  else box.append(make("span", { textContent: column.show(cell, row) }));
+  if (!column.range) return box;
+  const [low, high] = column.range.map((name) => row[name]);
+  Object.assign(box.dataset, { low, high });
+  if (low === "" || high === "") return box;
+  const ends = [low, high].map((end) => column.show(end, row)).join(", ");
+  box.append(make("span", { className: "range", textContent: `[${ends}]` }));
+  if (column.bar) box.append(bar(Number(cell), Number(low), Number(high)));
+  return box;
+}
+
+/** A policy's name that leads to its replay, if a start of it was kept. */
+function replayLink({ scenario, policy }) {
+  if (!kept((one) => one.scenario === scenario && one.policy === policy).length) return null;
+  const link = make("a", {
+    href: fragmentOf({ scenario, policies: [policy] }), textContent: policy,
+    title: `Replay ${policy} on ${scenario}`,
+  });
+  link.addEventListener("click", () => find("replay").scrollIntoView());
+  return link;
 }
 
 /** An interval between 0 and 1 as a picture. */
@@ -123,12 +175,34 @@ function bar(value, low, high) {
 }
 
 function showTables() {
-  const fill = (name, columns) =>
-    sortableTable(document.getElementById(`${name}-table`), columns, DATA[name]);
-  const filters = [fill("results", RESULT_COLUMNS), fill("paired", PAIRED_COLUMNS)];
-  const choice = document.getElementById("table-scenario");
-  for (const name of Object.keys(DATA.scenarios)) choice.append(make("option", { value: name, textContent: name }));
-  choice.addEventListener("change", () => filters.forEach((filter) => filter(choice.value)));
+  const table = (name, columns, rows) => sortableTable(find(`${name}-table`), columns, rows);
+  const tables = {
+    results: table("results", RESULT_COLUMNS, DATA.results),
+    paired: table("paired", PAIRED_COLUMNS, DATA.paired),
+  };
+  table("best", BEST_COLUMNS, bestRows());
+  const choice = find("table-scenario");
+  for (const name of Object.keys(DATA.scenarios))
+    choice.append(make("option", { value: name, textContent: name }));
+  choice.addEventListener("change", () =>
+    Object.values(tables).forEach(({ show }) => show(choice.value)));
+  for (const button of document.querySelectorAll("button.csv")) {
+    const { table: name } = button.dataset;
+    button.addEventListener("click", () =>
+      save(`${name}.csv`, new Blob([csvOf(tables[name].rows())], { type: "text/csv" })));
+  }
+  find("all-columns").addEventListener("click", ({ target }) => {
+    const all = document.body.classList.toggle("all-columns");
+    target.setAttribute("aria-pressed", all);
+  });
+}
+
+/** The row of the best policy of each scenario, with those that are not told from it. */
+function bestRows() {
+  return DATA.rankings.filter(({ top }) => top.length).map(({ scenario, top: [best, ...tied] }) => ({
+    ...DATA.results.find((row) => row.scenario === scenario && row.policy === best),
+    tied: tied.join(", "),
+  }));
 }
 
 showTables();

@@ -233,8 +233,9 @@ function drawDirections(pen, view, rec, moment, robot) {
   };
   pen.lineWidth = 1.6;
   for (const { kind, vector, index } of rowsOf(rec, moment.frame, robot)) {
-    pen.strokeStyle = kind === "obstacle" ? colour("obstacle-edge") : robotColour(index);
-    if (kind === "gravity") continue;
+    if (kind === "own") continue;
+    pen.strokeStyle = kind === "obstacle" ? colour("obstacle-edge") :
+      index === null ? colour("accent") : robotColour(index);
     const [dx, dy] = ray(vector, kind === "obstacle" ? 70 : 46);
     pen.setLineDash(kind === "obstacle" ? [3, 3] : []);
     line(pen, x, y, x + dx, y - dy);

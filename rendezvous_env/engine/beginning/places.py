@@ -1,0 +1,112 @@
+"""The places of a start, drawn in the spawn area."""
+
+import math
+
+import numpy as np
+
+from ...compilation import kernel
+from ...equations.potential import distance_squared
+from ...equations.random_streams import mix, uniform
+from ...equations.shapes.obstacles import clear_of_obstacles
+from ...equations.vectors import load
+from .draw_graph import join
+
+_TRIES_FOR_START = 1000
+TRIES_FOR_WAYS = 1000
+"""Starts that are drawn until no robot is walled in."""
+_TRIES_FOR_JOINED = 10_000
+
+
+@kernel
+def stream_of_try(key, trial):
+    """The stream itself at first, then one of its own for each further try."""
+    return key if trial == 0 else mix(key ^ np.uint64(trial))
+
+
+@kernel
+def draw_places(key, rules, spacing, links, world, positions, hand):
+    """Places, unless they are given; whether they fit.
+
+    Where links change they are drawn until short ones connect them, if that is asked for.
+    """
+    if rules.draw_positions:
+        if spacing is not None:
+            for trial in range(_TRIES_FOR_JOINED):
+                # beside the streams of further tries for ways
+                own = stream_of_try(key, trial * TRIES_FOR_WAYS)
+                if not _draw_positions(own, rules, spacing, links, world, positions):
+                    return False
+                if _is_joined(positions, spacing.reach, hand.counts):
+                    return True
+            return False
+        return _draw_positions(key, rules, spacing, links, world, positions)
+    return True
+
+
+@kernel
+def _draw_positions(key, rules, spacing, links, world, positions):
+    """Uniform in the spawn area, neighbours at least 2r apart, clear of obstacles; whether it
+    fits.
+    """
+    n, d = positions.shape
+    counter = 0
+    for i in range(n):
+        for _ in range(_TRIES_FOR_START):
+            for k in range(d):
+                positions[i, k] = rules.spawn_size * (uniform(key, counter) - 0.5)
+                counter += 1
+            if _apart(i, positions, spacing, links, rules.least_distance) and _clear(
+                positions[i], world, rules.keep_out
+            ):
+                break
+        else:
+            return False
+    return True
+
+
+@kernel
+def _clear(position, world, margin):
+    if world is not None:
+        return clear_of_obstacles(load(position), world, margin)
+    return True
+
+
+@kernel
+def _apart(i, positions, spacing, links, least_distance):
+    """Whether robot i is far enough from the neighbours that have a place already; where links
+    change, from everyone who has.
+    """
+    square = least_distance * least_distance
+    if spacing is not None:
+        for j in range(i):
+            if distance_squared(positions, j, i) < square:
+                return False
+    else:
+        first, second, _ = links
+        for e in range(len(first)):
+            if second[e] == i:  # links name the lower robot first, and it has been placed before
+                if distance_squared(positions, first[e], i) < square:
+                    return False
+    return True
+
+
+@kernel
+def _is_joined(positions, reach, places):
+    """Whether links up to a length connect a team.
+
+    Args:
+        positions: (n, d), m.
+        reach: the length, m.
+        places: (n,) int64, working memory.
+    """
+    if math.isinf(reach):
+        return True
+    n = positions.shape[0]
+    for i in range(n):
+        places[i] = i
+    groups = n
+    for i in range(n):
+        for j in range(i):
+            if distance_squared(positions, i, j) <= reach * reach:
+                groups -= join(i, j, places)
+    return groups == 1

@@ -1,0 +1,202 @@
+"""Tasks done by other processes: the same results, whoever does them and whatever is lost."""
+
+import os
+import signal
+import time
+from contextlib import closing
+from importlib.util import find_spec
+
+import numpy as np
+import pytest
+
+from train import interrupts, workers
+from train.comparing import compare
+from train.errors import UserError
+from train.learned import checkpoints
+from train.learning import train
+from train.verification import verify
+from train.verification.claims import CLAIMS
+from train.workers import Workers, each
+
+
+@pytest.fixture(autouse=True)
+def at_once(monkeypatch):
+    """Workers begin at once."""
+    monkeypatch.setattr(workers, "_ALONE", 0.0)
+
+
+def where(task):
+    time.sleep(0.05)
+    return task, os.getpid(), os.environ.get("NUMBA_NUM_THREADS"), workers.available_cores()
+
+
+def dies_once(task):
+    """Ends its process, unless somebody has done so before."""
+    number, folder = task
+    if number == 3 and not (folder / "died").exists():
+        (folder / "died").touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return number
+
+
+def dies(task):
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def refuses(task):
+    raise UserError(f"task {task} cannot be")
+
+
+class TestEach:
+    def test_one_worker_is_this_process(self):
+        found = list(each(where, "abc", Workers(1)))
+        assert [number for number, _ in found] == [0, 1, 2]
+        assert [result[:2] for _, result in found] == [(letter, os.getpid()) for letter in "abc"]
+
+    def test_two_are_others_with_one_thread_each(self):
+        found = dict(each(where, range(12), Workers(2)))
+        assert sorted(found) == list(range(12))
+        assert all(found[number][0] == number for number in found)
+        assert {result[2:] for result in found.values()} == {("1", 1)}
+        processes = {result[1] for result in found.values()}
+        assert os.getpid() not in processes and 1 <= len(processes) <= 2
+
+    def test_what_must_stay_here_stays(self):
+        found = dict(each(where, range(6), Workers(2), here=lambda task: task % 2 == 0))
+        assert [found[number][1] == os.getpid() for number in range(6)] == [True, False] * 3
+
+    def test_a_lost_worker_costs_what_it_was_at(self, tmp_path):
+        tasks = [(number, tmp_path) for number in range(8)]
+        assert dict(each(dies_once, tasks, Workers(2))) == {number: number for number in range(8)}
+        assert (tmp_path / "died").exists()
+
+    def test_workers_that_are_always_lost_are_an_error(self):
+        with pytest.raises(UserError, match="workers ended 3 times before any task was done"):
+            list(each(dies, range(4), Workers(2)))
+
+    @pytest.mark.parametrize("count", [1, 2])
+    def test_what_a_task_raises_is_raised(self, count):
+        with pytest.raises(UserError, match=r"task \d cannot be"):
+            list(each(refuses, range(4), Workers(count)))
+
+    def test_ctrl_c_ends_them(self):
+        processes = set()
+        tasks = each(where, range(10_000), Workers(2))
+        with interrupts.raised("test"), pytest.raises(KeyboardInterrupt), closing(tasks):
+            for number, found in tasks:
+                processes.add(found[1])
+                if number == 4:
+                    os.kill(os.getpid(), signal.SIGINT)
+        assert processes
+        for process in processes:
+            with pytest.raises(ProcessLookupError):
+                os.kill(process, 0)
+
+    def test_short_work_is_done_here(self, monkeypatch):
+        monkeypatch.setattr(workers, "_ALONE", 60.0)
+        found = list(each(where, range(5), Workers(2)))
+        assert {result[1] for _, result in found} == {os.getpid()}
+
+
+class TestRefusals:
+    @pytest.mark.parametrize(
+        ("given", "message"),
+        [
+            ({"jobs": 0}, "--jobs is 0; it must be 1 or more"),
+            ({"address": "auto"}, "--address is auto; only --on ray has one"),
+        ],
+    )
+    def test_by_name(self, given, message):
+        with pytest.raises(UserError, match=message):
+            Workers(**given)
+        with pytest.raises(UserError, match=message):
+            compare.plan(compare.Config(**given))
+        with pytest.raises(UserError, match=message):
+            verify.check_config(verify.Config(**given))
+
+    def test_a_missing_ray(self, monkeypatch):
+        monkeypatch.setattr(workers.importlib.util, "find_spec", lambda name: None)
+        with pytest.raises(
+            UserError, match=r"--on ray needs Ray; pip install 'rendezvous-env\[ray\]"
+        ):
+            Workers(on="ray")
+
+
+def compared(out, **changes):
+    """The files of a comparison whose numbers may not depend on who plays."""
+    given = {"scenarios": ("duo", "clutter-8"), "policies": ("bearing-only", "learned")}
+    config = compare.Config(**given, episodes=140, keep=2, figures=False, ceiling=1, out=out)
+    assert compare.run(compare.Config(**vars(config) | changes)) == 0
+    names = ("results.csv", "episodes.csv", "paired.csv", "ceiling.csv", "trajectories.npz")
+    return [(out / name).read_bytes() for name in names]
+
+
+def test_a_comparison_by_two_is_that_of_one(tmp_path):
+    assert compared(tmp_path / "one", jobs=1) == compared(tmp_path / "two", jobs=2)
+
+
+def test_so_is_a_verification(tmp_path):
+    claims = [claim for claim in CLAIMS if claim.name in ("lemma-1", "theorem-1")]
+    found = []
+    for jobs in (1, 2):
+        assert verify.run(verify.Config(trials=120, jobs=jobs, out=tmp_path), claims) == 0
+        lines = (tmp_path / "verify.csv").read_text().splitlines()
+        found.append([[*line.split(",")[:5], line.split(",")[6]] for line in lines])
+    assert found[0] == found[1] and len(found[0]) == 3
+
+
+SMALL = {
+    "scenario": "clutter-4", "num_teams": 4, "n_steps": 8, "batch_size": 64, "epochs": 1,
+    "total_steps": 256, "set_width": 4, "hidden": (8,), "eval_every": 0,
+    "checkpoint_every": 128, "tensorboard": False,
+}  # fmt: skip
+
+
+class TestSeeds:
+    def config(self, out, **changes):
+        return train.Config(**SMALL | {"seeds": (0, 3), "out": out} | changes)
+
+    @staticmethod
+    def weights(folder):
+        return checkpoints.read(checkpoints.find(folder), ["network"])[1]["network"]
+
+    def test_two_at_once_are_those_of_one_after_the_other(self, tmp_path):
+        for jobs in (1, 2):
+            assert train.run(self.config(tmp_path / str(jobs), jobs=jobs)) == 0
+        for seed in (0, 3):
+            one, two = (self.weights(tmp_path / jobs / f"seed-{seed}") for jobs in "12")
+            assert all(np.array_equal(one[name], two[name]) for name in one)
+        other = self.weights(tmp_path / "1" / "seed-0")
+        assert any(not np.array_equal(one[name], other[name]) for name in one)
+        assert "done: 256 steps" in (tmp_path / "1" / "seed-0.txt").read_text()
+
+    def test_the_same_command_goes_on(self, tmp_path):
+        assert train.run(self.config(tmp_path, seeds=(0,), jobs=1)) == 0
+        before = self.weights(tmp_path / "seed-0")
+        assert train.run(self.config(tmp_path, jobs=1)) == 0
+        after = self.weights(tmp_path / "seed-0")
+        assert all(np.array_equal(before[name], after[name]) for name in before)
+        assert self.weights(tmp_path / "seed-3")
+        with pytest.raises(UserError, match="seed-0 holds a run of other settings"):
+            train.run(self.config(tmp_path, learning_rate=1e-4))
+
+    @pytest.mark.parametrize(
+        ("given", "message"),
+        [
+            ({"seeds": (1, 1)}, "--seeds 1 1: name each once"),
+            ({"seed": 2}, "--seed is 2; --seeds says which runs there are"),
+            ({"seeds": (0, -1)}, "--seed is -1"),
+        ],
+    )
+    def test_refusals(self, given, message, tmp_path):
+        with pytest.raises(UserError, match=message):
+            train.run(self.config(tmp_path / "out", **given))
+        assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not find_spec("ray"), reason="Ray is an extra")
+@pytest.mark.filterwarnings("ignore")  # Ray's own
+def test_a_comparison_on_a_cluster_is_that_of_this_machine(tmp_path):
+    whole = compared(tmp_path / "here", jobs=1)
+    assert compared(tmp_path / "ray", jobs=2, on="ray") == whole

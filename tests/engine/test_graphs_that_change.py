@@ -1,0 +1,422 @@
+"""Episodes on graphs that are directed or change: against NumPy, against undirected ones, and as
+state that can be taken out, put back and begun again.
+"""
+
+from __future__ import annotations
+
+import copy
+import itertools
+
+import numpy as np
+import pytest
+
+import rendezvous_env as rv
+from rendezvous_env.experiment import graphs
+
+ARCS = np.array(
+    [
+        [0.0, 1.5, 0.0, 0.0, 0.0],
+        [0.0, 0.0, 0.7, 0.0, 0.0],
+        [0.0, 0.4, 0.0, 1.0, 0.6],
+        [0.0, 0.0, 0.0, 0.0, 2.0],
+        [0.8, 0.0, 0.0, 0.0, 0.0],
+    ]
+)
+"""Pairs that see each other with unequal gains, and pairs of which one sees the other."""
+SYMMETRIC = np.array(
+    [
+        [0.0, 2.0, 0.0, 0.5, 0.0],
+        [2.0, 0.0, 1.3, 0.0, 0.0],
+        [0.0, 1.3, 0.0, 0.7, 1.1],
+        [0.5, 0.0, 0.7, 0.0, 0.9],
+        [0.0, 0.0, 1.1, 0.9, 0.0],
+    ]
+)
+TURNS = graphs.switching(["path", graphs.directed_cycle(1.5), graphs.from_edges([(0, 4)], 5)], 0.3)
+RANGE, FIELD = 2.5, 4.0
+SIGHT = rv.Sensing(range=RANGE, field_of_view=FIELD)
+KINDS = {
+    "directed": {"graph": graphs.directed(ARCS)},
+    "switching": {"graph": TURNS},
+    "proximity": {"graph": graphs.proximity(0.8), "sensing": SIGHT},
+}
+"""Kinds of graphs, and what of a scenario goes with them."""
+
+
+def scenario(**fields):
+    """Five robots in a small area, whose frames are the global one."""
+    usual = {"n_robots": 5, "spawn_size": 4.0, "time_limit": 8.0, "local_frames": "global"}
+    return rv.Scenario(**(usual | fields))
+
+
+# ---- against an independent reference -----------------------------------------------------------
+
+
+class Reference:
+    """One team under ṗ = f, written from the definitions, slowly: groups of robots that have merged
+    stand in one place, and every number is computed anew from the original arcs.
+    """
+
+    def __init__(self, kind, positions, radius, duration):
+        self.kind, self.r, self.tau = kind, radius, duration
+        self.places = {frozenset([i]): p.copy() for i, p in enumerate(positions)}
+        self.steps = 0
+
+    def base(self):
+        """Arcs between the robots of the start, at this moment."""
+        if self.kind == "directed":
+            return ARCS
+        if self.kind == "proximity":
+            return 0.8 * (1 - np.eye(5))
+        turn = int(self.steps * self.tau / 0.3 + 1e-9) % 3
+        return TURNS.graphs[turn].base_weights(5) * TURNS.graphs[turn].weight_range[1]
+
+    def gain(self, a, b):
+        heaviest = max(self.base()[i, j] for i in a for j in b)
+        if self.kind == "proximity":
+            way = self.places[b] - self.places[a]
+            angle = abs(np.arctan2(way[1], way[0]))
+            if np.linalg.norm(way) > RANGE or angle > FIELD / 2:
+                return 0.0
+        return heaviest
+
+    def weights(self):
+        matrix = np.zeros((5, 5))
+        for a, b in itertools.permutations(self.places, 2):
+            matrix[min(a), min(b)] = self.gain(a, b)
+        return matrix
+
+    def bearings(self):
+        """f of every group, by its lowest robot."""
+        found = np.zeros((5, 2))
+        for a, b in itertools.permutations(self.places, 2):
+            way = self.places[b] - self.places[a]
+            found[min(a)] += self.gain(a, b) * way / np.linalg.norm(way)
+        return found
+
+    def lyapunov(self):
+        pairs = itertools.permutations(self.places, 2)
+        return sum(
+            self.gain(a, b) * np.linalg.norm(self.places[a] - self.places[b]) for a, b in pairs
+        )
+
+    def step(self, velocities):
+        """Pairs of which one sees the other merge when they come within r, the first ones first;
+        who is near enough at the end merges then.
+        """
+        arcs = self.weights()
+        linked = {
+            frozenset([a, b])
+            for a, b in itertools.combinations(self.places, 2)
+            if arcs[min(a), min(b)] > 0 or arcs[min(b), min(a)] > 0
+        }
+        way = {a: self.tau * velocities[min(a)] for a in self.places}
+        moving = set(self.places)
+        while True:
+            meetings = [(self.moment(a, b, way), a, b) for a, b in map(tuple, linked)]
+            meetings = [m for m in meetings if m[0] <= 1 and m[1] in moving and m[2] in moving]
+            if not meetings:
+                break
+            moment, a, b = min(meetings, key=lambda m: m[0])
+            ends = [self.places[g] + moment * way[g] for g in (a, b)]
+            linked = self.merge(a, b, ends, linked, way)
+            moving -= {a, b}
+        for a in moving:
+            self.places[a] = self.places[a] + way[a]
+        while near := [pair for pair in linked if self.apart(*pair) < self.r]:
+            a, b = min(near, key=lambda pair: self.apart(*pair))
+            linked = self.merge(a, b, [self.places[a], self.places[b]], linked, way)
+        self.steps += 1
+
+    def apart(self, a, b):
+        return np.linalg.norm(self.places[a] - self.places[b])
+
+    def moment(self, a, b, way):
+        offset, velocity = self.places[b] - self.places[a], way[b] - way[a]
+        square, slope = velocity @ velocity, offset @ velocity
+        gap = offset @ offset - self.r**2
+        if gap <= 0:
+            return 0.0
+        root = slope**2 - square * gap
+        return np.inf if slope >= 0 or root < 0 else (-slope - np.sqrt(root)) / square
+
+    def merge(self, a, b, ends, linked, way):
+        """The links of both become links of one; where all links lead is kept."""
+        both = a | b
+        del self.places[a], self.places[b]
+        self.places[both] = (ends[0] + ends[1]) / 2
+        way[both] = np.zeros(2)
+        renamed = (frozenset(both if g in (a, b) else g for g in pair) for pair in linked)
+        return {pair for pair in renamed if len(pair) == 2}
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("kind", KINDS)
+def test_law_1_moves_as_a_reference_written_from_the_definitions(kind, seed):
+    sim = rv.Simulator(scenario(**KINDS[kind], require_connected=False))
+    rows = sim.reset(seed)
+    reference = Reference(kind, sim.positions[0], sim.scenario.merge_radius, sim.scenario.tau)
+    seen = []
+    for _ in range(480):
+        f = reference.bearings()
+        k = sim.scenario.observation_layout.neighbours
+        np.testing.assert_allclose(rows[0, :, k].sum(axis=1), f, atol=1e-5)
+        np.testing.assert_allclose(sim.weights[0], reference.weights(), rtol=1e-12)
+        np.testing.assert_allclose(sim.lyapunov()[0], reference.lyapunov(), rtol=1e-9, atol=1e-12)
+        for group, place in reference.places.items():
+            assert all(sim.merged_into[0, i] == min(group) for i in group)
+            np.testing.assert_allclose(sim.positions[0, min(group)], place, atol=1e-7)
+        seen.append((set(reference.places), (reference.weights() > 0).tolist()))
+        if sim.ended[0]:
+            break
+        actions = f.astype(np.float32)
+        reference.step(actions.astype(float))
+        rows = sim.step(actions[None]).observations
+    assert len({len(robots) for robots, _ in seen}) >= 3, "no merges"
+    changes = [a[0] == b[0] and a[1] != b[1] for a, b in itertools.pairwise(seen)]
+    assert any(changes) == (kind != "directed")
+
+
+# ---- against undirected graphs ------------------------------------------------------------------
+
+
+def played(policy="bearing-only", **fields):
+    made = scenario(**fields)
+    return rv.rollout(made, rv_policy(policy, made), seed=3, num_envs=2, record="all")
+
+
+def rv_policy(name, made):
+    import baselines
+
+    return baselines.make(name, made)
+
+
+def assert_same(one, other):
+    for field in ("positions", "active", "lyapunov", "rewards", "observations", "actions"):
+        np.testing.assert_array_equal(getattr(one, field), getattr(other, field), err_msg=field)
+    np.testing.assert_array_equal(one.lyapunov_before_merge, other.lyapunov_before_merge)
+    np.testing.assert_array_equal(one.lyapunov_after_merge, other.lyapunov_after_merge)
+    assert one.active[-1].sum() < 10, "no merges"
+
+
+STEP = {"time_step": 0.015, "allow_long_step": True, "max_speed": 3.0, "neighbour_slots": 4}
+"""The same for graphs whose worst cases are known less well than an undirected one's."""
+
+
+def test_a_symmetric_matrix_of_arcs_is_the_undirected_graph():
+    for slots in (4, 3):  # a row for each robot, or those present first
+        same = STEP | {"neighbour_slots": slots}
+        plain = played(graph=SYMMETRIC, **same)
+        assert_same(played(graph=graphs.directed(SYMMETRIC), **same), plain)
+
+
+def test_arcs_in_space_turn_silhouettes_as_links_do():
+    """The first ray of a silhouette stands on f."""
+    field = rv.ObstacleField(count=3, radius=(0.3, 0.6), region=5.0, keep_out=0.3)
+    same = STEP | {"dim": 3, "obstacles": field}
+    plain = played(graph=SYMMETRIC, **same)
+    assert_same(played(graph=graphs.directed(SYMMETRIC), **same), plain)
+
+
+def test_a_list_of_one_graph_is_that_graph_with_weights_drawn_alike():
+    plain = graphs.path((0.5, 2.0))
+    alone = played(graph=plain, **STEP)
+    assert_same(played(graph=graphs.switching([plain], 0.3), **STEP), alone)
+
+
+def test_far_sight_is_the_complete_graph_with_every_error_of_the_sensor():
+    sensing = rv.Sensing(range=1e3, noise=0.1, bias=0.05, dropout=0.1, delay=1)
+    plain = played(graph=graphs.complete((0.5, 2.0)), sensing=sensing, **STEP)
+    assert_same(played(graph=graphs.proximity((0.5, 2.0)), sensing=sensing, **STEP), plain)
+
+
+def test_a_sensor_errs_along_arcs_as_along_links():
+    sensing = rv.Sensing(noise=0.1, range=3.0, field_of_view=4.0, occlusion="robots", sectors=16)
+    for slots in (4, 3):
+        same = STEP | {"neighbour_slots": slots, "sensing": sensing}
+        plain = played(graph=SYMMETRIC, **same)
+        assert_same(played(graph=graphs.directed(SYMMETRIC), **same), plain)
+
+
+# ---- what is one-way ----------------------------------------------------------------------------
+
+
+def test_who_is_seen_need_not_see_and_both_merge():
+    made = scenario(
+        n_robots=2, graph=graphs.directed([(1, 0)], 2), start_positions=((0, 0), (1, 0))
+    )
+    sim = rv.Simulator(made)
+    rows = sim.reset(0)
+    assert rows[0].tolist() == [[[0.0, 0.0]], [[-1.0, 0.0]]]
+    assert sim.lyapunov() == pytest.approx(1.0), "an arc counts once"
+    while not sim.ended[0]:
+        rows = sim.step(rows[:, :, 0]).observations
+    assert sim.merged_into[0].tolist() == [0, 0]
+    # robot 0 never moved; they met at a distance r, and stand in the middle
+    assert sim.positions[0, 0, 0] == pytest.approx(made.merge_radius / 2)
+    assert sim.time[0] == pytest.approx(0.8, abs=made.tau)
+
+
+def test_both_ways_of_an_edge_count():
+    sim = rv.Simulator(scenario(n_robots=2, graph="path", start_positions=((0, 0), (1, 0))))
+    sim.reset(0)
+    assert sim.lyapunov() == pytest.approx(2.0)
+
+
+def test_a_robot_that_comes_to_see_more_than_there_are_rows_for_is_named():
+    tight = scenario(graph=graphs.directed(ARCS), neighbour_slots=2)
+    with pytest.raises(RuntimeError, match=r"robot_2 of team 0 has more than neighbour_slots = 2"):
+        rv.Simulator(tight).reset(0)
+
+
+# ---- turns --------------------------------------------------------------------------------------
+
+
+def graph_of_each_step(order, seed=0, steps=60):
+    listed = [graphs.from_edges([(0, j)], 4) for j in (1, 2, 3)]
+    made = scenario(
+        n_robots=4, graph=graphs.switching(listed, 0.5, order), time_step=0.1, max_speed=1.0
+    )
+    sim, found = rv.Simulator(made, 3), []
+    sim.reset(seed)
+    for _ in range(steps):
+        found.append(np.argmax(sim.weights[:, 0], axis=1))
+        sim.step(np.zeros((3, 4, 2), np.float32))
+    return np.array(found)
+
+
+def test_graphs_take_turns_in_order():
+    found = graph_of_each_step("cyclic")
+    np.testing.assert_array_equal(found[:, 1], np.repeat([1, 2, 3] * 4, 5))
+    np.testing.assert_array_equal(found[:, 0], found[:, 1])
+
+
+def test_graphs_are_drawn_for_every_team_and_the_same_again():
+    found = graph_of_each_step("random", steps=400)
+    blocks = found.reshape(80, 5, 3)
+    assert (blocks == blocks[:, :1]).all(), "one holds for its dwell time"
+    assert set(np.unique(found)) == {1, 2, 3}
+    assert not np.array_equal(found[:, 0], found[:, 1])
+    counts = np.bincount(blocks[:, 0].reshape(-1), minlength=4)[1:]
+    assert (abs(counts / 240 - 1 / 3) < 0.12).all()
+    np.testing.assert_array_equal(found, graph_of_each_step("random", steps=400))
+    np.testing.assert_array_equal(found[:, 1], graph_of_each_step("random", 1, 400)[:, 0])
+
+
+def test_no_progress_is_earned_where_no_edge_was_at_the_start():
+    nothing = np.zeros((3, 3))
+    made = scenario(
+        n_robots=3,
+        graph=graphs.switching([nothing, "complete"], 0.5),
+        start_positions=((0, 0), (1, 0), (0, 1)),
+    )
+    sim = rv.Simulator(made)
+    rows, total = sim.reset(0), 0.0
+    assert sim.initial_lyapunov == 0.0
+    while not sim.ended[0]:
+        outcome = sim.step(rows.sum(axis=2))
+        rows, total = outcome.observations, total + outcome.rewards[0]
+    passed = sim.time[0] / made.time_limit
+    bonus = made.reward.rendezvous_bonus
+    assert total == pytest.approx(bonus - made.reward.time_penalty * passed, abs=1e-6)
+
+
+# ---- state --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_batch_is_its_teams_one_by_one_and_goes_on_from_any_state(kind):
+    made = scenario(**KINDS[kind], require_connected=False)
+    policy, batch = rv_policy("bearing-only", made), rv.Simulator(made, 6)
+    alone = rv.Simulator(made)
+    rows, single = batch.reset(5), alone.reset(9)
+    for step in range(120):
+        actions = policy(rows, batch.time)
+        np.testing.assert_array_equal(single[0], rows[4])
+        rows = batch.step(actions).observations
+        single = alone.step(actions[4:5]).observations
+        if step == 40:
+            kept, copied = batch.get_state(), copy.deepcopy(batch)
+            assert kept["weights"].shape == (6, 5, 5)
+        if step == 60:
+            np.testing.assert_array_equal(
+                copied.get_state()["weights"], kept["weights"], err_msg="a copy goes its own way"
+            )
+    end = batch.get_state()
+    batch.set_state(kept)
+    rows = batch.observe()
+    for _ in range(79):
+        rows = batch.step(policy(rows, batch.time)).observations
+    for name, value in batch.get_state().items():
+        np.testing.assert_array_equal(value, end[name], err_msg=name)
+
+
+def test_links_of_a_restart_are_those_of_the_new_start():
+    made = scenario(**KINDS["proximity"])
+    sim = rv.Simulator(made, 4)
+    rows = sim.reset(0)
+    for _ in range(30):
+        outcome = sim.step(rows.sum(axis=2))
+        rows = outcome.observations
+    sim.restart(np.array([True, False, True, False]), outcome)
+    fresh = rv.Simulator(made, 4)
+    fresh.reset(0)
+    fresh.reset()
+    np.testing.assert_array_equal(sim.weights[[0, 2]], fresh.weights[[0, 2]])
+    np.testing.assert_array_equal(sim.lyapunov()[[0, 2]], fresh.lyapunov()[[0, 2]])
+    np.testing.assert_array_equal(sim.initial_lyapunov[[0, 2]], fresh.lyapunov()[[0, 2]])
+
+
+def test_a_state_with_impossible_arcs_is_refused():
+    sim = rv.Simulator(scenario(graph=graphs.directed(ARCS)))
+    sim.reset(0)
+    for place, value, said in (
+        ((0, 1, 1), 1.0, r"weights\[0, 1, 1\] is 1\.0; it must be 0: no robot is its own"),
+        ((0, 1, 2), -1.0, r"weights\[0, 1, 2\] is -1\.0; it must be 0 or more"),
+        ((0, 1, 2), np.nan, r"weights\[0, 1, 2\] is nan; it must be finite"),
+    ):
+        state = sim.get_state()
+        state["weights"][place] = value
+        with pytest.raises(ValueError, match=said):
+            sim.set_state(state)
+
+
+# ---- starts -------------------------------------------------------------------------------------
+
+
+def test_starts_by_sight_are_connected_by_links_that_survive_merging():
+    made = scenario(n_robots=6, graph="proximity", sensing=rv.Sensing(range=2.0), spawn_size=5.0)
+    assert made.start_reach == pytest.approx(1.5)
+    sim = rv.Simulator(made, 40)
+    sim.reset(0)
+    for places in sim.positions:
+        gaps = np.linalg.norm(places[:, None] - places, axis=-1)
+        reached = np.linalg.matrix_power((gaps <= 1.5).astype(int), 6) > 0
+        assert reached.all() and gaps[gaps > 0].min() >= 2 * made.merge_radius
+    loose = rv.Simulator(made.replace(require_connected=False), 40)
+    loose.reset(0)
+    gaps = np.linalg.norm(loose.positions[:, :, None] - loose.positions[:, None], axis=-1)
+    assert not (np.linalg.matrix_power((gaps <= 1.5).astype(int), 6) > 0).all()
+
+
+def test_no_start_by_sight_is_an_error_that_says_what_to_change():
+    sim = rv.Simulator(
+        scenario(n_robots=6, graph="proximity", sensing=rv.Sensing(range=2.0), spawn_size=200.0)
+    )
+    with pytest.raises(RuntimeError, match=r"links of at most .* = 1\.5 m.*spawn_size smaller"):
+        sim.reset(0)
+
+
+def test_weights_of_a_directed_cycle_are_drawn_for_every_episode_or_given():
+    graph = graphs.directed_cycle((0.5, 2.0))
+    sim = rv.Simulator(scenario(graph=graph), 3)
+    sim.reset(0)
+    first = sim.weights
+    there = np.broadcast_to(graph.base_weights(5) > 0, first.shape)
+    np.testing.assert_array_equal(first > 0, there)
+    assert len(np.unique(first[there])) == 15 and 0.5 <= first[there].min() <= first.max() <= 2.0
+    sim.reset()
+    assert not np.any((first == sim.weights) & there)
+    given = 1.25 * graph.base_weights(5)
+    sim.reset(options={"weights": given})
+    np.testing.assert_array_equal(sim.weights, np.tile(given, (3, 1, 1)))

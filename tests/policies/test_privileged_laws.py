@@ -1,0 +1,164 @@
+"""Privileged references: equations by hand, what they keep, and that nobody is sooner."""
+
+import math
+
+import numpy as np
+import pytest
+
+import baselines
+import rendezvous_env as rv
+from baselines.privileged_laws import circumcentres, farthest_steps
+from rendezvous_env.guarantee.enclosing_ball import smallest_enclosing_ball
+
+TEAM = rv.Scenario(n_robots=5, max_speed=1.0, time_step=0.05, allow_long_step=True, time_limit=60.0)
+SPACE = TEAM.replace(dim=3)
+NAMES = (
+    "privileged-consensus", "privileged-circumcentre", "privileged-enclosing-ball",
+    "privileged-nearest-pursuit",
+)  # fmt: skip
+
+
+def first_velocities(name, scenario, positions):
+    """In the global frame."""
+    simulator, policy = rv.Simulator(scenario), baselines.make(name, scenario)
+    seen = simulator.reset(0, {"positions": positions})
+    policy.watch(simulator)
+    return np.einsum("bnij,bnj->bni", simulator.frames, policy(seen, 0.0))[0]
+
+
+@pytest.mark.parametrize("scenario", [TEAM, SPACE], ids=["plane", "space"])
+@pytest.mark.parametrize("name", NAMES)
+def test_they_meet_from_many_starts(name, scenario):
+    found = rv.rollout(scenario, baselines.make(name, scenario), 0, num_envs=20)
+    assert found.success.all()
+
+
+@pytest.mark.parametrize("graph", ["path", "star", "random_tree"])
+@pytest.mark.parametrize("name", NAMES[:3])
+def test_on_sparse_graphs_too(name, graph):
+    team = TEAM.replace(graph=graph)
+    assert rv.rollout(team, baselines.make(name, team), 0, num_envs=10).success.all()
+
+
+def test_consensus_is_the_exponential_of_the_laplacian():
+    """p(t) = exp(−L t) p(0), while nobody is at the speed limit or merges."""
+    weights = np.array([[0, 0.5, 0, 0.2], [0.5, 0, 0.7, 0], [0, 0.7, 0, 0.3], [0.2, 0, 0.3, 0]])
+    start = np.array([[0.0, 0.0], [3.0, 1.0], [4.0, -2.0], [-1.0, 2.0]])
+    team = rv.Scenario(
+        n_robots=4, graph=weights, max_speed=50.0, time_step=0.001, time_limit=0.5,
+        allow_long_step=True, start_positions=tuple(map(tuple, start)),
+    )  # fmt: skip
+    found = rv.rollout(team, baselines.make("privileged-consensus", team))
+    values, vectors = np.linalg.eigh(np.diag(weights.sum(axis=1)) - weights)
+    exact = vectors @ np.diag(np.exp(-values * 0.5)) @ vectors.T @ start
+    assert len(found.times) == 501
+    np.testing.assert_allclose(found.positions[-1, 0], exact, atol=2e-3)
+
+
+def test_consensus_never_overshoots_where_steps_are_long():
+    start = [[-2.0, 0.0], [2.0, 0.0]]
+    team = TEAM.replace(n_robots=2, time_step=2.0, max_speed=100.0)
+    velocities = first_velocities("privileged-consensus", team, start)
+    np.testing.assert_allclose(velocities, [[2, 0], [-2, 0]], atol=1e-6)  # each to the other
+
+
+class TestEnclosingBall:
+    def test_nobody_could_be_sooner(self):
+        """T is at least (R − (n − 1) r/2)/v_max, and at most R/v_max and what merges cost."""
+        policy = baselines.make("privileged-enclosing-ball", TEAM)
+        found = rv.rollout(TEAM, policy, 0, num_envs=50)
+        radii = np.array([smallest_enclosing_ball(p)[1] for p in found.positions[0]])
+        late = found.rendezvous_time - radii / TEAM.speed_limit
+        slack = 4 * (TEAM.merge_radius / 2 / TEAM.speed_limit + TEAM.tau)
+        assert late.max() <= slack and late.min() >= -slack
+        for name in ("unit-mean", "privileged-consensus"):
+            other = rv.rollout(TEAM, baselines.make(name, TEAM), 0, num_envs=50)
+            assert (other.rendezvous_time >= found.rendezvous_time - slack).all()
+            assert other.rendezvous_time.mean() > found.rendezvous_time.mean() + TEAM.tau
+
+    def test_each_episode_has_its_own_centre(self):
+        simulator, policy = rv.Simulator(TEAM, 2), baselines.make(NAMES[2], TEAM)
+        seen = simulator.reset(0)
+        policy.watch(simulator)
+        for _ in range(2):
+            centres = [smallest_enclosing_ball(p)[0] for p in simulator.positions]
+            policy(seen, simulator.time)
+            np.testing.assert_allclose(policy._centres, centres)
+            while not simulator.ended.all():
+                seen = simulator.step(policy(seen, simulator.time)).observations
+            assert (simulator.active.sum(axis=1) == 1).all()
+            seen = simulator.reset()
+
+
+class TestCircumcentre:
+    def test_of_each_company_by_hand(self):
+        positions = np.array([[0.0, 0.0], [2.0, 0.0], [2.0, 4.0]])
+        linked = np.array([[0, 1, 0], [1, 0, 1], [0, 1, 0]], dtype=bool)
+        np.testing.assert_allclose(
+            circumcentres(positions, linked), [[1, 0], [1, 2], [2, 2]], atol=1e-9
+        )
+
+    def test_how_far_a_robot_may_go_by_hand(self):
+        """Straight at a neighbour d away as far as (d + R)/2; straight away (R − d)/2; across
+        √((R/2)² − (d/2)²)."""
+        sight, d = 2.0, 1.2
+        ways = np.zeros((3, 3, 2))
+        ways[:, 1] = [d, 0.0]
+        linked = np.zeros((3, 3), bool)
+        linked[:, 1] = True
+        towards = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0]])
+        steps = farthest_steps(towards, ways, linked, sight)
+        np.testing.assert_allclose(steps, [(d + sight) / 2, (sight - d) / 2, math.sqrt(0.64)])
+        assert np.isinf(farthest_steps(towards, ways, ~linked & False, sight)).all()
+
+    def test_no_link_of_limited_range_is_lost(self):
+        """Law (1) loses some, and so does consensus: who is at the edge lags behind."""
+        sight = 2.0
+        team = TEAM.replace(
+            n_robots=10, spawn_size=7.0, sensing=rv.Sensing(range=sight), max_speed=20.0,
+            merge_radius=0.02, time_limit=2.0, require_connected=False,
+        )  # fmt: skip
+
+        def lost(policy):
+            found = rv.rollout(team, policy, 0, num_envs=20)
+            ways = found.positions[:, :, None] - found.positions[:, :, :, None]
+            seen = np.linalg.norm(ways, axis=-1) <= sight + 1e-6
+            whole = found.active[1:].all(axis=-1)[..., None, None]  # a merge moves its robots
+            return int((whole & seen[:-1] & ~seen[1:]).sum())
+
+        careful = baselines.make("privileged-circumcentre", team)
+        assert lost(careful) == 0
+
+        for name in ("bearing-only", "privileged-consensus"):
+            assert lost(baselines.make(name, team)) > 0
+
+
+def test_consensus_and_circumcentre_see_no_farther_than_the_sensor():
+    start = [[0.0, 0.0], [1.0, 0.0], [1.0, 9.0], [0.0, 9.0], [50.0, 50.0]]
+    team = TEAM.replace(sensing=rv.Sensing(range=2.0), max_speed=0.1)
+    for name in ("privileged-consensus", "privileged-circumcentre", "privileged-nearest-pursuit"):
+        velocities = first_velocities(name, team, start)
+        wanted = [[0.1, 0], [-0.1, 0], [-0.1, 0], [0.1, 0], [0, 0]]
+        np.testing.assert_allclose(velocities, wanted, atol=1e-6)
+
+
+def test_the_nearest_is_pursued():
+    start = [[0.0, 0.0], [3.0, 0.0], [3.0, 2.0], [-4.0, 0.0], [20.0, 0.0]]
+    velocities = first_velocities("privileged-nearest-pursuit", TEAM, start)
+    wanted = [[1, 0], [0, 1], [0, -1], [1, 0]]
+    np.testing.assert_allclose(velocities[:4], wanted, atol=1e-6)
+
+
+@pytest.mark.parametrize("name", NAMES)
+class TestTheyWatch:
+    def test_without_they_refuse_to_act(self, name):
+        policy = baselines.make(name, TEAM)
+        with pytest.raises(RuntimeError, match=rf"{name} reads positions: call its watch"):
+            policy(np.zeros((5, *TEAM.observation_layout.shape), np.float32), 0.0)
+
+    def test_other_teams_are_refused(self, name):
+        policy = baselines.make(name, TEAM)
+        with pytest.raises(ValueError, match="must be a Simulator of 5 single integrators in 2-D"):
+            policy.watch(rv.Simulator(SPACE))
+        with pytest.raises(ValueError, match="does not fit unicycle robots"):
+            baselines.make(name, rv.Scenario(robot_model="unicycle"))

@@ -1,0 +1,89 @@
+"""What policies do at each level of a sensor's field: levels.csv, tables and figures."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, Any
+
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from .. import results
+from .levels import Sweep
+from .matrix import percent
+from .out_folder import Part
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+COLUMNS = ("base", "field", "level", *results.RESULT_COLUMNS)
+"""Of levels.csv: a scenario, a field of its sensor and the level at which it stands; then the row
+of results.csv. A level is empty where the field is that of an exact sensor and no number."""
+
+
+def rows_of(sweep: Sweep, rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """The rows of levels.csv that belong to a sweep.
+
+    Args:
+        sweep: scenario, field and levels.
+        rows: of results.csv.
+    """
+    return [
+        {"base": sweep.base.name, "field": sweep.field, "level": level} | row
+        for level, scenario in zip(sweep.levels, sweep.scenarios, strict=True)
+        for row in rows
+        if row["scenario"] == scenario.name
+    ]
+
+
+def write(part: Part, sweeps: Sequence[Sweep], rows: Sequence[dict[str, Any]]) -> list[str]:
+    """Write levels.csv; its name."""
+    found = [row for sweep in sweeps for row in rows_of(sweep, rows)]
+    results.write_csv(part.folder / "levels.csv", COLUMNS, found)
+    return ["levels.csv"]
+
+
+def show(sweeps: Sequence[Sweep], rows: Sequence[dict[str, Any]], console: Console) -> None:
+    """Print a table for each sweep: clean success and median time of each policy and level."""
+    for sweep in sweeps:
+        console.print(_table(sweep, rows_of(sweep, rows)))
+        console.print()
+
+
+def _table(sweep: Sweep, rows: Sequence[dict[str, Any]]) -> Table:
+    starts = rows[0]["episodes"]
+    table = Table(
+        title=f"{escape(sweep.base.name)}: {sweep.field}, {starts} starts; met cleanly %, median s",
+        box=None,
+        header_style="bold",
+        pad_edge=False,
+        title_justify="left",
+    )
+    table.add_column("policy")
+    for level in sweep.labels:
+        table.add_column(level, justify="right")
+    limit = sweep.base.max_steps * sweep.base.tau
+    for policy in dict.fromkeys(row["policy"] for row in rows):
+        own = [row for row in rows if row["policy"] == policy]
+        table.add_row(escape(policy), *(_cell(row, limit) for row in own))
+    return table
+
+
+def _cell(row: dict[str, Any], limit: float) -> str:
+    value = row["success"] if math.isnan(row["clean_success"]) else row["clean_success"]
+    median = row["median_time"]
+    time = f"> {limit:.3g}" if median >= limit else f"{median:.3g}"
+    return f"{percent(value, row['episodes'])}, {time}"
+
+
+def figures(
+    sweeps: Sequence[Sweep], rows: Sequence[dict[str, Any]]
+) -> Iterator[tuple[str, Figure]]:
+    """A figure of each sweep, with the name of its file."""
+    from ..pictures.level_figure import level_figure
+
+    for sweep in sweeps:
+        own = rows_of(sweep, rows)
+        yield sweep.name, level_figure(sweep.base, sweep.field, sweep.labels, own)
