@@ -24,7 +24,12 @@ class FlowClaim:
     draw: Callable[[np.random.Generator, int, float], Trial]
     """(random numbers, number of the batch, least margin ε) → teams, law, limits."""
     meets: bool = True
-    """Whether it claims that all have met in time; the worst T/bound is reported then."""
+    """Whether it claims that all have met in time."""
+
+    @property
+    def timed(self) -> bool:
+        """Whether there is a worst T/bound."""
+        return self.meets
 
 
 def check_flow(claim: FlowClaim, random: np.random.Generator, batch: int, trials: int,
