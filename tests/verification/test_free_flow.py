@@ -90,7 +90,7 @@ def test_outward_is_the_gradient_of_the_size(dim):
 @pytest.mark.parametrize("dim", [2, 3])
 def test_extents_average_to_the_size(dim):
     teams = Teams(np.random.default_rng(0).normal(size=(5, 7, dim)), 0.1)
-    mean = extents(teams, directions(dim, 4000)).mean(axis=-1)
+    mean = extents(teams.positions, teams.active, directions(dim, 4000)).mean(axis=-1)
     np.testing.assert_allclose(mean * 2 * np.pi * (dim - 1), teams.size(), rtol=1e-3)
 
 

@@ -11,7 +11,6 @@ from .claim import Finding
 from .flow_sights import directions, extents
 from .free_flow import ROUNDING, Array, Look, Teams, Trial, integrate
 
-_PLANE = 64
 _NOW_AND_THEN = 100
 """Calls between two looks at what is slow to measure."""
 
@@ -25,7 +24,12 @@ class FlowClaim:
     draw: Callable[[np.random.Generator, int, float], Trial]
     """(random numbers, number of the batch, least margin ε) → teams, law, limits."""
     meets: bool = True
-    """Whether it claims that all have met in time; the worst T/bound is reported then."""
+    """Whether it claims that all have met in time."""
+
+    @property
+    def timed(self) -> bool:
+        """Whether there is a worst T/bound."""
+        return self.meets
 
 
 def check_flow(claim: FlowClaim, random: np.random.Generator, batch: int, trials: int,
@@ -44,12 +48,12 @@ def check_flow(claim: FlowClaim, random: np.random.Generator, batch: int, trials
 
 def hull_is_nested(teams: Teams) -> Look:
     """By what share of L(0) the hull draws back in every direction."""
-    along = directions(teams.dim, _PLANE) if teams.dim == 2 else directions(3)
-    start, latest = teams.size(), extents(teams, along)
+    along, start = directions(teams.dim), teams.size()
+    latest = extents(teams.positions, teams.active, along)
 
     def look(teams: Teams) -> Array:
         nonlocal latest
-        before, latest = latest, extents(teams, along)
+        before, latest = latest, extents(teams.positions, teams.active, along)
         return np.asarray((before - latest).min(axis=-1) / start)
 
     return look

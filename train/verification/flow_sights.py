@@ -6,10 +6,10 @@ import math
 
 import numpy as np
 
-from .free_flow import Array, Sights, Teams
+from .free_flow import Array, Mask, Sights, Teams
 
-_IN_SPACE = 120
-"""Directions in which the extent of a team is taken, in space."""
+_MANY = 64
+"""Directions in which the extent of a team is taken."""
 _TINY = 1e-12
 
 
@@ -19,7 +19,7 @@ def unit(vectors: Array) -> Array:
     return np.divide(vectors, lengths, out=np.zeros_like(vectors), where=lengths > _TINY)
 
 
-def directions(dim: int, count: int = _IN_SPACE) -> Array:
+def directions(dim: int, count: int = _MANY) -> Array:
     """Unit vectors all round, (count, d); in space on a spiral."""
     k = np.arange(count) + 0.5
     if dim == 2:
@@ -29,9 +29,9 @@ def directions(dim: int, count: int = _IN_SPACE) -> Array:
     return np.stack([flat * np.cos(angle), flat * np.sin(angle), height], axis=-1)
 
 
-def extents(teams: Teams, along: Array) -> Array:
-    """max_i u·p_i for each direction u of (M, d): (B, M), m."""
-    reach = np.where(teams.active[..., None], teams.positions @ along.T, -np.inf)
+def extents(positions: Array, active: Mask, along: Array) -> Array:
+    """max_i u·p_i over the robots that are there, for each direction u of (M, d): (B, M), m."""
+    reach = np.where(active[..., None], positions @ along.T, -np.inf)
     return np.asarray(reach.max(axis=1))
 
 

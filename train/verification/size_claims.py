@@ -22,7 +22,7 @@ from .time_limits import (
     bound_occluded,
     bound_pursuit,
 )
-from .watches import bodies_stay_apart, hull_shrinks
+from .watches import bodies_stay_apart, hull_draws_back, hull_shrinks
 
 _law_1 = by_name("bearing-only")
 
@@ -57,7 +57,7 @@ SIZE = (
         (meets, keeps),
         no_rise,
         timed=True,
-        watch=hull_shrinks,
+        watch=hull_draws_back,
     ),
     Claim(
         "bound-N",

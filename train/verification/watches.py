@@ -11,6 +11,10 @@ from rendezvous_env.trajectory import Step
 
 from .cases import Case
 from .claim import Array, Watch
+from .flow_sights import directions, extents
+
+_FLOAT32 = 2.0**-20
+"""Share of a displacement that is lost or won by rounding rows and actions, at most."""
 
 
 def hull_shrinks(teams: Simulator, case: Case) -> Callable[[Step], Array]:
@@ -21,6 +25,23 @@ def hull_shrinks(teams: Simulator, case: Case) -> Callable[[Step], Array]:
         nonlocal latest
         before, latest = latest, teams.size()
         return (before - latest) / start
+
+    return look
+
+
+def hull_draws_back(teams: Simulator, case: Case) -> Callable[[Step], Array]:
+    """By what share of L(0) the hull draws back in a step, least over directions all round; what
+    rounding of rows and actions to float32 can do is allowed.
+    """
+    scenario = case.scenario
+    along, start = directions(scenario.dim), teams.size()
+    latest = extents(teams.positions, teams.active, along)
+    rounded = _FLOAT32 * scenario.max_degree * scenario.tau
+
+    def look(step: Step) -> Array:
+        nonlocal latest
+        before, latest = latest, extents(teams.positions, teams.active, along)
+        return np.asarray(((before - latest).min(axis=-1) + rounded) / start)
 
     return look
 
