@@ -48,19 +48,15 @@ def write(part: Part, sweeps: Sequence[Sweep], rows: Sequence[dict[str, Any]]) -
 def show(sweeps: Sequence[Sweep], rows: Sequence[dict[str, Any]], console: Console) -> None:
     """Print a table for each sweep: clean success and median time of each policy and level."""
     for sweep in sweeps:
-        console.print(_table(sweep, rows_of(sweep, rows)))
+        own = rows_of(sweep, rows)
+        title = f"{sweep.base.name}: {sweep.field}, {own[0]['episodes']} starts"
+        console.print(f"[bold]{escape(title)}[/bold]; met cleanly %, median s")
+        console.print(_table(sweep, own))
         console.print()
 
 
 def _table(sweep: Sweep, rows: Sequence[dict[str, Any]]) -> Table:
-    starts = rows[0]["episodes"]
-    table = Table(
-        title=f"{escape(sweep.base.name)}: {sweep.field}, {starts} starts; met cleanly %, median s",
-        box=None,
-        header_style="bold",
-        pad_edge=False,
-        title_justify="left",
-    )
+    table = Table(box=None, header_style="bold", pad_edge=False)
     table.add_column("policy")
     for level in sweep.labels:
         table.add_column(level, justify="right")

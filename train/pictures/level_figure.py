@@ -56,7 +56,8 @@ def level_figure(
         met = times[0] < limit
         policy_line(below, policy, x[met], times[:, met])
     above.set(ylim=(-2, 102), ylabel=f"met {'without contact ' if counts else ''}/ % of starts")
-    below.set(ylabel="median time / s", yscale="log")
+    below.set(ylabel="median time / s")
+    below.set_ylim(bottom=0.0)
     below.set_xticks(range(len(labels)), labels)
     unit = f" / {_UNITS[field]}" if field in _UNITS else ""
     below.set_xlabel(f"{field.replace('_', ' ')}{unit}")
