@@ -227,7 +227,7 @@ def _bearing_only(scenario: Scenario) -> Policy:
     return LawPolicy(scenario, law)
 
 
-@register("link-keeping", fits=is_single_integrator, kind="law")
+@register("link-keeping", fits=is_single_integrator, kind="law", on_request=True)
 def _link_keeping(scenario: Scenario) -> Policy:
     """Law (R b): into the middle of all that is seen, so that no link grows longer."""
     r, tau = scenario.merge_radius, scenario.tau
