@@ -12,7 +12,13 @@ from rendezvous_env.experiment.limits import MOST_SECTORS
 from rendezvous_env.experiment.observation_layout import ObservedRows
 from rendezvous_env.guarantee.heading import step_scale
 
-from .following import chosen_rows, first_seen, rows_from_next, rows_have_an_order
+from .following import (
+    chosen_rows,
+    first_seen,
+    rows_from_nearest,
+    rows_from_next,
+    rows_have_an_order,
+)
 from .laws import Array, LawPolicy, bearing_only_law
 from .policy import Policy, is_single_integrator, register
 from .sectors import round_rows
@@ -22,6 +28,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "cyclic_pursuit_law",
+    "nearest_pursuit_law",
     "rounded_bearings",
     "smallest_sector_law",
     "unit_mean_law",
@@ -106,7 +113,31 @@ def cyclic_pursuit_law(bearings: NDArray[Any], *, speed: float) -> Array:
     Returns:
         Velocities, (..., n, d), m/s; 0 for a robot that sees nobody.
     """
-    target = first_seen(np.any(bearings, axis=-1), rows_from_next(*bearings.shape[-3:-1]))
+    return _pursuit_law(bearings, rows_from_next(*bearings.shape[-3:-1]), speed)
+
+
+def nearest_pursuit_law(bearings: NDArray[Any], *, speed: float) -> Array:
+    """Velocity straight at the robot nearest by index, at one speed.
+
+        ṗᵢ = v gᵢⱼ,   j the one of least |i − j| that is seen            (theorem G, guarantees 10)
+
+    Bearings do not tell who is nearest in space. All meet within L0/(2vκ(n)) in continuous time on
+    any graph, while everybody sees somebody.
+
+    Args:
+        bearings: of the neighbours, (..., n, K, d), of any length; zero rows are absent. See
+            ``rows_from_nearest`` for which row is whose.
+        speed: v, m/s.
+
+    Returns:
+        Velocities, (..., n, d), m/s; 0 for a robot that sees nobody.
+    """
+    return _pursuit_law(bearings, rows_from_nearest(*bearings.shape[-3:-1]), speed)
+
+
+def _pursuit_law(bearings: NDArray[Any], order: NDArray[np.int64], speed: float) -> Array:
+    """Velocity straight at the first robot of an order, (n, K), that is seen."""
+    target = first_seen(np.any(bearings, axis=-1), order)
     return unit_mean_law(chosen_rows(bearings, target), speed=speed)
 
 
@@ -143,15 +174,23 @@ def _quantised(scenario: Scenario, sectors: int = 8) -> Policy:
     return LawPolicy(scenario, law)
 
 
-@register(
-    "cyclic-pursuit",
-    fits=lambda scenario: is_single_integrator(scenario) and rows_have_an_order(scenario),
-    kind="field",
-    on_request=True,
-)
+def _knows_who(scenario: Scenario) -> bool:
+    return is_single_integrator(scenario) and rows_have_an_order(scenario)
+
+
+@register("cyclic-pursuit", fits=_knows_who, kind="field", on_request=True)
 def _cyclic_pursuit(scenario: Scenario) -> Policy:
     """Straight at the next robot by row, at the speed limit."""
     return LawPolicy(
         scenario,
         lambda f, seen, time: cyclic_pursuit_law(seen.neighbours, speed=scenario.speed_limit),
+    )
+
+
+@register("nearest-pursuit", fits=_knows_who, kind="field", on_request=True)
+def _nearest_pursuit(scenario: Scenario) -> Policy:
+    """Straight at the robot nearest by index, at the speed limit."""
+    return LawPolicy(
+        scenario,
+        lambda f, seen, time: nearest_pursuit_law(seen.neighbours, speed=scenario.speed_limit),
     )

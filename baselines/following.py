@@ -36,6 +36,23 @@ def rows_from_next(n_robots: int, rows: int) -> NDArray[np.int64]:
     return (robots + steps) % rows if rows == n_robots - 1 else 0 * robots + steps
 
 
+def rows_from_nearest(n_robots: int, rows: int) -> NDArray[np.int64]:
+    """Rows in the order of how far their robots' indices are from a robot's own, of two equally far
+    ones the lower first; with fewer than n − 1, on sparse graphs, the rows as they stand.
+
+    Args:
+        n_robots: n.
+        rows: K.
+
+    Returns:
+        (n, K), indices of rows.
+    """
+    own, row = np.arange(n_robots)[:, np.newaxis], np.arange(rows)
+    if rows != n_robots - 1:
+        return 0 * own + row
+    return np.argsort(np.abs(row + (row >= own) - own), axis=1, kind="stable")
+
+
 def first_seen(seen: NDArray[np.bool_], order: NDArray[np.int64]) -> NDArray[np.int64]:
     """The row that comes first among those that are seen.
 

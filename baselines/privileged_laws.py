@@ -161,7 +161,7 @@ class PrivilegedEnclosingBall(PrivilegedPolicy):
 class PrivilegedNearestPursuit(PrivilegedPolicy):
     """Each robot goes straight at the nearest of those it sees; which that is no bearing tells."""
 
-    name = "nearest-pursuit"
+    name = "privileged-nearest-pursuit"
 
     def _velocities(
         self, simulator: Simulator, positions: Array, active: Mask, begun: Mask

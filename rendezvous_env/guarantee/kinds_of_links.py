@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
+from ..experiment.graph_numbers import closed_groups
 from ..experiment.graphs import Graph
 from ..experiment.scenario import Scenario
 
@@ -44,15 +42,5 @@ def leaders(scenario: Scenario) -> list[list[int]]:
     """
     graph: Any = scenario.sensing_graph
     moments = graph.graphs if kind_of_links(graph) == SWITCHING else (graph,)
-    groups = [_closed_groups(moment.base_weights(scenario.n_robots)) for moment in moments]
+    groups = [closed_groups(moment.base_weights(scenario.n_robots)) for moment in moments]
     return max(groups, key=lambda found: (len(found), -len(found[0])))
-
-
-def _closed_groups(weights: NDArray[np.float64]) -> list[list[int]]:
-    """Strongly connected components that no arc leaves."""
-    from scipy.sparse.csgraph import connected_components
-
-    count, labels = connected_components(weights > 0, directed=True, connection="strong")
-    sees, seen = np.nonzero(weights > 0)
-    left = set(labels[sees][labels[sees] != labels[seen]].tolist())
-    return [np.flatnonzero(labels == label).tolist() for label in range(count) if label not in left]

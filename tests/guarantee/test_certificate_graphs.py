@@ -14,9 +14,6 @@ from rendezvous_env.guarantee.kinds_of_links import kind_of_links, leaders
 from rendezvous_env.guarantee.links import LinkKeeping
 from rendezvous_env.guarantee.size_bounds import kappa
 
-if not hasattr(graphs, "switching"):
-    pytest.skip("this version has undirected graphs only", allow_module_level=True)
-
 SQUARE = ((0.0, 0.0), (4.0, 0.0), (4.0, 4.0), (0.0, 4.0))
 PURSUIT = Scenario(n_robots=4, graph=graphs.directed_cycle(), start_positions=SQUARE)
 LED = Scenario(graph=graphs.directed([(1, 0), (2, 1), (3, 1, 2.0)]), n_robots=4)

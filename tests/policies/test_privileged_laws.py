@@ -14,7 +14,7 @@ TEAM = rv.Scenario(n_robots=5, max_speed=1.0, time_step=0.05, allow_long_step=Tr
 SPACE = TEAM.replace(dim=3)
 NAMES = (
     "privileged-consensus", "privileged-circumcentre", "privileged-enclosing-ball",
-    "nearest-pursuit",
+    "privileged-nearest-pursuit",
 )  # fmt: skip
 
 
@@ -136,7 +136,7 @@ class TestCircumcentre:
 def test_consensus_and_circumcentre_see_no_farther_than_the_sensor():
     start = [[0.0, 0.0], [1.0, 0.0], [1.0, 9.0], [0.0, 9.0], [50.0, 50.0]]
     team = TEAM.replace(sensing=rv.Sensing(range=2.0), max_speed=0.1)
-    for name in ("privileged-consensus", "privileged-circumcentre", "nearest-pursuit"):
+    for name in ("privileged-consensus", "privileged-circumcentre", "privileged-nearest-pursuit"):
         velocities = first_velocities(name, team, start)
         wanted = [[0.1, 0], [-0.1, 0], [-0.1, 0], [0.1, 0], [0, 0]]
         np.testing.assert_allclose(velocities, wanted, atol=1e-6)
@@ -144,7 +144,7 @@ def test_consensus_and_circumcentre_see_no_farther_than_the_sensor():
 
 def test_the_nearest_is_pursued():
     start = [[0.0, 0.0], [3.0, 0.0], [3.0, 2.0], [-4.0, 0.0], [20.0, 0.0]]
-    velocities = first_velocities("nearest-pursuit", TEAM, start)
+    velocities = first_velocities("privileged-nearest-pursuit", TEAM, start)
     wanted = [[1, 0], [0, 1], [0, -1], [1, 0]]
     np.testing.assert_allclose(velocities[:4], wanted, atol=1e-6)
 
