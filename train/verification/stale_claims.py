@@ -119,7 +119,7 @@ def _sideways(teams: Teams, random: Random, seen: Stale, margin: float) -> Law:
 STALE = (
     FlowClaim(
         "stale",
-        "law (1), bearings of any age ≤ r/(2D̄), speeds s_i ∈ [s, 1]: V ≤ V0⁺, T ≤ nV0⁺/(4sa*²)",
+        "law (1), bearings of any age ≤ r/(2D̄), speeds s_i from s to 1: V ≤ V0⁺, T ≤ nV0⁺/(4sa*²)",
         draw_stale,
     ),
     FlowClaim(
