@@ -32,8 +32,9 @@ class FlowClaim:
         return self.meets
 
 
-def check_flow(claim: FlowClaim, random: np.random.Generator, batch: int, trials: int,
-               least_margin: float) -> Finding:  # fmt: skip
+def check_flow(
+    claim: FlowClaim, random: np.random.Generator, batch: int, trials: int, least_margin: float
+) -> Finding:
     """Run one batch of a claim, and count as many of its teams as are wanted."""
     trial = claim.draw(random, batch, least_margin)
     times, kept = (found[:trials] for found in integrate(trial))

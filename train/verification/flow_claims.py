@@ -133,7 +133,7 @@ FLOW = (
     ),
     FlowClaim(
         "gains-windows",
-        "gains in [c, C] for τ_d in every T_w: hull nested, T ≤ T_w (n + L0/ΔL)",
+        "gains from c to C for τ_d in every T_w: hull nested, T ≤ T_w (n + L0/ΔL)",
         draw_windows,
     ),
     FlowClaim(

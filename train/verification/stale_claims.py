@@ -18,6 +18,9 @@ from .free_flow import Array, Law, Sights, Teams, Trial
 _KEPT = 8
 """Moments that are remembered; the oldest admissible one is nearly as old as is allowed."""
 
+_MARGINS = (0.45, 0.9)
+"""ε of law (4): with less there is much to wait for, and little to see."""
+
 
 class Stale:
     """Bearings as they were some time ago, for every pair another time.
@@ -93,7 +96,7 @@ def draw_stale_headings(random: Random, batch: int, least_margin: float) -> Tria
     teams = draw_teams(random, batch, linked=True)
     seen, step = _stale(teams, random, law_4=True)
     most, weakest = _bounds(teams)
-    margin = random.uniform(least_margin, max(least_margin, 0.9))
+    margin = random.uniform(*np.maximum(_MARGINS, least_margin))
     limit = stale_time(
         teams.active.shape[1], most, bottleneck_weight=weakest, slowest=margin**2 / 4.0
     )
@@ -119,7 +122,7 @@ def _sideways(teams: Teams, random: Random, seen: Stale, margin: float) -> Law:
 STALE = (
     FlowClaim(
         "stale",
-        "law (1), bearings of any age ≤ r/(2D̄), speeds s_i ∈ [s, 1]: V ≤ V0⁺, T ≤ nV0⁺/(4sa*²)",
+        "law (1), bearings of any age ≤ r/(2D̄), speeds s_i from s to 1: V ≤ V0⁺, T ≤ nV0⁺/(4sa*²)",
         draw_stale,
     ),
     FlowClaim(
