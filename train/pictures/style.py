@@ -9,7 +9,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
+from typing import TYPE_CHECKING, ParamSpec, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rendezvous_env.drawing.palette import OBSTACLE, OBSTACLE_EDGE, ROBOTS
 
 from ..results import atomic
 
@@ -21,7 +26,7 @@ COLUMN, PAGE = 3.5, 7.16
 SMALL = 7
 """Size of the smallest letters, points."""
 _DPI = 200
-_COLOURS = 96
+_COLOURS = 128
 """Of a PNG file, which is then a quarter as large; figures have few and shades between them."""
 _STYLE = {
     "pdf.fonttype": 42,  # TrueType; IEEE refuses Type 3
@@ -92,16 +97,23 @@ def _save_png(figure: Figure, path: Path, about: dict[str, str]) -> None:
     figure.set_dpi(_DPI)
     canvas = FigureCanvasAgg(figure)
     canvas.draw()
-    picture = Image.fromarray(_opaque(canvas.buffer_rgba()))
+    pixels = np.ascontiguousarray(np.asarray(canvas.buffer_rgba())[..., :3])
+    palette = Image.new("P", (1, 1))
+    palette.putpalette(_commonest(pixels).flatten().tolist())
+    few = Image.fromarray(pixels).quantize(palette=palette, dither=Image.Dither.NONE)
     texts = PngInfo()
     for name, text in about.items():
         texts.add_text(name, text)
-    few = picture.quantize(_COLOURS, dither=Image.Dither.NONE)
     few.save(path, format="PNG", optimize=True, pnginfo=texts, dpi=(_DPI, _DPI))
 
 
-def _opaque(pixels: Any) -> Any:
-    """Red, green and blue of pixels that hide what is behind them."""
-    import numpy as np
-
-    return np.ascontiguousarray(np.asarray(pixels)[..., :3])
+def _commonest(pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """The colours of robots and obstacles, and then those of most pixels, (k, 3): a colour of few
+    pixels must not turn into a mixture with another one.
+    """
+    packed = pixels.astype(np.uint32) @ np.array([1 << 16, 1 << 8, 1], dtype=np.uint32)
+    found, counts = np.unique(packed, return_counts=True)
+    most = found[np.argsort(-counts, kind="stable")[:_COLOURS]]
+    common = np.stack([most >> 16, most >> 8 & 255, most & 255], axis=-1).astype(np.uint8)
+    known = np.array([*ROBOTS, OBSTACLE, OBSTACLE_EDGE], dtype=np.uint8)
+    return np.concatenate([known, common])
