@@ -252,6 +252,7 @@ class TestPrint:
         for name in names:
             wanted = np.array(to_rgb(figures.policy_colour(name)))
             assert (np.abs(pixels - wanted).max(axis=-1) < 0.01).sum() > 100
+        assert (pixels[0] == 1.0).all()
         with Image.open(tmp_path / "a.png") as picture:
             assert picture.info["Subject"] == "rendezvous compare, run 7"
 

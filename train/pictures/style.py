@@ -98,22 +98,25 @@ def _save_png(figure: Figure, path: Path, about: dict[str, str]) -> None:
     canvas = FigureCanvasAgg(figure)
     canvas.draw()
     pixels = np.ascontiguousarray(np.asarray(canvas.buffer_rgba())[..., :3])
-    palette = Image.new("P", (1, 1))
-    palette.putpalette(_commonest(pixels).flatten().tolist())
-    few = Image.fromarray(pixels).quantize(palette=palette, dither=Image.Dither.NONE)
+    palette, indices = _reduced(pixels)
+    few = Image.fromarray(indices, mode="P")
+    few.putpalette(palette.flatten().tolist())
     texts = PngInfo()
     for name, text in about.items():
         texts.add_text(name, text)
     few.save(path, format="PNG", optimize=True, pnginfo=texts, dpi=(_DPI, _DPI))
 
 
-def _commonest(pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """The colours of robots and obstacles, and then those of most pixels, (k, 3): a colour of few
-    pixels must not turn into a mixture with another one.
+def _reduced(pixels: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+    """A palette (k, 3) and each pixel's place in it: the colours of robots and obstacles, and those
+    of most pixels. So a colour of few pixels is not mixed with another one, and white stays white.
     """
     packed = pixels.astype(np.uint32) @ np.array([1 << 16, 1 << 8, 1], dtype=np.uint32)
-    found, counts = np.unique(packed, return_counts=True)
-    most = found[np.argsort(-counts, kind="stable")[:_COLOURS]]
-    common = np.stack([most >> 16, most >> 8 & 255, most & 255], axis=-1).astype(np.uint8)
-    known = np.array([*ROBOTS, OBSTACLE, OBSTACLE_EDGE], dtype=np.uint8)
-    return np.concatenate([known, common])
+    found, inverse, counts = np.unique(packed, return_inverse=True, return_counts=True)
+    colours = np.stack([found >> 16, found >> 8 & 255, found & 255], axis=-1).astype(np.int32)
+    known = np.array([*ROBOTS, OBSTACLE, OBSTACLE_EDGE], dtype=np.int32)
+    most = np.argsort(-counts, kind="stable")[: _COLOURS - len(known)]
+    palette = np.concatenate([known, colours[most]])
+    far = np.abs(colours[:, None] - palette).sum(axis=-1)
+    nearest = far.argmin(axis=1).astype(np.uint8)
+    return palette.astype(np.uint8), nearest[inverse].reshape(packed.shape)
