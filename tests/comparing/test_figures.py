@@ -245,12 +245,14 @@ class TestPrint:
             assert float(size) / 72 == pytest.approx(figure.get_figwidth(), abs=0.01)
 
     def test_few_colours_are_enough(self, tmp_path):
-        rows = [row("duo", name, 0.5) for name in ("bearing-only", "learned")]
+        names = ["bearing-only", "tangent", "tangent-blocking", "tangent-joined", "learned"]
+        rows = [row(f"clutter-{k}", name, 0.5) for k in (4, 8, 12) for name in names]
         style.save(figures.success_figure(rows), tmp_path / "a.png", run="7")
         pixels = imread(tmp_path / "a.png")[..., :3]
-        for name in ("bearing-only", "learned"):
+        for name in names:
             wanted = np.array(to_rgb(figures.policy_colour(name)))
-            assert (np.abs(pixels - wanted).max(axis=-1) < 0.03).sum() > 20
+            assert (np.abs(pixels - wanted).max(axis=-1) < 0.01).sum() > 100
+        assert (pixels[0] == 1.0).all()
         with Image.open(tmp_path / "a.png") as picture:
             assert picture.info["Subject"] == "rendezvous compare, run 7"
 

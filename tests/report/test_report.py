@@ -36,6 +36,9 @@ def refused(folder, capsys):
 def data_of(text):
     """The JSON and the decoded blobs of a page."""
     data = json.loads(re.search(r'<script id="data"[^>]*>(.*?)</script>', text, re.DOTALL)[1])
+    for entry in data["recordings"]:
+        names = ("name", "type", "shape", "scale")
+        entry["fields"] = [dict(zip(names, field, strict=False)) for field in entry["fields"]]
     blobs = re.findall(r'<script id="recording-\d+"[^>]*>(.*?)</script>', text)
     return data, [gzip.decompress(base64.b64decode(blob)) for blob in blobs]
 

@@ -195,7 +195,7 @@ def draw_lyapunov(axes: Axes, recording: Mapping[str, NDArray[Any]]) -> None:
         span = times[-1] - times[merges[0]] + 0.06 * times[-1]
         inset.set(xlim=(times[-1] - span, times[-1] + 0.1 * span))
         inset.set(ylim=(0, 1.4 * before[merges].max()))
-        inset.set_title("the box below, enlarged", fontsize=SMALL, pad=3)
+        inset.set_title("the box, enlarged", fontsize=SMALL, pad=3)
         inset.tick_params(labelsize=SMALL - 1, length=2)
         inset.locator_params(nbins=4)
         box = axes.indicate_inset_zoom(inset, edgecolor="0.3", linewidth=0.8)

@@ -128,7 +128,7 @@ def _data(
                 "scenario": scenario,
                 "policy": policy,
                 "start": start,
-                "fields": one.fields,
+                "fields": [list(field.values()) for field in one.fields],
                 "stride": one.stride,
                 "obstacles": list(worlds).index((scenario, start)),
                 "outcome": {name: outcomes[scenario, policy, start][name] for name in _OUTCOME},

@@ -22,7 +22,7 @@ from ..recording import Recording
 LARGEST = 32767
 """Of a rounded number; one below minus this stands for NaN."""
 
-BUDGET = 3_600_000
+BUDGET = 3_500_000
 """Characters that all recordings of a page may take together before they are thinned out."""
 
 ANGLE = 2 * np.pi / 2**16

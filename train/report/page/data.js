@@ -16,11 +16,11 @@ async function decode(number) {
   const bytes = new Uint8Array(await new Response(stream).arrayBuffer());
   const found = { shape: {}, ...DATA.recordings[number] };
   let at = 0;
-  for (const field of DATA.recordings[number].fields) {
-    const count = field.shape.reduce((a, b) => a * b, 1);
-    const size = { float32: 4, int16: 2, uint8: 1 }[field.type] * count;
-    found[field.name] = READERS[field.type](bytes.slice(at, at + size), field);
-    found.shape[field.name] = field.shape;
+  for (const [name, type, shape, scale] of DATA.recordings[number].fields) {
+    const count = shape.reduce((a, b) => a * b, 1);
+    const size = { float32: 4, int16: 2, uint8: 1 }[type] * count;
+    found[name] = READERS[type](bytes.slice(at, at + size), shape[0], scale);
+    found.shape[name] = shape;
     at += size;
   }
   found.obstacles = DATA.obstacles[found.obstacles];
@@ -56,7 +56,7 @@ function bearing({ positions, frames, shape }, frame, robot, other) {
 const READERS = {
   uint8: (bytes) => bytes,
   float32: (bytes) => new Float32Array(bytes.buffer),
-  int16: (bytes, field) => fromDifferences(bytes, field.shape[0], field.scale),
+  int16: fromDifferences,
 };
 
 /** Undo train/report/encoding.py: low bytes, then high bytes, of differences in time. */

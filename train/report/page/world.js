@@ -91,7 +91,7 @@ function drawGrid(pen, view, width, height) {
   pen.textAlign = "center";
   for (const value of ticks(view.range[0])) {
     line(pen, view.x(value), top, view.x(value), bottom);
-    if (view.x(value) < right - 26) pen.fillText(text(value), view.x(value), bottom + 14);
+    if (view.x(value) < right - 42) pen.fillText(text(value), view.x(value), bottom + 14);
   }
   pen.textAlign = "right";
   for (const value of ticks(view.range[1])) {
