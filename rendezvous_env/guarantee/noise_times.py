@@ -58,7 +58,7 @@ def noisy_mean_time(
 
         E[T] ≤ n (V0⁺ + n (n−1) r θ D̄)/(4 a*² [γ (2 − θγ) − θν]),    θ = 2 D̄ τ/r < 2γ/(γ² + ν),
 
-    with ν of ``scatter``. On an undirected graph. Any unbiased noise is beaten by a short enough step.
+    ν is ``scatter``'s. On an undirected graph. Any unbiased noise is beaten by a short enough step.
 
     Args:
         n: number of robots.
@@ -77,7 +77,8 @@ def noisy_mean_time(
     cut_short = n * (n - 1) * merge_radius * theta * max_degree
     nu = scatter(n, gamma, square_weights, bottleneck_weight)
     share = gamma * (2.0 - theta * gamma) - theta * nu
-    return over_rate(n * (np.asarray(lyapunov_bound) + cut_short), 4.0 * bottleneck_weight**2 * share)
+    above = n * (np.asarray(lyapunov_bound) + cut_short)
+    return over_rate(above, 4.0 * bottleneck_weight**2 * share)
 
 
 def largest_age(max_degree: float, merge_radius: float, *, law_4: bool = False) -> float:
