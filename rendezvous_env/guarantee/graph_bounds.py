@@ -148,12 +148,12 @@ def links_time(
 ) -> Array:
     """T under link-keeping with limited sight, s (theorem R c and d).
 
-        v_i = λ min(d_i, s) sin(φ̂_i − η)₊ q̂_i/‖q̂_i‖ + (1 − λ) P(wanted),   φ̂_i = asin ‖q̂_i‖:
+        v_i = λ min(d_i, v_max, r/(2τ)) sin(asin ‖q̂_i‖ − η)₊ q̂_i/‖q̂_i‖ + (1 − λ) P(wanted):
         T ≤ n V_tot/(4 λ d_min s (1 − 2nη/π)²) + (n−1) τ,       s = min(d_min, v_max, r/(2τ))
 
     Links of at most R − (n−1) r/2 connect the team at the start; inputs are held over τ. With a
-    long step or a slow robot the law's part is s q in place of d q, which lies in the same set and
-    descends at λ d s ‖q‖².
+    long step or a slow robot the law's part is shorter, lies in the same set, and V still falls by
+    λ d s ‖q‖² or more.
 
     Args:
         n: number of robots, at least 2.
