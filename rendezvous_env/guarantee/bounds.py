@@ -9,10 +9,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..experiment.checks import floats, real, refuse
 from ..experiment.scenario import Scenario
+from .bearing_errors import check_bearing_error
 from .degrees import uniform_complete
 from .enclosing_ball import smallest_enclosing_ball
+from .error_times import certified_share, error_share, wrong_certified_time
+from .even_bounds import held_size_bound
 from .kinds_of_links import UNDIRECTED, kind_of_links
-from .size_bounds import held_size_bound
 
 Array = NDArray[np.float64]
 
@@ -82,23 +84,55 @@ def _by_descent(scenario: Scenario, initial: Array, margin: float) -> Array:
         return np.asarray(bound * held * limited)
 
 
+def scale_bound(scenario: Scenario) -> float:
+    """s_min = min(1, r/(2D̄τ), v_max/D̄): no robot is slowed down by more (theorem D).
+
+    Args:
+        scenario: gives D̄, τ, r and v_max.
+
+    Returns:
+        A number in (0, 1], without unit.
+    """
+    degree = scenario.max_degree
+    held = scenario.merge_radius / (2.0 * degree * scenario.tau)
+    return min(1.0, held, scenario.speed_limit / degree)
+
+
+def share_of_errors(scenario: Scenario, error: float) -> float:
+    """ρ = n D̄ sin(η/2)/a*, what errors of η take from Σ‖f_i‖ (theorem N1): ``error_share``.
+
+    Args:
+        scenario: gives n, D̄ and a*.
+        error: η, rad.
+
+    Returns:
+        A number without unit.
+    """
+    n, a = scenario.n_robots, scenario.bottleneck_weight
+    return float(error_share(n, scenario.max_degree, a, error))
+
+
 def tank_time_bound(
     scenario: Scenario,
     initial_lyapunov: ArrayLike,
     *,
     min_alignment: float,
     budget: float = 0.0,
+    bearing_error: float = 0.0,
 ) -> Array:
     """Time by which all robots have met under an energy tank, whatever is wanted, s (theorem D).
 
-        T ≤ n (V0⁺ + (n − 1) r W + ΣB_i) / (4 ε² a*² s_min) + (n − 1) τ,
-        s_min = min(1, r/(2D̄τ), v_max/D̄)
+        T ≤ n (V0⁺ + (n − 1) r W + ΣB_i) / (a*² q² s_min) + (n − 1) τ,
+        q = 2ε − 2(1 + ε)ρ > 0,     s_min = min(1, r/(2D̄τ), v_max/D̄)
+
+    as Σ(ε‖f̂_i‖ − e_i)₊ ≥ a* q under a tank that charges errors (guarantees 11).
 
     Args:
         scenario: gives n, r, W, a*, D̄, τ and v_max.
         initial_lyapunov: V(0), (...), m²/s.
         min_alignment: ε in (0, 1], the margin of the law that an empty tank falls back to.
         budget: B_i that each robot's tank begins with, m²/s, at least 0.
+        bearing_error: η, rad, that the tank allows for.
 
     Returns:
         (...), s; infinite where nothing is guaranteed.
@@ -107,14 +141,18 @@ def tank_time_bound(
         ValueError: if an argument is out of its range.
     """
     check_margin(min_alignment)
+    error = check_bearing_error(bearing_error)
     most = tank_lyapunov_bound(scenario, initial_lyapunov, budget=budget)
     if not covered(scenario):
         return np.full(most.shape, np.inf)
-    n, tau, degree = scenario.n_robots, scenario.tau, scenario.max_degree
-    slowest = min(1.0, scenario.merge_radius / (2.0 * degree * tau), scenario.speed_limit / degree)
-    with np.errstate(divide="ignore", over="ignore"):
-        rate = 4.0 * min_alignment**2 * scenario.bottleneck_weight**2 * slowest
-        return np.asarray(n * most / rate + (n - 1) * tau)
+    return wrong_certified_time(
+        scenario.n_robots,
+        most,
+        bottleneck_weight=scenario.bottleneck_weight,
+        share=certified_share(min_alignment, share_of_errors(scenario, error), 0.0),
+        step=scenario.tau,
+        slowest=scale_bound(scenario),
+    )
 
 
 def tank_lyapunov_bound(

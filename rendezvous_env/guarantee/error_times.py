@@ -1,4 +1,4 @@
-"""By when all robots have met although bearings are wrong, noisy or late (guarantees, 11).
+"""By when all robots have met although bearings are wrong up to a bound (guarantees, 11).
 
 Functions of numbers, which broadcast; an infinite time says that nothing is promised.
 """
@@ -12,6 +12,9 @@ from .bearing_errors import error_chord
 from .size_bounds import shrinking
 
 Array = NDArray[np.float64]
+
+DEAD_ZONE = 0.5
+"""β of the dead zone δ = βa*/n of certified headings."""
 
 
 def largest_error(n: ArrayLike, dim: int) -> Array:
@@ -51,26 +54,8 @@ def held_error(gain: ArrayLike, duration: ArrayLike, merge_radius: float) -> Arr
     return np.where(sine < 1.0, np.arcsin(np.minimum(sine, 1.0)), np.pi)
 
 
-def longest_held_step(n: ArrayLike, gain: ArrayLike, merge_radius: float, share: float) -> Array:
-    """The step in which held inputs use up a share β of the errors that theorem N forgives, s.
-
-        τ = (r/2c) sin(β π/n)
-
-    Args:
-        n: number of robots, (...), at least 2.
-        gain: c, (...), m/s.
-        merge_radius: r, m.
-        share: β in (0, 1).
-
-    Returns:
-        (...), s.
-    """
-    m = np.asarray(n, dtype=np.float64)
-    return np.asarray(merge_radius / (2.0 * np.asarray(gain)) * np.sin(share * np.pi / m))
-
-
 def wrong_bearings_time(
-    n: int, dim: int, initial_size: ArrayLike, gain: ArrayLike, error: ArrayLike
+    n: ArrayLike, dim: int, initial_size: ArrayLike, gain: ArrayLike, error: ArrayLike
 ) -> Array:
     """T where all Σ_j c_ij are equal and every bearing is off by η at most, s (theorem N).
 
@@ -80,18 +65,16 @@ def wrong_bearings_time(
     On any directed graph that may switch, in continuous time.
 
     Args:
-        n: number of robots, at least 2.
+        n: number of robots, (...), at least 2.
         dim: 2 or 3.
         initial_size: L0, (...), m.
         gain: c, (...), m/s.
         error: η, (...), rad.
 
     Returns:
-        (...), s.
+        (...), s; infinite from ``largest_error`` on.
     """
-    rate = shrinking(n, dim, gain, error)
-    with np.errstate(divide="ignore"):
-        return np.asarray(np.asarray(initial_size) / rate)
+    return over_rate(np.asarray(initial_size), shrinking(n, dim, gain, error))
 
 
 def most_wrong(degree: ArrayLike, error: float) -> Array:
@@ -120,6 +103,24 @@ def error_share(n: int, max_degree: ArrayLike, bottleneck_weight: ArrayLike, err
         (...), without unit.
     """
     return n * most_wrong(max_degree, error) / (2.0 * np.asarray(bottleneck_weight))
+
+
+def error_of_share(
+    n: int, max_degree: ArrayLike, bottleneck_weight: ArrayLike, share: ArrayLike
+) -> Array:
+    """The η of a given ρ, the inverse of ``error_share``: 2 asin(ρ a*/(n D̄)), rad.
+
+    Args:
+        n: number of robots.
+        max_degree: D̄, (...), m/s.
+        bottleneck_weight: a*, (...), m/s.
+        share: ρ, (...), without unit, at least 0.
+
+    Returns:
+        (...), rad, π at most.
+    """
+    sine = np.asarray(share) * np.asarray(bottleneck_weight) / (n * np.asarray(max_degree))
+    return np.asarray(2.0 * np.arcsin(np.minimum(sine, 1.0)))
 
 
 def wrong_law_1_time(
@@ -152,22 +153,38 @@ def wrong_law_1_time(
     rho = error_share(n, max_degree, bottleneck_weight, error)
     lost = (n - 1) * step * n * most_wrong(max_degree, error) ** 2
     rate = 4.0 * bottleneck_weight**2 * (1.0 - rho**2)
-    return _by(n * (np.asarray(lyapunov_bound) + lost), rate) + (n - 1) * step
+    return over_rate(n * (np.asarray(lyapunov_bound) + lost), rate) + (n - 1) * step
 
 
-def certified_share(min_alignment: ArrayLike, rho: ArrayLike, dead_zone: float = 0.5) -> Array:
+def certified_share(
+    min_alignment: ArrayLike, rho: ArrayLike, dead_zone: float = DEAD_ZONE
+) -> Array:
     """Share q = ε (2 − β) − 2 (1 + ε) ρ: Σ_i (h·f̂_i − e_i)₊ ≥ q a* (theorem N1').
 
     Args:
         min_alignment: ε, (...), without unit.
         rho: ρ of ``error_share``, (...), without unit.
-        dead_zone: β, the dead zone δ in units of a*/n.
+        dead_zone: β, the dead zone δ in units of a*/n; a tank has none, 0.
 
     Returns:
         (...), without unit; nothing is promised unless it is positive.
     """
     epsilon = np.asarray(min_alignment)
     return np.asarray(epsilon * (2.0 - dead_zone) - 2.0 * (1.0 + epsilon) * np.asarray(rho))
+
+
+def forgiven_share(min_alignment: ArrayLike, dead_zone: float = DEAD_ZONE) -> Array:
+    """The ρ at which q = 0, so that any less is borne: ε (2 − β)/(2 (1 + ε)) (theorem N1').
+
+    Args:
+        min_alignment: ε, (...), without unit.
+        dead_zone: β, as ``certified_share``.
+
+    Returns:
+        (...), without unit.
+    """
+    epsilon = np.asarray(min_alignment)
+    return np.asarray(epsilon * (2.0 - dead_zone) / (2.0 * (1.0 + epsilon)))
 
 
 def wrong_certified_time(
@@ -198,91 +215,20 @@ def wrong_certified_time(
         (...), s.
     """
     q = np.maximum(np.asarray(share), 0.0)
-    return _by(n * np.asarray(lyapunov_bound), (bottleneck_weight * q) ** 2 * slowest) + (
-        (n - 1) * step
-    )
+    rate = (bottleneck_weight * q) ** 2 * slowest
+    return over_rate(n * np.asarray(lyapunov_bound), rate) + (n - 1) * step
 
 
-def noisy_mean_time(
-    n: int,
-    lyapunov_bound: ArrayLike,
-    *,
-    max_degree: float,
-    bottleneck_weight: float,
-    mean_cosine: ArrayLike,
-    square_weights: ArrayLike,
-    merge_radius: float,
-    step: float,
-) -> Array:
-    """The most that E[T] of law (1) can be with independent, isotropic noise, s.
-
-        E[T] ≤ n (V0⁺ + n (n−1) r θ D̄)/(4 a*² [γ (2 − θγ) − θν]),    θ = 2 D̄ τ/r < 2γ/(γ² + ν),
-        ν = n (1 − γ²) Σ a_ij²/(4 a*²)
-
-    On an undirected graph. Any unbiased noise is beaten by a short enough step.
+def over_rate(above: Array, rate: ArrayLike) -> Array:
+    """The time that something takes to vanish, infinite for a rate that is not positive, s.
 
     Args:
-        n: number of robots.
-        lyapunov_bound: V0⁺, (...), m²/s.
-        max_degree: D̄, m/s.
-        bottleneck_weight: a*, m/s.
-        mean_cosine: γ = E cos ξ of the angle ξ by which a bearing is off, (...), without unit.
-        square_weights: Σ_i Σ_j a_ij², each link in both directions, (...), m²/s².
-        merge_radius: r, m.
-        step: τ, s.
+        above: what there is, (...), in any unit.
+        rate: the least by which it falls, (...), in that unit per second.
 
     Returns:
         (...), s.
     """
-    gamma, theta = np.asarray(mean_cosine), 2.0 * max_degree * step / merge_radius
-    cut_short = n * (n - 1) * merge_radius * theta * max_degree
-    nu = n * (1.0 - gamma**2) * np.asarray(square_weights) / (4.0 * bottleneck_weight**2)
-    share = gamma * (2.0 - theta * gamma) - theta * nu
-    return _by(n * (np.asarray(lyapunov_bound) + cut_short), 4.0 * bottleneck_weight**2 * share)
-
-
-def largest_age(max_degree: float, merge_radius: float, *, law_4: bool = False) -> float:
-    """The age that bearings may have, a number, s (E1).
-
-        law (1): r/(2D̄),        law (4): r/(2√3 D̄)
-
-    Args:
-        max_degree: D̄, m/s.
-        merge_radius: r, m.
-        law_4: whether robots move along headings.
-
-    Returns:
-        Δ, s.
-    """
-    return merge_radius / (2.0 * max_degree) / (np.sqrt(3.0) if law_4 else 1.0)
-
-
-def stale_time(
-    n: int, lyapunov_bound: ArrayLike, *, bottleneck_weight: ArrayLike, slowest: ArrayLike = 1.0
-) -> Array:
-    """T of law (1) with bearings of any age up to r/(2D̄), pair by pair, s (E1).
-
-        T ≤ n V0⁺/(4 s a*²);      law (4), up to r/(2√3 D̄):  T ≤ n V0⁺/(ε² a*²), s = ε²/4
-
-    Bearings of a robot that has just merged are fresh; the margin of law (4) is not faded.
-
-    Args:
-        n: number of robots.
-        lyapunov_bound: V0⁺, (...), m²/s.
-        bottleneck_weight: a*, (...), m/s.
-        slowest: s in (0, 1], (...): a robot moves at s_i(t) f̂_i, s ≤ s_i ≤ 1.
-
-    Returns:
-        (...), s.
-    """
-    return _by(
-        n * np.asarray(lyapunov_bound),
-        4.0 * np.asarray(bottleneck_weight) ** 2 * np.asarray(slowest),
-    )
-
-
-def _by(above: Array, rate: ArrayLike) -> Array:
-    """Above over a rate; infinite for a rate that is not positive."""
     below = np.asarray(rate, dtype=np.float64)
     with np.errstate(divide="ignore", over="ignore"):
         return np.where(below > 0.0, above / np.where(below > 0.0, below, 1.0), np.inf)

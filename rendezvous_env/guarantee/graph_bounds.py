@@ -9,7 +9,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .size_bounds import shrinking
+from .error_times import over_rate
+from .size_bounds import shrinking, shrinking_to_leader
 
 Array = NDArray[np.float64]
 
@@ -45,12 +46,7 @@ def led_time(n: int, dim: int, initial_size: ArrayLike, gain: ArrayLike) -> Arra
     Returns:
         (...), s.
     """
-    others, c = n - 1.0, np.asarray(gain)
-    if dim == 2:
-        rate = 2.0 * c * others * np.sin(np.pi / (2.0 * others)) ** 2
-    else:
-        rate = np.pi * c / others
-    return np.asarray(np.asarray(initial_size) / rate)
+    return np.asarray(np.asarray(initial_size) / shrinking_to_leader(n, dim, gain))
 
 
 def windows_time(
@@ -148,26 +144,30 @@ def links_time(
     step: float,
     share: float = 1.0,
     error: ArrayLike = 0.0,
+    slowest: float | None = None,
 ) -> Array:
     """T under link-keeping with limited sight, s (theorem R c and d).
 
-        (c)   v_i = λ d_i q_i + (1 − λ) P(wanted):   T ≤ n V_tot/(4 λ d_min²) + (n−1) τ
-        (d)   v_i = d_i sin(φ̂ − η)₊ q̂_i/‖q̂_i‖:      T ≤ n V_tot/(4 d_min² (1 − 2nη/π)²) + (n−1) τ
+        v_i = λ min(d_i, v_max, r/(2τ)) sin(asin ‖q̂_i‖ − η)₊ q̂_i/‖q̂_i‖ + (1 − λ) P(wanted):
+        T ≤ n V_tot/(4 λ d_min s (1 − 2nη/π)²) + (n−1) τ,       s = min(d_min, v_max, r/(2τ))
 
-    Links of at most R − (n−1) r/2 connect the team at the start; inputs are held over τ ≤ r/(2D̄).
+    Links of at most R − (n−1) r/2 connect the team at the start; inputs are held over τ. With a
+    long step or a slow robot the law's part is shorter, lies in the same set, and V still falls by
+    λ d s ‖q‖² or more.
 
     Args:
         n: number of robots, at least 2.
         lyapunov_bound: V_tot of ``sighted_lyapunov_bound``, (...), m²/s.
         least_degree: d_min, m/s.
         step: τ, s.
-        share: λ in (0, 1], without unit; 1 with errors.
+        share: λ in (0, 1], without unit.
         error: η, (...), rad.
+        slowest: s, m/s; None is d_min, for τ ≤ r/(2D̄) and no limit of speed.
 
     Returns:
         (...), s; infinite from η = π/(2n) on.
     """
     left = np.maximum(1.0 - 2.0 * n * np.asarray(error) / np.pi, 0.0)
-    with np.errstate(divide="ignore"):
-        descending = n * np.asarray(lyapunov_bound) / (4.0 * share * least_degree**2 * left**2)
-    return np.asarray(descending + (n - 1) * step)
+    speed = least_degree if slowest is None else slowest
+    rate = 4.0 * share * least_degree * speed * left**2
+    return over_rate(n * np.asarray(lyapunov_bound), rate) + (n - 1) * step

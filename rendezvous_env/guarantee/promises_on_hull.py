@@ -8,9 +8,10 @@ from dataclasses import replace
 import numpy as np
 
 from ..experiment.scenario import Scenario
-from . import error_bounds
+from . import error_bounds, even_bounds
 from .bounds import lyapunov_bound, walled
 from .gains import gain_range
+from .graph_bounds import sighted_lyapunov_bound
 from .kinds_of_links import PROXIMITY, kind_of_links, leaders
 from .promise import Asked, Certificate
 from .size_bounds import gain_bound
@@ -28,7 +29,7 @@ def of_law_on_any_graph(scenario: Scenario, without: Certificate, asked: Asked) 
             "beyond its neighbours; gains do not"
         )
         return replace(without, theorem=words)
-    even = error_bounds.evenly_moved(scenario) and scenario.sensing.occlusion == "none"
+    even = even_bounds.evenly_moved(scenario) and scenario.sensing.occlusion == "none"
     gain = scenario.bottleneck_weight
     return _of_hull(scenario, without, asked, gain, "law (1)", even=even)
 
@@ -55,11 +56,11 @@ def _of_hull(
     led = len(leaders(scenario)[0]) < scenario.n_robots
     even = even and not led
     extent, error = largest_size(scenario), asked.error
-    borne = error_bounds.even_error_borne(scenario, gain) if even else 0.0
+    borne = even_bounds.even_error_borne(scenario, gain) if even else 0.0
     found = replace(without, bearing_error_borne=borne)
     held = math.inf
     if even:
-        held = error_bounds.even_time_bound(scenario, extent, error, held=True, gain=gain)
+        held = float(even_bounds.even_time_bound(scenario, extent, error, gain=gain))
     if error > 0 and math.isinf(held):
         why = (
             f"they are known to bear less than {borne:.4g} rad here"
@@ -134,16 +135,17 @@ def _starts_linked(scenario: Scenario, reach: float | None) -> bool:
 def _largest_sum(scenario: Scenario, reach: float | None) -> float:
     """V_tot, m²/s: V of the links there are, and of all that can come into sight or be merged in.
 
-    V0⁺ without a limit of range; else 2aR[n(n − 1)/2 + (n − 1)²] + (n − 1) r a n(n − 1)/2, a the
-    heaviest weight, as V(0) is no more than 2aR for each link.
+    V0⁺ without a limit of range; else as if all links were still to appear, each with the heaviest
+    weight a, since V(0) is no more than 2aR for each.
     """
     if reach is None:
         return float(lyapunov_bound(scenario, largest_lyapunov(scenario)))
     n, graph = scenario.n_robots, scenario.sensing_graph
     heaviest = float(graph.links(n)[2].max()) * graph.weight_range[1]
-    pairs = n * (n - 1) / 2.0
-    new, merged = pairs + (n - 1) ** 2, (n - 1) * scenario.merge_radius * pairs
-    return 2.0 * heaviest * reach * new + heaviest * merged
+    most = sighted_lyapunov_bound(
+        n, 0.0, links=0, weight=heaviest, sight=reach, merge_radius=scenario.merge_radius
+    )
+    return float(most)
 
 
 def _least_weight(scenario: Scenario) -> float:

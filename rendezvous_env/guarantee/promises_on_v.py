@@ -6,7 +6,7 @@ import math
 from dataclasses import replace
 
 from ..experiment.scenario import Scenario
-from . import error_bounds
+from . import error_bounds, even_bounds
 from .bounds import lyapunov_bound, tank_lyapunov_bound, tank_time_bound, time_bound, walled
 from .kinds_of_links import UNDIRECTED, kind_of_links
 from .promise import Asked, Certificate
@@ -74,8 +74,8 @@ def _law_bears(scenario: Scenario) -> float:
     borne = 0.0
     if scenario.speed_limit >= scenario.max_degree:
         borne = error_bounds.law_error_borne(scenario)
-    if error_bounds.evenly_moved(scenario):
-        borne = max(borne, error_bounds.even_error_borne(scenario))
+    if even_bounds.evenly_moved(scenario):
+        borne = max(borne, even_bounds.even_error_borne(scenario))
     return borne
 
 
@@ -85,9 +85,9 @@ def _of_law_with_errors(scenario: Scenario, without: Certificate, error: float) 
     found = replace(without, lyapunov_bound=math.inf, bearing_error_borne=_law_bears(scenario))
     bounds = {"N1": math.inf, "N": math.inf}
     if not _long_step(scenario):
-        bounds["N1"] = error_bounds.law_time_bound(scenario, start, error)
-    if error_bounds.evenly_moved(scenario):
-        bounds["N"] = error_bounds.even_time_bound(scenario, extent, error, held=True)
+        bounds["N1"] = float(error_bounds.law_time_bound(scenario, start, error))
+    if even_bounds.evenly_moved(scenario):
+        bounds["N"] = float(even_bounds.even_time_bound(scenario, extent, error))
     by = min(bounds, key=lambda name: bounds[name])
     if math.isinf(bounds[by]):
         return replace(found, theorem=_too_wrong(error, found.bearing_error_borne, "law (1)"))
@@ -121,7 +121,7 @@ def of_headings(scenario: Scenario, without: Certificate, asked: Asked) -> Certi
             "theorem N1': every policy under certified headings that allow for errors of "
             f"{asked.error:.4g} rad meets in finite time{scaled}"
         )
-        bound = error_bounds.heading_time_bound(scenario, start, asked.error, margin)
+        bound = float(error_bounds.heading_time_bound(scenario, start, asked.error, margin))
     if math.isinf(bound) and asked.error > 0:
         words = _too_wrong(asked.error, found.bearing_error_borne, "a heading of this margin")
         return replace(found, theorem=f"{words}; V still never rises between merges")
@@ -149,10 +149,17 @@ def of_tank(scenario: Scenario, without: Certificate, asked: Asked) -> Certifica
     margin = without.margin
     borne = error_bounds.tank_error_borne(scenario, margin)
     found = replace(found, bearing_error_borne=borne)
-    bound = float(tank_time_bound(scenario, start, min_alignment=margin, budget=asked.budget))
+    bound = float(
+        tank_time_bound(
+            scenario,
+            start,
+            min_alignment=margin,
+            budget=asked.budget,
+            bearing_error=asked.error,
+        )
+    )
     words = "theorem D: whatever is wanted, all robots meet in finite time while a tank keeps count"
     if asked.error > 0:
-        bound = error_bounds.tank_error_time_bound(scenario, most, asked.error, margin)
         words += f" and charges errors of {asked.error:.4g} rad"
     if math.isinf(bound) and asked.error > 0:
         return replace(

@@ -1,4 +1,4 @@
-"""By when all robots have met, from the size L of their start (theorems G and N, E2)."""
+"""By when all robots have met, from the size L of their start (theorem G, E2)."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..experiment.checks import floats, refuse
 from ..experiment.scenario import Scenario
-from .degrees import degrees_stay_equal, least_degrees
+from .degrees import least_degrees
 
 Array = NDArray[np.float64]
 
@@ -122,37 +122,6 @@ def size_bound(scenario: Scenario, initial_size: ArrayLike) -> Array:
     left = np.arange(2, scenario.n_robots + 1)
     slowest = shrinking(left, scenario.dim, gains).min()
     return checked_size(initial_size) / slowest
-
-
-def held_size_bound(scenario: Scenario, initial_size: ArrayLike) -> Array:
-    """The same for inputs held over the step τ, s (theorem N).
-
-        η_m = asin(2 c_m τ/r),      T ≤ L0 / min_m shrinking(m, c_m, η_m) + (n − 1) τ
-
-    A held bearing is a bearing with an error, which N forgives if all D_i are equal at any time and
-    nobody is slowed down. Two robots are never wrong about each other: they move on one line.
-
-    Args:
-        scenario: gives n, the dimension, the graph, r, τ and v_max.
-        initial_size: L(0), (...), m.
-
-    Returns:
-        (...), s; infinite where nothing is proven.
-
-    Raises:
-        ValueError: if a size is not finite or negative.
-    """
-    initial = checked_size(initial_size)
-    n, tau, gains = scenario.n_robots, scenario.tau, least_degrees(scenario)
-    if not degrees_stay_equal(scenario) or scenario.speed_limit < gains.max():
-        return np.full(initial.shape, np.inf)
-    left = np.arange(2, n + 1)
-    sine = np.where(left > 2, 2.0 * gains * tau / scenario.merge_radius, 0.0)
-    error = np.arcsin(np.minimum(sine, 1.0))
-    slowest = shrinking(left, scenario.dim, gains, error).min()
-    if slowest == 0.0:
-        return np.full(initial.shape, np.inf)
-    return initial / slowest + (n - 1) * tau
 
 
 def pursuit_bound(scenario: Scenario, initial_size: ArrayLike, speed: float) -> Array:

@@ -21,9 +21,9 @@ from rendezvous_env.guarantee.bounds import (
     time_bound,
 )
 from rendezvous_env.guarantee.degrees import degrees_stay_equal, least_degrees
+from rendezvous_env.guarantee.even_bounds import held_size_bound
 from rendezvous_env.guarantee.lyapunov import lyapunov
 from rendezvous_env.guarantee.size_bounds import (
-    held_size_bound,
     kappa,
     pursuit_bound,
     shrinking,

@@ -5,21 +5,19 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Callable
 
 import numpy as np
 
 from rendezvous_env import Scenario, Sensing, Simulator
-from rendezvous_env.guarantee.bounds import lyapunov_bound, tank_lyapunov_bound
-from rendezvous_env.guarantee.error_times import (
-    certified_share,
-    error_share,
-    most_wrong,
-    noisy_mean_time,
-    wrong_certified_time,
-    wrong_law_1_time,
+from rendezvous_env.guarantee.bounds import lyapunov_bound, tank_time_bound
+from rendezvous_env.guarantee.error_bounds import (
+    error_borne,
+    heading_time_bound,
+    law_time_bound,
 )
+from rendezvous_env.guarantee.error_times import forgiven_share, most_wrong
+from rendezvous_env.guarantee.noise_times import mean_cosine, noisy_mean_time, scatter
 from rendezvous_env.trajectory import Step
 
 from .cases import Case, draw_case
@@ -39,23 +37,6 @@ _NOISE = (0.1, 0.6)
 """Standard deviation of the angles, rad."""
 _NOISY_STEPS = (0.2, 0.7)
 """θ over what is beaten."""
-_DEAD_ZONE = 0.5
-"""β of certified headings."""
-
-
-def _error_of(scenario: Scenario, rho: float) -> float:
-    """η at which ρ is a given number, rad."""
-    per_robot = scenario.bottleneck_weight / (scenario.n_robots * scenario.max_degree)
-    return 2.0 * math.asin(min(rho * per_robot, 1.0))
-
-
-def rho_of(case: Case) -> float:
-    """ρ of a case's error."""
-    scenario = case.scenario
-    share = error_share(
-        scenario.n_robots, scenario.max_degree, scenario.bottleneck_weight, case.error
-    )
-    return float(share)
 
 
 def _draw_slow(random: np.random.Generator, batch: int, least_margin: float) -> Case:
@@ -65,31 +46,33 @@ def _draw_slow(random: np.random.Generator, batch: int, least_margin: float) -> 
 def draw_wrong(random: np.random.Generator, batch: int, least_margin: float) -> Case:
     """Errors that law (1) bears."""
     case = _draw_slow(random, batch, least_margin)
-    return dataclasses.replace(case, error=_error_of(case.scenario, random.uniform(*_ERRORS)))
+    return _with_error(case, random.uniform(*_ERRORS))
 
 
 def draw_wrong_headings(random: np.random.Generator, batch: int, least_margin: float) -> Case:
     """Errors that certified headings bear."""
     case = _draw_slow(random, batch, least_margin)
-    forgiven = case.margin * (2.0 - _DEAD_ZONE) / (2.0 * (1.0 + case.margin))
-    rho = random.uniform(0.2, 0.8) * forgiven
-    return dataclasses.replace(case, error=_error_of(case.scenario, rho))
+    return _with_error(case, random.uniform(0.2, 0.8) * float(forgiven_share(case.margin)))
 
 
 def draw_wrong_tanks(random: np.random.Generator, batch: int, least_margin: float) -> Case:
     """Errors that an energy tank bears; it has no dead zone."""
     case = draw_timed(random, batch, least_margin)
-    rho = random.uniform(0.1, 0.7) * case.margin / (1.0 + case.margin)
-    return dataclasses.replace(case, error=_error_of(case.scenario, rho))
+    return _with_error(case, random.uniform(0.1, 0.7) * float(forgiven_share(case.margin, 0.0)))
+
+
+def _with_error(case: Case, rho: float) -> Case:
+    """The same with the error of a given ρ."""
+    return dataclasses.replace(case, error=error_borne(case.scenario, rho))
 
 
 def draw_noisy(random: np.random.Generator, batch: int, least_margin: float) -> Case:
     """Noise, and a step that beats it."""
     scenario = draw_case(random, batch, least_margin, speed_limits=False).scenario
     noise, n = random.uniform(*_NOISE), scenario.n_robots
-    gamma = math.exp(-(noise**2) / 2.0)
+    gamma = float(mean_cosine(noise))
     most = n * (n - 1) * scenario.sensing_graph.weight_range[1] ** 2
-    nu = n * (1.0 - gamma**2) * most / (4.0 * scenario.bottleneck_weight**2)
+    nu = float(scatter(n, gamma, most, scenario.bottleneck_weight))
     theta = min(random.uniform(*_NOISY_STEPS) * 2.0 * gamma / (gamma**2 + nu), 1.0)
     step = theta * scenario.merge_radius / (2.0 * scenario.max_degree)
     return Case(scenario.replace(sensing=Sensing(noise=noise), time_step=step), 1.0)
@@ -97,42 +80,22 @@ def draw_noisy(random: np.random.Generator, batch: int, least_margin: float) -> 
 
 def bound_wrong(case: Case, teams: Simulator) -> Array:
     """Of theorem N1, s."""
-    scenario = case.scenario
-    return wrong_law_1_time(
-        scenario.n_robots,
-        lyapunov_bound(scenario, teams.lyapunov()),
-        max_degree=scenario.max_degree,
-        bottleneck_weight=scenario.bottleneck_weight,
-        error=case.error,
-        step=scenario.tau,
-    )
+    return law_time_bound(case.scenario, teams.lyapunov(), case.error)
 
 
 def bound_wrong_headings(case: Case, teams: Simulator) -> Array:
     """Of theorem N1', s."""
-    scenario = case.scenario
-    return wrong_certified_time(
-        scenario.n_robots,
-        lyapunov_bound(scenario, teams.lyapunov()),
-        bottleneck_weight=scenario.bottleneck_weight,
-        share=certified_share(case.margin, rho_of(case), _DEAD_ZONE),
-        step=scenario.tau,
-    )
+    return heading_time_bound(case.scenario, teams.lyapunov(), case.error, case.margin)
 
 
 def bound_wrong_tanks(case: Case, teams: Simulator) -> Array:
     """Of theorem D with bearing errors, s."""
-    scenario = case.scenario
-    degree, tau = scenario.max_degree, scenario.tau
-    return wrong_certified_time(
-        scenario.n_robots,
-        tank_lyapunov_bound(scenario, teams.lyapunov(), budget=case.budget),
-        bottleneck_weight=scenario.bottleneck_weight,
-        share=certified_share(case.margin, rho_of(case), 0.0),
-        step=tau,
-        slowest=min(
-            1.0, scenario.merge_radius / (2.0 * degree * tau), scenario.speed_limit / degree
-        ),
+    return tank_time_bound(
+        case.scenario,
+        teams.lyapunov(),
+        min_alignment=case.margin,
+        budget=case.budget,
+        bearing_error=case.error,
     )
 
 
@@ -144,7 +107,7 @@ def bound_noisy(case: Case, teams: Simulator) -> Array:
         lyapunov_bound(scenario, teams.lyapunov()),
         max_degree=scenario.max_degree,
         bottleneck_weight=scenario.bottleneck_weight,
-        mean_cosine=math.exp(-(scenario.sensing.noise**2) / 2.0),
+        cosine=mean_cosine(scenario.sensing.noise),
         square_weights=np.sum(teams.weights**2, axis=(-2, -1)),
         merge_radius=scenario.merge_radius,
         step=scenario.tau,

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from rendezvous_env.experiment.graph_numbers import bottleneck_weight, max_degree
-from rendezvous_env.guarantee.error_times import largest_age, stale_time
+from rendezvous_env.guarantee.noise_times import largest_age, stale_time
 
 from .flow_claim import FlowClaim, stays_below
 from .flow_laws import Random, followed

@@ -6,12 +6,9 @@ import numpy as np
 
 from rendezvous_env import Simulator
 from rendezvous_env.guarantee.bounds import merge_rise_allowance, tank_time_bound, time_bound
-from rendezvous_env.guarantee.size_bounds import (
-    held_size_bound,
-    pursuit_bound,
-    shrinking,
-    size_bound,
-)
+from rendezvous_env.guarantee.even_bounds import held_size_bound
+from rendezvous_env.guarantee.graph_bounds import gains_time
+from rendezvous_env.guarantee.size_bounds import pursuit_bound, size_bound
 
 from .cases import Case
 from .claim import Array
@@ -87,8 +84,8 @@ def bound_gains(case: Case, teams: Simulator) -> Array:
     """Of theorem G where each robot sees at least one other, c = a*, s, up to a step a merge."""
     scenario = case.scenario
     gain = min(scenario.bottleneck_weight, scenario.speed_limit)
-    rate = shrinking(scenario.n_robots, scenario.dim, gain)
-    return teams.size() / rate + (scenario.n_robots - 1) * scenario.tau
+    followed = gains_time(scenario.n_robots, scenario.dim, teams.size(), gain)
+    return followed + (scenario.n_robots - 1) * scenario.tau
 
 
 bound_occluded = bound_gains
