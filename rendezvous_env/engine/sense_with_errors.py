@@ -123,7 +123,7 @@ def _leads(arcs, i, j):
     return True
 
 
-@kernel
+@inlined_kernel  # to hand all its arguments over would take longer than what it does
 def _see_robot(i, j, row, frame, constants, sensor, keys, world, merged_into, hand, axes):
     """What robot i makes of the exact row of its neighbour j; zero if it does not see it."""
     counter = (i * hand.positions.shape[0] + j) * DRAWS
@@ -131,7 +131,8 @@ def _see_robot(i, j, row, frame, constants, sensor, keys, world, merged_into, ha
     if (
         not is_seen(to_local(frame, _within(axes, offset)), sensor.reach, sensor.half_field)
         or (sensor.dropout > 0.0 and uniform(keys[1], counter + 4) < sensor.dropout)
-        or _is_hidden(i, j, offset, constants, sensor, world, merged_into, hand)
+        or (sensor.obstacles_hide or sensor.robots_hide)
+        and _is_hidden(i, j, offset, constants, sensor, world, merged_into, hand)
     ):
         return _within(axes, ORIGIN)
     row = _turned_by_chance(row, keys, counter, sensor)
@@ -184,11 +185,19 @@ def _turned_by_chance(row, keys, counter, sensor):
     """A row turned by its bias of the episode and by its noise of the step."""
     if sensor.bias > 0.0:
         angle = sensor.bias * gaussian(keys[0], counter)
-        row = turned(row, angle, random_axis(keys[0], counter + 2))
+        row = turned(row, angle, _axis(row, keys[0], counter + 2))
     if sensor.noise > 0.0:
         angle = sensor.noise * gaussian(keys[1], counter)
-        row = turned(row, angle, random_axis(keys[1], counter + 2))
+        row = turned(row, angle, _axis(row, keys[1], counter + 2))
     return row
+
+
+@inlined_kernel
+def _axis(row, key, counter):
+    """About which a row is turned; the plane has but one."""
+    if len(row) == 2:
+        return ORIGIN
+    return random_axis(key, counter)
 
 
 @kernel

@@ -20,7 +20,10 @@ def is_seen(offset, reach, half_field):
         half_field: half the field of view about the x axis, rad; π sees all round.
     """
     x, y, z = triple(offset)
-    return square(offset) <= reach * reach and math.atan2(math.sqrt(y * y + z * z), x) <= half_field
+    if square(offset) > reach * reach:
+        return False
+    # to find the angle takes as long as a step of a robot with an exact sensor
+    return half_field >= math.pi or math.atan2(math.sqrt(y * y + z * z), x) <= half_field
 
 
 @kernel

@@ -19,6 +19,7 @@ from rendezvous_env.engine.pool import threads
 from ..results import provenance, write_json
 from .bench_cases import LIMIT, Case, among_discs, batched, one_team, spread_out
 from .bench_guarantees import wrapped
+from .bench_sensing import sensing
 from .bench_settings import GROUPS, Config, check
 from .measuring import Row, bytes_per_team, measure
 
@@ -68,6 +69,9 @@ def _groups(config: Config, console: Console) -> Iterator[list[Case]]:
     for n in config.robots:
         if "wrapped" in wanted:
             yield wrapped(n, *size)
+    for n in config.robots:
+        if "sensing" in wanted:
+            yield from sensing(n, *size)
     if {"robots", "ppo", "heading-ppo"} & set(wanted):
         yield from _learning_groups(config, wanted, console)
 

@@ -91,7 +91,7 @@ def one_team(scenario: rv.Scenario, group: str, peer: bool) -> list[Case]:
     name, against = "PettingZoo", "MPE2" if peers else ""
     return [
         *cases,
-        Case(name, group, n, 1, 1, "team steps", lambda: _pettingzoo(scenario), against),
+        Case(name, group, n, 1, 1, "team steps", lambda: dicts_of(scenario), against),
     ]
 
 
@@ -110,7 +110,7 @@ def batched(
             found.append((name, build, ""))
     against = LIMIT if free else ""
     found += [
-        ("Simulator", lambda: _simulator(scenario, num_envs, num_threads), against),
+        ("Simulator", lambda: simulator_of(scenario, num_envs, num_threads), against),
         ("make_vec", lambda: _vector(scenario, num_envs, num_threads, None), against),
     ]
     name = f"make_vec, episodes of {EPISODE} steps"
@@ -128,7 +128,8 @@ def _actions(shape: Sequence[int], bound: float) -> list[NDArray[np.float32]]:
     return [random.uniform(-bound, bound, shape).astype(np.float32) for _ in range(8)]
 
 
-def _pettingzoo(scenario: rv.Scenario) -> Running:
+def dicts_of(scenario: rv.Scenario) -> Running:
+    """One team through PettingZoo, under random actions."""
     env = rv.parallel_env(scenario)
     env.reset(seed=0)
     shape = (scenario.n_robots, scenario.action_size)
@@ -149,7 +150,8 @@ def _mpe2(n: int) -> Running:
     return Running(lambda: env.step(next(tape)), lambda: len(env.agents) == n)
 
 
-def _simulator(scenario: rv.Scenario, num_envs: int, num_threads: int | None) -> Running:
+def simulator_of(scenario: rv.Scenario, num_envs: int, num_threads: int | None) -> Running:
+    """Many teams in the bare simulator, under random actions."""
     simulator = rv.Simulator(scenario, num_envs, num_threads=num_threads)
     simulator.reset(0)
     shape = (num_envs, scenario.n_robots, scenario.action_size)
