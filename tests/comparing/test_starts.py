@@ -6,6 +6,7 @@ import pytest
 from rendezvous_env import Disc, ObstacleField, Scenario, Simulator, graphs
 from rendezvous_env.engine.preparation import begins_alike
 from rendezvous_env.experiment import scenarios
+from train.comparing import compare
 from train.comparing.episodes import counts_contacts, starts_of
 
 PLACES = ((0.0, 0.0), (3.0, 0.0), (0.0, 4.0))
@@ -54,3 +55,16 @@ def test_contacts_count_where_they_stop_a_robot():
     fig3, fig4 = scenarios.get("fig3"), scenarios.get("fig4")
     assert counts_contacts(fig4) and not counts_contacts(fig3)
     assert counts_contacts(fig3.replace(obstacles=()))  # nothing to touch: all is clean
+
+
+@pytest.mark.parametrize(
+    ("name", "starts", "kept"),
+    [("fig4", 1, 3), ("swarm-20", 100, 3), ("clutter-16-team-8", 100, 3),
+     ("clutter-16-team-16", 50, 1), ("clutter-16-team-32", 25, 1)],
+)  # fmt: skip
+def test_large_teams_among_obstacles_have_fewer_starts(name, starts, kept):
+    scenario = scenarios.get(name)
+    usual = compare.Config()
+    assert (usual.starts(scenario), usual.kept(scenario)) == (starts, kept)
+    asked = compare.Config(episodes=7, keep=2)
+    assert (asked.starts(scenario), asked.kept(scenario)) == (min(7, starts), 2)

@@ -44,7 +44,7 @@ DEFAULT_SCENARIOS = (
     "rooms",
 )
 
-_STARTS, _KEPT = 100, 5
+_STARTS, _KEPT = 100, 3
 _LARGE = 8
 """Robots; what more of them do among obstacles takes so long, and so much room, that fewer starts
 must do."""
@@ -70,7 +70,7 @@ class Config:
     fresh: bool = False
     """Whether to throw away what another command has left unfinished in OUT.part."""
     keep: int | None = None
-    """Starts of which trajectories are kept; none is 5, and fewer where there are fewer starts."""
+    """Starts of which trajectories are kept; none is 3, and fewer where there are fewer starts."""
     sensing: tuple[str, ...] = ()
     """Fields of the sensor and levels of each, as in noise=0,0.1,0.2 range=none,4,2: each scenario
     is played at each of them, one field at a time, and drawn against it. The level none is that of
