@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 
 
 def law_time_bound(scenario: Scenario, initial_lyapunov: ArrayLike, error: float) -> Array:
-    """Theorem N1's T for law (1) as it is, inputs held, s: ``wrong_law_1_time``.
+    """T for law (1) as it is, inputs held, s (theorem N1): ``wrong_law_1_time``.
 
     Args:
         scenario: undirected and connected, with a step that is certified.
@@ -54,8 +54,8 @@ def law_error_borne(scenario: Scenario) -> float:
 
 
 def expected_time_bound(scenario: Scenario, initial_lyapunov: float) -> float:
-    """E[T] of law (1) under unbiased noise that is drawn anew for every bearing and step, s:
-    ``noisy_mean_time``.
+    """E[T] of law (1) under unbiased noise that is drawn anew for every bearing and step, s
+    (guarantees 11): ``noisy_mean_time``.
 
     Args:
         scenario: undirected and connected; gives n, r, τ, D̄, a* and σ.
@@ -84,7 +84,7 @@ def expected_time_bound(scenario: Scenario, initial_lyapunov: float) -> float:
 def heading_time_bound(
     scenario: Scenario, initial_lyapunov: ArrayLike, error: float, min_alignment: float
 ) -> Array:
-    """Theorem N1''s T for certified headings that allow for errors, inputs held, s:
+    """T for certified headings that allow for errors, inputs held, s (theorem N1'):
     ``wrong_certified_time``.
 
     Args:
@@ -107,17 +107,17 @@ def heading_time_bound(
 
 
 def heading_error_borne(scenario: Scenario, min_alignment: float) -> float:
-    """The η with q = 0, rad: any less is borne; arguments as ``heading_time_bound``."""
+    """The η with q = 0, rad: any less is borne (theorem N1'); as ``heading_time_bound``."""
     return error_borne(scenario, float(forgiven_share(min_alignment)))
 
 
 def tank_error_borne(scenario: Scenario, min_alignment: float) -> float:
-    """The same under an energy tank, rad; arguments as ``tank_time_bound``."""
+    """The same under an energy tank, rad (theorem D); as ``tank_time_bound``."""
     return error_borne(scenario, float(forgiven_share(min_alignment, 0.0)))
 
 
 def error_borne(scenario: Scenario, share: float) -> float:
-    """The η at which errors can feign a share ρ of 2 a*: ``error_of_share``.
+    """The η at which errors can feign a share ρ of 2 a* (theorem N1): ``error_of_share``.
 
     Args:
         scenario: gives n, D̄ and a*.
@@ -133,7 +133,7 @@ def error_borne(scenario: Scenario, share: float) -> float:
 def link_time_bound(
     scenario: Scenario, most: float, least_weight: float, share: float, error: float
 ) -> float:
-    """Theorem R's T for velocities that keep all links, inputs held, s: ``links_time``.
+    """T for velocities that keep all links, inputs held, s (theorem R): ``links_time``.
 
     Args:
         scenario: gives n, r, τ and v_max.

@@ -108,7 +108,7 @@ def error_share(n: int, max_degree: ArrayLike, bottleneck_weight: ArrayLike, err
 def error_of_share(
     n: int, max_degree: ArrayLike, bottleneck_weight: ArrayLike, share: ArrayLike
 ) -> Array:
-    """The η of a given ρ, the inverse of ``error_share``: 2 asin(ρ a*/(n D̄)), rad.
+    """The η of a given ρ, 2 asin(ρ a*/(n D̄)), rad: the inverse of ``error_share`` (theorem N1).
 
     Args:
         n: number of robots.
