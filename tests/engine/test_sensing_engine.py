@@ -500,7 +500,8 @@ def test_the_step_of_exact_sensors_is_compiled_without_any_other():
     assert simulator(PLANE)._stepper._sensor is None
     behind = {path.name for path in kernel_cache._with_imports(Path(step_of_all.__file__))}
     assert "sensors.py" in behind
-    assert not behind & {"sense_with_errors.py", "sensing.py", "sight.py", "outward.py"}
+    # sight.py is behind it: links of proximity graphs go by it, too
+    assert not behind & {"sense_with_errors.py", "sensing.py", "outward.py"}
 
 
 # ---- faces and plain Python ---------------------------------------------------------------------
