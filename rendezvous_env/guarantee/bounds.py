@@ -78,7 +78,7 @@ def _by_descent(scenario: Scenario, initial: Array, margin: float) -> Array:
     held = 2.0 * max(1.0, 2.0 * scenario.max_degree * scenario.tau / scenario.merge_radius)
     limited = max(1.0, scenario.max_degree / scenario.speed_limit)
     with np.errstate(divide="ignore", over="ignore"):  # a margin of almost nothing bounds nothing
-        bound = n * (initial + merge_rise_allowance(scenario)) / (8.0 * margin**2 * a**2)
+        bound = n * lyapunov_bound(scenario, initial) / (8.0 * margin**2 * a**2)
         if uniform_complete(scenario) and not scenario.obstacles:
             bound = np.minimum(bound, initial / (4.0 * (n - 1) * margin**2 * a**2))
         return np.asarray(bound * held * limited)
