@@ -131,8 +131,10 @@ def _see_robot(i, j, row, frame, constants, sensor, keys, world, merged_into, ha
     if (
         not is_seen(to_local(frame, _within(axes, offset)), sensor.reach, sensor.half_field)
         or (sensor.dropout > 0.0 and uniform(keys[1], counter + 4) < sensor.dropout)
-        or (sensor.obstacles_hide or sensor.robots_hide)
-        and _is_hidden(i, j, offset, constants, sensor, world, merged_into, hand)
+        or (
+            (sensor.obstacles_hide or sensor.robots_hide)
+            and _is_hidden(i, j, offset, constants, sensor, world, merged_into, hand)
+        )
     ):
         return _within(axes, ORIGIN)
     row = _turned_by_chance(row, keys, counter, sensor)
