@@ -14,7 +14,7 @@ from rendezvous_env.experiment import scenarios
 from train import results
 from train.comparing import episodes, statistics
 from train.learned import checkpoints, learned_policy, policies
-from train.pictures import figures
+from train.pictures import figures, style
 
 SENSORS = {
     "exact": Sensing(),
@@ -57,7 +57,7 @@ def row(name, label, policy, given):
 def draw(rows, path):
     """Clean success over noise, a panel for each scenario, with 95 % intervals."""
     names = list(dict.fromkeys(row["scenario"] for row in rows))
-    figure = figures.new_figure(3.4 * len(names), 3.4)
+    figure = style.new_figure(3.4 * len(names), 3.4)
     panels = figure.subplots(1, len(names), sharey=True, squeeze=False)[0]
     for axes, name in zip(panels, names, strict=True):
         for policy in dict.fromkeys(row["policy"] for row in rows):
@@ -73,7 +73,7 @@ def draw(rows, path):
         axes.grid(color="0.92")
     panels[0].set_ylabel("clean success")
     figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=4)
-    figures.save(figure, path)
+    style.save(figure, path)
 
 
 parser = argparse.ArgumentParser(description=__doc__)

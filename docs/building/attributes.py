@@ -11,7 +11,16 @@ from typing import Any
 
 
 def docstrings(kind: type[Any]) -> dict[str, tuple[str, str]]:
-    """Annotation and docstring of every field that the class itself writes down."""
+    """Annotation and docstring of every field of a dataclass, inherited ones included."""
+    found: dict[str, tuple[str, str]] = {}
+    for each in reversed(kind.__mro__):
+        if dataclasses.is_dataclass(each):
+            found |= _own_docstrings(each)
+    return found
+
+
+def _own_docstrings(kind: type[Any]) -> dict[str, tuple[str, str]]:
+    """Those that the class itself writes down."""
     (body,) = ast.parse(textwrap.dedent(inspect.getsource(kind))).body
     assert isinstance(body, ast.ClassDef)
     found = {}

@@ -14,6 +14,7 @@ from .directed_graphs import DirectedGraph
 from .graph_checks import as_edge, as_range, check_weights, listed_edges
 from .graph_kinds import Graph as Graph
 from .graph_numbers import bottleneck_weight as bottleneck_weight
+from .graph_numbers import components as components
 from .topologies import ERDOS_RENYI as ERDOS_RENYI
 from .topologies import FIXED as FIXED
 from .topologies import PROXIMITY as PROXIMITY

@@ -12,7 +12,7 @@ from train.errors import UserError
 
 MODULES = {name: import_module(f"train.{module}") for name, (module, _) in cli.COMMANDS.items()}
 FLOATS = [
-    (name, field.name)
+    (name, field.name, "tuple" in str(field.type))
     for name, module in MODULES.items()
     for field in dataclasses.fields(module.Config)
     if "float" in str(field.type)
@@ -28,16 +28,17 @@ def refused(words, capsys):
 
 
 @pytest.mark.parametrize("value", ["nan", "inf", "-inf"])
-@pytest.mark.parametrize(("command", "field"), FLOATS)
-def test_numbers_are_finite(command, field, value, capsys, monkeypatch, tmp_path):
+@pytest.mark.parametrize(("command", "field", "pair"), FLOATS)
+def test_numbers_are_finite(command, field, pair, value, capsys, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     flag = "--" + field.replace("_", "-")
-    assert f"{flag} is {value}; it must be" in refused([command, f"{flag}={value}"], capsys)
+    words = [flag, "0", value] if pair else [f"{flag}={value}"]
+    assert f"{flag} is {value}; it must be" in refused([command, *words], capsys)
     assert list(tmp_path.iterdir()) == []
 
 
 def test_every_command_with_numbers_was_tried():
-    assert {name for name, _ in FLOATS} == {"train", "verify", "render", "bench"}
+    assert {name for name, *_ in FLOATS} == {"train", "verify", "render", "bench"}
     assert len(FLOATS) >= 18
 
 

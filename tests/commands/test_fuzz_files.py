@@ -363,7 +363,7 @@ def no_work(monkeypatch):
     """Commands stop where their settings have been accepted and work would begin."""
     from train.benchmark import bench, measuring
     from train.learning import training_run
-    from train.pictures import figures, render
+    from train.pictures import render, style
     from train.verification import verify
 
     monkeypatch.setattr(compare, "_run", lambda *given: 0)
@@ -373,9 +373,9 @@ def no_work(monkeypatch):
     monkeypatch.setattr(measuring, "one_core_busy", lambda: 1 / 0)
     monkeypatch.setattr("train.benchmark.bench_figure.draw_growth", lambda *given: None)
     monkeypatch.setattr(render, "_write_film", lambda *given: None)
-    monkeypatch.setattr(figures, "save", lambda *given: None)
-    row = {"margin": 1.0, "time_over_bound": 0.5, "violations": 0, "first_violation": ""}
-    monkeypatch.setattr(verify, "verify", lambda claim, *_: verify.Row(claim, 1, seconds=0, **row))
+    monkeypatch.setattr(style, "save", lambda *given: None)
+    fine = verify.Finding(trials=1, margin=1.0, time_over_bound=0.5, violations=0)
+    monkeypatch.setattr(verify, "look", lambda block: verify.Seen(fine, 0.0, None))
 
 
 @cases(150, 2000)

@@ -19,6 +19,7 @@ from train.errors import UserError
 from train.verification import cases, laws
 from train.verification.adversaries import Steered, adversary
 from train.verification.cases import BATCH, Case
+from train.verification.claim import Claim
 from train.verification.claims import CLAIMS
 from train.verification.time_limits import bound_a
 from train.verification.verify import COLUMNS, Config, run
@@ -266,7 +267,7 @@ def test_the_command_line(tmp_path, capsys, monkeypatch):
     assert [(row["claim"], row["trials"]) for row in rows] == [("lemma-1", "3"), ("bound-A", "3")]
     assert main(["verify", "--trials", "0", "--out", str(tmp_path)]) == 2
     assert "--trials is 0" in capsys.readouterr().err
-    wrong = tuple(with_law(claim.name, flipped) for claim in CLAIMS)
+    wrong = tuple(with_law(claim.name, flipped) for claim in CLAIMS if isinstance(claim, Claim))
     monkeypatch.setattr(run, "__defaults__", (wrong, None))
     assert main([*flags[:3], "--claims", "theorem-1", *flags[-2:]]) == 1
     assert "rendezvous verify --claims theorem-1 --seed 0" in capsys.readouterr().out.replace(

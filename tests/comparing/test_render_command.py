@@ -126,7 +126,10 @@ class TestMistakes:
             (["--out", "a.avi"], "unknown ending '.avi'; known are .gif, .mp4, .png, .pdf"),
             (["--scenario", "fig5"], "scenario 'fig5' is unknown; did you mean 'fig4'?"),
             (["--policy", "tangnt"], "policy 'tangnt' is unknown; did you mean 'tangent'?"),
-            (["--scenario", "uav-6"], "'tangent-joined' does not fit nonholonomic_3d"),
+            (
+                ["--scenario", "uav-6", "--policy", "tangent-joined"],
+                "'tangent-joined' does not fit nonholonomic_3d",
+            ),
             (["--fps", "0"], "--fps is 0; it must be from 1 to 100"),
             (["--size", "10"], "--size is 10; it must be from 120 to 4096"),
             (["--speed", "0"], "--speed is 0.0; it must be from 0.001"),

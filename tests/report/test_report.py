@@ -10,7 +10,7 @@ import shutil
 import numpy as np
 import pytest
 
-from rendezvous_env import Scenario
+from rendezvous_env import Scenario, scenarios
 from train import cli, results
 from train.comparing import compare
 from train.report import build as report
@@ -202,8 +202,13 @@ class TestPage:
             (r["scenario"], r["policy"], r["start"]) for r in data["recordings"]
         }
 
-    def test_by_default_five_starts_are_kept(self):
-        assert compare.Config().keep == 5
+    def test_by_default_three_starts_are_kept_and_of_large_teams_among_obstacles_fewer(self):
+        chosen = compare.Config()
+        kept = {
+            name: chosen.kept(scenarios.get(name)) for name in ("clutter-8", "fig4", "swarm-20")
+        }
+        assert set(kept.values()) == {3}
+        assert chosen.kept(scenarios.get("clutter-16-team-32")) == 1
 
 
 class TestSize:
