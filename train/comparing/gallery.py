@@ -2,22 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from itertools import chain
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rich.console import Console
 
 from rendezvous_env.experiment.scenario import Scenario
 
 from ..recording import Recording
+from ..workers import Workers, each
 from . import level_tables
+from .levels import Sweep
 from .out_folder import Part
 from .plan import Config
 from .playing import Played
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+
+class Picture(NamedTuple):
+    """A figure that is still to be drawn."""
+
+    name: str
+    draw: Callable[..., Figure]
+    arguments: tuple[Any, ...]
 
 
 def draw(
@@ -28,35 +40,51 @@ def draw(
     console: Console,
 ) -> list[str]:
     """Draw all figures; the names of their files."""
+    endings = ("png", "pdf") if config.pdf else ("png",)
+    work = partial(_draw, folder=part.folder, run=part.run, endings=endings)
+    pictures = [*_of_levels(config.sweeps(), rows), *_pictures(rows, played)]
+    # on this machine, wherever was played: its files are wanted here
+    drawn = each(work, pictures, Workers(config.jobs))
+    with console.status("drawing …"), closing(drawn):
+        files = dict(drawn)
+    return [name for number in sorted(files) for name in files[number]]
+
+
+def _draw(picture: Picture, *, folder: Path, run: str, endings: Sequence[str]) -> list[str]:
+    """Draw one figure; the names of its files."""
     from ..pictures import style
 
-    files = []
-    found = chain(level_tables.figures(config.sweeps(), rows), _figures(rows, played))
-    with console.status("drawing …"):
-        for name, figure in found:
-            for ending in ("png", "pdf") if config.pdf else ("png",):
-                files.append(f"{name}.{ending}")
-                style.save(figure, part.folder / files[-1], part.run)
-    return files
+    figure = picture.draw(*picture.arguments)
+    names = [f"{picture.name}.{ending}" for ending in endings]
+    for name in names:
+        style.save(figure, folder / name, run)
+    return names
 
 
-def _figures(
-    rows: Sequence[dict[str, Any]], played: Sequence[Played]
-) -> Iterator[tuple[str, Figure]]:
-    """Every figure with the name of its file."""
+def _of_levels(sweeps: Sequence[Sweep], rows: Sequence[dict[str, Any]]) -> Iterator[Picture]:
+    """A figure for each field of a sensor and scenario."""
+    from ..pictures.level_figure import level_figure
+
+    for sweep in sweeps:
+        own = level_tables.rows_of(sweep, rows)
+        yield Picture(sweep.name, level_figure, (sweep.base, sweep.field, sweep.labels, own))
+
+
+def _pictures(rows: Sequence[dict[str, Any]], played: Sequence[Played]) -> Iterator[Picture]:
+    """Every figure of a comparison on scenarios as they are."""
     from ..pictures import figures, path_figures
 
-    yield "success", figures.success_figure(rows)
-    yield "times", figures.time_figure(rows)
+    yield Picture("success", figures.success_figure, (rows,))
+    yield Picture("times", figures.time_figure, (rows,))
     scenarios = list(dict.fromkeys(done.job.scenario for done in played))
     for quantity in ("obstacles", "robots"):
         for number, group in enumerate(figures.sweeps(scenarios, quantity)):
-            figure = figures.sweep_figure(rows, group, quantity)
-            yield f"against-{quantity}" + (f"-{number + 1}" if number else ""), figure
+            name = f"against-{quantity}" + (f"-{number + 1}" if number else "")
+            yield Picture(name, figures.sweep_figure, (rows, group, quantity))
     for scenario, recordings in _first_starts(played).items():
         if scenario.dim == 2 and scenario.obstacles:
-            page = path_figures.trajectories_figure(scenario, recordings)
-            yield f"trajectories-{scenario.name}", page
+            given = scenario, recordings
+            yield Picture(f"trajectories-{scenario.name}", path_figures.trajectories_figure, given)
 
 
 def _first_starts(played: Sequence[Played]) -> dict[Scenario, dict[str, Recording]]:

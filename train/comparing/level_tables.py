@@ -1,10 +1,10 @@
-"""What policies do at each level of a sensor's field: levels.csv, tables and figures."""
+"""What policies do at each level of a sensor's field: levels.csv and tables."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from typing import Any
 
 from rich.console import Console
 from rich.markup import escape
@@ -14,9 +14,6 @@ from .. import results
 from .levels import Sweep
 from .matrix import percent
 from .out_folder import Part
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 COLUMNS = ("base", "field", "level", *results.RESULT_COLUMNS)
 """Of levels.csv: a scenario, a field of its sensor and the level at which it stands; then the row
@@ -72,14 +69,3 @@ def _cell(row: dict[str, Any], limit: float) -> str:
     median = row["median_time"]
     time = f"> {limit:.3g}" if median >= limit else f"{median:.3g}"
     return f"{percent(value, row['episodes'])}, {time}"
-
-
-def figures(
-    sweeps: Sequence[Sweep], rows: Sequence[dict[str, Any]]
-) -> Iterator[tuple[str, Figure]]:
-    """A figure of each sweep, with the name of its file."""
-    from ..pictures.level_figure import level_figure
-
-    for sweep in sweeps:
-        own = rows_of(sweep, rows)
-        yield sweep.name, level_figure(sweep.base, sweep.field, sweep.labels, own)
