@@ -9,6 +9,8 @@ import dataclasses
 import math
 from pathlib import Path
 
+import numpy as np
+
 from rendezvous_env import Sensing
 from rendezvous_env.experiment import scenarios
 from train import results
@@ -54,24 +56,25 @@ def row(name, label, policy, given):
     return dict(zip(COLUMNS, values, strict=True))
 
 
+@style.styled
 def draw(rows, path):
     """Clean success over noise, a panel for each scenario, with 95 % intervals."""
     names = list(dict.fromkeys(row["scenario"] for row in rows))
-    figure = style.new_figure(3.4 * len(names), 3.4)
+    figure = style.new_figure(style.COLUMN * len(names), 3.0)
     panels = figure.subplots(1, len(names), sharey=True, squeeze=False)[0]
     for axes, name in zip(panels, names, strict=True):
         for policy in dict.fromkeys(row["policy"] for row in rows):
             mine = [r for r in rows if (r["scenario"], r["policy"]) == (name, policy)]
             mine = [r for r in mine if r["sensor"] in NOISES]
-            clean = [r["clean"] for r in mine]
-            spread = [[r["clean"] - r["low"] for r in mine], [r["high"] - r["clean"] for r in mine]]
+            clean, low, high = ([100 * r[key] for r in mine] for key in ("clean", "low", "high"))
+            spread = [np.subtract(clean, low), np.subtract(high, clean)]
             axes.errorbar(
                 [NOISES[r["sensor"]] for r in mine], clean, spread, label=policy,
                 color=figures.policy_colour(policy), marker=figures.policy_marker(policy),
             )  # fmt: skip
         axes.set(title=name, xlabel="noise / rad")
-        axes.grid(color="0.92")
-    panels[0].set_ylabel("clean success")
+        axes.grid()
+    panels[0].set_ylabel("met without a contact / % of starts")
     figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=4)
     style.save(figure, path)
 
