@@ -1,9 +1,13 @@
 # make compare: the main job.  make test: linters, types, fast tests.  Each sets up .venv by itself.
-# make test-slow: the long tests, and the fast ones once more with every index of the kernels checked.
+# make test-slow: the long tests, and the fast ones of kernels once more with every index checked.
 # make docs: the documentation as a site, in out/site.
 PYTHON ?= python3
 BIN := .venv/bin
 export OMP_WAIT_POLICY := PASSIVE
+
+# what calls compiled code; the other tests read files, pages and command lines
+WITH_KERNELS := $(addprefix tests/,adapters borders comparing drawing engine equations experiment faces guarantee learned \
+	learning policies verification test_paper.py)
 
 .PHONY: compare test test-slow test-floors lint docs clean
 .DEFAULT_GOAL := compare
@@ -16,7 +20,7 @@ test: lint
 
 test-slow: .venv/installed
 	$(BIN)/python -m pytest -q -m slow -n 2 --dist loadfile
-	NUMBA_BOUNDSCHECK=1 $(BIN)/python -m pytest -q -n 2 --dist loadfile
+	NUMBA_BOUNDSCHECK=1 $(BIN)/python -m pytest -q -n 2 --dist loadfile $(WITH_KERNELS)
 
 # the oldest Gymnasium and PettingZoo that are supported, in an environment of their own
 test-floors: .venv-floors/installed
