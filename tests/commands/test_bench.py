@@ -77,6 +77,8 @@ def test_mistakes_are_told_before_anything_is_measured(tmp_path):
         run(Config(only=("btached",)))
     with pytest.raises(UserError, match="no folder"):
         run(Config(json=tmp_path / "missing" / "bench.json"))
+    with pytest.raises(UserError, match="is a folder; name a file"):
+        run(Config(json=tmp_path))
 
 
 def test_a_ratio_is_taken_to_the_fastest_of_its_kind():

@@ -59,3 +59,5 @@ def check(config: Config) -> None:
     for path in (config.json, config.figure):
         if path is not None and not path.parent.is_dir():
             raise UserError(f"{path}: there is no folder {path.parent}")
+        if path is not None and path.is_dir():
+            raise UserError(f"{path}: is a folder; name a file")

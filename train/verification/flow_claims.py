@@ -60,7 +60,7 @@ def draw_windows(random: Random, batch: int, least_margin: float) -> Trial:
     teams, gains = draw_teams(random, batch, dims=(2,)), _gains(random)
     step = _FINE * teams.merge_radius / (2.0 * gains[1])
     duration = random.uniform(1.0, 10.0) * step
-    window = random.uniform(1.5, 5.0) * duration
+    window = random.uniform(1.5, 5.0) * duration + step
     limit = windows_time(
         teams.active.shape[1],
         teams.size(),
