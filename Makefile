@@ -6,7 +6,7 @@ BIN := .venv/bin
 export OMP_WAIT_POLICY := PASSIVE
 
 # what calls compiled code; the other tests read files, pages and command lines
-WITH_KERNELS := $(addprefix tests/,adapters borders comparing drawing engine equations experiment faces guarantee learned \
+WITH_KERNELS := $(addprefix tests/,adapters borders comparing drawing engine equations experiment faces guarantee \
 	learning policies verification test_paper.py)
 
 .PHONY: compare test test-slow test-floors lint docs clean

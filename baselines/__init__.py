@@ -1,10 +1,11 @@
-"""Scripted policies: observations in, actions out, never a position, but for those that say
+"""Policies: observations in, actions out, never a position, but for those that say
 ``privileged`` in their names.
 """
 
 from . import (
     field_laws,
     laws,
+    learned,
     obstacle_avoidance,
     privileged_laws,
     privileged_planner,
@@ -17,6 +18,7 @@ __all__ = [
     "Policy",
     "field_laws",
     "laws",
+    "learned",
     "make",
     "names",
     "obstacle_avoidance",

@@ -1,4 +1,4 @@
-"""What a policy is, and the registry of the scripted ones."""
+"""What a policy is, and the registry of all that come with the project."""
 
 from __future__ import annotations
 
@@ -62,12 +62,6 @@ class _Entry:
 
 
 _registry: dict[str, _Entry] = {}
-_TRAINED = {
-    "learned": "PRETRAINED",
-    "learned-tank": "PRETRAINED_TANK",
-    "learned-tank-noise": "PRETRAINED_TANK_NOISE",
-}
-"""Policies that are shipped with weights, and what their folder is called."""
 _Builder = TypeVar("_Builder", bound=Callable[..., Policy])
 
 
@@ -138,7 +132,7 @@ def about(name: str) -> str:
 
 
 def make(name: str, scenario: ScenarioLike, **options: Any) -> Policy:
-    """A new scripted policy for a scenario.
+    """A new policy for a scenario.
 
     Args:
         name: one of ``names(scenario)``.
@@ -151,11 +145,6 @@ def make(name: str, scenario: ScenarioLike, **options: Any) -> Policy:
     """
     scenario = resolve(scenario)
     fitting = names(scenario)
-    if isinstance(name, str) and name in _TRAINED:
-        raise ValueError(
-            f"policy {name!r} is not scripted; "
-            f"train.learned_policy.load(train.learned_policy.{_TRAINED[name]}, scenario) reads it"
-        )
     if not isinstance(name, str) or name not in fitting:
         listed = isinstance(name, str) and name in _registry
         known = f"does not fit {_describe(scenario)}" if listed else "is unknown"

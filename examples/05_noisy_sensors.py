@@ -11,11 +11,11 @@ from pathlib import Path
 
 import numpy as np
 
+from baselines.learned import checkpoints, learned_policy, shipped
 from rendezvous_env import Sensing
 from rendezvous_env.experiment import scenarios
-from train import results
+from train import policies, results
 from train.comparing import episodes, statistics
-from train.learned import checkpoints, learned_policy, policies
 from train.pictures import figures, style
 
 SENSORS = {
@@ -38,7 +38,7 @@ def make(name, scenario):
     policy = policies.make(base, scenario)
     if not clearance:
         return policy
-    _, tables = checkpoints.read(learned_policy.shipped(base), ["network"])
+    _, tables = checkpoints.read(shipped.folder(base), ["network"])
     settings = dataclasses.replace(policy.settings, clearance=float(clearance))
     return learned_policy.LearnedPolicy(scenario, tables["network"], settings)
 

@@ -7,7 +7,7 @@ from typing import Any
 
 _SHORT = {
     "compare": "train.comparing.compare",
-    "learned_policy": "train.learned.learned_policy",
+    "learned_policy": "baselines.learned.learned_policy",
     "ppo": "train.learning.ppo",
     "sb3_vec_env": "rendezvous_env.adapters.sb3",
 }

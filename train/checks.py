@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import Field, fields
 from pathlib import Path
 from typing import Any
 
-from typeguard import CollectionCheckStrategy, TypeCheckError, check_type
-
 from .errors import UserError
 
-_ALL = CollectionCheckStrategy.ALL_ITEMS
 _LONGEST_NAME = 255  # bytes of one part of a path, on every common file system
 
 
@@ -58,26 +54,6 @@ def check_most(config: Any, **most: float) -> None:
 def _numbers(config: Any, name: str) -> list[float]:
     value = getattr(config, name)
     return [one for one in (value if isinstance(value, tuple) else (value,)) if one is not None]
-
-
-def check_types(values: Mapping[str, Any], hints: Mapping[str, Any]) -> None:
-    """Refuse plain data of other types than these.
-
-    Args:
-        values: by name.
-        hints: type of each that must be right.
-
-    Raises:
-        ValueError: naming the field, its value and the type that it must have.
-    """
-    for name, hint in hints.items():
-        try:
-            check_type(values[name], hint, collection_check_strategy=_ALL)
-        except TypeCheckError:
-            wanted = getattr(hint, "__name__", "") if isinstance(hint, type) else str(hint)
-            text = repr(values[name])
-            text = text if len(text) <= 60 else f"{text[:60]}…"
-            raise ValueError(f"{name} is {text}; it must be of type {wanted or hint}") from None
 
 
 def check_text(name: str, text: str) -> None:

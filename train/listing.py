@@ -19,7 +19,7 @@ from rendezvous_env.experiment.obstacles import ObstacleField
 from rendezvous_env.experiment.scenario import Scenario
 from rendezvous_env.experiment.walls import WallField
 
-from .learned import policies
+from . import policies
 
 
 @dataclass(frozen=True)
@@ -55,12 +55,10 @@ def _scenarios() -> Iterator[Group]:
 def _policies() -> Iterator[Group]:
     """Every policy, by kinds, in the order of ``compare``."""
     fitting = {name: policies.names(scenarios.get(name)) for name in scenarios.names()}
-    shipped = [] if policies.left_out() else [policies.LEARNED]
-    known = [*baselines.names(), *shipped]
     for kind, title in KINDS.items():
         rows = [
             (name, f"{policies.about(name)}. {_fits(name, fitting)}.".removeprefix(". "))
-            for name in known
+            for name in baselines.names()
             if policies.kind_of(name) == kind
         ]
         if rows:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import hashlib
 import json
 import os
 import platform
@@ -16,6 +15,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+from baselines.learned import plain_data
 
 from . import columns
 from .errors import UserError
@@ -163,28 +164,9 @@ def read_arrays(path: Path, run: str | None = None) -> dict[str, np.ndarray[Any,
         raise ValueError(str(error) or type(error).__name__) from error
 
 
-def read_json(path: Path) -> Any:
-    """Plain data from a file.
-
-    Raises:
-        OSError: if it cannot be read.
-        ValueError: if it is no JSON, saying why.
-    """
-    try:
-        return json.loads(path.read_text(encoding="utf-8"))
-    except RecursionError as error:
-        raise ValueError("it is nested too deeply") from error
-
-
-def digest(content: Any) -> str:
-    """SHA-256 of plain data."""
-    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
-
-
 def entry(path: Path) -> dict[str, Any]:
     """Size and SHA-256 of a file, as run.json names them."""
-    content = path.read_bytes()
-    return {"bytes": len(content), "sha256": hashlib.sha256(content).hexdigest()}
+    return plain_data.entry(path.read_bytes())
 
 
 def write_json(path: Path, content: Mapping[str, Any]) -> None:

@@ -42,7 +42,7 @@ REFERENCE = {
     "guarantee": ("Guarantees", "rendezvous_env/guarantee"),
     "equations": ("Equations", "rendezvous_env/equations"),
     "baselines": ("Policies", "baselines"),
-    "learned": ("Learned policies", "train/learned"),
+    "learned": ("Learned policies", "baselines/learned"),
 }
 """Pages of the reference: a title, and the folder of the modules on it."""
 
@@ -137,7 +137,7 @@ def reference() -> Iterator[tuple[str, str]]:
     """A page for each folder: its name, and Markdown that asks for its modules."""
     for page, (title, folder) in REFERENCE.items():
         place = ROOT / folder
-        deep = "*.py" if folder == "rendezvous_env" else "**/*.py"
+        deep = "*.py" if folder in ("rendezvous_env", "baselines") else "**/*.py"
         modules = [
             ".".join(path.relative_to(ROOT).with_suffix("").parts)
             for path in sorted(place.glob(deep))

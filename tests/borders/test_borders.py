@@ -8,6 +8,10 @@ from conftest import five
 
 import rendezvous_env as rv
 from baselines import obstacle_avoidance
+from baselines.learned.guide import Guide
+from baselines.learned.perceiving import PerceivingTeams
+from baselines.learned.perception import Perception
+from baselines.learned.policy_settings import PolicySettings
 from rendezvous_env import Simulator
 from rendezvous_env.engine.memory import TIME_OUT
 from rendezvous_env.experiment.packing import check_outside
@@ -15,10 +19,6 @@ from rendezvous_env.guarantee.steering import Steering
 from rendezvous_env.gymnasium_env import make_env
 from rendezvous_env.trajectory import Step
 from train.comparing.alignment import alignments
-from train.learned.guide import Guide
-from train.learned.perception import Perception
-from train.learned.policy_settings import PolicySettings
-from train.learning.perceiving import PerceivingTeams
 
 TEAMS = 6
 SQUARE = rv.Polygon(((4.0, 0.0), (6.0, 0.0), (6.0, 2.0), (4.0, 2.0)))

@@ -9,14 +9,14 @@ import pytest
 from conftest import five
 
 import rendezvous_env as rv
+from baselines.learned.perceiving import PerceivingTeams
+from baselines.learned.policy_settings import PolicySettings
 from rendezvous_env import Simulator, parallel_env
 from rendezvous_env.adapters.sb3 import RobotVecEnv
 from rendezvous_env.engine.memory import AWAITING_RESET, RENDEZVOUS, TIME_OUT
 from rendezvous_env.experiment.packing import CORNERS, DETAILS, KIND, RADIUS
 from rendezvous_env.guarantee.steering import Steering
 from rendezvous_env.vector import EnergyTankWrapper, HeadingVectorWrapper
-from train.learned.policy_settings import PolicySettings
-from train.learning.perceiving import PerceivingTeams
 
 TEAMS = 6
 SQUARE = rv.Polygon(((4.0, 0.0), (6.0, 0.0), (6.0, 2.0), (4.0, 2.0)))

@@ -6,8 +6,9 @@ from pathlib import Path
 
 import pytest
 
+from baselines.learned.plain_data import check_types
 from train import cli
-from train.checks import check_fields, check_types
+from train.checks import check_fields
 from train.errors import UserError
 
 MODULES = {name: import_module(f"train.{module}") for name, (module, _) in cli.COMMANDS.items()}

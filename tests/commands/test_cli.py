@@ -169,7 +169,7 @@ class TestReproduce:
 
         from rendezvous_env import rollout
         from rendezvous_env.experiment import scenarios
-        from train.learned import policies
+        from train import policies
         from train.pictures import figures, path_figures, reproduce, style
 
         scenario = scenarios.get("fig4")

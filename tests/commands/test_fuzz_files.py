@@ -18,9 +18,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from baselines.learned import checkpoints, learned_policy
 from train import cli, results
 from train.comparing import compare, out_folder
-from train.learned import checkpoints, learned_policy
 from train.learning import ppo
 
 

@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 from fork_server import ForkServer
 
+from baselines.learned import checkpoints, plain_data
 from train import results
 from train.comparing.out_folder import RUN, part_of
-from train.learned import checkpoints
 from train.learning.ppo import Config
 from train.learning.run_log import WALL_TIME
 from train.learning.training import STATE_FILES
@@ -138,7 +138,7 @@ def test_train(server, tmp_path, capsys):
         assert status in (0, -signal.SIGKILL)
         kills += status != 0
         if (folder / "config.json").exists():
-            Config.from_plain(results.read_json(folder / "config.json"))
+            Config.from_plain(plain_data.read_json(folder / "config.json"))
         if checkpoints.candidates(folder):
             checkpoints.read(checkpoints.find(folder), STATE_FILES)  # refuses what is not whole
             resumed += status != 0

@@ -9,10 +9,10 @@ from importlib.util import find_spec
 import numpy as np
 import pytest
 
+from baselines.learned import checkpoints
 from train import interrupts, workers
 from train.comparing import compare
 from train.errors import UserError
-from train.learned import checkpoints
 from train.learning import train
 from train.verification import verify
 from train.verification.claims import CLAIMS

@@ -11,10 +11,9 @@ from rendezvous_env import Scenario, rollout
 from rendezvous_env.experiment import scenarios
 from rendezvous_env.guarantee.bounds import time_bound
 from rendezvous_env.guarantee.lyapunov import lyapunov
-from train import results
+from train import policies, results
 from train.comparing import compare, episodes, files, playing, statistics
 from train.comparing.episodes import Episodes, play
-from train.learned import policies
 from train.report.input import read
 from train.seeing_again import whole
 

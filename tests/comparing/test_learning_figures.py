@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from baselines.learned.learned_policy import LearnedPolicy
+from baselines.learned.policy_settings import PolicySettings
 from rendezvous_env.experiment import scenarios
 from train import results
-from train.learned.learned_policy import LearnedPolicy
-from train.learned.networks import make_network
-from train.learned.policy_settings import PolicySettings
+from train.learning.networks import make_network
 from train.learning.run_log import EVALUATION, METRICS
 from train.pictures.learning_figures import learning_figure, tank_figure, watch_tanks
 

@@ -5,8 +5,8 @@ import pytest
 
 import rendezvous_env as rv
 from rendezvous_env.experiment import graphs, scenarios
+from train import policies
 from train.comparing.episodes import play
-from train.learned import policies
 from train.seeing_again import observations, whole
 
 TEAMS = {

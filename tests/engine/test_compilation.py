@@ -109,10 +109,10 @@ def test_an_edit_anywhere_below_is_noticed(tmp_path, where, chosen):
 
 
 def test_every_source_that_a_kernel_stands_on_counts():
-    """By hand: what the learned policies' perception inlines or freezes, in three packages."""
-    found = kernel_cache._with_imports(ROOT / "train" / "learned" / "perception.py")
+    """By hand: what the learned policies' perception inlines or freezes, in two packages."""
+    found = kernel_cache._with_imports(ROOT / "baselines" / "learned" / "perception.py")
     names = {str(path.relative_to(ROOT)) for path in found}
-    assert {"train/learned/perception.py", "baselines/silhouettes.py"} <= names
+    assert {"baselines/learned/perception.py", "baselines/silhouettes.py"} <= names
     inlined = ("guarantee/heading", "equations/vectors", "compilation")
     assert {f"rendezvous_env/{name}.py" for name in inlined} <= names
     assert "rendezvous_env/simulator.py" not in names  # an edit of it need not compile anything

@@ -8,12 +8,12 @@ import torch
 from gymnasium.vector import AutoresetMode
 
 import rendezvous_env as rv
+from baselines.learned.chooser import Chooser
+from baselines.learned.perceiving import PerceivingTeams
 from rendezvous_env.adapters.slots import of_one_robot
 from train.errors import UserError
-from train.learned.chooser import Chooser
 from train.learning.architecture import network_of, network_settings
 from train.learning.global_state import FAR, GlobalStateLayout
-from train.learning.perceiving import PerceivingTeams
 from train.learning.settings import Config
 from train.learning.settings_checks import check
 
@@ -26,7 +26,10 @@ CONFIG = Config(
 def teams(config=CONFIG, batch=5):
     venv = rv.make_vec(SCENARIO, batch, autoreset_mode=AutoresetMode.SAME_STEP)
     settings = replace(config.policy_settings(), decision_time=SCENARIO.tau)
-    return PerceivingTeams(venv, settings, privileged=config.critic == "global")
+    state = GlobalStateLayout(SCENARIO.n_robots, SCENARIO.observation_layout.obstacle_slots)
+    return PerceivingTeams(
+        venv, settings, global_state=state if config.critic == "global" else None
+    )
 
 
 def network(config, env):

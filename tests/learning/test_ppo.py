@@ -16,13 +16,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from baselines.learned import checkpoints, learned_policy
+from baselines.learned.guide import CHOICES
 from rendezvous_env.experiment import scenarios
 from rendezvous_env.experiment.obstacles import ObstacleField
 from train import cli, results
 from train.errors import UserError
-from train.learned import checkpoints, learned_policy
-from train.learned.guide import CHOICES
-from train.learning import ppo, rollout_buffer, training
+from train.learning import ppo, rollout_buffer, saving, training
 from train.learning.ppo import Config
 from train.learning.run_log import EVALUATION, METRICS, WALL_TIME, Table
 
@@ -128,7 +128,7 @@ class TestFiles:
         assert Config.from_plain(about["config"]) == config(whole)
         assert {"torch", "stable-baselines3", "numpy"} <= about["provenance"]["versions"].keys()
         assert {name.split("/")[1] for name in tables["optimizer"]} >= {"exp_avg", "exp_avg_sq"}
-        assert len(list((whole / "checkpoints").glob("step-*"))) == checkpoints.KEPT
+        assert len(list((whole / "checkpoints").glob("step-*"))) == saving.KEPT
         size = (checkpoints.find(whole) / "network.safetensors").stat().st_size
         assert size < 2_000_000
 
@@ -141,7 +141,7 @@ class TestFiles:
         assert float(rows[1]["min_alignment"]) >= 0.05 - 1e-6
 
     def test_what_is_shipped_is_enough(self, whole, tmp_path):
-        learned_policy.ship(whole, tmp_path / "pretrained")
+        saving.ship(whole, tmp_path / "pretrained")
         written = {path.name for path in (tmp_path / "pretrained").iterdir()}
         assert written == {
             "checkpoint.json", "network.safetensors", "metrics.csv", "evaluation.csv"
@@ -402,7 +402,7 @@ class TestMistakes:
         assert said.count("Permission denied") == 2 and said.count("\n") == 2
 
     def test_a_full_disk(self, tmp_path, capsys, monkeypatch):
-        folder, real = tmp_path / "run", checkpoints.write
+        folder, real = tmp_path / "run", saving.write
 
         def write(run, step, *content):
             if step > 2000:

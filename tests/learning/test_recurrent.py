@@ -9,12 +9,12 @@ from gymnasium.vector import AutoresetMode
 from stable_baselines3.common.callbacks import BaseCallback
 
 import rendezvous_env as rv
+from baselines.learned.chooser import Chooser
+from baselines.learned.learned_policy import LearnedPolicy
+from baselines.learned.perceiving import PerceivingTeams
+from baselines.learned.policy_settings import PolicySettings, memory_of
 from rendezvous_env.adapters.sb3 import RobotVecEnv
-from train.learned.chooser import Chooser
-from train.learned.learned_policy import LearnedPolicy
-from train.learned.networks import network_settings
-from train.learned.policy_settings import PolicySettings, memory_of
-from train.learning.perceiving import PerceivingTeams
+from train.learning.networks import network_settings
 from train.learning.recurrent_network import RecurrentNetwork
 from train.learning.recurrent_ppo import RecurrentRobotPPO
 

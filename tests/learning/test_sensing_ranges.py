@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from test_ppo import UPDATE, assert_same_run, config, flags, stopped_after
 
+from baselines.learned import checkpoints
 from rendezvous_env.experiment.sensing import Sensing
 from train import cli
-from train.learned import checkpoints
 from train.learning import ppo, training
 from train.learning.ppo import Config
 from train.learning.sensing_ranges import SensingRanges

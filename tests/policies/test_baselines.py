@@ -2,7 +2,6 @@
 
 import copy
 import math
-import re
 
 import numpy as np
 import pytest
@@ -10,10 +9,9 @@ import pytest
 import baselines
 import rendezvous_env as rv
 from baselines import laws, policy
+from baselines.learned.shipped import NAMES
 from baselines.policy import within_limits
 from rendezvous_env.experiment.scenario import Scenario
-from train.learned import learned_policy
-from train.learned.policies import SHIPPED
 
 POINT = Scenario(n_robots=3)
 UNICYCLE = Scenario(n_robots=3, robot_model="unicycle", max_turn_rate=0.9)
@@ -175,12 +173,13 @@ def test_make_takes_a_name_of_a_scenario():
     assert own.scenario == rv.scenarios.get("ring-12")
 
 
-@pytest.mark.parametrize("name", SHIPPED)
-def test_make_says_where_a_learned_policy_is(name):
-    with pytest.raises(ValueError, match=r"not scripted; train\.learned_policy\.load") as caught:
-        baselines.make(name, "clutter-8")
-    folder = re.search(r"learned_policy\.(PRETRAINED\w*)", str(caught.value))[1]
-    assert getattr(learned_policy, folder) == learned_policy.shipped(name)
+@pytest.mark.parametrize("name", NAMES)
+def test_learned_policies_are_made_like_the_others(name):
+    made = baselines.make(name, "clutter-8")
+    assert made.scenario == rv.scenarios.get("clutter-8")
+    assert policy.kind_of(name) == "learned" and name not in baselines.names(SPACE)
+    with pytest.raises(ValueError, match=f"{name!r} does not fit nonholonomic_3d robots in 3-D"):
+        baselines.make(name, SPACE)
 
 
 def test_every_policy_says_what_it_is_and_of_which_kind():

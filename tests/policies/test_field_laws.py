@@ -16,7 +16,7 @@ from baselines.field_laws import (
 from baselines.following import first_seen, rows_from_nearest, rows_from_next
 from rendezvous_env.experiment import graphs
 from rendezvous_env.guarantee.size_bounds import size_bound
-from train.learned import policies
+from train import policies
 
 TEAM = rv.Scenario(n_robots=6, max_speed=1.0, time_limit=60.0)
 NAMES = ("unit-mean", "smallest-sector", "quantised", "cyclic-pursuit", "nearest-pursuit")

@@ -188,7 +188,7 @@ def test_options_are_checked(options, message):
 
 def test_it_promises_no_margin_of_its_own():
     """Theorem C's bound is not the tank's."""
-    from train.learned.policies import promised_margin
+    from train.policies import promised_margin
 
     assert promised_margin("tank-joined", made()) is None
 

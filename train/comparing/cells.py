@@ -19,10 +19,10 @@ import numpy as np
 import baselines
 import rendezvous_env
 import train
+from baselines.learned import checkpoints
 from baselines.policy import source_file
 
-from .. import results
-from ..learned import checkpoints, policies
+from .. import policies, results
 from ..recording import Recording
 from .ceiling import Run
 from .episodes import Episodes

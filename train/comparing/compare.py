@@ -11,7 +11,6 @@ from typing import Any
 from rich.console import Console
 
 from .. import folders
-from ..learned import policies
 from . import cells, gallery, level_tables, matrix, out_folder, ranking, tables
 from .ceilings import play_ceilings
 from .files import count_excess, description, paired_rows, write, write_summary
@@ -86,9 +85,6 @@ def run(config: Config) -> int:
 
 
 def _run(config: Config, jobs: Sequence[Job], part: Part, console: Console, clock: _Clock) -> int:
-    for name in () if config.policies else policies.SHIPPED:
-        if reason := policies.left_out(name):
-            console.print(f"left out: {name} ({reason})")
     if count := part.count():
         console.print(f"goes on with {count} finished parts in {part.folder}", soft_wrap=True)
     clock.now("setting up")

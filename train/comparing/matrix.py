@@ -10,7 +10,7 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
-from ..learned import policies
+from .. import policies
 from .ranking import Ranking
 
 _HEADING = 9

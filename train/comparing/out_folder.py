@@ -17,6 +17,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from baselines.learned import plain_data
+
 from .. import results
 from ..errors import UserError
 
@@ -77,7 +79,7 @@ def destination(given: Path) -> Path:
 
 def run_id(plan: Mapping[str, Any]) -> str:
     """What was asked for, as a name: the same command gives the same one."""
-    return results.digest(plan)[:16]
+    return plain_data.digest(plan)[:16]
 
 
 class Part:
@@ -127,7 +129,7 @@ def seal(folder: Path, files: Sequence[str], about: Mapping[str, Any]) -> None:
         _sync(folder / name)
     entries = {name: results.entry(folder / name) for name in sorted(files)}
     content = {**about, "files": entries}
-    results.write_json(folder / RUN, {**content, "sha256": results.digest(content)})
+    results.write_json(folder / RUN, {**content, "sha256": plain_data.digest(content)})
 
 
 # ---- begin, go on, put in place -----------------------------------------------------------------
@@ -206,7 +208,7 @@ def _finished(part: Path) -> dict[str, Any]:
 def is_sealed(about: Mapping[str, Any]) -> bool:
     """Whether what run.json says is what ``seal`` wrote."""
     content = {key: value for key, value in about.items() if key != "sha256"}
-    return about.get("sha256") == results.digest(content)
+    return about.get("sha256") == plain_data.digest(content)
 
 
 def _sync(path: Path) -> None:
@@ -220,7 +222,7 @@ def _sync(path: Path) -> None:
 
 def _read(path: Path) -> dict[str, Any]:
     try:
-        return dict(results.read_json(path))
+        return dict(plain_data.read_json(path))
     except (OSError, ValueError, TypeError) as error:
         raise UserError(f"{path}: not readable ({error}); remove {path.parent}") from error
 

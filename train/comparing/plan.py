@@ -10,10 +10,9 @@ from pathlib import Path
 from rendezvous_env.experiment import scenarios as named_scenarios
 from rendezvous_env.experiment.scenario import Scenario, nearest_word
 
-from .. import results
+from .. import policies, results
 from ..checks import check_least
 from ..errors import UserError
-from ..learned import policies
 from ..workers import Place, Workers
 from . import levels
 from .episodes import starts_of

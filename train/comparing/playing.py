@@ -20,7 +20,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from baselines import policy as registry
 from rendezvous_env.experiment.scenario import Scenario
 
-from ..learned import policies
+from .. import policies
 from ..recording import Recording
 from ..workers import each
 from . import cells, statistics

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..learned import policies
+from .. import policies
 from .episodes import Episodes
 from .playing import Played
 from .statistics import best_policy, clean_difference

@@ -6,9 +6,10 @@ from typing import Any
 
 from stable_baselines3.common.policies import ActorCriticPolicy
 
-from ..learned import networks
+from baselines.learned.perceiving import PerceivingTeams
+
+from . import networks
 from .global_critic import GlobalFeatures, SplitNetwork
-from .perceiving import PerceivingTeams
 from .recurrent_network import RecurrentNetwork
 from .recurrent_ppo import RecurrentRobotPPO
 from .rollout_buffer import RobotPPO

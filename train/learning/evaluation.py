@@ -7,12 +7,11 @@ from typing import Any
 
 from numpy.typing import NDArray
 
+from baselines.learned.learned_policy import LearnedPolicy, PolicySettings
 from rendezvous_env.experiment import scenarios
 
 from ..comparing import statistics
 from ..comparing.episodes import play
-from ..learned import learned_policy
-from ..learned.learned_policy import LearnedPolicy, PolicySettings
 from .settings import EVALUATION_SEEDS
 
 
@@ -36,4 +35,4 @@ def held_out(
         seed=EVALUATION_SEEDS,
     )
     limit = chosen.max_steps * chosen.tau
-    return statistics.summarise(chosen.name, learned_policy.NAME, episodes, limit)
+    return statistics.summarise(chosen.name, "learned", episodes, limit)

@@ -9,9 +9,10 @@ from gymnasium.spaces import Box
 from stable_baselines3.common.torch_layers import MlpExtractor
 from torch import Tensor
 
-from ..learned.networks import HeadingNetwork, SetFeatures, pooled, row_network
-from ..learned.perception_layout import PerceptionLayout
+from baselines.learned.perception_layout import PerceptionLayout
+
 from .global_state import CONTEXT_COLUMNS, OBSTACLE_COLUMNS, ROBOT_COLUMNS, GlobalStateLayout
+from .networks import HeadingNetwork, SetFeatures, pooled, row_network
 
 
 class GlobalFeatures(SetFeatures):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from importlib.util import find_spec
+
 from ..errors import UserError
 from .settings import EVALUATION_SEEDS, Config
 from .settings_checks import check
@@ -20,12 +22,13 @@ def run(config: Config) -> int:
             cannot be written.
     """
     check(config)
-    from ..learned import learned_policy
-
-    try:
-        learned_policy.require_torch()
-    except ValueError as error:
-        raise UserError(str(error)) from error
+    _require_extra()
     from . import training_run
 
     return training_run.run(config)
+
+
+def _require_extra() -> None:
+    for package in ("torch", "stable_baselines3"):
+        if find_spec(package) is None:
+            raise UserError(f"training needs {package}; pip install 'rendezvous-env[train]'")

@@ -9,12 +9,11 @@ import numpy as np
 from gymnasium.vector import VectorEnv
 from numpy.typing import ArrayLike, NDArray
 
+from baselines.learned.perceiving import PerceivingTeams
 from rendezvous_env.engine.state_checks import check_entries, check_keys
 from rendezvous_env.experiment.sensing import Sensing
 from rendezvous_env.faces.infos import Info, Transition
 from rendezvous_env.simulator import Simulator
-
-from .perceiving import PerceivingTeams
 
 MakeTeams = Callable[[Sensing, int], PerceivingTeams]
 """Makes so many teams with that sensor."""

@@ -6,17 +6,17 @@ from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_type_hints
 
+from baselines.learned.plain_data import check_types
 from rendezvous_env.experiment import scenarios as named_scenarios
 from rendezvous_env.experiment.obstacles import ObstacleField
 from rendezvous_env.experiment.rewards import RewardWeights
 from rendezvous_env.experiment.scenario import Scenario
 
-from ..checks import check_types
 from ..errors import UserError
 from .sensing_ranges import SensingRanges
 
 if TYPE_CHECKING:
-    from ..learned.learned_policy import PolicySettings
+    from baselines.learned.learned_policy import PolicySettings
 
 TRAINING_SEEDS, EVALUATION_SEEDS = 2**62, 2**61
 """Of the first start: of training with seed s it is 2⁶² + 2³² s, of evaluation 2⁶¹. ``compare``
@@ -173,7 +173,7 @@ class Config:
         """
         if not isinstance(plain, dict):
             raise ValueError(f"the configuration is a {type(plain).__name__}, not named fields")
-        from ..learned.policy_settings import memory_of
+        from baselines.learned.policy_settings import memory_of
 
         plain = {name: getattr(cls, name) for name in _LATER} | plain
         plain["memory"] = memory_of(plain["memory"])
@@ -242,9 +242,8 @@ class Config:
 
     def policy_settings(self) -> PolicySettings:
         """What the policy is, once it is trained."""
+        from baselines.learned.learned_policy import PolicySettings
         from rendezvous_env.guarantee.energy_tank import unit_of_tanks
-
-        from ..learned.learned_policy import PolicySettings
 
         scenario = self.base_scenario()
         return PolicySettings(

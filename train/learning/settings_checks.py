@@ -6,11 +6,11 @@ import math
 from dataclasses import fields, replace
 from typing import get_args, get_type_hints
 
+from baselines.learned.robots import check_readable
 from rendezvous_env.experiment import scenarios as named_scenarios
 
 from ..checks import check_fields, check_least, check_most, flag
 from ..errors import UserError
-from ..learned.perception import check_readable
 from .settings import Config
 
 _MOST = {

@@ -8,11 +8,12 @@ from pathlib import Path
 
 from rich.console import Console
 
-from .. import results
+from baselines.learned import plain_data, shipped
+
+from .. import policies, results
 from ..comparing.plan import Job
 from ..comparing.playing import TOGETHER, make_ready
 from ..errors import UserError
-from ..learned import policies
 from ..workers import Place, Workers, each
 from . import ppo
 from .settings import Config as Settings
@@ -97,7 +98,7 @@ def _begun(settings: Settings) -> Settings:
     if not path.exists():
         return settings
     try:
-        stored = Settings.from_plain(results.read_json(path))
+        stored = Settings.from_plain(plain_data.read_json(path))
     except (OSError, ValueError) as error:
         raise UserError(f"{path}: not readable ({error}); move {settings.out} away") from error
     if not same_run(settings, stored):
@@ -114,6 +115,6 @@ def _train(settings: Settings) -> int:
     """Exit status of a run that tells of itself in a file."""
     scenario = settings.base_scenario()
     with _log_of(settings).open("a", encoding="utf-8") as log, redirect_stdout(log):
-        for name in policies.fitting(scenario, policies.SHIPPED):  # they need the same kernels
+        for name in policies.fitting(scenario, shipped.NAMES):  # they need the same kernels
             make_ready(Job(scenario, name), TOGETHER)
         return ppo.run(settings)

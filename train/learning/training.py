@@ -13,10 +13,12 @@ import torch
 from numpy.typing import NDArray
 from stable_baselines3.common.logger import Logger
 
+from baselines.learned import checkpoints
+from baselines.learned.checkpoints import CheckpointError
+
 from .. import results
 from ..errors import UserError
-from ..learned import checkpoints
-from ..learned.checkpoints import CheckpointError
+from . import saving
 from .architecture import learner_of, network_of, network_settings
 from .evaluation import held_out
 from .run_log import EVALUATION, METRICS, Events, Table
@@ -163,7 +165,7 @@ class Training:
             OSError: if it cannot be written; older ones are as they were.
         """
         description, tables = state or self.snapshot()
-        return checkpoints.write(self.config.out, description["step"], description, tables)
+        return saving.write(self.config.out, description["step"], description, tables)
 
     def snapshot(self) -> Snapshot:
         """All that a checkpoint holds, which no later step changes."""

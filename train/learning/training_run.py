@@ -11,13 +11,13 @@ import torch
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
+from baselines.learned import checkpoints, plain_data
+from baselines.learned.checkpoints import CheckpointError
+from baselines.learned.plain_data import check_types
 from rendezvous_env.engine.pool.threads import available_cores
 
-from .. import folders, interrupts, results
-from ..checks import check_types
+from .. import folders, interrupts
 from ..errors import UserError
-from ..learned import checkpoints
-from ..learned.checkpoints import CheckpointError
 from .settings import Config
 from .settings_checks import check, resumed, same_run
 from .training import CONFIG, STATE_FILES, Training
@@ -67,7 +67,7 @@ def _own(config: Config, folder: Path) -> Iterator[None]:
 
 def _read_config(folder: Path) -> Config:
     try:
-        return Config.from_plain(results.read_json(folder / CONFIG))
+        return Config.from_plain(plain_data.read_json(folder / CONFIG))
     except (OSError, ValueError) as error:
         said = getattr(error, "strerror", None) or error
         what = f"{folder / CONFIG}: {said}"

@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 from gymnasium.vector import AutoresetMode
 
+from baselines.learned.perceiving import PerceivingTeams
 from rendezvous_env import make_vec
 from rendezvous_env.experiment.scenario import Scenario
 from rendezvous_env.experiment.sensing import Sensing
 
-from .perceiving import PerceivingTeams
+from .global_state import GlobalStateLayout
 from .sensing_groups import SensingGroups
 from .settings import Config
 
@@ -31,6 +32,8 @@ def make_teams(config: Config, stage: int) -> PerceivingTeams | SensingGroups:
 
 
 def _alike(config: Config, scenario: Scenario, size: int) -> PerceivingTeams:
+    slots = config.obstacle_slots()
+    state = GlobalStateLayout(scenario.n_robots, slots)
     teams = make_vec(
         scenario,
         size,
@@ -41,6 +44,6 @@ def _alike(config: Config, scenario: Scenario, size: int) -> PerceivingTeams:
         teams,
         config.policy_settings(),
         touch_penalty=config.touch_penalty,
-        obstacle_slots=config.obstacle_slots(),
-        privileged=config.critic == "global",
+        obstacle_slots=slots,
+        global_state=state if config.critic == "global" else None,
     )

@@ -20,8 +20,8 @@ from rendezvous_env.simulator import Simulator
 from rendezvous_env.trajectory import Policy, Trajectory, rollout
 from rendezvous_env.trajectory import run as steps_of
 
+from .. import policies
 from ..errors import UserError
-from ..learned import policies
 from ..results import atomic, prepare_folder
 from . import films, path_figures, style
 from .reproduce import one_team

@@ -16,10 +16,9 @@ from tyro.conf import Positional
 from rendezvous_env.experiment import scenarios
 from rendezvous_env.trajectory import Trajectory, rollout
 
-from .. import results
+from .. import policies, results
 from ..checks import check_least, check_most
 from ..errors import UserError
-from ..learned import policies
 from . import path_figures, style, tank_figure
 
 _LAWS = {"fig3": "bearing-only", "fig4": "tangent-joined"}

@@ -9,10 +9,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypedDict, get_type_hints
 
+from baselines.learned import plain_data
+from baselines.learned.plain_data import check_types
 from rendezvous_env.experiment.scenario import Scenario
 
 from .. import results
-from ..checks import check_types
 from ..comparing.out_folder import RUN, is_ours, is_sealed, part_of
 from ..errors import UserError
 from ..recording import Recording
@@ -110,7 +111,7 @@ def _half_written(path: Path, what: str) -> UserError:
 def _read_run(folder: Path) -> dict[str, Any]:
     path = folder / RUN
     try:
-        run = results.read_json(path)
+        run = plain_data.read_json(path)
         version = run["format_version"]
     except FileNotFoundError as error:
         raise UserError(

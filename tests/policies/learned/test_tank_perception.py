@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
+from baselines.learned.perception import Perception
+from baselines.learned.perception_layout import CONTEXT_COLUMNS, LEVEL_COLUMNS, WALL_COLUMNS
+from baselines.learned.tank_perception import TankPerception
 from rendezvous_env import Scenario
 from rendezvous_env.experiment import scenarios
-from train.learned.perception import Perception
-from train.learned.perception_layout import CONTEXT_COLUMNS, LEVEL_COLUMNS, WALL_COLUMNS
-from train.learned.tank_perception import TankPerception
 
 PAIR = Scenario(n_robots=2, obstacles=scenarios.get("clutter-4").obstacles)
 TIME = 0.5

@@ -7,12 +7,12 @@ import pytest
 from gymnasium.vector import AutoresetMode
 
 import rendezvous_env as rv
+from baselines.learned.guide import ALL_ROUND, ANGLES, CHOICES, Guide
+from baselines.learned.perceiving import PerceivingTeams
+from baselines.learned.perception import Perception
+from baselines.learned.policy_settings import PolicySettings
 from rendezvous_env.adapters.sb3 import RobotVecEnv
 from rendezvous_env.vector import HeadingVectorWrapper
-from train.learned.guide import ALL_ROUND, ANGLES, CHOICES, Guide
-from train.learned.perception import Perception
-from train.learned.policy_settings import PolicySettings
-from train.learning.perceiving import PerceivingTeams
 from train.learning.run_state import flatten, unflatten
 
 TEAMS, PERIOD = 5, 3

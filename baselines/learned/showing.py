@@ -9,11 +9,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.joined_plane import TWO_PI, joined_interval_2d
 from rendezvous_env.compilation import allocating_kernel, kernel
 from rendezvous_env.equations.rows import degree_of, net_bearing_of
 from rendezvous_env.guarantee.heading import scale_of_step
 
+from ..joined_plane import TWO_PI, joined_interval_2d
 from .perception_layout import CONTEXT_COLUMNS, NEIGHBOUR_COLUMNS, OBSTACLE_COLUMNS
 
 FASTEST = 3.0

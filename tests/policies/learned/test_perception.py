@@ -4,15 +4,15 @@ import numpy as np
 import pytest
 
 import baselines
-from rendezvous_env import Scenario, Simulator
-from rendezvous_env.experiment import scenarios
-from train.learned.perception import Perception
-from train.learned.perception_layout import (
+from baselines.learned.perception import Perception
+from baselines.learned.perception_layout import (
     CONTEXT_COLUMNS,
     NEIGHBOUR_COLUMNS,
     OBSTACLE_COLUMNS,
     PerceptionLayout,
 )
+from rendezvous_env import Scenario, Simulator
+from rendezvous_env.experiment import scenarios
 
 TEAMS = 6
 CLUTTER = scenarios.get("clutter-16")

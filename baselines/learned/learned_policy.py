@@ -2,37 +2,25 @@
 
 from __future__ import annotations
 
-import importlib.util
 import math
-import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from baselines.policy import within_limits
 from rendezvous_env.experiment.scenario import Scenario
 
+from ..policy import within_limits
 from . import checkpoints
 from .checkpoints import CheckpointError
 from .chooser import Chooser
 from .guided import TankTeams
-from .perception import check_readable
 from .policy_settings import PolicySettings
+from .robots import check_readable
 
-__all__ = ["LearnedPolicy", "PolicySettings", "load", "ship", "shipped"]
-
-NAME, TANK_NAME = "learned", "learned-tank"
-TANK_NOISE_NAME = "learned-tank-noise"
-_PACKAGE = Path(__file__).parents[1]
-PRETRAINED = _PACKAGE / "pretrained"
-"""The policy called ``learned``: certified headings."""
-PRETRAINED_TANK = _PACKAGE / "pretrained_tank"
-"""The policy called ``learned-tank``."""
-PRETRAINED_TANK_NOISE = _PACKAGE / "pretrained_tank_noise"
-"""The policy called ``learned-tank-noise``: that one, trained on with sensors that err."""
+__all__ = ["LearnedPolicy", "PolicySettings", "load"]
 
 
 class LearnedPolicy:
@@ -125,15 +113,13 @@ class LearnedPolicy:
 
 
 def load(path: Path, scenario: Scenario) -> LearnedPolicy:
-    """The policy of a checkpoint, of the newest one of a run, or of the pretrained folder.
+    """The policy of a checkpoint, of the newest one of a run, or of a shipped folder.
 
     Raises:
         CheckpointError: if it cannot be read or does not belong to this version, naming the file.
-        ValueError: for robots that it cannot steer, or if weights cannot be read here.
+        ValueError: for robots that it cannot steer.
     """
     check_readable(scenario)
-    if reason := missing_extra():
-        raise ValueError(f"{reason}; pip install 'rendezvous-env[train]'")
     place = checkpoints.find(path)
     about, tables = checkpoints.read(place, ["network"])
     try:
@@ -141,52 +127,3 @@ def load(path: Path, scenario: Scenario) -> LearnedPolicy:
         return LearnedPolicy(scenario, tables["network"], settings)
     except (TypeError, ValueError) as error:
         raise CheckpointError(f"{place}: is no policy of this version: {error}") from error
-
-
-def shipped(name: str) -> Path:
-    """The folder of the shipped policy of that name."""
-    return {
-        NAME: PRETRAINED,
-        TANK_NAME: PRETRAINED_TANK,
-        TANK_NOISE_NAME: PRETRAINED_TANK_NOISE,
-    }[name]
-
-
-def ship(run: Path, folder: Path) -> None:
-    """Write what others need of a run: weights, settings, and the tables that tell how it went.
-
-    Args:
-        run: folder of the run, or of one of its checkpoints.
-        folder: where it goes; what stands there is replaced.
-
-    Raises:
-        CheckpointError: if the run cannot be read.
-    """
-    place = checkpoints.find(run)
-    about, tables = checkpoints.read(place, ["network"])
-    checkpoints.write_folder(folder, about, tables)
-    for name in ("metrics.csv", "evaluation.csv"):
-        shutil.copyfile(place.parent.parent / name, folder / name)
-
-
-def missing_extra() -> str | None:
-    """Why no weights can be read here, in words; None if they can."""
-    return _missing("learned policies need", ("safetensors",))
-
-
-def require_torch() -> None:
-    """Refuse to train without the ``train`` extra.
-
-    Raises:
-        ValueError: saying how to install it.
-    """
-    needed = ("torch", "stable_baselines3", "safetensors")
-    if reason := _missing("training needs", needed):
-        raise ValueError(f"{reason}; pip install 'rendezvous-env[train]'")
-
-
-def _missing(who: str, packages: Sequence[str]) -> str | None:
-    for package in packages:
-        if importlib.util.find_spec(package) is None:
-            return f"{who} {package}"
-    return None

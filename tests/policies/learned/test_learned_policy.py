@@ -1,20 +1,21 @@
 """A trained network as a policy: what it does, where it runs, what it refuses."""
 
 import json
-import shutil
 
 import numpy as np
 import pytest
 import torch
 
 import baselines
+from baselines.learned import checkpoints, learned_policy
+from baselines.learned.guide import ALL_ROUND
+from baselines.learned.learned_policy import LearnedPolicy, PolicySettings
 from rendezvous_env import Scenario, Simulator, rollout
 from rendezvous_env.experiment import scenarios
+from train import policies
 from train.errors import UserError
-from train.learned import checkpoints, learned_policy, policies
-from train.learned.guide import ALL_ROUND
-from train.learned.learned_policy import LearnedPolicy, PolicySettings
-from train.learned.networks import make_network
+from train.learning import saving
+from train.learning.networks import make_network
 
 SETTINGS = PolicySettings(
     set_width=8,
@@ -54,7 +55,7 @@ def write(folder, **changes):
     tables = {"network": weights(network(**changes))}
     settings = PolicySettings(**SETTINGS.__dict__ | changes)
     folder.mkdir(parents=True, exist_ok=True)
-    return checkpoints.write(folder, 3, {"policy": settings.to_plain()}, tables)
+    return saving.write(folder, 3, {"policy": settings.to_plain()}, tables)
 
 
 def episode(scenario, teams=6, seed=2, steps=150):
@@ -91,8 +92,8 @@ class TestActions:
         """Fed with the network's choices; with a tank bit for bit."""
         from gymnasium.vector import AutoresetMode
 
+        from baselines.learned.perceiving import PerceivingTeams
         from rendezvous_env import make_vec
-        from train.learning.perceiving import PerceivingTeams
 
         venv = make_vec(CLUTTER, 6, autoreset_mode=AutoresetMode.SAME_STEP)
         policy = learned(decision_time=0.05 * period, **changes)
@@ -247,7 +248,7 @@ class TestFiles:
         """A checkpoint that is whole, but says something else of its policy."""
         about, tables = checkpoints.read(place, ["network"])
         policy = {**about["policy"], **changes}
-        checkpoints.write_folder(place, {"policy": policy}, tables)
+        saving.write_folder(place, {"policy": policy}, tables)
 
     @pytest.mark.parametrize(
         ("changes", "message"),
@@ -267,26 +268,18 @@ class TestFiles:
         with pytest.raises(checkpoints.CheckpointError, match=message):
             learned_policy.load(tmp_path, CLUTTER)
 
-    def test_without_the_extra(self, tmp_path, monkeypatch):
-        import importlib.util
-
-        write(tmp_path)
-        monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-        with pytest.raises(ValueError, match=r"policies need safetensors; pip install .*train"):
-            learned_policy.load(tmp_path, CLUTTER)
-
     def test_of_a_version_without_tanks(self, tmp_path):
         place = write(tmp_path)
         about, tables = checkpoints.read(place, ["network"])
         policy = {k: v for k, v in about["policy"].items() if k not in TANK}
-        checkpoints.write_folder(place, {"policy": policy}, tables)
+        saving.write_folder(place, {"policy": policy}, tables)
         assert learned_policy.load(tmp_path, CLUTTER).settings == SETTINGS
 
     def test_weights_that_are_no_numbers(self, tmp_path):
         place = write(tmp_path)
         about, tables = checkpoints.read(place, ["network"])
         tables["network"]["action_net.bias"][0] = np.nan
-        checkpoints.write_folder(place, {"policy": about["policy"]}, tables)
+        saving.write_folder(place, {"policy": about["policy"]}, tables)
         with pytest.raises(checkpoints.CheckpointError, match=r"action_net\.bias must be finite"):
             learned_policy.load(tmp_path, CLUTTER)
 
@@ -312,34 +305,6 @@ class TestNames:
         with pytest.raises(UserError, match="was changed"):
             policies.check_names([f"learned:{tmp_path}"])
 
-    def test_the_shipped_one(self, tmp_path, monkeypatch):
-        monkeypatch.setattr(learned_policy, "PRETRAINED", tmp_path / "pretrained")
-        assert "learned" not in policies.names(CLUTTER)
-        with pytest.raises(UserError, match="no pretrained policy is installed"):
-            policies.check_names(["learned"])
-        shutil.copytree(write(tmp_path / "run"), tmp_path / "pretrained")
-        assert "learned" in policies.names(CLUTTER)
-        assert "learned" not in policies.names(scenarios.get("uav-6"))
-        policies.check_names(["learned"])
-        assert policies.make("learned", CLUTTER).settings == SETTINGS
-        monkeypatch.setattr(learned_policy, "missing_extra", lambda: "it needs a package")
-        assert "learned" not in policies.names(CLUTTER)
-        with pytest.raises(UserError, match="'learned': it needs a package"):
-            policies.check_names(["learned"])
-
     def test_two_robots_are_enough(self, tmp_path):
         write(tmp_path)
         assert learned_policy.load(tmp_path, Scenario(n_robots=2)).min_alignment == 0.1
-
-
-def test_compare_says_what_it_leaves_out(tmp_path, monkeypatch, capsys):
-    from train import cli
-
-    monkeypatch.setattr(policies, "left_out", lambda name: "it needs a package")
-    words = ["--scenarios", "duo", "--episodes", "2", "--no-figures", "--out", str(tmp_path)]
-    assert cli.main(["compare", *words]) == 0
-    said = capsys.readouterr().out
-    assert "left out: learned (it needs a package)" in said
-    assert "left out: learned-tank (it needs a package)" in said
-    assert cli.main(["compare", *words, "--policies", "zero"]) == 0
-    assert "left out" not in capsys.readouterr().out

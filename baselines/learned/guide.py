@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.obstacle_avoidance import tangent_joined_heading
 from rendezvous_env.experiment.scenario import Scenario
+
+from ..obstacle_avoidance import tangent_joined_heading
 
 ANGLES = np.array([0.0, 0.3, -0.3, 0.6, -0.6, 1.0, -1.0, 1.4, -1.4])
 """What can be chosen where headings are certified, rad counter-clockwise from f; the first choice

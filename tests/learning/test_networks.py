@@ -5,11 +5,11 @@ import pytest
 import torch
 from torch import nn
 
-from train.learned.chooser import Chooser
-from train.learned.guide import CHOICES
-from train.learned.networks import make_network
-from train.learned.perception_layout import CONTEXT_COLUMNS, PerceptionLayout
-from train.learned.policy_settings import PolicySettings
+from baselines.learned.chooser import Chooser
+from baselines.learned.guide import CHOICES
+from baselines.learned.perception_layout import CONTEXT_COLUMNS, PerceptionLayout
+from baselines.learned.policy_settings import PolicySettings
+from train.learning.networks import make_network
 
 K, M = 4, 6
 SETTINGS = {"set_width": 8, "hidden": (16,)}

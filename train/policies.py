@@ -1,7 +1,5 @@
-"""Which policies a command can compare: the scripted and the learned ones, by name.
-
-The one place that turns a name into a policy. Those in ``SHIPPED`` come with their weights,
-``learned:PATH`` is that of a run or a checkpoint.
+"""Which policies a command can compare, by name: those of the registry and ``learned:PATH``, which
+is that of a run or a checkpoint.
 """
 
 from __future__ import annotations
@@ -11,53 +9,36 @@ from pathlib import Path
 
 import baselines
 from baselines import policy as registry
+from baselines.learned import learned_policy, shipped
+from baselines.learned.robots import can_steer
 from rendezvous_env.experiment.scenario import Scenario, nearest_word
 from rendezvous_env.trajectory import Policy
 
-from ..errors import UserError
-from . import learned_policy
-from .perception import check_readable
+from .errors import UserError
 
-LEARNED = learned_policy.NAME
-LEARNED_TANK = learned_policy.TANK_NAME
-LEARNED_TANK_NOISE = learned_policy.TANK_NOISE_NAME
-SHIPPED = (LEARNED, LEARNED_TANK, LEARNED_TANK_NOISE)
-_AT_PATH = f"{LEARNED}:"
-_BEST = (LEARNED_TANK, "tank-joined", LEARNED, "tangent-joined-tuned", "tangent-joined")
+_LEARNED = "learned"
+_AT_PATH = f"{_LEARNED}:"
+_BEST = ("learned-tank", "tank-joined", "learned", "tangent-joined-tuned", "tangent-joined")
 """Policies for obstacles; the sooner, the more starts are met cleanly (README, Results)."""
 _ON_REQUEST = ("blind", "privileged")
 """Kinds of policies that are compared where they are named."""
-_WHERE_SENSORS_ERR = (LEARNED_TANK_NOISE,)
+_WHERE_SENSORS_ERR = ("learned-tank-noise",)
 """Policies that have nothing over others where sensors are exact."""
-_ABOUT = {
-    LEARNED: "Chooses how far aside of f the joined rule aims; certified, shipped with its weights",
-    LEARNED_TANK: "Chooses where to go, all round, under an energy tank; shipped with its weights",
-    LEARNED_TANK_NOISE: "The same, trained on with sensors that err, farther from edges; shipped",
-}
 
 
 def names(scenario: Scenario) -> list[str]:
-    """Names of all policies that fit a scenario and can run here, in the order of their kinds."""
-    shipped = [name for name in SHIPPED if left_out(name) is None and _can_steer(scenario)]
-    found = baselines.names(scenario) + shipped
-    return sorted(found, key=lambda name: registry.in_order(kind_of(name)))
+    """Names of all policies that fit a scenario, in the order of their kinds."""
+    return baselines.names(scenario)
 
 
 def kind_of(name: str) -> str:
     """The kind of a policy, one of ``baselines.policy.KINDS``."""
-    return LEARNED if learned_path(name) is not None else registry.kind_of(name)
+    return _LEARNED if name.startswith(_AT_PATH) else registry.kind_of(name)
 
 
 def about(name: str) -> str:
     """What a policy is, in a line; empty if nothing is said of it."""
-    return _ABOUT[name] if name in SHIPPED else registry.about(name)
-
-
-def left_out(name: str = LEARNED) -> str | None:
-    """Why a policy that is shipped cannot run here, in words; None if it can."""
-    if not (learned_policy.shipped(name) / "checkpoint.json").is_file():
-        return "no pretrained policy is installed"
-    return learned_policy.missing_extra()
+    return "" if name.startswith(_AT_PATH) else registry.about(name)
 
 
 def make(name: str, scenario: Scenario) -> Policy:
@@ -66,15 +47,15 @@ def make(name: str, scenario: Scenario) -> Policy:
     Raises:
         ValueError: if it is unknown, does not fit, or cannot be read.
     """
-    if path := learned_path(name):
-        return learned_policy.load(path, scenario)
+    if name.startswith(_AT_PATH):
+        return learned_policy.load(Path(name.removeprefix(_AT_PATH)), scenario)
     return baselines.make(name, scenario)
 
 
 def learned_path(name: str) -> Path | None:
     """Folder of a learned policy; None for the name of a scripted one."""
-    if name in SHIPPED:
-        return learned_policy.shipped(name)
+    if name in shipped.NAMES:
+        return shipped.folder(name)
     return Path(name.removeprefix(_AT_PATH)) if name.startswith(_AT_PATH) else None
 
 
@@ -84,14 +65,14 @@ def fitting(scenario: Scenario, wanted: Sequence[str]) -> list[str]:
     """
     known = names(scenario)
     if not wanted:
-        usual = [name for name in known if name in SHIPPED or not registry.on_request(name)]
+        usual = [name for name in known if not registry.on_request(name)]
         if scenario.sensing.exact:
             usual = [name for name in usual if name not in _WHERE_SENSORS_ERR]
         return [name for name in usual if kind_of(name) not in _ON_REQUEST] or usual
     return [
         name
         for name in wanted
-        if name in known or (learned_path(name) is not None and _can_steer(scenario))
+        if name in known or (learned_path(name) is not None and can_steer(scenario))
     ]
 
 
@@ -103,22 +84,13 @@ def best(scenario: Scenario) -> str:
     return next((name for name in _BEST if scenario.obstacles and name in known), known[0])
 
 
-def _can_steer(scenario: Scenario) -> bool:
-    """Whether learned policies fit the robots of a scenario."""
-    try:
-        check_readable(scenario)
-    except ValueError:
-        return False
-    return True
-
-
 def check_names(wanted: Sequence[str]) -> None:
     """Refuse a name that no policy has, and a learned policy that cannot be read.
 
     Raises:
         UserError: with the nearest known name, or with what is wrong with the learned policy.
     """
-    known = [*baselines.names(), *SHIPPED]
+    known = baselines.names()
     for name in wanted:
         if learned_path(name) is not None:
             _check_learned(name)
@@ -131,10 +103,8 @@ def check_names(wanted: Sequence[str]) -> None:
 
 
 def _check_learned(name: str) -> None:
-    if name in SHIPPED and (reason := left_out(name)):
-        raise UserError(f"policy {name!r}: {reason}")
     try:
-        learned_policy.load(learned_path(name), Scenario(n_robots=2))
+        make(name, Scenario(n_robots=2))
     except ValueError as error:
         raise UserError(f"policy {name!r}: {error}") from error
 

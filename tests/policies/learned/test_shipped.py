@@ -6,19 +6,20 @@ import sys
 import numpy as np
 import pytest
 
+from baselines.learned import checkpoints, shipped
 from rendezvous_env import Sensing, Simulator, rollout
 from rendezvous_env.experiment import scenarios
+from train import policies
 from train.comparing.episodes import play
-from train.learned import checkpoints, learned_policy, policies
 from train.learning.settings import Config
 
 
-@pytest.mark.parametrize("name", policies.SHIPPED)
+@pytest.mark.parametrize("name", shipped.NAMES)
 def test_it_fits_and_says_how_it_was_trained(name):
     clutter = scenarios.get("clutter-16")
     assert name in policies.names(clutter)
     policies.check_names([name])
-    about = checkpoints.describe(learned_policy.shipped(name))
+    about = checkpoints.describe(shipped.folder(name))
     trained = Config.from_plain(about["config"])
     assert policies.make(name, clutter).settings == trained.policy_settings()
     assert about["step"] >= 4_000_000 and trained.scenario == "clutter-24"
@@ -28,16 +29,16 @@ def test_it_fits_and_says_how_it_was_trained(name):
 def test_it_acts_without_torch():
     code = (
         "import sys; sys.modules['torch'] = sys.modules['stable_baselines3'] = None;"
-        "import rendezvous_env as rv; from train.learned import policies;"
+        "import rendezvous_env as rv, baselines;"
         "s = rv.scenarios.get('clutter-8').replace(time_limit=1.0);"
-        "made = [policies.make(name, s) for name in policies.SHIPPED];"
+        "made = [baselines.make(n, s) for n in baselines.names(s) if n.startswith('learned')];"
         "print(*(abs(rv.rollout(s, p, record='actions').actions).max() > 0.5 for p in made))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=600)
-    assert done.stdout.split() == ["True"] * len(policies.SHIPPED), done.stderr
+    assert done.stdout.split() == ["True"] * len(shipped.NAMES), done.stderr
 
 
-@pytest.mark.parametrize("name", policies.SHIPPED)
+@pytest.mark.parametrize("name", shipped.NAMES)
 def test_it_steers_robots_whose_sensors_err(name):
     """Finite velocities within the limit whatever is seen, none from a robot that sees nothing."""
     sensing = Sensing(noise=0.2, dropout=0.5, delay=2, occlusion="both", field_of_view=4.0)

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
 import torch
 from gymnasium.spaces import Box, Discrete
 from stable_baselines3.common.policies import ActorCriticPolicy
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from torch import Tensor, nn
 
-from .guide import CHOICES
-from .perception_layout import (
+from baselines.learned.guide import CHOICES
+from baselines.learned.perceiving import observation_box
+from baselines.learned.perception_layout import (
     NEIGHBOUR_COLUMNS,
     OBSTACLE_COLUMNS,
     Perceived,
@@ -83,11 +83,6 @@ class HeadingNetwork(ActorCriticPolicy):
             self.action_net.weight *= _SMALL
             self.action_net.bias.zero_()
             self.action_net.bias[0] = prior
-
-
-def observation_box(size: int) -> Box:
-    """Space of what one robot is shown, so many numbers."""
-    return Box(-np.inf, np.inf, (size,), dtype=np.float32)
 
 
 def network_settings(

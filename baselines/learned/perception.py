@@ -22,20 +22,8 @@ from rendezvous_env.engine.state_checks import (
 from rendezvous_env.experiment.scenario import Scenario
 
 from .perception_layout import PerceptionLayout
+from .robots import check_readable
 from .showing import Constants, Memory, law_velocities, show
-
-
-def check_readable(scenario: Scenario) -> None:
-    """Refuse robots that a learned policy cannot steer.
-
-    Raises:
-        ValueError: unless they are single integrators in the plane.
-    """
-    if scenario.robot_model != "single_integrator" or scenario.dim != 2:
-        raise ValueError(
-            f"scenario {scenario.name!r} has {scenario.robot_model} robots in {scenario.dim}-D; "
-            "learned policies steer single_integrator robots in 2-D"
-        )
 
 
 class Perception:

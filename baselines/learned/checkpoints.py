@@ -7,112 +7,23 @@ RUN/checkpoints/latest.json names the newest one.
 
 from __future__ import annotations
 
-import hashlib
-import json
 import os
-import shutil
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
-from .. import results
-from ..checks import check_types
+from .plain_data import check_types, digest, entry, read_json
 
 FORMAT_VERSION = 1
 DESCRIPTION = "checkpoint.json"
-KEPT = 2
-"""Checkpoints of a run that stay on disk."""
-_FOLDER, _POINTER = "checkpoints", "latest.json"
-
-Tables = Mapping[str, Mapping[str, NDArray[Any]]]
+FOLDER, POINTER = "checkpoints", "latest.json"
+"""Of a run: where its checkpoints are, and the file there that names the newest."""
 
 
 class CheckpointError(ValueError):
     """A checkpoint cannot be read; the message names the file and what would be right."""
-
-
-# ---- write --------------------------------------------------------------------------------------
-
-
-def write(run: Path, step: int, description: Mapping[str, Any], tables: Tables) -> Path:
-    """Write a checkpoint of a run and remove those that are no longer needed.
-
-    Args:
-        run: its folder.
-        step: by which the checkpoint is called.
-        description: plain data.
-        tables: named arrays for each file, without the suffix.
-
-    Raises:
-        OSError: if it cannot be written; older checkpoints are as they were.
-    """
-    folder = run / _FOLDER
-    folder.mkdir(parents=True, exist_ok=True)
-    place = folder / f"step-{step:012d}"
-    write_folder(place, description, tables)
-    results.write_json(folder / _POINTER, {"checkpoint": place.name})
-    _sync(folder)
-    for old in sorted(folder.glob("step-*"))[:-KEPT]:
-        shutil.rmtree(old, ignore_errors=True)
-    return place
-
-
-def write_folder(place: Path, description: Mapping[str, Any], tables: Tables) -> None:
-    """Write one checkpoint under a temporary name and rename it; one that stands there goes.
-
-    Raises:
-        OSError: if it cannot be written; nothing has changed then.
-    """
-    from safetensors.numpy import save
-
-    for left in place.parent.glob(".*.part"):
-        shutil.rmtree(left, ignore_errors=True)
-    temporary, replaced = (place.with_name(f".{place.name}{end}.part") for end in ("", ".old"))
-    try:
-        temporary.mkdir()
-        files = {}
-        for name, arrays in tables.items():
-            content = save({key: np.ascontiguousarray(value) for key, value in arrays.items()})
-            files[f"{name}.safetensors"] = _entry(content)
-            _write(temporary / f"{name}.safetensors", content)
-        about = {"format_version": FORMAT_VERSION, **description, "files": files}
-        about["sha256"] = _digest(about)
-        _write(temporary / DESCRIPTION, (json.dumps(about, indent=2) + "\n").encode())
-        _sync(temporary)
-        if place.exists():  # never a moment without either
-            place.rename(replaced)
-        temporary.rename(place)
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
-        shutil.rmtree(replaced, ignore_errors=True)
-
-
-def _entry(content: bytes) -> dict[str, Any]:
-    return {"bytes": len(content), "sha256": hashlib.sha256(content).hexdigest()}
-
-
-def _write(path: Path, content: bytes) -> None:
-    with path.open("wb") as file:
-        file.write(content)
-        file.flush()
-        os.fsync(file.fileno())
-
-
-def _sync(folder: Path) -> None:
-    """Make names that were given in a folder outlast a power failure."""
-    descriptor = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
-
-
-def _digest(description: Mapping[str, Any]) -> str:
-    content = {key: value for key, value in description.items() if key != "sha256"}
-    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
 # ---- find ---------------------------------------------------------------------------------------
@@ -139,10 +50,10 @@ def candidates(run: Path) -> list[Path]:
     Raises:
         CheckpointError: if the folder cannot be read.
     """
-    folder = run / _FOLDER
+    folder = run / FOLDER
     found = sorted((name for name in _names(folder) if name.startswith("step-")), reverse=True)
     try:
-        named = results.read_json(folder / _POINTER)["checkpoint"]
+        named = read_json(folder / POINTER)["checkpoint"]
     except (OSError, ValueError, LookupError, TypeError):  # the newest one, then
         named = None
     return [folder / name for name in sorted(found, key=lambda name: name != named)]
@@ -169,7 +80,7 @@ def describe(place: Path) -> dict[str, Any]:
     """
     path = place / DESCRIPTION
     try:
-        about = results.read_json(path)
+        about = read_json(path)
     except (OSError, ValueError) as error:
         raise CheckpointError(f"{path}: cannot be read: {_reason(error)}") from error
     version = about.get("format_version") if isinstance(about, dict) else None
@@ -177,7 +88,7 @@ def describe(place: Path) -> dict[str, Any]:
         raise CheckpointError(
             f"{path}: format_version is {version!r}; this version reads {FORMAT_VERSION}"
         )
-    if about.get("sha256") != _digest(about):
+    if about.get("sha256") != digest_of(about):
         raise CheckpointError(f"{path}: its content was changed: the digest in it does not fit")
     try:
         check_types({"files": about.get("files")}, {"files": dict[str, dict[str, Any]]})
@@ -212,12 +123,17 @@ def _read_file(path: Path, about: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
             f"{path}: has {len(content)} bytes; it must have {expected.get('bytes')}, so it is "
             "truncated or another file"
         )
-    if _entry(content) != expected:
+    if entry(content) != expected:
         raise CheckpointError(f"{path}: its content was changed: sha256 differs from {DESCRIPTION}")
     try:
         return load(content)
     except (SafetensorError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise CheckpointError(f"{path}: holds no arrays: {error}") from error
+
+
+def digest_of(description: Mapping[str, Any]) -> str:
+    """The digest that a description must carry in itself, of all the rest of it."""
+    return digest({key: value for key, value in description.items() if key != "sha256"})
 
 
 def _reason(error: Exception) -> str:

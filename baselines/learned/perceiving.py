@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
-from gymnasium.spaces import MultiDiscrete
+from gymnasium.spaces import Box, MultiDiscrete
 from gymnasium.vector import AutoresetMode
 from numpy.typing import ArrayLike, NDArray
 
@@ -14,13 +14,38 @@ from rendezvous_env.engine.state_checks import check_entries, check_keys
 from rendezvous_env.faces.infos import Transition
 from rendezvous_env.faces.vector_env import RendezvousVectorEnv
 from rendezvous_env.faces.vector_filter_wrapper import VectorFilterWrapper
+from rendezvous_env.simulator import Simulator
 from rendezvous_env.vector import team_box
 
-from ..learned.headed_tank import HeadedTank
-from ..learned.networks import observation_box
-from ..learned.perception_layout import PerceptionLayout
-from ..learned.policy_settings import PolicySettings
-from .global_state import GlobalStateLayout
+from .headed_tank import HeadedTank
+from .perception_layout import PerceptionLayout
+from .policy_settings import PolicySettings
+
+
+class GlobalState(Protocol):
+    """Privileged numbers of a whole team, as each of its robots would see it."""
+
+    @property
+    def size(self) -> int:
+        """Numbers for each robot."""
+        ...
+
+    def states(
+        self, simulator: Simulator, towards: NDArray[Any], levels: NDArray[np.float64]
+    ) -> NDArray[np.float32]:
+        """Those of B teams, (B, n, size).
+
+        Args:
+            simulator: of the teams.
+            towards: f_i in the robots' own frames, (B, n, 2), of any length; zero is local x.
+            levels: A/(r D̄) of the tanks, (B, n).
+        """
+        ...
+
+
+def observation_box(size: int) -> Box:
+    """Space of what one robot is shown, so many numbers."""
+    return Box(-np.inf, np.inf, (size,), dtype=np.float32)
 
 
 class PerceivingTeams(VectorFilterWrapper):
@@ -35,8 +60,8 @@ class PerceivingTeams(VectorFilterWrapper):
         settings: of the policy that is trained.
         touch_penalty: taken from ``robot_rewards``, once in an episode.
         obstacle_slots: of ``Perception``.
-        privileged: whether the global state follows what is shown, for critics: ``global_state``
-            tells its columns, which are beyond the first layout.size.
+        global_state: what follows what is shown, for critics; None is nothing. Its columns are
+            those beyond the first layout.size.
 
     Raises:
         ValueError: for robots that ``Perception`` cannot show, or another autoreset mode.
@@ -49,7 +74,7 @@ class PerceivingTeams(VectorFilterWrapper):
         *,
         touch_penalty: float = 0.0,
         obstacle_slots: int | None = None,
-        privileged: bool = False,
+        global_state: GlobalState | None = None,
     ) -> None:
         if env.autoreset_mode is not AutoresetMode.SAME_STEP:
             raise ValueError(f"autoreset_mode is {env.autoreset_mode}; it must be SAME_STEP")
@@ -63,9 +88,8 @@ class PerceivingTeams(VectorFilterWrapper):
         guided, period = self.guided, settings.decision_period(scenario)
         super().__init__(env, guided.steering, guided.steering_memory, period)
         n = scenario.n_robots
-        slots = self.layout.obstacle_slots
-        self.global_state = GlobalStateLayout(n, slots) if privileged else None
-        more = self.global_state.size if self.global_state else 0
+        self.global_state = global_state
+        more = 0 if global_state is None else global_state.size
         self.single_observation_space = team_box(observation_box(self.layout.size + more), n)
         self.single_action_space = MultiDiscrete([len(settings.angles)] * n)
         self.touch_penalty = float(touch_penalty)

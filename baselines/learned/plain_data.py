@@ -1,0 +1,56 @@
+"""Plain data in files: JSON that is read, checked for its types, and told by its digest."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from typeguard import CollectionCheckStrategy, TypeCheckError, check_type
+
+_ALL = CollectionCheckStrategy.ALL_ITEMS
+
+
+def read_json(path: Path) -> Any:
+    """Plain data from a file.
+
+    Raises:
+        OSError: if it cannot be read.
+        ValueError: if it is no JSON, saying why.
+    """
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except RecursionError as error:
+        raise ValueError("it is nested too deeply") from error
+
+
+def digest(content: Any) -> str:
+    """SHA-256 of plain data."""
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+
+
+def entry(content: bytes) -> dict[str, Any]:
+    """Size and SHA-256 of what a file holds, as its description names them."""
+    return {"bytes": len(content), "sha256": hashlib.sha256(content).hexdigest()}
+
+
+def check_types(values: Mapping[str, Any], hints: Mapping[str, Any]) -> None:
+    """Refuse plain data of other types than these.
+
+    Args:
+        values: by name.
+        hints: type of each that must be right.
+
+    Raises:
+        ValueError: naming the field, its value and the type that it must have.
+    """
+    for name, hint in hints.items():
+        try:
+            check_type(values[name], hint, collection_check_strategy=_ALL)
+        except TypeCheckError:
+            wanted = getattr(hint, "__name__", "") if isinstance(hint, type) else str(hint)
+            text = repr(values[name])
+            text = text if len(text) <= 60 else f"{text[:60]}…"
+            raise ValueError(f"{name} is {text}; it must be of type {wanted or hint}") from None

@@ -1,1 +1,0 @@
-"""A trained policy: what it perceives, chooses and weighs, and its checkpoint."""
