@@ -13,6 +13,7 @@ import numpy as np
 
 import baselines
 import rendezvous_env as rv
+from baselines.policy import kind_of
 
 KEPT = Path(__file__).parent / "data" / "trajectories_v01.npz"
 STEPS = 150
@@ -27,7 +28,9 @@ SCENARIOS = (
 
 def policies(scenario: rv.Scenario) -> list[str]:
     """All scripted policies that fit and read observations only, in a fixed order."""
-    return sorted(n for n in baselines.names(scenario) if not n.startswith("privileged"))
+    return sorted(
+        n for n in baselines.names(scenario) if kind_of(n) not in ("privileged", "learned")
+    )
 
 
 def trajectory(name: str, policy_name: str, steps: int = STEPS) -> np.ndarray:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from rendezvous_env.experiment.checks import bools
 from rendezvous_env.experiment.scenario import Scenario
 
 from ..policy import within_limits
@@ -51,6 +52,7 @@ class LearnedPolicy:
         layout = settings.layout(rows.neighbour_slots, rows.obstacle_slots)
         self._chooser = Chooser(weights, settings, layout)
         self._leading: tuple[int, ...] | None = None
+        self._wait: NDArray[np.int64] = np.zeros(0, dtype=np.int64)
 
     def __call__(self, observations: NDArray[Any], time: ArrayLike) -> NDArray[np.float32]:
         """Velocities (..., n, 2); see ``baselines.Policy``.
@@ -58,8 +60,9 @@ class LearnedPolicy:
         Raises:
             ValueError: for observations of another shape than the scenario's.
         """
-        n, rows = self.scenario.n_robots, self.scenario.observation_layout.shape
-        seen = np.ascontiguousarray(observations, dtype=np.float32)
+        n, layout = self.scenario.n_robots, self.scenario.observation_layout
+        rows = layout.shape
+        seen = np.ascontiguousarray(layout.checked(observations), dtype=np.float32)
         if seen.shape[-3:] != (n, *rows):
             raise ValueError(
                 f"observations have shape {seen.shape}; scenario {self.scenario.name!r} needs "
@@ -80,7 +83,7 @@ class LearnedPolicy:
         if mask is None:
             self._leading = None
         elif self._leading is not None:
-            which = np.broadcast_to(np.asarray(mask, dtype=bool), self._leading).reshape(-1)
+            which = bools("mask", mask, self._leading, "teams").reshape(-1)
             self._guided.forget(which)
             self._hidden[which] = 0.0
             self._wait[which] = 0

@@ -14,13 +14,13 @@ from rendezvous_env.experiment.scenario import Scenario
 from rendezvous_env.guarantee.energy_tank import unit_of_tanks
 from rendezvous_env.guarantee.steering import Steering
 
-from ..checks import check_types
 from . import perception_layout
 from .guide import ALL_ROUND, ANGLES, Guide
 from .guided import GuidedTeams, TankTeams
 from .headed_tank import HeadedTank
 from .perception import Perception
 from .perception_layout import LEVEL_COLUMNS, WALL_COLUMNS, PerceptionLayout
+from .plain_data import check_types
 from .tank_perception import TankPerception
 
 Memory = Literal["none", "features", "recurrent"]

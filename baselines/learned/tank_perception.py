@@ -64,8 +64,9 @@ class TankPerception(Perception):
         obstacle_slots: int | None = None,
         walls: bool = False,
     ) -> None:
-        arguments = {"decision_time": decision_time, "obstacle_slots": obstacle_slots}
-        super().__init__(scenario, num_envs, **arguments)
+        super().__init__(
+            scenario, num_envs, decision_time=decision_time, obstacle_slots=obstacle_slots
+        )
         columns = LEVEL_COLUMNS + (WALL_COLUMNS if walls else 0)
         self.layout = self.layout._replace(tank_columns=columns)
         self._decision_time, self._scenario = float(decision_time), scenario
@@ -94,7 +95,7 @@ class TankPerception(Perception):
             levels: A/(r D̄) of their tanks, (B, n).
         """
         base = self.see(observations, headings, which, velocities)
-        alive = base.any(axis=-1)
+        alive = np.asarray(base.any(axis=-1))
         level = np.log1p(levels)
         more = [level]
         if self._walls is not None:
@@ -102,7 +103,7 @@ class TankPerception(Perception):
             strength = np.linalg.norm(f, axis=-1, keepdims=True)
             towards = np.where(strength > 0.0, f / np.where(strength > 0.0, strength, 1.0), 0.0)
             first = base.shape[-1] - self.layout._replace(tank_columns=0).context_columns
-            blocked = base[..., first:][..., BLOCKED].any(axis=-1)
+            blocked = np.asarray(base[..., first:][..., BLOCKED].any(axis=-1))
             self._move_on(alive, blocked, level, towards, headings, velocities)
             more += self._tell(towards)
         columns = np.stack(more, axis=-1) * alive[..., np.newaxis]
@@ -131,7 +132,7 @@ class TankPerception(Perception):
         turned = walls.turned + _turn(walls.towards, towards)
         wound = walls.wound + _turn(walls.heading, headings)
         now = np.stack([velocities, towards], axis=-2)
-        known = walls.towards.any(axis=-1)[..., np.newaxis, np.newaxis]
+        known = np.asarray(walls.towards.any(axis=-1))[..., np.newaxis, np.newaxis]
         begun = np.where(known, walls.averages, np.stack([0.0 * towards, towards], axis=-2))
         kept = np.exp(-time / _LONG)
         values = _Walls(

@@ -375,7 +375,7 @@ def test_actions(effort):
 def policies(draw: st.DrawFn) -> tuple[Any, str, dict[str, Any]]:
     """A name, the team that it is for, and options."""
     team = draw(teams)
-    name = draw(nearly(st.sampled_from(baselines.names()), "bearing", "learned"))
+    name = draw(nearly(st.sampled_from(baselines.names()), "bearing", "learn"))
     values = {
         "clearance": nearly(st.floats(0, 3)),
         "persistence": nearly(st.floats(0, 3)),

@@ -409,7 +409,7 @@ class TestMistakes:
                 raise OSError(errno.ENOSPC, "No space left on device")
             return real(run, step, *content)
 
-        monkeypatch.setattr(checkpoints, "write", write)
+        monkeypatch.setattr(saving, "write", write)
         assert cli.main(["train", *flags(folder)]) == 2
         said = capsys.readouterr().err
         good = checkpoints.find(folder)

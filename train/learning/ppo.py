@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from importlib.util import find_spec
+import importlib.util
 
 from ..errors import UserError
 from .settings import EVALUATION_SEEDS, Config
@@ -30,5 +30,5 @@ def run(config: Config) -> int:
 
 def _require_extra() -> None:
     for package in ("torch", "stable_baselines3"):
-        if find_spec(package) is None:
+        if importlib.util.find_spec(package) is None:
             raise UserError(f"training needs {package}; pip install 'rendezvous-env[train]'")
