@@ -4,7 +4,7 @@ Robots see in which direction their neighbours and the edges of obstacles lie, n
 must all meet.
 """
 
-from . import rendezvous_v0
+from . import rendezvous_v0, vector
 from .compilation import kernel
 from .equations.robots.motion import FREE, SLID, STOPPED, Motion
 from .equations.robots.motion import describe as describe_motion
@@ -19,6 +19,7 @@ from .experiment.walls import WallField
 from .faces.gain_wrapper import GainWrapper
 from .faces.link_keeping_wrapper import LinkKeepingWrapper
 from .faces.tank_wrapper import EnergyTankWrapper
+from .faces.training.by_name import training_env
 from .first_use import announce
 from .guarantee.certificate import Certificate, certificate
 from .guarantee.heading import certified_heading
@@ -65,6 +66,8 @@ __all__ = [
     "rendezvous_v0",
     "rollout",
     "scenarios",
+    "training_env",
+    "vector",
 ]
 
 register()

@@ -41,6 +41,7 @@ class Guide:
         angles: NDArray[np.float64] = ANGLES,
     ) -> None:
         self.angles = angles
+        self.directions = np.stack((np.cos(angles), np.sin(angles)), axis=-1)
         self._layout = scenario.observation_layout
         self._clearance, self._persistence = clearance, persistence
 
@@ -57,8 +58,17 @@ class Guide:
             choices: (B, n), indices of ``angles``.
             carried: headings of the step before, (B, n, 2), zero where there is none.
         """
+        return self.aim_aside(observations, self.directions[choices], carried)
+
+    def aim_aside(
+        self,
+        observations: NDArray[np.float32],
+        directions: NDArray[np.float64],
+        carried: NDArray[np.float64],
+    ) -> NDArray[np.float64]:
+        """As ``aim``, for any directions (cos φ, sin φ), (B, n, 2)."""
         f = self._layout.net_bearing(observations).astype(np.float64)
-        c, s = np.cos(self.angles)[choices], np.sin(self.angles)[choices]
+        c, s = directions[..., 0], directions[..., 1]
         aside = np.stack((c * f[..., 0] - s * f[..., 1], s * f[..., 0] + c * f[..., 1]), axis=-1)
         return tangent_joined_heading(
             aside,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from rendezvous_env.experiment.checks import floats, refuse
 from rendezvous_env.guarantee.steering import Steering
 
 from .guide import Guide
@@ -16,7 +17,7 @@ from .tank_perception import TankPerception
 class GuidedTeams:
     """B teams whose robots are shown something, choose by it, and head where the guide says.
 
-        show → (a network chooses) → choose → act: guide, certified heading, law (4)
+        show → (a network chooses) → choose, or head → act: guide, certified heading, law (4)
 
     What is shown moves the memory on, so it is asked for once in each decision; ``act`` follows
     what is seen in every step.
@@ -35,6 +36,7 @@ class GuidedTeams:
     ) -> None:
         self.steering, self.guide, self.perception = steering, guide, perception
         self.choices = np.zeros(steering.alignment.shape, dtype=np.int64)
+        self._directions = guide.directions[self.choices]
 
     def show(
         self, observations: NDArray[np.float32], which: NDArray[np.bool_] | None = None
@@ -60,10 +62,31 @@ class GuidedTeams:
                 f"whole number below {count}"
             )
         self.choices = given.astype(np.int64)
+        self._directions = self.guide.directions[self.choices]
+
+    def head(self, vectors: ArrayLike) -> None:
+        """Take directions instead of choices: how f is to be turned, seen with x along f.
+
+        Args:
+            vectors: (B, n, 2); their length does not count, and none at all is straight ahead.
+
+        Raises:
+            ValueError: for another shape, or naming the robot whose vector is not finite.
+        """
+        given, wanted = floats("actions", vectors), (*self.choices.shape, 2)
+        if given.shape != wanted:
+            raise ValueError(f"actions have shape {given.shape}; they must be (B, n, 2) = {wanted}")
+        for team, robot, _ in np.argwhere(~np.isfinite(given)):
+            refuse(f"action of robot_{robot} in team {team}", given[team, robot].tolist(), "finite")
+        length = np.linalg.norm(given, axis=-1, keepdims=True)
+        ahead = self.guide.directions[0]
+        unit = given / np.where(length > 0.0, length, 1.0)
+        self._directions = np.where(length > 0.0, unit, ahead)
 
     def act(self, observations: NDArray[np.float32]) -> NDArray[np.float32]:
         """Velocities (B, n, 2), m/s, for observations (B, n, rows, 2) in the local frames."""
-        self.steering.hold(self.guide.aim(observations, self.choices, self.steering.headings))
+        headings = self.steering.headings
+        self.steering.hold(self.guide.aim_aside(observations, self._directions, headings))
         return self.steering.act(observations)
 
     def forget(self, which: NDArray[np.bool_] | None = None) -> None:
@@ -102,3 +125,8 @@ class TankTeams(GuidedTeams):
         """As ``GuidedTeams.choose``; the perception remembers them."""
         super().choose(choices)
         self.perception.note(self.guide.angles[self.choices])
+
+    def head(self, vectors: ArrayLike) -> None:
+        """As ``GuidedTeams.head``; the perception remembers the angles."""
+        super().head(vectors)
+        self.perception.note(np.arctan2(self._directions[..., 1], self._directions[..., 0]))

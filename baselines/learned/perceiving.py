@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, Protocol
 
 import numpy as np
 from gymnasium.spaces import Box, MultiDiscrete
-from gymnasium.vector import AutoresetMode
 from numpy.typing import ArrayLike, NDArray
 
 from rendezvous_env.engine.state_checks import check_entries, check_keys
-from rendezvous_env.faces.infos import Transition
+from rendezvous_env.experiment.start_options import as_options
+from rendezvous_env.faces.infos import Info, Transition
+from rendezvous_env.faces.spaces import team_box
+from rendezvous_env.faces.training.touches import FirstTouches
 from rendezvous_env.faces.vector_env import RendezvousVectorEnv
 from rendezvous_env.faces.vector_filter_wrapper import VectorFilterWrapper
 from rendezvous_env.simulator import Simulator
-from rendezvous_env.vector import team_box
 
 from .headed_tank import HeadedTank
 from .perception_layout import PerceptionLayout
@@ -56,15 +57,16 @@ class PerceivingTeams(VectorFilterWrapper):
     first touch of an obstacle costs the robot ``touch_penalty``, and no other robot of its team.
 
     Args:
-        env: teams of single integrators in the plane, with SAME_STEP autoreset.
+        env: teams of single integrators in the plane, in any autoreset mode.
         settings: of the policy that is trained.
         touch_penalty: taken from ``robot_rewards``, once in an episode.
         obstacle_slots: of ``Perception``.
         global_state: what follows what is shown, for critics; None is nothing. Its columns are
             those beyond the first layout.size.
+        discrete: False takes directions (B, n, 2) in place of choices, see ``GuidedTeams.head``.
 
     Raises:
-        ValueError: for robots that ``Perception`` cannot show, or another autoreset mode.
+        ValueError: for robots that ``Perception`` cannot show.
     """
 
     def __init__(
@@ -75,9 +77,8 @@ class PerceivingTeams(VectorFilterWrapper):
         touch_penalty: float = 0.0,
         obstacle_slots: int | None = None,
         global_state: GlobalState | None = None,
+        discrete: bool = True,
     ) -> None:
-        if env.autoreset_mode is not AutoresetMode.SAME_STEP:
-            raise ValueError(f"autoreset_mode is {env.autoreset_mode}; it must be SAME_STEP")
         scenario = env.scenario
         self.guided = settings.make_teams(
             scenario,
@@ -91,9 +92,15 @@ class PerceivingTeams(VectorFilterWrapper):
         self.global_state = global_state
         more = 0 if global_state is None else global_state.size
         self.single_observation_space = team_box(observation_box(self.layout.size + more), n)
-        self.single_action_space = MultiDiscrete([len(settings.angles)] * n)
+        self.discrete = discrete
+        self.single_action_space = (
+            MultiDiscrete([len(settings.angles)] * n)
+            if discrete
+            else Box(-1.0, 1.0, (n, 2), dtype=np.float32)
+        )
         self.touch_penalty = float(touch_penalty)
-        self._touched = np.zeros((env.num_envs, n), dtype=np.bool_)
+        self._touches = FirstTouches(env.num_envs, n)
+        self._shown = np.zeros((env.num_envs, *self.single_observation_space.shape), np.float32)
 
     @property
     def layout(self) -> PerceptionLayout:
@@ -111,40 +118,58 @@ class PerceivingTeams(VectorFilterWrapper):
         steering = self.guided.steering
         if isinstance(steering, HeadedTank):
             return steering.normalised_levels
-        return np.zeros(self._touched.shape)
+        return np.zeros(self._touches.touched.shape)
 
     def step(self, actions: ArrayLike) -> Transition:
         """As ``VectorFilterWrapper.step``, with touches paid for in ``robot_rewards``."""
-        touched = self._touched.copy()
         seen, rewards, ends, cuts, infos = super().step(actions)
-        contact = infos["contact"]
-        if (over := ends | cuts).any():
-            contact = np.where(over[:, None], infos["final_info"]["contact"], contact)
-        infos["robot_rewards"] -= self.touch_penalty * (contact & ~touched)
-        self._touched |= infos["contact"]
+        infos["robot_rewards"] -= self.touch_penalty * self._touches.note(infos, ends | cuts)
         return seen, rewards, ends, cuts, infos
 
     def _take(self, actions: ArrayLike) -> None:
-        self.guided.choose(actions)
+        if self.discrete:
+            self.guided.choose(actions)
+        else:
+            self.guided.head(actions)
 
     def _act(self) -> NDArray[np.float32]:
         return self.guided.act(self._observed)
 
     def _see(self, which: NDArray[np.bool_] | None) -> NDArray[np.float32]:
         shown = self.guided.show(self._observed, which)
-        if self.global_state is None:
-            return shown
+        if self.global_state is not None:
+            shown = np.concatenate((shown, self._state_of_teams()), axis=-1)
+        if which is not None:  # of the others nothing new has been seen
+            shown = np.where(which[:, None, None], shown, self._shown)
+        self._shown = shown
+        return shown.copy()
+
+    def _state_of_teams(self) -> NDArray[np.float32]:
+        """The global state as each robot would see it, (B, n, global_state.size)."""
+        assert self.global_state is not None
         towards = self.env.scenario.observation_layout.net_bearing(self._observed)
-        state = self.global_state.states(self.env.simulator, towards, self._levels)
-        return np.concatenate((shown, state), axis=-1)
+        return self.global_state.states(self.env.simulator, towards, self._levels)
+
+    def reset(
+        self,
+        *,
+        seed: int | Sequence[int | None] | None = None,
+        options: Mapping[str, Any] | None = None,
+    ) -> tuple[NDArray[np.float32], Info]:
+        """Begin anew, as ``VectorFilterWrapper.reset``; teams that do have touched nothing."""
+        shown, infos = super().reset(seed=seed, options=options)
+        self._touches.forget(as_options(options).get("reset_mask"))
+        return shown, infos
 
     def _forget(self, which: NDArray[np.bool_] | None) -> None:
         self.guided.forget(which)
-        self._touched[slice(None) if which is None else which] = False
 
     def get_state(self) -> dict[str, Any]:
         """The running episodes and all memory, as copies."""
-        memory = {"perception": self.guided.perception.get_state(), "touched": self._touched.copy()}
+        memory = {
+            "perception": self.guided.perception.get_state(),
+            "touched": self._touches.touched.copy(),
+        }
         return super().get_state() | memory
 
     def set_state(self, state: Mapping[str, Any]) -> None:
@@ -154,8 +179,8 @@ class PerceivingTeams(VectorFilterWrapper):
             ValueError: naming what does not fit; nothing has changed then.
         """
         check_keys(state, ("perception",))
-        touched = check_entries({"touched": self._touched}, state)["touched"]
+        touched = check_entries({"touched": self._touches.touched}, state)["touched"]
         memory = self.guided.perception.check_state(state["perception"])
         super().set_state(state)
         self.guided.perception.set_state(memory)
-        self._touched[...] = touched
+        self._touches.touched[...] = touched

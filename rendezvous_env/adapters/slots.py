@@ -6,16 +6,11 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from gymnasium.spaces import Box, Discrete, MultiDiscrete, Space
 from numpy.typing import NDArray
 
+from ..faces.spaces import of_one_robot
 
-def of_one_robot(space: Space[Any]) -> Space[Any]:
-    """The space of one robot from that of a team of equal ones."""
-    if isinstance(space, MultiDiscrete):
-        return Discrete(int(space.nvec[0]))
-    assert isinstance(space, Box)
-    return Box(space.low[0], space.high[0], dtype=np.float32)
+__all__ = ["last_moments", "of_one_robot", "team_options"]
 
 
 def last_moments(

@@ -12,10 +12,10 @@ from pettingzoo.utils.wrappers import BaseParallelWrapper
 
 from ..experiment.checks import check_action
 from ..guarantee.action_filter import ActionFilter
-from ..rendezvous_v0 import RendezvousParallelEnv
 from .holding import check_period, restore
+from .parallel_env import RendezvousParallelEnv
 from .roster import Infos, Observations, StepReturn
-from .spaces import choice_box, filtered_observation_box
+from .spaces import as_told, choice_box, filtered_observation_box
 
 
 def base_of(env: Any, wrapper: str) -> RendezvousParallelEnv:
@@ -62,7 +62,10 @@ class FilterWrapper(BaseParallelWrapper):
         self._base: RendezvousParallelEnv = env.unwrapped
         self._filter, self._memory = action_filter, memory
         names, scenario = self._base.possible_agents, self._base.scenario
-        self.observation_spaces = {name: filtered_observation_box(action_filter) for name in names}
+        flatten = self._base.flatten
+        self.observation_spaces = {
+            name: filtered_observation_box(action_filter, flatten) for name in names
+        }
         self.action_spaces = {name: choice_box(action_filter) for name in names}
         shape = (1, scenario.n_robots, *scenario.observation_layout.shape)
         self._observed = np.zeros(shape, dtype=np.float32)
@@ -91,6 +94,7 @@ class FilterWrapper(BaseParallelWrapper):
         observations, infos = self.env.reset(seed=seed, options=options)
         self._filter.forget()
         self._remember(observations)
+        self._tell(infos)
         return self._view(observations), infos
 
     def step(self, actions: Mapping[str, Any]) -> StepReturn:
@@ -131,10 +135,8 @@ class FilterWrapper(BaseParallelWrapper):
             seen, earned, ended, cut, told = self.env.step(table)
             if self._filter.keeps_ledger:
                 self._book(told)
-            for name, info in told.items():
-                i = self._base.index(name)
-                for key, values in self._filter.told.items():
-                    info[key] = values[0, i].item()
+            self._tell(told)
+            for name in told:
                 rewards[name] += earned[name]
             infos |= told
             terminations |= ended
@@ -144,6 +146,12 @@ class FilterWrapper(BaseParallelWrapper):
             if not self.agents:
                 break
         return self._view(observations), rewards, terminations, truncations, infos
+
+    def _tell(self, infos: Infos) -> None:
+        """Add what the filter has to tell of the last base step."""
+        for name, info in infos.items():
+            i = self._base.index(name)
+            info.update({key: values[0, i].item() for key, values in self._filter.told.items()})
 
     def _book(self, infos: Infos) -> None:
         """Tell the filter how the base step went."""
@@ -157,11 +165,11 @@ class FilterWrapper(BaseParallelWrapper):
         """Note what the robots see now; those that are gone see nothing."""
         self._observed = np.zeros(self._observed.shape, dtype=np.float32)
         for name, rows in observations.items():
-            self._observed[0, self._base.index(name)] = rows
+            self._observed[0, self._base.index(name)] = rows.reshape(self._observed.shape[2:])
 
     def _view(self, observations: Observations) -> Observations:
         """What the robots see, as the policy is shown it."""
-        seen = self._filter.view(self._observed)[0]
+        seen = as_told(self._filter.view(self._observed)[0], self._base.flatten)
         return {name: seen[self._base.index(name)].copy() for name in observations}
 
     def get_state(self) -> dict[str, Any]:

@@ -21,7 +21,7 @@ Transition = tuple[
 def start_info(simulator: Simulator) -> Info:
     """Infos of all teams at the start of an episode, without masks."""
     active = simulator.active
-    return {
+    return summary_of(simulator) | {
         "robot_rewards": np.zeros(active.shape),
         "active": active,
         "merged_into": simulator.merged_into,
@@ -32,7 +32,7 @@ def start_info(simulator: Simulator) -> Info:
 
 def step_info(simulator: Simulator, outcome: Outcome) -> Info:
     """Infos of all teams after a step, without masks."""
-    return {
+    return summary_of(simulator) | {
         "robot_rewards": outcome.robot_rewards,
         "active": outcome.active,
         "merged_into": simulator.merged_into,
@@ -42,7 +42,7 @@ def step_info(simulator: Simulator, outcome: Outcome) -> Info:
 
 
 def summary_of(simulator: Simulator) -> Info:
-    """How the teams stand at the end of an episode, (B,) each: s, m, m²/s."""
+    """How the teams stand in their episodes, (B,) each: s, m, m²/s."""
     return {
         "success": simulator.status == RENDEZVOUS,
         "time": simulator.time,
@@ -68,5 +68,12 @@ def _with_masks(infos: Info, masks: NDArray[np.bool_]) -> Info:
 
 
 def of_first_team(infos: Info) -> Info:
-    """Infos of team 0, without the axis of teams."""
-    return {key: values[0] for key, values in infos.items()}
+    """Infos of team 0, without the axis of teams and without masks."""
+    return {key: _first(values) for key, values in infos.items() if key[0] != "_"}
+
+
+def _first(values: Any) -> Any:
+    """What is told of team 0: nested infos, an array, or one of Python's own numbers."""
+    if isinstance(values, dict):
+        return of_first_team(values)
+    return values[0] if values.ndim > 1 else values[0].item()

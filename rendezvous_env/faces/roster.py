@@ -125,18 +125,24 @@ def _explain(actions: Any, alive: Sequence[str], simulator: Simulator) -> None:
 
 def infos_of_start(names: Sequence[str], simulator: Simulator) -> Infos:
     """What the robots are told at the start of an episode."""
+    clearances, standing = simulator.clearance[0].tolist(), _standing(simulator)
     return {
-        name: {"merged_into": None, "contact": False, "clearance": clearance}
-        for name, clearance in zip(names, simulator.clearance[0].tolist(), strict=True)
+        name: {"merged_into": i, "contact": False, "clearance": clearances[i], **standing}
+        for i, name in enumerate(names)
     }
 
 
 def tell(
-    outcome: Outcome, simulator: Simulator, names: Sequence[str], alive: list[str]
+    observations: NDArray[np.float32],
+    outcome: Outcome,
+    simulator: Simulator,
+    names: Sequence[str],
+    alive: list[str],
 ) -> tuple[StepReturn, list[str]]:
     """What the robots that were alive are told of a step, and who still is.
 
     Args:
+        observations: of all robots, (n, ...).
         outcome: of the step, B = 1.
         simulator: after it.
         names: of all robots.
@@ -144,32 +150,35 @@ def tell(
     """
     status = outcome.status.item(0)
     over, met = status != RUNNING, status == RENDEZVOUS
-    observations = dict(zip(names, outcome.observations[0], strict=True))
-    felt = zip(names, outcome.contact[0].tolist(), outcome.clearance[0].tolist(), strict=True)
+    seen, standing = dict(zip(names, observations, strict=True)), _standing(simulator)
+    into = simulator.merged_into[0].tolist()
+    felt = zip(into, outcome.contact[0].tolist(), outcome.clearance[0].tolist(), strict=True)
     infos: Infos = {
-        name: {"merged_into": None, "contact": contact, "clearance": clearance}
-        for name, contact, clearance in felt
+        name: {"merged_into": survivor, "contact": contact, "clearance": clearance, **standing}
+        for name, (survivor, contact, clearance) in zip(names, felt, strict=True)
     }
     if len(alive) < len(names):
-        observations = {name: observations[name] for name in alive}
+        seen = {name: seen[name] for name in alive}
         infos = {name: infos[name] for name in alive}
     ends, truncations = dict.fromkeys(alive, met), dict.fromkeys(alive, over and not met)
     left, active = alive, outcome.active[0].tolist()
     if active.count(True) < len(alive):
-        into, gone = simulator.merged_into[0].tolist(), dict(zip(names, active, strict=True))
-        for i, name in enumerate(names):
-            if name in infos:
-                infos[name]["merged_into"] = _survivor(names, into, i)
         if not met and simulator.scenario.on_merge == "remove":
-            ends = {name: not gone[name] for name in alive}
+            lives = dict(zip(names, active, strict=True))
+            ends = {name: not lives[name] for name in alive}
             truncations = {name: over and not ended for name, ended in ends.items()}
             left = [name for name in alive if not ends[name]]
     if over:
         left = []
         for info in infos.values():
-            info["summary"] = {key: value[0].item() for key, value in summary_of(simulator).items()}
+            info["summary"] = standing.copy()
     rewards = dict.fromkeys(alive, outcome.rewards.item(0))
-    return (observations, rewards, ends, truncations, infos), left
+    return (seen, rewards, ends, truncations, infos), left
+
+
+def _standing(simulator: Simulator) -> dict[str, Any]:
+    """How the team stands in its episode, as Python's own numbers."""
+    return {key: values.item() for key, values in summary_of(simulator).items()}
 
 
 def _survivor(names: Sequence[str], into: Sequence[int], i: int) -> str | None:

@@ -4,8 +4,10 @@ environment.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
-from gymnasium.spaces import Box
+from gymnasium.spaces import Box, Discrete, MultiDiscrete, Space
 from numpy.typing import NDArray
 
 from ..experiment.packing import row_width
@@ -30,9 +32,14 @@ def action_bounds(scenario: Scenario) -> NDArray[np.float32]:
     return scenario.action_bounds.astype(np.float32)
 
 
-def observation_box(scenario: Scenario) -> Box:
+def as_told(rows: NDArray[np.float32], flatten: bool) -> NDArray[np.float32]:
+    """Rows (..., rows, d), or with ``flatten`` (..., rows·d): row by row, a view."""
+    return rows.reshape(*rows.shape[:-2], -1) if flatten else rows
+
+
+def observation_box(scenario: Scenario, flatten: bool = False) -> Box:
     """Space of one robot's observations."""
-    bounds = observation_bounds(scenario)
+    bounds = as_told(observation_bounds(scenario), flatten)
     return Box(-bounds, bounds, dtype=np.float32)
 
 
@@ -47,7 +54,7 @@ def choice_box(action_filter: ActionFilter) -> Box:
     return Box(action_filter.lowest_choice, 1.0, (action_filter.action_size,), dtype=np.float32)
 
 
-def filtered_observation_box(action_filter: ActionFilter) -> Box:
+def filtered_observation_box(action_filter: ActionFilter, flatten: bool = False) -> Box:
     """Space of one robot's observations as a filter shows them: a turned row keeps only its
     length, and the level of a tank has no bound.
     """
@@ -58,23 +65,22 @@ def filtered_observation_box(action_filter: ActionFilter) -> Box:
         level = np.ones((1, bounds.shape[1]), dtype=np.float32)
         level[0, 0] = np.finfo(np.float32).max
         bounds = np.concatenate([bounds, level])
+    bounds = as_told(bounds, flatten)
     return Box(-bounds, bounds, dtype=np.float32)
 
 
-def team_observation_box(scenario: Scenario) -> Box:
-    """Space of the observations of all robots of a team, (n, rows, d)."""
-    bounds = _for_all_robots(scenario, observation_bounds(scenario))
-    return Box(-bounds, bounds, dtype=np.float32)
+def team_box(robot: Box, n: int) -> Box:
+    """Space of a team of n robots that all have the same one, (n, ...)."""
+    low, high = (np.broadcast_to(bound, (n, *robot.shape)) for bound in (robot.low, robot.high))
+    return Box(low, high, dtype=np.float32)
 
 
-def team_action_box(scenario: Scenario) -> Box:
-    """Space of the actions of all robots of a team, (n, a)."""
-    bounds = _for_all_robots(scenario, action_bounds(scenario))
-    return Box(-bounds, bounds, dtype=np.float32)
-
-
-def _for_all_robots(scenario: Scenario, bounds: NDArray[np.float32]) -> NDArray[np.float32]:
-    return np.repeat(bounds[None], scenario.n_robots, axis=0)
+def of_one_robot(space: Space[Any]) -> Box | Discrete:
+    """The space of one robot from that of a team of equal ones."""
+    if isinstance(space, MultiDiscrete):
+        return Discrete(int(space.nvec[0]))
+    assert isinstance(space, Box)
+    return Box(space.low[0], space.high[0], dtype=np.float32)
 
 
 def state_box(scenario: Scenario) -> Box:

@@ -14,11 +14,12 @@ from numpy.typing import NDArray
 
 from ..drawing.renderer import Renderer, render_metadata
 from ..engine.memory import RENDEZVOUS, TIME_OUT
+from ..experiment.checks import flag
 from ..experiment.start_options import as_options
 from ..outcome import Outcome
 from ..simulator import Simulator
 from .infos import Info, Transition, masked, of_all, start_info, step_info, summary_of
-from .spaces import team_action_box, team_observation_box
+from .spaces import action_box, as_told, observation_box, state_box, team_box, team_state
 
 
 class RendezvousVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArray[Any]]):
@@ -29,7 +30,7 @@ class RendezvousVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
 
     | array | shape | |
     |---|---|---|
-    | observations | (B, n, rows, d) float32 | zero for robots that are gone |
+    | observations | (B, n, rows, d) float32, or (B, n, rows·d) | zero for robots that are gone |
     | actions | (B, n, a) float32 | ignored for robots that are gone and teams that have ended |
     | rewards | (B,) float64 | of the team |
     | terminations | (B,) bool | all robots have met |
@@ -44,7 +45,12 @@ class RendezvousVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
     | merged_into | (B, n) int64 | the robot that each one is now part of; itself while active |
     | contact | (B, n) bool | touched an obstacle in this step |
     | clearance | (B, n) float64 | m to the nearest obstacle, inf without any |
-    | summary | dict of (B,) | after an episode: success, time, contacts, path_length, lyapunov |
+    | success | (B,) bool | all robots of the team have met |
+    | time | (B,) float64 | s since the start of the episode |
+    | contacts | (B,) int64 | contacts so far, one for each robot and step |
+    | path_length | (B,) float64 | way of all robots together so far, m |
+    | lyapunov | (B,) float64 | V, m²/s |
+    | summary | dict of (B,) | after an episode: the last five once more |
 
     A team that has ended, by ``autoreset_mode``:
 
@@ -65,6 +71,7 @@ class RendezvousVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
         simulator: the teams.
         autoreset_mode: see above.
         render_mode: "human", "rgb_array" or None, as in ``rendezvous_v0``.
+        flatten: whether a robot's rows stand one after another, as one vector.
     """
 
     def __init__(
@@ -72,6 +79,7 @@ class RendezvousVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
         simulator: Simulator,
         autoreset_mode: AutoresetMode,
         render_mode: str | None = None,
+        flatten: bool = False,
     ) -> None:
         self.simulator = simulator
         self.autoreset_mode = autoreset_mode
@@ -80,8 +88,10 @@ class RendezvousVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
         self.renderer = Renderer(simulator, render_mode)
         self.render_mode = render_mode
         self.metadata = render_metadata(simulator) | {"autoreset_mode": autoreset_mode}
-        self.single_observation_space = team_observation_box(self.scenario)
-        self.single_action_space = team_action_box(self.scenario)
+        self.flatten, n = flag("flatten", flatten), self.scenario.n_robots
+        self.single_observation_space = team_box(observation_box(self.scenario, flatten), n)
+        self.single_action_space = team_box(action_box(self.scenario), n)
+        self.single_state_space = state_box(self.scenario)
 
     @cached_property
     def observation_space(self) -> Space[Any]:  # type: ignore[override]
@@ -116,7 +126,7 @@ class RendezvousVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
         observations = self.simulator.reset(seed, start, mask=mask)
         which = np.ones(self.num_envs, dtype=np.bool_) if mask is None else np.asarray(mask)
         self.renderer.reset()
-        return observations, masked(start_info(self.simulator), which)
+        return as_told(observations, self.flatten), masked(start_info(self.simulator), which)
 
     def step(self, actions: NDArray[np.float32]) -> Transition:
         """Advance every team by one step τ.
@@ -150,21 +160,28 @@ class RendezvousVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
                 infos = of_all(infos, self.num_envs)
                 infos |= masked({"summary": masked(summary_of(simulator), ended)}, ended)
         self.renderer.see(outcome.contact)
-        return outcome.observations, outcome.rewards, terminations, truncations, infos
+        observations = as_told(outcome.observations, self.flatten)
+        return observations, outcome.rewards, terminations, truncations, infos
 
     def _begin_anew(self, outcome: Outcome, infos: Info, ended: NDArray[np.bool_]) -> Info:
         """Infos of a step after which some teams have begun their next episode."""
         simulator = self.simulator
         final_obs = np.full(self.num_envs, None, dtype=object)
         for team in np.flatnonzero(ended).tolist():
-            final_obs[team] = outcome.observations[team].copy()
+            final_obs[team] = as_told(outcome.observations[team], self.flatten).copy()
         final_info = {key: values.copy() for key, values in infos.items()}
         final_info["summary"] = masked(summary_of(simulator), ended)
         simulator.restart(ended, outcome)
-        infos["merged_into"] = simulator.merged_into
+        infos |= {"merged_into": simulator.merged_into, **summary_of(simulator)}
         return of_all(infos, self.num_envs) | masked(
             {"final_obs": final_obs, "final_info": masked(final_info, ended)}, ended
         )
+
+    def state(self) -> NDArray[np.float32]:
+        """The privileged global state of every team, (B, …) float32, for centralised critics: a
+        row of it is what ``rendezvous_v0`` gives, in ``single_state_space``.
+        """
+        return team_state(self.simulator)
 
     def get_state(self) -> dict[str, NDArray[Any]]:
         """Everything that the future of the teams depends on, see ``Simulator``."""

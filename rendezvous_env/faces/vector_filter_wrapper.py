@@ -8,7 +8,7 @@ from typing import Any
 
 import gymnasium
 import numpy as np
-from gymnasium.spaces import Box, Space
+from gymnasium.spaces import Space
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
@@ -19,7 +19,7 @@ from ..guarantee.action_filter import ActionFilter
 from ..outcome import Outcome
 from .holding import check_period, restore
 from .infos import Info, Transition, masked, of_all, step_info, summary_of
-from .spaces import choice_box, filtered_observation_box
+from .spaces import as_told, choice_box, filtered_observation_box, team_box
 from .vector_env import RendezvousVectorEnv
 
 
@@ -67,10 +67,20 @@ class VectorFilterWrapper(gymnasium.vector.VectorWrapper):
         self.decision_period = check_period(decision_period)
         self._filter, self._memory = action_filter, memory
         n = env.scenario.n_robots
-        self.single_observation_space = team_box(filtered_observation_box(action_filter), n)
+        observed = filtered_observation_box(action_filter, env.flatten)
+        self.single_observation_space = team_box(observed, n)
         self.single_action_space = team_box(choice_box(action_filter), n)
         shape = (env.num_envs, n, *env.scenario.observation_layout.shape)
         self._observed = np.zeros(shape, dtype=np.float32)
+
+    @property
+    def autoreset_mode(self) -> AutoresetMode:
+        """When a team that has ended begins anew."""
+        return self.env.autoreset_mode
+
+    def state(self) -> NDArray[np.float32]:
+        """The privileged global state of every team, (B, …), as ``RendezvousVectorEnv.state``."""
+        return self.env.state()
 
     @cached_property
     def observation_space(self) -> Space[Any]:  # type: ignore[override]
@@ -89,12 +99,15 @@ class VectorFilterWrapper(gymnasium.vector.VectorWrapper):
         options: Mapping[str, Any] | None = None,
     ) -> tuple[NDArray[np.float32], Info]:
         """Begin anew, as ``RendezvousVectorEnv.reset``; teams that do forget what was."""
-        self._observed, infos = self.env.reset(seed=seed, options=options)
+        observations, infos = self.env.reset(seed=seed, options=options)
+        self._observed = observations.reshape(self._observed.shape)
         which = as_options(options).get("reset_mask")
         if which is not None:
             which = np.asarray(which)
         self._forget(which)
-        return self._see(which), infos
+        told = {key: values.copy() for key, values in self._filter.told.items()}
+        reset = np.ones(self.num_envs, dtype=np.bool_) if which is None else which
+        return self._see(which), infos | masked(told, reset)
 
     def step(self, actions: ArrayLike) -> Transition:
         """Hold the choices for ``decision_period`` base steps.
@@ -132,7 +145,7 @@ class VectorFilterWrapper(gymnasium.vector.VectorWrapper):
     def _drive(self) -> tuple[NDArray[np.float64], Info, Outcome]:
         """Base steps under the held choices: summed rewards, bare infos, the last outcome."""
         simulator = self.env.simulator
-        rewards, infos = np.zeros(self.num_envs), {}
+        rewards = np.zeros(self.num_envs)
         robot_rewards = np.zeros(self._observed.shape[:2])
         contact = np.zeros(self._observed.shape[:2], dtype=np.bool_)
         for _ in range(self.decision_period):
@@ -140,12 +153,12 @@ class VectorFilterWrapper(gymnasium.vector.VectorWrapper):
             outcome = simulator.step(self._act())
             self.env.renderer.see(outcome.contact)
             self._observed = outcome.observations
-            infos = step_info(simulator, outcome)
             if self._filter.keeps_ledger:
-                self._filter.book(outcome.contact, infos["merged_into"], resting)
+                self._filter.book(outcome.contact, simulator.merged_into, resting)
             rewards += outcome.rewards
-            robot_rewards += infos["robot_rewards"]
+            robot_rewards += outcome.robot_rewards
             contact |= outcome.contact
+        infos = step_info(simulator, outcome)
         infos |= {key: values.copy() for key, values in self._filter.told.items()}
         infos |= {"robot_rewards": robot_rewards, "contact": contact}
         return rewards, infos, outcome
@@ -155,7 +168,7 @@ class VectorFilterWrapper(gymnasium.vector.VectorWrapper):
         simulator = self.env.simulator
         simulator.restart(which, outcome)
         self._forget(which)
-        infos["merged_into"] = simulator.merged_into
+        infos |= {"merged_into": simulator.merged_into, **summary_of(simulator)}
         infos["contact"][which] = False
         for key, values in self._filter.told.items():
             infos[key][which] = values[which]
@@ -170,7 +183,7 @@ class VectorFilterWrapper(gymnasium.vector.VectorWrapper):
 
     def _see(self, which: NDArray[np.bool_] | None) -> NDArray[np.float32]:
         """What the policy sees, (B, n, ...); only teams of the mask, None is all, saw more."""
-        return self._filter.view(self._observed)
+        return as_told(self._filter.view(self._observed), self.env.flatten)
 
     def _forget(self, which: NDArray[np.bool_] | None) -> None:
         """These teams, None is all, begin anew."""
@@ -200,9 +213,3 @@ def _final(seen: NDArray[np.float32], ended: NDArray[np.bool_], infos: Info) -> 
         final_obs[team] = seen[team].copy()
     kept = {key: value.copy() for key, value in infos.items()}
     return {"final_obs": final_obs, "final_info": masked(kept, ended)}
-
-
-def team_box(robot: Box, n: int) -> Box:
-    """Space of a team of n robots that all have the same one."""
-    low, high = (np.broadcast_to(bound, (n, *robot.shape)) for bound in (robot.low, robot.high))
-    return Box(low, high, dtype=np.float32)

@@ -88,7 +88,7 @@ class Replay:
                 self.close(name, 0.0)
             elif ends[name]:
                 self.counts["merged"] += 1
-                self.close(name, value_of(self.model, new[infos[name]["merged_into"]]))
+                self.close(name, value_of(self.model, new[f"robot_{infos[name]['merged_into']}"]))
             elif cuts[name]:
                 self.counts["late"] += 1
                 self.close(name, value_of(self.model, new[name]))

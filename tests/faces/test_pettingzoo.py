@@ -56,12 +56,17 @@ def by_law(env, observations) -> dict[str, np.ndarray]:
     return {name: actions[env.possible_agents.index(name)] for name in env.agents}
 
 
+def merged(infos):
+    """Names of the robots that have become part of another."""
+    return [name for name, info in infos.items() if name != f"robot_{info['merged_into']}"]
+
+
 def until_a_merge(env, seed: int = 3):
     """Follow the law up to the first step in which somebody merges; what that step returned."""
     observations, _ = env.reset(seed=seed)
     while True:
         result = env.step(by_law(env, observations))
-        if any(info["merged_into"] for info in result[4].values()):
+        if merged(result[4]):
             return result
         observations = result[0]
 
@@ -281,7 +286,8 @@ def test_types_are_those_of_python(kind):
         assert type(terminations[name]) is bool and type(truncations[name]) is bool
         info = infos[name]
         assert type(info["contact"]) is bool and type(info["clearance"]) is float
-        assert info["merged_into"] is None and "summary" not in info
+        assert type(info["merged_into"]) is int and not merged(infos) and "summary" not in info
+        assert type(info["success"]) is bool and type(info["time"]) is float
 
 
 def test_nothing_shares_memory_between_robots_steps_and_the_state(kind):
@@ -309,19 +315,19 @@ def test_nothing_shares_memory_between_robots_steps_and_the_state(kind):
 def test_a_merged_robot_ends_once_and_is_gone(kind):
     env = make(kind)
     observations, rewards, terminations, truncations, infos = until_a_merge(env)
-    gone = [name for name, info in infos.items() if info["merged_into"]]
+    gone = merged(infos)
     assert gone and len(env.agents) == 5 - len(gone) and not set(gone) & set(env.agents)
     assert not any(truncations.values())
     for name, info in infos.items():
         assert terminations[name] == (name in gone)
         if name in gone:
-            survivor = info["merged_into"]
+            survivor = f"robot_{info['merged_into']}"
             assert survivor in env.agents
             assert env.possible_agents.index(survivor) < env.possible_agents.index(name)
             assert not observations[name][env.scenario.observation_layout.neighbours].any()
             assert rewards[name] == rewards[survivor]
     *tables, infos = env.step(by_law(env, observations))
-    alive = set(env.agents) | {n for n, info in infos.items() if info["merged_into"]}
+    alive = set(env.agents) | set(merged(infos))
     for table in (*tables, infos):
         assert set(table) == alive and not set(table) & set(gone)
 
@@ -331,7 +337,7 @@ def test_a_merged_robot_may_follow(kind):
     until_a_merge(removing)
     observations, rewards, terminations, truncations, infos = until_a_merge(env)
     np.testing.assert_array_equal(env.simulator.positions, removing.simulator.positions)
-    gone = [name for name, info in infos.items() if info["merged_into"]]
+    gone = merged(infos)
     assert gone and env.agents == env.possible_agents
     assert not any(terminations.values()) and not any(truncations.values())
     twin, actions = copy.deepcopy(env), by_law(env, observations)
@@ -347,7 +353,7 @@ def test_a_merged_robot_may_follow(kind):
         assert env.agents == env.possible_agents
         observations, _, terminations, _, infos = env.step(by_law(env, observations))
     assert all(terminations.values()) and len(terminations) == 5
-    assert infos["robot_4"]["merged_into"] == "robot_0"
+    assert infos["robot_4"]["merged_into"] == 0
 
 
 def test_the_summary_after_the_last_step(kind):
@@ -366,6 +372,7 @@ def test_the_summary_after_the_last_step(kind):
         assert summary["success"] is True and type(summary["contacts"]) is int
         assert summary["time"] == pytest.approx(steps * env.scenario.tau)
         assert summary["lyapunov"] == 0 and summary["path_length"] > 3
+        assert summary.items() <= info.items()
     assert total == pytest.approx(1 + 1 - 0.1 * steps / env.max_cycles)
 
 
@@ -464,7 +471,7 @@ def test_bad_actions_are_refused_name_the_robot_and_change_nothing(kind, name):
     spoil, error, message = BAD_ACTIONS[name]
     env = make(kind)
     _, _, _, _, infos = until_a_merge(env)
-    gone = next(who for who, info in infos.items() if info["merged_into"])
+    gone = merged(infos)[0]
     reference, before = copy.deepcopy(env), env.simulator.get_state()
     with pytest.raises(error, match=message.replace("GONE", gone)):
         env.step(spoil(act(env), gone))

@@ -121,7 +121,7 @@ def test_a_survivor_has_the_tanks_of_both(on_merge):
     env.reset(seed=0, options={"positions": [[0.0, 0.0], [0.22, 0.0], [6.0, 0.0]]})
     wishes = constant(env, (0.0, 0.0)) | {"robot_0": np.array([0.5, 0.0], np.float32)}  # along f
     *_, infos = env.step(wishes)
-    assert infos["robot_1"]["merged_into"] == "robot_0" and infos["robot_1"]["tank"] == 0.0
+    assert infos["robot_1"]["merged_into"] == 0 and infos["robot_1"]["tank"] == 0.0
     assert infos["robot_0"]["tank"] > 5.5 and 2.9 < infos["robot_2"]["tank"] < 3.5
     assert len(env.agents) == (2 if on_merge == "remove" else 3)
     *_, infos = env.step(constant(env, (0.0, 0.0)))

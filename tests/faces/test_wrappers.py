@@ -232,7 +232,7 @@ def test_a_robot_that_merges_on_the_way_ends_with_its_last_observation():
     observations, _, ends, cuts, infos = env.step(constant(env, (1.0, 0.0)))
     assert ends == {"robot_0": False, "robot_1": True, "robot_2": False}
     assert not any(cuts.values()) and env.agents == ["robot_0", "robot_2"]
-    assert infos["robot_1"]["merged_into"] == "robot_0"
+    assert infos["robot_1"]["merged_into"] == 0
     assert not observations["robot_1"].any() and observations["robot_0"].any()
     with pytest.raises(KeyError, match="robot_1 has merged into robot_0"):
         env.step({name: np.ones(2, np.float32) for name in ("robot_0", "robot_1", "robot_2")})

@@ -192,6 +192,28 @@ def test_robots_go_on_bit_by_bit_from_their_state(settings):
         other.set_state(state)
 
 
-def test_other_autoreset_modes_are_refused():
-    with pytest.raises(ValueError, match="must be SAME_STEP"):
-        PerceivingTeams(rv.make_vec(SCENARIO, 2), HEADING)
+def test_autoreset_modes_differ_only_after_an_end():
+    """What is shown at an end is the same; a masked reset leaves what the others are shown."""
+    modes = (AutoresetMode.SAME_STEP, AutoresetMode.NEXT_STEP, AutoresetMode.DISABLED)
+    same, following, held = (
+        PerceivingTeams(rv.make_vec(SCENARIO, TEAMS, autoreset_mode=mode), HEADING)
+        for mode in modes
+    )
+    for each in (same, following, held):
+        each.reset(seed=1)
+    for choices in tape(60):
+        shown, *_, ends, cuts, infos = same.step(choices)
+        over = ends | cuts
+        later, *_ = following.step(choices)
+        rested, *_ = held.step(choices)
+        if over.any():
+            break
+        np.testing.assert_array_equal(later, shown)
+    final = np.stack(infos["final_obs"][over].tolist())
+    np.testing.assert_array_equal(later[over], final)
+    np.testing.assert_array_equal(rested[over], final)
+    np.testing.assert_array_equal(following.step(choices)[0][over], shown[over])
+    one = np.arange(TEAMS) == 1
+    begun, _ = held.reset(options={"reset_mask": one})
+    np.testing.assert_array_equal(begun[one], shown[one])
+    np.testing.assert_array_equal(begun[~one], rested[~one])

@@ -1,0 +1,1 @@
+"""Teams to train in: for learners that know nothing of merging."""
