@@ -38,7 +38,7 @@ docs: .venv/installed
 .venv/installed: pyproject.toml constraints.txt
 	test -x $(BIN)/python || $(PYTHON) -m venv .venv
 	$(BIN)/pip install --quiet --constraint constraints.txt torch==2.13.0
-	$(BIN)/pip install --quiet --constraint constraints.txt --editable '.[train,render,analysis,docs,dev]'
+	$(BIN)/pip install --quiet --constraint constraints.txt --editable '.[train,render,analysis,export,docs,dev]'
 	touch $@
 
 .venv-floors/installed: pyproject.toml constraints.txt constraints-floors.txt

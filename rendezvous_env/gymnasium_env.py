@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 from gymnasium.vector import AutoresetMode
 
 from .experiment.checks import choice
+from .experiment.scenario import Scenario
 from .experiment.scenarios import ScenarioLike, resolve
 from .faces.one_team import RendezvousEnv
 from .faces.vector_env import RendezvousVectorEnv
@@ -66,3 +68,16 @@ def make_env(
     return RendezvousEnv(
         make_vec(scenario, 1, mode, None, max_cycles, render_mode, flatten, **overrides)
     )
+
+
+def env_from_plain(scenario: Mapping[str, Any], render_mode: str | None = None) -> RendezvousEnv:
+    """One team of a scenario in plain data, as specs of environments hold it.
+
+    Args:
+        scenario: what ``Scenario.to_plain`` gave.
+        render_mode: as ``make_vec``.
+
+    Raises:
+        ValueError: for an unknown key or an impossible value.
+    """
+    return make_env(Scenario.from_plain(scenario), render_mode=render_mode)

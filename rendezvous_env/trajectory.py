@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from . import trajectory_tables
+from . import trajectory_minari, trajectory_tables
 from .engine.memory import RENDEZVOUS, RUNNING
 from .experiment.checks import floats, refuse, shown
 from .experiment.scenario import Scenario
@@ -26,8 +26,7 @@ if TYPE_CHECKING:
 Policy = Callable[[NDArray[np.float32], NDArray[np.float64]], NDArray[Any]]
 ON_REQUEST = ("observations", "actions")
 """What a rollout keeps only if it is asked to: observations are by far the largest part."""
-_MUCH = 1e9
-"""Bytes from which a rollout says in advance what it would keep."""
+_MUCH = 1e9  # bytes from which a rollout says in advance what it would keep
 
 
 class Merge(NamedTuple):
@@ -123,9 +122,7 @@ class Trajectory:
 
     @property
     def largest_rise_between_merges(self) -> NDArray[np.float64]:
-        """Largest rise of V in the stretch of a step before any merge, (B,), m²/s; negative for a
-        team whose V fell in each of its steps.
-        """
+        """Largest rise of V in a step before any merge, (B,), m²/s; negative: V fell in each."""
         rises = self.lyapunov_before_merge - self.lyapunov[:-1]
         return np.max(rises, axis=0, where=self.running, initial=-np.inf)
 
@@ -136,6 +133,10 @@ class Trajectory:
     def to_xarray(self) -> xarray.Dataset:
         """Every array with named dimensions and units; see ``trajectory_tables.dataset``."""
         return trajectory_tables.dataset(vars(self))
+
+    def to_minari(self, name: str, **about: Any) -> Any:
+        """A data set for offline learners, on disk; see ``trajectory_minari.dataset``."""
+        return trajectory_minari.dataset(vars(self), name, **about)
 
 
 class Step(NamedTuple):
@@ -252,10 +253,10 @@ def _warn_of_size(simulator: Simulator, asked: tuple[str, ...]) -> None:
     requested = {"observations": 4 * n * layout.rows * d, "actions": 4 * n * scenario.action_size}
     a_step = simulator.num_envs * (numbers + sum(requested[name] for name in asked))
     if (size := a_step * (simulator.max_steps + 1)) > _MUCH:
+        advice = "take fewer teams or steps" + (", or record less" if asked else "")
         warnings.warn(
             f"this rollout may keep {size / 1e9:.1f} GB, {a_step / 1e6:.3g} MB a step for up to "
-            f"{simulator.max_steps} steps; take fewer teams or steps"
-            + (", or record less" if asked else ""),
+            f"{simulator.max_steps} steps; {advice}",
             stacklevel=3,
         )
 

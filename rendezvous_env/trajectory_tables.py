@@ -47,7 +47,7 @@ def dataset(trajectory: Mapping[str, Any]) -> xarray.Dataset:
     Raises:
         ImportError: if xarray is not installed, saying how to get it.
     """
-    library = _library("xarray", "to_xarray")
+    made_by = library("xarray", "to_xarray")
     scenario, times, arrays = trajectory["scenario"], trajectory["times"], _arrays(trajectory)
     coordinates: dict[str, Any] = {
         "time": ("time", times, {"units": "s"}),
@@ -60,7 +60,7 @@ def dataset(trajectory: Mapping[str, Any]) -> xarray.Dataset:
         dimensions, unit = DIMENSIONS[name]
         variables[name] = (dimensions, array, {"units": unit} if unit else {})
     attributes = {"scenario": json.dumps(scenario.to_plain())}
-    made: xarray.Dataset = library.Dataset(variables, coordinates, attributes)
+    made: xarray.Dataset = made_by.Dataset(variables, coordinates, attributes)
     return made
 
 
@@ -78,7 +78,7 @@ def dataframe(trajectory: Mapping[str, Any]) -> pandas.DataFrame:
     Raises:
         ImportError: if pandas is not installed, saying how to get it.
     """
-    library = _library("pandas", "to_dataframe")
+    made_by = library("pandas", "to_dataframe")
     arrays = _arrays(trajectory)
     positions, headings = arrays["positions"], arrays["headings"]
     shape = positions.shape[:3]
@@ -95,9 +95,9 @@ def dataframe(trajectory: Mapping[str, Any]) -> pandas.DataFrame:
         "contact": contact,
     }
     steps, envs, robots = (index.ravel() for index in np.indices(shape))
-    made: pandas.DataFrame = library.DataFrame(
+    made: pandas.DataFrame = made_by.DataFrame(
         {name: np.broadcast_to(column, shape).ravel() for name, column in columns.items()},
-        index=library.MultiIndex.from_arrays([envs, robots, steps], names=["env", "robot", "step"]),
+        index=made_by.MultiIndex.from_arrays([envs, robots, steps], names=["env", "robot", "step"]),
     )
     return made.sort_index()
 
@@ -108,8 +108,16 @@ def _arrays(trajectory: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
     return own | trajectory["recorded"]
 
 
-def _library(name: str, asked: str) -> Any:
-    """The library, imported when it is first used."""
+def library(name: str, asked: str) -> Any:
+    """A library of the extra ``analysis``, imported when it is first used.
+
+    Args:
+        name: of the library.
+        asked: the method that needs it.
+
+    Raises:
+        ImportError: if it is not installed, saying how to get it.
+    """
     try:
         return import_module(name)
     except ImportError as error:

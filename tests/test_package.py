@@ -23,7 +23,7 @@ PACKAGES = {"rendezvous_env": 0, "baselines": 1, "train": 2}
 HEAVY = {"torch", "stable_baselines3", "tensorboard"}
 LAZY = {
     "torch", "stable_baselines3", "matplotlib", "pygame", "shapely", "PIL", "tyro", "networkx",
-    "pandas", "xarray", "safetensors", "typeguard",
+    "pandas", "xarray", "safetensors", "typeguard", "minari", "onnx", "onnxruntime",
 }  # fmt: skip
 MODULES = sorted(
     path.relative_to(ROOT).with_suffix("").as_posix().replace("/", ".").removesuffix(".__init__")
@@ -34,6 +34,7 @@ FLAT = {
     "compilation": "compilation", "kernel_cache": "compilation",
     "simulator": "simulator", "team_readings": "simulator",
     "outcome": "simulator", "trajectory": "simulator", "trajectory_tables": "simulator",
+    "trajectory_minari": "simulator",
     "rendezvous_env": "front",
 }  # fmt: skip
 """Rooms of the files that lie in rendezvous_env itself; the others are faces. The front gives out
