@@ -64,6 +64,12 @@ class CertifiedHeadingPolicy:
 
     def __call__(self, observations: NDArray[Any], time: ArrayLike) -> NDArray[np.float32]:
         """Velocities (..., n, d); see ``Policy``."""
+        return self.after(self.scenario.tau, observations, time)
+
+    def after(
+        self, elapsed: float, observations: NDArray[Any], time: ArrayLike
+    ) -> NDArray[np.float32]:
+        """As a call, where the call before was so many seconds ago; see ``RealTimePolicy``."""
         scenario, layout = self.scenario, self.scenario.observation_layout
         f, seen = layout.net_bearing(observations), layout.split(observations)
         if self._previous.shape != f.shape:
@@ -75,7 +81,7 @@ class CertifiedHeadingPolicy:
             self._previous,
             min_alignment=self.min_alignment,
             dead_zone=scenario.dead_zone or 1.0,  # without a link f is 0 whatever it is
-            max_turn=self.max_turn_rate * scenario.tau,
+            max_turn=self.max_turn_rate * elapsed,
         )
         degree = layout.degree(observations)
         scale = step_scale(degree, scenario.merge_radius, scenario.tau)[..., np.newaxis]

@@ -40,6 +40,25 @@ class Policy(Protocol):
         ...
 
 
+class RealTimePolicy(Policy, Protocol):
+    """A policy whose memory runs in seconds, not in calls."""
+
+    def after(
+        self, elapsed: float, observations: NDArray[Any], time: ArrayLike
+    ) -> NDArray[np.float32]:
+        """Actions as a call gives them, where the call before was not τ ago.
+
+        Args:
+            elapsed: s since the call before, positive; of no account in the first one.
+            observations: as ``Policy``.
+            time: as ``Policy``.
+
+        Returns:
+            Actions, to be held for τ at most.
+        """
+        ...
+
+
 KINDS = {
     "law": "laws, most of them of the paper",
     "field": "laws of others",

@@ -38,11 +38,17 @@ class GuidedTeams:
         self.choices = np.zeros(steering.alignment.shape, dtype=np.int64)
         self._directions = guide.directions[self.choices]
 
+    def settle(self, share: float) -> None:
+        """Take note that the step before lasted so much of τ; who keeps no account need not."""
+
     def show(
-        self, observations: NDArray[np.float32], which: NDArray[np.bool_] | None = None
+        self,
+        observations: NDArray[np.float32],
+        which: NDArray[np.bool_] | None = None,
+        elapsed: NDArray[np.float64] | None = None,
     ) -> NDArray[np.float32]:
         """What the robots are shown before they choose; arguments as ``Perception.see``."""
-        return self.perception.see(observations, self.steering.headings, which)
+        return self.perception.see(observations, self.steering.headings, which, elapsed=elapsed)
 
     def choose(self, choices: ArrayLike) -> None:
         """Take choices (B, n), held until the next ones.
@@ -83,11 +89,21 @@ class GuidedTeams:
         unit = given / np.where(length > 0.0, length, 1.0)
         self._directions = np.where(length > 0.0, unit, ahead)
 
-    def act(self, observations: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Velocities (B, n, 2), m/s, for observations (B, n, rows, 2) in the local frames."""
+    def act(
+        self, observations: NDArray[np.float32], elapsed: float | None = None
+    ) -> NDArray[np.float32]:
+        """Velocities of the robots.
+
+        Args:
+            observations: (B, n, rows, 2), in the local frames.
+            elapsed: s since the velocities before, in which headings turned; None is τ.
+
+        Returns:
+            (B, n, 2), m/s.
+        """
         headings = self.steering.headings
         self.steering.hold(self.guide.aim_aside(observations, self._directions, headings))
-        return self.steering.act(observations)
+        return self.steering.act(observations, elapsed)
 
     def forget(self, which: NDArray[np.bool_] | None = None) -> None:
         """Forget headings and what was seen, of all teams or of those of a mask (B,)."""
@@ -108,8 +124,15 @@ class TankTeams(GuidedTeams):
     perception: TankPerception
     steering_memory = "tank"
 
+    def settle(self, share: float) -> None:
+        """As ``HeadedTank.settle``."""
+        self.steering.settle(share)
+
     def show(
-        self, observations: NDArray[np.float32], which: NDArray[np.bool_] | None = None
+        self,
+        observations: NDArray[np.float32],
+        which: NDArray[np.bool_] | None = None,
+        elapsed: NDArray[np.float64] | None = None,
     ) -> NDArray[np.float32]:
         """As ``GuidedTeams.show``."""
         tank = self.steering
@@ -119,6 +142,7 @@ class TankTeams(GuidedTeams):
             which,
             velocities=tank.velocities,
             levels=tank.normalised_levels,
+            elapsed=elapsed,
         )
 
     def choose(self, choices: ArrayLike) -> None:

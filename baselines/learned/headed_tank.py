@@ -37,6 +37,7 @@ class HeadedTank(EnergyTank):
         super().__init__(scenario, num_envs, frame="local", **arguments)
         self._headings = np.zeros((num_envs, scenario.n_robots, scenario.dim))
         self._velocities = np.zeros_like(self._headings)
+        self._booked = np.zeros(self._headings.shape[:2])
 
     @property
     def headings(self) -> NDArray[np.float64]:
@@ -55,6 +56,7 @@ class HeadedTank(EnergyTank):
     def _begin(self, which: Any) -> None:
         super()._begin(which)
         self._headings[which] = self._velocities[which] = 0.0
+        self._booked[which] = 0.0
 
     def hold(self, raw: ArrayLike) -> None:
         """Take headings (B, n, d), unit vectors in the robots' own frames.
@@ -64,8 +66,28 @@ class HeadedTank(EnergyTank):
         """
         self._headings[...] = check_numbers("headings", raw, self._headings.shape, "(B, n, d)")
 
-    def act(self, observations: NDArray[np.float32]) -> NDArray[np.float32]:
-        """As ``EnergyTank.act``; the step is booked at once."""
+    def settle(self, share: float) -> None:
+        """Correct what the last step booked: it lasted only a share of τ.
+
+        G is concave in time and 0 at first: in a share σ ≤ 1 of a step a robot has earned at least
+        σ G, which is what stays booked. A longer step is none that was meant; it books G.
+
+        Args:
+            share: σ, of the step before.
+        """
+        corrected = self._levels + (min(share, 1.0) - 1.0) * self._booked
+        self._levels[...] = np.maximum(corrected, 0.0)
+        self._booked[...] = 0.0
+
+    def act(
+        self, observations: NDArray[np.float32], elapsed: float | None = None
+    ) -> NDArray[np.float32]:
+        """As ``EnergyTank.act``; the step is booked at once, as one that lasts τ.
+
+        Args:
+            observations: as there.
+            elapsed: of no concern to headings that turn as they like.
+        """
         scenario, layout = self.scenario, self.scenario.observation_layout
         strength = np.linalg.norm(layout.net_bearing(observations), axis=-1)
         degree = layout.degree(observations)
@@ -73,6 +95,7 @@ class HeadedTank(EnergyTank):
         share = _WITHIN * np.minimum(law_speed / scenario.speed_limit, 1.0)
         super().hold(share[..., np.newaxis] * self._headings)
         actions = super().act(observations)
+        self._booked[...] = self._deposits
         self.book()
         self._velocities[...] = actions
         return actions

@@ -52,7 +52,7 @@ class LearnedPolicy:
         layout = settings.layout(rows.neighbour_slots, rows.obstacle_slots)
         self._chooser = Chooser(weights, settings, layout)
         self._leading: tuple[int, ...] | None = None
-        self._wait: NDArray[np.int64] = np.zeros(0, dtype=np.int64)
+        self._steps: NDArray[np.float64] = np.zeros(0)
 
     def __call__(self, observations: NDArray[Any], time: ArrayLike) -> NDArray[np.float32]:
         """Velocities (..., n, 2); see ``baselines.Policy``.
@@ -60,6 +60,12 @@ class LearnedPolicy:
         Raises:
             ValueError: for observations of another shape than the scenario's.
         """
+        return self.after(self.scenario.tau, observations, time)
+
+    def after(
+        self, elapsed: float, observations: NDArray[Any], time: ArrayLike
+    ) -> NDArray[np.float32]:
+        """As a call, where the call before was so many seconds ago; see ``RealTimePolicy``."""
         n, layout = self.scenario.n_robots, self.scenario.observation_layout
         rows = layout.shape
         seen = np.ascontiguousarray(layout.checked(observations), dtype=np.float32)
@@ -71,11 +77,14 @@ class LearnedPolicy:
         if seen.shape[:-3] != self._leading:
             self._begin(seen.shape[:-3])
         teams = seen.reshape(-1, n, *rows)
-        due = self._wait == 0
+        share = elapsed / self.scenario.tau
+        self._guided.settle(share)
+        self._steps += share
+        due = self._steps + 0.5 * share >= self.decision_period  # or sooner than the next call
         if due.any():
             self._decide(teams, due)
-        self._wait = np.where(due, self.decision_period, self._wait) - 1
-        actions = within_limits(self._guided.act(teams).astype(np.float64), self.scenario)
+        actions = self._guided.act(teams, elapsed).astype(np.float64)
+        actions = within_limits(actions, self.scenario)
         return actions.reshape(*seen.shape[:-2], 2)
 
     def reset(self, mask: NDArray[np.bool_] | None = None) -> None:
@@ -86,7 +95,7 @@ class LearnedPolicy:
             which = bools("mask", mask, self._leading, "teams").reshape(-1)
             self._guided.forget(which)
             self._hidden[which] = 0.0
-            self._wait[which] = 0
+            self._steps[which] = np.inf
 
     @property
     def levels(self) -> NDArray[np.float64] | None:
@@ -98,14 +107,17 @@ class LearnedPolicy:
     def _begin(self, leading: tuple[int, ...]) -> None:
         teams = math.prod(leading)
         self._guided = self.settings.make_teams(self.scenario, teams)
-        self._wait = np.zeros(teams, dtype=np.int64)
+        self._steps = np.full(teams, np.inf)
+        """Since the last choice, (B,), in units of τ; inf before the first."""
         remembered = (teams, self.scenario.n_robots, self.settings.units)
         self._hidden = np.zeros(remembered, dtype=np.float32)
         self._leading = leading
 
     def _decide(self, observations: NDArray[np.float32], due: NDArray[np.bool_]) -> None:
         """New choices for the teams that are due."""
-        shown = self._guided.show(observations, due)
+        steps = np.where(np.isinf(self._steps), self.decision_period, self._steps)
+        shown = self._guided.show(observations, due, steps * self.scenario.tau)
+        self._steps[due] = 0.0
         choices, alive = self._guided.choices.copy(), shown.any(axis=-1)
         choices[due] = 0
         hidden = self._hidden[alive]

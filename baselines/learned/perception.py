@@ -32,7 +32,7 @@ class Perception:
     Args:
         scenario: whose robots see.
         num_envs: B.
-        decision_time: s between two decisions of a team.
+        decision_time: s between two decisions of a team, where nothing else is said.
         obstacle_slots: M, at least the scenario's; further rows are absent. None is the scenario's.
 
     Raises:
@@ -56,9 +56,9 @@ class Perception:
                 f"{rows.obstacle_slots} or more"
             )
         self.layout = PerceptionLayout(rows.neighbour_slots, slots)
+        self._decision_time = float(decision_time)
         self._constants = Constants(
             neighbour_slots=rows.neighbour_slots,
-            decision_time=float(decision_time),
             merge_radius=float(scenario.merge_radius),
             duration=float(scenario.tau),
             speed_limit=float(scenario.speed_limit),
@@ -78,6 +78,7 @@ class Perception:
         headings: NDArray[np.float64],
         which: NDArray[np.bool_] | None = None,
         velocities: NDArray[np.float64] | None = None,
+        elapsed: NDArray[np.float64] | None = None,
     ) -> NDArray[np.float32]:
         """What the robots are shown; brings the memory up to date.
 
@@ -86,6 +87,7 @@ class Perception:
             headings: those carried, (B, n, 2), in the same frames; zero where there is none.
             which: (B,), whose memory moves on; the others are shown as zeros. None is all teams.
             velocities: of the robots, (B, n, 2), m/s; None is those of law (4).
+            elapsed: since the decision before, (B,), s; None is ``decision_time``.
 
         Returns:
             (B, n, layout.size); zeros for a robot without neighbours.
@@ -104,8 +106,15 @@ class Perception:
         size = self.layout._replace(tank_columns=0).size
         shown = np.zeros((*observations.shape[:2], size), dtype=np.float32)
         moving = headings, np.ascontiguousarray(velocities)
-        show(teams, observations, *moving, self._constants, self._memory, shown)
+        times = self._times(elapsed)
+        show(teams, times, observations, *moving, self._constants, self._memory, shown)
         return shown
+
+    def _times(self, elapsed: NDArray[np.float64] | None) -> NDArray[np.float64]:
+        """Since the decision before, (B,), s."""
+        if elapsed is None:
+            return np.full(len(self._memory.time), self._decision_time)
+        return check_numbers("elapsed", elapsed, self._memory.time.shape[:1], "(B,)")
 
     @property
     def _remembered(self) -> dict[str, NDArray[np.float64]]:

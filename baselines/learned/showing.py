@@ -33,14 +33,13 @@ class Memory(NamedTuple):
     averages: NDArray[np.float64]
     """(B, n, 4, 2), of the velocity over SHORT and LONG, of the direction of f over both."""
     time: NDArray[np.float64]
-    """(B, n), s since the first decision."""
+    """(B, n), s from the first decision to the last."""
 
 
 class Constants(NamedTuple):
     """What the kernels need to know of a scenario."""
 
     neighbour_slots: int
-    decision_time: float
     merge_radius: float
     duration: float
     speed_limit: float
@@ -61,8 +60,19 @@ def law_velocities(observations, headings, constants, velocities):
 
 
 @allocating_kernel
-def show(teams, observations, headings, velocities, constants, memory, shown):
-    """Fill the rows of ``shown`` (B, n, size) that belong to these teams."""
+def show(teams, elapsed, observations, headings, velocities, constants, memory, shown):
+    """Fill the rows of ``shown`` (B, n, size) that belong to these teams.
+
+    Args:
+        teams: indices of teams.
+        elapsed: (B,), s since the decision before.
+        observations: (B, n, rows, 2), in the robots' own frames.
+        headings: (B, n, 2), carried.
+        velocities: (B, n, 2), m/s.
+        constants: of the scenario.
+        memory: of the robots; brought up to date.
+        shown: filled in.
+    """
     K, M = constants.neighbour_slots, memory.edges.shape[2]
     intervals = np.empty((M, 2))
     for k in range(len(teams)):
@@ -80,13 +90,13 @@ def show(teams, observations, headings, velocities, constants, memory, shown):
                 first = K * NEIGHBOUR_COLUMNS + m * OBSTACLE_COLUMNS
                 edges, before = rows[K + 2 * m : K + 2 * m + 2], memory.edges[team, i, m]
                 _show_obstacle(
-                    edges, u, before, constants.decision_time, out[first : first + OBSTACLE_COLUMNS]
+                    edges, u, before, elapsed[team], out[first : first + OBSTACLE_COLUMNS]
                 )
             context = out[out.shape[0] - CONTEXT_COLUMNS :]
             context[0], context[1] = strength / degree, min(strength, 2.0)
             context[2] = 1.0 / count
             moving = headings[team, i], velocities[team, i]
-            _show_motion(team, i, u, moving, constants.decision_time, memory, context[3:16])
+            _show_motion(team, i, u, moving, elapsed[team], memory, context[3:16])
             silhouettes = rows[K : K + 2 * M].reshape((M, 2, 2))
             _show_joined(joined_interval_2d(u, silhouettes, intervals), context[16:])
 
@@ -141,7 +151,7 @@ def _show_obstacle(edges, u, before, time, out):
 
 
 @kernel
-def _show_motion(team, i, u, moving, decision_time, memory, out):
+def _show_motion(team, i, u, moving, elapsed, memory, out):
     """Write and remember what only time tells: own motion, turning of f, the carried heading."""
     heading, velocity = moving
     towards, averages = memory.towards[team, i], memory.averages[team, i]
@@ -150,17 +160,18 @@ def _show_motion(team, i, u, moving, decision_time, memory, out):
         for k in range(4):
             now = velocity[axis] if k < 2 else u[axis]
             before = averages[k, axis] if not first else (0.0 if k < 2 else now)
-            kept = math.exp(-decision_time / (SHORT if k % 2 == 0 else LONG))
+            kept = math.exp(-elapsed / (SHORT if k % 2 == 0 else LONG))
             averages[k, axis] = kept * before + (1.0 - kept) * now
+    if not first:
+        memory.time[team, i] += elapsed
     out[0] = memory.time[team, i] / 60.0
     out[1] = math.exp(-memory.time[team, i] / _FRESH)
     for k in range(4):
         _along(averages[k], u, out[2 + 2 * k : 4 + 2 * k])
     if not first:
-        out[10] = _turn_rate(towards, u, decision_time)
+        out[10] = _turn_rate(towards, u, elapsed)
     _along(heading, u, out[11:13])
     towards[0], towards[1] = u[0], u[1]
-    memory.time[team, i] += decision_time
 
 
 @kernel

@@ -50,7 +50,7 @@ class TankPerception(Perception):
     Args:
         scenario: whose robots see.
         num_envs: B.
-        decision_time: s between two decisions of a team.
+        decision_time: as in ``Perception``.
         obstacle_slots: as in ``Perception``.
         walls: whether to remember walls.
     """
@@ -69,7 +69,7 @@ class TankPerception(Perception):
         )
         columns = LEVEL_COLUMNS + (WALL_COLUMNS if walls else 0)
         self.layout = self.layout._replace(tank_columns=columns)
-        self._decision_time, self._scenario = float(decision_time), scenario
+        self._scenario = scenario
         self._walls: _Walls | None = None
         if walls:
             robots = num_envs, scenario.n_robots
@@ -84,6 +84,7 @@ class TankPerception(Perception):
         *,
         velocities: NDArray[np.float64],
         levels: NDArray[np.float64],
+        elapsed: NDArray[np.float64] | None = None,
     ) -> NDArray[np.float32]:
         """As ``Perception.see``.
 
@@ -93,8 +94,9 @@ class TankPerception(Perception):
             which: as there.
             velocities: of the robots, (B, n, 2), m/s.
             levels: A/(r D̄) of their tanks, (B, n).
+            elapsed: as there.
         """
-        base = self.see(observations, headings, which, velocities)
+        base = self.see(observations, headings, which, velocities, elapsed)
         alive = np.asarray(base.any(axis=-1))
         level = np.log1p(levels)
         more = [level]
@@ -104,7 +106,8 @@ class TankPerception(Perception):
             towards = np.where(strength > 0.0, f / np.where(strength > 0.0, strength, 1.0), 0.0)
             first = base.shape[-1] - self.layout._replace(tank_columns=0).context_columns
             blocked = np.asarray(base[..., first:][..., BLOCKED].any(axis=-1))
-            self._move_on(alive, blocked, level, towards, headings, velocities)
+            moving = headings, velocities
+            self._move_on(self._times(elapsed), alive, blocked, level, towards, *moving)
             more += self._tell(towards)
         columns = np.stack(more, axis=-1) * alive[..., np.newaxis]
         return np.concatenate([base, columns.astype(np.float32)], axis=-1)
@@ -116,6 +119,7 @@ class TankPerception(Perception):
 
     def _move_on(
         self,
+        elapsed: NDArray[np.float64],
         alive: NDArray[np.bool_],
         blocked: NDArray[np.bool_],
         level: NDArray[np.float64],
@@ -125,7 +129,7 @@ class TankPerception(Perception):
     ) -> None:
         """Bring the memory of the robots that are shown something up to date."""
         assert self._walls is not None
-        walls, time = self._walls, self._decision_time
+        walls, time = self._walls, elapsed[:, np.newaxis]
         clear = np.where(blocked, 0.0, walls.clear + time)
         stays = (walls.since > 0.0) & (clear <= _LEFT)
         meets = blocked & ~stays
@@ -134,7 +138,7 @@ class TankPerception(Perception):
         now = np.stack([velocities, towards], axis=-2)
         known = np.asarray(walls.towards.any(axis=-1))[..., np.newaxis, np.newaxis]
         begun = np.where(known, walls.averages, np.stack([0.0 * towards, towards], axis=-2))
-        kept = np.exp(-time / _LONG)
+        kept = np.exp(-elapsed / _LONG)[:, np.newaxis, np.newaxis, np.newaxis]
         values = _Walls(
             since=np.where(stays, walls.since + time, np.where(meets, time, 0.0)),
             clear=clear,

@@ -113,11 +113,15 @@ class Steering(ActionFilter):
         super()._begin(which)
         self._headings[which] = 0.0
 
-    def act(self, observations: NDArray[np.float32]) -> NDArray[np.float32]:
+    def act(
+        self, observations: NDArray[np.float32], elapsed: float | None = None
+    ) -> NDArray[np.float32]:
         """Actions for the base environment; sets ``alignment`` and ``lyapunov_rate``.
 
         Args:
             observations: (B, n, rows, d), in the robots' own frames.
+            elapsed: s since the actions before, in which a heading may have turned; None is τ.
+                Bodies turn for τ from now on, whatever it is.
 
         Returns:
             (B, n, a) float32; zero for robots that see no neighbour.
@@ -132,7 +136,10 @@ class Steering(ActionFilter):
             self._turn_bodies(observations, actions)
             return actions
 
-        fixed = (observations, self._constants, self._held, self._headings)
+        constants = self._constants
+        if elapsed is not None:
+            constants = constants._replace(max_turn=float(self._limits[0]) * elapsed)
+        fixed = (observations, constants, self._held, self._headings)
         given = (actions, self.alignment, self.lyapunov_rate)
         over_teams(lambda part: steer_headings(part, *fixed, *given), *self._batch)
         return actions
