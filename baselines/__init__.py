@@ -12,10 +12,13 @@ from . import (
     pursuit,
     tank_policies,
 )
-from .policy import Policy, make, names
+from .policy import Policy, RealTimePolicy, make, names
+from .robot_policy import RobotPolicy
 
 __all__ = [
     "Policy",
+    "RealTimePolicy",
+    "RobotPolicy",
     "field_laws",
     "laws",
     "learned",

@@ -114,7 +114,8 @@ class Perception:
         """Since the decision before, (B,), s."""
         if elapsed is None:
             return np.full(len(self._memory.time), self._decision_time)
-        return check_numbers("elapsed", elapsed, self._memory.time.shape[:1], "(B,)")
+        times = check_numbers("elapsed", elapsed, self._memory.time.shape[:1], "(B,)")
+        return np.ascontiguousarray(times, dtype=np.float64)
 
     @property
     def _remembered(self) -> dict[str, NDArray[np.float64]]:

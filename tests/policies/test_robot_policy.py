@@ -1,0 +1,244 @@
+"""One robot that ticks by itself: against the same robot in a batch, and in a team out of step."""
+
+import numpy as np
+import pytest
+from conftest import LAWS
+
+import baselines
+import rendezvous_env as rv
+from baselines import RobotPolicy
+from baselines.robot_sight import RobotSight
+from rendezvous_env.engine.memory import RENDEZVOUS, RUNNING
+from rendezvous_env.trajectory import run
+
+CLUTTER = rv.scenarios.get("clutter-12")
+ALL_ALONG = 500
+"""Steps that are enough of an episode."""
+
+
+def unit(*degrees):
+    angles = np.radians(degrees)
+    return np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+
+
+def measured(rows, layout, random):
+    """Arguments of ``act``: what a row of a batch shows, all of it shuffled."""
+    seen = layout.split(rows)
+    neighbours = seen.neighbours[seen.neighbours.any(axis=-1)]
+    obstacles = seen.obstacles[seen.obstacles.any(axis=(1, 2))].copy()
+    random.shuffle(neighbours)
+    random.shuffle(obstacles)
+    turned = random.random(len(obstacles)) < 0.5
+    obstacles[turned] = obstacles[turned, ::-1]
+    weights = np.linalg.norm(neighbours.astype(float), axis=-1)
+    return {
+        "bearings": neighbours / weights[:, None],
+        "obstacles": obstacles,
+        "weights": weights,
+    }
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "bearing-only",
+        "tangent",
+        "tangent-joined",
+        "tangent-joined-tuned",
+        "learned",
+        "learned-tank",
+    ],
+)
+def test_it_does_what_a_robot_of_a_batch_does(name):
+    """Bit for bit but for sums in another order."""
+    simulator, random = rv.Simulator(CLUTTER), np.random.default_rng(0)
+    robots = [RobotPolicy(CLUTTER, name) for _ in range(CLUTTER.n_robots)]
+    batch, moved = baselines.make(name, CLUTTER), 0
+    for count, step in enumerate(run(simulator, batch, simulator.reset(3))):
+        if count == ALL_ALONG:
+            break
+        for i, robot in enumerate(robots):
+            rows = step.observations[0, i]
+            action = robot.act(**measured(rows, CLUTTER.observation_layout, random), dt=CLUTTER.tau)
+            np.testing.assert_allclose(action, step.actions[0, i], atol=2e-6)
+            moved += np.hypot(*action) > 0.1
+    assert count > 100 and moved > 200
+
+
+@pytest.mark.parametrize("name", ["unicycle", "unicycle-cosine"])
+def test_a_unicycle_gets_its_turn_rate_too(name):
+    scenario = rv.scenarios.get("unicycle-6")
+    simulator, random = rv.Simulator(scenario), np.random.default_rng(0)
+    robot, batch = RobotPolicy(scenario, name), baselines.make(name, scenario)
+    for _, step in zip(range(100), run(simulator, batch, simulator.reset(1)), strict=False):
+        told = measured(step.observations[0, 2], scenario.observation_layout, random)
+        np.testing.assert_allclose(robot.act(**told), step.actions[0, 2], atol=2e-6)
+    assert robot.time == pytest.approx(99 * scenario.tau)
+
+
+@pytest.mark.parametrize("name", ["learned", "tangent-joined-tuned", "learned-tank"])
+def test_a_team_out_of_step_keeps_its_margin_and_meets(name):
+    """Every robot ticks when it likes, 10 to 50 ms after its last tick, and holds its velocity."""
+    field = rv.scenarios.get("clutter-8")
+    world = field.replace(time_step=0.01)
+    layout, random = world.observation_layout, np.random.default_rng(1)
+    robots = [RobotPolicy(field, name) for _ in range(field.n_robots)]
+    margin = getattr(robots[0].policy, "min_alignment", None)
+    simulator = rv.Simulator(world)
+    seen, now = simulator.reset(5), 0
+    due, last = np.zeros(field.n_robots, int), np.zeros(field.n_robots, int)
+    held, ticks = np.zeros((1, field.n_robots, 2), np.float32), 0
+    first = simulator.lyapunov()
+    while simulator.status[0] == RUNNING:
+        for i in np.flatnonzero(due <= now):
+            dt = 0.01 * (now - last[i]) if now else None
+            held[0, i] = robots[i].act(**measured(seen[0, i], layout, random), dt=dt)
+            last[i], due[i], ticks = now, now + random.integers(1, 6), ticks + 1
+            f, speed = layout.net_bearing(seen[0, i]), np.hypot(*held[0, i])
+            if margin and speed > 0 and np.hypot(*f) > 2 * field.dead_zone:
+                assert abs(f @ held[0, i]) >= (margin - 1e-4) * np.hypot(*f) * speed
+        seen, now = simulator.step(held).observations, now + 1
+    assert simulator.status[0] == RENDEZVOUS and ticks > 500
+    assert simulator.lyapunov()[0] < 1e-9 < first
+
+
+class TestTime:
+    def test_a_heading_turns_by_as_much_as_the_time_allows(self):
+        for dt in (0.02, 0.05):
+            robot = RobotPolicy(CLUTTER, "tangent-joined-certified", max_turn_rate=1.0)
+            before = robot.act(unit(0))
+            after = robot.act(unit(60), dt=dt)
+            turned = np.arctan2(after[1], after[0]) - np.arctan2(before[1], before[0])
+            assert turned == pytest.approx(dt, abs=1e-5)
+
+    def test_choices_come_by_the_clock(self, monkeypatch):
+        robot, random, made = RobotPolicy(CLUTTER), np.random.default_rng(0), []
+        decision_time = robot.policy.settings.decision_time
+        choose = robot.policy._chooser.choose
+        monkeypatch.setattr(
+            robot.policy._chooser,
+            "choose",
+            lambda *seen: (made.append(robot.time), choose(*seen))[1],
+        )
+        while robot.time < 20.0:
+            robot.act(unit(0, 40), dt=random.uniform(0.004, 0.05))
+        gaps = np.diff(made)
+        assert gaps.mean() == pytest.approx(decision_time, rel=0.03)
+        assert np.abs(gaps - decision_time).max() < 0.05
+
+    def test_the_network_is_shown_rates_not_differences(self):
+        """Edges that turn at 1 rad/s do so however often the robot looks."""
+        rates = []
+        for dt in (0.02, 0.05):
+            robot, shown = RobotPolicy(CLUTTER), []
+            see = robot.policy.settings.make_teams
+            robot.act(unit(0), [unit(40, 60)], dt=dt)
+            guided, time = robot.policy._guided, 0.0
+            show = guided.show
+
+            def watched(*seen, show=show, shown=shown):
+                shown.append(show(*seen))
+                return shown[-1]
+
+            guided.show = watched
+            while not shown:
+                time += dt
+                turn = np.degrees(time)
+                robot.act(unit(0), [unit(40 + turn, 60 + turn)], dt=dt)
+            obstacles = guided.perception.layout.split(shown[0][0, 0]).obstacles
+            rates.append(obstacles[obstacles.any(axis=-1)][0, 4:])
+            assert see is not None
+        np.testing.assert_allclose(rates, 1.0, atol=1e-4)
+
+    def test_reset_begins_anew(self):
+        robot = RobotPolicy(CLUTTER, "tangent-joined-certified", max_turn_rate=1.0)
+        fresh = robot.act(unit(50))
+        robot.act(unit(0), dt=1.0)
+        robot.reset()
+        np.testing.assert_array_equal(robot.act(unit(50)), fresh)
+        assert robot.time == 0.0
+
+    def test_a_step_cut_short_earns_in_proportion(self):
+        tank = RobotPolicy(CLUTTER, "learned-tank").policy
+        rows = np.zeros((1, CLUTTER.n_robots, *CLUTTER.observation_layout.shape), np.float32)
+        rows[0, 0, :2] = unit(0, 30)
+        tank(rows, 0.0)
+        steering = tank._guided.steering
+        full, begun = tank.levels[0, 0], steering.budget
+        steering.settle(0.25)
+        assert full != begun
+        assert tank.levels[0, 0] == pytest.approx(begun + 0.25 * (full - begun), rel=1e-12)
+        steering.settle(0.25)
+        assert tank.levels[0, 0] == pytest.approx(begun + 0.25 * (full - begun), rel=1e-12)
+
+
+class TestSight:
+    def test_the_counter_clockwise_edge_is_worked_out(self):
+        sight = RobotSight(CLUTTER.observation_layout)
+        for edges in (unit(170, -170), unit(-170, 170)):
+            rows = sight.rows(unit(0), [edges], None)
+            seen = CLUTTER.observation_layout.split(rows).obstacles
+            np.testing.assert_allclose(seen[seen.any(axis=(1, 2))][0], unit(-170, 170), atol=1e-6)
+
+    def test_obstacles_keep_their_slots(self):
+        layout = CLUTTER.observation_layout
+        sight = RobotSight(layout)
+        a, b, c = unit(40, 20), unit(80, 60), unit(-100, -120)
+        one = layout.split(sight.rows(unit(0), [a, b], None)).obstacles
+        two = layout.split(sight.rows(unit(0), [c, unit(83, 62), unit(44, 23)], None)).obstacles
+        place = [
+            int(np.flatnonzero((one == e.astype(np.float32)).all(axis=(1, 2)))[0]) for e in (a, b)
+        ]
+        np.testing.assert_allclose(two[place], [unit(44, 23), unit(83, 62)], atol=1e-6)
+        assert two.any(axis=(1, 2)).sum() == 3
+
+    def test_what_vanished_leaves_its_slot_to_nobody_at_once(self):
+        """An obstacle that comes into sight as another goes does not turn as fast as that."""
+        layout = CLUTTER.observation_layout
+        sight = RobotSight(layout)
+        one = layout.split(sight.rows(unit(0), [unit(40, 20)], None)).obstacles
+        two = layout.split(sight.rows(unit(0), [unit(-100, -120)], None)).obstacles
+        assert not (one.any(axis=(1, 2)) & two.any(axis=(1, 2))).any()
+
+    def test_nobody_in_sight_is_rest(self):
+        assert RobotPolicy(CLUTTER).act([], [unit(10, -10)]).tolist() == [0.0, 0.0]
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"bearings": [[1.0, 0.0], [0.6, 0.6]]}, r"bearings\[1\] is \[0\.6, 0\.6\]; .* a unit vector"),
+        ({"bearings": [[np.nan, 0.0]]}, r"bearings\[0\] is \[nan, 0\.0\]; .* a unit vector"),
+        ({"bearings": [1.0, 0.0]}, r"bearings have shape \(2,\); they must be \(…, 2\)"),
+        ({"bearings": unit(0, 1, 2, 3)}, "bearings are of 4 neighbours; .*room for 3.*neighbour_slots"),
+        ({"bearings": "east"}, "bearings is 'east'"),
+        ({"obstacles": [unit(0, 1)] * 13}, "obstacles are of 13 obstacles; .*room for 12.*obstacle_slots"),
+        ({"obstacles": [unit(0, 1) * 2]}, r"obstacles\[0, 0\] is \[2\.0, 0\.0\]; .* a unit vector"),
+        ({"obstacles": unit(0, 1)}, r"obstacles have shape \(2, 2\); they must be \(…, 2, 2\)"),
+        ({"dt": -0.1}, r"dt is -0\.1; it must be a positive"),
+        ({"dt": np.nan}, "dt is nan; it must be a positive"),
+        ({"weights": [1.0, 2.0]}, r"weights have shape \(2,\); they must be \(1,\)"),
+        ({"weights": [-1.0]}, r"weights\[0\] is -1\.0; it must be positive"),
+    ],
+)  # fmt: skip
+def test_bad_measurements_are_named_and_change_nothing(change, message):
+    robot, other = RobotPolicy(CLUTTER), RobotPolicy(CLUTTER)
+    good = {"bearings": unit(0), "obstacles": [unit(30, 10)], "dt": 0.05}
+    for each in (robot, other):
+        each.act(**good)
+    with pytest.raises(ValueError, match=message):
+        robot.act(**{**good, **change})
+    later = {"bearings": unit(3), "obstacles": [unit(35, 12)], "dt": 0.2}
+    np.testing.assert_array_equal(robot.act(**later), other.act(**later))
+    assert robot.time == other.time == pytest.approx(0.2)
+
+
+def test_what_it_cannot_steer_is_refused():
+    with pytest.raises(ValueError, match=r"3-D; a RobotPolicy steers"):
+        RobotPolicy("cloud-8", LAWS["single_integrator"])
+    with pytest.raises(ValueError, match=r"'tank-joined' is one of the rules under an energy tank"):
+        RobotPolicy(CLUTTER, "tank-joined")
+    with pytest.raises(ValueError, match="policy 'learnt' is unknown.*did you mean 'learned'"):
+        RobotPolicy(CLUTTER, "learnt")
+    with pytest.raises(ValueError, match="policy is 3; it must be a name, a Path"):
+        RobotPolicy(CLUTTER, 3)
