@@ -83,8 +83,8 @@ class LearnedPolicy:
         due = self._steps + 0.5 * share >= self.decision_period  # or sooner than the next call
         if due.any():
             self._decide(teams, due)
-        actions = self._guided.act(teams, elapsed).astype(np.float64)
-        actions = within_limits(actions, self.scenario)
+        velocities = self._guided.act(teams, elapsed).astype(np.float64)
+        actions = within_limits(velocities, self.scenario)
         return actions.reshape(*seen.shape[:-2], 2)
 
     def reset(self, mask: NDArray[np.bool_] | None = None) -> None:

@@ -40,14 +40,7 @@ def measured(rows, layout, random):
 
 @pytest.mark.parametrize(
     "name",
-    [
-        "bearing-only",
-        "tangent",
-        "tangent-joined",
-        "tangent-joined-tuned",
-        "learned",
-        "learned-tank",
-    ],
+    ["bearing-only", "tangent-joined", "tangent-joined-tuned", "learned", "learned-tank"],
 )
 def test_it_does_what_a_robot_of_a_batch_does(name):
     """Bit for bit but for sums in another order."""
@@ -114,12 +107,14 @@ class TestTime:
     def test_choices_come_by_the_clock(self, monkeypatch):
         robot, random, made = RobotPolicy(CLUTTER), np.random.default_rng(0), []
         decision_time = robot.policy.settings.decision_time
-        choose = robot.policy._chooser.choose
-        monkeypatch.setattr(
-            robot.policy._chooser,
-            "choose",
-            lambda *seen: (made.append(robot.time), choose(*seen))[1],
-        )
+        chooser = robot.policy._chooser
+        choose = chooser.choose
+
+        def watched(*seen):
+            made.append(robot.time)
+            return choose(*seen)
+
+        monkeypatch.setattr(chooser, "choose", watched)
         while robot.time < 20.0:
             robot.act(unit(0, 40), dt=random.uniform(0.004, 0.05))
         gaps = np.diff(made)
@@ -131,7 +126,6 @@ class TestTime:
         rates = []
         for dt in (0.02, 0.05):
             robot, shown = RobotPolicy(CLUTTER), []
-            see = robot.policy.settings.make_teams
             robot.act(unit(0), [unit(40, 60)], dt=dt)
             guided, time = robot.policy._guided, 0.0
             show = guided.show
@@ -147,7 +141,6 @@ class TestTime:
                 robot.act(unit(0), [unit(40 + turn, 60 + turn)], dt=dt)
             obstacles = guided.perception.layout.split(shown[0][0, 0]).obstacles
             rates.append(obstacles[obstacles.any(axis=-1)][0, 4:])
-            assert see is not None
         np.testing.assert_allclose(rates, 1.0, atol=1e-4)
 
     def test_reset_begins_anew(self):
@@ -186,9 +179,7 @@ class TestSight:
         a, b, c = unit(40, 20), unit(80, 60), unit(-100, -120)
         one = layout.split(sight.rows(unit(0), [a, b], None)).obstacles
         two = layout.split(sight.rows(unit(0), [c, unit(83, 62), unit(44, 23)], None)).obstacles
-        place = [
-            int(np.flatnonzero((one == e.astype(np.float32)).all(axis=(1, 2)))[0]) for e in (a, b)
-        ]
+        place = [np.argmin(np.abs(one - edges).sum(axis=(1, 2))) for edges in (a, b)]
         np.testing.assert_allclose(two[place], [unit(44, 23), unit(83, 62)], atol=1e-6)
         assert two.any(axis=(1, 2)).sum() == 3
 
@@ -207,13 +198,13 @@ class TestSight:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"bearings": [[1.0, 0.0], [0.6, 0.6]]}, r"bearings\[1\] is \[0\.6, 0\.6\]; .* a unit vector"),
-        ({"bearings": [[np.nan, 0.0]]}, r"bearings\[0\] is \[nan, 0\.0\]; .* a unit vector"),
+        ({"bearings": [[1.0, 0.0], [0.6, 0.6]]}, r"bearings\[1\] is \[0\.6, 0\.6\]; .* a unit vec"),
+        ({"bearings": [[np.nan, 0.0]]}, r"bearings\[0\] is \[nan, 0\.0\]; .* a unit vec"),
         ({"bearings": [1.0, 0.0]}, r"bearings have shape \(2,\); they must be \(…, 2\)"),
-        ({"bearings": unit(0, 1, 2, 3)}, "bearings are of 4 neighbours; .*room for 3.*neighbour_slots"),
+        ({"bearings": unit(0, 1, 2, 3)}, r"bearings are of 4 .*for 3.*neighbour_slots"),
         ({"bearings": "east"}, "bearings is 'east'"),
-        ({"obstacles": [unit(0, 1)] * 13}, "obstacles are of 13 obstacles; .*room for 12.*obstacle_slots"),
-        ({"obstacles": [unit(0, 1) * 2]}, r"obstacles\[0, 0\] is \[2\.0, 0\.0\]; .* a unit vector"),
+        ({"obstacles": [unit(0, 1)] * 13}, r"obstacles are of 13 .*for 12.*obstacle_slots"),
+        ({"obstacles": [unit(0, 1) * 2]}, r"obstacles\[0, 0\] is \[2\.0, 0\.0\]; .* a unit vec"),
         ({"obstacles": unit(0, 1)}, r"obstacles have shape \(2, 2\); they must be \(…, 2, 2\)"),
         ({"dt": -0.1}, r"dt is -0\.1; it must be a positive"),
         ({"dt": np.nan}, "dt is nan; it must be a positive"),
@@ -238,7 +229,7 @@ def test_what_it_cannot_steer_is_refused():
         RobotPolicy("cloud-8", LAWS["single_integrator"])
     with pytest.raises(ValueError, match=r"'tank-joined' is one of the rules under an energy tank"):
         RobotPolicy(CLUTTER, "tank-joined")
-    with pytest.raises(ValueError, match="policy 'learnt' is unknown.*did you mean 'learned'"):
+    with pytest.raises(ValueError, match=r"policy 'learnt' is unknown.*did you mean 'learned'"):
         RobotPolicy(CLUTTER, "learnt")
     with pytest.raises(ValueError, match="policy is 3; it must be a name, a Path"):
         RobotPolicy(CLUTTER, 3)
