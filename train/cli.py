@@ -22,6 +22,7 @@ COMMANDS = {
     "train": ("learning.train", "PPO learns headings that keep the guarantee; stop it, resume it"),
     "list": ("listing", "the scenarios or the policies, a line for each"),
     "report": ("report.build", "an HTML page of what compare found, with an interactive replay"),
+    "export": ("export", "a learned policy's network as an ONNX file, for robots"),
     "bench": ("benchmark.bench", "how fast the environments are on this machine"),
     "render": ("pictures.render", "one episode as a film (gif, mp4) or a figure (png, pdf)"),
     "reproduce": ("pictures.reproduce", "draw figure 3 or 4 of the paper for our start positions"),

@@ -1,5 +1,5 @@
 """Which policies a command can compare, by name: those of the registry and ``learned:PATH``, which
-is that of a run or a checkpoint.
+is that of a run, of a checkpoint or of an exported network.
 """
 
 from __future__ import annotations

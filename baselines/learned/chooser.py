@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from typing import Any
 
@@ -17,7 +18,29 @@ _AT_ONCE = 1024
 """Robots whose choices are computed together; the rows of more do not fit the processor's cache."""
 
 
-class Chooser:
+class Network(ABC):
+    """A network that prefers some choices to others."""
+
+    def choose(self, shown: Array, hidden: Array | None = None) -> NDArray[np.int64]:
+        """The likeliest choices (N,) of N robots.
+
+        Args:
+            shown: what they are shown, (N, layout.size).
+            hidden: what they remember, (N, units); it moves on in place. None is nothing.
+        """
+        choices = np.empty(len(shown), dtype=np.int64)
+        for first in range(0, len(shown), _AT_ONCE):
+            some = slice(first, first + _AT_ONCE)
+            known = None if hidden is None else hidden[some]
+            choices[some] = self.preferences(shown[some], known).argmax(axis=-1)
+        return choices
+
+    @abstractmethod
+    def preferences(self, shown: Array, hidden: Array | None = None) -> Array:
+        """Logarithms of the choices' chances up to a constant, (N, choices); as ``choose``."""
+
+
+class Chooser(Network):
     """A network's likeliest choices, as ``networks.HeadingNetwork`` has them.
 
     Args:
@@ -50,22 +73,8 @@ class Chooser:
         last = sizes[-1], len(settings.angles)
         self._action = linear_layer(weights, "action_net.weight", "action_net.bias", *last)
 
-    def choose(self, shown: Array, hidden: Array | None = None) -> NDArray[np.int64]:
-        """The likeliest choices (N,) of N robots.
-
-        Args:
-            shown: what they are shown, (N, layout.size).
-            hidden: what they remember, (N, units); it moves on in place. None is nothing.
-        """
-        choices = np.empty(len(shown), dtype=np.int64)
-        for first in range(0, len(shown), _AT_ONCE):
-            some = slice(first, first + _AT_ONCE)
-            known = None if hidden is None else hidden[some]
-            choices[some] = self.preferences(shown[some], known).argmax(axis=-1)
-        return choices
-
     def preferences(self, shown: Array, hidden: Array | None = None) -> Array:
-        """Logarithms of the choices' chances up to a constant, (N, choices); as ``choose``."""
+        """As ``Network.preferences``."""
         seen = self._layout.split(shown)
         sets = zip(self._sets, (seen.neighbours, seen.obstacles), strict=True)
         pooled = [part for layers, rows in sets for part in _pooled(layers, rows)]

@@ -16,8 +16,9 @@ from rendezvous_env.experiment.scenario import Scenario
 from ..policy import within_limits
 from . import checkpoints
 from .checkpoints import CheckpointError
-from .chooser import Chooser
+from .chooser import Chooser, Network
 from .guided import TankTeams
+from .onnx_network import SUFFIX, OnnxNetwork
 from .policy_settings import PolicySettings
 from .robots import check_readable
 
@@ -34,7 +35,7 @@ class LearnedPolicy:
 
     Args:
         scenario: whose robots it steers.
-        weights: of the network, by name, as a checkpoint has them.
+        weights: of the network, by name, as a checkpoint has them; or a network.
         settings: of the network and of the guarantee.
 
     Raises:
@@ -42,15 +43,19 @@ class LearnedPolicy:
     """
 
     def __init__(
-        self, scenario: Scenario, weights: Mapping[str, NDArray[Any]], settings: PolicySettings
+        self,
+        scenario: Scenario,
+        weights: Mapping[str, NDArray[Any]] | Network,
+        settings: PolicySettings,
     ) -> None:
         check_readable(scenario)
         self.scenario, self.settings = scenario, settings
         self.min_alignment = settings.promised_margin
         self.decision_period = settings.decision_period(scenario)
-        rows = scenario.observation_layout
-        layout = settings.layout(rows.neighbour_slots, rows.obstacle_slots)
-        self._chooser = Chooser(weights, settings, layout)
+        if isinstance(weights, Network):
+            self._chooser = weights
+        else:
+            self._chooser = Chooser(weights, settings, settings.layout_of(scenario))
         self._leading: tuple[int, ...] | None = None
         self._steps: NDArray[np.float64] = np.zeros(0)
 
@@ -128,13 +133,18 @@ class LearnedPolicy:
 
 
 def load(path: Path, scenario: Scenario) -> LearnedPolicy:
-    """The policy of a checkpoint, of the newest one of a run, or of a shipped folder.
+    """The policy of a checkpoint, of the newest one of a run, of a shipped folder, or of an ONNX
+    file that ``rendezvous export`` wrote.
 
     Raises:
         CheckpointError: if it cannot be read or does not belong to this version, naming the file.
         ValueError: for robots that it cannot steer.
     """
     check_readable(scenario)
+    if path.suffix == SUFFIX:
+        network = OnnxNetwork(path)
+        network.fit(network.settings.layout_of(scenario))
+        return LearnedPolicy(scenario, network, network.settings)
     place = checkpoints.find(path)
     about, tables = checkpoints.read(place, ["network"])
     try:

@@ -131,6 +131,11 @@ class PolicySettings:
             columns = LEVEL_COLUMNS + (WALL_COLUMNS if self._walls else 0)
         return PerceptionLayout(neighbour_slots, obstacle_slots, columns)
 
+    def layout_of(self, scenario: Scenario) -> PerceptionLayout:
+        """What the network is shown in a scenario."""
+        rows = scenario.observation_layout
+        return self.layout(rows.neighbour_slots, rows.obstacle_slots)
+
     def make_guide(self, scenario: Scenario) -> Guide:
         """What turns its choices into headings."""
         return Guide(

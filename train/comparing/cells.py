@@ -49,13 +49,15 @@ def plan_of(jobs: Sequence[Job], config: Config) -> dict[str, Any]:
 
 
 def _weights(policy: str) -> str | None:
-    """Digest of a learned policy's checkpoint, or of the file in which a scripted one is made.
+    """Digest of a learned policy's checkpoint, or of the file that holds a policy: an exported
+    network, or the source of a scripted one.
 
     None for one that was typed in and stands in no file.
     """
-    if (run := policies.learned_path(policy)) is not None:
-        return str(checkpoints.describe(checkpoints.find(run))["sha256"])
-    path = source_file(policy)
+    learned = policies.learned_path(policy)
+    if learned is not None and not learned.is_file():
+        return str(checkpoints.describe(checkpoints.find(learned))["sha256"])
+    path = learned or source_file(policy)
     return None if path is None else hashlib.sha256(path.read_bytes()).hexdigest()
 
 

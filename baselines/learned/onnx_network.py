@@ -1,0 +1,83 @@
+"""A trained network as an ONNX file, run by onnxruntime: what ``rendezvous export`` writes."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .checkpoints import CheckpointError
+from .chooser import Network
+from .linear_layers import Array
+from .perception_layout import PerceptionLayout
+from .policy_settings import PolicySettings
+
+SUFFIX = ".onnx"
+SETTINGS_KEY = "rendezvous_policy"
+"""Of the model's metadata: the policy's settings as JSON."""
+
+
+class OnnxNetwork(Network):
+    """A network that onnxruntime runs; its numbers of slots are whatever it is shown.
+
+    Args:
+        path: of a file that ``rendezvous export`` wrote.
+
+    Raises:
+        CheckpointError: if it cannot be read or does not belong to this version, naming the file.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._session = _session(path)
+        found = self._session.get_modelmeta().custom_metadata_map.get(SETTINGS_KEY)
+        if found is None:
+            raise CheckpointError(
+                f"{path}: its metadata has no {SETTINGS_KEY!r}; `rendezvous export` writes it"
+            )
+        try:
+            self.settings = PolicySettings.from_plain(json.loads(found))
+        except (TypeError, ValueError) as error:
+            raise CheckpointError(f"{path}: is no policy of this version: {error}") from error
+        self._layout = self.settings.layout(0, 0)
+
+    def fit(self, layout: PerceptionLayout) -> None:
+        """Read tables of this layout from now on."""
+        self._layout = layout
+
+    def preferences(self, shown: Array, hidden: Array | None = None) -> Array:
+        """As ``Network.preferences``."""
+        given = self._layout.split(shown)._asdict()
+        if not self.settings.units:
+            return self._run(["preferences"], given)[0]
+        if hidden is None:
+            hidden = np.zeros((len(shown), self.settings.units), dtype=np.float32)
+        preferences, hidden[...] = self._run(["preferences", "hidden_next"], given, hidden=hidden)
+        return preferences
+
+    def _run(self, names: list[str], given: dict[str, Any], **more: Array) -> list[NDArray[Any]]:
+        rows = {name: np.ascontiguousarray(array) for name, array in (given | more).items()}
+        found: list[NDArray[Any]] = self._session.run(names, rows)
+        return found
+
+
+def _session(path: Path) -> Any:
+    """A session of onnxruntime on one thread: small networks only lose by more."""
+    try:
+        import onnxruntime
+    except ImportError as error:
+        raise CheckpointError(
+            f"{path}: needs onnxruntime: pip install 'rendezvous-env[export]'"
+        ) from error
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise CheckpointError(f"{path}: cannot be read: {error.strerror}") from error
+    try:
+        return onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
+    except Exception as error:  # onnxruntime's own, which share no other base
+        raise CheckpointError(f"{path}: is no ONNX model: {error}") from error

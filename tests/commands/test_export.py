@@ -1,0 +1,214 @@
+"""``rendezvous export``: the file does what the policy does, for any number of rows."""
+
+import json
+import sys
+
+import numpy as np
+import onnx
+import onnxruntime
+import pytest
+
+import baselines
+import rendezvous_env as rv
+from baselines import RobotPolicy
+from baselines.learned import checkpoints, shipped
+from baselines.learned.chooser import Chooser
+from baselines.learned.learned_policy import load
+from baselines.learned.onnx_network import SETTINGS_KEY, OnnxNetwork
+from baselines.learned.perception_layout import NEIGHBOUR_COLUMNS, OBSTACLE_COLUMNS
+from baselines.learned.policy_settings import PolicySettings
+from train import cli, export, onnx_graph, policies
+from train.comparing import cells
+
+CLUTTER = rv.scenarios.get("clutter-12")
+RECURRENT = PolicySettings(
+    set_width=8,
+    hidden=(16,),
+    clearance=0.1,
+    persistence=0.5,
+    min_alignment=0.1,
+    max_turn_rate=3.0,
+    decision_time=0.2,
+    guarantee="tank",
+    memory="recurrent",
+    memory_units=5,
+)
+
+
+@pytest.fixture(scope="module")
+def exported(tmp_path_factory):
+    """The shipped policies as files."""
+    folder = tmp_path_factory.mktemp("exported")
+    for name in shipped.NAMES:
+        words = ["export", "--policy", name, "--out", str(folder / f"{name}.onnx")]
+        assert cli.main([*words, "--checks", "2000"]) == 0
+    return folder
+
+
+def shipped_network(name):
+    about, tables = checkpoints.read(shipped.folder(name), ["network"])
+    return tables["network"], PolicySettings.from_plain(about["policy"])
+
+
+def drawn_weights(settings):
+    """Of the actor's arrays, by name."""
+    width, units, random = settings.set_width, settings.units, np.random.default_rng(4)
+    features = 4 * width + settings.layout(0, 0).context_columns
+    shapes = {"memory.weight_ih": (3 * units, features), "memory.weight_hh": (3 * units, units)}
+    shapes |= {"memory.bias_ih": (3 * units,), "memory.bias_hh": (3 * units,)}
+    nets = {"neighbour_net": NEIGHBOUR_COLUMNS, "obstacle_net": OBSTACLE_COLUMNS}
+    layers = [(f"features_extractor.{name}.0", inputs, width) for name, inputs in nets.items()]
+    layers += [(f"features_extractor.{name}.2", width, width) for name in nets]
+    layers += [("mlp_extractor.policy_net.0", units + features, settings.hidden[0])]
+    layers += [("action_net", settings.hidden[0], len(settings.angles))]
+    for name, inputs, outputs in layers:
+        shapes |= {f"{name}.weight": (outputs, inputs), f"{name}.bias": (outputs,)}
+    return {name: 0.5 * random.normal(size=shape) for name, shape in shapes.items()}
+
+
+class TestNetwork:
+    @pytest.mark.parametrize("name", shipped.NAMES)
+    def test_the_runtime_alone_finds_the_choices_of_ten_thousand_inputs(self, exported, name):
+        """With no line of ours between: inputs by name, and an argmax."""
+        session = onnxruntime.InferenceSession(exported / f"{name}.onnx")
+        weights, settings = shipped_network(name)
+        random, choices = np.random.default_rng(1), set()
+        for robots, slots in ((1, (3, 12)), (7999, (3, 12)), (1500, (31, 24)), (500, (1, 0))):
+            layout = settings.layout(*slots)
+            shown = export.drawn_tables(layout, robots, random)
+            wanted = Chooser(weights, settings, layout).preferences(shown)
+            (found,) = session.run(["preferences"], layout.split(shown)._asdict())
+            np.testing.assert_allclose(found, wanted, atol=2e-5 * np.abs(wanted).max())
+            best = np.sort(wanted, axis=-1)
+            sure = best[:, -1] - best[:, -2] > 1e-3
+            assert (found.argmax(-1) == wanted.argmax(-1))[sure].all() and sure.mean() > 0.9
+            choices |= set(wanted.argmax(-1).tolist())
+        assert len(choices) > 4
+
+    def test_rows_may_come_in_any_order_and_number(self, exported):
+        session = onnxruntime.InferenceSession(exported / "learned.onnx")
+        _, settings = shipped_network("learned")
+        layout, random = settings.layout(3, 12), np.random.default_rng(2)
+        seen = layout.split(export.drawn_tables(layout, 4, random))._asdict()
+        (whole,) = session.run(None, seen)
+        order = random.permutation(12)
+        (mixed,) = session.run(None, seen | {"obstacles": seen["obstacles"][:, order]})
+        np.testing.assert_allclose(mixed, whole, rtol=1e-4, atol=1e-5)
+        more = np.concatenate([seen["neighbours"], np.zeros((4, 9, 3), np.float32)], axis=1)
+        (wide,) = session.run(None, seen | {"neighbours": more})
+        np.testing.assert_allclose(wide, whole, rtol=1e-4, atol=1e-5)
+
+    def test_what_is_remembered_goes_in_and_comes_out(self, tmp_path):
+        weights, random = drawn_weights(RECURRENT), np.random.default_rng(3)
+        path, layout = tmp_path / "recurrent.onnx", RECURRENT.layout(3, 12)
+        onnx.save(onnx_graph.model_of(weights, RECURRENT), path)
+        written, ours = OnnxNetwork(path), Chooser(weights, RECURRENT, layout)
+        written.fit(layout)
+        hidden = np.zeros((2, 50, RECURRENT.units), dtype=np.float32)
+        for _ in range(5):
+            shown = export.drawn_tables(layout, 50, random)
+            wanted, found = (
+                ours.preferences(shown, hidden[0]),
+                written.preferences(shown, hidden[1]),
+            )
+            np.testing.assert_allclose(found, wanted, rtol=1e-4, atol=1e-4)
+            np.testing.assert_allclose(hidden[1], hidden[0], atol=1e-5)
+        assert np.abs(hidden[0]).max() > 0.3
+
+    def test_the_metadata_says_what_it_is(self, exported):
+        found = onnx.load(exported / "learned-tank.onnx")
+        about = {entry.key: json.loads(entry.value) for entry in found.metadata_props}
+        _, settings = shipped_network("learned-tank")
+        assert PolicySettings.from_plain(about[SETTINGS_KEY]) == settings
+        assert about["angles"] == settings.angles.tolist()
+
+
+class TestPolicy:
+    @pytest.mark.parametrize("name", ["learned", "learned-tank"])
+    def test_a_team_moves_as_with_the_policy_itself(self, exported, name):
+        path = f"learned:{exported / name}.onnx"
+        short = CLUTTER.replace(time_limit=10.0)
+        own = rv.rollout(short, baselines.make(name, short), seed=4, num_envs=3)
+        other = rv.rollout(short, policies.make(path, short), seed=4, num_envs=3)
+        np.testing.assert_allclose(other.positions, own.positions, atol=1e-4)
+
+    def test_a_robot_runs_the_file(self, exported):
+        robot = RobotPolicy(CLUTTER, exported / "learned.onnx")
+        own, seen = RobotPolicy(CLUTTER), [[1.0, 0.0], [0.0, 1.0]]
+        edges = [[[0.8, 0.6], [0.6, 0.8]]]
+        for dt in (None, 0.03, 0.21):
+            np.testing.assert_allclose(
+                robot.act(seen, edges, dt=dt), own.act(seen, edges, dt=dt), atol=1e-6
+            )
+
+    def test_a_comparison_knows_the_file_by_its_content(self, exported, tmp_path):
+        copy = tmp_path / "copy.onnx"
+        copy.write_bytes((exported / "learned.onnx").read_bytes())
+        one, two = cells._weights(f"learned:{exported / 'learned.onnx'}"), f"learned:{copy}"
+        assert cells._weights(two) == one
+        copy.write_bytes((exported / "learned-tank.onnx").read_bytes())
+        assert cells._weights(two) != one
+
+
+class TestErrors:
+    @pytest.mark.parametrize(
+        ("words", "message"),
+        [
+            (["--policy", "tangent"], "--policy tangent: is scripted and has no network"),
+            (["--policy", "learnt"], "policy 'learnt' is unknown; did you mean 'learned'?"),
+            (["--policy", "learned:nowhere"], "nowhere: no such folder"),
+            (["--out", "policy.pt"], "--out policy.pt: unknown ending; it must be .onnx"),
+            (["--checks", "0"], "--checks is 0; it must be from 1 to 10000000"),
+        ],
+    )
+    def test_they_are_one_line(self, words, message, capsys, tmp_path, monkeypatch):
+        monkeypatch.chdir(tmp_path)
+        assert cli.main(["export", *words]) == 2
+        assert message in capsys.readouterr().err
+        assert not list(tmp_path.iterdir())
+
+    def test_an_extra_that_is_missing_is_named(self, monkeypatch, capsys):
+        monkeypatch.setattr(export.importlib.util, "find_spec", lambda name: None)
+        assert cli.main(["export"]) == 2
+        assert "export needs onnx; pip install 'rendezvous-env[export]'" in capsys.readouterr().err
+
+    def test_a_file_that_errs_does_not_take_its_place(self, monkeypatch, capsys, tmp_path):
+        path, made = tmp_path / "policy.onnx", onnx_graph.model_of
+        path.write_bytes(b"before")
+
+        def wrong(weights, settings):
+            bias = weights["action_net.bias"] + np.arange(len(settings.angles))
+            return made({**weights, "action_net.bias": bias}, settings)
+
+        monkeypatch.setattr(onnx_graph, "model_of", wrong)
+        assert cli.main(["export", "--out", str(path), "--checks", "10"]) == 2
+        assert "the file differs from the policy by" in capsys.readouterr().err
+        assert path.read_bytes() == b"before" and len(list(tmp_path.iterdir())) == 1
+
+    def test_files_that_are_no_policy_are_named(self, exported, tmp_path):
+        path = tmp_path / "x.onnx"
+        with pytest.raises(checkpoints.CheckpointError, match=r"x\.onnx: cannot be read"):
+            load(path, CLUTTER)
+        path.write_bytes(b"nothing of the kind")
+        with pytest.raises(checkpoints.CheckpointError, match=r"x\.onnx: is no ONNX model"):
+            load(path, CLUTTER)
+        model = onnx.load(exported / "learned.onnx")
+        place = [entry.key for entry in model.metadata_props].index(SETTINGS_KEY)
+        plain = json.loads(model.metadata_props[place].value)
+        model.metadata_props[place].value = json.dumps(plain | {"perception": 1})
+        onnx.save(model, path)
+        with pytest.raises(checkpoints.CheckpointError, match=r"x\.onnx: .*perception is 1"):
+            load(path, CLUTTER)
+        del model.metadata_props[place]
+        onnx.save(model, path)
+        with pytest.raises(
+            checkpoints.CheckpointError, match=r"metadata has no 'rendezvous_policy'"
+        ):
+            load(path, CLUTTER)
+
+    def test_the_runtime_that_is_missing_is_named(self, exported, monkeypatch):
+        monkeypatch.setitem(sys.modules, "onnxruntime", None)
+        with pytest.raises(
+            checkpoints.CheckpointError, match=r"needs onnxruntime: pip .*\[export\]"
+        ):
+            load(exported / "learned.onnx", CLUTTER)
