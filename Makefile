@@ -46,7 +46,7 @@ docs: .venv/installed
 	.venv-floors/bin/pip install --quiet --constraint constraints.txt torch==2.13.0
 	grep -v --regexp='^gymnasium==' --regexp='^pettingzoo==' constraints.txt > .venv-floors/constraints.txt
 	.venv-floors/bin/pip install --quiet --constraint .venv-floors/constraints.txt \
-		--requirement constraints-floors.txt --editable '.[train,render,dev]'
+		--requirement constraints-floors.txt --editable '.[train,render,analysis,dev]'
 	touch $@
 
 clean:

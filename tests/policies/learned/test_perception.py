@@ -193,3 +193,26 @@ def test_further_obstacle_slots_are_absent():
 def test_robots_that_cannot_be_steered(name):
     with pytest.raises(ValueError, match="learned policies steer single_integrator robots in 2-D"):
         Perception(scenarios.get(name), 1, decision_time=0.2)
+
+
+def test_memory_runs_in_seconds_not_in_decisions():
+    """Two seconds of the same motion leave the same memory, however they are cut."""
+    told, velocities = [], np.zeros((1, 3, 2))
+    for cuts in ([0.5] * 4, [0.1, 0.7, 0.04, 1.16], [2.0]):
+        perception = Perception(PAIR, 1, decision_time=0.2)
+        headings, observations = np.zeros((1, 3, 2)), one({0: unit(90)})
+        perception.see(observations, headings, velocities=velocities)
+        for time in cuts:
+            shown = perception.see(
+                observations,
+                headings,
+                velocities=velocities + np.array([0.0, 0.5]),
+                elapsed=np.array([time]),
+            )
+        told.append(shown[0, 0])
+    np.testing.assert_allclose(told[1:], [told[0], told[0]], atol=1e-6)
+    context = perception.layout.split(told[0]).context
+    short = 0.5 * (1 - np.exp(-2.0))  # forward, along f
+    np.testing.assert_allclose(context[3:7], [2 / 60, np.exp(-2 / 8), short, 0.0], atol=1e-6)
+    with pytest.raises(ValueError, match=r"elapsed have shape \(2,\); they must be \(B,\)"):
+        perception.see(one({0: unit(90)}), headings, elapsed=np.ones(2))

@@ -103,3 +103,25 @@ def test_memory_is_kept_put_back_and_forgotten():
     np.testing.assert_array_equal(see(perception, look(0, 20, -20), level=2.0), fresh)
     with pytest.raises(ValueError, match="wall_since must be an array of shape"):
         other.set_state({**state, "wall_since": np.zeros(3)})
+
+
+def test_the_wall_is_remembered_in_seconds_not_in_decisions():
+    """Five seconds along the same wall, however they are cut."""
+    told, headings, moving = [], NOTHING.copy(), NOTHING.copy()
+    headings[0, 0], moving[0, 0] = unit(60), 0.5 * unit(60)
+    levels = np.array([[2.0, 0.0]])
+    for cuts in ([1.25] * 4, [0.3, 3.1, 0.05, 1.55], [5.0]):
+        perception = TankPerception(PAIR, 1, decision_time=TIME, walls=True)
+        seen = {"levels": levels, "velocities": NOTHING}
+        shown = perception.see_tank(look(0, 30, -30), headings, **seen)
+        for time in cuts:
+            shown = perception.see_tank(
+                look(0, 30, -30),
+                headings,
+                levels=levels,
+                velocities=moving,
+                elapsed=np.array([time]),
+            )
+        told.append(shown[0, 0, -perception.layout.tank_columns :])
+    np.testing.assert_allclose(told[1:], [told[0]] * 2, atol=1e-6)
+    np.testing.assert_allclose(told[0][3], (TIME + 5.0) / 30.0, rtol=1e-6)  # since it was met
