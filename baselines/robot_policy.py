@@ -52,7 +52,7 @@ class RobotPolicy:
             )
         self.policy = _made(policy, self.scenario, options)
         layout = self.scenario.observation_layout
-        self._sight = RobotSight(layout)
+        self._sight = RobotSight(layout, self.scenario.max_degree)
         self._time = -1.0  # before the first tick
         self._team = np.zeros((1, self.scenario.n_robots, *layout.shape), dtype=np.float32)
         self.reset()

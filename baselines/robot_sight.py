@@ -26,10 +26,11 @@ class RobotSight:
 
     Args:
         layout: of the observation, in the plane.
+        max_degree: D̄, the most that all gains may come to, m/s: time steps are made for it.
     """
 
-    def __init__(self, layout: ObservationLayout) -> None:
-        self._layout = layout
+    def __init__(self, layout: ObservationLayout, max_degree: float) -> None:
+        self._layout, self._max_degree = layout, max_degree
         self._edges = np.zeros((layout.obstacle_slots, 2, 2))
         self._unseen = np.zeros(layout.obstacle_slots)
         self.forget()
@@ -60,7 +61,7 @@ class RobotSight:
         layout = self._layout
         seen = _unit_vectors("bearings", bearings, (2,), layout.neighbour_slots, "neighbours")
         edges = _unit_vectors("obstacles", obstacles, (2, 2), layout.obstacle_slots, "obstacles")
-        gains = _gains(weights, len(seen))
+        gains = _gains(weights, len(seen), self._max_degree)
         rows = np.zeros(layout.shape, dtype=np.float32)
         rows[: len(seen)] = gains[:, np.newaxis] * seen
         silhouettes = rows[layout.obstacles].reshape(-1, 2, 2)
@@ -108,17 +109,20 @@ def _unit_vectors(
     return vectors
 
 
-def _gains(weights: ArrayLike | None, count: int) -> NDArray[np.float64]:
-    """Weights (count,), m/s."""
-    if weights is None:
-        return np.ones(count)
-    gains = floats("weights", weights)
+def _gains(weights: ArrayLike | None, count: int, most: float) -> NDArray[np.float64]:
+    """Weights (count,), m/s, that come to no more than ``most``."""
+    gains = np.ones(count) if weights is None else floats("weights", weights)
     if gains.shape != (count,):
         raise ValueError(
             f"weights have shape {gains.shape}; they must be ({count},), one for each bearing"
         )
     for index in np.flatnonzero(~((gains > 0.0) & np.isfinite(gains))):
         refuse(f"weights[{index}]", float(gains[index]), "positive and finite (m/s)")
+    if (total := float(gains.sum())) > (1.0 + _ROUNDING) * most:
+        raise ValueError(
+            f"weights sum to {total:g} m/s; this scenario's come to D̄ = {most:g} m/s at most. "
+            "Where they are not 1, give them"
+        )
     return gains
 
 

@@ -76,8 +76,9 @@ def _check(config: Config) -> tuple[dict[str, NDArray[np.float32]], PolicySettin
             f"--policy {config.policy}: is scripted and has no network; baselines.RobotPolicy runs "
             "it as it is"
         )
-    place = checkpoints.find(path)
-    about, tables = checkpoints.read(place, ["network"])
+    if path.suffix == SUFFIX:
+        raise UserError(f"--policy {config.policy}: is exported already")
+    about, tables = checkpoints.read(checkpoints.find(path), ["network"])
     return tables["network"], PolicySettings.from_plain(about["policy"])
 
 

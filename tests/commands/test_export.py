@@ -167,6 +167,10 @@ class TestErrors:
         assert message in capsys.readouterr().err
         assert not list(tmp_path.iterdir())
 
+    def test_a_file_is_not_exported_again(self, exported, capsys):
+        assert cli.main(["export", "--policy", f"learned:{exported / 'learned.onnx'}"]) == 2
+        assert "learned.onnx: is exported already" in capsys.readouterr().err
+
     def test_an_extra_that_is_missing_is_named(self, monkeypatch, capsys):
         monkeypatch.setattr(export.importlib.util, "find_spec", lambda name: None)
         assert cli.main(["export"]) == 2

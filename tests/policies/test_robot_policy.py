@@ -167,7 +167,7 @@ class TestTime:
 
 class TestSight:
     def test_the_counter_clockwise_edge_is_worked_out(self):
-        sight = RobotSight(CLUTTER.observation_layout)
+        sight = RobotSight(CLUTTER.observation_layout, 3.0)
         for edges in (unit(170, -170), unit(-170, 170)):
             rows = sight.rows(unit(0), [edges], None)
             seen = CLUTTER.observation_layout.split(rows).obstacles
@@ -175,7 +175,7 @@ class TestSight:
 
     def test_obstacles_keep_their_slots(self):
         layout = CLUTTER.observation_layout
-        sight = RobotSight(layout)
+        sight = RobotSight(layout, 3.0)
         a, b, c = unit(40, 20), unit(80, 60), unit(-100, -120)
         one = layout.split(sight.rows(unit(0), [a, b], None)).obstacles
         two = layout.split(sight.rows(unit(0), [c, unit(83, 62), unit(44, 23)], None)).obstacles
@@ -186,7 +186,7 @@ class TestSight:
     def test_what_vanished_leaves_its_slot_to_nobody_at_once(self):
         """An obstacle that comes into sight as another goes does not turn as fast as that."""
         layout = CLUTTER.observation_layout
-        sight = RobotSight(layout)
+        sight = RobotSight(layout, 3.0)
         one = layout.split(sight.rows(unit(0), [unit(40, 20)], None)).obstacles
         two = layout.split(sight.rows(unit(0), [unit(-100, -120)], None)).obstacles
         assert not (one.any(axis=(1, 2)) & two.any(axis=(1, 2))).any()
@@ -209,6 +209,7 @@ class TestSight:
         ({"dt": -0.1}, r"dt is -0\.1; it must be a positive"),
         ({"dt": np.nan}, "dt is nan; it must be a positive"),
         ({"weights": [1.0, 2.0]}, r"weights have shape \(2,\); they must be \(1,\)"),
+        ({"weights": [3.1]}, r"weights sum to 3\.1 m/s; this scenario's come to D̄ = 3 m/s at"),
         ({"weights": [-1.0]}, r"weights\[0\] is -1\.0; it must be positive"),
     ],
 )  # fmt: skip
