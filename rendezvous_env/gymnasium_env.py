@@ -11,10 +11,19 @@ from .experiment.checks import choice
 from .experiment.scenario import Scenario
 from .experiment.scenarios import ScenarioLike, resolve
 from .faces.one_team import RendezvousEnv
+from .faces.overrides import check_overrides, sorted_overrides
 from .faces.vector_env import RendezvousVectorEnv
+from .faces.vector_wrappers import HeadingVectorWrapper
 from .simulator import Simulator
 
-__all__ = ["RendezvousEnv", "RendezvousVectorEnv", "make_env", "make_vec"]
+__all__ = [
+    "RendezvousEnv",
+    "RendezvousVectorEnv",
+    "make_env",
+    "make_heading_env",
+    "make_heading_vec",
+    "make_vec",
+]
 
 
 def make_vec(
@@ -41,8 +50,10 @@ def make_vec(
         **overrides: fields of the scenario to change.
 
     Raises:
-        ValueError: for an unknown scenario, field or mode, or an impossible value.
+        TypeError: for an unknown argument or field, with the nearest known one.
+        ValueError: for an unknown scenario or mode, or an impossible value.
     """
+    check_overrides(make_vec, overrides)
     if not isinstance(autoreset_mode, AutoresetMode):
         modes = [mode.value for mode in AutoresetMode]
         autoreset_mode = AutoresetMode(choice("autoreset_mode", autoreset_mode, modes))
@@ -62,8 +73,10 @@ def make_env(
     """One team as one agent; arguments as ``make_vec``.
 
     Raises:
-        ValueError: for an unknown scenario or field, or an impossible value.
+        TypeError: for an unknown argument or field, with the nearest known one.
+        ValueError: for an unknown scenario, or an impossible value.
     """
+    check_overrides(make_env, overrides)
     mode = AutoresetMode.DISABLED
     return RendezvousEnv(
         make_vec(scenario, 1, mode, None, max_cycles, render_mode, flatten, **overrides)
@@ -81,3 +94,63 @@ def env_from_plain(scenario: Mapping[str, Any], render_mode: str | None = None) 
         ValueError: for an unknown key or an impossible value.
     """
     return make_env(Scenario.from_plain(scenario), render_mode=render_mode)
+
+
+def make_heading_vec(
+    scenario: ScenarioLike = "fig3",
+    num_envs: int = 1,
+    autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+    num_threads: int | None = None,
+    max_cycles: int | None = None,
+    render_mode: str | None = None,
+    flatten: bool = False,
+    **overrides: Any,
+) -> HeadingVectorWrapper:
+    """Many teams that choose heading vectors: ``make_vec`` in the vector HeadingVectorWrapper.
+
+    Args:
+        scenario: this and the next six as in ``make_vec``.
+        num_envs: B.
+        autoreset_mode: when a team that has ended begins anew.
+        num_threads: most threads a step may use.
+        max_cycles: time limit in base steps.
+        render_mode: "human", "rgb_array" or None.
+        flatten: whether observations are (B, n, rows·d).
+        **overrides: arguments of the wrapper, and fields of the scenario; ``max_turn_rate`` is the
+            wrapper's.
+
+    Raises:
+        TypeError: for an unknown argument or field, with the nearest known one.
+        ValueError: naming an argument, its value and what would be right.
+    """
+    arguments, changes = sorted_overrides(make_heading_vec, HeadingVectorWrapper, overrides)
+    teams = make_vec(
+        scenario,
+        num_envs,
+        autoreset_mode,
+        num_threads,
+        max_cycles,
+        render_mode,
+        flatten,
+        **changes,
+    )
+    return HeadingVectorWrapper(teams, **arguments)
+
+
+def make_heading_env(
+    scenario: ScenarioLike = "fig3",
+    max_cycles: int | None = None,
+    render_mode: str | None = None,
+    flatten: bool = False,
+    **overrides: Any,
+) -> RendezvousEnv:
+    """One team as one agent that chooses all heading vectors; arguments as ``make_heading_vec``.
+
+    Raises:
+        TypeError: for an unknown argument or field, with the nearest known one.
+        ValueError: naming an argument, its value and what would be right.
+    """
+    mode = AutoresetMode.DISABLED
+    return RendezvousEnv(
+        make_heading_vec(scenario, 1, mode, None, max_cycles, render_mode, flatten, **overrides)
+    )

@@ -4,17 +4,22 @@ from __future__ import annotations
 
 
 def register() -> None:
-    """Register ``rendezvous/rendezvous-v0`` in PettingZoo and ``rendezvous/Rendezvous-v0`` in
-    Gymnasium, once; time is ours, so without ``max_episode_steps``.
+    """Register ``rendezvous/rendezvous-v0`` in PettingZoo, and in Gymnasium
+    ``rendezvous/Rendezvous-v0`` and, with certified headings, ``rendezvous/RendezvousHeading-v0``,
+    once; time is ours, so without ``max_episode_steps``.
     """
     import gymnasium
 
     _register_in_pettingzoo()
-    name, module = "rendezvous/Rendezvous-v0", "rendezvous_env.gymnasium_env"
-    if name not in gymnasium.registry:
-        gymnasium.register(
-            name, entry_point=f"{module}:make_env", vector_entry_point=f"{module}:make_vec"
-        )
+    module = "rendezvous_env.gymnasium_env"
+    for name, one, many in (
+        ("rendezvous/Rendezvous-v0", "make_env", "make_vec"),
+        ("rendezvous/RendezvousHeading-v0", "make_heading_env", "make_heading_vec"),
+    ):
+        if name not in gymnasium.registry:
+            gymnasium.register(
+                name, entry_point=f"{module}:{one}", vector_entry_point=f"{module}:{many}"
+            )
 
 
 def _register_in_pettingzoo() -> None:

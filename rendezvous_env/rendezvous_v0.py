@@ -11,6 +11,7 @@ from pettingzoo.utils.env import AECEnv
 
 from .experiment.scenarios import ScenarioLike, resolve
 from .faces.aec import OneAfterAnother
+from .faces.overrides import check_overrides
 from .faces.parallel_env import RendezvousParallelEnv
 
 __all__ = ["RendezvousParallelEnv", "env", "parallel_env", "raw_env"]
@@ -34,8 +35,10 @@ def parallel_env(
         **overrides: fields of the scenario to change.
 
     Raises:
-        ValueError: for an unknown scenario, field or render mode, or an impossible value.
+        TypeError: for an unknown argument or field, with the nearest known one.
+        ValueError: for an unknown scenario or render mode, or an impossible value.
     """
+    check_overrides(parallel_env, overrides)
     return RendezvousParallelEnv(resolve(scenario, **overrides), render_mode, max_cycles, flatten)
 
 

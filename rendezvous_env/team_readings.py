@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -20,6 +22,8 @@ from .engine.memory import (
 from .engine.state import State
 from .equations.size import size
 from .experiment.scenario import Scenario
+
+_STANDING = [STATUS, STEPS, CONTACTS, PATH_LENGTH, LYAPUNOV]
 
 
 class TeamReadings:
@@ -128,6 +132,23 @@ class TeamReadings:
     def lyapunov(self) -> NDArray[np.float64]:
         """V = Σ_i Σ_j a_ij ‖p_i − p_j‖, (B,), m²/s, of the graph of the moment."""
         return self._entry(LYAPUNOV)
+
+    def standing(self) -> dict[str, NDArray[Any]]:
+        """How the teams stand in their episodes, (B,) each: success, time (s), contacts,
+        path_length (m) and lyapunov (V, m²/s).
+
+        The same numbers as those of the names above, read at once.
+        """
+        table = self._state.teams.statistics.reshape(self._state.blocks, -1, self._state.lanes)
+        read = table[:, _STANDING].swapaxes(0, 1).reshape(len(_STANDING), -1)
+        status, steps, contacts, way, lyapunov = read[:, : self._state.batch]
+        return {
+            "success": status == RENDEZVOUS,
+            "time": steps * self.scenario.tau,
+            "contacts": contacts.astype(np.int64),
+            "path_length": way,
+            "lyapunov": lyapunov,
+        }
 
     def size(self) -> NDArray[np.float64]:
         """L, (B,), m, of the robots that are left: hull perimeter, in 3-D 2π × mean width."""

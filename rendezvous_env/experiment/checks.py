@@ -164,14 +164,22 @@ def floats(field: str, value: Any, dtype: type[np.floating[Any]] = np.float64) -
     """
     try:
         array = np.asarray(value)
-    except (TypeError, ValueError, OverflowError, RecursionError) as error:
-        raise ValueError(
-            f"{field} is {shown(value)}; it must be an array of numbers without gaps"
-        ) from error
+    except (TypeError, ValueError, OverflowError, RecursionError, RuntimeError) as error:
+        told = f"{shown(value)}; it must be an array of numbers without gaps"
+        raise ValueError(f"{field} is {_unreadable(value) or told}") from error
     if array.dtype.kind not in "fiub":
         refuse(field, value, "numbers, each of them in the range of float64")
     with np.errstate(over="ignore"):
         return array.astype(dtype, copy=False)
+
+
+def _unreadable(value: Any) -> str:
+    """What keeps NumPy from reading a tensor, and what to do; nothing for anything else."""
+    if not all(hasattr(value, name) for name in ("detach", "requires_grad", "device", "dtype")):
+        return ""
+    grad = " that requires grad" if value.requires_grad else ""
+    tensor = f"a {value.dtype} tensor on {value.device}{grad}"
+    return f"{tensor}, which NumPy cannot read; give its .detach().cpu().float().numpy()"
 
 
 def check_action(robot: str, value: Any, size: int) -> None:
@@ -183,6 +191,8 @@ def check_action(robot: str, value: Any, size: int) -> None:
     try:
         action = floats("action", value, np.float32)
     except ValueError:
+        if told := _unreadable(value):
+            raise ValueError(f"action of {robot} is {told}") from None
         action = np.empty(0)
     if action.shape != (size,) or not np.isfinite(action).all():
         refuse(f"action of {robot}", value, f"{size} finite numbers, in float32")

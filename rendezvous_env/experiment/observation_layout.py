@@ -94,12 +94,13 @@ class ObservationLayout:
         """Take observations apart into neighbours, obstacles and gravity.
 
         Args:
-            observations: (..., rows, d).
+            observations: (..., rows, d), or flat, (..., rows·d). Where there is one row only,
+                (..., 1, d) is a table.
 
         Raises:
-            ValueError: if the last two axes are not ``self.shape``.
+            ValueError: for another shape.
         """
-        observations = self.checked(observations)
+        observations = self.checked(self.unflattened(observations))
         leading = observations.shape[:-2]
         points = (self.obstacle_slots, self.silhouette_points, self.dim)
         return ObservedRows(
@@ -108,6 +109,13 @@ class ObservationLayout:
             gravity=observations[..., -1, :] if self.senses_gravity else None,
             velocity=observations[..., -1, :] if self.senses_velocity else None,
         )
+
+    def unflattened(self, observations: NDArray[Any]) -> NDArray[Any]:
+        """Flat observations (..., rows·d) as tables (..., rows, d), a view; others as they are."""
+        shape = tuple(getattr(observations, "shape", ()))
+        if shape[-2:] != self.shape and shape[-1:] == (self.rows * self.dim,):
+            return np.reshape(observations, (*shape[:-1], *self.shape))
+        return observations
 
     def checked(self, observations: Any) -> NDArray[Any]:
         """Observations as an array of numbers whose last two axes are ours.
@@ -120,7 +128,7 @@ class ObservationLayout:
         if observations.shape[-2:] != self.shape:
             raise ValueError(
                 f"observations have shape {observations.shape}; this layout needs "
-                f"(..., {self.rows}, {self.dim})"
+                f"(..., {self.rows}, {self.dim}); ``unflattened`` makes these of flat ones"
             )
         return observations
 

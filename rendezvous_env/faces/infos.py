@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..engine.memory import RENDEZVOUS
 from ..outcome import Outcome
 from ..simulator import Simulator
 
@@ -21,7 +20,7 @@ Transition = tuple[
 def start_info(simulator: Simulator) -> Info:
     """Infos of all teams at the start of an episode, without masks."""
     active = simulator.active
-    return summary_of(simulator) | {
+    return simulator.standing() | {
         "robot_rewards": np.zeros(active.shape),
         "active": active,
         "merged_into": simulator.merged_into,
@@ -32,23 +31,12 @@ def start_info(simulator: Simulator) -> Info:
 
 def step_info(simulator: Simulator, outcome: Outcome) -> Info:
     """Infos of all teams after a step, without masks."""
-    return summary_of(simulator) | {
+    return simulator.standing() | {
         "robot_rewards": outcome.robot_rewards,
         "active": outcome.active,
         "merged_into": simulator.merged_into,
         "contact": outcome.contact,
         "clearance": outcome.clearance,
-    }
-
-
-def summary_of(simulator: Simulator) -> Info:
-    """How the teams stand in their episodes, (B,) each: s, m, m²/s."""
-    return {
-        "success": simulator.status == RENDEZVOUS,
-        "time": simulator.time,
-        "contacts": simulator.contacts,
-        "path_length": simulator.path_length,
-        "lyapunov": simulator.lyapunov(),
     }
 
 

@@ -21,10 +21,10 @@ class RendezvousEnv(gymnasium.Env[Any, Any]):
     """One team of n robots as one agent.
 
     What a robot does, sees and earns is specified in ``rendezvous_v0``. Observations are (n, rows,
-    d), actions (n, a), zero or ignored for robots that are gone; the reward is the team's.
-    Terminated: all robots have met. Truncated: the time limit. Infos as ``RendezvousVectorEnv``,
-    without the axis of teams and without masks. ``simulator`` holds the global state, B = 1. Where
-    the vector environment is wrapped, all is as the wrapper has it.
+    d), actions (n, a), zero or ignored for robots that are gone; the reward is the team's, its
+    bounds stand there. Terminated: all robots have met. Truncated: the time limit. Infos as
+    ``RendezvousVectorEnv``, without the axis of teams and without masks. ``simulator`` holds the
+    global state, B = 1. Where the vector environment is wrapped, all is as the wrapper has it.
 
     Args:
         teams: a vector environment of one team that does not begin anew by itself.

@@ -86,7 +86,16 @@ class RendezvousParallelEnv(ParallelEnv[str, NDArray[np.float32], NDArray[np.flo
     minus ``time_penalty``·τ/time limit, minus ``collision_penalty`` for each robot in contact,
     minus ``clearance_penalty``·max(0, 1 − clearance/``obstacle_range``) for each robot (its weight
     is 0 unless given), plus ``rendezvous_bonus`` when all have met. With the default weights an
-    episode earns at most 2.
+    episode earns at most 2. On a graph that stays as it is, V rises by at most 2 v_max τ A in a
+    step, A = Σ_ij a_ij, since no robot is faster, and by 2 r D̄ at a merge (theory 5). So with the
+    weights w₁ … w₄ in the order above, without ``clearance_penalty``,
+
+    * a step with m merges, of N in an episode, earns at least
+      −w₁ (2 v_max τ A + 2 r D̄ m)/V_0 − w₂/N − w₃ n;
+    * an episode of at most N steps at least −w₁ (2 v_max τ N A + 2 r D̄ (n − 1))/V_0 − w₂ − w₃ n N.
+
+    Under ``HeadingVectorWrapper`` V rises at merges only while nobody touches an obstacle: the
+    terms of v_max and w₃ are 0.
 
     ## Start
 

@@ -13,7 +13,6 @@ from ..engine.state_checks import check_keys
 from ..experiment.checks import check_action, floats, refuse, shown
 from ..outcome import Outcome
 from ..simulator import Simulator
-from .infos import summary_of
 
 _FLOAT32 = np.dtype(np.float32)
 Observations = dict[str, NDArray[np.float32]]
@@ -104,7 +103,9 @@ def table_of(
             listed = floats("actions", listed, np.float32)
             if not np.isfinite(listed).all():
                 _explain(actions, alive, simulator)
-    except (KeyError, IndexError, TypeError, ValueError, OverflowError, RecursionError):
+    except (
+        KeyError, IndexError, TypeError, ValueError, OverflowError, RecursionError, RuntimeError,
+    ):  # fmt: skip
         listed = np.empty(0, np.float32)
     if listed.shape != (len(alive), size) or len(actions) != len(alive):
         _explain(actions, alive, simulator)
@@ -178,7 +179,7 @@ def tell(
 
 def _standing(simulator: Simulator) -> dict[str, Any]:
     """How the team stands in its episode, as Python's own numbers."""
-    return {key: values.item() for key, values in summary_of(simulator).items()}
+    return {key: values.item() for key, values in simulator.standing().items()}
 
 
 def _survivor(names: Sequence[str], into: Sequence[int], i: int) -> str | None:

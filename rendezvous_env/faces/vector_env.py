@@ -18,7 +18,7 @@ from ..experiment.checks import flag
 from ..experiment.start_options import as_options
 from ..outcome import Outcome
 from ..simulator import Simulator
-from .infos import Info, Transition, masked, of_all, start_info, step_info, summary_of
+from .infos import Info, Transition, masked, of_all, start_info, step_info
 from .spaces import action_box, as_told, observation_box, state_box, team_box, team_state
 
 
@@ -32,7 +32,7 @@ class RendezvousVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
     |---|---|---|
     | observations | (B, n, rows, d) float32, or (B, n, rows·d) | zero for robots that are gone |
     | actions | (B, n, a) float32 | ignored for robots that are gone and teams that have ended |
-    | rewards | (B,) float64 | of the team |
+    | rewards | (B,) float64 | of the team; bounds as in ``rendezvous_v0`` |
     | terminations | (B,) bool | all robots have met |
     | truncations | (B,) bool | the time limit |
 
@@ -158,7 +158,7 @@ class RendezvousVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
                 infos = self._begin_anew(outcome, infos, ended)
             else:
                 infos = of_all(infos, self.num_envs)
-                infos |= masked({"summary": masked(summary_of(simulator), ended)}, ended)
+                infos |= masked({"summary": masked(simulator.standing(), ended)}, ended)
         self.renderer.see(outcome.contact)
         observations = as_told(outcome.observations, self.flatten)
         return observations, outcome.rewards, terminations, truncations, infos
@@ -170,9 +170,9 @@ class RendezvousVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
         for team in np.flatnonzero(ended).tolist():
             final_obs[team] = as_told(outcome.observations[team], self.flatten).copy()
         final_info = {key: values.copy() for key, values in infos.items()}
-        final_info["summary"] = masked(summary_of(simulator), ended)
+        final_info["summary"] = masked(simulator.standing(), ended)
         simulator.restart(ended, outcome)
-        infos |= {"merged_into": simulator.merged_into, **summary_of(simulator)}
+        infos |= {"merged_into": simulator.merged_into, **simulator.standing()}
         return of_all(infos, self.num_envs) | masked(
             {"final_obs": final_obs, "final_info": masked(final_info, ended)}, ended
         )

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Mapping
-from dataclasses import fields
 from typing import Any
 
 from gymnasium.vector import AutoresetMode
 
-from ...experiment.checks import choice, flag, known_fields, number, refuse
+from ...experiment.checks import choice, flag, number, refuse
 from ...experiment.rewards import RewardWeights
-from ...experiment.scenario import Scenario
 from ...experiment.scenarios import ScenarioLike, resolve
 from ...gymnasium_env import make_vec
+from ..overrides import sorted_overrides
 from ..vector_env import RendezvousVectorEnv
 from ..vector_filter_wrapper import VectorFilterWrapper
 from ..vector_wrappers import (
@@ -96,7 +94,7 @@ def training_env(
         ValueError: naming an argument, its value and what would be right.
     """
     wrapper = None if guarantee is None else WRAPPERS[choice("guarantee", guarantee, WRAPPERS)]
-    arguments, changes = _sorted(wrapper, overrides)
+    arguments, changes = sorted_overrides(training_env, wrapper, overrides)
     if changes.setdefault("on_merge", "follow") != "follow":
         refuse("on_merge", changes["on_merge"], "'follow' in a training environment")
     chosen = resolve(scenario, **changes)
@@ -122,21 +120,6 @@ def training_env(
     if touch_penalty is not None:
         price = number("touch_penalty", touch_penalty)
     return TrainingTeams(teams, price)
-
-
-def _sorted(
-    wrapper: type[VectorFilterWrapper] | None, overrides: Mapping[str, Any]
-) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Overrides that are arguments of the wrapper, and those that are fields of the scenario.
-
-    ``max_turn_rate`` is both: it is the wrapper's, which turns no faster than the scenario allows.
-    """
-    of_wrapper = list(inspect.signature(wrapper).parameters)[1:] if wrapper else []
-    own = [*inspect.signature(training_env).parameters][:-1]
-    of_scenario = [field.name for field in fields(Scenario)]
-    known_fields(overrides, [*of_wrapper, *own, *of_scenario], "training_env")
-    arguments = {key: value for key, value in overrides.items() if key in of_wrapper}
-    return arguments, {key: overrides[key] for key in overrides if key not in of_wrapper}
 
 
 def _check_form(perceived: bool, flatten: bool, discrete: bool) -> None:
