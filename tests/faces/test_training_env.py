@@ -210,7 +210,7 @@ def test_overrides_reach_the_wrapper_the_preset_and_the_scenario():
         ({"min_aligment": 0.1}, TypeError, "did you mean 'min_alignment'"),
         ({"n_robot": 3}, TypeError, "did you mean 'n_robots'"),
         ({"flaten": True}, TypeError, "did you mean 'flatten'"),
-        ({"budget": 1.0}, TypeError, "no field 'budget'"),
+        ({"budget": 1.0}, TypeError, "no argument 'budget'"),
         ({"guarantee": "headings"}, ValueError, "guarantee is 'headings'; it must be one of"),
         ({"on_merge": "remove"}, ValueError, "on_merge is 'remove'; it must be 'follow'"),
         ({"flatten": False}, ValueError, "flatten is False.*learning_preset"),
