@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import pygame
 from numpy.typing import NDArray
@@ -15,6 +13,7 @@ from .camera import Area, Floats
 from .history import History
 from .picture import TeamPicture
 from .strip import Strip
+from .tile import cell, columns_of
 
 _FINE = 2
 """A picture is drawn so many times as large and then made smaller, which smooths every edge."""
@@ -84,16 +83,12 @@ class Page:
     ) -> tuple[History, TeamPicture, Strip | None]:
         area, unit = self._area(team), self._unit
         if self._count > 1:
-            unit *= max(0.5, 1.4 / self._columns)
+            unit *= max(0.5, 1.4 / columns_of(self._count))
             return history, TeamPicture(scenario, history, area, unit), None
         height = round(_STRIP * unit)
         below = Area(0, area.top + area.height, area.width, height)
         strip = Strip(history, below, unit, self._horizon)
         return history, TeamPicture(scenario, history, area, unit), strip
-
-    @property
-    def _columns(self) -> int:
-        return math.ceil(math.sqrt(self._count))
 
     def _area(self, team: int) -> Area:
         """Where a team is drawn, in fine pixels."""
@@ -101,12 +96,8 @@ class Page:
         if self._count == 1:
             top, bottom = round(_HEADER * self._unit), round(_STRIP * self._unit)
             return Area(0, top, width, height - top - bottom)
-        columns = self._columns
-        rows = math.ceil(self._count / columns)
         caption = round(_CAPTION * self._unit)
-        row, column = divmod(team, columns)
-        left, right = column * width // columns, (column + 1) * width // columns
-        top, bottom = row * height // rows, (row + 1) * height // rows
+        left, top, right, bottom = cell(team, self._count, width, height)
         return Area(left, top + caption, right - left, bottom - top - caption)
 
     def _draw_header(self, history: History) -> None:

@@ -14,6 +14,7 @@ from ..engine.memory import RUNNING
 from ..experiment.checks import refuse
 from ..simulator import Simulator
 from .history import History, look
+from .tile import cell
 
 if TYPE_CHECKING:
     from .page import Page
@@ -116,6 +117,22 @@ class Renderer:
             self._show()
             return None
         return self._array()
+
+    def pictures(self) -> tuple[NDArray[np.uint8], ...] | None:
+        """The picture cut into the parts of its teams; None in "human" mode, which shows it.
+
+        Teams beyond the first ``MOST_TEAMS`` are not drawn: they share one blank part.
+
+        Raises:
+            RuntimeError: before the first reset.
+        """
+        if (picture := self.render()) is None:
+            return None
+        height, width = picture.shape[:2]
+        cells = [cell(team, self._teams, width, height) for team in range(self._teams)]
+        parts = [picture[top:bottom, left:right] for left, top, right, bottom in cells]
+        blank = np.full_like(parts[0], 255)
+        return (*parts, *[blank] * (self._simulator.num_envs - self._teams))
 
     def pixels(self, positions: NDArray[np.float64], team: int = 0) -> NDArray[np.float64]:
         """Where points (..., d) in m of a team stand in the last picture: (..., 2), x and y."""

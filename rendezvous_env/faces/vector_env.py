@@ -63,9 +63,10 @@ class RendezvousVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
     team goes on to the next episode of its own. Options as in ``rendezvous_v0``, one for all teams
     or with a leading axis B. ``simulator`` holds the global state for analysis.
 
-    ``render()`` draws the first 16 teams side by side in one picture, in "rgb_array" mode an array
-    (600, 600, 3) uint8. It is one picture and no tuple with one for each team, as Gymnasium's own
-    vector environments give: thousands of teams are drawn at the cost of one.
+    ``render()`` gives a picture for each team in "rgb_array" mode, as Gymnasium's ``RecordVideo``
+    for vector environments wants it: parts of one picture of (600, 600, 3) uint8, in which the
+    first 16 teams stand side by side, and which ``renderer.render()`` gives as a whole. Further
+    teams are not drawn and have one blank part together, so that thousands cost no more than 16.
 
     Args:
         simulator: the teams.
@@ -195,15 +196,15 @@ class RendezvousVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
         """
         self.simulator.set_state(state)
 
-    def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]
-        """One picture of the first teams, (600, 600, 3) uint8, in "rgb_array" mode; in "human"
-        mode it is shown.
+    def render(self) -> tuple[NDArray[np.uint8], ...] | None:  # type: ignore[override]
+        """A picture for each team, (height, width, 3) uint8, in "rgb_array" mode; in "human" mode
+        they are shown, side by side.
 
         Raises:
             RuntimeError: before the first reset, or where no window can be opened.
             ImportError: without the extra ``render``.
         """
-        return self.renderer.render()
+        return self.renderer.pictures()
 
     def close_extras(self, **kwargs: Any) -> None:
         """Close the window, if there is one."""

@@ -65,6 +65,8 @@ class VectorFilterWrapper(gymnasium.vector.VectorWrapper):
     ) -> None:
         super().__init__(env)
         self.decision_period = check_period(decision_period)
+        rate = env.metadata["render_fps"] / self.decision_period  # a picture for each decision
+        self.metadata = env.metadata | {"render_fps": max(1, round(rate))}
         self._filter, self._memory = action_filter, memory
         n = env.scenario.n_robots
         observed = filtered_observation_box(action_filter, env.flatten)

@@ -7,6 +7,7 @@ import os
 import pickle
 import sys
 import warnings
+from types import ModuleType
 
 os.environ.setdefault("SDL_VIDEODRIVER", "dummy")
 os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
@@ -17,6 +18,7 @@ import pygame
 import pytest
 from conftest import MODELS, ROOT, five
 from gymnasium.utils.env_checker import check_env
+from gymnasium.wrappers.vector import RecordVideo
 from test_package import run_python
 
 import baselines
@@ -238,7 +240,8 @@ class TestInterface:
         env = make("duo", render_mode="rgb_array")
         env.reset(seed=0)
         assert env.render_mode == "rgb_array"
-        assert env.render().shape == (600, 600, 3)
+        picture = env.render()
+        assert (picture[0] if make is rv.make_vec else picture).shape == (600, 600, 3)
         assert env.metadata["render_modes"] == ["human", "rgb_array"]
         assert env.metadata["render_fps"] == round(1 / rv.scenarios.get("duo").tau)
         env.close()
@@ -355,9 +358,10 @@ class TestTile:
     def test_each_team_has_its_place(self):
         venv = rv.make_vec("clutter-4", num_envs=4, render_mode="rgb_array")
         venv.reset(seed=0)
-        before = venv.render()
+        before = venv.renderer.render()
         for team, (y, x) in enumerate([(0, 0), (0, 300), (300, 0), (300, 300)]):
             part = before[y : y + 300, x : x + 300]
+            assert np.array_equal(venv.render()[team], part)
             places = venv.renderer.pixels(venv.simulator.positions[team], team)
             assert ((places > (x, y)) & (places < (x + 300, y + 300))).all()
             assert [at(before, place) for place in places] == [list(c) for c in ROBOTS[:4]]
@@ -366,7 +370,7 @@ class TestTile:
         actions[2] = 1.0
         for _ in range(8):
             venv.step(actions)
-        changed = (venv.render() != before).any(axis=-1)
+        changed = (venv.renderer.render() != before).any(axis=-1)
         pictures = [changed[y + 21 : y + 298, x + 2 : x + 298] for y in (0, 300) for x in (0, 300)]
         assert [bool(part.any()) for part in pictures] == [False, False, True, False]
 
@@ -377,7 +381,10 @@ class TestTile:
         )
         for venv in (few, many):
             venv.reset(seed=5)
-        assert np.array_equal(few.render(), many.render())
+        assert np.array_equal(few.renderer.render(), many.renderer.render())
+        first, rest = many.render()[:MOST_TEAMS], many.render()[MOST_TEAMS:]
+        assert np.array_equal(first, few.render()) and len(rest) == 2 * MOST_TEAMS
+        assert all(part.min() == 255 and part.shape == first[0].shape for part in rest)
         assert len(many.renderer._histories) == MOST_TEAMS
 
     @pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
@@ -389,7 +396,7 @@ class TestTile:
             venv.step(np.ones((4, 4, 2), np.float32))
         assert all(len(history.moments) <= 2 for history in venv.renderer._histories)
         places = venv.renderer
-        frame = venv.render()
+        frame = venv.renderer.render()
         for team in range(4):
             place = places.pixels(venv.simulator.positions[team], team)
             assert at(frame, place[0]) == list(ROBOTS[0])
@@ -400,7 +407,44 @@ class TestTile:
         venv.reset(seed=0)
         venv.step(venv.action_space.sample())
         assert [len(history.moments) for history in base.renderer._histories] == [6, 6]
-        assert venv.render().shape == (600, 600, 3)
+        assert [part.shape for part in venv.render()] == [(600, 300, 3)] * 2
+        assert venv.metadata["render_fps"] == round(base.metadata["render_fps"] / 5)
+
+    def test_gymnasium_records_films_of_teams(self, tmp_path, monkeypatch):
+        """All but the last step, which makes a file of the frames."""
+        films = []
+
+        class Clip:
+            def __init__(self, frames, fps):
+                films.append((np.stack(frames), fps))
+
+            def write_videofile(self, path, logger):
+                assert path.endswith(".mp4")
+
+        writer = ModuleType("moviepy.video.io.ImageSequenceClip")
+        writer.ImageSequenceClip = Clip
+        for name in ("moviepy", "moviepy.video", "moviepy.video.io"):
+            monkeypatch.setitem(sys.modules, name, ModuleType(name))
+        monkeypatch.setitem(sys.modules, writer.__name__, writer)
+        for first_only in (False, True):
+            venv = rv.make_vec("duo", num_envs=4, render_mode="rgb_array")
+            film = RecordVideo(
+                venv,
+                str(tmp_path / str(first_only)),
+                video_length=6,
+                record_first_only=first_only,
+                disable_logger=True,
+            )
+            film.reset(seed=0)
+            whole = venv.renderer.render()
+            for _ in range(8):
+                film.step(np.ones((4, 2, 2), np.float32))
+            frames, fps = films[-1]
+            assert len(frames) == 7 and fps == venv.metadata["render_fps"]
+            part = whole[:300, :300]
+            assert np.array_equal(frames[0][:300, :300], part)
+            assert frames[0].size == part.size * (1 if first_only else 4)
+            assert (frames[1:] != frames[0]).any(axis=(1, 2, 3)).all()
 
 
 # ---- the window ---------------------------------------------------------------------------------

@@ -188,7 +188,7 @@ class TrainingParallelEnv(ParallelEnv[str, NDArray[np.float32], Any]):
 
     def render(self) -> NDArray[np.uint8] | None:
         """A picture, (600, 600, 3) uint8, in "rgb_array" mode; in "human" mode it is shown."""
-        return self.teams.teams.render()
+        return self.teams.teams.renderer.render()
 
     def close(self) -> None:
         """Close the window, if there is one."""
