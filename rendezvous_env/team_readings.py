@@ -24,6 +24,8 @@ from .equations.size import size
 from .experiment.scenario import Scenario
 
 _STANDING = [STATUS, STEPS, CONTACTS, PATH_LENGTH, LYAPUNOV]
+STANDING = ("success", "time", "contacts", "path_length", "lyapunov")
+"""What ``TeamReadings.standing`` tells."""
 
 
 class TeamReadings:
@@ -134,21 +136,15 @@ class TeamReadings:
         return self._entry(LYAPUNOV)
 
     def standing(self) -> dict[str, NDArray[Any]]:
-        """How the teams stand in their episodes, (B,) each: success, time (s), contacts,
-        path_length (m) and lyapunov (V, m²/s).
-
-        The same numbers as those of the names above, read at once.
+        """How the teams stand in their episodes, (B,) each, by the names of STANDING: whether all
+        have met, s, contacts, m, V in m²/s. The same numbers as above, read at once.
         """
         table = self._state.teams.statistics.reshape(self._state.blocks, -1, self._state.lanes)
         read = table[:, _STANDING].swapaxes(0, 1).reshape(len(_STANDING), -1)
         status, steps, contacts, way, lyapunov = read[:, : self._state.batch]
-        return {
-            "success": status == RENDEZVOUS,
-            "time": steps * self.scenario.tau,
-            "contacts": contacts.astype(np.int64),
-            "path_length": way,
-            "lyapunov": lyapunov,
-        }
+        time = steps * self.scenario.tau
+        told = status == RENDEZVOUS, time, contacts.astype(np.int64), way, lyapunov
+        return dict(zip(STANDING, told, strict=True))
 
     def size(self) -> NDArray[np.float64]:
         """L, (B,), m, of the robots that are left: hull perimeter, in 3-D 2π × mean width."""

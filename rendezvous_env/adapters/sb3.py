@@ -15,6 +15,7 @@ from stable_baselines3.common.vec_env import VecEnv
 from ..engine.state_checks import check_entries, check_keys
 from ..gymnasium_env import make_vec
 from ..simulator import Simulator
+from ..team_readings import STANDING
 from .slots import last_moments, of_one_robot, team_options
 
 if TYPE_CHECKING:
@@ -157,7 +158,7 @@ class RobotVecEnv(VecEnv):
         n = self.n_robots
         told: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         for team in np.flatnonzero(over).tolist():
-            told[team * n] |= self._statistics(team, infos["final_info"]["summary"])
+            told[team * n] |= self._statistics(team, infos["final_info"])
             for robot in range(n) if self.tell_bootstraps else ():
                 told[team * n + robot]["terminal_observation"] = last[team, robot].copy()
                 told[team * n + robot]["TimeLimit.truncated"] = False
@@ -168,9 +169,9 @@ class RobotVecEnv(VecEnv):
                 told[slot]["TimeLimit.truncated"] = True
         return told
 
-    def _statistics(self, team: int, summaries: Mapping[str, Any]) -> dict[str, Any]:
+    def _statistics(self, team: int, final: Mapping[str, Any]) -> dict[str, Any]:
         """What a monitor would say of a team's episode; the next one starts to count."""
-        summary = {key: value[team].item() for key, value in summaries.items() if key[0] != "_"}
+        summary = {key: final[key][team].item() for key in STANDING}
         episode = {
             "r": float(self._returns[team]),
             "l": int(self._lengths[team]),

@@ -196,7 +196,7 @@ class RendezvousVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
         """
         self.simulator.set_state(state)
 
-    def render(self) -> tuple[NDArray[np.uint8], ...] | None:  # type: ignore[override]
+    def render(self) -> tuple[NDArray[np.uint8], ...] | None:
         """A picture for each team, (height, width, 3) uint8, in "rgb_array" mode; in "human" mode
         they are shown, side by side.
 

@@ -32,6 +32,8 @@ class TrainingTeams(gymnasium.vector.VectorWrapper):
     | infos["robot_rewards"] | (B, n) float64 | the team's, less ``touch_penalty`` once touched |
     | infos["active"] | (B, n) bool | the robot still exists on its own |
 
+    A reward is bounded as in ``rendezvous_v0``, less ``touch_penalty`` in one step of an episode.
+
     The other infos are those of ``RendezvousVectorEnv`` and of the guarantee's wrapper: the same
     keys in every step, numbers all of them. ``final_obs`` and ``final_info`` come only with
     SAME_STEP.
