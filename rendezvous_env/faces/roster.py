@@ -126,7 +126,7 @@ def _explain(actions: Any, alive: Sequence[str], simulator: Simulator) -> None:
 
 def infos_of_start(names: Sequence[str], simulator: Simulator) -> Infos:
     """What the robots are told at the start of an episode."""
-    clearances, standing = simulator.clearance[0].tolist(), _standing(simulator)
+    clearances, standing = simulator.clearance[0].tolist(), simulator.standing_of_first()
     return {
         name: {"merged_into": i, "contact": False, "clearance": clearances[i], **standing}
         for i, name in enumerate(names)
@@ -151,7 +151,7 @@ def tell(
     """
     status = outcome.status.item(0)
     over, met = status != RUNNING, status == RENDEZVOUS
-    seen, standing = dict(zip(names, observations, strict=True)), _standing(simulator)
+    seen, standing = dict(zip(names, observations, strict=True)), simulator.standing_of_first()
     into = simulator.merged_into[0].tolist()
     felt = zip(into, outcome.contact[0].tolist(), outcome.clearance[0].tolist(), strict=True)
     infos: Infos = {
@@ -175,11 +175,6 @@ def tell(
             info["summary"] = standing.copy()
     rewards = dict.fromkeys(alive, outcome.rewards.item(0))
     return (seen, rewards, ends, truncations, infos), left
-
-
-def _standing(simulator: Simulator) -> dict[str, Any]:
-    """How the team stands in its episode, as Python's own numbers."""
-    return {key: values.item() for key, values in simulator.standing().items()}
 
 
 def _survivor(names: Sequence[str], into: Sequence[int], i: int) -> str | None:

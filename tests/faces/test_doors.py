@@ -10,8 +10,10 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
 
+import baselines
 import rendezvous_env as rv
 from rendezvous_env import rendezvous_v0, vector
+from rendezvous_env.engine.memory import RENDEZVOUS
 from rendezvous_env.gymnasium_env import make_env, make_heading_env, make_heading_vec
 
 SCENARIO = rv.scenarios.get("clutter-4").replace(time_limit=0.3)
@@ -219,3 +221,25 @@ def test_no_step_and_no_episode_earns_less_than_the_bound(name):
     fixed = weights.time_penalty + weights.collision_penalty * n * steps
     assert (total >= -weights.progress * (rise * steps + at_merge * (n - 1)) - fixed).all()
     assert (total < 0).all()
+
+
+@pytest.mark.parametrize("teams", [1, 2, 40])
+def test_how_teams_stand_is_what_their_simulator_reads(teams):
+    """Read at once or one by one; more teams than lanes in a block, or one."""
+    simulator = rv.Simulator(rv.scenarios.get("clutter-8").replace(merge_radius=2.0), teams)
+    law = baselines.make("bearing-only", simulator.scenario)
+    rows = simulator.reset(0)
+    for _ in range(260):
+        rows = simulator.step(law(rows, 0.0)).observations
+    told = simulator.standing()
+    np.testing.assert_array_equal(told["success"], simulator.status == RENDEZVOUS)
+    np.testing.assert_array_equal(told["lyapunov"], simulator.lyapunov())
+    for key in ("time", "contacts", "path_length"):
+        np.testing.assert_array_equal(told[key], getattr(simulator, key))
+        assert told[key].dtype == getattr(simulator, key).dtype
+    first = simulator.standing_of_first()
+    assert first == {key: values[0] for key, values in told.items()}
+    assert {type(value) for value in first.values()} == {bool, float, int}
+    assert told["success"].any() and told["path_length"].min() > 1
+    told["path_length"][:] = 0
+    assert simulator.path_length.min() > 1
