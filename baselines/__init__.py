@@ -14,11 +14,14 @@ from . import (
 )
 from .policy import Policy, RealTimePolicy, make, names
 from .robot_policy import RobotPolicy
+from .vector_policies import HeadingPolicy, TankPolicy
 
 __all__ = [
+    "HeadingPolicy",
     "Policy",
     "RealTimePolicy",
     "RobotPolicy",
+    "TankPolicy",
     "field_laws",
     "laws",
     "learned",

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class HeadingPolicy:
+class BareHeadingPolicy:
     """A heading rule with law (4): ṗᵢ = hᵢ hᵢᵀ fᵢ."""
 
     scenario: Scenario

@@ -6,13 +6,11 @@ certified form of a rule passes its heading through theorem C first.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from functools import partial
+from typing import TYPE_CHECKING
 
-from numpy.typing import NDArray
-
-from .heading_policies import CertifiedHeadingPolicy, HeadingPolicy, TunedJoinedPolicy
+from .heading_policies import BareHeadingPolicy, CertifiedHeadingPolicy, TunedJoinedPolicy
 from .heading_rules import (
-    Array,
     HeadingRule,
     check_clearance,
     tangent_blocking_heading,
@@ -25,8 +23,8 @@ if TYPE_CHECKING:
     from rendezvous_env.experiment.scenario import Scenario
 
 __all__ = [
+    "BareHeadingPolicy",
     "CertifiedHeadingPolicy",
-    "HeadingPolicy",
     "HeadingRule",
     "TunedJoinedPolicy",
     "tangent_blocking_heading",
@@ -42,19 +40,19 @@ def _fits(scenario: Scenario) -> bool:
 @register("tangent", fits=_fits, kind="rule")
 def _tangent(scenario: Scenario) -> Policy:
     """Section IV-C read literally: to the nearer edge of an obstacle that is near."""
-    return HeadingPolicy(scenario, tangent_heading)
+    return BareHeadingPolicy(scenario, tangent_heading)
 
 
 @register("tangent-blocking", fits=_fits, kind="rule")
 def _tangent_blocking(scenario: Scenario) -> Policy:
     """The same, only for an obstacle that stands in the way of f."""
-    return HeadingPolicy(scenario, tangent_blocking_heading)
+    return BareHeadingPolicy(scenario, tangent_blocking_heading)
 
 
 @register("tangent-joined", fits=_fits, kind="rule")
 def _tangent_joined(scenario: Scenario, clearance: float = 0.05) -> Policy:
     """The same, with silhouettes that overlap taken for one."""
-    return HeadingPolicy(scenario, _joined_with(clearance))
+    return BareHeadingPolicy(scenario, _joined_with(clearance))
 
 
 @register("tangent-certified", fits=_fits, kind="rule")
@@ -108,8 +106,4 @@ def _tangent_joined_tuned(
 
 def _joined_with(clearance: float) -> HeadingRule:
     check_clearance(clearance)
-
-    def rule(net_bearing: Array, silhouettes: NDArray[Any]) -> Array:
-        return tangent_joined_heading(net_bearing, silhouettes, clearance=clearance)
-
-    return rule
+    return partial(tangent_joined_heading, clearance=clearance)

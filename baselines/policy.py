@@ -189,9 +189,14 @@ def source_file(name: str) -> Path | None:
     Raises:
         KeyError: for an unknown name.
     """
+    return file_of(_registry[name].build)
+
+
+def file_of(build: Callable[..., Any]) -> Path | None:
+    """The file in which a function is written; None for one that was typed in."""
     try:
-        found = inspect.getsourcefile(_registry[name].build)
-    except TypeError:  # a builder that is no function
+        found = inspect.getsourcefile(build)
+    except TypeError:  # an object that can be called
         return None
     return Path(found) if found is not None and Path(found).is_file() else None
 

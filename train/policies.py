@@ -1,5 +1,5 @@
-"""Which policies a command can compare, by name: those of the registry and ``learned:PATH``, which
-is that of a run, of a checkpoint or of an exported network.
+"""Which policies a command can compare, by name: those of the registry, ``learned:PATH``, which is
+that of a run, of a checkpoint or of an exported network, and ``module:function``, a user's own.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from baselines.learned.robots import can_steer
 from rendezvous_env.experiment.scenario import Scenario, nearest_word
 from rendezvous_env.trajectory import Policy
 
+from . import own_policies
 from .errors import UserError
 
 _LEARNED = "learned"
@@ -33,12 +34,14 @@ def names(scenario: Scenario) -> list[str]:
 
 def kind_of(name: str) -> str:
     """The kind of a policy, one of ``baselines.policy.KINDS``."""
+    if own_policies.is_own(name):
+        return "own"
     return _LEARNED if name.startswith(_AT_PATH) else registry.kind_of(name)
 
 
 def about(name: str) -> str:
     """What a policy is, in a line; empty if nothing is said of it."""
-    return "" if name.startswith(_AT_PATH) else registry.about(name)
+    return "" if ":" in name else registry.about(name)
 
 
 def make(name: str, scenario: Scenario) -> Policy:
@@ -47,6 +50,10 @@ def make(name: str, scenario: Scenario) -> Policy:
     Raises:
         ValueError: if it is unknown, does not fit, or cannot be read.
     """
+    if own_policies.is_own(name):
+        if (policy := own_policies.make(name, scenario)) is None:
+            raise ValueError(f"policy {name!r} does not fit scenario {scenario.name!r}")
+        return policy
     if name.startswith(_AT_PATH):
         return learned_policy.load(Path(name.removeprefix(_AT_PATH)), scenario)
     return baselines.make(name, scenario)
@@ -69,11 +76,20 @@ def fitting(scenario: Scenario, wanted: Sequence[str]) -> list[str]:
         if scenario.sensing.exact:
             usual = [name for name in usual if name not in _WHERE_SENSORS_ERR]
         return [name for name in usual if kind_of(name) not in _ON_REQUEST] or usual
-    return [
-        name
-        for name in wanted
-        if name in known or (learned_path(name) is not None and can_steer(scenario))
-    ]
+    return [name for name in wanted if name in known or _fits_unlisted(name, scenario)]
+
+
+def _fits_unlisted(name: str, scenario: Scenario) -> bool:
+    """Whether a policy that no registry lists fits a scenario."""
+    if own_policies.is_own(name):
+        return own_policies.make(name, scenario) is not None
+    return name.startswith(_AT_PATH) and can_steer(scenario)
+
+
+def source_file(name: str) -> Path | None:
+    """The file in which a policy is made that has no weights; None if it stands in none."""
+    home = own_policies if own_policies.is_own(name) else registry
+    return home.source_file(name)
 
 
 def best(scenario: Scenario) -> str:
@@ -92,13 +108,16 @@ def check_names(wanted: Sequence[str]) -> None:
     """
     known = baselines.names()
     for name in wanted:
-        if learned_path(name) is not None:
+        if own_policies.is_own(name):
+            own_policies.find(name)
+        elif learned_path(name) is not None:
             _check_learned(name)
         elif name not in known:
             near = nearest_word(name, known)
             hint = f"did you mean {near!r}? " if near else ""
             raise UserError(
-                f"policy {name!r} is unknown; {hint}known are {', '.join(known)}, {_AT_PATH}PATH"
+                f"policy {name!r} is unknown; {hint}known are {', '.join(known)}, {_AT_PATH}PATH, "
+                "MODULE:FUNCTION"
             )
 
 

@@ -20,7 +20,6 @@ import baselines
 import rendezvous_env
 import train
 from baselines.learned import checkpoints
-from baselines.policy import source_file
 
 from .. import policies, results
 from ..recording import Recording
@@ -57,7 +56,7 @@ def _weights(policy: str) -> str | None:
     learned = policies.learned_path(policy)
     if learned is not None and not learned.is_file():
         return str(checkpoints.describe(checkpoints.find(learned))["sha256"])
-    path = learned or source_file(policy)
+    path = learned or policies.source_file(policy)
     return None if path is None else hashlib.sha256(path.read_bytes()).hexdigest()
 
 

@@ -56,8 +56,10 @@ class Config:
     scenarios: tuple[str, ...] = DEFAULT_SCENARIOS
     """Names of scenarios, or paths of TOML files."""
     policies: tuple[str, ...] = ()
-    """Names of policies; none means every one that fits but those that see nothing, and references,
-    which see everything. Where one does not fit it is left out."""
+    """Names of policies, learned:PATH of a run, or module:function of your own: a function of a
+    scenario that gives a policy, or None where it does not fit. None named means every one that
+    fits but those that see nothing, and references, which see everything. Where one does not fit it
+    is left out."""
     episodes: int | None = None
     """Starts for each scenario; none is 100, and fewer for more than eight robots among obstacles:
     800 over their number. A scenario whose start is given is played once."""
