@@ -3,6 +3,7 @@
 """
 
 from . import (
+    blind_policies,
     field_laws,
     laws,
     learned,
@@ -22,6 +23,7 @@ __all__ = [
     "RealTimePolicy",
     "RobotPolicy",
     "TankPolicy",
+    "blind_policies",
     "field_laws",
     "laws",
     "learned",

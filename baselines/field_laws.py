@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -148,49 +149,67 @@ def _in_the_plane(scenario: Scenario) -> bool:
     return is_single_integrator(scenario) and scenario.dim == 2
 
 
+def _unit_mean_velocities(f: Array, seen: ObservedRows, time: ArrayLike, *, speed: float) -> Array:
+    return unit_mean_law(f, speed=speed)
+
+
 @register("unit-mean", fits=is_single_integrator, kind="field", on_request=True)
 def _unit_mean(scenario: Scenario) -> Policy:
     """Along the net bearing at the speed limit."""
-    return LawPolicy(scenario, lambda f, seen, time: unit_mean_law(f, speed=scenario.speed_limit))
+    return LawPolicy(scenario, partial(_unit_mean_velocities, speed=scenario.speed_limit))
+
+
+def _smallest_sector_velocities(f: Array, seen: ObservedRows, time: ArrayLike) -> Array:
+    return smallest_sector_law(seen.neighbours)
 
 
 @register("smallest-sector", fits=_in_the_plane, kind="field", on_request=True)
 def _smallest_sector(scenario: Scenario) -> Policy:
     """Between the two neighbours that bound the smallest sector with all of them in it."""
-    return LawPolicy(scenario, lambda f, seen, time: smallest_sector_law(seen.neighbours))
+    return LawPolicy(scenario, _smallest_sector_velocities)
+
+
+def _quantised_velocities(
+    f: Array, seen: ObservedRows, time: ArrayLike, *, scenario: Scenario, sectors: int
+) -> Array:
+    rows = rounded_bearings(seen.neighbours, sectors)
+    degree = np.linalg.norm(rows, axis=-1).sum(axis=-1)[..., np.newaxis]
+    scale = step_scale(degree, scenario.merge_radius, scenario.tau)
+    return bearing_only_law(rows.sum(axis=-2)) * (scale if scenario.scales_velocity else 1.0)
 
 
 @register("quantised", fits=_in_the_plane, kind="field", on_request=True)
 def _quantised(scenario: Scenario, sectors: int = 8) -> Policy:
     """Law (1) of bearings that are known by sector only."""
     count = whole("sectors", sectors, 2, MOST_SECTORS)
-
-    def law(f: Array, seen: ObservedRows, time: ArrayLike) -> Array:
-        rows = rounded_bearings(seen.neighbours, count)
-        degree = np.linalg.norm(rows, axis=-1).sum(axis=-1)[..., np.newaxis]
-        scale = step_scale(degree, scenario.merge_radius, scenario.tau)
-        return bearing_only_law(rows.sum(axis=-2)) * (scale if scenario.scales_velocity else 1.0)
-
-    return LawPolicy(scenario, law)
+    return LawPolicy(scenario, partial(_quantised_velocities, scenario=scenario, sectors=count))
 
 
 def _knows_who(scenario: Scenario) -> bool:
     return is_single_integrator(scenario) and rows_have_an_order(scenario)
 
 
+def _cyclic_pursuit_velocities(
+    f: Array, seen: ObservedRows, time: ArrayLike, *, speed: float
+) -> Array:
+    return cyclic_pursuit_law(seen.neighbours, speed=speed)
+
+
 @register("cyclic-pursuit", fits=_knows_who, kind="field", on_request=True)
 def _cyclic_pursuit(scenario: Scenario) -> Policy:
     """Straight at the next robot by row, at the speed limit."""
-    return LawPolicy(
-        scenario,
-        lambda f, seen, time: cyclic_pursuit_law(seen.neighbours, speed=scenario.speed_limit),
-    )
+    law = partial(_cyclic_pursuit_velocities, speed=scenario.speed_limit)
+    return LawPolicy(scenario, law)
+
+
+def _nearest_pursuit_velocities(
+    f: Array, seen: ObservedRows, time: ArrayLike, *, speed: float
+) -> Array:
+    return nearest_pursuit_law(seen.neighbours, speed=speed)
 
 
 @register("nearest-pursuit", fits=_knows_who, kind="field", on_request=True)
 def _nearest_pursuit(scenario: Scenario) -> Policy:
     """Straight at the robot nearest by index, at the speed limit."""
-    return LawPolicy(
-        scenario,
-        lambda f, seen, time: nearest_pursuit_law(seen.neighbours, speed=scenario.speed_limit),
-    )
+    law = partial(_nearest_pursuit_velocities, speed=scenario.speed_limit)
+    return LawPolicy(scenario, law)

@@ -1,16 +1,16 @@
-"""The laws of the paper, with its equation numbers, and two policies that see nothing."""
+"""The laws of the paper, with its equation numbers."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rendezvous_env.experiment.checks import bools, floats, positive, shown, whole
-from rendezvous_env.experiment.limits import LARGEST_SEED
+from rendezvous_env.experiment.checks import floats, positive, shown
 from rendezvous_env.experiment.observation_layout import ObservedRows
 from rendezvous_env.guarantee.heading import flexible_velocity, step_scale
 from rendezvous_env.guarantee.link_keeping import least_norm_points, link_keeping_law
@@ -31,7 +31,6 @@ Array = NDArray[np.float64]
 
 __all__ = [
     "LawPolicy",
-    "RandomPolicy",
     "bearing_only_law",
     "damped_law",
     "degree_of",
@@ -184,71 +183,64 @@ class LawPolicy:
         """Nothing to forget."""
 
 
-@dataclass
-class RandomPolicy:
-    """Actions drawn uniformly from the action space by a generator of its own."""
+# Functions of the module with what they need bound to them, not closures: policies are pickled.
 
-    scenario: Scenario
-    """Whose robots it steers."""
-    seed: int = 0
-    """Of the generator."""
-    _generator: np.random.Generator = field(init=False, repr=False)
 
-    def __post_init__(self) -> None:
-        """Start the stream."""
-        self.seed = whole("seed", self.seed, 0, LARGEST_SEED)
-        self.reset()
-
-    def __call__(self, observations: NDArray[Any], time: ArrayLike) -> NDArray[np.float32]:
-        """Actions (..., n, a); see ``Policy``."""
-        bounds = self.scenario.action_bounds
-        seen = self.scenario.observation_layout.checked(observations)
-        shape = (*seen.shape[:-2], bounds.size)
-        drawn: Array = self._generator.uniform(-bounds, bounds, shape)
-        return drawn.astype(np.float32)
-
-    def reset(self, mask: NDArray[np.bool_] | None = None) -> None:
-        """Start the stream anew; the teams share it, so a mask that spares some changes nothing."""
-        if mask is None or bools("mask", mask, None, "teams").all():
-            self._generator = np.random.default_rng(self.seed)
+def _bearing_only_velocities(
+    f: Array, seen: ObservedRows, time: ArrayLike, *, scenario: Scenario
+) -> Array:
+    velocity = bearing_only_law(f)
+    if not scenario.scales_velocity:
+        return velocity
+    scale: Array = step_scale(degree_of(seen), scenario.merge_radius, scenario.tau)
+    return velocity * scale[..., np.newaxis]
 
 
 @register("bearing-only", fits=is_single_integrator, kind="law")
 def _bearing_only(scenario: Scenario) -> Policy:
     """Law (1): along the net bearing, as fast as it is long."""
+    return LawPolicy(scenario, partial(_bearing_only_velocities, scenario=scenario))
 
-    def law(f: Array, seen: ObservedRows, time: ArrayLike) -> Array:
-        velocity = bearing_only_law(f)
-        if not scenario.scales_velocity:
-            return velocity
-        scale: Array = step_scale(degree_of(seen), scenario.merge_radius, scenario.tau)
-        return velocity * scale[..., np.newaxis]
 
-    return LawPolicy(scenario, law)
+def _link_keeping_velocities(
+    f: Array, seen: ObservedRows, time: ArrayLike, *, merge_radius: float, duration: float
+) -> Array:
+    point, degree = least_norm_points(seen.neighbours), degree_of(seen)
+    return link_keeping_law(point, degree, merge_radius=merge_radius, duration=duration)
 
 
 @register("link-keeping", fits=is_single_integrator, kind="law", on_request=True)
 def _link_keeping(scenario: Scenario) -> Policy:
     """Law (R b): into the middle of all that is seen, so that no link grows longer."""
-    r, tau = scenario.merge_radius, scenario.tau
-
-    def law(f: Array, seen: ObservedRows, time: ArrayLike) -> Array:
-        point = least_norm_points(seen.neighbours)
-        return link_keeping_law(point, degree_of(seen), merge_radius=r, duration=tau)
-
+    law = partial(
+        _link_keeping_velocities, merge_radius=scenario.merge_radius, duration=scenario.tau
+    )
     return LawPolicy(scenario, law)
+
+
+def _unicycle_actions(f: Array, seen: ObservedRows, time: ArrayLike) -> Array:
+    return unicycle_law(f)
 
 
 @register("unicycle", fits=lambda scenario: scenario.robot_model == "unicycle", kind="law")
 def _unicycle(scenario: Scenario) -> Policy:
     """Laws (7) and (8) of unicycles: the speed along f, turning towards it."""
-    return LawPolicy(scenario, lambda f, seen, time: unicycle_law(f))
+    return LawPolicy(scenario, _unicycle_actions)
+
+
+def _unicycle_cosine_actions(f: Array, seen: ObservedRows, time: ArrayLike) -> Array:
+    return unicycle_cosine_law(f, time)
 
 
 @register("unicycle-cosine", fits=lambda scenario: scenario.robot_model == "unicycle", kind="law")
 def _unicycle_cosine(scenario: Scenario) -> Policy:
     """Law (7) of unicycles that turn to and fro, ω = cos t, whatever they see."""
-    return LawPolicy(scenario, lambda f, seen, time: unicycle_cosine_law(f, time))
+    return LawPolicy(scenario, _unicycle_cosine_actions)
+
+
+def _nonholonomic_3d_actions(f: Array, seen: ObservedRows, time: ArrayLike) -> Array:
+    assert seen.gravity is not None  # these robots always sense it
+    return nonholonomic_3d_law(f, pitch_of(seen.gravity))
 
 
 @register(
@@ -256,37 +248,18 @@ def _unicycle_cosine(scenario: Scenario) -> Policy:
 )
 def _nonholonomic_3d(scenario: Scenario) -> Policy:
     """Laws (12) and (17) of nonholonomic robots in space."""
+    return LawPolicy(scenario, _nonholonomic_3d_actions)
 
-    def law(f: Array, seen: ObservedRows, time: ArrayLike) -> Array:
-        assert seen.gravity is not None  # these robots always sense it
-        return nonholonomic_3d_law(f, pitch_of(seen.gravity))
 
-    return LawPolicy(scenario, law)
+def _damped_accelerations(
+    f: Array, seen: ObservedRows, time: ArrayLike, *, damping: float
+) -> Array:
+    assert seen.velocity is not None  # these robots always sense it
+    return damped_law(f, seen.velocity.astype(np.float64), damping=damping)
 
 
 @register("damped", fits=is_double_integrator, kind="law")
 def _damped(scenario: Scenario, damping: float = 1.0) -> Policy:
     """For robots with inertia: where law (1) would go, with friction; not of the paper."""
-    k = positive("damping", damping, "1/s")
-
-    def law(f: Array, seen: ObservedRows, time: ArrayLike) -> Array:
-        assert seen.velocity is not None  # these robots always sense it
-        return damped_law(f, seen.velocity.astype(np.float64), damping=k)
-
-    return LawPolicy(scenario, law)
-
-
-@register("random", fits=lambda scenario: True, kind="blind")
-def _random(scenario: Scenario, seed: int = 0) -> Policy:
-    """Actions drawn at random, whatever is seen."""
-    return RandomPolicy(scenario, seed)
-
-
-@register("zero", fits=lambda scenario: True, kind="blind")
-def _zero(scenario: Scenario) -> Policy:
-    """No action at all."""
-
-    def law(f: Array, seen: ObservedRows, time: ArrayLike) -> Array:
-        return np.zeros((*f.shape[:-1], scenario.action_size))
-
+    law = partial(_damped_accelerations, damping=positive("damping", damping, "1/s"))
     return LawPolicy(scenario, law)
