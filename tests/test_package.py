@@ -257,6 +257,49 @@ def test_a_folder_that_holds_a_train_py_is_no_obstacle(tmp_path):
     assert "robot_1" in printed
 
 
+OWN_TRAIN = """
+import baselines, rendezvous_env as rv
+from rendezvous_env.adapters import sb3
+
+scenario = rv.scenarios.get("clutter-8").replace(time_limit=0.5)
+robots = sb3.make_robots(scenario, 2)
+assert robots.reset().shape[0] == robots.num_envs == 8
+own = baselines.HeadingPolicy(scenario, lambda seen: seen[..., 0, :])
+for policy in (own, baselines.make("learned", scenario), baselines.make("learned-tank", scenario)):
+    print(abs(rv.rollout(scenario, policy, record="actions").actions).max() > 0.1)
+"""
+
+
+@pytest.mark.parametrize("command", [["train.py"], ["-c", "import train"]])
+def test_a_script_called_train_uses_everything_but_train(tmp_path, command):
+    (tmp_path / "train.py").write_text(OWN_TRAIN)
+    environment = {**os.environ, "PYTHONSAFEPATH": "", "PYTHONPATH": str(ROOT)}
+    done = subprocess.run(
+        [sys.executable, *command],
+        capture_output=True, text=True, cwd=tmp_path, env=environment, timeout=300,
+    )  # fmt: skip
+    assert done.stdout.split() == ["True"] * 3, done.stderr
+
+
+def test_the_console_script_works_beside_a_train_py(tmp_path):
+    """And finds a policy in a file beside it."""
+    (tmp_path / "train.py").write_text("raise RuntimeError('the wrong train')\n")
+    (tmp_path / "mine.py").write_text(
+        "import baselines\ndef make(scenario):\n    return baselines.make('learned', scenario)\n"
+    )
+    environment = {**os.environ, "PYTHONSAFEPATH": "", "PYTHONPATH": str(ROOT)}
+    script = Path(sys.executable).with_name("rendezvous")
+    words = "compare --scenarios clutter-4 --policies learned mine:make --episodes 2 --no-figures"
+    done = subprocess.run(
+        [sys.executable, script, *words.split(), "--jobs", "2", "--out", "out"],
+        capture_output=True, text=True, cwd=tmp_path, env=environment, timeout=300,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    rows = (tmp_path / "out" / "results.csv").read_text(encoding="utf-8").splitlines()
+    ours, theirs = (row.split(",")[3:] for row in rows[1:])
+    assert ours == theirs and rows[2].startswith("clutter-4,mine:make,2,")
+
+
 # ---- public names -------------------------------------------------------------------------------
 
 
@@ -271,7 +314,7 @@ def test_the_public_names_of_the_design():
     assert callable(rv.scenarios.names) and callable(rv.scenarios.get)
     for name in ("parallel_env", "env", "raw_env"):
         assert callable(getattr(rv.rendezvous_v0, name))
-    for name in ("make", "names", "Policy"):
+    for name in ("make", "names", "Policy", "HeadingPolicy", "TankPolicy"):
         assert hasattr(baselines, name)
     assert {
         "bearing-only", "unicycle", "unicycle-cosine", "nonholonomic-3d", "random", "zero",
