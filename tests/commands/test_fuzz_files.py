@@ -257,7 +257,7 @@ TINY = {
 def run_files(tmp_path_factory):
     """Files of a run that is finished, so that to go on with it takes no time."""
     folder = tmp_path_factory.mktemp("fuzz") / "run"
-    assert ppo.run(ppo.Config(**TINY, out=folder)) == 0
+    assert ppo.run(ppo.Config(**TINY, out=folder)).status == 0
     return {name: content for name, content in contents(folder).items() if content is not None}
 
 

@@ -304,7 +304,7 @@ class TestLocks:
         folder = tmp_path / "run"
         small = {"num_teams": 2, "n_steps": 4, "total_steps": 32, "eval_every": 0}
         begun = ppo.Config("clutter-4", out=folder, tensorboard=False, num_threads=1, **small)
-        assert ppo.run(begun) == 0
+        assert ppo.run(begun).status == 0
         other = hold(folder / ".lock")
         before = contents(folder)
         assert cli.main(["train", "--resume", str(folder)]) == 2

@@ -4,6 +4,7 @@ import dataclasses
 import errno
 import importlib.util
 import json
+import math
 import os
 import random
 import shutil
@@ -82,7 +83,7 @@ def assert_same_run(one, other):
 def whole(tmp_path_factory):
     """Folder of a run that nothing stopped."""
     folder = tmp_path_factory.mktemp("runs") / "whole"
-    assert ppo.run(config(folder)) == 0
+    assert ppo.run(config(folder)).status == 0
     return folder
 
 
@@ -154,7 +155,7 @@ class TestFiles:
     def test_tensorboard(self, tmp_path):
         folder = tmp_path / "run"
         changed = config(folder, tensorboard=True, total_steps=UPDATE, eval_every=0)
-        assert ppo.run(changed) == 0
+        assert ppo.run(changed).status == 0
         assert [path.stat().st_size > 500 for path in (folder / "tensorboard").iterdir()] == [True]
 
 
@@ -174,7 +175,7 @@ class TestLearning:
             learning_rate=3e-3, epochs=4, batch_size=512, progress=20.0, time_penalty=0.0,
             rendezvous_bonus=0.0, curriculum=(0,), eval_every=0, gamma=0.9,
         )  # fmt: skip
-        assert ppo.run(changed) == 0
+        assert ppo.run(changed).status == 0
         rows = results.read_csv(tmp_path / "run" / "metrics.csv")
         alignment = [float(row["alignment"]) for row in rows]
         assert np.mean(alignment[-4:]) > np.mean(alignment[:4]) + 0.1
@@ -186,12 +187,12 @@ class TestLearning:
         assert changed.stage_scenario(0).obstacles.count == (0, 0)
         assert changed.stage_scenario(1).obstacles.count == (1, 3)
         assert changed.obstacle_slots() == 3
-        assert ppo.run(changed) == 0
+        assert ppo.run(changed).status == 0
         rows = results.read_csv(tmp_path / "run" / "metrics.csv")
         assert [row["stage"] for row in rows] == ["0", "0", "1", "1"]
         other = dataclasses.replace(changed, out=tmp_path / "other")
         stopped_after(other, 3)
-        assert ppo.run(Config(resume=other.out)) == 0
+        assert ppo.run(Config(resume=other.out)).status == 0
         assert_same_run(changed.out, other.out)
 
     def test_weights_of_another_run_to_start_from(self, whole, tmp_path):
@@ -217,7 +218,63 @@ def stopped_after(settings, updates, number=signal.SIGTERM):
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(training.Training, "report", report)
-        return ppo.run(settings)
+        return ppo.run(settings).status
+
+
+class TestResult:
+    """What the program that called gets, and what it is told on the way."""
+
+    def test_it_holds_the_last_metrics_and_the_best_evaluation(self, tmp_path):
+        told = []
+        result = ppo.run(
+            config(tmp_path, eval_every=2 * UPDATE, eval_starts=6),
+            on_update=lambda update, metrics: told.append((update, metrics)),
+        )
+        assert result.folder == tmp_path and result.status == 0 and not result.stopped
+        assert [update for update, _ in told] == list(range(1, len(told) + 1))
+        assert result.steps == told[-1][1]["step"] == len(told) * UPDATE
+        assert dict(result.metrics) | {"evaluation": told[-1][1]["evaluation"]} == told[-1][1]
+        evaluated = [metrics["evaluation"][0] for _, metrics in told if metrics["evaluation"]]
+        assert [row["step"] for row in evaluated] == [row["step"] for row in result.evaluations]
+        for one, other in zip(evaluated, result.evaluations, strict=True):
+            assert one["clean_success"] == other["clean_success"] and one["scenario"] == "clutter-4"
+        assert result.final[0]["step"] == result.steps
+        clean = [row["clean_success"] for row in evaluated]
+        assert result.best[0]["step"] == evaluated[clean.index(max(clean))]["step"]
+
+    def test_the_best_is_that_of_all_scenarios(self, tmp_path):
+        def row(step, clean, success=1.0):
+            return {"step": step, "clean_success": clean, "success": success}
+
+        rows = (row(1, 0.9), row(1, 0.1), row(2, 0.6), row(2, 0.6), row(3, 0.6), row(3, 0.6))
+        result = ppo.Result(tmp_path, 0, False, 3, {}, rows)
+        assert result.best == rows[2:4] and result.final == rows[4:]
+        nothing = ppo.Result(tmp_path, 0, False, 3, {}, ())
+        assert nothing.best == nothing.final == ()
+        through = (row(1, math.nan, 0.2), row(2, math.nan, 0.3))
+        assert ppo.Result(tmp_path, 0, False, 2, {}, through).best == through[1:]
+
+    def test_who_returns_true_ends_it_and_it_can_go_on(self, whole, tmp_path, capsys):
+        folder = tmp_path / "run"
+        result = ppo.run(config(folder), on_update=lambda update, metrics: update == 3)
+        assert result.stopped and result.status == 0 and result.steps == 3 * UPDATE
+        assert f"stopped by on_update: {3 * UPDATE:,} steps" in capsys.readouterr().out
+        assert checkpoints.find(folder).name == f"step-{3 * UPDATE:012d}"
+        assert ppo.run(Config(resume=folder)).status == 0
+        assert_same_run(folder, whole)
+
+    def test_a_pruned_trial_passes_through(self, tmp_path):
+        """As Optuna's, which is raised in the middle."""
+
+        class TrialPrunedError(Exception):
+            pass
+
+        def prune(update, metrics):
+            raise TrialPrunedError
+
+        with pytest.raises(TrialPrunedError):
+            ppo.run(config(tmp_path / "run"), on_update=prune)
+        assert ppo.run(Config(resume=tmp_path / "run", total_steps=UPDATE)).steps == UPDATE
 
 
 class TestResume:
@@ -227,7 +284,7 @@ class TestResume:
         folder = tmp_path / "run"
         assert stopped_after(config(folder), 4, number) == 128 + number
         assert checkpoints.find(folder).name == f"step-{3 * UPDATE:012d}"
-        assert ppo.run(Config(resume=folder)) == 0
+        assert ppo.run(Config(resume=folder)).status == 0
         said = capsys.readouterr().out
         assert f"at step {3 * UPDATE:,}" in said and f"step-{3 * UPDATE:012d}" in said
         assert_same_run(whole, folder)
@@ -251,12 +308,12 @@ class TestResume:
         """What a kill leaves: rows of updates that will be done again, and half a row."""
         folder = tmp_path / "run"
         stopped_after(config(folder), 4)
-        assert ppo.run(Config(resume=folder, total_steps=6 * UPDATE)) == 0
+        assert ppo.run(Config(resume=folder, total_steps=6 * UPDATE)).status == 0
         for place in checkpoints.candidates(folder)[:1]:
             shutil.rmtree(place)
         with (folder / "metrics.csv").open("a") as file:
             file.write("99999,")
-        assert ppo.run(Config(resume=folder, total_steps=12 * UPDATE)) == 0
+        assert ppo.run(Config(resume=folder, total_steps=12 * UPDATE)).status == 0
         steps = [int(row["step"]) for row in metrics(folder)]
         assert steps == [UPDATE * (k + 1) for k in range(12)]
 
@@ -266,7 +323,7 @@ class TestResume:
         newest, older = checkpoints.candidates(folder)
         file = newest / "optimizer.safetensors"
         file.write_bytes(file.read_bytes()[:-10])
-        assert ppo.run(Config(resume=folder)) == 0
+        assert ppo.run(Config(resume=folder)).status == 0
         said = capsys.readouterr().out
         assert "truncated" in said and f"resumes {older}" in said
         assert_same_run(whole, folder)
@@ -275,7 +332,7 @@ class TestResume:
         folder = tmp_path / "run"
         shutil.copytree(whole, folder)
         before = metrics(folder)
-        assert ppo.run(Config(resume=folder)) == 0
+        assert ppo.run(Config(resume=folder)).status == 0
         assert "nothing was left to do" in capsys.readouterr().out
         assert metrics(folder) == before
 
@@ -288,9 +345,9 @@ class TestResume:
         """Ledgers and memory of running episodes are part of a checkpoint."""
         tank = {"guarantee": "tank", "budget": 2.0, "eval_every": 1500, "prior": 0.5} | more
         short = tank | {"total_steps": 4 * UPDATE}
-        assert ppo.run(config(tmp_path / "whole", **short)) == 0
+        assert ppo.run(config(tmp_path / "whole", **short)).status == 0
         assert stopped_after(config(tmp_path / "run", **short), 3) == 128 + signal.SIGTERM
-        assert ppo.run(Config(resume=tmp_path / "run")) == 0
+        assert ppo.run(Config(resume=tmp_path / "run")).status == 0
         assert_same_run(tmp_path / "whole", tmp_path / "run")
         about, tables = checkpoints.read(checkpoints.find(tmp_path / "run"), training.STATE_FILES)
         levels = tables["state"]["robots/teams/tank/levels"]
@@ -301,7 +358,7 @@ class TestResume:
 
     def test_memory_with_certified_headings(self, tmp_path):
         more = {"memory": "recurrent", "memory_units": 4, "total_steps": 2 * UPDATE}
-        assert ppo.run(config(tmp_path, eval_every=UPDATE, **more)) == 0
+        assert ppo.run(config(tmp_path, eval_every=UPDATE, **more)).status == 0
         rows = results.read_csv(tmp_path / "evaluation.csv")
         assert len(rows) == 2
         assert all(float(row["min_alignment"]) >= 0.05 - 1e-6 for row in rows)
@@ -313,8 +370,8 @@ class TestResume:
         for name in ("guarantee", "budget", "memory", "memory_units", "critic"):
             del plain[name]
         (folder / "config.json").write_text(json.dumps(plain))
-        assert ppo.run(Config(resume=folder)) == 0
-        assert ppo.run(Config(resume=folder, total_steps=13 * UPDATE)) == 0
+        assert ppo.run(Config(resume=folder)).status == 0
+        assert ppo.run(Config(resume=folder, total_steps=13 * UPDATE)).status == 0
 
     def test_before_the_first_checkpoint(self, whole, tmp_path, monkeypatch):
         folder = tmp_path / "run"
@@ -326,7 +383,7 @@ class TestResume:
             patch.setattr(training.Training, "save", killed)
             with pytest.raises(KeyboardInterrupt):
                 ppo.run(config(folder))
-        assert ppo.run(Config(resume=folder)) == 0
+        assert ppo.run(Config(resume=folder)).status == 0
         assert_same_run(whole, folder)
 
 
@@ -455,7 +512,7 @@ class TestKilled:
             lost = max(steps, default=0) - self.step_of(folder)
             assert lost <= changes.get("checkpoint_every", 1000) + UPDATE
             words = ["--resume", str(folder)]
-        assert ppo.run(Config(resume=folder)) == 0
+        assert ppo.run(Config(resume=folder)).status == 0
 
     def test_twice(self, whole, tmp_path):
         self.kill_often(tmp_path / "run", 2, seed=0)
@@ -464,7 +521,7 @@ class TestKilled:
     @pytest.mark.slow
     def test_ten_times(self, tmp_path):
         more = {"total_steps": 80 * UPDATE, "eval_every": 10_000}
-        assert ppo.run(config(tmp_path / "whole", **more)) == 0
+        assert ppo.run(config(tmp_path / "whole", **more)).status == 0
         self.kill_often(tmp_path / "run", 10, seed=1, **more)
         assert_same_run(tmp_path / "whole", tmp_path / "run")
         learned_policy.load(tmp_path / "run", scenarios.get("clutter-4"))

@@ -161,14 +161,14 @@ class TestTraining:
     def test_what_is_stopped_goes_on_bit_by_bit(self, tmp_path):
         more = DRAWN | {"total_steps": 6 * UPDATE, "eval_every": 0, "guarantee": "tank"}
         whole, run = (config(tmp_path / name, **more) for name in ("whole", "run"))
-        assert ppo.run(whole) == 0
+        assert ppo.run(whole).status == 0
         assert stopped_after(run, 4) == 128 + signal.SIGTERM
-        assert ppo.run(Config(resume=run.out)) == 0
+        assert ppo.run(Config(resume=run.out)).status == 0
         assert_same_run(whole.out, run.out)
         state = checkpoints.read(checkpoints.find(run.out), training.STATE_FILES)[1]["state"]
         assert state["robots/teams/generations"].tolist() == [2, 2, 3]
         exact = config(tmp_path / "exact", total_steps=UPDATE, eval_every=0, guarantee="tank")
-        assert ppo.run(exact) == 0
+        assert ppo.run(exact).status == 0
         first = [path / "metrics.csv" for path in (exact.out, run.out)]
         assert first[0].read_text().splitlines()[1] != first[1].read_text().splitlines()[1]
 
@@ -176,7 +176,7 @@ class TestTraining:
         more = {"memory": "recurrent", "memory_units": 4, "critic": "global", "eval_every": 0}
         more |= DRAWN | {"total_steps": 4 * UPDATE, "curriculum": (1, 3)}
         whole, run = (config(tmp_path / name, **more) for name in ("whole", "run"))
-        assert ppo.run(whole) == 0
+        assert ppo.run(whole).status == 0
         assert stopped_after(run, 3) == 128 + signal.SIGTERM
-        assert ppo.run(Config(resume=run.out)) == 0
+        assert ppo.run(Config(resume=run.out)).status == 0
         assert_same_run(whole.out, run.out)

@@ -5,17 +5,24 @@ from __future__ import annotations
 import importlib.util
 
 from ..errors import UserError
+from .run_result import OnUpdate, Result
 from .settings import EVALUATION_SEEDS, Config
 from .settings_checks import check
 
-__all__ = ["EVALUATION_SEEDS", "Config", "check", "run"]
+__all__ = ["EVALUATION_SEEDS", "Config", "Result", "check", "run"]
 
 
-def run(config: Config) -> int:
+def run(config: Config, on_update: OnUpdate | None = None) -> Result:
     """Train, or go on training.
 
+    Args:
+        config: of the run.
+        on_update: called after each update with its number and its metrics: the row of metrics.csv,
+            and under "evaluation" the rows of evaluation.csv, none where none was due. If it
+            returns True, the run ends with a checkpoint, as if all steps were done.
+
     Returns:
-        Exit status: 0 when all steps are done, 128 + the signal's number when it was stopped.
+        What came of it: folder, steps, the last metrics, the last and the best evaluation.
 
     Raises:
         UserError: for an impossible setting, a run that cannot be resumed, or a folder or disk that
@@ -25,7 +32,7 @@ def run(config: Config) -> int:
     _require_extra()
     from . import training_run
 
-    return training_run.run(config)
+    return training_run.run(config, on_update)
 
 
 def _require_extra() -> None:

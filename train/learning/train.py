@@ -48,7 +48,7 @@ def run(config: Config) -> int:
     """
     settings = config.settings
     if not config.seeds:
-        return ppo.run(settings)
+        return ppo.run(settings).status
     runs = [_begun(one) for one in runs_of(settings, config.seeds)]
     results.prepare_folder(settings.out)
     console = Console(soft_wrap=True)
@@ -117,4 +117,4 @@ def _train(settings: Settings) -> int:
     with _log_of(settings).open("a", encoding="utf-8") as log, redirect_stdout(log):
         for name in policies.fitting(scenario, shipped.NAMES):  # they need the same kernels
             make_ready(Job(scenario, name), TOGETHER)
-        return ppo.run(settings)
+        return ppo.run(settings).status

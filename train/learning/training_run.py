@@ -18,6 +18,7 @@ from rendezvous_env.engine.pool.threads import available_cores
 
 from .. import folders, interrupts
 from ..errors import UserError
+from .run_result import OnUpdate, Result, Row, read_evaluations
 from .settings import Config
 from .settings_checks import check, resumed, same_run
 from .training import CONFIG, STATE_FILES, Training
@@ -26,7 +27,7 @@ _DESCRIPTION = {"step": int, "stage": int, "updates": int, "wall_s": float, "wri
 """Of a checkpoint: what a run needs to go on."""
 
 
-def run(config: Config) -> int:
+def run(config: Config, on_update: OnUpdate | None = None) -> Result:
     """Begin or resume a run and train to its end; see ``ppo.run``."""
     console = Console(soft_wrap=True)
     threads = torch.get_num_threads()
@@ -38,7 +39,7 @@ def run(config: Config) -> int:
             torch.set_num_threads(config.num_threads or available_cores())
             training = Training(config)
             step = training.restore(place) if place else training.begin()
-            return _loop(training, step, console)
+            return _loop(training, step, console, on_update or _goes_on)
     except CheckpointError as error:
         raise UserError(str(error)) from error
     except OSError as error:
@@ -141,9 +142,17 @@ def _write_failure(folder: Path, error: OSError) -> str:
 # ---- the loop -----------------------------------------------------------------------------------
 
 
-def _loop(training: Training, step: int, console: Console) -> int:
-    """Train to the end, or until a signal; what is kept then is the state after the last update."""
+def _goes_on(update: int, metrics: Row) -> bool:
+    return False
+
+
+def _loop(training: Training, step: int, console: Console, on_update: OnUpdate) -> Result:
+    """Train to the end, until a signal, or until ``on_update`` ends it; what is kept then is the
+    state after the last update.
+    """
     config, kept = training.config, training.snapshot()
+    metrics: dict[str, Any] = {}
+    status, stopped, saved = 0, False, True
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
@@ -153,27 +162,34 @@ def _loop(training: Training, step: int, console: Console) -> int:
     try:
         with Progress(*columns, console=console, transient=True) as progress:
             bar = progress.add_task("", total=config.total_steps, completed=step)
-            while step < config.total_steps:
+            while step < config.total_steps and not stopped:
                 before, step = step, training.update()
                 row = training.report()
                 progress.update(bar, completed=step, description=_line(row))
-                last = step >= config.total_steps
+                last, evaluation = step >= config.total_steps, []
                 if config.eval_every and (last or _crosses(config.eval_every, before, step)):
-                    for result in training.evaluate():
+                    evaluation = training.evaluate()
+                    for result in evaluation:
                         console.print(_evaluation_line(result))
-                kept = training.snapshot()
+                kept, metrics, saved = training.snapshot(), row, False
                 if last or _crosses(config.checkpoint_every, before, step):
-                    place = training.save(kept)
+                    place, saved = training.save(kept), True
                     console.print(f"{_line(row)} · {place.name}")
+                stopped = on_update(row["update"], row | {"evaluation": evaluation}) is True
     except KeyboardInterrupt as error:
         training.save(kept)  # rows of later steps are cut off when the run goes on
         step = kept[0]["step"]
         console.print(f"stopped at step {step:,}; rendezvous train --resume {config.out} goes on")
-        return interrupts.status_of(error)
+        status = interrupts.status_of(error)
+    else:
+        if not saved:
+            training.save(kept)
+        said = "stopped by on_update" if stopped else "done"
+        console.print(f"{said}: {step:,} steps; {training.speed()}")
     finally:
         training.close()
-    console.print(f"done: {step:,} steps; {training.speed()}")
-    return 0
+    evaluations = read_evaluations(config.out / "evaluation.csv", step)
+    return Result(config.out, status, stopped, step, metrics, evaluations)
 
 
 def _crosses(every: int, before: int, step: int) -> bool:
