@@ -66,6 +66,15 @@ def test_all_rows_are_measured_and_written(tmp_path):
     assert list(tmp_path.iterdir()) == [tmp_path / "bench.json"]
 
 
+def test_ticks_of_a_learned_policy_are_told_in_microseconds(tmp_path, capsys):
+    rows, _ = measured(tmp_path, only=("learned",))
+    assert [(row.name, row.num_envs) for row in rows] == [
+        (name, teams) for teams in (1, 12) for name in ("learned, NumPy", "learned, torch")
+    ]
+    assert rows[0].ratio == pytest.approx(rows[0].rate / rows[1].rate, rel=0.9)
+    assert capsys.readouterr().out.count("µs per robot and tick") == 4
+
+
 def test_rows_can_be_chosen_and_measured_on_a_busy_machine(tmp_path):
     rows, _ = measured(tmp_path, only=("batched",), busy=True)
     assert {row.group for row in rows} == {"batched"}

@@ -19,6 +19,7 @@ from rendezvous_env.engine.pool import threads
 from ..results import provenance, write_json
 from .bench_cases import LIMIT, Case, among_discs, batched, one_team, spread_out
 from .bench_guarantees import wrapped
+from .bench_policies import TICKS, learned
 from .bench_sensing import sensing
 from .bench_settings import GROUPS, Config, check
 from .measuring import Row, bytes_per_team, measure
@@ -72,6 +73,9 @@ def _groups(config: Config, console: Console) -> Iterator[list[Case]]:
     for n in config.robots:
         if "sensing" in wanted:
             yield from sensing(n, *size)
+    if "learned" in wanted:
+        yield learned(1)
+        yield learned(max(2, config.num_envs // 4))
     if {"robots", "ppo", "heading-ppo"} & set(wanted):
         yield from _learning_groups(config, wanted, console)
 
@@ -108,14 +112,20 @@ def _table(rows: list[Row], busy: bool) -> Table:
     for row in rows:
         if _is_slower_limit(row, rows):
             continue
-        rate = f"{row.rate / 1e6:.3g} M" if row.rate >= 1e5 else f"{row.rate:,.0f}"
         ratio = "" if row.ratio is None else f"{row.ratio:.3g} × {row.against}"
         cells = [row.group, row.name, str(row.n_robots), str(row.num_envs)]
-        cells += [f"{rate} {row.unit}", ratio]
+        cells += [_rate(row), ratio]
         if row.busy_rate is not None:
             cells.append(f"{row.busy_rate / row.rate:.0%}")
         table.add_row(*cells)
     return table
+
+
+def _rate(row: Row) -> str:
+    if row.unit == TICKS:
+        return f"{1e6 / row.rate:.3g} µs per robot and tick"
+    rate = f"{row.rate / 1e6:.3g} M" if row.rate >= 1e5 else f"{row.rate:,.0f}"
+    return f"{rate} {row.unit}"
 
 
 def _is_slower_limit(row: Row, rows: list[Row]) -> bool:

@@ -8,7 +8,17 @@ from pathlib import Path
 from ..checks import check_least, check_most
 from ..errors import UserError
 
-GROUPS = ("one-team", "batched", "obstacles", "wrapped", "sensing", "robots", "ppo", "heading-ppo")
+GROUPS = (
+    "one-team",
+    "batched",
+    "obstacles",
+    "wrapped",
+    "sensing",
+    "learned",
+    "robots",
+    "ppo",
+    "heading-ppo",
+)
 _MOST_BEARINGS = 2**31
 
 
@@ -21,8 +31,8 @@ class Config:
     figure: Path | None = None
     """PNG file for the growth of a robot step's time with n and B; measured only if given."""
     only: tuple[str, ...] = ()
-    """Groups of rows: one-team, batched, obstacles, wrapped, sensing, robots, ppo, heading-ppo;
-    none is all."""
+    """Groups of rows: one-team, batched, obstacles, wrapped, sensing, learned, robots, ppo,
+    heading-ppo; none is all."""
     robots: tuple[int, ...] = (3, 8, 32)
     """Sizes of teams."""
     num_envs: int = 1024
