@@ -1,4 +1,5 @@
-# make compare: the main job.  make test: linters, types, fast tests.  Each sets up .venv by itself.
+# make compare: the main job.  make test: linters, types, fast tests.  Each sets up .venv by itself;
+# compare needs no extra, the others add all of them.
 # make test-slow: the long tests, and the fast ones of kernels once more with every index checked.
 # make docs: the documentation as a site, in out/site.
 PYTHON ?= python3
@@ -12,7 +13,7 @@ WITH_KERNELS := $(addprefix tests/,adapters borders comparing drawing engine equ
 .PHONY: compare test test-slow test-floors lint docs clean
 .DEFAULT_GOAL := compare
 
-compare: .venv/installed
+compare: .venv/run
 	$(BIN)/rendezvous compare --out out/compare
 
 test: lint
@@ -35,8 +36,12 @@ docs: .venv/installed
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 	@echo "out/site/index.html; with search: $(BIN)/python -m http.server -d out/site"
 
-.venv/installed: pyproject.toml constraints.txt
+.venv/run: pyproject.toml constraints.txt
 	test -x $(BIN)/python || $(PYTHON) -m venv .venv
+	$(BIN)/pip install --quiet --constraint constraints.txt --editable .
+	touch $@
+
+.venv/installed: .venv/run
 	$(BIN)/pip install --quiet --constraint constraints.txt torch==2.13.0
 	$(BIN)/pip install --quiet --constraint constraints.txt --editable '.[train,render,analysis,export,docs,dev]'
 	touch $@
