@@ -429,4 +429,5 @@ def test_a_wheel_in_an_empty_environment_compares_without_the_train_extra(tmp_pa
     assert "uPlot" in (out / "report.html").read_text(encoding="utf-8")
     rows = (out / "results.csv").read_text(encoding="utf-8").splitlines()
     assert rows[0].startswith("scenario,policy,episodes,success")
-    assert any(row.startswith("duo,bearing-only,4,1") for row in rows)
+    for policy in ("bearing-only", "learned", "learned-tank"):
+        assert any(row.startswith(f"duo,{policy},4,1") for row in rows)

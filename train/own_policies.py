@@ -10,10 +10,13 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from baselines.policy import file_of
 from rendezvous_env.experiment.checks import nearest_word, shown
 from rendezvous_env.experiment.scenario import Scenario
-from rendezvous_env.trajectory import Policy
+from rendezvous_env.simulator import Simulator
+from rendezvous_env.trajectory import Policy, begin
 
 from .errors import UserError
 
@@ -66,6 +69,27 @@ def make(name: str, scenario: Scenario) -> Policy | None:
             "function of observations (..., n, rows, d) and time, or None where it does not fit"
         )
     return policy
+
+
+def fits(name: str, scenario: Scenario) -> bool:
+    """Whether it steers the robots of a scenario, for which it is tried for one step.
+
+    Raises:
+        UserError: as ``make``; also for what it raised, or actions that no robot can execute.
+    """
+    if (policy := make(name, scenario)) is None:
+        return False
+    simulator = Simulator(scenario, 1)
+    observations = simulator.reset(0)
+    try:
+        begin(policy, simulator)
+        simulator.step(np.asarray(policy(observations, simulator.time)))
+    except Exception as error:  # whatever a user's code may raise
+        raise UserError(
+            f"policy {name!r} in the first step of scenario {scenario.name!r}: "
+            f"{type(error).__name__}: {error}"
+        ) from error
+    return True
 
 
 def source_file(name: str) -> Path | None:

@@ -82,7 +82,7 @@ def fitting(scenario: Scenario, wanted: Sequence[str]) -> list[str]:
 def _fits_unlisted(name: str, scenario: Scenario) -> bool:
     """Whether a policy that no registry lists fits a scenario."""
     if own_policies.is_own(name):
-        return own_policies.make(name, scenario) is not None
+        return own_policies.fits(name, scenario)
     return name.startswith(_AT_PATH) and can_steer(scenario)
 
 
