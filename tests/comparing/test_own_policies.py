@@ -37,6 +37,12 @@ def text(scenario):
 
 def a_class(scenario):
     return Away
+
+def flat(scenario):
+    return lambda observations, time: 0.0 * observations[..., 0, 0]
+
+def fails(scenario):
+    return lambda observations, time: observations.colour
 '''
 
 
@@ -98,10 +104,9 @@ def test_another_source_is_another_comparison(mine, tmp_path):
         ("MINE:broken", r"for scenario 'duo': AttributeError: .*colour"),
         ("MINE:text", r"gave 'bearing-only' for scenario 'duo'; it must give a function of obs"),
         ("MINE:a_class", r"gave .* for scenario 'duo'; it must give"),
-        (
-            "broken_module:law",
-            "importing broken_module failed: ZeroDivisionError: division by zero",
-        ),
+        ("MINE:flat", r"in the first step of scenario 'duo': ValueError: actions"),
+        ("MINE:fails", r"in the first step of scenario 'duo': AttributeError: .*colour"),
+        ("broken_module:law", "importing broken_module failed: ZeroDivisionError: division"),
         ("needs_more:law", "importing needs_more failed: No module named 'no_such_module'"),
     ],
 )
