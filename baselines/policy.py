@@ -216,6 +216,22 @@ def is_double_integrator(scenario: Scenario) -> bool:
     return scenario.robot_model == "double_integrator"
 
 
+def of_whole_teams(observations: Any, scenario: Scenario) -> NDArray[np.float32]:
+    """Observations (..., n, rows, d) for a policy that remembers robots.
+
+    Raises:
+        ValueError: if they are not those of teams of this scenario.
+    """
+    n, layout = scenario.n_robots, scenario.observation_layout
+    seen = np.ascontiguousarray(layout.checked(observations), dtype=np.float32)
+    if seen.ndim < 3 or seen.shape[-3] != n:
+        raise ValueError(
+            f"observations have shape {seen.shape}; scenario {scenario.name!r} needs "
+            f"(..., {n}, {layout.rows}, {layout.dim})"
+        )
+    return seen
+
+
 def within_limits(actions: NDArray[np.float64], scenario: Scenario) -> NDArray[np.float32]:
     """Actions that the scenario's robots can execute.
 

@@ -19,7 +19,7 @@ from rendezvous_env.guarantee.action_filter import ActionFilter
 from rendezvous_env.guarantee.energy_tank import EnergyTank
 from rendezvous_env.guarantee.steering import Steering
 
-from .policy import within_limits
+from .policy import of_whole_teams, within_limits
 
 if TYPE_CHECKING:
     from rendezvous_env.experiment.scenarios import ScenarioLike
@@ -51,13 +51,16 @@ class _FilteredPolicy(ABC):
         """The filter of so many teams."""
 
     @abstractmethod
-    def _act(self, teams: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Actions (B, n, a) of a step, for what the teams see, (B, n, rows, d)."""
+    def _act(self, teams: NDArray[np.float32], elapsed: float) -> NDArray[np.float32]:
+        """Actions (B, n, a) of a step, for what the teams see, (B, n, rows, d), so many s after the
+        step before.
+        """
 
     def _begin(self, leading: tuple[int, ...]) -> None:
         self._leading, teams = leading, math.prod(leading)
         self._filter = self._make_filter(teams)
-        self._wait = np.zeros(teams, dtype=np.int64)
+        self._steps = np.full(teams, np.inf)
+        """Since the last choice, (B,), in units of τ; inf before the first."""
 
     def __call__(self, observations: NDArray[Any], time: ArrayLike) -> NDArray[np.float32]:
         """Actions (..., n, a); see ``Policy``.
@@ -66,21 +69,21 @@ class _FilteredPolicy(ABC):
             ValueError: for observations or choices of another shape, or a choice that is not
                 finite, naming the robot.
         """
-        n, layout = self.scenario.n_robots, self.scenario.observation_layout
-        seen = np.ascontiguousarray(layout.checked(observations), dtype=np.float32)
-        if seen.ndim < 3 or seen.shape[-3] != n:
-            raise ValueError(
-                f"observations have shape {seen.shape}; scenario {self.scenario.name!r} needs "
-                f"(..., {n}, {layout.rows}, {layout.dim})"
-            )
+        return self._after(self.scenario.tau, observations)
+
+    def _after(self, elapsed: float, observations: NDArray[Any]) -> NDArray[np.float32]:
+        """Actions, where the call before was so many seconds ago."""
+        seen = of_whole_teams(observations, self.scenario)
         if seen.shape[:-3] != self._leading:
             self._begin(seen.shape[:-3])
         teams = seen.reshape(-1, *seen.shape[-3:])
-        due = self._wait == 0
+        share = elapsed / self.scenario.tau
+        self._steps += share
+        due = self._steps + 0.5 * share >= self.decision_period  # or sooner than the next call
         if due.any():
             self._decide(teams, due)
-        self._wait = np.where(due, self.decision_period, self._wait) - 1
-        return self._act(teams).reshape(*seen.shape[:-2], -1)
+            self._steps[due] = 0.0
+        return self._act(teams, elapsed).reshape(*seen.shape[:-2], -1)
 
     def _decide(self, teams: NDArray[np.float32], due: NDArray[np.bool_]) -> None:
         """New choices for the teams that are due; the others keep theirs."""
@@ -112,7 +115,7 @@ class _FilteredPolicy(ABC):
         else:
             which = bools("mask", mask, self._leading, "teams").reshape(-1)
             self._filter.forget(which)
-            self._wait[which] = 0
+            self._steps[which] = np.inf
         if callable(forget := getattr(self.choose, "reset", None)):
             forget(mask)
 
@@ -145,6 +148,8 @@ class HeadingPolicy(_FilteredPolicy):
         ValueError: naming the argument, its value and what would be right.
     """
 
+    _filter: Steering
+
     def __init__(
         self,
         scenario: ScenarioLike,
@@ -174,8 +179,15 @@ class HeadingPolicy(_FilteredPolicy):
     def _make_filter(self, teams: int) -> ActionFilter:
         return Steering(self.scenario, teams, **self._settings)
 
-    def _act(self, teams: NDArray[np.float32]) -> NDArray[np.float32]:
-        return within_limits(self._filter.act(teams).astype(np.float64), self.scenario)
+    def after(
+        self, elapsed: float, observations: NDArray[Any], time: ArrayLike
+    ) -> NDArray[np.float32]:
+        """As a call, where the call before was so many seconds ago; see ``RealTimePolicy``."""
+        return self._after(elapsed, observations)
+
+    def _act(self, teams: NDArray[np.float32], elapsed: float) -> NDArray[np.float32]:
+        actions = self._filter.act(teams, elapsed)
+        return within_limits(actions.astype(np.float64), self.scenario)
 
 
 class TankPolicy(_FilteredPolicy):
@@ -228,7 +240,7 @@ class TankPolicy(_FilteredPolicy):
     def _make_filter(self, teams: int) -> ActionFilter:
         return EnergyTank(self.scenario, teams, **self._settings)
 
-    def _act(self, teams: NDArray[np.float32]) -> NDArray[np.float32]:
+    def _act(self, teams: NDArray[np.float32], elapsed: float) -> NDArray[np.float32]:
         actions = self._filter.act(teams)
         self._filter.book()
         return actions

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from rendezvous_env.experiment.checks import bools
 from rendezvous_env.experiment.scenario import Scenario
 
-from ..policy import within_limits
+from ..policy import of_whole_teams, within_limits
 from . import checkpoints
 from .checkpoints import CheckpointError
 from .chooser import Chooser, Network
@@ -71,17 +71,10 @@ class LearnedPolicy:
         self, elapsed: float, observations: NDArray[Any], time: ArrayLike
     ) -> NDArray[np.float32]:
         """As a call, where the call before was so many seconds ago; see ``RealTimePolicy``."""
-        n, layout = self.scenario.n_robots, self.scenario.observation_layout
-        rows = layout.shape
-        seen = np.ascontiguousarray(layout.checked(observations), dtype=np.float32)
-        if seen.shape[-3:] != (n, *rows):
-            raise ValueError(
-                f"observations have shape {seen.shape}; scenario {self.scenario.name!r} needs "
-                f"(..., {n}, {rows[0]}, {rows[1]})"
-            )
+        seen = of_whole_teams(observations, self.scenario)
         if seen.shape[:-3] != self._leading:
             self._begin(seen.shape[:-3])
-        teams = seen.reshape(-1, n, *rows)
+        teams = seen.reshape(-1, *seen.shape[-3:])
         share = elapsed / self.scenario.tau
         self._guided.settle(share)
         self._steps += share

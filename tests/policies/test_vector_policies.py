@@ -126,6 +126,19 @@ def test_the_memory_of_what_chooses_is_forgotten_too():
     np.testing.assert_array_equal(choose.forgot, [True, False])
 
 
+def test_a_robot_that_ticks_twice_as_often_decides_as_often():
+    choose = Sideways(2)
+    policy = HeadingPolicy(CLUTTER, choose, decision_period=4, frame="local", max_turn_rate=1.0)
+    robot, tau = baselines.RobotPolicy(CLUTTER, policy), CLUTTER.tau
+    bearings = np.array([[0.0, 1.0], [0.6, 0.8]])
+    first = robot.act(bearings)
+    for _ in range(7):
+        robot.act(bearings, dt=tau / 2)
+    assert choose.asked == 1
+    robot.act(bearings, dt=tau / 2)
+    assert choose.asked == 2 and policy._filter.headings[0, 0] @ first > 0.0
+
+
 @pytest.mark.parametrize("make", [HeadingPolicy, TankPolicy])
 def test_it_can_be_taken_elsewhere(make):
     policy, simulator = make(CLUTTER, Sideways(2), decision_period=3), rv.Simulator(CLUTTER, 2)
