@@ -1,0 +1,227 @@
+"""TorchRL: many teams as one batched environment, robots as one group of agents."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+from gymnasium.spaces import Box, MultiDiscrete, Space
+from gymnasium.vector import AutoresetMode
+from numpy.typing import NDArray
+from tensordict import TensorDict, TensorDictBase
+from torchrl.data import Bounded, Categorical, Composite, Unbounded
+from torchrl.envs import EnvBase
+
+from ..engine.memory import RENDEZVOUS, TIME_OUT
+from ..experiment.seeding import seeds_of_teams
+from ..faces.spaces import state_box, team_state
+from ..vector import training_env
+from .slots import last_moments
+
+if TYPE_CHECKING:
+    from ..experiment.scenarios import ScenarioLike
+
+__all__ = ["GROUP", "RendezvousEnv"]
+
+GROUP = "robots"
+"""The group that all robots belong to."""
+
+
+class RendezvousEnv(EnvBase):
+    """B teams of ``vector.training_env`` as a TorchRL environment with batch size (B,).
+
+    | key | shape | |
+    |---|---|---|
+    | ("robots", "observation") | (B, n, size) float32 | (B, n, rows, d) with ``flatten=False`` |
+    | ("robots", "action") | (B, n, a) float32 | (B, n) int64 with ``discrete=True`` |
+    | ("robots", "active") | (B, n, 1) bool | the robot still exists on its own |
+    | ("robots", "reward") | (B, n, 1) float32 | after a step |
+    | "state" | (B, size) float32 | privileged; with ``return_state=True`` |
+    | "terminated" | (B, 1) bool | all robots have met |
+    | "truncated" | (B, 1) bool | the time limit |
+    | "done" | (B, 1) bool | either |
+
+    A robot that has merged observes zeros, its actions are ignored, and it earns the team reward
+    until the end, so that meeting early is not punished. A team that has ended begins its next
+    episode at once; ``reset`` then only shows its start, as collectors and
+    ``rollout(break_when_any_done=False)`` ask for. With ``return_state`` it stands still until it is
+    reset, which takes longer, so that the last state of an episode can be told.
+
+    ``set_seed(s)`` gives team b the seed s + b at its next reset; without a seed a team goes on to
+    the next episode of its own. ``reset(options=...)`` takes start options as ``make_vec``.
+
+    Args:
+        scenario: a Scenario, the name of one or the path of a TOML file.
+        num_envs: B, number of teams.
+        guarantee, learning_preset, flatten, discrete, num_threads: as ``vector.training_env``.
+        return_state: whether to give the global state out, for centralised critics.
+        seed: as ``set_seed``.
+        device: where what is given out is moved to; None leaves it where it is computed, on the
+            CPU, and costs nothing.
+        **overrides: as ``vector.training_env``.
+
+    Raises:
+        ValueError: as ``vector.training_env``.
+    """
+
+    def __init__(
+        self,
+        scenario: ScenarioLike = "fig3",
+        num_envs: int = 1,
+        *,
+        guarantee: str | None = "heading",
+        learning_preset: bool = True,
+        flatten: bool = True,
+        discrete: bool = False,
+        return_state: bool = False,
+        seed: int | None = None,
+        device: torch.device | str | None = None,
+        num_threads: int | None = None,
+        **overrides: Any,
+    ) -> None:
+        self.teams = training_env(
+            scenario,
+            num_envs,
+            guarantee=guarantee,
+            learning_preset=learning_preset,
+            flatten=flatten,
+            discrete=discrete,
+            autoreset_mode=AutoresetMode.DISABLED if return_state else AutoresetMode.SAME_STEP,
+            num_threads=num_threads,
+            **overrides,
+        )
+        super().__init__(device=device, batch_size=(num_envs,))
+        self._gives_state = return_state
+        self._make_specs()
+        self._begun = np.zeros(num_envs, dtype=np.bool_)
+        self._set_seed(seed)
+
+    @property
+    def simulator(self) -> Any:
+        """The teams' simulator, for analysis."""
+        return self.teams.unwrapped.simulator
+
+    @property
+    def max_steps(self) -> int:
+        """Most steps of an episode."""
+        return -(-self.simulator.max_steps // self._base_steps)
+
+    @property
+    def seconds_per_step(self) -> float:
+        """Time that a step takes the robots, s."""
+        return self._base_steps * float(self.simulator.scenario.tau)
+
+    @property
+    def _base_steps(self) -> int:
+        """Steps of the simulator in a step."""
+        return int(getattr(self.teams, "decision_period", 1))
+
+    @property
+    def group_map(self) -> dict[str, list[str]]:
+        """The one group and its robots."""
+        n = self.teams.unwrapped.scenario.n_robots
+        return {GROUP: [f"robot_{i}" for i in range(n)]}
+
+    def _make_specs(self) -> None:
+        batch = self.batch_size
+        robots = torch.Size((*batch, len(self.group_map[GROUP])))
+        one = torch.Size((*robots, 1))
+        acts = _action_spec(self.teams.single_action_space, batch)
+        sees = Unbounded(torch.Size((*batch, *self.teams.single_observation_space.shape)))
+        active = Categorical(2, shape=one, dtype=torch.bool)
+        done = Categorical(2, shape=torch.Size((*batch, 1)), dtype=torch.bool)
+
+        def of_group(**entries: Any) -> Composite:
+            return Composite({GROUP: Composite(entries, shape=robots)}, shape=batch)
+
+        self.action_spec = of_group(action=acts)
+        self.observation_spec = of_group(observation=sees, active=active)
+        if self._gives_state:
+            state = state_box(self.teams.unwrapped.scenario)
+            self.observation_spec["state"] = Unbounded(torch.Size((*batch, *state.shape)))
+        self.reward_spec = of_group(reward=Unbounded(one))
+        self.done_spec = Composite(
+            {key: done.clone() for key in ("done", "terminated", "truncated")}, shape=batch
+        )
+
+    def _set_seed(self, seed: int | None) -> None:
+        teams = self.batch_size[0]
+        self._seeds = seeds_of_teams(seed, teams) or [None] * teams
+
+    def _reset(
+        self,
+        tensordict: TensorDictBase | None = None,
+        options: Mapping[str, Any] | None = None,
+        **_: Any,
+    ) -> TensorDictBase:
+        asked = None if tensordict is None else tensordict.get("_reset", None)
+        which = np.ones(self.batch_size, np.bool_)
+        if asked is not None:
+            which = asked.cpu().numpy().reshape(-1)
+        seeds = [own if now else None for own, now in zip(self._seeds, which, strict=True)]
+        if options or any(seed is not None for seed in seeds) or not self._begun[which].all():
+            self._begin(which, seeds, options or {})
+        self._begun &= ~which
+        status = self.simulator.status
+        return self._given(*self._start, status == RENDEZVOUS, status == TIME_OUT)
+
+    def _begin(
+        self,
+        which: NDArray[np.bool_],
+        seeds: list[int | None],
+        options: Mapping[str, Any],
+    ) -> None:
+        """Begin new episodes in these teams, but not where one has just begun unasked."""
+        seeded = np.array([seed is not None for seed in seeds])
+        anew = which if options else which & (seeded | ~self._begun)
+        given = seeds if seeded.any() else None
+        observations, infos = self.teams.reset(seed=given, options={**options, "reset_mask": anew})
+        for team in np.flatnonzero(which).tolist():
+            self._seeds[team] = None
+        self._start = observations, infos["active"]
+
+    def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
+        actions = tensordict.get((GROUP, "action")).detach().cpu().numpy()
+        observations, _, met, cut, infos = self.teams.step(actions)
+        last, active = observations, infos["active"]
+        if not self._gives_state:
+            self._start, self._begun = (observations, infos["active"]), met | cut
+            last, active, _into = last_moments(observations, infos, self._begun)
+        return self._given(last, active, met, cut, reward=infos["robot_rewards"].astype(np.float32))
+
+    def _given(
+        self,
+        observations: NDArray[np.float32],
+        active: NDArray[np.bool_],
+        met: NDArray[np.bool_],
+        cut: NDArray[np.bool_],
+        **scalars: NDArray[Any],
+    ) -> TensorDict:
+        """What a step or a reset gives out, over the same memory."""
+        robots = {"observation": torch.from_numpy(observations)}
+        for key, values in {"active": active, **scalars}.items():
+            robots[key] = torch.from_numpy(values[..., None])
+        given: dict[str, Any] = {
+            GROUP: TensorDict(robots, batch_size=active.shape, device=self.device)
+        }
+        for key, over in {"done": met | cut, "terminated": met, "truncated": cut}.items():
+            given[key] = torch.from_numpy(over[:, None])
+        if self._gives_state:
+            given["state"] = torch.from_numpy(team_state(self.simulator))
+        return TensorDict(given, batch_size=self.batch_size, device=self.device)
+
+    def close(self, *, raise_if_closed: bool = True) -> None:
+        """Close the teams."""
+        self.teams.close()
+        super().close(raise_if_closed=raise_if_closed)
+
+
+def _action_spec(space: Space[Any], batch: torch.Size) -> Bounded | Categorical:
+    """The actions of B teams, from those of one."""
+    if isinstance(space, MultiDiscrete):
+        return Categorical(int(space.nvec[0]), shape=torch.Size((*batch, *space.shape)))
+    assert isinstance(space, Box)
+    low, high = (torch.from_numpy(bound.copy()) for bound in (space.low, space.high))
+    return Bounded(low.expand(*batch, *low.shape), high.expand(*batch, *high.shape))

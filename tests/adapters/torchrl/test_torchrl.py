@@ -1,0 +1,144 @@
+"""The TorchRL environment: its contract, and that it is the vector environment, number by number."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+pytest.importorskip("torchrl")
+
+from gymnasium.vector import AutoresetMode
+from tensordict import TensorDict
+from torchrl.envs.utils import check_env_specs
+
+from rendezvous_env.adapters.torchrl import GROUP, RendezvousEnv
+from rendezvous_env.vector import training_env
+
+SHORT = {"guarantee": None, "learning_preset": False, "time_limit": 0.6}
+ACTION, ACTIVE, SEEN = (GROUP, "action"), (GROUP, "active"), (GROUP, "observation")
+
+
+@pytest.mark.parametrize(
+    "choices",
+    [
+        {},
+        {"discrete": True},
+        {"guarantee": "tank"},
+        {"guarantee": None, "learning_preset": False, "flatten": False, "return_state": True},
+    ],
+)
+def test_it_keeps_torchrls_contract(choices):
+    env = RendezvousEnv("clutter-8", 3, seed=1, **choices)
+    check_env_specs(env)
+    start = env.reset()
+    assert start[SEEN].shape[:2] == start[ACTIVE].shape[:2] == (3, 4)
+    assert ("state" in start.keys()) == choices.get("return_state", False)
+    assert env.group_map == {GROUP: ["robot_0", "robot_1", "robot_2", "robot_3"]}
+
+
+def drive(env, steps, seed=0):
+    """A rollout under a fixed tape of actions, and the tape."""
+    random = torch.Generator().manual_seed(seed)
+    tape = torch.rand((steps, *env.full_action_spec[ACTION].shape), generator=random) * 2 - 1
+    moves = iter(tape)
+    policy = lambda tensordict: tensordict.set(ACTION, next(moves))  # noqa: E731
+    with torch.no_grad():
+        return env.rollout(steps, policy, break_when_any_done=False), tape.numpy()
+
+
+def test_a_rollout_is_the_vector_environment_step_by_step():
+    """Teams meet and run out of time on the way; what was seen last is theirs, not the next
+    episode's.
+    """
+    choices = {"guarantee": "heading", "learning_preset": False, "time_limit": 6.0}
+    env = RendezvousEnv("duo", 6, seed=5, **choices)
+    data, tape = drive(env, 200)
+    teams = training_env("duo", 6, autoreset_mode=AutoresetMode.DISABLED, **choices)
+    seen, _ = teams.reset(seed=5)
+    for t, actions in enumerate(tape):
+        np.testing.assert_array_equal(data[SEEN][:, t], seen)
+        seen, _, met, cut, infos = teams.step(actions)
+        after = data["next"][:, t]
+        np.testing.assert_array_equal(after[SEEN], seen)
+        np.testing.assert_array_equal(after[ACTIVE][..., 0], infos["active"])
+        np.testing.assert_allclose(after[GROUP, "reward"][..., 0], infos["robot_rewards"], 1e-6)
+        np.testing.assert_array_equal(after["terminated"][:, 0], met)
+        np.testing.assert_array_equal(after["truncated"][:, 0], cut)
+        np.testing.assert_array_equal(after["done"][:, 0], met | cut)
+        if (over := met | cut).any():
+            seen, _ = teams.reset(options={"reset_mask": over})
+    assert data["next", "terminated"].any() and data["next", "truncated"].any()
+
+
+@pytest.mark.parametrize("return_state", [False, True])
+def test_a_partial_reset_leaves_the_other_teams_alone(return_state):
+    env = RendezvousEnv("fig3", 4, seed=0, return_state=return_state, **SHORT)
+    now = env.reset()
+    for _ in range(3):
+        now = env.step_mdp(env.step(env.rand_action(now)))
+    mask = torch.tensor([[False], [True], [False], [True]])
+    others, steps = ~mask[:, 0], env.simulator.steps.copy()
+    again = env.reset(now.clone().set("_reset", mask))
+    torch.testing.assert_close(again[SEEN][others], now[SEEN][others], rtol=0, atol=0)
+    assert not torch.equal(again[SEEN][~others], now[SEEN][~others])
+    np.testing.assert_array_equal(env.simulator.steps, np.where(mask[:, 0], 0, steps))
+
+
+def test_a_reset_after_the_end_skips_no_episode():
+    """The start that is shown after a time-out is the second of the seed, whoever asks."""
+    starts = []
+    for whole in (False, True):
+        env = RendezvousEnv("fig3", 2, seed=7, **SHORT)
+        now = env.reset()
+        while not now["done"].any():
+            now = env.step_mdp(env.step(env.rand_action(now)))
+        assert now["truncated"].all() and not now["terminated"].any()
+        starts.append(env.reset() if whole else env.maybe_reset(now))
+    torch.testing.assert_close(starts[0][SEEN], starts[1][SEEN], rtol=0, atol=0)
+    teams = training_env("fig3", 2, **SHORT)
+    teams.reset(seed=7)
+    np.testing.assert_array_equal(starts[0][SEEN], teams.reset()[0])
+
+
+def test_seeds_are_the_teams_own():
+    env = RendezvousEnv("fig3", 3, **SHORT)
+    env.set_seed(11)
+    first = env.reset()[SEEN]
+    assert not torch.equal(first, env.reset()[SEEN])
+    env.set_seed(11)
+    mask = torch.tensor([[False], [True], [False]])
+    one = env.reset(TensorDict({"_reset": mask, "done": mask}, [3]))[SEEN]
+    assert torch.equal(one[1], first[1]) and not torch.equal(one[0], first[0])
+    rest = env.reset()[SEEN]  # the seeds that were still to be used
+    assert torch.equal(rest[[0, 2]], first[[0, 2]]) and not torch.equal(rest[1], first[1])
+    torch.testing.assert_close(RendezvousEnv("fig3", 1, seed=12, **SHORT).reset()[SEEN], first[1:2])
+
+
+def test_a_start_can_be_given():
+    env = RendezvousEnv("duo", 2, **SHORT)
+    env.reset(options={"positions": [[0.0, 0.0], [3.0, 4.0]]})
+    np.testing.assert_allclose(env.simulator.positions, [[[0, 0], [3, 4]]] * 2)
+    with pytest.raises(ValueError, match="positions"):
+        env.reset(options={"positions": [[0.0, 0.0]]})
+
+
+def test_the_last_state_of_an_episode_is_told():
+    """A time-out is valued by where the robots are then, not by where they begin anew."""
+    env = RendezvousEnv("fig3", 2, seed=3, return_state=True, **SHORT)
+    data, _ = drive(env, env.max_steps + 2)
+    last, begun = env.max_steps - 1, env.max_steps
+    assert data["next", "truncated"][:, last].all()
+    assert (data["next", "state"][:, last, -1] == 1.0).all()  # the share of time that has passed
+    assert (data["state"][:, begun, -1] == 0.0).all()
+
+
+def test_actions_of_other_kinds_are_refused_by_name():
+    env = RendezvousEnv("fig3", 2, seed=0, **SHORT)
+    now = env.reset()
+    bad = torch.zeros(env.full_action_spec[ACTION].shape)
+    bad[1, 2] = torch.nan
+    with pytest.raises(ValueError, match=r"robot_2 in team 1"):
+        env.step(now.clone().set(ACTION, bad))
+    wishes = torch.zeros(env.full_action_spec[ACTION].shape, requires_grad=True)
+    assert not env.step(now.clone().set(ACTION, wishes * 2))["next", SEEN].requires_grad
