@@ -10,7 +10,11 @@ export OMP_WAIT_POLICY := PASSIVE
 WITH_KERNELS := $(addprefix tests/,adapters borders comparing drawing engine equations experiment faces guarantee \
 	learning policies verification test_paper.py)
 
-.PHONY: compare test test-slow test-floors lint docs clean
+# what other people's learners need besides; each is tested in an environment of its own
+LEARNERS := $(patsubst tests/adapters/%/requirements.txt,%,$(wildcard tests/adapters/*/requirements.txt))
+
+.PHONY: compare test test-slow test-floors test-adapters lint docs clean $(LEARNERS:%=test-adapter-%)
+.SECONDARY: $(LEARNERS:%=.venv-adapters/%/installed)
 .DEFAULT_GOAL := compare
 
 compare: .venv/run
@@ -22,10 +26,17 @@ test: lint
 test-slow: .venv/installed
 	$(BIN)/python -m pytest -q -m slow -n 2 --dist loadfile
 	NUMBA_BOUNDSCHECK=1 $(BIN)/python -m pytest -q -n 2 --dist loadfile $(WITH_KERNELS)
+	$(MAKE) test-adapters
 
 # the oldest Gymnasium and PettingZoo that are supported, in an environment of their own
 test-floors: .venv-floors/installed
 	.venv-floors/bin/python -m pytest -q -n 2 --dist loadfile tests/faces tests/adapters tests/experiment
+
+# TorchRL with BenchMARL, and whoever else has a folder in tests/adapters; slow tests too
+test-adapters: $(LEARNERS:%=test-adapter-%)
+
+$(LEARNERS:%=test-adapter-%): test-adapter-%: .venv-adapters/%/installed
+	.venv-adapters/$*/bin/python -m pytest -q -m 'slow or not slow' tests/adapters/$*
 
 lint: .venv/installed
 	$(BIN)/ruff check .
@@ -54,6 +65,16 @@ docs: .venv/installed
 		--requirement constraints-floors.txt --editable '.[train,render,analysis,dev]'
 	touch $@
 
+# a learner's pins hold against ours
+.venv-adapters/%/installed: tests/adapters/%/requirements.txt pyproject.toml constraints.txt
+	test -x .venv-adapters/$*/bin/python || $(PYTHON) -m venv .venv-adapters/$*
+	.venv-adapters/$*/bin/pip install --quiet --constraint constraints.txt torch==2.13.0
+	sed --regexp-extended 's/[^A-Za-z0-9_.-].*/==/; s/^/^/' $< | grep -v --file - constraints.txt \
+		> .venv-adapters/$*/constraints.txt
+	.venv-adapters/$*/bin/pip install --quiet --constraint .venv-adapters/$*/constraints.txt \
+		--requirement $< hypothesis pytest --editable .
+	touch $@
+
 clean:
-	rm -rf .venv .venv-floors out build *.egg-info
+	rm -rf .venv .venv-adapters .venv-floors out build *.egg-info
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

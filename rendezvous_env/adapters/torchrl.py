@@ -46,8 +46,8 @@ class RendezvousEnv(EnvBase):
     A robot that has merged observes zeros, its actions are ignored, and it earns the team reward
     until the end, so that meeting early is not punished. A team that has ended begins its next
     episode at once; ``reset`` then only shows its start, as collectors and
-    ``rollout(break_when_any_done=False)`` ask for. With ``return_state`` it stands still until it is
-    reset, which takes longer, so that the last state of an episode can be told.
+    ``rollout(break_when_any_done=False)`` ask for. With ``return_state`` it stands still until it
+    is reset, which takes longer, so that the last state of an episode can be told.
 
     ``set_seed(s)`` gives team b the seed s + b at its next reset; without a seed a team goes on to
     the next episode of its own. ``reset(options=...)`` takes start options as ``make_vec``.

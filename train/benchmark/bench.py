@@ -17,6 +17,7 @@ from rich.table import Table
 from rendezvous_env.engine.pool import threads
 
 from ..results import provenance, write_json
+from .bench_adapters import LEARNERS, adapters, adapters_in_training
 from .bench_cases import LIMIT, Case, among_discs, batched, one_team, spread_out
 from .bench_guarantees import wrapped
 from .bench_policies import TICKS, learned
@@ -26,7 +27,7 @@ from .measuring import Row, bytes_per_team, measure
 
 __all__ = ["GROUPS", "Config", "Row", "measure", "run"]
 
-_PEERS = ("stable-baselines3", "torch", "mpe2")
+_PEERS = ("stable-baselines3", "torch", "mpe2", *(learner.distribution for learner in LEARNERS))
 
 
 def run(config: Config) -> None:
@@ -58,9 +59,8 @@ def _groups(config: Config, console: Console) -> Iterator[list[Case]]:
     """Cases that are timed in turns."""
     wanted = config.only or GROUPS
     size = config.num_envs, config.num_threads
-    for n in config.robots:
-        if "one-team" in wanted:
-            yield one_team(spread_out(n), "one-team", peer=True)
+    if "one-team" in wanted:
+        yield from (one_team(spread_out(n), "one-team", peer=True) for n in config.robots)
     for n in config.robots:
         if "batched" in wanted:
             yield batched(spread_out(n), "batched", *size)
@@ -76,6 +76,9 @@ def _groups(config: Config, console: Console) -> Iterator[list[Case]]:
     if "learned" in wanted:
         yield learned(1)
         yield learned(max(2, config.num_envs // 4))
+    if "adapters" in wanted:
+        yield from (adapters(n, *size) for n in config.robots)
+        yield adapters_in_training(*size)
     if {"robots", "ppo", "heading-ppo"} & set(wanted):
         yield from _learning_groups(config, wanted, console)
 

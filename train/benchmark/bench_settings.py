@@ -15,6 +15,7 @@ GROUPS = (
     "wrapped",
     "sensing",
     "learned",
+    "adapters",
     "robots",
     "ppo",
     "heading-ppo",
@@ -31,8 +32,8 @@ class Config:
     figure: Path | None = None
     """PNG file for the growth of a robot step's time with n and B; measured only if given."""
     only: tuple[str, ...] = ()
-    """Groups of rows: one-team, batched, obstacles, wrapped, sensing, learned, robots, ppo,
-    heading-ppo; none is all."""
+    """Groups of rows: one-team, batched, obstacles, wrapped, sensing, learned, adapters, robots,
+    ppo, heading-ppo; none is all."""
     robots: tuple[int, ...] = (3, 8, 32)
     """Sizes of teams."""
     num_envs: int = 1024

@@ -1,4 +1,4 @@
-"""The TorchRL environment: its contract, and that it is the vector environment, number by number."""
+"""The TorchRL environment keeps its contract and is the vector environment, number by number."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 torch = pytest.importorskip("torch")
-pytest.importorskip("torchrl")
+pytest.importorskip("torchrl.envs")
 
 from gymnasium.vector import AutoresetMode
 from tensordict import TensorDict

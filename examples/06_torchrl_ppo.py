@@ -1,0 +1,110 @@
+"""PPO with TorchRL: one actor for all robots, a critic that sees all of them.
+
+The guarantee holds from the first step on, so what is learned is not to meet at all but to meet
+soon and untouched. The starts of the evaluation are never trained on.
+"""
+
+import argparse
+
+import torch
+from tensordict.nn import NormalParamExtractor, TensorDictModule
+from torch import nn
+from torchrl.envs import ExplorationType, set_exploration_type, step_mdp
+from torchrl.modules import MultiAgentMLP, ProbabilisticActor, TanhNormal
+from torchrl.objectives import ClipPPOLoss, ValueEstimators
+
+from rendezvous_env.adapters.torchrl import RendezvousEnv
+
+parser = argparse.ArgumentParser(description=__doc__)
+parser.add_argument("--scenario", default="clutter-8")
+parser.add_argument("--updates", type=int, default=40)
+parser.add_argument("--teams", type=int, default=128)
+parser.add_argument("--steps", type=int, default=16)
+parser.add_argument("--held-out", type=int, default=200)
+parser.add_argument("--seed", type=int, default=0)
+given = parser.parse_args()
+EPOCHS, MINIBATCHES = 4, 8
+SEEN, ACTION = ("robots", "observation"), ("robots", "action")
+
+torch.manual_seed(given.seed)
+torch.set_num_threads(1)  # the networks are small
+env = RendezvousEnv(given.scenario, given.teams, seed=given.seed)
+held_out = RendezvousEnv(given.scenario, given.held_out)
+_, n, size = env.full_observation_spec[SEEN].shape
+actions = env.full_action_spec_unbatched[ACTION]
+
+
+def network(outputs: int, centralised: bool) -> MultiAgentMLP:
+    """The same for every robot."""
+    shape = {"depth": 2, "num_cells": 64, "share_params": True}
+    return MultiAgentMLP(size, outputs, n, centralized=centralised, **shape)
+
+
+actor = ProbabilisticActor(
+    TensorDictModule(
+        nn.Sequential(network(2 * actions.shape[-1], False), NormalParamExtractor()),
+        in_keys=[SEEN],
+        out_keys=[("robots", "loc"), ("robots", "scale")],
+    ),
+    in_keys=[("robots", "loc"), ("robots", "scale")],
+    out_keys=[ACTION],
+    distribution_class=TanhNormal,
+    distribution_kwargs={"low": actions.space.low, "high": actions.space.high},
+    return_log_prob=True,
+    log_prob_key=("robots", "log_prob"),
+)
+critic = TensorDictModule(network(1, True), in_keys=[SEEN], out_keys=[("robots", "value")])
+loss = ClipPPOLoss(actor, critic, entropy_coeff=1e-3)
+loss.set_keys(
+    sample_log_prob=("robots", "log_prob"),
+    **{
+        key: ("robots", key)
+        for key in ("action", "reward", "done", "terminated", "value", "advantage", "value_target")
+    },
+)
+loss.make_value_estimator(ValueEstimators.GAE, gamma=0.99, lmbda=0.95)
+optimiser = torch.optim.Adam(loss.parameters(), lr=1e-3)
+
+
+@torch.no_grad()
+def evaluate(moment: str) -> None:
+    """How the first episodes of the held-out teams go when the actor does what it likes best."""
+    held_out.set_seed(1_000_000)
+    with set_exploration_type(ExplorationType.DETERMINISTIC):
+        data = held_out.rollout(held_out.max_steps, actor, break_when_any_done=False)
+    over = data["next", "done"][..., 0]
+    last = over.int().argmax(dim=1)  # the first end of each team
+    met = data["next", "terminated"][torch.arange(len(last)), last, 0]
+    counted = torch.arange(over.shape[1]) <= last[:, None]
+    earned = (data["next", "robots", "reward"].mean(dim=(-2, -1)) * counted).sum(dim=1).mean()
+    times = (last + 1.0) * held_out.seconds_per_step
+    times[~met] = torch.inf
+    print(f"{moment}: {met.float().mean():.1%} met, median {times.median():.2f} s, ", end="")
+    print(f"return {earned:.3f}")
+
+
+evaluate("before")
+now = env.reset()
+for _ in range(given.updates):
+    with torch.no_grad():
+        data = env.rollout(
+            given.steps, actor, tensordict=now, auto_reset=False, break_when_any_done=False
+        )
+        now = step_mdp(data[:, -1])
+        for key in ("done", "terminated"):  # a robot's task ends with its team's
+            shared = data["next", key].unsqueeze(-2).expand(*data.shape, n, 1)
+            data["next", "robots", key] = shared
+        loss.value_estimator(data)
+        advantage, active = data["robots", "advantage"], data["robots", "active"]
+        spread = (advantage - advantage[active].mean()) / advantage[active].std()
+        data["robots", "advantage"] = spread * active  # what merged robots do has no effect
+    samples = data.reshape(-1)
+    for _ in range(EPOCHS):
+        for picked in torch.randperm(len(samples)).chunk(MINIBATCHES):
+            losses = loss(samples[picked])
+            total = losses["loss_objective"] + losses["loss_critic"] + losses["loss_entropy"]
+            optimiser.zero_grad()
+            total.backward()
+            nn.utils.clip_grad_norm_(loss.parameters(), 1.0)
+            optimiser.step()
+evaluate("after")
