@@ -17,7 +17,7 @@ from rendezvous_env.adapters.torchrl import RendezvousEnv
 
 parser = argparse.ArgumentParser(description=__doc__)
 parser.add_argument("--scenario", default="clutter-8")
-parser.add_argument("--updates", type=int, default=40)
+parser.add_argument("--updates", type=int, default=30)
 parser.add_argument("--teams", type=int, default=128)
 parser.add_argument("--steps", type=int, default=16)
 parser.add_argument("--held-out", type=int, default=200)
@@ -86,7 +86,7 @@ def evaluate(moment: str) -> None:
 evaluate("before")
 now = env.reset()
 for _ in range(given.updates):
-    with torch.no_grad():
+    with torch.no_grad(), set_exploration_type(ExplorationType.RANDOM):
         data = env.rollout(
             given.steps, actor, tensordict=now, auto_reset=False, break_when_any_done=False
         )

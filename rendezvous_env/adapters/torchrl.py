@@ -81,7 +81,7 @@ class RendezvousEnv(EnvBase):
         num_threads: int | None = None,
         **overrides: Any,
     ) -> None:
-        self.teams = training_env(
+        self.teams: Any = training_env(
             scenario,
             num_envs,
             guarantee=guarantee,
@@ -101,7 +101,7 @@ class RendezvousEnv(EnvBase):
     @property
     def simulator(self) -> Any:
         """The teams' simulator, for analysis."""
-        return self.teams.unwrapped.simulator
+        return self.teams.simulator
 
     @property
     def max_steps(self) -> int:
@@ -116,16 +116,16 @@ class RendezvousEnv(EnvBase):
     @property
     def _base_steps(self) -> int:
         """Steps of the simulator in a step."""
-        return int(getattr(self.teams, "decision_period", 1))
+        return int(getattr(self.teams.env, "decision_period", 1))
 
     @property
     def group_map(self) -> dict[str, list[str]]:
         """The one group and its robots."""
-        n = self.teams.unwrapped.scenario.n_robots
+        n = self.teams.scenario.n_robots
         return {GROUP: [f"robot_{i}" for i in range(n)]}
 
     def _make_specs(self) -> None:
-        batch = self.batch_size
+        batch: torch.Size = self.batch_size
         robots = torch.Size((*batch, len(self.group_map[GROUP])))
         one = torch.Size((*robots, 1))
         acts = _action_spec(self.teams.single_action_space, batch)
@@ -139,7 +139,7 @@ class RendezvousEnv(EnvBase):
         self.action_spec = of_group(action=acts)
         self.observation_spec = of_group(observation=sees, active=active)
         if self._gives_state:
-            state = state_box(self.teams.unwrapped.scenario)
+            state = state_box(self.teams.scenario)
             self.observation_spec["state"] = Unbounded(torch.Size((*batch, *state.shape)))
         self.reward_spec = of_group(reward=Unbounded(one))
         self.done_spec = Composite(

@@ -40,26 +40,23 @@ class Learner(NamedTuple):
 
 def adapters(n: int, num_envs: int, num_threads: int | None) -> list[Case]:
     """Bare steps of robots that never meet, for each learner that is installed."""
-    ours = "make_vec", lambda scenario, *size: _stepping(rv.make_vec(scenario, *size))
-    return _cases(spread_out(n), n, num_envs, num_threads, ours, BARE)
+    return _cases(spread_out(n), num_envs, num_threads, ("make_vec", _raw), BARE)
 
 
 def adapters_in_training(num_envs: int, num_threads: int | None) -> list[Case]:
     """Steps of a training, for each learner that is installed."""
-    scenario = rv.scenarios.get(TRAINING)
     ours = "training_env", _training
-    return _cases(scenario, scenario.n_robots, num_envs, num_threads, ours, {})
+    return _cases(rv.scenarios.get(TRAINING), num_envs, num_threads, ours, {})
 
 
 def _cases(
     scenario: rv.Scenario,
-    n: int,
     num_envs: int,
     num_threads: int | None,
     ours: tuple[str, Callable[..., Running]],
     choices: dict[str, Any],
 ) -> list[Case]:
-    size = ("adapters", n, num_envs, num_envs, "team steps")
+    size = ("adapters", scenario.n_robots, num_envs, num_envs, "team steps")
     name, build = ours
     found = [Case(name, *size, lambda: build(scenario, num_envs, num_threads))]
     for learner in LEARNERS:
@@ -97,6 +94,10 @@ def _stepping(env: VectorEnv[Any, Any, Any]) -> Running:
     env.reset(seed=0)
     tape = actions_of(env.single_action_space, env.num_envs)
     return Running(lambda: env.step(next(tape)), lambda: True)
+
+
+def _raw(scenario: rv.Scenario, num_envs: int, num_threads: int | None) -> Running:
+    return _stepping(rv.make_vec(scenario, num_envs, num_threads=num_threads))
 
 
 def _training(scenario: rv.Scenario, num_envs: int, num_threads: int | None) -> Running:
