@@ -103,7 +103,7 @@ def commands() -> str:
 
 def examples() -> str:
     """The programs of examples/."""
-    parts = ["# Examples\n", "Five programs to read, run and change. They lie in `examples/`.\n"]
+    parts = ["# Examples\n", "Programs to read, run and change. They lie in `examples/`.\n"]
     for path in sorted((ROOT / "examples").glob("*.py")):
         parts.append(f"## `{path.name}`\n\n```python\n{path.read_text(encoding='utf-8')}```\n")
     return "\n".join(parts)
