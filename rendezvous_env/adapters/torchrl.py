@@ -16,7 +16,7 @@ from torchrl.envs import EnvBase
 
 from ..engine.memory import RENDEZVOUS, TIME_OUT
 from ..experiment.seeding import seeds_of_teams
-from ..faces.spaces import state_box, team_state
+from ..simulator import Simulator
 from ..vector import training_env
 from .slots import last_moments
 
@@ -63,12 +63,12 @@ class RendezvousEnv(EnvBase):
         **overrides: as ``vector.training_env``.
 
     Raises:
-        ValueError: as ``vector.training_env``.
+        TypeError, ValueError: as ``vector.training_env``.
     """
 
     def __init__(
         self,
-        scenario: ScenarioLike = "fig3",
+        scenario: ScenarioLike = "clutter-8",
         num_envs: int = 1,
         *,
         guarantee: str | None = "heading",
@@ -99,9 +99,10 @@ class RendezvousEnv(EnvBase):
         self._set_seed(seed)
 
     @property
-    def simulator(self) -> Any:
+    def simulator(self) -> Simulator:
         """The teams' simulator, for analysis."""
-        return self.teams.simulator
+        simulator: Simulator = self.teams.simulator
+        return simulator
 
     @property
     def max_steps(self) -> int:
@@ -139,7 +140,7 @@ class RendezvousEnv(EnvBase):
         self.action_spec = of_group(action=acts)
         self.observation_spec = of_group(observation=sees, active=active)
         if self._gives_state:
-            state = state_box(self.teams.scenario)
+            state = self.teams.unwrapped.single_state_space
             self.observation_spec["state"] = Unbounded(torch.Size((*batch, *state.shape)))
         self.reward_spec = of_group(reward=Unbounded(one))
         self.done_spec = Composite(
@@ -209,7 +210,7 @@ class RendezvousEnv(EnvBase):
         for key, over in {"done": met | cut, "terminated": met, "truncated": cut}.items():
             given[key] = torch.from_numpy(over[:, None])
         if self._gives_state:
-            given["state"] = torch.from_numpy(team_state(self.simulator))
+            given["state"] = torch.from_numpy(self.teams.state())
         return TensorDict(given, batch_size=self.batch_size, device=self.device)
 
     def close(self, *, raise_if_closed: bool = True) -> None:

@@ -19,6 +19,11 @@ SHORT = {"guarantee": None, "learning_preset": False, "time_limit": 0.6}
 ACTION, ACTIVE, SEEN = (GROUP, "action"), (GROUP, "active"), (GROUP, "observation")
 
 
+@pytest.fixture(autouse=True)
+def _same_random_actions():
+    torch.manual_seed(0)
+
+
 @pytest.mark.parametrize(
     "choices",
     [
@@ -113,6 +118,13 @@ def test_seeds_are_the_teams_own():
     rest = env.reset()[SEEN]  # the seeds that were still to be used
     assert torch.equal(rest[[0, 2]], first[[0, 2]]) and not torch.equal(rest[1], first[1])
     torch.testing.assert_close(RendezvousEnv("fig3", 1, seed=12, **SHORT).reset()[SEEN], first[1:2])
+
+
+def test_a_rollout_can_wait_for_all_teams():
+    env = RendezvousEnv("duo", 5, seed=0)
+    with torch.no_grad():
+        data = env.rollout(env.max_steps, break_when_any_done=False, break_when_all_done=True)
+    assert data["next", "done"][:, -1].all() and not data["next", "done"][:, -2].all()
 
 
 def test_a_start_can_be_given():
