@@ -65,7 +65,7 @@ docs: .venv/installed
 		--requirement constraints-floors.txt --editable '.[train,render,analysis,dev]'
 	touch $@
 
-# a learner's pins hold against ours
+# a learner's pins hold against ours; what pip cannot be told in a file, its script install does
 .venv-adapters/%/installed: tests/adapters/%/requirements.txt pyproject.toml constraints.txt
 	test -x .venv-adapters/$*/bin/python || $(PYTHON) -m venv .venv-adapters/$*
 	.venv-adapters/$*/bin/pip install --quiet --constraint constraints.txt torch==2.13.0
@@ -73,6 +73,7 @@ docs: .venv/installed
 		> .venv-adapters/$*/constraints.txt
 	.venv-adapters/$*/bin/pip install --quiet --constraint .venv-adapters/$*/constraints.txt \
 		--requirement $< hypothesis pytest --editable .
+	test ! -x tests/adapters/$*/install || tests/adapters/$*/install .venv-adapters/$*/bin
 	touch $@
 
 clean:

@@ -72,15 +72,14 @@ def evaluate(moment: str) -> None:
     held_out.set_seed(1_000_000)
     with set_exploration_type(ExplorationType.DETERMINISTIC):
         data = held_out.rollout(held_out.max_steps, actor, break_when_any_done=False)
-    over = data["next", "done"][..., 0]
-    last = over.int().argmax(dim=1)  # the first end of each team
-    met = data["next", "terminated"][torch.arange(len(last)), last, 0]
-    counted = torch.arange(over.shape[1]) <= last[:, None]
-    earned = (data["next", "robots", "reward"].mean(dim=(-2, -1)) * counted).sum(dim=1).mean()
+    last = data["next", "done"][..., 0].int().argmax(dim=1)  # the first end of each team
+    ends = data["next"][torch.arange(len(last)), last]
+    met = ends["terminated"][:, 0]
+    clean = met & (ends["contacts"][:, 0] == 0)
     times = (last + 1.0) * held_out.seconds_per_step
     times[~met] = torch.inf
-    print(f"{moment}: {met.float().mean():.1%} met, median {times.median():.2f} s, ", end="")
-    print(f"return {earned:.3f}")
+    share, cleanly = (which.float().mean() for which in (met, clean))
+    print(f"{moment}: {share:.1%} met, {cleanly:.1%} cleanly, median {times.median():.2f} s")
 
 
 evaluate("before")

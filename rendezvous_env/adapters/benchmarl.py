@@ -126,6 +126,8 @@ class Evaluation:
     """Team steps collected before it."""
     met: float
     """Share of the teams that met."""
+    clean: float
+    """Share of the teams that met and touched no obstacle."""
     median_time: float
     """s; of all teams, where one that did not meet took longer than any."""
 
@@ -154,17 +156,26 @@ class HeldOut(Callback):
         """Note and log how the first episode of each team went, and go back to their starts."""
         experiment = self.experiment
         period = experiment.test_env.seconds_per_step
-        times = [_time_of_meeting(each, period) for each in rollouts]
+        times, clean = zip(*(_meeting(each, period) for each in rollouts), strict=True)
         met = sum(time < float("inf") for time in times) / len(times)
-        found = Evaluation(experiment.total_frames, met, statistics.median(times))
+        found = Evaluation(
+            experiment.total_frames, met, sum(clean) / len(times), statistics.median(times)
+        )
         self.evaluations.append(found)
-        told = {"eval/met": found.met, "eval/median_time": found.median_time}
+        told = {
+            "eval/met": found.met,
+            "eval/clean": found.clean,
+            "eval/median_time": found.median_time,
+        }
         experiment.logger.log(told, step=experiment.n_iters_performed)
         experiment.test_env.set_seed(self.seed)
 
 
-def _time_of_meeting(rollout: TensorDictBase, period: float) -> float:
-    """Of the first episode of one team, s; inf if it did not meet."""
-    first = int(rollout["next", "done"].flatten().int().argmax())
-    met = bool(rollout["next", "terminated"].flatten()[first])
-    return (first + 1) * period if met else float("inf")
+def _meeting(rollout: TensorDictBase, period: float) -> tuple[float, bool]:
+    """When the robots of the first episode of a team met, s, and whether they touched nothing on
+    the way; inf and False if they did not meet.
+    """
+    last = int(rollout["next", "done"].flatten().int().argmax())
+    met = bool(rollout["next", "terminated"].flatten()[last])
+    clean = met and int(rollout["next", "contacts"].flatten()[last]) == 0
+    return (last + 1) * period if met else float("inf"), clean

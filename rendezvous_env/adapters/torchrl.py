@@ -38,6 +38,7 @@ class RendezvousEnv(EnvBase):
     | ("robots", "action") | (B, n, a) float32 | (B, n) int64 with ``discrete=True`` |
     | ("robots", "active") | (B, n, 1) bool | the robot still exists on its own |
     | ("robots", "reward") | (B, n, 1) float32 | after a step |
+    | "contacts" | (B, 1) int64 | with obstacles so far, one for each robot and base step |
     | "state" | (B, size) float32 | privileged; with ``return_state=True`` |
     | "terminated" | (B, 1) bool | all robots have met |
     | "truncated" | (B, 1) bool | the time limit |
@@ -139,6 +140,7 @@ class RendezvousEnv(EnvBase):
 
         self.action_spec = of_group(action=acts)
         self.observation_spec = of_group(observation=sees, active=active)
+        self.observation_spec["contacts"] = Unbounded(done.shape, dtype=torch.int64)
         if self._gives_state:
             state = self.teams.unwrapped.single_state_space
             self.observation_spec["state"] = Unbounded(torch.Size((*batch, *state.shape)))
@@ -181,21 +183,22 @@ class RendezvousEnv(EnvBase):
         observations, infos = self.teams.reset(seed=given, options={**options, "reset_mask": anew})
         for team in np.flatnonzero(which).tolist():
             self._seeds[team] = None
-        self._start = observations, infos["active"]
+        self._start = observations, infos["active"], infos["contacts"]
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         actions = tensordict.get((GROUP, "action")).detach().cpu().numpy()
         observations, _, met, cut, infos = self.teams.step(actions)
-        last, active = observations, infos["active"]
+        last = self._start = observations, infos["active"], infos["contacts"]
         if not self._gives_state:
-            self._start, self._begun = (observations, infos["active"]), met | cut
-            last, active, _into = last_moments(observations, infos, self._begun)
-        return self._given(last, active, met, cut, reward=infos["robot_rewards"].astype(np.float32))
+            self._begun = met | cut
+            last = _last(observations, infos, self._begun)
+        return self._given(*last, met, cut, reward=infos["robot_rewards"].astype(np.float32))
 
     def _given(
         self,
         observations: NDArray[np.float32],
         active: NDArray[np.bool_],
+        contacts: NDArray[np.int64],
         met: NDArray[np.bool_],
         cut: NDArray[np.bool_],
         **scalars: NDArray[Any],
@@ -207,8 +210,9 @@ class RendezvousEnv(EnvBase):
         given: dict[str, Any] = {
             GROUP: TensorDict(robots, batch_size=active.shape, device=self.device)
         }
-        for key, over in {"done": met | cut, "terminated": met, "truncated": cut}.items():
-            given[key] = torch.from_numpy(over[:, None])
+        of_teams = {"done": met | cut, "terminated": met, "truncated": cut, "contacts": contacts}
+        for key, values in of_teams.items():
+            given[key] = torch.from_numpy(values[:, None])
         if self._gives_state:
             given["state"] = torch.from_numpy(self.teams.state())
         return TensorDict(given, batch_size=self.batch_size, device=self.device)
@@ -217,6 +221,17 @@ class RendezvousEnv(EnvBase):
         """Close the teams."""
         self.teams.close()
         super().close(raise_if_closed=raise_if_closed)
+
+
+def _last(
+    observations: NDArray[np.float32], infos: Mapping[str, Any], over: NDArray[np.bool_]
+) -> tuple[NDArray[np.float32], NDArray[np.bool_], NDArray[np.int64]]:
+    """Observations, active and contacts at the end of the step, before anything began anew."""
+    seen, active, _ = last_moments(observations, infos, over)
+    contacts = infos["contacts"]
+    if over.any():
+        contacts = np.where(over, infos["final_info"]["contacts"], contacts)
+    return seen, active, contacts
 
 
 def _action_spec(space: Space[Any], batch: torch.Size) -> Bounded | Categorical:

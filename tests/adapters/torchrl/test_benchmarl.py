@@ -96,9 +96,12 @@ def test_an_evaluation_tells_who_met_and_when(tmp_path):
     with torch.no_grad():
         data = env.rollout(env.max_steps, aim)
     held_out.on_evaluation_end(list(data.unbind(0)))
-    (found,) = held_out.evaluations
+    found = held_out.evaluations[0]
     ended = data["next", "terminated"].any(dim=1)[:, 0].numpy()
-    assert 0 < ended.sum() and found.met == ended.sum() / 6
+    assert 0 < ended.sum() and found.met == found.clean == ended.sum() / 6
+    data["next", "contacts"][:] = 1
+    held_out.on_evaluation_end(list(data.unbind(0)))
+    assert held_out.evaluations[1].clean == 0.0 < held_out.evaluations[1].met
     assert env.simulator.time[~ended] == pytest.approx(data.shape[1] * env.seconds_per_step)
     times = np.where(ended, data.shape[1] * env.seconds_per_step, np.inf)
     assert found.median_time == np.median(times)

@@ -56,10 +56,10 @@ def test_a_rollout_is_the_vector_environment_step_by_step():
     """Teams meet and run out of time on the way; what was seen last is theirs, not the next
     episode's.
     """
-    choices = {"guarantee": "heading", "learning_preset": False, "time_limit": 6.0}
-    env = RendezvousEnv("duo", 6, seed=5, **choices)
-    data, tape = drive(env, 200)
-    teams = training_env("duo", 6, autoreset_mode=AutoresetMode.DISABLED, **choices)
+    choices = {"learning_preset": False, "decision_period": 4, "time_limit": 12.0}
+    env = RendezvousEnv("clutter-8", 6, seed=5, **choices)
+    data, tape = drive(env, 130)
+    teams = training_env("clutter-8", 6, autoreset_mode=AutoresetMode.DISABLED, **choices)
     seen, _ = teams.reset(seed=5)
     for t, actions in enumerate(tape):
         np.testing.assert_array_equal(data[SEEN][:, t], seen)
@@ -68,12 +68,14 @@ def test_a_rollout_is_the_vector_environment_step_by_step():
         np.testing.assert_array_equal(after[SEEN], seen)
         np.testing.assert_array_equal(after[ACTIVE][..., 0], infos["active"])
         np.testing.assert_allclose(after[GROUP, "reward"][..., 0], infos["robot_rewards"], 1e-6)
+        np.testing.assert_array_equal(after["contacts"][:, 0], infos["contacts"])
         np.testing.assert_array_equal(after["terminated"][:, 0], met)
         np.testing.assert_array_equal(after["truncated"][:, 0], cut)
         np.testing.assert_array_equal(after["done"][:, 0], met | cut)
         if (over := met | cut).any():
             seen, _ = teams.reset(options={"reset_mask": over})
     assert data["next", "terminated"].any() and data["next", "truncated"].any()
+    assert data["next", "contacts"].any()
 
 
 @pytest.mark.parametrize("return_state", [False, True])

@@ -20,7 +20,9 @@ def met(name, *words):
     command = [sys.executable, str(ROOT / "examples" / name), *words]
     done = subprocess.run(command, capture_output=True, text=True, timeout=900, check=False)
     assert done.returncode == 0, done.stderr
-    found = re.findall(r"^(before|after): (\d+\.\d)% met, median (\S+) s", done.stdout, re.M)
+    found = re.findall(
+        r"^(before|after): (\d+\.\d)% met, \d+\.\d% cleanly, median (\S+) s", done.stdout, re.M
+    )
     assert [moment for moment, _, _ in found] == ["before", "after"]
     return [float(share) for _, share, _ in found]
 
