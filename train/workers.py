@@ -15,6 +15,7 @@ from typing import Any, Literal, TypeVar
 
 from rendezvous_env.engine.pool.threads import available_cores
 
+from . import cluster
 from .checks import check_least, check_most
 from .errors import UserError
 
@@ -26,8 +27,6 @@ _ALONE = 2.0
 """s for which this process works by itself; only what takes longer is worth starting others."""
 _TRIES = 3
 """Times in a row that workers may be lost without a task being done."""
-_ROUNDS = 4
-"""Tasks for each worker of a cluster between two looks at what has come."""
 _MOST = 2**12
 
 
@@ -86,7 +85,7 @@ def each(
         Number of a task and what it gave, in the order in which they end.
 
     Raises:
-        UserError: if workers are lost again and again.
+        UserError: if workers are lost again and again, or there is no such cluster.
         Exception: what a task raised.
     """
     left = dict(enumerate(tasks))
@@ -96,6 +95,28 @@ def each(
         at_first = workers.on == "here" and not long and time.monotonic() - began < _ALONE
         if alone or at_first or here(task):
             yield number, work(left.pop(number))
+    if left:
+        elsewhere = _on_cluster if workers.on == "ray" else _on_cores
+        with closing(elsewhere(work, left, workers)) as results:
+            yield from results
+
+
+def _on_cluster(work: Any, left: dict[int, Any], workers: Workers) -> Iterator[tuple[int, Any]]:
+    """Results from a Ray cluster."""
+    yield from cluster.spread(
+        work,
+        list(left.items()),
+        tries=_TRIES,
+        jobs=workers.jobs,
+        address=workers.address,
+        cores=workers.count,
+    )
+
+
+def _on_cores(work: Any, left: dict[int, Any], workers: Workers) -> Iterator[tuple[int, Any]]:
+    """Results from other processes of this machine, which are begun anew if one is lost."""
+    from joblib.externals.loky.process_executor import BrokenProcessPool
+
     lost = 0
     while left:
         try:
@@ -104,7 +125,7 @@ def each(
                     lost = 0
                     del left[number]
                     yield number, result
-        except _lost_workers(workers) as error:
+        except BrokenProcessPool as error:
             lost += 1
             if lost == _TRIES:
                 raise UserError(
@@ -118,14 +139,11 @@ def _numbered(work: Callable[[Task], Result], number: int, task: Task) -> tuple[
 
 
 def _spread(work: Any, tasks: list[tuple[int, Any]], workers: Workers) -> Iterator[Any]:
-    """Results from other processes, as they come."""
+    """Results from other processes of this machine, as they come."""
     from joblib import Parallel, delayed, parallel_config
     from joblib.externals.loky import get_reusable_executor
 
     calls = [delayed(_numbered)(work, number, task) for number, task in tasks]
-    if workers.on == "ray":
-        yield from _on_cluster(calls, workers)
-        return
     count = min(workers.count, len(calls))
     # Ctrl-C is told to all processes of a terminal; this one sees to the others
     with (
@@ -173,42 +191,3 @@ def _end_with(parent: int) -> None:
         os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()
-
-
-def _on_cluster(calls: list[Any], workers: Workers) -> Iterator[Any]:
-    """Results from a Ray cluster, in rounds: its backend gives out none before all are there."""
-    import ray
-    from joblib import Parallel, parallel_config
-    from ray.util.joblib import register_ray
-
-    register_ray()
-    alone = {name: "1" for name in ("NUMBA_NUM_THREADS", "OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS")}
-    try:
-        ray.init(
-            workers.address or "local",
-            num_cpus=None if workers.address else workers.count,
-            runtime_env={"env_vars": alone},
-            log_to_driver=False,
-            include_dashboard=False if workers.address is None else None,
-        )
-    except (ConnectionError, ValueError) as error:
-        raise UserError(f"--address {workers.address}: {error}") from error
-    try:
-        count = workers.jobs or int(ray.cluster_resources().get("CPU", 1))
-        for first in range(0, len(calls), _ROUNDS * count):
-            with parallel_config("ray"):
-                found = Parallel(count, batch_size=1)(calls[first : first + _ROUNDS * count])
-            yield from found
-    finally:
-        ray.shutdown()
-
-
-def _lost_workers(workers: Workers) -> tuple[type[BaseException], ...]:
-    """What is raised when a worker is gone."""
-    if workers.on == "ray":
-        from ray.exceptions import RayActorError, WorkerCrashedError
-
-        return RayActorError, WorkerCrashedError
-    from joblib.externals.loky.process_executor import BrokenProcessPool
-
-    return (BrokenProcessPool,)

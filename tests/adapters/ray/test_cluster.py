@@ -1,0 +1,171 @@
+"""Commands on a Ray cluster of two machines, both here: the results of ``--jobs 1``, whoever dies.
+
+They run in an environment of their own, which ``make test-adapters`` sets up.
+"""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("ray.cluster_utils")  # a folder called ray would pass for the library
+
+import psutil  # Ray brings it along
+from ray import cloudpickle
+from ray.cluster_utils import Cluster
+
+from train import cluster as cluster_tasks
+from train.errors import UserError
+from train.workers import Workers, each
+
+pytestmark = pytest.mark.filterwarnings("ignore")  # Ray's own
+cloudpickle.register_pickle_by_value(sys.modules[__name__])  # workers do not have this file
+
+PLAYED = (
+    "compare", "--scenarios", "duo", "clutter-8", "--policies", "bearing-only", "tangent-joined",
+    "learned", "--episodes", "140", "--keep", "2", "--no-figures", "--ceiling", "1",
+)  # fmt: skip
+CHECKED = ("verify", "--claims", "lemma-1", "theorem-1", "theorem-c", "--trials", "500")
+
+
+@pytest.fixture(scope="module")
+def two():
+    """A cluster of two machines with a core each."""
+    machine = {"num_cpus": 1, "object_store_memory": 10**8, "include_dashboard": False}
+    cluster = Cluster(initialize_head=True, head_node_args=machine)
+    cluster.add_node(num_cpus=1, object_store_memory=10**8)
+    yield cluster
+    cluster.shutdown()
+
+
+def busy(cluster):
+    """Worker processes that are at a task of ours."""
+    found = []
+    for node in cluster.list_all_nodes():
+        raylet = psutil.Process(node.all_processes["raylet"][0].process.pid)
+        for worker in raylet.children():
+            try:
+                if worker.cmdline()[:1] == [f"ray::{cluster_tasks.NAME}"]:
+                    found.append(worker)
+            except (psutil.NoSuchProcess, psutil.ZombieProcess):
+                continue
+    return found
+
+
+def command(*words):
+    return subprocess.Popen(
+        [sys.executable, "-m", "train.cli", *map(str, words)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+
+
+def alone(*words):
+    """Run a command in one process."""
+    done = command(*words, "--jobs", 1)
+    said, _ = done.communicate(timeout=600)
+    assert done.returncode == 0, said
+
+
+def with_a_kill(cluster, *words, begun):
+    """Run a command on the cluster, and kill a worker once something has begun."""
+    running = command(*words, "--on", "ray", "--address", cluster.address)
+    killed = None
+    while running.poll() is None and killed is None:
+        if begun() and (found := busy(cluster)):
+            found[0].send_signal(signal.SIGKILL)
+            killed = found[0]
+        time.sleep(0.02)
+    said, _ = running.communicate(timeout=600)
+    assert killed is not None, f"no worker was seen at work: {said}"
+    assert not killed.is_running()
+    assert running.returncode == 0, said
+
+
+def tried(task):
+    """Says so in a file, and ends its process the first time, if told to."""
+    number, folder, dies = task
+    times = folder / str(number)
+    with times.open("a") as file:
+        file.write("x")
+    time.sleep(0.1)
+    if dies and times.stat().st_size < dies:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return number, np.full(100_000, number), os.getpid(), os.getcwd()
+
+
+def refuses(task):
+    raise UserError(f"task {task} cannot be")
+
+
+class TestEach:
+    def test_a_lost_worker_costs_the_task_it_was_at(self, two, tmp_path, monkeypatch):
+        monkeypatch.chdir(tmp_path)
+        tasks = [(number, tmp_path, 2 * (number == 5)) for number in range(16)]
+        found = dict(each(tried, tasks, Workers(on="ray", address=two.address)))
+        assert sorted(found) == [found[number][0] for number in range(16)] == list(range(16))
+        times = Counter({number: (tmp_path / str(number)).stat().st_size for number in range(16)})
+        assert times == Counter(range(16)) + Counter([5])
+        assert all((found[number][1] == number).all() for number in found)
+        assert all(found[number][1].flags.writeable for number in found)
+        assert len({result[2] for result in found.values()} - {os.getpid()}) >= 2
+        assert {Path(result[3]) for result in found.values()} == {tmp_path}
+
+    def test_one_that_is_always_lost_is_an_error(self, two, tmp_path):
+        tasks = [(0, tmp_path, 100)]
+        with pytest.raises(UserError, match="workers of the cluster ended 3 times at one task"):
+            list(each(tried, tasks, Workers(on="ray", address=two.address)))
+        assert (tmp_path / "0").stat().st_size == 3
+
+    def test_what_a_task_raises_is_raised(self, two):
+        with pytest.raises(UserError, match=r"^task \d cannot be$"):
+            list(each(refuses, range(4), Workers(on="ray", address=two.address)))
+
+    def test_no_cluster(self):
+        with pytest.raises(UserError, match=r"--address 127\.0\.0\.1:9: "):
+            list(each(refuses, range(4), Workers(on="ray", address="127.0.0.1:9")))
+
+
+def test_a_comparison_that_loses_a_worker_is_that_of_one_process(two, tmp_path):
+    alone(*PLAYED, "--out", tmp_path / "one")
+    cells = tmp_path / "ray.part" / "cells"
+    with_a_kill(
+        two, *PLAYED, "--out", tmp_path / "ray", begun=lambda: len(list(cells.glob("*.npz"))) >= 2
+    )
+    for name in ("results.csv", "episodes.csv", "paired.csv", "ceiling.csv", "trajectories.npz"):
+        assert (tmp_path / "ray" / name).read_bytes() == (tmp_path / "one" / name).read_bytes()
+
+
+def test_so_is_a_verification(two, tmp_path):
+    alone(*CHECKED, "--out", tmp_path / "one")
+    with_a_kill(two, *CHECKED, "--out", tmp_path / "ray", begun=lambda: True)
+    one, ray = (
+        [line.split(",") for line in (tmp_path / name / "verify.csv").read_text().splitlines()]
+        for name in ("one", "ray")
+    )
+    seconds = one[0].index("seconds")
+    assert len(one) == 4
+    for found, other in zip(one, ray, strict=True):
+        assert found[:seconds] + found[seconds + 1 :] == other[:seconds] + other[seconds + 1 :]
+
+
+@pytest.mark.parametrize("out", ["runs", "absolute"])
+def test_runs_of_several_seeds_write_where_they_are_told(two, tmp_path, monkeypatch, out):
+    monkeypatch.chdir(tmp_path)
+    small = (
+        "train", "--scenario", "clutter-4", "--num-teams", 4, "--n-steps", 8, "--batch-size", 64,
+        "--epochs", 1, "--total-steps", 256, "--set-width", 4, "--hidden", 8, "--eval-every", 0,
+        "--no-tensorboard", "--seeds", 0, 3, "--out", out if out == "runs" else tmp_path / out,
+    )  # fmt: skip
+    done = command(*small, "--on", "ray", "--address", two.address)
+    said, _ = done.communicate(timeout=600)
+    assert done.returncode == 0, said
+    for seed in (0, 3):
+        assert (tmp_path / out / f"seed-{seed}" / "checkpoints" / "latest.json").is_file()

@@ -1,0 +1,107 @@
+"""Tasks on the workers of a Ray cluster.
+
+Each is a task of Ray's own, and not one of its joblib backend: that one keeps a pool whose results
+come all together, and of which nothing is left when a worker is lost.
+"""
+
+from __future__ import annotations
+
+import os
+import pickle
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from itertools import islice
+from typing import Any, TypeVar
+
+from .errors import UserError
+
+Task = TypeVar("Task")
+Result = TypeVar("Result")
+
+NAME = "rendezvous"
+"""Of a worker's process while it is at a task: ``ray::rendezvous``."""
+_AHEAD = 4
+"""Tasks that each core of a cluster is given at a time: some wait, so that none of them idles."""
+_ALONE = {name: "1" for name in ("NUMBA_NUM_THREADS", "OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS")}
+
+
+def spread(
+    work: Callable[[Task], Result],
+    tasks: Sequence[tuple[int, Task]],
+    *,
+    tries: int,
+    jobs: int | None,
+    address: str | None,
+    cores: int,
+) -> Iterator[tuple[int, Result]]:
+    """Do tasks on a cluster. A worker or a machine that is lost costs what it was at.
+
+    Args:
+        work: what to do with a task. A worker stands in the same folder as this process, where it
+            has that folder, so that relative paths mean the same.
+        tasks: their numbers, and what is to be done.
+        tries: how often a task may lose its worker.
+        jobs: how many are done at once; None is one on each core of the cluster.
+        address: of the cluster; None starts one on this machine.
+        cores: of the one that is started.
+
+    Yields:
+        Number of a task and what it gave, as they end.
+
+    Raises:
+        UserError: if there is no cluster, or a task has lost its worker too often.
+        Exception: what a task raised.
+    """
+    import ray
+    from ray.exceptions import RayError, RayTaskError
+
+    with _joined(address, cores):
+        ahead = jobs or _AHEAD * max(1, int(ray.cluster_resources().get("CPU", 1)))
+        options = {"num_cpus": 1, "max_retries": tries - 1, "name": NAME}
+        do = ray.remote(_do).options(**options, scheduling_strategy="SPREAD")
+        left, flying = iter(tasks), dict[Any, int]()
+        while True:
+            for number, task in islice(left, ahead - len(flying)):
+                flying[do.remote(os.getcwd(), work, task)] = number
+            if not flying:
+                return
+            (found,), _ = ray.wait(list(flying))
+            number = flying.pop(found)
+            try:
+                result = pickle.loads(ray.get(found))
+            except RayTaskError as error:
+                raise error.cause from None
+            except RayError as error:
+                raise UserError(
+                    f"workers of the cluster ended {tries} times at one task ({error}); memory "
+                    "may be short: try fewer --jobs"
+                ) from error
+            yield number, result
+
+
+@contextmanager
+def _joined(address: str | None, cores: int) -> Iterator[None]:
+    """This process is a driver of the cluster."""
+    import ray
+
+    try:
+        ray.init(
+            address or "local",
+            num_cpus=None if address else cores,
+            runtime_env={"env_vars": _ALONE},
+            log_to_driver=False,
+            include_dashboard=None if address else False,
+        )
+    except (ConnectionError, ValueError) as error:
+        raise UserError(f"--address {address}: {error}") from error
+    try:
+        yield
+    finally:
+        ray.shutdown()
+
+
+def _do(folder: str, work: Callable[[Any], Any], task: Any) -> bytes:
+    """Do a task and pickle what it gives: arrays that Ray itself brings back are read-only."""
+    with suppress(OSError):
+        os.chdir(folder)
+    return pickle.dumps(work(task))
