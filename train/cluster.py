@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import pickle
+import socket
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from itertools import islice
@@ -22,6 +23,8 @@ NAME = "rendezvous"
 """Of a worker's process while it is at a task: ``ray::rendezvous``."""
 _AHEAD = 4
 """Tasks that each core of a cluster is given at a time: some wait, so that none of them idles."""
+_ANSWER = 10.0
+"""s that a cluster has to answer."""
 _ALONE = {name: "1" for name in ("NUMBA_NUM_THREADS", "OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS")}
 
 
@@ -84,6 +87,8 @@ def _joined(address: str | None, cores: int) -> Iterator[None]:
     """This process is a driver of the cluster."""
     import ray
 
+    if address:
+        _check_answers(address)
     try:
         ray.init(
             address or "local",
@@ -98,6 +103,24 @@ def _joined(address: str | None, cores: int) -> Iterator[None]:
         yield
     finally:
         ray.shutdown()
+
+
+def _check_answers(address: str) -> None:
+    """Refuse a machine where nobody listens: Ray itself would ask for many minutes.
+
+    Raises:
+        UserError: naming the address.
+    """
+    host, _, port = address.rpartition("://")[2].rpartition(":")
+    if not (host and port.isdigit()):
+        return  # "auto", or one that Ray refuses at once
+    try:
+        socket.create_connection((host.strip("[]"), int(port)), timeout=_ANSWER).close()
+    except (OSError, OverflowError) as error:
+        raise UserError(
+            f"--address {address}: no cluster answers there ({error}); "
+            "`ray start --head` says the address of one"
+        ) from error
 
 
 def _do(folder: str, work: Callable[[Any], Any], task: Any) -> bytes:
