@@ -1,0 +1,111 @@
+"""JAX: a jitted policy gradient with a learned baseline, on Gymnasium's vector API."""
+
+import argparse
+import time
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+from held_out import SCENARIO, STARTS, clean_success, frames_per_second, report
+
+from rendezvous_env import vector
+
+parser = argparse.ArgumentParser(description=__doc__)
+parser.add_argument("--updates", type=int, default=40)
+parser.add_argument("--teams", type=int, default=64)
+parser.add_argument("--starts", type=int, default=len(STARTS))
+given = parser.parse_args()
+
+envs = vector.training_env(SCENARIO, given.teams)
+_, n, size = envs.observation_space.shape
+HORIZON, DISCOUNT, SPREAD = 32, 0.97, 0.5
+
+
+def layers(key, *widths):
+    keys = jax.random.split(key, len(widths) - 1)
+    pairs = zip(widths[:-1], widths[1:], strict=True)
+    return [
+        (jax.random.normal(k, (a, b)) / jnp.sqrt(a), jnp.zeros(b))
+        for k, (a, b) in zip(keys, pairs, strict=True)
+    ]
+
+
+def network(weights, seen):
+    for matrix, bias in weights[:-1]:
+        seen = jnp.tanh(seen @ matrix + bias)
+    matrix, bias = weights[-1]
+    return seen @ matrix + bias
+
+
+@jax.jit
+def sample(weights, seen, key):
+    mean = jnp.tanh(network(weights["policy"], seen))
+    return mean + SPREAD * jax.random.normal(key, mean.shape)
+
+
+@jax.jit
+def best(weights, seen):
+    return jnp.tanh(network(weights["policy"], seen))
+
+
+def loss(weights, seen, actions, returns, acted):
+    values = network(weights["value"], seen)[..., 0]
+    advantages = jax.lax.stop_gradient(returns - values)
+    advantages = advantages / (jnp.std(advantages) + 1e-8)
+    away = (actions - jnp.tanh(network(weights["policy"], seen))) / SPREAD
+    errors = 0.5 * (away**2).sum(-1) * advantages + 0.5 * (returns - values) ** 2
+    return (errors * acted).sum() / acted.sum()
+
+
+optimiser = optax.adam(3e-3)
+
+
+@jax.jit
+def update(weights, state, *batch):
+    changes, state = optimiser.update(jax.grad(loss)(weights, *batch), state)
+    return optax.apply_updates(weights, changes), state
+
+
+def random_steps():
+    envs.step(envs.action_space.sample())
+    return given.teams * n
+
+
+def clip(actions):
+    return np.clip(np.asarray(actions), -1, 1)
+
+
+seen, infos = envs.reset(seed=0)
+speed = frames_per_second(random_steps)
+keys = iter(jax.random.split(jax.random.key(0), 2 + given.updates * HORIZON))
+weights = {
+    "policy": layers(next(keys), size, 64, 64, 2),
+    "value": layers(next(keys), size, 64, 64, 1),
+}
+state = optimiser.init(weights)
+before = clean_success(lambda one: clip(best(weights, one)), STARTS[: given.starts])
+began = time.perf_counter()
+seen, infos = envs.reset(seed=0)
+for _ in range(given.updates):
+    path = []
+    for _ in range(HORIZON):
+        acted, actions = infos["active"], sample(weights, seen, next(keys))
+        after, _, ends, cuts, infos = envs.step(clip(actions))
+        path.append((seen, actions, infos["robot_rewards"], (ends | cuts)[:, None], acted))
+        seen = after
+    future = np.asarray(network(weights["value"], seen)[..., 0])
+    returns = []
+    for *_, rewards, over, _ in reversed(path):
+        future = rewards + DISCOUNT * future * ~over
+        returns.insert(0, future)
+    columns = (np.stack([step[i] for step in path]) for i in (0, 1, 4))
+    observed, chosen, acted = columns
+    weights, state = update(weights, state, observed, chosen, np.stack(returns), acted)
+report(
+    frames_per_second=speed,
+    training_frames=given.updates * HORIZON * given.teams * n,
+    training_seconds=time.perf_counter() - began,
+    before=before,
+    after=clean_success(lambda one: clip(best(weights, one)), STARTS[: given.starts]),
+)
