@@ -2,6 +2,7 @@
 
 import argparse
 import time
+from itertools import pairwise
 
 import jax
 import jax.numpy as jnp
@@ -24,7 +25,7 @@ HORIZON, DISCOUNT, SPREAD = 32, 0.97, 0.5
 
 def layers(key, *widths):
     keys = jax.random.split(key, len(widths) - 1)
-    pairs = zip(widths[:-1], widths[1:], strict=True)
+    pairs = pairwise(widths)
     return [
         (jax.random.normal(k, (a, b)) / jnp.sqrt(a), jnp.zeros(b))
         for k, (a, b) in zip(keys, pairs, strict=True)
