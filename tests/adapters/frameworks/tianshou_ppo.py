@@ -65,9 +65,7 @@ class Robots(BaseVectorEnv):
         self.teams.close()
 
 
-robots = Robots(
-    vector.training_env(SCENARIO, given.teams, autoreset_mode=AutoresetMode.DISABLED)
-)
+robots = Robots(vector.training_env(SCENARIO, given.teams, autoreset_mode=AutoresetMode.DISABLED))
 actions = robots.action_space[0]
 size = robots.observation_space[0].shape[0]
 torch.manual_seed(0)
