@@ -50,5 +50,5 @@ def frames_per_second(steps: Callable[[], int], seconds: float = 2.0) -> float:
 
 
 def report(**figures: float) -> None:
-    """Print figures as one line of JSON, the last of the output."""
+    """Print figures as one line of JSON."""
     print(json.dumps(figures))

@@ -44,6 +44,13 @@ FRAMEWORKS = {
     "Tianshou": Framework(
         "tianshou_ppo.py", ("tianshou==2.0.1", "torch==2.13.0"), ("pandas", "filelock")
     ),
+    # without peft, which only its language models need, AgileRL cannot be imported
+    "AgileRL": Framework(
+        "agilerl_ippo.py",
+        ("agilerl==2.58.0", "peft==0.21.0", "torch==2.13.0"),
+        ("pandas", "filelock", "pettingzoo"),
+    ),
+    "skrl": Framework("skrl_ppo.py", ("skrl==2.1.1", "torch==2.13.0")),
 }
 
 
@@ -59,6 +66,12 @@ def run(*command: str | Path) -> str:
     if done.returncode:
         raise RuntimeError((done.stderr.strip() or done.stdout.strip()).splitlines()[-1])
     return done.stdout
+
+
+def figures(said: str) -> dict[str, Any]:
+    """What a script reports, among what its framework says."""
+    found: dict[str, Any] = json.loads(re.findall(r"^{.*}$", said, flags=re.MULTILINE)[-1])
+    return found
 
 
 def install(framework: Framework, folder: Path) -> float:
@@ -86,7 +99,7 @@ def row(name: str, framework: Framework, folder: Path) -> str:
         said = run(folder / "bin" / "python", HERE / framework.script)
     except RuntimeError as error:
         return f"| {name} | {error} | | | | {framework.lines} |"
-    found: dict[str, Any] = json.loads(said.splitlines()[-1])
+    found = figures(said)
     cells = (
         name,
         f"{installed:.0f} s",

@@ -1,13 +1,12 @@
 """The scripts of the table of frameworks run, those of frameworks that are installed."""
 
-import json
 import subprocess
 import sys
 from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
-from run_table import FRAMEWORKS, Framework
+from run_table import FRAMEWORKS, Framework, figures
 
 HERE = Path(__file__).parent
 SMALL = {
@@ -15,8 +14,16 @@ SMALL = {
     "sb3_ppo.py": ("--frames", "2048", "--teams", "8"),
     "jax_pg.py": ("--updates", "1", "--teams", "4"),
     "tianshou_ppo.py": ("--epochs", "1", "--teams", "4"),
+    "agilerl_ippo.py": ("--updates", "1", "--teams", "4"),
+    "skrl_ppo.py": ("--steps", "32", "--teams", "4"),
 }
-NEEDS = {"sb3_ppo.py": "stable_baselines3", "jax_pg.py": "jax", "tianshou_ppo.py": "tianshou"}
+NEEDS = {
+    "sb3_ppo.py": "stable_baselines3",
+    "jax_pg.py": "jax",
+    "tianshou_ppo.py": "tianshou",
+    "agilerl_ippo.py": "agilerl",
+    "skrl_ppo.py": "skrl",
+}
 
 
 def test_every_framework_has_a_small_setting():
@@ -43,7 +50,7 @@ def test_script(script):
         check=False,
     )
     assert done.returncode == 0, done.stderr
-    found = json.loads(done.stdout.splitlines()[-1])
+    found = figures(done.stdout)
     assert list(found) == [
         "frames_per_second", "training_frames", "training_seconds", "before", "after",
     ]  # fmt: skip

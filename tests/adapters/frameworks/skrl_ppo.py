@@ -1,0 +1,129 @@
+"""skrl: PPO over the robots of many teams, each of which is one of its environments."""
+
+import argparse
+import time
+
+import gymnasium
+import numpy as np
+import torch
+from held_out import SCENARIO, STARTS, clean_success, frames_per_second, report
+from skrl.agents.torch.ppo import PPO
+from skrl.envs.wrappers.torch import Wrapper
+from skrl.memories.torch import RandomMemory
+from skrl.models.torch import DeterministicMixin, GaussianMixin, Model
+from skrl.trainers.torch import SequentialTrainer
+from skrl.utils import set_seed
+
+from rendezvous_env import vector
+
+parser = argparse.ArgumentParser(description=__doc__)
+parser.add_argument("--steps", type=int, default=768)
+parser.add_argument("--teams", type=int, default=64)
+parser.add_argument("--starts", type=int, default=len(STARTS))
+given = parser.parse_args()
+HORIZON = 32
+
+
+class Robots(Wrapper):
+    """Slot = team · n + robot; a team begins anew in the step in which it ends."""
+
+    def __init__(self, teams):
+        super().__init__(teams)
+        self.n = teams.scenario.n_robots
+        self.seen, self.acts = (
+            gymnasium.spaces.Box(space.low[0], space.high[0], dtype=space.dtype)
+            for space in (teams.single_observation_space, teams.single_action_space)
+        )
+
+    num_envs = property(lambda self: self._env.num_envs * self.n)
+    observation_space = property(lambda self: self.seen)
+    action_space = property(lambda self: self.acts)
+
+    def reset(self):
+        observations, _ = self._env.reset(seed=0)
+        return torch.from_numpy(observations.reshape(self.num_envs, -1)), {}
+
+    def step(self, actions):
+        table = actions.numpy().reshape(self._env.action_space.shape)
+        observations, _, ends, cuts, infos = self._env.step(np.clip(table, -1, 1))
+        rewards = torch.from_numpy(infos["robot_rewards"].astype(np.float32)).reshape(-1, 1)
+        over = (torch.from_numpy(np.repeat(found, self.n))[:, None] for found in (ends, cuts))
+        return torch.from_numpy(observations.reshape(self.num_envs, -1)), rewards, *over, {}
+
+    def state(self):
+        return None
+
+    def render(self):
+        return None
+
+    def close(self):
+        self._env.close()
+
+
+def layers(size, outputs):
+    return torch.nn.Sequential(
+        *(torch.nn.Linear(size, 64), torch.nn.Tanh(), torch.nn.Linear(64, 64), torch.nn.Tanh()),
+        torch.nn.Linear(64, outputs),
+    )
+
+
+class Actor(GaussianMixin, Model):
+    def __init__(self, env):
+        Model.__init__(self, observation_space=env.seen, action_space=env.acts, device="cpu")
+        GaussianMixin.__init__(self)
+        self.net = layers(self.num_observations, self.num_actions)
+        self.log_std = torch.nn.Parameter(torch.zeros(self.num_actions))
+
+    def compute(self, inputs, role):
+        return self.net(inputs["observations"]), {"log_std": self.log_std}
+
+
+class Critic(DeterministicMixin, Model):
+    def __init__(self, env):
+        Model.__init__(self, observation_space=env.seen, action_space=env.acts, device="cpu")
+        DeterministicMixin.__init__(self)
+        self.net = layers(self.num_observations, 1)
+
+    def compute(self, inputs, role):
+        return self.net(inputs["observations"]), {}
+
+
+set_seed(0)
+torch.set_num_threads(1)
+robots = Robots(vector.training_env(SCENARIO, given.teams))
+actor = Actor(robots)
+settings = {"rollouts": HORIZON, "learning_epochs": 4, "mini_batches": 8, "discount_factor": 0.97}
+learner = PPO(
+    models={"policy": actor, "value": Critic(robots)},
+    memory=RandomMemory(memory_size=HORIZON, num_envs=robots.num_envs, device="cpu"),
+    observation_space=robots.seen,
+    action_space=robots.acts,
+    device="cpu",
+    cfg=settings | {"experiment": {"write_interval": 0, "checkpoint_interval": 0}},
+)
+
+
+def random_steps():
+    robots.step(torch.rand(robots.num_envs, 2) * 2 - 1)
+    return robots.num_envs
+
+
+@torch.no_grad()
+def policy(seen):
+    return actor.net(torch.from_numpy(seen)).clamp(-1, 1).numpy()
+
+
+robots.reset()
+speed = frames_per_second(random_steps)
+before = clean_success(policy, STARTS[: given.starts])
+began = time.perf_counter()
+quiet = {"timesteps": given.steps, "headless": True, "disable_progressbar": True}
+SequentialTrainer(env=robots, agents=learner, cfg=quiet).train()
+seconds = time.perf_counter() - began
+report(
+    frames_per_second=speed,
+    training_frames=given.steps * robots.num_envs,
+    training_seconds=seconds,
+    before=before,
+    after=clean_success(policy, STARTS[: given.starts]),
+)
