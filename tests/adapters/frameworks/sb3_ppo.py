@@ -17,10 +17,11 @@ parser.add_argument("--starts", type=int, default=len(STARTS))
 given = parser.parse_args()
 
 robots = RobotVecEnv(vector.training_env(SCENARIO, given.teams))
+rng = np.random.default_rng(0)
 
 
 def random_steps():
-    robots.step(np.array([robots.action_space.sample() for _ in range(robots.num_envs)]))
+    robots.step(rng.uniform(-1, 1, (robots.num_envs, 2)))
     return robots.num_envs
 
 
