@@ -4,7 +4,6 @@ import os
 import signal
 import time
 from contextlib import closing
-from importlib.util import find_spec
 
 import numpy as np
 import pytest
@@ -192,11 +191,3 @@ class TestSeeds:
         with pytest.raises(UserError, match=message):
             train.run(self.config(tmp_path / "out", **given))
         assert not (tmp_path / "out").exists()
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(not find_spec("ray"), reason="Ray is an extra")
-@pytest.mark.filterwarnings("ignore")  # Ray's own
-def test_a_comparison_on_a_cluster_is_that_of_this_machine(tmp_path):
-    whole = compared(tmp_path / "here", jobs=1)
-    assert compared(tmp_path / "ray", jobs=2, on="ray") == whole

@@ -20,6 +20,7 @@ import psutil  # Ray brings it along
 from ray import cloudpickle
 from ray.cluster_utils import Cluster
 
+from rendezvous_env.engine.pool.threads import available_cores
 from train import cluster as cluster_tasks
 from train.errors import UserError
 from train.workers import Workers, each
@@ -101,6 +102,10 @@ def tried(task):
     return number, np.full(100_000, number), os.getpid(), os.getcwd()
 
 
+def threads(task):
+    return os.environ["NUMBA_NUM_THREADS"], available_cores(), os.getpid()
+
+
 def refuses(task):
     raise UserError(f"task {task} cannot be")
 
@@ -123,6 +128,13 @@ class TestEach:
         with pytest.raises(UserError, match="workers of the cluster ended 3 times at one task"):
             list(each(tried, tasks, Workers(on="ray", address=two.address)))
         assert (tmp_path / "0").stat().st_size == 3
+
+    def test_one_of_this_machine_is_started_with_single_threads(self):
+        found = dict(each(threads, range(8), Workers(2, on="ray")))
+        assert sorted(found) == list(range(8))
+        assert {result[:2] for result in found.values()} == {("1", 1)}
+        processes = {result[2] for result in found.values()}
+        assert os.getpid() not in processes and 1 <= len(processes) <= 2
 
     def test_what_a_task_raises_is_raised(self, two):
         with pytest.raises(UserError, match=r"^task \d cannot be$"):
