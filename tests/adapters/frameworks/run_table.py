@@ -2,8 +2,8 @@
 
     python tests/adapters/frameworks/run_table.py [--only JAX Tianshou] [--venvs FOLDER]
 
-Prints a row of docs/learners.md for each. What does not install or run stands in its row with the
-last line of what it says.
+Prints a row of docs/learners.md for each; a frame is a decision of one robot. What does not install
+or run stands in its row with the last line of what it says.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ class Framework(NamedTuple):
     """A script and what it needs."""
 
     script: str
+    algorithm: str
     needs: tuple[str, ...] = ()
     """Pins; they hold against those of constraints.txt."""
     frees: tuple[str, ...] = ()
@@ -38,19 +39,22 @@ class Framework(NamedTuple):
 
 
 FRAMEWORKS = {
-    "Gymnasium and NumPy": Framework("numpy_es.py"),
-    "stable-baselines3": Framework("sb3_ppo.py", ("stable-baselines3==2.9.0", "torch==2.13.0")),
-    "JAX": Framework("jax_pg.py", ("jax==0.10.2", "optax==0.2.8")),
+    "Gymnasium and NumPy": Framework("numpy_es.py", "evolution strategy"),
+    "stable-baselines3": Framework(
+        "sb3_ppo.py", "PPO", ("stable-baselines3==2.9.0", "torch==2.13.0")
+    ),
+    "JAX": Framework("jax_pg.py", "policy gradient", ("jax==0.10.2", "optax==0.2.8")),
     "Tianshou": Framework(
-        "tianshou_ppo.py", ("tianshou==2.0.1", "torch==2.13.0"), ("pandas", "filelock")
+        "tianshou_ppo.py", "PPO", ("tianshou==2.0.1", "torch==2.13.0"), ("pandas", "filelock")
     ),
     # without peft, which only its language models need, AgileRL cannot be imported
     "AgileRL": Framework(
         "agilerl_ippo.py",
+        "IPPO",
         ("agilerl==2.58.0", "peft==0.21.0", "torch==2.13.0"),
         ("pandas", "filelock", "pettingzoo"),
     ),
-    "skrl": Framework("skrl_ppo.py", ("skrl==2.1.1", "torch==2.13.0")),
+    "skrl": Framework("skrl_ppo.py", "PPO", ("skrl==2.1.1", "torch==2.13.0")),
 }
 
 
@@ -94,19 +98,20 @@ def install(framework: Framework, folder: Path) -> float:
 
 def row(name: str, framework: Framework, folder: Path) -> str:
     """A row of the table."""
+    learning = f"{framework.algorithm}, `{framework.script}`, {framework.lines} lines"
     try:
         installed = install(framework, folder)
         said = run(folder / "bin" / "python", HERE / framework.script)
     except RuntimeError as error:
-        return f"| {name} | {error} | | | | {framework.lines} |"
+        return f"| {name} | {error} | | {learning} | |"
     found = figures(said)
+    trained = f"{found['training_seconds']:.0f} s: {found['training_frames'] / 1e3:.0f} k frames"
     cells = (
         name,
         f"{installed:.0f} s",
-        f"{found['frames_per_second']:,.0f}",
-        f"{found['training_frames']:,} in {found['training_seconds']:.0f} s",
-        f"{found['before']:.0%} → {found['after']:.0%}",
-        str(framework.lines),
+        f"{found['frames_per_second']:,.0f} frames/s",
+        f"{learning}, {trained}",
+        f"{100 * found['before']:.0f} → {found['after']:.0%} clean",
     )
     return f"| {' | '.join(cells)} |"
 
@@ -116,8 +121,8 @@ if __name__ == "__main__":
     parser.add_argument("--only", nargs="*", choices=FRAMEWORKS, default=list(FRAMEWORKS))
     parser.add_argument("--venvs", type=Path, default=ROOT / ".venv-adapters" / "frameworks")
     given = parser.parse_args()
-    print("| framework | install | frames/s | short training | clean success | lines |")
-    print("|---|---|---|---|---|---|")
+    print("| framework | install | random rollout | short training | held-out evaluation |")
+    print("|---|---|---|---|---|")
     for chosen in given.only:
         kept = given.venvs.resolve() / re.sub(r"\W+", "-", chosen.lower())
         print(row(chosen, FRAMEWORKS[chosen], kept), flush=True)
