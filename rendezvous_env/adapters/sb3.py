@@ -10,13 +10,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
 from numpy.typing import NDArray
+from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecEnv
 
-from ..engine.state_checks import check_entries, check_keys
 from ..gymnasium_env import make_vec
 from ..simulator import Simulator
-from ..team_readings import STANDING
-from .slots import last_moments, of_one_robot, team_options
+from .slots import RobotSlots, SlotStep, team_options
 
 if TYPE_CHECKING:
     from ..experiment.scenarios import ScenarioLike
@@ -32,7 +31,7 @@ def make_robots(scenario: ScenarioLike, num_teams: int, **arguments: Any) -> Rob
 
 
 class RobotVecEnv(VecEnv):
-    """B teams of n robots as B·n slots; slot = team · n + robot.
+    """B teams of n robots as B·n slots; slot = team · n + robot, see ``RobotSlots``.
 
     A team begins anew in the step in which it ends. Rendezvous is a true end. A time-out and a
     merge are none: the slot's info has ``TimeLimit.truncated`` True, and
@@ -41,9 +40,11 @@ class RobotVecEnv(VecEnv):
     zeros until its team begins anew; ``acted`` leaves these slots out, and so does
     ``RobotRolloutBuffer``.
 
-    The info of robot 0, which outlives all others, carries the statistics of its team at the end of
-    an episode: ``episode`` with "r" (sum of team rewards), "l" (steps), "t" (s since the start of
-    this object) and the summary, and ``is_success``.
+    When a team's episode ends, the info of one of its slots carries the statistics: ``episode``
+    with "r" (sum of team rewards), "l" (steps), "t" (s since the start of this object) and the
+    summary, and ``is_success``. The slots of a team take turns, from the last one on, and say that
+    they are monitored: ``evaluate_policy`` waits for an episode of every slot it has a share for,
+    and so counts each episode of a team once.
 
     ``seed(s)`` gives team b the seed s + b at the next reset; ``set_options`` gives start options,
     one dict for all, or one for each slot, of which a team takes that of its robot 0.
@@ -70,30 +71,29 @@ class RobotVecEnv(VecEnv):
     """Whether infos carry ``terminal_observation`` and ``TimeLimit.truncated``."""
 
     def __init__(self, teams: VectorEnv[Any, Any, Any]) -> None:
-        mode = teams.metadata.get("autoreset_mode")
-        if mode is not AutoresetMode.SAME_STEP:
-            raise ValueError(f"autoreset_mode is {mode}; robots need AutoresetMode.SAME_STEP")
-        self.teams: Any = teams  # wrapped or not: the state is not of Gymnasium's interface
+        self.slots = slots = RobotSlots(teams)
         self.tell_bootstraps = True
-        spaces: tuple[Any, ...] = teams.single_observation_space, teams.single_action_space
-        self._observed: tuple[int, ...] = (teams.num_envs, *spaces[0].shape)
-        self._acting: tuple[int, ...] = (teams.num_envs, *spaces[1].shape)
-        batch, n = self._observed[:2]
         self._started = time.time()
-        self._active = np.zeros((batch, n), dtype=np.bool_)
-        self._returns, self._lengths = np.zeros(batch), np.zeros(batch, dtype=np.int64)
+        self._told = np.zeros(slots.num_teams, dtype=np.int64)
         self._forget_step()
-        super().__init__(batch * n, *map(of_one_robot, spaces))
+        super().__init__(
+            slots.active.size, slots.single_observation_space, slots.single_action_space
+        )
+
+    @property
+    def teams(self) -> Any:
+        """The vector environment of teams."""
+        return self.slots.teams
 
     @property
     def n_robots(self) -> int:
         """Robots in a team, n."""
-        return int(self._observed[1])
+        return self.slots.n_robots
 
     @property
     def simulator(self) -> Simulator:
         """The teams' simulator, for analysis."""
-        return self.teams.unwrapped.simulator
+        return self.slots.simulator
 
     # ---- episodes -----------------------------------------------------------------------------
 
@@ -101,88 +101,56 @@ class RobotVecEnv(VecEnv):
         """Begin a new episode in all teams; observations (slots, rows, d)."""
         seeds = self._seeds[:: self.n_robots]
         given = None if all(seed is None for seed in seeds) else seeds
-        options = team_options(self._options[:: self.n_robots])
-        observations, infos = self.teams.reset(seed=given, options=options)
-        self._active = infos["active"].copy()
-        self._returns[:], self._lengths[:] = 0.0, 0
+        observations = self.slots.reset(given, team_options(self._options[:: self.n_robots]))
+        self._told[:] = 0
         self._forget_step()
         self._reset_seeds()
         self._reset_options()
-        return self._by_slot(observations)
+        return observations
 
     def _forget_step(self) -> None:
-        self.acted = self._active.reshape(-1).copy()
-        self.ended = np.zeros(self._active.size, dtype=np.bool_)
+        self.acted = self.slots.active.reshape(-1).copy()
+        self.ended = np.zeros(self.acted.size, dtype=np.bool_)
         self.bootstrapped = self.survivors = np.empty(0, dtype=np.int64)
-        self.bootstrap_observations = np.empty((0, *self._observed[2:]), dtype=np.float32)
+        seen = self.slots.single_observation_space.shape or ()
+        self.bootstrap_observations = np.empty((0, *seen), dtype=np.float32)
 
     def step_async(self, actions: NDArray[np.float32]) -> None:
         """Take the actions (slots, a) of the next step."""
-        self._actions = np.array(actions, dtype=self.action_space.dtype).reshape(self._acting)
+        self._actions = np.array(actions, dtype=self.action_space.dtype)
 
     def step_wait(
         self,
     ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
         """Advance every team; observations, rewards, dones and infos of the slots."""
-        observations, rewards, met, cut, infos = self.teams.step(self._actions)
-        over = met | cut
-        last, active, into = last_moments(observations, infos, over)
-        merged = self._active & ~active
-        truncated = (merged | (active & cut[:, None])) & ~met[:, None]
-        self._note_bootstraps(truncated, into, last)
-        self.acted = self._active.reshape(-1).copy()
-        self._active = infos["active"].copy()
-        self._returns += rewards
-        self._lengths += 1
-        told = self._infos(over, last, infos)
-        self.ended = (merged | over[:, None]).reshape(-1)
-        earned = infos["robot_rewards"].astype(np.float32).reshape(-1)
-        return self._by_slot(observations), earned, self.ended.copy(), told
+        step = self.slots.step(self._actions)
+        self.acted, self.ended = step.acted, step.ended
+        self.bootstrapped, self.survivors = step.bootstrapped, step.survivors
+        self.bootstrap_observations = step.bootstrap_observations
+        return step.observations, step.rewards, step.ended.copy(), self._infos(step)
 
-    def _note_bootstraps(
-        self,
-        truncated: NDArray[np.bool_],
-        into: NDArray[np.int64],
-        last: NDArray[np.float32],
-    ) -> None:
-        """Keep what the cut-off slots are valued by: the last observation of their survivors."""
-        team, robot = np.nonzero(truncated)
-        survivor = into[team, robot]
-        self.bootstrapped = team * self.n_robots + robot
-        self.survivors = team * self.n_robots + survivor
-        self.bootstrap_observations = last[team, survivor]
-
-    def _infos(
-        self, over: NDArray[np.bool_], last: NDArray[np.float32], infos: Mapping[str, Any]
-    ) -> list[dict[str, Any]]:
+    def _infos(self, step: SlotStep) -> list[dict[str, Any]]:
         n = self.n_robots
         told: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
-        for team in np.flatnonzero(over).tolist():
-            told[team * n] |= self._statistics(team, infos["final_info"])
+        for team, episode in step.finished.items():
+            told[team * n + n - 1 - self._told[team] % n] |= self._statistics(episode)
+            self._told[team] += 1
             for robot in range(n) if self.tell_bootstraps else ():
-                told[team * n + robot]["terminal_observation"] = last[team, robot].copy()
+                told[team * n + robot]["terminal_observation"] = step.last[team, robot].copy()
                 told[team * n + robot]["TimeLimit.truncated"] = False
         if self.tell_bootstraps:
-            seen = self.bootstrap_observations
-            for slot, observation in zip(self.bootstrapped.tolist(), seen, strict=True):
+            seen = step.bootstrap_observations
+            for slot, observation in zip(step.bootstrapped.tolist(), seen, strict=True):
                 told[slot]["terminal_observation"] = observation.copy()
                 told[slot]["TimeLimit.truncated"] = True
         return told
 
-    def _statistics(self, team: int, final: Mapping[str, Any]) -> dict[str, Any]:
-        """What a monitor would say of a team's episode; the next one starts to count."""
-        summary = {key: final[key][team].item() for key in STANDING}
-        episode = {
-            "r": float(self._returns[team]),
-            "l": int(self._lengths[team]),
-            "t": round(time.time() - self._started, 6),
-            **summary,
-        }
-        self._returns[team], self._lengths[team] = 0.0, 0
-        return {"episode": episode, "is_success": summary["success"]}
-
-    def _by_slot(self, observations: NDArray[np.float32]) -> NDArray[np.float32]:
-        return observations.reshape(-1, *self._observed[2:])
+    def _statistics(self, episode: dict[str, Any]) -> dict[str, Any]:
+        """What a monitor would say of a team's episode."""
+        summary = {key: episode[key] for key in episode if key not in ("return", "length")}
+        counts = {"r": episode["return"], "l": episode["length"]}
+        passed = round(time.time() - self._started, 6)
+        return {"episode": counts | {"t": passed} | summary, "is_success": episode["success"]}
 
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
         """Seed team b with ``seed`` + b at the next reset; None draws a seed.
@@ -202,12 +170,7 @@ class RobotVecEnv(VecEnv):
 
     def get_state(self) -> dict[str, Any]:
         """The running episodes, as copies: nested arrays."""
-        return {
-            "teams": self.teams.get_state(),
-            "active": self._active.copy(),
-            "returns": self._returns.copy(),
-            "lengths": self._lengths.copy(),
-        }
+        return self.slots.get_state()
 
     def set_state(self, state: Mapping[str, Any]) -> None:
         """Put back what ``get_state`` took out of robots of the same scenario and batch.
@@ -215,17 +178,12 @@ class RobotVecEnv(VecEnv):
         Raises:
             ValueError: naming what does not fit; nothing has changed then.
         """
-        own = {"active": self._active, "returns": self._returns, "lengths": self._lengths}
-        check_keys(state, ("teams",))
-        checked = check_entries(own, state)
-        self.teams.set_state(state["teams"])
-        for name, array in own.items():
-            array[...] = checked[name]
+        self.slots.set_state(state)
         self._forget_step()
 
     def close(self) -> None:
         """Close the teams."""
-        self.teams.close()
+        self.slots.close()
 
     # ---- attributes ---------------------------------------------------------------------------
 
@@ -267,8 +225,9 @@ class RobotVecEnv(VecEnv):
         return [result for _ in self._get_indices(indices)]
 
     def env_is_wrapped(self, wrapper_class: type, indices: Indices = None) -> list[bool]:
-        """Whether the teams are wrapped by this class, for each slot."""
-        wrapped = any(isinstance(layer, wrapper_class) for layer in self._layers())
+        """Whether the teams are wrapped by this class, for each slot; monitored they are."""
+        layers = self._layers()
+        wrapped = wrapper_class is Monitor or any(isinstance(one, wrapper_class) for one in layers)
         return [wrapped for _ in self._get_indices(indices)]
 
     def _layers(self) -> Iterator[Any]:

@@ -3,14 +3,170 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from gymnasium.vector import AutoresetMode, VectorEnv
 from numpy.typing import NDArray
 
+from ..engine.state_checks import check_entries, check_keys
 from ..faces.spaces import of_one_robot
+from ..simulator import Simulator
 
-__all__ = ["last_moments", "of_one_robot", "team_options"]
+
+class SlotStep(NamedTuple):
+    """What a step was for B·n slots."""
+
+    observations: NDArray[np.float32]
+    """(slots, ...), what the next actions are chosen from; zeros for robots that are gone."""
+    rewards: NDArray[np.float32]
+    """(slots,), of the robots."""
+    acted: NDArray[np.bool_]
+    """(slots,), whose robot took part in the step."""
+    ended: NDArray[np.bool_]
+    """(slots,), whose episode the step ended, in whatever way; all of a team that is over."""
+    bootstrapped: NDArray[np.int64]
+    """(k,), slots that the step cut off at a time-out or a merge."""
+    survivors: NDArray[np.int64]
+    """(k,), slots of the robots that each of them is now part of; its own at a time-out."""
+    bootstrap_observations: NDArray[np.float32]
+    """(k, ...), what the value of these slots' future is estimated from."""
+    last: NDArray[np.float32]
+    """(B, n, ...), observations at the end of the step, before any team began anew."""
+    met: NDArray[np.bool_]
+    """(B,), teams whose episode ended with a rendezvous."""
+    late: NDArray[np.bool_]
+    """(B,), teams whose episode ended at the time limit."""
+    finished: dict[int, dict[str, Any]]
+    """Of each team that is over: "return" (sum of team rewards), "length" (steps) and the summary
+    of its episode."""
+
+
+class RobotSlots:
+    """B teams of n robots as B·n slots; slot = team · n + robot.
+
+    A team begins anew in the step in which it ends. Rendezvous is a true end. A time-out and a
+    merge are none: the slot is cut off, and its future is worth what its own last observation says
+    at a time-out, and its survivor's at a merge, so that meeting early is not punished.
+
+    Args:
+        teams: a vector environment of teams with SAME_STEP autoreset, wrapped or not.
+
+    Raises:
+        ValueError: for another autoreset mode.
+    """
+
+    active: NDArray[np.bool_]
+    """(B, n), robots that exist on their own."""
+
+    def __init__(self, teams: VectorEnv[Any, Any, Any]) -> None:
+        mode = teams.metadata.get("autoreset_mode")
+        if mode is not AutoresetMode.SAME_STEP:
+            raise ValueError(f"autoreset_mode is {mode}; robots need AutoresetMode.SAME_STEP")
+        self.teams: Any = teams  # wrapped or not: the state is not of Gymnasium's interface
+        spaces: tuple[Any, ...] = teams.single_observation_space, teams.single_action_space
+        self.single_observation_space, self.single_action_space = map(of_one_robot, spaces)
+        self.num_teams, self.n_robots = teams.num_envs, int(spaces[0].shape[0])
+        self._acting: tuple[int, ...] = (teams.num_envs, *spaces[1].shape)
+        self.active = np.zeros((self.num_teams, self.n_robots), dtype=np.bool_)
+        self._returns = np.zeros(self.num_teams)
+        self._lengths = np.zeros(self.num_teams, dtype=np.int64)
+
+    @property
+    def simulator(self) -> Simulator:
+        """The teams' simulator, for analysis."""
+        return self.teams.unwrapped.simulator
+
+    def reset(
+        self,
+        seeds: int | Sequence[int | None] | None = None,
+        options: Mapping[str, Any] | None = None,
+    ) -> NDArray[np.float32]:
+        """Begin a new episode in all teams; arguments as for them. Observations (slots, ...)."""
+        observations, infos = self.teams.reset(seed=seeds, options=options)
+        self.active = infos["active"].copy()
+        self._returns[:], self._lengths[:] = 0.0, 0
+        return self.by_slot(observations)
+
+    def begin(self, which: NDArray[np.bool_]) -> None:
+        """Take note that these teams, (B,), have begun a new episode by other means."""
+        self.active[which] = True
+        self._returns[which], self._lengths[which] = 0.0, 0
+
+    def step(self, actions: NDArray[Any]) -> SlotStep:
+        """Advance every team.
+
+        Args:
+            actions: (slots, a), or (slots,) where they are discrete.
+
+        Raises:
+            ValueError: as the teams.
+        """
+        observations, rewards, met, late, infos = self.teams.step(actions.reshape(self._acting))
+        over = met | late
+        last, active, into = last_moments(observations, infos, over)
+        merged = self.active & ~active
+        cut_off = (merged | (active & late[:, None])) & ~met[:, None]
+        team, robot = np.nonzero(cut_off)
+        survivor = into[team, robot]
+        acted = self.active.reshape(-1).copy()
+        self.active = infos["active"].copy()
+        self._returns += rewards
+        self._lengths += 1
+        return SlotStep(
+            observations=self.by_slot(observations),
+            rewards=infos["robot_rewards"].astype(np.float32).reshape(-1),
+            acted=acted,
+            ended=(merged | over[:, None]).reshape(-1),
+            bootstrapped=team * self.n_robots + robot,
+            survivors=team * self.n_robots + survivor,
+            bootstrap_observations=last[team, survivor],
+            last=last,
+            met=met,
+            late=late,
+            finished=self._finish(over, infos),
+        )
+
+    def _finish(self, over: NDArray[np.bool_], infos: Mapping[str, Any]) -> dict[int, Any]:
+        """How the episodes of these teams went; their next ones start to count."""
+        told = {}
+        for team in np.flatnonzero(over).tolist():
+            summaries = infos["final_info"]["summary"].items()
+            summary = {key: value[team].item() for key, value in summaries if key[0] != "_"}
+            count = {"return": float(self._returns[team]), "length": int(self._lengths[team])}
+            told[team] = count | summary
+        self._returns[over], self._lengths[over] = 0.0, 0
+        return told
+
+    def by_slot(self, observations: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Observations of teams, (B, n, ...), as those of slots."""
+        return observations.reshape(-1, *observations.shape[2:])
+
+    def get_state(self) -> dict[str, Any]:
+        """The running episodes, as copies: nested arrays."""
+        return {
+            "teams": self.teams.get_state(),
+            "active": self.active.copy(),
+            "returns": self._returns.copy(),
+            "lengths": self._lengths.copy(),
+        }
+
+    def set_state(self, state: Mapping[str, Any]) -> None:
+        """Put back what ``get_state`` took out of robots of the same scenario and batch.
+
+        Raises:
+            ValueError: naming what does not fit; nothing has changed then.
+        """
+        own = {"active": self.active, "returns": self._returns, "lengths": self._lengths}
+        check_keys(state, ("teams",))
+        checked = check_entries(own, state)
+        self.teams.set_state(state["teams"])
+        for name, array in own.items():
+            array[...] = checked[name]
+
+    def close(self) -> None:
+        """Close the teams."""
+        self.teams.close()
 
 
 def last_moments(

@@ -7,6 +7,7 @@ import pytest
 import torch
 from gymnasium.vector import AutoresetMode
 from stable_baselines3 import PPO
+from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
 
 import rendezvous_env as rv
@@ -179,14 +180,13 @@ def test_ends_of_slots():
                         assert infos[slot]["TimeLimit.truncated"] and not obs[slot].any()
             else:
                 assert all(dones[slot] for slot in slots)
-                told = infos[team * ROBOTS]
+                (told,) = (infos[slot] for slot in slots if "episode" in infos[slot])
                 assert told["is_success"] is told["episode"]["success"]
                 for slot in slots:
                     cut = active[team, slot % ROBOTS] and not told["is_success"]
                     assert infos[slot]["TimeLimit.truncated"] == cut
                     assert infos[slot]["terminal_observation"].shape == (2, 2)
                 meetings, lates = meetings + told["is_success"], lates + (not told["is_success"])
-            assert all("episode" not in infos[slot] for slot in list(slots)[1:])
         active = env.simulator.active
     assert merges >= 10 and meetings >= 5 and lates >= 5
 
@@ -199,13 +199,36 @@ def test_statistics_are_those_of_teams():
     for _, rewards, _, infos in random_steps(env, 60):
         rewards_of += rewards[::ROBOTS]
         for team in range(4):
-            if "episode" in infos[team * ROBOTS]:
-                episode = infos[team * ROBOTS]["episode"]
+            found = [info for info in infos[team * ROBOTS :][:ROBOTS] if "episode" in info]
+            for episode in (info["episode"] for info in found):
                 assert episode["r"] == pytest.approx(rewards_of[team], abs=1e-5)
                 assert episode["time"] == pytest.approx(episode["l"] * SCENARIO.tau)
                 rewards_of[team] = 0.0
                 episodes.append(episode)
     assert len(episodes) >= 8 and {"r", "l", "t", "success", "contacts"} <= episodes[0].keys()
+
+
+@pytest.mark.parametrize(("count", "of_teams"), [(4, (1, 3)), (6, (3, 3)), (15, (6, 9))])
+def test_evaluation_counts_every_episode_of_a_team_once(count, of_teams):
+    env = make_robots(SCENARIO, 2)
+    model = PPO("MlpPolicy", env, **SETTINGS | {"batch_size": 60})
+    env.seed(SEED)
+    returns, lengths = evaluate_policy(model, env, count, return_episode_rewards=True)
+    env.seed(SEED)
+    seen, own, running = env.reset(), ([], []), np.zeros((2, 2))
+    while min(map(len, own)) < max(of_teams):
+        seen, rewards, dones, _ = env.step(model.predict(seen, deterministic=True)[0])
+        running += np.stack([rewards[::ROBOTS], np.ones(2)])
+        for team in np.flatnonzero(dones[::ROBOTS]):
+            own[team].append(tuple(running[:, team]))
+            running[:, team] = 0.0
+    expected = [episode for team in range(2) for episode in own[team][: of_teams[team]]]
+    assert len(returns) == count
+    np.testing.assert_allclose(
+        sorted(zip(lengths, returns, strict=True)),
+        sorted((length, total) for total, length in expected),
+        atol=1e-5,
+    )
 
 
 def test_nothing_that_was_given_out_changes_later():
@@ -267,5 +290,7 @@ def test_ppo_learns_through_wrappers(wrapper, options):
 
 def test_ppo_refuses_what_it_cannot_follow():
     robots = make_robots(SCENARIO, 2)
+    with pytest.warns(UserWarning, match="already wrapped with a `Monitor`"):
+        counted_twice = VecMonitor(robots)
     with pytest.raises(TypeError, match="norm_obs"):
-        RobotPPO("MlpPolicy", VecNormalize(VecMonitor(robots)), **SETTINGS).learn(10)
+        RobotPPO("MlpPolicy", VecNormalize(counted_twice), **SETTINGS).learn(10)

@@ -41,11 +41,10 @@ class WatchedRobots(RobotVecEnv):
             Slots that have begun a new episode, (slots,), and what they are shown, (k, size).
         """
         if not isinstance(self.teams, SensingGroups):
-            return np.zeros(self.num_envs, dtype=np.bool_), np.empty((0, *self._observed[2:]))
+            return np.zeros(self.num_envs, dtype=np.bool_), self.bootstrap_observations[:0]
         which, observations = self.teams.renew(update)
-        self._active[which] = True
-        self._returns[which], self._lengths[which] = 0.0, 0
-        return np.repeat(which, self.n_robots), self._by_slot(observations)
+        self.slots.begin(which)
+        return np.repeat(which, self.n_robots), self.slots.by_slot(observations)
 
 
 def episode_numbers(episodes: list[dict[str, Any]]) -> dict[str, Any]:

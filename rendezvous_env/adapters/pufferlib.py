@@ -1,0 +1,99 @@
+"""Robots as the agents of a PufferLib environment: one process, shared buffers."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pufferlib
+from gymnasium.vector import VectorEnv
+from numpy.typing import NDArray
+
+from ..simulator import Simulator
+from .slots import RobotSlots
+
+Buffers = tuple[
+    NDArray[np.float32],
+    NDArray[np.float32],
+    NDArray[np.bool_],
+    NDArray[np.bool_],
+    list[dict[str, Any]],
+]
+"""Observations, rewards, terminals, truncations and infos."""
+
+
+class RobotPufferEnv(pufferlib.PufferEnv):
+    """B teams of n robots as B·n agents, written into PufferLib's buffers.
+
+    A team begins anew in the step in which it ends. All agents of a team live as long as it does:
+    one that has merged away observes zeros, its action is ignored and it earns the team reward to
+    the end, so that meeting early is not punished. ``masks`` say who is not merged away.
+    ``terminals`` are rendezvous and ``truncations`` time limits; the trainer of PufferLib 3 reads
+    only the former, and values a time limit by the first observation of the next episode.
+
+    Infos hold, in the step in which teams end, one dict for each of them: ``episode_return`` (sum
+    of team rewards), ``episode_length`` (steps) and the summary of its episode.
+
+    Args:
+        teams: a vector environment of teams with SAME_STEP autoreset whose scenario has
+            ``on_merge="follow"``, as ``rendezvous_env.vector.training_env`` makes one.
+        buf: buffers to write into, of a vectorisation; None makes own ones.
+        seed: team b has the seed ``seed`` + b, unless ``reset`` is given another; None goes on to
+            the next episodes.
+
+    Raises:
+        ValueError: for another autoreset mode, or robots that do not follow.
+    """
+
+    def __init__(
+        self, teams: VectorEnv[Any, Any, Any], buf: Any = None, seed: int | None = None
+    ) -> None:
+        self.slots = RobotSlots(teams)
+        follows = self.slots.simulator.scenario.on_merge
+        if follows != "follow":
+            raise ValueError(
+                f"on_merge is {follows!r}; agents that live as long as their team need 'follow'"
+            )
+        self._seed = seed
+        self.num_agents = self.slots.active.size
+        self.single_observation_space = self.slots.single_observation_space
+        self.single_action_space = self.slots.single_action_space
+        super().__init__(buf)
+
+    @property
+    def simulator(self) -> Simulator:
+        """The teams' simulator, for analysis."""
+        return self.slots.simulator
+
+    def reset(self, seed: int | None = None) -> tuple[NDArray[np.float32], list[dict[str, Any]]]:
+        """Begin a new episode in all teams; the observations and no infos."""
+        given, self._seed = self._seed if seed is None else seed, None
+        self.observations[:] = self.slots.reset(given)
+        self.rewards[:], self.terminals[:], self.truncations[:] = 0.0, False, False
+        self.masks[:] = True
+        return self.observations, []
+
+    def step(self, actions: NDArray[Any]) -> Buffers:
+        """Advance every team by one step.
+
+        Args:
+            actions: (agents, a), or (agents,) where they are discrete.
+
+        Raises:
+            ValueError: for actions of the wrong shape, or that are not finite, naming the robot.
+        """
+        step = self.slots.step(np.asarray(actions))
+        n = self.slots.n_robots
+        self.observations[:], self.rewards[:] = step.observations, step.rewards
+        self.terminals[:] = np.repeat(step.met, n)
+        self.truncations[:] = np.repeat(step.late, n)
+        self.masks[:] = self.slots.active.reshape(-1)
+        infos = [
+            {f"episode_{key}" if key in ("return", "length") else key: told[key] for key in told}
+            for told in step.finished.values()
+        ]
+        return self.observations, self.rewards, self.terminals, self.truncations, infos
+
+    def close(self) -> None:
+        """Close the teams."""
+        self.slots.close()
