@@ -3,15 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
+from gymnasium.spaces import Space
 from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from ..engine.state_checks import check_entries, check_keys
 from ..faces.spaces import of_one_robot
 from ..simulator import Simulator
+
+SUMMARY = ("success", "time", "contacts", "path_length", "lyapunov")
+"""What infos tell of a team's episode."""
 
 
 class SlotStep(NamedTuple):
@@ -38,8 +44,7 @@ class SlotStep(NamedTuple):
     late: NDArray[np.bool_]
     """(B,), teams whose episode ended at the time limit."""
     finished: dict[int, dict[str, Any]]
-    """Of each team that is over: "return" (sum of team rewards), "length" (steps) and the summary
-    of its episode."""
+    """Of each team that is over: "return" (sum of team rewards), "length" (steps) and SUMMARY."""
 
 
 class RobotSlots:
@@ -71,6 +76,16 @@ class RobotSlots:
         self.active = np.zeros((self.num_teams, self.n_robots), dtype=np.bool_)
         self._returns = np.zeros(self.num_teams)
         self._lengths = np.zeros(self.num_teams, dtype=np.int64)
+
+    @cached_property
+    def observation_space(self) -> Space[Any]:
+        """Of all slots; made when asked for."""
+        return batch_space(self.single_observation_space, self.active.size)
+
+    @cached_property
+    def action_space(self) -> Space[Any]:
+        """Of all slots."""
+        return batch_space(self.single_action_space, self.active.size)
 
     @property
     def simulator(self) -> Simulator:
@@ -131,8 +146,7 @@ class RobotSlots:
         """How the episodes of these teams went; their next ones start to count."""
         told = {}
         for team in np.flatnonzero(over).tolist():
-            summaries = infos["final_info"]["summary"].items()
-            summary = {key: value[team].item() for key, value in summaries if key[0] != "_"}
+            summary = {key: infos["final_info"][key][team].item() for key in SUMMARY}
             count = {"return": float(self._returns[team]), "length": int(self._lengths[team])}
             told[team] = count | summary
         self._returns[over], self._lengths[over] = 0.0, 0

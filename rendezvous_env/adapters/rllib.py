@@ -1,0 +1,201 @@
+"""Robots for RLlib: an environment runner that steps all teams at once, new API stack.
+
+RLlib's own runners touch every robot of every step in Python. This one keeps a rollout as arrays,
+and cuts it into episodes when it is done.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import torch
+from gymnasium.spaces import Box
+from gymnasium.vector import VectorEnv
+from numpy.typing import NDArray
+from ray.rllib.algorithms.algorithm_config import AlgorithmConfig
+from ray.rllib.core import DEFAULT_MODULE_ID
+from ray.rllib.core.columns import Columns
+from ray.rllib.core.rl_module.rl_module import RLModuleSpec
+from ray.rllib.env import INPUT_ENV_SINGLE_SPACES, INPUT_ENV_SPACES
+from ray.rllib.env.single_agent_env_runner import SingleAgentEnvRunner
+from ray.rllib.env.single_agent_episode import SingleAgentEpisode
+from ray.rllib.utils.metrics import WEIGHTS_SEQ_NO
+from ray.rllib.utils.spaces.space_utils import clip_action, unsquash_action
+from ray.tune.registry import ENV_CREATOR, _global_registry, register_env
+
+from ..experiment.scenarios import ScenarioLike
+from ..vector import training_env
+from .rllib_module import SetModule, sets_of
+from .rllib_rollout import Rollout
+from .slots import RobotSlots
+
+ENVIRONMENT = "rendezvous"
+"""Under this name RLlib knows ``rendezvous_env.vector.training_env``."""
+register_env(ENVIRONMENT, lambda settings: training_env(**settings))
+
+
+def configure(
+    config: AlgorithmConfig,
+    scenario: ScenarioLike,
+    *,
+    num_teams: int = 64,
+    units: int = 64,
+    **arguments: Any,
+) -> AlgorithmConfig:
+    """Have an algorithm train one set network that every robot carries.
+
+    Args:
+        config: of an algorithm, as ``PPOConfig()``; it is changed.
+        scenario: a Scenario, the name of one, or the path of a TOML file.
+        num_teams: B, teams in each environment runner.
+        units: width of the network.
+        **arguments: of ``rendezvous_env.vector.training_env``.
+
+    Returns:
+        The same configuration.
+
+    Raises:
+        TypeError: for an unknown argument or field.
+        ValueError: naming an argument, its value and what would be right.
+    """
+    settings = {"scenario": scenario, **arguments}
+    layout = training_env(**settings).layout
+    return (
+        config.environment(ENVIRONMENT, env_config=settings)
+        .env_runners(env_runner_cls=RobotEnvRunner, num_envs_per_env_runner=num_teams)
+        .rl_module(
+            rl_module_spec=RLModuleSpec(
+                module_class=SetModule,
+                model_config={"sets": sets_of(layout), "units": units},
+            )
+        )
+    )
+
+
+class RobotEnvRunner(SingleAgentEnvRunner):
+    """Collects episodes of single robots from B teams of n, all stepped at once.
+
+    ``config.env`` makes a vector environment of teams with SAME_STEP autoreset;
+    ``num_envs_per_env_runner`` is B. One step of one robot counts as one environment step. The
+    episode of a robot is truncated, and so valued by what it ends with, at a time-out (its own
+    last observation) and at a merge (its survivor's), so that meeting early is not punished; it is
+    terminated at a rendezvous. Robots that are gone have no episodes. Episode returns and lengths
+    in the results are those of teams, beside them the summary: success, time, contacts,
+    path_length, lyapunov.
+
+    RLlib's connectors between environment and module, and its callbacks for single steps and
+    episodes, are not called: they would be for every robot. Callbacks for samples are.
+
+    Raises:
+        ValueError: for a configuration with connectors of its own, or another autoreset mode.
+    """
+
+    env: RobotSlots | None
+
+    def make_env(self) -> None:
+        """Make the teams."""
+        for name in ("env_to_module_connector", "module_to_env_connector"):
+            if getattr(self.config, f"_{name}") is not None:
+                raise ValueError(f"{name} is given; robots have none, wrap the teams instead")
+        if self.env is not None:
+            self.env.close()
+        creator, settings = self.config.env, dict(self.config.env_config)
+        if isinstance(creator, str):
+            creator = _global_registry.get(ENV_CREATOR, creator)
+        teams: VectorEnv[Any, Any, Any] = creator(
+            settings | {"num_envs": self.config.num_envs_per_env_runner}
+        )
+        self.env = RobotSlots(teams)
+        self.num_envs = self.env.num_teams
+        self._needs_initial_reset = True
+
+    def get_spaces(self) -> Mapping[str, Any]:
+        """Observation and action space of a robot, under the names that RLlib looks for."""
+        if self.env is None:
+            return self.spaces
+        spaces = self.env.single_observation_space, self.env.single_action_space
+        names = INPUT_ENV_SPACES, INPUT_ENV_SINGLE_SPACES, DEFAULT_MODULE_ID
+        return dict.fromkeys(names, spaces)
+
+    def make_module(self) -> None:
+        """Make the network."""
+        spec = self.config.get_rl_module_spec(spaces=self.get_spaces(), inference_only=True)
+        self.module = spec.build().to(self._device)
+
+    def _sample(
+        self,
+        *,
+        num_timesteps: int | None = None,
+        num_episodes: int | None = None,
+        explore: bool,
+        random_actions: bool = False,
+        force_reset: bool = False,
+    ) -> list[SingleAgentEpisode]:
+        """Collect so many steps of robots, or so many episodes of teams."""
+        assert self.env is not None
+        if force_reset or num_episodes is not None or self._needs_initial_reset:
+            seed = self._seed if self._needs_initial_reset else None
+            self._rollout = Rollout(self.env, self.env.reset(seed))
+            self._needs_initial_reset = num_episodes is not None
+        rollout, finished = self._rollout, 0
+        while (
+            rollout.count < num_timesteps
+            if num_timesteps is not None
+            else finished < (num_episodes or 0)
+        ):
+            slots = np.flatnonzero(self.env.active)
+            chosen = self._choose(rollout.observations[slots], explore, random_actions)
+            step = rollout.add(slots, chosen, self._for_env(chosen[Columns.ACTIONS]))
+            finished += len(step.finished)
+            for episode in step.finished.values():
+                self._log_team(episode)
+        taken = rollout.count
+        self._log_env_steps(metric=self._metrics_num_env_steps_sampled, num_steps=taken)
+        self._increase_sampled_metrics(taken, finished)
+        return list(rollout.cut(only_ended=num_timesteps is None))
+
+    def _choose(
+        self, seen: NDArray[np.float32], explore: bool, random_actions: bool
+    ) -> dict[str, NDArray[Any]]:
+        """Columns of what the module says of these observations, actions among them."""
+        if random_actions or self.module is None:
+            space = self.env.single_action_space  # type: ignore[union-attr]
+            return {Columns.ACTIONS: np.stack([space.sample() for _ in seen])}
+        module: Any = self.module
+        batch = {Columns.OBS: torch.as_tensor(seen, device=self._device)}
+        if explore:
+            out = module.forward_exploration(batch)
+            choice = module.get_exploration_action_dist_cls().from_logits(
+                out[Columns.ACTION_DIST_INPUTS]
+            )
+        else:
+            out = module.forward_inference(batch)
+            choice = module.get_inference_action_dist_cls().from_logits(
+                out[Columns.ACTION_DIST_INPUTS]
+            )
+            choice = choice.to_deterministic()
+        actions = choice.sample()
+        found = {
+            Columns.ACTIONS: actions,
+            Columns.ACTION_DIST_INPUTS: out[Columns.ACTION_DIST_INPUTS],
+            Columns.ACTION_LOGP: choice.logp(actions),
+        }
+        columns = {name: values.cpu().numpy() for name, values in found.items()}
+        return columns | {WEIGHTS_SEQ_NO: np.full(len(seen), self._weights_seq_no)}
+
+    def _for_env(self, actions: NDArray[Any]) -> NDArray[Any]:
+        """Actions as the teams take them, by ``normalize_actions`` and ``clip_actions``."""
+        space = self.env.single_action_space  # type: ignore[union-attr]
+        if isinstance(space, Box) and self.config.normalize_actions:
+            return unsquash_action(actions, space)
+        if isinstance(space, Box) and self.config.clip_actions:
+            return clip_action(actions, space)
+        return actions
+
+    def _log_team(self, episode: dict[str, Any]) -> None:
+        self._log_episode_metrics(episode["length"], episode["return"], episode["time"])
+        window = self.config.metrics_num_episodes_for_smoothing
+        for name in ("success", "time", "contacts", "path_length", "lyapunov"):
+            self.metrics.log_value(name, float(episode[name]), window=window)
