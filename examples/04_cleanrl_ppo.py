@@ -1,95 +1,118 @@
 """PPO in one file, without stable-baselines3: heading vectors that keep Theorem 2 while they learn.
 
 Every robot of every team is a sample of one shared network. A robot that has merged is left out by
-a mask. A time-out is no true end: the value of what was seen last is added to its reward.
+a mask. A merge and a time-out are no true ends: the value of what the survivor, or the robot
+itself, saw last is added to the reward. The starts it is judged by are none that it learns from.
 """
 
 import argparse
 
 import numpy as np
 import torch
-from gymnasium.vector import AutoresetMode
 from torch import nn
 from torch.distributions import Normal
 
 import rendezvous_env as rv
-from rendezvous_env.vector import HeadingVectorWrapper
+from rendezvous_env.adapters.slots import RobotSlots
 
 parser = argparse.ArgumentParser(description=__doc__)
-parser.add_argument("--scenario", default="swarm-20")
-parser.add_argument("--updates", type=int, default=20)
-parser.add_argument("--teams", type=int, default=64)
+parser.add_argument("--scenario", default="clutter-8")
+parser.add_argument("--updates", type=int, default=400)
+parser.add_argument("--teams", type=int, default=128)
 parser.add_argument("--steps", type=int, default=32)
+parser.add_argument("--held-out", type=int, default=500, help="starts to judge by")
 parser.add_argument("--seed", type=int, default=0)
 given = parser.parse_args()
-GAMMA, LAMBDA, CLIP, EPOCHS, MINIBATCHES = 0.99, 0.95, 0.2, 4, 8
+GAMMA, LAMBDA, CLIP, EPOCHS, MINIBATCHES, ENTROPY = 0.99, 0.95, 0.2, 4, 8, 1e-3
+HELD_OUT = 1_000_000  # seeds from here on are for judging
 
 torch.manual_seed(given.seed)
-env = HeadingVectorWrapper(
-    rv.make_vec(given.scenario, given.teams, autoreset_mode=AutoresetMode.SAME_STEP)
-)
-n, *seen = env.single_observation_space.shape
-size, moves = int(np.prod(seen)), env.single_action_space.shape[-1]
+torch.set_num_threads(1)  # the network is small
 
 
-def network(outputs: int) -> nn.Sequential:
-    """What reads the rows of one robot."""
-    return nn.Sequential(
-        nn.Flatten(), nn.Linear(size, 64), nn.Tanh(), nn.Linear(64, 64), nn.Tanh(),
-        nn.Linear(64, outputs),
-    )  # fmt: skip
+def make(teams: int) -> RobotSlots:
+    """Robots that choose a raw heading every 12 steps; their first touch costs them 1."""
+    return RobotSlots(
+        rv.vector.training_env(
+            given.scenario,
+            teams,
+            guarantee="heading",
+            learning_preset=False,
+            decision_period=12,
+            touch_penalty=1.0,
+        )
+    )
 
 
-actor, critic = network(moves), network(1)
+robots = make(given.teams)
+size, moves = robots.single_observation_space.shape[0], robots.single_action_space.shape[0]
+
+
+def network(outputs: int, scale: float) -> nn.Sequential:
+    """What reads the rows of one robot; its last layer begins at this scale."""
+    layers = [nn.Linear(size, 128), nn.Linear(128, 128), nn.Linear(128, outputs)]
+    for layer, gain in zip(layers, (2**0.5, 2**0.5, scale), strict=True):
+        nn.init.orthogonal_(layer.weight, gain)
+        nn.init.zeros_(layer.bias)
+    return nn.Sequential(layers[0], nn.Tanh(), layers[1], nn.Tanh(), layers[2])
+
+
+actor, critic = network(moves, 0.01), network(1, 1.0)
 log_std = nn.Parameter(torch.full((moves,), -0.5))
-optimiser = torch.optim.Adam([*actor.parameters(), *critic.parameters(), log_std], lr=1e-3)
+parameters = [*actor.parameters(), *critic.parameters(), log_std]
+optimiser = torch.optim.Adam(parameters, lr=1e-3)
 
 
+@torch.no_grad()
 def value_of(observations: np.ndarray) -> np.ndarray:
-    """Estimated future rewards of robots (B, n)."""
-    with torch.no_grad():
-        return critic(torch.as_tensor(observations).reshape(-1, size)).reshape(-1, n).numpy()
+    """Estimated future rewards of robots, (k,)."""
+    return critic(torch.as_tensor(observations)).squeeze(-1).numpy()
 
 
-observations, infos = env.reset(seed=given.seed)
-active, shape = infos["active"].copy(), (given.steps, given.teams, n)
+@torch.no_grad()
+def judge() -> str:
+    """How the likeliest choices do on the held-out starts."""
+    env, first = make(given.held_out), {}
+    seen = env.reset(HELD_OUT)
+    while len(first) < given.held_out:
+        step = env.step(actor(torch.as_tensor(seen)).numpy().clip(-1, 1))
+        seen, first = step.observations, step.finished | first
+    met = np.array([episode["success"] for episode in first.values()])
+    clean = met & np.array([episode["contacts"] == 0 for episode in first.values()])
+    return f"{met.mean():.1%} met, {clean.mean():.1%} without a touch"
+
+
+print("before:", judge(), flush=True)
+seen, shape = robots.reset(given.seed), (given.steps, given.teams * robots.n_robots)
+samples = 0
 for update in range(given.updates):
-    kept = {
-        "seen": np.zeros((*shape, *seen), np.float32),
-        "raw": np.zeros((*shape, moves), np.float32),
-    }
+    optimiser.param_groups[0]["lr"] = 1e-3 * (1 - update / given.updates)
+    observations = np.zeros((*shape, size), np.float32)
+    chosen = np.zeros((*shape, moves), np.float32)
     log_probs, values, rewards = (np.zeros(shape, np.float32) for _ in range(3))
-    alive, ends = np.zeros(shape, bool), np.zeros(shape, bool)
+    acted, ended = np.zeros(shape, bool), np.zeros(shape, bool)
     met = []
     for t in range(given.steps):
         with torch.no_grad():
-            choice = Normal(actor(torch.as_tensor(observations).reshape(-1, size)), log_std.exp())
+            choice = Normal(actor(torch.as_tensor(seen)), log_std.exp())
             raw = choice.sample()
-            log_probs[t] = choice.log_prob(raw).sum(-1).reshape(-1, n).numpy()
-        kept["seen"][t], kept["raw"][t] = observations, raw.reshape(-1, n, moves).numpy()
-        values[t], alive[t] = value_of(observations), active
-        observations, _, terminated, truncated, infos = env.step(kept["raw"][t].clip(-1, 1))
-        rewards[t] = infos["robot_rewards"]
-        over = terminated | truncated
-        ends[t] = over[:, None] | ~infos["active"]
-        merged = active & ~infos["active"] & ~over[:, None]  # valued by what the survivor sees
-        into = infos["merged_into"]
-        rewards[t] += GAMMA * merged * np.take_along_axis(value_of(observations), into, axis=1)
-        for team in np.flatnonzero(truncated):
-            rewards[t, team] += GAMMA * value_of(infos["final_obs"][team][None])[0]
-        active = infos["active"].copy()
-        met += terminated[over].tolist()
-    advantages, later = np.zeros(shape, np.float32), np.zeros(shape[1:], np.float32)
-    following = value_of(observations)
+            log_probs[t] = choice.log_prob(raw).sum(-1).numpy()
+        observations[t], chosen[t], values[t] = seen, raw.numpy(), value_of(seen)
+        step = robots.step(chosen[t].clip(-1, 1))
+        seen, acted[t], ended[t], rewards[t] = step[0], step.acted, step.ended, step.rewards
+        rewards[t, step.bootstrapped] += GAMMA * value_of(step.bootstrap_observations)
+        met += [episode["success"] for episode in step.finished.values()]
+    advantages, later = np.zeros(shape, np.float32), np.zeros(shape[1], np.float32)
+    following = value_of(seen)
     for t in reversed(range(given.steps)):
-        goes_on = ~ends[t]
-        delta = rewards[t] + GAMMA * following * goes_on - values[t]
-        later = advantages[t] = delta + GAMMA * LAMBDA * goes_on * later
+        delta = rewards[t] + GAMMA * following * ~ended[t] - values[t]
+        later = advantages[t] = delta + GAMMA * LAMBDA * ~ended[t] * later
         following = values[t]
     flat = [
-        torch.as_tensor(array[alive])
-        for array in (kept["seen"], kept["raw"], log_probs, advantages, advantages + values)
+        torch.as_tensor(array[acted])
+        for array in (observations, chosen, log_probs, advantages, advantages + values)
     ]
+    samples += len(flat[0])
     for _ in range(EPOCHS):
         for batch in torch.randperm(len(flat[0])).chunk(MINIBATCHES):
             x, raw, old, gain, target = (array[batch] for array in flat)
@@ -98,10 +121,13 @@ for update in range(given.updates):
             ratio = (choice.log_prob(raw).sum(-1) - old).exp()
             policy_loss = -torch.min(ratio * gain, ratio.clamp(1 - CLIP, 1 + CLIP) * gain).mean()
             value_loss = (critic(x).squeeze(-1) - target).square().mean()
-            loss = policy_loss + 0.5 * value_loss
+            loss = policy_loss + 0.5 * value_loss - ENTROPY * choice.entropy().sum(-1).mean()
             optimiser.zero_grad()
             loss.backward()
+            nn.utils.clip_grad_norm_(parameters, 0.5)
             optimiser.step()
-    episodes = f"{np.mean(met):.0%} of {len(met)} met" if met else "no episode ended"
-    reward = f"reward {rewards[alive].mean():+.4f}"
-    print(f"update {update + 1}: loss {loss.item():.3f}, {reward}, {episodes}")
+    if update % 10 == 9 or update + 1 == given.updates:
+        episodes = f"{np.mean(met):.0%} of {len(met)} met" if met else "no episode ended"
+        reward = f"reward {rewards[acted].mean():+.4f}"
+        print(f"update {update + 1}: loss {loss.item():.3f}, {reward}, {episodes}", flush=True)
+print(f"after {samples:,} decisions of robots:", judge())

@@ -9,7 +9,9 @@ import pufferlib
 from gymnasium.vector import VectorEnv
 from numpy.typing import NDArray
 
+from ..experiment.scenarios import ScenarioLike
 from ..simulator import Simulator
+from ..vector import training_env
 from .slots import RobotSlots
 
 Buffers = tuple[
@@ -20,6 +22,30 @@ Buffers = tuple[
     list[dict[str, Any]],
 ]
 """Observations, rewards, terminals, truncations and infos."""
+
+
+def make(
+    scenario: ScenarioLike,
+    num_teams: int = 64,
+    *,
+    buf: Any = None,
+    seed: int | None = None,
+    **arguments: Any,
+) -> RobotPufferEnv:
+    """The robots of a training environment as agents; what ``pufferlib.vector.make`` calls.
+
+    Args:
+        scenario: a Scenario, the name of one, or the path of a TOML file.
+        num_teams: B.
+        buf: see ``RobotPufferEnv``.
+        seed: likewise.
+        **arguments: of ``rendezvous_env.vector.training_env``.
+
+    Raises:
+        TypeError: for an unknown argument or field.
+        ValueError: naming an argument, its value and what would be right.
+    """
+    return RobotPufferEnv(training_env(scenario, num_teams, **arguments), buf, seed)
 
 
 class RobotPufferEnv(pufferlib.PufferEnv):

@@ -1,0 +1,119 @@
+"""What stands in PufferLib's buffers, beside the teams themselves."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import rendezvous_env as rv
+from rendezvous_env.vector import training_env
+
+vector = pytest.importorskip("pufferlib.vector")
+from pufferlib import PufferEnv  # noqa: E402
+
+from rendezvous_env.adapters.pufferlib import RobotPufferEnv, make  # noqa: E402
+
+TEAMS, ROBOTS, SEED = 6, 3, 4
+SCENARIO = rv.Scenario(
+    n_robots=ROBOTS,
+    merge_radius=0.25,
+    spawn_size=1.1,
+    time_step=0.2,
+    allow_long_step=True,
+    time_limit=4.4,
+)
+"""A small world in which a random policy merges, meets and runs out of time."""
+BARE = {"guarantee": None, "learning_preset": False}
+
+
+def actions_of(steps, agents):
+    random = np.random.default_rng(0)
+    return random.uniform(-2, 2, (steps, agents, 2)).astype(np.float32)
+
+
+def test_buffers_hold_what_the_teams_give():
+    env, teams = make(SCENARIO, TEAMS, **BARE), training_env(SCENARIO, TEAMS, **BARE)
+    seen, infos = env.reset(SEED)
+    np.testing.assert_array_equal(seen, teams.reset(seed=SEED)[0].reshape(TEAMS * ROBOTS, -1))
+    assert infos == [] and seen is env.observations
+    counts = np.zeros(3, dtype=int)
+    for actions in actions_of(60, TEAMS * ROBOTS):
+        found = env.step(actions)
+        seen, _, met, late, infos = teams.step(actions.reshape(TEAMS, ROBOTS, 2))
+        np.testing.assert_array_equal(found[0], seen.reshape(TEAMS * ROBOTS, -1))
+        np.testing.assert_array_equal(found[1], infos["robot_rewards"].ravel().astype(np.float32))
+        np.testing.assert_array_equal(found[2].reshape(TEAMS, ROBOTS), met[:, None] | [False] * 3)
+        np.testing.assert_array_equal(found[3].reshape(TEAMS, ROBOTS), late[:, None] | [False] * 3)
+        np.testing.assert_array_equal(env.masks, infos["active"].ravel())
+        assert all(array is own for array, own in zip(found[:4], buffers_of(env), strict=True))
+        assert len(found[4]) == (met | late).sum()
+        counts += (~env.masks).any(), met.sum(), late.sum()
+    assert counts.min() >= 3
+
+
+def buffers_of(env):
+    return env.observations, env.rewards, env.terminals, env.truncations
+
+
+def test_infos_count_what_the_agents_earned():
+    env = make(SCENARIO, TEAMS, **BARE)
+    env.reset(SEED)
+    earned, steps, told = np.zeros(TEAMS), np.zeros(TEAMS, dtype=int), []
+    for actions in actions_of(60, TEAMS * ROBOTS):
+        _, rewards, terminals, truncations, infos = env.step(actions)
+        earned, steps = earned + rewards.reshape(TEAMS, ROBOTS)[:, 1], steps + 1
+        over = (terminals | truncations).reshape(TEAMS, ROBOTS)[:, 0]
+        for team, info in zip(np.flatnonzero(over), infos, strict=True):
+            assert info["episode_return"] == pytest.approx(earned[team], abs=1e-5)
+            assert info["episode_length"] == steps[team]
+            assert info["success"] is bool(terminals[team * ROBOTS])
+            told.append(info["success"])
+        earned[over], steps[over] = 0.0, 0
+    assert 3 <= sum(told) <= len(told) - 3
+
+
+def test_two_environments_in_one_vectorisation_share_its_buffers():
+    both = vector.make(
+        make,
+        env_args=[SCENARIO, TEAMS],
+        env_kwargs=BARE,
+        backend=vector.Serial,
+        num_envs=2,
+        seed=SEED,
+    )
+    seen, _ = both.reset(SEED)
+    agents = TEAMS * ROBOTS
+    singles = [make(SCENARIO, TEAMS, **BARE) for _ in range(2)]
+    for k, env in enumerate(singles):  # each sub-environment has its own seed
+        np.testing.assert_array_equal(seen[k * agents : (k + 1) * agents], env.reset(SEED + k)[0])
+    for actions in actions_of(20, 2 * agents):
+        seen, rewards, *_ = both.step(actions)
+        for k, env in enumerate(singles):
+            part = slice(k * agents, (k + 1) * agents)
+            own = env.step(actions[part])
+            np.testing.assert_array_equal(seen[part], own[0])
+            np.testing.assert_array_equal(rewards[part], own[1])
+
+
+def test_native_vectorisation_with_a_guarantee_and_angles():
+    env = vector.make(
+        make, env_args=["clutter-8", 2], env_kwargs={"discrete": True}, backend=PufferEnv
+    )
+    env.reset(SEED)
+    choices = env.single_action_space.n
+    assert env.single_observation_space.shape == env.observations.shape[1:]
+    before = env.observations.copy()
+    env.step(np.arange(env.num_agents) % choices)
+    assert env.slots.simulator.time.min() > 0.0 and (env.observations != before).any()
+
+
+def test_seeds_and_what_is_refused():
+    seeded, other = make(SCENARIO, 2, seed=7, **BARE), make(SCENARIO, 2, **BARE)
+    first = seeded.reset()[0].copy()
+    np.testing.assert_array_equal(first, other.reset(7)[0])
+    assert (seeded.reset()[0] != first).any()
+    teams = rv.make_vec(SCENARIO, 2, autoreset_mode="SameStep")
+    with pytest.raises(ValueError, match="on_merge is 'remove'"):
+        RobotPufferEnv(teams)
+    with pytest.raises(ValueError, match="robot_1"):
+        other.step(np.full((2 * ROBOTS, 2), [[0.0], [np.nan]] * 3, dtype=np.float32))
