@@ -40,6 +40,7 @@ def make(teams: int) -> RobotSlots:
             learning_preset=False,
             decision_period=12,
             touch_penalty=1.0,
+            reward=rv.RewardWeights(collision_penalty=0.0),  # the touch is paid for already
         )
     )
 

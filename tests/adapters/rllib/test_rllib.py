@@ -1,0 +1,227 @@
+"""Episodes that RLlib is given, beside each team played on its own; and the set network."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from gymnasium.spaces import Box, Discrete
+
+import rendezvous_env as rv
+from rendezvous_env.adapters.slots import RobotSlots
+from rendezvous_env.vector import training_env
+
+pytest.importorskip("ray.rllib")
+torch = pytest.importorskip("torch")
+
+import ray  # noqa: E402
+from ray.rllib.algorithms.ppo import PPOConfig  # noqa: E402
+from ray.rllib.core.columns import Columns  # noqa: E402
+from ray.tune.registry import register_env  # noqa: E402
+
+from rendezvous_env.adapters import rllib  # noqa: E402
+from rendezvous_env.adapters.rllib_module import SetModule, sets_of  # noqa: E402
+from rendezvous_env.adapters.rllib_rollout import Rollout  # noqa: E402
+
+pytestmark = [
+    pytest.mark.filterwarnings("ignore::DeprecationWarning"),  # RLlib's own
+    pytest.mark.filterwarnings("ignore::ResourceWarning"),
+]
+TEAMS, ROBOTS, SEED = 8, 3, 4
+SCENARIO = rv.Scenario(
+    n_robots=ROBOTS,
+    merge_radius=0.25,
+    spawn_size=1.1,
+    time_step=0.2,
+    allow_long_step=True,
+    time_limit=4.4,
+)
+"""A small world in which a random policy merges, meets and runs out of time."""
+BARE = {"guarantee": None, "learning_preset": False}
+
+
+@pytest.fixture(scope="module")
+def local_ray():
+    ray.init(
+        address="local",
+        num_cpus=1,
+        include_dashboard=False,
+        log_to_driver=False,
+        configure_logging=False,
+    )
+    yield
+    ray.shutdown()
+
+
+class Lives:
+    """What the robots of one team live through, played alone in PettingZoo."""
+
+    def __init__(self, team):
+        self.team, self.found = team, []
+        self.env = rv.parallel_env(SCENARIO)
+        self.seen, _ = self.env.reset(seed=SEED + team)
+        self.open = {}
+
+    def step(self, actions):
+        alive, names_of = list(self.env.agents), self.env.possible_agents
+        new, rewards, ends, cuts, infos = self.env.step({name: actions[name] for name in alive})
+        met = infos[alive[0]].get("summary", {}).get("success", False)
+        for name in alive:
+            life = self.open.setdefault(name, SimpleNamespace(seen=[], rewards=[], acts=[]))
+            life.seen.append(self.seen[name])
+            life.rewards.append(rewards[name])
+            life.acts.append(actions[name])
+            if ends[name] or cuts[name]:
+                into = name if met or cuts[name] else names_of[infos[name]["merged_into"]]
+                kind = "met" if met else "late" if cuts[name] else "merged"
+                self.close(name, new[into], kind)
+        self.seen = new if self.env.agents else self.env.reset()[0]
+
+    def close(self, name, last, kind):
+        life = self.open.pop(name)
+        self.found.append((int(name.removeprefix("robot_")), life, last, kind))
+
+
+def test_episodes_are_those_of_each_robot_on_its_own():
+    robots = RobotSlots(rv.make_vec(SCENARIO, TEAMS, autoreset_mode="SameStep"))
+    rollout = Rollout(robots, robots.reset(SEED))
+    lives = [Lives(team) for team in range(TEAMS)]
+    names = lives[0].env.possible_agents
+    random, chunks, taken = np.random.default_rng(0), [], 0
+    for t in range(90):
+        slots = np.flatnonzero(robots.active)
+        actions = random.uniform(-2, 2, (len(slots), 2)).astype(np.float32)
+        table = dict(zip(slots.tolist(), actions, strict=True))
+        rollout.add(slots, {Columns.ACTIONS: actions, "mark": slots + 1000 * t}, actions)
+        for team, life in enumerate(lives):
+            life.step({name: table.get(team * ROBOTS + i) for i, name in enumerate(names)})
+        if t in (30, 31, 89):
+            taken += rollout.count
+            chunks += rollout.cut()
+            assert rollout.count == 0
+    assert taken == sum(map(len, chunks))
+    whole = {}
+    for chunk in chunks:
+        assert chunk.is_numpy and chunk.t_started == sum(map(len, whole.get(chunk.id_, [])))
+        whole.setdefault(chunk.id_, []).append(chunk)
+    ended = {}
+    for parts in whole.values():
+        slot = int(parts[0].get_extra_model_outputs("mark")[0] % 1000)
+        if parts[-1].is_done:
+            ended.setdefault(slot, []).append(parts)
+        assert not any(part.is_done for part in parts[:-1])
+    counts = {"met": 0, "merged": 0, "late": 0}
+    for team, life in enumerate(lives):
+        for robot, one, last, kind in life.found:
+            parts = ended[team * ROBOTS + robot].pop(0)
+            seen = np.concatenate([part.get_observations()[:-1] for part in parts])
+            np.testing.assert_array_equal(seen, one.seen)
+            np.testing.assert_array_equal(
+                np.concatenate([part.get_actions() for part in parts]), one.acts
+            )
+            np.testing.assert_allclose(
+                np.concatenate([part.get_rewards() for part in parts]), one.rewards, atol=1e-6
+            )
+            if kind != "met":  # after a rendezvous nothing is valued
+                np.testing.assert_array_equal(parts[-1].get_observations(-1), last)
+            assert parts[-1].is_terminated == (kind == "met")
+            assert parts[-1].is_truncated == (kind != "met")
+            counts[kind] += 1
+    assert min(counts.values()) >= 3 and not any(ended.values())
+
+
+def module_of(sets, context, actions, **config):
+    size = sum(count * width for count, width in sets) + context
+    torch.manual_seed(1)
+    module = SetModule(
+        observation_space=Box(-1, 1, (size,), np.float32),
+        action_space=actions,
+        model_config={"sets": sets, "units": 16, **config},
+    )
+    torch.nn.init.normal_(module.choice.weight)
+    return module
+
+
+@pytest.mark.parametrize("actions", [Box(-1, 1, (2,), np.float32), Discrete(5)])
+def test_the_order_and_the_number_of_elements_do_not_matter(actions):
+    few, many = (module_of(((k, 3), (m, 4)), 2, actions) for k, m in ((4, 3), (6, 5)))
+    many.load_state_dict(few.state_dict())
+    random = np.random.default_rng(0)
+    neighbours, obstacles = random.normal(size=(7, 4, 3)), random.normal(size=(7, 3, 4))
+    neighbours[:, 3], obstacles[:, 1] = 0.0, 0.0  # absent
+    context = random.normal(size=(7, 2))
+
+    def out(module, *parts):
+        flat = np.concatenate([part.reshape(7, -1) for part in parts], axis=1)
+        batch = {Columns.OBS: torch.as_tensor(flat, dtype=torch.float32)}
+        return module.forward_inference(batch)[Columns.ACTION_DIST_INPUTS], module.compute_values(
+            batch
+        )
+
+    first = out(few, neighbours, obstacles, context)
+    turned = out(few, neighbours[:, [2, 3, 0, 1]], obstacles[:, ::-1], context)
+    padding = np.zeros((7, 2, 3)), np.zeros((7, 2, 4))
+    padded = out(
+        many,
+        np.concatenate([padding[0], neighbours], axis=1),
+        np.concatenate([obstacles, padding[1]], axis=1),
+        context,
+    )
+    for same in (turned, padded):
+        torch.testing.assert_close(first, same)
+    neighbours[:, 0] *= -1.0
+    changed = out(few, neighbours, obstacles, context)
+    assert (changed[0] != first[0]).any(dim=1).all() and (changed[1] != first[1]).all()
+
+
+def test_sets_of_layouts():
+    rows = training_env("clutter-8", **BARE).layout
+    assert sets_of(rows) == ((rows.neighbour_slots, 2), (rows.obstacle_slots, 4))
+    shown = training_env("clutter-8").layout
+    assert sets_of(shown) == ((shown.neighbour_slots, 3), (shown.obstacle_slots, 6))
+    assert sets_of(training_env("duo", **BARE).layout)[1] == (0, 0)
+
+
+def small(**arguments):
+    config = rllib.configure(PPOConfig(), SCENARIO, num_teams=TEAMS, units=16, **BARE | arguments)
+    return config.env_runners(num_env_runners=0).training(
+        train_batch_size=600, minibatch_size=200, num_epochs=2
+    )
+
+
+def test_ppo_trains_what_it_samples(local_ray):
+    algorithm = small().debugging(seed=SEED).build_algo()
+    before = {k: v.clone() for k, v in algorithm.get_module().state_dict().items()}
+    told = algorithm.train()["env_runners"]
+    assert 600 <= told["num_env_steps_sampled"] < 600 + TEAMS * ROBOTS
+    assert 0.0 <= told["success"] <= 1.0 and told["num_episodes"] >= 3
+    assert told["episode_len_max"] <= SCENARIO.time_limit / SCENARIO.tau
+    assert told["episode_return_max"] <= 2.0 + 1e-6  # progress and bonus, at most 1 each
+    after = algorithm.get_module().state_dict()
+    assert all((after[name] != value).any() for name, value in before.items())
+    algorithm.stop()
+
+
+def test_evaluation_plays_whole_episodes_with_the_likeliest_choices(local_ray):
+    algorithm = small().debugging(seed=SEED).build_algo()
+    runner = algorithm.env_runner
+    first = runner.sample(num_episodes=5, explore=False)
+    again = runner.sample(num_episodes=5, explore=False)
+    assert all(episode.is_done and episode.t_started == 0 for episode in [*first, *again])
+    dists = first[0].get_extra_model_outputs(Columns.ACTION_DIST_INPUTS)
+    np.testing.assert_array_equal(first[0].get_actions(), dists[:, :2])
+    explored = runner.sample(num_timesteps=50, explore=True, force_reset=True)
+    dists = explored[0].get_extra_model_outputs(Columns.ACTION_DIST_INPUTS)
+    assert (explored[0].get_actions() != dists[:, :2]).all()
+    algorithm.stop()
+
+
+def test_what_is_refused(local_ray):
+    with pytest.raises(ValueError, match="env_to_module_connector is given"):
+        small().env_runners(env_to_module_connector=lambda *_: []).build_algo()
+    register_env("other mode", lambda settings: rv.make_vec(SCENARIO, settings["num_envs"]))
+    with pytest.raises(ValueError, match="SAME_STEP"):
+        small().environment("other mode", env_config={}).build_algo()
+    with pytest.raises(TypeError, match="spawn_size"):
+        small(spawn_sise=2.0)
