@@ -17,7 +17,7 @@ from rendezvous_env.adapters.slots import RobotSlots
 
 parser = argparse.ArgumentParser(description=__doc__)
 parser.add_argument("--scenario", default="clutter-8")
-parser.add_argument("--updates", type=int, default=400)
+parser.add_argument("--updates", type=int, default=150)
 parser.add_argument("--teams", type=int, default=128)
 parser.add_argument("--steps", type=int, default=32)
 parser.add_argument("--held-out", type=int, default=500, help="starts to judge by")

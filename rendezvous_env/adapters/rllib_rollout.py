@@ -133,7 +133,7 @@ def _spread(values: NDArray[Any], slots: NDArray[np.int64], total: int) -> NDArr
 
 def _last_observations(steps: list[SlotStep]) -> dict[tuple[int, int], NDArray[np.float32]]:
     """What episodes end with, by step and slot: where they were cut off, what values them."""
-    found = {}
+    found: dict[tuple[int, int], NDArray[np.float32]] = {}
     for t, step in enumerate(steps):
         n = step.last.shape[1]
         for team in step.finished:
