@@ -64,8 +64,9 @@ class RobotPufferEnv(pufferlib.PufferEnv):
         teams: a vector environment of teams with SAME_STEP autoreset whose scenario has
             ``on_merge="follow"``, as ``rendezvous_env.vector.training_env`` makes one.
         buf: buffers to write into, of a vectorisation; None makes own ones.
-        seed: team b has the seed ``seed`` + b, unless ``reset`` is given another; None goes on to
-            the next episodes.
+        seed: s, unless ``reset`` is given another; None goes on to the next episodes. Team b has
+            the seed s · B + b: a vectorisation seeds its environments with numbers that follow on
+            one another, and no two of their teams begin alike.
 
     Raises:
         ValueError: for another autoreset mode, or robots that do not follow.
@@ -94,7 +95,8 @@ class RobotPufferEnv(pufferlib.PufferEnv):
     def reset(self, seed: int | None = None) -> tuple[NDArray[np.float32], list[dict[str, Any]]]:
         """Begin a new episode in all teams; the observations and no infos."""
         given, self._seed = self._seed if seed is None else seed, None
-        self.observations[:] = self.slots.reset(given)
+        first = None if given is None else given * self.slots.num_teams
+        self.observations[:] = self.slots.reset(first)
         self.rewards[:], self.terminals[:], self.truncations[:] = 0.0, False, False
         self.masks[:] = True
         return self.observations, []

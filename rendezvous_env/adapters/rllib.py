@@ -85,6 +85,9 @@ class RobotEnvRunner(SingleAgentEnvRunner):
     in the results are those of teams, beside them the summary: success, time, contacts,
     path_length, lyapunov.
 
+    With the seed s, which ``config.debugging(seed=…)`` sets and RLlib makes different for every
+    runner and for evaluation, team b has the seed s · B + b.
+
     RLlib's connectors between environment and module, and its callbacks for single steps and
     episodes, are not called: they would be for every robot. Callbacks for samples are.
 
@@ -136,8 +139,7 @@ class RobotEnvRunner(SingleAgentEnvRunner):
         """Collect so many steps of robots, or so many episodes of teams."""
         assert self.env is not None
         if force_reset or num_episodes is not None or self._needs_initial_reset:
-            seed = self._seed if self._needs_initial_reset else None
-            self._rollout = Rollout(self.env, self.env.reset(seed))
+            self._rollout = Rollout(self.env, self.env.reset(self._first_seed()))
             self._needs_initial_reset = num_episodes is not None
         rollout, finished = self._rollout, 0
         while (
@@ -155,6 +157,12 @@ class RobotEnvRunner(SingleAgentEnvRunner):
         self._log_env_steps(metric=self._metrics_num_env_steps_sampled, num_steps=taken)
         self._increase_sampled_metrics(taken, finished)
         return list(rollout.cut(only_ended=num_timesteps is None))
+
+    def _first_seed(self) -> int | None:
+        """Seed of team 0: runners have seeds that follow on one another, B teams each."""
+        if self._seed is None or not self._needs_initial_reset:
+            return None
+        return self._seed * self.num_envs
 
     def _choose(
         self, seen: NDArray[np.float32], explore: bool, random_actions: bool

@@ -34,7 +34,7 @@ def actions_of(steps, agents):
 def test_buffers_hold_what_the_teams_give():
     env, teams = make(SCENARIO, TEAMS, **BARE), training_env(SCENARIO, TEAMS, **BARE)
     seen, infos = env.reset(SEED)
-    np.testing.assert_array_equal(seen, teams.reset(seed=SEED)[0].reshape(TEAMS * ROBOTS, -1))
+    np.testing.assert_array_equal(seen, teams.reset(seed=SEED * TEAMS)[0].reshape(TEAMS * ROBOTS, -1))
     assert infos == [] and seen is env.observations
     counts = np.zeros(3, dtype=int)
     for actions in actions_of(60, TEAMS * ROBOTS):
@@ -86,6 +86,8 @@ def test_two_environments_in_one_vectorisation_share_its_buffers():
     singles = [make(SCENARIO, TEAMS, **BARE) for _ in range(2)]
     for k, env in enumerate(singles):  # each sub-environment has its own seed
         np.testing.assert_array_equal(seen[k * agents : (k + 1) * agents], env.reset(SEED + k)[0])
+    starts = np.concatenate([env.simulator.positions for env in singles])
+    assert len(np.unique(starts, axis=0)) == 2 * TEAMS  # no two teams begin alike
     for actions in actions_of(20, 2 * agents):
         seen, rewards, *_ = both.step(actions)
         for k, env in enumerate(singles):

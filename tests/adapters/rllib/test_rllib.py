@@ -217,6 +217,23 @@ def test_evaluation_plays_whole_episodes_with_the_likeliest_choices(local_ray):
     algorithm.stop()
 
 
+def test_runners_have_starts_of_their_own(local_ray):
+    config = small().debugging(seed=SEED)
+    runners = [rllib.RobotEnvRunner(config=config, worker_index=index) for index in (1, 2)]
+    seeds = []
+    for runner in runners:
+        runner.sample(num_timesteps=1, random_actions=True)
+        seeds += runner.env.simulator.seeds.tolist()
+    assert len(set(seeds)) == 2 * TEAMS
+
+
+@pytest.mark.slow
+def test_a_remote_runner_samples(local_ray):
+    algorithm = small().env_runners(num_env_runners=1).debugging(seed=SEED).build_algo()
+    assert algorithm.train()["env_runners"]["num_env_steps_sampled"] >= 600
+    algorithm.stop()
+
+
 def test_what_is_refused(local_ray):
     with pytest.raises(ValueError, match="env_to_module_connector is given"):
         small().env_runners(env_to_module_connector=lambda *_: []).build_algo()
