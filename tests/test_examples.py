@@ -37,7 +37,9 @@ def test_train_and_compare(tmp_path):
     assert (tmp_path / "run" / "checkpoints" / "latest.json").is_file()
 
 
-JUDGED = re.compile(r"(before|after [\d,]+ decisions of robots): (\S+)% met, (\S+)% without a touch")
+JUDGED = re.compile(
+    r"(before|after [\d,]+ decisions of robots): (\S+)% met, (\S+)% without a touch"
+)
 """What an example that learns says of the held-out starts, before and after."""
 
 

@@ -34,7 +34,9 @@ def actions_of(steps, agents):
 def test_buffers_hold_what_the_teams_give():
     env, teams = make(SCENARIO, TEAMS, **BARE), training_env(SCENARIO, TEAMS, **BARE)
     seen, infos = env.reset(SEED)
-    np.testing.assert_array_equal(seen, teams.reset(seed=SEED * TEAMS)[0].reshape(TEAMS * ROBOTS, -1))
+    np.testing.assert_array_equal(
+        seen, teams.reset(seed=SEED * TEAMS)[0].reshape(TEAMS * ROBOTS, -1)
+    )
     assert infos == [] and seen is env.observations
     counts = np.zeros(3, dtype=int)
     for actions in actions_of(60, TEAMS * ROBOTS):
