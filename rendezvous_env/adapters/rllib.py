@@ -26,6 +26,7 @@ from ray.rllib.utils.spaces.space_utils import clip_action, unsquash_action
 from ray.tune.registry import ENV_CREATOR, _global_registry, register_env
 
 from ..experiment.scenarios import ScenarioLike
+from ..team_readings import STANDING
 from ..vector import training_env
 from .rllib_module import SetModule, sets_of
 from .rllib_rollout import Rollout
@@ -205,5 +206,5 @@ class RobotEnvRunner(SingleAgentEnvRunner):
     def _log_team(self, episode: dict[str, Any]) -> None:
         self._log_episode_metrics(episode["length"], episode["return"], episode["time"])
         window = self.config.metrics_num_episodes_for_smoothing
-        for name in ("success", "time", "contacts", "path_length", "lyapunov"):
+        for name in STANDING:
             self.metrics.log_value(name, float(episode[name]), window=window)

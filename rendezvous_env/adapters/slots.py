@@ -15,9 +15,7 @@ from numpy.typing import NDArray
 from ..engine.state_checks import check_entries, check_keys
 from ..faces.spaces import of_one_robot
 from ..simulator import Simulator
-
-SUMMARY = ("success", "time", "contacts", "path_length", "lyapunov")
-"""What infos tell of a team's episode."""
+from ..team_readings import STANDING
 
 
 class SlotStep(NamedTuple):
@@ -44,7 +42,7 @@ class SlotStep(NamedTuple):
     late: NDArray[np.bool_]
     """(B,), teams whose episode ended at the time limit."""
     finished: dict[int, dict[str, Any]]
-    """Of each team that is over: "return" (sum of team rewards), "length" (steps) and SUMMARY."""
+    """Of each team that is over: "return" (sum of team rewards), "length" (steps) and STANDING."""
 
 
 class RobotSlots:
@@ -146,7 +144,7 @@ class RobotSlots:
         """How the episodes of these teams went; their next ones start to count."""
         told = {}
         for team in np.flatnonzero(over).tolist():
-            summary = {key: infos["final_info"][key][team].item() for key in SUMMARY}
+            summary = {key: infos["final_info"][key][team].item() for key in STANDING}
             count = {"return": float(self._returns[team]), "length": int(self._lengths[team])}
             told[team] = count | summary
         self._returns[over], self._lengths[over] = 0.0, 0
