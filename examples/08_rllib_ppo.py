@@ -16,9 +16,9 @@ from rendezvous_env.vector import training_env
 
 parser = argparse.ArgumentParser(description=__doc__)
 parser.add_argument("--scenario", default="clutter-8")
-parser.add_argument("--teams", type=int, default=128)
+parser.add_argument("--teams", type=int, default=64)
 parser.add_argument("--updates", type=int, default=40)
-parser.add_argument("--batch", type=int, default=16_384, help="decisions of robots in an update")
+parser.add_argument("--batch", type=int, default=4096, help="decisions of robots in an update")
 parser.add_argument("--held-out", type=int, default=200, help="starts to judge by")
 parser.add_argument("--seed", type=int, default=0)
 given = parser.parse_args()
