@@ -113,8 +113,8 @@ class RobotPufferEnv(pufferlib.PufferEnv):
         step = self.slots.step(np.asarray(actions))
         n = self.slots.n_robots
         self.observations[:], self.rewards[:] = step.observations, step.rewards
-        self.terminals[:] = np.repeat(step.met, n)
-        self.truncations[:] = np.repeat(step.late, n)
+        self.terminals[:] = np.repeat(step.met, n) if step.finished else False
+        self.truncations[:] = np.repeat(step.late, n) if step.finished else False
         self.masks[:] = self.slots.active.reshape(-1)
         infos = [
             {f"episode_{key}" if key in ("return", "length") else key: told[key] for key in told}

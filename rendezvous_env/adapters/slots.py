@@ -119,10 +119,13 @@ class RobotSlots:
         over = met | late
         last, active, into = last_moments(observations, infos, over)
         merged = self.active & ~active
-        cut_off = (merged | (active & late[:, None])) & ~met[:, None]
-        team, robot = np.nonzero(cut_off)
+        ended = (merged | over[:, None]).reshape(-1)
+        if ended.any():
+            team, robot = np.nonzero((merged | (active & late[:, None])) & ~met[:, None])
+        else:  # as in most steps
+            team = robot = np.empty(0, dtype=np.int64)
         survivor = into[team, robot]
-        acted = self.active.reshape(-1).copy()
+        acted = self.active.reshape(-1)
         self.active = infos["active"].copy()
         self._returns += rewards
         self._lengths += 1
@@ -130,7 +133,7 @@ class RobotSlots:
             observations=self.by_slot(observations),
             rewards=infos["robot_rewards"].astype(np.float32).reshape(-1),
             acted=acted,
-            ended=(merged | over[:, None]).reshape(-1),
+            ended=ended,
             bootstrapped=team * self.n_robots + robot,
             survivors=team * self.n_robots + survivor,
             bootstrap_observations=last[team, survivor],
