@@ -21,6 +21,7 @@ from .bench_adapters import LEARNERS, adapters, adapters_in_training
 from .bench_cases import LIMIT, Case, among_discs, batched, one_team, spread_out
 from .bench_guarantees import wrapped
 from .bench_policies import TICKS, learned
+from .bench_rllib import rllib_in_training
 from .bench_sensing import sensing
 from .bench_settings import GROUPS, Config, check
 from .measuring import Row, bytes_per_team, measure
@@ -79,6 +80,7 @@ def _groups(config: Config, console: Console) -> Iterator[list[Case]]:
     if "adapters" in wanted:
         yield from (adapters(n, *size) for n in config.robots)
         yield adapters_in_training(*size)
+        yield from rllib_in_training(*size)
     if {"robots", "ppo", "heading-ppo"} & set(wanted):
         yield from _learning_groups(config, wanted, console)
 

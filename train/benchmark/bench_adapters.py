@@ -60,7 +60,7 @@ def _cases(
     name, build = ours
     found = [Case(name, *size, lambda: build(scenario, num_envs, num_threads))]
     for learner in LEARNERS:
-        if _is_installed(learner.distribution):
+        if is_installed(learner.distribution):
             make = learner.build
             found.append(
                 Case(
@@ -73,7 +73,8 @@ def _cases(
     return found
 
 
-def _is_installed(distribution: str) -> bool:
+def is_installed(distribution: str) -> bool:
+    """Whether a library is there."""
     try:
         metadata.version(distribution)
     except metadata.PackageNotFoundError:
@@ -124,5 +125,20 @@ def _torchrl(
     return Running(step, lambda: True)
 
 
-LEARNERS = (Learner("TorchRL", "torchrl", _torchrl),)
+def _pufferlib(
+    scenario: rv.Scenario, num_envs: int, num_threads: int | None, **choices: Any
+) -> Running:
+    from rendezvous_env.adapters.pufferlib import make
+
+    env = make(scenario, num_envs, num_threads=num_threads, seed=0, **choices)
+    env.reset()
+    given = actions_of(env.slots.teams.single_action_space, num_envs)
+    tape = itertools.cycle([next(given).reshape(env.actions.shape) for _ in range(8)])
+    return Running(lambda: env.step(next(tape)), lambda: True)
+
+
+LEARNERS = (
+    Learner("TorchRL", "torchrl", _torchrl),
+    Learner("PufferLib", "pufferlib-core", _pufferlib),
+)
 """Libraries whose adapters are timed where they are installed."""

@@ -9,9 +9,9 @@ import rendezvous_env as rv
 from rendezvous_env.vector import training_env
 
 vector = pytest.importorskip("pufferlib.vector")
-from pufferlib import PufferEnv  # noqa: E402
+from pufferlib import PufferEnv
 
-from rendezvous_env.adapters.pufferlib import RobotPufferEnv, make  # noqa: E402
+from rendezvous_env.adapters.pufferlib import RobotPufferEnv, make
 
 TEAMS, ROBOTS, SEED = 6, 3, 4
 SCENARIO = rv.Scenario(

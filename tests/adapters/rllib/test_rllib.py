@@ -15,14 +15,14 @@ from rendezvous_env.vector import training_env
 pytest.importorskip("ray.rllib")
 torch = pytest.importorskip("torch")
 
-import ray  # noqa: E402
-from ray.rllib.algorithms.ppo import PPOConfig  # noqa: E402
-from ray.rllib.core.columns import Columns  # noqa: E402
-from ray.tune.registry import register_env  # noqa: E402
+import ray
+from ray.rllib.algorithms.ppo import PPOConfig
+from ray.rllib.core.columns import Columns
+from ray.tune.registry import register_env
 
-from rendezvous_env.adapters import rllib  # noqa: E402
-from rendezvous_env.adapters.rllib_module import SetModule, sets_of  # noqa: E402
-from rendezvous_env.adapters.rllib_rollout import Rollout  # noqa: E402
+from rendezvous_env.adapters import rllib
+from rendezvous_env.adapters.rllib_module import SetModule, sets_of
+from rendezvous_env.adapters.rllib_rollout import Rollout
 
 pytestmark = [
     pytest.mark.filterwarnings("ignore::DeprecationWarning"),  # RLlib's own
