@@ -54,7 +54,8 @@ def test_ppo_in_one_file():
 
 @pytest.mark.slow
 def test_ppo_in_one_file_learns():
-    text = run("04_cleanrl_ppo.py", "--updates", "40", "--teams", "64", "--held-out", "200")
+    size = ("--updates", "60", "--teams", "64", "--steps", "64", "--held-out", "200")
+    text = run("04_cleanrl_ppo.py", *size)
     (_, met, clean), (_, met_after, clean_after) = JUDGED.findall(text)
     assert float(met_after) > float(met) + 30
     assert float(clean_after) > float(clean) + 5
