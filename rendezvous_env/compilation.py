@@ -31,6 +31,11 @@ def inlined_kernel(function: Callable[..., Any]) -> Any:
     return _compile(function, allocates=False, inlined=True)
 
 
+def unfolded_kernel(function: Callable[..., Any]) -> Any:
+    """A kernel whose text takes the place of its call, before anything is compiled."""
+    return numba.njit(nogil=True, inline="always", **_options(allocates=False, inlined=False))(function)
+
+
 def inlined_view(function: Callable[..., Any]) -> Any:
     """An inlined kernel that gives back views of arrays it was given: for callers that count no
     references either.

@@ -4,7 +4,7 @@ Most teams only add. Those in which something can meet in this step, two neighbo
 an obstacle, are moved one by one by exact geometry.
 """
 
-from ..compilation import inlined_kernel, kernel
+from ..compilation import inlined_kernel, kernel, unfolded_kernel
 from ..equations.contact import IGNORE, move_curved, move_straight
 from ..equations.merging import merge_swept
 from ..equations.vectors import load, norm
@@ -32,7 +32,7 @@ _ROUNDING = 1.0 + 1e-9
 _CLEARANCE = 1e-9  # m; nearer than this to what it could reach, a robot is moved exactly
 
 
-@inlined_kernel
+@unfolded_kernel
 def advance_block(
     block, count, layout, constants, robot, teams, links, obstacles, results, buffers, hand
 ):

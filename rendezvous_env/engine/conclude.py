@@ -1,6 +1,6 @@
 """The last stage: reward, rendezvous, time limit, what is given out."""
 
-from ..compilation import inlined_kernel
+from ..compilation import inlined_kernel, unfolded_kernel
 from ..equations.reward import team_reward
 from .memory import (
     ACTIVE,
@@ -33,7 +33,7 @@ _BEFORE_MERGE = SCORED + LYAPUNOV_BEFORE_MERGE
 _AFTER_MERGE = SCORED + LYAPUNOV_AFTER_MERGE
 
 
-@inlined_kernel
+@unfolded_kernel
 def conclude_block(block, count, layout, constants, teams, results, buffers):
     """Bring the statistics up to date and write everything but observations, contacts and
     clearances.
@@ -87,7 +87,7 @@ def _conclude(layout, constants, found, tally, statistics):
             tally[row * lanes + lane] = tally[row * lanes + lane] if merged else now
 
 
-@inlined_kernel
+@unfolded_kernel
 def _reward_robots(first, count, layout, constants, statistics, teams, results, buffers):
     """Who exists, and what everybody earns."""
     n, tally, lanes = teams.merged_into.shape[1], buffers.tally, lane_count(layout.width)

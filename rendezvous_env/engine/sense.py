@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from ..compilation import chosen_by_type, inlined_kernel, kernel
+from ..compilation import chosen_by_type, inlined_kernel, kernel, unfolded_kernel
 from ..equations.bearings import observed, sighting
 from ..equations.robots.motion import sense_oneself
 from .changing_links import bring_links_up
@@ -15,7 +15,7 @@ from .sense_obstacles import sense_obstacles
 from .sensors import err
 
 
-@inlined_kernel
+@unfolded_kernel
 def sense_block(
     block,
     count,

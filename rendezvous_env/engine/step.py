@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ..compilation import inlined_kernel, inlined_view, kernel
+from ..compilation import inlined_kernel, inlined_view, kernel, unfolded_kernel
 from .advance import advance_block
 from .conclude import conclude_block
 from .memory import LYAPUNOV, AtHand, Constants, Lanes, Results, Teams, lane_count
@@ -77,24 +77,24 @@ def step_blocks(
     )
 
 
-@inlined_kernel
-def _step_block(
-    taken,
-    moves,
-    blocks,
-    layout,
-    constants,
-    robot,
-    sensor,
-    teams,
-    links,
-    obstacles,
-    actions,
-    results,
-    buffers,
-    hand,
-):
+@unfolded_kernel
+def _step_block(taken, arguments):
     """Propose → contact → merge → turn → sense → conclude."""
+    (
+        moves,
+        blocks,
+        layout,
+        constants,
+        robot,
+        sensor,
+        teams,
+        links,
+        obstacles,
+        actions,
+        results,
+        buffers,
+        hand,
+    ) = arguments
     block, lanes = blocks[taken], lane_count(layout.width)
     # loops over what the user gets end with the last team; those over lanes do all, to be SIMD
     count = min(lanes, len(actions) - block * lanes)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ..compilation import inlined_kernel, kernel
+from ..compilation import inlined_kernel, kernel, unfolded_kernel
 from ..engine.pool.sharing import each_block
 from ..equations.rows import degree_of, net_bearing_of
 from ..equations.vectors import combine, dot, load, split, store
@@ -36,8 +36,9 @@ def steer_headings(
     return each_block(share, _steer_teams, arguments)
 
 
-@inlined_kernel
-def _steer_teams(block, observations, constants, held, headings, actions, alignment, lyapunov_rate):
+@unfolded_kernel
+def _steer_teams(block, arguments):
+    observations, constants, held, headings, actions, alignment, lyapunov_rate = arguments
     first, last = teams_of_block(block, len(observations))
     limit = turn_limit(constants.max_turn)
     for team in range(first, last):

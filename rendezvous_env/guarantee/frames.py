@@ -1,6 +1,6 @@
 """Observations in frames with x along f: a policy does not notice how the world is turned."""
 
-from ..compilation import inlined_kernel, kernel
+from ..compilation import inlined_kernel, kernel, unfolded_kernel
 from ..engine.pool.sharing import each_block
 from ..equations.rows import net_bearing_of
 from ..equations.vectors import cross, load, split, store, without
@@ -35,8 +35,9 @@ def look_along_net_bearing(share, observations, constants, visible_rows, frames,
     return each_block(share, _look_from_teams, arguments)
 
 
-@inlined_kernel
-def _look_from_teams(block, observations, constants, visible_rows, frames, seen):
+@unfolded_kernel
+def _look_from_teams(block, arguments):
+    observations, constants, visible_rows, frames, seen = arguments
     first, last = teams_of_block(block, len(observations))
     n, n_rows, d = observations.shape[1:]
     for team in range(first, last):

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..compilation import inlined_kernel, kernel
+from ..compilation import inlined_kernel, kernel, unfolded_kernel
 from ..engine.pool.sharing import each_block
 from ..engine.state_checks import check_observations
 from ..equations.robots.kinematics import speed_scale
@@ -162,8 +162,9 @@ def weigh_bearings(share, observations, constants, held, actions, gain, alignmen
     return each_block(share, _weigh_for_teams, arguments)
 
 
-@inlined_kernel
-def _weigh_for_teams(block, observations, constants, held, actions, gain, alignment, lyapunov_rate):
+@unfolded_kernel
+def _weigh_for_teams(block, arguments):
+    observations, constants, held, actions, gain, alignment, lyapunov_rate = arguments
     first, last = teams_of_block(block, len(observations))
     for team in range(first, last):
         for i in range(observations.shape[1]):

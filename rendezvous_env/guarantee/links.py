@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..compilation import inlined_kernel, kernel
+from ..compilation import inlined_kernel, kernel, unfolded_kernel
 from ..engine.pool.sharing import each_block
 from ..engine.state_checks import check_observations
 from ..equations.least_norm import least_norm_of
@@ -148,8 +148,9 @@ def keep_links(share, observations, constants, held, actions, alignment, lyapuno
     return each_block(share, _keep_links_of_teams, arguments)
 
 
-@inlined_kernel
-def _keep_links_of_teams(block, observations, constants, held, actions, alignment, lyapunov_rate):
+@unfolded_kernel
+def _keep_links_of_teams(block, arguments):
+    observations, constants, held, actions, alignment, lyapunov_rate = arguments
     first, last = teams_of_block(block, len(observations))
     for team in range(first, last):
         for i in range(observations.shape[1]):

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from ..compilation import inlined_kernel, kernel
+from ..compilation import inlined_kernel, kernel, unfolded_kernel
 from ..engine.pool.sharing import each_block
 from ..equations.robots.arcs import clip
 from ..equations.robots.kinematics import speed_scale
@@ -42,8 +42,9 @@ def spend_tanks(share, turns_body, observations, constants, held, levels, action
     )
 
 
-@inlined_kernel
-def _spend_teams(block, turns_body, observations, constants, held, levels, actions, told):
+@unfolded_kernel
+def _spend_teams(block, arguments):
+    turns_body, observations, constants, held, levels, actions, told = arguments
     first, last = teams_of_block(block, len(observations))
     for team in range(first, last):
         _spend_team(

@@ -18,7 +18,7 @@ from numba.core import types
 from numba.extending import intrinsic, overload
 from numpy.typing import NDArray
 
-from ...compilation import chosen_by_type, inlined_kernel, kernel
+from ...compilation import inlined_kernel, kernel, unfolded_kernel
 
 _LINE = 8
 """Counters in use stand in cache lines of their own."""
@@ -67,8 +67,9 @@ def example_part() -> Part:
     return 0, new_counters(1), np.zeros(1, np.int64), -1, 0, 0
 
 
+@unfolded_kernel
 def each_block(share, work, arguments):
-    """Do the blocks that this thread takes: ``work(block, *arguments)`` for each.
+    """Do the blocks that this thread takes: ``work(block, arguments)`` for each.
 
     Args:
         share: the fields of a Share.
@@ -82,15 +83,10 @@ def each_block(share, work, arguments):
     _begin(share)
     block = _take(share)
     while block < share.blocks:
-        work(block, *arguments)
+        work(block, arguments)
         done += 1
         block = _take(share)
     return _end(share, done)
-
-
-@chosen_by_type(each_block)
-def _compiled_each_block(share, work, arguments):
-    return each_block  # for the kernel that is handed on: its type names it
 
 
 @inlined_kernel
