@@ -64,7 +64,7 @@ def advance_block(
         _add_displacements(layout, buffers.displacement[i], tally, teams.positions[block, i])
 
 
-@inlined_kernel
+@unfolded_kernel
 def _add_displacements(layout, displacement, tally, positions):
     """Move one robot of every team that is free, and add up the ways."""
     d, lanes = len(layout.axes), lane_count(layout.width)
@@ -144,7 +144,7 @@ def _advance_exactly(
             buffers.tally[row * lanes + lane] = hand.report[k]
 
 
-@kernel
+@unfolded_kernel
 def _load_team(block, lane, layout, teams, buffers, hand):
     """Places and proposed displacements of one team into working memory."""
     lanes, d = lane_count(layout.width), len(layout.axes)

@@ -49,7 +49,7 @@ def conclude_block(block, count, layout, constants, teams, results, buffers):
     _reward_robots(first, count, layout, constants, statistics, teams, results, buffers)
 
 
-@inlined_kernel
+@unfolded_kernel
 def _conclude(layout, constants, found, tally, statistics):
     """Reward, rendezvous and time limit over lanes: the one place where an episode ends.
 

@@ -141,7 +141,7 @@ def _step_block(taken, arguments):
             teams.statistics[block, LYAPUNOV * lanes + lane] = 2.0 * buffers.pair[lane]
 
 
-@inlined_view
+@unfolded_kernel
 def _lanes_of(all_lanes, thread):
     """One thread's working memory for a block."""
     return Lanes(
@@ -158,7 +158,7 @@ def _lanes_of(all_lanes, thread):
     )
 
 
-@inlined_view
+@unfolded_kernel
 def _hand_of(hands, thread):
     """One thread's working memory for a team."""
     return AtHand(
