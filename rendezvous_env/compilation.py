@@ -103,7 +103,7 @@ def chosen_by_type(function: Callable[..., Any]) -> Callable[[Callable[..., Any]
     A choice by type is made while compiling: what is not chosen is not compiled.
     """
     options: Any = _options(allocates=False, inlined=True)
-    return overload(function, jit_options=options, inline="always")
+    return overload(function, jit_options=options)
 
 
 def entry_point(function: Any, arguments: tuple[Any, ...]) -> Callable[..., Any]:

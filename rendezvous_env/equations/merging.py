@@ -62,7 +62,7 @@ def merge_swept(
             share = 0.0 if resting[k] else moment
             for axis in range(d):
                 here[k, axis] = positions[k, axis] + share * displacements[k, axis]
-        _merge(e, here, links, arcs, merged_into, world, radius, merges, report)
+        _merge(e, here, links, arcs, merged_into, world, radius, merges == 0, report)
         merges += 1
         for robot in (i, j):
             resting[robot] = True
@@ -78,7 +78,7 @@ def merge_swept(
         e = _nearest_within(positions, links, radius)
         if e < 0:
             return merges
-        _merge(e, positions, links, arcs, merged_into, world, radius, merges, report)
+        _merge(e, positions, links, arcs, merged_into, world, radius, merges == 0, report)
         merges += 1
 
 
@@ -132,7 +132,7 @@ def _nearest_within(positions, links, radius):
 
 
 @kernel
-def _merge(e, positions, links, arcs, merged_into, world, radius, earlier_merges, report):
+def _merge(e, positions, links, arcs, merged_into, world, radius, is_first, report):
     """Make the second robot of link e part of the first, and report what that does to V."""
     first, second, weight = links
     i, j, gain = first[e], second[e], weight[e]
@@ -147,7 +147,7 @@ def _merge(e, positions, links, arcs, merged_into, world, radius, earlier_merges
         if merged_into[k] == j:
             merged_into[k] = i
     after = lyapunov_of_links(positions, links)
-    if earlier_merges == 0:
+    if is_first:
         report[0] = before
     report[1] = after
     report[2] = max(report[2], after - before)
