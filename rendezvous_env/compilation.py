@@ -32,8 +32,13 @@ def inlined_kernel(function: Callable[..., Any]) -> Any:
 
 
 def unfolded_kernel(function: Callable[..., Any]) -> Any:
-    """A kernel whose text takes the place of its call, before anything is compiled."""
-    return numba.njit(nogil=True, inline="always", **_options(allocates=False, inlined=False))(function)
+    """A kernel whose text takes the place of its call before anything is compiled.
+
+    It costs no compiling of its own, whereas an inlined one is optimised by itself, and again as
+    part of each kernel above it. For long ones with a single caller. In it no branch may hang on
+    whether an argument is None, nor on the length of a tuple: its types are not known yet.
+    """
+    return _compile(function, allocates=False, unfolded=True)
 
 
 def inlined_view(function: Callable[..., Any]) -> Any:
@@ -49,27 +54,56 @@ def allocating_kernel(function: Callable[..., Any]) -> Any:
 
 
 def _compile(
-    function: Callable[..., Any], *, allocates: bool, inlined: bool = False, views: bool = False
+    function: Callable[..., Any],
+    *,
+    allocates: bool,
+    inlined: bool = False,
+    unfolded: bool = False,
+    views: bool = False,
 ) -> Any:
-    options = _options(allocates=allocates, inlined=inlined)
-    dispatcher = numba.njit(nogil=True, **options)(function)
+    within = inlined or unfolded or function.__name__.startswith("_")
+    options = _options(allocates=allocates, inlined=inlined, within=within)
+    inline = "always" if unfolded else "never"
+    dispatcher = numba.njit(nogil=True, inline=inline, **options)(function)
     if compiled():
         keep(dispatcher)
+        if within:
+            _refuse_python(dispatcher)
         if not (allocates or views):
             _refuse_arrays(dispatcher)
     return dispatcher
 
 
-def _options(*, allocates: bool, inlined: bool) -> dict[str, Any]:
+def _options(*, allocates: bool, inlined: bool, within: bool) -> dict[str, Any]:
     """Options of numba; what is not said here would be as whoever calls first has it.
 
-    Two are not documented. ``_nrt`` leaves references uncounted; ``no_cfunc_wrapper`` leaves out an
-    entry for callers in C, of whom there are none, and with it a seventh of all compiling. With a
-    numba that knows them no longer everything works, slower.
+    Three are not documented. ``_nrt`` leaves references uncounted; ``no_cfunc_wrapper`` leaves out
+    an entry for callers in C, of whom there are none, and ``no_cpython_wrapper`` that for Python
+    where only kernels call: the two take a third of all compiling. With a numba that knows them no
+    longer everything works, slower.
     """
-    undocumented = {"_nrt": allocates, "no_cfunc_wrapper": True}
+    undocumented = {
+        "_nrt": allocates,
+        "no_cfunc_wrapper": True,
+        "no_cpython_wrapper": within,
+    }
     known = {name: value for name, value in undocumented.items() if hasattr(DefaultOptions, name)}
     return {"error_model": "numpy", "forceinline": inlined, **known}
+
+
+def _refuse_python(dispatcher: Any) -> None:
+    """Make a call from Python an error: what there is no entry for would end the process."""
+
+    def add_overload(result: Any) -> None:
+        dispatcher.overloads[tuple(result.signature.args)] = result
+
+    def compile_for_args(*_: Any, **__: Any) -> Any:
+        raise TypeError(
+            f"kernel {dispatcher.py_func.__qualname__} is called by other kernels only; its name "
+            "begins with _, or it becomes part of them"
+        )
+
+    dispatcher.add_overload, dispatcher._compile_for_args = add_overload, compile_for_args
 
 
 def _refuse_arrays(dispatcher: Any) -> None:
@@ -102,7 +136,7 @@ def chosen_by_type(function: Callable[..., Any]) -> Callable[[Callable[..., Any]
 
     A choice by type is made while compiling: what is not chosen is not compiled.
     """
-    options: Any = _options(allocates=False, inlined=True)
+    options: Any = _options(allocates=False, inlined=True, within=True)
     return overload(function, jit_options=options)
 
 

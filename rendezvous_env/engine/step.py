@@ -15,7 +15,7 @@ _EXPONENT = np.uint32(0x7F800000)
 """The exponent bits of a float32."""
 
 
-@inlined_kernel
+@kernel
 def step_blocks(
     share,
     moves,
