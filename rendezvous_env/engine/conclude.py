@@ -1,6 +1,6 @@
 """The last stage: reward, rendezvous, time limit, what is given out."""
 
-from ..compilation import inlined_kernel, unfolded_kernel
+from ..compilation import unfolded_kernel
 from ..equations.reward import team_reward
 from .memory import (
     ACTIVE,

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ..compilation import inlined_kernel, inlined_view, kernel, unfolded_kernel
+from ..compilation import kernel, unfolded_kernel
 from .advance import advance_block
 from .conclude import conclude_block
 from .memory import LYAPUNOV, AtHand, Constants, Lanes, Results, Teams, lane_count

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ..compilation import inlined_kernel, kernel, unfolded_kernel
+from ..compilation import kernel, unfolded_kernel
 from ..engine.pool.sharing import each_block
 from ..equations.rows import degree_of, net_bearing_of
 from ..equations.vectors import combine, dot, load, split, store

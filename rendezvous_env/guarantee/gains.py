@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..compilation import inlined_kernel, kernel, unfolded_kernel
+from ..compilation import kernel, unfolded_kernel
 from ..engine.pool.sharing import each_block
 from ..engine.state_checks import check_observations
 from ..equations.robots.kinematics import speed_scale
