@@ -157,6 +157,8 @@ def _spread(work: Any, tasks: list[tuple[int, Any]], workers: Workers) -> Iterat
         ),
     ):
         found = Parallel(count, return_as="generator_unordered", batch_size=1)(calls)
+    # a worker that compiles much takes more and more memory, and joblib starts another one
+    warnings.filterwarnings("ignore", message="A worker stopped while some jobs")
     try:
         for one in found:  # noqa: UP028 - would close it before the warning is off
             yield one

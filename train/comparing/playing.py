@@ -114,21 +114,43 @@ def make_ready(job: Job, starts: int) -> None:
     """
     scenario = job.scenario
     short = Job(scenario.replace(time_limit=2 * scenario.tau), job.policy)
-    with FileLock(_lock_of(scenario)):
+    with FileLock(_lock_of(_kernels_of(scenario, starts))):
         play_job(short, episodes=starts, seed=0)
 
 
-def _lock_of(scenario: Scenario) -> Path:
-    """The lock of the scenarios that are stepped by the same kernels as this one, or by few others:
-    in a folder of this user's own.
-    """
+def _kernels_of(scenario: Scenario, starts: int) -> tuple[Any, ...]:
+    """Scenarios for which this is the same are stepped by the same kernels, or by few others."""
     layout = scenario.observation_layout
-    kind = scenario.robot_model, scenario.dim, type(scenario.obstacles).__name__
-    kind = *kind, scenario.sensing.exact, layout.neighbour_slots == scenario.n_robots - 1
+    return (
+        scenario.robot_model,
+        scenario.dim,
+        type(scenario.obstacles).__name__,
+        scenario.sensing.exact,
+        layout.neighbour_slots == scenario.n_robots - 1,
+        starts < TOGETHER,
+    )
+
+
+def _one_of_each_first(tasks: Sequence[Task]) -> list[Task]:
+    """The same tasks, begun with one for each kind of kernels: workers that start together then
+    compile different ones, and none waits for another.
+    """
+    seen: set[tuple[Any, ...]] = set()
+    first: list[Task] = []
+    rest: list[Task] = []
+    for task in tasks:
+        kernels = _kernels_of(task.job.scenario, task.count)
+        (rest if kernels in seen else first).append(task)
+        seen.add(kernels)
+    return first + rest
+
+
+def _lock_of(kernels: tuple[Any, ...]) -> Path:
+    """The lock of a kind of kernels, in a folder of this user's own."""
     user = os.getuid() if hasattr(os, "getuid") else 0
     folder = Path(tempfile.gettempdir()) / f"rendezvous-env-locks-{user}"
     folder.mkdir(mode=0o700, exist_ok=True)
-    return folder / f"{hashlib.sha256(repr(kind).encode()).hexdigest()[:16]}.lock"
+    return folder / f"{hashlib.sha256(repr(kernels).encode()).hexdigest()[:16]}.lock"
 
 
 def _stays(task: Task) -> bool:
@@ -149,7 +171,7 @@ def play_all(
     """
     tasks = list(tasks_of(jobs, config))
     found = {task: cells.load(part, task.name) for task in tasks}
-    left = [task for task in tasks if found[task] is None]
+    left = _one_of_each_first([task for task in tasks if found[task] is None])
     ready = 0.0
     results = each(play_task, left, config.workers, _stays)
     with progress(console) as shown, closing(results):
