@@ -117,7 +117,7 @@ def _turn_to_free(joined, clearance, kept, persistence):
 @kernel
 def _between(a, b):
     """Angle between two directions given as angles, rad."""
-    apart = _counter_clockwise(a - b)
+    apart = counter_clockwise(a - b)
     return min(apart, TWO_PI - apart)
 
 
@@ -126,7 +126,7 @@ def _gaps(low, high, intervals):
     """Free angle below and above a joined interval, up to the next one or to itself, rad."""
     gap_below = gap_above = TWO_PI - (high - low)
     for k in range(intervals.shape[0]):
-        after_low = _counter_clockwise(intervals[k, 0] - low)
+        after_low = counter_clockwise(intervals[k, 0] - low)
         if after_low > high - low:
             gap_above = min(gap_above, after_low - (high - low))
             gap_below = min(gap_below, TWO_PI - (after_low + intervals[k, 1]))
@@ -149,7 +149,7 @@ def _nearest_interval(intervals):
 
 
 @kernel
-def _counter_clockwise(angle):
+def counter_clockwise(angle):
     """The same angle in [0, 2π); what rounds to 2π is 0, and NaN stays NaN."""
     if not -_FAR < angle < _FAR:  # ±∞ would never get there turn by turn; % makes it NaN
         angle = angle % TWO_PI
@@ -175,7 +175,7 @@ def _join_from(first, intervals):
             break
         grown = False
         for k in range(intervals.shape[0]):
-            after_low = _counter_clockwise(intervals[k, 0] - low)
+            after_low = counter_clockwise(intervals[k, 0] - low)
             end = after_low + intervals[k, 1]
             if after_low <= high - low and low + end > high:
                 high, grown = low + end, True

@@ -16,7 +16,8 @@ _CONFIG: Any = numba.config
 
 
 def kernel(function: Callable[..., Any]) -> Any:
-    """Compile a function on first use: nogil, IEEE division, no fastmath; cached on disk.
+    """Compile a function on first use: nogil, IEEE division, no fastmath; cached on disk. Only
+    kernels can call one whose name begins with ``_``.
 
     It counts no references to arrays: to hand tuples of arrays over, and to count who holds each
     array and each view of it, takes longer than a small team's arithmetic, and counters that two
@@ -27,8 +28,13 @@ def kernel(function: Callable[..., Any]) -> Any:
 
 
 def inlined_kernel(function: Callable[..., Any]) -> Any:
-    """A kernel that becomes part of whoever calls it."""
+    """A kernel that becomes part of whoever calls it; only kernels do."""
     return _compile(function, allocates=False, inlined=True)
+
+
+def inlined_entry(function: Callable[..., Any]) -> Any:
+    """A kernel that becomes part of whoever calls it, and that Python calls, too."""
+    return _compile(function, allocates=False, inlined=True, within=False)
 
 
 def unfolded_kernel(function: Callable[..., Any]) -> Any:
@@ -60,8 +66,10 @@ def _compile(
     inlined: bool = False,
     unfolded: bool = False,
     views: bool = False,
+    within: bool | None = None,
 ) -> Any:
-    within = inlined or unfolded or function.__name__.startswith("_")
+    if within is None:
+        within = inlined or unfolded or function.__name__.startswith("_")
     options = _options(allocates=allocates, inlined=inlined, within=within)
     inline = "always" if unfolded else "never"
     dispatcher = numba.njit(nogil=True, inline=inline, **options)(function)

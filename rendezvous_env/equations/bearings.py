@@ -5,11 +5,11 @@ g_ij = (p_j − p_i)/‖p_j − p_i‖,    f_i = Σ_j a_ij g_ij
 
 import math
 
-from ..compilation import inlined_kernel
+from ..compilation import inlined_entry
 from .vectors import difference, scaled, square, to_local
 
 
-@inlined_kernel
+@inlined_entry
 def sighting(position_i, position_j, gain):
     """What robot i sees of its neighbour j: offset, square distance, distance and factor.
 
@@ -31,7 +31,7 @@ def sighting(position_i, position_j, gain):
     return offset, distance_squared, distance, factor
 
 
-@inlined_kernel
+@inlined_entry
 def observed(frame, offset, factor):
     """One row of an observation: factor · Rᵀ offset, never the negative zero.
 

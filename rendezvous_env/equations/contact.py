@@ -166,7 +166,7 @@ def _settle_on_curve(start, curve, time, world):
     """The same on a curve: where the robot is after ``time``, or a little earlier."""
     retreat = CONTACT_DEPTH / max(CONTACT_DEPTH, curve[0].speed_limit)
     while time > 0.0 and retreat > 0.0:
-        is_out, point = _push_out(_place_on(curve, start, time), world)
+        is_out, point = _push_out(place_on(curve, start, time), world)
         if is_out:
             return point
         time -= retreat
@@ -205,7 +205,7 @@ def _first_contact_on_curve(point, curve, world):
     here, time, piece = point, 0.0, duration
     for _ in range(_MAX_CHORDS):
         end = min(duration, time + piece)
-        there = _place_on(curve, point, end)
+        there = place_on(curve, point, end)
         sagitta = bent * (end - time) ** 2
         _, fraction = _first_contact(here, subtract(there, here), world, CONTACT_DEPTH - sagitta)
         if fraction > 1.0:
@@ -221,6 +221,7 @@ def _first_contact_on_curve(point, curve, world):
 
 
 @kernel
-def _place_on(curve, start, time):
+def place_on(curve, start, time):
+    """Where a robot is on its curve after so many s, m, three numbers."""
     model, action, frame, memory = curve
     return add(start, 1.0, triple(along(model, action, frame, memory, time)))

@@ -1,9 +1,9 @@
 """The team reward of one step (design, section 6)."""
 
-from ..compilation import inlined_kernel
+from ..compilation import inlined_entry
 
 
-@inlined_kernel
+@inlined_entry
 def team_reward(progress, time_share, contacts, closeness, met, weights):
     """Team reward of one step.
 

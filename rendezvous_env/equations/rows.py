@@ -5,11 +5,11 @@ A row is a_ij g_ij; a row that is absent is zero.
 
 import math
 
-from ..compilation import inlined_kernel
+from ..compilation import inlined_entry
 from .vectors import combine, dot, load
 
 
-@inlined_kernel
+@inlined_entry
 def net_bearing_of(rows, neighbour_slots):
     """f_i = Σ_j a_ij g_ij, the sum of the neighbour rows.
 
@@ -26,7 +26,7 @@ def net_bearing_of(rows, neighbour_slots):
     return f
 
 
-@inlined_kernel
+@inlined_entry
 def degree_of(rows, neighbour_slots):
     """D_i = Σ_j a_ij, the sum of the lengths of the neighbour rows, a number, m/s.
 

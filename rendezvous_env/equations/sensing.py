@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 
-from ..compilation import inlined_kernel, kernel
+from ..compilation import inlined_entry, kernel
 from .random_streams import mix, uniform
 from .vectors import X_AXIS, combine, cross, dot, norm, square
 
@@ -21,7 +21,7 @@ _NEARLY_PARALLEL = 1e-9
 # ---- what is turned -----------------------------------------------------------------------------
 
 
-@inlined_kernel
+@inlined_entry
 def turned(row, angle, axis):
     """A row turned by an angle: in the plane counter-clockwise, in space about the part of an axis
     that is perpendicular to it.
@@ -51,7 +51,7 @@ def _across(axis, row):
     return 0.0, 0.0, 1.0  # the row is zero: nothing is turned
 
 
-@inlined_kernel
+@inlined_entry
 def turned_towards(row, angle, target):
     """A row turned by exactly an angle, so that it points as far along a direction as it then can.
 
@@ -67,7 +67,7 @@ def turned_towards(row, angle, target):
     return turned(row, angle, cross(row, target))
 
 
-@inlined_kernel
+@inlined_entry
 def in_sectors(row, sectors):
     """A row turned into the middle of its sector: the nearest of some directions, evenly spaced.
 

@@ -2,13 +2,13 @@
 
 import math
 
-from ..compilation import inlined_kernel, kernel
+from ..compilation import inlined_entry, kernel
 from .contact import CONTACT_DEPTH
 from .shapes.obstacles import ABSENT, entry
 from .vectors import dot, square, triple
 
 
-@inlined_kernel
+@inlined_entry
 def is_seen(offset, reach, half_field):
     """Whether a place lies within range and field of view.
 

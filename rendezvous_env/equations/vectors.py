@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from ..compilation import inlined_kernel, kernel
+from ..compilation import inlined_entry, kernel
 
 X_AXIS = (1.0, 0.0, 0.0)
 ORIGIN = (0.0, 0.0, 0.0)
@@ -22,7 +22,7 @@ def load(row):
     return np.float64(row[0]), np.float64(row[1]), z
 
 
-@inlined_kernel
+@inlined_entry
 def triple(v):
     """A pair or triple as the triple v = (x, y, z), z = 0 for a pair; in its unit."""
     if len(v) == 2:
@@ -106,7 +106,7 @@ def without(a, h):
     return combine(1.0, once, -dot(once, h), h)
 
 
-@inlined_kernel
+@inlined_entry
 def difference(a, b):
     """The offset b − a of two pairs or two triples, one like them, in their unit."""
     if len(a) == 2:
@@ -114,7 +114,7 @@ def difference(a, b):
     return b[0] - a[0], b[1] - a[1], b[2] - a[2]
 
 
-@inlined_kernel
+@inlined_entry
 def square(v):
     """Squared length ‖v‖² of a pair or triple, a number; unit of v squared."""
     if len(v) == 2:
@@ -122,7 +122,7 @@ def square(v):
     return v[0] * v[0] + v[1] * v[1] + v[2] * v[2]
 
 
-@inlined_kernel
+@inlined_entry
 def plus(a, factor, b):
     """The pair or triple a + factor b of two pairs or triples and a number, in the unit of a."""
     if len(a) == 2:
@@ -130,7 +130,7 @@ def plus(a, factor, b):
     return a[0] + factor * b[0], a[1] + factor * b[1], a[2] + factor * b[2]
 
 
-@inlined_kernel
+@inlined_entry
 def product(a, b):
     """Scalar product aᵀb of two pairs or two triples, a number; unit of a times unit of b."""
     if len(a) == 2:
@@ -138,7 +138,7 @@ def product(a, b):
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-@inlined_kernel
+@inlined_entry
 def scaled(v, factor):
     """The pair or triple factor · v, factor a number; unit of v times unit of the factor."""
     if len(v) == 2:
@@ -146,7 +146,7 @@ def scaled(v, factor):
     return v[0] * factor, v[1] * factor, v[2] * factor
 
 
-@inlined_kernel
+@inlined_entry
 def to_global(frame, v):
     """Turn a vector from a local frame to the global one: w = R v.
 
@@ -166,7 +166,7 @@ def to_global(frame, v):
     )
 
 
-@inlined_kernel
+@inlined_entry
 def to_local(frame, v):
     """Turn a vector from the global frame to a local one: w = Rᵀ v.
 

@@ -62,7 +62,7 @@ def cone_heading(
         raise ValueError("neighbour_rows must be finite")
     d, out = vectors.shape[-1], np.empty_like(vectors)
     flat = np.ascontiguousarray(rows).reshape(-1, *rows.shape[-2:])
-    _cone_headings(vectors.reshape(-1, d), flat, float(min_alignment), out.reshape(-1, d))
+    headings_in_cones(vectors.reshape(-1, d), flat, float(min_alignment), out.reshape(-1, d))
     return out
 
 
@@ -97,7 +97,8 @@ def cone_velocity(
 
 
 @kernel
-def _cone_headings(raw, rows, min_alignment, out):
+def headings_in_cones(raw, rows, min_alignment, out):
+    """``cone_heading`` for N robots; ``out`` (N, d) is filled in."""
     slots = rows.shape[1]
     for i in range(len(out)):
         strength, towards = split(net_bearing_of(rows[i], slots))

@@ -38,12 +38,13 @@ def least_norm_points(neighbour_rows: ArrayLike) -> NDArray[np.float64]:
         raise ValueError("neighbour_rows must be finite")
     points = np.empty((*rows.shape[:-2], rows.shape[-1]))
     flat = np.ascontiguousarray(rows).reshape(-1, *rows.shape[-2:])
-    _least_norm_points(flat, points.reshape(-1, rows.shape[-1]))
+    least_norm_points_of(flat, points.reshape(-1, rows.shape[-1]))
     return points
 
 
 @kernel
-def _least_norm_points(rows, out):
+def least_norm_points_of(rows, out):
+    """``least_norm_points`` for N robots; ``out`` (N, d) is filled in."""
     for i in range(len(rows)):
         store(least_norm_of(rows[i], rows.shape[1]), out[i])
 

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..compilation import inlined_kernel, kernel, unfolded_kernel
+from ..compilation import inlined_entry, kernel, unfolded_kernel
 from ..engine.pool.sharing import each_block
 from ..engine.state_checks import check_observations
 from ..equations.least_norm import least_norm_of
@@ -185,7 +185,7 @@ def link_keeping_velocity(wish, rows, constants):
     return combine(constants.share * speed, towards, 1.0 - constants.share, free)
 
 
-@inlined_kernel
+@inlined_entry
 def alignment_of(velocity, net_bearing):
     """|hᵀf|/‖f‖ of a velocity's direction h, without unit; NaN where either triple is zero."""
     (speed, direction), (strength, towards) = split(velocity), split(net_bearing)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from ..compilation import inlined_kernel
+from ..compilation import inlined_entry
 from ..engine.pool import threads
 from ..engine.pool.sharing import Part
 
@@ -13,7 +13,7 @@ TEAMS_AT_ONCE = 32
 _ROBOTS_PER_THREAD = 2048
 
 
-@inlined_kernel
+@inlined_entry
 def teams_of_block(block, num_envs):
     """The teams of a block k: 32 k ≤ team < min(32 (k + 1), B).
 

@@ -53,7 +53,7 @@ def mean_body_axis_2d(rate: ArrayLike, duration: float) -> NDArray[np.float64]:
     """
     rates = np.asarray(rate, dtype=np.float64)
     out = np.empty((*rates.shape, 2))
-    _mean_axes_2d(rates.reshape(-1), float(duration), out.reshape(-1, 2))
+    mean_axes_2d(rates.reshape(-1), float(duration), out.reshape(-1, 2))
     return out
 
 
@@ -79,7 +79,7 @@ def mean_body_axis_3d(
         *(np.asarray(a, np.float64) for a in (yaw_rate, pitch_rate, pitch))
     )
     out = np.empty((*arrays[0].shape, 3))
-    _mean_axes_3d(*(a.flatten() for a in arrays), float(duration), out.reshape(-1, 3))
+    mean_axes_3d(*(a.flatten() for a in arrays), float(duration), out.reshape(-1, 3))
     return out
 
 
@@ -263,13 +263,15 @@ def mean_axis_3d(yaw_rate, pitch_rate, pitch, duration):
 
 
 @kernel
-def _mean_axes_2d(rates, duration, out):
+def mean_axes_2d(rates, duration, out):
+    """``mean_axis_2d`` for N turn rates (N,), rad/s; ``out`` (N, 2) is filled in."""
     for i in range(out.shape[0]):
         out[i, 0], out[i, 1], _ = mean_axis_2d(rates[i], duration)
 
 
 @kernel
-def _mean_axes_3d(yaw_rates, pitch_rates, pitches, duration, out):
+def mean_axes_3d(yaw_rates, pitch_rates, pitches, duration, out):
+    """``mean_axis_3d`` for N robots, (N,) each, rad/s and rad; ``out`` (N, 3) is filled in."""
     for i in range(out.shape[0]):
         mean = mean_axis_3d(yaw_rates[i], pitch_rates[i], pitches[i], duration)
         out[i, 0], out[i, 1], out[i, 2] = mean

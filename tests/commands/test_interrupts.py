@@ -170,8 +170,8 @@ class TestKernels:
     @pytest.mark.parametrize("turns", [-40, -16, -3, -1, 0, 1, 2, 15.9, 16, 1e6])
     def test_the_angle_is_the_same_direction(self, turns):
         angle = 1.25 + turns * joined_plane.TWO_PI
-        found = joined_plane._counter_clockwise(angle)
+        found = joined_plane.counter_clockwise(angle)
         assert 0 <= found < joined_plane.TWO_PI
         expected = [np.cos(angle), np.sin(angle)]
         np.testing.assert_allclose([np.cos(found), np.sin(found)], expected, atol=1e-9)
-        assert np.isnan(joined_plane._counter_clockwise(np.inf))
+        assert np.isnan(joined_plane.counter_clockwise(np.inf))

@@ -320,3 +320,38 @@ def test_this_package_keeps_its_kernels_beside_its_sources():
     here = Path(step.__file__)
     if os.access(here.parent, os.W_OK):
         assert Path(folder_for(here)).parent == here.parent / "__pycache__"
+
+
+# ---- what only kernels call ---------------------------------------------------------------------
+
+
+@compilation.kernel
+def _halved(x):
+    return 0.5 * x
+
+
+@compilation.inlined_kernel
+def doubled(x):
+    return 2.0 * x
+
+
+@compilation.unfolded_kernel
+def squared(x):
+    return x * x
+
+
+@compilation.kernel
+def through_all(x):
+    return squared(doubled(_halved(x)) + 1.0)
+
+
+@pytest.mark.skipif(not compilation.compiled(), reason="plain Python calls what it likes")
+def test_what_only_kernels_call_refuses_python():
+    for inner in (_halved, doubled, squared):
+        with pytest.raises(TypeError, match="called by other kernels only"):
+            inner(3.0)
+    assert through_all(3.0) == 16.0
+    for inner in (_halved, doubled, squared):  # compiled by now, most of them, and still no entry
+        with pytest.raises(TypeError, match=inner.py_func.__name__):
+            inner(3.0)
+    assert not squared.overloads

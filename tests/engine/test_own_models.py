@@ -309,9 +309,9 @@ print(sim.positions[0, 0, 0], sum(step_blocks.stats.cache_misses.values()))
 """A whole step: which takes long to compile."""
 PIECE = """
 import own_hover
-from rendezvous_env.equations.contact import _place_on
+from rendezvous_env.equations.contact import place_on
 curve = own_hover.Hover(0.1, 9.0), (0.0, 0.0), (1.0, 0.0, 0.0, 1.0), ()
-print(_place_on(curve, (0.0, 0.0, 0.0), 0.1)[0], sum(_place_on.stats.cache_misses.values()))
+print(place_on(curve, (0.0, 0.0, 0.0), 0.1)[0], sum(place_on.stats.cache_misses.values()))
 """
 """A small kernel of the package, in a file that imports no model."""
 

@@ -16,7 +16,7 @@ import pytest
 
 import rendezvous_env as rv
 from rendezvous_env import Simulator
-from rendezvous_env.compilation import inlined_kernel, kernel
+from rendezvous_env.compilation import kernel, unfolded_kernel
 from rendezvous_env.engine import stepper
 from rendezvous_env.engine.pool import threads
 from rendezvous_env.engine.pool.sharing import (
@@ -37,8 +37,9 @@ def mark(share, marks, work):
     return each_block(share, _mark_block, (marks, work))
 
 
-@inlined_kernel
-def _mark_block(block, marks, work):
+@unfolded_kernel
+def _mark_block(block, arguments):
+    marks, work = arguments
     waste = 1.0
     for _ in range(work):
         waste = np.sqrt(waste + 1.0)
@@ -54,7 +55,8 @@ def marked(blocks, most, work=0):
 def share_slowly(run, blocks, most):
     """As a kernel would, but in Python, so that a test can see and hold up the threads."""
 
-    threads.share(lambda part: each_block(part, run, ()), blocks, most)
+    one_by_one = getattr(each_block, "py_func", each_block)
+    threads.share(lambda part: one_by_one(part, lambda block, _: run(block), ()), blocks, most)
 
 
 def is_caller():

@@ -39,12 +39,12 @@ def alignments(scenario: Scenario, step: Step) -> NDArray[np.float64]:
     least = max(2.0 * scenario.dead_zone, 1e-12)
     slots, along_x = layout.neighbour_slots, scenario.model.nonholonomic
     out = np.empty(shape[:2])
-    _batch_alignments(observations, actions, running, slots, along_x, least, out)
+    batch_alignments(observations, actions, running, slots, along_x, least, out)
     return out
 
 
 @kernel
-def _batch_alignments(
+def batch_alignments(
     observations: Any,
     actions: Any,
     running: Any,

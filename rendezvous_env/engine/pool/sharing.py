@@ -18,7 +18,7 @@ from numba.core import types
 from numba.extending import intrinsic, overload
 from numpy.typing import NDArray
 
-from ...compilation import inlined_kernel, kernel, unfolded_kernel
+from ...compilation import inlined_entry, kernel, unfolded_kernel
 
 _LINE = 8
 """Counters in use stand in cache lines of their own."""
@@ -73,7 +73,7 @@ def each_block(share, work, arguments):
 
     Args:
         share: the fields of a Share.
-        work: an inlined kernel.
+        work: an unfolded kernel.
         arguments: a tuple.
 
     Returns:
@@ -89,14 +89,14 @@ def each_block(share, work, arguments):
     return _end(share, done)
 
 
-@inlined_kernel
+@inlined_entry
 def _begin(share):
     """The caller tells waiting helpers that there is work."""
     if share.joined < 0 and share.spin_limit > 0:
         fetch_add(share.epoch, 0, 1)
 
 
-@inlined_kernel
+@inlined_entry
 def _take(share):
     """Index of the next block that nobody has taken; ``share.blocks`` or more if none is left.
 
@@ -115,7 +115,7 @@ def _take(share):
     return share.blocks
 
 
-@inlined_kernel
+@inlined_entry
 def _end(share, done):
     """Report blocks done, and wait: the caller for the others, a helper for the next job; whether
     all are done.

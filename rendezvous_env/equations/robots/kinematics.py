@@ -6,7 +6,7 @@ The single integrator, the unicycle (eqs. 5–6) and the 3-D nonholonomic robot 
 import math
 from typing import NamedTuple
 
-from ...compilation import inlined_kernel, kernel
+from ...compilation import inlined_entry, inlined_kernel, kernel
 from ..random_streams import uniform
 from ..vectors import scaled, square, to_global
 from .arcs import arc_2d, arc_3d, body_frame_2d, body_frame_3d, clip
@@ -48,7 +48,7 @@ class Nonholonomic3D(NamedTuple):
     """Of ω_β, rad/s."""
 
 
-@inlined_kernel
+@inlined_entry
 def speed_scale(square_speed, limit):
     """Speed ‖v‖, and the factor min(1, v_max/‖v‖) that limits it and keeps the direction.
 
@@ -63,7 +63,7 @@ def speed_scale(square_speed, limit):
     return speed, limit / speed if speed > limit else 1.0
 
 
-@inlined_kernel
+@inlined_entry
 def keep_frame(model, frame, memory):
     """A frame that never turns: R(t + τ) = R(t).
 
