@@ -237,14 +237,20 @@ def test_kernels_are_serial_release_the_lock_and_divide_like_ieee():
     assert inverse(0.0) == float("inf")
 
 
-@pytest.mark.parametrize("decorate", [compilation.kernel, compilation.inlined_kernel])
+@pytest.mark.parametrize(
+    "decorate", ["kernel", "inlined_kernel", "inlined_entry", "unfolded_kernel"]
+)
 def test_a_kernel_may_not_allocate(decorate):
-    @decorate
+    @getattr(compilation, decorate)
     def zeros(n):
         return np.zeros(n).sum()
 
-    with pytest.raises(numba.core.errors.NumbaError):
-        zeros(3)
+    @compilation.kernel
+    def caller(n):
+        return zeros(n)
+
+    with pytest.raises(numba.core.errors.NumbaError, match="(?i)nrt|allocat|zeros"):
+        caller(3)
 
 
 def test_an_allocating_kernel_may_allocate_and_return_arrays():
