@@ -137,6 +137,7 @@ def test_the_figure_is_drawn(tmp_path, monkeypatch):
     from train.benchmark import bench_figure
 
     monkeypatch.setattr(bench_figure, "SIZES", (2, 3))
+    monkeypatch.setattr(bench_figure, "RINGS", (3, 4))
     monkeypatch.setattr(bench_figure, "BATCHES", (1, 4))
     run(Config(figure=tmp_path / "growth.png", only=("robots",), **QUICK))
     assert (tmp_path / "growth.png").read_bytes().startswith(b"\x89PNG")

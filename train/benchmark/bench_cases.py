@@ -206,7 +206,8 @@ def limit_by_pairs(share, positions, bearings):  # noqa: ANN001, ANN201
 
 
 @allocating_kernel
-def _pairs_of_block(block, positions, bearings, f):  # noqa: ANN001, ANN202
+def _pairs_of_block(block, arguments):  # noqa: ANN001, ANN202
+    positions, bearings, f = arguments
     n, p, g = positions.shape[1], positions[block], bearings[block]
     for i in range(n):
         for j in range(i + 1, n):
@@ -225,7 +226,8 @@ def limit_by_rows(share, positions, bearings):  # noqa: ANN001, ANN201
 
 
 @allocating_kernel
-def _rows_of_block(block, positions, bearings, f):  # noqa: ANN001, ANN202
+def _rows_of_block(block, arguments):  # noqa: ANN001, ANN202
+    positions, bearings, f = arguments
     n, p, g = positions.shape[1], positions[block], bearings[block]
     for i in range(n):
         for j in range(n):

@@ -6,11 +6,15 @@ import statistics
 import time
 from pathlib import Path
 
+from rendezvous_env.experiment.scenario import Scenario
+
 from ..results import atomic
 from .bench_cases import Case, batched, spread_out
 from .bench_settings import Config
 
 SIZES = (2, 3, 4, 8, 16, 32, 64)
+RINGS = (8, 32, 128, 512, 1024)
+"""Robots of teams in which each sees two others, as many robots together as teams of the first."""
 BATCHES = (1, 4, 16, 64, 256, 1024, 4096)
 
 
@@ -21,13 +25,17 @@ def draw_growth(path: Path, config: Config) -> None:
 
     figure = Figure(figsize=(9.0, 3.6), layout="constrained")
     by_size, by_batch = figure.subplots(1, 2)
-    sizes = [_robot_step(n, config.num_envs, config) for n in SIZES]
-    batches = [_robot_step(8, batch, config) for batch in BATCHES]
-    by_size.loglog(SIZES, sizes, "o-")
-    by_size.set(xlabel="robots in a team, n", title=f"B = {config.num_envs}")
+    robots = config.num_envs * RINGS[0]
+    sizes = [_robot_step(spread_out(n), config.num_envs, config) for n in SIZES]
+    rings = [_robot_step(_ring(n), max(1, robots // n), config) for n in RINGS]
+    batches = [_robot_step(spread_out(8), batch, config) for batch in BATCHES]
+    by_size.loglog(SIZES, sizes, "o-", label=f"complete graph, B = {config.num_envs}")
+    by_size.loglog(RINGS, rings, "s-", label=f"ring, {robots} robots in all")
+    by_size.set(xlabel="robots in a team, n", title="by the size of a team")
+    by_size.legend()
     by_batch.loglog(BATCHES, batches, "o-")
-    by_batch.set(xlabel="teams, B", title="n = 8")
-    for axes, places in ((by_size, SIZES), (by_batch, BATCHES)):
+    by_batch.set(xlabel="teams, B", title="complete graph, n = 8")
+    for axes, places in ((by_size, sorted({*SIZES, *RINGS})), (by_batch, BATCHES)):
         axes.set_xticks(places, [str(place) for place in places])
         axes.set_xticks([], minor=True)
         axes.yaxis.set_major_formatter("{x:g}")
@@ -38,9 +46,13 @@ def draw_growth(path: Path, config: Config) -> None:
         figure.savefig(temporary, format="png", dpi=150)
 
 
-def _robot_step(n: int, num_envs: int, config: Config) -> float:
+def _ring(n_robots: int) -> Scenario:
+    return spread_out(n_robots, graph="cycle")
+
+
+def _robot_step(scenario: Scenario, num_envs: int, config: Config) -> float:
     """Median time of a robot's step, ns."""
-    cases = batched(spread_out(n), "batched", num_envs, config.num_threads)
+    cases = batched(scenario, "batched", num_envs, config.num_threads)
     case = next(case for case in cases if case.name == "Simulator")
     return 1e9 * statistics.median(_times(case, config))
 
