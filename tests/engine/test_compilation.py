@@ -249,7 +249,7 @@ def test_a_kernel_may_not_allocate(decorate):
     def caller(n):
         return zeros(n)
 
-    with pytest.raises(numba.core.errors.NumbaError, match="(?i)nrt|allocat|zeros"):
+    with pytest.raises(numba.core.errors.NumbaError, match=r"(?i)nrt|allocat|zeros"):
         caller(3)
 
 
