@@ -16,8 +16,7 @@ _CONFIG: Any = numba.config
 
 
 def kernel(function: Callable[..., Any]) -> Any:
-    """Compile a function on first use: nogil, IEEE division, no fastmath; cached on disk. Only
-    kernels can call one whose name begins with ``_``.
+    """Compile a function on first use: nogil, IEEE division, no fastmath; cached on disk.
 
     It counts no references to arrays: to hand tuples of arrays over, and to count who holds each
     array and each view of it, takes longer than a small team's arithmetic, and counters that two
@@ -27,14 +26,21 @@ def kernel(function: Callable[..., Any]) -> Any:
     return _compile(function, allocates=False)
 
 
+def inner_kernel(function: Callable[..., Any]) -> Any:
+    """A kernel that only kernels call: no entry for Python is compiled, which takes tuples of
+    arrays apart and is longer than many a kernel.
+    """
+    return _compile(function, allocates=False, within=True)
+
+
 def inlined_kernel(function: Callable[..., Any]) -> Any:
     """A kernel that becomes part of whoever calls it; only kernels do."""
-    return _compile(function, allocates=False, inlined=True)
+    return _compile(function, allocates=False, inlined=True, within=True)
 
 
 def inlined_entry(function: Callable[..., Any]) -> Any:
     """A kernel that becomes part of whoever calls it, and that Python calls, too."""
-    return _compile(function, allocates=False, inlined=True, within=False)
+    return _compile(function, allocates=False, inlined=True)
 
 
 def unfolded_kernel(function: Callable[..., Any]) -> Any:
@@ -44,14 +50,14 @@ def unfolded_kernel(function: Callable[..., Any]) -> Any:
     part of each kernel above it. For long ones with a single caller. In it no branch may hang on
     whether an argument is None, nor on the length of a tuple: its types are not known yet.
     """
-    return _compile(function, allocates=False, unfolded=True)
+    return _compile(function, allocates=False, unfolded=True, within=True)
 
 
 def inlined_view(function: Callable[..., Any]) -> Any:
     """An inlined kernel that gives back views of arrays it was given: for callers that count no
     references either.
     """
-    return _compile(function, allocates=False, inlined=True, views=True)
+    return _compile(function, allocates=False, inlined=True, views=True, within=True)
 
 
 def allocating_kernel(function: Callable[..., Any]) -> Any:
@@ -66,10 +72,8 @@ def _compile(
     inlined: bool = False,
     unfolded: bool = False,
     views: bool = False,
-    within: bool | None = None,
+    within: bool = False,
 ) -> Any:
-    if within is None:
-        within = inlined or unfolded or function.__name__.startswith("_")
     options = _options(allocates=allocates, inlined=inlined, within=within)
     inline = "always" if unfolded else "never"
     dispatcher = numba.njit(nogil=True, inline=inline, **options)(function)
@@ -107,8 +111,7 @@ def _refuse_python(dispatcher: Any) -> None:
 
     def compile_for_args(*_: Any, **__: Any) -> Any:
         raise TypeError(
-            f"kernel {dispatcher.py_func.__qualname__} is called by other kernels only; its name "
-            "begins with _, or it becomes part of them"
+            f"kernel {dispatcher.py_func.__qualname__} can be called by other kernels only"
         )
 
     dispatcher.add_overload, dispatcher._compile_for_args = add_overload, compile_for_args

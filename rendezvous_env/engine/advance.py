@@ -4,7 +4,7 @@ Most teams only add. Those in which something can meet in this step, two neighbo
 an obstacle, are moved one by one by exact geometry.
 """
 
-from ..compilation import inlined_kernel, kernel, unfolded_kernel
+from ..compilation import inlined_kernel, inner_kernel, unfolded_kernel
 from ..equations.contact import IGNORE, move_curved, move_straight
 from ..equations.merging import merge_swept
 from ..equations.vectors import load, norm
@@ -112,7 +112,7 @@ def _mark_near_ball(layout, position, ball, reach, tally):
         tally[near] = MOVED if square < touch * touch else tally[near]
 
 
-@kernel
+@inner_kernel
 def _advance_exactly(
     block, lane, layout, constants, robot, teams, links, obstacles, results, buffers, hand
 ):
@@ -155,7 +155,7 @@ def _load_team(block, lane, layout, teams, buffers, hand):
             hand.displacements[i, k] = buffers.displacement[i, k * lanes + lane]
 
 
-@kernel
+@inner_kernel
 def _merge_team(block, lane, layout, constants, teams, links, obstacles, hand):
     """Move the team at hand and merge whom that brings together; number of merges."""
     team = block * lane_count(layout.width) + lane
@@ -179,7 +179,7 @@ def _merge_team(block, lane, layout, constants, teams, links, obstacles, hand):
     return merges
 
 
-@kernel
+@inner_kernel
 def _stay_outside(block, lane, layout, constants, robot, teams, obstacles, results, buffers, hand):
     """Replace the displacements of the team at hand by those that obstacles leave."""
     lanes, width = lane_count(layout.width), layout.width
@@ -207,7 +207,7 @@ def _stay_outside(block, lane, layout, constants, robot, teams, obstacles, resul
             hand.lengths[i] = norm(executed)  # of the chord: the way along a surface is not kept
 
 
-@kernel
+@inner_kernel
 def _hindered(point, way, mode, robot, action, frame, memory, world, normals):
     if len(memory) == 0:  # a model that keeps nothing goes straight
         return move_straight(point, way, world, mode, normals)

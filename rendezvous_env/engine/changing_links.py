@@ -5,7 +5,7 @@ from typing import Any
 
 from numba.core import types
 
-from ..compilation import chosen_by_type, inlined_kernel, kernel
+from ..compilation import chosen_by_type, inlined_kernel, inner_kernel, kernel
 from ..equations.potential import lyapunov_of_links
 from ..equations.random_streams import GRAPH, SWITCHING, stream_key, uniform
 from ..equations.sight import is_seen
@@ -88,7 +88,7 @@ def follow_changes(team, time, layout, teams, weights, changes):
             _keep_in_sight(team, layout, teams, arcs, changes)
 
 
-@kernel
+@inner_kernel
 def _whose_turn(team, time, changes):
     """Index of the graph that holds at a time of the episode."""
     count = changes.bases.shape[0]
@@ -107,7 +107,7 @@ def drawn_factor(key, counter, i, j, n, low, high):
     return low + (high - low) * uniform(key, counter + pair_index(min(i, j), max(i, j), n))
 
 
-@kernel
+@inner_kernel
 def _keep_in_sight(team, layout, teams, arcs, changes):
     """Drop arcs to robots out of range or of the field of view."""
     width, axes = layout.width, layout.axes
@@ -165,7 +165,7 @@ def _compiled_begin_links(team, key, rules, factors, layout, teams, links, posit
     )
 
 
-@kernel
+@inner_kernel
 def _begin_arcs(team, key, rules, factors, layout, teams, links, positions, hand):
     if factors is not None:
         if rules.draw_weights:
@@ -176,7 +176,7 @@ def _begin_arcs(team, key, rules, factors, layout, teams, links, positions, hand
     teams.statistics[team, INITIAL_LYAPUNOV] = lyapunov_of_links(positions, listed)
 
 
-@kernel
+@inner_kernel
 def _multiply_drawn(key, low, high, arcs):
     n = arcs.shape[0]
     for i in range(n):

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from ..compilation import chosen_by_type, inlined_kernel, kernel, unfolded_kernel
+from ..compilation import chosen_by_type, inlined_kernel, inner_kernel, unfolded_kernel
 from ..equations.bearings import observed, sighting
 from ..equations.robots.motion import sense_oneself
 from .changing_links import bring_links_up
@@ -257,7 +257,7 @@ def _copy_rows(block, layout, constants, links, rows, observations, results, han
                 observations[lane, k * parts + part] = rows[k, lane * parts + part]
 
 
-@kernel
+@inner_kernel
 def _pack_rows(block, layout, constants, links, rows, observations, results, hand):
     """The same where there are fewer neighbour rows than other robots: those present stand first,
     in index order.

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from ..compilation import chosen_by_type, inlined_kernel, kernel
+from ..compilation import chosen_by_type, inlined_kernel, inner_kernel
 from ..equations.potential import net_bearings_of_arcs, net_bearings_of_links
 from ..equations.shapes.balls import disc_edges
 from ..equations.shapes.obstacles import (
@@ -184,7 +184,7 @@ def _compiled_see_others(
     return implementation
 
 
-@kernel
+@inner_kernel
 def _see_one_by_one(
     block, count, layout, constants, teams, links, obstacles, results, buffers, hand
 ):
@@ -228,7 +228,7 @@ def _net_bearings(positions, listed, arcs, out):
         net_bearings_of_links(positions, listed, out)
 
 
-@kernel
+@inner_kernel
 def _only_discs(world):
     for m in range(world.kinds.shape[0]):
         if world.kinds[m] > BALL:
@@ -236,7 +236,7 @@ def _only_discs(world):
     return True
 
 
-@kernel
+@inner_kernel
 def _see_all(block, lane, i, active, layout, constants, teams, world, results, buffers, hand, axes):
     """All obstacles of one robot that ``_see_discs`` leaves out."""
     width, n = layout.width, hand.lengths.shape[0]
@@ -262,7 +262,7 @@ def _see_all(block, lane, i, active, layout, constants, teams, world, results, b
         _store_silhouette(lane, row, seen, frame, points, buffers.rows)
 
 
-@kernel
+@inner_kernel
 def _store_silhouette(lane, first, seen, frame, points, rows):
     """Turn silhouette bearings into the local frame; an obstacle that is not seen is zero."""
     d = points.shape[1]

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..compilation import inlined_kernel, kernel
+from ..compilation import inlined_kernel, inner_kernel
 from ..equations.outward import outward_directions
 from ..equations.random_streams import SENSING, stream_key, uniform
 from ..equations.sensing import (
@@ -51,7 +51,7 @@ class Sensor(NamedTuple):
     """(B, delay + 1, n, K + M·S, d): what was seen in step t stands at t mod (delay + 1)."""
 
 
-@kernel
+@inner_kernel
 def _err(sensor, block, count, layout, constants, moves, teams, links, obstacles, results, hand):
     """Team by team, see ``sensors.err``."""
     lanes = lane_count(layout.width)
@@ -88,7 +88,7 @@ def _err(sensor, block, count, layout, constants, moves, teams, links, obstacles
             _delay(step, constants, merged_into, rows, sensor.past[team])
 
 
-@kernel
+@inner_kernel
 def _see_neighbours(block, lane, keys, layout, constants, sensor, teams, links, world, rows, hand):
     """Both ends of every link, in the order in which their rows stand; of a one-way link one."""
     n, d = hand.positions.shape
@@ -146,7 +146,7 @@ def _see_robot(i, j, row, frame, constants, sensor, keys, world, merged_into, ha
     return row
 
 
-@kernel
+@inner_kernel
 def _is_hidden(i, j, offset, constants, sensor, world, merged_into, hand):
     """Whether an obstacle or another robot stands between robots i and j."""
     if world is not None:
@@ -161,7 +161,7 @@ def _is_hidden(i, j, offset, constants, sensor, world, merged_into, hand):
     return False
 
 
-@kernel
+@inner_kernel
 def _see_obstacles(i, constants, sensor, keys, rows, hand, axes):
     """An obstacle is seen with all its points as soon as one of them is in the field of view."""
     n, d, points = hand.positions.shape[0], len(axes), hand.silhouette.shape[0]
@@ -202,7 +202,7 @@ def _axis(row, key, counter):
     return random_axis(key, counter)
 
 
-@kernel
+@inner_kernel
 def _close_ranks(i, constants, d, rows):
     """Let the rows of neighbours that robot i sees stand first."""
     first, filled = i * constants.rows * d, 0
@@ -218,7 +218,7 @@ def _close_ranks(i, constants, d, rows):
             filled += 1
 
 
-@kernel
+@inner_kernel
 def _delay(step, constants, merged_into, rows, past):
     """Keep what is seen now, and give out what was seen so many steps ago; robots that are gone see
     nothing.

@@ -7,7 +7,7 @@ Along q_i lie all bearings: q_i·g_ij ≥ ‖q_i‖². It is zero where neighbou
 
 import math
 
-from ..compilation import inlined_kernel, kernel
+from ..compilation import inlined_entry, kernel
 from .vectors import ORIGIN, add, combine, cross, dot, load, scaled, split, subtract
 
 _ROUNDING = 4e-16
@@ -70,7 +70,7 @@ def cone_of(rows, neighbour_slots):
     return right, left
 
 
-@inlined_kernel
+@inlined_entry
 def _turn(a, b):
     """The sine of the angle from a to b in the plane, counter-clockwise."""
     return a[0] * b[1] - a[1] * b[0]

@@ -10,7 +10,7 @@ a_ij and a_ji, which makes V of the links that of the arcs, and ``arcs`` holds t
 
 import numpy as np
 
-from ..compilation import kernel
+from ..compilation import inner_kernel, kernel
 from .potential import distance_squared, lyapunov_of_links
 from .shapes.crossings import first_crossing
 from .shapes.obstacles import clear_of_obstacles
@@ -82,7 +82,7 @@ def merge_swept(
         merges += 1
 
 
-@kernel
+@inner_kernel
 def _meeting_moments(positions, displacements, links, radius, moments):
     """When the robots of each link first stand within r of each other, as a share of the motion."""
     first, second, weight = links
@@ -95,7 +95,7 @@ def _meeting_moments(positions, displacements, links, radius, moments):
             moments[e] = first_crossing(offset, velocity, radius)
 
 
-@kernel
+@inner_kernel
 def _comes_before(first, second, e, best):
     """Whether the robots of link e come before those of another one by index; −1 is none."""
     # by robots, not by e: a contraction leaves the links unsorted, and ties must not depend on that
@@ -104,7 +104,7 @@ def _comes_before(first, second, e, best):
     return second[e] < second[best]
 
 
-@kernel
+@inner_kernel
 def _earliest(moments, first, second, resting):
     """The link whose robots meet first, of those that both still move; −1 if none does."""
     moment, best = np.inf, -1
@@ -116,7 +116,7 @@ def _earliest(moments, first, second, resting):
     return best
 
 
-@kernel
+@inner_kernel
 def _nearest_within(positions, links, radius):
     """The shortest link that is shorter than r; −1 if none is."""
     first, second, weight = links
@@ -131,7 +131,7 @@ def _nearest_within(positions, links, radius):
     return best
 
 
-@kernel
+@inner_kernel
 def _merge(e, positions, links, arcs, merged_into, world, radius, is_first, report):
     """Make the second robot of link e part of the first, and report what that does to V."""
     first, second, weight = links
@@ -154,7 +154,7 @@ def _merge(e, positions, links, arcs, merged_into, world, radius, is_first, repo
     report[3] = max(report[3], after - before - bound)
 
 
-@kernel
+@inner_kernel
 def _place(i, j, positions, world):
     """Put both at their midpoint, or at the place of the lower index if that lies in an
     obstacle; whether at the midpoint.
@@ -172,7 +172,7 @@ def _place(i, j, positions, world):
     return at_midpoint
 
 
-@kernel
+@inner_kernel
 def _pull_at_merge(i, j, links, at_midpoint):
     """D_i + D_j at the midpoint, 2 max(D_i, D_j) at the lower index' place, m/s (theory 5)."""
     first, second, weight = links
@@ -214,7 +214,7 @@ def contract(i, j, links):
                 first[e], second[e] = low, high
 
 
-@kernel
+@inner_kernel
 def _link_between(low, high, links):
     first, second, weight = links
     for e in range(len(first)):

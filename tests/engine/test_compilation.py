@@ -277,11 +277,11 @@ def test_no_kernel_that_counts_no_references_returns_an_array():
     refused when it is compiled, so that this holds whether or not code was found on disk.
     """
 
-    @compilation.inlined_kernel
+    @compilation.inlined_entry
     def itself(x):
         return x
 
-    @compilation.inlined_kernel
+    @compilation.inlined_entry
     def within(x):
         return 1, (2.0, x)
 
@@ -331,8 +331,8 @@ def test_this_package_keeps_its_kernels_beside_its_sources():
 # ---- what only kernels call ---------------------------------------------------------------------
 
 
-@compilation.kernel
-def _halved(x):
+@compilation.inner_kernel
+def halved(x):
     return 0.5 * x
 
 
@@ -348,16 +348,16 @@ def squared(x):
 
 @compilation.kernel
 def through_all(x):
-    return squared(doubled(_halved(x)) + 1.0)
+    return squared(doubled(halved(x)) + 1.0)
 
 
 @pytest.mark.skipif(not compilation.compiled(), reason="plain Python calls what it likes")
 def test_what_only_kernels_call_refuses_python():
-    for inner in (_halved, doubled, squared):
-        with pytest.raises(TypeError, match="called by other kernels only"):
+    for inner in (halved, doubled, squared):
+        with pytest.raises(TypeError, match="by other kernels only"):
             inner(3.0)
     assert through_all(3.0) == 16.0
-    for inner in (_halved, doubled, squared):  # compiled by now, most of them, and still no entry
+    for inner in (halved, doubled, squared):  # compiled by now, most of them, and still no entry
         with pytest.raises(TypeError, match=inner.py_func.__name__):
             inner(3.0)
     assert not squared.overloads

@@ -2,7 +2,7 @@
 
 from typing import NamedTuple
 
-from ...compilation import kernel
+from ...compilation import inner_kernel, kernel
 from ...equations.random_streams import uniform
 from ...equations.shapes.obstacles import ABSENT, BALL, CENTRE, RADIUS, distance_to
 from ...equations.vectors import load
@@ -66,7 +66,7 @@ def draw_field(key, rules, starts, n_starts, world):
     return True
 
 
-@kernel
+@inner_kernel
 def _draw_ball(key, counter, rules, d, world, m):
     low, high = rules.radii
     world.kinds[m] = BALL
@@ -76,7 +76,7 @@ def _draw_ball(key, counter, rules, d, world, m):
         world.shapes[m, CENTRE + k] = place
 
 
-@kernel
+@inner_kernel
 def _keeps_out(world, m, starts, n_starts, keep_out):
     for i in range(n_starts):
         if distance_to(world, m, load(starts[i])) < keep_out:
@@ -84,7 +84,7 @@ def _keeps_out(world, m, starts, n_starts, keep_out):
     return True
 
 
-@kernel
+@inner_kernel
 def _apart(world, m):
     """Whether ball m overlaps none of those before it."""
     centre = load(world.shapes[m, CENTRE : CENTRE + 3])

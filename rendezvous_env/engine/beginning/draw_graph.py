@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ...compilation import kernel
+from ...compilation import inner_kernel, kernel
 from ...equations.random_streams import uniform
 from ...experiment.topologies import ERDOS_RENYI, FIXED
 from ..links import copy_links, pair_index, sort_links
@@ -73,7 +73,7 @@ def draw_links(key, n, rules, first, second, weights, places):
     return count
 
 
-@kernel
+@inner_kernel
 def _draw_pairs(key, counter, n, probability, first, second):
     """Every pair with the same chance; number of links, those without room too, and the counter."""
     count = 0
@@ -87,7 +87,7 @@ def _draw_pairs(key, counter, n, probability, first, second):
     return count, counter
 
 
-@kernel
+@inner_kernel
 def _add_tree(key, counter, n, first, second, count, places):
     """First-entry edges of a random walk on the complete graph: a uniform tree (Aldous–Broder)."""
     places[:] = 0  # 1: visited
@@ -109,7 +109,7 @@ def _add_tree(key, counter, n, first, second, count, places):
     return count, counter
 
 
-@kernel
+@inner_kernel
 def _is_listed(low, high, first, second, count):
     for e in range(count):
         if first[e] == low and second[e] == high:
@@ -117,7 +117,7 @@ def _is_listed(low, high, first, second, count):
     return False
 
 
-@kernel
+@inner_kernel
 def _is_connected(first, second, count, places):
     """Whether the links join all robots; ``places`` holds the leader of each one's group."""
     n = len(places)
@@ -139,7 +139,7 @@ def join(i, j, places):
     return 1
 
 
-@kernel
+@inner_kernel
 def _leader(i, places):
     while places[i] != i:
         places[i] = places[places[i]]

@@ -10,7 +10,7 @@ another, and nothing has to be looked at but that they are outside.
 import math
 from typing import NamedTuple
 
-from ...compilation import kernel
+from ...compilation import inner_kernel, kernel
 from ...equations.random_streams import uniform
 from ...equations.shapes.obstacles import (
     ABSENT,
@@ -72,7 +72,7 @@ def draw_walls(key, rules, starts, n_starts, world):
     return False
 
 
-@kernel
+@inner_kernel
 def _keeps_out(world, starts, n_starts, keep_out):
     for i in range(n_starts):
         if not clear_of_obstacles(load(starts[i]), world, keep_out):
@@ -80,13 +80,13 @@ def _keeps_out(world, starts, n_starts, keep_out):
     return True
 
 
-@kernel
+@inner_kernel
 def _between(bounds, key, counter):
     low, high = bounds
     return low + (high - low) * uniform(key, counter)
 
 
-@kernel
+@inner_kernel
 def _draw_layout(key, counter, rules, world):
     half = 0.5 * rules.region
     x = _between((-half, half), key, counter)
@@ -104,7 +104,7 @@ def _draw_layout(key, counter, rules, world):
             pose = (x, y, -pose[3], pose[2])  # a quarter turn on
 
 
-@kernel
+@inner_kernel
 def _draw_trap(key, counter, rules, pose, world):
     """A U that opens along x, its middle in the middle of the longer arm."""
     half = 0.5 * _between(rules.openings, key, counter)
@@ -118,7 +118,7 @@ def _draw_trap(key, counter, rules, pose, world):
     _put_box(world, 2, pose, (bottom - thick, bottom + other), (-half - thick, -half))
 
 
-@kernel
+@inner_kernel
 def _draw_corridor(key, counter, rules, pose, world):
     """Two walls along x, on either side of the middle."""
     half = 0.5 * _between(rules.openings, key, counter)
@@ -129,7 +129,7 @@ def _draw_corridor(key, counter, rules, pose, world):
         _put_box(world, k, pose, (-end, end), (low, low + thick))
 
 
-@kernel
+@inner_kernel
 def _draw_wall_with_door(key, counter, rules, pose, world, m):
     """A wall from the middle along x in two pieces, obstacles m and m + 1; between them a door."""
     size = _between(rules.sizes, key, counter)
@@ -143,7 +143,7 @@ def _draw_wall_with_door(key, counter, rules, pose, world, m):
     _put_box(world, m + 1, pose, (first + door, size), across)
 
 
-@kernel
+@inner_kernel
 def _put_box(world, m, pose, along, across):
     """Obstacle m is a box, given by its ranges of x and y before the pose turns and moves it."""
     x, y, c, s = pose

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from ...compilation import kernel
+from ...compilation import inner_kernel, kernel
 from ...equations.potential import distance_squared
 from ...equations.random_streams import mix, uniform
 from ...equations.shapes.obstacles import clear_of_obstacles
@@ -43,7 +43,7 @@ def draw_places(key, rules, spacing, links, world, positions, hand):
     return True
 
 
-@kernel
+@inner_kernel
 def _draw_positions(key, rules, spacing, links, world, positions):
     """Uniform in the spawn area, neighbours at least 2r apart, clear of obstacles; whether it
     fits.
@@ -64,14 +64,14 @@ def _draw_positions(key, rules, spacing, links, world, positions):
     return True
 
 
-@kernel
+@inner_kernel
 def _clear(position, world, margin):
     if world is not None:
         return clear_of_obstacles(load(position), world, margin)
     return True
 
 
-@kernel
+@inner_kernel
 def _apart(i, positions, spacing, links, least_distance):
     """Whether robot i is far enough from the neighbours that have a place already; where links
     change, from everyone who has.
@@ -90,7 +90,7 @@ def _apart(i, positions, spacing, links, least_distance):
     return True
 
 
-@kernel
+@inner_kernel
 def _is_joined(positions, reach, places):
     """Whether links up to a length connect a team.
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ...compilation import kernel
+from ...compilation import inner_kernel, kernel
 from ...equations.potential import lyapunov_of_links
 from ...equations.random_streams import (
     FRAMES,
@@ -159,7 +159,7 @@ def reset_teams(
     return -1, FITS
 
 
-@kernel
+@inner_kernel
 def _draw_links(team, keys, rules, graph, layout, links, hand):
     """Links of a start into working memory: drawn, or as given; their number, −1 for too many."""
     # known while compiling: without rules for a graph nothing of its drawing is compiled
@@ -172,7 +172,7 @@ def _draw_links(team, keys, rules, graph, layout, links, hand):
     return load_links(team // lanes, team % lanes, links, hand)
 
 
-@kernel
+@inner_kernel
 def _draw_room(keys, rules, field, spacing, links, world, positions, chains, hand):
     """What of one team's start may find no room: obstacles and places; whether it fits.
 
@@ -197,7 +197,7 @@ def _draw_room(keys, rules, field, spacing, links, world, positions, chains, han
     return draw_places(key, rules, spacing, links, world, positions, hand)
 
 
-@kernel
+@inner_kernel
 def _read_positions(team, layout, teams, out):
     lanes = lane_count(layout.width)
     block, lane = team // lanes, team % lanes
@@ -206,7 +206,7 @@ def _read_positions(team, layout, teams, out):
             out[i, k] = teams.positions[block, i, k * lanes + lane]
 
 
-@kernel
+@inner_kernel
 def _write_start(team, status, count, layout, teams, links, positions, hand):
     """Put a start into the state, and begin the statistics of its episode."""
     lanes = lane_count(layout.width)
@@ -229,7 +229,7 @@ def _write_start(team, status, count, layout, teams, links, positions, hand):
     statistics[INITIAL_LYAPUNOV * lanes + lane] = initial
 
 
-@kernel
+@inner_kernel
 def _draw_attitudes(team, rules, keys, layout, robot, teams):
     """Frames of robots whose frame is fixed, or what the robot model keeps at the start and the
     frames that go with it.

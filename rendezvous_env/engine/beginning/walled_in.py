@@ -1,6 +1,6 @@
 """Whether discs wall robots in, each from the others."""
 
-from ...compilation import kernel
+from ...compilation import inner_kernel, kernel
 from ...equations.shapes.obstacles import ABSENT, RADIUS, centre_of
 from ...equations.shapes.separation import are_joined, crosses
 from ...equations.vectors import load
@@ -28,7 +28,7 @@ def none_walled_in(world, positions, passage, chains):
     return True
 
 
-@kernel
+@inner_kernel
 def _apart(world, p, q, passage, chains):
     """Whether discs lie between two points: whether a chain contradicts itself about sides."""
     for m in range(world.kinds.shape[0]):
@@ -51,7 +51,7 @@ def _apart(world, p, q, passage, chains):
     return False
 
 
-@kernel
+@inner_kernel
 def _first_of_chain(chains, m):
     """The first disc of the chain that a disc is in, and on which side of it the disc is."""
     first, side = m, 0

@@ -6,7 +6,7 @@ The single integrator, the unicycle (eqs. 5–6) and the 3-D nonholonomic robot 
 import math
 from typing import NamedTuple
 
-from ...compilation import inlined_entry, inlined_kernel, kernel
+from ...compilation import inlined_entry, kernel
 from ..random_streams import uniform
 from ..vectors import scaled, square, to_global
 from .arcs import arc_2d, arc_3d, body_frame_2d, body_frame_3d, clip
@@ -78,7 +78,7 @@ def keep_frame(model, frame, memory):
     return frame
 
 
-@inlined_kernel
+@inlined_entry
 def _propose_velocity(model, action, frame, memory):
     """τ R v, with ‖v‖ limited."""
     speed, factor = speed_scale(square(action), model.speed_limit)
@@ -92,17 +92,17 @@ def _along_velocity(model, action, frame, memory, time):
     return scaled(to_global(frame, action), time * factor)
 
 
-@inlined_kernel
+@inlined_entry
 def _straight(model, action, memory):
     return 0.0
 
 
-@inlined_kernel
+@inlined_entry
 def _nothing(model, action, frame, memory, displacement, contact):
     return memory
 
 
-@inlined_kernel
+@inlined_entry
 def _see_nothing(model, frame, memory):
     return ()
 
