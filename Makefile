@@ -1,5 +1,5 @@
 # make compare: the main job.  make test: linters, types, fast tests.  Each sets up .venv by itself;
-# compare needs no extra, the others add all of them.
+# compare needs no extra, the others add all of them, as make install does.
 # make test-slow: the long tests, and the fast ones of kernels once more with every index checked.
 # make docs: the documentation as a site, in out/site.
 PYTHON ?= python3
@@ -13,12 +13,14 @@ WITH_KERNELS := $(addprefix tests/,adapters borders comparing drawing engine equ
 # what other people's learners need besides; each is tested in an environment of its own
 LEARNERS := $(patsubst tests/adapters/%/requirements.txt,%,$(wildcard tests/adapters/*/requirements.txt))
 
-.PHONY: compare test test-slow test-floors test-adapters lint docs clean $(LEARNERS:%=test-adapter-%)
+.PHONY: compare install test test-slow test-floors test-adapters lint docs clean $(LEARNERS:%=test-adapter-%)
 .SECONDARY: $(LEARNERS:%=.venv-adapters/%/installed)
 .DEFAULT_GOAL := compare
 
 compare: .venv/run
 	$(BIN)/rendezvous compare --out out/compare
+
+install: .venv/installed
 
 test: lint
 	$(BIN)/python -m pytest -q -n 2 --dist loadfile
