@@ -75,8 +75,8 @@ def _compile(
     within: bool = False,
 ) -> Any:
     options = _options(allocates=allocates, inlined=inlined, within=within)
-    inline = "always" if unfolded else "never"
-    dispatcher = numba.njit(nogil=True, inline=inline, **options)(function)
+    inline: dict[str, Any] = {"inline": "always"} if unfolded else {}
+    dispatcher = numba.njit(nogil=True, **inline, **options)(function)
     if compiled():
         keep(dispatcher)
         if within:
