@@ -130,6 +130,7 @@ def _link(shown: str, found: Any) -> str:
     target = f"{name}.{getattr(found, '__qualname__', '')}".rstrip(".")
     folder = target.replace(".", "/")
     documented = any(folder.startswith(f"{place}/") for _, place in REFERENCE.values())
+    documented &= not hasattr(found, "__path__")  # of a folder its files are
     return f"[`{shown}`][{target}]" if documented else f"`{shown}`"
 
 

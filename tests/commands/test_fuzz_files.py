@@ -11,6 +11,7 @@ import warnings
 from collections.abc import Callable
 from contextlib import suppress
 from importlib import import_module
+from types import SimpleNamespace
 from typing import NamedTuple
 
 import numpy as np
@@ -367,7 +368,7 @@ def no_work(monkeypatch):
     from train.verification import verify
 
     monkeypatch.setattr(compare, "_run", lambda *given: 0)
-    monkeypatch.setattr(training_run, "_loop", lambda *given: 0)
+    monkeypatch.setattr(training_run, "_loop", lambda *given: SimpleNamespace(status=0))
     monkeypatch.setattr(bench, "_groups", lambda *given: iter(()))
     monkeypatch.setattr(bench, "bytes_per_team", lambda *given: (0, 0))
     monkeypatch.setattr(measuring, "one_core_busy", lambda: 1 / 0)

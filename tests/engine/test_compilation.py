@@ -266,6 +266,8 @@ def all_kernels():
     found = {}
     for package in (rendezvous_env, baselines, train):
         for module in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
+            if ".adapters." in module.name:  # needs a learning library each, and has no kernels
+                continue
             for function in vars(importlib.import_module(module.name)).values():
                 if hasattr(function, "py_func"):
                     found[f"{function.__module__}.{function.__qualname__}"] = function
@@ -306,9 +308,7 @@ def test_no_kernel_that_counts_no_references_returns_an_array():
         for name, kernel in uncounted.items()
         if kernel._compiler.compile.__name__ != "compile_checked"
     }
-    # both give views to kernels that hold the arrays themselves
-    assert unchecked == {f"rendezvous_env.engine.step.{name}" for name in ("_lanes_of", "_hand_of")}
-    assert all(kernels[name].targetoptions["forceinline"] for name in unchecked)
+    assert not unchecked
     folders = {name.rpartition(".")[0].rpartition(".")[0] for name in uncounted}
     assert {f"rendezvous_env.{name}" for name in ("equations", "engine", "guarantee")} <= folders
     assert len(uncounted) > 100
