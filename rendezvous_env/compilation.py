@@ -53,13 +53,6 @@ def unfolded_kernel(function: Callable[..., Any]) -> Any:
     return _compile(function, allocates=False, unfolded=True, within=True)
 
 
-def inlined_view(function: Callable[..., Any]) -> Any:
-    """An inlined kernel that gives back views of arrays it was given: for callers that count no
-    references either.
-    """
-    return _compile(function, allocates=False, inlined=True, views=True, within=True)
-
-
 def allocating_kernel(function: Callable[..., Any]) -> Any:
     """A kernel that may allocate and return arrays."""
     return _compile(function, allocates=True)
@@ -71,7 +64,6 @@ def _compile(
     allocates: bool,
     inlined: bool = False,
     unfolded: bool = False,
-    views: bool = False,
     within: bool = False,
 ) -> Any:
     options = _options(allocates=allocates, inlined=inlined, within=within)
@@ -81,7 +73,7 @@ def _compile(
         keep(dispatcher)
         if within:
             _refuse_python(dispatcher)
-        if not (allocates or views):
+        if not allocates:
             _refuse_arrays(dispatcher)
     return dispatcher
 
