@@ -145,7 +145,9 @@ class RobotSlots:
 
     def _finish(self, over: NDArray[np.bool_], infos: Mapping[str, Any]) -> dict[int, Any]:
         """How the episodes of these teams went; their next ones start to count."""
-        told = {}
+        told: dict[int, Any] = {}
+        if not over.any():  # as after most steps
+            return told
         for team in np.flatnonzero(over).tolist():
             summary = {key: infos["final_info"][key][team].item() for key in STANDING}
             count = {"return": float(self._returns[team]), "length": int(self._lengths[team])}

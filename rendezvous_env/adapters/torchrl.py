@@ -191,7 +191,8 @@ class RendezvousEnv(EnvBase):
         last = self._start = observations, infos["active"], infos["contacts"]
         if not self._gives_state:
             self._begun = met | cut
-            last = _last(observations, infos, self._begun)
+            if self._begun.any():
+                last = _last(observations, infos, self._begun)
         return self._given(*last, met, cut, reward=infos["robot_rewards"].astype(np.float32))
 
     def _given(
@@ -228,10 +229,7 @@ def _last(
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_], NDArray[np.int64]]:
     """Observations, active and contacts at the end of the step, before anything began anew."""
     seen, active, _ = last_moments(observations, infos, over)
-    contacts = infos["contacts"]
-    if over.any():
-        contacts = np.where(over, infos["final_info"]["contacts"], contacts)
-    return seen, active, contacts
+    return seen, active, np.where(over, infos["final_info"]["contacts"], infos["contacts"])
 
 
 def _action_spec(space: Space[Any], batch: torch.Size) -> Bounded | Categorical:

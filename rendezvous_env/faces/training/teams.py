@@ -99,14 +99,16 @@ class TrainingTeams(gymnasium.vector.VectorWrapper):
                 nothing has changed then.
             RuntimeError: before the first reset.
         """
-        seen, _, ends, cuts, infos = self.env.step(actions)  # type: ignore[arg-type]
+        seen, rewards, ends, cuts, infos = self.env.step(actions)  # type: ignore[arg-type]
         first = self._touches.note(infos, ends | cuts)
-        infos["robot_rewards"] -= self.touch_penalty * first
+        if first.any():
+            infos["robot_rewards"] -= self.touch_penalty * first
+            rewards = infos["robot_rewards"].mean(axis=1)
         if "final_info" in infos:
             infos["final_info"]["robot_rewards"] = infos["robot_rewards"].copy()
             _leave_out_summary(infos["final_info"])
         _leave_out_summary(infos)
-        return seen, infos["robot_rewards"].mean(axis=1), ends, cuts, infos
+        return seen, rewards, ends, cuts, infos
 
     def state(self) -> NDArray[np.float32]:
         """The privileged global state of every team, (B, …), as ``RendezvousVectorEnv.state``."""

@@ -32,7 +32,8 @@ class FirstTouches:
             contact = np.where(over[:, None], infos["final_info"]["contact"], contact)
         first: NDArray[np.bool_] = contact & ~self.touched
         self.touched |= contact
-        self.forget(over)
+        if over.any():
+            self.forget(over)
         return first
 
     def forget(self, which: NDArray[np.bool_] | None = None) -> None:
