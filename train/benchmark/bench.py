@@ -79,7 +79,7 @@ def _groups(config: Config, console: Console) -> Iterator[list[Case]]:
         yield learned(max(2, config.num_envs // 4))
     if "adapters" in wanted:
         yield from (adapters(n, *size) for n in config.robots)
-        yield adapters_in_training(*size)
+        yield from adapters_in_training(*size)
         yield from rllib_in_training(*size)
     if {"robots", "ppo", "heading-ppo"} & set(wanted):
         yield from _learning_groups(config, wanted, console)

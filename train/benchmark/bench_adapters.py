@@ -1,7 +1,8 @@
 """What ``rendezvous bench`` times of the adapters: each learner's environment over ours.
 
-An adapter is timed on what it adapts: bare, with nothing but the physics of ``make_vec``, and in
-training, with all that ``vector.training_env`` does and episodes that end.
+An adapter is timed on what it adapts: bare, with nothing but the physics of ``make_vec``, where
+robots never meet and where they learn, and in training, with all that ``vector.training_env`` does
+and episodes that end.
 """
 
 from __future__ import annotations
@@ -43,10 +44,11 @@ def adapters(n: int, num_envs: int, num_threads: int | None) -> list[Case]:
     return _cases(spread_out(n), num_envs, num_threads, ("make_vec", _raw), BARE)
 
 
-def adapters_in_training(num_envs: int, num_threads: int | None) -> list[Case]:
-    """Steps of a training, for each learner that is installed."""
-    ours = "training_env", _training
-    return _cases(rv.scenarios.get(TRAINING), num_envs, num_threads, ours, {})
+def adapters_in_training(num_envs: int, num_threads: int | None) -> Iterator[list[Case]]:
+    """Steps where robots learn, bare and in training, for each learner that is installed."""
+    scenario = rv.scenarios.get(TRAINING)
+    yield _cases(scenario, num_envs, num_threads, (f"make_vec of {TRAINING}", _raw), BARE)
+    yield _cases(scenario, num_envs, num_threads, ("training_env", _training), {})
 
 
 def _cases(
