@@ -185,22 +185,24 @@ def _look_at_all(
         claim.name: blocks_of(claim, batches, config.seed, config.min_alignment) for claim in claims
     }
     blocks = [block for own in of_claim.values() for block in own]
-    kept = {block: load(part, block.name) for block in blocks}
-    seen = {block: one for block, one in kept.items() if one is not None}
-    left = [block for block in blocks if block not in seen]
+    kept = {block.name: load(part, block.name) for block in blocks}
+    seen = {name: one for name, one in kept.items() if one is not None}
+    left = [block for block in blocks if block.name not in seen]
     found = each(look, left, config.workers)
     with Progress(*bar, console=console, transient=True) as progress, closing(found):
         total = sum(count for _, count in batches)
         bars = {name: progress.add_task(name, total=total) for name in of_claim}
-        for block, one in seen.items():
-            progress.advance(bars[block.claim.name], one.finding.trials)
+        for name, own in of_claim.items():
+            known = (seen[block.name] for block in own if block.name in seen)
+            progress.advance(bars[name], sum(one.finding.trials for one in known))
         for number, one in found:
             block = left[number]
             save(part, block.name, one)
-            seen[block] = one
+            seen[block.name] = one
             progress.advance(bars[block.claim.name], one.finding.trials)
     return [
-        row_of(claim, config, [seen[block] for block in of_claim[claim.name]]) for claim in claims
+        row_of(claim, config, [seen[block.name] for block in of_claim[claim.name]])
+        for claim in claims
     ]
 
 
