@@ -25,11 +25,10 @@ install: .venv/installed
 test: lint
 	$(BIN)/python -m pytest -q -n 2 --dist loadfile
 
-# without the Ray cluster: after a kill its two nodes on one machine sometimes take their driver for gone
 test-slow: .venv/installed
 	$(BIN)/python -m pytest -q -m slow -n 2 --dist loadfile
 	NUMBA_BOUNDSCHECK=1 $(BIN)/python -m pytest -q -n 2 --dist loadfile $(WITH_KERNELS)
-	$(MAKE) $(patsubst %,test-adapter-%,$(filter-out cluster,$(LEARNERS)))
+	$(MAKE) test-adapters
 
 # the oldest Gymnasium and PettingZoo that are supported, in an environment of their own
 test-floors: .venv-floors/installed

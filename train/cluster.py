@@ -25,6 +25,9 @@ _AHEAD = 4
 """Tasks that each core of a cluster is given at a time: some wait, so that none of them idles."""
 _ANSWER = 10.0
 """s that a cluster has to answer."""
+_MODE = "RAY_AUTH_MODE"
+"""Where Ray reads whether a cluster asks for a token. Each process reads it for itself; Ray sets it
+in one that starts a cluster of its own."""
 _ALONE = {name: "1" for name in ("NUMBA_NUM_THREADS", "OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS")}
 
 
@@ -52,11 +55,12 @@ def spread(
         Number of a task and what it gave, as they end.
 
     Raises:
-        UserError: if there is no cluster, or a task has lost its worker too often.
+        UserError: if there is no cluster, it does not reach this process, or a task has lost its
+            worker too often.
         Exception: what a task raised.
     """
     import ray
-    from ray.exceptions import RayError, RayTaskError
+    from ray.exceptions import OwnerDiedError, RayError, RayTaskError
 
     with _joined(address, cores):
         ahead = jobs or _AHEAD * max(1, int(ray.cluster_resources().get("CPU", 1)))
@@ -74,6 +78,11 @@ def spread(
                 result = pickle.loads(ray.get(found))
             except RayTaskError as error:
                 raise error.cause from None
+            except OwnerDiedError as error:  # this process, which lives
+                raise UserError(
+                    f"the cluster did not reach this process to fetch a result: {_mode()}, and no "
+                    "firewall may stand between"
+                ) from error
             except RayError as error:
                 raise UserError(
                     f"workers of the cluster ended {tries} times at one task ({error}); memory "
@@ -86,6 +95,7 @@ def spread(
 def _joined(address: str | None, cores: int) -> Iterator[None]:
     """This process is a driver of the cluster."""
     import ray
+    from ray.exceptions import RayError
 
     if address:
         _check_answers(address)
@@ -97,12 +107,19 @@ def _joined(address: str | None, cores: int) -> Iterator[None]:
             log_to_driver=False,
             include_dashboard=None if address else False,
         )
-    except (ConnectionError, ValueError) as error:
+    except ValueError as error:
         raise UserError(f"--address {address}: {error}") from error
+    except (ConnectionError, RayError) as error:
+        raise UserError(f"--address {address}: {error}; {_mode()}") from error
     try:
         yield
     finally:
         ray.shutdown()
+
+
+def _mode() -> str:
+    """What two processes must have in common, in words."""
+    return f"{_MODE} is {os.environ.get(_MODE, 'not set')} here and must be that of the cluster"
 
 
 def _check_answers(address: str) -> None:

@@ -13,6 +13,7 @@ from pettingzoo.utils.wrappers import BaseParallelWrapper
 from ..experiment.checks import check_action
 from ..guarantee.action_filter import ActionFilter
 from .holding import check_period, restore
+from .overrides import NamesUnknownArguments
 from .parallel_env import RendezvousParallelEnv
 from .roster import Infos, Observations, StepReturn
 from .spaces import as_told, choice_box, filtered_observation_box
@@ -37,7 +38,7 @@ def base_of(env: Any, wrapper: str) -> RendezvousParallelEnv:
     )
 
 
-class FilterWrapper(BaseParallelWrapper):
+class FilterWrapper(NamesUnknownArguments, BaseParallelWrapper):
     """Robots choose; for ``decision_period`` base steps a filter makes actions of it.
 
     Args:

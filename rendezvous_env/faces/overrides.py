@@ -1,9 +1,12 @@
-"""Arguments that a door passes on: to the scenario, and to the wrapper of a guarantee."""
+"""Arguments by name: what a door passes on, to the scenario and to the wrapper of a guarantee, and
+what nobody knows.
+"""
 
 from __future__ import annotations
 
+import functools
 import inspect
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import fields
 from typing import Any
 
@@ -54,13 +57,39 @@ def sorted_overrides(
     """
     of_wrapper = _arguments(wrapper)[1:] if wrapper is not None else []
     known = [*of_wrapper, *_arguments(door)[:-1], *sorted(_FIELDS)]
-    for key in given:
-        if key not in of_wrapper and key not in _FIELDS:
-            near = nearest_word(key, known)
-            hint = f"did you mean {near!r}?" if near else f"known are {', '.join(known)}"
-            raise UnknownFieldError(f"{door.__name__} has no argument {shown(key)}; {hint}")
+    strange = [key for key in given if key not in of_wrapper and key not in _FIELDS]
+    _refuse(door.__name__, strange, known)
     arguments = {key: value for key, value in given.items() if key in of_wrapper}
     return arguments, {key: given[key] for key in given if key not in of_wrapper}
+
+
+class NamesUnknownArguments:
+    """To inherit from: constructors of subclasses refuse an unknown keyword with a TypeError that
+    names the nearest argument. One that collects keywords passes on what it likes.
+    """
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        """Wrap the constructor, if the subclass has one of its own."""
+        super().__init_subclass__(**options)
+        make = vars(cls).get("__init__")
+        if make is None or inspect.getfullargspec(make).varkw:
+            return
+        known = _arguments(make)[1:]
+
+        @functools.wraps(make)
+        def checked(self: Any, *arguments: Any, **given: Any) -> None:
+            _refuse(cls.__name__, [key for key in given if key not in known], known)
+            make(self, *arguments, **given)
+
+        setattr(cls, "__init__", checked)  # noqa: B010 - mypy forbids the plain assignment
+
+
+def _refuse(what: str, strange: Iterable[str], known: Iterable[str]) -> None:
+    """Refuse the first of strange words, with the known one that is most like it."""
+    for key in strange:
+        near = nearest_word(key, known)
+        hint = f"did you mean {near!r}?" if near else f"known are {', '.join(known)}"
+        raise UnknownFieldError(f"{what} has no argument {shown(key)}; {hint}")
 
 
 def _arguments(function: Callable[..., Any]) -> list[str]:

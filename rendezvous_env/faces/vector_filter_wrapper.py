@@ -19,6 +19,7 @@ from ..guarantee.action_filter import ActionFilter
 from ..outcome import Outcome
 from .holding import check_period, restore
 from .infos import Info, Transition, masked, of_all, step_info
+from .overrides import NamesUnknownArguments
 from .spaces import as_told, choice_box, filtered_observation_box, team_box
 from .vector_env import RendezvousVectorEnv
 
@@ -41,7 +42,7 @@ def check_ours(env: Any, wrapper: str) -> RendezvousVectorEnv:
     )
 
 
-class VectorFilterWrapper(gymnasium.vector.VectorWrapper):
+class VectorFilterWrapper(NamesUnknownArguments, gymnasium.vector.VectorWrapper):
     """Teams choose; for ``decision_period`` base steps a filter makes actions of it.
 
     Args:

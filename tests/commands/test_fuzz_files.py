@@ -365,7 +365,7 @@ def no_work(monkeypatch):
     from train.benchmark import bench, measuring
     from train.learning import training_run
     from train.pictures import render, style
-    from train.verification import verify
+    from train.verification import claim, verify
 
     monkeypatch.setattr(compare, "_run", lambda *given: 0)
     monkeypatch.setattr(training_run, "_loop", lambda *given: SimpleNamespace(status=0))
@@ -375,7 +375,7 @@ def no_work(monkeypatch):
     monkeypatch.setattr("train.benchmark.bench_figure.draw_growth", lambda *given: None)
     monkeypatch.setattr(render, "_write_film", lambda *given: None)
     monkeypatch.setattr(style, "save", lambda *given: None)
-    fine = verify.Finding(trials=1, margin=1.0, time_over_bound=0.5, violations=0)
+    fine = claim.Finding(trials=1, margin=1.0, time_over_bound=0.5, violations=0)
     monkeypatch.setattr(verify, "look", lambda block: verify.Seen(fine, 0.0, None))
 
 

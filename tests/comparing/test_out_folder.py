@@ -10,7 +10,7 @@ import sys
 import pytest
 
 from baselines import policy
-from train import cli, folders, results
+from train import cli, folders, results, unfinished
 from train.comparing import ceiling, cells, compare, out_folder, playing
 from train.comparing.out_folder import part_of
 from train.errors import UserError
@@ -142,7 +142,7 @@ class TestGoingOn:
         first = cells.plan_of(jobs, config(tmp_path))
         monkeypatch.setattr(cells.checkpoints, "describe", lambda place: {"sha256": "other"})
         second = cells.plan_of(jobs, config(tmp_path))
-        assert out_folder.run_id(first) != out_folder.run_id(second)
+        assert unfinished.run_id(first) != unfinished.run_id(second)
 
     def test_another_law_of_the_same_name_is_another_comparison(self, tmp_path, monkeypatch):
         registry = policy._registry
@@ -150,7 +150,7 @@ class TestGoingOn:
         first = cells.plan_of(jobs, config(tmp_path))
         mine = dataclasses.replace(registry["zero"], build=lambda scenario: None)
         monkeypatch.setitem(registry, "zero", mine)
-        assert out_folder.run_id(first) != out_folder.run_id(cells.plan_of(jobs, config(tmp_path)))
+        assert unfinished.run_id(first) != unfinished.run_id(cells.plan_of(jobs, config(tmp_path)))
 
     def test_a_part_folder_of_someone_else_stays(self, tmp_path):
         (tmp_path / "out.part").mkdir()

@@ -6,8 +6,8 @@ import sys
 import pytest
 
 from baselines.policy import kind_of
-from train import cli, policies, workers
-from train.comparing import cells, compare, out_folder
+from train import cli, policies, unfinished, workers
+from train.comparing import cells, compare
 from train.errors import UserError
 
 MINE = '''
@@ -90,7 +90,7 @@ def test_another_source_is_another_comparison(mine, tmp_path):
     first = cells.plan_of(jobs, config)
     with (tmp_path / f"{mine}.py").open("a") as file:
         file.write("\n# another law\n")
-    assert out_folder.run_id(first) != out_folder.run_id(cells.plan_of(jobs, config))
+    assert unfinished.run_id(first) != unfinished.run_id(cells.plan_of(jobs, config))
 
 
 @pytest.mark.parametrize(

@@ -151,6 +151,39 @@ def test_an_unknown_word_is_a_type_error_with_the_nearest_one(make, word, meant)
         make("fig3", **{word: 1})
 
 
+UNKNOWN = {
+    "HeadingVectorWrapper": ("min_alignmet", "min_alignment"),
+    "EnergyTankWrapper": ("bugdet", "budget"),
+    "GainWrapper": ("max_gains", "max_gain"),
+    "LinkKeepingWrapper": ("bearing_errors", "bearing_error"),
+}
+
+
+@pytest.mark.parametrize("name", WRAPPERS)
+@pytest.mark.parametrize("home", [rv, vector])
+def test_so_it_is_for_a_wrapper(home, name):
+    word, meant = UNKNOWN[name]
+    env = rv.parallel_env(SCENARIO) if home is rv else rv.make_vec(SCENARIO, 2)
+    wrapper = getattr(home, name)
+    with pytest.raises(TypeError, match=f"{name} has no argument '{word}'; did you mean '{meant}'"):
+        wrapper(env, **{word: 1})
+    with pytest.raises(TypeError, match=f"{name} has no argument 'zzz'; known are env, .*{meant}"):
+        wrapper(env, zzz=1)
+    assert wrapper(env=env).unwrapped is env.unwrapped
+
+
+@pytest.mark.parametrize("home", [rv, vector])
+def test_a_wrapper_of_ones_own_may_collect_words(home):
+    class Mine(home.HeadingVectorWrapper):
+        def __init__(self, env, **options):
+            super().__init__(env, **{"min_alignment": 0.4} | options)
+
+    env = rv.parallel_env(SCENARIO) if home is rv else rv.make_vec(SCENARIO, 2)
+    assert Mine(env, decision_period=3).decision_period == 3
+    with pytest.raises(TypeError, match="HeadingVectorWrapper has no argument 'period'; did you"):
+        Mine(env, period=3)
+
+
 TENSORS = {
     "that requires grad": {"requires_grad": True},
     "bfloat16 tensor": {"dtype": "bfloat16"},

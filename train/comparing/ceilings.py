@@ -8,10 +8,10 @@ from contextlib import closing
 from rich.console import Console
 
 from .. import results
+from ..unfinished import Part
 from ..workers import each
 from . import ceiling, cells, tables
 from .ceiling import Run, Task
-from .out_folder import Part
 from .plan import Config, Job
 from .playing import progress
 

@@ -6,15 +6,16 @@ import sys
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 
 from .. import folders
+from ..unfinished import Part
 from . import cells, gallery, level_tables, matrix, out_folder, ranking, tables
 from .ceilings import play_ceilings
 from .files import count_excess, description, paired_rows, write, write_summary
-from .out_folder import Part
 from .plan import Config, Job, plan
 from .playing import Played, play_all, play_job, summary
 
@@ -72,21 +73,13 @@ def run(config: Config) -> int:
                 soft_wrap=True,
             )
             return 0
-        try:
-            return _run(config, jobs, part, console, clock)
-        except KeyboardInterrupt as error:
-            if count := part.count():
-                error.add_note(
-                    f"{count} finished parts lie in {part.folder}; the same command goes on"
-                )
-            raise
-        finally:
-            part.discard_if_empty()
+        with part.at_work(console):
+            return _run(config, jobs, out, part, console, clock)
 
 
-def _run(config: Config, jobs: Sequence[Job], part: Part, console: Console, clock: _Clock) -> int:
-    if count := part.count():
-        console.print(f"goes on with {count} finished parts in {part.folder}", soft_wrap=True)
+def _run(
+    config: Config, jobs: Sequence[Job], out: Path, part: Part, console: Console, clock: _Clock
+) -> int:
     clock.now("setting up")
     played, compile_time = play_all(jobs, config, part, console)
     files = play_ceilings(part, jobs, config, console) if config.ceiling else []
@@ -104,7 +97,7 @@ def _run(config: Config, jobs: Sequence[Job], part: Part, console: Console, cloc
         files += gallery.draw(part, rows, played, config, console)
         clock.now("drawing")
     about = description(config, played, clock.timing())
-    part.finish(files, about)
+    out_folder.finish(out, part, files, about)
     if config.json is not None:
         kept = {name: about[name] for name in ("seed", "command_line", "versions", "timing")}
         write_summary(config.json, rankings, rows, pairs, kept)

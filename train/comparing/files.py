@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from .. import results
+from ..unfinished import Part
 from . import statistics
 from .episodes import Episodes
-from .out_folder import Part
 from .plan import Config
 from .playing import Played
 from .ranking import Ranking, answer

@@ -13,10 +13,10 @@ from rich.console import Console
 from rendezvous_env.experiment.scenario import Scenario
 
 from ..recording import Recording
+from ..unfinished import Part
 from ..workers import Workers, each
 from . import level_tables
 from .levels import Sweep
-from .out_folder import Part
 from .plan import Config
 from .playing import Played
 

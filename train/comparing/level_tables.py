@@ -11,9 +11,9 @@ from rich.markup import escape
 from rich.table import Table
 
 from .. import results
+from ..unfinished import Part
 from .levels import Sweep
 from .matrix import percent
-from .out_folder import Part
 
 COLUMNS = ("base", "field", "level", *results.RESULT_COLUMNS)
 """Of levels.csv: a scenario, a field of its sensor and the level at which it stands; then the row

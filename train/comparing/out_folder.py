@@ -1,15 +1,13 @@
 """How a result folder comes to stand at OUT: whole, or not at all.
 
-OUT.part holds a comparison that is not finished: plan.json says what was asked for, cells/ holds
-what was played. In the end it gets tables, figures and, last of all, run.json with the digests of
-all of them; then the rest goes and it is renamed to OUT. So wherever a kill strikes, OUT.part with
-a run.json is whole, OUT.part without one is gone on with, and what stood at OUT stays until then.
+OUT.part holds a comparison that is not finished (``unfinished``). In the end it gets tables,
+figures and, last of all, run.json with the digests of all of them; then the rest goes and it is
+renamed to OUT. So wherever a kill strikes, OUT.part with a run.json is whole, OUT.part without one
+is gone on with, and what stood at OUT stays until then.
 """
 
 from __future__ import annotations
 
-import hashlib
-import json
 import os
 import re
 import shutil
@@ -19,10 +17,11 @@ from typing import Any
 
 from baselines.learned import plain_data
 
-from .. import results
+from .. import results, unfinished
 from ..errors import UserError
+from ..unfinished import Part
 
-PLAN, RUN, _CELLS = "plan.json", "run.json", "cells"
+RUN = "run.json"
 _OURS = re.compile(
     r"(results|episodes|paired|ceiling|levels)\.csv|trajectories\.npz|run\.json|report\.html"
     r"|(success|times|against-.+|levels-.+|trajectories-.+)\.(png|pdf)"
@@ -77,50 +76,17 @@ def destination(given: Path) -> Path:
     return out
 
 
-def run_id(plan: Mapping[str, Any]) -> str:
-    """What was asked for, as a name: the same command gives the same one."""
-    return plain_data.digest(plan)[:16]
-
-
-class Part:
-    """OUT.part while a comparison goes on.
+def finish(out: Path, part: Part, files: Sequence[str], about: Mapping[str, Any]) -> None:
+    """Seal the files in OUT.part with run.json, and put them in the place of OUT.
 
     Args:
-        out: the folder that it becomes.
-        plan: plain data that says what is asked for.
+        out: the folder.
+        part: its OUT.part.
+        files: names, all written.
+        about: what run.json says besides.
     """
-
-    def __init__(self, out: Path, plan: Mapping[str, Any]) -> None:
-        self.out, self.folder = out, part_of(out)
-        self.run, self._plan = run_id(plan), plan
-
-    def begin(self) -> None:
-        """Make the folder, or go on with what is there."""
-        (self.folder / _CELLS).mkdir(parents=True, exist_ok=True)
-        results.write_json(self.folder / PLAN, {**self._plan, "run": self.run})
-
-    def cell(self, name: str) -> Path:
-        """The file of a cell."""
-        return self.folder / _CELLS / f"{name}.npz"
-
-    def count(self) -> int:
-        """How many cells are finished."""
-        return len(list((self.folder / _CELLS).glob("[!.]*.npz")))
-
-    def discard_if_empty(self) -> None:
-        """Remove the folder if no cell has been finished."""
-        if self.folder.is_dir() and not self.count():
-            shutil.rmtree(self.folder)
-
-    def finish(self, files: Sequence[str], about: Mapping[str, Any]) -> None:
-        """Seal the files in OUT.part with run.json, and put them in the place of OUT.
-
-        Args:
-            files: names, all written.
-            about: what run.json says besides.
-        """
-        seal(self.folder, files, {**about, "run": self.run})
-        promote(self.out)
+    seal(part.folder, files, {**about, "run": part.run})
+    promote(out)
 
 
 def seal(folder: Path, files: Sequence[str], about: Mapping[str, Any]) -> None:
@@ -150,15 +116,10 @@ def open_part(given: Path, out: Path, plan: Mapping[str, Any], *, fresh: bool) -
     Raises:
         UserError: if OUT.part is of something else.
     """
-    part = Part(out, plan)
+    part = Part(part_of(out), plan, "comparison")
     if settle(out) == part.run:
         return None
-    if part.folder.exists():
-        if fresh and (part.folder / PLAN).is_file():
-            shutil.rmtree(part.folder)
-        else:
-            _check_same(given, part.folder, plan)
-    part.begin()
+    part.begin(given, fresh=fresh)
     return part
 
 
@@ -199,7 +160,7 @@ def _rename(old: Path, new: Path) -> None:
 
 def _finished(part: Path) -> dict[str, Any]:
     """run.json of a folder that is whole."""
-    about = _read(part / RUN)
+    about = unfinished.read(part / RUN)
     if not is_sealed(about):
         raise UserError(f"{part / RUN}: its content was changed; remove {part}")
     return about
@@ -218,31 +179,3 @@ def _sync(path: Path) -> None:
         os.fsync(descriptor)
     finally:
         os.close(descriptor)
-
-
-def _read(path: Path) -> dict[str, Any]:
-    try:
-        return dict(plain_data.read_json(path))
-    except (OSError, ValueError, TypeError) as error:
-        raise UserError(f"{path}: not readable ({error}); remove {path.parent}") from error
-
-
-def _check_same(given: Path, folder: Path, plan: Mapping[str, Any]) -> None:
-    """Refuse to go on with another comparison than the one that was begun."""
-    if not (folder / PLAN).is_file():
-        raise UserError(f"{folder}: holds no {PLAN}, so compare has not made it; move it away")
-    stored = _read(folder / PLAN)
-    if stored.get("run") == run_id(plan):
-        return
-    plain = json.loads(json.dumps(plan))
-    other = next((key for key in plain if stored.get(key) != plain[key]), "run")
-    raise UserError(
-        f"{folder} holds an unfinished comparison of other {other} ({_short(stored.get(other))}, "
-        f"here {_short(plain.get(other))}): give its command to go on with it, --fresh to throw it "
-        f"away, or another folder than --out {given}"
-    )
-
-
-def _short(value: Any) -> str:
-    text = json.dumps(value)
-    return text if len(text) <= 60 else f"…{hashlib.sha256(text.encode()).hexdigest()[:8]}"

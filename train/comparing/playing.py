@@ -22,10 +22,10 @@ from rendezvous_env.experiment.scenario import Scenario
 
 from .. import policies
 from ..recording import Recording
+from ..unfinished import Part
 from ..workers import each
 from . import cells, statistics
 from .episodes import Episodes, play
-from .out_folder import Part
 from .plan import Config, Job
 
 BLOCK = 128

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import math
 import sys
-import time
 from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
@@ -17,13 +16,16 @@ from rich.table import Table
 
 from rendezvous_env.experiment.scenario import nearest_word
 
+from .. import folders
 from ..checks import check_least, check_most
 from ..errors import UserError
-from ..results import prepare_folder, write_csv
+from ..results import write_csv
+from ..unfinished import Part, program
 from ..workers import Place, Workers, each
+from .blocks import Seen, blocks_of, load, look, save
 from .cases import BATCH
-from .claim import Finding, worst
-from .claims import CLAIMS, AnyClaim, check
+from .claim import worst
+from .claims import CLAIMS, AnyClaim
 
 COLUMNS = (
     "claim",
@@ -37,9 +39,6 @@ COLUMNS = (
 """Of verify.csv; the margin is a share (of V(0), of the time limit, of 2 max a), and negative
 means violated, rounding aside."""
 
-_MOST_BLOCKS = 256
-"""Tasks of a claim."""
-
 
 @dataclass(frozen=True)
 class Config:
@@ -50,7 +49,8 @@ class Config:
     seed: int = 0
     """Other seeds draw other teams."""
     out: Path = Path("out/verify")
-    """Folder for verify.csv."""
+    """Folder for verify.csv. Until it is written what is finished lies in OUT/verify.part, and the
+    same command goes on with it."""
     min_alignment: float = 0.3
     """Least margin ε that is drawn; waiting times grow with 1/ε²."""
     claims: tuple[str, ...] = ()
@@ -64,6 +64,8 @@ class Config:
     """Where they work: on this machine, or on a Ray cluster."""
     address: str | None = None
     """Of the Ray cluster; none starts one on this machine."""
+    fresh: bool = False
+    """Whether to throw away what another command has left unfinished in OUT/verify.part."""
 
     @property
     def workers(self) -> Workers:
@@ -114,49 +116,6 @@ class Row:
     """The command that repeats it; empty without any."""
 
 
-@dataclass(frozen=True)
-class Block:
-    """Some batches of one claim, a task of its own."""
-
-    claim: AnyClaim
-    batches: tuple[tuple[int, int], ...]
-    """Numbers, and teams that count."""
-    seed: int
-    min_alignment: float
-
-
-class Seen(NamedTuple):
-    """What a block says."""
-
-    finding: Finding
-    seconds: float
-    first: int | None
-    """Number of the first batch with a violation."""
-
-
-def blocks_of(claim: AnyClaim, config: Config) -> list[Block]:
-    """The batches of a claim, cut into tasks."""
-    batches = config.batches()
-    size = math.ceil(len(batches) / _MOST_BLOCKS)
-    return [
-        Block(claim, tuple(batches[k : k + size]), config.seed, config.min_alignment)
-        for k in range(0, len(batches), size)
-    ]
-
-
-def look(block: Block) -> Seen:
-    """Check the batches of a block."""
-    began = time.perf_counter()
-    findings = [
-        check(block.claim, block.seed, batch, trials, block.min_alignment)
-        for batch, trials in block.batches
-    ]
-    numbers = (batch for batch, _ in block.batches)
-    violated = zip(numbers, findings, strict=True)
-    first = next((batch for batch, finding in violated if finding.violations), None)
-    return Seen(worst(findings), time.perf_counter() - began, first)
-
-
 def row_of(claim: AnyClaim, config: Config, seen: Sequence[Seen]) -> Row:
     """What all blocks of a claim say, in their order."""
     found = worst([one.finding for one in seen])
@@ -187,30 +146,69 @@ def run(config: Config, claims: Sequence[AnyClaim] = CLAIMS, console: Console | 
         UserError: for an impossible flag, or a folder that cannot be written to.
     """
     check_config(config)
-    path = prepare_folder(config.out) / "verify.csv"
     console = console or Console(width=None if sys.stdout.isatty() else 120)
     chosen = [claim for claim in claims if not config.claims or claim.name in config.claims]
-    trials = sum(count for _, count in config.batches())
+    path = config.out / "verify.csv"
+    part = Part(path.with_suffix(".part"), plan_of(config, chosen), "verification")
+    lock = folders.held(config.out / ".verify.lock", f"--out {config.out}")
+    with folders.made(config.out), lock:
+        part.begin(config.out, fresh=config.fresh)
+        with part.at_work(console):
+            rows = _look_at_all(config, chosen, part, console)
+            write_csv(path, COLUMNS, map(as_plain, rows))
+            part.discard()
+    return _report(rows, path, console)
+
+
+def plan_of(config: Config, claims: Sequence[AnyClaim]) -> dict[str, Any]:
+    """All that the numbers of a verification depend on, as plain data."""
+    asked = ("trials", "seed", "min_alignment", "only_batch")
+    return {
+        **program(),
+        **{name: getattr(config, name) for name in asked},
+        "claims": [claim.name for claim in claims],
+    }
+
+
+def _look_at_all(
+    config: Config, claims: Sequence[AnyClaim], part: Part, console: Console
+) -> list[Row]:
+    """Check what is not finished, under a progress bar for each claim."""
     bar = (
         TextColumn("{task.description:16}"),
         BarColumn(),
         MofNCompleteColumn(),
         TimeElapsedColumn(),
     )
-    blocks = [block for claim in chosen for block in blocks_of(claim, config)]
-    seen: dict[int, Seen] = {}
-    found = each(look, blocks, config.workers)
+    batches = config.batches()
+    of_claim = {
+        claim.name: blocks_of(claim, batches, config.seed, config.min_alignment) for claim in claims
+    }
+    blocks = [block for own in of_claim.values() for block in own]
+    kept = {block.name: load(part, block.name) for block in blocks}
+    seen = {name: one for name, one in kept.items() if one is not None}
+    left = [block for block in blocks if block.name not in seen]
+    found = each(look, left, config.workers)
     with Progress(*bar, console=console, transient=True) as progress, closing(found):
-        tasks = {claim.name: progress.add_task(claim.name, total=trials) for claim in chosen}
+        total = sum(count for _, count in batches)
+        bars = {name: progress.add_task(name, total=total) for name in of_claim}
+        for name, own in of_claim.items():
+            known = (seen[block.name] for block in own if block.name in seen)
+            progress.advance(bars[name], sum(one.finding.trials for one in known))
         for number, one in found:
-            seen[number] = one
-            progress.advance(tasks[blocks[number].claim.name], one.finding.trials)
-    of_claim: dict[str, list[Seen]] = {claim.name: [] for claim in chosen}
-    for number in sorted(seen):
-        of_claim[blocks[number].claim.name].append(seen[number])
-    rows = [row_of(claim, config, of_claim[claim.name]) for claim in chosen]
+            block = left[number]
+            save(part, block.name, one)
+            seen[block.name] = one
+            progress.advance(bars[block.claim.name], one.finding.trials)
+    return [
+        row_of(claim, config, [seen[block.name] for block in of_claim[claim.name]])
+        for claim in claims
+    ]
+
+
+def _report(rows: Sequence[Row], path: Path, console: Console) -> int:
+    """Print the table and what is violated; the exit status."""
     console.print(table_of(rows))
-    write_csv(path, COLUMNS, map(as_plain, rows))
     violated = [row for row in rows if row.violations]
     for row in violated:
         console.print(f"{row.claim.name} is violated; to repeat the first time:")

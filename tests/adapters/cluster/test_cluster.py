@@ -45,6 +45,30 @@ def two():
     cluster.shutdown()
 
 
+@pytest.fixture
+def open_to_all():
+    """Address of a cluster of two machines, started by a process that has no token."""
+    started = """
+from ray.cluster_utils import Cluster
+machine = {"num_cpus": 1, "object_store_memory": 10**8, "include_dashboard": False}
+cluster = Cluster(initialize_head=True, head_node_args=machine)
+cluster.add_node(num_cpus=1, object_store_memory=10**8)
+print(cluster.address, flush=True)
+input()
+cluster.shutdown()
+"""
+    with subprocess.Popen(
+        [sys.executable, "-c", started],
+        env=os.environ | {"RAY_AUTH_MODE": "disabled"},
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+    ) as process:
+        yield process.stdout.readline().strip()
+        process.communicate("\n", timeout=60)
+
+
 def busy(cluster):
     """Worker processes that are at a task of ours."""
     found = []
@@ -59,9 +83,10 @@ def busy(cluster):
     return found
 
 
-def command(*words):
+def command(*words, **environment):
     return subprocess.Popen(
         [sys.executable, "-m", "train.cli", *map(str, words)],
+        env=os.environ | environment,
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,
@@ -139,6 +164,21 @@ class TestEach:
     def test_what_a_task_raises_is_raised(self, two):
         with pytest.raises(UserError, match=r"^task \d cannot be$"):
             list(each(refuses, range(4), Workers(on="ray", address=two.address)))
+
+    def test_a_cluster_that_cannot_reach_this_process(self, open_to_all, tmp_path):
+        """It has no token, and this process answers nobody without one."""
+        tasks = [(number, tmp_path, 0) for number in range(8)]
+        said = r"did not reach this process to fetch a result: RAY_AUTH_MODE is token here"
+        with pytest.raises(UserError, match=said):
+            list(each(tried, tasks, Workers(on="ray", address=open_to_all)))
+
+    def test_a_cluster_that_does_not_let_this_process_in(self, two, tmp_path):
+        asks = ("verify", "--trials", 1, "--on", "ray", "--address", two.address)
+        done = command(*asks, "--out", tmp_path, RAY_AUTH_MODE="disabled")
+        said, _ = done.communicate(timeout=600)
+        assert done.returncode == 2
+        assert f"--address {two.address}: " in said
+        assert "RAY_AUTH_MODE is disabled here and must be that of the cluster" in said
 
     def test_no_cluster(self):
         with pytest.raises(UserError, match=r"--address 127\.0\.0\.1:9: no cluster answers there"):

@@ -1,0 +1,11 @@
+"""All processes of these tests have one token, whatever the machine and its Ray are set to.
+
+A process has the mode in which it first met Ray, and processes of different modes do not hear each
+other: cluster, commands and this process must begin with the same one.
+"""
+
+import os
+import secrets
+
+os.environ["RAY_AUTH_MODE"] = "token"
+os.environ["RAY_AUTH_TOKEN"] = secrets.token_hex(32)
