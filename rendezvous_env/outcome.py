@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .engine.memory import (
+    ELAPSED,
     LYAPUNOV_AFTER_MERGE,
     LYAPUNOV_BEFORE_MERGE,
     MERGE_EXCESS,
@@ -23,6 +24,7 @@ class Outcome:
         "active",
         "clearance",
         "contact",
+        "contacts",
         "observations",
         "results",
         "robot_rewards",
@@ -42,19 +44,26 @@ class Outcome:
     robot_rewards: NDArray[np.float64]
     """(B, n), the team reward of robots that took part in the step, else 0; with ``on_merge``
     "follow" all do."""
+    contacts: NDArray[np.int64]
+    """(B,), contacts in the episode so far, one for each robot and step."""
     results: Results
     """The same arrays as the kernels want them."""
 
     def __init__(self, results: Results, observed: tuple[int, ...]) -> None:
         self.results = results
         flat, _, self._scores, self.contact, self.clearance, self.active = results[:6]
-        self.status, self.robot_rewards = results[6:8]
+        self.status, self.robot_rewards, self.contacts = results[6:9]
         self.observations = flat.reshape(observed)
 
     @property
     def rewards(self) -> NDArray[np.float64]:
         """(B,), of the team."""
         return self._scores[REWARD]
+
+    @property
+    def so_far(self) -> NDArray[np.float64]:
+        """(3, B), of the episode: its time, s, the path length of all robots, m, and V, m²/s."""
+        return self._scores[ELAPSED:]
 
     @property
     def lyapunov_before_merge(self) -> NDArray[np.float64]:

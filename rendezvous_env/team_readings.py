@@ -22,6 +22,7 @@ from .engine.memory import (
 from .engine.state import State
 from .equations.size import size
 from .experiment.scenario import Scenario
+from .outcome import Outcome
 
 STANDING = ("success", "time", "contacts", "path_length", "lyapunov")
 """What ``TeamReadings.standing`` tells."""
@@ -134,22 +135,29 @@ class TeamReadings:
         """V = Σ_i Σ_j a_ij ‖p_i − p_j‖, (B,), m²/s, of the graph of the moment."""
         return self._entry(LYAPUNOV)
 
-    def standing(self) -> dict[str, NDArray[Any]]:
+    def standing(self, outcome: Outcome | None = None) -> dict[str, NDArray[Any]]:
         """How the teams stand in their episodes, (B,) each, by the names of STANDING: whether all
-        have met, s, contacts, m, V in m²/s. The same numbers as above, read at once.
+        have met, s, contacts, m, V in m²/s.
+
+        Args:
+            outcome: of the last step, if nothing has changed since; then it takes no time.
         """
-        state = self._state
-        table = state.teams.statistics.reshape(state.blocks, -1, state.lanes)
-        read = table.swapaxes(0, 1).reshape(-1, state.blocks * state.lanes)[:, : state.batch].copy()
-        time, contacts = read[STEPS] * self.scenario.tau, read[CONTACTS].astype(np.int64)
-        told = read[STATUS] == RENDEZVOUS, time, contacts, read[PATH_LENGTH], read[LYAPUNOV]
+        if outcome is None:
+            status, contacts = self.status, self.contacts
+            time, path_length, lyapunov = self.time, self.path_length, self.lyapunov()
+        else:
+            status, contacts = outcome.status, outcome.contacts
+            time, path_length, lyapunov = outcome.so_far
+        told = status == RENDEZVOUS, time, contacts, path_length, lyapunov
         return dict(zip(STANDING, told, strict=True))
 
-    def standing_of_first(self) -> dict[str, Any]:
+    def standing_of_first(self, outcome: Outcome | None = None) -> dict[str, Any]:
         """``standing`` of team 0, as Python's own numbers; quicker where there is no other."""
-        read = self._state.teams.statistics[0].tolist()[:: self._state.lanes]
-        time, contacts = read[STEPS] * self.scenario.tau, int(read[CONTACTS])
-        told = read[STATUS] == RENDEZVOUS, time, contacts, read[PATH_LENGTH], read[LYAPUNOV]
+        if outcome is None:
+            return {key: values[0].item() for key, values in self.standing().items()}
+        met, contacts = outcome.status.item(0) == RENDEZVOUS, outcome.contacts.item(0)
+        time, path_length, lyapunov = outcome.so_far[:, 0].tolist()
+        told = met, time, contacts, path_length, lyapunov
         return dict(zip(STANDING, told, strict=True))
 
     def size(self) -> NDArray[np.float64]:

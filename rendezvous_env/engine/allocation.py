@@ -55,6 +55,7 @@ class Arrangement:
         slots = scenario.observation_layout.neighbour_slots
         self.neighbours = slots if alone else n - 1
         self.packed = self.sparse or slots != n - 1
+        self.observed = scenario.observation_layout.shape
 
 
 def empty_teams(place: Arrangement) -> Teams:
@@ -153,8 +154,7 @@ def drafts(place: Arrangement, count: int) -> Drafts:
 
 def new_results(place: Arrangement) -> Results:
     """Room for what a step gives out."""
-    batch, n, layout = place.batch, place.scenario.n_robots, place.scenario.observation_layout
-    rows, d = layout.shape
+    batch, n, (rows, d) = place.batch, place.scenario.n_robots, place.observed
     observations = np.empty((batch, n * rows * d), np.float32)
     return Results(
         observations,
@@ -165,6 +165,7 @@ def new_results(place: Arrangement) -> Results:
         np.empty((batch, n), np.bool_),
         np.empty(batch, np.int64),
         np.empty((batch, n)),
+        np.empty(batch, np.int64),
         np.empty(batch, np.int64),
     )
 

@@ -7,10 +7,13 @@ from .memory import (
     AWAITING_RESET,
     CLOSENESS,
     CONTACTS,
+    ELAPSED,
     INITIAL_LYAPUNOV,
+    LENGTH,
     LYAPUNOV,
     LYAPUNOV_AFTER_MERGE,
     LYAPUNOV_BEFORE_MERGE,
+    LYAPUNOV_NOW,
     MERGED,
     PATH_LENGTH,
     PROXIMITY,
@@ -46,6 +49,7 @@ def conclude_block(block, count, layout, constants, teams, results, buffers):
             results.scores[row, first + lane] = tally[(SCORED + row) * lanes + lane]
     for lane in range(count):
         results.status[first + lane] = int(statistics[STATUS * lanes + lane])
+        results.contacts[first + lane] = int(statistics[CONTACTS * lanes + lane])
     _reward_robots(first, count, layout, constants, statistics, teams, results, buffers)
 
 
@@ -83,6 +87,9 @@ def _conclude(layout, constants, found, tally, statistics):
         statistics[CONTACTS * lanes + lane] += touches
         merged = tally[PROXIMITY * lanes + lane] == MERGED
         tally[(SCORED + REWARD) * lanes + lane] = reward if running else 0.0
+        tally[(SCORED + ELAPSED) * lanes + lane] = steps * constants.duration
+        tally[(SCORED + LENGTH) * lanes + lane] = statistics[PATH_LENGTH * lanes + lane]
+        tally[(SCORED + LYAPUNOV_NOW) * lanes + lane] = now
         for row in (_BEFORE_MERGE, _AFTER_MERGE):
             tally[row * lanes + lane] = tally[row * lanes + lane] if merged else now
 

@@ -41,11 +41,14 @@ it as float64, exact up to 2⁵³, because reward and end are computed over lane
     SQUARE_CLOSEST,
 ) = range(len(STATISTICS))
 
-SCORES = 5
-REWARD, LYAPUNOV_BEFORE_MERGE, LYAPUNOV_AFTER_MERGE, MERGE_RISE, MERGE_EXCESS = range(SCORES)
+SCORES = 8
+REWARD, LYAPUNOV_BEFORE_MERGE, LYAPUNOV_AFTER_MERGE, MERGE_RISE, MERGE_EXCESS, *_ = range(SCORES)
+ELAPSED, LENGTH, LYAPUNOV_NOW = range(MERGE_EXCESS + 1, SCORES)
 """Rows of ``Results.scores``: the team reward; V just before the first and after the last merge
 of the step (V at its end if there was none); the largest rise of V at a merge, and above the bound
-of theory 5."""
+of theory 5; time and length of all paths since the start of the episode, s and m; V at the end of
+the step. The last three are told in every step, and to read them out of the statistics would take
+longer than the step of small teams."""
 
 PROXIMITY, WAY, TOUCHES, CLOSENESS, SCORED = range(5)
 """Rows of ``Lanes.tally``: see ``FREE``; the ways of all robots together, m; robots in contact
@@ -144,7 +147,7 @@ class Results(NamedTuple):
     whole_rows: NDArray[Any]
     """The same memory, as ``Lanes.whole_rows``."""
     scores: NDArray[np.float64]
-    """(5, B), rows REWARD … MERGE_EXCESS."""
+    """(8, B), rows REWARD … LYAPUNOV_NOW."""
     contact: NDArray[np.bool_]
     """(B, n), whether the robot touched an obstacle in this step."""
     clearance: NDArray[np.float64]
@@ -155,6 +158,8 @@ class Results(NamedTuple):
     """(B,), RUNNING, RENDEZVOUS or TIME_OUT."""
     robot_rewards: NDArray[np.float64]
     """(B, n), the team reward of robots that take part in the step, else 0."""
+    contacts: NDArray[np.int64]
+    """(B,), in the episode so far."""
     crowded: NDArray[np.int64]
     """(B,), a robot with more neighbours than the observation has rows; −1 if there is none."""
 

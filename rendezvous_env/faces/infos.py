@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -31,7 +32,7 @@ def start_info(simulator: Simulator) -> Info:
 
 def step_info(simulator: Simulator, outcome: Outcome) -> Info:
     """Infos of all teams after a step, without masks."""
-    return simulator.standing() | {
+    return simulator.standing(outcome) | {
         "robot_rewards": outcome.robot_rewards,
         "active": outcome.active,
         "merged_into": simulator.merged_into,
@@ -52,7 +53,13 @@ def masked(infos: Info, mask: NDArray[np.bool_]) -> Info:
 
 def _with_masks(infos: Info, masks: NDArray[np.bool_]) -> Info:
     """To every key a mask ``_key`` of its own."""
-    return infos | {f"_{key}": own for key, own in zip(infos, masks, strict=True)}
+    return infos | dict(zip(_names_of_masks(tuple(infos)), masks, strict=True))
+
+
+@lru_cache
+def _names_of_masks(keys: tuple[str, ...]) -> tuple[str, ...]:
+    """Kept, since they are the same in each step."""
+    return tuple(f"_{key}" for key in keys)
 
 
 def of_first_team(infos: Info) -> Info:
