@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from .engine.allocation import Arrangement, new_results
 from .engine.beginning.episodes import Episodes
 from .engine.footprint import check_memory
-from .engine.memory import RUNNING, Results
+from .engine.memory import ELAPSED, LYAPUNOV_NOW, RUNNING, Results
 from .engine.state import State
 from .engine.state_checks import check_entries, check_results, check_teams
 from .engine.step import first_not_finite
@@ -124,8 +124,10 @@ class Simulator(TeamReadings):
         if outcome is not None:
             results = outcome.results
             results.contact[which], results.active[which] = False, True
-            results.status[which] = RUNNING
+            results.status[which], results.contacts[which] = RUNNING, 0
             self._stepper.observe_again(which, results)
+            results.scores[ELAPSED:, which] = 0.0
+            results.scores[LYAPUNOV_NOW, which] = self.lyapunov()[which]
             self._refuse_crowds(results)
 
     def _begin(
@@ -137,7 +139,7 @@ class Simulator(TeamReadings):
     ) -> None:
         self._all_running = False  # not known, should an interrupt leave from here
         self._episodes.begin(which, seeds, given, resting)
-        self._all_running = self._none_rests()
+        self._all_running = not (resting and len(which)) and self._none_rests()
         self._ready = True
 
     def step(self, actions: ArrayLike) -> Outcome:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..equations.robots.motion import begin_memory, is_described
+from ..equations.shapes.obstacles import World
 from ..experiment import packing
 from ..experiment.checks import shown
 from ..experiment.obstacles import Field
@@ -195,8 +196,11 @@ def _draws_links(scenario: Scenario) -> bool:
     return drawn or getattr(graph, "order", "cyclic") == "random"
 
 
-def fixed_obstacles(scenario: Scenario) -> NDArray[np.float64] | None:
-    """The table of the scenario's obstacles, (1, M, width); None if they are drawn."""
-    if isinstance(scenario.obstacles, Field):
+def fixed_obstacles(scenario: Scenario) -> World | None:
+    """The scenario's obstacles, leading axis 1; None if they are drawn, or there is no room for
+    any.
+    """
+    slots = scenario.observation_layout.obstacle_slots
+    if isinstance(scenario.obstacles, Field) or slots == 0:
         return None
-    return packing.pack(scenario.obstacles, scenario.observation_layout.obstacle_slots)[None]
+    return packing.world_of(packing.pack(scenario.obstacles, slots)[None])

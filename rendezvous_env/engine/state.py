@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..equations.shapes.obstacles import World
 from ..experiment import packing
 from . import link_tables
 from .allocation import Arrangement, empty_obstacles, empty_past, empty_teams
@@ -196,10 +197,9 @@ class State:
                 overwrite(array, which, values, log)
 
     def give_obstacles(
-        self, tables: NDArray[np.float64], which: NDArray[np.int64], log: list[Overwritten]
+        self, world: World, which: NDArray[np.int64], log: list[Overwritten]
     ) -> None:
-        """Write given obstacles, (count or 1, M, width)."""
-        world = packing.world_of(tables)
+        """Write obstacles: the same for all of these teams, or of each."""
         for array, numbers in zip(self.obstacles, world, strict=True):
             overwrite(array, which, numbers, log)
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ..outcome import Outcome
 from ..simulator import Simulator
+from ..team_readings import STANDING
 
 Info = dict[str, Any]
 Transition = tuple[
@@ -41,6 +42,11 @@ def step_info(simulator: Simulator, outcome: Outcome) -> Info:
     }
 
 
+def summary_of(infos: Info, ended: NDArray[np.bool_]) -> Info:
+    """How the episodes of these teams went, of ``step_info``, as copies."""
+    return masked({key: infos[key].copy() for key in STANDING}, ended)
+
+
 def of_all(infos: Info, num_envs: int) -> Info:
     """Infos that every team has, in Gymnasium's form."""
     return _with_masks(infos, np.ones((len(infos), num_envs), dtype=np.bool_))
@@ -48,7 +54,7 @@ def of_all(infos: Info, num_envs: int) -> Info:
 
 def masked(infos: Info, mask: NDArray[np.bool_]) -> Info:
     """Infos of the teams of a mask, in Gymnasium's form."""
-    return _with_masks(infos, np.repeat(mask[None], len(infos), axis=0))
+    return _with_masks(infos, np.full((len(infos), len(mask)), mask))
 
 
 def _with_masks(infos: Info, masks: NDArray[np.bool_]) -> Info:

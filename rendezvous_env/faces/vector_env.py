@@ -18,7 +18,7 @@ from ..experiment.checks import flag
 from ..experiment.start_options import as_options
 from ..outcome import Outcome
 from ..simulator import Simulator
-from .infos import Info, Transition, masked, of_all, start_info, step_info
+from .infos import Info, Transition, masked, of_all, start_info, step_info, summary_of
 from .spaces import action_box, as_told, observation_box, state_box, team_box, team_state
 
 
@@ -158,8 +158,8 @@ class RendezvousVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
             if mode is AutoresetMode.SAME_STEP:
                 infos = self._begin_anew(outcome, infos, ended)
             else:
-                infos = of_all(infos, self.num_envs)
-                infos |= masked({"summary": masked(simulator.standing(), ended)}, ended)
+                summary = {"summary": summary_of(infos, ended)}
+                infos = of_all(infos, self.num_envs) | masked(summary, ended)
         self.renderer.see(outcome.contact)
         observations = as_told(outcome.observations, self.flatten)
         return observations, outcome.rewards, terminations, truncations, infos
@@ -171,9 +171,9 @@ class RendezvousVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
         for team in np.flatnonzero(ended).tolist():
             final_obs[team] = as_told(outcome.observations[team], self.flatten).copy()
         final_info = {key: values.copy() for key, values in infos.items()}
-        final_info["summary"] = masked(simulator.standing(), ended)
+        final_info["summary"] = summary_of(infos, ended)
         simulator.restart(ended, outcome)
-        infos |= {"merged_into": simulator.merged_into, **simulator.standing()}
+        infos |= {"merged_into": simulator.merged_into, **simulator.standing(outcome)}
         return of_all(infos, self.num_envs) | masked(
             {"final_obs": final_obs, "final_info": masked(final_info, ended)}, ended
         )

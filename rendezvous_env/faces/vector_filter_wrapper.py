@@ -18,7 +18,7 @@ from ..experiment.start_options import as_options
 from ..guarantee.action_filter import ActionFilter
 from ..outcome import Outcome
 from .holding import check_period, restore
-from .infos import Info, Transition, masked, of_all, step_info
+from .infos import Info, Transition, masked, of_all, step_info, summary_of
 from .overrides import NamesUnknownArguments
 from .spaces import as_told, choice_box, filtered_observation_box, team_box
 from .vector_env import RendezvousVectorEnv
@@ -134,7 +134,7 @@ class VectorFilterWrapper(NamesUnknownArguments, gymnasium.vector.VectorWrapper)
         terminations = simulator.status == RENDEZVOUS
         truncations = simulator.status == TIME_OUT
         ended = terminations | truncations
-        summary = {"summary": masked(simulator.standing(), ended)} if ended.any() else {}
+        summary = {"summary": summary_of(infos, ended)} if ended.any() else {}
         final: Info = {}
         seen = self._see(None)
         if env.autoreset_mode is AutoresetMode.SAME_STEP and ended.any():
@@ -171,7 +171,7 @@ class VectorFilterWrapper(NamesUnknownArguments, gymnasium.vector.VectorWrapper)
         simulator = self.env.simulator
         simulator.restart(which, outcome)
         self._forget(which)
-        infos |= {"merged_into": simulator.merged_into, **simulator.standing()}
+        infos |= {"merged_into": simulator.merged_into, **simulator.standing(outcome)}
         infos["contact"][which] = False
         for key, values in self._filter.told.items():
             infos[key][which] = values[which]

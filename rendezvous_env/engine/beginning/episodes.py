@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...compilation import entry_point
+from ...experiment.packing import world_of
 from ...experiment.start_options import StartOptions
 from ..allocation import drafts
 from ..link_tables import listed
@@ -152,8 +153,6 @@ class Episodes:
         frames, obstacles = given.frames, given.obstacles
         if frames is None and not scenario.model.nonholonomic and scenario.local_frames == "global":
             frames = np.broadcast_to(np.eye(d), (1, n, d, d))
-        if obstacles is None:
-            obstacles = self._obstacles
         if positions is not None:
             state.give("positions", _for_each(positions, which), which, log)
         if angles is not None:
@@ -170,7 +169,9 @@ class Episodes:
         elif self._links is not None:
             state.give_links(self._links, which, log)
         if obstacles is not None and obstacles.size:
-            state.give_obstacles(_for_each(obstacles, which), which, log)
+            state.give_obstacles(world_of(_for_each(obstacles, which)), which, log)
+        elif self._obstacles is not None and obstacles is None:
+            state.give_obstacles(self._obstacles, which, log)
         return rules._replace(
             draw_positions=positions is None,
             draw_memory=angles is None,
