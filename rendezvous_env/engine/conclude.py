@@ -9,7 +9,7 @@ from .memory import (
     CONTACTS,
     ELAPSED,
     INITIAL_LYAPUNOV,
-    LENGTH,
+    WALKED,
     LYAPUNOV,
     LYAPUNOV_AFTER_MERGE,
     LYAPUNOV_BEFORE_MERGE,
@@ -88,7 +88,7 @@ def _conclude(layout, constants, found, tally, statistics):
         merged = tally[PROXIMITY * lanes + lane] == MERGED
         tally[(SCORED + REWARD) * lanes + lane] = reward if running else 0.0
         tally[(SCORED + ELAPSED) * lanes + lane] = steps * constants.duration
-        tally[(SCORED + LENGTH) * lanes + lane] = statistics[PATH_LENGTH * lanes + lane]
+        tally[(SCORED + WALKED) * lanes + lane] = statistics[PATH_LENGTH * lanes + lane]
         tally[(SCORED + LYAPUNOV_NOW) * lanes + lane] = now
         for row in (_BEFORE_MERGE, _AFTER_MERGE):
             tally[row * lanes + lane] = tally[row * lanes + lane] if merged else now

@@ -43,7 +43,7 @@ it as float64, exact up to 2⁵³, because reward and end are computed over lane
 
 SCORES = 8
 REWARD, LYAPUNOV_BEFORE_MERGE, LYAPUNOV_AFTER_MERGE, MERGE_RISE, MERGE_EXCESS, *_ = range(SCORES)
-ELAPSED, LENGTH, LYAPUNOV_NOW = range(MERGE_EXCESS + 1, SCORES)
+ELAPSED, WALKED, LYAPUNOV_NOW = range(MERGE_EXCESS + 1, SCORES)
 """Rows of ``Results.scores``: the team reward; V just before the first and after the last merge
 of the step (V at its end if there was none); the largest rise of V at a merge, and above the bound
 of theory 5; time and length of all paths since the start of the episode, s and m; V at the end of

@@ -16,9 +16,11 @@ from .bench_cases import Case, Running, spread_out
 
 def wrapped(n: int, num_envs: int, num_threads: int | None) -> list[Case]:
     """Steps of many teams under random choices, beside the certified heading's."""
+    # robots that are steered go towards each other, unlike those of random actions
+    scenario = spread_out(n).replace(spawn_size=1e6 * n)
 
     def build(wrap: Callable[[Any], Any]) -> Running:
-        venv = wrap(rv.make_vec(spread_out(n), num_envs, num_threads=num_threads))
+        venv = wrap(rv.make_vec(scenario, num_envs, num_threads=num_threads))
         venv.reset(seed=0)
         choices = np.random.default_rng(0).uniform(-1, 1, (8, *venv.action_space.shape))
         tape = itertools.cycle(choices.astype(np.float32))

@@ -38,6 +38,7 @@ def random_steps():
 
 
 torch.manual_seed(0)
+np.random.seed(0)  # AgileRL draws minibatches from it
 torch.set_num_threads(1)
 learner = IPPO(
     observation_spaces=[one.observation_space(name) for name in names],
