@@ -9,7 +9,6 @@ from .memory import (
     CONTACTS,
     ELAPSED,
     INITIAL_LYAPUNOV,
-    WALKED,
     LYAPUNOV,
     LYAPUNOV_AFTER_MERGE,
     LYAPUNOV_BEFORE_MERGE,
@@ -26,6 +25,7 @@ from .memory import (
     STEPS,
     TIME_OUT,
     TOUCHES,
+    WALKED,
     WAY,
     lane_count,
 )
