@@ -12,6 +12,7 @@ from collections import Counter
 from pathlib import Path
 
 import numpy as np
+import one_mode  # noqa: F401
 import pytest
 
 pytest.importorskip("ray")
