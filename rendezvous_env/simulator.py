@@ -108,9 +108,9 @@ class Simulator(TeamReadings):
 
         Args:
             mask: (B,), which teams.
-            outcome: what the last step gave out; in place of these teams' last observation, contact
-                and clearance it takes those of their start. If None, they pass the next step
-                without moving and are observed there.
+            outcome: what the last step gave out; in place of these teams' last observation,
+                contact, clearance and standing it takes those of their start. If None, they pass
+                the next step without moving and are observed there.
 
         Raises:
             ValueError: for a bad mask, or an outcome of other teams; nothing has changed then.
