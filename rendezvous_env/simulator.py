@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .engine.allocation import Arrangement, new_results
+from .engine.allocation import Arrangement
 from .engine.beginning.episodes import Episodes
 from .engine.footprint import check_memory
 from .engine.memory import ELAPSED, LYAPUNOV_NOW, RUNNING, Results
@@ -65,7 +65,7 @@ class Simulator(TeamReadings):
         self._state = State(Arrangement(scenario, self.num_envs))
         self._stepper = stepper = Stepper(self._state, self.num_threads, self.max_steps)
         self._episodes = Episodes(self._state, stepper.layout, stepper.robot, stepper.hands)
-        self._given_out = tuple((a.shape, a.dtype) for a in new_results(self._state.place))
+        self._given_out = tuple((a.shape, a.dtype) for a in stepper.forms.new())
         self._all_running = self._none_rests()
         self._ready = False
 

@@ -37,10 +37,8 @@ def advance_block(
     block, count, layout, constants, robot, teams, links, obstacles, results, buffers, hand
 ):
     """Carry out the displacements; teams in which something can meet go one by one."""
-    lanes = lane_count(layout.width)
-    first, tally = block * lanes, buffers.tally
+    lanes, tally = lane_count(layout.width), buffers.tally
     tally[:] = 0.0
-    results.contact[first : first + count] = False
     _mark_near(block, layout, constants, teams, obstacles, buffers)
     for lane in range(count):
         if tally[PROXIMITY * lanes + lane] != FREE:

@@ -24,6 +24,7 @@ from .memory import (
     Teams,
 )
 
+_FLOAT32, _BOOL, _INT64 = np.dtype(np.float32), np.dtype(np.bool_), np.dtype(np.int64)
 _FEWEST_SIDE_BY_SIDE = 5
 """Teams from which a block of 32 lanes pays; a processor does four of them at once."""
 _SPARSE_FROM = 48
@@ -152,22 +153,39 @@ def drafts(place: Arrangement, count: int) -> Drafts:
     )
 
 
-def new_results(place: Arrangement) -> Results:
-    """Room for what a step gives out."""
-    batch, n, (rows, d) = place.batch, place.scenario.n_robots, place.observed
-    observations = np.empty((batch, n * rows * d), np.float32)
-    return Results(
-        observations,
-        whole_rows(observations, d),
-        np.empty((SCORES, batch)),
-        np.empty((batch, n), np.bool_),
-        np.empty((batch, n)),
-        np.empty((batch, n), np.bool_),
-        np.empty(batch, np.int64),
-        np.empty((batch, n)),
-        np.empty(batch, np.int64),
-        np.empty(batch, np.int64),
-    )
+class Forms:
+    """Room for what steps give out, filled in with what holds of most of them: nobody touches an
+    obstacle, none is near, and no robot has merged. Kernels write what is otherwise.
+
+    Args:
+        place: of the teams.
+    """
+
+    def __init__(self, place: Arrangement) -> None:
+        batch, n, (rows, self._dim) = place.batch, place.scenario.n_robots, place.observed
+        self._observations, self._scores = (batch, n * rows * self._dim), (SCORES, batch)
+        self._numbers, self._robots = (batch,), (batch, n)
+        self._everybody = np.ones((batch, n), np.bool_)  # to copy it is quicker than to fill
+        blank = place.scenario.observation_layout.obstacle_slots == 0
+        self._nothing_near = np.full((batch, n), np.inf) if blank else None
+        self._crowded = np.full(batch, -1)
+
+    def new(self) -> Results:
+        """Fresh arrays, but for ``crowded``."""
+        empty, robots, numbers, near = np.empty, self._robots, self._numbers, self._nothing_near
+        observations = empty(self._observations, _FLOAT32)
+        return Results(
+            observations,
+            whole_rows(observations, self._dim),
+            empty(self._scores),
+            np.zeros(robots, _BOOL),
+            empty(robots) if near is None else near.copy(),
+            self._everybody.copy(),
+            empty(numbers, _INT64),
+            empty(robots),
+            empty(numbers, _INT64),
+            self._crowded,
+        )
 
 
 def whole_rows(rows: NDArray[np.float32], dim: int) -> NDArray[Any]:

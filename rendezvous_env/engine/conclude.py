@@ -98,7 +98,6 @@ def _conclude(layout, constants, found, tally, statistics):
 def _reward_robots(first, count, layout, constants, statistics, teams, results, buffers):
     """Who exists, and what everybody earns."""
     n, tally, lanes = teams.merged_into.shape[1], buffers.tally, lane_count(layout.width)
-    results.active[first : first + count] = True
     for i in range(n):
         for lane in range(count):
             results.robot_rewards[first + lane, i] = tally[(SCORED + REWARD) * lanes + lane]

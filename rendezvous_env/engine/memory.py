@@ -140,7 +140,9 @@ class Teams(NamedTuple):
 
 
 class Results(NamedTuple):
-    """Where a step writes what it gives out."""
+    """Where a step writes what it gives out. Before, nobody is in contact, everybody active, and
+    without obstacles every clearance inf.
+    """
 
     observations: NDArray[np.float32]
     """(B, n·rows·d)."""
@@ -161,7 +163,8 @@ class Results(NamedTuple):
     contacts: NDArray[np.int64]
     """(B,), in the episode so far."""
     crowded: NDArray[np.int64]
-    """(B,), a robot with more neighbours than the observation has rows; −1 if there is none."""
+    """(B,), a robot with more neighbours than the observation has rows; −1 if there is none. The
+    same memory in every step: it is looked at once."""
 
 
 class Lanes(NamedTuple):

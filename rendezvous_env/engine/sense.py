@@ -38,7 +38,6 @@ def sense_block(
     first = block * lanes
     buffers.pair[:lanes] = 0.0
     buffers.pair[lanes : 2 * lanes] = np.inf
-    results.crowded[first : first + count] = -1
     bring_links_up(block, layout, constants, moves, teams, links)
     _sense_neighbours(block, layout, constants, teams, links, results, buffers, hand)
     for lane in range(lanes):

@@ -49,11 +49,7 @@ def sense_obstacles(
     """Silhouettes, clearances, the least clearance of the episode, and closeness for the reward."""
     lanes = lane_count(layout.width)
     first, n = block * lanes, hand.lengths.shape[0]
-    if obstacles is None:
-        for lane in range(count):
-            for i in range(n):
-                results.clearance[first + lane, i] = np.inf
-    else:
+    if obstacles is not None:
         _see_discs(block, count, layout, constants, teams, results, buffers, layout.axes)
         _see_others(
             block, count, layout, constants, teams, links, obstacles, results, buffers, hand

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..compilation import entry_point
-from .allocation import Arrangement, hands_of_threads, lanes_of_threads, new_results
+from .allocation import Arrangement, Forms, hands_of_threads, lanes_of_threads
 from .memory import Results
 from .pool import threads
 from .pool.sharing import example_part
@@ -34,7 +34,7 @@ class Stepper:
     """
 
     def __init__(self, state: State, num_threads: int | None, max_steps: int) -> None:
-        place = state.place
+        place, n = state.place, state.place.scenario.n_robots
         self._state, self.width = state, _width(place, num_threads)
         self.layout, self.robot = layout(place), robot(place.scenario)
         self._sensor = sensor(state)
@@ -42,8 +42,10 @@ class Stepper:
         """Working memory for one team, with a leading axis for the threads."""
         self._at_work = tuple(lanes_of_threads(place, self.width)), tuple(self.hands)
         self._blocks = np.arange(place.blocks)
-        action = place.scenario.n_robots * place.scenario.action_size
-        self._no_actions = np.zeros((place.batch, action), np.float32)
+        self.forms = Forms(place)
+        """Where it writes what it gives out."""
+        self._may_crowd = place.scenario.observation_layout.neighbour_slots < n - 1
+        self._no_actions = np.zeros((place.batch, n * place.scenario.action_size), np.float32)
         self._run: Callable[..., Any] | None = None
         self.limit(max_steps)
 
@@ -57,14 +59,14 @@ class Stepper:
         Args:
             actions: (B, n, a), checked.
         """
-        results = new_results(self._state.place)
+        results = self.forms.new()
         table = actions.reshape(self._state.batch, -1)
         self._share(True, self._blocks, table, results, self.width)
         return results
 
     def observe(self) -> Results:
         """All teams as they are."""
-        results = new_results(self._state.place)
+        results = self.forms.new()
         self._share(False, self._blocks, self._no_actions, results, 1)
         return results
 
@@ -82,6 +84,8 @@ class Stepper:
         width: int,
     ) -> None:
         """Let up to ``width`` threads step or observe some blocks."""
+        if self._may_crowd:
+            results.crowded.fill(-1)
         state = self._state
         seen_by = (self.robot, self._sensor)
         fixed = (moves, blocks, self.layout, self._constants, *seen_by, tuple(state.teams))

@@ -153,17 +153,17 @@ def tell(
     over, met = status != RUNNING, status == RENDEZVOUS
     seen = dict(zip(names, observations, strict=True))
     standing = simulator.standing_of_first(outcome)
-    into = simulator.merged_into[0].tolist()
-    felt = zip(into, outcome.contact[0].tolist(), outcome.clearance[0].tolist(), strict=True)
+    into = simulator.merged_into_of_first()
+    (contacts,), (clearances,) = outcome.contact.tolist(), outcome.clearance.tolist()
     infos: Infos = {}
-    for name, (survivor, contact, clearance) in zip(names, felt, strict=True):
+    for name, survivor, contact, clearance in zip(names, into, contacts, clearances, strict=True):
         infos[name] = info = standing.copy()  # and then item by item: half as long as in one piece
         info["merged_into"], info["contact"], info["clearance"] = survivor, contact, clearance
     if len(alive) < len(names):
         seen = {name: seen[name] for name in alive}
         infos = {name: infos[name] for name in alive}
     ends, truncations = dict.fromkeys(alive, met), dict.fromkeys(alive, over and not met)
-    left, active = alive, outcome.active[0].tolist()
+    left, (active,) = alive, outcome.active.tolist()
     if active.count(True) < len(alive):
         if not met and simulator.scenario.on_merge == "remove":
             lives = dict(zip(names, active, strict=True))

@@ -150,7 +150,8 @@ class RendezvousVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
         outcome = simulator.step(actions)
         infos = step_info(simulator, outcome)
         if simulator.all_running:  # as after most steps
-            terminations, truncations = np.zeros((2, self.num_envs), dtype=np.bool_)
+            terminations = np.zeros(self.num_envs, dtype=np.bool_)
+            truncations = np.zeros(self.num_envs, dtype=np.bool_)
             infos = of_all(infos, self.num_envs)
         else:
             terminations, truncations = outcome.status == RENDEZVOUS, outcome.status == TIME_OUT

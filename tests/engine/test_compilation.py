@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import importlib
 import os
 import pkgutil
@@ -361,3 +362,37 @@ def test_what_only_kernels_call_refuses_python():
         with pytest.raises(TypeError, match=inner.py_func.__name__):
             inner(3.0)
     assert not squared.overloads
+
+
+@pytest.mark.skipif(not compilation.compiled(), reason="nothing is compiled")
+@pytest.mark.parametrize("at_work", [True, False])
+def test_the_collector_rests_while_compiling_and_no_longer(at_work, monkeypatch):
+    seen = []
+    monkeypatch.setattr(compilation, "keep", lambda dispatcher: None)  # else it is found again
+
+    @compilation.kernel
+    def doubled_again(x):
+        return 2.0 * x
+
+    @compilation.kernel
+    def around(x):
+        return doubled_again(x)
+
+    for kernel in (doubled_again, around):  # the inner one ends first
+        # beneath what lets the collector rest, which stands where numba would call this
+        inner = kernel._compiler
+        monkeypatch.setattr(
+            inner,
+            "_compile_cached",
+            lambda *a, real=inner._compile_cached: (seen.append(gc.isenabled()), real(*a))[1],
+        )
+    was_at_work = gc.isenabled()
+    (gc.enable if at_work else gc.disable)()
+    try:
+        assert around(3.0) == 6.0
+        assert seen == [False, False] and gc.isenabled() == at_work
+        with pytest.raises(numba.core.errors.NumbaError):
+            around("three")
+        assert gc.isenabled() == at_work
+    finally:
+        (gc.enable if was_at_work else gc.disable)()
