@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from .engine.beginning.episodes import Episodes
 from .engine.memory import (
     CONTACTS,
+    ELAPSED,
     INITIAL_LYAPUNOV,
     LYAPUNOV,
     MIN_CLEARANCE,
@@ -156,7 +157,7 @@ class TeamReadings:
         if outcome is None:
             return {key: values[0].item() for key, values in self.standing().items()}
         met, contacts = outcome.status.item(0) == RENDEZVOUS, outcome.contacts.item(0)
-        time, path_length, lyapunov = outcome.so_far[:, 0].tolist()
+        time, path_length, lyapunov = outcome.results.scores[ELAPSED:, 0].tolist()
         return _standing(met, time, contacts, path_length, lyapunov)
 
     def merged_into_of_first(self) -> list[int]:

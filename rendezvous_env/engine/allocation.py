@@ -154,8 +154,9 @@ def drafts(place: Arrangement, count: int) -> Drafts:
 
 
 class Forms:
-    """Room for what steps give out, filled in with what holds of most of them: nobody touches an
-    obstacle, none is near, and no robot has merged. Kernels write what is otherwise.
+    """Room for what steps give out, in which nobody touches an obstacle and no robot has merged, as
+    in most steps. Kernels write what is otherwise: flags fill less than a processor's nearest
+    memory, and to fill them in one piece is quicker than block by block.
 
     Args:
         place: of the teams.
@@ -166,20 +167,18 @@ class Forms:
         self._observations, self._scores = (batch, n * rows * self._dim), (SCORES, batch)
         self._numbers, self._robots = (batch,), (batch, n)
         self._everybody = np.ones((batch, n), np.bool_)  # to copy it is quicker than to fill
-        blank = place.scenario.observation_layout.obstacle_slots == 0
-        self._nothing_near = np.full((batch, n), np.inf) if blank else None
         self._crowded = np.full(batch, -1)
 
     def new(self) -> Results:
         """Fresh arrays, but for ``crowded``."""
-        empty, robots, numbers, near = np.empty, self._robots, self._numbers, self._nothing_near
+        empty, robots, numbers = np.empty, self._robots, self._numbers
         observations = empty(self._observations, _FLOAT32)
         return Results(
             observations,
             whole_rows(observations, self._dim),
             empty(self._scores),
             np.zeros(robots, _BOOL),
-            empty(robots) if near is None else near.copy(),
+            empty(robots),
             self._everybody.copy(),
             empty(numbers, _INT64),
             empty(robots),

@@ -140,9 +140,7 @@ class Teams(NamedTuple):
 
 
 class Results(NamedTuple):
-    """Where a step writes what it gives out. Before, nobody is in contact, everybody active, and
-    without obstacles every clearance inf.
-    """
+    """Where a step writes what it gives out. Before, nobody is in contact, and everybody active."""
 
     observations: NDArray[np.float32]
     """(B, n·rows·d)."""

@@ -49,7 +49,9 @@ def sense_obstacles(
     """Silhouettes, clearances, the least clearance of the episode, and closeness for the reward."""
     lanes = lane_count(layout.width)
     first, n = block * lanes, hand.lengths.shape[0]
-    if obstacles is not None:
+    if obstacles is None:
+        results.clearance[first : first + count] = np.inf
+    else:
         _see_discs(block, count, layout, constants, teams, results, buffers, layout.axes)
         _see_others(
             block, count, layout, constants, teams, links, obstacles, results, buffers, hand

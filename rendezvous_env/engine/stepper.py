@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import time
 from collections.abc import Callable
 from typing import Any
 
@@ -20,8 +22,13 @@ from .step import step_blocks
 
 _WORK_PER_THREAD = 32768
 """Rows computed below which another thread costs more than it saves: some 70 µs, as long as a
-sleeping thread takes to wake. Between the steps of a learner they sleep; only loops that do nothing
-but step find them awake."""
+sleeping thread takes to wake. Between the steps of a learner they sleep."""
+_WORK_PER_AWAKE_THREAD = 4096
+"""The same in a loop that does hardly anything but step, which finds them awake."""
+_CLOSE = 5e-5
+"""From the end of a step to the next in such a loop, s; threads stay awake three times as long."""
+_CLOSE_STEPS = 8
+"""How many close steps make a loop."""
 
 
 class Stepper:
@@ -35,7 +42,11 @@ class Stepper:
 
     def __init__(self, state: State, num_threads: int | None, max_steps: int) -> None:
         place, n = state.place, state.place.scenario.n_robots
-        self._state, self.width = state, _width(place, num_threads)
+        self._state = state
+        self._sure_width = _width(place, num_threads, _WORK_PER_THREAD)
+        self.width = max(self._sure_width, _width(place, num_threads, _WORK_PER_AWAKE_THREAD))
+        """Most threads of a step."""
+        self._ended, self._close_steps = -math.inf, 0
         self.layout, self.robot = layout(place), robot(place.scenario)
         self._sensor = sensor(state)
         self.hands = hands_of_threads(place, self.width)
@@ -44,6 +55,7 @@ class Stepper:
         self._blocks = np.arange(place.blocks)
         self.forms = Forms(place)
         """Where it writes what it gives out."""
+        self._last: Results | None = None
         self._may_crowd = place.scenario.observation_layout.neighbour_slots < n - 1
         self._no_actions = np.zeros((place.batch, n * place.scenario.action_size), np.float32)
         self._run: Callable[..., Any] | None = None
@@ -61,8 +73,20 @@ class Stepper:
         """
         results = self.forms.new()
         table = actions.reshape(self._state.batch, -1)
-        self._share(True, self._blocks, table, results, self.width)
+        self._share(True, self._blocks, table, results, self._width_now())
+        self._ended = time.perf_counter()
+        # the next step's arrays come from other memory: where both steps' were free at once, the
+        # system would take it back, and clear it anew for every step of large teams
+        self._last = results
         return results
+
+    def _width_now(self) -> int:
+        """Threads for this step: for little work several only if they are awake anyway."""
+        if self.width == self._sure_width:
+            return self.width
+        close = time.perf_counter() - self._ended < _CLOSE
+        self._close_steps = self._close_steps + 1 if close else 0
+        return self.width if self._close_steps >= _CLOSE_STEPS else self._sure_width
 
     def observe(self) -> Results:
         """All teams as they are."""
@@ -95,12 +119,15 @@ class Stepper:
             writable = (*kept, np.empty_like(table), *written)
             run = entry_point(step_blocks, (example_part(), *fixed, *writable))
             run = self._run = quietly(run)
-        threads.share(lambda part: run(part, *fixed, *given), len(blocks), width)
+        if width == 1:  # as ``share`` would, without the way there
+            run(threads.part_of_all(len(blocks)), *fixed, *given)
+        else:
+            threads.share(lambda part: run(part, *fixed, *given), len(blocks), width)
 
 
-def _width(place: Arrangement, num_threads: int | None) -> int:
-    """As many threads as are worth their cost."""
+def _width(place: Arrangement, num_threads: int | None, work: int) -> int:
+    """As many threads as have so much work, in rows, each."""
     n, layout = place.scenario.n_robots, place.scenario.observation_layout
     rows = n * (place.neighbours + 1 + layout.rows - layout.neighbour_slots)
     most = threads.most_threads(num_threads)
-    return max(1, min(most, place.batch * rows // _WORK_PER_THREAD, place.blocks))
+    return max(1, min(most, place.batch * rows // work, place.blocks))

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..engine.memory import RENDEZVOUS, RUNNING, TIME_OUT
+from ..engine.memory import RENDEZVOUS, REWARD, RUNNING, TIME_OUT
 from ..engine.state_checks import check_keys
 from ..experiment.checks import check_action, floats, refuse, shown
 from ..outcome import Outcome
@@ -174,7 +174,7 @@ def tell(
         left = []
         for info in infos.values():
             info["summary"] = standing.copy()
-    rewards = dict.fromkeys(alive, outcome.rewards.item(0))
+    rewards = dict.fromkeys(alive, outcome.results.scores.item(REWARD, 0))
     return (seen, rewards, ends, truncations, infos), left
 
 

@@ -8,12 +8,14 @@ import os
 import pickle
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from conftest import MODELS, ROOT, UNEQUAL, five, law_of
 
 from rendezvous_env import Disc, ObstacleField, Scenario, Simulator
+from rendezvous_env.compilation import compiled
 from rendezvous_env.engine import stepper
 from rendezvous_env.engine.memory import AWAITING_RESET, RENDEZVOUS, RUNNING, TIME_OUT
 from rendezvous_env.engine.pool import threads
@@ -223,19 +225,51 @@ def test_a_batch_is_a_stack_of_singles_bit_for_bit(name):
             np.testing.assert_array_equal(own[0], all_teams[i], err_msg=entry)
 
 
+@pytest.fixture
+def widths(monkeypatch):
+    """How many threads each step was given to, from here on."""
+    given, real_share, real_part = [], threads.share, threads.part_of_all
+
+    def share(run_kernel, blocks, most):
+        given.append(most)
+        real_share(run_kernel, blocks, most)
+
+    def part_of_all(blocks):
+        given.append(1)
+        return real_part(blocks)
+
+    monkeypatch.setattr(threads, "share", share)
+    monkeypatch.setattr(threads, "part_of_all", part_of_all)
+    return given
+
+
+@pytest.mark.skipif(not compiled(), reason="plain Python has no threads")
+def test_little_work_is_shared_only_where_steps_follow_close_on_each_other(widths, monkeypatch):
+    now = 0.0
+    monkeypatch.setattr(stepper, "time", SimpleNamespace(perf_counter=lambda: now))
+    simulator = Simulator(Scenario(n_robots=8, spawn_size=1e3), 512, num_threads=2)
+    simulator.reset(0)
+    widths.clear()
+    actions = np.zeros((512, 8, 2), np.float32)
+    for pause in [1e-5] * 12 + [1e-3] + [1e-5] * 10:
+        now += pause
+        simulator.step(actions)
+    assert widths == [1] * 8 + [2] * 4 + [1] * 8 + [2] * 3
+    much = Simulator(Scenario(n_robots=32, spawn_size=1e3), 512, num_threads=2)
+    much.reset(0)
+    widths.clear()
+    for _ in range(3):
+        now += 1.0
+        much.step(np.zeros((512, 32, 2), np.float32))
+    assert widths == [2] * 3
+
+
 @pytest.mark.parametrize("name", BATCHED)
-def test_the_place_in_the_batch_and_the_number_of_threads_do_not_matter(name, monkeypatch):
+def test_the_place_in_the_batch_and_the_number_of_threads_do_not_matter(name, widths, monkeypatch):
     scenario, count = BATCHED[name], 40
     seeds = np.arange(70, 70 + count)
     order = np.random.default_rng(2).permutation(count)
     monkeypatch.setattr(stepper, "_WORK_PER_THREAD", 1)
-    widths, real_share = [], threads.share
-
-    def share(run_kernel, blocks, most):
-        widths.append(most)
-        real_share(run_kernel, blocks, most)
-
-    monkeypatch.setattr(threads, "share", share)
     one = follow(scenario, count, seed=seeds.tolist(), num_threads=1)
     two = follow(scenario, count, seed=seeds[order].tolist(), num_threads=2)
     observed = [1]  # at the start, by the caller
@@ -760,6 +794,7 @@ def test_what_merged_away_robots_are_given_is_ignored(kind):
 
 PLAIN_PYTHON = """
 import sys
+from types import SimpleNamespace
 import numpy as np
 import numba
 from rendezvous_env import Disc, Scenario, Simulator
