@@ -169,6 +169,8 @@ def test_a_restart_with_too_many_neighbours_is_refused():
     outcome = sim.step(np.zeros((1, 4, 2)))
     with pytest.raises(RuntimeError, match="robot_0 of team 0 has more than neighbour_slots = 2"):
         sim.restart(np.ones(1, bool), outcome)
+    sim.reset(0, {"weights": path})  # and nothing of the refusal is left
+    assert sim.step(np.zeros((1, 4, 2))).active.all()
 
 
 # ---- a thousand robots --------------------------------------------------------------------------
