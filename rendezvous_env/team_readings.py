@@ -174,7 +174,9 @@ class TeamReadings:
         return self._state.statistic(entry)
 
 
-def _standing(success: Any, time: Any, contacts: Any, path_length: Any, lyapunov: Any) -> Any:
+def _standing(
+    success: Any, time: Any, contacts: Any, path_length: Any, lyapunov: Any
+) -> dict[str, Any]:
     """By the names of STANDING; written out, which takes a third as long as to pair them."""
     return {
         "success": success,

@@ -794,7 +794,6 @@ def test_what_merged_away_robots_are_given_is_ignored(kind):
 
 PLAIN_PYTHON = """
 import sys
-from types import SimpleNamespace
 import numpy as np
 import numba
 from rendezvous_env import Disc, Scenario, Simulator
