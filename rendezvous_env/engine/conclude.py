@@ -45,11 +45,15 @@ def conclude_block(block, count, layout, constants, teams, results, buffers):
     first, statistics, tally = block * lanes, teams.statistics[block], buffers.tally
     _conclude(layout, constants, buffers.pair, tally, statistics)
     for row in range(SCORES):
-        for lane in range(count):
-            results.scores[row, first + lane] = tally[(SCORED + row) * lanes + lane]
-    for lane in range(count):
-        results.status[first + lane] = int(statistics[STATUS * lanes + lane])
-        results.contacts[first + lane] = int(statistics[CONTACTS * lanes + lane])
+        # slices, since ``first + lane`` might be negative for all that the compiler knows: no SIMD
+        told, found = results.scores[row, first : first + count], tally[(SCORED + row) * lanes :]
+        for lane in range(len(told)):
+            told[lane] = found[lane]
+    status = results.status[first : first + count]
+    contacts = results.contacts[first : first + count]
+    for lane in range(len(status)):
+        status[lane] = int(statistics[STATUS * lanes + lane])
+        contacts[lane] = int(statistics[CONTACTS * lanes + lane])
     _reward_robots(first, count, layout, constants, statistics, teams, results, buffers)
 
 
@@ -98,9 +102,11 @@ def _conclude(layout, constants, found, tally, statistics):
 def _reward_robots(first, count, layout, constants, statistics, teams, results, buffers):
     """Who exists, and what everybody earns."""
     n, tally, lanes = teams.merged_into.shape[1], buffers.tally, lane_count(layout.width)
+    earned = results.robot_rewards[first : first + count]
+    reward = tally[(SCORED + REWARD) * lanes :]
     for i in range(n):
-        for lane in range(count):
-            results.robot_rewards[first + lane, i] = tally[(SCORED + REWARD) * lanes + lane]
+        for lane in range(len(earned)):
+            earned[lane, i] = reward[lane]
     for lane in range(count):
         if statistics[ACTIVE * lanes + lane] < n:
             team, merged = first + lane, tally[PROXIMITY * lanes + lane] == MERGED

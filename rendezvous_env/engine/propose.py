@@ -10,9 +10,10 @@ from .memory import ACTIVE, RUNNING, STATUS, lane_count, read, write
 def load_actions(block, count, layout, teams, actions, buffers):
     """Copy a block's actions; those of finished teams and merged-away robots are zero."""
     first = block * lane_count(layout.width)
-    for k in range(actions.shape[1]):
-        for lane in range(count):
-            buffers.taken[k, lane] = actions[first + lane, k]
+    given = actions[first : first + count]
+    for k in range(given.shape[1]):
+        for lane in range(given.shape[0]):
+            buffers.taken[k, lane] = given[lane, k]
     size = actions.shape[1] // buffers.action.shape[0]
     _hold_still(block, count, size, layout, teams, buffers.action)
 

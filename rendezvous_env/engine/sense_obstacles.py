@@ -50,7 +50,8 @@ def sense_obstacles(
     lanes = lane_count(layout.width)
     first, n = block * lanes, hand.lengths.shape[0]
     if obstacles is None:
-        results.clearance[first : first + count] = np.inf
+        # in one piece: the entries of a table would be filled one by one, without SIMD
+        results.clearance.reshape(-1)[first * n : (first + count) * n] = np.inf
     else:
         _see_discs(block, count, layout, constants, teams, results, buffers, layout.axes)
         _see_others(
