@@ -10,7 +10,7 @@ import pytest
 
 from baselines.learned import checkpoints
 from train import interrupts, workers
-from train.comparing import compare
+from train.comparing import compare, playing
 from train.errors import UserError
 from train.learning import train
 from train.verification import verify
@@ -191,3 +191,37 @@ class TestSeeds:
         with pytest.raises(UserError, match=message):
             train.run(self.config(tmp_path / "out", **given))
         assert not (tmp_path / "out").exists()
+
+
+class TestManyTasks:
+    """A comparison of many tasks begins other processes at once: where nothing is compiled yet, the
+    first task takes as long as many, and the other cores would wait for it.
+    """
+
+    @pytest.fixture(autouse=True)
+    def elsewhere(self, monkeypatch):
+        """Short work is done here, but nothing can be played here."""
+
+        def refuse(*_):
+            raise AssertionError("played by the process that asked")
+
+        monkeypatch.setattr(workers, "_ALONE", 60.0)
+        monkeypatch.setattr(playing, "make_ready", refuse)
+
+    def compared(self, out):
+        """What comes of one scenario and two policies: two tasks."""
+        policies = ("bearing-only", "unit-mean")
+        config = compare.Config(
+            scenarios=("duo",), policies=policies, episodes=2, jobs=2, figures=False, out=out
+        )
+        assert compare.run(config) == 0
+        return (out / "episodes.csv").read_text().splitlines()
+
+    def test_are_done_elsewhere_from_the_first_on(self, tmp_path, monkeypatch):
+        monkeypatch.setattr(playing, "_MANY", 2)
+        assert len(self.compared(tmp_path / "out")) == 1 + 4
+
+    def test_few_are_begun_here(self, tmp_path, monkeypatch):
+        monkeypatch.setattr(playing, "_MANY", 3)
+        with pytest.raises(AssertionError, match="played by the process that asked"):
+            self.compared(tmp_path / "out")

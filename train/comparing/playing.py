@@ -33,6 +33,9 @@ BLOCK = 128
 multiplied in another order, and rounded otherwise."""
 TOGETHER = 8
 """Starts that are computed side by side, by other code than a few."""
+_MANY = 32
+"""Tasks for which other processes are begun at once. With fewer this one plays until it sees that
+they take long, and where kernels are not compiled yet the first task takes as long as many."""
 
 
 @dataclass(frozen=True)
@@ -173,7 +176,7 @@ def play_all(
     found = {task: cells.load(part, task.name) for task in tasks}
     left = _one_of_each_first([task for task in tasks if found[task] is None])
     ready = 0.0
-    results = each(play_task, left, config.workers, _stays)
+    results = each(play_task, left, config.workers, _stays, long=len(left) >= _MANY)
     with progress(console) as shown, closing(results):
         total = sum(task.count for task in tasks)
         done = total - sum(task.count for task in left)
