@@ -59,8 +59,9 @@ def masked(infos: Info, mask: NDArray[np.bool_]) -> Info:
 
 def _with_masks(infos: Info, masks: NDArray[np.bool_]) -> Info:
     """To every key a mask ``_key`` of its own."""
-    told = infos.copy()
-    told.update(zip(_names_of_masks(tuple(infos)), masks, strict=True))
+    told, names = infos.copy(), _names_of_masks(tuple(infos))
+    # to see whether a mask is left over, as ``strict`` would, takes as long as to hand all out
+    told.update(zip(names, masks, strict=False))
     return told
 
 
