@@ -78,8 +78,8 @@ def each(
         tasks: any.
         workers: who does them.
         here: whether a task must be done in this process.
-        long: whether a single task is worth starting workers; else they start when the first tasks
-            have taken some seconds.
+        long: whether to start workers at once, since a single task takes long or there are many;
+            else they start when the first tasks have taken some seconds.
 
     Yields:
         Number of a task and what it gave, in the order in which they end.
