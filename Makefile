@@ -4,11 +4,11 @@
 # make docs: the documentation as a site, in out/site.
 PYTHON ?= python3
 BIN := .venv/bin
+SITE := import sysconfig; print(sysconfig.get_path('purelib'))
 export OMP_WAIT_POLICY := PASSIVE
 
-# what calls compiled code; the other tests read files, pages and command lines
-WITH_KERNELS := $(addprefix tests/,adapters borders comparing drawing engine equations experiment faces guarantee \
-	learning policies verification test_paper.py)
+# what calls each kernel from nearby; the other tests reach the same ones through more layers
+WITH_KERNELS := $(addprefix tests/,borders engine physics policies safety scenario test_paper.py)
 
 # what other people's learners need besides; each is tested in an environment of its own
 LEARNERS := $(patsubst tests/adapters/%/requirements.txt,%,$(wildcard tests/adapters/*/requirements.txt))
@@ -32,7 +32,7 @@ test-slow: .venv/installed
 
 # the oldest Gymnasium and PettingZoo that are supported, in an environment of their own
 test-floors: .venv-floors/installed
-	.venv-floors/bin/python -m pytest -q -n 2 --dist loadfile tests/faces tests/adapters tests/experiment
+	.venv-floors/bin/python -m pytest -q -n 2 --dist loadfile tests/envs tests/adapters tests/scenario
 
 # TorchRL with BenchMARL, and whoever else has a folder in tests/adapters; slow tests too
 test-adapters: $(LEARNERS:%=test-adapter-%)
@@ -67,14 +67,15 @@ docs: .venv/installed
 		--requirement constraints-floors.txt --editable '.[train,render,analysis,dev]'
 	touch $@
 
-# a learner's pins hold against ours; what pip cannot be told in a file, its script install does
-.venv-adapters/%/installed: tests/adapters/%/requirements.txt pyproject.toml constraints.txt
+# It stands on .venv and adds only what that lacks, torch among what it need not add. A learner's
+# pins hold against ours; what pip cannot be told in a file, its script install does.
+.venv-adapters/%/installed: tests/adapters/%/requirements.txt .venv/installed
 	test -x .venv-adapters/$*/bin/python || $(PYTHON) -m venv .venv-adapters/$*
-	.venv-adapters/$*/bin/pip install --quiet --constraint constraints.txt torch==2.13.0
+	echo "import site; site.addsitedir('$$($(BIN)/python -c "$(SITE)")')" \
+		> "$$(.venv-adapters/$*/bin/python -c "$(SITE)")/beneath.pth"
 	sed --regexp-extended 's/[^A-Za-z0-9_.-].*/==/; s/^/^/' $< | grep -v --file - constraints.txt \
 		> .venv-adapters/$*/constraints.txt
-	.venv-adapters/$*/bin/pip install --quiet --constraint .venv-adapters/$*/constraints.txt \
-		--requirement $< hypothesis pytest --editable .
+	.venv-adapters/$*/bin/pip install --quiet --constraint .venv-adapters/$*/constraints.txt --requirement $<
 	test ! -x tests/adapters/$*/install || tests/adapters/$*/install .venv-adapters/$*/bin
 	touch $@
 

@@ -2,20 +2,15 @@
 ``privileged`` in their names.
 """
 
-from . import (
-    blind_policies,
-    field_laws,
-    laws,
-    learned,
-    obstacle_avoidance,
-    privileged_laws,
-    privileged_planner,
-    pursuit,
-    tank_policies,
-)
+from . import laws, learned
+from .filtered_policies import HeadingPolicy, TankPolicy
+from .laws import literature_laws as field_laws
+from .laws import pursuit
+from .obstacle_rules import obstacle_avoidance, tank_policies
 from .policy import Policy, RealTimePolicy, make, names
+from .references import blind_policies, privileged_laws, privileged_planner
 from .robot_policy import RobotPolicy
-from .vector_policies import HeadingPolicy, TankPolicy
+from .trained_policy import TrainedPolicy
 
 __all__ = [
     "HeadingPolicy",
@@ -23,6 +18,7 @@ __all__ = [
     "RealTimePolicy",
     "RobotPolicy",
     "TankPolicy",
+    "TrainedPolicy",
     "blind_policies",
     "field_laws",
     "laws",
@@ -35,3 +31,8 @@ __all__ = [
     "pursuit",
     "tank_policies",
 ]
+
+
+def __dir__() -> list[str]:
+    """Public names; the files behind them are importable all the same."""
+    return [*__all__, "__all__", "__doc__", "__file__", "__name__", "__path__"]

@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rendezvous_env.experiment.checks import nearest_word, shown
-from rendezvous_env.experiment.scenarios import resolve
+from rendezvous_env.checks import nearest_word, shown
+from rendezvous_env.scenario.scenarios import resolve
 
 if TYPE_CHECKING:
-    from rendezvous_env.experiment.scenario import Scenario
-    from rendezvous_env.experiment.scenarios import ScenarioLike
+    from rendezvous_env.scenario.scenario import Scenario
+    from rendezvous_env.scenario.scenarios import ScenarioLike
 
 
 class Policy(Protocol):
@@ -57,6 +58,64 @@ class RealTimePolicy(Policy, Protocol):
             Actions, to be held for τ at most.
         """
         ...
+
+
+class TeamPolicy(ABC):
+    """What the policies here share: they take arrays of whole teams, or PettingZoo's dicts of one.
+
+    actions = policy(observations, time)        # by name: those of the robots that act
+    """
+
+    scenario: Scenario
+
+    @abstractmethod
+    def act(self, observations: NDArray[Any], time: ArrayLike) -> NDArray[np.float32]:
+        """Actions (..., n, a) of teams; see ``Policy``."""
+
+    @overload
+    def __call__(
+        self, observations: Mapping[str, Any], time: ArrayLike
+    ) -> dict[str, NDArray[np.float32]]: ...
+
+    @overload
+    def __call__(self, observations: NDArray[Any], time: ArrayLike) -> NDArray[np.float32]: ...
+
+    def __call__(self, observations: Any, time: ArrayLike) -> Any:
+        """Actions of all robots; see ``Policy``.
+
+        Args:
+            observations: (..., n, rows, d); or by name, (rows, d) or (rows·d,) each, of the robots
+                of one team that are still there.
+            time: as ``Policy``.
+
+        Returns:
+            (..., n, a), or as a dict with the same names.
+
+        Raises:
+            KeyError: for a name that no robot has.
+            ValueError: for observations of another shape.
+        """
+        if not isinstance(observations, Mapping):
+            return self.act(observations, time)
+        layout, n = self.scenario.observation_layout, self.scenario.n_robots
+        robots = {f"robot_{i}": i for i in range(n)}
+        table = np.zeros((n, *layout.shape), dtype=np.float32)
+        for name, seen in observations.items():
+            if name not in robots:
+                raise KeyError(
+                    f"no robot is called {shown(name)}; they are robot_0 to robot_{n - 1}"
+                )
+            given = np.asarray(seen)
+            if given.shape not in (layout.shape, (table[0].size,)):
+                raise ValueError(
+                    f"observation of {name} has shape {given.shape}; it must be {layout.shape}"
+                )
+            table[robots[name]] = given.reshape(layout.shape)
+        actions = self.act(table, time)
+        return {name: actions[robots[name]] for name in observations}
+
+    def reset(self, mask: NDArray[np.bool_] | None = None) -> None:  # noqa: B027 - most have none
+        """Forget the state of the teams where ``mask`` (...) is true, of all if it is None."""
 
 
 KINDS = {

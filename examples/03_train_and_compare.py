@@ -8,8 +8,8 @@ import tempfile
 from pathlib import Path
 
 from train import results
-from train.comparing import compare
-from train.learning import ppo
+from train.compare import compare
+from train.learn import ppo
 
 parser = argparse.ArgumentParser(description=__doc__)
 parser.add_argument("--steps", type=int, default=200_000)

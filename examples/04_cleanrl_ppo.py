@@ -72,7 +72,7 @@ def value_of(observations: np.ndarray) -> np.ndarray:
 
 @torch.no_grad()
 def judge() -> str:
-    """How the likeliest choices do on the held-out starts."""
+    """How the greedy policy does on held-out initial conditions."""
     env, first = make(given.held_out), {}
     seen = env.reset(HELD_OUT)
     while len(first) < given.held_out:

@@ -13,10 +13,11 @@ import numpy as np
 
 from baselines.learned import checkpoints, learned_policy, shipped
 from rendezvous_env import Sensing
-from rendezvous_env.experiment import scenarios
+from rendezvous_env.scenario import scenarios
 from train import policies, results
-from train.comparing import episodes, statistics
-from train.pictures import figures, style
+from train.compare import evaluation as episodes
+from train.compare import statistics
+from train.figures import figures, style
 
 SENSORS = {
     "exact": Sensing(),

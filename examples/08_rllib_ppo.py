@@ -34,13 +34,13 @@ torch.set_num_threads(1)  # the network is small
 
 
 def judge(module):
-    """How the likeliest choices do on the held-out starts."""
+    """How the greedy policy does on held-out initial conditions."""
     env, first = RobotSlots(training_env(given.scenario, given.held_out, **CHOICES)), {}
     seen = env.reset(HELD_OUT)
-    likeliest = module.get_inference_action_dist_cls()
+    greedy = module.get_inference_action_dist_cls()
     while len(first) < given.held_out:
         out = module.forward_inference({Columns.OBS: torch.as_tensor(seen)})
-        chosen = likeliest.from_logits(out[Columns.ACTION_DIST_INPUTS]).to_deterministic().sample()
+        chosen = greedy.from_logits(out[Columns.ACTION_DIST_INPUTS]).to_deterministic().sample()
         step = env.step(chosen.numpy().clip(-1, 1))
         seen, first = step.observations, step.finished | first
     met = np.array([episode["success"] for episode in first.values()])

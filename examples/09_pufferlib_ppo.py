@@ -34,7 +34,7 @@ def make(teams, seed):
 
 
 def judge(policy):
-    """How the likeliest choices do on the held-out starts."""
+    """How the greedy policy does on held-out initial conditions."""
     env, first = make(given.held_out, HELD_OUT), {}
     seen, _ = env.reset()
     while len(first) < given.held_out:

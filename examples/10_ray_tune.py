@@ -11,7 +11,7 @@ import ray
 from ray import tune
 from ray.tune.schedulers import ASHAScheduler
 
-from train.learning import ppo
+from train.learn import ppo
 
 parser = argparse.ArgumentParser(description=__doc__)
 parser.add_argument("--scenario", default="clutter-16")

@@ -4,33 +4,45 @@ Robots see in which direction their neighbours and the edges of obstacles lie, n
 must all meet.
 """
 
-from . import rendezvous_v0, vector
+from importlib import import_module as _import_module
+
+from . import graphs, rendezvous_v0, vector
 from .compilation import kernel
-from .equations.robots.motion import FREE, SLID, STOPPED, Motion
-from .equations.robots.motion import describe as describe_motion
-from .experiment import graphs, scenarios
-from .experiment.observation_layout import ObservationLayout
-from .experiment.obstacles import Capsule, Disc, ObstacleField, Polygon, Sphere
-from .experiment.rewards import RewardWeights
-from .experiment.robot_models import RobotModel, register_robot_model
-from .experiment.scenario import Scenario, TimeStepWarning
-from .experiment.sensing import Sensing
-from .experiment.walls import WallField
-from .faces.gain_wrapper import GainWrapper
-from .faces.link_keeping_wrapper import LinkKeepingWrapper
-from .faces.tank_wrapper import EnergyTankWrapper
-from .faces.training.by_name import training_env
-from .first_use import announce
-from .guarantee.certificate import Certificate, certificate
-from .guarantee.heading import certified_heading
-from .gymnasium_env import make_vec
-from .registration import register
+from .envs.gymnasium_env import make_vec, register
+from .envs.training import LearningPreset as _LearningPreset
+from .envs.training import hand_in_preset as _hand_in_preset
+from .envs.training_parallel_env import training_env
+from .envs.wrappers import (
+    EnergyTankWrapper,
+    GainWrapper,
+    GuaranteeWrapper,
+    HeadingVectorWrapper,
+    LinkKeepingWrapper,
+)
+from .obstacles.capsule import Capsule
+from .obstacles.disc import Disc, Sphere
+from .obstacles.fields import ObstacleField
+from .obstacles.polygon import Polygon
+from .obstacles.walls import WallField
 from .rendezvous_v0 import parallel_env
+from .rewards.custom_terms import RewardStep, reward_term
+from .rewards.terms import RewardWeights
+from .robots.motion import FREE, SLID, STOPPED, Motion
+from .robots.motion import describe as describe_motion
+from .robots.robot_models import RobotModel, register_robot_model
+from .safe_names import install as _install_safe_names
+from .safety.heading import certified_heading
+from .safety.safety_filter import SafetyFilter, register_filter
+from .safety.theorems.certificate import Certificate, certificate
+from .scenario import scenarios
+from .scenario.observation_layout import ObservationLayout
+from .scenario.scenario import Scenario, TimeStepWarning
+from .sensors.custom_sensors import Seen, sensor_imperfection
+from .sensors.sensing import Sensing
 from .simulator import Simulator
 from .trajectory import Trajectory, rollout
-from .wrappers import HeadingVectorWrapper
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 __all__ = [
     "FREE",
     "SLID",
@@ -40,15 +52,19 @@ __all__ = [
     "Disc",
     "EnergyTankWrapper",
     "GainWrapper",
+    "GuaranteeWrapper",
     "HeadingVectorWrapper",
     "LinkKeepingWrapper",
     "Motion",
     "ObservationLayout",
     "ObstacleField",
     "Polygon",
+    "RewardStep",
     "RewardWeights",
     "RobotModel",
+    "SafetyFilter",
     "Scenario",
+    "Seen",
     "Sensing",
     "Simulator",
     "Sphere",
@@ -62,13 +78,32 @@ __all__ = [
     "kernel",
     "make_vec",
     "parallel_env",
+    "register_filter",
     "register_robot_model",
     "rendezvous_v0",
+    "reward_term",
     "rollout",
     "scenarios",
+    "sensor_imperfection",
     "training_env",
     "vector",
 ]
 
+
+def __dir__() -> list[str]:
+    """Public names; the files behind them are importable all the same."""
+    return [*__all__, "__all__", "__doc__", "__file__", "__name__", "__path__", "__version__"]
+
+
+def _shipped_preset() -> _LearningPreset:
+    """The learning preset stands with the shipped policies, in the package above this one."""
+    made: _LearningPreset = _import_module(
+        "rendezvous_env.baselines.learned.training_environment"
+    ).ShippedPreset()
+    return made
+
+
+_install_safe_names()
+_hand_in_preset(_shipped_preset)
+rendezvous_v0.register()
 register()
-announce()

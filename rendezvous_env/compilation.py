@@ -3,81 +3,76 @@
 from __future__ import annotations
 
 import gc
-from collections.abc import Callable
-from typing import Any
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any, Literal
 
 import numba
+from numba.core.compiler_lock import global_compiler_lock
 from numba.core.errors import TypingError
 from numba.core.options import DefaultOptions
+from numba.core.registry import CPUDispatcher
 from numba.extending import overload
 
-from .kernel_cache import keep
+from .kernel_cache import KernelCache
 
 _CONFIG: Any = numba.config
+_DISPATCHER: Any = CPUDispatcher  # numba's types leave out what is overridden here
+_PATIENCE = 2.0
+"""s; compilation that is over sooner is not worth a word."""
+
+Inline = Literal["never", "code", "text"]
+"""Whether a kernel becomes part of whoever calls it.
+
+"code": its machine code does, while that is optimised. "text": its text takes the place of its call
+before anything is compiled. That costs no compiling of its own, whereas other kernels are optimised
+by themselves, and again as part of each kernel above them; for long ones with a single caller. In
+it no branch may hang on whether an argument is None, nor on the length of a tuple: its types are
+not known yet.
+"""
 
 
-def kernel(function: Callable[..., Any]) -> Any:
+def kernel(
+    function: Callable[..., Any] | None = None,
+    *,
+    inline: Inline = "never",
+    allocates: bool = False,
+) -> Any:
     """Compile a function on first use: nogil, IEEE division, no fastmath; cached on disk.
 
     It counts no references to arrays: to hand tuples of arrays over, and to count who holds each
     array and each view of it, takes longer than a small team's arithmetic, and counters that two
     threads raise at the same time take longest. A kernel must therefore neither allocate arrays,
     nor return any, which would be counted too seldom; the compiler refuses both.
+
+    Args:
+        function: of numbers, arrays and tuples of these; None to give options first.
+        inline: whether it becomes part of whoever calls it.
+        allocates: whether it may allocate and return arrays after all, and counts references.
     """
-    return _compile(function, allocates=False)
+    return _decorated(function, inline, allocates=allocates, within=False)
 
 
-def inner_kernel(function: Callable[..., Any]) -> Any:
+def inner_kernel(function: Callable[..., Any] | None = None, *, inline: Inline = "never") -> Any:
     """A kernel that only kernels call: no entry for Python is compiled, which takes tuples of
     arrays apart and is longer than many a kernel.
     """
-    return _compile(function, allocates=False, within=True)
+    return _decorated(function, inline, allocates=False, within=True)
 
 
-def inlined_kernel(function: Callable[..., Any]) -> Any:
-    """A kernel that becomes part of whoever calls it; only kernels do."""
-    return _compile(function, allocates=False, inlined=True, within=True)
-
-
-def inlined_entry(function: Callable[..., Any]) -> Any:
-    """A kernel that becomes part of whoever calls it, and that Python calls, too."""
-    return _compile(function, allocates=False, inlined=True)
-
-
-def unfolded_kernel(function: Callable[..., Any]) -> Any:
-    """A kernel whose text takes the place of its call before anything is compiled.
-
-    It costs no compiling of its own, whereas an inlined one is optimised by itself, and again as
-    part of each kernel above it. For long ones with a single caller. In it no branch may hang on
-    whether an argument is None, nor on the length of a tuple: its types are not known yet.
-    """
-    return _compile(function, allocates=False, unfolded=True, within=True)
-
-
-def allocating_kernel(function: Callable[..., Any]) -> Any:
-    """A kernel that may allocate and return arrays."""
-    return _compile(function, allocates=True)
-
-
-def _compile(
-    function: Callable[..., Any],
-    *,
-    allocates: bool,
-    inlined: bool = False,
-    unfolded: bool = False,
-    within: bool = False,
+def _decorated(
+    function: Callable[..., Any] | None, inline: Inline, *, allocates: bool, within: bool
 ) -> Any:
-    options = _options(allocates=allocates, inlined=inlined, within=within)
-    inline: dict[str, Any] = {"inline": "always"} if unfolded else {}
-    dispatcher = numba.njit(nogil=True, **inline, **options)(function)
-    if compiled():
-        keep(dispatcher)
-        _rest_the_collector(dispatcher)
-        if within:
-            _refuse_python(dispatcher)
-        if not allocates:
-            _refuse_arrays(dispatcher)
-    return dispatcher
+    options = _options(allocates=allocates, inlined=inline == "code", within=within)
+    if inline == "text":
+        options["inline"] = "always"
+
+    def decorate(function: Callable[..., Any]) -> Any:
+        return _Kernel(function, targetoptions=dict(options)) if compiled() else function
+
+    return decorate if function is None else decorate(function)
 
 
 def _options(*, allocates: bool, inlined: bool, within: bool) -> dict[str, Any]:
@@ -94,58 +89,85 @@ def _options(*, allocates: bool, inlined: bool, within: bool) -> dict[str, Any]:
         "no_cpython_wrapper": within,
     }
     known = {name: value for name, value in undocumented.items() if hasattr(DefaultOptions, name)}
-    return {"error_model": "numpy", "forceinline": inlined, **known}
+    common = {"nopython": True, "nogil": True, "boundscheck": None, "error_model": "numpy"}
+    return {**common, "forceinline": inlined, **known}
 
 
-def _rest_the_collector(dispatcher: Any) -> None:
-    """Let Python's collector of cycles rest while the function is compiled: it would look, again
-    and again, through a million objects that are all still in use, for an eighth of the time.
+class _Kernel(_DISPATCHER):
+    """numba's dispatcher, with the rules of this project."""
+
+    def __init__(self, py_func: Any, locals: Any = None, targetoptions: Any = None) -> None:
+        super().__init__(py_func, locals, targetoptions)
+        self._cache = KernelCache(py_func, targetoptions)
+        self._within = targetoptions.get("no_cpython_wrapper", False)
+
+    def compile(self, sig: Any) -> Any:
+        """The entry point for a signature, from disk or compiled anew."""
+        with _at_rest() as began:
+            entry = super().compile(sig)
+            if self._cache_misses and time.monotonic() - began > _PATIENCE:
+                _say_once()
+        return entry
+
+    def add_overload(self, cres: Any) -> None:
+        """Take compiled code in; to Python only if it has an entry for it.
+
+        Raises:
+            TypingError: if it returns an array: nobody would have counted that reference, and the
+                array would be freed while it is in use.
+        """
+        returned = cres.signature.return_type
+        if not self.targetoptions.get("_nrt", True) and _holds_array(returned):
+            raise TypingError(
+                f"kernel {self.py_func.__qualname__} returns {returned}; it may return no array"
+            )
+        if self._within:
+            self.overloads[tuple(cres.signature.args)] = cres
+        else:
+            super().add_overload(cres)
+
+    def _compile_for_args(self, *args: Any, **kws: Any) -> Any:
+        if self._within:  # what there is no entry for would end the process
+            name = self.py_func.__qualname__
+            raise TypeError(f"kernel {name} can be called by other kernels only")
+        return super()._compile_for_args(*args, **kws)
+
+
+_began: list[float] = []
+"""When each function that is being compiled was begun, s, the outermost first."""
+
+
+@contextmanager
+def _at_rest() -> Iterator[float]:
+    """Let Python's collector of cycles rest while a function is compiled: it would look, again and
+    again, through a million objects that are all still in use, for an eighth of the time.
+
+    Yields:
+        When the outermost function was begun, s.
     """
-    compile_types = dispatcher._compiler.compile
-
-    def compile_at_rest(arguments: Any, return_type: Any) -> Any:
+    with global_compiler_lock:
         was_at_work = gc.isenabled()
         gc.disable()
+        _began.append(time.monotonic())
         try:
-            return compile_types(arguments, return_type)
+            yield _began[0]
         finally:
+            _began.pop()
             if was_at_work:  # not within another function's compiling
                 gc.enable()
 
-    dispatcher._compiler.compile = compile_at_rest
+
+_said: list[bool] = []
 
 
-def _refuse_python(dispatcher: Any) -> None:
-    """Make a call from Python an error: what there is no entry for would end the process."""
-
-    def add_overload(result: Any) -> None:
-        dispatcher.overloads[tuple(result.signature.args)] = result
-
-    def compile_for_args(*_: Any, **__: Any) -> Any:
-        raise TypeError(
-            f"kernel {dispatcher.py_func.__qualname__} can be called by other kernels only"
+def _say_once() -> None:
+    if not _said:
+        _said.append(True)
+        print(
+            "rendezvous_env: compiling for this kind of team, which is done once and kept on "
+            "disk; `rendezvous warmup` does it beforehand",
+            file=sys.stderr,
         )
-
-    dispatcher.add_overload, dispatcher._compile_for_args = add_overload, compile_for_args
-
-
-def _refuse_arrays(dispatcher: Any) -> None:
-    """Make it an error of compilation that the function returns an array: nobody would have
-    counted that reference, and the array would be freed while it is in use.
-    """
-    compile_types = dispatcher._compiler.compile
-
-    def compile_checked(arguments: Any, return_type: Any) -> Any:
-        result = compile_types(arguments, return_type)
-        returned = result.signature.return_type
-        if _holds_array(returned):
-            raise TypingError(
-                f"kernel {dispatcher.py_func.__qualname__} returns {returned}; it may return no "
-                "array"
-            )
-        return result
-
-    dispatcher._compiler.compile = compile_checked
 
 
 def _holds_array(kind: Any) -> bool:
@@ -160,6 +182,7 @@ def chosen_by_type(function: Callable[..., Any]) -> Callable[[Callable[..., Any]
     A choice by type is made while compiling: what is not chosen is not compiled.
     """
     options: Any = _options(allocates=False, inlined=True, within=True)
+    del options["nopython"]
     return overload(function, jit_options=options)
 
 

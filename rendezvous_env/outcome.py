@@ -2,37 +2,30 @@
 
 from __future__ import annotations
 
+import warnings
+from typing import Any, NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
-from .engine.memory import (
-    ELAPSED,
-    LYAPUNOV_AFTER_MERGE,
-    LYAPUNOV_BEFORE_MERGE,
-    MERGE_EXCESS,
-    MERGE_RISE,
-    REWARD,
-    Results,
-)
+SCORES = 8
+_REWARD, _BEFORE_MERGE, _AFTER_MERGE, _RISE, _EXCESS, ELAPSED, _, LYAPUNOV = range(SCORES)
+"""Rows of ``StepOutput.scores``. The last three are told in every step, and to read them out of the
+teams' statistics would take longer than the step of small teams."""
 
 
-class Outcome:
+class StepOutput(NamedTuple):
     """What one step gives out; every array is freshly allocated and belongs to the caller."""
-
-    __slots__ = (
-        "_scores",
-        "active",
-        "clearance",
-        "contact",
-        "contacts",
-        "observations",
-        "results",
-        "robot_rewards",
-        "status",
-    )
 
     observations: NDArray[np.float32]
     """(B, n, rows, d)."""
+    whole_rows: NDArray[Any]
+    """(B, n · rows · parts), the same memory, see ``engine.memory.BlockScratch``."""
+    scores: NDArray[np.float64]
+    """(8, B): the team reward; V just before the first and after the last merge of the step (V at
+    its end if there was none); the largest rise of V at a merge, and above the bound of theory 5;
+    time and length of all paths since the start of the episode, s and m; V at the end of the step,
+    m²/s."""
     contact: NDArray[np.bool_]
     """(B, n), whether the robot touched an obstacle in this step."""
     clearance: NDArray[np.float64]
@@ -46,43 +39,46 @@ class Outcome:
     "follow" all do."""
     contacts: NDArray[np.int64]
     """(B,), contacts in the episode so far, one for each robot and step."""
-    results: Results
-    """The same arrays as the kernels want them."""
-
-    def __init__(self, results: Results, observed: tuple[int, ...]) -> None:
-        self.results = results
-        flat, _, self._scores, self.contact, self.clearance, self.active = results[:6]
-        self.status, self.robot_rewards, self.contacts = results[6:9]
-        self.observations = flat.reshape(observed)
+    crowded: NDArray[np.int64]
+    """(B,), a robot with more neighbours than the observation has rows; −1 if there is none. The
+    same memory in every step: it is looked at once."""
 
     @property
     def rewards(self) -> NDArray[np.float64]:
         """(B,), of the team."""
-        return self._scores[REWARD]
+        return self.scores[_REWARD]
 
     @property
     def so_far(self) -> NDArray[np.float64]:
         """(3, B), of the episode: its time, s, the path length of all robots, m, and V, m²/s."""
-        return self._scores[ELAPSED:]
+        return self.scores[ELAPSED:]
 
     @property
     def lyapunov_before_merge(self) -> NDArray[np.float64]:
         """(B,), V just before the first merge of the step, m²/s; V at its end if there was none."""
-        return self._scores[LYAPUNOV_BEFORE_MERGE]
+        return self.scores[_BEFORE_MERGE]
 
     @property
     def lyapunov_after_merge(self) -> NDArray[np.float64]:
         """(B,), V just after the last merge of the step, m²/s; V at its end if there was none."""
-        return self._scores[LYAPUNOV_AFTER_MERGE]
+        return self.scores[_AFTER_MERGE]
 
     @property
     def merge_rise(self) -> NDArray[np.float64]:
         """(B,), largest rise of V at a merge of the step, m²/s; 0 if there was none."""
-        return self._scores[MERGE_RISE]
+        return self.scores[_RISE]
 
     @property
     def merge_excess(self) -> NDArray[np.float64]:
         """(B,), largest rise of V at a merge above its bound (theory 5), m²/s; 0 if there was
         none.
         """
-        return self._scores[MERGE_EXCESS]
+        return self.scores[_EXCESS]
+
+
+def __getattr__(name: str) -> Any:
+    """The old name of StepOutput, for one version."""
+    if name == "Outcome":
+        warnings.warn("Outcome is StepOutput now", DeprecationWarning, stacklevel=2)
+        return StepOutput
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -1,4 +1,4 @@
-"""PettingZoo: ``parallel_env``, ``env`` and ``raw_env``, the doors to one team by name."""
+"""PettingZoo: ``parallel_env``, ``env`` and ``raw_env``, one team by name."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 from pettingzoo.utils import wrappers
 from pettingzoo.utils.env import AECEnv
 
-from .experiment.scenarios import ScenarioLike, resolve
-from .faces.aec import OneAfterAnother
-from .faces.overrides import check_overrides
-from .faces.parallel_env import RendezvousParallelEnv
+from .envs.agents import OneAfterAnother
+from .envs.overrides import check_overrides
+from .envs.parallel_env import RendezvousParallelEnv
+from .scenario.scenarios import ScenarioLike, resolve
 
 __all__ = ["RendezvousParallelEnv", "env", "parallel_env", "raw_env"]
 
@@ -66,3 +66,16 @@ def env(
     """The same environment for one robot after another (PettingZoo's AEC)."""
     one = raw_env(scenario, render_mode, max_cycles, flatten, **overrides)
     return wrappers.OrderEnforcingWrapper(one)
+
+
+def register() -> None:
+    """Register ``rendezvous/rendezvous-v0`` in PettingZoo, once."""
+    try:
+        from pettingzoo.env_registry import registration
+    except ImportError:  # PettingZoo before 1.27 has no registry
+        return
+    name = "rendezvous/rendezvous-v0"
+    if name not in registration.parallel_registry:
+        registration.register("parallel", name, entry_point=f"{__name__}:parallel_env")
+    if name not in registration.aec_registry:
+        registration.register("aec", name, entry_point=f"{__name__}:env")

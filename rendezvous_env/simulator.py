@@ -8,20 +8,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .engine.allocation import Arrangement
-from .engine.beginning.episodes import Episodes
-from .engine.footprint import check_memory
-from .engine.memory import ELAPSED, LYAPUNOV_NOW, RUNNING, Results
+from .checks import bools, floats, shown, whole
+from .engine.batch_runner import BatchRunner
+from .engine.episodes import Episodes
+from .engine.memory import RENDEZVOUS, RUNNING
+from .engine.memory_layout import MemoryLayout, check_memory
+from .engine.stages.step import first_not_finite
 from .engine.state import State
-from .engine.state_checks import check_entries, check_results, check_teams
-from .engine.step import first_not_finite
-from .engine.stepper import Stepper
-from .experiment.checks import bools, floats, refuse, shown, whole
-from .experiment.limits import MOST_STEPS, MOST_TEAMS
-from .experiment.scenario import Scenario
-from .experiment.seeding import seeds_of_teams
-from .experiment.start_options import StartOptions, parse_options
-from .outcome import Outcome
+from .engine.state_checks import check_entries, check_output, check_teams
+from .limits import MOST_STEPS, MOST_TEAMS
+from .outcome import ELAPSED, LYAPUNOV, StepOutput
+from .rewards.custom_terms import RewardStep, add_custom_terms
+from .robots.robot_models import constants_of, is_custom
+from .scenario.scenarios import ScenarioLike, resolve
+from .scenario.start_options import StartOptions, parse_options, seeds_of_teams
+from .sensors.custom_sensors import Seen, apply_custom
 from .team_readings import TeamReadings
 
 _FLOAT32 = np.dtype(np.float32)
@@ -31,10 +32,11 @@ class Simulator(TeamReadings):
     """B teams of one scenario, advanced together.
 
     A batch of one and a batch of many give bit-equal trajectories for equal seeds, with any number
-    of threads.
+    of threads. A step uses threads by itself; one simulator must not be used from several threads
+    at the same time, since its working memory is shared.
 
     Args:
-        scenario: the experiment.
+        scenario: the experiment, the name of a scenario, or the path of a TOML file.
         num_envs: B, number of teams, at least 1.
         num_threads: most threads a step may use; None is one for each core.
 
@@ -44,11 +46,9 @@ class Simulator(TeamReadings):
     """
 
     def __init__(
-        self, scenario: Scenario, num_envs: int = 1, *, num_threads: int | None = None
+        self, scenario: ScenarioLike, num_envs: int = 1, *, num_threads: int | None = None
     ) -> None:
-        if not isinstance(scenario, Scenario):
-            refuse("scenario", scenario, "a Scenario; scenarios.resolve() takes names and files")
-        self.scenario = scenario
+        self.scenario = scenario = resolve(scenario)
         self.num_envs = whole("num_envs", num_envs, 1, MOST_TEAMS)
         self.num_threads = num_threads
         if num_threads is not None:
@@ -61,12 +61,13 @@ class Simulator(TeamReadings):
         """Make what follows from the arguments: state, constants and working memory."""
         scenario = self.scenario
         self._acted = (self.num_envs, scenario.n_robots, scenario.action_size)
-        self._observed = (self.num_envs, scenario.n_robots, *scenario.observation_layout.shape)
-        self._state = State(Arrangement(scenario, self.num_envs))
-        self._stepper = stepper = Stepper(self._state, self.num_threads, self.max_steps)
-        self._episodes = Episodes(self._state, stepper.layout, stepper.robot, stepper.hands)
-        self._given_out = tuple((a.shape, a.dtype) for a in stepper.forms.new())
+        self._state = State(MemoryLayout(scenario, self.num_envs))
+        self._runner = runner = BatchRunner(self._state, self.num_threads, self.max_steps)
+        self._episodes = Episodes(self._state, runner.layout, runner.robot, runner.team_scratch)
+        self._given_out = tuple((a.shape, a.dtype) for a in runner.buffers.new())
         self._all_running = self._none_rests()
+        self._custom = bool(scenario.reward.custom or scenario.sensing.custom)
+        self._own_model = is_custom(scenario.model)
         self._ready = False
 
     # ---- episodes -----------------------------------------------------------------------------
@@ -103,7 +104,7 @@ class Simulator(TeamReadings):
         self._begin(self._which(mask), seeds_of_teams(seed, self.num_envs), given, resting)
         return self.observe()
 
-    def restart(self, mask: NDArray[np.bool_], outcome: Outcome | None = None) -> None:
+    def restart(self, mask: NDArray[np.bool_], outcome: StepOutput | None = None) -> None:
         """Send some teams on to the next episode of their seed, at little cost to the others.
 
         Args:
@@ -119,16 +120,16 @@ class Simulator(TeamReadings):
         """
         which = self._which(mask)
         if outcome is not None:
-            check_results(outcome.results, self._given_out)
+            check_output(outcome, self._given_out)
         self._begin(which, None, StartOptions(), resting=outcome is None)
         if outcome is not None:
-            results = outcome.results
-            results.contact[which], results.active[which] = False, True
-            results.status[which], results.contacts[which] = RUNNING, 0
-            self._stepper.observe_again(which, results)
-            results.scores[ELAPSED:, which] = 0.0
-            results.scores[LYAPUNOV_NOW, which] = self.lyapunov()[which]
-            self._refuse_crowds(results)
+            outcome.contact[which], outcome.active[which] = False, True
+            outcome.status[which], outcome.contacts[which] = RUNNING, 0
+            self._runner.observe_again(which, outcome)
+            self._sense_custom(outcome, which)
+            outcome.scores[ELAPSED:, which] = 0.0
+            outcome.scores[LYAPUNOV, which] = self.lyapunov()[which]
+            self._refuse_crowds(outcome)
 
     def _begin(
         self,
@@ -142,7 +143,7 @@ class Simulator(TeamReadings):
         self._all_running = not (resting and len(which)) and self._none_rests()
         self._ready = True
 
-    def step(self, actions: ArrayLike) -> Outcome:
+    def step(self, actions: ArrayLike) -> StepOutput:
         """Advance every running team by one step τ with the inputs held.
 
         Args:
@@ -155,16 +156,68 @@ class Simulator(TeamReadings):
         Raises:
             ValueError: for a wrong shape or a number that is not finite, naming the robot; nothing
                 has changed then.
-            RuntimeError: before the first reset.
+            RuntimeError: before the first reset; or if a custom robot model moved a robot farther
+                than its speed limit allows, naming the robot: these teams need a reset then.
         """
         if not self._ready:
             raise RuntimeError("call reset() before step()")
         table = self.check_actions(actions)
+        before = self.positions if self._own_model else None
         self._all_running = False  # not known, should an interrupt leave from here
-        results = self._stepper.step(table)
-        self._all_running = not np.count_nonzero(results.status)  # RUNNING is 0
-        self._refuse_crowds(results)
-        return Outcome(results, self._observed)
+        output = self._custom_step(table) if self._custom else self._runner.step(table)
+        self._all_running = not np.count_nonzero(output.status)  # RUNNING is 0
+        if before is not None:
+            self._refuse_leaps(before)
+        self._refuse_crowds(output)
+        return output
+
+    def _refuse_leaps(self, before: NDArray[np.float64]) -> None:
+        """Contact and merging rest on the speed limit, which a custom model may not keep."""
+        scenario = self.scenario
+        limit = float(constants_of(scenario).speed_limit)
+        # each merge may put a robot half a merge radius aside
+        most = 1.000001 * limit * scenario.tau + scenario.n_robots * scenario.merge_radius
+        moved = np.linalg.norm(self.positions - before, axis=-1)
+        wrong = np.argwhere(~(moved <= most))  # NaN is wrong, too
+        if len(wrong):
+            team, robot = (int(index) for index in wrong[0])
+            self._ready = False
+            raise RuntimeError(
+                f"robot model {scenario.robot_model!r} moved robot {robot} of environment {team} "
+                f"by {moved[team, robot]:.6g} m in a step of {scenario.tau:g} s; its speed_limit "
+                f"is {limit:g} m/s"
+            )
+
+    def _custom_step(self, actions: NDArray[np.float32]) -> StepOutput:
+        """A step with reward terms and imperfections of a user's own."""
+        before, took_part, running = self.positions, self.active, self.status == RUNNING
+        output = self._runner.step(actions)
+        step = RewardStep(
+            scenario=self.scenario,
+            actions=actions,
+            positions_before=before,
+            positions=self.positions,
+            took_part=took_part,
+            active=output.active,
+            contact=output.contact,
+            clearance=output.clearance,
+            time=output.scores[ELAPSED],
+            met=running & (output.status == RENDEZVOUS),
+        )
+        add_custom_terms(step, running, output.rewards, output.robot_rewards)
+        self._sense_custom(output, np.arange(self.num_envs))
+        return output
+
+    def _sense_custom(self, output: StepOutput, which: NDArray[np.int64]) -> None:
+        """Let imperfections of a user's own change what some teams have just seen."""
+        if self.scenario.sensing.custom:
+            rows, drawn = (
+                output.observations[which],
+                (self.seeds[which], self._episodes.number[which]),
+            )
+            steps, places = self.steps[which], self.positions[which]
+            apply_custom(Seen(self.scenario, rows, steps, *drawn, places))
+            output.observations[which] = rows
 
     def check_actions(self, actions: ArrayLike) -> NDArray[np.float32]:
         """Actions as an array that ``step`` takes as it is.
@@ -195,14 +248,14 @@ class Simulator(TeamReadings):
             )
         return table
 
-    def _refuse_crowds(self, results: Results) -> None:
+    def _refuse_crowds(self, output: StepOutput) -> None:
         """Name a robot that has come to have more neighbours than the observation has rows."""
         slots = self.scenario.observation_layout.neighbour_slots
-        if slots == self.scenario.n_robots - 1 or not (results.crowded >= 0).any():
+        if slots == self.scenario.n_robots - 1 or not (output.crowded >= 0).any():
             return
-        team = int(np.argmax(results.crowded >= 0))
+        team = int(np.argmax(output.crowded >= 0))
         raise RuntimeError(
-            f"robot_{results.crowded[team]} of team {team} has more than neighbour_slots = {slots} "
+            f"robot_{output.crowded[team]} of team {team} has more than neighbour_slots = {slots} "
             f"neighbours after step {self.steps[team]}; give the scenario more neighbour_slots"
         )
 
@@ -212,9 +265,10 @@ class Simulator(TeamReadings):
         Raises:
             RuntimeError: if a robot has more neighbours than the observation has rows.
         """
-        results = self._stepper.observe()
-        self._refuse_crowds(results)
-        return results.observations.reshape(self._observed)
+        output = self._runner.observe()
+        self._sense_custom(output, np.arange(self.num_envs))
+        self._refuse_crowds(output)
+        return output.observations
 
     def _which(self, mask: NDArray[np.bool_] | None) -> NDArray[np.int64]:
         if mask is None:
@@ -226,7 +280,12 @@ class Simulator(TeamReadings):
     @property
     def clearance(self) -> NDArray[np.float64]:
         """(B, n), distance of each robot to the nearest obstacle now, m; inf without obstacles."""
-        return self._stepper.observe().clearance
+        return self._runner.observe().clearance
+
+    @property
+    def begun(self) -> bool:
+        """Whether there has been a reset."""
+        return self._ready
 
     @property
     def all_running(self) -> bool:
@@ -284,7 +343,7 @@ class Simulator(TeamReadings):
             ValueError: if it is not a positive whole number.
         """
         self.max_steps = whole("max_cycles", max_steps, 1, MOST_STEPS)
-        self._stepper.limit(self.max_steps)
+        self._runner.limit(self.max_steps)
 
     def __getstate__(self) -> dict[str, Any]:
         """Pickle and deepcopy keep the running episodes and leave the working memory behind."""

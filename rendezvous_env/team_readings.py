@@ -7,23 +7,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .engine.beginning.episodes import Episodes
-from .engine.memory import (
-    CONTACTS,
-    ELAPSED,
-    INITIAL_LYAPUNOV,
-    LYAPUNOV,
-    MIN_CLEARANCE,
-    PATH_LENGTH,
-    RENDEZVOUS,
-    STATUS,
-    STEPS,
-    TIME_OUT,
-)
+from .engine.episodes import Episodes
+from .engine.memory import RENDEZVOUS, TIME_OUT
 from .engine.state import State
-from .equations.size import size
-from .experiment.scenario import Scenario
-from .outcome import Outcome
+from .outcome import ELAPSED, StepOutput
+from .physics.hull_perimeter import size
+from .scenario.scenario import Scenario
 
 STANDING = ("success", "time", "contacts", "path_length", "lyapunov")
 """What ``TeamReadings.standing`` tells."""
@@ -71,7 +60,7 @@ class TeamReadings:
 
     @property
     def obstacles(self) -> NDArray[np.float64]:
-        """Obstacles as tables, (B, M, width), see ``experiment.packing``."""
+        """Obstacles as tables, (B, M, width), see ``obstacles.obstacle_set``."""
         return self._state.obstacle_table()
 
     @property
@@ -87,23 +76,23 @@ class TeamReadings:
     @property
     def status(self) -> NDArray[np.int64]:
         """(B,), RUNNING, RENDEZVOUS, TIME_OUT or AWAITING_RESET of engine.memory."""
-        return self._entry(STATUS).astype(np.int64)
+        return self._state.statistic("status").astype(np.int64)
 
     @property
     def ended(self) -> NDArray[np.bool_]:
         """(B,), whether the episode is over."""
-        status = self._entry(STATUS)
+        status = self._state.statistic("status")
         return (status == RENDEZVOUS) | (status == TIME_OUT)
 
     @property
     def steps(self) -> NDArray[np.int64]:
         """(B,), steps done in this episode."""
-        return self._entry(STEPS).astype(np.int64)
+        return self._state.statistic("steps").astype(np.int64)
 
     @property
     def time(self) -> NDArray[np.float64]:
         """(B,), s since the start of the episode."""
-        return self._entry(STEPS) * self.scenario.tau
+        return self._state.statistic("steps") * self.scenario.tau
 
     @property
     def seeds(self) -> NDArray[np.uint64]:
@@ -113,30 +102,30 @@ class TeamReadings:
     @property
     def initial_lyapunov(self) -> NDArray[np.float64]:
         """(B,), V at the start of the episode, m²/s."""
-        return self._entry(INITIAL_LYAPUNOV)
+        return self._state.statistic("initial_lyapunov")
 
     @property
     def path_length(self) -> NDArray[np.float64]:
         """(B,), way of all robots together in this episode, m."""
-        return self._entry(PATH_LENGTH)
+        return self._state.statistic("path_length")
 
     @property
     def contacts(self) -> NDArray[np.int64]:
         """(B,), contacts in this episode, one for each robot and step."""
-        return self._entry(CONTACTS).astype(np.int64)
+        return self._state.statistic("contacts").astype(np.int64)
 
     @property
     def min_clearance(self) -> NDArray[np.float64]:
         """(B,), least distance of a robot to an obstacle in this episode, m; inf without
         obstacles.
         """
-        return self._entry(MIN_CLEARANCE)
+        return self._state.statistic("min_clearance")
 
     def lyapunov(self) -> NDArray[np.float64]:
         """V = Σ_i Σ_j a_ij ‖p_i − p_j‖, (B,), m²/s, of the graph of the moment."""
-        return self._entry(LYAPUNOV)
+        return self._state.statistic("lyapunov")
 
-    def standing(self, outcome: Outcome | None = None) -> dict[str, NDArray[Any]]:
+    def standing(self, outcome: StepOutput | None = None) -> dict[str, NDArray[Any]]:
         """How the teams stand in their episodes, (B,) each, by the names of STANDING: whether all
         have met, s, contacts, m, V in m²/s.
 
@@ -152,12 +141,12 @@ class TeamReadings:
             time, path_length, lyapunov = so_far[0], so_far[1], so_far[2]
         return _standing(status == RENDEZVOUS, time, contacts, path_length, lyapunov)
 
-    def standing_of_first(self, outcome: Outcome | None = None) -> dict[str, Any]:
+    def standing_of_first(self, outcome: StepOutput | None = None) -> dict[str, Any]:
         """``standing`` of team 0, as Python's own numbers; quicker where there is no other."""
         if outcome is None:
             return {key: values[0].item() for key, values in self.standing().items()}
         met, contacts = outcome.status.item(0) == RENDEZVOUS, outcome.contacts.item(0)
-        time, path_length, lyapunov = outcome.results.scores[ELAPSED:, 0].tolist()
+        time, path_length, lyapunov = outcome.scores[ELAPSED:, 0].tolist()
         return _standing(met, time, contacts, path_length, lyapunov)
 
     def merged_into_of_first(self) -> list[int]:
@@ -168,10 +157,6 @@ class TeamReadings:
         """L, (B,), m, of the robots that are left: hull perimeter, in 3-D 2π × mean width."""
         teams = zip(self._state.positions(), self.active, strict=True)
         return np.array([size(places[active]) for places, active in teams])
-
-    def _entry(self, entry: int) -> NDArray[np.float64]:
-        """One entry of every team's statistics, (B,), as a copy."""
-        return self._state.statistic(entry)
 
 
 def _standing(

@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from . import trajectory_minari, trajectory_tables
+from . import trajectory_formats
+from .checks import floats, refuse, shown
 from .engine.memory import RENDEZVOUS, RUNNING
-from .experiment.checks import floats, refuse, shown
-from .experiment.scenario import Scenario
-from .experiment.scenarios import resolve
-from .outcome import Outcome
+from .outcome import StepOutput
+from .scenario.scenario import Scenario
+from .scenario.scenarios import resolve
 from .simulator import Simulator
 
 if TYPE_CHECKING:
@@ -73,7 +73,7 @@ class Trajectory:
     rendezvous_time: NDArray[np.float64]
     """(B,), s; inf without rendezvous."""
     obstacles: NDArray[np.float64]
-    """(B, M, width), tables of ``experiment.packing``."""
+    """(B, M, width), tables of ``obstacles.obstacle_set``."""
     recorded: Mapping[str, NDArray[np.float32]] = field(default_factory=dict)
     """What was kept on request, by name."""
 
@@ -127,16 +127,16 @@ class Trajectory:
         return np.max(rises, axis=0, where=self.running, initial=-np.inf)
 
     def to_dataframe(self) -> pandas.DataFrame:
-        """A row for each moment, team and robot; see ``trajectory_tables.dataframe``."""
-        return trajectory_tables.dataframe(vars(self))
+        """A row for each moment, team and robot; see ``trajectory_formats.pandas_dataframe``."""
+        return trajectory_formats.pandas_dataframe(vars(self))
 
     def to_xarray(self) -> xarray.Dataset:
-        """Every array with named dimensions and units; see ``trajectory_tables.dataset``."""
-        return trajectory_tables.dataset(vars(self))
+        """All arrays, their dimensions named; see ``trajectory_formats.xarray_dataset``."""
+        return trajectory_formats.xarray_dataset(vars(self))
 
     def to_minari(self, name: str, **about: Any) -> Any:
-        """A data set for offline learners, on disk; see ``trajectory_minari.dataset``."""
-        return trajectory_minari.dataset(vars(self), name, **about)
+        """A data set for offline learners, on disk; see ``trajectory_formats.minari_dataset``."""
+        return trajectory_formats.minari_dataset(vars(self), name, **about)
 
 
 class Step(NamedTuple):
@@ -150,7 +150,7 @@ class Step(NamedTuple):
     """(B, n, a)."""
     lyapunov: NDArray[np.float64]
     """(B,), V before the step."""
-    outcome: Outcome
+    outcome: StepOutput
     """What came of it."""
 
 

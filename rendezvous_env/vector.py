@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from .faces.spaces import team_box
-from .faces.training.doors import training_env
-from .faces.vector_wrappers import (
+from .envs.spaces import team_box
+from .envs.training import training_env
+from .envs.vector_wrappers import (
     EnergyTankWrapper,
     GainWrapper,
+    GuaranteeWrapper,
     HeadingVectorWrapper,
     LinkKeepingWrapper,
 )
@@ -14,6 +15,7 @@ from .faces.vector_wrappers import (
 __all__ = [
     "EnergyTankWrapper",
     "GainWrapper",
+    "GuaranteeWrapper",
     "HeadingVectorWrapper",
     "LinkKeepingWrapper",
     "team_box",

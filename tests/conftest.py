@@ -146,14 +146,14 @@ def without_rights() -> Callable[[Path], AbstractContextManager[None]]:
 def one_process():
     """Commands start no workers unless a test asks for them: it could not look into those."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("train.workers.available_cores", lambda: 1)
+        patch.setattr("train.tasks.available_cores", lambda: 1)
         yield
 
 
 @pytest.fixture(scope="session")
 def compared(tmp_path_factory):
     """What a small comparison writes: obstacles in the plane, and flying robots."""
-    from train.comparing import compare
+    from train.compare import compare
 
     out = tmp_path_factory.mktemp("compared")
     policies = ("bearing-only", "tangent-joined", "nonholonomic-3d", "zero")
@@ -165,7 +165,7 @@ def compared(tmp_path_factory):
 @pytest.fixture
 def reseal():
     """Make run.json fit the files beside it again, as if ``compare`` had written them."""
-    from train.comparing import out_folder
+    from train.compare import out_folder
 
     def seal(folder, **changes):
         path = folder / "run.json"

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from hypothesis import strategies as st
 
-from rendezvous_env.experiment.limits import LARGEST, SMALLEST
+from rendezvous_env.limits import LARGEST, SMALLEST
 
 DEEP: list = []
 for _ in range(3000):

@@ -14,7 +14,7 @@ import tyro
 
 import rendezvous_env as rv
 from baselines import policy
-from rendezvous_env.experiment import robot_models
+from rendezvous_env.robots import robot_models
 from train.cli import COMMANDS
 
 ROOT = Path(__file__).parent.parent

@@ -10,7 +10,7 @@ import re
 import pytest
 from conftest import ROOT
 
-FOLDERS = ("equations", "guarantee")
+FOLDERS = ("physics", "safety")
 LEAST_SHARE = 0.9
 KIND = re.compile(
     r"\(\.\.\.[,)]"  # (..., d)

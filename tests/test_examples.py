@@ -37,6 +37,16 @@ def test_train_and_compare(tmp_path):
     assert (tmp_path / "run" / "checkpoints" / "latest.json").is_file()
 
 
+def test_stable_baselines3(tmp_path):
+    program = (EXAMPLES / "11_sb3_ppo.py").read_text(encoding="utf-8")
+    assert len([line for line in program.splitlines() if line.strip()]) <= 30
+    small = ("--steps", "512", "--teams", "4", "--episodes", "2", "--out", str(tmp_path / "out"))
+    run("11_sb3_ppo.py", *small)
+    rows = results.read_csv(tmp_path / "out" / "results.csv")
+    assert [row["policy"] for row in rows] == ["tangent-joined-tuned", "ppo"]
+    assert "ppo" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+
+
 JUDGED = re.compile(
     r"(before|after [\d,]+ decisions of robots): (\S+)% met, (\S+)% without a touch"
 )

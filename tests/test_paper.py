@@ -9,10 +9,9 @@ from conftest import UNEQUAL, five, run_to_end, unequal_matrix
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rendezvous_env import Scenario, certificate
-from rendezvous_env.experiment import graphs
-from rendezvous_env.guarantee.bounds import rendezvous_time_lower_bound, time_bound
-from rendezvous_env.guarantee.lyapunov import lyapunov, lyapunov_rate, net_bearings
+from rendezvous_env import Scenario, certificate, graphs
+from rendezvous_env.safety.lyapunov import lyapunov, lyapunov_rate, net_bearings
+from rendezvous_env.safety.theorems.descent import rendezvous_time_lower_bound, time_bound
 
 ROUNDING = 1e-9
 FAMILIES = {

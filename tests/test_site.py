@@ -131,10 +131,10 @@ def test_a_browser_asks_nobody_else_and_finds_words(site):
         asked, complaints = [], []
         page.on("request", lambda request: asked.append(request.url))
         page.on("pageerror", lambda error: complaints.append(str(error)))
-        for name in ("tutorial", "theory", "reference/experiment", "index"):
+        for name in ("tutorial", "theory", "reference/scenarios", "index"):
             page.goto(f"{home}{name}.html", wait_until="networkidle")
         # key by key: the search listens to keys, and to a text filled in at once only with luck
-        page.locator("input[name=query]").press_sequentially("certificate")
+        page.locator("input[name=query]").press_sequentially("epsilon")
         page.wait_for_selector(".md-search-result__item")
         browser.close()
         server.shutdown()

@@ -15,9 +15,9 @@ from test_package import MODULES
 
 import baselines
 import rendezvous_env as rv
-from train import columns, recording, results
+from train import recording, results
 from train.cli import COMMANDS
-from train.comparing.episodes import Episodes
+from train.compare.evaluation import Episodes
 
 
 @pytest.fixture(scope="module")
@@ -86,7 +86,7 @@ def test_every_column_and_array_is_told(pages):
 
 
 def test_files_have_the_columns_and_arrays_that_are_told(compared):
-    for file, names in (("results.csv", columns.RESULTS), ("paired.csv", columns.PAIRED)):
+    for file, names in (("results.csv", results.RESULTS), ("paired.csv", results.PAIRED)):
         header = (compared / file).read_text(encoding="utf-8").splitlines()[0]
         assert header.split(",") == list(names)
     header = (compared / "episodes.csv").read_text(encoding="utf-8").splitlines()[0]
@@ -125,7 +125,7 @@ def test_the_reference_has_every_public_name_and_module(pages):
         for name in package.__all__:
             assert re.search(rf"^\* \[?`{alias}\.{name}`.*: \S", front, re.MULTILINE), name
     asked = set(re.findall(r"^::: (\S+)$", "\n".join(text for _, text in pages.reference()), re.M))
-    hidden = re.compile(r"checks|\.(engine|drawing)\b|/_|\.(building|__init__)")
+    hidden = re.compile(r"checks|\.(engine|render)\b|/_|\.(building|__init__)")
     folders = {name for name in MODULES if any(other.startswith(f"{name}.") for other in MODULES)}
     wanted = {
         name
@@ -156,6 +156,29 @@ def test_a_notebook_becomes_a_page(pages, tmp_path):
     assert text.startswith("# A\nb\n\n```python\nx = 1\nx\n```\n\n")
     assert "```text\none\n1\n```" in text
     assert pictures == {"note-0.png": b"hello"} and "](note-0.png)" in text
+
+
+def test_the_reference_begins_with_what_is_looked_for_first(pages):
+    names = re.findall(r"^\* \[?`(rv|baselines)\.(\w+)`", pages.public(), re.MULTILINE)
+    assert [name for package, name in names if package == "rv"][:2] == ["parallel_env", "make_vec"]
+    assert next(name for package, name in names if package == "baselines") == "make"
+
+
+WORDS = "install video epsilon centralised benchmark GPU reward shield".split()
+
+
+def test_the_words_of_others_are_told():
+    told = (ROOT / "docs/faq.md").read_text(encoding="utf-8")
+    assert [word for word in WORDS if word not in told] == []
+    assert 'PPO("MlpPolicy", make_vec(...))' in told
+
+
+def test_the_sample_of_a_scenario_file_is_read(tmp_path):
+    (text,) = re.findall(
+        r"```toml\n(.*?)```", (ROOT / "docs/faq.md").read_text(encoding="utf-8"), re.DOTALL
+    )
+    (tmp_path / "my.toml").write_text(text, encoding="utf-8")
+    assert rv.Scenario.from_toml(tmp_path / "my.toml").n_robots == 6
 
 
 @pytest.mark.parametrize(

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from rendezvous_env.equations.robots.arcs import arc_2d, arc_3d, body_frame_2d, body_frame_3d
-from rendezvous_env.equations.shapes.obstacles import World
-from rendezvous_env.experiment.obstacles import Obstacle
-from rendezvous_env.experiment.packing import only_balls, pack, world_of
+from rendezvous_env.obstacles.obstacle_set import Obstacle, World, pack, world_of
+from rendezvous_env.obstacles.parsing import only_balls
+from rendezvous_env.robots.nonholonomic_3d import arc_3d, body_frame_3d
+from rendezvous_env.robots.unicycle import arc_2d, body_frame_2d
 
 
 def triple(vector: Sequence[float] | np.ndarray) -> tuple[float, float, float]:

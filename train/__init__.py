@@ -6,9 +6,9 @@ from importlib import import_module
 from typing import Any
 
 _SHORT = {
-    "compare": "train.comparing.compare",
-    "learned_policy": "baselines.learned.learned_policy",
-    "ppo": "train.learning.ppo",
+    "compare": f"{__name__}.compare.compare",
+    "learned_policy": "rendezvous_env.baselines.learned.learned_policy",
+    "ppo": f"{__name__}.learn.ppo",
     "sb3_vec_env": "rendezvous_env.adapters.sb3",
 }
 """Modules under the names by which programs of version 0.1 know them."""

@@ -7,9 +7,14 @@ from dataclasses import Field, fields
 from pathlib import Path
 from typing import Any
 
-from .errors import UserError
-
 _LONGEST_NAME = 255  # bytes of one part of a path, on every common file system
+
+
+class UserError(Exception):
+    """Ends a command with one line instead of a traceback: the user asked for what cannot be.
+
+    The message says what would be right.
+    """
 
 
 def check_fields(config: Any) -> None:
@@ -66,9 +71,18 @@ def check_text(name: str, text: str) -> None:
         raise UserError(f"{name} is {text!r}; it must not hold the character NUL")
 
 
+_FLAGS = {
+    "on": "backend",
+    "fresh": "overwrite",
+    "keep": "keep-trajectories",
+    "ceiling": "oracle-runs",
+}
+"""Flags that are not called as their fields."""
+
+
 def flag(name: str) -> str:
     """What the command line calls a field."""
-    return "--" + name.replace("_", "-")
+    return "--" + _FLAGS.get(name, name.replace("_", "-"))
 
 
 def _name(field: Field[Any]) -> str:

@@ -7,30 +7,37 @@ function ``run(config)`` that returns the exit status. Only the module of the co
 from __future__ import annotations
 
 import argparse
+import ast
+import dataclasses
+import inspect
 import os
 import sys
+import textwrap
 from collections.abc import Sequence
 from contextlib import suppress
+from functools import partial
 from importlib import import_module
-from typing import Any
+from itertools import pairwise
+from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 from . import interrupts
-from .errors import UserError
+from .checks import UserError, flag
 
 COMMANDS = {
-    "compare": ("comparing.compare", "compare policies on the same starts: table, files, figures"),
-    "train": ("learning.train", "PPO learns headings that keep the guarantee; stop it, resume it"),
+    "compare": ("compare.compare", "compare policies on the same starts: table, files, figures"),
+    "train": ("learn.command", "PPO learns headings that keep the guarantee; stop it, resume it"),
     "list": ("listing", "the scenarios or the policies, a line for each"),
     "report": ("report.build", "an HTML page of what compare found, with an interactive replay"),
     "export": ("export", "a learned policy's network as an ONNX file, for robots"),
-    "bench": ("benchmark.bench", "how fast the environments are on this machine"),
-    "render": ("pictures.render", "one episode as a film (gif, mp4) or a figure (png, pdf)"),
-    "reproduce": ("pictures.reproduce", "draw figure 3 or 4 of the paper for our start positions"),
-    "warmup": ("benchmark.warmup", "compile beforehand what the first use would compile"),
-    "verify": ("verification.verify", "check the theorems on random teams; status 1 if one fails"),
+    "bench": ("bench.bench", "how fast the environments are on this machine"),
+    "render": ("figures.render", "one episode as a video (gif, mp4) or a figure (png, pdf)"),
+    "reproduce": ("figures.reproduce", "draw figure 3 or 4 of the paper for our start positions"),
+    "warmup": ("bench.warmup", "compile beforehand what the first use would compile"),
+    "verify": ("verify.verify", "check the theorems on random teams; status 1 if one fails"),
 }
 """Module in ``train`` and one line of help for each command."""
 _COMPLETION = "--completion"
+_WIDTH = 96
 _LONGEST_LINE = 1000
 """Characters; of a longer one the beginning and the end are shown."""
 
@@ -77,9 +84,98 @@ def _run(command: str, flags: Sequence[str]) -> int:
     for number, word in enumerate(flags, start=1):
         check_text(f"word {number} after {command}", word)
     module = import_module(f"train.{COMMANDS[command][0]}")
+    if {"-h", "--help"} & set(flags):
+        print(help_of(command, module))
+        return 0
     config = tyro.cli(module.Config, prog=f"rendezvous {command}", args=flags)
     check_fields(config)
     return int(module.run(config) or 0)
+
+
+# ---- help ---------------------------------------------------------------------------------------
+
+
+def help_of(command: str, module: Any) -> str:
+    """What ``--help`` says of a command: what it does, examples, and its flags in groups.
+
+    Args:
+        command: its name.
+        module: with Config, whose fields are documented below them. Where that is defined there
+            may be EXAMPLES (words after the command) and FLAG_GROUPS (names of fields by title; the
+            others stand first).
+    """
+    config, wrap = module.Config, partial(textwrap.wrap, width=_WIDTH)
+    hints, documents = get_type_hints(config, include_extras=True), _documents(config)
+    home = sys.modules[config.__module__]
+    groups = getattr(home, "FLAG_GROUPS", {})
+    grouped = {name for names in groups.values() for name in names}
+    own = {field.name: field for field in dataclasses.fields(config)}
+    titled = {"Flags": [name for name in own if name not in grouped], **groups}
+    positional = [n for n in own if "Positional" in str(own[n].type)]
+    words = ["[FLAGS]", *(f"[{name.upper()}]" for name in positional)]
+    lines = [
+        f"usage: rendezvous {command} {' '.join(words)}",
+        "",
+        *str(inspect.getdoc(config)).split("\n"),
+    ]
+    if examples := getattr(home, "EXAMPLES", ()):
+        lines += ["", "Examples:", *(f"  rendezvous {command} {words}" for words in examples)]
+    for title, names in titled.items():
+        lines += ["", f"{title}:"] if names else []
+        for name in names:
+            default = _default(own[name].default)
+            said = f"{documents[name]}{f' Default: {default}.' if default else ''}"
+            lines += [f"  {_flag_of(name, hints[name], name in positional, own[name].default)}"]
+            lines += wrap(said, initial_indent=" " * 6, subsequent_indent=" " * 6)
+    return "\n".join(lines)
+
+
+def _documents(config: type) -> dict[str, str]:
+    """What stands below each field of a dataclass and of those that it extends."""
+    found: dict[str, str] = {}
+    for kind in reversed(config.__mro__):
+        if dataclasses.is_dataclass(kind):
+            (parsed,) = ast.parse(textwrap.dedent(inspect.getsource(kind))).body
+            for before, after in pairwise(parsed.body):  # type: ignore[attr-defined]
+                if isinstance(before, ast.AnnAssign) and isinstance(after, ast.Expr):
+                    text = ast.literal_eval(after.value)
+                    found[ast.unparse(before.target)] = " ".join(text.split())
+    return found
+
+
+def _flag_of(name: str, hint: Any, positional: bool, default: Any) -> str:
+    """A flag with its other names and what follows it."""
+    names = [flag(name)]
+    for one in getattr(hint, "__metadata__", ()):  # tyro.conf.arg
+        if getattr(one, "name", None) is not None:
+            names = [f"--{one.name}"]
+        names += getattr(one, "aliases", None) or ()
+    kind = getattr(hint, "__origin__", hint) if hasattr(hint, "__metadata__") else hint
+    if kind is bool:
+        return f"{names[0]}, --no-{names[0][2:]}" if default else ", ".join(names)
+    if positional:
+        return f"{name.upper()} {_value_of(kind) if get_origin(kind) is Literal else ''}".rstrip()
+    return f"{', '.join(names)} {_value_of(kind)}"
+
+
+def _value_of(kind: Any) -> str:
+    """What is written after a flag of a type."""
+    inner = [one for one in get_args(kind) if one is not type(None)]
+    if get_origin(kind) is Literal:
+        return "{" + ",".join(map(str, inner)) + "}"
+    if get_origin(kind) is tuple:
+        if inner[-1] is Ellipsis:
+            return f"{_value_of(inner[0])} [{_value_of(inner[0])} ...]"
+        return " ".join(map(_value_of, inner))
+    if inner:  # one of several, as X | None
+        return " or ".join(dict.fromkeys(map(_value_of, inner)))
+    return {int: "INTEGER", float: "NUMBER", str: "TEXT"}.get(kind, "PATH")
+
+
+def _default(value: Any) -> str:
+    if value is None or value == () or isinstance(value, bool) or value is dataclasses.MISSING:
+        return ""
+    return " ".join(map(str, value)) if isinstance(value, tuple) else str(value)
 
 
 class _Version(argparse.Action):

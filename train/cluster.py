@@ -9,12 +9,12 @@ from __future__ import annotations
 import os
 import pickle
 import socket
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from itertools import islice
 from typing import Any, TypeVar
 
-from .errors import UserError
+from .checks import UserError
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
@@ -28,7 +28,8 @@ _ANSWER = 10.0
 _MODE = "RAY_AUTH_MODE"
 """Where Ray reads whether a cluster asks for a token. Each process reads it for itself; Ray sets it
 in one that starts a cluster of its own."""
-_ALONE = {name: "1" for name in ("NUMBA_NUM_THREADS", "OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS")}
+ALONE = {name: "1" for name in ("NUMBA_NUM_THREADS", "OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS")}
+"""Environment of a worker: one thread each."""
 
 
 def spread(
@@ -39,7 +40,7 @@ def spread(
     jobs: int | None,
     address: str | None,
     cores: int,
-) -> Iterator[tuple[int, Result]]:
+) -> Generator[tuple[int, Result], None, None]:
     """Do tasks on a cluster. A worker or a machine that is lost costs what it was at.
 
     Args:
@@ -103,7 +104,7 @@ def _joined(address: str | None, cores: int) -> Iterator[None]:
         ray.init(
             address or "local",
             num_cpus=None if address else cores,
-            runtime_env={"env_vars": _ALONE},
+            runtime_env={"env_vars": ALONE},
             log_to_driver=False,
             include_dashboard=None if address else False,
         )

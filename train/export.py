@@ -3,21 +3,39 @@
 from __future__ import annotations
 
 import importlib.util
+import json
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from rendezvous_env.baselines.learned import checkpoints
+from rendezvous_env.baselines.learned.features import (
+    NEIGHBOUR_COLUMNS,
+    OBSTACLE_COLUMNS,
+    FeatureLayout,
+)
+from rendezvous_env.baselines.learned.numpy_actor import (
+    Layer,
+    NumpyActor,
+    linear_layer,
+    linear_layers,
+)
+from rendezvous_env.baselines.learned.onnx_network import (
+    DIGEST_KEY,
+    NO_DIGEST,
+    SETTINGS_KEY,
+    SUFFIX,
+    OnnxNetwork,
+    digest_of,
+)
+from rendezvous_env.baselines.learned.policy_settings import PolicySettings
 from rich.console import Console
 
-from baselines.learned import checkpoints
-from baselines.learned.chooser import Chooser
-from baselines.learned.onnx_network import SUFFIX, OnnxNetwork
-from baselines.learned.perception_layout import PerceptionLayout
-from baselines.learned.policy_settings import PolicySettings
-
-from . import onnx_graph, policies
-from .errors import UserError
+from . import policies
+from .checks import UserError
 from .results import atomic, prepare_folder
 
 _MOST_CHECKS = 10**7
@@ -27,17 +45,19 @@ _AT_ONCE = 512
 _CLOSE = 1e-4
 """Share of the largest preference by which the file may differ: sums are in another order."""
 
+EXAMPLES = ("--policy learned --out out/policy.onnx", "--policy learned:runs/heading")
+
 
 @dataclass(frozen=True)
 class Config:
     """Write the network of a learned policy as an ONNX file, and check it against the policy."""
 
     policy: str = "learned"
-    """Name of a shipped policy, or learned:PATH of a run or a checkpoint."""
+    """The name of a shipped policy, or learned:PATH of a run or a checkpoint."""
     out: Path = Path("out/policy.onnx")
-    """File to write."""
+    """The file to write."""
     checks: int = 10_000
-    """Drawn inputs on which the file is compared with the policy before it takes its place."""
+    """On how many random inputs the file is compared with the policy before it takes its place."""
 
 
 def run(config: Config) -> int:
@@ -50,7 +70,7 @@ def run(config: Config) -> int:
     weights, settings = _check(config)
     prepare_folder(config.out.parent)
     with atomic(config.out) as temporary:
-        temporary.write_bytes(onnx_graph.model_of(weights, settings).SerializeToString())
+        temporary.write_bytes(model_of(weights, settings).SerializeToString())
         apart = _compare(temporary, weights, settings, config.checks)
         size = temporary.stat().st_size
     Console().print(
@@ -94,7 +114,7 @@ def _compare(
     for first in range(0, checks, _AT_ONCE):
         robots = min(_AT_ONCE, checks - first)
         layout = settings.layout(*_SLOTS[first // _AT_ONCE % len(_SLOTS)])
-        ours = Chooser(weights, settings, layout)
+        ours = NumpyActor(weights, settings, layout)
         written.fit(layout)
         shown = drawn_tables(layout, robots, random)
         hidden = [np.zeros((robots, settings.units), dtype=np.float32) for _ in range(2)]
@@ -111,7 +131,7 @@ def _compare(
 
 
 def drawn_tables(
-    layout: PerceptionLayout, robots: int, random: np.random.Generator
+    layout: FeatureLayout, robots: int, random: np.random.Generator
 ) -> NDArray[np.float32]:
     """Tables as robots could be shown, (N, layout.size), each row of a set absent at random."""
     shown = random.normal(size=(robots, layout.size)).astype(np.float32)
@@ -119,3 +139,179 @@ def drawn_tables(
     for rows in (seen.neighbours, seen.obstacles):
         rows[random.random(rows.shape[:2]) > likely] = 0.0
     return shown
+
+
+_OPSET = 18
+_IR_VERSION = 8
+"""Old ones, so that old runtimes on robots read them, too."""
+_INPUTS = {
+    "neighbours": "Unit bearing x, y; gain, m/s; zero rows are absent",
+    "obstacles": "Counter-clockwise edge x, y; clockwise edge x, y; how fast each turns, rad/s; "
+    "zero rows are absent",
+    "context": "What belongs to no set; CONTEXT_COLUMNS of baselines.learned.features",
+    "hidden": "What is remembered; zeros at first",
+}
+"""What each input is, in the frame with x along f."""
+
+
+def model_of(weights: Mapping[str, NDArray[Any]], settings: PolicySettings) -> Any:
+    """The actor as ``onnx.ModelProto``: any number of robots, neighbours and obstacles.
+
+        (mean φ(g), max φ(g), mean ψ(s), max ψ(s), context) → preferences
+
+    Inputs: neighbours (N, K, 3), obstacles (N, M, 6), context (N, columns) and, with a recurrent
+    unit, hidden (N, units), all float32; N, K and M are free. Outputs: preferences (N, choices)
+    and hidden_next. Its metadata holds the settings, the angles of the choices, rad,
+    and a digest of all of it.
+
+    Args:
+        weights: of the network's state, by name.
+        settings: that it was trained with.
+
+    Raises:
+        ValueError: naming an array that is missing, of another shape or not finite.
+    """
+    from onnx import checker, helper
+
+    width, units, choices = settings.set_width, settings.units, len(settings.angles)
+    context = settings.layout(0, 0).context_columns
+    features = 4 * width + context
+    graph = _Graph()
+    pooled = [
+        part
+        for rows, name, columns in (
+            ("neighbours", "neighbour_net", NEIGHBOUR_COLUMNS),
+            ("obstacles", "obstacle_net", OBSTACLE_COLUMNS),
+        )
+        for part in _pooled(
+            graph,
+            rows,
+            linear_layers(weights, f"features_extractor.{name}", (columns, width, width)),
+        )
+    ]
+    seen = graph.add("Concat", [*pooled, "context"], axis=1)
+    if units:
+        hidden = _remembered(graph, weights, seen, features, units)
+        seen = graph.add("Concat", [hidden, seen], axis=1)
+    sizes = (units + features, *settings.hidden)
+    for layer in linear_layers(weights, "mlp_extractor.policy_net", sizes):
+        seen = graph.add("Relu", [_linear(graph, seen, layer)])
+    last = linear_layer(weights, "action_net.weight", "action_net.bias", sizes[-1], choices)
+    graph.add("Identity", [_linear(graph, seen, last)], name="preferences")
+    shapes: dict[str, list[int | str]] = {
+        "neighbours": ["robots", "neighbour_slots", NEIGHBOUR_COLUMNS],
+        "obstacles": ["robots", "obstacle_slots", OBSTACLE_COLUMNS],
+        "context": ["robots", context],
+    }
+    results: dict[str, list[int | str]] = {"preferences": ["robots", choices]}
+    if units:
+        shapes["hidden"] = results["hidden_next"] = ["robots", units]
+    made = helper.make_model(
+        helper.make_graph(
+            graph.nodes,
+            "rendezvous_policy",
+            [_value(name, shape, _INPUTS[name]) for name, shape in shapes.items()],
+            [_value(name, shape) for name, shape in results.items()],
+            graph.constants,
+        ),
+        opset_imports=[helper.make_opsetid("", _OPSET)],
+        ir_version=_IR_VERSION,
+        producer_name="rendezvous-env",
+        doc_string="Which heading to take. Guide and guarantee follow: see baselines.RobotPolicy.",
+    )
+    about = {
+        SETTINGS_KEY: json.dumps(settings.to_plain()),
+        "angles": json.dumps(settings.angles.tolist()),
+        DIGEST_KEY: json.dumps(NO_DIGEST),
+    }
+    helper.set_model_props(made, about)
+    checker.check_model(made, full_check=True)
+    about[DIGEST_KEY] = json.dumps(digest_of(made.SerializeToString()))
+    helper.set_model_props(made, about)
+    return made
+
+
+class _Graph:
+    """Nodes and constants of a graph, and names for what they give."""
+
+    def __init__(self) -> None:
+        self.nodes: list[Any] = []
+        self.constants: list[Any] = []
+
+    def add(self, operator: str, inputs: Sequence[str], name: str = "", **options: Any) -> str:
+        """A node with one output; the output's name."""
+        from onnx import helper
+
+        name = name or f"{operator}_{len(self.nodes)}"
+        self.nodes.append(helper.make_node(operator, list(inputs), [name], name=name, **options))
+        return name
+
+    def constant(self, value: Any, dtype: type[np.generic] = np.float32) -> str:
+        """A constant; its name."""
+        from onnx import numpy_helper
+
+        name = f"constant_{len(self.constants)}"
+        array = np.ascontiguousarray(value, dtype=dtype)
+        self.constants.append(numpy_helper.from_array(array, name))
+        return name
+
+
+def _linear(graph: _Graph, values: str, layer: Layer) -> str:
+    """W x + b over the last axis."""
+    weight, bias = layer
+    product = graph.add("MatMul", [values, graph.constant(weight.T)])
+    return graph.add("Add", [product, graph.constant(bias)])
+
+
+def _pooled(graph: _Graph, rows: str, layers: list[Layer]) -> tuple[str, str]:
+    """Mean and largest feature over the rows that are present.
+
+    An absent row's features become zeros, which no feature is below, as all end in a ReLU. One row
+    more is appended, absent: a set without any slot has no largest element.
+    """
+    along, last = (graph.constant([axis], np.int64) for axis in (1, 2))
+    padded = graph.add("Pad", [rows, graph.constant([0, 0, 0, 0, 1, 0], np.int64)])
+    size = graph.add("ReduceMax", [graph.add("Abs", [padded]), last], keepdims=1)
+    is_present = graph.add("Greater", [size, graph.constant(0.0)])
+    present = graph.add("Cast", [is_present], to=1)  # to float32
+    features = padded
+    for layer in layers:
+        features = graph.add("Relu", [_linear(graph, features, layer)])
+    kept = graph.add("Mul", [features, present])
+    counted = graph.add("ReduceSum", [present, along], keepdims=0)
+    count = graph.add("Max", [counted, graph.constant(1.0)])
+    total = graph.add("ReduceSum", [kept, along], keepdims=0)
+    mean = graph.add("Div", [total, count])
+    return mean, graph.add("ReduceMax", [kept, along], keepdims=0)
+
+
+def _remembered(
+    graph: _Graph,
+    weights: Mapping[str, NDArray[Any]],
+    features: str,
+    inputs: int,
+    units: int,
+) -> str:
+    """The equations of ``RecurrentUnit``, from "hidden" to "hidden_next"."""
+    seen = linear_layer(weights, "memory.weight_ih", "memory.bias_ih", inputs, 3 * units)
+    kept = linear_layer(weights, "memory.weight_hh", "memory.bias_hh", units, 3 * units)
+
+    def part(values: str, layer: Layer, gate: int) -> str:
+        rows = slice(gate * units, (gate + 1) * units)
+        return _linear(graph, values, (layer[0][rows], layer[1][rows]))
+
+    def both(gate: int) -> str:
+        parts = [part(features, seen, gate), part("hidden", kept, gate)]
+        return graph.add("Sigmoid", [graph.add("Add", parts)])
+
+    r, z = both(0), both(1)
+    faded = graph.add("Mul", [r, part("hidden", kept, 2)])
+    m = graph.add("Tanh", [graph.add("Add", [part(features, seen, 2), faded])])
+    stays = graph.add("Mul", [z, graph.add("Sub", ["hidden", m])])
+    return graph.add("Add", [m, stays], name="hidden_next")
+
+
+def _value(name: str, shape: Sequence[int | str], about: str = "") -> Any:
+    from onnx import TensorProto, helper
+
+    return helper.make_tensor_value_info(name, TensorProto.FLOAT, shape, about)

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import os
-import select
 import signal
 import sys
 import threading
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -55,12 +53,14 @@ def raised(command: str) -> Iterator[None]:
         return
     reader, writer = os.pipe()
     os.set_blocking(writer, False)
+    over = threading.Event()
     handlers = {number: signal.signal(number, _interrupt) for number in SIGNALS}
     descriptor = signal.set_wakeup_fd(writer, warn_on_full_buffer=False)
-    threading.Thread(target=_end_late, args=(reader, command), daemon=True).start()
+    threading.Thread(target=_end_late, args=(reader, over, command), daemon=True).start()
     try:
         yield
     finally:
+        over.set()
         signal.set_wakeup_fd(descriptor)
         for number, handler in handlers.items():
             signal.signal(number, handler)
@@ -77,26 +77,16 @@ def _interrupt(number: int, frame: Any) -> None:
     raise Interrupted(number)
 
 
-def _end_late(reader: int, command: str) -> None:
-    """End the process GRACE after the first signal, unless the pipe is closed before."""
-    try:
-        number = _next(reader, None)
-        deadline = time.monotonic() + GRACE
-        while number is not None and (left := deadline - time.monotonic()) > 0:
-            if select.select([reader], [], [], left)[0] and _next(reader, number) is None:
-                number = None
-        if number is not None:
-            error = Interrupted(number)
-            error.add_note("it did not stop by itself; what it was writing is left out")
-            print(line_of(command, error), file=sys.stderr, flush=True)
-            os._exit(status_of(error))
-    finally:
-        os.close(reader)
-
-
-def _next(reader: int, default: int | None) -> int | None:
-    """The next of SIGNALS in the pipe (or the one that came before); None once it is closed."""
-    while content := os.read(reader, 1):
-        if content[0] in SIGNALS or default is not None:
-            return default or content[0]
-    return None
+def _end_late(reader: int, over: threading.Event, command: str) -> None:
+    """End the process GRACE after the first of SIGNALS in the pipe, unless the body is over."""
+    number = None
+    while number not in SIGNALS:
+        if not (content := os.read(reader, 1)):  # closed
+            break
+        number = content[0]
+    if number in SIGNALS and not over.wait(GRACE):
+        error = Interrupted(number)
+        error.add_note("it did not stop by itself; what it was writing is left out")
+        print(line_of(command, error), file=sys.stderr, flush=True)
+        os._exit(status_of(error))
+    os.close(reader)

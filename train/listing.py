@@ -6,20 +6,22 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+from rendezvous_env.baselines.policy import KINDS
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 from tyro.conf import Positional
 
-import baselines
-from baselines.policy import KINDS
+from rendezvous_env import baselines
 from rendezvous_env.engine.preparation import begins_alike
-from rendezvous_env.experiment import scenarios
-from rendezvous_env.experiment.obstacles import ObstacleField
-from rendezvous_env.experiment.scenario import Scenario
-from rendezvous_env.experiment.walls import WallField
+from rendezvous_env.obstacles.fields import ObstacleField
+from rendezvous_env.obstacles.walls import WallField
+from rendezvous_env.scenario import scenarios
+from rendezvous_env.scenario.scenario import Scenario
 
 from . import policies
+
+EXAMPLES = ("scenarios", "policies")
 
 
 @dataclass(frozen=True)
@@ -27,7 +29,7 @@ class Config:
     """List the scenarios or the policies, a line for each, with which policies fit which."""
 
     what: Positional[Literal["scenarios", "policies"]]
-    """Which of them."""
+    """What to list."""
 
 
 def run(config: Config) -> int:

@@ -1,21 +1,35 @@
-"""Which policies a command can compare, by name: those of the registry, ``learned:PATH``, which is
-that of a run, of a checkpoint or of an exported network, and ``module:function``, a user's own.
+"""Which policies and scenarios a command can take, by name.
+
+Policies: those of the registry, ``learned:PATH``, which is that of a run, of a checkpoint or of an
+exported network, and ``module:function``, a user's own. Scenarios: by name or TOML file.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import importlib
+import inspect
+import os
+import re
+import sys
+import tomllib
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
-import baselines
-from baselines import policy as registry
-from baselines.learned import learned_policy, shipped
-from baselines.learned.robots import can_steer
-from rendezvous_env.experiment.scenario import Scenario, nearest_word
-from rendezvous_env.trajectory import Policy
+import numpy as np
+from rendezvous_env.baselines import policy as registry
+from rendezvous_env.baselines.learned import learned_policy, shipped
+from rendezvous_env.baselines.learned.features import can_steer
+from rendezvous_env.baselines.policy import file_of
 
-from . import own_policies
-from .errors import UserError
+from rendezvous_env import baselines
+from rendezvous_env.checks import nearest_word, shown
+from rendezvous_env.scenario import scenarios
+from rendezvous_env.scenario.scenario import Scenario
+from rendezvous_env.simulator import Simulator
+from rendezvous_env.trajectory import Policy, begin
+
+from .checks import UserError
 
 _LEARNED = "learned"
 _AT_PATH = f"{_LEARNED}:"
@@ -34,7 +48,7 @@ def names(scenario: Scenario) -> list[str]:
 
 def kind_of(name: str) -> str:
     """The kind of a policy, one of ``baselines.policy.KINDS``."""
-    if own_policies.is_own(name):
+    if is_user_policy(name):
         return "own"
     return _LEARNED if name.startswith(_AT_PATH) else registry.kind_of(name)
 
@@ -50,8 +64,8 @@ def make(name: str, scenario: Scenario) -> Policy:
     Raises:
         ValueError: if it is unknown, does not fit, or cannot be read.
     """
-    if own_policies.is_own(name):
-        if (policy := own_policies.make(name, scenario)) is None:
+    if is_user_policy(name):
+        if (policy := _make_own(name, scenario)) is None:
             raise ValueError(f"policy {name!r} does not fit scenario {scenario.name!r}")
         return policy
     if name.startswith(_AT_PATH):
@@ -81,15 +95,14 @@ def fitting(scenario: Scenario, wanted: Sequence[str]) -> list[str]:
 
 def _fits_unlisted(name: str, scenario: Scenario) -> bool:
     """Whether a policy that no registry lists fits a scenario."""
-    if own_policies.is_own(name):
-        return own_policies.fits(name, scenario)
+    if is_user_policy(name):
+        return _fits_own(name, scenario)
     return name.startswith(_AT_PATH) and can_steer(scenario)
 
 
 def source_file(name: str) -> Path | None:
     """The file in which a policy is made that has no weights; None if it stands in none."""
-    home = own_policies if own_policies.is_own(name) else registry
-    return home.source_file(name)
+    return _own_file(name) if is_user_policy(name) else registry.source_file(name)
 
 
 def best(scenario: Scenario) -> str:
@@ -108,8 +121,8 @@ def check_names(wanted: Sequence[str]) -> None:
     """
     known = baselines.names()
     for name in wanted:
-        if own_policies.is_own(name):
-            own_policies.find(name)
+        if is_user_policy(name):
+            find_function(name)
         elif learned_path(name) is not None:
             _check_learned(name)
         elif name not in known:
@@ -137,3 +150,137 @@ def promised_margin(name: str, policy: Policy) -> float | None:
         return 1.0
     margin = getattr(policy, "min_alignment", None)
     return None if margin is None else float(margin)
+
+
+# ---- scenarios ----------------------------------------------------------------------------------
+
+
+def resolve_scenario(name: str, changes: Sequence[str] = ()) -> Scenario:
+    """A scenario by its name or TOML file, with other values of some fields.
+
+    Args:
+        name: of the scenario, or path of a file.
+        changes: of ``--set``: FIELD=VALUE each, a value as TOML writes it; they go into the name.
+
+    Raises:
+        UserError: saying what would be right.
+    """
+    try:
+        scenario = scenarios.resolve(name)
+        given = {}
+        for change in changes:
+            field, equals, value = change.partition("=")
+            if not equals:
+                raise UserError(f"--set {change}: write FIELD=VALUE, as in n_robots=9")
+            try:
+                given[field] = tomllib.loads(f"value = {value}")["value"]
+            except tomllib.TOMLDecodeError:
+                given[field] = value  # a word
+        said = "-".join(re.sub(r"[^\w.+-]+", "-", change.replace("_", "-")) for change in changes)
+        named = {"name": f"{scenario.name}-{said}"} if changes and "name" not in given else {}
+        return scenario.replace(**given, **named) if changes else scenario
+    except (ValueError, TypeError, OSError) as error:
+        what = f"--set {' '.join(changes)}: " if changes else ""
+        raise UserError(f"{what}{error}") from error
+
+
+# ---- policies of users: MODULE:FUNCTION --------------------------------------------------------
+
+
+def is_user_policy(name: str) -> bool:
+    """Whether a name is meant as ``module:function``."""
+    return ":" in name and not name.startswith("learned:")
+
+
+def find_function(name: str) -> Callable[[Scenario], Policy | None]:
+    """The function of a name; its module may lie in the current folder.
+
+    Raises:
+        UserError: naming the module or the function that there is not, or what importing it raised.
+    """
+    module_name, _, function_name = name.partition(":")
+    if not all(part.isidentifier() for part in (*module_name.split("."), function_name)):
+        raise UserError(f"policy {name!r}: write MODULE:FUNCTION, as in my_policies:make")
+    module = _imported(name, module_name)
+    function = getattr(module, function_name, None)
+    place = getattr(module, "__file__", None) or "built in"
+    if function is None:
+        near = nearest_word(function_name, [key for key in vars(module) if key[0] != "_"])
+        hint = f"; did you mean {near!r}?" if near else ""
+        raise UserError(f"policy {name!r}: {module_name} ({place}) has no {function_name!r}{hint}")
+    if not callable(function):
+        raise UserError(
+            f"policy {name!r}: {function_name} in {module_name} is {shown(function)}; it must be a "
+            "function of a scenario that gives a policy"
+        )
+    return function
+
+
+def _make_own(name: str, scenario: Scenario) -> Policy | None:
+    """What the function gives for a scenario; None if that does not fit it.
+
+    Raises:
+        UserError: for an unknown name, what the function raised, or something that is no policy.
+    """
+    function = find_function(name)
+    try:
+        policy = function(scenario)
+    except Exception as error:  # whatever a user's code may raise
+        raise UserError(
+            f"policy {name!r} for scenario {scenario.name!r}: {type(error).__name__}: {error}"
+        ) from error
+    if policy is not None and (not callable(policy) or inspect.isclass(policy)):
+        raise UserError(
+            f"policy {name!r} gave {shown(policy)} for scenario {scenario.name!r}; it must give a "
+            "function of observations (..., n, rows, d) and time, or None where it does not fit"
+        )
+    return policy
+
+
+def _fits_own(name: str, scenario: Scenario) -> bool:
+    """Whether it steers the robots of a scenario, for which it is tried for one step.
+
+    Raises:
+        UserError: as ``_make_own``; also for what it raised, or actions that no robot can execute.
+    """
+    if (policy := _make_own(name, scenario)) is None:
+        return False
+    simulator = Simulator(scenario, 1)
+    observations = simulator.reset(0)
+    try:
+        begin(policy, simulator)
+        simulator.step(np.asarray(policy(observations, simulator.time)))
+    except Exception as error:  # whatever a user's code may raise
+        raise UserError(
+            f"policy {name!r} in the first step of scenario {scenario.name!r}: "
+            f"{type(error).__name__}: {error}"
+        ) from error
+    return True
+
+
+def _own_file(name: str) -> Path | None:
+    """The file in which the function is written, or its module if that cannot be told."""
+    if found := file_of(find_function(name)):
+        return found
+    place = getattr(sys.modules[name.partition(":")[0]], "__file__", None)
+    return None if place is None else Path(place)
+
+
+def _imported(name: str, module: str) -> Any:
+    here = os.getcwd()
+    if here not in sys.path:  # at the end: no file there may stand in for a module of others
+        sys.path.append(here)
+        importlib.invalidate_caches()
+    try:
+        return importlib.import_module(module)
+    except ModuleNotFoundError as error:
+        if error.name is not None and f"{module}.".startswith(f"{error.name}."):
+            raise UserError(
+                f"policy {name!r}: there is no module {error.name!r}, neither installed nor as "
+                f"{error.name.replace('.', '/')}.py in {here}"
+            ) from error
+        raise UserError(f"policy {name!r}: importing {module} failed: {error}") from error
+    except Exception as error:  # whatever a user's module may raise
+        raise UserError(
+            f"policy {name!r}: importing {module} failed: {type(error).__name__}: {error}"
+        ) from error

@@ -7,8 +7,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rendezvous_env.engine.memory import RUNNING
-from rendezvous_env.experiment.scenario import Scenario
+from rendezvous_env.engine.memory import RENDEZVOUS, RUNNING
+from rendezvous_env.obstacles.obstacle_set import faults
+from rendezvous_env.obstacles.shape import DETAILS
+from rendezvous_env.scenario.scenario import Scenario
 from rendezvous_env.simulator import Simulator
 from rendezvous_env.trajectory import Step
 
@@ -35,7 +37,7 @@ ARRAYS = {
     "``Simulator.get_state`` gives them",
     "first": "lower robot of each link, likewise; of large sparse teams only",
     "second": "higher robot of each link, likewise",
-    "obstacles": "(M, width), a table as ``rendezvous_env.experiment.packing`` says",
+    "obstacles": "(M, width), a table as ``rendezvous_env.obstacles.shape`` says",
 }
 """Arrays of a recording; in trajectories.npz each under scenario/policy/start/name."""
 Recording = dict[str, NDArray[Any]]
@@ -45,9 +47,6 @@ arrays are those of ``ARRAYS``.
 A recording that is kept has observations only where they cannot be found again (``seen_again``);
 else it has links.
 """
-
-LINKS = ("weights", "first", "second")
-"""Entries of a simulator's state that merging changes, of which a team may have the last two."""
 
 LINKS = ("weights", "first", "second")
 """Entries of a simulator's state that merging changes, of which a team may have the last two."""
@@ -157,3 +156,121 @@ class Recorder:
                 name: np.stack([row[name] for row in self._links]) for name in self._links[0]
             }
         return stacked | {"obstacles": self._obstacles}
+
+
+Shape = tuple[int | None, ...]
+_MAY_BE_NAN = ("lyapunov_before_merge", "lyapunov_after_merge", "alignment")
+
+
+def fault_of(recording: Recording, scenario: Scenario) -> str | None:
+    """What is wrong with a recording of a scenario, in words; None if nothing is."""
+    for name, shape in _shapes(recording, scenario).items():
+        if name not in recording:
+            return f"has no {name!r}"
+        array = recording[name]
+        if array.dtype.kind not in "bif":
+            return f"{name} holds {array.dtype}, no numbers"
+        if not _has_shape(array.shape, shape):
+            wanted = tuple("any" if size is None else size for size in shape)
+            return f"{name} has shape {array.shape}; it must be {wanted}"
+        if np.isinf(array).any() or (name not in _MAY_BE_NAN and np.isnan(array).any()):
+            return f"{name} holds a number that is not finite"
+    return _fault_of_obstacles(recording["obstacles"], scenario.dim)
+
+
+def _shapes(recording: Recording, scenario: Scenario) -> dict[str, Shape]:
+    """Of the arrays that a page shows."""
+    n, d = scenario.n_robots, scenario.dim
+    rows = scenario.observation_layout.shape[0]
+    frames = max(1, len(np.atleast_1d(recording.get("times", np.zeros(1)))))
+    times: Shape = (frames,)
+    model = scenario.model
+    seen: dict[str, Shape] = {"observations": (frames, n, rows, d)}
+    if seen_again(scenario):
+        velocities = d if model.keeps_velocity else 0
+        seen = {
+            "headings": (frames, n, model.n_angles),
+            "velocities": (frames, n, velocities),
+            "merged_into": (frames, n),
+            "weights": (None, None),
+        }
+    return {
+        "times": times,
+        "positions": (frames, n, d),
+        "frames": (frames, n, d, d),
+        "active": (frames, n),
+        "lyapunov": times,
+        "lyapunov_before_merge": times,
+        "lyapunov_after_merge": times,
+        "contacts": (frames, n),
+        "alignment": (frames, n),
+        **seen,
+        "obstacles": (None, None),
+    }
+
+
+def _has_shape(shape: tuple[int, ...], wanted: Shape) -> bool:
+    return len(shape) == len(wanted) and all(
+        size is None or size == own for own, size in zip(shape, wanted, strict=True)
+    )
+
+
+def _fault_of_obstacles(table: np.ndarray, dim: int) -> str | None:
+    """What is wrong with a table of ``obstacles.obstacle_set``."""
+    if not len(table):
+        return None
+    if table.shape[1] < DETAILS:
+        return f"obstacles: rows have {table.shape[1]} columns; they must have {DETAILS} or more"
+    for fault, wanted in faults(table, dim):
+        if fault.any():
+            row = np.argmax(fault)
+            return f"obstacles[{row}] is {table[row, :DETAILS].tolist()}, …; it must be {wanted}"
+    return None
+
+
+def whole(recording: Recording, scenario: Scenario) -> Recording:
+    """A recording with its observations.
+
+    Raises:
+        ValueError: if no episode of the scenario can have been recorded so.
+    """
+    if "observations" in recording:
+        return recording
+    return recording | {"observations": observations(recording, scenario)}
+
+
+def observations(recording: Recording, scenario: Scenario) -> NDArray[np.float32]:
+    """What an exact sensor shows in each frame, (T, n, rows, d): bit for bit what the robots saw.
+
+    Each frame is the state of a team of its own, which the simulator looks at.
+
+    Args:
+        recording: of an episode, without its observations.
+        scenario: of the episode.
+
+    Raises:
+        ValueError: naming an entry that no episode can have.
+    """
+    into = recording["merged_into"]
+    frames = len(into)
+    simulator = Simulator(scenario, frames)
+    state = simulator.get_state()
+    merged = (into[1:] != into[:-1]).any(axis=-1)
+    row = np.concatenate([[0], np.cumsum(merged)])
+    tables = {name: recording.get(name, np.zeros((0, 0))) for name in LINKS if name in state}
+    for name, table in tables.items():
+        if len(table) != row[-1] + 1:
+            raise ValueError(f"{name} has {len(table)} rows; it must have {row[-1] + 1}")
+    state |= {name: table[row] for name, table in tables.items()}
+    state |= {
+        "positions": recording["positions"],
+        "memory": np.concatenate([recording["headings"], recording["velocities"]], axis=-1),
+        "merged_into": into.astype(np.int64),
+        "obstacles": np.broadcast_to(recording["obstacles"], state["obstacles"].shape),
+        "episode": np.zeros(frames, dtype=np.int64),
+        "status": np.where((into == np.arange(into.shape[1])).sum(axis=1) > 1, RUNNING, RENDEZVOUS),
+    }
+    if "frames" in state:
+        state["frames"] = recording["frames"].reshape(state["frames"].shape)
+    simulator.set_state(state)
+    return simulator.observe()

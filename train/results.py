@@ -15,16 +15,54 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from rendezvous_env.baselines.learned import plain_data
 
-from baselines.learned import plain_data
-
-from . import columns
-from .errors import UserError
+from .checks import UserError
 
 FORMAT_VERSION = 5
 """Of the files of ``compare``; a change that a reader would notice raises it."""
 
-RESULT_COLUMNS = tuple(columns.RESULTS)
+_INTERVAL = "of the 95 % interval of the column before it; empty for a single start"
+
+RESULTS = {
+    "scenario": "name of the scenario",
+    "policy": "name of the policy",
+    "episodes": "number of starts",
+    "success": "fraction of teams that met, 0 to 1",
+    "success_low": f"lower end {_INTERVAL} (Wilson)",
+    "success_high": "upper end of it",
+    "clean_success": "fraction of teams that met without touching an obstacle; empty where robots "
+    "pass through obstacles",
+    "clean_low": f"lower end {_INTERVAL} (Wilson)",
+    "clean_high": "upper end of it",
+    "median_time": "median time of rendezvous, s; a time-out counts as later than any time",
+    "time_low": f"lower end {_INTERVAL} (bootstrap), s",
+    "time_high": "upper end of it, s",
+    "time_over_bound": "largest share of the proven time that a start took; empty without a proof",
+    "path_length": "median way of all robots together, m",
+    "min_clearance": "least distance of any robot to an obstacle, m; empty without obstacles",
+    "max_rise_between_merges": "largest change of V in a step up to its first merge, m²/s; "
+    "negative if V fell in every step",
+    "min_alignment": "least alignment |h·f|/‖f‖ of a robot with ‖f‖ ≥ 2δ",
+    "contacts": "mean number of contacts in an episode, one for each robot and step",
+}
+"""What the columns of results.csv mean, in order; empty where it does not apply."""
+
+PAIRED = {
+    "scenario": "name of the scenario",
+    "policy": "name of the policy",
+    "against": "the policy that it is compared with, start by start",
+    "clean_difference": "difference of the fractions of clean success, policy minus against",
+    "clean_difference_low": f"lower end {_INTERVAL} (bootstrap)",
+    "clean_difference_high": "upper end of it",
+    "probability_of_improvement": "chance of doing better on a start: meeting cleanly, and sooner; "
+    "a tie counts half",
+    "improvement_low": f"lower end {_INTERVAL} (bootstrap)",
+    "improvement_high": "upper end of it",
+}
+"""The same for paired.csv."""
+
+RESULT_COLUMNS = tuple(RESULTS)
 """Of results.csv."""
 
 EPISODE_COLUMNS = (
@@ -47,7 +85,7 @@ EPISODE_COLUMNS = (
 )
 """Of episodes.csv; ``episodes.Episodes`` says what each means."""
 
-PAIRED_COLUMNS = tuple(columns.PAIRED)
+PAIRED_COLUMNS = tuple(PAIRED)
 """Of paired.csv."""
 
 _PACKAGES = ("rendezvous-env", "numpy", "numba", "scipy", "gymnasium", "pettingzoo")
@@ -121,21 +159,17 @@ def read_csv(path: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
-def write_arrays(
-    path: Path, arrays: Mapping[str, Any], run: str = "", *, packed: bool = True
-) -> None:
+def write_arrays(path: Path, arrays: Mapping[str, Any], run: str = "") -> None:
     """Write named arrays to an npz file; names may hold slashes.
 
     Args:
         path: of the file.
         arrays: by name.
         run: id of the run that they are of; it becomes the comment of the archive.
-        packed: whether to compress them.
     """
-    write = np.savez_compressed if packed else np.savez
     with atomic(path) as temporary:
         with temporary.open("wb") as file:
-            write(file, **dict(arrays))
+            np.savez_compressed(file, **dict(arrays))
         with zipfile.ZipFile(temporary, "a") as archive:
             archive.comment = run.encode()
 

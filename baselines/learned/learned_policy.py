@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -10,23 +9,23 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rendezvous_env.experiment.checks import bools
-from rendezvous_env.experiment.scenario import Scenario
+from rendezvous_env.scenario.scenario import Scenario
 
-from ..policy import of_whole_teams, within_limits
+from ..filtered_policies import DecidingPolicy
+from ..policy import within_limits
 from . import checkpoints
 from .checkpoints import CheckpointError
-from .chooser import Chooser, Network
-from .guided import TankTeams
+from .features import check_readable
+from .guide import TankTeams
+from .numpy_actor import Network, NumpyActor
 from .onnx_network import SUFFIX, OnnxNetwork
 from .policy_settings import PolicySettings
-from .robots import check_readable
 
 __all__ = ["LearnedPolicy", "PolicySettings", "load"]
 
 
-class LearnedPolicy:
-    """A network's likeliest choice, made safe: theorem C, or D, holds whatever the weights.
+class LearnedPolicy(DecidingPolicy):
+    """A network's greedy choice, made safe: theorem C, or D, holds whatever the weights.
 
     It chooses every ``decision_time``; guide and certified heading, or tank, follow what is seen in
     each step. Teams of any size and any number of obstacles; single integrators in the plane. The
@@ -49,51 +48,18 @@ class LearnedPolicy:
         settings: PolicySettings,
     ) -> None:
         check_readable(scenario)
-        self.scenario, self.settings = scenario, settings
-        self.min_alignment = settings.promised_margin
-        self.decision_period = settings.decision_period(scenario)
+        super().__init__(scenario, settings.decision_period(scenario))
+        self.settings, self.min_alignment = settings, settings.promised_margin
         if isinstance(weights, Network):
             self._chooser = weights
         else:
-            self._chooser = Chooser(weights, settings, settings.layout_of(scenario))
-        self._leading: tuple[int, ...] | None = None
-        self._steps: NDArray[np.float64] = np.zeros(0)
-
-    def __call__(self, observations: NDArray[Any], time: ArrayLike) -> NDArray[np.float32]:
-        """Velocities (..., n, 2); see ``baselines.Policy``.
-
-        Raises:
-            ValueError: for observations of another shape than the scenario's.
-        """
-        return self.after(self.scenario.tau, observations, time)
+            self._chooser = NumpyActor(weights, settings, settings.layout_of(scenario))
 
     def after(
         self, elapsed: float, observations: NDArray[Any], time: ArrayLike
     ) -> NDArray[np.float32]:
         """As a call, where the call before was so many seconds ago; see ``RealTimePolicy``."""
-        seen = of_whole_teams(observations, self.scenario)
-        if seen.shape[:-3] != self._leading:
-            self._begin(seen.shape[:-3])
-        teams = seen.reshape(-1, *seen.shape[-3:])
-        share = elapsed / self.scenario.tau
-        self._guided.settle(share)
-        self._steps += share
-        due = self._steps + 0.5 * share >= self.decision_period  # or sooner than the next call
-        if due.any():
-            self._decide(teams, due)
-        velocities = self._guided.act(teams, elapsed).astype(np.float64)
-        actions = within_limits(velocities, self.scenario)
-        return actions.reshape(*seen.shape[:-2], 2)
-
-    def reset(self, mask: NDArray[np.bool_] | None = None) -> None:
-        """Forget the teams where ``mask`` is true, all if it is None."""
-        if mask is None:
-            self._leading = None
-        elif self._leading is not None:
-            which = bools("mask", mask, self._leading, "teams").reshape(-1)
-            self._guided.forget(which)
-            self._hidden[which] = 0.0
-            self._steps[which] = np.inf
+        return self._after(elapsed, observations)
 
     @property
     def levels(self) -> NDArray[np.float64] | None:
@@ -102,20 +68,20 @@ class LearnedPolicy:
             return None
         return self._guided.steering.levels.reshape(*self._leading, -1)
 
-    def _begin(self, leading: tuple[int, ...]) -> None:
-        teams = math.prod(leading)
+    def _start(self, teams: int) -> None:
         self._guided = self.settings.make_teams(self.scenario, teams)
-        self._steps = np.full(teams, np.inf)
-        """Since the last choice, (B,), in units of τ; inf before the first."""
         remembered = (teams, self.scenario.n_robots, self.settings.units)
         self._hidden = np.zeros(remembered, dtype=np.float32)
-        self._leading = leading
 
-    def _decide(self, observations: NDArray[np.float32], due: NDArray[np.bool_]) -> None:
-        """New choices for the teams that are due."""
+    def _settle(self, share: float) -> None:
+        self._guided.settle(share)
+
+    def _act(self, teams: NDArray[np.float32], elapsed: float) -> NDArray[np.float32]:
+        return within_limits(self._guided.act(teams, elapsed).astype(np.float64), self.scenario)
+
+    def _decide(self, teams: NDArray[np.float32], due: NDArray[np.bool_]) -> None:
         steps = np.where(np.isinf(self._steps), self.decision_period, self._steps)
-        shown = self._guided.show(observations, due, steps * self.scenario.tau)
-        self._steps[due] = 0.0
+        shown = self._guided.show(teams, due, steps * self.scenario.tau)
         choices, alive = self._guided.choices.copy(), shown.any(axis=-1)
         choices[due] = 0
         hidden = self._hidden[alive]
@@ -123,6 +89,10 @@ class LearnedPolicy:
         self._hidden[due] = 0.0  # a robot that is shown nothing remembers nothing
         self._hidden[alive] = hidden
         self._guided.choose(choices)
+
+    def _forget(self, which: NDArray[np.bool_]) -> None:
+        self._guided.forget(which)
+        self._hidden[which] = 0.0
 
 
 def load(path: Path, scenario: Scenario) -> LearnedPolicy:

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
+import re
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -10,14 +13,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .checkpoints import CheckpointError
-from .chooser import Network
-from .linear_layers import Array
-from .perception_layout import PerceptionLayout
+from .features import FeatureLayout
+from .numpy_actor import Array, Network
 from .policy_settings import PolicySettings
 
 SUFFIX = ".onnx"
 SETTINGS_KEY = "rendezvous_policy"
 """Of the model's metadata: the policy's settings as JSON."""
+DIGEST_KEY = "sha256"
+"""Of the model's metadata: the digest of the file, as JSON, see ``digest_of``."""
+NO_DIGEST = "0" * 64
+_DIGEST = re.compile(rb'sha256\x12\x42"([0-9a-f]{64})"')
+"""Key and value as protocol buffers write them: nothing has to be parsed to find them."""
+
+
+def digest_of(content: bytes) -> str:
+    """SHA-256 of a file, with NO_DIGEST where its own digest stands."""
+    return hashlib.sha256(_DIGEST.sub(_without_digest, content)).hexdigest()
+
+
+def _without_digest(found: re.Match[bytes]) -> bytes:
+    return found[0].replace(found[1], NO_DIGEST.encode())
 
 
 class OnnxNetwork(Network):
@@ -27,11 +43,18 @@ class OnnxNetwork(Network):
         path: of a file that ``rendezvous export`` wrote.
 
     Raises:
-        CheckpointError: if it cannot be read or does not belong to this version, naming the file.
+        CheckpointError: if it cannot be read, was changed or does not belong to this version,
+            naming the file.
+
+    A file without a digest, of a version before this one, is taken with a warning.
     """
 
     def __init__(self, path: Path) -> None:
-        self._session = _session(path)
+        try:
+            content = path.read_bytes()
+        except OSError as error:
+            raise CheckpointError(f"{path}: cannot be read: {error.strerror}") from error
+        self._session = _session(path, content)
         found = self._session.get_modelmeta().custom_metadata_map.get(SETTINGS_KEY)
         if found is None:
             raise CheckpointError(
@@ -41,9 +64,18 @@ class OnnxNetwork(Network):
             self.settings = PolicySettings.from_plain(json.loads(found))
         except (TypeError, ValueError) as error:
             raise CheckpointError(f"{path}: is no policy of this version: {error}") from error
+        digest = _DIGEST.search(content)
+        if digest is None:
+            warnings.warn(
+                f"{path}: holds no digest, so nobody can tell whether it was changed; "
+                "`rendezvous export` writes one",
+                stacklevel=2,
+            )
+        elif digest[1].decode() != digest_of(content):
+            raise CheckpointError(f"{path}: its content was changed: the digest in it does not fit")
         self._layout = self.settings.layout(0, 0)
 
-    def fit(self, layout: PerceptionLayout) -> None:
+    def fit(self, layout: FeatureLayout) -> None:
         """Read tables of this layout from now on."""
         self._layout = layout
 
@@ -63,7 +95,7 @@ class OnnxNetwork(Network):
         return found
 
 
-def _session(path: Path) -> Any:
+def _session(path: Path, content: bytes) -> Any:
     """A session of onnxruntime on one thread: small networks only lose by more."""
     try:
         import onnxruntime
@@ -73,10 +105,6 @@ def _session(path: Path) -> Any:
         ) from error
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
-    try:
-        content = path.read_bytes()
-    except OSError as error:
-        raise CheckpointError(f"{path}: cannot be read: {error.strerror}") from error
     try:
         return onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
     except Exception as error:  # onnxruntime's own, which share no other base

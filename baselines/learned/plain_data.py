@@ -8,10 +8,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from typeguard import CollectionCheckStrategy, TypeCheckError, check_type
-
-_ALL = CollectionCheckStrategy.ALL_ITEMS
-
 
 def read_json(path: Path) -> Any:
     """Plain data from a file.
@@ -46,9 +42,12 @@ def check_types(values: Mapping[str, Any], hints: Mapping[str, Any]) -> None:
     Raises:
         ValueError: naming the field, its value and the type that it must have.
     """
+    from typeguard import CollectionCheckStrategy, TypeCheckError, check_type  # not for imports
+
+    every = CollectionCheckStrategy.ALL_ITEMS
     for name, hint in hints.items():
         try:
-            check_type(values[name], hint, collection_check_strategy=_ALL)
+            check_type(values[name], hint, collection_check_strategy=every)
         except TypeCheckError:
             wanted = getattr(hint, "__name__", "") if isinstance(hint, type) else str(hint)
             text = repr(values[name])

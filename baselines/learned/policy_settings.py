@@ -10,18 +10,14 @@ from typing import Any, Literal, get_type_hints
 import numpy as np
 from numpy.typing import NDArray
 
-from rendezvous_env.experiment.scenario import Scenario
-from rendezvous_env.guarantee.energy_tank import unit_of_tanks
-from rendezvous_env.guarantee.steering import Steering
+from rendezvous_env.safety.heading import HeadingFilter
+from rendezvous_env.safety.tank import unit_of_tanks
+from rendezvous_env.scenario.scenario import Scenario
 
-from . import perception_layout
-from .guide import ALL_ROUND, ANGLES, Guide
-from .guided import GuidedTeams, TankTeams
-from .headed_tank import HeadedTank
-from .perception import Perception
-from .perception_layout import LEVEL_COLUMNS, WALL_COLUMNS, PerceptionLayout
+from .features import LEVEL_COLUMNS, VERSION, WALL_COLUMNS, FeatureLayout, Features, TankFeatures
+from .guide import ALL_ROUND, ANGLES, Guide, GuidedTeams, TankTeams
+from .heading_tank_filter import HeadingTankFilter
 from .plain_data import check_types
-from .tank_perception import TankPerception
 
 Memory = Literal["none", "features", "recurrent"]
 """What a robot remembers beside the last decisions."""
@@ -78,7 +74,7 @@ class PolicySettings:
 
     def to_plain(self) -> dict[str, Any]:
         """As plain data, with the version of the perception that the weights belong to."""
-        return asdict(self) | {"perception": perception_layout.VERSION}
+        return asdict(self) | {"perception": VERSION}
 
     @classmethod
     def from_plain(cls, plain: Any) -> PolicySettings:
@@ -87,11 +83,9 @@ class PolicySettings:
         Raises:
             ValueError: for missing or unknown fields, or another perception.
         """
-        if not isinstance(plain, Mapping) or plain.get("perception") != perception_layout.VERSION:
+        if not isinstance(plain, Mapping) or plain.get("perception") != VERSION:
             version = plain.get("perception") if isinstance(plain, Mapping) else plain
-            raise ValueError(
-                f"perception is {version!r}; this version has {perception_layout.VERSION}"
-            )
+            raise ValueError(f"perception is {version!r}; this version has {VERSION}")
         given = {field.name: field.default for field in fields(cls) if field.default is not MISSING}
         given |= {key: value for key, value in plain.items() if key != "perception"}
         if wrong := sorted(set(given) ^ set(cls.__dataclass_fields__)):
@@ -124,14 +118,14 @@ class PolicySettings:
         """Base steps between decisions in a scenario; 1 where a step is longer."""
         return max(1, round(self.decision_time / scenario.tau))
 
-    def layout(self, neighbour_slots: int, obstacle_slots: int) -> PerceptionLayout:
+    def layout(self, neighbour_slots: int, obstacle_slots: int) -> FeatureLayout:
         """What the network is shown, with so many slots."""
         columns = 0
         if self.guarantee == "tank":
             columns = LEVEL_COLUMNS + (WALL_COLUMNS if self._walls else 0)
-        return PerceptionLayout(neighbour_slots, obstacle_slots, columns)
+        return FeatureLayout(neighbour_slots, obstacle_slots, columns)
 
-    def layout_of(self, scenario: Scenario) -> PerceptionLayout:
+    def layout_of(self, scenario: Scenario) -> FeatureLayout:
         """What the network is shown in a scenario."""
         rows = scenario.observation_layout
         return self.layout(rows.neighbour_slots, rows.obstacle_slots)
@@ -158,21 +152,23 @@ class PolicySettings:
         Args:
             scenario: whose robots they are.
             num_envs: B.
-            obstacle_slots: of ``Perception``.
+            obstacle_slots: of ``Features``.
             num_threads: most threads that may be used.
 
         Raises:
-            ValueError: for robots that ``Perception`` cannot show.
+            ValueError: for robots that ``Features`` cannot show.
         """
         guide = self.make_guide(scenario)
         decision_time = self.decision_period(scenario) * scenario.tau
         shown: dict[str, Any] = {"decision_time": decision_time, "obstacle_slots": obstacle_slots}
         common: dict[str, Any] = {"min_alignment": self.min_alignment, "num_threads": num_threads}
         if self.guarantee == "heading":
-            perception = Perception(scenario, num_envs, **shown)
+            perception = Features(scenario, num_envs, **shown)
             turning: dict[str, Any] = {"max_turn_rate": self.max_turn_rate, "frame": "local"}
-            return GuidedTeams(Steering(scenario, num_envs, **turning, **common), guide, perception)
-        seen = TankPerception(scenario, num_envs, walls=self._walls, **shown)
+            return GuidedTeams(
+                HeadingFilter(scenario, num_envs, **turning, **common), guide, perception
+            )
+        seen = TankFeatures(scenario, num_envs, walls=self._walls, **shown)
         budget = self.budget * unit_of_tanks(scenario)
-        tank = HeadedTank(scenario, num_envs, budget=budget, **common)
+        tank = HeadingTankFilter(scenario, num_envs, budget=budget, **common)
         return TankTeams(tank, guide, seen)

@@ -16,9 +16,9 @@ from attributes import docstrings, fields_table, flags_table, meanings_table
 
 import baselines
 import rendezvous_env as rv
-from train import columns, recording
+from train import recording, results
 from train.cli import COMMANDS
-from train.comparing.episodes import Episodes
+from train.compare.evaluation import Episodes
 
 ROOT = Path(__file__).parents[2]
 DATA = (
@@ -35,16 +35,30 @@ DATA = (
 """Dataclasses that describe an experiment, and how a file has them."""
 SHOWN_AS_FILES = ("fig4", "random-10", "trap")
 REFERENCE = {
-    "experiment": ("Scenarios, graphs, obstacles", "rendezvous_env/experiment"),
-    "simulator": ("Simulator and trajectories", "rendezvous_env"),
-    "faces": ("Environments and wrappers", "rendezvous_env/faces"),
-    "adapters": ("Adapters to learners", "rendezvous_env/adapters"),
-    "guarantee": ("Guarantees", "rendezvous_env/guarantee"),
-    "equations": ("Equations", "rendezvous_env/equations"),
-    "baselines": ("Policies", "baselines"),
-    "learned": ("Learned policies", "baselines/learned"),
+    "environments": ("Environments and wrappers", ("rendezvous_env/envs",)),
+    "scenarios": (
+        "Scenarios, graphs, obstacles, sensors",
+        tuple(
+            f"rendezvous_env/{room}"
+            for room in ("scenario", "graphs", "obstacles", "sensors", "rewards", "robots")
+        ),
+    ),
+    "simulator": ("Simulator and trajectories", ("rendezvous_env",)),
+    "guarantees": ("Guarantees", ("rendezvous_env/safety",)),
+    "policies": (
+        "Policies",
+        ("baselines", "baselines/laws", "baselines/obstacle_rules", "baselines/references"),
+    ),
+    "learned": ("Learned policies", ("baselines/learned",)),
+    "adapters": ("Adapters to learners", ("rendezvous_env/adapters",)),
+    "equations": ("Equations", ("rendezvous_env/physics",)),
 }
-"""Pages of the reference: a title, and the folder of the modules on it."""
+"""Pages of the reference: a title, and the folders of the modules on it."""
+FIRST = (
+    "parallel_env", "make_vec", "training_env", "rollout", "Scenario", "scenarios", "certificate",
+    "make", "TrainedPolicy",
+)  # fmt: skip
+"""What a reader looks for first; the other names follow by the alphabet."""
 
 
 def data() -> str:
@@ -52,7 +66,7 @@ def data() -> str:
     parts = [
         "# Fields, keys and columns\n",
         "Made from the code when this site is built. The numbers that a field takes are bounded by "
-        "`rendezvous_env/experiment/limits.py`.\n",
+        "`rendezvous_env/limits.py`.\n",
     ]
     for kind, note in DATA:
         parts += [f"## `{kind.__name__}`\n", f"{note}\n", fields_table(kind)]
@@ -64,13 +78,13 @@ def data() -> str:
     parts += [
         "## `results.csv`\n",
         "One row for each scenario and policy. Empty where a column does not apply.\n",
-        meanings_table("column", columns.RESULTS),
+        meanings_table("column", results.RESULTS),
         "## `episodes.csv`\n",
         "One row for each scenario, policy and start.\n",
         meanings_table("column", episodes),
         "## `paired.csv`\n",
         "One row for each scenario and policy but the one that the others are compared with.\n",
-        meanings_table("column", columns.PAIRED),
+        meanings_table("column", results.PAIRED),
         "## `trajectories.npz`\n",
         "Of the first `--keep` starts. Each array stands under `scenario/policy/start/name`. T "
         f"counts frames, at most about {recording.MAX_FRAMES}.\n",
@@ -114,14 +128,19 @@ def public() -> str:
     parts = ["# Reference\n"]
     for package, alias in ((rv, "rv"), (baselines, "baselines")):
         parts.append(f"## `{package.__name__}`\n\n{inspect.getdoc(package)}\n")
-        for name in sorted(package.__all__, key=str.lower):
+        for name in sorted(package.__all__, key=_place):
             found = getattr(package, name)
             first = (inspect.getdoc(found) or "").split("\n\n")[0]
             if isinstance(found, int):
-                first = "A kind of contact; see `rendezvous_env.equations.robots.motion`."
+                first = "A kind of contact; see `rendezvous_env.robots.motion`."
             parts.append(f"* {_link(f'{alias}.{name}', found)}: {' '.join(first.split())}")
         parts.append("")
     return "\n".join(parts).replace("``", "`")
+
+
+def _place(name: str) -> tuple[int, str]:
+    """Where a name stands in the front of the reference."""
+    return (FIRST.index(name) if name in FIRST else len(FIRST)), name.lower()
 
 
 def _link(shown: str, found: Any) -> str:
@@ -129,21 +148,24 @@ def _link(shown: str, found: Any) -> str:
     name = getattr(found, "__module__", None) or getattr(found, "__name__", "")
     target = f"{name}.{getattr(found, '__qualname__', '')}".rstrip(".")
     folder = target.replace(".", "/")
-    documented = any(folder.startswith(f"{place}/") for _, place in REFERENCE.values())
+    documented = any(
+        folder.startswith(f"{place}/") for _, places in REFERENCE.values() for place in places
+    )
     documented &= not hasattr(found, "__path__")  # of a folder its files are
     return f"[`{shown}`][{target}]" if documented else f"`{shown}`"
 
 
 def reference() -> Iterator[tuple[str, str]]:
     """A page for each folder: its name, and Markdown that asks for its modules."""
-    for page, (title, folder) in REFERENCE.items():
-        place = ROOT / folder
-        deep = "*.py" if folder in ("rendezvous_env", "baselines") else "**/*.py"
-        modules = [
-            ".".join(path.relative_to(ROOT).with_suffix("").parts)
-            for path in sorted(place.glob(deep))
-            if not path.name.startswith("_") and "checks" not in path.name
-        ]
+    for page, (title, folders) in REFERENCE.items():
+        modules = []
+        for folder in folders:
+            deep = "*.py" if folder in ("rendezvous_env", "baselines") else "**/*.py"
+            modules += [
+                ".".join(path.relative_to(ROOT).with_suffix("").parts)
+                for path in sorted((ROOT / folder).glob(deep))
+                if not path.name.startswith("_") and "checks" not in path.name
+            ]
         yield page, f"# {title}\n\n" + "\n".join(f"::: {module}\n" for module in modules)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -9,7 +10,7 @@ import pufferlib
 from gymnasium.vector import VectorEnv
 from numpy.typing import NDArray
 
-from ..experiment.scenarios import ScenarioLike
+from ..scenario.scenarios import ScenarioLike
 from ..simulator import Simulator
 from ..vector import training_env
 from .slots import RobotSlots
@@ -30,6 +31,7 @@ def make(
     *,
     buf: Any = None,
     seed: int | None = None,
+    wrap: Callable[[Any], Any] = lambda teams: teams,
     **arguments: Any,
 ) -> RobotPufferEnv:
     """The robots of a training environment as agents; what ``pufferlib.vector.make`` calls.
@@ -39,13 +41,15 @@ def make(
         num_teams: B.
         buf: see ``RobotPufferEnv``.
         seed: likewise.
+        wrap: what makes of the teams those that are stepped: a ``VectorWrapper`` of your own that
+            changes rewards, say.
         **arguments: of ``rendezvous_env.vector.training_env``.
 
     Raises:
         TypeError: for an unknown argument or field.
         ValueError: naming an argument, its value and what would be right.
     """
-    return RobotPufferEnv(training_env(scenario, num_teams, **arguments), buf, seed)
+    return RobotPufferEnv(wrap(training_env(scenario, num_teams, **arguments)), buf, seed)
 
 
 class RobotPufferEnv(pufferlib.PufferEnv):

@@ -6,7 +6,7 @@ and cuts it into episodes when it is done.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -25,7 +25,7 @@ from ray.rllib.utils.metrics import WEIGHTS_SEQ_NO
 from ray.rllib.utils.spaces.space_utils import clip_action, unsquash_action
 from ray.tune.registry import ENV_CREATOR, _global_registry, register_env
 
-from ..experiment.scenarios import ScenarioLike
+from ..scenario.scenarios import ScenarioLike
 from ..team_readings import STANDING
 from ..vector import training_env
 from .rllib_module import SetModule, sets_of
@@ -34,7 +34,16 @@ from .slots import RobotSlots
 
 ENVIRONMENT = "rendezvous"
 """Under this name RLlib knows ``rendezvous_env.vector.training_env``."""
-register_env(ENVIRONMENT, lambda settings: training_env(**settings))
+
+
+def _teams(settings: Mapping[str, Any]) -> Any:
+    arguments = dict(settings)
+    wrap = arguments.pop("wrap", None)
+    teams = training_env(**arguments)
+    return teams if wrap is None else wrap(teams)
+
+
+register_env(ENVIRONMENT, _teams)
 
 
 def configure(
@@ -43,6 +52,7 @@ def configure(
     *,
     num_teams: int = 64,
     units: int = 64,
+    wrap: Callable[[Any], Any] | None = None,
     **arguments: Any,
 ) -> AlgorithmConfig:
     """Have an algorithm train one set network that every robot carries.
@@ -52,6 +62,8 @@ def configure(
         scenario: a Scenario, the name of one, or the path of a TOML file.
         num_teams: B, teams in each environment runner.
         units: width of the network.
+        wrap: what makes of the teams those that are stepped: a ``VectorWrapper`` of your own that
+            changes rewards, say.
         **arguments: of ``rendezvous_env.vector.training_env``.
 
     Returns:
@@ -63,6 +75,8 @@ def configure(
     """
     settings = {"scenario": scenario, **arguments}
     layout = training_env(**settings).layout
+    if wrap is not None:
+        settings["wrap"] = wrap
     return (
         config.environment(ENVIRONMENT, env_config=settings)
         .env_runners(env_runner_cls=RobotEnvRunner, num_envs_per_env_runner=num_teams)

@@ -20,7 +20,7 @@ def sets_of(layout: Any) -> Sets:
     """The sets that a layout's observations begin with: neighbours and obstacles.
 
     Args:
-        layout: of a training environment; of tables of rows, or of what ``Perception`` shows.
+        layout: of a training environment; of tables of rows, or of what ``Features`` shows.
     """
     shape = getattr(layout, "shape", None) or (layout.size,)
     parts = layout.split(np.zeros(shape, dtype=np.float32))

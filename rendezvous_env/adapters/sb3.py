@@ -13,12 +13,14 @@ from numpy.typing import NDArray
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecEnv
 
-from ..gymnasium_env import make_vec
+from ..checks import floats, mapping, whole
+from ..envs.gymnasium_env import make_vec
+from ..limits import LARGEST_SEED
 from ..simulator import Simulator
 from .slots import RobotSlots, SlotStep, team_options
 
 if TYPE_CHECKING:
-    from ..experiment.scenarios import ScenarioLike
+    from ..scenario.scenarios import ScenarioLike
 
 Indices = int | Iterable[int] | None
 
@@ -50,7 +52,9 @@ class RobotVecEnv(VecEnv):
     one dict for all, or one for each slot, of which a team takes that of its robot 0.
 
     Args:
-        teams: a vector environment of teams with SAME_STEP autoreset, wrapped or not.
+        teams: a vector environment of teams with SAME_STEP autoreset, wrapped or not; a wrapper
+            that changes the rewards of teams changes those of their robots, see
+            ``RewardShaping``.
 
     Raises:
         ValueError: for another autoreset mode.
@@ -116,8 +120,18 @@ class RobotVecEnv(VecEnv):
         self.bootstrap_observations = np.empty((0, *seen), dtype=np.float32)
 
     def step_async(self, actions: NDArray[np.float32]) -> None:
-        """Take the actions (slots, a) of the next step."""
-        self._actions = np.array(actions, dtype=self.action_space.dtype)
+        """Take the actions (slots, a) of the next step.
+
+        Raises:
+            ValueError: for what is no array of numbers of this shape.
+        """
+        given, wanted = (
+            floats("actions", actions),
+            (self.num_envs, *(self.action_space.shape or ())),
+        )
+        if given.shape != wanted:
+            raise ValueError(f"actions have shape {given.shape}; they must be {wanted}, by slot")
+        self._actions = given.astype(self.action_space.dtype)
 
     def step_wait(
         self,
@@ -157,15 +171,30 @@ class RobotVecEnv(VecEnv):
 
         Returns:
             The seed of each slot's team.
+
+        Raises:
+            ValueError: for what is no seed.
         """
         if seed is None:
             seed = int(np.random.randint(2**31))
-        self._seeds = [seed + slot // self.n_robots for slot in range(self.num_envs)]
+        first = whole("seed", seed, 0, LARGEST_SEED - self.slots.num_teams + 1)
+        self._seeds = [first + slot // self.n_robots for slot in range(self.num_envs)]
         return self._seeds
 
     def set_options(self, options: list[dict[str, Any]] | dict[str, Any] | None = None) -> None:
-        """Give start options for the next reset, for all teams or for each slot."""
+        """Give start options for the next reset, for all teams or for each slot.
+
+        Raises:
+            ValueError: for a list that is not as long as there are slots, or of other things.
+        """
         listed = [options or {}] * self.num_envs if not isinstance(options, list) else options
+        if len(listed) != self.num_envs:
+            raise ValueError(
+                f"set_options: {len(listed)} entries; give one dict, or one for each of "
+                f"{self.num_envs} slots"
+            )
+        for each in listed:
+            mapping("options", each, "a dict of start options")
         self._options = deepcopy(listed)
 
     def get_state(self) -> dict[str, Any]:
@@ -220,15 +249,26 @@ class RobotVecEnv(VecEnv):
         Raises:
             AttributeError: if there is no such method.
         """
+        slots = self._get_indices(indices)
         method = getattr(self._owner(method_name), method_name)
         result = method(*method_args, **method_kwargs)
-        return [result for _ in self._get_indices(indices)]
+        return [result for _ in slots]
 
     def env_is_wrapped(self, wrapper_class: type, indices: Indices = None) -> list[bool]:
         """Whether the teams are wrapped by this class, for each slot; monitored they are."""
         layers = self._layers()
         wrapped = wrapper_class is Monitor or any(isinstance(one, wrapper_class) for one in layers)
         return [wrapped for _ in self._get_indices(indices)]
+
+    def _get_indices(self, indices: Indices) -> list[int]:
+        """The slots that are meant.
+
+        Raises:
+            ValueError: for one that there is not.
+        """
+        given = range(self.num_envs) if indices is None else indices
+        listed = [given] if isinstance(given, int | np.integer) else list(given)
+        return [whole("indices", slot, 0, self.num_envs - 1) for slot in listed]
 
     def _layers(self) -> Iterator[Any]:
         """Wrappers from the outermost, the vector environment, its simulator."""

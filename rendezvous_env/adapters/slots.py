@@ -8,12 +8,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from gymnasium.spaces import Space
-from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from ..engine.state_checks import check_entries, check_keys
-from ..faces.spaces import of_one_robot
+from ..envs.spaces import of_one_robot
+from ..envs.training import TrainingTeams
+from ..envs.vector_env import Info, RendezvousVectorEnv, Transition
+from ..envs.vector_wrappers import GuaranteeWrapper
 from ..simulator import Simulator
 from ..team_readings import STANDING
 
@@ -66,6 +69,7 @@ class RobotSlots:
         mode = teams.metadata.get("autoreset_mode")
         if mode is not AutoresetMode.SAME_STEP:
             raise ValueError(f"autoreset_mode is {mode}; robots need AutoresetMode.SAME_STEP")
+        self._shaping = RewardShaping(teams)
         self.teams: Any = teams  # wrapped or not: the state is not of Gymnasium's interface
         spaces: tuple[Any, ...] = teams.single_observation_space, teams.single_action_space
         self.single_observation_space, self.single_action_space = map(of_one_robot, spaces)
@@ -126,12 +130,13 @@ class RobotSlots:
             team = robot = np.empty(0, dtype=np.int64)
         survivor = into[team, robot]
         acted = self.active.reshape(-1)
+        robot_rewards = self._shaping.robot_rewards(rewards, infos, self.active)
         self.active = infos["active"].copy()
         self._returns += rewards
         self._lengths += 1
         return SlotStep(
             observations=self.by_slot(observations),
-            rewards=infos["robot_rewards"].astype(np.float32).reshape(-1),
+            rewards=robot_rewards.astype(np.float32).reshape(-1),
             acted=acted,
             ended=ended,
             bootstrapped=team * self.n_robots + robot,
@@ -221,3 +226,82 @@ def team_options(options: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         key: first[key] if key == "obstacles" else np.stack([each[key] for each in options])
         for key in first
     }
+
+
+# ---- rewards that a wrapper has changed ---------------------------------------------------------
+
+
+class RewardShaping:
+    """Rewards of single robots where wrappers of a user's own have changed those of their teams.
+
+    What a wrapper adds to the reward of a team is added to that of each of its robots. A wrapper
+    that changes ``infos["robot_rewards"]`` itself has the last word.
+
+    Args:
+        teams: a vector environment of teams, wrapped or not; a recorder is put under the innermost
+            wrapper that is not of this package.
+    """
+
+    def __init__(self, teams: VectorEnv[Any, Any, Any]) -> None:
+        self._recorder: _Recorder | None = None
+        self._follow = teams.unwrapped.simulator.scenario.on_merge == "follow"  # type: ignore[attr-defined]
+        layer: Any = teams
+        while isinstance(layer, VectorWrapper):
+            if not isinstance(layer, _OURS) and isinstance(layer.env, _OURS):
+                if not isinstance(layer.env, _Recorder):
+                    layer.env = _Recorder(layer.env)
+                self._recorder = layer.env
+            layer = layer.env
+
+    def robot_rewards(
+        self, rewards: NDArray[np.float64], infos: Mapping[str, Any], acted: NDArray[np.bool_]
+    ) -> NDArray[np.float64]:
+        """What each robot has earned in the last step, (B, n).
+
+        Args:
+            rewards: of the teams, (B,), as the outermost wrapper gave them.
+            infos: likewise.
+            acted: (B, n), who took part in the step.
+        """
+        given: NDArray[np.float64] = infos["robot_rewards"]
+        if self._recorder is None:
+            return given
+        base, robots = self._recorder.taken()
+        if not np.array_equal(given, robots):
+            return given
+        added = (np.asarray(rewards, np.float64) - base)[:, np.newaxis]
+        return given + (added if self._follow else np.where(acted, added, 0.0))
+
+
+class _Recorder(VectorWrapper):
+    """Keeps what teams earned before wrappers of a user's own changed it."""
+
+    def __init__(self, env: VectorEnv[Any, Any, Any]) -> None:
+        super().__init__(env)
+        self._base: Any = 0.0
+        self._robots: Any = 0.0
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("__") or name == "env":
+            raise AttributeError(name)
+        return getattr(self.env, name)
+
+    def step(self, actions: Any) -> Transition:
+        """As the teams; rewards are added up until they are taken."""
+        seen, rewards, ends, cuts, infos = self.env.step(actions)
+        self._base, self._robots = self._base + rewards, self._robots + infos["robot_rewards"]
+        return seen, rewards, ends, cuts, infos
+
+    def reset(self, **arguments: Any) -> tuple[Any, Info]:
+        """As the teams."""
+        self._base = self._robots = 0.0
+        return self.env.reset(**arguments)
+
+    def taken(self) -> tuple[Any, Any]:
+        """Rewards of teams (B,) and of robots (B, n) since this was last asked."""
+        told = self._base, self._robots
+        self._base = self._robots = 0.0
+        return told
+
+
+_OURS = (RendezvousVectorEnv, GuaranteeWrapper, TrainingTeams, _Recorder)

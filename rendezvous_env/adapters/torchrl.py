@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,13 +15,13 @@ from torchrl.data import Bounded, Categorical, Composite, Unbounded
 from torchrl.envs import EnvBase
 
 from ..engine.memory import RENDEZVOUS, TIME_OUT
-from ..experiment.seeding import seeds_of_teams
+from ..scenario.start_options import seeds_of_teams
 from ..simulator import Simulator
 from ..vector import training_env
-from .slots import last_moments
+from .slots import RewardShaping, last_moments
 
 if TYPE_CHECKING:
-    from ..experiment.scenarios import ScenarioLike
+    from ..scenario.scenarios import ScenarioLike
 
 __all__ = ["GROUP", "RendezvousEnv"]
 
@@ -59,6 +59,8 @@ class RendezvousEnv(EnvBase):
         guarantee, learning_preset, flatten, discrete, num_threads: as ``vector.training_env``.
         return_state: whether to give the global state out, for centralised critics.
         seed: as ``set_seed``.
+        wrap: what makes of the teams those that are stepped, ``wrap(teams) -> teams``: a
+            ``VectorWrapper`` of your own that changes rewards, say.
         device: where what is given out is moved to; None leaves it where it is computed, on the
             CPU, and costs nothing.
         **overrides: as ``vector.training_env``.
@@ -78,6 +80,7 @@ class RendezvousEnv(EnvBase):
         discrete: bool = False,
         return_state: bool = False,
         seed: int | None = None,
+        wrap: Callable[[Any], Any] = lambda teams: teams,
         device: torch.device | str | None = None,
         num_threads: int | None = None,
         **overrides: Any,
@@ -93,6 +96,8 @@ class RendezvousEnv(EnvBase):
             num_threads=num_threads,
             **overrides,
         )
+        self._wrapped = wrap(self.teams)
+        self._shaping = RewardShaping(self._wrapped)
         super().__init__(device=device, batch_size=(num_envs,))
         self._gives_state = return_state
         self._make_specs()
@@ -180,20 +185,25 @@ class RendezvousEnv(EnvBase):
         seeded = np.array([seed is not None for seed in seeds])
         anew = which if options else which & (seeded | ~self._begun)
         given = seeds if seeded.any() else None
-        observations, infos = self.teams.reset(seed=given, options={**options, "reset_mask": anew})
+        observations, infos = self._wrapped.reset(
+            seed=given, options={**options, "reset_mask": anew}
+        )
         for team in np.flatnonzero(which).tolist():
             self._seeds[team] = None
         self._start = observations, infos["active"], infos["contacts"]
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         actions = tensordict.get((GROUP, "action")).detach().cpu().numpy()
-        observations, _, met, cut, infos = self.teams.step(actions)
+        acted = self._start[1]
+        observations, rewards, met, cut, infos = self._wrapped.step(actions)
+        robot_rewards = self._shaping.robot_rewards(rewards, infos, acted)
         last = self._start = observations, infos["active"], infos["contacts"]
         if not self._gives_state:
             self._begun = met | cut
             if self._begun.any():
                 last = _last(observations, infos, self._begun)
-        return self._given(*last, met, cut, reward=infos["robot_rewards"].astype(np.float32))
+        reward = robot_rewards.astype(np.float32)
+        return self._given(*last, met, cut, reward=reward)
 
     def _given(
         self,

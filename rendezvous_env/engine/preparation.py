@@ -8,24 +8,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..equations.robots.motion import begin_memory, is_described
-from ..equations.shapes.obstacles import World
-from ..experiment import packing
-from ..experiment.checks import shown
-from ..experiment.obstacles import Field
-from ..experiment.scenario import CONTACT_MODES, Scenario
-from ..experiment.topologies import DIRECTED, FIXED
-from .allocation import Arrangement
-from .beginning.draw_graph import GraphRules
-from .beginning.field_rules import field_rules
-from .beginning.starts import Spacing, StartRules
+from ..graphs.drawn import graph_rules
+from ..obstacles import obstacle_set
+from ..obstacles.fields import Field
+from ..obstacles.obstacle_set import World
+from ..physics.random_streams import ignore_overflow
+from ..robots.motion import begin_memory
+from ..robots.robot_models import constants_of
+from ..scenario.scenario import CONTACT_MODES, Scenario
 from .memory import Constants, Layout, Robot
-from .quiet import quietly
-from .sense_with_errors import Sensor
+from .memory_layout import MemoryLayout
+from .reset.starts import Spacing, StartRules
+from .stages.sense_with_errors import Sensor
 from .state import State
 
 
-def layout(place: Arrangement) -> Layout:
+def layout(place: MemoryLayout) -> Layout:
     """How the numbers of these teams lie in memory."""
     d = place.scenario.dim
     return Layout(place.width, tuple(range(d)), tuple(range(d * d)))
@@ -44,7 +42,7 @@ def sensor(state: State) -> Sensor | None:
     """The sensor of a scenario's robots; None is the exact one."""
     scenario, place = state.scenario, state.place
     sensing = scenario.sensing
-    if sensing.exact:
+    if sensing.built_in_exact:
         return None
     return Sensor(
         reach=math.inf if sensing.range is None else sensing.range,
@@ -65,7 +63,6 @@ def sensor(state: State) -> Sensor | None:
 
 def constants(scenario: Scenario, max_steps: int) -> tuple[Any, ...]:
     """The fields of Constants, as a plain tuple."""
-    reward = scenario.reward
     found = Constants(
         duration=float(scenario.tau),
         merge_radius=float(scenario.merge_radius),
@@ -75,36 +72,10 @@ def constants(scenario: Scenario, max_steps: int) -> tuple[Any, ...]:
         obstacle_range=float(scenario.obstacle_range),
         neighbour_slots=scenario.observation_layout.neighbour_slots,
         rows=scenario.observation_layout.rows,
-        reward_weights=(
-            reward.progress,
-            reward.time_penalty,
-            reward.collision_penalty,
-            reward.rendezvous_bonus,
-            reward.clearance_penalty,
-        ),
+        reward_weights=scenario.reward.built_in,
         all_earn=scenario.on_merge == "follow",
     )
     return tuple(found)
-
-
-def constants_of(scenario: Scenario) -> Any:
-    """The constants that the equations of the scenario's robot model take.
-
-    Raises:
-        ValueError: if they are not what the step needs.
-    """
-    model = scenario.model.constants(scenario)
-    who = f"the constants of robot model {scenario.robot_model!r}"
-    if not is_described(type(model)):
-        raise ValueError(
-            f"{who} are a {type(model).__name__}; describe_motion must have said how that moves"
-        )
-    for field, least in (("duration", scenario.tau), ("speed_limit", 0.0)):
-        value = getattr(model, field, None)
-        if not isinstance(value, float) or not least <= value < np.inf:
-            wanted = f"the step, {least:g} s" if field == "duration" else "a float of 0 m/s or more"
-            raise ValueError(f"{who} have {field} = {shown(value)}; it must be {wanted}")
-    return model
 
 
 def start_rules(scenario: Scenario) -> StartRules:
@@ -121,28 +92,10 @@ def start_rules(scenario: Scenario) -> StartRules:
         spawn_size=float(scenario.spawn_size),
         least_distance=2.0 * scenario.merge_radius,
         keep_out=float(field.keep_out) if isinstance(field, Field) else 0.0,
-        graph=_graph_rules(scenario),
+        graph=graph_rules(scenario.sensing_graph, scenario.n_robots),
         factors=_factors(scenario),
         spacing=Spacing(float(scenario.start_reach)) if scenario.sensing_graph.changes else None,
-        field=field_rules(field) if isinstance(field, Field) else None,
-    )
-
-
-def _graph_rules(scenario: Scenario) -> GraphRules | None:
-    """None where every episode has the same links, and of arcs."""
-    graph = scenario.sensing_graph
-    low, high = graph.weight_range
-    if not graph.undirected or (graph.topology == FIXED and low == high):
-        return None
-    fixed = graph.topology == FIXED
-    first, second, weights = graph.links(scenario.n_robots) if fixed else _NO_LINKS
-    return GraphRules(
-        topology=graph.topology,
-        probability=float(graph.probability),
-        weight_range=(low, high),
-        first=first,
-        second=second,
-        weights=weights,
+        field=field.rules if isinstance(field, Field) else None,
     )
 
 
@@ -150,10 +103,7 @@ def _factors(scenario: Scenario) -> tuple[float, float] | None:
     """The range of weights of a directed graph; None where nothing of it is drawn at the start."""
     graph = scenario.sensing_graph
     low, high = graph.weight_range
-    return (low, high) if graph.topology == DIRECTED and low < high else None
-
-
-_NO_LINKS = (np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0))
+    return (low, high) if graph.directed and not graph.changes and low < high else None
 
 
 def fixed_links(
@@ -163,7 +113,7 @@ def fixed_links(
     change. Those of a directed graph are still to be multiplied by what is drawn for them.
     """
     graph = scenario.sensing_graph
-    if graph.changes or _graph_rules(scenario) is not None:
+    if graph.changes or (_draws_links(scenario) and not graph.directed):
         return None
     first, second, weights = graph.links(scenario.n_robots)
     return first, second, weights if _factors(scenario) else weights * graph.weight_range[0]
@@ -181,7 +131,7 @@ def begins_alike(scenario: Scenario) -> bool:
     given = 0 if scenario.start_headings is None else model.n_angles
     if model.memory_size(scenario.dim) == given:
         return True
-    begin = quietly(begin_memory)
+    begin = ignore_overflow(begin_memory)
     one, other = (begin(constants_of(scenario), np.uint64(key), 0) for key in (1, 2))
     return bool(one[given:] == other[given:])
 
@@ -190,7 +140,7 @@ def _draws_links(scenario: Scenario) -> bool:
     """Whether anything of an episode's links is drawn."""
     graph = scenario.sensing_graph
     if not graph.changes:
-        return _graph_rules(scenario) is not None or _factors(scenario) is not None
+        return not graph.fixed or graph.weight_range[0] < graph.weight_range[1]
     listed = getattr(graph, "graphs", (graph,))
     drawn = any(one.weight_range[0] < one.weight_range[1] for one in listed)
     return drawn or getattr(graph, "order", "cyclic") == "random"
@@ -203,4 +153,4 @@ def fixed_obstacles(scenario: Scenario) -> World | None:
     slots = scenario.observation_layout.obstacle_slots
     if isinstance(scenario.obstacles, Field) or slots == 0:
         return None
-    return packing.world_of(packing.pack(scenario.obstacles, slots)[None])
+    return obstacle_set.world_of(obstacle_set.pack(scenario.obstacles, slots)[None])

@@ -8,34 +8,21 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..equations.shapes.obstacles import World
-from ..experiment import packing
-from . import link_tables
-from .allocation import Arrangement, empty_obstacles, empty_past, empty_teams
-from .link_kinds import Links, PairLinks
-from .link_tables import LinkList
-from .memory import (
-    ACTIVE,
-    CONTACTS,
-    INITIAL_LYAPUNOV,
-    MIN_CLEARANCE,
-    PATH_LENGTH,
-    STATISTICS,
-    STATUS,
-    STEPS,
-    Teams,
-)
+from ..graphs.edge_kinds import Links, PairLinks
+from ..obstacles import obstacle_set, parsing
+from ..obstacles.obstacle_set import World
+from . import edge_tables as link_tables
+from .edge_tables import LinkList
+from .memory import STATISTICS, Teams
+from .memory_layout import MemoryLayout, empty_obstacles, empty_past, empty_teams
 
 KEPT = {
-    STATISTICS[entry]: (entry, kind)
-    for entry, kind in (
-        (STATUS, np.int64),
-        (STEPS, np.int64),
-        (CONTACTS, np.int64),
-        (PATH_LENGTH, np.float64),
-        (INITIAL_LYAPUNOV, np.float64),
-        (MIN_CLEARANCE, np.float64),
-    )
+    "status": np.int64,
+    "steps": np.int64,
+    "contacts": np.int64,
+    "path_length": np.float64,
+    "initial_lyapunov": np.float64,
+    "min_clearance": np.float64,
 }
 """What of a team's statistics belongs to its state, and as what; the rest follows."""
 
@@ -55,7 +42,7 @@ class State:
         place: how they lie in memory.
     """
 
-    def __init__(self, place: Arrangement) -> None:
+    def __init__(self, place: MemoryLayout) -> None:
         self.place, self.scenario, self.batch = place, place.scenario, place.batch
         self.teams: Teams = empty_teams(place)
         self.obstacles: Any = empty_obstacles(place)
@@ -94,27 +81,26 @@ class State:
         """What the robot model keeps, (B, n, k)."""
         return self._by_team(self.teams.memory)
 
-    def statistic(self, entry: int) -> NDArray[np.float64]:
-        """One entry of every team's statistics, (B,), as a copy."""
-        table = self.teams.statistics.reshape(self.blocks, -1, self.lanes)
-        return table[:, entry].flatten()[: self.batch]
+    def statistic(self, name: str) -> NDArray[np.float64]:
+        """One of STATISTICS of every team, (B,), as a copy."""
+        return self.teams.statistics[:, STATISTICS.index(name)].flatten()[: self.batch]
 
-    def put_statistic(self, entry: int, values: NDArray[Any]) -> None:
-        """Write one entry of every team's statistics, (B,)."""
-        table = self.teams.statistics.reshape(self.blocks, -1, self.lanes)
+    def put_statistic(self, name: str, values: NDArray[Any]) -> None:
+        """Write one of STATISTICS of every team, (B,)."""
         team = np.arange(self.batch)
-        table[team // self.lanes, entry, team % self.lanes] = values
+        table = self.teams.statistics[:, STATISTICS.index(name)]
+        table[team // self.lanes, team % self.lanes] = values
 
     def weights(self) -> NDArray[np.float64]:
         """a_ij, (B, n, n), m/s."""
         return link_tables.matrices(self.links, self.batch, self.scenario.n_robots)
 
     def obstacle_table(self) -> NDArray[np.float64]:
-        """Obstacles as tables, (B, M, width), see ``experiment.packing``."""
+        """Obstacles as tables, (B, M, width), see ``obstacles.obstacle_set``."""
         if self.obstacles is None:
-            width = packing.row_width(self.scenario.obstacles)
+            width = parsing.row_width(self.scenario.obstacles)
             return np.zeros((self.batch, 0, width))
-        return packing.table_of(self.obstacles)
+        return obstacle_set.table_of(self.obstacles)
 
     def as_dict(self) -> dict[str, NDArray[Any]]:
         """All that is neither constant nor follows from the rest, as copies with leading axis B."""
@@ -125,7 +111,7 @@ class State:
             "merged_into": self.teams.merged_into.copy(),
         }
         if isinstance(self.links, PairLinks):
-            state["weights"] = self._by_team(self.links.weights)[..., 0].copy()
+            state["weights"] = self._by_team(self.links.weights).copy()
         else:
             kept_links = link_tables.arrays_of(self.links)
             state |= {name: array.copy() for name, array in kept_links.items()}
@@ -133,7 +119,7 @@ class State:
             state["past"] = self.past.copy()
         if self.scenario.model.n_angles == 0:
             state["frames"] = self.frames().copy()
-        kept = {name: self.statistic(k).astype(kind) for name, (k, kind) in KEPT.items()}
+        kept = {name: self.statistic(name).astype(kind) for name, kind in KEPT.items()}
         return state | kept
 
     # ---- writing ----------------------------------------------------------------------------
@@ -142,10 +128,12 @@ class State:
         """Put back what ``as_dict`` gave; unchecked."""
         for name, value in state.items():
             if name in KEPT:
-                self.put_statistic(KEPT[name][0], value)
+                self.put_statistic(name, value)
             elif name == "obstacles":
                 if self.obstacles is not None:
-                    for array, numbers in zip(self.obstacles, packing.world_of(value), strict=True):
+                    for array, numbers in zip(
+                        self.obstacles, obstacle_set.world_of(value), strict=True
+                    ):
                         array[...] = numbers
             elif name == "merged_into":
                 self.teams.merged_into[...] = value
@@ -153,13 +141,13 @@ class State:
                 self.past[...] = value
             elif name in ("first", "second", "weights"):
                 if isinstance(self.links, PairLinks):
-                    self._to_lanes(value[..., None], self.links.weights)
+                    self._to_lanes(value, self.links.weights)
                 else:
                     getattr(self.links, name)[...] = value
             else:
                 self._to_lanes(value, getattr(self.teams, name))
         active = (self.teams.merged_into == np.arange(self.scenario.n_robots)).sum(axis=1)
-        self.put_statistic(ACTIVE, active)
+        self.put_statistic("active", active)
 
     def give(
         self,
@@ -176,9 +164,8 @@ class State:
             which: (count,), teams.
             log: what was overwritten is added to it.
         """
-        blocks = getattr(self.teams, name)
         index = (which // self.lanes, slice(None), slice(None), which % self.lanes)
-        overwrite(blocks.reshape(*blocks.shape[:2], -1, self.lanes), index, values, log)
+        overwrite(getattr(self.teams, name), index, values, log)
 
     def as_kept(self, listed: Sequence[LinkList]) -> tuple[NDArray[Any], ...]:
         """Lists of links in the form in which they are kept, see ``link_tables``."""
@@ -204,17 +191,14 @@ class State:
             overwrite(array, which, numbers, log)
 
     def _by_team(self, blocks: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Numbers of each team from lane blocks: (blocks, m, c·L) → (B, m, c)."""
-        count, m, width = blocks.shape
-        lanes_last = blocks.reshape(count, m, width // self.lanes, self.lanes)
-        return np.moveaxis(lanes_last, -1, 1).reshape(count * self.lanes, m, -1)[: self.batch]
+        """Numbers of each team from blocks, (blocks, …, L) → (B, …)."""
+        by_team = np.moveaxis(blocks, -1, 1)
+        return by_team.reshape(self.blocks * self.lanes, *by_team.shape[2:])[: self.batch]
 
     def _to_lanes(self, values: NDArray[np.float64], blocks: NDArray[np.float64]) -> None:
-        """Write (B, m, c) into lane blocks (blocks, m, c·L)."""
-        batch, m, c = values.shape
-        team = np.arange(batch)
-        lanes_last = blocks.reshape(len(blocks), m, c, self.lanes)
-        lanes_last[team // self.lanes, :, :, team % self.lanes] = values
+        """Write (B, …) into blocks, (blocks, …, L)."""
+        team = np.arange(len(values))
+        np.moveaxis(blocks, -1, 1)[team // self.lanes, team % self.lanes] = values
 
 
 def overwrite(array: NDArray[Any], index: Any, values: ArrayLike, log: list[Overwritten]) -> None:

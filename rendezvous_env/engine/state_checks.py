@@ -8,13 +8,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..equations.shapes.obstacles import ABSENT, BALL, CAPSULE, POLYGON
-from ..experiment.checks import shown
-from ..experiment.packing import CORNERS, DETAILS, KIND, RADIUS, THICKNESS, only_balls
-from ..experiment.scenario import Scenario
-from . import link_checks
-from .link_checks import refuse_first
-from .memory import AWAITING_RESET, RENDEZVOUS, Results
+from ..checks import shown
+from ..obstacles.obstacle_set import faults
+from ..obstacles.parsing import only_balls
+from ..outcome import StepOutput
+from ..scenario.scenario import Scenario
+from . import edge_checks as link_checks
+from .edge_checks import refuse_first
+from .memory import AWAITING_RESET, RENDEZVOUS
 
 _ROUNDING = 1e-9
 _FLOATS = np.dtype(np.float32), np.dtype(np.float64)
@@ -161,40 +162,25 @@ def _check_merges(state: Mapping[str, NDArray[Any]]) -> None:
 
 
 def _check_obstacles(scenario: Scenario, rows: NDArray[np.float64]) -> None:
-    """Tables, (B, M, width), as ``experiment.packing`` says: counts first, since they are
-    indices.
-    """
-    kind, corners, width = rows[..., KIND], rows[..., CORNERS], rows.shape[-1]
-    known = [ABSENT, BALL]
-    if not only_balls(scenario.obstacles):
-        known += [POLYGON] if scenario.dim == 2 else []
-        known += [CAPSULE] if width > THICKNESS else []
-    refuse_first("obstacles", ~np.isin(kind, known), rows, f"a row that begins with one of {known}")
-    most = (width - DETAILS) // 2
-    polygon = (corners >= 3) & (corners <= most) & (corners == np.floor(corners))
-    what = f"a row with 3 to {most} corners if it is a polygon, else 0"
-    refuse_first("obstacles", np.where(kind == POLYGON, ~polygon, corners != 0), rows, what)
-    refuse_first("obstacles", np.asarray(~np.isfinite(rows).all(axis=-1)), rows, "finite")
-    negative = np.logical_and(kind != ABSENT, rows[..., RADIUS] < 0)
-    refuse_first("obstacles", negative, rows, "of radius 0 or more")
+    """Tables, (B, M, width), of ``obstacles.obstacle_set``."""
+    for fault, wanted in faults(rows, scenario.dim, only_balls(scenario.obstacles)):
+        refuse_first("obstacles", fault, rows, wanted)
 
 
-def check_results(
-    results: tuple[NDArray[Any], ...], wanted: tuple[tuple[tuple[int, ...], Any], ...]
-) -> None:
-    """Refuse results of other teams, into which compiled code would write too much.
+def check_output(output: Any, wanted: tuple[tuple[tuple[int, ...], Any], ...]) -> None:
+    """Refuse the output of other teams, into which compiled code would write too much.
 
     Args:
-        results: what a step gave out.
+        output: what a step gave out.
         wanted: shape and type of each of its arrays.
 
     Raises:
-        ValueError: naming the array.
+        ValueError: naming the array, or if it is no StepOutput.
     """
-    found = tuple((array.shape, array.dtype) for array in results)
-    if found == wanted and all(array.flags.carray for array in results):
-        return
-    for name, array, (shape, kind) in zip(Results._fields, results, wanted, strict=True):
+    if not isinstance(output, StepOutput):
+        raise ValueError(f"outcome is {shown(output)}; it must be what step() gave out, or None")
+    arrays: tuple[Any, ...] = output
+    for name, array, (shape, kind) in zip(StepOutput._fields, arrays, wanted, strict=True):
         if array.shape != shape or array.dtype != kind or not array.flags.carray:
             raise ValueError(
                 f"outcome: {name} is {array.dtype} of shape {array.shape}; a step of these teams "

@@ -13,7 +13,7 @@ from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
 import rendezvous_env as rv
 from rendezvous_env.adapters.sb3 import RobotVecEnv, make_robots
 from rendezvous_env.vector import EnergyTankWrapper, HeadingVectorWrapper
-from train.learning.rollout_buffer import RobotPPO
+from train.learn.rollout_buffer import RobotPPO
 
 TEAMS, ROBOTS, STEPS, SEED = 8, 3, 90, 4
 GAMMA, LAMBDA = 0.95, 0.9
@@ -294,3 +294,39 @@ def test_ppo_refuses_what_it_cannot_follow():
         counted_twice = VecMonitor(robots)
     with pytest.raises(TypeError, match="norm_obs"):
         RobotPPO("MlpPolicy", VecNormalize(counted_twice), **SETTINGS).learn(10)
+
+
+@pytest.mark.parametrize(
+    ("actions", "message"),
+    [
+        (None, "actions is None"),
+        ("left", "actions is 'left'"),
+        ([[10**400] * 2] * 6, "actions is"),
+        (np.zeros((6, 3)), r"actions have shape \(6, 3\); they must be \(6, 2\)"),
+        (np.zeros((2, 3, 2)), r"actions have shape \(2, 3, 2\)"),
+        (np.full((6, 2), np.nan), "robot_0"),
+    ],
+)
+def test_actions_that_are_none_are_refused_in_words(actions, message):
+    env = make_robots(SCENARIO, 2)
+    env.reset()
+    with pytest.raises(ValueError, match=message):
+        env.step(actions)
+
+
+@pytest.mark.parametrize("seed", ["x", -1, 1.5, 10**400])
+def test_seeds_that_are_none_are_refused(seed):
+    with pytest.raises(ValueError, match="seed is"):
+        make_robots(SCENARIO, 2).seed(seed)
+
+
+def test_options_and_slots_that_there_are_not_are_refused():
+    env = make_robots(SCENARIO, 2)
+    with pytest.raises(ValueError, match="5 entries; give one dict, or one for each of 6 slots"):
+        env.set_options([{}] * 5)
+    with pytest.raises(ValueError, match="options is 3"):
+        env.set_options([3] * 6)
+    for indices in (99, [0, 99], [-1]):
+        with pytest.raises(ValueError, match="indices is"):
+            env.env_method("set_max_steps", 9, indices=indices)
+    assert env.get_attr("max_steps") != [9] * 6

@@ -7,18 +7,18 @@ import pytest
 from conftest import five
 
 import rendezvous_env as rv
-from baselines import obstacle_avoidance
+from baselines.learned.features import Features
 from baselines.learned.guide import Guide
-from baselines.learned.perceiving import PerceivingTeams
-from baselines.learned.perception import Perception
 from baselines.learned.policy_settings import PolicySettings
+from baselines.learned.training_environment import FeatureVectorEnv
+from baselines.obstacle_rules import obstacle_avoidance
 from rendezvous_env import Simulator
 from rendezvous_env.engine.memory import TIME_OUT
-from rendezvous_env.experiment.packing import check_outside
-from rendezvous_env.guarantee.steering import Steering
-from rendezvous_env.gymnasium_env import make_env
+from rendezvous_env.envs.gymnasium_env import make_env
+from rendezvous_env.obstacles.obstacle_set import check_outside
+from rendezvous_env.safety.heading import HeadingFilter
 from rendezvous_env.trajectory import Step
-from train.comparing.alignment import alignments
+from train.compare.evaluation import alignments
 
 TEAMS = 6
 SQUARE = rv.Polygon(((4.0, 0.0), (6.0, 0.0), (6.0, 2.0), (4.0, 2.0)))
@@ -55,7 +55,7 @@ def test_an_outcome_of_other_teams_is_refused(other):
         sim.restart(np.ones(TEAMS, bool), outcome)
     assert same(before, sim.get_state())
     own = sim.step(np.zeros(sim._acted))
-    own.results.observations.flags.writeable = False
+    own.observations.flags.writeable = False
     with pytest.raises(ValueError, match="can be written to"):
         sim.restart(np.ones(TEAMS, bool), own)
 
@@ -64,12 +64,12 @@ def test_an_outcome_of_other_teams_is_refused(other):
 def test_a_bad_mask_is_refused_everywhere(mask):
     clutter = rv.scenarios.get("clutter-16")
     sim = Simulator(clutter, TEAMS)
-    perception = Perception(clutter, TEAMS, decision_time=0.2)
+    perception = Features(clutter, TEAMS, decision_time=0.2)
     observations = sim.reset(0)
     headings = np.zeros((TEAMS, 4, 2))
     for refuse in (
         sim.restart,
-        Steering(clutter, TEAMS).forget,
+        HeadingFilter(clutter, TEAMS).forget,
         perception.forget,
         lambda mask: perception.see(observations, headings, mask),
     ):
@@ -107,7 +107,7 @@ def test_a_seed_of_one_team_is_refused_before_it_begins():
 @pytest.mark.parametrize("batch", [1, TEAMS - 1, TEAMS + 1])
 def test_observations_of_another_batch_are_refused(kind, batch):
     scenario = five(kind)
-    steering = Steering(scenario, TEAMS)
+    steering = HeadingFilter(scenario, TEAMS)
     seen = np.zeros((batch, 5, *scenario.observation_layout.shape), np.float32)
     before = steering.get_state()
     for refuse in (steering.view, steering.act):
@@ -122,7 +122,7 @@ def test_observations_of_another_batch_are_refused(kind, batch):
 
 def test_perception_refuses_other_teams():
     clutter = rv.scenarios.get("clutter-16")
-    perception = Perception(clutter, TEAMS, decision_time=0.2)
+    perception = Features(clutter, TEAMS, decision_time=0.2)
     seen = Simulator(clutter, TEAMS).reset(0)
     headings, before = np.zeros((TEAMS, 4, 2)), perception.get_state()
     for wrong, carried, name in (
@@ -201,7 +201,7 @@ def test_a_choice_that_there_is_not_is_refused():
     scenario = rv.scenarios.get("clutter-16")
     teams = rv.make_vec(scenario, 2, autoreset_mode="SameStep")
     settings = PolicySettings(8, (16,), 0.1, 0.5, 0.1, 3.0, scenario.tau)
-    teams = PerceivingTeams(teams, settings)
+    teams = FeatureVectorEnv(teams, settings)
     teams.reset(seed=0)
     before = teams.get_state()
     for wrong in (-1, 9, 10_000):

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from rendezvous_env.engine.pool import cores
+from rendezvous_env.engine import threads as cores
 
 
 def files(root: Path, **contents: str) -> None:

@@ -29,10 +29,10 @@ import baselines
 import rendezvous_env as rv
 from rendezvous_env import Scenario, Simulator, TimeStepWarning, vector
 from rendezvous_env.engine.memory import RUNNING
-from rendezvous_env.experiment import scenarios
-from rendezvous_env.experiment.start_options import OPTIONS
-from rendezvous_env.guarantee.turning import gated_turn_rate
-from rendezvous_env.gymnasium_env import make_env
+from rendezvous_env.envs.gymnasium_env import make_env
+from rendezvous_env.safety.turning import gated_turn_rate
+from rendezvous_env.scenario import scenarios
+from rendezvous_env.scenario.start_options import OPTIONS
 
 FEW, MANY = 2, 28
 EFFORTS = [
@@ -471,7 +471,7 @@ def test_arguments_of_wrappers(effort):
         if isinstance(env, Refused):
             return
         env.reset(seed=0)
-        size, simulator = env._filter.action_size, env.unwrapped.simulator
+        size, simulator = env.filter.action_size, env.unwrapped.simulator
         for k in range(3):
             raw = np.full(size, (1.0, -3e38, 1e-40)[k])
             if alone:

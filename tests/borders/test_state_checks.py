@@ -9,13 +9,13 @@ import pytest
 from conftest import five
 
 import rendezvous_env as rv
-from baselines.learned.perceiving import PerceivingTeams
 from baselines.learned.policy_settings import PolicySettings
+from baselines.learned.training_environment import FeatureVectorEnv
 from rendezvous_env import Simulator, parallel_env
 from rendezvous_env.adapters.sb3 import RobotVecEnv
 from rendezvous_env.engine.memory import AWAITING_RESET, RENDEZVOUS, TIME_OUT
-from rendezvous_env.experiment.packing import CORNERS, DETAILS, KIND, RADIUS
-from rendezvous_env.guarantee.steering import Steering
+from rendezvous_env.obstacles.shape import CORNERS, DETAILS, KIND, RADIUS
+from rendezvous_env.safety.heading import HeadingFilter
 from rendezvous_env.vector import EnergyTankWrapper, HeadingVectorWrapper
 
 TEAMS = 6
@@ -134,7 +134,7 @@ def test_what_is_no_state_is_refused(wrong):
     for target in (
         Simulator(five("unicycle")),
         parallel_env("fig3"),
-        Steering(five("unicycle"), 1),
+        HeadingFilter(five("unicycle"), 1),
     ):
         refused(target, wrong, "must be a mapping")
 
@@ -199,7 +199,7 @@ def test_a_parallel_environment_takes_a_state_as_a_whole():
     ],
 )
 def test_steering_takes_a_state_as_a_whole(entry, spoil, message):
-    steering = Steering(five("single_integrator-2d"), 2)
+    steering = HeadingFilter(five("single_integrator-2d"), 2)
     state = steering.get_state()
     headings = state["headings"] + 1.0  # may not be taken over
     steering_state = {**state, "headings": headings}
@@ -222,7 +222,7 @@ def perceiving():
     scenario = rv.scenarios.get("clutter-16")
     teams = rv.make_vec(scenario, 2, autoreset_mode="SameStep")
     settings = PolicySettings(8, (16,), 0.1, 0.5, 0.1, 3.0, scenario.tau)
-    teams = PerceivingTeams(teams, settings)
+    teams = FeatureVectorEnv(teams, settings)
     teams.reset(seed=0)
     return teams
 

@@ -2,23 +2,15 @@
 
 from __future__ import annotations
 
-import builtins
 import json
 
 import numpy as np
 import pytest
 
-from rendezvous_env.engine.pool import threads
-from train.benchmark.bench import GROUPS, Config, Row, measure, run
-from train.benchmark.bench_cases import (
-    Case,
-    Running,
-    among_discs,
-    batched,
-    limit_by_pairs,
-    limit_by_rows,
-)
-from train.errors import UserError
+from train.bench import bench
+from train.bench.bench import GROUPS, Config, Row, measure, run
+from train.bench.cases import Case, Running, Size, among_discs, bare_step, batched
+from train.checks import UserError
 
 QUICK = {"robots": (3,), "num_envs": 48, "repeats": 2, "seconds": 0.004, "num_threads": 1}
 
@@ -31,21 +23,16 @@ def measured(folder, **choices):
     return [Row(**row) for row in written["rows"]], written
 
 
-@pytest.mark.parametrize("walk", [limit_by_pairs, limit_by_rows])
-def test_the_limit_computes_bearings_sums_and_a_step(walk):
+def test_the_limit_computes_bearings_sums_and_a_step():
     n, lanes = 4, 64
     positions = np.random.default_rng(0).uniform(-1, 1, (1, n, 2, lanes))
     p = np.moveaxis(positions[0].copy(), -1, 0)  # (lanes, n, 2)
-    bearings = np.zeros((1, n, n - 1, 2 * lanes))
-    threads.share(lambda part: walk(part, positions.reshape(1, n, -1), bearings), 1, 1)
+    bearings = np.zeros((1, n, n - 1, 2, lanes))
+    bare_step(positions, bearings, np.zeros((n, 2, lanes)))
     g = p[:, None] - p[:, :, None]
-    g = np.divide(
-        g,
-        np.linalg.norm(g, axis=-1, keepdims=True),
-        where=~np.eye(n, dtype=bool)[..., None],
-        out=np.zeros_like(g),
-    )
-    seen = np.moveaxis(bearings[0].reshape(n, n - 1, 2, lanes), -1, 0)
+    lengths = np.linalg.norm(g, axis=-1, keepdims=True)
+    g = np.divide(g, lengths, where=lengths > 0, out=np.zeros_like(g))
+    seen = np.moveaxis(bearings[0], -1, 0)
     for i in range(n):
         np.testing.assert_allclose(seen[:, i], np.delete(g[:, i], i, axis=1), atol=1e-12)
     moved = np.moveaxis(positions[0], -1, 0) - p
@@ -111,7 +98,7 @@ def test_merging_while_timed_is_an_error():
 
 
 def test_robots_among_discs_see_all_of_them():
-    running = {case.name: case.build() for case in batched(among_discs(), "obstacles", 4, 1)}
+    running = {case.name: case.build() for case in batched(among_discs(), "obstacles", Size(4, 1))}
     outcome = running["Simulator"].step()
     layout = among_discs().observation_layout
     seen = outcome.observations[..., layout.obstacles, :]
@@ -120,24 +107,15 @@ def test_robots_among_discs_see_all_of_them():
 
 
 def test_without_the_train_extra_the_learning_rows_are_left_out(tmp_path, monkeypatch, capsys):
-    real = builtins.__import__
-
-    def missing(name, globals=None, locals=None, fromlist=(), level=0):
-        if "bench_learning" in (fromlist or ()):
-            raise ModuleNotFoundError(name="stable_baselines3")
-        return real(name, globals, locals, fromlist, level)
-
-    monkeypatch.setattr(builtins, "__import__", missing)
+    monkeypatch.setattr(bench.importlib.util, "find_spec", lambda name: None)
     rows, _ = measured(tmp_path, only=("one-team", "robots"))
     assert {row.group for row in rows} == {"one-team"}
     assert "stable_baselines3 is missing" in capsys.readouterr().out
 
 
 def test_the_figure_is_drawn(tmp_path, monkeypatch):
-    from train.benchmark import bench_figure
-
-    monkeypatch.setattr(bench_figure, "SIZES", (2, 3))
-    monkeypatch.setattr(bench_figure, "RINGS", (3, 4))
-    monkeypatch.setattr(bench_figure, "BATCHES", (1, 4))
+    monkeypatch.setattr(bench, "SIZES", (2, 3))
+    monkeypatch.setattr(bench, "RINGS", (3, 4))
+    monkeypatch.setattr(bench, "BATCHES", (1, 4))
     run(Config(figure=tmp_path / "growth.png", only=("robots",), **QUICK))
     assert (tmp_path / "growth.png").read_bytes().startswith(b"\x89PNG")

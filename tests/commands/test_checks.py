@@ -8,8 +8,7 @@ import pytest
 
 from baselines.learned.plain_data import check_types
 from train import cli
-from train.checks import check_fields
-from train.errors import UserError
+from train.checks import UserError, check_fields
 
 MODULES = {name: import_module(f"train.{module}") for name, (module, _) in cli.COMMANDS.items()}
 FLOATS = [

@@ -1,6 +1,8 @@
 """The command line, as a user meets it."""
 
+import importlib
 import os
+import re
 import subprocess
 import sys
 from importlib import metadata
@@ -11,7 +13,7 @@ import pytest
 
 import baselines
 from baselines import policy
-from rendezvous_env.experiment import scenarios
+from rendezvous_env.scenario import scenarios
 from train import cli, results
 
 SCRIPT = Path(sys.executable).with_name("rendezvous")
@@ -39,7 +41,7 @@ class TestMistakes:
             (["--episodes", "0"], "--episodes is 0"),
             (["--seed", "-1"], "--seed is -1"),
             (["--seed", str(2**63)], "too large"),
-            (["--keep", "-1"], "--keep is -1"),
+            (["--keep", "-1"], "--keep-trajectories is -1"),
         ],
     )
     def test_one_line_and_status_2(self, flags, message, capsys, tmp_path):
@@ -70,7 +72,7 @@ class TestMistakes:
 
 
 def test_interrupt(monkeypatch, capsys, tmp_path):
-    from train.comparing import playing
+    from train.compare import playing
 
     def interrupted(*args, **options):
         raise KeyboardInterrupt
@@ -81,10 +83,99 @@ def test_interrupt(monkeypatch, capsys, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_every_command_has_a_config_and_help(capsys):
-    for name in cli.COMMANDS:
+class TestHelp:
+    @pytest.mark.parametrize("name", cli.COMMANDS)
+    def test_every_flag_is_told_in_a_sentence(self, name, capsys):
         assert run(name, "--help") == 0
-        assert f"rendezvous {name}" in capsys.readouterr().out
+        said = capsys.readouterr().out
+        assert said.startswith(f"usage: rendezvous {name}") and "{None}" not in said
+        for flag, told in re.findall(r"^  (--[^ ,\n]+|[A-Z]+)[^\n]*\n((?: {6}.*\n?)+)", said, re.M):
+            text = " ".join(told.split())
+            assert text[0].isupper() or text.startswith(("λ", "ε")), flag
+            assert text.endswith((".", "…")), flag
+
+    def test_examples_and_groups(self, capsys):
+        assert run("compare", "--help") == 0
+        said = capsys.readouterr().out
+        assert "  rendezvous compare --scenario clutter-8 trap" in said
+        assert said.index("\nFlags:\n") < said.index("\nOutput:\n") < said.index("\nWorkers:\n")
+        for flags in (
+            "--overwrite, --fresh\n",
+            "--keep-trajectories, --keep INTEGER\n",
+            "--oracle-runs, --ceiling INTEGER\n",
+            "--backend, --on {here,ray}\n",
+        ):
+            assert flags in said
+
+    def test_examples_are_right(self, capsys, monkeypatch):
+        import tyro
+
+        for name, (module, _) in cli.COMMANDS.items():
+            config = importlib.import_module(f"train.{module}").Config
+            home = sys.modules[config.__module__]
+            for words in getattr(home, "EXAMPLES", ()):
+                assert tyro.cli(config, args=words.split()), (name, words)
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("--scenarios duo --fresh --keep 2 --ceiling 3 --on ray",
+         "--scenario duo --overwrite --keep-trajectories 2 --oracle-runs 3 --backend ray"),
+        ("--policies zero", "--policy zero"),
+    ],
+)  # fmt: skip
+def test_flags_have_their_older_names_too(old, new):
+    import tyro
+
+    from train.compare import Config
+
+    assert tyro.cli(Config, args=old.split()) == tyro.cli(Config, args=new.split()) != Config()
+
+
+class TestSet:
+    def test_fields_of_a_scenario(self):
+        from train.policies import resolve_scenario
+
+        found = resolve_scenario("clutter-8", ("n_robots=3", "graph=cycle"))
+        assert (found.n_robots, found.name) == (3, "clutter-8-n-robots-3-graph-cycle")
+        assert found.sensing_graph.kind == "cycle"
+        assert resolve_scenario("duo") == scenarios.get("duo")
+
+    @pytest.mark.parametrize(
+        ("word", "message"),
+        [("n_robots", "write FIELD=VALUE"), ("robots=9", "n_robots"), ("n_robots=0", "n_robots")],
+    )
+    def test_refusals(self, word, message, capsys):
+        assert run("compare", "--scenario", "duo", "--set", word) == 2
+        said = capsys.readouterr().err
+        assert f"--set {word}" in said and message in said
+
+
+@pytest.mark.parametrize("step", [1e-9, 6e8])
+def test_steps_of_any_length_are_compared(step, tmp_path):
+    """Kernels are made ready on two steps of the scenario itself, whose times no limit refuses."""
+    limit = min(3 * step, 1e9)  # the longest time that a scenario takes
+    team = scenarios.get("duo").replace(
+        name="quick", time_step=step, time_limit=limit, allow_long_step=True
+    )
+    path = tmp_path / "quick.toml"
+    team.to_toml(path)
+    words = ["--policy", "zero", "--episodes", "1", "--no-figures", "--out", str(tmp_path / "out")]
+    assert run("compare", "--scenario", str(path), *words) == 0
+
+
+class TestTrainTells:
+    def test_what_one_update_is(self, tmp_path, capsys):
+        words = ["--num-teams", "2", "--n-steps", "2", "--total-steps", "3", "--eval-every", "0",
+                 "--no-tensorboard", "--num-threads", "1"]  # fmt: skip
+        assert run("train", *words, "--out", str(tmp_path / "run")) == 0
+        assert "one update is 16 decisions" in capsys.readouterr().out
+
+    @pytest.mark.parametrize("name", ["unicycle-6", "uav-6"])
+    def test_what_trains_other_robots(self, name, capsys):
+        assert run("train", "--scenario", name) == 2
+        assert "rendezvous_env.training_env(scenario)" in capsys.readouterr().err
 
 
 class TestList:
@@ -121,7 +212,7 @@ def test_version(capsys):
 def test_completion_knows_every_command_and_flag(tmp_path, capsys):
     assert run("--completion", "bash") == 0
     script = capsys.readouterr().out
-    assert all(f"--{flag}" in script for flag in ("ceiling", "against", "total-steps"))
+    assert all(f"--{flag}" in script for flag in ("oracle-runs", "against", "total-steps"))
     path = tmp_path / "completion.bash"
     path.write_text(script)
     code = f"source {path}; complete -p rendezvous"
@@ -149,8 +240,7 @@ class TestReproduce:
         assert [row["robots"] for row in rows][-1] == "1.0"
 
     def test_fig3_goes_through_and_fig4_round_every_obstacle(self, tmp_path):
-        from rendezvous_env.equations.shapes.obstacles import distance_to
-        from rendezvous_env.experiment.packing import world_of
+        from rendezvous_env.obstacles.obstacle_set import distance_to, world_of
 
         depths = {}
         for figure in ("fig3", "fig4"):
@@ -168,9 +258,9 @@ class TestReproduce:
         from matplotlib.image import imread
 
         from rendezvous_env import rollout
-        from rendezvous_env.experiment import scenarios
+        from rendezvous_env.scenario import scenarios
         from train import policies
-        from train.pictures import figures, path_figures, reproduce, style
+        from train.figures import figures, path_figures, reproduce, style
 
         scenario = scenarios.get("fig4")
         recording = reproduce.one_team(rollout(scenario, policies.make("tangent-joined", scenario)))

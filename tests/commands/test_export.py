@@ -12,13 +12,13 @@ import baselines
 import rendezvous_env as rv
 from baselines import RobotPolicy
 from baselines.learned import checkpoints, shipped
-from baselines.learned.chooser import Chooser
+from baselines.learned.features import NEIGHBOUR_COLUMNS, OBSTACLE_COLUMNS
 from baselines.learned.learned_policy import load
-from baselines.learned.onnx_network import SETTINGS_KEY, OnnxNetwork
-from baselines.learned.perception_layout import NEIGHBOUR_COLUMNS, OBSTACLE_COLUMNS
+from baselines.learned.numpy_actor import NumpyActor
+from baselines.learned.onnx_network import DIGEST_KEY, SETTINGS_KEY, OnnxNetwork
 from baselines.learned.policy_settings import PolicySettings
-from train import cli, export, onnx_graph, policies
-from train.comparing import cells
+from train import cli, export, policies
+from train.compare import playing
 
 CLUTTER = rv.scenarios.get("clutter-12")
 RECURRENT = PolicySettings(
@@ -76,7 +76,7 @@ class TestNetwork:
         for robots, slots in ((1, (3, 12)), (7999, (3, 12)), (1500, (31, 24)), (500, (1, 0))):
             layout = settings.layout(*slots)
             shown = export.drawn_tables(layout, robots, random)
-            wanted = Chooser(weights, settings, layout).preferences(shown)
+            wanted = NumpyActor(weights, settings, layout).preferences(shown)
             (found,) = session.run(["preferences"], layout.split(shown)._asdict())
             np.testing.assert_allclose(found, wanted, atol=2e-5 * np.abs(wanted).max())
             best = np.sort(wanted, axis=-1)
@@ -101,8 +101,8 @@ class TestNetwork:
     def test_what_is_remembered_goes_in_and_comes_out(self, tmp_path):
         weights, random = drawn_weights(RECURRENT), np.random.default_rng(3)
         path, layout = tmp_path / "recurrent.onnx", RECURRENT.layout(3, 12)
-        onnx.save(onnx_graph.model_of(weights, RECURRENT), path)
-        written, ours = OnnxNetwork(path), Chooser(weights, RECURRENT, layout)
+        onnx.save(export.model_of(weights, RECURRENT), path)
+        written, ours = OnnxNetwork(path), NumpyActor(weights, RECURRENT, layout)
         written.fit(layout)
         hidden = np.zeros((2, 50, RECURRENT.units), dtype=np.float32)
         for _ in range(5):
@@ -144,10 +144,10 @@ class TestPolicy:
     def test_a_comparison_knows_the_file_by_its_content(self, exported, tmp_path):
         copy = tmp_path / "copy.onnx"
         copy.write_bytes((exported / "learned.onnx").read_bytes())
-        one, two = cells._weights(f"learned:{exported / 'learned.onnx'}"), f"learned:{copy}"
-        assert cells._weights(two) == one
+        one, two = playing._weights(f"learned:{exported / 'learned.onnx'}"), f"learned:{copy}"
+        assert playing._weights(two) == one
         copy.write_bytes((exported / "learned-tank.onnx").read_bytes())
-        assert cells._weights(two) != one
+        assert playing._weights(two) != one
 
 
 class TestErrors:
@@ -177,17 +177,37 @@ class TestErrors:
         assert "export needs onnx; pip install 'rendezvous-env[export]'" in capsys.readouterr().err
 
     def test_a_file_that_errs_does_not_take_its_place(self, monkeypatch, capsys, tmp_path):
-        path, made = tmp_path / "policy.onnx", onnx_graph.model_of
+        path, made = tmp_path / "policy.onnx", export.model_of
         path.write_bytes(b"before")
 
         def wrong(weights, settings):
             bias = weights["action_net.bias"] + np.arange(len(settings.angles))
             return made({**weights, "action_net.bias": bias}, settings)
 
-        monkeypatch.setattr(onnx_graph, "model_of", wrong)
+        monkeypatch.setattr(export, "model_of", wrong)
         assert cli.main(["export", "--out", str(path), "--checks", "10"]) == 2
         assert "the file differs from the policy by" in capsys.readouterr().err
         assert path.read_bytes() == b"before" and len(list(tmp_path.iterdir())) == 1
+
+    @pytest.mark.parametrize("altered", [1, 5, 20])
+    def test_a_damaged_file_drives_no_robot(self, exported, altered, tmp_path):
+        content = (exported / "learned.onnx").read_bytes()
+        path, random = tmp_path / "x.onnx", np.random.default_rng(altered)
+        for _ in range(20):
+            damaged = bytearray(content)
+            for place in random.integers(0, len(content), altered):
+                damaged[place] ^= 1 << int(random.integers(8))
+            path.write_bytes(damaged)
+            with pytest.raises(checkpoints.CheckpointError, match=r"x\.onnx: "):
+                RobotPolicy(CLUTTER, path)
+
+    def test_a_file_without_a_digest_is_taken_with_a_warning(self, exported, tmp_path):
+        model, path = onnx.load(exported / "learned.onnx"), tmp_path / "old.onnx"
+        keys = [entry.key for entry in model.metadata_props]
+        del model.metadata_props[keys.index(DIGEST_KEY)]
+        onnx.save(model, path)
+        with pytest.warns(UserWarning, match=r"old\.onnx: holds no digest"):
+            RobotPolicy(CLUTTER, path)
 
     def test_files_that_are_no_policy_are_named(self, exported, tmp_path):
         path = tmp_path / "x.onnx"

@@ -21,8 +21,8 @@ from hypothesis import strategies as st
 
 from baselines.learned import checkpoints, learned_policy
 from train import cli, results
-from train.comparing import compare, out_folder
-from train.learning import ppo
+from train.compare import compare, out_folder
+from train.learn import ppo
 
 
 def cases(fast, slow):
@@ -362,18 +362,18 @@ def command_lines(draw):
 @pytest.fixture
 def no_work(monkeypatch):
     """Commands stop where their settings have been accepted and work would begin."""
-    from train.benchmark import bench, measuring
-    from train.learning import training_run
-    from train.pictures import render, style
-    from train.verification import claim, verify
+    from train.bench import bench
+    from train.figures import render, style
+    from train.learn import trainer
+    from train.verify import claim, verify
 
     monkeypatch.setattr(compare, "_run", lambda *given: 0)
-    monkeypatch.setattr(training_run, "_loop", lambda *given: SimpleNamespace(status=0))
+    monkeypatch.setattr(trainer, "_loop", lambda *given: SimpleNamespace(status=0))
     monkeypatch.setattr(bench, "_groups", lambda *given: iter(()))
-    monkeypatch.setattr(bench, "bytes_per_team", lambda *given: (0, 0))
-    monkeypatch.setattr(measuring, "one_core_busy", lambda: 1 / 0)
-    monkeypatch.setattr("train.benchmark.bench_figure.draw_growth", lambda *given: None)
-    monkeypatch.setattr(render, "_write_film", lambda *given: None)
+    monkeypatch.setattr(bench, "_bytes_per_team", lambda *given: (0, 0))
+    monkeypatch.setattr(bench, "_one_core_busy", lambda: 1 / 0)
+    monkeypatch.setattr("train.bench.bench._draw_growth", lambda *given: None)
+    monkeypatch.setattr(render, "_write_video", lambda *given: None)
     monkeypatch.setattr(style, "save", lambda *given: None)
     fine = claim.Finding(trials=1, margin=1.0, time_over_bound=0.5, violations=0)
     monkeypatch.setattr(verify, "look", lambda block: verify.Seen(fine, 0.0, None))

@@ -10,7 +10,7 @@ from itertools import product
 import numpy as np
 import pytest
 
-from baselines import joined_plane
+from baselines.obstacle_rules import merged_silhouettes_2d as joined_plane
 from train import cli, interrupts
 
 COMMANDS = {
@@ -147,8 +147,9 @@ class TestKernels:
         """
         code = (
             "import itertools, numpy as np\n"
-            "from baselines.joined_plane import joined_headings_2d as plane\n"
-            "from baselines.joined_space import joined_headings_3d as space\n"
+            "from baselines.obstacle_rules import merged_silhouettes_2d, merged_silhouettes_3d\n"
+            "plane = merged_silhouettes_2d.joined_headings_2d\n"
+            "space = merged_silhouettes_3d.joined_headings_3d\n"
             "from numpy import inf, nan\n"
             f"hostile, random = {HOSTILE!r}, np.random.default_rng(0)\n"
             "f, seen = random.normal(size=(2, 2)), random.normal(size=(2, 5, 2, 2))\n"

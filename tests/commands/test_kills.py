@@ -16,10 +16,10 @@ from fork_server import ForkServer
 
 from baselines.learned import checkpoints, plain_data
 from train import results
-from train.comparing.out_folder import RUN, part_of
-from train.learning.ppo import Config
-from train.learning.run_log import WALL_TIME
-from train.learning.training import STATE_FILES
+from train.compare.out_folder import RUN, part_of
+from train.learn.checkpoint import STATE_FILES
+from train.learn.log import WALL_TIME
+from train.learn.ppo import Config
 from train.report.input import read
 
 KILLS = 100

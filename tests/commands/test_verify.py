@@ -10,19 +10,19 @@ import pytest
 from rich.console import Console
 
 import baselines
-from rendezvous_env import Scenario, Simulator
-from rendezvous_env.experiment import graphs
-from rendezvous_env.guarantee.bounds import merge_rise_allowance
+from rendezvous_env import Scenario, Simulator, graphs
+from rendezvous_env.safety.theorems.constants import merge_rise_allowance
 from rendezvous_env.trajectory import run as steps_of
+from train.checks import UserError
 from train.cli import main
-from train.errors import UserError
-from train.verification import cases, laws
-from train.verification.adversaries import Steered, adversary
-from train.verification.cases import BATCH, Case
-from train.verification.claim import Claim
-from train.verification.claims import CLAIMS
-from train.verification.time_limits import bound_a
-from train.verification.verify import COLUMNS, Config, run
+from train.verify import adversaries as laws
+from train.verify import cases
+from train.verify.adversaries import Steered, adversary
+from train.verify.cases import BATCH, Case
+from train.verify.claim import Claim
+from train.verify.claims import CLAIMS
+from train.verify.paper_claims import bound_a
+from train.verify.verify import COLUMNS, Config, run
 
 BY_NAME = {claim.name: claim for claim in CLAIMS}
 

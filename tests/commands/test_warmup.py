@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from rendezvous_env import first_use
+from rendezvous_env import compilation
 from train import cli
 
 
@@ -22,34 +22,18 @@ def test_an_unknown_scenario_is_the_users_mistake(capsys):
     assert "duo" in capsys.readouterr().err
 
 
-class Event:
-    """What numba tells of a compilation."""
+@pytest.mark.skipif(not compilation.compiled(), reason="nothing is compiled")
+@pytest.mark.parametrize(("seconds", "said"), [(2.5, 1), (1.5, 0)])
+def test_long_compilation_is_announced_once(seconds, said, monkeypatch, capsys):
+    clock = iter(range(100))
+    monkeypatch.setattr(compilation, "_said", [])
+    monkeypatch.setattr(compilation.time, "monotonic", lambda: seconds * next(clock))
 
-    def __init__(self, module: str) -> None:
-        function = type("function", (), {"__module__": module})
-        self.data = {"dispatcher": type("dispatcher", (), {"py_func": function})}
+    @compilation.kernel
+    def thrice(x):
+        return 3 * x
 
-
-@pytest.mark.parametrize(
-    ("module", "seconds", "said"),
-    [
-        ("rendezvous_env.engine.step", 2.5, 1),
-        ("rendezvous_env.engine.step", 1.5, 0),
-        ("somebody.else", 9.0, 0),
-    ],
-)
-def test_long_compilation_is_announced_once(module, seconds, said, monkeypatch, capsys):
-    clock = [100.0]
-    monkeypatch.setattr(first_use.time, "monotonic", lambda: clock[0])
-    notice, event = first_use.Notice(), Event(module)
-    notice.on_start(event)
-    notice.on_start(event)
-    clock[0] += seconds
-    notice.on_end(event)
-    notice.on_end(event)
-    notice.on_start(event)
-    clock[0] += seconds
-    notice.on_end(event)
+    assert thrice(2) == 6 and thrice(2.0) == 6.0
     assert capsys.readouterr().err.count("rendezvous warmup") == said
 
 

@@ -4,29 +4,30 @@ import os
 import signal
 import time
 from contextlib import closing
+from itertools import islice
 
 import numpy as np
 import pytest
 
 from baselines.learned import checkpoints
-from train import interrupts, workers
-from train.comparing import compare, playing
-from train.errors import UserError
-from train.learning import train
-from train.verification import verify
-from train.verification.claims import CLAIMS
-from train.workers import Workers, each
+from train import interrupts, tasks
+from train.checks import UserError
+from train.compare import compare, playing
+from train.learn import command
+from train.tasks import Workers, each
+from train.verify import verify
+from train.verify.claims import CLAIMS
 
 
 @pytest.fixture(autouse=True)
 def at_once(monkeypatch):
     """Workers begin at once."""
-    monkeypatch.setattr(workers, "_ALONE", 0.0)
+    monkeypatch.setattr(tasks, "_ALONE", 0.0)
 
 
 def where(task):
     time.sleep(0.05)
-    return task, os.getpid(), os.environ.get("NUMBA_NUM_THREADS"), workers.available_cores()
+    return task, os.getpid(), os.environ.get("NUMBA_NUM_THREADS"), tasks.available_cores()
 
 
 def dies_once(task):
@@ -91,8 +92,14 @@ class TestEach:
             with pytest.raises(ProcessLookupError):
                 os.kill(process, 0)
 
+    @pytest.mark.parametrize("after", [5, 30, 60])
+    def test_tasks_left_undone_are_forgotten(self, after):
+        """Of many that are short: nothing looks for them any more, whenever they are left."""
+        with closing(each(abs, range(-3000, 0), Workers(2))) as found:
+            assert len(list(islice(found, after))) == after
+
     def test_short_work_is_done_here(self, monkeypatch):
-        monkeypatch.setattr(workers, "_ALONE", 60.0)
+        monkeypatch.setattr(tasks, "_ALONE", 60.0)
         found = list(each(where, range(5), Workers(2)))
         assert {result[1] for _, result in found} == {os.getpid()}
 
@@ -102,7 +109,7 @@ class TestRefusals:
         ("given", "message"),
         [
             ({"jobs": 0}, "--jobs is 0; it must be 1 or more"),
-            ({"address": "auto"}, "--address is auto; only --on ray has one"),
+            ({"address": "auto"}, "--address is auto; only --backend ray has one"),
         ],
     )
     def test_by_name(self, given, message):
@@ -114,9 +121,9 @@ class TestRefusals:
             verify.check_config(verify.Config(**given))
 
     def test_a_missing_ray(self, monkeypatch):
-        monkeypatch.setattr(workers.importlib.util, "find_spec", lambda name: None)
+        monkeypatch.setattr(tasks.importlib.util, "find_spec", lambda name: None)
         with pytest.raises(
-            UserError, match=r"--on ray needs Ray; pip install 'rendezvous-env\[ray\]"
+            UserError, match=r"--backend ray needs Ray; pip install 'rendezvous-env\[ray\]"
         ):
             Workers(on="ray")
 
@@ -153,7 +160,7 @@ SMALL = {
 
 class TestSeeds:
     def config(self, out, **changes):
-        return train.Config(**SMALL | {"seeds": (0, 3), "out": out} | changes)
+        return command.Config(**SMALL | {"seeds": (0, 3), "out": out} | changes)
 
     @staticmethod
     def weights(folder):
@@ -161,7 +168,7 @@ class TestSeeds:
 
     def test_two_at_once_are_those_of_one_after_the_other(self, tmp_path):
         for jobs in (1, 2):
-            assert train.run(self.config(tmp_path / str(jobs), jobs=jobs)) == 0
+            assert command.run(self.config(tmp_path / str(jobs), jobs=jobs)) == 0
         for seed in (0, 3):
             one, two = (self.weights(tmp_path / jobs / f"seed-{seed}") for jobs in "12")
             assert all(np.array_equal(one[name], two[name]) for name in one)
@@ -170,14 +177,14 @@ class TestSeeds:
         assert "done: 256 steps" in (tmp_path / "1" / "seed-0.txt").read_text()
 
     def test_the_same_command_goes_on(self, tmp_path):
-        assert train.run(self.config(tmp_path, seeds=(0,), jobs=1)) == 0
+        assert command.run(self.config(tmp_path, seeds=(0,), jobs=1)) == 0
         before = self.weights(tmp_path / "seed-0")
-        assert train.run(self.config(tmp_path, jobs=1)) == 0
+        assert command.run(self.config(tmp_path, jobs=1)) == 0
         after = self.weights(tmp_path / "seed-0")
         assert all(np.array_equal(before[name], after[name]) for name in before)
         assert self.weights(tmp_path / "seed-3")
         with pytest.raises(UserError, match="seed-0 holds a run of other settings"):
-            train.run(self.config(tmp_path, learning_rate=1e-4))
+            command.run(self.config(tmp_path, learning_rate=1e-4))
 
     @pytest.mark.parametrize(
         ("given", "message"),
@@ -189,7 +196,7 @@ class TestSeeds:
     )
     def test_refusals(self, given, message, tmp_path):
         with pytest.raises(UserError, match=message):
-            train.run(self.config(tmp_path / "out", **given))
+            command.run(self.config(tmp_path / "out", **given))
         assert not (tmp_path / "out").exists()
 
 
@@ -205,7 +212,7 @@ class TestManyTasks:
         def refuse(*_):
             raise AssertionError("played by the process that asked")
 
-        monkeypatch.setattr(workers, "_ALONE", 60.0)
+        monkeypatch.setattr(tasks, "_ALONE", 60.0)
         monkeypatch.setattr(playing, "make_ready", refuse)
 
     def compared(self, out):

@@ -11,6 +11,7 @@ import sys
 import tempfile
 import textwrap
 from pathlib import Path
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -21,8 +22,7 @@ import baselines
 import rendezvous_env
 import train
 from rendezvous_env import compilation, kernel_cache
-from rendezvous_env.engine import step
-from rendezvous_env.kernel_cache import folder_for
+from rendezvous_env.engine.stages import step
 
 OUTER = """
 from rendezvous_env.compilation import kernel
@@ -39,6 +39,39 @@ from rendezvous_env.compilation import kernel
 def half(x):
     return {factor} * x
 """
+CONSTANTS = "FACTOR = {factor}\n"
+HELD = "def made():\n    return {factor}\n"
+WAYS = {
+    "from a folder below": ("from demo.deeper.found import FACTOR", CONSTANTS, "FACTOR"),
+    "a module's attribute": ("import demo.deeper.found as found", CONSTANTS, "found.FACTOR"),
+    "elsewhere on sys.path": (
+        "import sys; sys.path.append('demo/deeper')\nfrom found import FACTOR as factor",
+        CONSTANTS,
+        "factor",
+    ),
+    "importlib": (
+        "import importlib\nfound = importlib.import_module('demo.' + 'deeper.found')",
+        CONSTANTS,
+        "found.FACTOR",
+    ),
+    "a file that is no module": (
+        "import runpy\nnumber = runpy.run_path('demo/deeper/found.py')['FACTOR']",
+        CONSTANTS,
+        "number",
+    ),
+    "a closure": (
+        "from demo.deeper.found import made\ndef around(factor):\n    @kernel\n    def g(x):\n"
+        "        return factor * x\n    return g\ng = around(made())",
+        HELD,
+        "g(1.0)",
+    ),
+    "a plain function": (
+        "import numba\nfrom demo.deeper.found import made\nmade = numba.njit(made)",
+        HELD,
+        "made()",
+    ),
+    "in another package of ours": ("from baselines.found import FACTOR", CONSTANTS, "FACTOR"),
+}
 
 
 def package(folder: Path, factor: float) -> None:
@@ -83,128 +116,126 @@ def test_an_edit_of_an_inlined_kernel_is_noticed(tmp_path):
     assert call(tmp_path) == (6.0, 1, 0)
 
 
-@pytest.mark.parametrize("chosen", [False, True], ids=["own folder", "NUMBA_CACHE_DIR"])
-@pytest.mark.parametrize("where", ["demo/deeper/inner.py", "demo/inner.py", "baselines/inner.py"])
-def test_an_edit_anywhere_below_is_noticed(tmp_path, where, chosen):
-    """In a sub-folder, in a constant, in another package of ours; in a cache of one's own, too."""
-    inner = tmp_path / where
-    names = ".".join(inner.relative_to(tmp_path).with_suffix("").parts)
-    environment = {"NUMBA_CACHE_DIR": str(tmp_path / "elsewhere")} if chosen else {}
+@pytest.mark.parametrize("way", WAYS)
+def test_an_edit_of_whatever_a_kernel_freezes_is_noticed(tmp_path, way):
+    """However it was imported; in a cache of one's own, too."""
+    importing, text, asked = WAYS[way]
+    where = tmp_path / ("baselines" if "baselines" in importing else "demo/deeper")
     package(tmp_path, 0.5)
-    for folder in (inner.parent, *inner.parent.parents):
-        if folder == tmp_path:
-            break
-        folder.mkdir(exist_ok=True)
-        (folder / "__init__.py").write_text("")
+    where.mkdir()
+    (where / "__init__.py").touch()
     (tmp_path / "demo" / "outer.py").write_text(
-        "from rendezvous_env.compilation import kernel\n"
-        f"from {names} import (\n    FACTOR as factor,\n)\n"
-        "@kernel\ndef f(x):\n    return factor * x\n"
+        f"from rendezvous_env.compilation import kernel\n{importing}\n"
+        f"@kernel\ndef f(x):\n    return {asked} * x\n"
     )
+    place = {"NUMBA_CACHE_DIR": str(tmp_path / "elsewhere")}
     for factor in (2.0, 3.0):
-        inner.write_text(f"FACTOR = {factor}\n")  # of the same size, in the same second
-        assert call(tmp_path, **environment) == (10.0 * factor, 0, 1)
-        assert call(tmp_path, **environment) == (10.0 * factor, 1, 0)
-    if chosen:
-        assert list((tmp_path / "elsewhere").rglob("*.nbi"))
+        (where / "found.py").write_text(text.format(factor=factor))  # as long, in the same second
+        assert call(tmp_path, **place) == (10.0 * factor, 0, 1)
+        assert call(tmp_path, **place) == (10.0 * factor, 1, 0)
+    assert list((tmp_path / "elsewhere").rglob("f-*.code"))
 
 
-def test_every_source_that_a_kernel_stands_on_counts():
-    """By hand: what the learned policies' perception inlines or freezes, in two packages."""
-    found = kernel_cache._with_imports(ROOT / "baselines" / "learned" / "perception.py")
-    names = {str(path.relative_to(ROOT)) for path in found}
-    assert {"baselines/learned/perception.py", "baselines/silhouettes.py"} <= names
-    inlined = ("guarantee/heading", "equations/vectors", "compilation")
-    assert {f"rendezvous_env/{name}.py" for name in inlined} <= names
-    assert "rendezvous_env/simulator.py" not in names  # an edit of it need not compile anything
-
-
-def test_a_kernel_of_a_lone_file_is_keyed_by_what_lies_beside_it(tmp_path):
-    (tmp_path / "constants.py").write_text("FACTOR = 1.0\n")
-    (tmp_path / "mine.py").write_text(
-        "import constants, numpy\nfrom rendezvous_env.compilation import kernel\n"
-    )
-    found = {path.name for path in kernel_cache._with_imports(tmp_path / "mine.py")}
-    assert found == {"mine.py", "constants.py", "compilation.py", "kernel_cache.py"}
-
-
-def test_two_installations_leave_each_others_code_alone(tmp_path, monkeypatch):
-    """They share the folder at home, since their own cannot be written to."""
-    monkeypatch.setattr(Path, "home", lambda: tmp_path / "home")
+def test_an_edit_of_the_environments_own_sources_is_noticed(tmp_path, monkeypatch):
+    monkeypatch.setattr(kernel_cache, "_PACKAGE", tmp_path)
+    based = kernel_cache._base.__wrapped__
     found = []
-    for name, factor in (("one", 0.5), ("two", 0.25)):
-        (tmp_path / name).mkdir()
-        package(tmp_path / name, factor)
-        (tmp_path / name / "demo" / "__pycache__").write_text("in the way of the folder")
-        found.append(Path(folder_for(tmp_path / name / "demo" / "inner.py")))
-        assert found[-1].parent == tmp_path / "home" / ".cache" / "rendezvous-env" / "demo"
-    assert found[0] != found[1] and all(folder.is_dir() for folder in found)
-    ancient = found[0].parent / "kernels-of-old"
-    ancient.mkdir()
+    for name in ("engine/step.py", "robots/unicycle.py", "envs/vector_env.py"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text("A = 1\n")
+        found.append(based())
+        (tmp_path / name).write_text("A = 2\n")
+        found.append(based())
+    assert len(set(found[:4])) == 4
+    assert found[3] == found[4] == found[5]  # nothing compiled comes from a face
+
+
+class Own(NamedTuple):
+    """Constants of a kind that somebody else's functions are chosen by."""
+
+    factor: float
+
+
+@pytest.mark.skipif(not compilation.compiled(), reason="nothing is compiled")
+def test_code_for_a_type_is_made_from_the_functions_that_it_chooses(tmp_path, monkeypatch):
+    def misses():
+        @compilation.kernel
+        def first(x):
+            return x[0].factor
+
+        assert first((Own(3.0),)) == 3.0
+        return sum(first.stats.cache_misses.values())
+
+    monkeypatch.setattr(kernel_cache, "_folder", lambda: tmp_path)
+    found = []
+    for chosen in (lambda: 1, lambda: 1, lambda: 2):
+        kernel_cache.depends_on(Own, (chosen,))
+        found.append(misses())
+        found.append(misses())
+    assert found == [1, 0, 1, 0, 1, 0] or found == [1, 0, 0, 0, 1, 0]
+    monkeypatch.setattr(Own, "__module__", "__main__")
+    assert misses() == misses() == 1  # no later process finds a type of the script that is run
+
+
+def test_what_nobody_used_for_long_is_removed(tmp_path):
+    package(tmp_path, 0.5)
+    place = {"NUMBA_CACHE_DIR": str(tmp_path / "place")}
+    call(tmp_path, **place)
+    (ancient,) = (tmp_path / "place" / "kernels").glob("half-*")
     os.utime(ancient, (0, 0))
-    kernel_cache._remove_unused.cache_clear()
-    folder_for.cache_clear()
-    folder_for(tmp_path / "two" / "demo" / "inner.py")
-    assert not ancient.exists() and all(folder.is_dir() for folder in found)
+    assert call(tmp_path, **place) == (6.0, 1, 0)
+    assert not ancient.exists()
 
 
 @pytest.mark.parametrize("chosen", [False, True], ids=["folder and home", "NUMBA_CACHE_DIR"])
 def test_a_cache_that_cannot_be_written_to_gives_one_warning(tmp_path, chosen):
     package(tmp_path, 0.5)
-    (tmp_path / "demo" / "__pycache__").write_text("in the way of the folder")
-    (tmp_path / "file").write_text("in the way, too")
+    (tmp_path / "file").write_text("in the way")
     (tmp_path / "tmp").mkdir()
     places = {"HOME": str(tmp_path / "file"), "TMPDIR": str(tmp_path / "tmp")}
+    script = "from demo import outer, inner; print(outer.f(10.0))"
     if chosen:
         places["NUMBA_CACHE_DIR"] = str(tmp_path / "file")
-    script = "from demo import outer, inner; print(outer.f(10.0))"
+    else:
+        script = (
+            "import pathlib; from rendezvous_env import kernel_cache;"
+            "kernel_cache._PACKAGE /= '__init__.py';" + script
+        )
+        places["NUMBA_CACHE_DIR"] = ""
     for _ in range(2):
         found = python(script, tmp_path, **places)
         assert found.stdout.split() == ["6.0"]
         assert found.stderr.count("RuntimeWarning") == 1 and str(tmp_path / "tmp") in found.stderr
-    assert list((tmp_path / "tmp").rglob("*.nbc"))
+    assert list((tmp_path / "tmp").rglob("*.code"))
     places["TMPDIR"] = str(tmp_path / "file")  # no place at all
     script = "import tempfile; tempfile.tempdir = '/dev/null'; " + script
-    assert python(script, tmp_path, **places).stdout.split() == ["6.0"]
+    found = python(script, tmp_path, **places)
+    assert found.stdout.split() == ["6.0"] and "made anew each time" in found.stderr
 
 
 def test_a_temporary_folder_of_somebody_else_is_not_trusted(tmp_path, monkeypatch):
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    own = kernel_cache._temporary_place()
-    assert own.parent == tmp_path and own == kernel_cache._temporary_place()
+    own = kernel_cache._temporary().parent
+    assert own.parent == tmp_path and own == kernel_cache._temporary().parent
     own.chmod(0o777)
-    other = kernel_cache._temporary_place()
+    other = kernel_cache._temporary().parent
     assert other != own and other.parent == tmp_path and not other.stat().st_mode & 0o77
 
 
-def test_without_any_place_kernels_are_compiled_all_the_same(tmp_path, monkeypatch):
-    def nowhere():
-        raise FileNotFoundError("no usable temporary directory")
-
-    monkeypatch.setattr(tempfile, "gettempdir", nowhere)
-    monkeypatch.setattr(Path, "home", lambda: tmp_path / "file")
-    monkeypatch.setattr(numba.config, "CACHE_DIR", "")
-    (tmp_path / "file").write_text("in the way")
+@pytest.mark.parametrize("damage", ["empty", "truncated", "random", "one bit"])
+def test_damaged_code_is_compiled_anew(tmp_path, damage):
+    """Machine code with one bit flipped would end the process, so it is not given to it."""
     package(tmp_path, 0.5)
-    (tmp_path / "demo" / "__pycache__").write_text("in the way of the folder")
-    kernel_cache._warn_once.cache_clear()
-    with pytest.warns(RuntimeWarning, match="no place for compiled code.*made anew each time"):
-        assert folder_for(tmp_path / "demo" / "inner.py") is None
-
-
-@pytest.mark.parametrize("suffix", ["*.nbi", "*.nbc"])
-@pytest.mark.parametrize("damage", ["empty", "truncated", "random"])
-def test_damaged_files_of_the_cache_are_compiled_anew(tmp_path, suffix, damage):
-    package(tmp_path, 0.5)
-    call(tmp_path)
-    for file in (tmp_path / "demo" / "__pycache__").rglob(suffix):
-        content = file.read_bytes()
+    place = {"NUMBA_CACHE_DIR": str(tmp_path)}
+    call(tmp_path, **place)
+    for file in (tmp_path / "kernels").iterdir():
+        content = bytearray(file.read_bytes())
         random = np.random.default_rng(0).bytes(len(content))
-        file.write_bytes(
-            {"empty": b"", "truncated": content[: len(content) // 2]}.get(damage, random)
-        )
-    assert call(tmp_path) == (6.0, 0, 1)
-    assert call(tmp_path) == (6.0, 1, 0)  # and kept
+        content[len(content) // 2] ^= 4
+        kinds = {"empty": b"", "truncated": content[: len(content) // 2], "random": random}
+        file.write_bytes(kinds.get(damage, bytes(content)))
+    assert call(tmp_path, **place) == (6.0, 0, 1)
+    assert call(tmp_path, **place) == (6.0, 1, 0)  # and kept
 
 
 def test_bounds_checked_code_is_kept_apart(tmp_path):
@@ -217,8 +248,8 @@ def test_bounds_checked_code_is_kept_apart(tmp_path):
 def test_bounds_are_checked_in_inlined_kernels_too(tmp_path):
     """Which count no references: an error has to get through them all the same."""
     (tmp_path / "reading.py").write_text(
-        "import numpy as np\nfrom rendezvous_env.compilation import inlined_kernel, kernel\n"
-        "@inlined_kernel\ndef at(arrays, k):\n    return arrays[0][k]\n"
+        "import numpy as np\nfrom rendezvous_env.compilation import inner_kernel, kernel\n"
+        "@inner_kernel(inline='code')\ndef at(arrays, k):\n    return arrays[0][k]\n"
         "@kernel\ndef read(x, k):\n    return at((x, x), k)\n"
         "try:\n    read(np.zeros(3), 3)\nexcept IndexError as error:\n    print(error)\n"
     )
@@ -238,11 +269,10 @@ def test_kernels_are_serial_release_the_lock_and_divide_like_ieee():
     assert inverse(0.0) == float("inf")
 
 
-@pytest.mark.parametrize(
-    "decorate", ["kernel", "inlined_kernel", "inlined_entry", "unfolded_kernel"]
-)
-def test_a_kernel_may_not_allocate(decorate):
-    @getattr(compilation, decorate)
+@pytest.mark.parametrize("inline", ["never", "code", "text"])
+@pytest.mark.parametrize("decorate", ["kernel", "inner_kernel"])
+def test_a_kernel_may_not_allocate(decorate, inline):
+    @getattr(compilation, decorate)(inline=inline)
     def zeros(n):
         return np.zeros(n).sum()
 
@@ -255,7 +285,7 @@ def test_a_kernel_may_not_allocate(decorate):
 
 
 def test_an_allocating_kernel_may_allocate_and_return_arrays():
-    @compilation.allocating_kernel
+    @compilation.kernel(allocates=True)
     def zeros(n):
         return np.zeros(n)
 
@@ -280,11 +310,11 @@ def test_no_kernel_that_counts_no_references_returns_an_array():
     refused when it is compiled, so that this holds whether or not code was found on disk.
     """
 
-    @compilation.inlined_entry
+    @compilation.kernel(inline="code")
     def itself(x):
         return x
 
-    @compilation.inlined_entry
+    @compilation.kernel(inline="code")
     def within(x):
         return 1, (2.0, x)
 
@@ -302,31 +332,12 @@ def test_no_kernel_that_counts_no_references_returns_an_array():
         with pytest.raises(numba.core.errors.TypingError, match="may return no array"):
             function(ones)
     kernels = all_kernels()
+    del kernels["train.bench.cases.bare_step"]  # numba's alone: what steps are measured against
     assert all("_nrt" in kernel.targetoptions for kernel in kernels.values())
     uncounted = {name: k for name, k in kernels.items() if not k.targetoptions["_nrt"]}
-    unchecked = {
-        name
-        for name, kernel in uncounted.items()
-        if kernel._compiler.compile.__name__ != "compile_checked"
-    }
-    assert not unchecked
     folders = {name.rpartition(".")[0].rpartition(".")[0] for name in uncounted}
-    assert {f"rendezvous_env.{name}" for name in ("equations", "engine", "guarantee")} <= folders
+    assert {f"rendezvous_env.{name}" for name in ("physics", "engine", "safety")} <= folders
     assert len(uncounted) > 100
-
-
-def test_the_setting_of_numba_is_left_as_it_was():
-    before = numba.config.CACHE_DIR
-    with pytest.raises(RuntimeError), kernel_cache.cache_in("/tmp/somewhere"):
-        raise RuntimeError
-    assert before == numba.config.CACHE_DIR
-
-
-@pytest.mark.skipif(bool(numba.config.CACHE_DIR), reason="another place was chosen")
-def test_this_package_keeps_its_kernels_beside_its_sources():
-    here = Path(step.__file__)
-    if os.access(here.parent, os.W_OK):
-        assert Path(folder_for(here)).parent == here.parent / "__pycache__"
 
 
 # ---- what only kernels call ---------------------------------------------------------------------
@@ -337,12 +348,12 @@ def halved(x):
     return 0.5 * x
 
 
-@compilation.inlined_kernel
+@compilation.inner_kernel(inline="code")
 def doubled(x):
     return 2.0 * x
 
 
-@compilation.unfolded_kernel
+@compilation.inner_kernel(inline="text")
 def squared(x):
     return x * x
 
@@ -368,7 +379,7 @@ def test_what_only_kernels_call_refuses_python():
 @pytest.mark.parametrize("at_work", [True, False])
 def test_the_collector_rests_while_compiling_and_no_longer(at_work, monkeypatch):
     seen = []
-    monkeypatch.setattr(compilation, "keep", lambda dispatcher: None)  # else it is found again
+    monkeypatch.setattr(kernel_cache, "_folder", lambda: None)  # else it is found again
 
     @compilation.kernel
     def doubled_again(x):
@@ -379,12 +390,11 @@ def test_the_collector_rests_while_compiling_and_no_longer(at_work, monkeypatch)
         return doubled_again(x)
 
     for kernel in (doubled_again, around):  # the inner one ends first
-        # beneath what lets the collector rest, which stands where numba would call this
         inner = kernel._compiler
         monkeypatch.setattr(
             inner,
-            "_compile_cached",
-            lambda *a, real=inner._compile_cached: (seen.append(gc.isenabled()), real(*a))[1],
+            "compile",
+            lambda *a, real=inner.compile: (seen.append(gc.isenabled()), real(*a))[1],
         )
     was_at_work = gc.isenabled()
     (gc.enable if at_work else gc.disable)()

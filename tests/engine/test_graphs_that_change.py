@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import rendezvous_env as rv
-from rendezvous_env.experiment import graphs
+from rendezvous_env import graphs
 
 ARCS = np.array(
     [

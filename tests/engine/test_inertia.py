@@ -9,8 +9,7 @@ import pytest
 
 import baselines
 from rendezvous_env import Capsule, Disc, Polygon, Scenario, Simulator, Sphere
-from rendezvous_env.equations.shapes.obstacles import distance_to
-from rendezvous_env.experiment.packing import pack, world_of
+from rendezvous_env.obstacles.obstacle_set import distance_to, pack, world_of
 
 FLAT = (
     Disc((0.0, 0.0), 1.0),

@@ -8,9 +8,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
-from typing import NamedTuple
 
-import numba
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -18,10 +16,8 @@ from scipy.integrate import solve_ivp
 import baselines
 import rendezvous_env as rv
 from baselines import policy
-from rendezvous_env import kernel_cache
 from rendezvous_env.compilation import compiled
-from rendezvous_env.equations.robots import motion
-from rendezvous_env.experiment import robot_models
+from rendezvous_env.robots import robot_models
 
 ROOT = Path(__file__).parents[2]
 HOVER = '''"""A hovering robot: its velocity, and a wind that carries it along."""
@@ -284,11 +280,11 @@ def test_a_sluggish_unicycle_moves_as_its_equations_say(own):
 
 
 def test_compare_takes_a_model_and_a_law_of_ones_own(own, tmp_path):
-    from train.comparing import compare
+    from train.compare import compare
 
     own("own_hover", HOVER)
     policy.register("follow", fits=lambda scenario: scenario.robot_model == "hover")(
-        lambda scenario: baselines.laws.LawPolicy(scenario, lambda f, seen, time: f)
+        lambda scenario: baselines.laws.paper_laws.LawPolicy(scenario, lambda f, seen, time: f)
     )
     rv.Scenario(name="gusts", n_robots=3, robot_model="hover").to_toml(tmp_path / "gusts.toml")
     out = tmp_path / "out"
@@ -300,7 +296,7 @@ def test_compare_takes_a_model_and_a_law_of_ones_own(own, tmp_path):
 
 STEP = """
 import numpy as np, rendezvous_env as rv, own_hover
-from rendezvous_env.engine.step import step_blocks
+from rendezvous_env.engine.stages.step import step_blocks
 sim = rv.Simulator(rv.Scenario(n_robots=2, robot_model="hover", time_step=0.1))
 sim.reset(0, {"positions": [[0.0, 0.0], [9.0, 0.0]]})
 sim.step(np.zeros((1, 2, 2)))
@@ -309,7 +305,7 @@ print(sim.positions[0, 0, 0], sum(step_blocks.stats.cache_misses.values()))
 """A whole step: which takes long to compile."""
 PIECE = """
 import own_hover
-from rendezvous_env.equations.contact import place_on
+from rendezvous_env.obstacles.contact import place_on
 curve = own_hover.Hover(0.1, 9.0), (0.0, 0.0), (1.0, 0.0, 0.0, 1.0), ()
 print(place_on(curve, (0.0, 0.0, 0.0), 0.1)[0], sum(place_on.stats.cache_misses.values()))
 """
@@ -345,69 +341,3 @@ def test_an_edited_model_moves_as_edited(program, tmp_path):
     path = tmp_path / "own_hover.py"
     path.write_text(text.replace("(WIND *", "(2 * WIND *").replace("+ WIND)", "+ 2 * WIND)"))
     assert ran(tmp_path, program)[0] == pytest.approx(0.05)
-
-
-@pytest.mark.skipif(not compiled(), reason="there are no types")
-def test_what_is_compiled_for_a_model_stands_on_its_files():
-    """Those of the package too: kernels that take a model need not import it."""
-    one, two = (
-        rv.Scenario(robot_model=name).model.constants(rv.Scenario())
-        for name in ("single_integrator", "double_integrator")
-    )
-    kinds = [numba.typeof(model) for model in (one, two)]
-    nested = (numba.int64, numba.types.Tuple((kinds[0], numba.types.Tuple((kinds[1],)))))
-    found = kernel_cache._files_behind(nested)
-    assert {path.name for path in found} == {"kinematics.py", "double_integrator.py"}
-    assert kernel_cache._files_behind((numba.int64,)) == frozenset()
-    source = Path(kernel_cache.__file__)
-    assert kernel_cache._digest(source) != kernel_cache._digest(source, found)
-
-
-def test_a_model_of_the_script_that_is_run_is_not_kept(monkeypatch):
-    """No later process could find its type again."""
-    kind = type("Loose", (tuple,), {"__module__": "__main__"})
-    monkeypatch.setattr(kernel_cache, "_CHOSEN_BY", {})
-    kernel_cache.depends_on(kind, (follow,))
-    assert kernel_cache._CHOSEN_BY == {kind: None}
-    typed_in = eval(compile("lambda: 0", "<typed in>", "eval"))
-    kind = type("Loose", (tuple,), {"__module__": __name__})
-    kernel_cache.depends_on(kind, (follow, typed_in))
-    assert kernel_cache._CHOSEN_BY[kind] is None
-
-
-class Still(NamedTuple):
-    """Constants of a robot that is described only in part."""
-
-    duration: float
-    speed_limit: float
-
-
-def test_what_is_wrong_with_a_model_is_said(registry):
-    good = {"constants": lambda s: Still(s.tau, 1.0), "bounds": lambda s: [1.0] * 2}
-    for changes, message in [
-        ({"name": "unicycle", "dims": (2,)}, "is already registered; replace=True"),
-        ({"name": "still", "dims": ()}, r"dims \(\); they must be of 2 and 3"),
-        ({"name": "still", "dims": (2,), "n_kept": lambda d: 5}, "keeps 5 numbers.* from 0.* to 4"),
-        ({"name": "still", "dims": (2,), "n_angles": 2, "n_kept": lambda d: 1}, "from 2"),
-        ({"name": "still", "dims": (2,), "senses": "smell"}, "senses 'smell'; it must be one of"),
-        ({"name": "still", "dims": (2,), "n_kept": lambda d: 3, "keeps_velocity": True}, "be 2"),
-    ]:
-        with pytest.raises(ValueError, match=message):
-            rv.register_robot_model(rv.RobotModel(**good | changes))
-    with pytest.raises(ValueError, match="it must be a RobotModel"):
-        rv.register_robot_model("still")
-    rv.register_robot_model(rv.RobotModel("still", dims=(2,), **good))
-    with pytest.raises(ValueError, match="are a Still; describe_motion must have said"):
-        rv.Simulator(rv.Scenario(robot_model="still"))
-    hover = motion._MOTIONS[type(rv.Scenario().model.constants(rv.Scenario()))]
-    with pytest.raises(TypeError, match="bend of a Still is 3; it must be a function"):
-        rv.describe_motion(Still, hover._replace(bend=3))
-    with pytest.raises(ValueError, match="must be a NamedTuple class"):
-        rv.describe_motion(dict, hover)
-    rv.describe_motion(Still, hover)
-    with pytest.raises(ValueError, match="has been described before"):
-        rv.describe_motion(Still, hover._replace(drifts=True))
-    short = rv.RobotModel("still", **good | {"dims": (2,), "constants": lambda s: Still(0.0, 1.0)})
-    rv.register_robot_model(short, replace=True)
-    with pytest.raises(ValueError, match=r"have duration = 0\.0; it must be the step, 0\.05 s"):
-        rv.Simulator(rv.Scenario(robot_model="still", time_step=0.05, allow_long_step=True))

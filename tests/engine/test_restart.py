@@ -94,8 +94,18 @@ def test_the_way_is_that_of_the_robots_that_are_left(scenario):
 
 
 def test_more_threads_than_blocks_change_nothing(scenario, monkeypatch):
-    monkeypatch.setattr("rendezvous_env.engine.stepper._WORK_PER_THREAD", 1)
+    monkeypatch.setattr("rendezvous_env.engine.batch_runner._WORK_PER_THREAD", 1)
     few, _ = halfway(scenario, 40, num_threads=1)
     many, _ = halfway(scenario, 40, num_threads=9)
     for (entry, own), other in zip(few.get_state().items(), many.get_state().values(), strict=True):
         np.testing.assert_array_equal(own, other, err_msg=entry)
+
+
+@pytest.mark.parametrize("outcome", [5, "five", (1, 2)])
+def test_what_no_step_gave_out_is_refused(outcome):
+    sim = Simulator(Scenario(n_robots=3), 2)
+    sim.reset(0)
+    before = sim.positions
+    with pytest.raises(ValueError, match=r"outcome is .*; it must be what step"):
+        sim.restart(np.array([True, False]), outcome)
+    np.testing.assert_array_equal(sim.positions, before)

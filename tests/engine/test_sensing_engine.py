@@ -18,11 +18,9 @@ from shapely.geometry import LineString, Point, Polygon
 from shapely.ops import unary_union
 
 import rendezvous_env as rv
-from rendezvous_env import kernel_cache
-from rendezvous_env.engine import step as step_of_all
-from rendezvous_env.engine.allocation import Arrangement
 from rendezvous_env.engine.memory import ManyTeams, OneTeam
-from rendezvous_env.equations.size import size
+from rendezvous_env.engine.memory_layout import MemoryLayout
+from rendezvous_env.physics.hull_perimeter import size
 
 CORNERS, ENDS = ((-1.5, -0.5), (-0.7, -0.8), (-0.9, 0.4)), ((0.5, -1.2), (1.6, -0.6))
 SHAPES = (rv.Disc((0.3, 0.2), 0.5), rv.Polygon(CORNERS), rv.Capsule(ENDS, 0.25))
@@ -411,8 +409,8 @@ def episode(scenario: rv.Scenario, batch: int, seed: int, **options) -> np.ndarr
 @pytest.mark.parametrize("scenario", [PLANE, WALLED, SPACE, RING], ids=["a", "b", "c", "d"])
 def test_a_team_among_many_sees_what_it_sees_alone(scenario):
     erring, batch = scenario.replace(sensing=WORST), 37
-    assert Arrangement(erring, batch).width == ManyTeams()
-    assert Arrangement(erring, 1).width == OneTeam()
+    assert MemoryLayout(erring, batch).width == ManyTeams()
+    assert MemoryLayout(erring, 1).width == OneTeam()
     together = episode(erring, batch, 3)
     for team in (0, 31, 36):
         assert (together[:, team : team + 1] == episode(erring, 1, 3 + team)).all()
@@ -496,12 +494,8 @@ def test_with_few_rows_those_that_are_seen_stand_first(scenario):
     assert moved > 0
 
 
-def test_the_step_of_exact_sensors_is_compiled_without_any_other():
-    assert simulator(PLANE)._stepper._sensor is None
-    behind = {path.name for path in kernel_cache._with_imports(Path(step_of_all.__file__))}
-    assert "sensors.py" in behind
-    # sight.py is behind it: links of proximity graphs go by it, too
-    assert not behind & {"sense_with_errors.py", "sensing.py", "outward.py"}
+def test_an_exact_sensor_is_none_to_the_step():
+    assert simulator(PLANE)._runner._sensor is None
 
 
 # ---- faces and plain Python ---------------------------------------------------------------------

@@ -8,19 +8,16 @@ import os
 import pickle
 import subprocess
 import sys
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from conftest import MODELS, ROOT, UNEQUAL, five, law_of
 
-from rendezvous_env import Disc, ObstacleField, Scenario, Simulator
+from rendezvous_env import Disc, ObstacleField, Scenario, Simulator, graphs
 from rendezvous_env.compilation import compiled
-from rendezvous_env.engine import stepper
+from rendezvous_env.engine import batch_runner, threads
 from rendezvous_env.engine.memory import AWAITING_RESET, RENDEZVOUS, RUNNING, TIME_OUT
-from rendezvous_env.engine.pool import threads
-from rendezvous_env.engine.step import step_blocks
-from rendezvous_env.experiment import graphs
+from rendezvous_env.engine.stages.step import step_blocks
 
 RANDOM = np.random.default_rng(11)
 STARTS = {d: RANDOM.uniform(-4, 4, size=(32, 5, d)) for d in (2, 3)}
@@ -244,24 +241,13 @@ def widths(monkeypatch):
 
 
 @pytest.mark.skipif(not compiled(), reason="plain Python has no threads")
-def test_little_work_is_shared_only_where_steps_follow_close_on_each_other(widths, monkeypatch):
-    now = 0.0
-    monkeypatch.setattr(stepper, "time", SimpleNamespace(perf_counter=lambda: now))
-    simulator = Simulator(Scenario(n_robots=8, spawn_size=1e3), 512, num_threads=2)
-    simulator.reset(0)
-    widths.clear()
-    actions = np.zeros((512, 8, 2), np.float32)
-    for pause in [1e-5] * 12 + [1e-3] + [1e-5] * 10:
-        now += pause
-        simulator.step(actions)
-    assert widths == [1] * 8 + [2] * 4 + [1] * 8 + [2] * 3
-    much = Simulator(Scenario(n_robots=32, spawn_size=1e3), 512, num_threads=2)
-    much.reset(0)
-    widths.clear()
-    for _ in range(3):
-        now += 1.0
-        much.step(np.zeros((512, 32, 2), np.float32))
-    assert widths == [2] * 3
+def test_little_work_is_not_shared(widths):
+    for n, width in ((8, 1), (32, 2)):
+        simulator = Simulator(Scenario(n_robots=n, spawn_size=1e3), 512, num_threads=2)
+        simulator.reset(0)
+        widths.clear()
+        simulator.step(np.zeros((512, n, 2), np.float32))
+        assert widths == [width]
 
 
 @pytest.mark.parametrize("name", BATCHED)
@@ -269,7 +255,7 @@ def test_the_place_in_the_batch_and_the_number_of_threads_do_not_matter(name, wi
     scenario, count = BATCHED[name], 40
     seeds = np.arange(70, 70 + count)
     order = np.random.default_rng(2).permutation(count)
-    monkeypatch.setattr(stepper, "_WORK_PER_THREAD", 1)
+    monkeypatch.setattr(batch_runner, "_WORK_PER_THREAD", 1)
     one = follow(scenario, count, seed=seeds.tolist(), num_threads=1)
     two = follow(scenario, count, seed=seeds[order].tolist(), num_threads=2)
     observed = [1]  # at the start, by the caller
@@ -281,7 +267,7 @@ def test_the_place_in_the_batch_and_the_number_of_threads_do_not_matter(name, wi
 
 
 def test_a_bad_action_in_the_last_block_changes_none(monkeypatch):
-    monkeypatch.setattr(stepper, "_WORK_PER_THREAD", 1)
+    monkeypatch.setattr(batch_runner, "_WORK_PER_THREAD", 1)
     sim = Simulator(BATCHED["unicycle"], 40, num_threads=2)
     sim.reset(3)
     before, actions = sim.get_state(), np.ones((40, 5, 2), np.float32)
@@ -525,12 +511,12 @@ def _step_in_child(sim: Simulator, actions: np.ndarray, pipe) -> None:
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
 @pytest.mark.filterwarnings("ignore:This process .* is multi-threaded:DeprecationWarning")
 def test_a_fork_after_a_threaded_step_works(monkeypatch):
-    monkeypatch.setattr(stepper, "_WORK_PER_THREAD", 1)
+    monkeypatch.setattr(batch_runner, "_WORK_PER_THREAD", 1)
     sim = Simulator(five("unicycle"), 64, num_threads=2)
     sim.reset(0)
     actions = np.ones((64, 5, 2), np.float32)
     sim.step(actions)
-    assert sim._stepper.width == 2 and len(threads._workers) >= 1
+    assert sim._runner.width == 2 and len(threads._workers) >= 1
     context = multiprocessing.get_context("fork")
     receiver, sender = context.Pipe(duplex=False)
     child = context.Process(target=_step_in_child, args=(sim, actions, sender))
@@ -797,7 +783,7 @@ import sys
 import numpy as np
 import numba
 from rendezvous_env import Disc, Scenario, Simulator
-from rendezvous_env.engine import step as kernels
+from rendezvous_env.engine.stages import step as kernels
 
 assert numba.config.DISABLE_JIT == (sys.argv[1] == "plain")
 assert hasattr(kernels.step_blocks, "py_func") == (sys.argv[1] != "plain")

@@ -13,7 +13,7 @@ import pytest
 import baselines
 import rendezvous_env as rv
 from rendezvous_env import Scenario, Simulator, graphs
-from rendezvous_env.engine import allocation
+from rendezvous_env.engine import memory_layout
 
 SEED = 4
 
@@ -61,7 +61,7 @@ def simulators(scenario: Scenario, batch: int, monkeypatch) -> tuple[Simulator, 
     """One that keeps lists of links, and one that keeps all pairs."""
     lists = Simulator(scenario, batch)
     with monkeypatch.context() as patch:
-        patch.setattr(allocation, "_SPARSE_FROM", 10**9)
+        patch.setattr(memory_layout, "_SPARSE_FROM", 10**9)
         pairs = Simulator(scenario, batch)
     assert "first" in lists.get_state() and "first" not in pairs.get_state()
     return lists, pairs

@@ -23,8 +23,8 @@ from rendezvous_env import (
     Sphere,
     WallField,
 )
-from rendezvous_env.engine.allocation import Arrangement
 from rendezvous_env.engine.memory import ManyTeams, OneTeam
+from rendezvous_env.engine.memory_layout import MemoryLayout
 
 SHAPES = (
     Disc((0.3, 0.2), 0.5),
@@ -107,8 +107,8 @@ def assert_equal(found: dict[str, np.ndarray], expected: dict[str, np.ndarray]) 
 def test_a_team_among_many_moves_as_it_does_alone(name):
     """40 teams are one whole block and one that is filled up."""
     scenario, batch, steps = SCENARIOS[name], 40, 150
-    assert Arrangement(scenario, batch).width == ManyTeams()
-    assert Arrangement(scenario, 1).width == OneTeam()
+    assert MemoryLayout(scenario, batch).width == ManyTeams()
+    assert MemoryLayout(scenario, 1).width == OneTeam()
     together = episode(scenario, batch, 3, steps, num_threads=2)
     for team in (0, 1, 5, 31, 32, 39):
         alone = episode(scenario, 1, 3 + team, steps)

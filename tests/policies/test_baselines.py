@@ -8,10 +8,11 @@ import pytest
 
 import baselines
 import rendezvous_env as rv
-from baselines import laws, policy
+from baselines import policy
+from baselines.laws import paper_laws as laws
 from baselines.learned.shipped import NAMES
 from baselines.policy import within_limits
-from rendezvous_env.experiment.scenario import Scenario
+from rendezvous_env.scenario.scenario import Scenario
 
 POINT = Scenario(n_robots=3)
 UNICYCLE = Scenario(n_robots=3, robot_model="unicycle", max_turn_rate=0.9)

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 import baselines
-from baselines.obstacle_avoidance import (
+from baselines.obstacle_rules.obstacle_avoidance import (
     tangent_blocking_heading,
     tangent_heading,
     tangent_joined_heading,
 )
-from rendezvous_env.experiment.scenario import Scenario
+from rendezvous_env.scenario.scenario import Scenario
 
 CLEARANCE = 0.05
 DEGREE = math.pi / 180

@@ -8,10 +8,10 @@ import pytest
 
 import baselines
 import rendezvous_env as rv
-from baselines.privileged_planner import NAME, meeting_place
-from baselines.roadmap import Roadmap, WaysTo
+from baselines.references.privileged_planner import NAME, meeting_place
+from baselines.references.roadmap import Roadmap, WaysTo
 from rendezvous_env import Capsule, Disc, Polygon, Scenario, Simulator
-from rendezvous_env.experiment.packing import pack
+from rendezvous_env.obstacles.obstacle_set import pack
 
 BOX = Polygon(((-0.5, -2), (0.5, -2), (0.5, 2), (-0.5, 2)))
 CLUTTER = rv.scenarios.get("clutter-8")
@@ -52,6 +52,30 @@ class TestWays:
         lengths = roadmap.distances(here, roadmap.to_corners(here)[0], there)
         np.testing.assert_allclose(lengths, [[5.0], [math.hypot(2, 3)]])
         assert WaysTo(roadmap, there[0]).way(here[0]).tolist() == [[3.0, 4.0]]
+
+    def test_polygons_of_many_corners_are_simplified_within_the_clearance(self):
+        """A roadmap looks from each corner to each: of 49 such polygons ten thousand took hours."""
+        around = 2 * np.pi * np.arange(200) / 200
+        ring = np.stack([np.cos(around), np.sin(around)], axis=-1)
+        roadmap = Roadmap(pack([Polygon(ring + np.array([3 * k, 0.0])) for k in range(8)], 8), 0.1)
+        assert 8 * 8 <= len(roadmap.corners) <= 8 * 20
+        off = np.linalg.norm(roadmap.corners[:, None] - [(3 * k, 0) for k in range(8)], axis=-1)
+        assert (off.min(axis=1) >= 1.1 - 1e-3).all() and (off.min(axis=1) <= 1.2).all()
+        here, there = np.array([[-2.0, 0.0]]), np.array([[23.0, 0.0]])
+        found = roadmap.distances(here, roadmap.to_corners(here)[0], there)[0, 0]
+        assert 25.0 < found < 25.8
+
+    def test_more_corners_than_a_roadmap_can_hold_are_refused(self):
+        discs = [Disc((3.0 * k, 0.0), 1.0) for k in range(300)]
+        with pytest.raises(ValueError, match="4800 corners; ways are planned among 4000 at most"):
+            Roadmap(pack(discs, 300), 0.1)
+
+    def test_a_pointed_obstacle_stands_in_the_way_beyond_its_bounding_ball(self):
+        """Made fatter, a corner is pointed: ways are as if no obstacle were passed over."""
+        needle = Polygon(((0.0, -0.05), (4.0, 0.0), (0.0, 0.05)))
+        roadmap = Roadmap(pack([needle], 1), 0.1)
+        straight = roadmap.straight(np.array([[4.5, -1.0], [19.5, -1.0]]), np.array([[4.5, 1.0]]))
+        assert np.isinf(straight[0, 0]) and np.isfinite(straight[1, 0])
 
     def test_no_place_of_many_is_much_better_than_where_they_meet(self):
         random = np.random.default_rng(3)

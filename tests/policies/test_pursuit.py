@@ -8,9 +8,9 @@ import pytest
 
 import baselines
 import rendezvous_env as rv
-from baselines.pursuit import Pursuit, yaw_and_pitch
+from baselines.laws.pursuit import Pursuit, yaw_and_pitch
 from rendezvous_env import Scenario, Simulator
-from rendezvous_env.guarantee.size_bounds import pursuit_bound
+from rendezvous_env.safety.theorems.turning import pursuit_bound
 from rendezvous_env.trajectory import run
 
 CARS = Scenario(

@@ -7,7 +7,7 @@ from conftest import LAWS
 import baselines
 import rendezvous_env as rv
 from baselines import RobotPolicy
-from baselines.robot_sight import RobotSight
+from baselines.robot_policy import RobotSight
 from rendezvous_env.engine.memory import RENDEZVOUS, RUNNING
 from rendezvous_env.trajectory import run
 

@@ -4,6 +4,7 @@ import base64
 import csv
 import gzip
 import json
+import os
 import re
 import shutil
 
@@ -12,7 +13,7 @@ import pytest
 
 from rendezvous_env import Scenario, scenarios
 from train import cli, results
-from train.comparing import compare
+from train.compare import compare
 from train.report import build as report
 from train.report import encoding as report_encoding
 from train.report.input import read
@@ -350,7 +351,7 @@ class TestRefusals:
             ("merged_into", lambda a: a + 1, "merged_into[0, 0] is 1; it must be"),
             ("weights", lambda a: a[:0], "weights has 0 rows; it must have 1"),
             ("lyapunov", lambda a: a / 0.0, "lyapunov holds a number that is not finite"),
-            ("obstacles", lambda a: a + 0.5, "obstacles: a row has"),
+            ("obstacles", lambda a: a + 0.5, "it must be a row that begins with one of"),
         ],
     )
     @pytest.mark.filterwarnings("ignore:divide by zero", "ignore:invalid value")
@@ -424,3 +425,19 @@ class TestRefusals:
         monkeypatch.setattr(report, "page", interrupted)
         assert cli.main(["report", str(folder)]) == 130
         assert (folder / "report.html").read_text() == "old"
+
+    @pytest.mark.parametrize("name", ["run.json", "episodes.csv", "success.png"])
+    @pytest.mark.parametrize("kind", ["pipe", "device", "large"])
+    def test_a_file_that_never_ends(self, name, kind, folder, capsys):
+        (folder / name).unlink()
+        if kind == "pipe":
+            os.mkfifo(folder / name)
+        elif kind == "device":
+            (folder / name).symlink_to("/dev/zero")
+        else:
+            with (folder / name).open("wb") as file:
+                file.truncate(2**40)  # takes no room on the disk
+        said = refused(folder, capsys)
+        foreign = kind == "large" and name != "run.json"  # which says how large the others are
+        assert f"{name}: {'is not of run' if foreign else 'not readable'}" in said
+        assert ("bytes, more than" if kind == "large" else "is no regular file") in said

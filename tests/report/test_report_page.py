@@ -13,9 +13,9 @@ import pytest
 from matplotlib.image import imread
 
 import rendezvous_env as rv
-from rendezvous_env.experiment.outlines import outlines
+from rendezvous_env.obstacles.obstacle_set import outlines
 from train import results
-from train.comparing import compare
+from train.compare import compare
 from train.report import build as report
 from train.report.input import read
 
@@ -137,7 +137,7 @@ class TestReplay:
         assert chosen(opened) == ["bearing-only", "tangent-joined"]
         said = opened.text_content("#said")
         contacts = int(recorded("contacts")[-1].sum())
-        assert f"with {contacts} contacts; tangent-joined meets after" in said
+        assert f"with {contacts} robot-steps in contact; tangent-joined meets after" in said
         assert said.endswith("without a contact.")
 
     def test_play_moves_the_robots_and_ends(self, opened, recorded):
@@ -189,7 +189,7 @@ class TestReplay:
         alignment = recorded("alignment")[frame, 0]
         assert opened.locator(".a-now").first.text_content() == f"robot 0: {alignment:.3f}"
         contacts = int(recorded("contacts")[frame].sum())
-        assert f"{contacts} contacts" in opened.locator(".state").first.text_content()
+        assert f"{contacts} robot-steps in contact" in opened.locator(".state").first.text_content()
 
     def test_between_frames_robots_move_and_what_they_see_stays(self, opened, recorded):
         times = recorded("times")

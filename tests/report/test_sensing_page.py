@@ -10,7 +10,7 @@ import numpy as np
 import baselines
 import rendezvous_env as rv
 from rendezvous_env.trajectory import run
-from train.comparing import compare
+from train.compare import compare
 from train.report import build as report
 
 

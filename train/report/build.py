@@ -17,12 +17,12 @@ from numpy.typing import NDArray
 from rich.console import Console
 from tyro.conf import Positional
 
-from rendezvous_env.experiment.outlines import balls, outlines
-from rendezvous_env.experiment.scenario import Scenario
+from rendezvous_env.obstacles.obstacle_set import balls, outlines
+from rendezvous_env.scenario.scenario import Scenario
 
-from ..comparing.ranking import Ranking, answer, leaders
-from ..errors import UserError
-from ..pictures.figures import ROBOT_COLOURS
+from ..checks import UserError
+from ..compare.ranking import Ranking, answer, leaders
+from ..figures.figures import ROBOT_COLOURS
 from ..recording import MAX_FRAMES
 from ..results import atomic
 from .encoding import Encoded, encode_all, rounding
@@ -42,6 +42,8 @@ _OUTCOME = (
 )
 """Columns of episodes.csv that are shown beside a replay."""
 _NOTHING_KEPT = "No start was kept (compare ran with --keep 0), so there is nothing to replay."
+
+EXAMPLES = ("out/compare",)
 
 
 @dataclass(frozen=True)

@@ -86,7 +86,8 @@ def thinned(recording: Recording, stride: int) -> Recording:
 def encode(recording: Recording, stride: int = 1) -> Encoded:
     """A recording as the page reads it, every stride-th frame of it."""
     recording = thinned(recording, stride)
-    fields, parts = [], []
+    fields: list[dict[str, Any]] = []
+    parts: list[bytes] = []
     for name in _EXACT:
         fields.append({"name": name, "type": "float32", "shape": recording[name].shape})
         parts.append(recording[name].astype("<f4").tobytes())
@@ -120,7 +121,7 @@ def _rounded(array: NDArray[np.floating[Any]]) -> tuple[NDArray[np.int16], float
 
 def _restored(values: NDArray[np.int16], scale: float) -> NDArray[np.float64]:
     """Numbers as the page has them."""
-    return values * scale
+    return values.astype(np.float64) * scale
 
 
 def _seen(

@@ -3,22 +3,23 @@
 from __future__ import annotations
 
 import csv
+import errno
 import math
+import stat
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypedDict, get_type_hints
 
-from baselines.learned import plain_data
-from baselines.learned.plain_data import check_types
-from rendezvous_env.experiment.scenario import Scenario
+from rendezvous_env.baselines.learned import plain_data
+from rendezvous_env.baselines.learned.plain_data import check_types
+
+from rendezvous_env.scenario.scenario import Scenario
 
 from .. import results
-from ..comparing.out_folder import RUN, is_ours, is_sealed, part_of
-from ..errors import UserError
-from ..recording import Recording
-from ..recording_checks import fault_of
-from ..seeing_again import whole
+from ..checks import UserError
+from ..compare.out_folder import RUN, is_ours, is_sealed, part_of
+from ..recording import Recording, fault_of, whole
 
 Key = tuple[str, str, int]
 """Scenario, policy and start."""
@@ -30,6 +31,8 @@ _WHOLE = ("episodes", "start")
 _SHARES = ("success", "clean_success")
 _MAY_NOT_APPLY = ("clean_success",)
 """Shares that are empty where robots pass through obstacles."""
+_MOST_OF_RUN = 2**26
+"""Bytes of run.json."""
 _TABLES = ("results.csv", "paired.csv", "episodes.csv")
 
 
@@ -105,12 +108,26 @@ def _half_written(path: Path, what: str) -> UserError:
     return UserError(f"{path}: {what}; run rendezvous compare into this folder again")
 
 
+def _check_regular(path: Path, most: Any) -> None:
+    """Refuse what would block or never end, as a pipe or a device, and what is too large.
+
+    Raises:
+        OSError: saying what it is; a folder is left to whoever opens it.
+    """
+    about = path.stat()
+    if not (stat.S_ISREG(about.st_mode) or stat.S_ISDIR(about.st_mode)):
+        raise OSError(errno.EINVAL, "is no regular file")
+    if stat.S_ISREG(about.st_mode) and isinstance(most, int) and about.st_size > most:
+        raise OSError(errno.EFBIG, f"has {about.st_size} bytes, more than {most}")
+
+
 # ---- run.json -----------------------------------------------------------------------------------
 
 
 def _read_run(folder: Path) -> dict[str, Any]:
     path = folder / RUN
     try:
+        _check_regular(path, _MOST_OF_RUN)
         run = plain_data.read_json(path)
         version = run["format_version"]
     except FileNotFoundError as error:
@@ -149,11 +166,15 @@ def _check_files(folder: Path, run: dict[str, Any]) -> None:
         if not is_ours(name):
             raise _half_written(folder / RUN, f"names {name!r}, which compare does not write")
         try:
+            _check_regular(path, entry.get("bytes"))
             own = results.entry(path)
         except FileNotFoundError as error:
             raise _half_written(path, "missing") from error
         except OSError as error:
-            raise _half_written(path, f"not readable ({error.strerror})") from error
+            what = f"not readable ({error.strerror})"
+            if error.errno == errno.EFBIG:
+                what = f"is not of run {run['run']}: it {error.strerror}"
+            raise _half_written(path, what) from error
         if own != entry:
             raise _half_written(path, f"is not of run {run['run']}: its sha256 differs from {RUN}")
     for path in sorted(folder.iterdir()):

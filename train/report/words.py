@@ -7,10 +7,10 @@ from dataclasses import fields
 
 import numpy as np
 
-from ..comparing.episodes import Episodes
-from ..comparing.plan import Job
-from ..comparing.playing import Played
-from ..comparing.ranking import Ranking, rank
+from ..compare.evaluation import Episodes
+from ..compare.playing import Played
+from ..compare.ranking import Ranking, rank
+from ..compare.settings import Job
 from .input import Comparison, Row
 
 _CAPTIONS = {
@@ -32,7 +32,7 @@ def rankings(found: Comparison) -> list[Ranking]:
     played = found.run["policies"].items()
     return rank(
         [
-            Played(Job(found.scenarios[name], policy), _episodes(rows[name, policy]), [])
+            Played(Job(found.scenarios[name], policy), _episodes(rows[name, policy]), {})
             for name, policies in played
             for policy in policies
         ]

@@ -21,10 +21,10 @@ import psutil  # Ray brings it along
 from ray import cloudpickle
 from ray.cluster_utils import Cluster
 
-from rendezvous_env.engine.pool.threads import available_cores
+from rendezvous_env.engine.threads import available_cores
 from train import cluster as cluster_tasks
-from train.errors import UserError
-from train.workers import Workers, each
+from train.checks import UserError
+from train.tasks import Workers, each
 
 pytestmark = pytest.mark.filterwarnings("ignore")  # Ray's own
 cloudpickle.register_pickle_by_value(sys.modules[__name__])  # workers do not have this file
@@ -103,7 +103,7 @@ def alone(*words):
 
 def with_a_kill(cluster, *words, begun):
     """Run a command on the cluster, and kill a worker once something has begun."""
-    running = command(*words, "--on", "ray", "--address", cluster.address)
+    running = command(*words, "--backend", "ray", "--address", cluster.address)
     killed = None
     while running.poll() is None and killed is None:
         if begun() and (found := busy(cluster)):
@@ -174,7 +174,7 @@ class TestEach:
             list(each(tried, tasks, Workers(on="ray", address=open_to_all)))
 
     def test_a_cluster_that_does_not_let_this_process_in(self, two, tmp_path):
-        asks = ("verify", "--trials", 1, "--on", "ray", "--address", two.address)
+        asks = ("verify", "--trials", 1, "--backend", "ray", "--address", two.address)
         done = command(*asks, "--out", tmp_path, RAY_AUTH_MODE="disabled")
         said, _ = done.communicate(timeout=600)
         assert done.returncode == 2
@@ -190,7 +190,7 @@ def test_a_comparison_that_loses_a_worker_is_that_of_one_process(two, tmp_path):
     alone(*PLAYED, "--out", tmp_path / "one")
     cells = tmp_path / "ray.part" / "cells"
     with_a_kill(
-        two, *PLAYED, "--out", tmp_path / "ray", begun=lambda: len(list(cells.glob("*.npz"))) >= 2
+        two, *PLAYED, "--out", tmp_path / "ray", begun=lambda: len(list(cells.glob("*.cell"))) >= 2
     )
     for name in ("results.csv", "episodes.csv", "paired.csv", "ceiling.csv", "trajectories.npz"):
         assert (tmp_path / "ray" / name).read_bytes() == (tmp_path / "one" / name).read_bytes()
@@ -216,7 +216,7 @@ def test_runs_of_several_seeds_write_where_they_are_told(two, tmp_path, monkeypa
         "--epochs", 1, "--total-steps", 256, "--set-width", 4, "--hidden", 8, "--eval-every", 0,
         "--no-tensorboard", "--seeds", 0, 3, "--out", "runs",
     )  # fmt: skip
-    done = command(*small, "--on", "ray", "--address", two.address)
+    done = command(*small, "--backend", "ray", "--address", two.address)
     said, _ = done.communicate(timeout=600)
     assert done.returncode == 0, said
     for seed in (0, 3):

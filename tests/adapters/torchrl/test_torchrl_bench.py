@@ -8,7 +8,7 @@ import pytest
 
 pytest.importorskip("torchrl.envs")
 
-from train.benchmark import bench, bench_adapters
+from train.bench import bench, cases, learners
 
 
 def test_torchrl_is_timed_over_what_it_adapts(tmp_path):
@@ -25,6 +25,6 @@ def test_torchrl_is_timed_over_what_it_adapts(tmp_path):
 
 
 def test_the_actions_of_a_case_are_those_of_the_space():
-    env = bench_adapters.training_env("clutter-8", 3, discrete=True)
-    drawn = next(bench_adapters.actions_of(env.single_action_space, 3))
+    env = learners.training_env("clutter-8", 3, discrete=True)
+    drawn = next(cases.tape_of(env.single_action_space, 3))
     assert env.action_space.contains(drawn)

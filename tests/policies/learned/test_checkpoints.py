@@ -10,7 +10,7 @@ import pytest
 
 from baselines.learned import checkpoints
 from baselines.learned.checkpoints import CheckpointError
-from train.learning import saving
+from train.learn import checkpoint
 
 TABLES = {
     "network": {"weight": np.arange(6, dtype=np.float32).reshape(2, 3)},
@@ -24,7 +24,7 @@ TABLES = {
 
 @pytest.fixture
 def place(tmp_path):
-    return saving.write(tmp_path, 12, {"step": 12}, TABLES)
+    return checkpoint.write(tmp_path, 12, {"step": 12}, TABLES)
 
 
 def test_what_is_written_is_read(place, tmp_path):
@@ -42,7 +42,7 @@ def test_what_is_written_is_read(place, tmp_path):
 
 def test_two_are_kept_and_the_pointer_names_the_newest(tmp_path):
     for step in (5, 40, 300):
-        saving.write(tmp_path, step, {"step": step}, TABLES)
+        checkpoint.write(tmp_path, step, {"step": step}, TABLES)
     names = [path.name for path in checkpoints.candidates(tmp_path)]
     assert names == ["step-000000000300", "step-000000000040"]
     pointer = tmp_path / "checkpoints" / "latest.json"
@@ -59,7 +59,7 @@ def test_a_full_disk_leaves_the_last_one(place, tmp_path, monkeypatch, when):
 
     monkeypatch.setattr(os, when, full)
     with pytest.raises(OSError, match="No space left"):
-        saving.write(tmp_path, 99, {"step": 99}, TABLES)
+        checkpoint.write(tmp_path, 99, {"step": 99}, TABLES)
     monkeypatch.undo()
     assert checkpoints.find(tmp_path) == place
     assert checkpoints.read(place, TABLES)[0]["step"] == 12
@@ -70,7 +70,7 @@ def test_what_a_kill_leaves_behind_goes_with_the_next(place, tmp_path):
     left = place.with_name(".step-000000000099.part")
     shutil.copytree(place, left)
     assert checkpoints.candidates(tmp_path) == [place]
-    saving.write(tmp_path, 100, {"step": 100}, TABLES)
+    checkpoint.write(tmp_path, 100, {"step": 100}, TABLES)
     assert not left.exists()
 
 

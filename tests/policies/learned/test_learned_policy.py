@@ -11,11 +11,11 @@ from baselines.learned import checkpoints, learned_policy
 from baselines.learned.guide import ALL_ROUND
 from baselines.learned.learned_policy import LearnedPolicy, PolicySettings
 from rendezvous_env import Scenario, Simulator, rollout
-from rendezvous_env.experiment import scenarios
+from rendezvous_env.scenario import scenarios
 from train import policies
-from train.errors import UserError
-from train.learning import saving
-from train.learning.networks import make_network
+from train.checks import UserError
+from train.learn import checkpoint
+from train.learn.networks import make_network
 
 SETTINGS = PolicySettings(
     set_width=8,
@@ -55,7 +55,7 @@ def write(folder, **changes):
     tables = {"network": weights(network(**changes))}
     settings = PolicySettings(**SETTINGS.__dict__ | changes)
     folder.mkdir(parents=True, exist_ok=True)
-    return saving.write(folder, 3, {"policy": settings.to_plain()}, tables)
+    return checkpoint.write(folder, 3, {"policy": settings.to_plain()}, tables)
 
 
 def episode(scenario, teams=6, seed=2, steps=150):
@@ -92,12 +92,12 @@ class TestActions:
         """Fed with the network's choices; with a tank bit for bit."""
         from gymnasium.vector import AutoresetMode
 
-        from baselines.learned.perceiving import PerceivingTeams
+        from baselines.learned.training_environment import FeatureVectorEnv
         from rendezvous_env import make_vec
 
         venv = make_vec(CLUTTER, 6, autoreset_mode=AutoresetMode.SAME_STEP)
         policy = learned(decision_time=0.05 * period, **changes)
-        teams = PerceivingTeams(venv, policy.settings)
+        teams = FeatureVectorEnv(venv, policy.settings)
         chosen = network(**changes)
         shown, _ = teams.reset(seed=2)
         simulator = Simulator(CLUTTER, 6)
@@ -248,7 +248,7 @@ class TestFiles:
         """A checkpoint that is whole, but says something else of its policy."""
         about, tables = checkpoints.read(place, ["network"])
         policy = {**about["policy"], **changes}
-        saving.write_folder(place, {"policy": policy}, tables)
+        checkpoint.write_folder(place, {"policy": policy}, tables)
 
     @pytest.mark.parametrize(
         ("changes", "message"),
@@ -272,14 +272,14 @@ class TestFiles:
         place = write(tmp_path)
         about, tables = checkpoints.read(place, ["network"])
         policy = {k: v for k, v in about["policy"].items() if k not in TANK}
-        saving.write_folder(place, {"policy": policy}, tables)
+        checkpoint.write_folder(place, {"policy": policy}, tables)
         assert learned_policy.load(tmp_path, CLUTTER).settings == SETTINGS
 
     def test_weights_that_are_no_numbers(self, tmp_path):
         place = write(tmp_path)
         about, tables = checkpoints.read(place, ["network"])
         tables["network"]["action_net.bias"][0] = np.nan
-        saving.write_folder(place, {"policy": about["policy"]}, tables)
+        checkpoint.write_folder(place, {"policy": about["policy"]}, tables)
         with pytest.raises(checkpoints.CheckpointError, match=r"action_net\.bias must be finite"):
             learned_policy.load(tmp_path, CLUTTER)
 

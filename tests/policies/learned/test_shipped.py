@@ -8,10 +8,10 @@ import pytest
 
 from baselines.learned import checkpoints, shipped
 from rendezvous_env import Sensing, Simulator, rollout
-from rendezvous_env.experiment import scenarios
+from rendezvous_env.scenario import scenarios
 from train import policies
-from train.comparing.episodes import play
-from train.learning.settings import Config
+from train.compare.evaluation import play
+from train.learn.settings import Config
 
 
 @pytest.mark.parametrize("name", shipped.NAMES)

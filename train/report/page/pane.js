@@ -81,7 +81,7 @@ class Pane {
     const end = left === 1 ? "met" : "time out";
     this.part(".state").textContent =
       `${over ? `${end} at ${rec.times[frame].toFixed(2)} s · ` : ""}${left} of ${robots} robots left` +
-      (contacts ? ` · ${counted(contacts, "contact")}` : "");
+      (contacts ? ` · ${inContact(contacts)}` : "");
     const value = rec.lyapunov[frame];
     this.part(".v-now").textContent = value < 100 ? value.toPrecision(3) : value.toFixed(0);
     const chosen = rec.alignment[frame * robots + (state.chosen ?? 0)];
@@ -102,7 +102,7 @@ class Pane {
     const row = this.rec.outcome;
     this.part(".outcome").textContent =
       `${row.success === "1" ? "met" : "not met"} after ${fixed(row.time, 2)} s · ` +
-      `${counted(row.contacts, "contact")} · path ${fixed(row.path_length, 1)} m` +
+      `${inContact(row.contacts)} · path ${fixed(row.path_length, 1)} m` +
       (row.clearance ? ` · clearance ≥ ${fixed(row.clearance, 2)} m` : "") +
       (row.min_alignment ? ` · alignment ≥ ${fixed(row.min_alignment, 2)}` : "") +
       (this.rec.stride > 1 ? ` · one in ${this.rec.stride} recorded frames is shown` : "");
@@ -113,9 +113,9 @@ function largest(rec) {
   return rec.lyapunov.reduce((a, b) => Math.max(a, b), 0);
 }
 
-/** "1 contact", "2 contacts". */
-function counted(number, word) {
-  return `${number} ${word}${Number(number) === 1 ? "" : "s"}`;
+/** "1 robot-step in contact": contacts are counted once for each robot and step. */
+function inContact(number) {
+  return `${number} robot-step${Number(number) === 1 ? "" : "s"} in contact`;
 }
 
 /** How an episode ended, as a sentence about its policy. */
@@ -124,6 +124,6 @@ function ending({ policy, scenario, outcome }) {
   const met = outcome.success === "1";
   const how = met ? `meets after ${fixed(outcome.time, 2)} s` : `does not meet in ${fixed(outcome.time, 1)} s`;
   const hasObstacles = DATA.scenarios[scenario].obstacle_slots > 0;
-  const contacts = touched ? ` with ${counted(touched, "contact")}` : hasObstacles ? " without a contact" : "";
+  const contacts = touched ? ` with ${inContact(touched)}` : hasObstacles ? " without a contact" : "";
   return `${policy} ${how}${contacts}`;
 }

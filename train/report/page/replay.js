@@ -21,7 +21,10 @@ function show({ scenario, start, policies, robot = 0, time }) {
   const starts = unique(own.map((one) => one.start));
   fill(find("start"), starts, starts.map((k) => `${k} (seed ${DATA.run.seed + k})`));
   find("start").value = start;
-  const names = unique(own.map(({ policy }) => policy));
+  // of a start that is kept because a policy failed there are no others
+  const names = unique(own.filter((one) => one.start === Number(start)).map(({ policy }) => policy));
+  policies = policies.filter((policy) => names.includes(policy));
+  policies = policies.length ? policies : names.slice(0, 2);
   panes.forEach((pane, k) => {
     fill(pane.choice, names);
     pane.choice.value = policies[k] ?? policies[0];
@@ -236,7 +239,10 @@ function startReplay() {
   fill(find("speed"), SPEEDS, SPEEDS.map((speed) => `${speed}×`));
   find("speed").value = state.speed;
   find("scenario").addEventListener("change", () => show(opening(find("scenario").value)));
-  find("start").addEventListener("change", () => load());
+  find("start").addEventListener("change", () => show({
+    scenario: find("scenario").value, start: Number(find("start").value),
+    policies: panes.map(({ choice }) => choice.value), robot: state.chosen,
+  }));
   find("copy").addEventListener("click", copyLink);
   find("speed").addEventListener("change", () => (state.speed = Number(find("speed").value)));
   find("play").addEventListener("click", toggle);

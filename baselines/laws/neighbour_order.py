@@ -1,0 +1,82 @@
+"""Which neighbour a robot pursues: rows of an observation in an order of its own."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from rendezvous_env.scenario.scenario import Scenario
+
+
+def rows_have_an_order(scenario: Scenario) -> bool:
+    """Whether the rows tell who comes next: there is one for each other robot, or one in all.
+
+    Of two to n − 2 rows those present stand first, and nothing tells which robot stands where.
+    """
+    return scenario.observation_layout.neighbour_slots in (1, scenario.n_robots - 1)
+
+
+def rows_from_next(n_robots: int, rows: int) -> NDArray[np.int64]:
+    """Rows in cyclic order from the next robot's on.
+
+    With a row for each other robot these are the rows of robots i + 1, i + 2, …, i − 1 (mod n);
+    with fewer, on sparse graphs, the rows as they stand.
+
+    Args:
+        n_robots: n.
+        rows: K.
+
+    Returns:
+        (n, K), indices of rows.
+    """
+    robots, steps = np.arange(n_robots)[:, np.newaxis], np.arange(rows)
+    return (robots + steps) % rows if rows == n_robots - 1 else 0 * robots + steps
+
+
+def rows_from_nearest(n_robots: int, rows: int) -> NDArray[np.int64]:
+    """Rows in the order of how far their robots' indices are from a robot's own, of two equally far
+    ones the lower first; with fewer than n − 1, on sparse graphs, the rows as they stand.
+
+    Args:
+        n_robots: n.
+        rows: K.
+
+    Returns:
+        (n, K), indices of rows.
+    """
+    own, row = np.arange(n_robots)[:, np.newaxis], np.arange(rows)
+    if rows != n_robots - 1:
+        return 0 * own + row
+    return np.argsort(np.abs(row + (row >= own) - own), axis=1, kind="stable")
+
+
+def first_seen(seen: NDArray[np.bool_], order: NDArray[np.int64]) -> NDArray[np.int64]:
+    """The row that comes first among those that are seen.
+
+    Args:
+        seen: (..., n, K).
+        order: indices of rows, (n, K) or (..., n, K).
+
+    Returns:
+        (..., n); the first row of the order where none is seen.
+    """
+    order = np.broadcast_to(order, seen.shape)
+    first = np.argmax(np.take_along_axis(seen, order, axis=-1), axis=-1)
+    return np.take_along_axis(order, first[..., np.newaxis], axis=-1)[..., 0]
+
+
+def chosen_rows(rows: NDArray[Any], target: NDArray[np.int64]) -> NDArray[np.float64]:
+    """One row of each robot.
+
+    Args:
+        rows: (..., n, K, d).
+        target: (..., n), which.
+
+    Returns:
+        (..., n, d), float64.
+    """
+    chosen = target[..., np.newaxis, np.newaxis]
+    return np.take_along_axis(rows, chosen, axis=-2)[..., 0, :].astype(np.float64)

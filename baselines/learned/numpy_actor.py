@@ -1,0 +1,193 @@
+"""The actor of a trained network in NumPy: what it would choose, without its learning library."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .feature_kernels import NEIGHBOUR_COLUMNS, OBSTACLE_COLUMNS
+from .features import FeatureLayout
+from .policy_settings import PolicySettings
+
+Array = NDArray[np.float32]
+Layer = tuple[Array, Array]
+"""Weight (outputs, inputs) and bias (outputs,)."""
+_AT_ONCE = 1024
+"""Robots whose choices are computed together; the rows of more do not fit the processor's cache."""
+
+
+class Network(ABC):
+    """A network that prefers some choices to others."""
+
+    def choose(self, shown: Array, hidden: Array | None = None) -> NDArray[np.int64]:
+        """Greedy choices (N,) of N robots.
+
+        Args:
+            shown: what they are shown, (N, layout.size).
+            hidden: what they remember, (N, units); it moves on in place. None is nothing.
+        """
+        choices = np.empty(len(shown), dtype=np.int64)
+        for first in range(0, len(shown), _AT_ONCE):
+            some = slice(first, first + _AT_ONCE)
+            known = None if hidden is None else hidden[some]
+            choices[some] = self.preferences(shown[some], known).argmax(axis=-1)
+        return choices
+
+    @abstractmethod
+    def preferences(self, shown: Array, hidden: Array | None = None) -> Array:
+        """Logarithms of the choices' chances up to a constant, (N, choices); as ``choose``."""
+
+
+class NumpyActor(Network):
+    """A network's greedy choices, as .`networks.HeadingNetwork`` has them.
+
+    Args:
+        weights: of its state, by name; those of the critic are not needed.
+        settings: that it was trained with.
+        layout: of what it is shown; its numbers of slots need not be those of training.
+
+    Raises:
+        ValueError: naming an array that is missing, of another shape or not finite.
+    """
+
+    def __init__(
+        self,
+        weights: Mapping[str, NDArray[Any]],
+        settings: PolicySettings,
+        layout: FeatureLayout,
+    ) -> None:
+        width, hidden = settings.set_width, settings.hidden
+        rows = {"neighbour_net": NEIGHBOUR_COLUMNS, "obstacle_net": OBSTACLE_COLUMNS}
+        self._layout = layout
+        self._sets = [
+            linear_layers(weights, f"features_extractor.{name}", (columns, width, width))
+            for name, columns in rows.items()
+        ]
+        features = 4 * width + layout.context_columns
+        units = settings.units
+        self._memory = RecurrentUnit(weights, features, units) if units else None
+        sizes = (units + features, *hidden)
+        self._policy = linear_layers(weights, "mlp_extractor.policy_net", sizes)
+        last = sizes[-1], len(settings.angles)
+        self._action = linear_layer(weights, "action_net.weight", "action_net.bias", *last)
+
+    def preferences(self, shown: Array, hidden: Array | None = None) -> Array:
+        """As ``Network.preferences``."""
+        seen = self._layout.split(shown)
+        sets = zip(self._sets, (seen.neighbours, seen.obstacles), strict=True)
+        pooled = [part for layers, rows in sets for part in _pooled(layers, rows)]
+        features = np.concatenate([*pooled, seen.context], axis=-1)
+        if self._memory is not None:
+            hidden = self._memory.nothing(len(shown)) if hidden is None else hidden
+            hidden[...] = self._memory.next(features, hidden)
+            features = np.concatenate([hidden, features], axis=-1)
+        weight, bias = self._action
+        return through(self._policy, features) @ weight.T + bias
+
+
+def _pooled(layers: list[Layer], rows: Array) -> tuple[Array, Array]:
+    """Mean and largest feature over the rows that are present, (N, width) each."""
+    present = rows.any(axis=-1)
+    count = present.sum(axis=-1)
+    features = through(layers, rows[present])
+    mean = np.zeros((len(rows), features.shape[-1]), dtype=np.float32)
+    largest = np.zeros_like(mean)
+    if len(features):
+        some = count > 0
+        firsts = (np.cumsum(count) - count)[some]
+        mean[some] = np.add.reduceat(features, firsts) / count[some, np.newaxis]
+        largest[some] = np.maximum.reduceat(features, firsts)
+    return mean, largest
+
+
+# ---- layers -------------------------------------------------------------------------------------
+
+
+def linear_layers(
+    weights: Mapping[str, NDArray[Any]], name: str, sizes: tuple[int, ...]
+) -> list[Layer]:
+    """Linear layers with a ReLU behind each, which takes a number of its own.
+
+    Raises:
+        ValueError: see ``linear_layer``.
+    """
+    names = (f"{name}.{2 * k}" for k in range(len(sizes) - 1))
+    return [
+        linear_layer(weights, f"{layer}.weight", f"{layer}.bias", *pair)
+        for layer, pair in zip(names, pairwise(sizes), strict=True)
+    ]
+
+
+def linear_layer(
+    weights: Mapping[str, NDArray[Any]], weight: str, bias: str, inputs: int, outputs: int
+) -> Layer:
+    """The layer whose arrays have these names.
+
+    Raises:
+        ValueError: naming an array that is missing, of another shape or not finite.
+    """
+    shapes = {weight: (outputs, inputs), bias: (outputs,)}
+    for key, shape in shapes.items():
+        if key not in weights:
+            raise ValueError(f"weights have no {key!r}")
+        if weights[key].shape != shape:
+            raise ValueError(f"size mismatch: {key} is {weights[key].shape}; it must be {shape}")
+        if not np.isfinite(weights[key]).all():
+            raise ValueError(f"{key} must be finite")
+    first, second = (np.asarray(weights[key], dtype=np.float32) for key in shapes)
+    return first, second
+
+
+def through(layers: list[Layer], values: Array) -> Array:
+    """What the layers make of values (..., inputs)."""
+    for weight, bias in layers:
+        values = np.maximum(values @ weight.T + bias, np.float32(0.0))
+    return values
+
+
+class RecurrentUnit:
+    """What a robot remembers, as ``torch.nn.GRUCell`` has it (Cho et al. 2014).
+
+        r = σ(W_r x + U_r h),   z = σ(W_z x + U_z h),   m = tanh(W_m x + r ⊙ (U_m h))
+        h ← (1 − z) ⊙ m + z ⊙ h
+
+    each W and U with its bias.
+
+    Args:
+        weights: of a network's state, by name; those of ``memory`` are read.
+        inputs: numbers in x.
+        units: numbers in h.
+
+    Raises:
+        ValueError: naming an array that is missing, of another shape or not finite.
+    """
+
+    def __init__(self, weights: Mapping[str, NDArray[Any]], inputs: int, units: int) -> None:
+        self.units = units
+        names = [("memory.weight_ih", "memory.bias_ih"), ("memory.weight_hh", "memory.bias_hh")]
+        self._seen = linear_layer(weights, *names[0], inputs, 3 * units)
+        self._kept = linear_layer(weights, *names[1], units, 3 * units)
+
+    def nothing(self, robots: int) -> Array:
+        """What so many robots remember at first, (N, units): zeros."""
+        return np.zeros((robots, self.units), dtype=np.float32)
+
+    def next(self, features: Array, hidden: Array) -> Array:
+        """What is remembered, (N, units), after features (N, inputs)."""
+        (weight_x, bias_x), (weight_h, bias_h) = self._seen, self._kept
+        r_x, z_x, m_x = np.split(features @ weight_x.T + bias_x, 3, axis=-1)
+        r_h, z_h, m_h = np.split(hidden @ weight_h.T + bias_h, 3, axis=-1)
+        r, z = _sigmoid(r_x + r_h), _sigmoid(z_x + z_h)
+        m = np.tanh(m_x + r * m_h)
+        return m + z * (hidden - m)
+
+
+def _sigmoid(x: Array) -> Array:
+    """1/(1 + e^−x), by the tangent, which cannot overflow."""
+    half = np.float32(0.5)
+    return half * (np.tanh(half * x) + np.float32(1.0))

@@ -1,0 +1,216 @@
+"""What a policy is trained in: guided teams, perception, and the price of a touch."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Protocol
+
+import numpy as np
+from gymnasium.spaces import Box, MultiDiscrete
+from numpy.typing import ArrayLike, NDArray
+
+from rendezvous_env.engine.state_checks import check_entries, check_keys
+from rendezvous_env.envs.spaces import team_box
+from rendezvous_env.envs.training import FirstContacts
+from rendezvous_env.envs.vector_env import Info, RendezvousVectorEnv, Transition
+from rendezvous_env.envs.vector_wrappers import GuaranteeWrapper
+from rendezvous_env.rewards.terms import RewardWeights
+from rendezvous_env.scenario.scenario import Scenario
+from rendezvous_env.scenario.start_options import as_options
+from rendezvous_env.simulator import Simulator
+
+from .features import FeatureLayout, can_steer
+from .heading_tank_filter import HeadingTankFilter
+from .policy_settings import PolicySettings
+from .shipped import POLICIES, held_arguments, preset, settings_for
+
+
+class GlobalState(Protocol):
+    """Privileged numbers of a whole team, as each of its robots would see it."""
+
+    @property
+    def size(self) -> int:
+        """Numbers for each robot."""
+        ...
+
+    def states(
+        self, simulator: Simulator, towards: NDArray[Any], levels: NDArray[np.float64]
+    ) -> NDArray[np.float32]:
+        """Those of B teams, (B, n, size).
+
+        Args:
+            simulator: of the teams.
+            towards: f_i in the robots' own frames, (B, n, 2), of any length; zero is local x.
+            levels: A/(r D̄) of the tanks, (B, n).
+        """
+        ...
+
+
+def observation_box(size: int) -> Box:
+    """Space of what one robot is shown, so many numbers."""
+    return Box(-np.inf, np.inf, (size,), dtype=np.float32)
+
+
+class FeatureVectorEnv(GuaranteeWrapper):
+    """Teams whose robots choose by what ``Features`` shows them, and head where ``Guide`` says.
+
+    Actions are choices (B, n), each held for ``decision_period`` base steps, in each of which the
+    guide aims anew. Observations are (B, n, layout.size), the last ones of an episode included. The
+    first touch of an obstacle costs the robot ``touch_penalty``, and no other robot of its team.
+
+    Args:
+        env: teams of single integrators in the plane, in any autoreset mode.
+        settings: of the policy that is trained.
+        touch_penalty: taken from ``robot_rewards``, once in an episode.
+        obstacle_slots: of ``Features``.
+        global_state: what follows what is shown, for critics; None is nothing. Its columns are
+            those beyond the first layout.size.
+        discrete: False takes directions (B, n, 2) in place of choices, see ``GuidedTeams.head``.
+
+    Raises:
+        ValueError: for robots that ``Features`` cannot show.
+    """
+
+    def __init__(
+        self,
+        env: RendezvousVectorEnv,
+        settings: PolicySettings,
+        *,
+        touch_penalty: float = 0.0,
+        obstacle_slots: int | None = None,
+        global_state: GlobalState | None = None,
+        discrete: bool = True,
+    ) -> None:
+        scenario, self.settings = env.scenario, settings
+        self.guided = settings.make_teams(
+            scenario,
+            env.num_envs,
+            obstacle_slots=obstacle_slots,
+            num_threads=env.simulator.num_threads,
+        )
+        guided, period = self.guided, settings.decision_period(scenario)
+        super().__init__(env, guided.steering, period)
+        n = scenario.n_robots
+        self.global_state = global_state
+        more = 0 if global_state is None else global_state.size
+        self.single_observation_space = team_box(observation_box(self.layout.size + more), n)
+        self.discrete = discrete
+        self.single_action_space = (
+            MultiDiscrete([len(settings.angles)] * n)
+            if discrete
+            else Box(-1.0, 1.0, (n, 2), dtype=np.float32)
+        )
+        self.touch_penalty = float(touch_penalty)
+        self._touches = FirstContacts(env.num_envs, n)
+        self._shown = np.zeros((env.num_envs, *self.single_observation_space.shape), np.float32)
+
+    @property
+    def layout(self) -> FeatureLayout:
+        """Which number of what a robot is shown is what."""
+        return self.guided.perception.layout
+
+    @property
+    def alignment(self) -> NDArray[np.float64]:
+        """Of the headings with f in the last base step, (B, n); NaN where there is none."""
+        return self.guided.steering.alignment
+
+    @property
+    def _levels(self) -> NDArray[np.float64]:
+        """A/(r D̄) of the tanks, (B, n); 0 without."""
+        steering = self.guided.steering
+        if isinstance(steering, HeadingTankFilter):
+            return steering.normalised_levels
+        return np.zeros(self._touches.touched.shape)
+
+    def step(self, actions: ArrayLike) -> Transition:
+        """As ``GuaranteeWrapper.step``, with touches paid for in ``robot_rewards``."""
+        seen, rewards, ends, cuts, infos = super().step(actions)
+        infos["robot_rewards"] -= self.touch_penalty * self._touches.note(infos, ends | cuts)
+        return seen, rewards, ends, cuts, infos
+
+    def _take(self, actions: ArrayLike) -> None:
+        if self.discrete:
+            self.guided.choose(actions)
+        else:
+            self.guided.head(actions)
+
+    def _act(self) -> NDArray[np.float32]:
+        return self.guided.act(self._observed)
+
+    def _see(self, which: NDArray[np.bool_] | None) -> NDArray[np.float32]:
+        shown = self.guided.show(self._observed, which)
+        if self.global_state is not None:
+            shown = np.concatenate((shown, self._state_of_teams()), axis=-1)
+        if which is not None:  # of the others nothing new has been seen
+            shown = np.where(which[:, None, None], shown, self._shown)
+        self._shown = shown
+        return shown.copy()
+
+    def _state_of_teams(self) -> NDArray[np.float32]:
+        """The global state as each robot would see it, (B, n, global_state.size)."""
+        assert self.global_state is not None
+        base: Any = self.env
+        towards = base.scenario.observation_layout.net_bearing(self._observed)
+        return self.global_state.states(base.simulator, towards, self._levels)
+
+    def reset(
+        self,
+        *,
+        seed: int | Sequence[int | None] | None = None,
+        options: Mapping[str, Any] | None = None,
+    ) -> tuple[NDArray[np.float32], Info]:
+        """Begin anew, as ``GuaranteeWrapper.reset``; teams that do have touched nothing."""
+        shown, infos = super().reset(seed=seed, options=options)
+        self._touches.forget(as_options(options).get("reset_mask"))
+        return shown, infos
+
+    def _forget(self, which: NDArray[np.bool_] | None) -> None:
+        self.guided.forget(which)
+
+    def get_state(self) -> dict[str, Any]:
+        """The running episodes and all memory, as copies."""
+        memory = {
+            "perception": self.guided.perception.get_state(),
+            "touched": self._touches.touched.copy(),
+        }
+        return super().get_state() | memory
+
+    def set_state(self, state: Mapping[str, Any]) -> None:
+        """Put back what ``get_state`` took out.
+
+        Raises:
+            ValueError: naming what does not fit; nothing has changed then.
+        """
+        check_keys(state, ("perception",))
+        touched = check_entries({"touched": self._touches.touched}, state)["touched"]
+        memory = self.guided.perception.check_state(state["perception"])
+        super().set_state(state)
+        self.guided.perception.set_state(memory)
+        self._touches.touched[...] = touched
+
+
+class ShippedPreset:
+    """What ``training_env`` hands to learners: what the shipped policies see, do and earn."""
+
+    def earnings(self, guarantee: str | None) -> tuple[RewardWeights, float]:
+        """As ``LearningPreset`` says."""
+        return preset(guarantee).reward, preset(guarantee).touch_penalty
+
+    def shows(self, scenario: Scenario, guarantee: str | None) -> bool:
+        """As ``LearningPreset`` says."""
+        return guarantee in POLICIES and can_steer(scenario)
+
+    def held_arguments(self, scenario: Scenario, guarantee: str) -> dict[str, Any]:
+        """As ``LearningPreset`` says."""
+        return held_arguments(scenario, guarantee)
+
+    def wrap(
+        self,
+        env: RendezvousVectorEnv,
+        guarantee: str,
+        discrete: bool,
+        arguments: Mapping[str, Any],
+    ) -> FeatureVectorEnv:
+        """As ``LearningPreset`` says."""
+        settings = settings_for(env.scenario, guarantee, arguments)
+        return FeatureVectorEnv(env, settings, discrete=discrete)

@@ -1,0 +1,1 @@
+"""Analytic rules that go round obstacles."""

@@ -1,0 +1,186 @@
+"""The joined rule in the plane: silhouettes that overlap are one interval of angles."""
+
+import math
+
+import numpy as np
+
+from rendezvous_env.compilation import kernel
+from rendezvous_env.physics.vectors import dot, load
+
+from .silhouettes import STRAIGHT_AHEAD, direction_of, is_seen
+
+TWO_PI = 2.0 * math.pi
+_ROUNDING = 1e-12
+_FAR = 100.0
+"""rad; sums of the angles in here stay below it."""
+
+
+@kernel(allocates=True)
+def joined_headings_2d(net_bearing, silhouettes, clearance, carried, persistence, out):
+    """Head for the nearer edge of all that blocks f, overlapping silhouettes being one obstacle.
+
+    Silhouettes that overlap, directly or through others, are joined into one interval of angles.
+    If f lies in it, or within the clearance of it, head for its nearer edge, moved away from it by
+    the clearance, or by half of the gap to the next interval if that is less. With nothing in the
+    way, or no free direction at all, keep f. Within the clearance of two intervals the nearer one
+    counts. With a persistence λ the nearer edge is the one with the smaller angle from f plus λ
+    times the angle from the carried heading, so that a robot seldom changes its mind.
+
+    Args:
+        net_bearing: fᵢ, (N, 2).
+        silhouettes: (N, M, 2, 2), counter-clockwise edge, then clockwise edge.
+        clearance: rad.
+        carried: headings of the step before, (N, 2); zero = none yet.
+        persistence: λ, 0 or more.
+        out: (N, 2).
+    """
+    intervals = np.empty((silhouettes.shape[1], 2))
+    for i in range(out.shape[0]):
+        towards, before = direction_of(net_bearing[i]), load(carried[i])
+        kept, weight = 0.0, 0.0
+        if before[0] != 0.0 or before[1] != 0.0:
+            kept, weight = math.atan2(_cross(towards, before), dot(towards, before)), persistence
+        joined = joined_interval_2d(towards, silhouettes[i], intervals)
+        turn = _turn_to_free(joined, clearance, kept, weight)
+        c, s = math.cos(turn), math.sin(turn)
+        out[i, 0] = c * towards[0] - s * towards[1]
+        out[i, 1] = s * towards[0] + c * towards[1]
+
+
+@kernel
+def _relative_intervals(towards, silhouettes, out):
+    """Silhouettes as (start, width), rad: from f to the clockwise edge, and on to the other.
+
+    Returns:
+        How many there are.
+    """
+    u, count = towards, 0
+    for m in range(silhouettes.shape[0]):
+        if not is_seen(silhouettes[m]):
+            continue
+        last, first = load(silhouettes[m, 0]), load(silhouettes[m, 1])
+        out[count, 0] = math.atan2(_cross(u, first), dot(u, first))
+        out[count, 1] = max(math.atan2(_cross(first, last), dot(first, last)), 0.0)
+        count += 1
+    return count
+
+
+@kernel
+def _cross(a, b):
+    return a[0] * b[1] - a[1] * b[0]
+
+
+@kernel
+def joined_interval_2d(towards, silhouettes, intervals):
+    """The angles that the silhouettes before a direction cover, those that overlap being joined.
+
+    Args:
+        towards: a unit vector, as a triple.
+        silhouettes: (M, 2, 2) of one robot.
+        intervals: (M, 2), working memory.
+
+    Returns:
+        The clockwise and the counter-clockwise edge, rad counter-clockwise from the direction, of
+        the joined interval that holds it, or else has the edge nearest to it; then the free angles
+        beyond either edge. A full turn between the edges means that nothing is free; edges of ∞ and
+        −∞, that nothing is seen.
+    """
+    seen = intervals[: _relative_intervals(towards, silhouettes, intervals)]
+    nearest = _nearest_interval(seen)
+    if nearest == STRAIGHT_AHEAD:
+        return math.inf, -math.inf, TWO_PI, TWO_PI
+    low, high = _join_from(nearest, seen)
+    gap_below, gap_above = _gaps(low, high, seen)
+    return low, high, gap_below, gap_above
+
+
+@kernel
+def _turn_to_free(joined, clearance, kept, persistence):
+    """Angle from f, counter-clockwise, to the heading of ``joined_headings_2d``, rad.
+
+    Args:
+        joined: see ``joined_interval_2d``.
+        clearance: rad.
+        kept: angle of the carried heading, rad from f.
+        persistence: what an edge's angle from that heading counts beside its angle from f.
+    """
+    low, high, gap_below, gap_above = joined
+    if high - low >= TWO_PI or low >= clearance or high <= -clearance:
+        return 0.0
+    above = high + persistence * _between(high, kept)
+    below = -low + persistence * _between(low, kept)
+    if above <= below:
+        return high + min(clearance, 0.5 * gap_above)
+    return low - min(clearance, 0.5 * gap_below)
+
+
+@kernel
+def _between(a, b):
+    """Angle between two directions given as angles, rad."""
+    apart = counter_clockwise(a - b)
+    return min(apart, TWO_PI - apart)
+
+
+@kernel
+def _gaps(low, high, intervals):
+    """Free angle below and above a joined interval, up to the next one or to itself, rad."""
+    gap_below = gap_above = TWO_PI - (high - low)
+    for k in range(intervals.shape[0]):
+        after_low = counter_clockwise(intervals[k, 0] - low)
+        if after_low > high - low:
+            gap_above = min(gap_above, after_low - (high - low))
+            gap_below = min(gap_below, TWO_PI - (after_low + intervals[k, 1]))
+    return gap_below, gap_above
+
+
+@kernel
+def _nearest_interval(intervals):
+    """Index of an interval that holds 0, or else of the one with the nearest edge."""
+    nearest, least = STRAIGHT_AHEAD, math.inf
+    for k in range(intervals.shape[0]):
+        low = intervals[k, 0]
+        high = low + intervals[k, 1]
+        if low <= 0.0 <= high:
+            return k
+        distance = min(abs(low), abs(high), TWO_PI - high)
+        if distance < least:
+            nearest, least = k, distance
+    return nearest
+
+
+@kernel
+def counter_clockwise(angle):
+    """The same angle in [0, 2π); what rounds to 2π is 0, and NaN stays NaN."""
+    if not -_FAR < angle < _FAR:  # ±∞ would never get there turn by turn; % makes it NaN
+        angle = angle % TWO_PI
+    while angle < 0.0:
+        angle += TWO_PI
+    while angle >= TWO_PI - _ROUNDING:
+        angle -= TWO_PI
+    return max(angle, 0.0)
+
+
+@kernel
+def _join_from(first, intervals):
+    """Grow an interval by all that overlap it, until nothing more does: (low, high), rad from f.
+
+    high − low reaches 2π where everything around is covered.
+    """
+    low = intervals[first, 0]
+    high = low + intervals[first, 1]
+    if low > 0.0 and TWO_PI - high < low:  # counted from below, its upper edge is the near one
+        low, high = low - TWO_PI, high - TWO_PI
+    for _ in range(2 * intervals.shape[0] + 1):  # every pass but the last takes one in, on a side
+        if not high - low < TWO_PI:
+            break
+        grown = False
+        for k in range(intervals.shape[0]):
+            after_low = counter_clockwise(intervals[k, 0] - low)
+            end = after_low + intervals[k, 1]
+            if after_low <= high - low and low + end > high:
+                high, grown = low + end, True
+            elif after_low > high - low and end >= TWO_PI:
+                low, grown = low + after_low - TWO_PI, True
+        if not grown:
+            break
+    return low, high

@@ -1,0 +1,122 @@
+"""The joined rule in space: cones that overlap are one obstacle."""
+
+import math
+
+import numpy as np
+
+from rendezvous_env.compilation import kernel
+from rendezvous_env.physics.vectors import combine, dot, load, split, store, without
+
+from .silhouettes import STRAIGHT_AHEAD, direction_of, is_seen, opposite, unit
+
+
+@kernel(allocates=True)
+def joined_headings_3d(net_bearing, silhouettes, clearance, out):
+    """Head for a free direction beside all that blocks f, overlapping cones being one obstacle.
+
+    Cones whose angular discs overlap, directly or through others, are joined. If f lies in a disc
+    widened by the clearance (of several, the one it is deepest in counts), the candidates are the
+    boundary rays, eight of each cone joined with that one, moved outward by the clearance. Head for
+    the candidate nearest to f that lies in no other cone; with nothing in the way, or no such
+    candidate, keep f. Ray 0 of a cone is its boundary direction nearest to f, so a single cone is
+    left by the shortest way.
+
+    Args:
+        net_bearing: fᵢ, (N, 3).
+        silhouettes: (N, M, 8, 3).
+        clearance: rad.
+        out: (N, 3).
+    """
+    cones = np.empty((silhouettes.shape[1], 4))
+    slots = np.empty(silhouettes.shape[1], np.int64)
+    joined = np.empty(silhouettes.shape[1], np.bool_)
+    for i in range(out.shape[0]):
+        towards = direction_of(net_bearing[i])
+        count = _seen_cones(silhouettes[i], cones, slots)
+        blocking = _deepest(towards, cones[:count], clearance)
+        if blocking == STRAIGHT_AHEAD:
+            store(towards, out[i])
+            continue
+        _join(blocking, cones[:count], joined)
+        rays = silhouettes[i]
+        store(_nearest_free_ray(towards, cones[:count], joined, rays, slots, clearance), out[i])
+
+
+@kernel
+def _seen_cones(silhouettes, cones, slots):
+    """Unit centre direction and half angle in rad of each cone that is seen; how many there are."""
+    count = 0
+    for m in range(silhouettes.shape[0]):
+        if not is_seen(silhouettes[m]):
+            continue
+        first, second = opposite(silhouettes[m])
+        centre = split(combine(1.0, first, 1.0, second))[1]
+        cones[count, 0], cones[count, 1], cones[count, 2] = centre
+        cones[count, 3] = _angle(first, centre)
+        slots[count] = m
+        count += 1
+    return count
+
+
+@kernel
+def _angle(a, b):
+    """Angle between unit vectors, rad."""
+    return math.acos(min(max(dot(a, b), -1.0), 1.0))
+
+
+@kernel
+def _deepest(towards, cones, clearance):
+    """Index of the cone that f is deepest in, the clearance being part of each."""
+    deepest, least = STRAIGHT_AHEAD, clearance
+    for k in range(cones.shape[0]):
+        outside = _angle(towards, load(cones[k, :3])) - cones[k, 3]
+        if outside < least:
+            deepest, least = k, outside
+    return deepest
+
+
+@kernel
+def _join(first, cones, joined):
+    """Mark the cones that overlap the first one, directly or through others."""
+    joined[:] = False
+    joined[first] = True
+    grown = True
+    while grown:
+        grown = False
+        for k in range(cones.shape[0]):
+            if not joined[k] and _touches(k, cones, joined):
+                joined[k] = grown = True
+
+
+@kernel
+def _touches(k, cones, joined):
+    for other in range(cones.shape[0]):
+        apart = _angle(load(cones[k, :3]), load(cones[other, :3]))
+        if joined[other] and apart < cones[k, 3] + cones[other, 3]:
+            return True
+    return False
+
+
+@kernel
+def _nearest_free_ray(towards, cones, joined, silhouettes, slots, clearance):
+    """The widened boundary ray nearest to f that lies in no other cone; f if there is none."""
+    heading, best = towards, -math.inf
+    for k in range(cones.shape[0]):
+        if not joined[k]:
+            continue
+        centre = load(cones[k, :3])
+        angle = min(cones[k, 3] + clearance, math.pi)
+        for s in range(silhouettes.shape[1]):
+            outward = split(without(unit(silhouettes[slots[k], s]), centre))[1]
+            ray = combine(math.cos(angle), centre, math.sin(angle), outward)
+            if dot(towards, ray) > best and _is_free(ray, k, cones):
+                heading, best = ray, dot(towards, ray)
+    return heading
+
+
+@kernel
+def _is_free(ray, own, cones):
+    for k in range(cones.shape[0]):
+        if k != own and dot(ray, load(cones[k, :3])) > math.cos(cones[k, 3]):
+            return False
+    return True

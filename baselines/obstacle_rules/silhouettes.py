@@ -1,0 +1,99 @@
+"""Headings at the edges of obstacles: the rules, as kernels over robots.
+
+Silhouette points of an obstacle are S unit vectors in the robot's own frame: the counter-clockwise
+and the clockwise edge in the plane, eight boundary rays of a cone in space. An obstacle whose first
+point is exactly zero is not seen. All kernels take net bearings (N, d) float64 and silhouettes
+(N, M, S, d) of any float type, and write unit headings (N, d); a robot without a net bearing heads
+along its x axis. Overlapping silhouettes are joined in ``joined_plane`` and ``joined_space``.
+"""
+
+import math
+
+from rendezvous_env.compilation import kernel
+from rendezvous_env.physics.vectors import X_AXIS, combine, dot, load, split, store
+
+STRAIGHT_AHEAD = -1
+"""Instead of the index of an obstacle: none is in the way."""
+
+
+@kernel
+def tangent_headings(net_bearing, silhouettes, only_blocking, out):
+    """Head for the edge nearest to f of the most prominent obstacle, along f if there is none.
+
+    Section IV-C of the paper. "Most prominent" is the one with the largest angular width, the first
+    of equals.
+
+    Args:
+        net_bearing: fᵢ, (N, d).
+        silhouettes: (N, M, S, d).
+        only_blocking: whether to look only at obstacles that f points into.
+        out: (N, d).
+    """
+    for i in range(out.shape[0]):
+        towards = direction_of(net_bearing[i])
+        prominent = _most_prominent(towards, silhouettes[i], only_blocking)
+        if prominent == STRAIGHT_AHEAD:
+            store(towards, out[i])
+        else:
+            store(_nearest_point(towards, silhouettes[i, prominent]), out[i])
+
+
+@kernel
+def direction_of(net_bearing):
+    """Unit vector along a net bearing, the x axis where there is none, as a triple."""
+    length, direction = split(load(net_bearing))
+    return direction if length > 0.0 else X_AXIS
+
+
+@kernel
+def is_seen(points):
+    """Whether the obstacle with these silhouette points is in sight."""
+    for k in range(points.shape[1]):
+        if points[0, k] != 0.0:
+            return True
+    return False
+
+
+@kernel
+def unit(point):
+    """A silhouette point as a unit triple."""
+    return split(load(point))[1]
+
+
+@kernel
+def opposite(points):
+    """Two points across the silhouette: both edges in the plane, rays 0 and 4 in space."""
+    return unit(points[0]), unit(points[points.shape[0] // 2])
+
+
+@kernel
+def _most_prominent(towards, silhouettes, only_blocking):
+    """Index of the obstacle of the largest angular width."""
+    prominent, least_cosine = STRAIGHT_AHEAD, math.inf
+    for m in range(silhouettes.shape[0]):
+        if not is_seen(silhouettes[m]):
+            continue
+        first, second = opposite(silhouettes[m])
+        if dot(first, second) >= least_cosine:
+            continue
+        if not only_blocking or _blocks(towards, first, second):
+            prominent, least_cosine = m, dot(first, second)
+    return prominent
+
+
+@kernel
+def _blocks(towards, first, second):
+    """Whether a direction is as near to the middle of a silhouette as its edges are."""
+    middle = split(combine(1.0, first, 1.0, second))[1]
+    return dot(towards, middle) >= dot(first, middle)
+
+
+@kernel
+def _nearest_point(towards, points):
+    """The silhouette point nearest in angle, the first of equals."""
+    nearest, best = 0, -math.inf
+    for s in range(points.shape[0]):
+        cosine = dot(towards, unit(points[s]))
+        if cosine > best:
+            nearest, best = s, cosine
+    return unit(points[nearest])

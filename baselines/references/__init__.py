@@ -1,0 +1,1 @@
+"""Blind and oracle references, which stand below and above every law."""

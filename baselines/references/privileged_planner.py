@@ -1,0 +1,180 @@
+"""A privileged reference: it knows the map and where everybody is, and plans.
+
+What it passes cleanly says which starts are possible at all, and how fast: the ceiling for policies
+that see bearings alone.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rendezvous_env.simulator import Simulator
+
+from ..policy import Policy, is_single_integrator, register
+from .privileged_policy import PrivilegedPolicy
+from .roadmap import Array, Roadmap, WaysTo
+
+if TYPE_CHECKING:
+    from rendezvous_env.scenario.scenario import Scenario
+
+NAME = "privileged-planner"
+_CLEARANCES = tuple(0.1 * 0.5**k for k in range(8))
+"""m; the widest with which all robots can meet is kept."""
+_GRID = 13
+"""Places along each side of a square grid that are tried; a second, finer one follows."""
+_ARRIVED = 1e-5
+"""Share of a full step within which a turn has been reached: what float32 leaves of it."""
+
+
+@dataclass(frozen=True)
+class Meeting:
+    """Where a team meets."""
+
+    place: Array
+    """(2,), m."""
+    left_out: int
+    """Robots that cannot reach it."""
+
+
+def meeting_place(roadmap: Roadmap, positions: Array) -> Meeting:
+    """Where the last robot arrives first; among equals, where the ways together are shortest.
+
+    Of the robots' own places, the corners of obstacles and a grid over the team; and then of a
+    finer grid about the best of these.
+
+    Args:
+        roadmap: of the team.
+        positions: (n, 2), m.
+    """
+    to_corners, _ = roadmap.to_corners(positions)
+    low, high = positions.min(axis=0), positions.max(axis=0)
+    places = np.concatenate([_grid(low, high), positions])
+    ways = roadmap.distances(positions, to_corners, places)
+    best = _best(np.concatenate([places, roadmap.corners]), np.hstack([ways, to_corners]))
+    reach = (high - low).max() / (_GRID - 1)
+    finer = np.concatenate([best.place[None], _grid(best.place - reach, best.place + reach)])
+    return _best(finer, roadmap.distances(positions, to_corners, finer))
+
+
+def _grid(low: Array, high: Array) -> Array:
+    x, y = np.linspace(low, high, _GRID).T
+    return np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+
+
+def _best(places: Array, ways: Array) -> Meeting:
+    """Of places (K, 2), to which the ways (n, K) lead, m."""
+    left_out = np.isinf(ways).sum(axis=0)
+    ways = np.where(np.isinf(ways), 0.0, ways)
+    chosen = np.lexsort((ways.sum(axis=0), ways.max(axis=0), left_out))[0]
+    return Meeting(places[chosen], int(left_out[chosen]))
+
+
+def plan(table: Array, positions: Array) -> WaysTo:
+    """The ways on which a team meets soonest; who cannot get there stays where it is.
+
+    Args:
+        table: obstacles, (M, width), see ``obstacles.obstacle_set``.
+        positions: (n, 2), m.
+    """
+    found: tuple[Roadmap, Meeting] | None = None
+    for clearance in _CLEARANCES:
+        roadmap = Roadmap(table, clearance)
+        meeting = meeting_place(roadmap, positions)
+        if found is None or meeting.left_out < found[1].left_out:
+            found = roadmap, meeting
+        if meeting.left_out == 0:
+            break
+    assert found is not None
+    return WaysTo(found[0], found[1].place)
+
+
+class PrivilegedPlanner(PrivilegedPolicy):
+    """Every robot takes the shortest way to the place where the last of them arrives first.
+
+    It goes at full speed from turn to turn, and shortens the step before one so that it never
+    leaves its way. After a merge, which moves the survivor, ways start anew. It keeps some
+    centimetres from obstacles where it can, and its V may rise.
+
+    Args:
+        scenario: single integrators in the plane.
+    """
+
+    name = NAME
+
+    def __init__(self, scenario: Scenario) -> None:
+        super().__init__(scenario)
+        self._goals: list[WaysTo | None] = []
+        self._active: NDArray[np.bool_] = np.zeros((0, 0), np.bool_)
+        self._turns: Array = np.zeros((0, 0, 0, 2))
+        self._next: NDArray[np.int64] = np.zeros((0, 0), np.int64)
+
+    def watch(self, simulator: Simulator) -> None:
+        """Take the teams whose map and positions it may read; see ``PrivilegedPolicy``."""
+        super().watch(simulator)
+        self._active = simulator.active
+        self._goals = [None] * simulator.num_envs
+        self._turns = simulator.positions[:, :, None]
+        self._next = np.zeros(self._active.shape, np.int64)
+
+    def _velocities(
+        self,
+        simulator: Simulator,
+        positions: Array,
+        active: NDArray[np.bool_],
+        begun: NDArray[np.bool_],
+    ) -> Array:
+        self._keep_up(simulator, positions, active, begun)
+        speed, duration = simulator.scenario.speed_limit, simulator.scenario.tau
+        rest, distance = self._to_next_turn(positions)
+        self._next += distance <= _ARRIVED * speed * duration
+        rest, distance = self._to_next_turn(positions)
+        rate = np.minimum(speed / np.where(distance > 0, distance, 1.0), 1.0 / duration)
+        return rest * rate[..., None]
+
+    def _to_next_turn(self, positions: Array) -> tuple[Array, Array]:
+        """The straight way (B, n, 2) to the turn that comes next, and its length (B, n), m."""
+        self._next = np.minimum(self._next, self._turns.shape[2] - 1)
+        turn = np.take_along_axis(self._turns, self._next[..., None, None], axis=2)[:, :, 0]
+        rest = turn - positions
+        return rest, np.hypot(rest[..., 0], rest[..., 1])
+
+    def _keep_up(
+        self,
+        simulator: Simulator,
+        positions: Array,
+        active: NDArray[np.bool_],
+        begun: NDArray[np.bool_],
+    ) -> None:
+        """Plan for teams that begin an episode, and find new ways where robots have merged."""
+        merged = (active != self._active).any(axis=1)
+        self._active = active
+        for team in np.flatnonzero((begun | merged) & (active.sum(axis=1) > 1)).tolist():
+            here = positions[team]
+            if begun[team] or self._goals[team] is None:
+                self._goals[team] = plan(simulator.obstacles[team], here[active[team]])
+            goal = self._goals[team]
+            assert goal is not None
+            for robot in np.flatnonzero(active[team]).tolist():
+                self._put(team, robot, goal.way(here[robot]))
+
+    def _put(self, team: int, robot: int, way: Array) -> None:
+        """Keep a way; those that turn less often rest at their end."""
+        if (more := len(way) - self._turns.shape[2]) > 0:
+            self._turns = np.pad(self._turns, ((0, 0), (0, 0), (0, more), (0, 0)), mode="edge")
+        self._turns[team, robot, : len(way)] = way
+        self._turns[team, robot, len(way) :] = way[-1]
+        self._next[team, robot] = 0
+
+
+def _fits(scenario: Scenario) -> bool:
+    return is_single_integrator(scenario) and scenario.dim == 2
+
+
+@register(NAME, fits=_fits, kind="privileged")
+def _privileged_planner(scenario: Scenario) -> Policy:
+    """Shortest ways on the map to where the last robot arrives first."""
+    return PrivilegedPlanner(scenario)

@@ -1,0 +1,109 @@
+"""What privileged references share: they watch a simulator and read positions."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rendezvous_env.checks import bools, refuse
+from rendezvous_env.simulator import Simulator
+
+from ..policy import TeamPolicy, is_single_integrator, within_limits
+
+if TYPE_CHECKING:
+    from rendezvous_env.scenario.scenario import Scenario
+
+Array = NDArray[np.float64]
+
+
+class PrivilegedPolicy(TeamPolicy):
+    """A policy of single integrators that reads where they are.
+
+    Args:
+        scenario: whose robots it steers.
+    """
+
+    name: str
+    """What the registry calls it."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        self.scenario = scenario
+        self._simulator: Simulator | None = None
+        self._fresh: NDArray[np.bool_] = np.zeros(0, np.bool_)
+        self._steps: NDArray[np.int64] = np.zeros(0, np.int64)
+
+    def watch(self, simulator: Simulator) -> None:
+        """Take the teams whose map and positions it may read; call it before an episode.
+
+        Args:
+            simulator: freshly reset.
+
+        Raises:
+            ValueError: if it is no simulator of such robots.
+        """
+        n, d = self.scenario.n_robots, self.scenario.dim
+        wanted = f"a Simulator of {n} single integrators in {d}-D"
+        if not isinstance(simulator, Simulator):
+            refuse("simulator", simulator, wanted)
+        scenario = simulator.scenario
+        if not is_single_integrator(scenario) or (scenario.n_robots, scenario.dim) != (n, d):
+            refuse("simulator", scenario, wanted)
+        self._simulator, self._steps = simulator, simulator.steps
+        self.reset()
+
+    def reset(self, mask: NDArray[np.bool_] | None = None) -> None:
+        """Begin anew at the next call, for the teams where ``mask`` (B,) is true or for all."""
+        if self._simulator is None:
+            return
+        batch = self._simulator.num_envs
+        if mask is None:
+            self._fresh = np.ones(batch, bool)
+        else:
+            self._fresh = self._fresh | bools("mask", mask, (batch,), "teams")
+
+    def act(self, observations: NDArray[Any], time: ArrayLike) -> NDArray[np.float32]:
+        """Velocities (..., n, d), of the teams that it watches; see ``Policy``.
+
+        Raises:
+            RuntimeError: if it watches none.
+            ValueError: if the observations are those of other teams.
+        """
+        seen = self.scenario.observation_layout.checked(observations)
+        if (simulator := self._simulator) is None:
+            raise RuntimeError(
+                f"{self.name} reads positions: call its watch(simulator) before an episode, as "
+                "rollout and compare do"
+            )
+        teams = (simulator.num_envs, self.scenario.n_robots)
+        if seen.shape[:-2] not in (teams, teams[teams[0] == 1 :]):
+            raise ValueError(
+                f"observations have shape {seen.shape}; those of the teams that {self.name} "
+                f"watches have {(*teams, *seen.shape[-2:])}"
+            )
+        steps, active = simulator.steps, simulator.active
+        begun = self._fresh | (steps < self._steps)
+        self._fresh, self._steps = np.zeros_like(begun), steps
+        wanted = self._velocities(simulator, simulator.positions, active, begun)
+        wanted = np.where(active[..., np.newaxis], wanted, 0.0)
+        # frames lead from local to global, their transpose leads back
+        own = np.sum(simulator.frames * wanted[..., np.newaxis], axis=-2)
+        return within_limits(own, self.scenario).reshape(*seen.shape[:-2], self.scenario.dim)
+
+    def _velocities(
+        self,
+        simulator: Simulator,
+        positions: Array,
+        active: NDArray[np.bool_],
+        begun: NDArray[np.bool_],
+    ) -> Array:
+        """(B, n, d), m/s, in the global frame.
+
+        Args:
+            simulator: the teams.
+            positions: (B, n, d), m.
+            active: (B, n), who still exists on its own.
+            begun: (B,), which teams are at the beginning of an episode, or have been told to be.
+        """
+        raise NotImplementedError

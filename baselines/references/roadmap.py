@@ -1,0 +1,262 @@
+"""Shortest ways among obstacles of the plane, for policies that may know the map.
+
+A shortest way runs straight from corner to corner of the obstacles, made fatter by a clearance:
+corners that see one another are the nodes of a graph (a visibility graph), and Dijkstra's algorithm
+finds the ways in it.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import scipy.sparse
+import scipy.spatial
+from numpy.typing import NDArray
+from scipy.sparse.csgraph import dijkstra
+
+from rendezvous_env.compilation import kernel
+from rendezvous_env.obstacles import capsule, shape
+from rendezvous_env.obstacles.capsule import CAPSULE
+from rendezvous_env.obstacles.obstacle_set import CENTRE, RADIUS, entry, world_of
+from rendezvous_env.obstacles.polygon import POLYGON
+from rendezvous_env.obstacles.shape import ABSENT
+
+Array = NDArray[np.float64]
+_QUARTER = 4
+"""Corners that stand for a quarter of a circle."""
+_SPIKE = 1e3
+"""Longest corner of a pointed obstacle, in clearances."""
+_KEPT = 0.9
+"""Share of the clearance that a way must keep: corners lie at all of it, up to rounding."""
+_MOST_SIDES = 16
+"""Polygons with more corners are simplified, by less than half the clearance."""
+MOST_CORNERS = 4_000
+"""Of a roadmap, which looks from each to each: 250 discs, or so many polygons of 16 corners."""
+_HALVINGS = 12
+_ROUNDING = 1.0 + 1e-9
+_TOUCH = 1e-7
+"""m, less than the depth of a contact: so deep a way from the surface may go."""
+
+
+class Roadmap:
+    """Ways that keep a clearance from the obstacles of one team.
+
+    Args:
+        table: obstacles, (M, width), see ``obstacles.obstacle_set``.
+        clearance: m. A way from a point that is nearer to an obstacle keeps less.
+    """
+
+    def __init__(self, table: Array, clearance: float) -> None:
+        self._world = world_of(table)
+        self._clearance = clearance
+        self._spikes = _spikes(table)
+        corners = _corners(table, clearance)
+        if len(corners) > MOST_CORNERS:
+            raise ValueError(
+                f"the obstacles have {len(corners)} corners; ways are planned among {MOST_CORNERS} "
+                "at most: give fewer obstacles, or polygons of fewer corners"
+            )
+        self.corners: Array = corners[self._margins(corners) == _KEPT * clearance]
+        """(C, 2), m."""
+        self._lengths = self.straight(self.corners, self.corners)
+
+    def _margins(self, points: Array) -> Array:
+        out = np.empty(len(points))
+        around = self._spikes, self._nearest_first(points)
+        _margins_at(self._world, around, points, _KEPT * self._clearance, out)
+        return out
+
+    def _nearest_first(self, points: Array) -> NDArray[np.int64]:
+        """Obstacles in the order in which they may be in the way of a point, (N, M)."""
+        centres = self._world.shapes[:, CENTRE : CENTRE + 2]
+        gaps = scipy.spatial.distance.cdist(points, centres) - self._world.shapes[:, RADIUS]
+        return np.argsort(gaps, axis=1)
+
+    def straight(self, points: Array, targets: Array) -> Array:
+        """Lengths of straight ways, (N, K), m; inf where an obstacle is in the way.
+
+        Args:
+            points: (N, 2), m.
+            targets: (K, 2), m.
+        """
+        out = np.empty((len(points), len(targets)))
+        around = self._spikes, self._nearest_first(points)
+        _straight_lengths(self._world, around, points, targets, self._margins(points), out)
+        return out
+
+    def to_corners(self, points: Array) -> tuple[Array, NDArray[np.int32]]:
+        """Lengths of the shortest ways from points to all corners, (N, C), m; and the corner before
+        each on that way, negative if it is the first.
+
+        Args:
+            points: (N, 2), m.
+        """
+        n, count = len(points), len(self.corners)
+        first = self.straight(points, self.corners)
+        lengths = np.full((n + count, n + count), np.inf)
+        lengths[:n, n:], lengths[n:, n:] = first, self._lengths
+        found, before = dijkstra(_sparse(lengths), indices=range(n), return_predecessors=True)
+        return found[:, n:], before[:, n:] - n
+
+    def distances(self, points: Array, to_corners: Array, places: Array) -> Array:
+        """Lengths of the shortest ways, (N, K), m; inf where there is none.
+
+        Args:
+            points: (N, 2), m.
+            to_corners: from there, (N, C), m.
+            places: (K, 2), m.
+        """
+        out, last = self.straight(points, places), self.straight(self.corners, places)
+        if len(self.corners):
+            for row, to_corner in zip(out, to_corners, strict=True):
+                np.minimum(row, (to_corner[:, None] + last).min(axis=0), out=row)
+        return out
+
+
+class WaysTo:
+    """The shortest way from anywhere to one place.
+
+    Args:
+        roadmap: of the team.
+        place: (2,), m.
+    """
+
+    def __init__(self, roadmap: Roadmap, place: Array) -> None:
+        self._roadmap, self._place = roadmap, place
+        lengths, following = roadmap.to_corners(place[None])
+        self._lengths, self._following = lengths[0], following[0]
+
+    def way(self, point: Array) -> Array:
+        """Where the way from a point turns, and the place at its end, (P, 2), m; the point itself
+        if there is no way.
+        """
+        if math.isfinite(self._roadmap.straight(point[None], self._place[None])[0, 0]):
+            return self._place[None]
+        over = self._roadmap.straight(point[None], self._roadmap.corners)[0] + self._lengths
+        if not np.isfinite(over).any():
+            return point[None]
+        turns, corner = [], int(np.argmin(over))
+        while corner >= 0:
+            turns.append(self._roadmap.corners[corner])
+            corner = int(self._following[corner])
+        return np.array([*turns, self._place])
+
+
+def _sparse(lengths: Array) -> scipy.sparse.csr_array:
+    """The edges that there are; two corners in one place are still joined by one."""
+    rows, columns = np.nonzero(np.isfinite(lengths))
+    kept = np.maximum(lengths[rows, columns], np.finfo(float).tiny)
+    return scipy.sparse.csr_array((kept, (rows, columns)), shape=lengths.shape)
+
+
+def _corners(table: Array, clearance: float) -> Array:
+    """Corners of the obstacles made fatter, (C, 2); round ones become polygons about them."""
+    import shapely  # slow to import, and only planners need it
+
+    cores, radii = [], []
+    outward = 1.0 / math.cos(math.pi / (4 * _QUARTER))
+    for row in table[table[:, shape.KIND] != ABSENT]:
+        centre = row[shape.CENTRE : shape.CENTRE + 2]
+        if row[shape.KIND] == POLYGON:
+            polygon = shapely.Polygon(_vertices(row))
+            spare = 0.5 * clearance if row[shape.CORNERS] > _MOST_SIDES else 0.0
+            cores.append(polygon.simplify(spare) if spare else polygon)
+            radii.append(clearance + spare)
+        elif row[shape.KIND] == CAPSULE:
+            half = row[capsule.AXIS : capsule.AXIS + 2]
+            cores.append(shapely.LineString([centre - half, centre + half]))
+            radii.append(outward * (row[capsule.THICKNESS] + clearance))
+        else:
+            cores.append(shapely.Point(centre))
+            radii.append(outward * (row[shape.RADIUS] + clearance))
+    fatter = shapely.buffer(
+        np.array(cores, dtype=object),
+        np.array(radii),
+        quad_segs=_QUARTER,
+        join_style="mitre",
+        mitre_limit=_SPIKE,
+    )
+    rings = [shapely.get_coordinates(polygon)[:-1] for polygon in fatter]
+    return np.concatenate(rings) if rings else np.empty((0, 2))
+
+
+def _vertices(row: Array) -> Array:
+    return row[shape.DETAILS : shape.DETAILS + 2 * int(row[shape.CORNERS])].reshape(-1, 2)
+
+
+def _spikes(table: Array) -> Array:
+    """How far the corners of obstacles made fatter stand out, (M,), as shares of what was added:
+    1/sin(θ/2) at the sharpest angle θ of a polygon, 1 for round ones.
+    """
+    out = np.ones(len(table))
+    for m in np.flatnonzero(table[:, shape.KIND] == POLYGON):
+        edges = np.diff(_vertices(table[m]), axis=0, append=_vertices(table[m])[:1])
+        bearings = np.arctan2(edges[:, 1], edges[:, 0])
+        turns = np.diff(bearings, append=bearings[:1]) % (2 * math.pi)
+        out[m] = 1.0 / np.cos(0.5 * turns).min()
+    return out
+
+
+# ---- lines of sight -----------------------------------------------------------------------------
+
+
+@kernel
+def _margins_at(world, around, points, most, out):
+    """How far ways from points can stay away from all obstacles.
+
+    Args:
+        world: Shapes of one team.
+        around: how far each stands out, (M,), and the nearest first for each point, (N, M).
+        points: (N, 2), m.
+        most: what is enough, m.
+        out: (N,), m; ``most``, or where a point is too near for that a half of it, a quarter, …
+    """
+    spikes, order = around
+    for i in range(len(points)):
+        here, out[i] = (points[i, 0], points[i, 1], 0.0), -_TOUCH
+        for halving in range(_HALVINGS):
+            margin = most * 0.5**halving
+            if not _in_the_way(world, spikes, order[i], here, (0.0, 0.0, 0.0), margin):
+                out[i] = margin
+                break
+
+
+@kernel
+def _in_the_way(world, spikes, order, here, way, margin):
+    """Whether a way comes nearer to an obstacle; corners of polygons count as pointed."""
+    length = way[0] * way[0] + way[1] * way[1]
+    for m in order:
+        if world.kinds[m] == ABSENT:
+            continue
+        x, y = world.shapes[m, CENTRE] - here[0], world.shapes[m, CENTRE + 1] - here[1]
+        along = x * way[0] + y * way[1]
+        share = min(max(along / length, 0.0), 1.0) if length > 0.0 else 0.0
+        x, y = x - share * way[0], y - share * way[1]
+        bound = (world.shapes[m, RADIUS] + abs(margin) * spikes[m]) * _ROUNDING
+        if x * x + y * y <= bound * bound:
+            if entry(world, m, here, way, -margin) < np.inf:
+                return True
+    return False
+
+
+@kernel
+def _straight_lengths(world, around, points, targets, margins, out):
+    """Lengths of the straight ways that keep away from all obstacles.
+
+    Args:
+        world: Shapes of one team.
+        around: how far each stands out, (M,), and the nearest first for each point, (N, M).
+        points: (N, 2), m.
+        targets: (K, 2), m.
+        margins: how far the ways from each point stay away from obstacles, (N,), m.
+        out: (N, K), m; inf where an obstacle is in the way.
+    """
+    spikes, order = around
+    for i in range(len(points)):
+        here = (points[i, 0], points[i, 1], 0.0)
+        for k in range(len(targets)):
+            way = (targets[k, 0] - here[0], targets[k, 1] - here[1], 0.0)
+            out[i, k] = math.hypot(way[0], way[1])
+            if _in_the_way(world, spikes, order[i], here, way, margins[i]):
+                out[i, k] = np.inf

@@ -1,0 +1,166 @@
+"""A model that was trained in a training environment, as a policy that can be compared."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rendezvous_env.checks import flag, refuse
+from rendezvous_env.envs.vector_wrappers import GuaranteeWrapper
+from rendezvous_env.safety.safety_filter import SafetyFilter
+from rendezvous_env.scenario.scenarios import resolve
+from rendezvous_env.vector import training_env
+
+from .filtered_policies import DecidingPolicy, FilteredPolicy
+from .learned.training_environment import FeatureVectorEnv
+from .policy import TeamPolicy, within_limits
+
+if TYPE_CHECKING:
+    from rendezvous_env.scenario.scenario import Scenario
+    from rendezvous_env.scenario.scenarios import ScenarioLike
+
+Predict = Callable[[NDArray[np.float32]], NDArray[Any]]
+"""What robots of B teams see, (B, n, ...), to what they choose, (B, n, ...)."""
+
+
+class TrainedPolicy(TeamPolicy):
+    """What a model of any library does in the environment that it was trained in, as a policy.
+
+        policy = TrainedPolicy("clutter-8", model.predict)          # stable-baselines3
+        policy = TrainedPolicy("clutter-8", lambda seen: seen[:, :2], learning_preset=False)
+
+    ``compare``, ``report``, ``render`` and ``rollout`` take it like any other. It sees what robots
+    of ``vector.training_env`` see with the same arguments, decides as often, and keeps the same
+    guarantee. As on board of a robot, nobody tells it of contacts and merges: a tank books every
+    step as it was commanded.
+
+    Args:
+        scenario: whose robots it steers: any that the model can read, not only that of training.
+        predict: observations of robots, (N, size) float32, to their actions, (N, a), or (N,) where
+            they are discrete. A pair is taken for actions and a state that is not used, and an
+            argument ``deterministic`` is True, as stable-baselines3 has it.
+        by_team: whether ``predict`` takes (B, n, size) and gives (B, n, a); robots that are gone
+            observe zeros.
+        arguments: of ``vector.training_env`` in training: ``guarantee="heading"``,
+            ``learning_preset=True``, ``flatten=True``, ``discrete=False``, those of the guarantee's
+            wrapper, and fields of the scenario.
+
+    Raises:
+        TypeError: as ``vector.training_env``.
+        ValueError: likewise, or if ``predict`` cannot be called.
+    """
+
+    def __init__(
+        self,
+        scenario: ScenarioLike,
+        predict: Callable[..., Any],
+        *,
+        by_team: bool = False,
+        **arguments: Any,
+    ) -> None:
+        predict = getattr(predict, "predict", predict)
+        if not callable(predict):
+            refuse("predict", predict, "a function of observations, or a model with predict()")
+        self.scenario = chosen = resolve(scenario)
+        self._predict, self._by_team = predict, flag("by_team", by_team)
+        self._arguments = {"on_merge": "follow", **arguments, "autoreset_mode": "Disabled"}
+        env = training_env(chosen, 1, **self._arguments)
+        self._sees: Any = env.single_observation_space
+        self._chooses: Any = env.single_action_space
+        inner: Any = env.env
+        self._policy: Any
+        if isinstance(inner, FeatureVectorEnv):
+            self._policy = _PresetPolicy(chosen, self._ask, inner)
+        elif isinstance(inner, GuaranteeWrapper):
+            period = inner.decision_period
+            self._policy = FilteredPolicy(chosen, self._choose, self._make_filter, period)
+        else:
+            self._policy = _BarePolicy(chosen, self._ask)
+
+    def _make_filter(self, teams: int) -> SafetyFilter:
+        env: Any = training_env(self.scenario, teams, **self._arguments).env
+        found: SafetyFilter = env.filter
+        return found
+
+    def _choose(self, seen: NDArray[np.float32]) -> NDArray[Any]:
+        """Choices (..., n, k) for what robots see, (..., n, rows, d)."""
+        return self._ask(seen).reshape(*seen.shape[:-2], -1)
+
+    def _ask(self, seen: NDArray[np.float32]) -> NDArray[Any]:
+        """Choices of the model, (B, n, ...), for what robots of B teams see."""
+        seen = seen.reshape(-1, *self._sees.shape)
+        rows = seen if self._by_team else seen.reshape(-1, *seen.shape[2:])
+        told = {"deterministic": True} if _is_of_sb3(self._predict) else {}
+        found = self._predict(rows, **told)
+        choices = np.asarray(found[0] if isinstance(found, tuple) else found)
+        robot = self._chooses.shape[1:]
+        wanted = (*rows.shape[: 1 + self._by_team], *robot)
+        if choices.shape != wanted:
+            raise ValueError(
+                f"predict gave an array of shape {choices.shape} for observations {rows.shape}; "
+                f"it must be {wanted}"
+            )
+        return choices.reshape(*seen.shape[:2], *robot)
+
+    def act(self, observations: NDArray[Any], time: ArrayLike) -> NDArray[np.float32]:
+        """Actions (..., n, a); see ``Policy``.
+
+        Raises:
+            ValueError: for observations or predictions of another shape, or naming the robot whose
+                choice is none.
+        """
+        actions: NDArray[np.float32] = self._policy.act(observations, time)
+        return actions
+
+    def reset(self, mask: NDArray[np.bool_] | None = None) -> None:
+        """Forget the teams where ``mask`` (...) is true, all if it is None."""
+        self._policy.reset(mask)
+
+
+class _PresetPolicy(DecidingPolicy):
+    """Sees and does what the shipped policy of a guarantee does."""
+
+    def __init__(self, scenario: Scenario, ask: Predict, env: FeatureVectorEnv) -> None:
+        super().__init__(scenario, env.decision_period)
+        self._ask, self._settings, self._discrete = ask, env.settings, env.discrete
+        self._one = env.single_action_space
+
+    def _start(self, teams: int) -> None:
+        self._guided = self._settings.make_teams(self.scenario, teams)
+        self._held = np.zeros((teams, *(self._one.shape or ())), self._one.dtype)
+
+    def _settle(self, share: float) -> None:
+        self._guided.settle(share)
+
+    def _decide(self, teams: NDArray[np.float32], due: NDArray[np.bool_]) -> None:
+        steps = np.where(np.isinf(self._steps), self.decision_period, self._steps)
+        seen = self._guided.show(teams, due, steps * self.scenario.tau)
+        self._held[due] = self._ask(seen)[due]
+        (self._guided.choose if self._discrete else self._guided.head)(self._held)
+
+    def _act(self, teams: NDArray[np.float32], elapsed: float) -> NDArray[np.float32]:
+        return within_limits(self._guided.act(teams, elapsed).astype(np.float64), self.scenario)
+
+    def _forget(self, which: NDArray[np.bool_]) -> None:
+        self._guided.forget(which)
+
+
+class _BarePolicy(TeamPolicy):
+    """Takes what is chosen for an action."""
+
+    def __init__(self, scenario: Scenario, ask: Predict) -> None:
+        self.scenario, self._ask = scenario, ask
+
+    def act(self, observations: NDArray[Any], time: ArrayLike) -> NDArray[np.float32]:
+        seen = self.scenario.observation_layout.checked(observations)
+        actions = self._ask(np.asarray(seen, np.float32)).astype(np.float64)
+        return within_limits(actions, self.scenario).reshape(*seen.shape[:-2], -1)
+
+
+def _is_of_sb3(predict: Any) -> bool:
+    """Whether it is a ``predict`` of stable-baselines3, which draws unless it is told not to."""
+    code = getattr(getattr(predict, "__func__", predict), "__code__", None)
+    return code is not None and "deterministic" in code.co_varnames[: code.co_argcount]

@@ -1,0 +1,384 @@
+"""Checks that all borders share; a refusal names the field, its value and what would be right."""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import functools
+import math
+import re
+import reprlib
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any, NoReturn, TypeVar, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .limits import LARGEST, SMALLEST
+
+_LONGEST_WORD = 100
+_TIME_STEP, _STEPS = ("time_step",), ("max_cycles", "time_limit")
+_SYNONYMS = {
+    **dict.fromkeys(("n_agents", "num_agents", "num_robots", "team_size"), ("n_robots",)),
+    **dict.fromkeys(("dt", "timestep", "step_size"), _TIME_STEP),
+    **dict.fromkeys(("max_steps", "max_episode_steps", "horizon", "episode_length"), _STEPS),
+    **dict.fromkeys(("topology", "adjacency"), ("graph",)),
+    **dict.fromkeys(("ring", "circle", "loop"), ("cycle",)),
+    **dict.fromkeys(("line", "chain"), ("path",)),
+    **dict.fromkeys(("full", "fully_connected", "all", "clique"), ("complete",)),
+    **dict.fromkeys(("gnp", "er"), ("erdos_renyi",)),
+    **dict.fromkeys(("disk", "geometric"), ("proximity",)),
+    "adversarial_error": ("error",),
+}
+"""What other packages call things, and what may be meant here."""
+_Made = TypeVar("_Made")
+
+
+class UnknownFieldError(TypeError, ValueError):
+    """A field that does not exist: a TypeError as Python has it, and a ValueError as we do."""
+
+
+class _Shown(reprlib.Repr):
+    """``repr``, shortened, that never fails and never recurses far."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.maxlevel, self.maxstring, self.maxlong, self.maxother = 5, 90, 60, 200
+        self.maxlist = self.maxtuple = self.maxdict = self.maxset = self.maxarray = 12
+
+    def repr_int(self, x: int, level: int) -> str:
+        """A whole number; Python itself refuses to write very long ones."""
+        if abs(x) < 10**self.maxlong:
+            return repr(x)
+        return f"a whole number of about {int(x.bit_length() * 0.30103) + 1} digits"
+
+    def repr_instance(self, x: Any, level: int) -> str:
+        """Anything else, in one line."""
+        return " ".join(super().repr_instance(x, level).split())
+
+
+shown = _Shown().repr
+"""A value as messages show it: its repr, shortened if long."""
+
+
+def refuse(field: str, value: Any, wanted: str) -> NoReturn:
+    """Say that a field has a wrong value.
+
+    Raises:
+        ValueError: naming all three.
+    """
+    raise ValueError(f"{field} is {shown(value)}; it must be {wanted}")
+
+
+def real(value: Any) -> float:
+    """One number of any type as Python's own; infinite beyond float64, NaN for what is no number.
+
+    What is compared with bounds goes through this: NumPy would round the bounds to a smaller type.
+    """
+    numeric = isinstance(value, int | float | np.integer | np.floating)
+    if not numeric or isinstance(value, bool):
+        return math.nan
+    try:
+        return float(value)
+    except OverflowError:
+        return math.inf if value > 0 else -math.inf
+
+
+def is_whole(value: Any) -> bool:
+    """Whether it is one whole number, and no bool."""
+    return isinstance(value, int | np.integer) and not isinstance(value, bool)
+
+
+# ---- one value -----------------------------------------------------------------------------------
+# Each takes the name of a field and its value, and returns the value as it is kept or raises a
+# ValueError.
+
+
+def number(
+    field: str, value: Any, least: float = -LARGEST, most: float = LARGEST, unit: str = ""
+) -> float:
+    """A finite number within bounds."""
+    if not least <= real(value) <= most:
+        refuse(field, value, f"a finite number from {least:g} to {most:g} {unit}".rstrip())
+    return real(value)
+
+
+def positive(field: str, value: Any, unit: str = "") -> float:
+    """A positive number within the limits."""
+    if not SMALLEST <= real(value) <= LARGEST:
+        bounds = f"from {SMALLEST:g} to {LARGEST:g} {unit}".rstrip()
+        refuse(field, value, f"a positive, finite number, {bounds}")
+    return real(value)
+
+
+def between(field: str, value: Any, low: float, high: float, unit: str = "") -> float:
+    """A number strictly between two others."""
+    if not low < real(value) < high:
+        refuse(field, value, f"a number between {low:g} and {high:g}, exclusive {unit}".rstrip())
+    return real(value)
+
+
+def whole(field: str, value: Any, least: int, most: int) -> int:
+    """A whole number within bounds."""
+    if not is_whole(value) or not least <= value <= most:
+        refuse(field, value, f"a whole number, {least} or more, at most {most}")
+    return int(value)
+
+
+def flag(field: str, value: Any) -> bool:
+    """True or False."""
+    if not isinstance(value, bool | np.bool_):
+        refuse(field, value, "one of True, False")
+    return bool(value)
+
+
+def choice(field: str, value: Any, choices: Iterable[str]) -> str:
+    """One of some words."""
+    known = tuple(choices)
+    if not isinstance(value, str) or value not in known:
+        refuse(field, value, f"one of {', '.join(map(repr, known))}")
+    return value
+
+
+def mapping(field: str, value: Any, wanted: str) -> Mapping[Any, Any]:
+    """A mapping."""
+    if not isinstance(value, Mapping):
+        refuse(field, value, wanted)
+    return value
+
+
+def floats(field: str, value: Any, dtype: type[np.floating[Any]] = np.float64) -> NDArray[Any]:
+    """Numbers of any shape as an array; what does not fit the type is infinite in it.
+
+    Raises:
+        ValueError: for words, nothing, mappings, ragged lists and whatever else is no number.
+    """
+    try:
+        array = np.asarray(value)
+    except (TypeError, ValueError, OverflowError, RecursionError, RuntimeError) as error:
+        told = f"{shown(value)}; it must be an array of numbers without gaps"
+        raise ValueError(f"{field} is {_unreadable(value) or told}") from error
+    if array.dtype.kind not in "fiub":
+        refuse(field, value, "numbers, each of them in the range of float64")
+    if np.can_cast(array.dtype, dtype):  # nothing to overflow, and warnings take longest to silence
+        return array.astype(dtype, copy=False)
+    with np.errstate(over="ignore"):
+        return array.astype(dtype)
+
+
+def check_table(field: str, value: Any, shape: tuple[int, ...]) -> NDArray[np.float64]:
+    """A float64 array of a shape, of numbers within the limits.
+
+    Raises:
+        ValueError: naming the field, and its shape or the robot whose entry is not finite.
+    """
+    table = np.array(floats(field, value))
+    if table.shape != shape:
+        raise ValueError(f"{field} has shape {table.shape}; it must be {shape}")
+    if not (wanted := np.abs(table) <= LARGEST).all():
+        at = tuple(int(k) for k in np.argwhere(~wanted)[0])
+        raise ValueError(
+            f"{field} of robot_{at[0]} is {shown(table[at[0]].tolist())}; it must be finite, and "
+            f"from {-LARGEST:g} to {LARGEST:g}"
+        )
+    return table
+
+
+def check_distinct(field: str, positions: NDArray[np.float64], weights: Any) -> None:
+    """Refuse neighbours that stand in the same place: no bearing exists between them.
+
+    Args:
+        field: what the message calls the positions.
+        positions: (n, d), m.
+        weights: (n, n), or what gives such a matrix for n; only pairs with a positive weight, in
+            either way, are looked at.
+
+    Raises:
+        ValueError: naming the pair.
+    """
+    _, place, counts = np.unique(positions + 0.0, axis=0, return_inverse=True, return_counts=True)
+    if counts.max() == 1:
+        return
+    matrix = weights(len(positions)) if callable(weights) else weights
+    ends = np.sort(np.array(matrix.nonzero()), axis=0)
+    coincident = ends[:, place[ends[0]] == place[ends[1]]]
+    if coincident.size:
+        i, j = min(coincident.T.tolist())
+        raise ValueError(
+            f"{field}: neighbours robot_{i} and robot_{j} both stand at {positions[i].tolist()}; "
+            "they must not coincide"
+        )
+
+
+def _unreadable(value: Any) -> str:
+    """What keeps NumPy from reading a tensor, and what to do; nothing for anything else."""
+    if not all(hasattr(value, name) for name in ("detach", "requires_grad", "device", "dtype")):
+        return ""
+    grad = " that requires grad" if value.requires_grad else ""
+    tensor = f"a {value.dtype} tensor on {value.device}{grad}"
+    return f"{tensor}, which NumPy cannot read; give its .detach().cpu().float().numpy()"
+
+
+def check_action(robot: str, value: Any, size: int) -> None:
+    """Refuse a robot's action that is not ``size`` finite numbers.
+
+    Raises:
+        ValueError: naming the robot and the value.
+    """
+    try:
+        action = floats("action", value, np.float32)
+    except ValueError:
+        if told := _unreadable(value):
+            raise ValueError(f"action of {robot} is {told}") from None
+        action = np.empty(0)
+    if action.shape != (size,) or not np.isfinite(action).all():
+        refuse(f"action of {robot}", value, f"{size} finite numbers, in float32")
+
+
+def bools(field: str, value: Any, shape: tuple[int, ...] | None, of_what: str) -> NDArray[np.bool_]:
+    """True or False for each of some things, of any shape if None is asked for.
+
+    Raises:
+        ValueError: for another shape or type.
+    """
+    try:
+        array = np.asarray(value)
+    except (TypeError, ValueError, OverflowError, RecursionError):
+        array = np.empty(0, dtype=object)
+    shape = array.shape if shape is None else shape
+    if array.shape != shape or array.dtype != np.bool_:
+        found = f"{array.dtype} of shape {array.shape}"
+        if array.dtype == object:
+            found = shown(value)
+        count = " × ".join(map(str, shape))
+        raise ValueError(f"{field} is {found}; it must be bool, one for each of {count} {of_what}")
+    return array
+
+
+def nearest_word(word: Any, words: Iterable[str], cutoff: float = 0.65) -> str | None:
+    """The word that other packages call ``word``, or the one most like it, if any is much like it
+    or has it as a part.
+
+    Args:
+        word: what was given.
+        words: what is known; their parts stand between - and _.
+        cutoff: least likeness, from 0 to 1.
+    """
+    if not isinstance(word, str) or len(word) > _LONGEST_WORD:
+        return None
+    known = list(words)
+    if meant := [one for one in _SYNONYMS.get(word, ()) if one in known]:
+        return meant[0]
+    close = difflib.get_close_matches(word, known, n=1, cutoff=cutoff)
+    if not close:
+        having = [one for one in known if word in re.split("[-_]", one)]
+        close = difflib.get_close_matches(word, having, n=1, cutoff=0.0)
+    return close[0] if close else None
+
+
+def known_fields(given: Iterable[Any], known: Iterable[str], what: str) -> None:
+    """Refuse fields that do not exist.
+
+    Raises:
+        UnknownFieldError: naming the first one and the one most like it.
+    """
+    known = list(known)
+    for key in given:
+        if key not in known:
+            near = nearest_word(key, known)
+            hint = f"did you mean {near!r}?" if near else f"known are {', '.join(known)}"
+            if key in _SYNONYMS and near == "time_limit":
+                hint += " it is in s, not in steps"
+            raise UnknownFieldError(f"{what} has no field {shown(key)}; {hint}")
+
+
+def names_unknown_fields(what: str) -> Callable[[type[_Made]], type[_Made]]:
+    """For a dataclass: unknown keywords of its constructor are refused with the nearest field.
+
+    Args:
+        what: it describes.
+    """
+
+    def decorate(made: type[_Made]) -> type[_Made]:
+        make = made.__init__
+        names = [field.name for field in dataclasses.fields(cast(Any, made))]
+
+        @functools.wraps(make)
+        def checked(self: _Made, *args: Any, **fields: Any) -> None:
+            known_fields(fields, names, what)
+            make(self, *args, **fields)
+
+        setattr(made, "__init__", checked)  # noqa: B010 - mypy forbids the plain assignment
+        return made
+
+    return decorate
+
+
+def check_fields(
+    made: Any, checks: Mapping[str, Callable[[str, Any], Any]], prefix: str = ""
+) -> None:
+    """Bring the fields of a frozen dataclass into the form in which they are kept: NumPy's scalars
+    become Python's own, and each value goes through the check of its field.
+
+    Args:
+        made: the dataclass, from its ``__post_init__``.
+        checks: for some fields, what takes a name and a value and returns what is kept. None is
+            kept where it is the default.
+        prefix: of the fields' names in messages.
+
+    Raises:
+        ValueError: of the first check that refuses.
+    """
+    for field in dataclasses.fields(made):
+        value = getattr(made, field.name)
+        if isinstance(value, np.generic):
+            value = value.item()
+        check = checks.get(field.name)
+        if check is not None and not (value is None and field.default is None):
+            value = check(prefix + field.name, value)
+        object.__setattr__(made, field.name, value)
+
+
+class Registry(dict[str, Callable[..., Any]]):
+    """Functions of users, by name.
+
+    Args:
+        what: they are.
+        register: the function that registers one, as users write it.
+    """
+
+    def __init__(self, what: str, register: str) -> None:
+        super().__init__()
+        self.what, self._register = what, register
+
+    def __missing__(self, name: str) -> Any:
+        raise ValueError(
+            f"{self.what} {name!r} is not registered here; import the file that calls "
+            f"{self._register}"
+        )
+
+    def add(self, name: Any, function: Any) -> Any:
+        """Register a function, which is returned; without one a decorator is.
+
+        Raises:
+            ValueError: for what is no name, or no function.
+        """
+        if not isinstance(name, str) or not name or not name.isprintable():
+            refuse(f"name of a {self.what}", name, "a word")
+        if function is None:
+            return lambda function: self.add(name, function)
+        if not callable(function):
+            refuse(f"{self.what} {name!r}", function, "a function")
+        self[name] = function
+        return function
+
+    def check(self, field: str, name: Any) -> None:
+        """Refuse a name that nobody has registered.
+
+        Raises:
+            ValueError: naming the nearest one, or how to register it.
+        """
+        if not isinstance(name, str) or name not in self:
+            near = nearest_word(name, self)
+            hint = f"did you mean {near!r}?" if near else f"register it with {self._register}"
+            raise ValueError(f"{field}: {shown(name)} is unknown; {hint}")

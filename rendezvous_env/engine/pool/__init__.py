@@ -1,1 +1,0 @@
-"""Several threads that do the blocks of one kernel call."""

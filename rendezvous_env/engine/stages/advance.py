@@ -1,0 +1,195 @@
+"""The second stage: carry displacements out, with contacts and merges.
+
+Most teams only add. Those in which something can meet in this step, two neighbours or a robot and
+an obstacle, are moved one by one by exact geometry.
+"""
+
+from ...compilation import inner_kernel
+from ...graphs.edge_kinds import arcs_of
+from ...graphs.edges import load_links, store_links
+from ...graphs.merging import merge_swept
+from ...obstacles.contact import IGNORE, move_curved, move_straight
+from ...physics.vectors import load, norm
+from ..memory import (
+    FREE,
+    MERGED,
+    MOVED,
+    RUNNING,
+    Place,
+    in_lanes,
+    lane_count,
+    read,
+    statistics_of,
+    tally_of,
+)
+from ..memory.worlds import world_of
+
+_ROUNDING = 1.0 + 1e-9
+_CLEARANCE = 1e-9  # m; nearer than this to what it could reach, a robot is moved exactly
+
+
+@inner_kernel(inline="text")
+def advance_block(block, setup, state, output, scratch):
+    """Carry out the displacements; teams in which something can meet go one by one."""
+    teams, lanes = state.teams, scratch.block
+    tally, statistics = tally_of(lanes.tally), statistics_of(teams, block.index)
+    lanes.tally[:] = 0.0
+    _mark_near(block, setup, teams, state.obstacles, lanes)
+    for lane in range(block.count):
+        if tally.proximity[lane] != FREE:
+            if statistics.status[lane] == RUNNING:
+                place = Place(block.index, lane, block.first + lane)
+                _advance_exactly(place, setup, state, output.contact, scratch)
+            else:  # nothing meets before an episode's first step or after its last
+                tally.proximity[lane] = FREE
+    for i in range(lanes.action.shape[0]):
+        displacement, position = lanes.displacement[i], teams.positions[block.index, i]
+        _add_displacements(setup.layout, displacement, tally, position)
+
+
+@inner_kernel(inline="text")
+def _add_displacements(layout, displacement, tally, position):
+    """Move one robot of every team that is free, and add up the ways."""
+    for k in range(len(layout.axes)):
+        for lane in range(lane_count(layout.width)):
+            # the others stand at their ends already; a choice, not a branch, keeps the loop SIMD
+            free = tally.proximity[lane] == FREE
+            position[k, lane] += displacement[k, lane] if free else 0.0
+    for lane in range(lane_count(layout.width)):
+        tally.way[lane] += displacement[len(layout.axes), lane]
+
+
+@inner_kernel(inline="code")
+def _mark_near(block, setup, teams, obstacles, lanes):
+    """Mark teams where neighbours start within r + 2 v_max τ, or a robot within v_max τ of an
+    obstacle.
+    """
+    constants, layout = setup.constants, setup.layout
+    tally, statistics = tally_of(lanes.tally), statistics_of(teams, block.index)
+    reach = constants.speed_limit * constants.duration * _ROUNDING
+    square_reach = (constants.merge_radius * _ROUNDING + 2.0 * reach) ** 2
+    for lane in range(lane_count(layout.width)):
+        # as of the last observation, which is of the places where this step begins
+        near = statistics.square_closest[lane] < square_reach
+        tally.proximity[lane] = MOVED if near else FREE
+    if obstacles is not None:
+        if constants.contact_mode != IGNORE:
+            for m in range(lanes.centres.shape[0]):
+                for i in range(lanes.action.shape[0]):
+                    _mark_near_ball(
+                        layout,
+                        teams.positions[block.index, i],
+                        lanes.centres[m],
+                        lanes.bounds[m],
+                        reach + _CLEARANCE,
+                        tally.proximity,
+                    )
+
+
+@inner_kernel(inline="code")
+def _mark_near_ball(layout, position, centre, radius, reach, proximity):
+    """Mark teams in which a robot is within reach of the bounding ball of an obstacle."""
+    if not (in_lanes(position, layout) and in_lanes(centre, layout)):
+        return
+    for lane in range(lane_count(layout.width)):
+        square = 0.0
+        for k in range(len(layout.axes)):
+            offset = centre[k, lane] - position[k, lane]
+            square += offset * offset
+        touch = radius[lane] + reach
+        proximity[lane] = MOVED if square < touch * touch else proximity[lane]
+
+
+@inner_kernel
+def _advance_exactly(place, setup, state, contact, scratch):
+    """Move one team with swept contacts and merges."""
+    d, lane, team, lanes = len(setup.layout.axes), place.lane, scratch.team, scratch.block
+    teams = state.teams
+    for i in range(team.lengths.shape[0]):
+        team.lengths[i] = lanes.displacement[i, d, lane]
+        for k in range(d):
+            team.positions[i, k] = teams.positions[place.block, i, k, lane]
+            team.displacements[i, k] = lanes.displacement[i, k, lane]
+    _stay_outside(place, setup, teams, state.obstacles, contact, scratch)
+    for i in range(team.lengths.shape[0]):
+        # before merging: who is merged away in this step still took part in it, and earns
+        lanes.took_part[lane, i] = teams.merged_into[place.team, i] == i
+        for k in range(d):
+            # what obstacles left, uncut by merges: it is what the robot model learns of the step
+            lanes.displacement[i, k, lane] = team.displacements[i, k]
+    merges = _merge_team(place, setup.constants.merge_radius, state, team)
+    for i in range(team.lengths.shape[0]):
+        lanes.displacement[i, d, lane] = team.lengths[i]
+        for k in range(d):
+            teams.positions[place.block, i, k, lane] = team.positions[i, k]
+    if merges > 0:
+        tally = tally_of(lanes.tally)
+        statistics_of(teams, place.block).active[lane] -= merges
+        tally.proximity[lane] = MERGED
+        tally.lyapunov_before_merge[lane] = team.report[0]
+        tally.lyapunov_after_merge[lane] = team.report[1]
+        tally.merge_rise[lane] = team.report[2]
+        tally.merge_excess[lane] = team.report[3]
+
+
+@inner_kernel
+def _merge_team(place, radius, state, team):
+    """Move the team at hand and merge whom that brings together; number of merges."""
+    count = load_links(place.block, place.lane, state.links, team)
+    team.report[:] = 0.0
+    merges = merge_swept(
+        team.positions,
+        team.displacements,
+        team.lengths,
+        (team.first[:count], team.second[:count], team.weights[:count]),
+        arcs_of(state.links, place.block),
+        state.teams.merged_into[place.team],
+        world_of(state.obstacles, place.team),
+        radius,
+        (team.moments, team.here, team.resting, team.report),
+    )
+    if merges > 0:
+        store_links(place.block, place.lane, count, state.links, team)
+    return merges
+
+
+@inner_kernel
+def _stay_outside(place, setup, teams, obstacles, contact, scratch):
+    """Replace the displacements of the team at hand by those that obstacles leave."""
+    if obstacles is not None:
+        if setup.constants.contact_mode != IGNORE:
+            team, world = scratch.team, world_of(obstacles, place.team)
+            for i in range(team.lengths.shape[0]):
+                if teams.merged_into[place.team, i] != i:
+                    continue
+                curve = _curve_of(i, place, setup, teams, scratch.block.action[i])
+                point, way = load(team.positions[i]), load(team.displacements[i])
+                mode = setup.constants.contact_mode
+                met, executed = _hindered(point, way, curve, curve[3], world, mode, team.normals)
+                for k in range(len(setup.layout.axes)):
+                    team.displacements[i, k] = executed[k]
+                if met:
+                    contact[place.team, i] = True
+                    tally_of(scratch.block.tally).touches[place.lane] += 1.0
+                    # of the chord: the way along a surface is not kept
+                    team.lengths[i] = norm(executed)
+
+
+@inner_kernel(inline="code")
+def _curve_of(i, place, setup, teams, action):
+    """What the way of robot i follows from: model, action, frame, memory."""
+    layout, robot = setup.layout, setup.robot
+    return (
+        robot.model,
+        read(action, place.lane, robot.inputs),
+        read(teams.frames[place.block, i], place.lane, layout.entries),
+        read(teams.memory[place.block, i], place.lane, robot.memories),
+    )
+
+
+@inner_kernel
+def _hindered(point, way, curve, memory, world, mode, normals):
+    if len(memory) == 0:  # a model that keeps nothing goes straight
+        return move_straight(point, way, world, mode, normals)
+    model, action, frame, _ = curve
+    return move_curved(point, way, model, action, frame, memory, world, mode, normals)

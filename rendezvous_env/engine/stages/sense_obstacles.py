@@ -1,0 +1,236 @@
+"""What the robots of a block see of obstacles, and how near they are."""
+
+from typing import Any
+
+import numpy as np
+
+from ...compilation import chosen_by_type, inner_kernel
+from ...graphs.edge_kinds import arcs_of
+from ...graphs.edges import load_links
+from ...obstacles.disc import BALL, disc_edges
+from ...obstacles.obstacle_set import (
+    CENTRE,
+    RADIUS,
+    Balls,
+    distance_to,
+    silhouette_2d,
+    silhouette_3d,
+)
+from ...obstacles.shape import ABSENT
+from ...physics.potential import net_bearings_of_arcs, net_bearings_of_links
+from ...physics.vectors import load, local_axis, to_local
+from ...rewards.terms import CLEARANCE_PENALTY
+from ..memory import Place, SeenDisc, in_lanes, lane_count, read, statistics_of, tally_of, write_row
+from ..memory.worlds import world_of
+
+
+@inner_kernel(inline="code")
+def load_balls(block, layout, obstacles, scratch):
+    """Bring the bounding balls of a block's obstacles into lanes."""
+    if obstacles is not None:
+        for lane in range(block.count):
+            team = block.first + lane
+            for m in range(scratch.centres.shape[0]):
+                kind, radius = obstacles.kinds[team, m], obstacles.shapes[team, m, RADIUS]
+                for k in range(len(layout.axes)):
+                    scratch.centres[m, k, lane] = obstacles.shapes[team, m, CENTRE + k]
+                scratch.bounds[m, lane] = radius if kind != ABSENT else np.nan
+                scratch.radii[m, lane] = radius if kind == BALL else np.nan
+
+
+@inner_kernel(inline="code")
+def sense_obstacles(block, setup, state, obstacles, output, scratch):
+    """Silhouettes, clearances, the least clearance of the episode, and closeness for the reward."""
+    n, constants = state.teams.merged_into.shape[1], setup.constants
+    if obstacles is None:
+        # in one piece: the entries of a table would be filled one by one, without SIMD
+        output.clearance.reshape(-1)[block.first * n : (block.first + block.count) * n] = np.inf
+    else:
+        _see_discs(block, setup, state.teams, output.clearance, scratch.block, setup.layout.axes)
+        _see_others(block, setup, state, obstacles, output.clearance, scratch)
+        tally = tally_of(scratch.block.tally)
+        statistics = statistics_of(state.teams, block.index)
+        weighs = constants.reward_weights[CLEARANCE_PENALTY] != 0.0
+        for lane in range(block.count):
+            least, closeness = statistics.min_clearance[lane], 0.0
+            for i in range(n):
+                clearance = output.clearance[block.first + lane, i]
+                least = min(least, clearance)
+                closeness += max(0.0, 1.0 - clearance / constants.obstacle_range)
+            statistics.min_clearance[lane] = least
+            tally.closeness[lane] = closeness if weighs else 0.0
+
+
+@inner_kernel(inline="code")
+def _first_row(constants, rows):
+    """Place of the first row that shows no neighbour."""
+    return rows.shape[1] - constants.rows + constants.neighbour_slots
+
+
+@inner_kernel(inline="code")
+def _see_discs(block, setup, teams, clearance, scratch, axes):
+    """Discs in the plane, over lanes; what is seen of everything else is nothing after it."""
+    n = teams.merged_into.shape[1]
+    if len(axes) == 2:
+        layout, reach = setup.layout, setup.constants.obstacle_range
+        disc, rows = scratch.disc, scratch.rows
+        seen = SeenDisc(disc[0], disc[1], disc[2, 0], disc[2, 1])
+        for i in range(n):
+            for lane in range(block.count):
+                active = teams.merged_into[block.first + lane, i] == i
+                seen.reach[lane] = reach if active else -np.inf
+            seen.nearest[:] = np.inf
+            position, frame = teams.positions[block.index, i], teams.frames[block.index, i]
+            slot = _first_row(setup.constants, rows)
+            for m in range(scratch.centres.shape[0]):
+                _see_disc(layout, position, scratch.centres[m], scratch.radii[m], seen)
+                _turn_into(layout, seen.left, frame, rows[i, slot])
+                _turn_into(layout, seen.right, frame, rows[i, slot + 1])
+                slot += 2
+            for lane in range(block.count):
+                active = seen.reach[lane] >= 0.0
+                clearance[block.first + lane, i] = seen.nearest[lane] if active else np.inf
+    else:
+        for lane in range(block.count):
+            for i in range(n):
+                clearance[block.first + lane, i] = np.inf
+
+
+@inner_kernel(inline="code")
+def _see_disc(layout, position, centre, radius, seen):
+    """Bearings of the two edges of a disc in the global frame, zero where it is not seen.
+
+    Args:
+        layout: of the memory.
+        position: (2, L), m.
+        centre: (2, L), m.
+        radius: (L,), m; NaN where there is none.
+        seen: a SeenDisc.
+    """
+    if not (
+        in_lanes(position, layout)
+        and in_lanes(centre, layout)
+        and in_lanes(seen.left, layout)
+        and in_lanes(seen.right, layout)
+    ):
+        return
+    for lane in range(lane_count(layout.width)):
+        ax, ay, bx, by, distance = disc_edges(
+            centre[0, lane] - position[0, lane], centre[1, lane] - position[1, lane], radius[lane]
+        )
+        gap = distance - radius[lane]
+        near = gap <= seen.reach[lane]
+        seen.nearest[lane] = gap if gap < seen.nearest[lane] else seen.nearest[lane]
+        seen.left[0, lane] = ax if near else 0.0
+        seen.left[1, lane] = ay if near else 0.0
+        seen.right[0, lane] = bx if near else 0.0
+        seen.right[1, lane] = by if near else 0.0
+
+
+@inner_kernel(inline="code")
+def _turn_into(layout, bearing, frame, row):
+    """Write bearings of the plane into a row of observations, in the robots' own frames."""
+    if not (in_lanes(bearing, layout) and in_lanes(frame, layout)):
+        return
+    for lane in range(lane_count(layout.width)):
+        local = to_local(read(frame, lane, layout.entries), read(bearing, lane, layout.axes))
+        write_row((local[0] + 0.0, local[1] + 0.0), row, lane)
+
+
+# ---- what no lane function does -----------------------------------------------------------------
+
+
+def _see_others(
+    block: Any, setup: Any, state: Any, obstacles: Any, clearance: Any, scratch: Any
+) -> None:
+    if len(setup.layout.axes) == 3 or not isinstance(obstacles, Balls):
+        _see_one_by_one(block, setup, state, obstacles, clearance, scratch)
+
+
+@inner_kernel(inline="code")
+def _see_no_others(block, setup, state, obstacles, clearance, scratch):
+    pass
+
+
+@chosen_by_type(_see_others)
+def _compiled_see_others(block, setup, state, obstacles, clearance, scratch):
+    layout = setup.types[setup.fields.index("layout")]
+    axes = layout.types[layout.fields.index("axes")]
+    only_discs = axes.count == 2 and obstacles.instance_class is Balls
+    chosen = _see_no_others if only_discs else _see_one_by_one
+    return lambda block, setup, state, obstacles, clearance, scratch: chosen(
+        block, setup, state, obstacles, clearance, scratch
+    )
+
+
+@inner_kernel
+def _see_one_by_one(block, setup, state, obstacles, clearance, scratch):
+    """Polygons and capsules of the plane, and everything in space."""
+    d, team, teams = len(setup.layout.axes), scratch.team, state.teams
+    for lane in range(block.count):
+        place = Place(block.index, lane, block.first + lane)
+        world = world_of(obstacles, place.team)
+        if d == 2 and _only_discs(world):
+            continue
+        for i in range(team.lengths.shape[0]):
+            for k in range(d):
+                team.positions[i, k] = teams.positions[block.index, i, k, lane]
+        if d == 3:
+            found = load_links(block.index, lane, state.links, team)
+            listed = (team.first[:found], team.second[:found], team.weights[:found])
+            _net_bearings(team.positions, listed, arcs_of(state.links, block.index), team.here)
+        for i in range(team.lengths.shape[0]):
+            _see_all(i, place, setup, teams, world, clearance, scratch, setup.layout.axes)
+
+
+@inner_kernel(inline="code")
+def _net_bearings(positions, listed, arcs, out):
+    if arcs is not None:
+        net_bearings_of_arcs(positions, arcs.weights, out)
+    else:
+        net_bearings_of_links(positions, listed, out)
+
+
+@inner_kernel
+def _only_discs(world):
+    for m in range(world.kinds.shape[0]):
+        if world.kinds[m] > BALL:
+            return False
+    return True
+
+
+@inner_kernel
+def _see_all(i, place, setup, teams, world, clearance, scratch, axes):
+    """All obstacles of one robot that ``_see_discs`` leaves out."""
+    team, rows, points = place.team, scratch.block.rows, scratch.team.silhouette
+    point, active = load(scratch.team.positions[i]), teams.merged_into[place.team, i] == i
+    frame = read(teams.frames[place.block, i], place.lane, setup.layout.entries)
+    for m in range(world.kinds.shape[0]):
+        if len(axes) == 2:
+            if world.kinds[m] <= BALL:
+                continue
+        distance = distance_to(world, m, point) if active else np.inf
+        clearance[team, i] = min(clearance[team, i], distance)
+        seen = distance <= setup.constants.obstacle_range
+        if seen:
+            if len(axes) == 2:
+                silhouette_2d(world, m, point, points)
+            else:
+                f = load(scratch.team.here[i])
+                x, y = local_axis(frame, 0), local_axis(frame, 1)
+                silhouette_3d(world, m, point, f, x, y, points)
+        first = _first_row(setup.constants, rows) + m * points.shape[0]
+        _store_silhouette(place.lane, seen, frame, points, rows[i, first:])
+
+
+@inner_kernel
+def _store_silhouette(lane, seen, frame, points, rows):
+    """Turn silhouette bearings into the local frame; an obstacle that is not seen is zero."""
+    d = points.shape[1]
+    for s in range(points.shape[0]):
+        for axis in range(d):
+            along = 0.0
+            if seen:
+                for k in range(d):
+                    along += frame[k * d + axis] * points[s, k]
+            rows[s, d * lane + axis] = along

@@ -1,0 +1,178 @@
+"""One step of many teams: propose → contact → merge → turn → sense → conclude, block by block."""
+
+import numpy as np
+
+from ...compilation import inner_kernel, kernel
+from ...outcome import StepOutput
+from ..memory import (
+    STATISTICS,
+    BatchState,
+    Block,
+    BlockScratch,
+    Constants,
+    Scratch,
+    Setup,
+    Tally,
+    Teams,
+    TeamScratch,
+    lane_count,
+    pair_of,
+    statistics_of,
+)
+from .advance import advance_block
+from .conclude import conclude_block
+from .propose import bring_frames_up, load_actions, propose_block, turn_block
+from .sense import sense_block
+from .sense_obstacles import load_balls
+
+_EXPONENT = np.uint32(0x7F800000)
+"""The exponent bits of a float32."""
+_N_STATISTICS, _N_TALLY = len(STATISTICS), len(Tally._fields)
+
+
+@kernel
+def step_blocks(part, moves, blocks, setup, sensor, state, actions, output, scratch):
+    """One step of the blocks of a part; finished teams stand still and earn nothing.
+
+    Args:
+        part: this thread's part, see threads.py.
+        moves: whether time passes; if not, the teams are only observed as they are, and frames and
+            V are brought up to date.
+        blocks: indices of the blocks to do.
+        setup: layout, constants (the fields of Constants) and robot.
+        sensor: one that is not exact, or None.
+        state: the fields of Teams; links of a kind of ``edge_kinds``; Balls or Shapes with a
+            leading axis B, None without obstacles.
+        actions: (B, n, a) finite float32, of all teams.
+        output: the fields of StepOutput.
+        scratch: the fields of BlockScratch and of TeamScratch, with a leading axis for the threads.
+    """
+    # plain tuples cross the border from Python twice as fast as named ones
+    thread = part[2]
+    setup = Setup(setup[0], Constants(*setup[1]), setup[2])
+    state = BatchState(Teams(*state[0]), state[1], state[2])
+    output = StepOutput(*output)
+    own = Scratch(
+        _block_scratch(BlockScratch(*scratch[0]), thread),
+        _team_scratch(TeamScratch(*scratch[1]), thread),
+    )
+    if not _is_laid_out(setup, state.teams, own.block):
+        return
+    for k in range(part[0], part[1]):
+        _step_block(blocks[k], moves, setup, sensor, state, actions, output, own)
+
+
+@inner_kernel(inline="code")
+def _is_laid_out(setup, teams, scratch):
+    """Whether arrays are as long as they must be. They are; behind this question the compiler
+    knows it too, see memory.py.
+    """
+    layout, robot = setup.layout, setup.robot
+    lanes, d = lane_count(layout.width), len(layout.axes)
+    parts = 1 if d == 2 else d
+    return (
+        teams.positions.shape[2] == d
+        and teams.positions.shape[3] == lanes
+        and teams.frames.shape[2] == len(layout.entries)
+        and teams.frames.shape[3] == lanes
+        and teams.memory.shape[2] == len(robot.memories)
+        and teams.memory.shape[3] == lanes
+        and teams.statistics.shape[1] == _N_STATISTICS
+        and teams.statistics.shape[2] == lanes
+        and scratch.action.shape[1] == len(robot.inputs)
+        and scratch.action.shape[2] == lanes
+        and scratch.displacement.shape[1] == d + 1
+        and scratch.displacement.shape[2] == lanes
+        and scratch.tally.shape[0] == _N_TALLY
+        and scratch.tally.shape[1] == lanes
+        and scratch.pair.shape[0] == d + 4
+        and scratch.pair.shape[1] == lanes
+        and scratch.rows.shape[2] == lanes * d
+        and scratch.whole_rows.shape[1] == lanes * parts
+        and scratch.centres.shape[1] == d
+        and scratch.centres.shape[2] == lanes
+        and scratch.bounds.shape[1] == lanes
+        and scratch.radii.shape[1] == lanes
+        and scratch.disc.shape[0] == 3
+        and scratch.disc.shape[1] == 2
+        and scratch.disc.shape[2] == lanes
+    )
+
+
+@inner_kernel(inline="text")
+def _step_block(index, moves, setup, sensor, state, actions, output, scratch):
+    """Propose → contact → merge → turn → sense → conclude."""
+    lanes, teams, robot = lane_count(setup.layout.width), state.teams, setup.robot
+    first = index * lanes
+    block = Block(index, first, min(lanes, len(actions) - first))
+    load_balls(block, setup.layout, state.obstacles, scratch.block)
+    if moves:
+        load_actions(block, teams, actions, scratch.block.action)
+        propose_block(block, setup, teams, scratch.block)
+        advance_block(block, setup, state, output, scratch)
+        turn_block(block, setup, robot.memories, teams, output.contact, scratch.block)
+    else:
+        bring_frames_up(block, setup, robot.memories, teams)
+    sense_block(block, setup, sensor, moves, state, output, scratch)
+    if moves:
+        conclude_block(block, setup, teams, output, scratch.block)
+    else:
+        # each pair was seen once, and V counts each edge twice
+        found = pair_of(scratch.block.pair, setup.layout.axes)
+        lyapunov = statistics_of(teams, index).lyapunov
+        for lane in range(lanes):
+            lyapunov[lane] = 2.0 * found.half_lyapunov[lane]
+
+
+@inner_kernel(inline="text")
+def _block_scratch(threads, thread):
+    """One thread's working memory for a block."""
+    return BlockScratch(
+        threads.action[thread],
+        threads.displacement[thread],
+        threads.tally[thread],
+        threads.took_part[thread],
+        threads.pair[thread],
+        threads.rows[thread],
+        threads.whole_rows[thread],
+        threads.centres[thread],
+        threads.bounds[thread],
+        threads.radii[thread],
+        threads.disc[thread],
+    )
+
+
+@inner_kernel(inline="text")
+def _team_scratch(threads, thread):
+    """One thread's working memory for a team."""
+    return TeamScratch(
+        threads.positions[thread],
+        threads.displacements[thread],
+        threads.here[thread],
+        threads.lengths[thread],
+        threads.resting[thread],
+        threads.first[thread],
+        threads.second[thread],
+        threads.weights[thread],
+        threads.moments[thread],
+        threads.counts[thread],
+        threads.normals[thread],
+        threads.silhouette[thread],
+        threads.report[thread],
+    )
+
+
+@kernel
+def first_not_finite(values):
+    """Index of the first number whose exponent bits are all set (infinite or NaN), or −1."""
+    # a maximum has no branch and becomes SIMD; the place is looked for only if there is one
+    bits = values.view(np.uint32)
+    largest = np.uint32(0)
+    for k in range(bits.shape[0]):
+        largest = max(largest, bits[k] & _EXPONENT)
+    if largest < _EXPONENT:
+        return -1
+    k = 0
+    while bits[k] & _EXPONENT < _EXPONENT:
+        k += 1
+    return k

@@ -1,0 +1,228 @@
+"""Threads for kernels that release the interpreter lock: each does one slice of the batch.
+
+Python's signals reach the caller's thread alone. So it is other threads that do the slices, while
+the caller waits: what Ctrl-C interrupts is that wait, and a step is one for all teams or for none.
+"""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from collections.abc import Callable, Iterator
+from functools import lru_cache
+from itertools import count
+from pathlib import Path, PurePosixPath
+from queue import SimpleQueue
+from typing import Any
+
+from ..compilation import compiled, inner_kernel
+
+Part = tuple[int, int, int]
+"""One thread's part of a kernel's work: its first block, the one after its last, and which of the
+threads it is, from 0 on."""
+
+
+def part_of_all(blocks: int) -> Part:
+    """The part of a thread that does all blocks alone."""
+    return 0, blocks, 0
+
+
+@inner_kernel(inline="text")
+def each_block(part, work, arguments):
+    """Do the blocks of a part: ``work(block, arguments)`` for each.
+
+    Args:
+        part: a Part.
+        work: an unfolded kernel.
+        arguments: a tuple.
+    """
+    for block in range(part[0], part[1]):
+        work(block, arguments)
+
+
+def share(run_kernel: Callable[[Part], Any], blocks: int, most: int) -> None:
+    """Let a kernel do many blocks, cut into slices for up to ``most`` threads.
+
+    Args:
+        run_kernel: calls a kernel with the part that it is given.
+        blocks: how many.
+        most: threads; one is the caller's own.
+
+    Raises:
+        BaseException: what the kernel raised, or what interrupted the caller (Ctrl-C). No thread
+            works on any block then, and unless a kernel has failed all are done or none.
+    """
+    if most == 1 or not compiled():
+        run_kernel(part_of_all(blocks))
+        return
+    cuts = [blocks * k // most for k in range(most + 1)]
+    job = _Job(run_kernel, list(zip(cuts, cuts[1:], range(most), strict=False)))
+    _ensure_workers(most)
+    try:
+        for _ in range(most):
+            _jobs.put(job)
+        job.wait()
+    except BaseException:
+        job.settle()
+        raise
+    if job.errors:
+        raise job.errors[0]
+
+
+class _Job:
+    """One call of ``share``."""
+
+    def __init__(self, run_kernel: Callable[[Part], Any], parts: list[Part]) -> None:
+        self._run_kernel, self._parts = run_kernel, parts
+        self._next, self._ended = count(), count(1)  # to take the next number is indivisible
+        self._beginning = threading.Lock()
+        self._begun = self._called_off = self._over = False
+        self._all_done = threading.Lock()
+        self._all_done.acquire()
+        self.errors: list[BaseException] = []
+
+    def help(self) -> None:
+        """Do parts that nobody has taken yet, unless the job was called off before it began."""
+        with self._beginning:
+            self._begun = not self._called_off or self._begun
+        while self._begun and (k := next(self._next)) < len(self._parts):
+            try:
+                self._run_kernel(self._parts[k])
+            except BaseException as error:
+                self.errors.append(error)
+            if next(self._ended) == len(self._parts):
+                self._run_kernel = _nothing  # a thread that wakes late keeps no arrays alive
+                self._over = True
+                self._all_done.release()
+
+    def wait(self) -> None:
+        """Wait for its end."""
+        self._all_done.acquire()
+
+    def settle(self) -> None:
+        """Call the job off, or wait for its end if it has begun; interrupts are put off."""
+        while True:
+            try:
+                self._called_off = True
+                while self._beginning.locked():  # from here on nobody begins it
+                    time.sleep(0)
+                while self._begun and not self._over:
+                    time.sleep(1e-4)
+                return
+            except KeyboardInterrupt:  # the first one leaves soon
+                continue
+
+
+def _nothing(_: Part) -> None:
+    pass
+
+
+_jobs: SimpleQueue[_Job] = SimpleQueue()
+_workers: list[threading.Thread] = []
+_workers_lock = threading.Lock()
+
+
+def _ensure_workers(wanted: int) -> None:
+    if len(_workers) >= wanted:
+        return
+    with _workers_lock:
+        while len(_workers) < wanted:
+            worker = threading.Thread(target=_serve, args=(_jobs,), name="rendezvous", daemon=True)
+            worker.start()
+            _workers.append(worker)
+
+
+def _serve(jobs: SimpleQueue[_Job]) -> None:
+    while True:
+        jobs.get().help()
+
+
+def _forget_workers() -> None:
+    """A forked child has none of its parent's threads."""
+    global _jobs, _workers_lock
+    _jobs, _workers_lock = SimpleQueue(), threading.Lock()
+    _workers.clear()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_forget_workers)
+
+
+# ---- how many ----------------------------------------------------------------------------------
+
+
+def most_threads(asked: int | None) -> int:
+    """As many threads as were asked for, or one for each core."""
+    return available_cores() if asked is None else asked
+
+
+def available_cores() -> int:
+    """Cores that this process may run on, and no more than its container's quota of processor time
+    or NUMBA_NUM_THREADS, by which a process that is one of many is told to keep to its share.
+
+    A part of a core is not counted.
+    """
+    affine = (
+        len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    )
+    return max(1, int(min(affine, cpu_quota(), _granted())))
+
+
+def _granted() -> float:
+    """What the user's environment grants; inf without a number there."""
+    share = os.environ.get("NUMBA_NUM_THREADS", "")
+    return int(share) if share.isdecimal() and int(share) else float("inf")
+
+
+@lru_cache
+def cpu_quota(root: Path = Path("/")) -> float:
+    """Cores' worth of processor time that the control groups of this process grant.
+
+    Args:
+        root: of the file system.
+
+    Returns:
+        The least of all groups that it is in; inf without control groups.
+    """
+    return min(_quotas(root), default=float("inf"))
+
+
+def _quotas(root: Path) -> Iterator[float]:
+    for line in _read(root / "proc/self/cgroup").splitlines():
+        number, _, rest = line.partition(":")
+        controllers, _, path = rest.partition(":")
+        if number == "0" and not controllers:  # version 2
+            for folder in _upwards(root / "sys/fs/cgroup", path):
+                yield from _share(_read(folder / "cpu.max").split())
+        elif "cpu" in controllers.split(","):  # version 1
+            for mount in (controllers, "cpu"):
+                for folder in _upwards(root / "sys/fs/cgroup" / mount, path):
+                    files = folder / "cpu.cfs_quota_us", folder / "cpu.cfs_period_us"
+                    yield from _share([word for file in files for word in _read(file).split()])
+
+
+def _upwards(mount: Path, path: str) -> Iterator[Path]:
+    """A group and those it is in; a container may see its own as the outermost one."""
+    within = PurePosixPath(path.lstrip("/"))
+    if ".." not in within.parts:
+        yield from (mount / folder for folder in (within, *within.parents))
+    else:
+        yield mount
+
+
+def _share(words: list[str]) -> Iterator[float]:
+    """Quota over period; nothing where there is no limit ("max", or −1) or no such file."""
+    try:
+        quota, period = map(float, words)
+    except ValueError:
+        return
+    if quota > 0 and period > 0:
+        yield quota / period
+
+
+def _read(file: Path) -> str:
+    try:
+        return file.read_text(encoding="ascii")
+    except (OSError, UnicodeDecodeError):
+        return ""

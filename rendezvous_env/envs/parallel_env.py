@@ -1,0 +1,281 @@
+"""PettingZoo's parallel environment: dicts around a Simulator with one team."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from gymnasium.spaces import Box
+from numpy.typing import NDArray
+from pettingzoo.utils.env import ParallelEnv
+
+from ..checks import flag
+from ..render.renderer import RENDER_MODES, Renderer, render_metadata
+from ..scenario.scenario import Scenario
+from ..simulator import Simulator
+from .agents import (
+    Infos,
+    Observations,
+    StepReturn,
+    check_robots,
+    check_state,
+    infos_of_start,
+    names_of,
+    table_of,
+    tell,
+)
+from .spaces import action_box, as_told, observation_box, state_box, team_state
+
+
+class RendezvousParallelEnv(ParallelEnv[str, NDArray[np.float32], NDArray[np.float32]]):
+    """Robots that see only directions must all meet.
+
+    ## Description
+
+    ``n`` robots move in the plane or in space. Each one sees in which direction its neighbours and
+    the edges of near obstacles lie, in its own frame, and never how far. Neighbours that come
+    within ``merge_radius`` become one robot; when one is left, the team has met. After Zhao and
+    Zheng,
+    *Flexible Bearing-Only Rendezvous Control of Mobile Robots* (2017).
+
+    ## Agents
+
+    ``robot_0`` … ``robot_{n-1}``. When robots i < j merge, ``robot_i`` goes on and ``robot_j``
+    ends; with ``on_merge="follow"`` it stays instead, with zero observations and without effect,
+    and earns the team reward.
+
+    ## Action space
+
+    ``Box(a,)``, float32, in the robot's own frame; symmetric bounds, the same for all robots.
+
+    | robot model       | numbers        | unit       | bound |
+    |-------------------|----------------|------------|--------------------------------------------|
+    | single integrator | velocity (d,)  | m/s        | v_max; norm limited, direction kept |
+    | double integrator | accel. (d,)    | m/s²       | a_max, direction kept; speed within v_max |
+    | unicycle          | v, ω           | m/s, rad/s | v_max, turn limit; each clipped |
+    | nonholonomic 3-D  | v, ω_α, ω_β    | m/s, rad/s | v_max, 10× turn limit, turn limit; clipped |
+
+    v_max is ``max_speed``, the turn limit ``max_turn_rate``; None of either is D̄, the largest sum
+    of gains that a robot can have. a_max is ``max_acceleration``; None is v_max per 0.25 s. Inputs
+    are held over a step τ and integrated exactly.
+
+    ## Observation space
+
+    ``Box(rows, d)``, float32, one row a direction in the robot's own frame; an absent row is zero.
+
+    | rows                   | what                                                    | length |
+    |------------------------|---------------------------------------------------------|--------|
+    | K                      | a_ij g_ij to the neighbours in index order; sum: f_i    | a_ij   |
+    | M × 2 (2-D), × 8 (3-D) | silhouette bearings of obstacles in ``obstacle_range``  | 1      |
+    | 1 (3-D nonholonomic)   | direction of gravity, (−sin β, 0, −cos β)               | 1      |
+    | 1 (double integrator)  | its own velocity, m/s                                   | speed  |
+
+    K is the most neighbours that a robot can have in an episode, merges included: 2 on a path or
+    cycle, n − 1 in general, where each other robot has its own row; with fewer the neighbours that
+    are there stand first. A smaller ``neighbour_slots`` may be given. With ``flatten`` the rows
+    stand one after another, ``Box(rows·d,)``.
+    In 2-D an obstacle's rows are its counter-clockwise and clockwise edge; in 3-D the rays of its
+    cone at 8 azimuths. ``scenario.observation_layout`` names the rows. Frames are a random fixed
+    rotation for each single and double integrator, the body frame (x = heading, y = left) for the
+    other models.
+
+    ## Reward
+
+    Every robot gets the team reward: progress (V_t − V_{t+1})/V_0, which adds up to at most 1,
+    minus ``time_penalty``·τ/time limit, minus ``collision_penalty`` for each robot in contact,
+    minus ``clearance_penalty``·max(0, 1 − clearance/``obstacle_range``) for each robot (its weight
+    is 0 unless given), plus ``rendezvous_bonus`` when all have met. With the default weights an
+    episode earns at most 2. On a graph that stays as it is, V rises by at most 2 v_max τ A in a
+    step, A = Σ_ij a_ij, since no robot is faster, and by 2 r D̄ at a merge (theory 5). So with the
+    weights w₁ … w₄ in the order above, without ``clearance_penalty``,
+
+    * a step with m merges, of N in an episode, earns at least
+      −w₁ (2 v_max τ A + 2 r D̄ m)/V_0 − w₂/N − w₃ n;
+    * an episode of at most N steps at least −w₁ (2 v_max τ N A + 2 r D̄ (n − 1))/V_0 − w₂ − w₃ n N.
+
+    Under ``HeadingVectorWrapper`` V rises at merges only while nobody touches an obstacle: the
+    terms of v_max and w₃ are 0.
+
+    ## Start
+
+    Drawn from the seed: uniform in a box of edge ``spawn_size``, neighbours at least 2r apart,
+    clear of obstacles; frames and yaw uniform, pitch within ±45°. ``reset(options=…)`` takes any
+    part as given: "positions" (n, d), "headings" (n,) or (n, 2), "frames" (n, d, d), "weights" (n,
+    n), "obstacles".
+
+    ## End
+
+    Terminated: all robots have met; a merged-away robot, once, with the team reward and a zero
+    observation. Truncated: the time limit, ``max_cycles`` steps.
+
+    ## Infos
+
+    The same numbers in every step, at the start too:
+
+    | key | |
+    |---|---|
+    | merged_into | index of the robot that it is now part of; its own while it is on its own |
+    | contact | whether it touched an obstacle in this step |
+    | clearance | m to the nearest obstacle, inf without any |
+    | success | whether all robots of the team have met |
+    | time | s since the start of the episode |
+    | contacts | of the team so far, one for each robot and step |
+    | path_length | way of all robots of the team together so far, m |
+    | lyapunov | V, m²/s |
+
+    After the last step also ``summary``: the last five once more.
+
+    ``state()`` is the privileged global state for centralised critics; ``simulator`` holds it in SI
+    units.
+
+    ## Pictures
+
+    ``render_mode="rgb_array"``: ``render()`` gives a picture (600, 600, 3) uint8; no screen is
+    needed. ``"human"``: a window that follows every step in real time; space pauses, the right
+    arrow or s makes one step, escape or q closes it and the episode goes on unseen.
+    ``drawing.renderer.Renderer`` says what is drawn. Both need the extra ``render``; without a mode
+    nothing is kept and nothing is loaded. ``metadata["render_fps"]`` is 1/τ: real time.
+
+    ## Version history
+
+    * v0: first version.
+    """
+
+    metadata: dict[str, Any] = {  # noqa: RUF012 - PettingZoo reads a plain class attribute
+        "name": "rendezvous_v0",
+        "render_modes": RENDER_MODES,
+        "is_parallelizable": True,
+    }
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        render_mode: str | None = None,
+        max_cycles: int | None = None,
+        flatten: bool = False,
+    ) -> None:
+        self.scenario = scenario
+        self.simulator = Simulator(scenario)
+        if max_cycles is not None:
+            self.simulator.set_max_steps(max_cycles)
+        self.renderer = Renderer(self.simulator, render_mode)
+        self.render_mode = render_mode
+        self.metadata = self.metadata | render_metadata(self.simulator)
+        self.possible_agents = names_of(scenario.n_robots)
+        self.agents: list[str] = []
+        self.flatten, names = flag("flatten", flatten), self.possible_agents
+        self.observation_spaces = {name: observation_box(scenario, flatten) for name in names}
+        self.action_spaces = {name: action_box(scenario) for name in names}
+        self.state_space = state_box(scenario)
+        self._indices = {name: i for i, name in enumerate(self.possible_agents)}
+
+    @property
+    def max_cycles(self) -> int:
+        """Time limit in steps; may be set at any time."""
+        return self.simulator.max_steps
+
+    @max_cycles.setter
+    def max_cycles(self, value: int) -> None:
+        self.simulator.set_max_steps(value)
+
+    def observation_space(self, agent: str) -> Box:
+        """The space of one robot's observations; the same object each time."""
+        return self.observation_spaces[agent]
+
+    def action_space(self, agent: str) -> Box:
+        """The space of one robot's actions; the same object each time."""
+        return self.action_spaces[agent]
+
+    def reset(
+        self, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observations, Infos]:
+        """Begin an episode: the first of a seed, or without one the next.
+
+        Args:
+            seed: whole number; the same seed gives the same episodes.
+            options: given parts of the start, see the class.
+
+        Raises:
+            ValueError: for a bad option; nothing has changed then.
+        """
+        observations = as_told(self.simulator.reset(seed, options)[0], self.flatten)
+        self.agents = self.possible_agents.copy()
+        self.renderer.reset()
+        infos = infos_of_start(self.agents, self.simulator)
+        return dict(zip(self.agents, observations, strict=True)), infos
+
+    def step(self, actions: Mapping[str, Any]) -> StepReturn:
+        """Advance by one step τ.
+
+        Args:
+            actions: one for each robot in ``agents``.
+
+        Returns:
+            Observations, rewards, terminations, truncations and infos of the robots that were alive
+            at the start of the step.
+
+        Raises:
+            KeyError: for a missing, unknown or merged-away robot; nothing has changed then.
+            ValueError: for an action of the wrong shape, or one that is not finite; likewise.
+            RuntimeError: before the first reset.
+        """
+        if not self.simulator.begun:
+            raise RuntimeError("call reset() before step()")
+        if not self.agents and isinstance(actions, Mapping) and not actions:
+            return {}, {}, {}, {}, {}
+        outcome = self.simulator.step(table_of(actions, self.agents, self.simulator))
+        self.renderer.see(outcome.contact)
+        observations = as_told(outcome.observations[0], self.flatten)
+        told, self.agents = tell(
+            observations, outcome, self.simulator, self.possible_agents, self.agents
+        )
+        return told
+
+    def state(self) -> NDArray[np.float32]:
+        """The privileged global state, one float32 vector.
+
+        Positions (n·d, m), frames (n·d·d), weights (n·n, m/s), active (n, 0 or 1), packed obstacles
+        (M·width), and the share of the time limit that has passed.
+        """
+        return team_state(self.simulator)[0]
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """A picture, (600, 600, 3) uint8, in "rgb_array" mode; in "human" mode it is shown.
+
+        Raises:
+            RuntimeError: before the first reset, or where no window can be opened.
+            ImportError: without the extra ``render``.
+        """
+        return self.renderer.render()
+
+    def close(self) -> None:
+        """Close the window, if there is one."""
+        self.renderer.close()
+
+    def index(self, name: str) -> int:
+        """Index of a robot by its name."""
+        return self._indices[name]
+
+    def get_state(self) -> dict[str, Any]:
+        """The running episode as copies; ``set_state`` puts it back."""
+        return {"agents": self.agents.copy(), "simulator": self.simulator.get_state()}
+
+    def set_state(self, state: Mapping[str, Any]) -> None:
+        """Put back an episode that ``get_state`` took out.
+
+        Raises:
+            ValueError: naming what does not fit; nothing has changed then.
+        """
+        teams, alive = check_state(state, self.simulator)
+        self.simulator.set_state(teams)
+        self.agents = alive
+
+    def check_robots(self, actions: Mapping[str, Any]) -> None:
+        """Refuse actions that are not for exactly the robots alive.
+
+        Raises:
+            KeyError: naming the robot that is missing, unknown or gone.
+            ValueError: if they are no dict.
+        """
+        check_robots(actions, self.agents, self.simulator.merged_into[0])

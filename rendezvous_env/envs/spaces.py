@@ -1,0 +1,113 @@
+"""Gymnasium spaces of a scenario, and the privileged global state. One place, used by every
+environment.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from gymnasium.spaces import Box, Discrete, MultiDiscrete, Space
+from numpy.typing import NDArray
+
+from ..obstacles.parsing import row_width
+from ..safety.safety_filter import SafetyFilter
+from ..scenario.scenario import Scenario
+from ..simulator import Simulator
+
+
+def observation_bounds(scenario: Scenario) -> NDArray[np.float32]:
+    """Symmetric bound on every number of an observation, (rows, d): D̄ for neighbours, 1 for the
+    rest.
+    """
+    layout = scenario.observation_layout
+    bounds = np.ones(layout.shape)
+    bounds[layout.neighbours] = max(scenario.max_degree, 1e-6)
+    bounds[layout.velocity] = scenario.speed_limit
+    return np.nextafter(bounds.astype(np.float32), np.float32(np.inf))
+
+
+def action_bounds(scenario: Scenario) -> NDArray[np.float32]:
+    """Symmetric bound on every number of an action, (a,)."""
+    return scenario.action_bounds.astype(np.float32)
+
+
+def as_told(rows: NDArray[np.float32], flatten: bool) -> NDArray[np.float32]:
+    """Rows (..., rows, d), or with ``flatten`` (..., rows·d): row by row, a view."""
+    return rows.reshape(*rows.shape[:-2], -1) if flatten else rows
+
+
+def observation_box(scenario: Scenario, flatten: bool = False) -> Box:
+    """Space of one robot's observations."""
+    bounds = as_told(observation_bounds(scenario), flatten)
+    return Box(-bounds, bounds, dtype=np.float32)
+
+
+def action_box(scenario: Scenario) -> Box:
+    """Space of one robot's actions."""
+    bounds = action_bounds(scenario)
+    return Box(-bounds, bounds, dtype=np.float32)
+
+
+def choice_box(action_filter: SafetyFilter) -> Box:
+    """Space of what a policy chooses for one robot, in units of the largest."""
+    return Box(action_filter.lowest_choice, 1.0, (action_filter.action_size,), dtype=np.float32)
+
+
+def filtered_observation_box(action_filter: SafetyFilter, flatten: bool = False) -> Box:
+    """Space of one robot's observations as a filter shows them: a turned row keeps only its
+    length, and the level of a tank has no bound.
+    """
+    bounds = observation_bounds(action_filter.scenario)
+    if action_filter.along_net_bearing:
+        bounds = bounds * np.float32(1.0 + 1e-6)
+    if action_filter.observes_level:
+        level = np.ones((1, bounds.shape[1]), dtype=np.float32)
+        level[0, 0] = np.finfo(np.float32).max
+        bounds = np.concatenate([bounds, level])
+    bounds = as_told(bounds, flatten)
+    return Box(-bounds, bounds, dtype=np.float32)
+
+
+def team_box(robot: Box, n: int) -> Box:
+    """Space of a team of n robots that all have the same one, (n, ...)."""
+    low, high = (np.broadcast_to(bound, (n, *robot.shape)) for bound in (robot.low, robot.high))
+    return Box(low, high, dtype=np.float32)
+
+
+def of_one_robot(space: Space[Any]) -> Box | Discrete:
+    """The space of one robot from that of a team of equal ones."""
+    if isinstance(space, MultiDiscrete):
+        return Discrete(int(space.nvec[0]))
+    assert isinstance(space, Box)
+    return Box(space.low[0], space.high[0], dtype=np.float32)
+
+
+def state_box(scenario: Scenario) -> Box:
+    """Space of ``team_state``: any finite float32."""
+    largest = float(np.finfo(np.float32).max)
+    return Box(-largest, largest, (_state_size(scenario),), dtype=np.float32)
+
+
+def team_state(simulator: Simulator) -> NDArray[np.float32]:
+    """The privileged global state of every team, (B, …) float32.
+
+    Positions (n·d, m), frames (n·d·d), weights (n·n, m/s), active (n), packed obstacles (M·width),
+    and the share of the time limit that has passed.
+    """
+    parts = (
+        simulator.positions,
+        simulator.frames,
+        simulator.weights,
+        simulator.active,
+        simulator.obstacles,
+        (simulator.steps / simulator.max_steps)[:, None],
+    )
+    batch = simulator.num_envs
+    return np.concatenate([part.reshape(batch, -1) for part in parts], axis=1).astype(np.float32)
+
+
+def _state_size(scenario: Scenario) -> int:
+    n, d = scenario.n_robots, scenario.dim
+    obstacles = scenario.observation_layout.obstacle_slots * row_width(scenario.obstacles)
+    return n * d + n * d * d + n * n + n + obstacles + 1

@@ -1,0 +1,363 @@
+"""Teams to train in, made from a scenario, a guarantee and a few options."""
+
+from __future__ import annotations
+
+import inspect
+import logging
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Protocol
+
+import gymnasium
+import numpy as np
+from gymnasium.vector import AutoresetMode
+from numpy.typing import ArrayLike, NDArray
+
+from ..checks import choice, flag, number, refuse
+from ..engine.state_checks import check_entries, check_keys
+from ..rewards.terms import RewardWeights
+from ..safety.safety_filter import FILTERS
+from ..safety.theorems.certificate import certificate
+from ..scenario.scenario import Scenario
+from ..scenario.scenarios import ScenarioLike, resolve
+from ..scenario.start_options import as_options
+from ..simulator import Simulator
+from .gymnasium_env import make_vec
+from .overrides import sorted_overrides
+from .vector_env import Info, RendezvousVectorEnv, Transition
+from .vector_wrappers import (
+    EnergyTankWrapper,
+    GainWrapper,
+    GuaranteeWrapper,
+    HeadingVectorWrapper,
+    LinkKeepingWrapper,
+)
+
+WRAPPERS: dict[str, Any] = {
+    "heading": HeadingVectorWrapper,
+    "tank": EnergyTankWrapper,
+    "gains": GainWrapper,
+    "links": LinkKeepingWrapper,
+}
+"""By guarantee: theorems C, D, G and R."""
+_LOGGER = logging.getLogger("rendezvous_env")
+_said: set[tuple[Scenario, str]] = set()
+
+
+class LearningPreset(Protocol):
+    """What teams see, do and earn with ``learning_preset``: what the shipped policies were trained
+    with.
+    """
+
+    def earnings(self, guarantee: str | None) -> tuple[RewardWeights, float]:
+        """The reward, and the price of a robot's first touch."""
+        ...
+
+    def shows(self, scenario: Scenario, guarantee: str | None) -> bool:
+        """Whether robots see and do what the shipped policy of this guarantee does."""
+        ...
+
+    def held_arguments(self, scenario: Scenario, guarantee: str) -> dict[str, Any]:
+        """Arguments of the guarantee's wrapper where they do not."""
+        ...
+
+    def wrap(
+        self,
+        env: RendezvousVectorEnv,
+        guarantee: str,
+        discrete: bool,
+        arguments: Mapping[str, Any],
+    ) -> GuaranteeWrapper:
+        """The teams that see and do what the shipped policy does."""
+        ...
+
+
+_presets: list[Callable[[], LearningPreset]] = []
+
+
+def hand_in_preset(load: Callable[[], LearningPreset]) -> None:
+    """Say where ``learning_preset`` comes from: the environment knows no policy.
+
+    Args:
+        load: called when a preset is asked for; the last one that was handed in counts.
+    """
+    _presets.append(load)
+
+
+def training_env(
+    scenario: ScenarioLike = "clutter-8",
+    num_envs: int = 1,
+    *,
+    guarantee: str | None = "heading",
+    learning_preset: bool = True,
+    flatten: bool = True,
+    discrete: bool = False,
+    render_mode: str | None = None,
+    autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
+    num_threads: int | None = None,
+    max_cycles: int | None = None,
+    touch_penalty: float | None = None,
+    **overrides: Any,
+) -> TrainingTeams:
+    """B teams as a generic learner wants them: a vector environment of Gymnasium.
+
+    Robots that merge stay to the end with zero observations, without effect, earning with their
+    team (``on_merge="follow"``): to a learner that takes termination for the end of all reward,
+    an early meeting would look like a loss. Infos have the same keys in every step.
+
+    With ``learning_preset`` teams earn what the shipped policies were trained with: the reward of
+    ``baselines.learned.shipped``, and the first touch of an obstacle costs the robot 1. Single
+    integrators in the plane under "heading" or "tank" also see and do what the shipped policy
+    does, and decide as often (every 0.6 s):
+
+    | | |
+    |---|---|
+    | observations | what ``Features`` shows, (B, n, size); ``env.layout.split`` takes it apart |
+    | actions | (B, n, 2) in [−1, 1]: f turned to this direction, seen with x along f |
+    | actions, ``discrete`` | (B, n): index of an angle φ in ``baselines.learned.guide``; 0: φ = 0 |
+
+    An action says where f is imagined to point; from there the joined rule leads round obstacles,
+    and the guarantee's filter makes of that what keeps its promise. The length does not count; no
+    direction at all is straight ahead, the rule itself. Other robots and guarantees have no shipped
+    policy: they see and do what the guarantee's wrapper says (for "tank" with the budget of the
+    shipped policy and ``observe_level``), and a choice is held as long, 0.6 s.
+
+    Args:
+        scenario: a Scenario, the name of one (``scenarios.names()``) or the path of a TOML file.
+        num_envs: B, number of teams.
+        guarantee: "heading" (theorem C), "tank" (D), "gains" (G), "links" (R), the name of a filter
+            of one's own (``register_filter``), or None: bare actions. Where the certificate does
+            not cover the scenario the logger "rendezvous_env" says so, once.
+        learning_preset: see above; False leaves the plain wrapper and the scenario's reward.
+        flatten: whether tables of observations are (B, n, rows·d), row by row, or (B, n, rows, d).
+            What ``Features`` shows is flat.
+        discrete: whether robots choose among the angles of the shipped policy.
+        render_mode: "human" for a window, "rgb_array" for pictures, None for neither.
+        autoreset_mode: when a team that has ended begins anew; see ``RendezvousVectorEnv``.
+        num_threads: most threads a step may use; None is one for each core.
+        max_cycles: time limit in base steps, instead of the scenario's.
+        touch_penalty: what a robot pays at its first touch in an episode; None is 1 with the
+            preset, else 0.
+        **overrides: arguments of the guarantee's wrapper, and fields of the scenario. ``reward``,
+            here or in the scenario, holds against the preset's.
+
+    Raises:
+        TypeError: for an unknown argument or field, with the nearest known one.
+        ValueError: naming an argument, its value and what would be right.
+    """
+    wrapper: Any = None
+    if guarantee is not None:
+        choice("guarantee", guarantee, FILTERS)
+        wrapper = WRAPPERS.get(guarantee, GuaranteeWrapper)
+    arguments, changes = sorted_overrides(
+        training_env,
+        FILTERS[guarantee or ""] if wrapper is GuaranteeWrapper else wrapper,
+        overrides,
+    )
+    if changes.setdefault("on_merge", "follow") != "follow":
+        refuse("on_merge", changes["on_merge"], "'follow' in a training environment")
+    chosen = resolve(scenario, **changes)
+    preset, shown, price = None, False, 0.0
+    if flag("learning_preset", learning_preset) and _presets:
+        preset = _presets[-1]()
+        reward, price = preset.earnings(guarantee)
+        if "reward" not in changes and chosen.reward == RewardWeights():
+            chosen = chosen.replace(reward=reward)
+        shown = preset.shows(chosen, guarantee)
+        if guarantee in WRAPPERS and not shown:
+            arguments = preset.held_arguments(chosen, guarantee) | arguments
+    _check_form(shown, flag("flatten", flatten), flag("discrete", discrete))
+    teams: Any = make_vec(
+        chosen, num_envs, autoreset_mode, num_threads, max_cycles, render_mode, flatten
+    )
+    if guarantee is not None:
+        _say_what_is_not_covered(chosen, guarantee, arguments)
+        if preset is not None and shown:
+            teams = preset.wrap(teams, guarantee, discrete, arguments)
+        elif wrapper is GuaranteeWrapper:
+            teams = GuaranteeWrapper(teams, guarantee, **arguments)
+        else:
+            teams = wrapper(teams, **arguments)
+    if touch_penalty is not None:
+        price = number("touch_penalty", touch_penalty)
+    return TrainingTeams(teams, price)
+
+
+def _say_what_is_not_covered(
+    scenario: Scenario, guarantee: str, arguments: Mapping[str, Any]
+) -> None:
+    """Tell the log, once for a scenario, why the guarantee is none here."""
+    if guarantee not in WRAPPERS or (scenario, guarantee) in _said:
+        return
+    _said.add((scenario, guarantee))
+    known = inspect.signature(certificate).parameters
+    asked = {key: value for key, value in arguments.items() if key in known}
+    if guarantee in ("heading", "tank"):
+        own = inspect.signature(WRAPPERS[guarantee]).parameters["min_alignment"].default
+        asked.setdefault("min_alignment", own)
+    found = certificate(scenario, by=guarantee, **asked)
+    if not found.guaranteed:
+        _LOGGER.warning(
+            "training_env(guarantee=%r): nothing is guaranteed here; %s", guarantee, found.theorem
+        )
+
+
+def _check_form(shown: bool, flatten: bool, discrete: bool) -> None:
+    """Refuse what the robots of this environment cannot see or choose."""
+    if shown and not flatten:
+        refuse("flatten", flatten, "True, or learning_preset False: what Features shows is flat")
+    if discrete and not shown:
+        refuse(
+            "discrete",
+            discrete,
+            "False: the shipped policy's choices are for single integrators in the plane with "
+            "learning_preset True and guarantee 'heading' or 'tank'",
+        )
+
+
+class TrainingTeams(gymnasium.vector.VectorWrapper):
+    """B teams whose robots all act, earn and are told something until their episode ends.
+
+    ``training_env`` says what they see and do. Robots that have merged away observe zeros; what
+    they are told to do is ignored, and they earn with their team.
+
+    | array | shape | |
+    |---|---|---|
+    | rewards | (B,) float64 | mean of what the team's robots earn |
+    | infos["robot_rewards"] | (B, n) float64 | the team's, less ``touch_penalty`` once touched |
+    | infos["active"] | (B, n) bool | the robot still exists on its own |
+
+    A reward is bounded as in ``rendezvous_v0``, less ``touch_penalty`` in one step of an episode.
+
+    The other infos are those of ``RendezvousVectorEnv`` and of the guarantee's wrapper: the same
+    keys in every step, numbers all of them. ``final_obs`` and ``final_info`` come only with
+    SAME_STEP.
+
+    Args:
+        teams: whose scenario has ``on_merge="follow"``.
+        touch_penalty: taken from ``robot_rewards``, once in an episode.
+    """
+
+    env: RendezvousVectorEnv | GuaranteeWrapper
+
+    def __init__(
+        self, teams: RendezvousVectorEnv | GuaranteeWrapper, touch_penalty: float = 0.0
+    ) -> None:
+        super().__init__(teams)
+        self.touch_penalty = touch_penalty
+        self._touches = FirstContacts(teams.num_envs, self.scenario.n_robots)
+
+    @property
+    def simulator(self) -> Simulator:
+        """The global state of the teams, for analysis."""
+        return self.teams.simulator
+
+    @property
+    def scenario(self) -> Scenario:
+        """What is simulated."""
+        return self.teams.scenario
+
+    @property
+    def layout(self) -> Any:
+        """What takes observations apart (``split``): of the scenario, or of ``Features``."""
+        return getattr(self.env, "layout", self.scenario.observation_layout)
+
+    @property
+    def autoreset_mode(self) -> AutoresetMode:
+        """When a team that has ended begins anew."""
+        return self.env.autoreset_mode
+
+    @property
+    def teams(self) -> RendezvousVectorEnv:
+        """The vector environment itself."""
+        base = self.env.unwrapped
+        assert isinstance(base, RendezvousVectorEnv)
+        return base
+
+    def reset(
+        self,
+        *,
+        seed: int | Sequence[int | None] | None = None,
+        options: Mapping[str, Any] | None = None,
+    ) -> tuple[NDArray[np.float32], Info]:
+        """Begin anew, as ``RendezvousVectorEnv.reset``."""
+        observations, infos = self.env.reset(seed=seed, options=options)
+        which = as_options(options).get("reset_mask")
+        self._touches.forget(None if which is None else np.asarray(which))
+        return observations, infos
+
+    def step(self, actions: ArrayLike) -> Transition:
+        """Let all robots act, as the wrapper of the guarantee has it.
+
+        Raises:
+            ValueError: for actions of another shape, or naming the robot whose action is none;
+                nothing has changed then.
+            RuntimeError: before the first reset.
+        """
+        seen, rewards, ends, cuts, infos = self.env.step(actions)  # type: ignore[arg-type]
+        first = self._touches.note(infos, ends | cuts)
+        if first.any():
+            infos["robot_rewards"] -= self.touch_penalty * first
+            rewards = infos["robot_rewards"].mean(axis=1)
+        if "final_info" in infos:
+            infos["final_info"]["robot_rewards"] = infos["robot_rewards"].copy()
+            _leave_out_summary(infos["final_info"])
+        _leave_out_summary(infos)
+        return seen, rewards, ends, cuts, infos
+
+    def state(self) -> NDArray[np.float32]:
+        """The privileged global state of every team, (B, …), as ``RendezvousVectorEnv.state``."""
+        return self.teams.state()
+
+    def get_state(self) -> dict[str, Any]:
+        """The running episodes and all memory, as copies."""
+        return {"env": self.env.get_state(), "touched": self._touches.touched.copy()}
+
+    def set_state(self, state: Mapping[str, Any]) -> None:
+        """Put back what ``get_state`` took out.
+
+        Raises:
+            ValueError: naming what does not fit; nothing has changed then.
+        """
+        check_keys(state, ("env", "touched"))
+        touched = check_entries({"touched": self._touches.touched}, state)["touched"]
+        self.env.set_state(state["env"])
+        self._touches.touched[...] = touched
+
+
+def _leave_out_summary(infos: Info) -> None:
+    """It is there at the end only, and its numbers stand among the others."""
+    infos.pop("summary", None)
+    infos.pop("_summary", None)
+
+
+class FirstContacts:
+    """Which robots have touched an obstacle in the running episode.
+
+    Args:
+        num_envs: B.
+        n_robots: n.
+    """
+
+    def __init__(self, num_envs: int, n_robots: int) -> None:
+        self.touched = np.zeros((num_envs, n_robots), dtype=np.bool_)
+
+    def note(self, infos: Info, over: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Whose first touch of the episode the last step was, (B, n).
+
+        Args:
+            infos: of the step; where a team has begun anew in it, ``final_info`` tells how its last
+                episode ended.
+            over: (B,), teams whose episode has ended.
+        """
+        contact = infos["contact"]
+        if "final_info" in infos:
+            contact = np.where(over[:, None], infos["final_info"]["contact"], contact)
+        first: NDArray[np.bool_] = contact & ~self.touched
+        self.touched |= contact
+        if over.any():
+            self.forget(over)
+        return first
+
+    def forget(self, which: NDArray[np.bool_] | None = None) -> None:
+        """All teams, or those of a mask (B,), begin anew."""
+        self.touched[slice(None) if which is None else which] = False

@@ -1,0 +1,326 @@
+"""Many teams of one scenario as a vector environment of Gymnasium."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import cached_property, lru_cache
+from typing import Any
+
+import numpy as np
+from gymnasium.spaces import Space
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+from numpy.typing import NDArray
+
+from ..checks import flag
+from ..engine.memory import RENDEZVOUS, TIME_OUT
+from ..outcome import StepOutput
+from ..render.renderer import Renderer, render_metadata
+from ..scenario.start_options import as_options
+from ..simulator import Simulator
+from ..team_readings import STANDING
+from .spaces import action_box, as_told, observation_box, state_box, team_box, team_state
+
+Info = dict[str, Any]
+Transition = tuple[
+    NDArray[np.float32], NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], Info
+]
+"""Observations, rewards, terminations, truncations and infos of B teams."""
+_DISABLED = AutoresetMode.DISABLED
+
+
+class RendezvousVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArray[Any]]):
+    """B teams of n robots that see only directions and must all meet.
+
+    What a robot does, sees and earns is specified in ``rendezvous_v0``; here it stands in arrays,
+    freshly allocated in every step.
+
+    | array | shape | |
+    |---|---|---|
+    | observations | (B, n, rows, d) float32, or (B, n, rows·d) | zero for robots that are gone |
+    | actions | (B, n, a) float32 | ignored for robots that are gone and teams that have ended |
+    | rewards | (B,) float64 | of the team; bounds as in ``rendezvous_v0`` |
+    | terminations | (B,) bool | all robots have met |
+    | truncations | (B,) bool | the time limit |
+
+    Infos, each with its mask ``_key`` (B,):
+
+    | key | shape | |
+    |---|---|---|
+    | robot_rewards | (B, n) float64 | team reward of robots alive before the step, else 0 |
+    | active | (B, n) bool | the robot still exists on its own |
+    | merged_into | (B, n) int64 | the robot that each one is now part of; itself while active |
+    | contact | (B, n) bool | touched an obstacle in this step |
+    | clearance | (B, n) float64 | m to the nearest obstacle, inf without any |
+    | success | (B,) bool | all robots of the team have met |
+    | time | (B,) float64 | s since the start of the episode |
+    | contacts | (B,) int64 | contacts so far, one for each robot and step |
+    | path_length | (B,) float64 | way of all robots together so far, m |
+    | lyapunov | (B,) float64 | V, m²/s |
+    | summary | dict of (B,) | after an episode: the last five once more |
+
+    A team that has ended, by ``autoreset_mode``:
+
+    * NEXT_STEP: begins anew in the next step, which ignores its action and earns nothing;
+    * SAME_STEP: begins anew at once; ``final_obs`` and ``final_info`` keep how it ended;
+    * DISABLED: stands still, earns nothing and stays ended until ``reset(options={"reset_mask":
+      (B,) bool})``.
+
+    ``reset(seed=s)`` gives team i the seed s + i, a list gives each its own; without a seed every
+    team goes on to the next episode of its own. Options as in ``rendezvous_v0``, one for all teams
+    or with a leading axis B. ``simulator`` holds the global state for analysis.
+
+    ``render()`` gives a picture for each team in "rgb_array" mode, as Gymnasium's ``RecordVideo``
+    for vector environments wants it: parts of one picture of (600, 600, 3) uint8, in which the
+    first 16 teams stand side by side, and which ``renderer.render()`` gives as a whole. Further
+    teams are not drawn and have one blank part together, so that thousands cost no more than 16.
+
+    Args:
+        simulator: the teams.
+        autoreset_mode: see above.
+        render_mode: "human", "rgb_array" or None, as in ``rendezvous_v0``.
+        flatten: whether a robot's rows stand one after another, as one vector.
+    """
+
+    def __init__(
+        self,
+        simulator: Simulator,
+        autoreset_mode: AutoresetMode,
+        render_mode: str | None = None,
+        flatten: bool = False,
+    ) -> None:
+        self.simulator = simulator
+        self.autoreset_mode = autoreset_mode
+        self.scenario = simulator.scenario
+        self.num_envs = simulator.num_envs
+        self.renderer = Renderer(simulator, render_mode)
+        self.render_mode = render_mode
+        self.metadata = render_metadata(simulator) | {"autoreset_mode": autoreset_mode}
+        self.begins_anew = True
+        """False leaves it to a wrapper, for as long, to let teams begin anew (``begin_anew``)."""
+        self._outcome: StepOutput | None = None
+        self.flatten, n = flag("flatten", flatten), self.scenario.n_robots
+        self.single_observation_space = team_box(observation_box(self.scenario, flatten), n)
+        self.single_action_space = team_box(action_box(self.scenario), n)
+        self.single_state_space = state_box(self.scenario)
+
+    @cached_property
+    def observation_space(self) -> Space[Any]:  # type: ignore[override]
+        """Of all teams; made when asked for, since it is larger than the observations."""
+        return batch_space(self.single_observation_space, self.num_envs)
+
+    @cached_property
+    def action_space(self) -> Space[Any]:  # type: ignore[override]
+        """Of all teams."""
+        return batch_space(self.single_action_space, self.num_envs)
+
+    def reset(
+        self,
+        *,
+        seed: int | Sequence[int | None] | None = None,
+        options: Mapping[str, Any] | None = None,
+    ) -> tuple[NDArray[np.float32], Info]:
+        """Begin a new episode in all teams, or in those of ``options["reset_mask"]``.
+
+        Args:
+            seed: see the class.
+            options: given parts of the start, and "reset_mask" (B,) bool.
+
+        Returns:
+            Observations of all teams, and infos masked to those that were reset.
+
+        Raises:
+            ValueError: for a bad option, seed or mask; nothing has changed then.
+        """
+        start = as_options(options)
+        mask = start.pop("reset_mask", None)
+        observations = self.simulator.reset(seed, start, mask=mask)
+        which = np.ones(self.num_envs, dtype=np.bool_) if mask is None else np.asarray(mask)
+        self.renderer.reset()
+        return as_told(observations, self.flatten), masked(start_info(self.simulator), which)
+
+    def step(self, actions: NDArray[np.float32]) -> Transition:
+        """Advance every team by one step τ.
+
+        Args:
+            actions: (B, n, a).
+
+        Returns:
+            Observations, rewards, terminations, truncations and infos, see the class.
+
+        Raises:
+            ValueError: for actions of the wrong shape, or that are not finite, naming the robot;
+                nothing has changed then.
+            RuntimeError: before the first reset.
+        """
+        simulator, mode = self.simulator, self.autoreset_mode if self.begins_anew else _DISABLED
+        if mode is AutoresetMode.NEXT_STEP and not simulator.all_running:
+            actions = simulator.check_actions(actions)  # before anybody begins anew
+            simulator.restart(simulator.ended)
+        outcome = self.advance(actions)
+        observations, rewards, terminations, truncations, infos = self.tell(outcome)
+        if not simulator.all_running:
+            ended = terminations | truncations
+            infos |= masked({"summary": summary_of(infos, ended)}, ended)
+            if mode is AutoresetMode.SAME_STEP:
+                infos |= masked(final_of(observations, ended, infos), ended)
+                del infos["summary"], infos["_summary"]
+                self.begin_anew(ended, infos)
+        return observations, rewards, terminations, truncations, infos
+
+    def advance(self, actions: NDArray[np.float32]) -> StepOutput:
+        """A step in which no team begins anew, and of which nobody is told yet.
+
+        Raises:
+            ValueError: as ``step``.
+            RuntimeError: before the first reset.
+        """
+        outcome = self._outcome = self.simulator.step(actions)
+        self.renderer.see(outcome.contact)
+        return outcome
+
+    def tell(self, outcome: StepOutput) -> Transition:
+        """What ``step`` returns of the last step while no team begins anew, without ``summary``."""
+        observations = as_told(outcome.observations, self.flatten)
+        infos = of_all(step_info(self.simulator, outcome), self.num_envs)
+        if self.simulator.all_running:  # as after most steps
+            terminations = np.zeros(self.num_envs, dtype=np.bool_)
+            truncations = np.zeros(self.num_envs, dtype=np.bool_)
+        else:
+            terminations, truncations = outcome.status == RENDEZVOUS, outcome.status == TIME_OUT
+        return observations, outcome.rewards, terminations, truncations, infos
+
+    def begin_anew(self, which: NDArray[np.bool_], infos: Info) -> NDArray[np.float32]:
+        """Next episodes of these teams: the arrays that the last step gave out follow, in place.
+
+        Args:
+            which: (B,), of teams.
+            infos: of the step; what they tell of these teams follows too.
+
+        Returns:
+            The observations of the last step.
+        """
+        outcome = self._outcome
+        assert outcome is not None  # there has been a step
+        self.simulator.restart(which, outcome)
+        infos |= {"merged_into": self.simulator.merged_into, **self.simulator.standing(outcome)}
+        infos["contact"][which] = False
+        return as_told(outcome.observations, self.flatten)
+
+    def state(self) -> NDArray[np.float32]:
+        """The privileged global state of every team, (B, …) float32, for centralised critics: a
+        row of it is what ``rendezvous_v0`` gives, in ``single_state_space``.
+        """
+        return team_state(self.simulator)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """All but what the last step gave out, for pickles."""
+        return vars(self) | {"_outcome": None}
+
+    def get_state(self) -> dict[str, NDArray[Any]]:
+        """Everything that the future of the teams depends on, see ``Simulator``."""
+        return self.simulator.get_state()
+
+    def set_state(self, state: Mapping[str, NDArray[Any]]) -> None:
+        """Put back what ``get_state`` took out of an environment of the same scenario and batch.
+
+        Raises:
+            ValueError: for a missing, unknown or misshapen entry; nothing has changed then.
+        """
+        self.simulator.set_state(state)
+
+    def render(self) -> tuple[NDArray[np.uint8], ...] | None:
+        """A picture for each team, (height, width, 3) uint8, in "rgb_array" mode; in "human" mode
+        they are shown, side by side.
+
+        Raises:
+            RuntimeError: before the first reset, or where no window can be opened.
+            ImportError: without the extra ``render``.
+        """
+        return self.renderer.pictures()
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Close the window, if there is one."""
+        self.renderer.close()
+
+
+# ---- infos, in the forms of Gymnasium -----------------------------------------------------------
+
+
+def start_info(simulator: Simulator) -> Info:
+    """Infos of all teams at the start of an episode, without masks."""
+    active = simulator.active
+    return simulator.standing() | {
+        "robot_rewards": np.zeros(active.shape),
+        "active": active,
+        "merged_into": simulator.merged_into,
+        "contact": np.zeros(active.shape, dtype=np.bool_),
+        "clearance": simulator.clearance,
+    }
+
+
+def step_info(simulator: Simulator, outcome: StepOutput) -> Info:
+    """Infos of all teams after a step, without masks."""
+    return simulator.standing(outcome) | {
+        "robot_rewards": outcome.robot_rewards,
+        "active": outcome.active,
+        "merged_into": simulator.merged_into,
+        "contact": outcome.contact,
+        "clearance": outcome.clearance,
+    }
+
+
+def final_of(seen: NDArray[np.float32], ended: NDArray[np.bool_], infos: Info) -> Info:
+    """How these teams ended and what they saw last, in Gymnasium's form."""
+    final_obs = np.full(len(ended), None, dtype=object)
+    for team in np.flatnonzero(ended).tolist():
+        final_obs[team] = seen[team].copy()
+    kept = {key: value.copy() for key, value in infos.items() if key[0] != "_"}
+    return {"final_obs": final_obs, "final_info": masked(kept, ended)}
+
+
+def summary_of(infos: Info, ended: NDArray[np.bool_]) -> Info:
+    """How the episodes of these teams went, of ``step_info``, as copies."""
+    return masked({key: infos[key].copy() for key in STANDING}, ended)
+
+
+def of_all(infos: Info, num_envs: int) -> Info:
+    """Infos that every team has, in Gymnasium's form."""
+    return _with_masks(infos, _everyone(len(infos), num_envs).copy())
+
+
+def masked(infos: Info, mask: NDArray[np.bool_]) -> Info:
+    """Infos of the teams of a mask, in Gymnasium's form."""
+    return _with_masks(infos, np.full((len(infos), len(mask)), mask))
+
+
+def _with_masks(infos: Info, masks: NDArray[np.bool_]) -> Info:
+    """To every key a mask ``_key`` of its own."""
+    told, names = infos.copy(), _names_of_masks(tuple(infos))
+    # to see whether a mask is left over, as ``strict`` would, takes as long as to hand all out
+    told.update(zip(names, masks, strict=False))
+    return told
+
+
+@lru_cache
+def _names_of_masks(keys: tuple[str, ...]) -> tuple[str, ...]:
+    """Kept, since they are the same in each step."""
+    return tuple(f"_{key}" for key in keys)
+
+
+@lru_cache(maxsize=8)
+def _everyone(keys: int, num_envs: int) -> NDArray[np.bool_]:
+    """Masks that leave out nobody; to copy them takes half as long as to fill new ones."""
+    return np.ones((keys, num_envs), dtype=np.bool_)
+
+
+def of_first_team(infos: Info) -> Info:
+    """Infos of team 0, without the axis of teams and without masks."""
+    return {key: _first(values) for key, values in infos.items() if key[0] != "_"}
+
+
+def _first(values: Any) -> Any:
+    """What is told of team 0: nested infos, an array, or one of Python's own numbers."""
+    if isinstance(values, dict):
+        return of_first_team(values)
+    return values[0] if values.ndim > 1 else values[0].item()

@@ -1,0 +1,292 @@
+"""Guarantees for vector environments: the wrappers of ``wrappers.py`` for B teams at once."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium.spaces import Space
+from gymnasium.vector import AutoresetMode, VectorActionWrapper, VectorObservationWrapper
+from gymnasium.vector.utils import batch_space
+from numpy.typing import ArrayLike, NDArray
+
+from ..engine.memory import RUNNING
+from ..scenario.start_options import as_options
+from .guarantee import (
+    AnyFilter,
+    GainSettings,
+    HeadingSettings,
+    LinkSettings,
+    TankSettings,
+    check_begun,
+    check_not_guaranteed,
+    check_period,
+    make_filter,
+    restore,
+)
+from .spaces import as_told, choice_box, filtered_observation_box, team_box
+from .vector_env import Info, RendezvousVectorEnv, Transition, final_of, masked, of_all, summary_of
+
+__all__ = [
+    "EnergyTankWrapper",
+    "GainWrapper",
+    "GuaranteeWrapper",
+    "HeadingVectorWrapper",
+    "LinkKeepingWrapper",
+]
+
+
+class GuaranteeWrapper(gymnasium.vector.VectorWrapper):
+    """Teams choose; for ``decision_period`` base steps a safety filter makes actions of it.
+
+    Choices (B, n, k), observations (B, n, rows, d) as the filter shows them; infos hold what it
+    tells of the last base step, (B, n) each. A team that ends within a decision period stands still
+    for the rest of it; one that begins anew has forgotten what was.
+
+    Args:
+        env: a RendezvousVectorEnv in any autoreset mode, as ``make_vec`` makes one, or one in
+            wrappers of Gymnasium's that change neither observations nor actions.
+        safety_filter: a filter of its teams, its class, or its name (``register_filter``).
+        decision_period: base steps for which a choice is held; their rewards are summed.
+        **settings: of the filter, if it is to be made.
+
+    Raises:
+        TypeError: for another kind of environment, one under a guarantee already, or a setting that
+            the filter does not know.
+        ValueError: naming the argument, its value and what would be right.
+    """
+
+    def __init__(
+        self,
+        env: gymnasium.vector.VectorEnv[Any, Any, Any],
+        safety_filter: AnyFilter,
+        decision_period: int = 1,
+        **settings: Any,
+    ) -> None:
+        self._base = base = _base_of(env, type(self).__name__)
+        self.decision_period = check_period(decision_period)
+        threads = base.simulator.num_threads
+        made = make_filter(safety_filter, base.scenario, base.num_envs, threads, settings)
+        super().__init__(env)
+        rate = base.metadata["render_fps"] / self.decision_period  # a picture for each decision
+        self.metadata = base.metadata | {"render_fps": max(1, round(rate))}
+        self.filter = made
+        setattr(self, made.state_key, made)
+        n = base.scenario.n_robots
+        self.single_observation_space = team_box(filtered_observation_box(made, base.flatten), n)
+        self.single_action_space = team_box(choice_box(made), n)
+        shape = (base.num_envs, n, *base.scenario.observation_layout.shape)
+        self._observed = np.zeros(shape, dtype=np.float32)
+        self._begun = False
+
+    @property
+    def autoreset_mode(self) -> AutoresetMode:
+        """When a team that has ended begins anew."""
+        return self._base.autoreset_mode
+
+    def state(self) -> NDArray[np.float32]:
+        """The privileged global state of every team, (B, …), as ``RendezvousVectorEnv.state``."""
+        return self._base.state()
+
+    @cached_property
+    def observation_space(self) -> Space[Any]:  # type: ignore[override]
+        """Of all teams."""
+        return batch_space(self.single_observation_space, self.num_envs)
+
+    @cached_property
+    def action_space(self) -> Space[Any]:  # type: ignore[override]
+        """Of all teams."""
+        return batch_space(self.single_action_space, self.num_envs)
+
+    def reset(
+        self,
+        *,
+        seed: int | Sequence[int | None] | None = None,
+        options: Mapping[str, Any] | None = None,
+    ) -> tuple[NDArray[np.float32], Info]:
+        """Begin anew, as ``RendezvousVectorEnv.reset``; teams that do forget what was."""
+        observations, infos = self.env.reset(seed=seed, options=options)  # type: ignore[arg-type]
+        self._observed = observations.reshape(self._observed.shape)
+        self._begun = True
+        which = as_options(options).get("reset_mask")
+        if which is not None:
+            which = np.asarray(which)
+        self._forget(which)
+        told = {key: values.copy() for key, values in self.filter.told.items()}
+        reset = np.ones(self.num_envs, dtype=np.bool_) if which is None else which
+        return self._see(which), infos | masked(told, reset)
+
+    def step(self, actions: ArrayLike) -> Transition:
+        """Hold the choices for ``decision_period`` base steps.
+
+        Args:
+            actions: choices (B, n, k).
+
+        Returns:
+            As ``RendezvousVectorEnv.step``, with the rewards of the base steps summed.
+
+        Raises:
+            ValueError: for a wrong shape, or naming the robot whose choice is not finite.
+            RuntimeError: before the first reset of the wrapper.
+        """
+        check_begun(self._begun, self)
+        base, mode = self._base, self._base.autoreset_mode
+        resting = None
+        if mode is AutoresetMode.NEXT_STEP and not base.simulator.all_running:
+            resting = base.simulator.ended
+        self._take(actions)
+        base.begins_anew = False
+        try:
+            rewards, terminations, truncations, infos = self._drive()
+        finally:
+            base.begins_anew = True
+        if resting is not None:
+            self._begin_anew(resting, infos)
+            terminations, truncations = terminations & ~resting, truncations & ~resting
+        ended = terminations | truncations
+        seen = self._see(None)
+        if not ended.any():
+            return seen, rewards, terminations, truncations, infos
+        infos |= masked({"summary": summary_of(infos, ended)}, ended)
+        if mode is AutoresetMode.SAME_STEP:
+            infos |= masked(final_of(seen, ended, infos), ended)
+            del infos["summary"], infos["_summary"]
+            self._begin_anew(ended, infos)
+            seen[ended] = self._see(ended)[ended]
+        return seen, rewards, terminations, truncations, infos
+
+    def _drive(
+        self,
+    ) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], Info]:
+        """Base steps under the held choices, in which no team begins anew: summed rewards, how the
+        teams are after them, and infos.
+        """
+        base, simulator, shape = self._base, self._base.simulator, self._observed.shape
+        rewards, robot_rewards = np.zeros(self.num_envs), np.zeros(shape[:2])
+        contact = np.zeros(shape[:2], dtype=np.bool_)
+        nobody_between = type(self.env) is RendezvousVectorEnv  # who wants to hear of base steps
+        for _ in range(self.decision_period):
+            resting = None if simulator.all_running else simulator.status != RUNNING
+            if nobody_between:
+                outcome = base.advance(self._act())
+                seen, earned = outcome.observations, outcome.rewards
+                robots_earned, touched = outcome.robot_rewards, outcome.contact
+            else:
+                seen, earned, terminations, truncations, infos = self.env.step(self._act())
+                robots_earned, touched = infos["robot_rewards"], infos["contact"]
+            self._observed = seen.reshape(shape)
+            if self.filter.keeps_ledger:
+                self.filter.book(touched, simulator.merged_into, resting)
+            rewards += earned
+            robot_rewards += robots_earned
+            contact |= touched
+        if nobody_between:
+            _, _, terminations, truncations, infos = base.tell(outcome)
+        infos.pop("summary", None)
+        infos.pop("_summary", None)
+        infos["robot_rewards"], infos["contact"] = robot_rewards, contact
+        told = {key: values.copy() for key, values in self.filter.told.items()}
+        infos |= of_all(told, self.num_envs)
+        return rewards, terminations, truncations, infos
+
+    def _begin_anew(self, which: NDArray[np.bool_], infos: Info) -> None:
+        """Next episodes of these teams; what the robots see and what is told of them follows."""
+        fresh = self._base.begin_anew(which, infos).reshape(self._observed.shape)
+        self._observed[which] = fresh[which]
+        self._forget(which)
+        for key, values in self.filter.told.items():
+            infos[key][which] = values[which]
+
+    def _take(self, actions: ArrayLike) -> None:
+        """Take the decisions of this period."""
+        self.filter.hold(actions)
+
+    def _act(self) -> NDArray[np.float32]:
+        """Actions of the next base step."""
+        return self.filter.act(self._observed)
+
+    def _see(self, which: NDArray[np.bool_] | None) -> NDArray[np.float32]:
+        """What the policy sees, (B, n, ...); only teams of the mask, None is all, saw more."""
+        return as_told(self.filter.view(self._observed), self._base.flatten)
+
+    def _forget(self, which: NDArray[np.bool_] | None) -> None:
+        """These teams, None is all, begin anew."""
+        self.filter.forget(which)
+
+    def get_state(self) -> dict[str, Any]:
+        """The running episodes and the wrapper's memory, as copies."""
+        return {
+            "env": self._base.get_state(),
+            self.filter.state_key: self.filter.get_state(),
+            "observed": self._observed.copy(),
+        }
+
+    def set_state(self, state: Mapping[str, Any]) -> None:
+        """Put back what ``get_state`` took out.
+
+        Raises:
+            ValueError: naming what does not fit; nothing has changed then.
+        """
+        self._observed = restore(self._base, self.filter, self._observed, state)
+        self._begun = True
+
+
+def _base_of(env: Any, wrapper: str) -> RendezvousVectorEnv:
+    """The environment of ours that is wrapped.
+
+    Raises:
+        TypeError: for another kind of environment, or one that stands under a guarantee already, or
+            under a wrapper that changes what robots see or do.
+    """
+    layers = gymnasium.vector.VectorWrapper
+    ours = isinstance(env, gymnasium.vector.VectorEnv) and env.unwrapped
+    if not isinstance(ours, RendezvousVectorEnv):
+        raise TypeError(
+            f"env is a {type(env).__name__}; it must be a RendezvousVectorEnv, as make_vec "
+            f"makes one (for a PettingZoo environment take rendezvous_env.{wrapper})"
+        )
+    check_not_guaranteed(env, wrapper, layers, GuaranteeWrapper)
+    while isinstance(env, layers):
+        if isinstance(env, VectorObservationWrapper | VectorActionWrapper):
+            raise TypeError(
+                f"env is under {type(env).__name__}, which changes what robots see or do, and "
+                f"{wrapper} cannot stand on it; put it upon {wrapper}"
+            )
+        env = env.env
+    return ours
+
+
+class HeadingVectorWrapper(HeadingSettings, GuaranteeWrapper):
+    """Teams choose heading vectors h_i; law (4) moves them, and any policy keeps theorem C.
+
+    Actions, arguments, infos and guarantee are those of ``rendezvous_env.HeadingVectorWrapper``, in
+    arrays: raw vectors (B, n, k) in [−1, 1].
+    """
+
+
+class EnergyTankWrapper(TankSettings, GuaranteeWrapper):
+    """Teams say where they want to go; their robots' energy tanks say how long V may rise for it.
+
+    Actions, arguments, infos and guarantee are those of ``rendezvous_env.EnergyTankWrapper``, in
+    arrays: desired velocities (B, n, a) in [−1, 1]. The tank of a robot that is gone is 0; a team
+    that begins anew has its budget.
+    """
+
+
+class GainWrapper(GainSettings, GuaranteeWrapper):
+    """Teams weigh their robots' neighbours; its hull grows at most in merge steps.
+
+    Actions, arguments, infos and guarantee are those of ``rendezvous_env.GainWrapper``, in arrays:
+    weights (B, n, K) in [0, 1].
+    """
+
+
+class LinkKeepingWrapper(LinkSettings, GuaranteeWrapper):
+    """Teams say where they want to go; their robots go as near to that as their links allow.
+
+    Actions, arguments, infos and guarantee are those of ``rendezvous_env.LinkKeepingWrapper``, in
+    arrays: desired velocities (B, n, d) in [−1, 1].
+    """

@@ -1,0 +1,408 @@
+"""Guarantees for PettingZoo: choices are held, and a safety filter makes actions of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from gymnasium.spaces import Box
+from pettingzoo.utils.env import ParallelEnv
+from pettingzoo.utils.wrappers import BaseParallelWrapper
+
+from ..checks import check_action
+from .agents import Infos, Observations, StepReturn
+from .guarantee import (
+    AnyFilter,
+    GainSettings,
+    HeadingSettings,
+    LinkSettings,
+    TankSettings,
+    check_begun,
+    check_not_guaranteed,
+    check_period,
+    make_filter,
+    restore,
+)
+from .parallel_env import RendezvousParallelEnv
+from .spaces import as_told, choice_box, filtered_observation_box
+
+__all__ = [
+    "EnergyTankWrapper",
+    "GainWrapper",
+    "GuaranteeWrapper",
+    "HeadingVectorWrapper",
+    "LinkKeepingWrapper",
+]
+
+
+class GuaranteeWrapper(BaseParallelWrapper):
+    """Robots choose; for ``decision_period`` base steps a safety filter makes actions of it.
+
+    Observations are the filter's view of the rows, the action space is its choices, and infos hold
+    what it tells of the last base step.
+
+    Args:
+        env: a rendezvous parallel environment, which other wrappers may have changed.
+        safety_filter: a filter of one team of this scenario, its class, or its name
+            (``register_filter``): "heading", "tank", "gains", "links" or a user's own.
+        decision_period: base steps for which a choice is held. Rewards are summed, and a robot that
+            merges on the way ends with its last observation.
+        **settings: of the filter, if it is to be made.
+
+    Raises:
+        TypeError: for another kind of environment, one under a guarantee already, or a setting that
+            the filter does not know.
+        ValueError: naming the argument, its value and what would be right.
+    """
+
+    def __init__(
+        self,
+        env: RendezvousParallelEnv,
+        safety_filter: AnyFilter,
+        decision_period: int = 1,
+        **settings: Any,
+    ) -> None:
+        self._base = _base_of(env, type(self).__name__)
+        self.decision_period = check_period(decision_period)
+        scenario, flatten = self._base.scenario, self._base.flatten
+        made = make_filter(safety_filter, scenario, 1, 1, settings)
+        super().__init__(env)
+        self.filter = made
+        setattr(self, made.state_key, made)
+        names = self._base.possible_agents
+        self.observation_spaces = {name: filtered_observation_box(made, flatten) for name in names}
+        self.action_spaces = {name: choice_box(made) for name in names}
+        shape = (1, scenario.n_robots, *scenario.observation_layout.shape)
+        self._observed = np.zeros(shape, dtype=np.float32)
+        self._begun = False
+
+    @property
+    def max_cycles(self) -> int:
+        """Time limit in steps of the base environment; may be set at any time."""
+        return self._base.max_cycles
+
+    @max_cycles.setter
+    def max_cycles(self, value: int) -> None:
+        self._base.max_cycles = value
+
+    def observation_space(self, agent: str) -> Box:
+        """The space of one robot's observations; the same object each time."""
+        return self.observation_spaces[agent]
+
+    def action_space(self, agent: str) -> Box:
+        """The space of one robot's choices; the same object each time."""
+        return self.action_spaces[agent]
+
+    def reset(
+        self, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observations, Infos]:
+        """Begin an episode; what was remembered of the last one is forgotten."""
+        observations, infos = self.env.reset(seed=seed, options=options)
+        self.filter.forget()
+        self._remember(observations)
+        self._begun = True
+        self._tell(infos)
+        return self._view(observations), infos
+
+    def step(self, actions: Mapping[str, Any]) -> StepReturn:
+        """Hold the choices for ``decision_period`` base steps.
+
+        Args:
+            actions: one choice for each robot in ``agents``.
+
+        Returns:
+            As the base environment, for the robots that were alive at the start.
+
+        Raises:
+            KeyError: for a missing, unknown or merged-away robot; nothing has changed then.
+            ValueError: for a choice of the wrong shape, or one that is not finite; likewise.
+            RuntimeError: before the first reset of the wrapper.
+        """
+        check_begun(self._begun, self)
+        if not self.agents and isinstance(actions, Mapping) and not actions:
+            return {}, {}, {}, {}, {}
+        self._base.check_robots(actions)
+        size = self.filter.action_size
+        for name, action in actions.items():
+            check_action(name, action, size)
+        raw = np.zeros((1, self._base.scenario.n_robots, size))
+        for name, action in actions.items():
+            raw[0, self._base.index(name)] = action
+        self.filter.hold(raw)
+        return self._drive()
+
+    def _drive(self) -> StepReturn:
+        """Base steps under the held choices."""
+        observations: Observations = {}
+        rewards = dict.fromkeys(self.agents, 0.0)
+        terminations: dict[str, bool] = {}
+        truncations: dict[str, bool] = {}
+        infos: Infos = {}
+        for _ in range(self.decision_period):
+            actions = self.filter.act(self._observed)[0]
+            table = {name: actions[self._base.index(name)] for name in self.agents}
+            seen, earned, ended, cut, told = self.env.step(table)
+            if self.filter.keeps_ledger:
+                self._update(told)
+            self._tell(told)
+            for name in told:
+                rewards[name] += earned[name]
+            infos |= told
+            terminations |= ended
+            truncations |= cut
+            observations |= seen
+            self._remember(seen)
+            if not self.agents:
+                break
+        return self._view(observations), rewards, terminations, truncations, infos
+
+    def _tell(self, infos: Infos) -> None:
+        """Add what the filter has to tell of the last base step."""
+        told = {key: values[0].tolist() for key, values in self.filter.told.items()}
+        for name, info in infos.items():
+            i = self._base.index(name)
+            info.update({key: values[i] for key, values in told.items()})
+
+    def _update(self, infos: Infos) -> None:
+        """Tell the filter how the base step went."""
+        simulator = self._base.simulator
+        contact = np.zeros((1, simulator.scenario.n_robots), dtype=np.bool_)
+        for name, info in infos.items():
+            contact[0, self._base.index(name)] = info["contact"]
+        self.filter.book(contact, simulator.merged_into)
+
+    def _remember(self, observations: Observations) -> None:
+        """Note what the robots see now; those that are gone see nothing."""
+        self._observed = np.zeros(self._observed.shape, dtype=np.float32)
+        for name, rows in observations.items():
+            self._observed[0, self._base.index(name)] = rows.reshape(self._observed.shape[2:])
+
+    def _view(self, observations: Observations) -> Observations:
+        """What the robots see, as the policy is shown it."""
+        seen = as_told(self.filter.view(self._observed)[0], self._base.flatten)
+        return {name: seen[self._base.index(name)].copy() for name in observations}
+
+    def get_state(self) -> dict[str, Any]:
+        """The running episode and the wrapper's memory, as copies."""
+        return {
+            "env": self._base.get_state(),
+            self.filter.state_key: self.filter.get_state(),
+            "observed": self._observed.copy(),
+        }
+
+    def set_state(self, state: Mapping[str, Any]) -> None:
+        """Put back what ``get_state`` took out.
+
+        Raises:
+            ValueError: naming what does not fit; nothing has changed then.
+        """
+        self._observed = restore(self._base, self.filter, self._observed, state)
+        self._begun = True
+
+
+def _base_of(env: Any, wrapper: str) -> RendezvousParallelEnv:
+    """The environment of ours that is wrapped.
+
+    Raises:
+        TypeError: for another kind of environment, or one that stands under a guarantee already.
+    """
+    if isinstance(env, ParallelEnv) and isinstance(env.unwrapped, RendezvousParallelEnv):
+        check_not_guaranteed(env, wrapper, BaseParallelWrapper, GuaranteeWrapper)
+        return env.unwrapped
+    raise TypeError(
+        f"env is a {type(env).__name__}; it must be a PettingZoo parallel environment "
+        "that parallel_env has made (for a vector environment take "
+        f"rendezvous_env.vector.{wrapper})"
+    )
+
+
+class HeadingVectorWrapper(HeadingSettings, GuaranteeWrapper):
+    """Robots choose a heading vector h_i instead of an action; law (4) moves them.
+
+        ṗ_i = h_i h_iᵀ f_i                                              (Zhao & Zheng, eq. 4)
+
+    The raw vector of any policy becomes h_i by ``certified_heading`` (theorem C), so that without
+    obstacles all robots meet within the certificate's time bound whatever the policy does.
+    Velocities are scaled by r/(2 D_i τ) where the step is longer than certified (theory 4).
+    Nonholonomic robots choose turn rates through the gate of theory 3 and drive with v = mᵀf.
+
+    ## Action space
+
+    ``Box(−1, 1, (d,))``, a raw vector in the frame that is observed; its length does not count. For
+    nonholonomic robots ``Box(−1, 1, (1,))`` or ``(2,)``: turn rates in units of ``max_turn_rate``.
+
+    ## Observation space
+
+    The rows of the base environment. With ``frame="net_bearing"`` (single integrators) in a frame
+    whose x axis is along f_i, so that any network is rotation-equivariant: exactly in 2-D; in 3-D
+    the second axis comes from the row with the longest part across f_i. While ‖f_i‖ < δ the last
+    frame is kept.
+
+    ## Infos
+
+    Those of the base environment, and ``alignment`` = |h_iᵀf_i|/‖f_i‖ (NaN where f_i = 0) and
+    ``lyapunov_rate`` = −2 (h_iᵀf_i)², both of the last base step.
+
+    Args:
+        env: a rendezvous parallel environment.
+        min_alignment: ε, in (0, 1).
+        max_turn_rate: ω_max, rad/s; for nonholonomic robots the scenario's limit holds too.
+        frame: "net_bearing" or "local".
+        decision_period: base steps for which a raw vector is held; the certified heading follows
+            f_i in each. Rewards are summed, and a robot that merges on the way ends with its
+            last observation.
+        certified: False lets the raw vector through as h_i, without any guarantee.
+        bearing_error: η, rad: V never rises between merges while no bearing is wrong by more.
+            Robots then go max(0, h_iᵀf_i − e_i) along h_i, e_i = 2 sin(η/2) D_i (theorem N1').
+
+    Raises:
+        TypeError: for another kind of environment.
+        ValueError: naming the argument, its value and what would be right.
+    """
+
+
+class EnergyTankWrapper(TankSettings, GuaranteeWrapper):
+    """Robots say where they want to go; their energy tanks say how long V may rise for it.
+
+        A_i ← A_i + G_i(Δ_i),   G_i(Δ) = 2 f_i·Δ − (2/r) D_i ‖Δ‖² − ε² τ s_i ‖f_i‖²  (guarantees 8)
+
+    What a robot wants is carried out while A_i + G_i ≥ 0, even straight away from f_i. Otherwise
+    law (4) moves it along the wanted direction, projected onto the cap |hᵀf_i| ≥ ε‖f_i‖, or along
+    f_i if it wants nothing, and that fills the tank. So V ≤ V(0) + n·budget until the first merge,
+    and without obstacles all robots meet in finite time whatever the policy does (theorem D).
+
+    ## Action space
+
+    ``Box(−1, 1, (d,))``, the wanted velocity in units of v_max, in the frame that is observed; a
+    longer one is scaled to v_max. For other robot models the base action in units of its bounds.
+    For nonholonomic robots the ledger has no term ε², and there is no time bound; with an empty
+    tank they drive with v = s mᵀf and turn through the gate of theory 3.
+
+    ## Observation space
+
+    The rows of the base environment, with ``frame="net_bearing"`` (single integrators) turned as by
+    ``HeadingVectorWrapper``. With ``observe_level`` one row more, the last: (A_i/(r D̄), 0, …), its
+    length the level of the robot's own tank in units of twice the most that a step can earn. The
+    robot knows it from its own past: it is nothing that it sees.
+
+    ## Infos
+
+    Those of the base environment, and of the last base step
+
+    | key | |
+    |---|---|
+    | tank | A_i after it, m²/s; 0 for a robot that has merged: the survivor has it |
+    | carried_out | whether the wish was, or law (4) in its place |
+    | alignment | |h_iᵀf_i|/‖f_i‖, h_i the direction of motion or the body axis; NaN without any |
+    | lyapunov_rate | −2 f_iᵀΔ_i/τ, m²/s²: positive where V is made to rise |
+
+    In a step with contact a robot books min(0, G_i): the bound on V is claimed for motion without
+    contacts. A survivor's tank is the sum of both.
+
+    Args:
+        env: a rendezvous parallel environment.
+        budget: B_i, the level of each robot's tank at the start of an episode, m²/s.
+        min_alignment: ε, in (0, 1): how fast robots are promised to meet.
+        frame: "net_bearing" or "local".
+        decision_period: base steps for which a wish is held; the ledger is kept in each. Rewards
+            are summed, and a robot that merges on the way ends with its last observation.
+        observe_level: whether robots see the level of their own tank.
+        bearing_error: η, rad: the promises hold while no bearing is wrong by more; each step is
+            charged what that could feign.
+
+    Raises:
+        TypeError: for another kind of environment.
+        ValueError: naming the argument, its value and what would be right.
+    """
+
+
+class GainWrapper(GainSettings, GuaranteeWrapper):
+    """Robots weigh their neighbours; they move along the weighted bearings.
+
+        v_i = Σ_j c_ij g_ij,   c_ij ∝ w_j a_ij,   min_gain ≤ Σ_j c_ij ≤ max_gain    (theorem G)
+
+    While linked robots are r or more apart, the team's hull does not grow on any graph: directed,
+    switching, or never connected at once. While every robot sees somebody all meet in finite time.
+    V is not watched: it may rise.
+
+    ## Action space
+
+    ``Box(0, 1, (K,))``, a weight for each neighbour row, in the order of the rows that are seen.
+    Rows that are absent do not count. If the others are all zero, they count alike. Then all of
+    them are scaled as a whole.
+
+    ## Observation space
+
+    The rows of the base environment, with ``frame="net_bearing"`` turned as by
+    ``HeadingVectorWrapper``.
+
+    ## Infos
+
+    Those of the base environment, and of the last base step
+
+    | key | |
+    |---|---|
+    | gain | Σ_j c_ij, m/s; 0 for a robot that sees nobody |
+    | alignment | |h_iᵀf_i|/‖f_i‖, h_i the direction of motion; NaN without any |
+    | lyapunov_rate | −2 f_iᵀv_i, m²/s²: positive where V is made to rise |
+
+    Args:
+        env: a rendezvous parallel environment of robots whose action is their velocity.
+        min_gain: m/s; None is a*. The promised time is in inverse proportion to it.
+        max_gain: m/s; None is D̄. Never more than r/τ: a robot that goes farther in one step may
+            leave the hull.
+        frame: "net_bearing" or "local".
+        decision_period: base steps for which weights are held. Rewards are summed, and a robot that
+            merges on the way ends with its last observation.
+
+    Raises:
+        TypeError: for another kind of environment.
+        ValueError: naming the argument, its value and what would be right.
+    """
+
+
+class LinkKeepingWrapper(LinkSettings, GuaranteeWrapper):
+    """Robots say where they want to go; they go as near to that as their links allow.
+
+        v_i = λ d_i q_i + (1 − λ) P(wanted)                         (theorem R c, guarantees 12)
+
+    P is the projection onto the velocities with which no link grows longer whatever the others do,
+    as long as they do the same, and q_i the point of least norm of the robot's bearings. So with a
+    sensor of limited range a link that is shorter than range − (n − 1) r/2 is never lost but by a
+    merge, and if such links connect the team at the start, all meet in finite time whatever the
+    policy does. Claimed for motion without contacts: an obstacle turns robots aside.
+
+    ## Action space
+
+    ``Box(−1, 1, (d,))``, the wanted velocity in units of v_max, in the frame that is observed; a
+    longer one is scaled to v_max.
+
+    ## Observation space
+
+    The rows of the base environment, with ``frame="net_bearing"`` turned as by
+    ``HeadingVectorWrapper``.
+
+    ## Infos
+
+    Those of the base environment, and of the last base step ``alignment`` = |h_iᵀf_i|/‖f_i‖, h_i
+    the direction of motion (NaN without any), and ``lyapunov_rate`` = −2 f_iᵀv_i, m²/s², which is
+    never positive while no bearing errs by more than ``bearing_error``.
+
+    Args:
+        env: a rendezvous parallel environment of robots whose action is their velocity, and who see
+            each other or not: with a field of view, rows that drop out, or robots and obstacles
+            that hide others sight is not so, or ends for other reasons than distance.
+        share: λ, in (0, 1]: how much of the velocity is the link-keeping law's. The promised time
+            is in inverse proportion to it.
+        bearing_error: η, rad: links are kept while no bearing is wrong by more. For η < π/(2n) all
+            meet (theorem R d).
+        frame: "net_bearing" or "local".
+        decision_period: base steps for which a wish is held; it is projected in each. Rewards are
+            summed, and a robot that merges on the way ends with its last observation.
+
+    Raises:
+        TypeError: for another kind of environment.
+        ValueError: naming the argument, its value and what would be right, or why the robots of
+            this scenario cannot keep their links.
+    """

@@ -1,1 +1,0 @@
-"""Teams to train in: for learners that know nothing of merging."""

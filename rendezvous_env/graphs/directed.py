@@ -1,0 +1,68 @@
+"""Directed sensing graphs: a robot need not be seen by whom it sees (guarantees, section 10)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+
+from . import weights as matrices
+from .fixed import Weight
+from .graph import Graph, LinkArrays, from_matrix_of
+from .weights import as_range, count_of, read_edges
+
+
+@dataclass(frozen=True)
+class DirectedGraph(Graph, kinds=("directed", "directed_cycle")):
+    """Edges i → j, robot i sees robot j, with weights a_ij, m/s: row i of ``base_weights`` is what
+    robot i gives to those it sees.
+
+    It is directed even if every edge has a way back: the weights of the two are not one.
+    """
+
+    listed: ClassVar[str] = "directed"
+    directed: ClassVar[bool] = True
+
+    def links(self, n: int) -> LinkArrays:
+        """The edges before drawing: who sees, who is seen, and weights in m/s; each (E,)."""
+        if self.kind == self.listed:
+            return super().links(n)
+        robots = np.arange(n)
+        return robots, (robots + 1) % n, np.ones(n)
+
+    def why_not_joined(self, n: int) -> str | None:
+        """Why robots of this graph need not meet, in words; None if a globally reachable one makes
+        them (guarantees, section 10).
+        """
+        return matrices.why_not_led_together(self.sparse_weights(n))
+
+
+def directed(arcs: Any, n_robots: int | None = None) -> Graph:
+    """Robot i sees robot j where there is a directed edge (i, j); j need not see i.
+
+    Args:
+        arcs: an (n, n) matrix of weights, row i what robot i gives to those it sees, m/s, 0 = no
+            edge; or a list of (i, j) or (i, j, weight), weight 1 m/s if not given. An array or a
+            square list of lists is a matrix, tuples are edges.
+        n_robots: for a list of edges; without it the largest index is the last robot's.
+
+    Raises:
+        ValueError: naming the edge or the entry that is wrong.
+    """
+    if _is_matrix(arcs):
+        return from_matrix_of("directed", arcs, n_robots)
+    edges = read_edges(arcs)
+    return Graph("directed", edges=edges, n_nodes=n_robots or count_of(edges))
+
+
+def _is_matrix(arcs: Any) -> bool:
+    return isinstance(arcs, np.ndarray) or (
+        isinstance(arcs, list)
+        and all(isinstance(row, list | np.ndarray) and len(row) == len(arcs) for row in arcs)
+    )
+
+
+def directed_cycle(weight: Weight = 1.0) -> Graph:
+    """Robot i sees i + 1, the last one robot 0: cyclic pursuit."""
+    return Graph("directed_cycle", as_range(weight))

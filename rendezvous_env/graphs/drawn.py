@@ -1,0 +1,315 @@
+"""Families of graphs, of which every episode draws one from the stream of its graph."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..checks import Registry
+from ..compilation import inner_kernel, kernel
+from ..physics.random_streams import GRAPH, uniform
+from .edges import copy_links, pair_index, sort_links
+from .fixed import CompleteGraph, Weight
+from .graph import KINDS, Graph, GraphNumbers, LinkArrays, step_degree
+from .weights import as_range, checked_edges
+
+FIXED_EDGES, RANDOM_TREE, ERDOS_RENYI = range(3)
+"""What a kernel draws of a graph: nothing but its weights, or its edges."""
+_TRIES_FOR_CONNECTED = 100
+_NO_LINKS = (np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0))
+
+# ---- the kinds ----------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class DrawnGraph(CompleteGraph):
+    """A family of connected graphs; where nothing else is known its numbers are those of the
+    complete graph, and a* is the least weight that can be drawn.
+    """
+
+    fixed: ClassVar[bool] = False
+
+
+@dataclass(frozen=True)
+class RandomTree(DrawnGraph, kinds=("random_tree",)):
+    """A uniformly random labelled tree."""
+
+    def numbers(self, n: int) -> GraphNumbers:
+        """There are n − 1 edges, two at a robot in the mean."""
+        found, high = super().numbers(n), self.weight_range[1]
+        step = step_degree(n, found.max_degree, 4.0 * (n - 1) / n * high)
+        return found._replace(most_links=n - 1, step_degree=step, weight_sum=(n - 1) * high)
+
+
+@dataclass(frozen=True)
+class ErdosRenyi(DrawnGraph, kinds=("erdos_renyi",)):
+    """Every edge with the same chance, connected."""
+
+    def numbers(self, n: int) -> GraphNumbers:
+        """An episode has more than ``most_links`` with a chance of 10⁻⁹ at most: ten standard
+        deviations.
+        """
+        found, chance = super().numbers(n), self.probability
+        spread = 10 * np.sqrt(found.most_links * chance * (1 - chance))
+        most_links = min(found.most_links, int(np.ceil(found.most_links * chance + spread)) + n)
+        step = step_degree(n, found.max_degree, 2.0 * chance * (n - 1) * self.weight_range[1])
+        return found._replace(most_links=most_links, step_degree=step)
+
+
+def random_tree(weight: Weight = 1.0) -> Graph:
+    """A uniformly random labelled tree, drawn anew for every episode."""
+    return Graph("random_tree", as_range(weight))
+
+
+def erdos_renyi(probability: float, weight: Weight = 1.0) -> Graph:
+    """A connected Erdős–Rényi graph, drawn anew for every episode.
+
+    Draws are repeated until one is connected; after 100 in vain a uniformly random spanning tree is
+    added to the last one.
+    """
+    return Graph("erdos_renyi", as_range(weight), probability=probability)
+
+
+# ---- custom families ----------------------------------------------------------------------------
+
+DrawEdges = Callable[[int, np.random.Generator], Iterable[tuple[int, int]]]
+_DRAW = Registry("family of graphs", "rv.graphs.family")
+
+
+@dataclass(frozen=True)
+class CustomFamily(DrawnGraph):
+    """A family whose edges a registered function draws, see ``family``."""
+
+    def check_fits(self, scenario: Any) -> None:
+        """Draw once, so that what is wrong with the function shows before any episode.
+
+        Raises:
+            ValueError: as ``draw``.
+        """
+        self.draw(scenario.n_robots, 0, 0, connected=scenario.require_connected)
+
+    def draw(self, n: int, seed: int, episode: int, *, connected: bool) -> LinkArrays:
+        """The edges of one episode, a function of seed and episode alone.
+
+        Args:
+            n: number of robots.
+            seed: of the team.
+            episode: its number.
+            connected: whether the edges must join all robots.
+
+        Returns:
+            Robots i < j, (E,), (E,), and weights (E,), m/s.
+
+        Raises:
+            ValueError: for what are no edges of n robots, or edges that do not join them.
+        """
+        random = np.random.default_rng((int(seed), int(episode), GRAPH))
+        try:
+            edges = checked_edges(_DRAW[self.kind](n, random), n, directed=False)
+        except ValueError as error:
+            raise ValueError(f"family {self.kind!r} drew for {n} robots: {error}") from error
+        low, high = self.weight_range
+        drawn = Graph("edges", edges=edges, n_nodes=n)
+        if connected and (why := drawn.why_not_joined(n)) is not None:
+            raise ValueError(f"family {self.kind!r} drew a graph that is not connected: {why}")
+        return edges.first, edges.second, low + (high - low) * random.random(len(edges))
+
+
+def family(name: str, draw: DrawEdges | None = None) -> Any:
+    """Register a family of graphs of your own: a function that draws the edges of an episode.
+
+    Then ``Scenario(graph=name)`` and ``graphs.parse({"kind": name, "weight_range": [low, high]})``
+    know it. Weights are drawn from the range after the edges. The theorems take it for any
+    connected graph with these weights.
+
+    Args:
+        name: a word that no other kind of graph has; a family of yours may be replaced.
+        draw: takes the number of robots n and a NumPy ``Generator`` that belongs to the episode,
+            and returns edges (i, j), each once. Without it a decorator is returned.
+
+    Raises:
+        ValueError: for a name that is taken, or what cannot be called.
+    """
+    if isinstance(name, str) and KINDS.get(name, CustomFamily) is not CustomFamily:
+        raise ValueError(f"name is {name!r}; it must be new: {', '.join(KINDS)} are taken")
+
+    def register(draw: Any) -> Any:
+        _DRAW.add(name, draw)
+        KINDS[name] = CustomFamily
+        return draw
+
+    return register if draw is None else register(draw)
+
+
+# ---- drawing ------------------------------------------------------------------------------------
+
+
+class GraphRules(NamedTuple):
+    """A family of graphs, or one graph whose weights are drawn."""
+
+    topology: int
+    """FIXED_EDGES, RANDOM_TREE or ERDOS_RENYI."""
+    probability: float
+    """Chance of a link, for ERDOS_RENYI."""
+    weight_range: tuple[float, float]
+    """Each link's weight is multiplied by a number from this range."""
+    first: NDArray[np.int64]
+    """(E,), the lower robots of FIXED_EDGES, sorted."""
+    second: NDArray[np.int64]
+    """(E,), the others."""
+    weights: NDArray[np.float64]
+    """(E,), m/s."""
+
+
+def graph_rules(graph: Graph, n: int) -> GraphRules | None:
+    """What a kernel draws of an undirected graph; None where every episode has the same links, and
+    of a family that is drawn outside.
+    """
+    low, high = graph.weight_range
+    if not graph.undirected or (graph.fixed and low == high) or isinstance(graph, CustomFamily):
+        return None
+    topologies = {"random_tree": RANDOM_TREE, "erdos_renyi": ERDOS_RENYI}
+    listed = graph.links(n) if graph.fixed else _NO_LINKS
+    topology = topologies.get(graph.kind, FIXED_EDGES)
+    return GraphRules(topology, float(graph.probability), (low, high), *listed)
+
+
+@kernel
+def draw_links(key, n, rules, first, second, weights, places):
+    """Draw the links of one episode, sorted by their robots.
+
+    Args:
+        key: random stream.
+        n: number of robots.
+        rules: GraphRules.
+        first: (capacity,) array for the lower robots of the links.
+        second: likewise, for the others.
+        weights: likewise, for a_ij, m/s.
+        places: (n,) working memory.
+
+    Returns:
+        Number of links; −1 if there are more than the arrays hold.
+    """
+    capacity, counter, count = len(first), 0, 0
+    if rules.topology == FIXED_EDGES:
+        count = len(rules.first)
+        copy_links((rules.first, rules.second, rules.weights), (first, second, weights), count)
+    else:
+        joined = False
+        if rules.topology == ERDOS_RENYI:
+            for _ in range(_TRIES_FOR_CONNECTED):
+                count, counter = _draw_pairs(key, counter, n, rules.probability, first, second)
+                if count > capacity:
+                    return -1
+                joined = _is_connected(first, second, count, places)
+                if joined:
+                    break
+        if not joined:
+            count, counter = _add_tree(key, counter, n, first, second, count, places)
+            if count > capacity:
+                return -1
+        weights[:count] = 1.0
+        sort_links(first, second, weights, count)
+    low, high = rules.weight_range
+    for e in range(count):
+        share = uniform(key, counter + pair_index(first[e], second[e], n))
+        weights[e] *= low + (high - low) * share
+    return count
+
+
+@inner_kernel
+def _draw_pairs(key, counter, n, probability, first, second):
+    """Every pair with the same chance; number of links, those without room too, and the counter."""
+    count = 0
+    for i in range(n):
+        for j in range(i + 1, n):
+            if uniform(key, counter) < probability:
+                if count < len(first):
+                    first[count], second[count] = i, j
+                count += 1
+            counter += 1
+    return count, counter
+
+
+@inner_kernel
+def _add_tree(key, counter, n, first, second, count, places):
+    """First-entry edges of a random walk on the complete graph: a uniform tree (Aldous–Broder)."""
+    places[:] = 0  # 1: visited
+    here, left = 0, n - 1
+    places[here] = 1
+    drawn = count
+    while left > 0:
+        there = int(uniform(key, counter) * n)
+        counter += 1
+        if places[there] == 0:
+            places[there] = 1
+            low, high = min(here, there), max(here, there)
+            if not _is_listed(low, high, first, second, drawn):
+                if count < len(first):
+                    first[count], second[count] = low, high
+                count += 1
+            left -= 1
+        here = there
+    return count, counter
+
+
+@inner_kernel
+def _is_listed(low, high, first, second, count):
+    for e in range(count):
+        if first[e] == low and second[e] == high:
+            return True
+    return False
+
+
+@kernel
+def is_linked(i, j, links):
+    """Whether two robots i < j are linked.
+
+    Args:
+        i: index.
+        j: index.
+        links: robots (E,) and (E,), sorted, and weights.
+    """
+    first, second, _ = links
+    low, high = 0, len(first)
+    while low < high:
+        middle = (low + high) // 2
+        if first[middle] < i or (first[middle] == i and second[middle] < j):
+            low = middle + 1
+        else:
+            high = middle
+    return low < len(first) and first[low] == i and second[low] == j
+
+
+@inner_kernel
+def _is_connected(first, second, count, places):
+    """Whether the links join all robots; ``places`` holds the leader of each one's group."""
+    n = len(places)
+    for i in range(n):
+        places[i] = i
+    groups = n
+    for e in range(count):
+        groups -= join(first[e], second[e], places)
+    return groups == 1
+
+
+@kernel
+def join(i, j, places):
+    """Make one group of those of two robots; 1, or 0 if they are in one already."""
+    a, b = _leader(i, places), _leader(j, places)
+    if a == b:
+        return 0
+    places[max(a, b)] = min(a, b)
+    return 1
+
+
+@inner_kernel
+def _leader(i, places):
+    while places[i] != i:
+        places[i] = places[places[i]]
+        i = places[i]
+    return i

@@ -1,0 +1,99 @@
+"""Undirected graphs whose edges are the same in every episode."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .graph import Graph, GraphNumbers, LinkArrays, from_matrix_of
+from .weights import as_range, count_of, read_edges
+
+Weight = float | tuple[float, float]
+"""Of every edge, m/s, or a range to draw from."""
+
+
+@dataclass(frozen=True)
+class CompleteGraph(Graph, kinds=("complete",)):
+    """Everyone sees everyone, and goes on to whoever merges; in closed form."""
+
+    def links(self, n: int) -> LinkArrays:
+        """All pairs."""
+        first, second = np.triu_indices(n, 1)
+        return first.astype(np.int64), second.astype(np.int64), np.ones(len(first))
+
+    def base_weights(self, n: int) -> NDArray[np.float64]:
+        """1 for every pair, (n, n)."""
+        return 1.0 - np.eye(n)
+
+    def components(self, n: int) -> list[list[int]]:
+        """One."""
+        return [list(range(n))]
+
+    def numbers(self, n: int) -> GraphNumbers:
+        """Everyone may see everyone, with the largest weights."""
+        (low, high), pairs = self.weight_range, n * (n - 1) // 2
+        most = (n - 1) * high
+        return GraphNumbers(pairs, n - 1, most, most, low, pairs * high, self.weight_range)
+
+
+@dataclass(frozen=True)
+class NamedGraph(Graph, kinds=("path", "cycle", "star")):
+    """Edges that follow from the number of robots."""
+
+    def links(self, n: int) -> LinkArrays:
+        """The edges, each of weight 1 m/s."""
+        others = np.arange(1, n)
+        first, second = (0 * others if self.kind == "star" else others - 1), others
+        if self.kind == "cycle" and n > 2:
+            first, second = np.insert(first, 1, 0), np.insert(second, 1, n - 1)
+        return first, second, np.ones(len(first))
+
+
+@dataclass(frozen=True)
+class ListedGraph(Graph, kinds=("edges",)):
+    """Edges that are given one by one."""
+
+    listed: ClassVar[str] = "edges"
+
+
+def complete(weight: Weight = 1.0) -> Graph:
+    """Everyone sees everyone; ``weight`` in m/s, or a range to draw from."""
+    return Graph("complete", as_range(weight))
+
+
+def path(weight: Weight = 1.0) -> Graph:
+    """Robot i sees i - 1 and i + 1."""
+    return Graph("path", as_range(weight))
+
+
+def cycle(weight: Weight = 1.0) -> Graph:
+    """A path whose ends see each other."""
+    return Graph("cycle", as_range(weight))
+
+
+def star(weight: Weight = 1.0) -> Graph:
+    """Everyone sees robot 0 and is seen by it."""
+    return Graph("star", as_range(weight))
+
+
+def from_edges(edges: Iterable[Sequence[float]], n_robots: int | None = None) -> Graph:
+    """A graph from (i, j) or (i, j, weight) with robot indices from 0; weight 1 m/s if not given.
+
+    Raises:
+        ValueError: for a loop, a repeated edge, an index out of range or a bad weight.
+    """
+    read = read_edges(edges)
+    return Graph("edges", edges=read, n_nodes=n_robots or count_of(read))
+
+
+def from_matrix(weights: ArrayLike) -> Graph:
+    """A graph from its symmetric (n, n) matrix of weights a_ij, m/s; 0 = no edge.
+
+    Raises:
+        ValueError: naming the entry that is not finite, negative, on the diagonal or not symmetric.
+    """
+    return from_matrix_of("edges", weights)

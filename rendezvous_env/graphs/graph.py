@@ -1,0 +1,331 @@
+"""What a sensing graph is: its fields, the numbers that theorems ask for, and the kinds there are.
+
+Every kind is a subclass in a file of its own, which says what is particular to it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any, ClassVar, NamedTuple, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..checks import floats, nearest_word, real, shown, whole
+from ..limits import MOST_ROBOTS
+from . import weights as matrices
+from .weights import Edges, as_range, check_weights, checked_edges, count_of, read_edges
+
+GraphLike = Any
+"""A Graph, the name of a kind, a matrix of weights, or plain data."""
+LinkArrays = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]
+"""Edges: robots (E,), (E,), weights (E,), m/s; of directed ones who sees, and who is seen."""
+_LARGE_TEAM = 48
+"""Robots from which a step is made for what they see rather than for the worst of all merges."""
+KINDS: dict[str, type[Graph]] = {}
+"""The class of every kind of graph."""
+
+
+class GraphNumbers(NamedTuple):
+    """What theorems and engine ask of a graph; the methods of ``Graph`` say what each means."""
+
+    most_links: int
+    most_neighbours: int
+    max_degree: float
+    step_degree: float
+    bottleneck_weight: float
+    weight_sum: float
+    extreme_weights: tuple[float, float]
+
+
+def step_degree(n: int, worst: float, usual: float) -> float:
+    """The D_i, m/s, that a step is made for.
+
+    Merges could turn a large sparse graph into a star, and a step for that would be hundreds of
+    times too short for the robots there are. Whoever has a larger D_i goes more slowly (theory 4).
+
+    Args:
+        n: number of robots.
+        worst: D̄, m/s.
+        usual: D_i before any merge, m/s.
+    """
+    return worst if n < _LARGE_TEAM else min(worst, usual)
+
+
+@dataclass(frozen=True)
+class Graph:
+    """A weighted sensing graph for any number of robots, or a family of them.
+
+    Make one with the functions of ``graphs`` rather than by hand. What is said here holds for
+    graphs whose edges are the same in every episode; other kinds say what differs there.
+    """
+
+    kind: str
+    """complete, path, cycle, star, edges, random_tree, erdos_renyi, directed, directed_cycle,
+    switching, proximity, or a family that has been registered."""
+    weight_range: tuple[float, float] = (1.0, 1.0)
+    """Each edge draws its weight a_ij uniformly from this range, m/s; factors for listed edges."""
+    edges: Sequence[tuple[int, int, float]] = ()
+    """(i, j, a_ij), with i < j where they are undirected; for kinds with listed edges only."""
+    n_nodes: int | None = None
+    """Number of robots that the edges are for; likewise."""
+    probability: float = 0.5
+    """Chance of each edge; for kind "erdos_renyi" only."""
+
+    listed: ClassVar[str] = ""
+    """The kind, if any, whose edges are given one by one."""
+    fixed: ClassVar[bool] = True
+    """Whether all episodes have the same edges."""
+    directed: ClassVar[bool] = False
+    """Whether some robot may see another one that never sees it."""
+    changes: ClassVar[bool] = False
+    """Whether edges come and go within an episode, other than by merging."""
+
+    def __init_subclass__(cls, kinds: Sequence[str] = ()) -> None:
+        """Make a subclass the class of some kinds."""
+        KINDS.update(dict.fromkeys(kinds, cls))
+
+    def __new__(cls, kind: Any = None, *_: Any, **__: Any) -> Self:
+        """An instance of the class of its kind.
+
+        Raises:
+            ValueError: for an unknown kind, with the nearest known one.
+        """
+        return object.__new__(class_of(kind) if cls is Graph else cls)  # type: ignore[return-value]
+
+    def __post_init__(self) -> None:
+        """Convert and check every field."""
+        if type(self) is not class_of(self.kind):
+            raise ValueError(f"graph: {shown(self.kind)} is not a {type(self).__name__}")
+        object.__setattr__(self, "weight_range", as_range(self.weight_range))
+        if not 0 < real(self.probability) <= 1:
+            raise ValueError(f"graph: probability {shown(self.probability)} must be in (0, 1]")
+        object.__setattr__(self, "probability", real(self.probability))
+        if self.kind == self.listed:
+            n = whole("graph: n_nodes", self.n_nodes, 1, MOST_ROBOTS)
+            object.__setattr__(self, "n_nodes", n)
+            edges = checked_edges(self.edges, n, directed=self.directed)
+            object.__setattr__(self, "edges", edges)
+        elif self.edges != () or self.n_nodes is not None:
+            raise ValueError(f"graph: a {self.kind} has neither edges nor n_nodes")
+
+    def check_fits(self, scenario: Any) -> None:
+        """Refuse a scenario whose other fields this graph does not fit.
+
+        Raises:
+            ValueError: naming the field, and what would be right.
+        """
+
+    @property
+    def undirected(self) -> bool:
+        """Whether it is neither directed nor changes: what theorems A, C and D ask for."""
+        return not (self.directed or self.changes)
+
+    # ---- edges --------------------------------------------------------------------------------
+
+    def links(self, n: int) -> LinkArrays:
+        """The edges before drawing, sorted: robots i and j and weights in m/s; each (E,).
+
+        Raises:
+            ValueError: if the graph's edges are for another number of robots.
+        """
+        if not isinstance(self.edges, Edges) or n != self.n_nodes:
+            raise ValueError(
+                f"graph: its matrix or edge list is for {self.n_nodes} robots, not for {n}"
+            )
+        return self.edges.first, self.edges.second, self.edges.weight
+
+    def sparse_weights(self, n: int) -> Any:
+        """``base_weights`` as a sparse matrix, in memory that follows the edges."""
+        from scipy.sparse import csr_array
+
+        first, second, weight = self.links(n)
+        if not self.directed:
+            first, second = np.concatenate([first, second]), np.concatenate([second, first])
+            weight = np.concatenate([weight, weight])
+        return csr_array((weight, (first, second)), shape=(n, n))
+
+    def base_weights(self, n: int) -> NDArray[np.float64]:
+        """Weights before drawing, (n, n): an episode keeps some edges and scales each by a draw.
+
+        Raises:
+            ValueError: if the graph's edges are for another number of robots.
+        """
+        weights: NDArray[np.float64] = self.sparse_weights(n).toarray()
+        return weights
+
+    def draw(self, n: int, seed: int, episode: int, *, connected: bool) -> LinkArrays:
+        """The edges of one episode, of a family that is drawn outside the kernels."""
+        raise NotImplementedError
+
+    # ---- numbers of theory 3 and 4 ------------------------------------------------------------
+
+    def components(self, n: int) -> list[list[int]]:
+        """Connected components as lists of robot indices; a family only draws connected graphs."""
+        return matrices.components(self.sparse_weights(n))
+
+    def why_not_joined(self, n: int) -> str | None:
+        """Why robots of this graph can never all meet, in words; None if they can (theorem 1)."""
+        pieces = self.components(n)
+        if len(pieces) == 1:
+            return None
+        listed = " and ".join(map(str, pieces))
+        return f"it falls into {listed}, which can never meet (theorem 1); join them by an edge"
+
+    def numbers(self, n: int) -> GraphNumbers:
+        """All numbers of this graph for n robots; the methods below give them one by one."""
+        (low, high), matrix, weight = self.weight_range, self.sparse_weights(n), self.links(n)[2]
+        few, seen = (1 if self.directed else 2), np.diff(matrix.indptr).max()
+        worst = high * matrices.max_degree(matrix, directed=self.directed)
+        least, largest = float(weight.min(initial=np.inf)), float(weight.max(initial=0.0))
+        sure = least if self.directed else matrices.bottleneck_weight(matrix)
+        return GraphNumbers(
+            most_links=len(weight),
+            most_neighbours=min(few, n - 1) if seen <= few else n - 1,
+            max_degree=worst,
+            step_degree=step_degree(n, worst, high * float(matrix.sum(axis=1).max())),
+            bottleneck_weight=low * (sure if len(weight) else 0.0),
+            weight_sum=high * float(weight.sum()) * (0.5 if self.directed else 1.0),
+            extreme_weights=(low * least, high * largest),
+        )
+
+    def most_links(self, n: int) -> int:
+        """The most links that an episode can have."""
+        return _numbers(self, n).most_links
+
+    def most_neighbours(self, n: int) -> int:
+        """The most neighbours that a robot can have in any episode, merges included.
+
+        Contraction leaves a path a path and a cycle a cycle, and who sees one robot at most never
+        comes to see two; others it can turn into a star.
+        """
+        return _numbers(self, n).most_neighbours
+
+    def max_degree(self, n: int) -> float:
+        """D̄, m/s: the largest D_i = Σ_j a_ij that an episode or its merges can produce (theory
+        4).
+        """
+        return _numbers(self, n).max_degree
+
+    def step_degree(self, n: int) -> float:
+        """The D_i, m/s, that a step of single integrators is made for: D̄ of a small team; of a
+        large one the largest that a fixed graph has before any merge, twice the mean of a family.
+        """
+        return _numbers(self, n).step_degree
+
+    def bottleneck_weight(self, n: int) -> float:
+        """a*, m/s: the least a* over all graphs that an episode can draw (theory 3). Where links
+        are directed or change, a number below which no D_i of a robot that sees someone falls.
+        """
+        return _numbers(self, n).bottleneck_weight
+
+    def weight_sum(self, n: int) -> float:
+        """W, m/s: the largest sum of edge weights that an episode can draw; of directed edges half
+        of it, so that V ≤ 2 W × the largest distance.
+        """
+        return _numbers(self, n).weight_sum
+
+    def extreme_weights(self, n: int) -> tuple[float, float]:
+        """The least and the largest a_ij that an edge can have, m/s; inf and 0 without edges."""
+        return _numbers(self, n).extreme_weights
+
+    def start_reach(self, scenario: Any) -> float:
+        """Links up to this length, m, must connect every start that is drawn; infinite where none
+        need to.
+        """
+        return float(np.inf)
+
+    # ---- plain data ---------------------------------------------------------------------------
+
+    def to_plain(self) -> str | dict[str, Any]:
+        """The graph as plain data for TOML; ``parse`` turns it back into an equal graph."""
+        if self.kind != self.listed and self == Graph(self.kind):
+            return self.kind
+        plain: dict[str, Any] = {"kind": self.kind, "weight_range": list(self.weight_range)}
+        if self.kind == self.listed:
+            plain |= {"n_nodes": self.n_nodes, "edges": [list(edge) for edge in self.edges]}
+        if self.probability != Graph.probability:
+            plain["probability"] = self.probability
+        return plain
+
+    @classmethod
+    def from_plain(cls, plain: Mapping[str, Any]) -> Graph:
+        """A graph of this class from the plain data of ``to_plain``, some keys left out.
+
+        Raises:
+            ValueError: for an unknown key or an impossible value.
+        """
+        known = ("edges", "kind", "n_nodes", "probability", "weight_range")
+        check_keys(plain, known)
+        fields = {"kind": "complete", **plain}
+        fields["weight_range"] = as_range(fields.get("weight_range", 1.0))
+        if fields["kind"] == cls.listed:
+            fields["edges"] = edges = read_edges(fields.get("edges", ()))
+            if not fields.get("n_nodes"):
+                fields["n_nodes"] = count_of(edges)
+        return cls(**fields)
+
+
+@lru_cache(maxsize=64)
+def _numbers(graph: Graph, n: int) -> GraphNumbers:
+    return graph.numbers(n)
+
+
+def check_keys(plain: Mapping[Any, Any], known: Sequence[str]) -> None:
+    """Refuse unknown keys of a graph's plain data.
+
+    Raises:
+        ValueError: naming the first one.
+    """
+    for key in plain:
+        if key not in known:
+            raise ValueError(
+                f"graph: unknown key {shown(key)}; known keys are {', '.join(sorted(known))}"
+            )
+
+
+def class_of(kind: Any) -> type[Graph]:
+    """The class of a kind of graph.
+
+    Raises:
+        ValueError: for an unknown one, with the nearest known one.
+    """
+    if isinstance(kind, str) and kind in KINDS:
+        return KINDS[kind]
+    near = nearest_word(kind, KINDS)
+    raise ValueError(
+        f"graph: {shown(kind)} is not a graph; choose one of {', '.join(KINDS)}"
+        + (f"; did you mean {near!r}?" if near else "")
+    )
+
+
+def parse(value: Any) -> Graph:
+    """A Graph from a Graph, a name, a matrix, or the plain data of ``Graph.to_plain``.
+
+    Raises:
+        ValueError: for anything else.
+    """
+    if isinstance(value, Graph):
+        return value
+    if isinstance(value, str):
+        return class_of(value).from_plain({"kind": value})
+    if isinstance(value, Mapping):
+        kind = value.get("kind", "edges" if "edges" in value else "complete")
+        return class_of(kind).from_plain({**value, "kind": kind})
+    return from_matrix_of("edges", value)
+
+
+def from_matrix_of(kind: str, weights: Any, n: int | None = None) -> Graph:
+    """A graph with listed edges from its (n, n) matrix of weights a_ij, m/s; 0 = no edge.
+
+    Raises:
+        ValueError: naming the entry that is not finite, negative, on the diagonal or, where the
+            graph is undirected, not symmetric.
+    """
+    matrix, directed = floats("graph", weights), class_of(kind).directed
+    check_weights(matrix, n, directed=directed)
+    first, second = np.nonzero(matrix if directed else np.triu(matrix))
+    edges = Edges(first, second, matrix[first, second])
+    return Graph(kind, edges=edges, n_nodes=len(matrix))

@@ -1,0 +1,246 @@
+"""Neighbours that come within the merge radius become one robot (assumption 2, theory 5).
+
+One team at a time, given by its places and its links: ``first[e] < second[e]`` are the robots of
+link e, ``weight[e]`` its a_ij in m/s. A link that merging makes superfluous gets the weight 0, so
+that the number of links never grows and nothing has to be allocated.
+
+Where links can be one-way, a pair merges if either sees the other: a link then weighs the mean of
+a_ij and a_ji, which makes V of the links that of the arcs, and ``arcs`` holds the two.
+"""
+
+import numpy as np
+
+from ..compilation import inner_kernel, kernel
+from ..obstacles.obstacle_set import clear_of_obstacles
+from ..physics.crossings import first_crossing
+from ..physics.potential import distance_squared, lyapunov_of_links
+from ..physics.vectors import load, subtract
+
+
+@kernel
+def merge_swept(positions, displacements, lengths, links, arcs, merged_into, world, radius, work):
+    """Move one team by its displacements and merge whom the motion brings together (theory 5).
+
+    Pairs merge at the first moment of the motion when their distance falls to r, earliest first and
+    then by index; both rest for what is left of the step. Afterwards pairs that stand closer than r
+    merge, nearest first, until none is left.
+
+    Args:
+        positions: (n, d), m; the start of the motion on entry, its end on return.
+        displacements: (n, d), m; straight or the chord of an arc. Overwritten.
+        lengths: (n,) of the ways, m; shortened for robots that rest.
+        links: (first, second, weight), each (E,); contracted in place.
+        arcs: of links that can be one-way, with ``weights`` a_ij, (n, n), m/s, contracted in place;
+            None of others.
+        merged_into: (n,), index of the robot that each one is now part of; updated in place.
+        world: obstacles, in which no merged robot may be placed; None where there are none.
+        radius: r, m.
+        work: working memory (moments (E,), here (n, d), resting (n,) bool), and a report, (4,):
+            V just before the first merge, V just after the last, the largest rise of V at
+            a merge, and its largest excess over the bound of theory 5, all m²/s. The first entry
+            stays as it is when nothing merges.
+
+    Returns:
+        Number of merges.
+    """
+    moments, here, resting, report = work
+    first, second, _ = links
+    n, d = positions.shape
+    resting[:] = False
+    _meeting_moments(positions, displacements, links, radius, moments)
+    merges = 0
+    while True:
+        e = _earliest(moments, first, second, resting)
+        if e < 0:
+            break
+        # the moments found at the start stay true: whose links a merge changes rests from then on
+        # V at a merge is that of the places at its moment, when the others are still under way
+        moment, i, j = moments[e], first[e], second[e]
+        for k in range(n):
+            share = 0.0 if resting[k] else moment
+            for axis in range(d):
+                here[k, axis] = positions[k, axis] + share * displacements[k, axis]
+        _merge(e, here, links, arcs, merged_into, world, radius, merges == 0, report)
+        merges += 1
+        for robot in (i, j):
+            resting[robot] = True
+            lengths[robot] *= moment  # as if the way grew evenly; it does but for accelerations
+            for axis in range(d):
+                positions[robot, axis] = here[robot, axis]
+                displacements[robot, axis] = 0.0
+    for k in range(n):
+        for axis in range(d):
+            positions[k, axis] += displacements[k, axis]
+    # a place at a midpoint, or a robot at rest, may be nearer than r to others without a crossing
+    while True:
+        e = _nearest_within(positions, links, radius)
+        if e < 0:
+            return merges
+        _merge(e, positions, links, arcs, merged_into, world, radius, merges == 0, report)
+        merges += 1
+
+
+@inner_kernel
+def _meeting_moments(positions, displacements, links, radius, moments):
+    """When the robots of each link first stand within r of each other, as a share of the motion."""
+    first, second, weight = links
+    for e in range(len(first)):
+        moments[e] = np.inf
+        if weight[e] > 0.0:
+            i, j = first[e], second[e]
+            offset = subtract(load(positions[j]), load(positions[i]))
+            velocity = subtract(load(displacements[j]), load(displacements[i]))
+            moments[e] = first_crossing(offset, velocity, radius)
+
+
+@inner_kernel
+def _comes_before(first, second, e, best):
+    """Whether the robots of link e come before those of another one by index; −1 is none."""
+    # by robots, not by e: a contraction leaves the links unsorted, and ties must not depend on that
+    if best < 0 or first[e] != first[best]:
+        return best < 0 or first[e] < first[best]
+    return second[e] < second[best]
+
+
+@inner_kernel
+def _earliest(moments, first, second, resting):
+    """The link whose robots meet first, of those that both still move; −1 if none does."""
+    moment, best = np.inf, -1
+    for e in range(len(first)):
+        if moments[e] <= moment and moments[e] <= 1.0:
+            if not (resting[first[e]] or resting[second[e]]):
+                if moments[e] < moment or _comes_before(first, second, e, best):
+                    moment, best = moments[e], e
+    return best
+
+
+@inner_kernel
+def _nearest_within(positions, links, radius):
+    """The shortest link that is shorter than r; −1 if none is."""
+    first, second, weight = links
+    nearest, best = radius * radius, -1
+    for e in range(len(first)):
+        if weight[e] > 0.0:
+            square = distance_squared(positions, first[e], second[e])
+            if square < nearest or (
+                square == nearest and best >= 0 and _comes_before(first, second, e, best)
+            ):
+                nearest, best = square, e
+    return best
+
+
+@inner_kernel
+def _merge(e, positions, links, arcs, merged_into, world, radius, is_first, report):
+    """Make the second robot of link e part of the first, and report what that does to V."""
+    first, second, weight = links
+    i, j, gain = first[e], second[e], weight[e]
+    before = lyapunov_of_links(positions, links)
+    at_midpoint = _place(i, j, positions, world)
+    # the bound speaks of the degrees before the links are contracted
+    bound = radius * max(0.0, _pull_at_merge(i, j, links, at_midpoint) - 4.0 * gain)
+    contract(i, j, links)
+    if arcs is not None:
+        contract_arcs(i, j, links, arcs.weights)
+    for k in range(len(merged_into)):
+        if merged_into[k] == j:
+            merged_into[k] = i
+    after = lyapunov_of_links(positions, links)
+    if is_first:
+        report[0] = before
+    report[1] = after
+    report[2] = max(report[2], after - before)
+    report[3] = max(report[3], after - before - bound)
+
+
+@inner_kernel
+def _place(i, j, positions, world):
+    """Put both at their midpoint, or at the place of the lower index if that lies in an
+    obstacle; whether at the midpoint.
+    """
+    d = positions.shape[1]
+    at_midpoint = True
+    if world is not None:  # the lower index' own place is free, so nobody lands in an obstacle
+        a, b = load(positions[i]), load(positions[j])
+        midpoint = 0.5 * (a[0] + b[0]), 0.5 * (a[1] + b[1]), 0.5 * (a[2] + b[2])
+        at_midpoint = clear_of_obstacles(midpoint, world, 0.0)
+    for k in range(d):
+        if at_midpoint:
+            positions[i, k] = 0.5 * (positions[i, k] + positions[j, k])
+        positions[j, k] = positions[i, k]
+    return at_midpoint
+
+
+@inner_kernel
+def _pull_at_merge(i, j, links, at_midpoint):
+    """D_i + D_j at the midpoint, 2 max(D_i, D_j) at the lower index' place, m/s (theory 5)."""
+    first, second, weight = links
+    degree_i = degree_j = 0.0
+    for e in range(len(first)):
+        if first[e] == i or second[e] == i:
+            degree_i += weight[e]
+        if first[e] == j or second[e] == j:
+            degree_j += weight[e]
+    return degree_i + degree_j if at_midpoint else 2.0 * max(degree_i, degree_j)
+
+
+@kernel
+def contract(i, j, links):
+    """The links of j become those of i; of two to the same robot the heavier gain stays.
+
+        a_ik ← max(a_ik, a_jk),   a_ij ← 0                         (assumption 2)
+
+    Args:
+        i: index of the robot that stays, i < j.
+        j: index of the robot that becomes part of it.
+        links: (first, second, weight), each (E,); weights a_ij in m/s; changed in place.
+    """
+    first, second, weight = links
+    for e in range(len(first)):
+        if weight[e] > 0.0 and (first[e] == j or second[e] == j):
+            k = first[e] if second[e] == j else second[e]
+            if k == i:
+                weight[e] = 0.0
+                continue
+            low, high = min(i, k), max(i, k)
+            twin = _link_between(low, high, links)
+            if twin >= 0:
+                # the heavier, not the sum: no D_i outgrows the D̄ that the certified step is for,
+                # and a* never falls (theory 3 and 4)
+                weight[twin] = max(weight[twin], weight[e])
+                weight[e] = 0.0
+            else:
+                first[e], second[e] = low, high
+
+
+@inner_kernel
+def _link_between(low, high, links):
+    first, second, weight = links
+    for e in range(len(first)):
+        if weight[e] > 0.0 and first[e] == low and second[e] == high:
+            return e
+    return -1
+
+
+@kernel
+def contract_arcs(i, j, links, arcs):
+    """The arcs of j, from it and to it, become those of i; of two the heavier gain stays.
+
+        a_ik ← max(a_ik, a_jk),   a_ki ← max(a_ki, a_kj),   a_ij, a_ji ← 0     (assumption 2)
+
+    Args:
+        i: index of the robot that stays.
+        j: index of the robot that becomes part of it.
+        links: of these arcs, contracted already; they get their new mean weights.
+        arcs: a_ij, (n, n), m/s; changed in place.
+    """
+    n = arcs.shape[0]
+    for k in range(n):
+        arcs[i, k] = max(arcs[i, k], arcs[j, k])
+        arcs[k, i] = max(arcs[k, i], arcs[k, j])
+    for k in range(n):
+        arcs[j, k] = arcs[k, j] = 0.0
+    arcs[i, i] = 0.0
+    first, second, weight = links
+    for e in range(len(first)):
+        if weight[e] > 0.0 and (first[e] == i or second[e] == i):
+            weight[e] = 0.5 * (arcs[first[e], second[e]] + arcs[second[e], first[e]])

@@ -1,0 +1,271 @@
+"""Edges and matrices of weights: how they are given and kept, and their numbers (theory 3, 4)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..checks import is_whole, real, refuse, shown
+from ..limits import LARGEST, SMALLEST
+
+
+def as_range(weight: Any) -> tuple[float, float]:
+    """The lowest and highest of a range of weights, from one number or two, m/s.
+
+    Raises:
+        ValueError: for what is no range within the limits.
+    """
+    pair = tuple(weight) if isinstance(weight, list | tuple) else (weight, weight)
+    if len(pair) != 2 or not SMALLEST <= real(pair[0]) <= real(pair[1]) <= LARGEST:
+        raise ValueError(
+            f"graph: weight_range {shown(pair)} must be finite, 0 < low <= high, from "
+            f"{SMALLEST:g} to {LARGEST:g} m/s"
+        )
+    return real(pair[0]), real(pair[1])
+
+
+class Edges(Sequence[tuple[int, int, float]]):
+    """Edges (i, j, a_ij), sorted: three arrays that look like a tuple of triples.
+
+    Args:
+        first: (E,), i.
+        second: (E,), j.
+        weight: (E,), a_ij, m/s.
+    """
+
+    def __init__(self, first: NDArray[Any], second: NDArray[Any], weight: NDArray[Any]) -> None:
+        n = 1 + max(first.max(initial=0), second.max(initial=0))
+        place = first * n + second
+        if not (place[1:] > place[:-1]).all():
+            order = np.argsort(place, kind="stable")
+            first, second, weight = first[order], second[order], weight[order]
+        self.first, self.second = first.astype(np.int64), second.astype(np.int64)
+        self.weight = weight.astype(np.float64)
+
+    def __len__(self) -> int:
+        return len(self.first)
+
+    def __getitem__(self, index: Any) -> Any:
+        return tuple(self)[index]
+
+    def __iter__(self) -> Iterator[tuple[int, int, float]]:
+        columns = (self.first.tolist(), self.second.tolist(), self.weight.tolist())
+        return zip(*columns, strict=True)
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Edges):
+            return tuple(self) == other
+        pairs = zip(self._columns(), other._columns(), strict=True)
+        return all(np.array_equal(mine, theirs) for mine, theirs in pairs)
+
+    def __hash__(self) -> int:
+        return hash(tuple(column.tobytes() for column in self._columns()))
+
+    def __repr__(self) -> str:
+        return repr(tuple(self))
+
+    def _columns(self) -> tuple[NDArray[Any], ...]:
+        return self.first, self.second, self.weight
+
+
+def read_edges(edges: Any) -> tuple[tuple[int, int, float], ...]:
+    """Edges as they are given: (i, j), of weight 1 m/s, or (i, j, weight).
+
+    Raises:
+        ValueError: for what is no sequence of them.
+    """
+    scalar = isinstance(edges, np.ndarray) and edges.ndim == 0  # says that it can be iterated
+    if isinstance(edges, str | bytes) or not isinstance(edges, Iterable) or scalar:
+        refuse("graph: edges", edges, "a sequence of (i, j) or (i, j, weight)")
+    return tuple(map(_as_edge, edges))
+
+
+def _as_edge(edge: Any) -> tuple[int, int, float]:
+    """One edge; whole numbers may come as floats."""
+    row = edge.tolist() if isinstance(edge, np.ndarray) else edge
+    if not isinstance(row, Sequence) or isinstance(row, str | bytes) or len(row) not in (2, 3):
+        refuse("graph: an edge", edge, "(i, j) or (i, j, weight) with indices of robots")
+    i, j, weight = (*row, 1.0)[:3]
+    if not all(is_whole(k) or real(k).is_integer() for k in (i, j)):
+        refuse("graph: an edge", edge, "(i, j) or (i, j, weight) with whole indices of robots")
+    if not SMALLEST <= real(weight) <= LARGEST:
+        raise ValueError(
+            f"graph: edge ({int(i)}, {int(j)}) has weight {shown(weight)}; it must be positive and "
+            f"finite, from {SMALLEST:g} to {LARGEST:g} m/s"
+        )
+    return int(i), int(j), real(weight)
+
+
+def count_of(edges: Iterable[tuple[int, int, float]]) -> int:
+    """One more than the largest index."""
+    return 1 + max((max(0, i, j) for i, j, _ in edges), default=0)
+
+
+def checked_edges(edges: Any, n: int, *, directed: bool) -> Edges:
+    """Edges of n robots in the form in which a graph keeps them, undirected ones with i < j.
+
+    Raises:
+        ValueError: for a loop, a repeated edge or an index out of range.
+    """
+    if isinstance(edges, Edges):
+        first, second, weight = edges.first, edges.second, edges.weight
+    else:
+        given = read_edges(edges)
+        for i, j, _ in given:
+            if not (0 <= i < n and 0 <= j < n):
+                _refuse_edge(i, j, n)
+        table = np.array(given, dtype=np.float64).reshape(-1, 3)
+        first, second = table[:, 0].astype(np.int64), table[:, 1].astype(np.int64)
+        weight = table[:, 2]
+    low, high = np.minimum(first, second), np.maximum(first, second)
+    start, end = (first, second) if directed else (low, high)
+    wrong, place = (first == second) | (low < 0) | (high >= n), start * n + end
+    if not (place[1:] > place[:-1]).all():
+        _, once = np.unique(place, return_index=True)
+        wrong |= ~np.isin(np.arange(len(first)), once)
+    if wrong.any():
+        place = int(np.argmax(wrong))
+        _refuse_edge(int(first[place]), int(second[place]), n)
+    return Edges(start, end, weight)
+
+
+def _refuse_edge(i: int, j: int, n: int) -> None:
+    raise ValueError(f"graph: edge ({i}, {j}) must join two different robots of 0..{n - 1}, once")
+
+
+def check_weights(
+    weights: NDArray[np.float64],
+    n: int | None = None,
+    field: str = "graph",
+    *,
+    directed: bool = False,
+) -> None:
+    """Refuse a matrix that is no set of sensing weights.
+
+    Args:
+        weights: to be (n, n), symmetric, non-negative, finite, zero on the diagonal.
+        n: number of robots, if known.
+        field: what the message calls the matrix.
+        directed: whether it need not be symmetric.
+
+    Raises:
+        ValueError: naming the shape or the first entry that is wrong.
+    """
+    size = n if n is not None else (weights.shape[0] if weights.ndim else 0)
+    if weights.shape != (size, size):
+        raise ValueError(
+            f"{field}: weights have shape {weights.shape}; they must be ({size}, {size})"
+        )
+    out_of_limits = (weights != 0) & ((weights < SMALLEST) | (weights > LARGEST))
+    reasons = (
+        (~np.isfinite(weights), "must be finite"),
+        (weights < 0, "must not be negative"),
+        (out_of_limits, f"must be 0, or from {SMALLEST:g} to {LARGEST:g} m/s"),
+        (np.diag(np.diag(weights) != 0), "must be 0: no robot is its own neighbour"),
+        (
+            (weights != weights.T) & (not directed),
+            "must equal its mirror image: the graph is undirected (a_ij = a_ji); graphs.directed "
+            "takes others",
+        ),
+    )
+    for wrong, reason in reasons:
+        if np.any(wrong):
+            i, j = (int(k) for k in np.argwhere(wrong)[0])
+            raise ValueError(f"{field}: weight a[{i}, {j}] = {weights[i, j]} {reason}")
+
+
+# ---- numbers ------------------------------------------------------------------------------------
+# Weights are an (n, n) matrix, an array or a sparse one of SciPy's; the work follows the edges.
+
+
+def sparse(weights: Any) -> Any:
+    """Weights as a sparse matrix without stored zeros."""
+    from scipy.sparse import csr_array, issparse
+
+    if issparse(weights):
+        return weights
+    # of dense ones SciPy itself drops small weights
+    return csr_array(np.where(weights > 0, weights, 0.0))
+
+
+def components(weights: Any) -> list[list[int]]:
+    """Connected components of a weight matrix, as lists of indices."""
+    from scipy.sparse.csgraph import connected_components
+
+    return _groups(*connected_components(sparse(weights), directed=False))
+
+
+def _groups(count: int, labels: NDArray[Any]) -> list[list[int]]:
+    ordered = np.argsort(labels, kind="stable")
+    ends = np.cumsum(np.bincount(labels, minlength=count))[:-1]
+    return [group.tolist() for group in np.split(ordered, ends)]
+
+
+def max_degree(weights: Any, *, directed: bool = False) -> float:
+    """D̄: the largest D_i = Σ_j a_ij that merging can produce (theory 4), m/s.
+
+    A path stays a path and a cycle a cycle, so that nobody has more than two neighbours; whoever
+    sees one robot at most never comes to see two. Other components can become a star.
+    """
+    from scipy.sparse.csgraph import connected_components
+
+    matrix = sparse(weights)
+    if not matrix.nnz:
+        return 0.0
+    count, labels = connected_components(matrix, directed=False)
+    few = 1 if directed else 2
+    most_seen, heaviest = np.zeros(count, np.int64), np.zeros(count)
+    np.maximum.at(most_seen, labels, np.diff(matrix.indptr))
+    np.maximum.at(heaviest, labels, matrix.max(axis=1).toarray().ravel())
+    total = np.bincount(labels, matrix.sum(axis=1)) * (1.0 if directed else 0.5)
+    most = np.where(most_seen <= few, few, np.bincount(labels) - 1)
+    return float(np.minimum(most * heaviest, total).max())
+
+
+def bottleneck_weight(weights: Any) -> float:
+    """a* of a weight matrix: the least edge of a maximum spanning tree (of each component)."""
+    from scipy.sparse.csgraph import minimum_spanning_tree
+
+    tree = minimum_spanning_tree(-sparse(weights))
+    return float(-tree.data.max()) if tree.nnz else 0.0
+
+
+def closed_groups(weights: Any) -> list[list[int]]:
+    """Groups of robots who see nobody outside and cannot be divided so: the strongly connected
+    components that no directed edge leaves.
+
+    One alone means that some robot is led to from all: it is globally reachable (guarantees,
+    section 10).
+    """
+    from scipy.sparse.csgraph import connected_components
+
+    matrix = sparse(weights)
+    count, labels = connected_components(matrix, directed=True, connection="strong")
+    sees, seen = matrix.nonzero()
+    left = set(labels[sees][labels[sees] != labels[seen]].tolist())
+    groups = _groups(count, labels)
+    return [groups[label] for label in range(count) if label not in left]
+
+
+def why_not_led_together(weights: Any) -> str | None:
+    """Why no robot is globally reachable, in words; None if one is (guarantees, section 10).
+
+    Args:
+        weights: (n, n), a_ij > 0 where robot i sees robot j.
+    """
+    groups = closed_groups(weights)
+    if len(groups) == 1:
+        return None
+    return (
+        f"{' and '.join(map(str, groups))} each see nobody outside their own group, and so need "
+        "not meet (guarantees, section 10); let some robot be reached from all"
+    )
+
+
+def least_weight(weights: Any) -> float:
+    """The least weight of an edge, which no D_i of a robot that sees someone falls below, m/s."""
+    positive = sparse(weights).data
+    return float(positive.min()) if len(positive) else 0.0

@@ -1,0 +1,306 @@
+"""How obstacles stop a robot: swept motion along straight lines and arcs.
+
+A contact is a path that would go deeper than 1 µm into an obstacle; leaving, sliding along and
+shallower grazing are free. No robot passes through an obstacle at any speed, and none ends a step
+inside one. Where it makes contact a robot loses the part of its motion that would enter:
+
+    ṗ = Π_T(p) v,    T(p) = {w : wᵀn ≥ 0 for the normal n of every obstacle touched at p}
+
+so that vᵀṗ = ‖ṗ‖² ≥ 0, and law (1) lets V fall along obstacles too (theory.md 6).
+"""
+
+import math
+
+import numpy as np
+
+from ..compilation import kernel
+from ..physics.vectors import ORIGIN, add, cross, dot, load, norm, store, subtract, triple
+from ..robots.motion import along, bend, closes
+from .obstacle_set import distance_to, entry, normals, surface, within
+
+SLIDE, STOP, IGNORE = range(3)
+"""What a contact does: slide along the surface, rest at it, or nothing."""
+CONTACT_DEPTH = 1e-6
+"""m; how deep a path goes before it is a contact."""
+
+_SURFACE_TOLERANCE = 1e-13  # m; what rounding may leave a resting robot inside
+_CHORD_TOLERANCE = 1e-7  # m; how far a chord may be from its arc when a contact is decided
+_MAX_LEGS = 16
+_MOST_CHORDS, _LEAST_CHORDS, _MOST_WORK = 20_000, 500, 400_000
+"""Pieces that a curve is followed by, so many that all obstacles with their corners, each looked at
+for every piece, keep within the work."""
+_MAX_PUSHES = 8
+_NEARLY_PARALLEL = 1e-24  # square sine of the angle between two planes that meet in no line
+
+
+@kernel
+def move_straight(point, way, world, mode, normals):
+    """Move a robot straight, as far as the obstacles let it: ṗ = Π_T(p) v (theory 6).
+
+    Args:
+        point: a triple, m, outside every obstacle or on its surface.
+        way: what the robot would do without obstacles, a triple, m.
+        world: obstacles of the team.
+        mode: SLIDE, STOP or IGNORE.
+        normals: (2M, 3) working memory.
+
+    Returns:
+        Whether there was a contact, and the displacement executed, a triple, m: bit-equal to
+        ``way`` on a path that touches nothing.
+    """
+    if mode == IGNORE:
+        return False, way
+    near, fraction = _first_contact(point, way, world, CONTACT_DEPTH)
+    if not near or (fraction > 1.0 and outside_all(add(point, 1.0, way), world)):
+        return False, way
+    return fraction <= 1.0, subtract(_follow(point, way, world, mode, normals), point)
+
+
+@kernel
+def move_curved(point, way, model, action, frame, memory, world, mode, normals):
+    """Move a robot along its curved way, as far as the obstacles let it.
+
+    From the contact on, what is left of the way is replaced by its chord, which slides as in
+    ``move_straight``, with ṗ = Π_T(p) v.
+
+    Args:
+        point: a triple, m, outside every obstacle or on its surface.
+        way: displacement of the whole step without obstacles, a triple, m.
+        model: constants of the robot model, see ``motion``.
+        action: as the model's equations take it.
+        frame: likewise.
+        memory: likewise.
+        world: obstacles of the team.
+        mode: SLIDE, STOP or IGNORE.
+        normals: (2M, 3) working memory.
+
+    Returns:
+        As ``move_straight``.
+    """
+    reach = model.speed_limit * model.duration
+    if mode == IGNORE or not _any_within(world, point, reach):
+        return False, way
+    curve = (model, action, frame, memory)
+    contact_time = _first_contact_on_curve(point, curve, world)
+    contact = contact_time <= model.duration
+    free_end = add(point, 1.0, way)
+    if not contact and outside_all(free_end, world):
+        return False, way
+    end = _settle_on_curve(point, curve, min(contact_time, model.duration), world)
+    if contact and mode == SLIDE:
+        end = _follow(end, subtract(free_end, end), world, mode, normals)
+    return contact, subtract(end, point)
+
+
+@kernel
+def outside_all(point, world):
+    """Whether a point lies in no obstacle: but for rounding, all signed distances are ≥ zero, m.
+
+    Args:
+        point: a triple, m.
+        world: obstacles of the team.
+    """
+    for m in range(world.kinds.shape[0]):
+        if within(world, m, point, 0.0) and distance_to(world, m, point) < -_SURFACE_TOLERANCE:
+            return False
+    return True
+
+
+@kernel
+def _first_contact(point, way, world, depth):
+    """Whether a straight way comes near any obstacle, and the fraction of it before a contact.
+
+    The fraction is where the way meets the surface of the first obstacle that it enters deeper than
+    ``depth``; inf if there is none. A negative depth makes the obstacles fatter by so much.
+    """
+    near, first = False, np.inf
+    reach = norm(way) + max(0.0, -depth)
+    for m in range(world.kinds.shape[0]):
+        if within(world, m, point, reach):
+            near = True
+            first = min(first, entry(world, m, point, way, depth))
+    return near, first
+
+
+@kernel
+def _any_within(world, point, reach):
+    for m in range(world.kinds.shape[0]):
+        if within(world, m, point, reach):
+            return True
+    return False
+
+
+@kernel
+def _follow(point, way, world, mode, normals):
+    """Where a robot ends that slides along, or stops at, the obstacles in its way."""
+    start, leg, left = point, way, 1.0
+    end = point
+    for _ in range(_MAX_LEGS):
+        _, fraction = _first_contact(start, leg, world, CONTACT_DEPTH)
+        end = _settle_on_line(start, leg, min(fraction, 1.0), world)
+        if mode == STOP or fraction >= 1.0:
+            return end
+        left *= 1.0 - fraction
+        start = end
+        free = free_part(way, start, world, CONTACT_DEPTH, normals)
+        leg = (free[0] * left, free[1] * left, free[2] * left)
+    return end
+
+
+@kernel
+def _settle_on_line(start, leg, fraction, world):
+    """The point at a fraction of a leg, moved outside the obstacles.
+
+    Where two surfaces meet so sharply that pushing it out of one pushes it into the other, it goes
+    back along the leg a little, twice as far each time, at worst to the start.
+    """
+    retreat = CONTACT_DEPTH / max(CONTACT_DEPTH, norm(leg))
+    while fraction > 0.0 and retreat > 0.0:  # a leg of infinite length leaves no retreat
+        is_out, point = _push_out(add(start, fraction, leg), world)
+        if is_out:
+            return point
+        fraction -= retreat
+        retreat *= 2.0
+    _, point = _push_out(start, world)
+    return point
+
+
+@kernel
+def _settle_on_curve(start, curve, time, world):
+    """The same on a curve: where the robot is after ``time``, or a little earlier."""
+    retreat = CONTACT_DEPTH / max(CONTACT_DEPTH, curve[0].speed_limit)
+    while time > 0.0 and retreat > 0.0:
+        is_out, point = _push_out(place_on(curve, start, time), world)
+        if is_out:
+            return point
+        time -= retreat
+        retreat *= 2.0
+    _, point = _push_out(start, world)
+    return point
+
+
+@kernel
+def _push_out(point, world):
+    """A point that is barely inside obstacles, moved onto their surface; and whether it is out."""
+    for _ in range(_MAX_PUSHES):
+        if outside_all(point, world):
+            return True, point
+        for m in range(world.kinds.shape[0]):
+            distance, normal = surface(world, m, point)
+            if distance < 0.0:
+                point = add(point, -distance, normal)
+    return outside_all(point, world), point
+
+
+@kernel
+def _first_contact_on_curve(point, curve, world):
+    """Time until a curve meets the surface of the first obstacle that it enters deeper than 1 µm.
+
+    The curve is followed chord by chord. A chord that clears all obstacles made fatter by what the
+    curve may be away from it (``motion.bend``) proves its piece clear; if it does not, the next one
+    is half as long.
+
+    Returns:
+        Time in s, inf if there is no contact. If the chords run out, the time that was proved
+        clear.
+    """
+    model, action, _, memory = curve
+    bent = bend(model, action, memory)
+    duration = min(model.duration, closes(model, action, memory))
+    here, time, piece = point, 0.0, duration
+    work = 1
+    for m in range(world.kinds.shape[0]):
+        work += 1 + world.corners[m]
+    for _ in range(max(_LEAST_CHORDS, min(_MOST_CHORDS, _MOST_WORK // work))):
+        end = min(duration, time + piece)
+        there = place_on(curve, point, end)
+        sagitta = bent * (end - time) ** 2
+        _, fraction = _first_contact(here, subtract(there, here), world, CONTACT_DEPTH - sagitta)
+        if fraction > 1.0:
+            if end >= duration:
+                return np.inf
+            time, here = end, there
+            piece *= 2.0
+        elif sagitta <= _CHORD_TOLERANCE:
+            return time + fraction * (end - time)
+        else:
+            piece = 0.5 * (end - time)
+    return time
+
+
+@kernel
+def place_on(curve, start, time):
+    """Where a robot is on its curve after so many s, m, three numbers."""
+    model, action, frame, memory = curve
+    return add(start, 1.0, triple(along(model, action, frame, memory, time)))
+
+
+# ---- what obstacles touched leave free of a velocity: T(p) --------------------------------------
+
+
+@kernel
+def free_part(velocity, point, world, reach, touched):
+    """Π_T v: a velocity projected onto the directions that the obstacles touched leave free.
+
+    Of the projections onto the faces of the cone T — v itself, planes, the lines in which two
+    planes meet, 0 — that lie in T, the longest is the projection onto T.
+
+    Args:
+        velocity: v, a triple, m/s, or of any other unit; its z is 0 in the plane.
+        point: a triple, m.
+        world: obstacles of the team.
+        reach: touched are those nearer to the point than this, m.
+        touched: (2M, 3) working memory.
+
+    Returns:
+        Π_T v, a triple in the unit of v; z = 0 in the plane.
+    """
+    count = _normals_touched(point, world, reach, touched)
+    if _is_free(velocity, touched, count):
+        return velocity
+    longest, best = 0.0, ORIGIN
+    for i in range(count):
+        for j in range(i, count):
+            candidate = _onto_face(velocity, load(touched[i]), load(touched[j]))
+            length = dot(candidate, candidate)
+            if length > longest and _is_free(candidate, touched, count):
+                longest, best = length, candidate
+    return best
+
+
+@kernel
+def _normals_touched(point, world, reach, touched):
+    """Two normals of every obstacle touched, one after the other; their number."""
+    count = 0
+    for m in range(world.kinds.shape[0]):
+        if distance_to(world, m, point) < reach:
+            normal, other = normals(world, m, point)
+            store(normal, touched[count])
+            store(other, touched[count + 1])
+            count += 2
+    return count
+
+
+@kernel
+def _is_free(velocity, touched, count):
+    """Whether a velocity enters no obstacle touched: it keeps before one of its two planes."""
+    rounding = 1e-12 * math.sqrt(dot(velocity, velocity))
+    for i in range(0, count, 2):
+        one, other = load(touched[i]), load(touched[i + 1])
+        if max(dot(velocity, one), dot(velocity, other)) < -rounding:
+            return False
+    return True
+
+
+@kernel
+def _onto_face(velocity, m, n):
+    """Project a velocity onto the plane with normal n = m, or else onto the line m × n.
+
+    In the plane that line is the vertical, across every velocity: 0 is left of it.
+    """
+    line = cross(m, n)
+    squared = dot(line, line)
+    if squared < _NEARLY_PARALLEL:
+        return add(velocity, -dot(velocity, n), n)
+    along = dot(velocity, line) / squared
+    return along * line[0], along * line[1], along * line[2]

@@ -1,0 +1,222 @@
+"""Random fields of discs or spheres, and the seam at which any kind of field enters a start."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+from ..checks import is_whole, shown
+from ..compilation import chosen_by_type, inner_kernel, kernel
+from ..limits import MOST_OBSTACLES
+from ..physics.random_streams import uniform
+from ..physics.vectors import load
+from .disc import BALL
+from .obstacle_set import CENTRE, RADIUS, distance_to
+from .reachability import none_walled_in
+from .shape import ABSENT, check_length, check_range, is_sequence
+from .walls import WallField, WallRules, draw_walls
+
+_TRIES_PER_OBSTACLE = 1000
+
+
+@dataclass(frozen=True)
+class ObstacleField:
+    """Discs (in the plane) or spheres (in space), drawn anew for every episode."""
+
+    count: int | tuple[int, int]
+    """How many; a pair is an inclusive range to draw from."""
+    radius: tuple[float, float]
+    """Range that each radius is drawn from, m."""
+    region: float
+    """Edge length of the square or cube about the origin in which the centres lie, m."""
+    keep_out: float
+    """No robot starts nearer than this to a surface, m."""
+    overlap: bool = True
+    """Whether obstacles may overlap."""
+    passage: float = 0.0
+    """Every robot can reach every other through gaps at least this wide, m: a start where some are
+    walled in is drawn again. 0, and always in space: that is not looked at."""
+
+    def __post_init__(self) -> None:
+        low, high = _check_count(self.count)
+        object.__setattr__(self, "count", low if is_whole(self.count) else (low, high))
+        object.__setattr__(self, "radius", check_range("ObstacleField", "radius", self.radius))
+        for field in ("region", "keep_out", "passage"):
+            value = check_length("ObstacleField", field, getattr(self, field))
+            object.__setattr__(self, field, value)
+        if self.passage > 2 * self.keep_out:
+            raise ValueError(
+                f"obstacles: passage {shown(self.passage)} of an ObstacleField must be at most "
+                f"twice keep_out, {2 * self.keep_out:g} m, or a start may lie within a gap"
+            )
+        if not isinstance(self.overlap, bool):
+            raise ValueError(
+                f"obstacles: overlap {shown(self.overlap)} of an ObstacleField must be True or "
+                "False"
+            )
+
+    @property
+    def count_range(self) -> tuple[int, int]:
+        """Least and largest number of obstacles."""
+        return (self.count, self.count) if isinstance(self.count, int) else self.count
+
+    @property
+    def rules(self) -> FieldRules:
+        """How the obstacles of an episode are drawn."""
+        return FieldRules(
+            counts=self.count_range,
+            radii=self.radius,
+            region=self.region,
+            keep_out=self.keep_out,
+            overlap=self.overlap,
+            passage=self.passage,
+        )
+
+
+def _check_count(value: Any) -> tuple[int, int]:
+    """Least and largest number of obstacles of a field."""
+    pair = tuple(value) if is_sequence(value) else (value, value)
+    whole = len(pair) == 2 and all(map(is_whole, pair))
+    if not whole or not 0 <= pair[0] <= pair[1] <= MOST_OBSTACLES:
+        raise ValueError(
+            f"obstacles: count {shown(value)} of an ObstacleField must be a whole number, or a "
+            f"pair (low, high) with 0 <= low <= high <= {MOST_OBSTACLES}"
+        )
+    return int(pair[0]), int(pair[1])
+
+
+Field = ObstacleField | WallField
+"""What draws the obstacles of every episode."""
+
+
+class FieldRules(NamedTuple):
+    """A random field of discs or spheres."""
+
+    counts: tuple[int, int]
+    """Least and largest number of obstacles."""
+    radii: tuple[float, float]
+    """Least and largest radius, m."""
+    region: float
+    """Edge length of the square or cube about the origin that holds the centres, m."""
+    keep_out: float
+    """Least distance of a start from a surface, m."""
+    overlap: bool
+    """Whether obstacles may overlap."""
+    passage: float
+    """Width of the gaps that join all robots of a start, m; 0 if that is not looked at."""
+
+
+@kernel
+def draw_field(key, rules, starts, n_starts, world):
+    """Draw the discs or spheres of one episode.
+
+    A draw that comes too near to a start, or overlaps where it must not, is replaced by another.
+
+    Args:
+        key: random stream, uint64.
+        rules: FieldRules.
+        starts: (n, d) start positions, m; only the first ``n_starts`` count.
+        n_starts: number of starts to keep clear of.
+        world: Balls of one team, written to.
+
+    Returns:
+        False if an obstacle found no place in 1000 tries; those from there on are then absent.
+    """
+    d = starts.shape[1]
+    world.kinds[:] = ABSENT
+    world.corners[:] = 0
+    world.shapes[:] = 0.0
+    low, high = rules.counts
+    count = low + int(uniform(key, 0) * (high - low + 1))
+    counter = 1
+    for m in range(count):
+        placed = False
+        for _ in range(_TRIES_PER_OBSTACLE):
+            _draw_ball(key, counter, rules, d, world, m)
+            counter += 1 + d
+            if _keeps_out(world, m, starts, n_starts, rules.keep_out) and (
+                rules.overlap or _apart(world, m)
+            ):
+                placed = True
+                break
+        if not placed:
+            world.kinds[m] = ABSENT
+            return False
+    return True
+
+
+@inner_kernel
+def _draw_ball(key, counter, rules, d, world, m):
+    low, high = rules.radii
+    world.kinds[m] = BALL
+    world.shapes[m, RADIUS] = low + (high - low) * uniform(key, counter)
+    for k in range(d):
+        place = rules.region * (uniform(key, counter + 1 + k) - 0.5)
+        world.shapes[m, CENTRE + k] = place
+
+
+@inner_kernel
+def _keeps_out(world, m, starts, n_starts, keep_out):
+    for i in range(n_starts):
+        if distance_to(world, m, load(starts[i])) < keep_out:
+            return False
+    return True
+
+
+@inner_kernel
+def _apart(world, m):
+    """Whether ball m overlaps none of those before it."""
+    centre = load(world.shapes[m, CENTRE : CENTRE + 3])
+    for other in range(m):
+        if distance_to(world, other, centre) < world.shapes[m, RADIUS]:
+            return False
+    return True
+
+
+# ---- any kind of field --------------------------------------------------------------------------
+
+
+Rules = FieldRules | WallRules
+
+
+def draw_obstacles(key: Any, rules: Rules, starts: Any, n_starts: int, world: Any) -> Any:
+    """Draw the obstacles of one episode; whether they found room.
+
+    Args:
+        key: random stream, uint64.
+        rules: of the field.
+        starts: (n, d) start positions, m; only the first ``n_starts`` count.
+        n_starts: number of starts to keep clear of.
+        world: obstacles of one team, written to.
+    """
+    draw = draw_walls if isinstance(rules, WallRules) else draw_field
+    return draw(key, rules, starts, n_starts, world)
+
+
+@chosen_by_type(draw_obstacles)
+def _compiled_draw_obstacles(key, rules, starts, n_starts, world):
+    draw = draw_walls if rules.instance_class is WallRules else draw_field
+    return lambda key, rules, starts, n_starts, world: draw(key, rules, starts, n_starts, world)
+
+
+def is_possible(rules: Rules, world: Any, positions: Any, chains: Any) -> Any:
+    """Whether the robots can reach one another, if the field promises that.
+
+    Args:
+        rules: of the field; walls close nothing in, see ``draw_walls``.
+        world: obstacles of one team.
+        positions: (n, d), m.
+        chains: (M, 2) int64, working memory.
+    """
+    if isinstance(rules, WallRules) or rules.passage == 0.0:
+        return True
+    return none_walled_in(world, positions, rules.passage, chains)
+
+
+@chosen_by_type(is_possible)
+def _compiled_is_possible(rules, world, positions, chains):
+    if rules.instance_class is WallRules:
+        return lambda rules, world, positions, chains: True
+    return lambda rules, world, positions, chains: (
+        rules.passage == 0.0 or none_walled_in(world, positions, rules.passage, chains)
+    )

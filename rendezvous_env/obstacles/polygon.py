@@ -1,0 +1,283 @@
+"""Convex polygons of the plane: what a user sets, distance, way in, silhouette, picture.
+
+A polygon is the row ``shape`` of its obstacle and the column of its first vertex; the vertices
+x0, y0, x1, y1, … go round counter-clockwise.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..checks import shown
+from ..compilation import kernel
+from ..limits import MOST_VERTICES
+from .shape import (
+    CENTRE,
+    CORNERS,
+    DETAILS,
+    LEAST_THICKNESS,
+    NEARLY_ZERO,
+    RADIUS,
+    Outline,
+    Packed,
+    check_point,
+    is_sequence,
+)
+
+POLYGON = 2
+"""Kind of a polygon; its row goes on with the vertices."""
+_ROUNDING = 1e-12
+"""Of coordinates that were computed, as a share of the largest; so deep is no vertex a dent."""
+_VERTEX_TOLERANCE = 1e-9  # m; on a vertex are points that are no deeper behind either edge
+
+
+@dataclass(frozen=True)
+class Polygon:
+    """A convex obstacle in the plane.
+
+    Compose other shapes of several convex ones, and let them overlap: a robot is a point and finds
+    its way along a seam.
+    """
+
+    vertices: tuple[tuple[float, float], ...]
+    """Corners in m, kept counter-clockwise; the last is joined to the first."""
+    dim = 2
+
+    def __post_init__(self) -> None:
+        vertices = _check_vertices(self.vertices)
+        if _twice_area(vertices) < 0:
+            vertices = (vertices[0], *reversed(vertices[1:]))
+        object.__setattr__(self, "vertices", vertices)
+
+    @property
+    def centroid(self) -> tuple[float, float]:
+        """Centre of the area, m."""
+        (x0, y0), doubled = self.vertices[0], _twice_area(self.vertices)
+        x = y = 0.0
+        for (x1, y1), (x2, y2) in pairwise(self.vertices[1:]):
+            triangle = (x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0)
+            x += triangle * (x1 - x0 + x2 - x0)
+            y += triangle * (y1 - y0 + y2 - y0)
+        return x0 + x / (3 * doubled), y0 + y / (3 * doubled)
+
+    def packed(self) -> Packed:
+        """Its row; the bounding ball is about the centre of the area."""
+        centre, vertices = self.centroid, np.array(self.vertices)
+        radius = float(np.linalg.norm(vertices - np.array(centre), axis=1).max())
+        return Packed(POLYGON, len(vertices), centre, radius, vertices.ravel().tolist())
+
+
+def _twice_area(vertices: Sequence[tuple[float, ...]]) -> float:
+    """Twice the area, m²; negative if the vertices go round clockwise."""
+    x0, y0 = vertices[0]
+    return sum(
+        (x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0)
+        for (x1, y1), (x2, y2) in pairwise(vertices[1:])
+    )
+
+
+def _check_vertices(value: Any) -> tuple[tuple[float, ...], ...]:
+    """The vertices of a convex polygon; of several faults the plainest is named."""
+    import shapely  # slow to import, and only polygons need it
+
+    if not is_sequence(value) or not 3 <= len(value) <= MOST_VERTICES:
+        raise ValueError(
+            f"obstacles: vertices {shown(value)} of a Polygon must be at least 3 points, at most "
+            f"{MOST_VERTICES}"
+        )
+    vertices = tuple(
+        check_point("Polygon", f"vertices[{k}]", vertex, 2) for k, vertex in enumerate(value)
+    )
+    points = shapely.points(vertices)
+    near = shapely.STRtree(points).query(points, predicate="dwithin", distance=LEAST_THICKNESS)
+    if len(repeated := near[1][near[0] < near[1]]):
+        k = int(repeated.min())
+        raise ValueError(
+            f"obstacles: vertices[{k}] {vertices[k]} of a Polygon repeats another; leave it out"
+        )
+    polygon = shapely.Polygon(vertices)
+    hull = polygon.convex_hull
+    if hull.buffer(-LEAST_THICKNESS).is_empty:
+        raise ValueError(
+            f"obstacles: vertices {shown(vertices)} of a Polygon are degenerate: it must be "
+            f"thicker than {2 * LEAST_THICKNESS:g} m"
+        )
+    if not polygon.is_valid:
+        raise ValueError(
+            f"obstacles: vertices {shown(vertices)} of a Polygon cross over; list them in order "
+            "round it"
+        )
+    largest = max(abs(x) for vertex in vertices for x in vertex)
+    dents = shapely.distance(hull.exterior, points)
+    if dents.max() > _ROUNDING * largest:
+        raise ValueError(
+            f"obstacles: vertices {shown(vertices)} of a Polygon are not convex; compose it of "
+            "convex ones"
+        )
+    return vertices
+
+
+def outline(row: NDArray[np.float64]) -> Outline:
+    """Of a polygon's row."""
+    vertices = row[DETAILS : DETAILS + 2 * int(row[CORNERS])].reshape(-1, 2)
+    return Outline(row[CENTRE : CENTRE + 2], float(row[RADIUS]), vertices)
+
+
+@kernel
+def polygon_edge(shape, first, corners, k):
+    """Edge k of a polygon: its first vertex, unit direction (ex, ey) and length.
+
+        e = (v_{k+1} − v_k)/‖v_{k+1} − v_k‖
+
+    The outward normal is (ey, −ex), because the vertices go round counter-clockwise.
+
+    Args:
+        shape: row (width,) of the obstacle, m.
+        first: column of the first vertex.
+        corners: number of vertices.
+        k: index of the edge.
+
+    Returns:
+        Five numbers: x and y of v_k, m, ex and ey, without unit, and the length, m.
+    """
+    here = first + 2 * k
+    there = here + 2 if k + 1 < corners else first
+    x, y = shape[here], shape[here + 1]
+    dx, dy = shape[there] - x, shape[there + 1] - y
+    length = math.sqrt(dx * dx + dy * dy)
+    return x, y, dx / length, dy / length, length
+
+
+@kernel
+def polygon_surface(point, shape, first, corners):
+    """Signed distance of a point from a convex polygon, and its unit normal there.
+
+        max_k n_kᵀ(p − v_k) inside,   min_q ‖p − q‖ over the edges outside
+
+    The plane falls into the inside, one strip before each edge and one wedge before each vertex. On
+    a vertex, where there is no one normal, it is that of an adjacent edge.
+
+    Args:
+        point: p, a triple, m.
+        shape: row (width,) of the obstacle, m.
+        first: column of the first vertex.
+        corners: number of vertices.
+
+    Returns:
+        The distance, m, negative inside; and the outward normal, a unit triple with z = 0.
+    """
+    highest, normal_x, normal_y = -np.inf, 0.0, 0.0
+    nearest, vertex_x, vertex_y = np.inf, 0.0, 0.0
+    for k in range(corners):
+        x, y, ex, ey, length = polygon_edge(shape, first, corners, k)
+        dx, dy = point[0] - x, point[1] - y
+        along, height = dx * ex + dy * ey, dx * ey - dy * ex
+        if height > 0.0 and 0.0 <= along <= length:
+            return height, (ey, -ex, 0.0)
+        if height > highest:
+            highest, normal_x, normal_y = height, ey, -ex
+        squared = dx * dx + dy * dy
+        if squared < nearest:
+            nearest, vertex_x, vertex_y = squared, dx, dy
+    if highest <= 0.0:
+        return highest, (normal_x, normal_y, 0.0)
+    distance = math.sqrt(nearest)
+    if distance > NEARLY_ZERO:
+        normal_x, normal_y = vertex_x / distance, vertex_y / distance
+    return distance, (normal_x, normal_y, 0.0)
+
+
+@kernel
+def edges_touched(point, shape, first, corners, normal):
+    """Normals n_k of the edges that a point on the surface has behind it: n_kᵀ(p − v_k) ≥ 0.
+
+    But for rounding. Two that differ only on a vertex, where either edge may be slid along.
+
+    Args:
+        point: p, a triple, m.
+        shape: row (width,) of the obstacle, m.
+        first: column of the first vertex.
+        corners: number of vertices.
+        normal: a unit triple, to return where no edge qualifies.
+
+    Returns:
+        The last two of the normals, unit triples.
+    """
+    one, other = normal, normal
+    for k in range(corners):
+        x, y, ex, ey, _ = polygon_edge(shape, first, corners, k)
+        if (point[0] - x) * ey - (point[1] - y) * ex > -_VERTEX_TOLERANCE:
+            one, other = other, (ey, -ex, 0.0)
+    return one, other
+
+
+@kernel
+def polygon_entry(point, way, shape, first, corners, depth):
+    """Where a straight way meets a polygon that it goes deeper than ``depth`` into.
+
+        max_k of the s with n_kᵀ(p + s w − v_k) = max(0, −depth), at the edges that it comes in by,
+
+    if the way, clipped by all edges moved inwards by ``depth``, leaves something.
+
+    Args:
+        point: p, where the way begins, a triple, m.
+        way: w, a triple, m.
+        shape: row (width,) of the obstacle, m.
+        first: column of the first vertex.
+        corners: number of vertices.
+        depth: m; a negative one makes the polygon fatter by so much.
+
+    Returns:
+        s, a fraction of the way; inf if there is none.
+    """
+    fatter = max(0.0, -depth)
+    surface, entered, left = 0.0, 0.0, 1.0
+    for k in range(corners):
+        x, y, ex, ey, _ = polygon_edge(shape, first, corners, k)
+        height = (point[0] - x) * ey - (point[1] - y) * ex
+        rate = way[0] * ey - way[1] * ex
+        if rate < 0.0:
+            surface = max(surface, (fatter - height) / rate)
+            entered = max(entered, -(height + depth) / rate)
+        elif rate > 0.0:
+            left = min(left, -(height + depth) / rate)
+        elif height > -depth:
+            return np.inf
+    return surface if entered < left else np.inf
+
+
+@kernel
+def polygon_silhouette(point, towards, shape, first, corners):
+    """Bearings (v − p)/‖v − p‖ of the vertices farthest left and right of a direction inside.
+
+    Args:
+        point: p, a triple, m, outside the polygon or on it.
+        towards: unit vector to the centroid.
+        shape: row (width,) of the obstacle, m.
+        first: column of the first vertex.
+        corners: number of vertices.
+
+    Returns:
+        The counter-clockwise edge and the clockwise one, unit triples.
+    """
+    left_x, left_y = towards[0], towards[1]
+    right_x, right_y = towards[0], towards[1]
+    for k in range(corners):
+        x, y = shape[first + 2 * k] - point[0], shape[first + 2 * k + 1] - point[1]
+        if x * x + y * y < NEARLY_ZERO * NEARLY_ZERO:
+            continue  # the robot stands on this vertex: its neighbours are the silhouette
+        if towards[0] * y - towards[1] * x > 0.0:
+            if left_x * y - left_y * x > 0.0:
+                left_x, left_y = x, y
+        elif right_x * y - right_y * x < 0.0:
+            right_x, right_y = x, y
+    left = math.sqrt(left_x * left_x + left_y * left_y)
+    right = math.sqrt(right_x * right_x + right_y * right_y)
+    return (left_x / left, left_y / left, 0.0), (right_x / right, right_y / right, 0.0)

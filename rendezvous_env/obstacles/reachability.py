@@ -1,0 +1,104 @@
+"""Whether discs wall robots in, each from the others.
+
+Two discs that overlap are joined by the segment of their centres, which lies in both together. A
+point p and a point q outside the union lie in different parts of the plane if and only if some
+closed chain of joined discs goes round one of them and not the other: its segments then cross the
+segment p q an odd number of times (Alexander duality modulo 2; that chains of segments find every
+hole is the nerve theorem). So p and q are together if and only if every disc can be given a side, 0
+or 1, such that two joined discs are on different sides exactly if their segment crosses p q.
+"""
+
+from ..compilation import inner_kernel, kernel
+from ..physics.vectors import load
+from .obstacle_set import RADIUS, centre_of
+from .shape import ABSENT
+
+_BEFORE, _SIDE = 0, 1
+"""Columns of a disc's row: an earlier disc of its chain, itself if it is the first; and whether it
+is on the other side than that one."""
+
+
+@kernel
+def none_walled_in(world, positions, passage, chains):
+    """Whether every robot can reach every other through gaps at least ``passage`` (m) wide.
+
+    Discs that leave less between them count as joined.
+
+    Args:
+        world: Balls of one team in the plane.
+        positions: (n, 2), m, at least half a passage from every disc.
+        passage: m.
+        chains: (M, 2) int64, working memory.
+    """
+    for i in range(1, positions.shape[0]):
+        if _apart(world, load(positions[0]), load(positions[i]), passage, chains):
+            return False
+    return True
+
+
+@inner_kernel
+def _apart(world, p, q, passage, chains):
+    """Whether discs lie between two points: whether a chain contradicts itself about sides."""
+    for m in range(world.kinds.shape[0]):
+        chains[m, _BEFORE], chains[m, _SIDE] = m, 0
+        if world.kinds[m] == ABSENT:
+            continue
+        for k in range(m):
+            reach = world.shapes[k, RADIUS] + world.shapes[m, RADIUS] + passage
+            a, b = centre_of(world, k), centre_of(world, m)
+            if world.kinds[k] == ABSENT or not are_joined(a, b, reach):
+                continue
+            side = int(crosses(a, b, p, q))
+            first, side_of_k = _first_of_chain(chains, k)
+            other, side_of_m = _first_of_chain(chains, m)
+            if first != other:
+                chains[other, _BEFORE] = first
+                chains[other, _SIDE] = side ^ side_of_k ^ side_of_m
+            elif side != side_of_k ^ side_of_m:
+                return True
+    return False
+
+
+@inner_kernel
+def _first_of_chain(chains, m):
+    """The first disc of the chain that a disc is in, and on which side of it the disc is."""
+    first, side = m, 0
+    while chains[first, _BEFORE] != first:
+        side ^= chains[first, _SIDE]
+        first = chains[first, _BEFORE]
+    chains[m, _BEFORE], chains[m, _SIDE] = first, side
+    return first, side
+
+
+@kernel
+def _is_left(a, b, point):
+    """Whether a point is to the left of the line from a to b; on it counts as not."""
+    return (b[0] - a[0]) * (point[1] - a[1]) - (b[1] - a[1]) * (point[0] - a[0]) > 0.0
+
+
+@kernel
+def crosses(a, b, p, q):
+    """Whether the segments a b and p q of the plane cross, each with its ends on both sides.
+
+        sign((b − a) × (p − a)) ≠ sign((b − a) × (q − a)), and with the pairs exchanged
+
+    Args:
+        a: end of a segment, a triple, m; only x and y count.
+        b: its other end, likewise.
+        p: end of the other segment, likewise.
+        q: its other end, likewise.
+    """
+    return _is_left(p, q, a) != _is_left(p, q, b) and _is_left(a, b, p) != _is_left(a, b, q)
+
+
+@kernel
+def are_joined(a, b, reach):
+    """Whether two discs of the plane count as overlapping: ‖b − a‖ < reach.
+
+    Args:
+        a: centre of one, a triple, m; only x and y count.
+        b: centre of the other, likewise.
+        reach: sum of their radii, and of what gap counts as closed, m.
+    """
+    x, y = b[0] - a[0], b[1] - a[1]
+    return x * x + y * y < reach * reach

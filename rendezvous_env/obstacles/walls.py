@@ -1,0 +1,226 @@
+"""Straight walls of the plane that are drawn anew for every episode, by layout.
+
+No layout closes anything in. Each consists of pieces that lie apart from one another: the U of a
+trap, both walls of a corridor, the cross in the middle of rooms, and the outer part of each of
+their walls. Each piece can be drawn together into a point of its own, and such pieces, however
+many, leave what is around them in one part. So robots outside the walls can always reach one
+another, and nothing has to be looked at but that they are outside.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from ..checks import nearest_word, shown
+from ..compilation import inner_kernel, kernel
+from ..physics.random_streams import uniform
+from ..physics.vectors import load
+from .obstacle_set import CENTRE, DETAILS, RADIUS, clear_of_obstacles
+from .polygon import POLYGON
+from .shape import ABSENT, check_length, check_radius, check_range
+
+LAYOUTS = {"trap": 3, "corridor": 2, "rooms": 8}
+"""Names of layouts, and the boxes that each consists of."""
+TRAP, CORRIDOR, ROOMS = range(3)
+"""Layouts, in that order."""
+BOX = 8
+"""Numbers of the four vertices of a wall."""
+_LEAST_PIECES = 3.0
+"""Thicknesses that a wall of rooms is longer than its door: both pieces beside it are walls."""
+_TRIES = 1000
+_NUMBERS = 15
+"""Of the stream that each try uses: 3 for the pose, and at most 3 for each of four walls."""
+
+
+@dataclass(frozen=True)
+class WallField:
+    """Walls of a layout, at a place and at an angle that are drawn anew for every episode.
+
+    A trap is a U; a corridor two walls side by side; rooms are the four quarters between four walls
+    that meet in the middle, with a door in each. None of them closes anything in, wherever it
+    stands, so every start is possible; but a robot that may not walk away from the others, as under
+    law (4), is caught.
+    """
+
+    layout: str
+    """trap, corridor or rooms."""
+    size: tuple[float, float]
+    """Range that the length of each arm of the trap, or of each other wall, is drawn from, m."""
+    opening: tuple[float, float]
+    """Range of the mouth of the trap, of the width of the corridor, or of each door, m."""
+    thickness: float
+    """Of all walls, m."""
+    region: float
+    """Edge length of the square about the origin in which the middle of the layout lies, m."""
+    keep_out: float
+    """No robot starts nearer than this to a surface, m."""
+    dim = 2
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.layout, str) or self.layout not in LAYOUTS:
+            near = nearest_word(self.layout, LAYOUTS)
+            hint = f"did you mean {near!r}?" if near else f"it must be one of {', '.join(LAYOUTS)}"
+            raise ValueError(f"obstacles: layout {shown(self.layout)} of a WallField: {hint}")
+        for field in ("size", "opening"):
+            pair = check_range("WallField", field, getattr(self, field))
+            object.__setattr__(self, field, pair)
+        thickness = check_radius("WallField", self.thickness, "thickness")
+        object.__setattr__(self, "thickness", thickness)
+        for field in ("region", "keep_out"):
+            value = check_length("WallField", field, getattr(self, field))
+            object.__setattr__(self, field, value)
+        least = self.opening[1] + _LEAST_PIECES * self.thickness
+        if self.layout == "rooms" and self.size[0] < least:
+            raise ValueError(
+                f"obstacles: size {shown(self.size)} of a WallField must be at least {least:g} m, "
+                "so that a wall is left on both sides of a door"
+            )
+
+    @property
+    def boxes(self) -> int:
+        """Number of obstacles."""
+        return LAYOUTS[self.layout]
+
+    @property
+    def rules(self) -> WallRules:
+        """How the walls of an episode are drawn."""
+        return WallRules(
+            layout=list(LAYOUTS).index(self.layout),
+            sizes=self.size,
+            openings=self.opening,
+            thickness=self.thickness,
+            region=self.region,
+            keep_out=self.keep_out,
+        )
+
+
+class WallRules(NamedTuple):
+    """Walls of a layout; see ``WallField``."""
+
+    layout: int
+    """TRAP, CORRIDOR or ROOMS."""
+    sizes: tuple[float, float]
+    """Least and largest length of a wall, m."""
+    openings: tuple[float, float]
+    """Least and largest width of an opening, m."""
+    thickness: float
+    """m."""
+    region: float
+    """Edge length of the square about the origin that holds the middle, m."""
+    keep_out: float
+    """Least distance of a start from a surface, m."""
+
+
+@kernel
+def draw_walls(key, rules, starts, n_starts, world):
+    """Draw the walls of one episode; walls too near to a start are replaced by others.
+
+    Args:
+        key: random stream, uint64.
+        rules: WallRules.
+        starts: (n, 2) start positions, m; only the first ``n_starts`` count.
+        n_starts: number of starts to keep clear of.
+        world: Shapes of one team, written to.
+
+    Returns:
+        False if no place was found in 1000 tries; the walls are then absent.
+    """
+    for trial in range(_TRIES):
+        world.kinds[:] = ABSENT
+        world.corners[:] = 0
+        world.shapes[:] = 0.0
+        _draw_layout(key, trial * _NUMBERS, rules, world)
+        if _keeps_out(world, starts, n_starts, rules.keep_out):
+            return True
+    world.kinds[:] = ABSENT
+    world.corners[:] = 0
+    return False
+
+
+@inner_kernel
+def _keeps_out(world, starts, n_starts, keep_out):
+    for i in range(n_starts):
+        if not clear_of_obstacles(load(starts[i]), world, keep_out):
+            return False
+    return True
+
+
+@inner_kernel
+def _between(bounds, key, counter):
+    low, high = bounds
+    return low + (high - low) * uniform(key, counter)
+
+
+@inner_kernel
+def _draw_layout(key, counter, rules, world):
+    half = 0.5 * rules.region
+    x = _between((-half, half), key, counter)
+    y = _between((-half, half), key, counter + 1)
+    turn = _between((0.0, 2.0 * math.pi), key, counter + 2)
+    pose = (x, y, math.cos(turn), math.sin(turn))
+    counter += 3
+    if rules.layout == TRAP:
+        _draw_trap(key, counter, rules, pose, world)
+    elif rules.layout == CORRIDOR:
+        _draw_corridor(key, counter, rules, pose, world)
+    else:
+        for k in range(4):
+            _draw_wall_with_door(key, counter + 3 * k, rules, pose, world, 2 * k)
+            pose = (x, y, -pose[3], pose[2])  # a quarter turn on
+
+
+@inner_kernel
+def _draw_trap(key, counter, rules, pose, world):
+    """A U that opens along x, its middle in the middle of the longer arm."""
+    half = 0.5 * _between(rules.openings, key, counter)
+    one = _between(rules.sizes, key, counter + 1)
+    other = _between(rules.sizes, key, counter + 2)
+    thick = rules.thickness
+    bottom = -0.5 * max(one, other)
+    # the arms run through the bottom, so that there is no seam to slip through
+    _put_box(world, 0, pose, (bottom - thick, bottom), (-half - thick, half + thick))
+    _put_box(world, 1, pose, (bottom - thick, bottom + one), (half, half + thick))
+    _put_box(world, 2, pose, (bottom - thick, bottom + other), (-half - thick, -half))
+
+
+@inner_kernel
+def _draw_corridor(key, counter, rules, pose, world):
+    """Two walls along x, on either side of the middle."""
+    half = 0.5 * _between(rules.openings, key, counter)
+    thick = rules.thickness
+    for k in range(2):
+        end = 0.5 * _between(rules.sizes, key, counter + 1 + k)
+        low = half if k == 0 else -half - thick
+        _put_box(world, k, pose, (-end, end), (low, low + thick))
+
+
+@inner_kernel
+def _draw_wall_with_door(key, counter, rules, pose, world, m):
+    """A wall from the middle along x in two pieces, obstacles m and m + 1; between them a door."""
+    size = _between(rules.sizes, key, counter)
+    door = _between(rules.openings, key, counter + 1)
+    thick = rules.thickness
+    # both pieces are at least as long as the walls are thick; so the outer one stays clear of the
+    # walls on either side, and those in the middle overlap
+    first = _between((1.5 * thick, size - door - thick), key, counter + 2)
+    across = (-0.5 * thick, 0.5 * thick)
+    _put_box(world, m, pose, (-0.5 * thick, first), across)
+    _put_box(world, m + 1, pose, (first + door, size), across)
+
+
+@inner_kernel
+def _put_box(world, m, pose, along, across):
+    """Obstacle m is a box, given by its ranges of x and y before the pose turns and moves it."""
+    x, y, c, s = pose
+    (x0, x1), (y0, y1) = along, across
+    middle_x, middle_y = 0.5 * (x0 + x1), 0.5 * (y0 + y1)
+    world.kinds[m] = POLYGON
+    world.corners[m] = 4
+    world.shapes[m, RADIUS] = 0.5 * math.hypot(x1 - x0, y1 - y0)
+    world.shapes[m, CENTRE] = x + c * middle_x - s * middle_y
+    world.shapes[m, CENTRE + 1] = y + s * middle_x + c * middle_y
+    for k, (u, v) in enumerate(((x0, y0), (x1, y0), (x1, y1), (x0, y1))):  # counter-clockwise
+        world.shapes[m, DETAILS + 2 * k] = x + c * u - s * v
+        world.shapes[m, DETAILS + 2 * k + 1] = y + s * u + c * v

@@ -1,0 +1,69 @@
+"""When a point that moves straight comes within a ball or a capsule."""
+
+import math
+
+import numpy as np
+
+from ..compilation import kernel
+from .vectors import combine, dot, norm, subtract
+
+
+@kernel
+def first_crossing(offset, velocity, radius):
+    """When a point that moves straight comes within a ball about the origin.
+
+    The smallest s in [0, 1] with ‖offset + s velocity‖ ≤ radius.
+
+    Args:
+        offset: from the centre of the ball to the point, a triple, m.
+        velocity: a triple, m per unit of s.
+        radius: of the ball, m.
+
+    Returns:
+        s, a number; 0.0 if the point is within from the start, inf if it never is.
+    """
+    distance = norm(offset)
+    if distance <= radius:
+        return 0.0
+    approach = -dot(offset, velocity)
+    speed_squared = dot(velocity, velocity)
+    if approach <= 0.0 or radius < 0.0 or speed_squared == 0.0:
+        return np.inf
+    miss = norm(combine(1.0, offset, approach / speed_squared, velocity))
+    if miss > radius:
+        return np.inf
+    # the smaller root of the quadratic, as c / (-b + √(b² - ac)): no difference of near equals
+    root = math.sqrt(speed_squared * (radius - miss) * (radius + miss))
+    s = (distance - radius) * (distance + radius) / (approach + root)
+    return s if s <= 1.0 else np.inf
+
+
+@kernel
+def capsule_crossing(offset, velocity, half, radius):
+    """When a point that moves straight comes within a capsule, all points near a segment.
+
+    The smallest s in [0, 1] with ‖offset + s velocity − q‖ ≤ radius for a q of the segment. It is
+    entered through the ball about one of its ends, or through the cylinder between them.
+
+    Args:
+        offset: from the middle of the segment to the point, a triple, m.
+        velocity: a triple, m per unit of s.
+        half: from the middle of the segment to one end, a triple, m.
+        radius: m.
+
+    Returns:
+        s, a number; 0.0 if the point is within from the start, inf if it never is.
+    """
+    first = min(
+        first_crossing(subtract(offset, half), velocity, radius),
+        first_crossing(combine(1.0, offset, 1.0, half), velocity, radius),
+    )
+    length = norm(half)
+    if length == 0.0:
+        return first
+    axis = (half[0] / length, half[1] / length, half[2] / length)
+    across = combine(1.0, offset, -dot(offset, axis), axis)
+    s = first_crossing(across, combine(1.0, velocity, -dot(velocity, axis), axis), radius)
+    if s < first and abs(dot(combine(1.0, offset, s, velocity), axis)) <= length:
+        return s
+    return first

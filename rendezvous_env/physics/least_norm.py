@@ -1,0 +1,165 @@
+"""The point q_i of least norm of all averages of a robot's bearings (guarantees, lemma 2).
+
+    q_i = argmin ‖q‖,   q ∈ conv{g_ij : j seen}
+
+Along q_i lie all bearings: q_i·g_ij ≥ ‖q_i‖². It is zero where neighbours are all round.
+"""
+
+import math
+
+from ..compilation import kernel
+from .vectors import ORIGIN, add, combine, cross, dot, load, scaled, split, subtract
+
+_ROUNDING = 4e-16
+"""Of a scalar product of unit vectors."""
+_SURROUNDED = 1e-14
+"""Norm of a point that would be zero without rounding."""
+_MOST_ROUNDS = 64
+"""A few do, however many bearings there are; each brings the point nearer to the origin."""
+
+
+@kernel
+def least_norm_of(rows, neighbour_slots):
+    """q_i of the neighbour rows a_ij g_ij, whose lengths do not count (lemma 2).
+
+    Args:
+        rows: of one robot, (rows, d), m/s; zero rows are absent.
+        neighbour_slots: K, how many of them, from the first, are neighbours.
+
+    Returns:
+        q_i, a triple without unit, ‖q_i‖ ≤ 1; zero where nobody is seen.
+    """
+    if rows.shape[1] == 2:
+        right, left = cone_of(rows, neighbour_slots)
+        return combine(0.5, right, 0.5, left)
+    return _least_in_space(rows, neighbour_slots)
+
+
+@kernel
+def cone_of(rows, neighbour_slots):
+    """The two ends of the narrowest angle of the plane that holds all bearings, if it is at most π:
+    q is halfway between them (lemma 2).
+
+    Args:
+        rows: of one robot, (rows, 2), of any unit; zero rows are absent.
+        neighbour_slots: K.
+
+    Returns:
+        Its clockwise and its counter-clockwise end, unit triples; both zero where nobody is seen,
+        or neighbours are all round.
+    """
+    right, left = ORIGIN, ORIGIN
+    nobody = True
+    for k in range(neighbour_slots):
+        length, g = split(load(rows[k]))
+        if length == 0.0:
+            continue
+        if nobody:
+            right, left, nobody = g, g, False
+            continue
+        from_right, to_left = _turn(right, g), _turn(g, left)
+        if from_right >= 0.0 and to_left >= 0.0:
+            if dot(g, right) + dot(g, left) < 0.0:  # right = left = −g
+                return ORIGIN, ORIGIN
+        elif from_right >= 0.0:
+            left = g
+        elif to_left >= 0.0:
+            right = g
+        else:
+            return ORIGIN, ORIGIN
+    return right, left
+
+
+@kernel(inline="code")
+def _turn(a, b):
+    """The sine of the angle from a to b in the plane, counter-clockwise."""
+    return a[0] * b[1] - a[1] * b[0]
+
+
+@kernel
+def _least_in_space(rows, neighbour_slots):
+    """``least_norm_of`` in space: the nearest point of a triangle of bearings, exchanged for a
+    nearer one while some bearing g lies on this side of it, q·g < ‖q‖² (Gilbert, Johnson and
+    Keerthi, 1988).
+    """
+    a = least_along(rows, neighbour_slots, ORIGIN)
+    b, c, q = a, a, a
+    for _ in range(_MOST_ROUNDS):
+        square = dot(q, q)
+        g = least_along(rows, neighbour_slots, q)
+        if dot(q, subtract(q, g)) <= _ROUNDING * math.sqrt(square):
+            break
+        if _holds_origin(g, a, b, c):
+            return ORIGIN
+        q, kept = _nearest_of_triangle(g, a, b), (a, b)
+        for first, second in ((b, c), (c, a)):
+            point = _nearest_of_triangle(g, first, second)
+            if dot(point, point) < dot(q, q):
+                q, kept = point, (first, second)
+        if dot(q, q) >= square:
+            break
+        a, b, c = g, kept[0], kept[1]
+    return q if dot(q, q) > _SURROUNDED * _SURROUNDED else ORIGIN
+
+
+@kernel
+def least_along(rows, neighbour_slots, direction):
+    """The bearing that lies least far along a direction, argmin g·u; zero where nobody is seen.
+
+    Args:
+        rows: of one robot, (rows, d), of any unit; zero rows are absent.
+        neighbour_slots: K.
+        direction: u, a triple, of any unit.
+
+    Returns:
+        g, a unit triple.
+    """
+    least, bearing = math.inf, ORIGIN
+    for k in range(neighbour_slots):
+        length, g = split(load(rows[k]))
+        if length > 0.0 and dot(direction, g) < least:
+            least, bearing = dot(direction, g), g
+    return bearing
+
+
+@kernel
+def _nearest_of_triangle(a, b, c):
+    """The point of a triangle, corners may coincide, that is nearest to the origin."""
+    normal = cross(subtract(b, a), subtract(c, a))
+    u = dot(normal, cross(b, subtract(c, b)))
+    v = dot(normal, cross(c, subtract(a, c)))
+    w = dot(normal, cross(a, subtract(b, a)))
+    if min(u, v, w) > 0.0:
+        return scaled(add(combine(u, a, v, b), w, c), 1.0 / (u + v + w))
+    nearest = _nearest_of_segment(a, b)
+    for point in (_nearest_of_segment(b, c), _nearest_of_segment(c, a)):
+        if dot(point, point) < dot(nearest, nearest):
+            nearest = point
+    return nearest
+
+
+@kernel
+def _nearest_of_segment(a, b):
+    """The point of a segment that is nearest to the origin."""
+    along = subtract(b, a)
+    length = dot(along, along)
+    if length == 0.0:
+        return a
+    return add(a, min(max(-dot(a, along) / length, 0.0), 1.0), along)
+
+
+@kernel
+def _holds_origin(a, b, c, d):
+    """Whether the origin lies inside a tetrahedron, and not only by rounding."""
+    weights = (
+        dot(b, cross(c, d)),
+        -dot(a, cross(c, d)),
+        dot(a, cross(b, d)),
+        -dot(a, cross(b, c)),
+    )
+    total = weights[0] + weights[1] + weights[2] + weights[3]
+    if min(weights) <= 0.0 <= max(weights):
+        return False
+    point = add(combine(weights[0], a, weights[1], b), weights[2], c)
+    point = scaled(add(point, weights[3], d), 1.0 / total)
+    return dot(point, point) <= _SURROUNDED * _SURROUNDED

@@ -1,0 +1,117 @@
+"""Counter-based random numbers: an episode is the same wherever and whenever it is drawn.
+
+A stream is a key made of (seed, episode, purpose); its k-th number is a function of the key and k
+alone. The mixing function is that of SplitMix64 (Steele, Lea and Flood, 2014).
+"""
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from ..compilation import compiled, kernel
+
+START, FRAMES, OBSTACLES, GRAPH, SENSING, ACTUATION, SWITCHING = range(7)
+"""Purposes; a stream of its own for each, so that one never shifts another."""
+
+_INCREMENT = np.uint64(0x9E3779B97F4A7C15)
+_FACTOR_1 = np.uint64(0xBF58476D1CE4E5B9)
+_FACTOR_2 = np.uint64(0x94D049BB133111EB)
+_SHIFT_30, _SHIFT_27, _SHIFT_31, _SHIFT_11 = (np.uint64(shift) for shift in (30, 27, 31, 11))
+_TO_UNIT_INTERVAL = 2.0**-53
+
+
+@kernel
+def mix(word):
+    """Scramble 64 bits: the finaliser of SplitMix64, a bijection of uint64, without unit.
+
+        z ← (z ⊕ z≫30) · c₁,   z ← (z ⊕ z≫27) · c₂,   z ← z ⊕ z≫31
+
+    Args:
+        word: z, uint64.
+
+    Returns:
+        The last z.
+    """
+    word = (word ^ (word >> _SHIFT_30)) * _FACTOR_1
+    word = (word ^ (word >> _SHIFT_27)) * _FACTOR_2
+    return word ^ (word >> _SHIFT_31)
+
+
+@kernel
+def stream_key(seed, episode, purpose):
+    """Key of the stream for one purpose in one episode of a seed.
+
+        mix(mix(mix(seed + γ) ⊕ (episode + γ)) ⊕ (purpose + γ)),   γ the increment of SplitMix64
+
+    Args:
+        seed: uint64.
+        episode: its number, from 0 on.
+        purpose: START … SWITCHING.
+
+    Returns:
+        uint64, without unit.
+    """
+    key = mix(np.uint64(seed) + _INCREMENT)
+    key = mix(key ^ (np.uint64(episode) + _INCREMENT))
+    return mix(key ^ (np.uint64(purpose) + _INCREMENT))
+
+
+@kernel
+def uniform(key, counter):
+    """Number of a stream at an index, uniform in [0, 1): the upper 53 bits of mix(key + (k + 1) γ).
+
+    Args:
+        key: of the stream, uint64.
+        counter: k, an index from 0 on.
+
+    Returns:
+        A number without unit.
+    """
+    word = mix(key + np.uint64(counter + 1) * _INCREMENT)
+    return np.float64(word >> _SHIFT_11) * _TO_UNIT_INTERVAL
+
+
+@kernel
+def draw_rotation(key, first_counter, axes):
+    """A uniformly distributed rotation matrix, from at most three numbers of a stream.
+
+    In the plane by an angle 2πu; in space of a uniform unit quaternion (Shoemake, 1992).
+
+    Args:
+        key: of the stream, uint64.
+        first_counter: index in the stream to begin at.
+        axes: (0, 1) for 4 numbers, (0, 1, 2) for 9.
+
+    Returns:
+        R row by row, 4 or 9 numbers without unit.
+    """
+    turn = 2.0 * math.pi * uniform(key, first_counter)
+    if len(axes) == 2:
+        c, s = math.cos(turn), math.sin(turn)
+        return c, -s, s, c
+    # a uniform unit quaternion (x, y, z, w), after Shoemake (1992)
+    other_turn = 2.0 * math.pi * uniform(key, first_counter + 1)
+    share = uniform(key, first_counter + 2)
+    small, large = math.sqrt(1.0 - share), math.sqrt(share)
+    x, y = small * math.sin(turn), small * math.cos(turn)
+    z, w = large * math.sin(other_turn), large * math.cos(other_turn)
+    return (
+        1 - 2 * (y * y + z * z),
+        2 * (x * y - z * w),
+        2 * (x * z + y * w),
+        2 * (x * y + z * w),
+        1 - 2 * (x * x + z * z),
+        2 * (y * z - x * w),
+        2 * (x * z - y * w),
+        2 * (y * z + x * w),
+        1 - 2 * (x * x + y * y),
+    )
+
+
+def ignore_overflow(run: Callable[..., Any]) -> Callable[..., Any]:
+    """The same function; without compilation NumPy would warn of every product of 64-bit numbers
+    that wraps around. For kernels that draw, without unit.
+    """
+    return run if compiled() else np.errstate(over="ignore")(run)

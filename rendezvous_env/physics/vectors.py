@@ -1,0 +1,202 @@
+"""Small vectors as tuples of numbers: nothing is allocated, and loops over teams become SIMD.
+
+Most functions take triples, in which a vector of the plane has z = 0 and keeps it. Those that every
+robot needs in every step take pairs or triples, so that the plane pays for two numbers only; which
+of their branches is compiled follows from the length of the argument.
+"""
+
+import math
+
+import numpy as np
+
+from ..compilation import kernel
+
+X_AXIS = (1.0, 0.0, 0.0)
+ORIGIN = (0.0, 0.0, 0.0)
+
+
+@kernel
+def load(row):
+    """A row (d,) as the triple v = (x, y, z), z = 0 where d is 2; in the unit of the row."""
+    z = np.float64(row[2]) if row.shape[0] == 3 else 0.0
+    return np.float64(row[0]), np.float64(row[1]), z
+
+
+@kernel(inline="code")
+def triple(v):
+    """A pair or triple as the triple v = (x, y, z), z = 0 for a pair; in its unit."""
+    if len(v) == 2:
+        return v[0], v[1], 0.0
+    return v
+
+
+@kernel
+def store(vector, out):
+    """Write a triple v to the row ``out`` (d,), d = 2 or 3: out_k ← v_k, in the unit of v."""
+    out[0], out[1] = vector[0], vector[1]
+    if out.shape[0] == 3:
+        out[2] = vector[2]
+
+
+@kernel
+def dot(a, b):
+    """Scalar product aᵀb of two triples, a number; unit of a times unit of b."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@kernel
+def cross(a, b):
+    """Vector product a × b of two triples, a triple; unit of a times unit of b."""
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+@kernel
+def combine(p, a, q, b):
+    """The triple p a + q b of numbers p, q and triples a, b; unit of p times unit of a."""
+    return p * a[0] + q * b[0], p * a[1] + q * b[1], p * a[2] + q * b[2]
+
+
+@kernel
+def add(a, factor, b):
+    """The triple a + factor b of two triples and a number, in the unit of a; a itself, bit for bit,
+    where b is zero.
+    """
+    return a[0] + factor * b[0], a[1] + factor * b[1], a[2] + factor * b[2]
+
+
+@kernel
+def subtract(a, b):
+    """The triple a − b of two triples, in their unit."""
+    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
+
+
+@kernel
+def norm(a):
+    """Length ‖a‖ = √(aᵀa) of a triple, a number in the unit of a."""
+    return math.sqrt(dot(a, a))
+
+
+@kernel
+def split(a):
+    """Length ‖a‖ and unit vector a/‖a‖ of a triple: a number in the unit of a, and a triple.
+
+    (0, zero) for the zero vector. Safe for any finite numbers, of which the squares may overflow or
+    vanish.
+    """
+    square = dot(a, a)
+    if 1e-200 < square < 1e200:
+        length = math.sqrt(square)
+        inverse = 1.0 / length
+        return length, (a[0] * inverse, a[1] * inverse, a[2] * inverse)
+    largest = max(abs(a[0]), abs(a[1]), abs(a[2]))
+    if largest == 0.0:
+        return 0.0, (0.0, 0.0, 0.0)
+    b = (a[0] / largest, a[1] / largest, a[2] / largest)
+    length = math.sqrt(dot(b, b))
+    return largest * length, (b[0] / length, b[1] / length, b[2] / length)
+
+
+@kernel
+def without(a, h):
+    """The part a − (hᵀa) h of a triple across a unit triple h, a triple in the unit of a.
+
+    Taken twice, so that rounding leaves none of h.
+    """
+    once = combine(1.0, a, -dot(a, h), h)
+    return combine(1.0, once, -dot(once, h), h)
+
+
+@kernel(inline="code")
+def difference(a, b):
+    """The offset b − a of two pairs or two triples, one like them, in their unit."""
+    if len(a) == 2:
+        return b[0] - a[0], b[1] - a[1]
+    return b[0] - a[0], b[1] - a[1], b[2] - a[2]
+
+
+@kernel(inline="code")
+def square(v):
+    """Squared length ‖v‖² of a pair or triple, a number; unit of v squared."""
+    if len(v) == 2:
+        return v[0] * v[0] + v[1] * v[1]
+    return v[0] * v[0] + v[1] * v[1] + v[2] * v[2]
+
+
+@kernel(inline="code")
+def plus(a, factor, b):
+    """The pair or triple a + factor b of two pairs or triples and a number, in the unit of a."""
+    if len(a) == 2:
+        return a[0] + factor * b[0], a[1] + factor * b[1]
+    return a[0] + factor * b[0], a[1] + factor * b[1], a[2] + factor * b[2]
+
+
+@kernel(inline="code")
+def product(a, b):
+    """Scalar product aᵀb of two pairs or two triples, a number; unit of a times unit of b."""
+    if len(a) == 2:
+        return a[0] * b[0] + a[1] * b[1]
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@kernel(inline="code")
+def scaled(v, factor):
+    """The pair or triple factor · v, factor a number; unit of v times unit of the factor."""
+    if len(v) == 2:
+        return v[0] * factor, v[1] * factor
+    return v[0] * factor, v[1] * factor, v[2] * factor
+
+
+@kernel(inline="code")
+def to_global(frame, v):
+    """Turn a vector from a local frame to the global one: w = R v.
+
+    Args:
+        frame: R, row by row, 4 or 9 numbers without unit.
+        v: pair or triple of the local frame, of any unit.
+
+    Returns:
+        w, as long as v and of its unit.
+    """
+    if len(v) == 2:
+        return frame[0] * v[0] + frame[1] * v[1], frame[2] * v[0] + frame[3] * v[1]
+    return (
+        frame[0] * v[0] + frame[1] * v[1] + frame[2] * v[2],
+        frame[3] * v[0] + frame[4] * v[1] + frame[5] * v[2],
+        frame[6] * v[0] + frame[7] * v[1] + frame[8] * v[2],
+    )
+
+
+@kernel(inline="code")
+def to_local(frame, v):
+    """Turn a vector from the global frame to a local one: w = Rᵀ v.
+
+    Args:
+        frame: R, local → global, row by row, 4 or 9 numbers without unit.
+        v: pair or triple of the global frame, of any unit.
+
+    Returns:
+        w, as long as v and of its unit.
+    """
+    if len(v) == 2:
+        return frame[0] * v[0] + frame[2] * v[1], frame[1] * v[0] + frame[3] * v[1]
+    return (
+        frame[0] * v[0] + frame[3] * v[1] + frame[6] * v[2],
+        frame[1] * v[0] + frame[4] * v[1] + frame[7] * v[2],
+        frame[2] * v[0] + frame[5] * v[1] + frame[8] * v[2],
+    )
+
+
+@kernel
+def local_axis(frame, k):
+    """Axis k of a local frame in the global one: x = R e_k.
+
+    Args:
+        frame: R, row by row, 4 or 9 numbers without unit.
+        k: index of the axis.
+
+    Returns:
+        x, a unit triple, with z = 0 in the plane.
+    """
+    if len(frame) == 4:
+        return frame[k], frame[2 + k], 0.0
+    return frame[k], frame[3 + k], frame[6 + k]

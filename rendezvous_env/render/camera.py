@@ -1,0 +1,167 @@
+"""Where a point of the plane or of space stands in a picture: a fixed view, equal in every axis."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from itertools import product
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..obstacles.obstacle_set import balls, outlines
+
+Floats = NDArray[np.float64]
+
+_AZIMUTH, _ELEVATION = math.radians(-62.0), math.radians(24.0)
+"""From where space is seen."""
+_DISTANCE = 2.6
+"""Of the eye from the middle of a scene in space, in diagonals of its bounding box."""
+_LEAST_SHARE = 0.02
+"""Of its largest extent that a scene has in every axis, so that a row of robots has a view too."""
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A fixed view; the plane from straight above, space in perspective."""
+
+    low: Floats
+    """(d,), least corner of the scene's bounding box, m."""
+    high: Floats
+    """(d,), its largest corner, m."""
+    right: Floats
+    """(d,), unit vector to the right of the picture."""
+    up: Floats
+    """(d,), unit vector to its top."""
+    back: Floats
+    """(d,), unit vector towards the eye; zero in the plane."""
+    distance: float
+    """Of the eye from the middle of the scene, m; inf in the plane."""
+    scale: float = 1.0
+    """Pixels for a metre at the middle of the scene."""
+    shift: tuple[float, float] = (0.0, 0.0)
+    """Pixel of the middle of the scene."""
+
+    @property
+    def centre(self) -> Floats:
+        """(d,), middle of the scene, m."""
+        return (self.low + self.high) / 2
+
+    @property
+    def eye(self) -> Floats:
+        """(d,), where the eye is, m; at infinity in the plane."""
+        return self.centre + self.distance * self.back
+
+    def project(self, points: Floats) -> Floats:
+        """Pixels (..., 2), x to the right and y downwards, of points (..., d) in m."""
+        offsets = np.asarray(points, dtype=np.float64) - self.centre
+        flat = np.stack([offsets @ self.right, -(offsets @ self.up)], axis=-1)
+        return self.shift + self.scale * self.nearness(points)[..., None] * flat
+
+    def nearness(self, points: Floats) -> Floats:
+        """(...,), how much larger things appear at points (..., d) than at the middle."""
+        offsets = np.asarray(points, dtype=np.float64) - self.centre
+        return 1.0 / (1.0 - (offsets @ self.back) / self.distance)
+
+    def directions(self, points: Floats, vectors: Floats) -> Floats:
+        """Unit vectors (..., d) at points (..., d) as they appear: (..., 2), shorter than 1 where
+        they point towards the eye or away from it.
+        """
+        short = 1e-3 / self.scale
+        moved = self.project(points + short * vectors) - self.project(points)
+        return moved / (1e-3 * self.nearness(points)[..., None])
+
+    def hidden(self, points: Floats, obstacles: Floats) -> NDArray[np.bool_]:
+        """(m,), whether a sphere stands between the eye and each point (m, d).
+
+        Args:
+            points: m.
+            obstacles: (M, width), see ``obstacles.obstacle_set``; in the plane nothing is hidden.
+        """
+        spheres = [] if math.isinf(self.distance) else list(balls(obstacles))
+        if not spheres:
+            return np.zeros(len(points), dtype=np.bool_)
+        centres = np.array([ball.centre for ball in spheres])
+        radii = np.array([ball.radius for ball in spheres])
+        sight = self.eye - points
+        to_centres = centres[None] - points[:, None]
+        along = np.einsum("pmk,pk->pm", to_centres, sight) / np.sum(sight**2, axis=-1)[:, None]
+        nearest = to_centres - np.clip(along, 0.0, 1.0)[..., None] * sight[:, None]
+        inside = np.sum(nearest**2, axis=-1) < radii**2
+        return np.asarray(inside.any(axis=-1))
+
+
+class Area(NamedTuple):
+    """A rectangle of pixels."""
+
+    left: int
+    top: int
+    width: int
+    height: int
+
+
+def fit(positions: Floats, obstacles: Floats, area: Area, margin: float) -> Camera:
+    """The view of a team's start and its obstacles that fills an area.
+
+    Args:
+        positions: (n, d), m.
+        obstacles: (M, width), a table of ``obstacles.obstacle_set``.
+        area: what to fill; pixels count from its left top corner.
+        margin: pixels to leave free on each side.
+    """
+    points = _outline(positions, obstacles)
+    low, high = _bounds(points)
+    camera = _from_above(low, high) if len(low) == 2 else _in_perspective(low, high)
+    corners = np.array(list(product(*zip(low[:2], high[:2], strict=True))))
+    floor = np.broadcast_to(low, (4, len(low))).copy()
+    floor[:, :2] = corners
+    seen = camera.project(np.concatenate([points, floor]))
+    least, most = seen.min(axis=0), seen.max(axis=0)
+    room = np.array([area.width, area.height]) - 2 * margin
+    scale = float(np.min(room / (most - least)))
+    shift = np.array([area.width, area.height]) / 2 - scale * (least + most) / 2
+    return replace(camera, scale=scale, shift=(float(shift[0]), float(shift[1])))
+
+
+def _outline(positions: Floats, obstacles: Floats) -> Floats:
+    """Robots, corners of polygons and the outermost points of discs and spheres, (m, d)."""
+    points, d = [positions], positions.shape[1]
+    arms = np.concatenate([np.eye(d), -np.eye(d)])
+    if d == 2:
+        for centre, radius, corners in outlines(obstacles):
+            points.append(corners if len(corners) else centre + radius * arms)
+    else:
+        points += [centre + radius * arms for centre, radius in balls(obstacles)]
+    return np.concatenate(points)
+
+
+def _bounds(points: Floats) -> tuple[Floats, Floats]:
+    """Least and largest corner of a box about points; no side of it is negligible."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    lacking = np.maximum(0.0, _LEAST_SHARE * (high - low).max() - (high - low)) / 2
+    return low - lacking, high + lacking
+
+
+def _from_above(low: Floats, high: Floats) -> Camera:
+    right, up = np.eye(2)
+    return Camera(low, high, right, up, np.zeros(2), math.inf)
+
+
+def _in_perspective(low: Floats, high: Floats) -> Camera:
+    sine, cosine = math.sin(_AZIMUTH), math.cos(_AZIMUTH)
+    rise, level = math.sin(_ELEVATION), math.cos(_ELEVATION)
+    return Camera(
+        low,
+        high,
+        right=np.array([-sine, cosine, 0.0]),
+        up=np.array([-rise * cosine, -rise * sine, level]),
+        back=np.array([level * cosine, level * sine, rise]),
+        distance=_DISTANCE * float(np.linalg.norm(high - low)),
+    )
+
+
+def nice_step(span: float, most: int) -> float:
+    """The least of 1, 2 and 5 times a power of ten of which at most ``most`` fit into a span."""
+    power = 10.0 ** math.floor(math.log10(span / most))
+    return next(step * power for step in (1, 2, 5, 10, 20) if step * power * most >= span)

@@ -1,0 +1,201 @@
+"""State → picture. The drawing library, pygame-ce, is loaded when the first picture is drawn."""
+
+from __future__ import annotations
+
+import os
+from types import ModuleType
+from typing import TYPE_CHECKING, Any
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+
+from ..checks import refuse
+from ..engine.memory import RUNNING
+from ..simulator import Simulator
+from .history import History, look
+from .tile import cell
+
+if TYPE_CHECKING:
+    from .page import Page
+    from .window import Window
+
+RENDER_MODES = ["human", "rgb_array"]
+"""A window that follows the episode, or a picture as an array whenever it is asked for."""
+MOST_TEAMS = 16
+"""Teams in one picture; of a larger batch the first ones are shown."""
+SIZE = (600, 600)
+"""Width and height of a picture, pixels."""
+
+
+def render_metadata(simulator: Simulator) -> dict[str, Any]:
+    """Render modes and frames a second, one for each step, so that a video runs in real time."""
+    fps = max(1, round(1 / simulator.scenario.tau))
+    return {"render_modes": RENDER_MODES.copy(), "render_fps": fps}
+
+
+class Renderer:
+    """Pictures of the teams of a simulator: paths, headings, what they sense, obstacles, V(t).
+
+    Obstacles are orange; a robot has the same colour everywhere. Its wedge points along its body,
+    or its last motion if it has none; short arrows are the bearings it sees, thin lines join robots
+    that sense each other. A number counts the robots that have become one, a cross is where they
+    did; a ring is where one touched an obstacle. The view is fitted to the start and the obstacles
+    and stays. Space is seen in perspective, with plumb lines to the ground. Of more than one team
+    the first ``MOST_TEAMS`` stand side by side.
+
+    Whoever owns it calls ``reset`` and ``see`` after each reset and step. Nothing is kept without
+    a render mode; a copy of it has the paths, but no window until its next reset.
+
+    Args:
+        simulator: the teams.
+        render_mode: "human", "rgb_array" or None.
+        size: width and height in pixels.
+        horizon: how long the time axis is to begin with, s; None begins with a tenth of the limit.
+
+    Raises:
+        ValueError: for another mode.
+    """
+
+    def __init__(
+        self,
+        simulator: Simulator,
+        render_mode: str | None,
+        size: tuple[int, int] = SIZE,
+        horizon: float | None = None,
+    ) -> None:
+        known = isinstance(render_mode, str) and render_mode in RENDER_MODES
+        if render_mode is not None and not known:
+            refuse("render_mode", render_mode, f"None or one of {RENDER_MODES}")
+        self.render_mode = render_mode
+        self.size = size
+        self._simulator, self._horizon = simulator, horizon
+        self._teams = min(simulator.num_envs, MOST_TEAMS)
+        self._histories: list[History] = []
+        self._page: Page | None = None
+        self._window: Window | None = None
+        self._dismissed = False
+
+    def reset(self) -> None:
+        """Look at teams that have been reset; in "human" mode open the window."""
+        if self.render_mode is not None:
+            self._look()
+            self._show()
+
+    def see(self, contact: NDArray[np.bool_]) -> None:
+        """Look at the teams after a step; in "human" mode show them, at most in real time.
+
+        Args:
+            contact: (B, n), who touched an obstacle in the step.
+        """
+        if self.render_mode is None:
+            return
+        self._look(contact)
+        if self._window is not None:
+            over = not (self._simulator.status == RUNNING).any()
+            if over or self._window.wants_picture:
+                self._show()
+            self._window.wait(self._simulator.scenario.tau)
+            self._forget_closed()
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """The picture, (height, width, 3); None in "human" mode, which shows it.
+
+        Raises:
+            RuntimeError: before the first reset.
+        """
+        if self.render_mode is None:
+            gymnasium.logger.warn(
+                "render() draws nothing without a render mode; choose one when the environment is "
+                f"made: render_mode={RENDER_MODES[0]!r} or {RENDER_MODES[1]!r}"
+            )
+            return None
+        if not self._histories and self._simulator.get_state()["episode"][0] < 0:
+            raise RuntimeError("call reset() before render()")
+        self._look()
+        if self.render_mode == "human":
+            self._show()
+            return None
+        return self._array()
+
+    def pictures(self) -> tuple[NDArray[np.uint8], ...] | None:
+        """The picture cut into the parts of its teams; None in "human" mode, which shows it.
+
+        Teams beyond the first ``MOST_TEAMS`` are not drawn: they share one blank part.
+
+        Raises:
+            RuntimeError: before the first reset.
+        """
+        if (picture := self.render()) is None:
+            return None
+        height, width = picture.shape[:2]
+        cells = [cell(team, self._teams, width, height) for team in range(self._teams)]
+        parts = [picture[top:bottom, left:right] for left, top, right, bottom in cells]
+        blank = np.full_like(parts[0], 255)
+        return (*parts, *[blank] * (self._simulator.num_envs - self._teams))
+
+    def pixels(self, positions: NDArray[np.float64], team: int = 0) -> NDArray[np.float64]:
+        """Where points (..., d) in m of a team stand in the last picture: (..., 2), x and y."""
+        if self._page is None:
+            raise RuntimeError("call render() before pixels()")
+        return self._page.pixels(positions, team)
+
+    def close(self) -> None:
+        """Take the window off the screen."""
+        if self._window is not None:
+            self._window.close()
+            self._window = None
+
+    def _look(self, contact: NDArray[np.bool_] | None = None) -> None:
+        self._histories = look(self._simulator, self._histories, self._teams, contact)
+
+    def _draw(self) -> Any:
+        if self._page is None:
+            _load_pygame()
+            from .page import Page
+
+            self._page = Page(self._simulator, self.size, self._horizon)
+        return self._page.draw(self._histories)
+
+    def _array(self) -> NDArray[np.uint8]:
+        surface, (width, height) = self._draw(), self.size
+        flat = np.frombuffer(_load_pygame().image.tobytes(surface, "RGB"), dtype=np.uint8)
+        return flat.reshape(height, width, 3).copy()
+
+    def _show(self) -> None:
+        """Draw into the window; once its user has closed it there is none any more."""
+        if self.render_mode != "human" or self._dismissed:
+            return
+        picture = self._draw()
+        if self._window is None:
+            self._window = self._open()
+        self._window.show(picture)
+
+    def _open(self) -> Window:
+        pygame = _load_pygame()
+        from .window import Window
+
+        try:
+            return Window(f"rendezvous: {self._simulator.scenario.name}", self.size)
+        except pygame.error as error:
+            raise RuntimeError(
+                f'no window can be opened here ({error}); render_mode="rgb_array" needs none'
+            ) from error
+
+    def _forget_closed(self) -> None:
+        if self._window is not None and self._window.closed:
+            self._window, self._dismissed = None, True
+
+    def __getstate__(self) -> dict[str, Any]:
+        return self.__dict__ | {"_page": None, "_window": None}
+
+
+def _load_pygame() -> ModuleType:
+    os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
+    try:
+        import pygame
+    except ImportError as error:
+        raise ImportError(
+            "pictures need pygame-ce: pip install rendezvous-env[render]", name="pygame"
+        ) from error
+    return pygame

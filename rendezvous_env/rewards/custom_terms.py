@@ -1,0 +1,107 @@
+"""Reward terms of a user's own: functions of what happened in one step of a batch of teams."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..checks import Registry, floats, number, refuse
+
+
+class RewardStep(NamedTuple):
+    """What happened in one step of B teams; a term may read all of it and change none."""
+
+    scenario: Any
+    """The Scenario."""
+    actions: NDArray[np.float32]
+    """(B, n, a), as they were given, in the robots' own frames."""
+    positions_before: NDArray[np.float64]
+    """(B, n, d), m."""
+    positions: NDArray[np.float64]
+    """(B, n, d), m; a merged-away robot is where the robot is that it became part of."""
+    took_part: NDArray[np.bool_]
+    """(B, n), whether the robot existed on its own before the step."""
+    active: NDArray[np.bool_]
+    """(B, n), whether it does after it."""
+    contact: NDArray[np.bool_]
+    """(B, n), whether it touched an obstacle in the step."""
+    clearance: NDArray[np.float64]
+    """(B, n), distance to the nearest obstacle, m; inf without obstacles."""
+    time: NDArray[np.float64]
+    """(B,), s since the start of the episode."""
+    met: NDArray[np.bool_]
+    """(B,), whether the step brought the rendezvous."""
+
+
+Term = Callable[[RewardStep], Any]
+_TERMS = Registry("reward term", "rv.reward_term")
+
+
+def reward_term(name: str, term: Term | None = None) -> Any:
+    """Register a reward term: a function from a ``RewardStep`` to numbers, (B,) or (B, n).
+
+    ``RewardWeights(custom={name: weight})`` then adds weight × term in every step and every
+    interface. (B,) is earned by the team and each of its robots; of (B, n) each robot earns its
+    own, and the team the mean over the robots that took part.
+
+    Args:
+        name: a word; a term of that name is replaced.
+        term: treats every team by itself, so that a batch earns what single teams earn. Without
+            it a decorator is returned.
+
+    Raises:
+        ValueError: for what is no name or cannot be called.
+    """
+    return _TERMS.add(name, term)
+
+
+def as_custom(field: str, value: Any) -> tuple[tuple[str, float], ...]:
+    """Weights of registered terms by name, from a mapping or pairs, in the order of the names.
+
+    Raises:
+        ValueError: for an unregistered name, or what is no weight.
+    """
+    try:
+        pairs = dict(value)
+    except (TypeError, ValueError):
+        refuse(field, value, "a mapping of names to weights")
+    for name in pairs:
+        _TERMS.check(field, name)
+    return tuple(sorted((name, number(f"{field}.{name}", pairs[name])) for name in pairs))
+
+
+def add_custom_terms(
+    step: RewardStep,
+    running: NDArray[np.bool_],
+    rewards: NDArray[np.float64],
+    robot_rewards: NDArray[np.float64],
+) -> None:
+    """Add the custom terms of a step to what was earned.
+
+    Args:
+        step: what happened.
+        running: (B,), teams that were in an episode; others earn nothing.
+        rewards: (B,), of the teams.
+        robot_rewards: (B, n), of the robots.
+
+    Raises:
+        ValueError: naming a term that gave what is no number for each team or robot.
+    """
+    took_part = step.took_part
+    earning = running[:, None] & (took_part | (step.scenario.on_merge == "follow"))
+    custom: Mapping[str, float] = dict(step.scenario.reward.custom)
+    for name, weight in custom.items():
+        earned = floats(f"reward term {name!r}", _TERMS[name](step))
+        if earned.shape not in (rewards.shape, robot_rewards.shape):
+            shapes = f"{rewards.shape} or {robot_rewards.shape}"
+            raise ValueError(f"reward term {name!r} has shape {earned.shape}; it must be {shapes}")
+        each = earned[:, None] if earned.ndim == 1 else earned
+        each = weight * np.broadcast_to(each, robot_rewards.shape)
+        if not np.isfinite(each[earning]).all():
+            raise ValueError(f"reward term {name!r} gave a number that is not finite")
+        robot_rewards += np.where(earning, each, 0.0)
+        team = np.where(took_part, each, 0.0).sum(axis=1) / took_part.sum(axis=1)
+        rewards += np.where(running, weight * earned if earned.ndim == 1 else team, 0.0)

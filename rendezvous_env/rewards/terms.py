@@ -1,0 +1,90 @@
+"""The terms of the team reward (design, section 6): their weights and their sum.
+
+The reward may use the global state; observations never do.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+from ..checks import check_fields, mapping, names_unknown_fields, number
+from ..compilation import kernel
+from .custom_terms import as_custom
+
+CLEARANCE_PENALTY = 4
+"""Place of a weight whose term is only worked out where it is not zero."""
+
+
+@names_unknown_fields("reward")
+@dataclass(frozen=True)
+class RewardWeights:
+    """Weights of the terms of the team reward; every robot gets the team reward.
+
+    Raises:
+        ValueError: naming a weight that is not a finite number.
+    """
+
+    progress: float = 1.0
+    """Times (V_t − V_{t+1})/V_0, which adds up to at most 1 over an episode."""
+    time_penalty: float = 0.1
+    """Paid evenly over the time limit."""
+    collision_penalty: float = 0.1
+    """Paid for each robot in contact with an obstacle, in each step."""
+    rendezvous_bonus: float = 1.0
+    """Earned once, when all robots have become one."""
+    clearance_penalty: float = 0.0
+    """Paid in each step for each robot, times 1 − clearance/``obstacle_range`` where it is nearer
+    to an obstacle than that."""
+    custom: Mapping[str, float] | tuple[tuple[str, float], ...] = field(default=(), kw_only=True)
+    """Weights of terms of your own, by the names under which ``reward_term`` registered them."""
+
+    def __post_init__(self) -> None:
+        """Convert and check every weight."""
+        checks: dict[str, Any] = dict.fromkeys(_BUILT_IN, number)
+        check_fields(self, {**checks, "custom": as_custom}, "reward.")
+
+    @property
+    def built_in(self) -> tuple[float, ...]:
+        """The weights w of ``team_reward``, in its order."""
+        return tuple(getattr(self, name) for name in _BUILT_IN)
+
+    def to_plain(self) -> dict[str, Any]:
+        """The weights as plain data for TOML."""
+        plain = asdict(self) | {"custom": dict(self.custom)}
+        return {key: value for key, value in plain.items() if value != {}}
+
+    @classmethod
+    def from_plain(cls, plain: Any) -> RewardWeights:
+        """Weights from the plain data of ``to_plain``, some keys left out.
+
+        Raises:
+            ValueError: for what is no table, an unknown key or an impossible weight.
+        """
+        return cls(**mapping("reward", plain, "a table of its weights"))
+
+
+_BUILT_IN = tuple(name for name in RewardWeights.__dataclass_fields__ if name != "custom")
+
+
+@kernel(inline="code")
+def team_reward(progress, time_share, contacts, closeness, met, weights):
+    """Team reward of one step.
+
+        w₀ progress − w₁ time_share − w₂ contacts − w₄ closeness + w₃ if met
+
+    Args:
+        progress: (V_t − V_{t+1})/V_0.
+        time_share: τ / time limit.
+        contacts: robots in contact with an obstacle.
+        closeness: Σ_i max(0, 1 − clearance_i/range), how near the robots are to obstacles.
+        met: whether this step brought the rendezvous.
+        weights: w, of ``RewardWeights.built_in``.
+
+    Returns:
+        A number without unit, like all that it is made of.
+    """
+    reward = weights[0] * progress - weights[1] * time_share - weights[2] * contacts
+    reward = reward - weights[CLEARANCE_PENALTY] * closeness
+    return reward + weights[3] if met else reward

@@ -1,0 +1,165 @@
+"""A robot with inertia: its action is an acceleration, held over the step.
+
+    p̈ = a,    ‖a‖ ≤ a_max,    ‖ṗ‖ ≤ v_max
+
+An acceleration that would exceed the speed limit at the end of the step is replaced by the constant
+one that reaches the limit in the same direction of motion; so the motion is exact for a held input,
+and the speed never exceeds the limit within the step: ‖ṗ‖ is convex along it.
+
+An obstacle takes away what of the velocity goes into it, without friction; where a contact stops a
+robot it takes away everything.
+"""
+
+import math
+from typing import NamedTuple
+
+from ..compilation import kernel
+from ..physics.vectors import plus, product, scaled, square, to_global, to_local
+from .motion import FREE, STOPPED, Motion, describe
+from .robot_models import RobotModel, register_robot_model
+from .single_integrator import speed_scale
+
+_NEARLY_STEADY = 1e-3
+"""Where the velocity changes by less than this share of itself, Simpson's rule has the length of
+the way to rounding, and the closed form would lose digits."""
+
+
+class DoubleIntegrator(NamedTuple):
+    """p̈ = a: the action is an acceleration, m/s², the memory the velocity in the global frame."""
+
+    duration: float
+    """τ, s."""
+    speed_limit: float
+    """v_max, m/s."""
+    acceleration_limit: float
+    """a_max, m/s²."""
+    rest: tuple[float, ...]
+    """The velocity at the start, d zeros."""
+
+
+@kernel
+def final_velocity(model, action, frame, velocity):
+    """Velocity at the end of a step: v + τ R a with ‖a‖ ≤ a_max, then ‖v‖ ≤ v_max.
+
+    Both limits keep the direction.
+
+    Args:
+        model: constants, a DoubleIntegrator.
+        action: a, a pair or triple, m/s², in the robot's own frame.
+        frame: R, local → global, row by row, 4 or 9 numbers.
+        velocity: v, a pair or triple, m/s, in the global frame.
+
+    Returns:
+        A pair or triple, m/s, in the global frame.
+    """
+    _, factor = speed_scale(square(action), model.acceleration_limit)
+    pushed = plus(velocity, model.duration * factor, to_global(frame, action))
+    _, factor = speed_scale(square(pushed), model.speed_limit)
+    return scaled(pushed, factor)
+
+
+@kernel
+def _along(model, action, frame, memory, time):
+    """The way v t + ½ a t², with a = (v(τ) − v)/τ."""
+    change = plus(final_velocity(model, action, frame, memory), -1.0, memory)
+    half = 0.5 * time * time / model.duration
+    return plus(scaled(memory, time), half, change)
+
+
+@kernel
+def mean_speed(before, after):
+    """∫₀¹ ‖v₀ + s (v₁ − v₀)‖ ds: the length of a parabola, per second.
+
+    With u the part of the velocity along its change c, and h the part across it, it is
+    [u √(u² + h²) + h² asinh(u/h)] / 2‖c‖ between the ends.
+
+    Args:
+        before: v₀, a pair or triple, m/s.
+        after: v₁, likewise.
+
+    Returns:
+        A number, m/s.
+    """
+    start, end = math.sqrt(square(before)), math.sqrt(square(after))
+    change = plus(after, -1.0, before)
+    size = math.sqrt(square(change))
+    if size <= _NEARLY_STEADY * max(start, end):
+        middle = 0.5 * math.sqrt(square(plus(before, 1.0, after)))
+        return (start + 4.0 * middle + end) / 6.0
+    along = product(before, change) / size
+    across = math.sqrt(square(plus(before, -along / size, change)))
+    length = (along + size) * end - along * start
+    if across > 0.0:
+        turned = math.asinh((along + size) / across) - math.asinh(along / across)
+        length += across * across * turned
+    return length / (2.0 * size)
+
+
+@kernel
+def _propose(model, action, frame, memory):
+    """The way is a parabola."""
+    after = final_velocity(model, action, frame, memory)
+    middle = scaled(plus(memory, 1.0, after), 0.5)
+    return scaled(middle, model.duration), model.duration * mean_speed(memory, after)
+
+
+@kernel
+def _bend(model, action, memory):
+    """a_max/8: a parabola is at most that far from its chord, per square of the time. The speed
+    limit, a projection onto a ball, only lessens the change of velocity.
+    """
+    return model.acceleration_limit / 8.0
+
+
+@kernel
+def _remember(model, action, frame, memory, displacement, contact):
+    """The final velocity, after a contact without its part along what the obstacle took of the way;
+    that is what went into the obstacle.
+    """
+    velocity = final_velocity(model, action, frame, memory)
+    if contact == FREE:
+        return velocity
+    if contact == STOPPED:
+        return scaled(velocity, 0.0)
+    way = scaled(plus(memory, 1.0, velocity), 0.5 * model.duration)
+    taken = plus(way, -1.0, displacement)
+    into, size = product(velocity, taken), square(taken)
+    return plus(velocity, -into / size, taken) if into > 0.0 and size > 0.0 else velocity
+
+
+@kernel
+def _own_velocity(model, frame, memory):
+    """Its velocity in its own frame, m/s."""
+    return to_local(frame, memory)
+
+
+@kernel
+def _begin_at_rest(model, key, counter):
+    return model.rest
+
+
+describe(
+    DoubleIntegrator,
+    Motion(
+        propose=_propose,
+        along=_along,
+        bend=_bend,
+        remember=_remember,
+        sense=_own_velocity,
+        begin=_begin_at_rest,
+    ),
+)
+register_robot_model(
+    RobotModel(
+        "double_integrator",
+        dims=(2, 3),
+        constants=lambda scenario: DoubleIntegrator(
+            scenario.tau, scenario.speed_limit, scenario.acceleration_limit, (0.0,) * scenario.dim
+        ),
+        bounds=lambda scenario: [scenario.acceleration_limit] * scenario.dim,
+        n_kept=lambda dim: dim,
+        keeps_velocity=True,
+        senses="velocity",
+        action="acceleration, m/s²",
+    )
+)

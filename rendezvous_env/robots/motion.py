@@ -1,0 +1,288 @@
+"""How a robot moves while its action is held: the seam at which a robot model enters the step.
+
+A robot model is a NamedTuple of constants, whose type says which equations hold, and a ``Motion``
+of seven functions of numbers and small tuples. ``describe`` joins the two. Compiled code chooses
+the functions by that type while it is compiled; nothing is looked up in a step.
+
+Everywhere ``action`` is the robot's action in its own frame, a tuple of numbers as it was given;
+``frame`` its rotation to the global frame, row by row; ``memory`` what the model keeps from step to
+step (angles, a velocity), a tuple that may be empty. A model applies its own limits to the action.
+A model that keeps nothing moves straight: neither ``along`` nor ``bend`` is asked then.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+from ..checks import shown
+from ..compilation import chosen_by_type, kernel
+from ..kernel_cache import depends_on
+from ..physics.vectors import scaled
+
+FREE, SLID, STOPPED = range(3)
+"""Whether a robot has met an obstacle in a step, and what it did then: nothing met; it slid on;
+it rests where it met it."""
+
+
+@kernel(inline="code")
+def _evenly(model, action, frame, memory, time):
+    way, _ = propose(model, action, frame, memory)
+    return scaled(way, time / model.duration)
+
+
+@kernel(inline="code")
+def _straight(model, action, memory):
+    return 0.0
+
+
+@kernel(inline="code")
+def _as_before(model, action, frame, memory, displacement, contact):
+    return memory
+
+
+@kernel(inline="code")
+def _fixed(model, frame, memory):
+    return frame
+
+
+@kernel(inline="code")
+def _nothing(model, frame, memory):
+    return ()
+
+
+@kernel(inline="code")
+def _never(model, action, memory):
+    return math.inf
+
+
+@kernel
+def _begin_with_nothing(model, key, counter):
+    return ()
+
+
+class Motion(NamedTuple):
+    """The equations of one robot model; what is left out is that of a robot that moves straight at
+    an even speed, keeps nothing, has a fixed frame and senses nothing of itself.
+    """
+
+    propose: Callable[..., Any]
+    """(model, action, frame, memory) → displacement in the global frame over the step, m, a pair or
+    triple, and the length of the way, m; as if nothing were in it."""
+    along: Callable[..., Any] = _evenly
+    """(model, action, frame, memory, time) → displacement after so much of the step, m."""
+    bend: Callable[..., Any] = _straight
+    """(model, action, memory) → β, m/s²: in a time h the way is never farther than β h² from its
+    chord; 0 for straight ways."""
+    remember: Callable[..., Any] = _as_before
+    """(model, action, frame, memory, displacement, contact) → memory after the step, from the
+    displacement executed, m, and FREE, SLID or STOPPED."""
+    frame: Callable[..., Any] = _fixed
+    """(model, frame, memory) → frame that goes with a memory."""
+    sense: Callable[..., Any] = _nothing
+    """(model, frame, memory) → what the robot observes of itself in its own frame, a pair or
+    triple, or () for nothing."""
+    begin: Callable[..., Any] = _begin_with_nothing
+    """(model, key, counter) → memory at the start of an episode, drawn from at most three numbers
+    of the stream ``key`` from ``counter`` on."""
+    closes: Callable[..., Any] = _never
+    """(model, action, memory) → time after which the way has come back to where it began and goes
+    on as it did then, s; inf if it never does. Contacts are looked for no longer than that."""
+    drifts: bool = True
+    """Whether a robot may move while its action is zero; False saves a look at every robot."""
+
+
+_MOTIONS: dict[type, Motion] = {}
+
+
+def describe(model: type, motion: Motion) -> None:
+    """Say how robots move whose constants are of this type.
+
+    Args:
+        model: a NamedTuple class.
+        motion: its equations.
+
+    Raises:
+        ValueError: if something else has been said of this type before, or it is no NamedTuple.
+        TypeError: if one of the equations is no function.
+    """
+    if not isinstance(motion, Motion):
+        raise TypeError(f"motion is {shown(motion)}; it must be a Motion")
+    if not (isinstance(model, type) and issubclass(model, tuple) and hasattr(model, "_fields")):
+        raise ValueError(
+            f"model is {shown(model)}; it must be a NamedTuple class, of its constants"
+        )
+    if _MOTIONS.get(model, motion) != motion:
+        raise ValueError(f"how a {model.__name__} moves has been described before")
+    equations = tuple(motion._asdict()[name] for name in Motion._fields[:-1])
+    for name, equation in zip(Motion._fields, equations, strict=False):
+        if not callable(equation):
+            raise TypeError(
+                f"{name} of a {model.__name__} is {shown(equation)}; it must be a function"
+            )
+    depends_on(model, equations)
+    _MOTIONS[model] = motion
+
+
+def motion_of(model: type) -> Motion | None:
+    """What ``describe`` has said of robots whose constants are of this type."""
+    return _MOTIONS.get(model)
+
+
+def drifts(model):
+    """Whether a robot may move while its action is zero, ‖Δ‖ > 0 m: ``Motion.drifts``, a bool.
+
+    Args:
+        model: constants of a robot model, a NamedTuple.
+    """
+    return _MOTIONS[type(model)].drifts
+
+
+def propose(model, action, frame, memory):
+    """What a robot would do in a step with nothing in its way: ``Motion.propose`` of the model.
+
+        Δ = ∫₀^τ ṗ dt,   way = ∫₀^τ ‖ṗ‖ dt
+
+    Args:
+        model: constants of a robot model, a NamedTuple.
+        action: a tuple of numbers in the robot's own frame, in the units of the model.
+        frame: R, local → global, row by row, 4 or 9 numbers.
+        memory: what the model keeps, a tuple of numbers, in rad or m/s.
+
+    Returns:
+        Δ in the global frame, a pair or triple, m, and the length of the way, m.
+    """
+    return _MOTIONS[type(model)].propose(model, action, frame, memory)
+
+
+def along(model, action, frame, memory, time):
+    """∫₀ᵗ ṗ dt: displacement after ``time`` t, s, a pair or triple, m, in the global frame.
+
+    ``Motion.along`` of the model; the other arguments as ``propose`` takes them.
+    """
+    return _MOTIONS[type(model)].along(model, action, frame, memory, time)
+
+
+def bend(model, action, memory):
+    """β, m/s², with ‖p(t) − chord‖ ≤ β h² within any time h of the step; 0 for straight ways.
+
+    ``Motion.bend`` of the model; arguments as ``propose``.
+    """
+    return _MOTIONS[type(model)].bend(model, action, memory)
+
+
+def closes(model, action, memory):
+    """T, s, with p(t + T) = p(t) while the action is held; inf if there is none.
+
+    ``Motion.closes`` of the model; arguments as ``propose``.
+    """
+    return _MOTIONS[type(model)].closes(model, action, memory)
+
+
+def remember(model, action, frame, memory, displacement, contact):
+    """What a model keeps after a step, as many numbers as before: ``Motion.remember``.
+
+    Args:
+        model: constants of a robot model, a NamedTuple.
+        action: as ``propose`` takes it.
+        frame: likewise.
+        memory: before the step, a tuple of numbers.
+        displacement: Δ executed, a pair or triple, m, in the global frame.
+        contact: FREE, SLID or STOPPED.
+
+    Returns:
+        Angles, α(t + τ) = α(t) + ω τ, rad, or a velocity, m/s; a tuple.
+    """
+    return _MOTIONS[type(model)].remember(model, action, frame, memory, displacement, contact)
+
+
+def frame_of(model, frame, memory):
+    """R(memory), the frame that goes with a memory, row by row, 4 or 9 numbers: ``Motion.frame``.
+
+    Arguments as ``propose``; ``frame`` is the one before.
+    """
+    return _MOTIONS[type(model)].frame(model, frame, memory)
+
+
+def sense_oneself(model, frame, memory):
+    """What a robot observes of itself in its own frame: Rᵀv, or the direction of gravity.
+
+    A pair or triple, m/s or without unit, or () for nothing: ``Motion.sense`` of the model.
+    Arguments as ``propose``.
+    """
+    return _MOTIONS[type(model)].sense(model, frame, memory)
+
+
+def begin_memory(model, key, counter):
+    """What a model keeps at the start of an episode: ``Motion.begin``.
+
+        α = π (2u − 1) for a yaw, a pitch within ± π/4, a zero velocity
+
+    Args:
+        model: constants of a robot model, a NamedTuple.
+        key: of the stream of the uniform numbers u, uint64.
+        counter: index of the first of at most three that may be used.
+
+    Returns:
+        A tuple of numbers, rad or m/s, that may be empty.
+    """
+    return _MOTIONS[type(model)].begin(model, key, counter)
+
+
+@chosen_by_type(drifts)
+def _drifts(model):
+    chosen = _MOTIONS[model.instance_class].drifts
+    return lambda model: chosen
+
+
+@chosen_by_type(propose)
+def _propose(model, action, frame, memory):
+    chosen = _MOTIONS[model.instance_class].propose
+    return lambda model, action, frame, memory: chosen(model, action, frame, memory)
+
+
+@chosen_by_type(along)
+def _along(model, action, frame, memory, time):
+    chosen = _MOTIONS[model.instance_class].along
+    return lambda model, action, frame, memory, time: chosen(model, action, frame, memory, time)
+
+
+@chosen_by_type(bend)
+def _bend(model, action, memory):
+    chosen = _MOTIONS[model.instance_class].bend
+    return lambda model, action, memory: chosen(model, action, memory)
+
+
+@chosen_by_type(closes)
+def _closes(model, action, memory):
+    chosen = _MOTIONS[model.instance_class].closes
+    return lambda model, action, memory: chosen(model, action, memory)
+
+
+@chosen_by_type(remember)
+def _remember(model, action, frame, memory, displacement, contact):
+    chosen = _MOTIONS[model.instance_class].remember
+
+    def implementation(model, action, frame, memory, displacement, contact):
+        return chosen(model, action, frame, memory, displacement, contact)
+
+    return implementation
+
+
+@chosen_by_type(frame_of)
+def _frame_of(model, frame, memory):
+    chosen = _MOTIONS[model.instance_class].frame
+    return lambda model, frame, memory: chosen(model, frame, memory)
+
+
+@chosen_by_type(sense_oneself)
+def _sense_oneself(model, frame, memory):
+    chosen = _MOTIONS[model.instance_class].sense
+    return lambda model, frame, memory: chosen(model, frame, memory)
+
+
+@chosen_by_type(begin_memory)
+def _begin_memory(model, key, counter):
+    chosen = _MOTIONS[model.instance_class].begin
+    return lambda model, key, counter: chosen(model, key, counter)

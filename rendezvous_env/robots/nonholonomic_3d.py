@@ -1,0 +1,164 @@
+"""The robot of space that moves along its own axis (eqs. 9–10).
+
+    ẋ = v cos β cos α,  ẏ = v cos β sin α,  ż = v sin β,  α̇ = ω_α,  β̇ = ω_β
+
+Angles are in radians: yaw α about the vertical, pitch β above the horizontal.
+"""
+
+import math
+from typing import NamedTuple
+
+from ..compilation import kernel
+from ..physics.random_streams import uniform
+from .motion import Motion, describe
+from .robot_models import RobotModel, register_robot_model
+from .unicycle import clip, mean_cos_sin
+
+_LARGEST_START_PITCH = math.pi / 4
+
+
+class Nonholonomic3D(NamedTuple):
+    """Eq. (9): the action is (v, ω_α, ω_β), the memory (α, β)."""
+
+    duration: float
+    """τ, s."""
+    speed_limit: float
+    """Of v, m/s."""
+    yaw_limit: float
+    """Of ω_α, rad/s."""
+    pitch_limit: float
+    """Of ω_β, rad/s."""
+
+
+@kernel
+def arc_3d(speed, yaw, pitch, yaw_rate, pitch_rate, duration):
+    """Exact displacement of a 3-D nonholonomic robot with held inputs.
+
+        ẋ = v cos β cos α,  ẏ = v cos β sin α,  ż = v sin β,  α̇ = ω_α,  β̇ = ω_β     (eq. 9)
+
+    The products of cosines are written as sums of cosines of α + β and α − β, each of which grows
+    evenly.
+
+    Args:
+        speed: v, m/s; negative is backwards.
+        yaw: α at the start, rad.
+        pitch: β at the start, rad.
+        yaw_rate: ω_α, rad/s.
+        pitch_rate: ω_β, rad/s.
+        duration: s.
+
+    Returns:
+        (x, y, z), a triple, m, in the frame that α and β are measured in.
+    """
+    distance = speed * duration
+    cos_sum, sin_sum = mean_cos_sin(yaw + pitch, (yaw_rate + pitch_rate) * duration)
+    cos_difference, sin_difference = mean_cos_sin(yaw - pitch, (yaw_rate - pitch_rate) * duration)
+    _, mean_sin_pitch = mean_cos_sin(pitch, pitch_rate * duration)
+    return (
+        distance * 0.5 * (cos_sum + cos_difference),
+        distance * 0.5 * (sin_sum + sin_difference),
+        distance * mean_sin_pitch,
+    )
+
+
+@kernel
+def body_frame_3d(yaw, pitch):
+    """R = R_z(α) R_y(−β), from the body frame of a robot in space to the global one.
+
+    The body frame has x = heading h of eq. (9), y = horizontal left, z = up-ish.
+
+    Args:
+        yaw: α, rad.
+        pitch: β, rad.
+
+    Returns:
+        R row by row, 9 numbers without unit.
+    """
+    ca, sa = math.cos(yaw), math.sin(yaw)
+    cb, sb = math.cos(pitch), math.sin(pitch)
+    return cb * ca, -sa, -sb * ca, cb * sa, ca, -sb * sa, sb, 0.0, cb
+
+
+@kernel
+def _propose(model, action, frame, memory):
+    way = abs(clip(action[0], model.speed_limit)) * model.duration
+    return _along(model, action, frame, memory, model.duration), way
+
+
+@kernel
+def _along(model, action, frame, memory, time):
+    return arc_3d(
+        clip(action[0], model.speed_limit),
+        memory[0],
+        memory[1],
+        clip(action[1], model.yaw_limit),
+        clip(action[2], model.pitch_limit),
+        time,
+    )
+
+
+@kernel
+def _bend(model, action, memory):
+    yaw_rate = clip(action[1], model.yaw_limit)
+    pitch_rate = clip(action[2], model.pitch_limit)
+    turn_rate = math.sqrt(yaw_rate * yaw_rate + pitch_rate * pitch_rate)
+    return abs(clip(action[0], model.speed_limit)) * turn_rate / 8.0
+
+
+@kernel
+def _remember(model, action, frame, memory, displacement, contact):
+    yaw_rate = clip(action[1], model.yaw_limit)
+    pitch_rate = clip(action[2], model.pitch_limit)
+    return memory[0] + yaw_rate * model.duration, memory[1] + pitch_rate * model.duration
+
+
+@kernel
+def _frame(model, frame, memory):
+    return body_frame_3d(memory[0], memory[1])
+
+
+@kernel
+def _gravity(model, frame, memory):
+    """Unit direction of gravity in the body frame, (−sin β, 0, −cos β)."""
+    return -math.sin(memory[1]), 0.0, -math.cos(memory[1])
+
+
+@kernel
+def _begin(model, key, counter):
+    """Pitch within 45° of the horizontal."""
+    yaw = math.pi * (2.0 * uniform(key, counter) - 1.0)
+    return yaw, _LARGEST_START_PITCH * (2.0 * uniform(key, counter + 1) - 1.0)
+
+
+describe(
+    Nonholonomic3D,
+    Motion(
+        propose=_propose,
+        along=_along,
+        bend=_bend,
+        remember=_remember,
+        frame=_frame,
+        sense=_gravity,
+        begin=_begin,
+        drifts=False,
+    ),
+)
+register_robot_model(
+    RobotModel(
+        "nonholonomic_3d",
+        dims=(3,),
+        constants=lambda scenario: Nonholonomic3D(
+            scenario.tau, scenario.speed_limit, 10 * scenario.turn_limit, scenario.turn_limit
+        ),
+        # law (17) divides ω_α by cos β; at its bound it saturates
+        bounds=lambda scenario: [
+            scenario.speed_limit,
+            10 * scenario.turn_limit,
+            scenario.turn_limit,
+        ],
+        n_angles=2,
+        senses="gravity",
+        action="v, ω_α, ω_β: m/s, rad/s, rad/s",
+        theorem="theorem 4",
+    )
+)

@@ -1,0 +1,56 @@
+"""The single integrator: a robot whose action is its velocity (paper, section II).
+
+ṗ = v,    ‖v‖ ≤ v_max
+"""
+
+import math
+from typing import NamedTuple
+
+from ..compilation import kernel
+from ..physics.vectors import scaled, square, to_global
+from .motion import Motion, describe
+from .robot_models import RobotModel, register_robot_model
+
+
+class SingleIntegrator(NamedTuple):
+    """ṗ = v: the action is a velocity, m/s."""
+
+    duration: float
+    """τ, s."""
+    speed_limit: float
+    """v_max, m/s."""
+
+
+@kernel(inline="code")
+def speed_scale(square_speed, limit):
+    """Speed ‖v‖, and the factor min(1, v_max/‖v‖) that limits it and keeps the direction.
+
+    Args:
+        square_speed: ‖v‖², m²/s².
+        limit: v_max, m/s.
+
+    Returns:
+        Two numbers: ‖v‖, m/s, and the factor. Of accelerations likewise, in m/s².
+    """
+    speed = math.sqrt(square_speed)
+    return speed, limit / speed if speed > limit else 1.0
+
+
+@kernel(inline="code")
+def _propose(model, action, frame, memory):
+    """τ R v, with ‖v‖ limited."""
+    speed, factor = speed_scale(square(action), model.speed_limit)
+    scale = model.duration * factor
+    return scaled(to_global(frame, action), scale), speed * scale
+
+
+describe(SingleIntegrator, Motion(_propose, drifts=False))
+register_robot_model(
+    RobotModel(
+        "single_integrator",
+        dims=(2, 3),
+        constants=lambda scenario: SingleIntegrator(scenario.tau, scenario.speed_limit),
+        bounds=lambda scenario: [scenario.speed_limit] * scenario.dim,
+        bounded=True,
+    )
+)

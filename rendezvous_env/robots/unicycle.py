@@ -1,0 +1,161 @@
+"""The unicycle: a robot of the plane that moves along its own axis, and turns (eqs. 5–6).
+
+    ẋ = v cos θ,  ẏ = v sin θ,  θ̇ = ω
+
+Angles are in radians; the heading θ is the yaw of robots in space.
+"""
+
+import math
+from typing import NamedTuple
+
+from ..compilation import kernel
+from ..physics.random_streams import uniform
+from .motion import Motion, describe
+from .robot_models import RobotModel, register_robot_model
+
+
+class Unicycle(NamedTuple):
+    """ṗ = v (cos θ, sin θ), θ̇ = ω (eq. 5): the action is (v, ω), the memory (θ,)."""
+
+    duration: float
+    """τ, s."""
+    speed_limit: float
+    """Of v, m/s."""
+    turn_limit: float
+    """Of ω, rad/s."""
+
+
+@kernel
+def mean_cos_sin(angle, swept):
+    """Means of cos and sin over an angle that grows evenly from ``angle`` by ``swept``.
+
+    With S = sin(x)/x and C = (1 − cos x)/x they are (S cos a − C sin a, S sin a + C cos a); C is
+    written as sin²(x/2)/(x/2), which loses no digits as x → 0.
+
+    Args:
+        angle: a, rad.
+        swept: x, rad, of either sign.
+
+    Returns:
+        Two numbers in [−1, 1], without unit: the mean of cos, that of sin.
+    """
+    half = 0.5 * swept
+    if abs(half) < 1e-8:
+        mean_sin, mean_cos = half, 1.0
+    else:
+        sin_half = math.sin(half)
+        mean_sin = sin_half * sin_half / half
+        mean_cos = sin_half * math.cos(half) / half
+    c, s = math.cos(angle), math.sin(angle)
+    return mean_cos * c - mean_sin * s, mean_cos * s + mean_sin * c
+
+
+@kernel
+def arc_2d(speed, yaw, yaw_rate, duration):
+    """Exact displacement of a unicycle with held inputs.
+
+        ẋ = v cos θ,  ẏ = v sin θ,  θ̇ = ω                         (eq. 5)
+
+    Args:
+        speed: v, m/s; negative is backwards.
+        yaw: θ at the start, rad.
+        yaw_rate: ω, rad/s.
+        duration: s.
+
+    Returns:
+        (x, y), a pair, m, in the frame that θ is measured in.
+    """
+    distance = speed * duration
+    mean_cos, mean_sin = mean_cos_sin(yaw, yaw_rate * duration)
+    return distance * mean_cos, distance * mean_sin
+
+
+@kernel
+def body_frame_2d(yaw):
+    """R = (cos θ, −sin θ; sin θ, cos θ), from the body frame to the global one.
+
+    The body frame has x = heading, y = left.
+
+    Args:
+        yaw: θ, rad.
+
+    Returns:
+        R row by row, 4 numbers without unit.
+    """
+    c, s = math.cos(yaw), math.sin(yaw)
+    return c, -s, s, c
+
+
+@kernel
+def clip(value, bound):
+    """min(max(value, −bound), bound), a number in their unit; they are of the same unit."""
+    return min(max(value, -bound), bound)
+
+
+@kernel
+def _propose(model, action, frame, memory):
+    speed = clip(action[0], model.speed_limit)
+    yaw_rate = clip(action[1], model.turn_limit)
+    return arc_2d(speed, memory[0], yaw_rate, model.duration), abs(speed) * model.duration
+
+
+@kernel
+def _along(model, action, frame, memory, time):
+    speed = clip(action[0], model.speed_limit)
+    return arc_2d(speed, memory[0], clip(action[1], model.turn_limit), time)
+
+
+@kernel
+def _bend(model, action, memory):
+    """|v| Ω/8, Ω the turn rate of the axis: the sagitta of a circular arc."""
+    return abs(clip(action[0], model.speed_limit) * clip(action[1], model.turn_limit)) / 8.0
+
+
+@kernel
+def _closes(model, action, memory):
+    """2π/|ω|: a circle."""
+    turn_rate = abs(clip(action[1], model.turn_limit))
+    return 2.0 * math.pi / turn_rate if turn_rate > 0.0 else math.inf
+
+
+@kernel
+def _remember(model, action, frame, memory, displacement, contact):
+    return (memory[0] + clip(action[1], model.turn_limit) * model.duration,)
+
+
+@kernel
+def _frame(model, frame, memory):
+    return body_frame_2d(memory[0])
+
+
+@kernel
+def _begin(model, key, counter):
+    return (math.pi * (2.0 * uniform(key, counter) - 1.0),)
+
+
+describe(
+    Unicycle,
+    Motion(
+        propose=_propose,
+        along=_along,
+        bend=_bend,
+        remember=_remember,
+        frame=_frame,
+        begin=_begin,
+        closes=_closes,
+        drifts=False,
+    ),
+)
+register_robot_model(
+    RobotModel(
+        "unicycle",
+        dims=(2,),
+        constants=lambda scenario: Unicycle(
+            scenario.tau, scenario.speed_limit, scenario.turn_limit
+        ),
+        bounds=lambda scenario: [scenario.speed_limit, scenario.turn_limit],
+        n_angles=1,
+        action="v, ω: m/s, rad/s",
+        theorem="theorem 3",
+    )
+)

@@ -1,0 +1,413 @@
+"""Theorem R: desired velocities in, velocities that lengthen no link out.
+
+docs/guarantees.md, section 12.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..checks import floats, real, refuse
+from ..compilation import inner_kernel, kernel
+from ..engine.state_checks import check_observations
+from ..engine.threads import each_block
+from ..physics.least_norm import least_along, least_norm_of
+from ..physics.rows import degree_of, net_bearing_of
+from ..physics.vectors import (
+    ORIGIN,
+    X_AXIS,
+    combine,
+    cross,
+    dot,
+    load,
+    scaled,
+    split,
+    store,
+    subtract,
+    without,
+)
+from ..robots.single_integrator import speed_scale
+from ..scenario.scenario import Scenario
+from .safety_filter import (
+    SafetyFilter,
+    check_goes_anywhere,
+    over_teams,
+    register_filter,
+    teams_of_block,
+)
+from .settings import check_bearing_error
+
+
+def least_norm_points(neighbour_rows: ArrayLike) -> NDArray[np.float64]:
+    """q_i, the point of least norm of the averages of a robot's bearings (guarantees, lemma 2).
+
+        q_i = argmin ‖q‖,   q ∈ conv{g_ij : j seen}
+
+    All bearings lie along it, q_i·g_ij ≥ ‖q_i‖², and it is zero where neighbours are all round.
+
+    Args:
+        neighbour_rows: a_ij g_ij, (..., K, d), m/s; zero rows are absent, lengths do not count.
+
+    Returns:
+        (..., d), without unit, ‖q_i‖ ≤ 1; zero where nobody is seen.
+
+    Raises:
+        ValueError: for another shape, or rows that are not finite.
+    """
+    rows = floats("neighbour_rows", neighbour_rows)
+    if rows.ndim < 2 or rows.shape[-1] not in (2, 3):
+        raise ValueError(
+            f"neighbour_rows has shape {rows.shape}; it must be (..., K, 2) or (..., K, 3)"
+        )
+    if not np.isfinite(rows).all():
+        raise ValueError("neighbour_rows must be finite")
+    points = np.empty((*rows.shape[:-2], rows.shape[-1]))
+    flat = np.ascontiguousarray(rows).reshape(-1, *rows.shape[-2:])
+    least_norm_points_of(flat, points.reshape(-1, rows.shape[-1]))
+    return points
+
+
+@kernel
+def least_norm_points_of(rows, out):
+    """``least_norm_points`` for N robots; ``out`` (N, d) is filled in."""
+    for i in range(len(rows)):
+        store(least_norm_of(rows[i], rows.shape[1]), out[i])
+
+
+def link_keeping_law(
+    least_norm_point: NDArray[np.float64], degree: Any, *, merge_radius: float, duration: float
+) -> NDArray[np.float64]:
+    """Velocity that lengthens no link, held over the step too.
+
+        v_i = min(d_i, r/τ) q_i                                     (theorem R b)
+
+    Args:
+        least_norm_point: q_i, (..., d), without unit, in the robot's own frame.
+        degree: d_i = Σ_j a_ij, (...), m/s.
+        merge_radius: r, m.
+        duration: τ, s.
+
+    Returns:
+        Velocities, (..., d), m/s.
+    """
+    speed = np.minimum(degree, merge_radius / duration)
+    return least_norm_point * np.asarray(speed)[..., np.newaxis]
+
+
+_MOST_ROUNDS = 48
+"""A few do, however many links there are."""
+_SLACK = 1e-13
+"""So far outside of a ball, as a share of ρ², counts as on it."""
+_ALIKE = 1e-11
+"""Bearings whose difference is shorter than this are one bearing."""
+
+
+@kernel
+def project_on_links(wanted, rows, neighbour_slots, radius, error):
+    """The velocity in B_i that is nearest to a wish (theorem R c).
+
+    Found as an active set of at most three balls: while the point lies outside of some ball, the
+    nearest point of that one and the active ones takes its place, and its distance grows. What
+    rounding leaves outside is scaled into the set.
+
+    Args:
+        wanted: a triple, m/s.
+        rows: of one robot, a_ij g_ij, (rows, d), m/s; zero rows are absent.
+        neighbour_slots: K, how many of them, from the first, are neighbours.
+        radius: ρ, m/s.
+        error: η, rad, the largest angle by which a bearing may be wrong.
+
+    Returns:
+        A triple, m/s, no longer than ``wanted``.
+    """
+    point, active = wanted, (ORIGIN, ORIGIN, ORIGIN)
+    for _ in range(_MOST_ROUNDS):
+        bearing = worst_bearing(point, rows, neighbour_slots, error)
+        if _excess(point, bearing, radius) <= _SLACK * radius * radius:
+            break
+        point, active = _nearest_on(wanted, bearing, active, radius)
+        if dot(point, point) == 0.0:
+            break
+    return shortened_to_links(point, rows, neighbour_slots, radius, error)
+
+
+@kernel
+def shortened_to_links(velocity, rows, neighbour_slots, radius, error):
+    """A velocity made just short enough for B_i: ‖v‖ ≤ 2 ρ cos ∠(v, g) for all g that may be there.
+
+    Arguments as ``project_on_links``.
+
+    Returns:
+        A triple, m/s.
+    """
+    speed, direction = split(velocity)
+    bearing = worst_bearing(direction, rows, neighbour_slots, error)
+    most = max(2.0 * radius * dot(direction, bearing), 0.0)
+    return velocity if speed <= most else scaled(direction, most)
+
+
+@kernel
+def worst_bearing(direction, rows, neighbour_slots, error):
+    """Of all bearings within η of the seen ones the one that lies least along a direction.
+
+        g cos α − u sin α,   α = min(η, π − ∠(g, v)),   u the part of v across g
+
+    Args:
+        direction: v, a triple, of any unit.
+        rows: of one robot, (rows, d), of any unit.
+        neighbour_slots: K.
+        error: η, rad.
+
+    Returns:
+        A unit triple; zero where nobody is seen.
+    """
+    g = least_along(rows, neighbour_slots, direction)
+    if error == 0.0 or dot(g, g) == 0.0:
+        return g
+    size, across = split(without(direction, g))
+    if size == 0.0:
+        across = _any_across(g)
+    tilt = min(error, math.pi - math.atan2(size, dot(direction, g)))
+    return combine(math.cos(tilt), g, -math.sin(tilt), across)
+
+
+@inner_kernel(inline="code")
+def _any_across(g):
+    """A unit triple across a unit triple; in the plane where that one is."""
+    size, across = split((-g[1], g[0], 0.0))
+    return across if size > 0.5 else split(without(X_AXIS, g))[1]
+
+
+@kernel
+def _excess(point, bearing, radius):
+    """‖x‖² − 2 ρ x·g: how far a point is outside of the ball of a bearing; negative inside."""
+    return dot(point, point) - 2.0 * radius * dot(point, bearing)
+
+
+@kernel
+def _nearest_on(wanted, bearing, active, radius):
+    """The point nearest to a wish in the balls of a bearing and of up to three others, one of them
+    zero if it is none, where it is on the first one's boundary; and the balls that it is on.
+    """
+    found, kept = ORIGIN, (ORIGIN, ORIGIN, ORIGIN)
+    least = dot(wanted, wanted)
+    others = (ORIGIN, active[0], active[1], active[2])
+    for k in range(4):
+        for m in range(max(k, 1)):
+            on = (bearing, others[k], others[m])
+            point = _nearest_on_all(wanted, on, radius)
+            worst = -math.inf
+            for other in active:
+                if _is(other):
+                    worst = max(worst, _excess(point, other, radius))
+            gap = subtract(point, wanted)
+            if worst <= _SLACK * radius * radius and dot(gap, gap) < least:
+                found, kept, least = point, on, dot(gap, gap)
+    return found, kept
+
+
+@inner_kernel(inline="code")
+def _is(bearing):
+    """Whether there is one."""
+    return dot(bearing, bearing) > 0.0
+
+
+@kernel
+def _nearest_on_all(wanted, on, radius):
+    """The point nearest to a wish on the boundaries of one to three balls; the origin, which they
+    share, where there is no other.
+
+    Two spheres of the same radius through the origin meet in a circle, across the difference of
+    their bearings; three meet in one more point.
+    """
+    g, first, second = on
+    centre, strides = g, wanted
+    if _is(first):
+        size, normal = split(subtract(g, first))
+        if size < _ALIKE:
+            return ORIGIN
+        if _is(second):
+            size, line = split(cross(normal, subtract(g, second)))
+            if size < _ALIKE:
+                return ORIGIN
+            return scaled(line, 2.0 * radius * dot(line, g))
+        centre, strides = combine(0.5, g, 0.5, first), without(wanted, normal)
+    _, outward = split(combine(1.0, strides, -radius, centre))
+    return scaled(combine(1.0, centre, math.sqrt(dot(centre, centre)), outward), radius)
+
+
+class _Constants(NamedTuple):
+    """What the kernels need to know of the scenario and of the arguments."""
+
+    neighbour_slots: int
+    radius: float
+    speed_limit: float
+    share: float
+    bearing_error: float
+
+
+class LinkKeeping(SafetyFilter):
+    """Held wishes and frames of the robots of B teams that lose no link (theorem R).
+
+        v_i = λ min(d_i, r/(2τ), v_max) sin(φ_i − η)₊ q_i/‖q_i‖ + (1 − λ) P(wanted)
+
+    with φ_i = asin ‖q_i‖, q_i of lemma 2, and P the projection onto B_i = ∩ ball(ρ g, ρ) over all
+    bearings g within η of a seen one, ρ = r/(4τ). The first part is in B_i too, so v_i is.
+
+    Args:
+        scenario: whose robots they are.
+        num_envs: B.
+        share: λ, in (0, 1], how much of each velocity is the law's.
+        bearing_error: η, rad, the largest angle by which a bearing may be wrong.
+        frame: "net_bearing" (x along f) or "local".
+        num_threads: most threads that may be used; None is one for each core.
+
+    Raises:
+        ValueError: naming the argument, its value and what would be right, or why the robots of
+            this scenario cannot keep their links.
+    """
+
+    state_key = "links"
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        num_envs: int,
+        *,
+        share: float = 0.5,
+        bearing_error: float = 0.0,
+        frame: str = "net_bearing",
+        num_threads: int | None = None,
+    ) -> None:
+        check_goes_anywhere(scenario, "theorem R")
+        if reason := asymmetric_sight(scenario):
+            raise ValueError(f"scenario: {reason}")
+        super().__init__(
+            scenario,
+            num_envs,
+            action_size=scenario.action_size,
+            frame=frame,
+            num_threads=num_threads,
+        )
+        self._constants = _Constants(
+            neighbour_slots=self._sight.neighbour_slots,
+            radius=scenario.merge_radius / (4.0 * scenario.tau),
+            speed_limit=float(scenario.speed_limit),
+            share=check_share(share),
+            bearing_error=check_bearing_error(bearing_error),
+        )
+
+    def act(self, observations: NDArray[np.float32]) -> NDArray[np.float32]:
+        """As ``SafetyFilter.act``."""
+        observations = check_observations(observations, self._seen)
+        actions = np.zeros(self._held.shape, dtype=np.float32)
+        fixed = (observations, self._constants, self._held)
+        given = (actions, self.alignment, self.lyapunov_rate)
+        over_teams(lambda part: keep_links(part, *fixed, *given), *self._batch)
+        return actions
+
+
+register_filter("links", LinkKeeping)
+
+
+def asymmetric_sight(scenario: Scenario) -> str:
+    """Why a robot may see one that does not see it, or lose sight of one that is near (theorem R).
+
+    Args:
+        scenario: gives the graph and the sensor.
+
+    Returns:
+        Words; empty where sight is symmetric.
+    """
+    sensing, graph = scenario.sensing, scenario.sensing_graph
+    needs = "theorem R needs that both see each other while they are near"
+    if not graph.undirected and graph.kind != "proximity":
+        kind = "switching" if graph.changes else "directed"
+        return f"graph is a {kind} one; {needs}: it must be undirected, or follow sight"
+    if sensing.custom:
+        return f"sensing.custom is {sensing.custom}; {needs}: what it hides is not known"
+    if sensing.field_of_view < 2.0 * math.pi:
+        return f"sensing.field_of_view is {sensing.field_of_view:.6g} rad; {needs}: it must be 2π"
+    if sensing.dropout > 0.0:
+        return f"sensing.dropout is {sensing.dropout:g}; {needs}: it must be 0"
+    if sensing.occlusion != "none":
+        return f"sensing.occlusion is {sensing.occlusion!r}; {needs}: it must be 'none'"
+    return ""
+
+
+def check_share(share: Any) -> float:
+    """λ, a number without unit, in (0, 1] (theorem R c).
+
+    Raises:
+        ValueError: saying what was given.
+    """
+    if not 0.0 < real(share) <= 1.0:
+        refuse("share", share, "in (0, 1]")
+    return real(share)
+
+
+@kernel
+def keep_links(share, observations, constants, held, actions, alignment, lyapunov_rate):
+    """The velocities of the teams that this thread takes (theorem R c and d).
+
+        v = λ s sin(φ − η)₊ q/‖q‖ + (1 − λ) P(wanted),   s = min(d, r/(2τ), v_max)
+
+    Args:
+        share: this thread's part, see ``engine.threads``.
+        observations: (B, n, rows, d), m/s, in the robots' own frames.
+        constants: of the scenario and of the arguments, see ``LinkKeeping``.
+        held: what is wanted, (B, n, d), in units of v_max.
+        actions: v, (B, n, d) float32, m/s; filled in.
+        alignment: |hᵀf|/‖f‖, (B, n), h along v; filled in, NaN where either is zero.
+        lyapunov_rate: −2 f·v, (B, n), m²/s²; filled in.
+    """
+    arguments = observations, constants, held, actions, alignment, lyapunov_rate
+    each_block(share, _keep_links_of_teams, arguments)
+
+
+@inner_kernel(inline="text")
+def _keep_links_of_teams(block, arguments):
+    observations, constants, held, actions, alignment, lyapunov_rate = arguments
+    first, last = teams_of_block(block, len(observations))
+    for team in range(first, last):
+        for i in range(observations.shape[1]):
+            rows = observations[team, i]
+            velocity = link_keeping_velocity(load(held[team, i]), rows, constants)
+            store(velocity, actions[team, i])
+            f = net_bearing_of(rows, constants.neighbour_slots)
+            alignment[team, i] = alignment_of(velocity, f)
+            lyapunov_rate[team, i] = -2.0 * dot(f, velocity)
+
+
+@kernel
+def link_keeping_velocity(wish, rows, constants):
+    """The velocity of one robot, a triple, m/s (theorem R c and d).
+
+    Args:
+        wish: a triple, in units of v_max; a longer one counts as v_max.
+        rows: of the robot, a_ij g_ij, (rows, d), m/s.
+        constants: of the scenario and of the arguments, see ``LinkKeeping``.
+    """
+    slots, radius, error = constants.neighbour_slots, constants.radius, constants.bearing_error
+    degree = degree_of(rows, slots)
+    if degree == 0.0:
+        return 0.0, 0.0, 0.0
+    sine, towards = split(least_norm_of(rows, slots))
+    cosine = math.sqrt(max(1.0 - sine * sine, 0.0))
+    sure = max(sine * math.cos(error) - cosine * math.sin(error), 0.0)
+    speed = min(degree, 2.0 * radius, constants.speed_limit) * sure
+    wanted = scaled(wish, constants.speed_limit)
+    _, within = speed_scale(dot(wanted, wanted), constants.speed_limit)
+    free = project_on_links(scaled(wanted, within), rows, slots, radius, error)
+    return combine(constants.share * speed, towards, 1.0 - constants.share, free)
+
+
+@kernel(inline="code")
+def alignment_of(velocity, net_bearing):
+    """|hᵀf|/‖f‖ of a velocity's direction h, without unit; NaN where either triple is zero."""
+    (speed, direction), (strength, towards) = split(velocity), split(net_bearing)
+    return abs(dot(direction, towards)) if speed > 0.0 and strength > 0.0 else np.nan

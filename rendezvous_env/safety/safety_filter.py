@@ -1,0 +1,401 @@
+"""What stands between a policy and its robots: choices held, frames to look along, filters by name.
+
+Everything here comes from the robots' own observations: no position, no global frame.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..checks import choice, floats, refuse, shown, whole
+from ..compilation import inner_kernel, kernel
+from ..engine import threads
+from ..engine.state_checks import (
+    check_entries,
+    check_finite,
+    check_mask,
+    check_observations,
+    check_rotations,
+)
+from ..engine.threads import each_block
+from ..limits import MOST_TEAMS
+from ..physics.rows import net_bearing_of
+from ..physics.vectors import cross, dot, load, split, store, without
+from ..scenario.scenario import Scenario
+
+TEAMS_AT_ONCE = 32
+"""That a thread takes at a time."""
+_ROBOTS_PER_THREAD = 2048
+
+
+@kernel(inline="code")
+def teams_of_block(block, num_envs):
+    """The teams of a block k: 32 k ≤ team < min(32 (k + 1), B).
+
+    Args:
+        block: k, an index.
+        num_envs: B.
+
+    Returns:
+        A pair of indices, without unit: of the first one, and of the one after the last.
+    """
+    return block * TEAMS_AT_ONCE, min((block + 1) * TEAMS_AT_ONCE, num_envs)
+
+
+def over_teams(
+    run_kernel: Callable[[threads.Part], None],
+    num_envs: int,
+    n_robots: int,
+    num_threads: int | None,
+) -> None:
+    """Run a kernel over a batch.
+
+    Args:
+        run_kernel: does the blocks of ``TEAMS_AT_ONCE`` teams that its part gives out.
+        num_envs: B.
+        n_robots: n.
+        num_threads: most threads that may be used; None is one for each core.
+    """
+    most = num_envs * n_robots // _ROBOTS_PER_THREAD
+    if most > 1:  # to ask how many cores there are takes a while
+        most = min(most, threads.most_threads(num_threads))
+    threads.share(run_kernel, -(-num_envs // TEAMS_AT_ONCE), max(1, most))
+
+
+_NEARLY_ALONG = 1e-6
+"""A row whose part across f is shorter than this cannot give a frame its second axis, m/s."""
+_CLEARLY_LONGER = 1.001
+"""Rounding must not choose among equal rows: two neighbours' parts across f always are."""
+
+
+@kernel
+def look_along_net_bearing(share, observations, constants, visible_rows, frames, seen):
+    """Turn observations into frames with x along f, for the teams that this thread takes.
+
+        row ← Fᵀ row,   F = (f/‖f‖, …)                              (theory 7)
+
+    Where ‖f‖ < δ the last frame is kept.
+
+    Args:
+        share: this thread's part, see ``engine.threads``.
+        observations: (B, n, rows, d) float32, in the robots' own frames; neighbour rows in m/s.
+        constants: the number of neighbour rows, and δ, m/s, see action_filter.py.
+        visible_rows: how many rows, from the first, may give a frame its second axis.
+        frames: F, (B, n, d, d), columns are unit vectors; brought up to date.
+        seen: rows along f, of the shape and units of ``observations``; filled in.
+    """
+    arguments = observations, constants, visible_rows, frames, seen
+    each_block(share, _look_from_teams, arguments)
+
+
+@inner_kernel(inline="text")
+def _look_from_teams(block, arguments):
+    observations, constants, visible_rows, frames, seen = arguments
+    first, last = teams_of_block(block, len(observations))
+    n, n_rows, d = observations.shape[1:]
+    for team in range(first, last):
+        for i in range(n):
+            rows, frame = observations[team, i], frames[team, i]
+            f = net_bearing_of(rows, constants.neighbour_slots)
+            strength, towards = split(f)
+            if strength >= constants.dead_zone:
+                _aim_frame(towards, rows, visible_rows, frame)
+            x, y, z = load(frame[:, 0]), load(frame[:, 1]), load(frame[:, d - 1])  # d = 2: no z
+            for row in range(n_rows):
+                v = load(rows[row])
+                along = (0.0 + dot(x, v), 0.0 + dot(y, v), 0.0 + dot(z, v))  # 0.0: never −0.0
+                store(along, seen[team, i, row])
+
+
+@inner_kernel(inline="code")
+def _aim_frame(towards, rows, visible_rows, frame):
+    """A right-handed frame with x = ``towards``; columns are its axes in the local frame.
+
+    In the plane this is unique. In space y is the part across x of the row for which that part is
+    longest, the first one of equals, or of the first local axis that is not along x.
+    """
+    store(towards, frame[:, 0])
+    if frame.shape[0] == 2:
+        frame[0, 1], frame[1, 1] = -towards[1], towards[0]
+        return
+    longest, across = _NEARLY_ALONG, (0.0, 0.0, 0.0)
+    for k in range(visible_rows):
+        part = without(load(rows[k]), towards)
+        length, direction = split(part)
+        if length > _CLEARLY_LONGER * longest + _NEARLY_ALONG:
+            longest, across = length, direction
+    if longest == _NEARLY_ALONG:
+        axis = (1.0, 0.0, 0.0) if abs(towards[0]) < 0.9 else (0.0, 1.0, 0.0)
+        _, across = split(without(axis, towards))
+    store(across, frame[:, 1])
+    store(cross(towards, across), frame[:, 2])
+
+
+FRAMES = ("net_bearing", "local")
+_LARGEST_FLOAT32 = float(np.finfo(np.float32).max)
+_ROUNDING = 1e-6
+"""So far from a rotation may a frame be that was put back."""
+
+
+class _Sight(NamedTuple):
+    """What looking along f takes to know."""
+
+    neighbour_slots: int
+    dead_zone: float
+
+
+def check_steerable(scenario: Scenario) -> None:
+    """Refuse robots that are neither sent velocities nor turn a body: law (4) drives no others.
+
+    Raises:
+        ValueError: naming the robot model.
+    """
+    model = scenario.model
+    if not model.bounded and model.theorem is None:
+        raise ValueError(
+            f"scenario has {model.name} robots, whose action is {model.action}; law (4) steers "
+            "robots whose action is a velocity, or a speed and turn rates, as robot_model "
+            "'single_integrator', 'unicycle' and 'nonholonomic_3d'"
+        )
+
+
+def check_goes_anywhere(scenario: Scenario, theorem: str) -> None:
+    """Refuse robots whose action is not their velocity.
+
+    Args:
+        scenario: whose robots they are.
+        theorem: which needs it, in words.
+
+    Raises:
+        ValueError: naming the robot model.
+    """
+    model = scenario.model
+    if not model.bounded:
+        raise ValueError(
+            f"scenario has {model.name} robots, whose action is {model.action}; {theorem} needs "
+            "robots whose action is their velocity, as robot_model 'single_integrator'"
+        )
+
+
+class SafetyFilter(ABC):
+    """What the policies of B teams chose, held, and what the robots do because of it.
+
+    A subclass says what that is (``act``) and what more is remembered (``_memory``). Its
+    constructor takes ``(scenario, num_envs, *, num_threads=None, …)``, the rest being its settings
+    by name; ``register_filter`` gives it a name.
+
+    Args:
+        scenario: whose robots they are.
+        num_envs: B.
+        action_size: numbers that a policy chooses for a robot.
+        frame: "net_bearing" (x along f; single integrators only, the other models keep the body
+            frame) or "local".
+        num_threads: most threads that may be used; None is one for each core.
+
+    Raises:
+        ValueError: naming the argument, its value and what would be right.
+    """
+
+    chooses_vectors = True
+    """Whether a choice is a vector, which turns with the frame it is seen in."""
+    lowest_choice = -1.0
+    """The least that each number of a choice can be; the most is 1."""
+    keeps_ledger = False
+    """Whether it wants to be told how a step went, see ``book``."""
+    state_key = "filter"
+    """What its memory is called in a wrapper's state."""
+    observes_level = False
+    """Whether ``view`` adds one row, the level of a robot's own tank."""
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        num_envs: int,
+        *,
+        action_size: int,
+        frame: str,
+        num_threads: int | None,
+    ) -> None:
+        dead_zone = scenario.dead_zone if scenario.dead_zone > 0 else 1.0
+        choice("frame", frame, FRAMES)
+        if num_threads is not None:
+            num_threads = whole("num_threads", num_threads, 1, MOST_TEAMS)
+        n, d, layout = scenario.n_robots, scenario.dim, scenario.observation_layout
+        self.scenario = scenario
+        self.turns_body = scenario.model.nonholonomic
+        self.along_net_bearing = frame == "net_bearing" and not self.turns_body
+        self.action_size = action_size
+        self._sight = _Sight(layout.neighbour_slots, float(dead_zone))
+        self._batch = num_envs, n, num_threads
+        self._seen = (num_envs, n, *layout.shape)
+        self._frames = np.tile(np.eye(d), (num_envs, n, 1, 1))
+        self._held = np.zeros((num_envs, n, action_size))
+        self.alignment = np.full((num_envs, n), np.nan)
+        self.lyapunov_rate = np.zeros((num_envs, n))
+
+    @property
+    def told(self) -> dict[str, NDArray[Any]]:
+        """What there is to tell of the last step, (B, n) each; not copied."""
+        return {"alignment": self.alignment, "lyapunov_rate": self.lyapunov_rate}
+
+    @property
+    def _memory(self) -> dict[str, NDArray[np.float64]]:
+        """What is remembered from step to step; not copied."""
+        return {"frames": self._frames, "held": self._held}
+
+    def forget(self, mask: NDArray[np.bool_] | None = None) -> None:
+        """Forget everything about all teams, or about those of a mask (B,).
+
+        Raises:
+            ValueError: for a bad mask; nothing has changed then.
+        """
+        self._begin(slice(None) if mask is None else check_mask(mask, len(self._held)))
+
+    def _begin(self, which: Any) -> None:
+        """Remember of these teams what is known before an episode."""
+        self._frames[which] = np.eye(self.scenario.dim)
+        self._held[which] = 0.0
+        self.alignment[which] = np.nan
+        self.lyapunov_rate[which] = 0.0
+
+    def view(self, observations: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Observations as the policy sees them; brings the frames up to date.
+
+        Args:
+            observations: (B, n, rows, d), in the robots' own frames.
+
+        Returns:
+            Of the same shape; with x along f where that is asked for, unchanged otherwise.
+
+        Raises:
+            ValueError: for observations of another shape or type; nothing has changed then.
+        """
+        observations = check_observations(observations, self._seen)
+        if not self.along_net_bearing:
+            return observations
+        seen = np.empty_like(observations)
+        first_rows = self.scenario.observation_layout.obstacles.stop
+
+        fixed = (observations, self._sight, first_rows, self._frames, seen)
+        over_teams(lambda part: look_along_net_bearing(part, *fixed), *self._batch)
+        return seen
+
+    @property
+    def held(self) -> NDArray[np.float64]:
+        """The choices in force, (B, n, k), vectors in the robots' own frames; not copied."""
+        return self._held
+
+    def hold(self, raw: ArrayLike) -> None:
+        """Take new choices, fixed in the robots' local frames from now on.
+
+        Args:
+            raw: (B, n, k): vectors (d,) as the policy sees them, or numbers in the body frame.
+
+        Raises:
+            ValueError: for a wrong shape, or naming the robot whose choice is not finite.
+        """
+        vectors = floats("actions", raw)
+        if vectors.shape != self._held.shape:
+            raise ValueError(
+                f"actions have shape {vectors.shape}; they must be (B, n, k) = {self._held.shape}"
+            )
+        if not (finite := np.abs(vectors) <= _LARGEST_FLOAT32).all():
+            team, robot, _ = (int(k) for k in np.argwhere(~finite)[0])
+            raise ValueError(
+                f"action of robot_{robot} in team {team} is "
+                f"{shown(vectors[team, robot].tolist())}; it must be finite, in float32"
+            )
+        if self.along_net_bearing and self.chooses_vectors:
+            vectors = np.einsum("bnij,bnj->bni", self._frames, vectors)
+        self._held[...] = vectors
+
+    @abstractmethod
+    def act(self, observations: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Actions for the base environment; sets what is ``told``.
+
+        Args:
+            observations: (B, n, rows, d), in the robots' own frames.
+
+        Returns:
+            (B, n, a) float32; zero for robots that see no neighbour.
+
+        Raises:
+            ValueError: for observations of another shape or type; nothing has changed then.
+        """
+
+    def book(  # noqa: B027 - most keep no ledger
+        self,
+        contact: ArrayLike | None = None,
+        merged_into: ArrayLike | None = None,
+        resting: ArrayLike | None = None,
+    ) -> None:
+        """Learn how the step went in which the actions last given were held; see ``keeps_ledger``.
+
+        Args:
+            contact: (B, n) bool, whether the robot touched an obstacle; None is nobody.
+            merged_into: (B, n) int, the robot that each one is now part of, itself while it is on
+                its own; None: nobody knows.
+            resting: (B,) bool, teams that the step passed by; None is no team.
+
+        Raises:
+            ValueError: for another shape or type, or a robot that is none; nothing has changed
+                then.
+        """
+
+    def get_state(self) -> dict[str, NDArray[np.float64]]:
+        """The memory, as copies."""
+        return {name: array.copy() for name, array in self._memory.items()}
+
+    def set_state(self, state: Mapping[str, ArrayLike]) -> None:
+        """Put back what ``get_state`` took out.
+
+        Raises:
+            ValueError: naming what does not fit, see ``check_state``; nothing has changed then.
+        """
+        checked = self.check_state(state)
+        for name, array in self._memory.items():
+            array[...] = checked[name]
+
+    def check_state(self, state: Any) -> dict[str, NDArray[Any]]:
+        """The arrays of a state that ``set_state`` would put back.
+
+        Raises:
+            ValueError: naming an entry that is missing, of another shape or not finite, or a frame
+                that is no rotation.
+        """
+        checked = check_entries(self._memory, state)
+        check_finite(checked, tuple(checked))
+        check_rotations(checked, np.ones(len(self._held), np.bool_), _ROUNDING)
+        return checked
+
+
+FILTERS: dict[str, type[SafetyFilter]] = {}
+"""By the name that wrappers and training environments know."""
+
+
+def register_filter(name: str, safety_filter: type[SafetyFilter]) -> None:
+    """Give a filter a name, for ``GuaranteeWrapper`` and ``training_env(guarantee=name)``.
+
+    Args:
+        name: a word that no other filter has.
+        safety_filter: a subclass of ``SafetyFilter``.
+
+    Raises:
+        ValueError: for a name that is no word or is another filter's, or what is no filter.
+    """
+    if not (isinstance(name, str) and name.isidentifier()):
+        refuse("name", name, "a word")
+    if not (isinstance(safety_filter, type) and issubclass(safety_filter, SafetyFilter)):
+        refuse("safety_filter", safety_filter, "a subclass of SafetyFilter")
+    taken = FILTERS.get(name, safety_filter)
+    if (taken.__module__, taken.__qualname__) != (
+        safety_filter.__module__,
+        safety_filter.__qualname__,
+    ):
+        refuse("name", name, f"none of {', '.join(FILTERS)}, which are taken")
+    FILTERS[name] = safety_filter

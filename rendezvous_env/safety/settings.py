@@ -1,0 +1,105 @@
+"""Settings that filters share, and what is refused: margins ε, bearing errors η, vectors."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..checks import floats, number, real, shown
+from ..sensors.sensing import Sensing
+
+SMALLEST_MARGIN = 1e-6
+"""Margin ε below which nothing is promised: times grow with 1/ε², and soon overflow."""
+
+
+def check_gate_constants(min_alignment: float, dead_zone: float) -> None:
+    """Refuse constants of theorem C's margin unless 10⁻⁶ ≤ ε < 1 and 0 < δ < ∞.
+
+    Args:
+        min_alignment: ε, a number without unit.
+        dead_zone: δ = a*/(2n), a number, m/s.
+
+    Raises:
+        ValueError: naming the constant and its value.
+    """
+    if not SMALLEST_MARGIN <= real(min_alignment) < 1:
+        raise ValueError(
+            f"min_alignment is {shown(min_alignment)}; it must be at least {SMALLEST_MARGIN:g} and "
+            "less than 1"
+        )
+    if not 0 < real(dead_zone) < math.inf:
+        raise ValueError(f"dead_zone is {shown(dead_zone)}; it must be positive and finite (m/s)")
+
+
+def check_vectors(
+    name: str, value: ArrayLike, like: NDArray[np.float64] | None = None
+) -> NDArray[np.float64]:
+    """Finite vectors of the plane or of space as contiguous float64, d = 2 or 3.
+
+    Args:
+        name: what the message calls them.
+        value: the vectors, (..., d), of any unit.
+        like: vectors whose shape they must have, if any.
+
+    Returns:
+        The vectors, (..., d), in the same unit.
+
+    Raises:
+        ValueError: naming the argument, and its shape or that it is not finite.
+    """
+    vectors = floats(name, value)
+    if like is not None and vectors.shape != like.shape:
+        raise ValueError(f"{name} has shape {vectors.shape}; net_bearing has {like.shape}")
+    if vectors.shape[-1:] not in ((2,), (3,)):
+        raise ValueError(f"{name} has shape {vectors.shape}; it must be (..., 2) or (..., 3)")
+    if not np.isfinite(vectors).all():
+        raise ValueError(f"{name} must be finite")
+    return np.ascontiguousarray(vectors)
+
+
+def check_bearing_error(bearing_error: Any) -> float:
+    """η, a number, rad, from 0 to π/2 (theorems N1' and R d).
+
+    Args:
+        bearing_error: what was given.
+
+    Raises:
+        ValueError: saying what was given.
+    """
+    return number("bearing_error", bearing_error, 0.0, math.pi / 2.0, "rad")
+
+
+def bounded_error(sensing: Sensing, dim: int) -> float:
+    """The most by which a sensor's bearings are wrong, noise and bias aside, which have no most.
+
+        η = error + π/sectors;   in space √((π/S)² + e²) for the sectors, e the most in elevation
+
+    Args:
+        sensing: of a scenario.
+        dim: 2 or 3.
+
+    Returns:
+        η, a number, rad.
+    """
+    if sensing.sectors is None:
+        return sensing.error
+    rounded = math.pi / sensing.sectors
+    if dim == 3:
+        highest = math.floor(sensing.sectors / 4.0 + 1e-9) * 2.0 * rounded
+        rounded = math.hypot(rounded, max(rounded, math.pi / 2.0 - highest))
+    return sensing.error + rounded
+
+
+def error_chord(bearing_error: float) -> float:
+    """2 sin(η/2): a net bearing is wrong by no more than e_i = 2 sin(η/2) D_i (theorem N1).
+
+    Args:
+        bearing_error: η, rad.
+
+    Returns:
+        e_i/D_i, a number without unit.
+    """
+    return 2.0 * math.sin(0.5 * bearing_error)

@@ -1,0 +1,1 @@
+"""Theorems: assumptions, bounds, certificates."""

@@ -1,0 +1,204 @@
+"""What theorems assume of a scenario: one named predicate each, which says in words what fails."""
+
+from __future__ import annotations
+
+from ...scenario.scenario import Scenario
+from ...sensors.sensing import Sensing
+from .constants import (
+    DIRECTED,
+    PROXIMITY,
+    SWITCHING,
+    UNDIRECTED,
+    is_complete,
+    kind_of_links,
+    leaders,
+    long_step,
+)
+from .theorem import Asked, Assumption
+
+_WHY_NOT = {
+    DIRECTED: "V counts links both ways, and here a robot need not be seen by whom it sees",
+    SWITCHING: (
+        "what lets V fall in one graph lets it rise in the next: three robots on paths that take "
+        "turns grow without end under law (4) for ε < 0.277"
+    ),
+    PROXIMITY: "robots that are moved by it may lose sight of each other for ever",
+}
+
+# ---- the graph -----------------------------------------------------------------------------------
+
+
+def on_graphs(*kinds: str) -> Assumption:
+    """Links are of one of these kinds."""
+
+    def holds(scenario: Scenario, asked: Asked) -> str:
+        kind = kind_of_links(scenario.sensing_graph)
+        if kind in kinds:
+            return ""
+        why = _WHY_NOT[kind] if asked.by != "links" else "theorem R needs that both see each other"
+        instead = "links" if kind == PROXIMITY else "gains"
+        return (
+            f'none: by="{asked.by}" has no theorem on {kind} graphs: {why}; by="{instead}" has one'
+        )
+
+    return holds
+
+
+undirected = on_graphs(UNDIRECTED)
+"""Links are mutual and last but for merges."""
+
+
+def connected(scenario: Scenario, asked: Asked) -> str:
+    """Every robot is linked to every other, directly or through others."""
+    if len(scenario.sensing_graph.components(scenario.n_robots)) == 1:
+        return ""
+    return "none: the graph is not connected, one robot per component remains (theorem 1)"
+
+
+def one_leader_at_most(scenario: Scenario, asked: Asked) -> str:
+    """Some robot can be reached from all others at any time, along the links of the moment."""
+    if len(groups := leaders(scenario)) == 1:
+        return ""
+    listed = " and ".join(map(str, groups))
+    when = " at some time" if kind_of_links(scenario.sensing_graph) == SWITCHING else ""
+    return (
+        f"none: robots {listed} see nobody outside their own group{when}; theorem G needs one "
+        "that can be reached from all, always. The hull of the team does not grow"
+    )
+
+
+# ---- robots and obstacles ------------------------------------------------------------------------
+
+
+def velocity_inputs(scenario: Scenario, asked: Asked) -> str:
+    """A robot's action is its velocity."""
+    model = scenario.model
+    if model.bounded:
+        return ""
+    if model.theorem is None:
+        return (
+            f"none: no theorem covers {model.name} robots, whose action ({model.action}) is not "
+            "their velocity; V may rise at any time"
+        )
+    return (
+        f"none: theorems G and R are for robots whose action is their velocity, and that of "
+        f"{model.name} robots is {model.action}"
+    )
+
+
+def known_bodies(scenario: Scenario, asked: Asked) -> str:
+    """A robot's action is its velocity, or the paper has a theorem on its model."""
+    known = scenario.model.bounded or scenario.model.theorem is not None
+    return "" if known else velocity_inputs(scenario, asked)
+
+
+def walled(scenario: Scenario) -> bool:
+    """Whether there are obstacles that robots cannot pass through."""
+    return bool(scenario.obstacles) and scenario.obstacle_contact != "ignore"
+
+
+def nothing_in_the_way(scenario: Scenario, asked: Asked) -> str:
+    """No obstacles, or such as robots pass through."""
+    if not walled(scenario):
+        return ""
+    rest = {
+        "law": "",
+        "heading": (
+            "; with certified headings V still never rises between merges in a step without a "
+            "contact"
+        ),
+        "tank": (
+            "; theorem D still keeps V bounded in motion without a contact, but no time is proven"
+        ),
+        "gains": "; nothing is proven of gains beside them",
+    }
+    if asked.by == "links":
+        return "none: obstacles turn robots aside, and links beside them may grow longer"
+    return f"none: obstacles can hold a robot back for ever (theory 6){rest[asked.by]}"
+
+
+# ---- sensors -------------------------------------------------------------------------------------
+
+
+def bounded_errors(scenario: Scenario, asked: Asked) -> str:
+    """Bearings are up to date, and wrong by a bounded angle if at all."""
+    sensing = scenario.sensing
+    if sensing.custom:
+        return f"none: no theorem knows what a custom sensor sees ({sensing.departures()})"
+    if sensing.noise or sensing.bias:
+        words = (
+            "none: the theorems hold for exact bearings, or errors up to a bound, and this "
+            f"sensor's have none ({sensing.departures()})"
+        )
+        expected = asked.by == "law" and not sensing.bias
+        return words + "; see expected_time_bound for what noise leaves of law (1)" * expected
+    if sensing.delay:
+        return (
+            "none: this theorem holds for bearings of the moment, and this sensor's are late "
+            f"({sensing.departures()}); theorem E1 covers law (1) on late ones that are exact"
+        )
+    return ""
+
+
+def all_neighbours_seen(scenario: Scenario, asked: Asked) -> str:
+    """No row of a neighbour is ever missing."""
+    sensing = scenario.sensing
+    seeing_all = Sensing(error=sensing.error, sectors=sensing.sectors)
+    if sensing == seeing_all:
+        return ""
+    never = " The hull of the team does not grow." * (asked.by == "gains")
+    return (
+        f"none: neighbours can be out of sight ({sensing.departures()}); a theorem needs all of "
+        f"them.{never}"
+    )
+
+
+def nearest_hides(scenario: Scenario) -> bool:
+    """Whether robots miss neighbours behind others and only there: on a complete graph the nearest
+    is always seen (guarantees 13).
+    """
+    only = Sensing(occlusion="robots", error=scenario.sensing.error)
+    complete = is_complete(scenario.sensing_graph, scenario.n_robots)
+    return scenario.sensing == only and scenario.model.bounded and complete
+
+
+def somebody_seen(scenario: Scenario, asked: Asked) -> str:
+    """All neighbours are seen, or the nearest of all other robots."""
+    return "" if nearest_hides(scenario) else all_neighbours_seen(scenario, asked)
+
+
+def exact_bearings(scenario: Scenario, asked: Asked) -> str:
+    """Bearings are not wrong."""
+    if asked.error == 0.0:
+        return ""
+    return (
+        f"none: bearings may err by {asked.error:.4g} rad, and this theorem is for exact ones: "
+        "theorem N needs gains that add up to the same for all robots, all of whom see one"
+    )
+
+
+# ---- the step ------------------------------------------------------------------------------------
+
+
+def certified_or_scaled(scenario: Scenario, asked: Asked) -> str:
+    """τ ≤ r/(2D̄), or velocities are scaled by r/(2 D_i τ) (theory 4)."""
+    if not long_step(scenario) or scenario.scales_velocity:
+        return ""
+    return (
+        f"none for law (1) as it stands: the step {scenario.tau:.4g} s is longer than the "
+        f"certified {scenario.certified_step:.4g} s; certified headings scale the velocity "
+        "and are covered"
+    )
+
+
+def within_neighbours(scenario: Scenario, asked: Asked) -> str:
+    """τ D̄ ≤ r: no robot can go beyond its neighbours in a step. A speed limit is no help: where
+    bearings nearly cancel it cuts nothing off Σ_j c_ij.
+    """
+    beyond = scenario.max_degree * scenario.tau > scenario.merge_radius * (1 + 1e-12)
+    if not beyond or scenario.scales_velocity:
+        return ""
+    return (
+        f"none for law (1) as it stands: in a step of {scenario.tau:.4g} s a robot may go "
+        "beyond its neighbours; gains do not"
+    )

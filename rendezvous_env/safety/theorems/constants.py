@@ -1,0 +1,324 @@
+"""The numbers of a scenario that theorems share: of its graph, its first step, its worst start."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from functools import cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ...checks import floats, refuse
+from ...graphs import Graph
+from ...graphs.weights import closed_groups
+from ...physics.hull_perimeter import size
+from ...scenario.scenario import Scenario
+from ..lyapunov import lyapunov
+
+Array = NDArray[np.float64]
+
+UNDIRECTED, DIRECTED, SWITCHING, PROXIMITY = "undirected", "directed", "switching", "proximity"
+"""Links that last but for merges, mutual or one-way; that take turns; that end with distance."""
+
+# ---- the graph -----------------------------------------------------------------------------------
+
+
+def kind_of_links(graph: Graph) -> str:
+    """UNDIRECTED, DIRECTED, SWITCHING or PROXIMITY.
+
+    Args:
+        graph: of a scenario.
+    """
+    if graph.undirected:
+        return UNDIRECTED
+    if graph.changes:
+        return PROXIMITY if graph.kind == "proximity" else SWITCHING
+    return DIRECTED
+
+
+def leaders(scenario: Scenario) -> list[list[int]]:
+    """Groups of robots that see nobody outside, in the graph of the moment that has most of them.
+
+    One group means that some robot can be reached from all at any time (theorem G). If it is the
+    whole team everyone always sees someone, whatever merges; a smaller one may become a single
+    robot that sees nobody, and waits for the others.
+
+    Args:
+        scenario: gives n and the graph.
+
+    Returns:
+        Arrays of indices of robots without unit, group by group.
+    """
+    graph: Any = scenario.sensing_graph
+    if kind_of_links(graph) in (UNDIRECTED, PROXIMITY):
+        return graph.components(scenario.n_robots)
+    moments = graph.graphs if kind_of_links(graph) == SWITCHING else (graph,)
+    groups = [closed_groups(moment.sparse_weights(scenario.n_robots)) for moment in moments]
+    return max(groups, key=lambda found: (len(found), -len(found[0])))
+
+
+def led(scenario: Scenario) -> bool:
+    """Whether a robot may rest and see nobody (theorem G)."""
+    return len(leaders(scenario)[0]) < scenario.n_robots
+
+
+def lightest_link(scenario: Scenario) -> float:
+    """The least weight of a link, a number, m/s; a merge keeps the heavier of two (theory 5)."""
+    return scenario.sensing_graph.extreme_weights(scenario.n_robots)[0]
+
+
+def least_degrees(scenario: Scenario) -> Array:
+    """The least D_i = Σ_j a_ij that a robot can have with m robots left, for m = 2 … n.
+
+    A complete graph stays complete and a cycle a cycle; elsewhere one link is sure, of at least
+    a* (theory 3).
+
+    Args:
+        scenario: gives n and the graph.
+
+    Returns:
+        c_m, an array (n − 1,), m/s.
+    """
+    n, graph = scenario.n_robots, scenario.sensing_graph
+    left = np.arange(2.0, n + 1.0)
+    links = np.ones(n - 1)
+    if is_complete(graph, n):
+        links = left - 1.0
+    elif _is_cycle(graph, n):
+        links = np.minimum(left - 1.0, 2.0)
+    return np.maximum(links * lightest_link(scenario), scenario.bottleneck_weight)
+
+
+def degrees_stay_equal(scenario: Scenario) -> bool:
+    """Whether all robots that are left always have the same D_i: complete graphs and cycles of one
+    weight, directed cycles too.
+    """
+    n, graph = scenario.n_robots, scenario.sensing_graph
+    even = is_complete(graph, n) or graph.kind == "directed_cycle" or _is_cycle(graph, n)
+    return even and _has_one_weight(scenario)
+
+
+def uniform_complete(scenario: Scenario) -> bool:
+    """Whether everyone is linked to everyone with the same weight."""
+    return is_complete(scenario.sensing_graph, scenario.n_robots) and _has_one_weight(scenario)
+
+
+def _has_one_weight(scenario: Scenario) -> bool:
+    least, largest = scenario.sensing_graph.extreme_weights(scenario.n_robots)
+    return bool(least == largest)
+
+
+def is_complete(graph: Graph, n: int) -> bool:
+    """Whether every robot is linked to every other in every episode, n (n − 1)/2 links (theory 2).
+
+    Args:
+        graph: of a scenario.
+        n: how many robots.
+    """
+    mutual = graph.fixed and not graph.directed
+    return mutual and graph.most_links(n) == n * (n - 1) // 2
+
+
+def _is_cycle(graph: Graph, n: int) -> bool:
+    """Whether everyone has two neighbours; the graph is taken to be connected."""
+    if not graph.fixed or graph.directed or graph.most_links(n) != n:
+        return False
+    first, second, _ = graph.links(n)
+    counts = np.bincount(np.concatenate([first, second]), minlength=n)
+    return bool((counts == 2).all())
+
+
+# ---- the step and the speed ----------------------------------------------------------------------
+
+
+def long_step(scenario: Scenario) -> bool:
+    """Whether τ is longer than the certified r/(2D̄) (theory 4)."""
+    return scenario.tau > scenario.certified_step * (1 + 1e-12)
+
+
+def scale_bound(scenario: Scenario) -> float:
+    """s_min = min(1, r/(2D̄τ), v_max/D̄): no robot is slowed down by more (theorem D).
+
+    Args:
+        scenario: gives D̄, τ, r and v_max.
+
+    Returns:
+        A number in (0, 1], without unit.
+    """
+    degree = scenario.max_degree
+    held = scenario.merge_radius / (2.0 * degree * scenario.tau)
+    return min(1.0, held, scenario.speed_limit / degree)
+
+
+# ---- what V can come to --------------------------------------------------------------------------
+
+
+def merge_rise_allowance(scenario: Scenario) -> float:
+    """(n − 1) r W: no sequence of merges can raise V by more (theory 3 and 5).
+
+    Args:
+        scenario: gives n, r and W = Σ a_ij over its edges.
+
+    Returns:
+        A number, m²/s.
+    """
+    n, total = scenario.n_robots, scenario.sensing_graph.weight_sum(scenario.n_robots)
+    return (n - 1) * scenario.merge_radius * total
+
+
+def lyapunov_bound(
+    scenario: Scenario, initial_lyapunov: ArrayLike, *, reach: float | None = None
+) -> Array:
+    """The most that V can be if it never rises between merges: V0⁺ = V(0) + (n − 1) r W (theory 3).
+
+    At obstacles robots may merge at one robot's place rather than at the midpoint, where V can rise
+    by twice as much (theory 5). Where linked robots start within r of each other, two of them merge
+    at once while others walk on, by r/2 or ``reach``: V rises by 4 W of it at most, once.
+
+    Args:
+        scenario: gives n, r, W, its obstacles and its start.
+        initial_lyapunov: V(0), (...), m²/s.
+        reach: how far a robot can go in a step, m; None is r/2, for certified or scaled velocities.
+
+    Returns:
+        (...), m²/s.
+
+    Raises:
+        ValueError: if a V(0) is not finite or negative.
+    """
+    places = 2.0 if scenario.obstacles else 1.0
+    first = 0.0
+    if not starts_apart(scenario):
+        total = scenario.sensing_graph.weight_sum(scenario.n_robots)
+        first = 4.0 * total * (scenario.merge_radius / 2.0 if reach is None else reach)
+    found = checked("initial_lyapunov", initial_lyapunov, "m²/s")
+    return found + places * merge_rise_allowance(scenario) + first
+
+
+def largest_lyapunov(scenario: Scenario) -> float:
+    """V(0) of the given start, or an upper bound over all starts that can be drawn.
+
+        V ≤ 2 W s √d,   s the side of the spawn area
+
+    Args:
+        scenario: gives the start, or s, d and the largest W = Σ a_ij over the edges.
+
+    Returns:
+        A number, m²/s.
+    """
+    n, graph = scenario.n_robots, scenario.sensing_graph
+    if scenario.start_positions is not None:
+        weights = graph.base_weights(n) * graph.weight_range[1]
+        return float(lyapunov(np.array(scenario.start_positions), weights))
+    return 2.0 * graph.weight_sum(n) * scenario.spawn_size * math.sqrt(scenario.dim)
+
+
+def starts_apart(scenario: Scenario) -> bool:
+    """Whether linked robots start r or more apart, as all that are drawn do (theory 5)."""
+    if scenario.start_positions is None:
+        return True
+    from scipy.spatial import cKDTree
+
+    n, graph, radius = scenario.n_robots, scenario.sensing_graph, scenario.merge_radius
+    near = cKDTree(np.array(scenario.start_positions)).query_pairs(radius * (1 - 1e-9))
+    if not near:
+        return True
+    first, second, _ = graph.links(n)
+    linked = {*zip(first.tolist(), second.tolist(), strict=True)}
+    return linked.isdisjoint(near | {(j, i) for i, j in near})
+
+
+# ---- what L can come to --------------------------------------------------------------------------
+
+
+def directions(dim: int) -> float:
+    """The measure of all unit vectors: 2π in the plane, 4π in space; a hull that grows by ρ in all
+    directions has an L larger by so much times ρ (guarantees, section 9).
+    """
+    return 2.0 * math.pi * (dim - 1)
+
+
+def largest_size(scenario: Scenario) -> float:
+    """L(0) of the given start, or of the worst one in the spawn area (guarantees, section 9).
+
+    L = s L(unit cube), s the side of the spawn area, with all robots at corners.
+
+    Args:
+        scenario: gives the start, or n, d and s.
+
+    Returns:
+        A number, m.
+    """
+    if scenario.start_positions is not None:
+        return size(np.array(scenario.start_positions))
+    return scenario.spawn_size * _largest_size_in_unit_cube(scenario.n_robots, scenario.dim)
+
+
+@cache
+def _largest_size_in_unit_cube(n: int, dim: int) -> float:
+    """L is convex in every p_i, so it is largest with all robots at corners, and no set of corners
+    is larger than the sets that hold it.
+    """
+    corners = np.array(list(itertools.product((0.0, 1.0), repeat=dim)))
+    sets = itertools.combinations(corners, min(n, len(corners)))
+    return max(size(np.array(places)) for places in sets)
+
+
+def hull_growth(scenario: Scenario, radius: float | None = None) -> float:
+    """What L can grow in steps that begin with linked robots within r of each other, a number, m
+    (theorem G).
+
+    Two of three merge at once and rest, the third walks on by r at most: the hull grows by r in all
+    directions at most. That takes a merge; on a fixed graph it can happen in the first step only,
+    where links change n − 1 times.
+
+    Args:
+        scenario: gives n, d, r, the graph and the start.
+        radius: by what the hull grows in such a step, m; None is r.
+    """
+    grown = directions(scenario.dim) * (scenario.merge_radius if radius is None else radius)
+    if kind_of_links(scenario.sensing_graph) in (SWITCHING, PROXIMITY):
+        return (scenario.n_robots - 1) * grown
+    return 0.0 if starts_apart(scenario) else grown
+
+
+# ---- numbers that are given ----------------------------------------------------------------------
+
+
+def checked(name: str, given: ArrayLike, unit: str) -> Array:
+    """V(0) or L(0) as an array of numbers that a team can have, m²/s or m (theorems A and G):
+    finite, and not negative.
+
+    Args:
+        name: of the argument.
+        given: (...), in that unit.
+        unit: of the numbers.
+
+    Returns:
+        The same, float64.
+
+    Raises:
+        ValueError: if one is not finite or negative.
+    """
+    initial = floats(name, given)
+    if not (np.isfinite(initial) & (initial >= 0)).all():
+        refuse(name, given, f"finite and at least 0 {unit}")
+    return initial
+
+
+def over_rate(above: ArrayLike, rate: ArrayLike) -> Array:
+    """The time that something takes to vanish, infinite for a rate that is not positive, s
+    (theorem A).
+
+    Args:
+        above: what there is, (...), in any unit.
+        rate: the least by which it falls, (...), in that unit per second.
+
+    Returns:
+        (...), s.
+    """
+    below = np.asarray(rate, dtype=np.float64)
+    with np.errstate(divide="ignore", over="ignore"):
+        return np.where(below > 0.0, above / np.where(below > 0.0, below, 1.0), np.inf)

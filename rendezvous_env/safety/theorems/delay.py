@@ -1,0 +1,118 @@
+"""Theorem E1: law (1) on bearings that are late.
+
+**Assumptions.** Fixed, undirected, connected graph; law (1) at speeds s_i f̂_i, s ≤ s_i ≤ 1, on
+exact bearings that are k steps late, (k+1) τ ≤ r/(2D̄) with the step for which they are held;
+robots whose action is their velocity, nothing in the way. A sensor that is late is so for the
+bearings of merged robots too.
+
+**Promise**, s = min(1, v_max/D̄):
+
+    T ≤ n V_late/(4 s a*²) + (n−1)(k+1) τ,      V ≤ V_late = V0⁺ + (n−1)(2 r W + n r D̄/2),
+
+the second part of V_late for what robots do in the (k+1) τ after each merge, on bearings from
+before it. Where they are fresh after a merge T ≤ n V0⁺/(4 s a*²). Law (4) with a margin that does
+not fade, and ages up to r/(2√3 D̄): n V0⁺/(ε² a*²).
+
+**Proof.** docs/proofs.md, E1.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ...scenario.scenario import Scenario
+from ...sensors.sensing import Sensing
+from .assumptions import connected, nothing_in_the_way, undirected, velocity_inputs
+from .constants import largest_lyapunov, lyapunov_bound, merge_rise_allowance, over_rate
+from .theorem import Asked, Bounds, Theorem
+
+Array = NDArray[np.float64]
+
+
+def largest_age(max_degree: float, merge_radius: float, *, law_4: bool = False) -> float:
+    """The age that bearings may have, a number, s: r/(2D̄), under law (4) r/(2√3 D̄).
+
+    Args:
+        max_degree: D̄, m/s.
+        merge_radius: r, m.
+        law_4: whether robots move along headings.
+
+    Returns:
+        Δ, s.
+    """
+    return merge_radius / (2.0 * max_degree) / (np.sqrt(3.0) if law_4 else 1.0)
+
+
+def stale_time(
+    n: int, lyapunov_bound: ArrayLike, *, bottleneck_weight: ArrayLike, slowest: ArrayLike = 1.0
+) -> Array:
+    """T of law (1) with bearings of any age up to r/(2D̄), pair by pair, fresh after merges, s.
+
+    Args:
+        n: number of robots.
+        lyapunov_bound: V0⁺, (...), m²/s.
+        bottleneck_weight: a*, (...), m/s.
+        slowest: s in (0, 1], (...): a robot moves at s_i(t) f̂_i, s ≤ s_i ≤ 1; of law (4) ε²/4.
+
+    Returns:
+        (...), s.
+    """
+    rate = 4.0 * np.asarray(bottleneck_weight) ** 2 * np.asarray(slowest)
+    return over_rate(n * np.asarray(lyapunov_bound), rate)
+
+
+# ---- the theorem ---------------------------------------------------------------------------------
+
+
+def late_alone(scenario: Scenario, asked: Asked) -> str:
+    """That they are late is all that is wrong with bearings."""
+    delay = scenario.sensing.delay
+    if delay and scenario.sensing == Sensing(delay=delay) and asked.error == 0.0:
+        return ""
+    return (
+        "none: theorem E1 is for bearings that are late and nothing else "
+        f"({scenario.sensing.departures()})"
+    )
+
+
+def young(scenario: Scenario, asked: Asked) -> str:
+    """(k+1) τ ≤ r/(2D̄): late and held, bearings are young enough."""
+    age = (scenario.sensing.delay + 1) * scenario.tau
+    oldest = largest_age(scenario.max_degree, scenario.merge_radius)
+    if age <= oldest * (1 + 1e-12):
+        return ""
+    return (
+        f"none: late and held, bearings are up to {age:.4g} s old, and theorem E1 needs no more "
+        f"than r/(2D̄) = {oldest:.4g} s"
+    )
+
+
+def bounds(scenario: Scenario, asked: Asked) -> Bounds:
+    """The time and V."""
+    n, degree, radius = scenario.n_robots, scenario.max_degree, scenario.merge_radius
+    most = float(lyapunov_bound(scenario, largest_lyapunov(scenario)))
+    most += 2.0 * merge_rise_allowance(scenario) + (n - 1) * n * radius * degree / 2.0
+    time = stale_time(
+        n,
+        most,
+        bottleneck_weight=scenario.bottleneck_weight,
+        slowest=min(1.0, scenario.speed_limit / degree),
+    )
+    late = scenario.sensing.delay
+    return Bounds(
+        words=f"theorem E1: law (1) meets in finite time on bearings that are {late} steps late",
+        meets=True,
+        time=float(time + (n - 1) * (late + 1) * scenario.tau),
+        lyapunov=most,
+    )
+
+
+THEOREMS = (
+    Theorem(
+        "E1",
+        ("law",),
+        (undirected, connected, velocity_inputs, late_alone, nothing_in_the_way, young),
+        bounds,
+    ),
+)

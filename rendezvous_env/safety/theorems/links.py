@@ -1,0 +1,193 @@
+"""Theorem R: links that last, for robots that see only so far.
+
+**Assumptions.** Sight is mutual: up to a range R, both see each other or neither, on an
+undirected graph or the one of who is near. Robots whose action is their velocity, bearings wrong
+by η at most, no walls. Links of length R − (n−1) r/2 or less connect the team at the start, R −
+(n−1) r beside obstacles that robots pass through: there a merge is at one robot's place. Linked
+robots start r or more apart.
+
+    v_i = λ s_i sin(asin‖q̂_i‖ − η)₊ q̂_i/‖q̂_i‖ + (1−λ) P(wanted),      s_i = min(d_i, r/(2τ), v_max),
+
+q_i the point of least norm of conv{g_ij}, P the projection onto B'_i = ∩_j ball((r/4τ) g_ij,
+r/4τ).
+
+**Promise.** No link grows longer in a step without a merge, by r/2 in a merge (r beside
+obstacles); without walls and for η < π/(2n) all meet within
+
+    T ≤ n V_tot/(4 λ d s (1 − 2nη/π)²) + (n−1) τ,      s = min(d, r/2τ, v_max),
+    V_tot = 2aR [n(n−1)/2 + (n−1)²] + (n−1) r a n(n−1)/2,
+
+a the heaviest and d the lightest link; without a limit of range V_tot = V0⁺, d = min_m c_m.
+
+**Proof.** docs/proofs.md, R.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ...scenario.scenario import Scenario
+from ..links import asymmetric_sight
+from .assumptions import bounded_errors, connected, nothing_in_the_way, on_graphs, velocity_inputs
+from .constants import (
+    PROXIMITY,
+    UNDIRECTED,
+    kind_of_links,
+    largest_lyapunov,
+    least_degrees,
+    lightest_link,
+    lyapunov_bound,
+    over_rate,
+    starts_apart,
+)
+from .theorem import Asked, Bounds, Theorem, too_wrong
+
+Array = NDArray[np.float64]
+
+
+def sighted_lyapunov_bound(
+    n: int,
+    initial_lyapunov: ArrayLike,
+    *,
+    links: ArrayLike,
+    weight: float,
+    sight: float,
+    merge_radius: float,
+) -> Array:
+    """The most that V can come to where links appear and go with sight, m²/s.
+
+        V_tot = V0 + 2aR [n(n−1)/2 − |E0| + (n−1)²] + (n−1) r a n(n−1)/2
+
+    Args:
+        n: number of robots.
+        initial_lyapunov: V0, (...), m²/s.
+        links: |E0|, how many there are at the start, (...).
+        weight: a of every link, m/s.
+        sight: R, m.
+        merge_radius: r, m.
+
+    Returns:
+        (...), m²/s.
+    """
+    pairs = n * (n - 1) / 2.0
+    appear = pairs - np.asarray(links) + (n - 1) ** 2
+    merges = (n - 1) * merge_radius * weight * pairs
+    return np.asarray(np.asarray(initial_lyapunov) + 2.0 * weight * sight * appear + merges)
+
+
+# ---- the theorem ---------------------------------------------------------------------------------
+
+
+def sight_is_mutual(scenario: Scenario, asked: Asked) -> str:
+    """Two robots that are near see each other."""
+    reason = asymmetric_sight(scenario)
+    return f"none: {reason}" if reason else ""
+
+
+def neighbours_apart(scenario: Scenario, asked: Asked) -> str:
+    """Linked robots start r or more apart."""
+    if starts_apart(scenario):
+        return ""
+    return (
+        "none: linked robots start closer than r: two of them merge at once while others walk on, "
+        "and theorem R speaks of links of r or more"
+    )
+
+
+def starts_linked(scenario: Scenario, asked: Asked) -> str:
+    """Links that no n − 1 merges make longer than the range connect every start."""
+    reach = scenario.sensing.range
+    if reach is None:
+        return ""
+    longest = reach - merge_growth(scenario)
+    if scenario.start_positions is not None:
+        linked = _linked_within(scenario, longest)
+    else:
+        drawn = kind_of_links(scenario.sensing_graph) == PROXIMITY and scenario.require_connected
+        linked = drawn and not scenario.obstacles  # they are drawn for merges at midpoints
+        linked = linked or scenario.spawn_size * math.sqrt(scenario.dim) <= longest
+    if linked:
+        return ""
+    return (
+        "none: theorem R needs starts that links of at most range − (n − 1) r/2 connect, or "
+        "range − (n − 1) r with obstacles; here others are given or may be drawn"
+    )
+
+
+def merge_growth(scenario: Scenario) -> float:
+    """(n − 1) r/2, a number, m (theorem R), by which merges at midpoints lengthen a link; in
+    an obstacle a merge is at one robot's place, and lengthens it by r.
+    """
+    share = 1.0 if scenario.obstacles else 0.5
+    return (scenario.n_robots - 1) * scenario.merge_radius * share
+
+
+def _linked_within(scenario: Scenario, longest: float) -> bool:
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    n = scenario.n_robots
+    first, second, _ = scenario.sensing_graph.links(n)
+    p = np.array(scenario.start_positions)
+    near = np.linalg.norm(p[first] - p[second], axis=-1) <= longest
+    links = coo_array((near[near], (first[near], second[near])), shape=(n, n))
+    return int(connected_components(links)[0]) == 1
+
+
+def bounds(scenario: Scenario, asked: Asked) -> Bounds:
+    """The time, V where it counts who is in sight only, and links."""
+    n, reach, radius = scenario.n_robots, scenario.sensing.range, scenario.merge_radius
+    left = np.arange(2, n + 1)
+    if reach is None:
+        most = float(lyapunov_bound(scenario, largest_lyapunov(scenario)))
+        degrees = least_degrees(scenario)
+    else:
+        merges = radius * (2.0 if scenario.obstacles else 1.0)
+        heaviest = scenario.sensing_graph.extreme_weights(n)[1]
+        most = float(
+            sighted_lyapunov_bound(
+                n, 0.0, links=0, weight=heaviest, sight=reach, merge_radius=merges
+            )
+        )
+        degrees = np.full(n - 1, lightest_link(scenario))
+    speeds = np.minimum(degrees, min(scenario.speed_limit, radius / (2.0 * scenario.tau)))
+    sure = np.maximum(1.0 - 2.0 * left * asked.error / np.pi, 0.0)
+    rates = 4.0 * asked.share * degrees * speeds * sure**2 / left
+    time = float(over_rate(most, rates.min()) + (n - 1) * scenario.tau)
+    borne = math.pi / (2.0 * n)
+    words = (
+        "theorem R: whatever is wanted, no link grows longer, and all robots meet in finite time"
+    )
+    if math.isinf(time):
+        words = too_wrong(asked, borne, "theorem R") + "; no link grows longer even so"
+    counted = reach is None or kind_of_links(scenario.sensing_graph) == PROXIMITY
+    return Bounds(
+        words=words,
+        meets=math.isfinite(time),
+        time=time,
+        lyapunov=most if counted else math.inf,
+        link_growth=merge_growth(scenario),
+        tolerated_bearing_error=borne,
+    )
+
+
+THEOREMS = (
+    Theorem(
+        "R",
+        ("links",),
+        (
+            on_graphs(UNDIRECTED, PROXIMITY),
+            connected,
+            velocity_inputs,
+            bounded_errors,
+            sight_is_mutual,
+            nothing_in_the_way,
+            starts_linked,
+            neighbours_apart,
+        ),
+        bounds,
+    ),
+)

@@ -1,0 +1,152 @@
+"""Which row of an observation is what. Nobody else counts rows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..checks import floats
+
+SILHOUETTE_POINTS = {2: 2, 3: 8}
+"""Points seen of one obstacle: both edges in the plane, eight boundary rays of its cone in
+space."""
+
+
+_TYPES = (np.dtype(np.float32), np.dtype(np.float64))
+"""Of numbers that compiled policies take."""
+
+
+class ObservedRows(NamedTuple):
+    """An observation taken apart; every array is a view of it."""
+
+    neighbours: NDArray[Any]
+    """a_ij g_ij, (..., K, d), m/s; the sum over K is the net bearing f_i."""
+    obstacles: NDArray[Any]
+    """Unit silhouette bearings, (..., M, S, d)."""
+    gravity: NDArray[Any] | None
+    """Unit direction of gravity, (..., d); None where the robots do not sense it."""
+    velocity: NDArray[Any] | None = None
+    """The robot's own velocity, (..., d), m/s; None where the robots do not sense it."""
+
+
+@dataclass(frozen=True)
+class ObservationLayout:
+    """The rows of an observation ``(..., rows, d)``: neighbours, obstacles, and then what the robot
+    senses of itself, gravity or its velocity.
+
+    An absent row is zero.
+    """
+
+    dim: int
+    """Dimension d of the space, 2 or 3."""
+    neighbour_slots: int
+    """K, the most neighbours that a robot can have. With n − 1 each other robot has its own row, in
+    index order; with fewer those present stand first."""
+    obstacle_slots: int = 0
+    """M, obstacles that an observation has room for."""
+    senses_gravity: bool = False
+    """Whether the last row is the direction of gravity (3-D nonholonomic robots)."""
+    senses_velocity: bool = False
+    """Whether the last row is the robot's own velocity (double integrators)."""
+
+    @property
+    def silhouette_points(self) -> int:
+        """S, rows for each obstacle."""
+        return SILHOUETTE_POINTS[self.dim]
+
+    @property
+    def neighbours(self) -> slice:
+        """Rows of the neighbours."""
+        return slice(0, self.neighbour_slots)
+
+    @property
+    def obstacles(self) -> slice:
+        """Rows of the obstacles; they reshape to (M, S, d)."""
+        start = self.neighbour_slots
+        return slice(start, start + self.obstacle_slots * self.silhouette_points)
+
+    @property
+    def gravity(self) -> slice:
+        """The row of gravity; an empty slice where the robots do not sense it."""
+        start = self.obstacles.stop
+        return slice(start, start + int(self.senses_gravity))
+
+    @property
+    def velocity(self) -> slice:
+        """The row of the robot's own velocity; an empty slice where it does not sense it."""
+        start = self.gravity.stop
+        return slice(start, start + int(self.senses_velocity))
+
+    @property
+    def rows(self) -> int:
+        """Number of rows in all."""
+        return int(self.velocity.stop)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Shape (rows, d) of one robot's observation."""
+        return self.rows, self.dim
+
+    def split(self, observations: NDArray[Any]) -> ObservedRows:
+        """Take observations apart into neighbours, obstacles and gravity.
+
+        Args:
+            observations: (..., rows, d), or flat, (..., rows·d). Where there is one row only,
+                (..., 1, d) is a table.
+
+        Raises:
+            ValueError: for another shape.
+        """
+        observations = self.checked(self.unflattened(observations))
+        leading = observations.shape[:-2]
+        points = (self.obstacle_slots, self.silhouette_points, self.dim)
+        return ObservedRows(
+            neighbours=observations[..., self.neighbours, :],
+            obstacles=observations[..., self.obstacles, :].reshape(*leading, *points),
+            gravity=observations[..., -1, :] if self.senses_gravity else None,
+            velocity=observations[..., -1, :] if self.senses_velocity else None,
+        )
+
+    def unflattened(self, observations: NDArray[Any]) -> NDArray[Any]:
+        """Flat observations (..., rows·d) as tables (..., rows, d), a view; others as they are."""
+        shape = tuple(getattr(observations, "shape", ()))
+        if shape[-2:] != self.shape and shape[-1:] == (self.rows * self.dim,):
+            return np.reshape(observations, (*shape[:-1], *self.shape))
+        return observations
+
+    def checked(self, observations: Any) -> NDArray[Any]:
+        """Observations as an array of numbers whose last two axes are ours.
+
+        Raises:
+            ValueError: if they are anything else.
+        """
+        if not isinstance(observations, np.ndarray) or observations.dtype not in _TYPES:
+            observations = floats("observations", observations)
+        if observations.shape[-2:] != self.shape:
+            raise ValueError(
+                f"observations have shape {observations.shape}; this layout needs "
+                f"(..., {self.rows}, {self.dim}); ``unflattened`` makes these of flat ones"
+            )
+        return observations
+
+    def net_bearing(self, observations: NDArray[Any]) -> NDArray[Any]:
+        """Net bearing f_i = Σ_j a_ij g_ij: the sum of the neighbour rows, (..., d), m/s,
+        float64.
+
+        Raises:
+            ValueError: as ``split``.
+        """
+        rows = self.checked(observations)[..., self.neighbours, :]
+        return np.asarray(np.sum(rows, axis=-2, dtype=np.float64))
+
+    def degree(self, observations: NDArray[Any]) -> NDArray[Any]:
+        """D_i = Σ_j a_ij: the summed lengths of the neighbour rows, (...), m/s, float64.
+
+        Raises:
+            ValueError: as ``split``.
+        """
+        rows = self.checked(observations)[..., self.neighbours, :]
+        return np.asarray(np.linalg.norm(rows, axis=-1).sum(axis=-1, dtype=np.float64))

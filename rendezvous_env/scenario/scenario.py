@@ -1,0 +1,314 @@
+"""Scenario: everything one experiment is, checked once and then immutable."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import os
+import sys
+import warnings
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from .. import checks, graphs
+from ..checks import known_fields
+from ..checks import nearest_word as nearest_word
+from ..graphs import GraphLike
+from ..limits import LONGEST_NAME, MOST_OBSTACLES, MOST_ROBOTS, MOST_STEPS
+from ..obstacles import obstacle_set
+from ..obstacles import parsing as obstacles
+from ..obstacles.fields import Field
+from ..obstacles.parsing import Obstacles
+from ..rewards.terms import RewardWeights
+from ..robots.robot_models import ROBOT_MODELS, try_with
+from ..sensors.sensing import Sensing
+from . import scenario_files
+from .derived_constants import DerivedConstants
+
+CONTACT_MODES = ("slide", "stop", "ignore")
+LOCAL_FRAMES = ("random", "global")
+ON_MERGE = ("remove", "follow")
+Table = tuple[tuple[float, ...], ...]
+
+
+class TimeStepWarning(UserWarning):
+    """The time step is longer than the certified one, so V may rise between merges."""
+
+
+def _check_name(field: str, value: Any) -> str:
+    if not isinstance(value, str) or not 0 < len(value) <= LONGEST_NAME or not value.isprintable():
+        checks.refuse(field, value, f"a word of at most {LONGEST_NAME} printable characters")
+    return value
+
+
+def _check_dim(field: str, value: Any) -> int:
+    if not checks.is_whole(value) or value not in (2, 3):
+        checks.refuse(field, value, "2 or 3")
+    return int(value)
+
+
+def _check_sensing(field: str, value: Any) -> Sensing:
+    if isinstance(value, Mapping):
+        return Sensing.from_plain(value)
+    if not isinstance(value, Sensing):
+        checks.refuse(field, value, "a Sensing, or a table of its fields")
+    return value
+
+
+def _check_reward(field: str, value: Any) -> RewardWeights:
+    if not isinstance(value, RewardWeights):
+        checks.refuse(field, value, "a RewardWeights, such as rv.RewardWeights(time_penalty=0.2)")
+    return value
+
+
+_LENGTH = partial(checks.positive, unit="m")
+_CHECKS: dict[str, Callable[[str, Any], Any]] = {
+    "name": _check_name,
+    "n_robots": partial(checks.whole, least=2, most=MOST_ROBOTS),
+    "dim": _check_dim,
+    "robot_model": lambda field, value: checks.choice(field, value, ROBOT_MODELS),
+    "require_connected": checks.flag,
+    "merge_radius": _LENGTH,
+    "time_step": partial(checks.positive, unit="s"),
+    "allow_long_step": checks.flag,
+    "time_limit": partial(checks.positive, unit="s"),
+    "max_speed": partial(checks.positive, unit="m/s"),
+    "max_turn_rate": partial(checks.positive, unit="rad/s"),
+    "max_acceleration": partial(checks.positive, unit="m/s²"),
+    "obstacle_range": _LENGTH,
+    "obstacle_contact": partial(checks.choice, choices=CONTACT_MODES),
+    "spawn_size": _LENGTH,
+    "local_frames": partial(checks.choice, choices=LOCAL_FRAMES),
+    "on_merge": partial(checks.choice, choices=ON_MERGE),
+    "sensing": _check_sensing,
+    "reward": _check_reward,
+}
+"""Of the fields that can be checked by themselves."""
+
+
+@checks.names_unknown_fields("scenario")
+@dataclass(frozen=True, kw_only=True)
+class Scenario(DerivedConstants):
+    """One experiment: the team, its graph, the world, the clock and the reward.
+
+    Instances are immutable, hashable and equal when their fields are. Derived constants of
+    theory.md sections 3 and 4 (``certified_step``, ``bottleneck_weight``, …) are properties.
+    The largest and smallest numbers that a field takes stand in ``limits.py``.
+
+    Raises:
+        ValueError: naming the field, its value and what would be right.
+        UnknownFieldError: for an unknown field, naming the nearest one; it is both a ValueError and
+            a TypeError.
+    """
+
+    name: str = "custom"
+    """What tables and files call it."""
+    n_robots: int = 5
+    """Number of robots n, at least 2."""
+    dim: int = 2
+    """Dimension d of the space, 2 or 3."""
+    robot_model: str = "single_integrator"
+    """single_integrator or double_integrator (2-D or 3-D), unicycle (2-D), nonholonomic_3d (3-D),
+    or one that has been registered."""
+    graph: GraphLike = dataclasses.field(default_factory=graphs.complete)
+    """Who sees whom: a Graph, the name of one, or a symmetric (n, n) matrix of weights a_ij in
+    m/s."""
+    require_connected: bool = True
+    """Refuse a graph that is not connected: its robots can never all meet (theorem 1). A directed
+    one must have a robot that is reached from all, a switching one taken together; with a proximity
+    graph starts are drawn connected."""
+    merge_radius: float = 0.2
+    """r in m: neighbours that come this close become one robot."""
+    time_step: float | None = None
+    """τ in s; None is the certified step r/(2D̄), with which V cannot rise between merges."""
+    allow_long_step: bool = False
+    """Do not warn about a time step longer than the certified one: it is meant."""
+    time_limit: float = 30.0
+    """Length of an episode in s; rounded up to whole steps."""
+    max_speed: float | None = None
+    """v_max in m/s, direction kept; None is D̄, which law (1) never exceeds."""
+    max_turn_rate: float | None = None
+    """Largest ω, ω_β in rad/s (ω_α may be ten times larger, see nonholonomic_3d); None is D̄."""
+    max_acceleration: float | None = None
+    """a_max in m/s² of a double integrator, direction kept; None is v_max per 0.25 s."""
+    obstacles: Obstacles = ()
+    """Discs, convex polygons, capsules or spheres, or a random field drawn for every episode."""
+    obstacle_range: float = 2.0
+    """An obstacle is seen while its nearest point is within this distance, m."""
+    obstacle_slots: int | None = None
+    """M, obstacles that an observation has room for; None is as many as there can be."""
+    obstacle_contact: str = "slide"
+    """At an obstacle: slide along it, stop at it, or ignore it."""
+    neighbour_slots: int | None = None
+    """K, neighbour rows of an observation; None is the most neighbours that a robot can have in any
+    episode, merges included. With fewer, a robot that comes to have more is an error."""
+    spawn_size: float = 10.0
+    """Starts are drawn from a square or cube of this edge length about the origin, m."""
+    start_positions: Table | None = None
+    """(n, d) in m, if the start is given rather than drawn."""
+    start_headings: Table | None = None
+    """(n, 1) yaw or (n, 2) yaw and pitch in rad, if they are given rather than drawn."""
+    local_frames: str = "random"
+    """Frames of single integrators: a random fixed rotation for each robot, or the global frame."""
+    on_merge: str = "remove"
+    """A merged-away robot ends (remove), or stays with zero observations (follow)."""
+    sensing: Sensing = dataclasses.field(default_factory=Sensing)
+    """What the robots' sensors get wrong; by default nothing."""
+    reward: RewardWeights = dataclasses.field(default_factory=RewardWeights)
+    """Weights of the reward terms."""
+
+    def __post_init__(self) -> None:
+        """Convert and check every field; see the class for what is raised."""
+        checks.check_fields(self, _CHECKS)
+        if self.dim not in self.model.dims:
+            fitting = [repr(m.name) for m in ROBOT_MODELS.values() if self.dim in m.dims]
+            self._refuse("robot_model", f"one of {', '.join(fitting)} where dim is {self.dim}")
+        self._check_graph()
+        self._check_obstacles()
+        self._check_starts()
+        self._check_time_step()
+
+    # ---- construction -------------------------------------------------------------------------
+
+    def replace(self, **changes: Any) -> Scenario:
+        """A copy with some fields changed; starts of another shape have to be given anew.
+
+        Raises:
+            ValueError: for an unknown field, naming the nearest one, or an impossible value.
+        """
+        known_fields(changes, [field.name for field in dataclasses.fields(self)], "scenario")
+        return dataclasses.replace(self, **changes)
+
+    @classmethod
+    def from_toml(cls, path: str | os.PathLike[str]) -> Scenario:
+        """Read a scenario from a TOML file; an absent key has its default, and a scenario without
+        a name that of the file.
+
+        Raises:
+            FileNotFoundError: if there is no such file.
+            ValueError: for text that is not TOML, an unknown key or an impossible value.
+        """
+        plain = scenario_files.read(path)
+        return cls.from_plain({"name": scenario_files.stem(path), **plain})
+
+    @classmethod
+    def from_plain(cls, plain: Mapping[str, Any]) -> Scenario:
+        """A scenario from plain data, as TOML or JSON hold it.
+
+        Raises:
+            ValueError: for an unknown key or an impossible value.
+        """
+        checks.mapping("a scenario's plain data", plain, "a mapping of fields to values")
+        known_fields(plain, [field.name for field in dataclasses.fields(cls)], "scenario")
+        reward = RewardWeights.from_plain(plain.get("reward", {}))
+        sensing = Sensing.from_plain(plain.get("sensing", {}))
+        return cls(**{**plain, "reward": reward, "sensing": sensing})
+
+    def to_plain(self) -> dict[str, Any]:
+        """The scenario as plain data; ``from_plain`` gives an equal scenario. None is an absent
+        key.
+        """
+        plain = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+        plain["graph"] = self.sensing_graph.to_plain()
+        plain["obstacles"] = obstacles.to_plain(self.obstacles)
+        plain["reward"] = self.reward.to_plain()
+        plain["sensing"] = None if self.sensing.exact else self.sensing.to_plain()
+        for key in ("start_positions", "start_headings"):
+            if plain[key] is not None:
+                plain[key] = [list(row) for row in plain[key]]
+        if not plain["obstacles"]:
+            del plain["obstacles"]
+        return {key: value for key, value in plain.items() if value is not None}
+
+    def to_toml(self, path: str | os.PathLike[str]) -> None:
+        """Write the scenario to a TOML file that ``from_toml`` reads back as an equal scenario.
+
+        Raises:
+            ValueError: for a path that no file can have.
+        """
+        scenario_files.write(path, self.to_plain())
+
+    # ---- checks -------------------------------------------------------------------------------
+
+    def _refuse(self, field: str, wanted: str) -> None:
+        checks.refuse(field, getattr(self, field), wanted)
+
+    def _check_graph(self) -> None:
+        graph = graphs.parse(self.graph)
+        object.__setattr__(self, "graph", graph)
+        why = graph.why_not_joined(self.n_robots)
+        if why is not None and self.require_connected:
+            raise ValueError(f"graph is not connected: {why}, or pass require_connected=False")
+        self._check_slots(
+            "neighbour_slots", 1, self.n_robots - 1, "a whole number from 1 to n_robots - 1 ="
+        )
+
+    def _check_slots(self, field: str, least: int, most: int, wanted: str) -> None:
+        slots = getattr(self, field)
+        if slots is not None and not (checks.is_whole(slots) and least <= slots <= most):
+            self._refuse(field, f"None or {wanted} {most}")
+
+    def _check_obstacles(self) -> None:
+        parsed = obstacles.parse(self.obstacles, self.dim)
+        object.__setattr__(self, "obstacles", parsed)
+        count = obstacles.max_count(parsed)
+        if count > MOST_OBSTACLES:
+            raise ValueError(f"obstacles: {count} were given; at most {MOST_OBSTACLES} may be")
+        wanted = f"at least the number of obstacles, {count}, and at most"
+        self._check_slots("obstacle_slots", count, MOST_OBSTACLES, wanted)
+
+    def _check_starts(self) -> None:
+        shapes = {"start_positions": self.dim, "start_headings": self.model.n_angles}
+        for field, width in shapes.items():
+            if getattr(self, field) is None:
+                continue
+            table = checks.check_table(field, getattr(self, field), (self.n_robots, width))
+            object.__setattr__(self, field, tuple(tuple(row) for row in table.tolist()))
+        if self.start_positions is not None:
+            positions = np.array(self.start_positions)
+            checks.check_distinct("start_positions", positions, self.sensing_graph.sparse_weights)
+            if not isinstance(self.obstacles, Field) and self.obstacle_contact != "ignore":
+                obstacle_set.check_outside("start_positions", positions, self.obstacles)
+
+    def _check_time_step(self) -> None:
+        if self.time_step is None and not math.isfinite(self.certified_step):
+            self._refuse("time_step", "given where the graph has no edge: no step is certified")
+        self.sensing_graph.check_fits(self)
+        if self.max_steps > MOST_STEPS:
+            raise ValueError(
+                f"time_limit is {self.time_limit:g} s: {self.max_steps:.3g} steps of {self.tau:g} "
+                f"s; it must be at most {MOST_STEPS:.3g} steps"
+            )
+        allowed = self.allow_long_step or self.scales_velocity
+        if not allowed and self.tau > self.certified_step * (1 + 1e-12):
+            warnings.warn(
+                f"time_step is {self.tau:.6g} s, longer than the certified step "
+                f"{self.certified_step:.6g} s: V may rise between merges unless velocities are "
+                "scaled (theory 4); pass allow_long_step=True if this is meant",
+                TimeStepWarning,
+                stacklevel=_frames_to_caller(),
+            )
+
+
+def _frames_to_caller() -> int:
+    """How far up the stack the code stands that made the scenario, for the warning's line
+    number.
+    """
+
+    def inside(frame: Any) -> bool:
+        module = frame.f_globals.get("__name__", "")
+        return module.startswith(("rendezvous_env.", "dataclasses")) or (
+            frame.f_code.co_name == "__init__"
+        )
+
+    level, frame = 1, sys._getframe(1)
+    while frame.f_back and inside(frame):
+        frame, level = frame.f_back, level + 1
+    return level
+
+
+try_with(lambda model, dim: Scenario(dim=dim, robot_model=model))

@@ -1,0 +1,1 @@
+"""What a robot sees of its neighbours: exact bearings, and imperfections composed in order."""

@@ -1,0 +1,126 @@
+"""Imperfections of a user's own: functions of what a batch of teams sees, applied last."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..checks import Registry, refuse
+from ..compilation import kernel
+from ..physics.random_streams import SENSING, mix, stream_key, uniform
+from .sensor_equations import step_key
+
+
+class Seen:
+    """What B teams see at one moment, to be changed in place.
+
+    Args:
+        scenario: the Scenario.
+        observations: (B, n, rows, d), float32.
+        steps: (B,), steps done in the episode.
+        seeds: (B,), of the teams, uint64.
+        episodes: (B,), their numbers.
+        positions: (B, n, d), m.
+    """
+
+    neighbours: NDArray[np.float32]
+    """(B, n, K, d): a_ij g_ij in the robots' own frames, m/s; zero where nobody is seen."""
+    obstacles: NDArray[np.float32]
+    """(B, n, M, S, d): unit silhouette bearings; likewise."""
+    positions: NDArray[np.float64]
+    """(B, n, d), m, for what depends on distance; robots themselves never know it."""
+    time: NDArray[np.float64]
+    """(B,), s since the start of the episode."""
+
+    def __init__(
+        self,
+        scenario: Any,
+        observations: NDArray[np.float32],
+        steps: NDArray[np.int64],
+        seeds: NDArray[np.uint64],
+        episodes: NDArray[np.int64],
+        positions: NDArray[np.float64],
+    ) -> None:
+        rows = scenario.observation_layout.split(observations)
+        self.scenario, self.positions, self.time = scenario, positions, steps * scenario.tau
+        self.neighbours, self.obstacles = rows.neighbours, rows.obstacles
+        self._name, self._keys = "", (seeds, episodes, steps)
+
+    def uniform(self, *shape: int) -> NDArray[np.float64]:
+        """Random numbers in [0, 1) for every team, (B, *shape): they follow from seed, episode,
+        step and the name of the imperfection, so that an episode is the same in any batch.
+        """
+        numbers = np.empty((len(self.time), int(np.prod(shape))))
+        salt = np.uint64(zlib.crc32(self._name.encode()))
+        with np.errstate(over="ignore"):  # of kernels that are left plain Python
+            _fill(*self._keys, salt, numbers)
+        return numbers.reshape(-1, *shape)
+
+
+@kernel
+def _fill(seeds, episodes, steps, salt, out):
+    """Numbers of every team's stream of sensing, of the step and of one imperfection."""
+    for team in range(out.shape[0]):
+        key = step_key(stream_key(seeds[team], episodes[team], SENSING), steps[team])
+        key = mix(key ^ salt)
+        for number in range(out.shape[1]):
+            out[team, number] = uniform(key, number)
+
+
+Imperfection = Callable[[Seen], None]
+_IMPERFECTIONS = Registry("imperfection", "rv.sensor_imperfection")
+
+
+def sensor_imperfection(name: str, change: Imperfection | None = None) -> Any:
+    """Register an imperfection: a function that changes what is ``Seen`` in place.
+
+    ``Sensing(custom=(name,))`` then applies it after all others. It may drop rows (zero) and turn
+    them; rows that are absent stay so, and robots that are gone see nothing. Where there are fewer
+    rows than other robots, those left stand first.
+
+    Args:
+        name: a word; an imperfection of that name is replaced.
+        change: treats every team by itself and remembers nothing. Without it a decorator is
+            returned.
+
+    Raises:
+        ValueError: for what is no name or cannot be called.
+    """
+    return _IMPERFECTIONS.add(name, change)
+
+
+def as_custom(field: str, value: Any) -> tuple[str, ...]:
+    """Names of registered imperfections.
+
+    Raises:
+        ValueError: for an unregistered name, or what is no list of names.
+    """
+    if not isinstance(value, list | tuple):
+        refuse(field, value, "a list of names")
+    for name in value:
+        _IMPERFECTIONS.check(field, name)
+    return tuple(value)
+
+
+def apply_custom(seen: Seen) -> None:
+    """Let the custom imperfections of a scenario change what is seen.
+
+    Raises:
+        ValueError: naming one that made a number that is not finite.
+    """
+    absent = [~table.any(axis=-1) for table in (seen.neighbours, seen.obstacles)]
+    for name in seen.scenario.sensing.custom:
+        seen._name = name
+        _IMPERFECTIONS[name](seen)
+        for table, gone in zip((seen.neighbours, seen.obstacles), absent, strict=True):
+            table[gone] = 0.0
+            if not np.isfinite(table).all():
+                raise ValueError(f"sensing.custom: {name!r} made a number that is not finite")
+    if seen.neighbours.shape[2] < seen.scenario.n_robots - 1:
+        present = seen.neighbours.any(axis=-1)
+        order = np.argsort(~present, axis=-1, kind="stable")
+        seen.neighbours[...] = np.take_along_axis(seen.neighbours, order[..., None], axis=2)

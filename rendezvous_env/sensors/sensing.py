@@ -1,0 +1,118 @@
+"""What the robots' sensors get wrong; by default nothing."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+from .. import checks
+from ..limits import MOST_DELAY, MOST_SECTORS
+from .custom_sensors import as_custom
+
+OCCLUSION = ("none", "obstacles", "robots", "both")
+_FULL_CIRCLE = 2.0 * math.pi
+
+
+def _check_view(field: str, value: Any) -> float:
+    if not 0.0 < checks.real(value) <= _FULL_CIRCLE:
+        checks.refuse(field, value, "a positive number of at most 2π = 6.283185307179586 rad")
+    return checks.real(value)
+
+
+def _check_amount(most: float, unit: str = "rad") -> Callable[[str, Any], float]:
+    return lambda field, value: checks.number(field, value, 0.0, most, unit) + 0.0
+
+
+_CHECKS: dict[str, Callable[[str, Any], Any]] = {
+    "range": partial(checks.positive, unit="m"),
+    "field_of_view": _check_view,
+    "noise": _check_amount(_FULL_CIRCLE),
+    "bias": _check_amount(_FULL_CIRCLE),
+    "error": _check_amount(math.pi),
+    "dropout": _check_amount(1.0, ""),
+    "delay": partial(checks.whole, least=0, most=MOST_DELAY),
+    "sectors": partial(checks.whole, least=2, most=MOST_SECTORS),
+    "occlusion": partial(checks.choice, choices=OCCLUSION),
+    "custom": as_custom,
+}
+
+
+@checks.names_unknown_fields("sensing")
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Sensing:
+    """How the robots' sensors differ from exact ones, which see every neighbour and turn nothing.
+
+    Links, merges and V follow the graph, not what a sensor misses. A row that is missing is zero;
+    a row that is there is as long as ever. What is drawn belongs to the team's seed, the episode,
+    the step and the ordered pair, so that an episode is the same in any batch.
+
+    Raises:
+        ValueError: naming the field, its value and what would be right.
+        UnknownFieldError: for an unknown field, naming the nearest one.
+    """
+
+    range: float | None = None
+    """Neighbours farther away have no row, m; None is without a limit."""
+    field_of_view: float = _FULL_CIRCLE
+    """Angle of the cone about the body's or local x axis in which neighbours have a row, rad. An
+    obstacle is seen while one of its silhouette points is in it."""
+    noise: float = 0.0
+    """Standard deviation of the angle by which each bearing is turned, drawn anew for every ordered
+    pair and step, rad; in space about a random axis perpendicular to the bearing."""
+    bias: float = 0.0
+    """The same, drawn once for every ordered pair and episode."""
+    error: float = 0.0
+    """The bearings of neighbours are turned by exactly this much in the direction that raises L
+    most, rad: the adversary of theorem N (guarantees, section 11)."""
+    dropout: float = 0.0
+    """Chance that the row of a neighbour is missing in a step."""
+    delay: int = 0
+    """Steps by which what is seen is late; until then what is seen first is held."""
+    sectors: int | None = None
+    """Bearings are rounded to so many directions from the x axis on, in space in yaw and, as far as
+    ± π/2, in elevation; None does not round."""
+    occlusion: str = "none"
+    """What hides neighbours that are behind it: none, obstacles, robots (as discs or spheres of
+    radius r/2) or both."""
+
+    custom: tuple[str, ...] = ()
+    """Imperfections of your own, by the names under which ``sensor_imperfection`` registered them,
+    in the order in which they are applied, after all others."""
+
+    def __post_init__(self) -> None:
+        """Convert and check every field; see the class for what is raised."""
+        checks.check_fields(self, _CHECKS, "sensing.")
+
+    @property
+    def exact(self) -> bool:
+        """Whether nothing is missed and no bearing is wrong."""
+        return self == Sensing()
+
+    @property
+    def built_in_exact(self) -> bool:
+        """Whether nothing but a custom imperfection makes it wrong."""
+        return dataclasses.replace(self, custom=()).exact
+
+    def departures(self) -> str:
+        """The fields that are not those of an exact sensor, in words."""
+        own, ideal = dataclasses.asdict(self), dataclasses.asdict(Sensing())
+        return ", ".join(
+            f"{field} = {value}" for field, value in own.items() if value != ideal[field]
+        )
+
+    def to_plain(self) -> dict[str, Any]:
+        """The fields as plain data, as TOML or JSON hold it; None is an absent key."""
+        plain = {**dataclasses.asdict(self), "custom": list(self.custom) or None}
+        return {field: value for field, value in plain.items() if value is not None}
+
+    @classmethod
+    def from_plain(cls, plain: Any) -> Sensing:
+        """A sensor from the plain data of ``to_plain``.
+
+        Raises:
+            ValueError: for what is no table, an unknown key or an impossible value.
+        """
+        return cls(**checks.mapping("sensing", plain, "a table of its fields"))

@@ -1,0 +1,218 @@
+"""Trajectories in the formats of other libraries: pandas, xarray, Minari."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    import pandas
+    import xarray
+    from gymnasium.envs.registration import EnvSpec
+    from minari import MinariDataset
+
+    from .scenario.scenario import Scenario
+
+DIMENSIONS = {
+    "positions": (("time", "env", "robot", "axis"), "m"),
+    "headings": (("time", "env", "robot", "angle"), "rad"),
+    "active": (("time", "env", "robot"), ""),
+    "lyapunov": (("time", "env"), "m²/s"),
+    "lyapunov_before_merge": (("step", "env"), "m²/s"),
+    "lyapunov_after_merge": (("step", "env"), "m²/s"),
+    "rewards": (("step", "env"), ""),
+    "contacts": (("step", "env", "robot"), ""),
+    "success": (("env",), ""),
+    "rendezvous_time": (("env",), "s"),
+    "obstacles": (("env", "obstacle", "column"), ""),
+    "observations": (("time", "env", "robot", "row", "axis"), ""),
+    "actions": (("step", "env", "robot", "action"), ""),
+}
+"""Dimensions and unit of every array of a trajectory."""
+AXES = ("x", "y", "z")
+ANGLES = ("yaw", "pitch")
+_RECORDED_FOR_MINARI = ("observations", "actions")
+
+
+def xarray_dataset(trajectory: Mapping[str, Any]) -> xarray.Dataset:
+    """An xarray Dataset with the arrays under their own names, shaped as ``DIMENSIONS`` says.
+
+    Args:
+        trajectory: the fields of a Trajectory.
+
+    Returns:
+        Coordinates ``time`` (T + 1,), s, and ``step_end`` (T,), s, when each step ended; the
+        attribute ``scenario`` holds the scenario as JSON.
+
+    Raises:
+        ImportError: if xarray is not installed, saying how to get it.
+    """
+    made_by = library("xarray", "to_xarray")
+    scenario, times, arrays = trajectory["scenario"], trajectory["times"], _arrays(trajectory)
+    coordinates: dict[str, Any] = {
+        "time": ("time", times, {"units": "s"}),
+        "step_end": ("step", times[1:], {"units": "s"}),
+        "axis": list(AXES[: scenario.dim]),
+        "angle": list(ANGLES[: arrays["headings"].shape[-1]]),
+    }
+    variables = {}
+    for name, array in arrays.items():
+        dimensions, unit = DIMENSIONS[name]
+        variables[name] = (dimensions, array, {"units": unit} if unit else {})
+    attributes = {"scenario": json.dumps(scenario.to_plain())}
+    made: xarray.Dataset = made_by.Dataset(variables, coordinates, attributes)
+    return made
+
+
+def pandas_dataframe(trajectory: Mapping[str, Any]) -> pandas.DataFrame:
+    """A pandas DataFrame with a row for each moment, team and robot.
+
+    Args:
+        trajectory: the fields of a Trajectory.
+
+    Returns:
+        Index ``env``, ``robot``, ``step`` (0 is the start). Columns: ``time`` s; ``x``, ``y``,
+        ``z`` m; ``yaw``, ``pitch`` rad; ``active``; ``lyapunov`` m²/s, of the team; ``reward``
+        and ``contact`` of the step that led there, NaN and False at the start.
+
+    Raises:
+        ImportError: if pandas is not installed, saying how to get it.
+    """
+    made_by = library("pandas", "to_dataframe")
+    arrays = _arrays(trajectory)
+    positions, headings = arrays["positions"], arrays["headings"]
+    shape = positions.shape[:3]
+    _, teams, _ = shape
+    reward = np.concatenate([np.full((1, teams), np.nan), arrays["rewards"]])
+    contact = np.concatenate([np.zeros((1, *shape[1:]), dtype=bool), arrays["contacts"]])
+    columns = {
+        "time": trajectory["times"][:, np.newaxis, np.newaxis],
+        **{axis: positions[..., k] for k, axis in enumerate(AXES[: positions.shape[-1]])},
+        **{angle: headings[..., k] for k, angle in enumerate(ANGLES[: headings.shape[-1]])},
+        "active": arrays["active"],
+        "lyapunov": arrays["lyapunov"][..., np.newaxis],
+        "reward": reward[..., np.newaxis],
+        "contact": contact,
+    }
+    steps, envs, robots = (index.ravel() for index in np.indices(shape))
+    made: pandas.DataFrame = made_by.DataFrame(
+        {name: np.broadcast_to(column, shape).ravel() for name, column in columns.items()},
+        index=made_by.MultiIndex.from_arrays([envs, robots, steps], names=["env", "robot", "step"]),
+    )
+    return made.sort_index()
+
+
+def minari_dataset(trajectory: Mapping[str, Any], name: str, **about: Any) -> MinariDataset:
+    """Write an episode for each team, as one agent in ``gymnasium_env.RendezvousEnv`` lives it.
+
+    Observations (T_b + 1, n, rows, d), actions (T_b, n, a), rewards of the team (T_b,). Terminated:
+    all robots have met; truncated: the time limit. The steps of a team end with its episode. Infos:
+    "active" (T_b + 1, n), which robots still existed on their own. ``recover_environment()`` of
+    the data set makes an environment of the same scenario.
+
+    Args:
+        trajectory: the fields of a Trajectory that kept observations and actions.
+        name: of the data set, as Minari writes names: "rendezvous/ring-12-v0".
+        about: further arguments of ``minari.create_dataset_from_buffers``, like ``author`` and
+            ``algorithm_name``; Minari warns of those that it misses.
+
+    Returns:
+        The data set, on disk where Minari keeps its own.
+
+    Raises:
+        ImportError: if Minari is not installed, saying how to get it.
+        ValueError: naming what was not recorded, or a name that is malformed or taken; nothing
+            is written then.
+    """
+    minari = library("minari", "to_minari")
+    library("h5py", "to_minari")
+    recorded = trajectory["recorded"]
+    if missing := [part for part in _RECORDED_FOR_MINARI if part not in recorded]:
+        raise ValueError(
+            f"to_minari() needs {' and '.join(missing)}, which were not kept; ask for them: "
+            'rollout(…, record="all")'
+        )
+    _check_name(minari, name)
+    scenario = trajectory["scenario"]
+    spec = environment_spec(scenario)
+    about = {
+        "description": f"Teams of scenario {scenario.name!r}: bearings seen, actions taken",
+        "env": spec,
+        "eval_env": spec,
+        **about,
+    }
+    episodes = [_episode(trajectory, team) for team in range(len(trajectory["success"]))]
+    made: MinariDataset = minari.create_dataset_from_buffers(name, episodes, **about)
+    return made
+
+
+def environment_spec(scenario: Scenario) -> EnvSpec:
+    """What Gymnasium needs to make one team of a scenario, in plain data."""
+    from gymnasium.envs.registration import EnvSpec
+
+    return EnvSpec(
+        id="rendezvous/Rendezvous-v0",
+        entry_point="rendezvous_env.envs.gymnasium_env:env_from_plain",
+        kwargs={"scenario": scenario.to_plain()},
+    )
+
+
+def _episode(trajectory: Mapping[str, Any], team: int) -> Any:
+    from minari.data_collector import EpisodeBuffer
+
+    active, recorded = trajectory["active"][:, team], trajectory["recorded"]
+    steps = int((active[:-1].sum(axis=-1) > 1).sum())
+    last = np.arange(steps) == steps - 1
+    success = bool(trajectory["success"][team])
+    return EpisodeBuffer(
+        id=team,
+        observations=recorded["observations"][: steps + 1, team],
+        actions=recorded["actions"][:steps, team],
+        rewards=trajectory["rewards"][:steps, team],
+        terminations=last & success,
+        truncations=last & (not success),
+        infos={"active": active[: steps + 1]},
+    )
+
+
+def _check_name(minari: Any, name: str) -> None:
+    """Refuse a name before Minari makes a folder of it."""
+    from minari.dataset.minari_dataset import parse_dataset_id
+
+    try:
+        parse_dataset_id(name)
+    except (TypeError, ValueError) as error:
+        raise ValueError(
+            f'name is {name!r}; it must be like "rendezvous/ring-12-v0": {error}'
+        ) from error
+    if name in minari.list_local_datasets():
+        raise ValueError(f"name is {name!r}; it must be new: there is such a data set already")
+
+
+def _arrays(trajectory: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
+    """What is kept of every trajectory, and what was kept on request."""
+    own = {name: array for name, array in trajectory.items() if name in DIMENSIONS}
+    return own | trajectory["recorded"]
+
+
+def library(name: str, asked: str) -> Any:
+    """A library of the extra ``analysis``, imported when it is first used.
+
+    Args:
+        name: of the library.
+        asked: the method that needs it.
+
+    Raises:
+        ImportError: if it is not installed, saying how to get it.
+    """
+    try:
+        return import_module(name)
+    except ImportError as error:
+        raise ImportError(
+            f"{asked}() needs {name}: pip install 'rendezvous-env[analysis]'", name=name
+        ) from error

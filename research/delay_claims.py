@@ -1,0 +1,131 @@
+"""The claims of E1: bearings of any age, pair by pair (guarantees 11)."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from adversarial_graphs import draw_teams
+from continuous_time import Array, Law, Sights, Teams, Trial, unit
+from continuous_time_claims import ContinuousTimeClaim, stays_below
+from continuous_time_laws import Random, followed
+
+from rendezvous_env.graphs.weights import bottleneck_weight, max_degree
+from rendezvous_env.safety.theorems.delay import largest_age, stale_time
+
+_KEPT = 8
+"""Moments that are remembered; the oldest admissible one is nearly as old as is allowed."""
+
+_MARGINS = (0.45, 0.9)
+"""ε of law (4): with less there is much to wait for, and little to see."""
+
+
+class Stale:
+    """Bearings as they were some time ago, for every pair another time.
+
+    Those of robots that have just merged are fresh. A third of the teams see all as late as is
+    allowed, a third each pair at an age of its own, a third another age at every call.
+
+    Args:
+        teams: who look.
+        random: draws the ages.
+        oldest: age that a bearing may have when it is looked at, (B,), s.
+    """
+
+    def __init__(self, teams: Teams, random: Random, oldest: Array) -> None:
+        self._random, self._oldest = random, oldest
+        self._seen = np.repeat(teams.look().bearings[None], _KEPT, axis=0)
+        self._when = np.zeros((_KEPT, len(oldest)))
+        self._kind = random.integers(3, size=(len(oldest), 1, 1))
+        self._own = random.random(teams.weights.shape)
+        self._calls = 0
+
+    def __call__(self, teams: Teams, sights: Sights) -> Array:
+        """Bearings, (B, n, n, d)."""
+        if teams.merged.any():
+            fresh = teams.merged[:, :, None] | teams.merged[:, None]
+            self._seen[:, fresh] = sights.bearings[fresh]
+        slot = self._calls % _KEPT
+        self._seen[slot], self._when[slot] = sights.bearings, teams.time
+        self._calls += 1
+        drawn = self._random.random(self._own.shape)
+        share = np.choose(self._kind, (np.ones_like(drawn), self._own, drawn))
+        since = teams.time[:, None, None] - share * self._oldest[:, None, None]
+        when = self._when[:, :, None, None]
+        # the present one is among them
+        latest = np.where(when >= since - 1e-12, when, np.inf).argmin(axis=0)
+        return np.take_along_axis(self._seen, latest[None, ..., None], axis=0)[0]
+
+
+def _stale(teams: Teams, random: Random, *, law_4: bool) -> tuple[Stale, Array]:
+    """What the robots see, and for how long they hold it."""
+    degrees = np.array([max_degree(matrix) for matrix in teams.weights])
+    age = np.array([largest_age(d, teams.merge_radius, law_4=law_4) for d in degrees])
+    step = age / _KEPT
+    return Stale(teams, random, age - step), step
+
+
+def _bounds(teams: Teams) -> tuple[Array, Array]:
+    """V0⁺ and a* of each team."""
+    r, n = teams.merge_radius, teams.active.shape[1]
+    rises = (n - 1) * r * teams.weights.sum(axis=(-2, -1)) / 2.0
+    weakest = np.array([bottleneck_weight(matrix) for matrix in teams.weights])
+    return teams.lyapunov() + rises, weakest
+
+
+def draw_stale(random: Random, batch: int, least_margin: float) -> Trial:
+    """Law (1), each robot at a speed of its own that may change at any time."""
+    teams = draw_teams(random, batch, linked=True)
+    seen, step = _stale(teams, random, law_4=False)
+    most, weakest = _bounds(teams)
+    slowest = float(random.choice([1.0, random.uniform(0.3, 1.0)]))
+
+    def law(teams: Teams) -> Array:
+        f = followed(seen(teams, teams.look()), teams.weights)
+        return f * random.uniform(slowest, 1.0, (*teams.active.shape, 1))
+
+    n = teams.active.shape[1]
+    limit = stale_time(n, most, bottleneck_weight=weakest, slowest=slowest)
+    return Trial(teams, law, step, limit, stays_below(teams, most))
+
+
+def draw_stale_headings(random: Random, batch: int, least_margin: float) -> Trial:
+    """Law (4) with hᵀf̂ = ε‖f̂‖ always, to any side."""
+    teams = draw_teams(random, batch, linked=True)
+    seen, step = _stale(teams, random, law_4=True)
+    most, weakest = _bounds(teams)
+    margin = random.uniform(*np.maximum(_MARGINS, least_margin))
+    limit = stale_time(
+        teams.active.shape[1], most, bottleneck_weight=weakest, slowest=margin**2 / 4.0
+    )
+    return Trial(
+        teams, _sideways(teams, random, seen, margin), step, limit, stays_below(teams, most)
+    )
+
+
+def _sideways(teams: Teams, random: Random, seen: Stale, margin: float) -> Law:
+    aside, steady = random.normal(size=teams.positions.shape), random.random() < 0.7
+
+    def law(teams: Teams) -> Array:
+        f = followed(seen(teams, teams.look()), teams.weights)
+        ahead = unit(f)
+        axis = aside if steady else random.normal(size=aside.shape)
+        across = unit(axis - np.sum(axis * ahead, axis=-1, keepdims=True) * ahead)
+        h = margin * ahead + math.sqrt(1.0 - margin**2) * across
+        return np.asarray(h * np.sum(h * f, axis=-1, keepdims=True))
+
+    return law
+
+
+DELAY = (
+    ContinuousTimeClaim(
+        "stale",
+        "law (1), bearings of any age ≤ r/(2D̄), speeds s_i from s to 1: V ≤ V0⁺, T ≤ nV0⁺/(4sa*²)",
+        draw_stale,
+    ),
+    ContinuousTimeClaim(
+        "stale-headings",
+        "law (4), bearings of any age ≤ r/(2√3 D̄): V ≤ V0⁺, T ≤ nV0⁺/(ε²a*²)",
+        draw_stale_headings,
+    ),
+)

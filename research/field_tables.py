@@ -1,0 +1,197 @@
+"""Tables of docs/scenarios.md: the field's own measures, for the laws that fit.
+
+``python research/field_tables.py huettenrauch`` or ``rssdoa`` prints one as Markdown.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, Literal
+
+import numpy as np
+import tyro
+from numpy.typing import NDArray
+from tyro.conf import Positional
+
+import baselines
+from baselines.policy import kind_of
+from rendezvous_env import Scenario, Simulator, scenarios
+from rendezvous_env.engine.memory import RENDEZVOUS
+from rendezvous_env.trajectory import Step, run
+
+Array = NDArray[np.float64]
+Watch = Callable[[Simulator, Step], None]
+
+_PENALTY = 0.001
+"""Of an action, in the reward of Hüttenrauch et al."""
+_WORLD = 100.0
+"""m, edge of their world."""
+_NOISES = (0.0, 0.1, 0.35, 1.0)
+"""rad; the second and third stand in versions of RSSDOA's main file."""
+_SLOW = ("privileged-circumcentre",)
+"""A smallest ball for each robot and step, in Python: left out where it would take minutes."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Config:
+    """Print a table of docs/scenarios.md."""
+
+    table: Positional[Literal["huettenrauch", "rssdoa"]]
+    """Which."""
+    episodes: int = 100
+    """Starts of each row."""
+    seed: int = 0
+    """Start k has the seed SEED + k."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Ends:
+    """How the episodes of one policy ended."""
+
+    success: NDArray[np.bool_]
+    """(B,)."""
+    clean: NDArray[np.bool_]
+    """(B,), met without a contact."""
+    time: Array
+    """(B,), s; inf without rendezvous."""
+    diameter: Array
+    """(B,), largest distance at the end, m."""
+
+
+def diameter(positions: Array) -> Array:
+    """Largest distance of a team, max_ij ‖p_i − p_j‖.
+
+    Args:
+        positions: (..., n, d), m.
+
+    Returns:
+        (...), m.
+    """
+    ways = positions[..., np.newaxis, :, :] - positions[..., np.newaxis, :]
+    return np.asarray(np.linalg.norm(ways, axis=-1).max(axis=(-2, -1)))
+
+
+def reward(positions: Array, actions: Array, sight: float) -> Array:
+    """The reward of one step (Hüttenrauch, Šošić & Neumann, 2019, as released).
+
+        −mean over pairs of min(d, r_c)/r_c − 0.001 mean of u²
+
+    Args:
+        positions: after the step, (..., n, d), m.
+        actions: u, in units of their bounds, (..., n, a).
+        sight: r_c, m.
+
+    Returns:
+        (...).
+    """
+    first, second = np.triu_indices(positions.shape[-2], 1)
+    distances = np.linalg.norm(positions[..., first, :] - positions[..., second, :], axis=-1)
+    apart = np.mean(np.minimum(distances, sight) / sight, axis=-1)
+    return np.asarray(-apart - _PENALTY * np.mean(actions**2, axis=(-2, -1)))
+
+
+def play(
+    scenario: Scenario, name: str, episodes: int, seed: int, watch: Watch | None = None
+) -> Ends:
+    """Play a policy to the end of its episodes.
+
+    Args:
+        scenario: the experiment.
+        name: of a scripted policy.
+        episodes: B.
+        seed: start k has the seed ``seed`` + k.
+        watch: called after each step.
+    """
+    simulator = Simulator(scenario, episodes)
+    observations = simulator.reset(seed)
+    for step in run(simulator, baselines.make(name, scenario), observations):
+        if watch is not None:
+            watch(simulator, step)
+    success = simulator.status == RENDEZVOUS
+    return Ends(
+        success=success,
+        clean=success & (simulator.contacts == 0),
+        time=np.where(success, simulator.time, np.inf),
+        diameter=diameter(simulator.positions),
+    )
+
+
+def mean_reward(scenario: Scenario, name: str, episodes: int, seed: int) -> tuple[Ends, Array]:
+    """Ends, and the mean reward (B,) over all steps of an episode without an early end.
+
+    A team that has met stays where it is, which earns and costs nothing.
+    """
+    sight = scenario.sensing.range or _WORLD * math.sqrt(2.0)
+    earned, there = np.zeros(episodes), np.ones((episodes, scenario.n_robots), bool)
+
+    def watch(simulator: Simulator, step: Step) -> None:
+        acting = (there & step.running[:, np.newaxis])[..., np.newaxis]
+        shares = np.where(acting, step.actions / scenario.action_bounds, 0.0)
+        gained = reward(simulator.positions, shares, sight)
+        earned[step.running] += gained[step.running]
+        there[...] = simulator.active
+
+    ends = play(scenario, name, episodes, seed, watch)
+    return ends, earned / scenario.max_steps
+
+
+def _huettenrauch(config: Config) -> Iterator[Sequence[str]]:
+    yield "scenario", "law", "clean success", "median time, s", "mean reward"
+    for name in ("huettenrauch-20", "huettenrauch-20-sight-40"):
+        scenario = scenarios.get(name)
+        for law in _laws(scenario):
+            ends, earned = mean_reward(scenario, law, config.episodes, config.seed)
+            spread = earned.std() / math.sqrt(len(earned))
+            yield name, law, *_shares(ends), f"{earned.mean():.4f} ± {spread:.4f}"
+
+
+def _rssdoa(config: Config) -> Iterator[Sequence[str]]:
+    yield "σ, rad", "law", "success", "median time, s", "final diameter, m: median, 90 %"
+    scenario = scenarios.get("rssdoa-15")
+    laws = [name for name in _laws(scenario) if name not in _SLOW]
+    references = [name for name in laws if kind_of(name) == "privileged"]
+    for noise in _NOISES:
+        noisy = scenario.replace(sensing=dataclasses.replace(scenario.sensing, noise=noise))
+        for law in laws:
+            if kind_of(law) not in ("privileged", "blind"):
+                yield f"{noise:g}", *_ends_row(noisy, law, config)
+    for law in references:  # whose bearings have no noise
+        yield "any", *_ends_row(scenario, law, config)
+
+
+def _laws(scenario: Scenario) -> list[str]:
+    """Policies that fit, but for those that were trained for something else."""
+    return [name for name in baselines.names(scenario) if kind_of(name) != "learned"]
+
+
+def _ends_row(scenario: Scenario, law: str, config: Config) -> tuple[str, ...]:
+    ends = play(scenario, law, config.episodes, config.seed)
+    middle, high = np.quantile(ends.diameter, (0.5, 0.9))
+    return law, *_shares(ends), f"{middle:.2f}, {high:.2f}"
+
+
+def _shares(ends: Ends) -> tuple[str, str]:
+    middle = np.median(ends.time)
+    return f"{100 * ends.clean.mean():.0f} %", f"{middle:.1f}" if math.isfinite(middle) else "–"
+
+
+def markdown(rows: Iterator[Sequence[Any]]) -> Iterator[str]:
+    """Lines of a table, the first row its head."""
+    head = next(rows)
+    yield f"| {' | '.join(head)} |"
+    yield "|---" * len(head) + "|"
+    for row in rows:
+        yield f"| {' | '.join(row)} |"
+
+
+def run_table(config: Config) -> None:
+    """Print the table, row by row."""
+    rows = {"huettenrauch": _huettenrauch, "rssdoa": _rssdoa}[config.table](config)
+    for line in markdown(rows):
+        print(line, flush=True)
+
+
+if __name__ == "__main__":
+    run_table(tyro.cli(Config))

@@ -1,0 +1,111 @@
+"""Wishes that try to overdraw an energy tank, and what stands between them and the robots."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rendezvous_env import Scenario, Simulator
+from rendezvous_env.safety.tank import EnergyTank
+from train.verify.adversaries import across
+
+Array = NDArray[np.float64]
+Wishes = Callable[[NDArray[Any], int], Array]
+"""Observations (B, n, rows, d) as a policy sees them and the number of the step → raw (B, n, k)."""
+
+WISHES = ("flee", "orthogonal", "spiral", "frozen", "random", "switching", "rest", "mixed")
+_SWITCHING = 7
+"""Steps after which a switching robot turns round."""
+
+
+def wishes(
+    scenario: Scenario, num_envs: int, random: np.random.Generator, kind: str = "mixed"
+) -> Wishes:
+    """Wished velocities in units of v_max; controls in units of their bounds for other models.
+
+    Args:
+        scenario: whose robots are misled.
+        num_envs: B.
+        random: draws whatever the wishes need.
+        kind: one of WISHES; "mixed" gives every robot a kind of its own. Nonholonomic robots are
+            always mixed.
+    """
+    if scenario.model.nonholonomic:
+        return _controls(scenario, num_envs, random)
+    size = num_envs, scenario.n_robots, scenario.dim
+    frozen = random.normal(size=size)
+    own = random.permuted(np.arange(size[0] * size[1]) % (len(WISHES) - 1)).reshape(size[:2])
+
+    def choose(seen: NDArray[Any], step: int) -> Array:
+        f = scenario.observation_layout.net_bearing(seen)
+        ahead = _unit(f)
+        side = _unit(across(ahead, frozen)) * np.sign(frozen[..., :1])
+        wished = {
+            "flee": -ahead,
+            "orthogonal": side,
+            "spiral": side - 0.4 * ahead,
+            "frozen": frozen,
+            "random": random.normal(size=size) * random.uniform(0, 2, (*size[:2], 1)),
+            "switching": ahead if step // _SWITCHING % 2 else -ahead,
+            "rest": np.zeros(size),
+        }
+        if kind != "mixed":
+            return wished[kind]
+        return np.asarray(np.choose(own[..., None], list(wished.values())))
+
+    return choose
+
+
+def _controls(scenario: Scenario, num_envs: int, random: np.random.Generator) -> Wishes:
+    """Frozen, drawn anew, or backwards: away from f at full speed."""
+    size = num_envs, scenario.n_robots, scenario.action_size
+    frozen, own = random.uniform(-1, 1, size), np.arange(size[1])[:, None] % 3
+
+    def choose(seen: NDArray[Any], step: int) -> Array:
+        backwards = np.zeros(size)
+        backwards[..., 0] = -np.sign(scenario.observation_layout.net_bearing(seen)[..., 0])
+        return np.choose(own, [frozen, random.uniform(-1.5, 1.5, size), backwards])
+
+    return choose
+
+
+def _unit(vectors: Array) -> Array:
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-12)
+
+
+class Tanked:
+    """Wishes under an ``EnergyTank``, as a policy: base observations in, base actions out.
+
+    Survivors inherit what the absorbed robots had left once ``watch`` has shown the teams; without
+    it that is lost, as to any policy.
+
+    Args:
+        tank: what is between wishes and robots.
+        wished: chooses what is wanted.
+        decision_period: steps for which each wish is held.
+    """
+
+    def __init__(self, tank: EnergyTank, wished: Wishes, decision_period: int = 1) -> None:
+        self.tank, self._wished, self._period = tank, wished, decision_period
+        self._teams: Simulator | None = None
+        self._step = 0
+
+    def watch(self, teams: Simulator) -> None:
+        """Look at who merges with whom."""
+        self._teams = teams
+
+    def __call__(self, observations: NDArray[np.float32], time: ArrayLike) -> NDArray[np.float32]:
+        """Actions (B, n, a)."""
+        self.tank.book(merged_into=None if self._teams is None else self._teams.merged_into)
+        if self._step % self._period == 0:
+            self.tank.hold(self._wished(self.tank.view(observations), self._step))
+        self._step += 1
+        return self.tank.act(observations)
+
+    def reset(self, mask: NDArray[np.bool_] | None = None) -> None:
+        """Fill the tanks anew."""
+        self.tank.forget(mask)
+        self._step = 0

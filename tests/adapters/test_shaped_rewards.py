@@ -1,0 +1,127 @@
+"""A wrapper that changes the rewards of teams changes what a learner is paid."""
+
+import numpy as np
+import pytest
+from gymnasium.vector import VectorWrapper
+from gymnasium.wrappers.vector import RecordEpisodeStatistics, TransformReward
+from stable_baselines3 import PPO
+
+import rendezvous_env as rv
+from rendezvous_env.adapters.sb3 import RobotVecEnv
+from rendezvous_env.adapters.slots import RewardShaping
+from rendezvous_env.vector import HeadingVectorWrapper, training_env
+
+SCENARIO = rv.scenarios.get("duo").replace(time_limit=3.0)
+TEAMS = 4
+
+
+class Spread(VectorWrapper):
+    """Pays for the hull perimeter of the team."""
+
+    def step(self, actions):
+        seen, rewards, *ends = super().step(actions)
+        self.paid = 0.01 * self.env.unwrapped.simulator.size()
+        return seen, rewards - self.paid, *ends
+
+
+class RobotByRobot(VectorWrapper):
+    """Pays robots one by one, and says so itself."""
+
+    def step(self, actions):
+        seen, rewards, ends, cuts, infos = super().step(actions)
+        infos["robot_rewards"] = infos["robot_rewards"] + np.arange(2.0)
+        return seen, rewards + 0.5, ends, cuts, infos
+
+
+def plain():
+    return rv.make_vec(SCENARIO, TEAMS, autoreset_mode="SameStep")
+
+
+def certified():
+    return HeadingVectorWrapper(plain(), decision_period=3)
+
+
+def preset():
+    return training_env("clutter-4", TEAMS, time_limit=3.0)
+
+
+FORMS = [plain, certified, preset]
+
+
+def played(robots, steps=25):
+    """Rewards (steps, B, n) of random actions."""
+    robots.seed(0)
+    robots.reset()
+    rng = np.random.default_rng(0)
+    low, high = robots.action_space.low, robots.action_space.high
+    shape = (robots.num_envs, *robots.action_space.shape)
+    n, found = robots.n_robots, []
+    for _ in range(steps):
+        _, rewards, *_ = robots.step(rng.uniform(low, high, shape).astype(np.float32))
+        found.append(rewards.reshape(-1, n))
+    return np.stack(found), robots
+
+
+@pytest.mark.parametrize("make", FORMS)
+def test_gymnasiums_own_wrapper_counts(make):
+    usual, _ = played(RobotVecEnv(make()))
+    shaped, _ = played(RobotVecEnv(TransformReward(make(), lambda rewards: rewards + 1000.0)))
+    added = shaped - usual
+    assert np.isclose(added, 1000.0, rtol=1e-4).sum() >= 0.5 * added.size
+    assert np.isclose(added[:, :, 0], 1000.0, rtol=1e-4).all()  # robot 0 lives to the end
+
+
+@pytest.mark.parametrize("make", FORMS)
+def test_a_term_of_ones_own_counts_through_other_wrappers(make):
+    usual, _ = played(RobotVecEnv(make()))
+    shaped, _ = played(RobotVecEnv(RecordEpisodeStatistics(Spread(make()))))
+    assert (shaped[:, :, 0] < usual[:, :, 0]).all()
+
+
+@pytest.mark.parametrize("make", FORMS)
+def test_a_wrapper_that_changes_nothing_changes_nothing(make):
+    usual, _ = played(RobotVecEnv(make()))
+    again, _ = played(RobotVecEnv(RecordEpisodeStatistics(make())))
+    np.testing.assert_array_equal(usual, again)
+
+
+def test_who_pays_robots_one_by_one_has_the_last_word():
+    usual, _ = played(RobotVecEnv(plain()))
+    paid, _ = played(RobotVecEnv(RobotByRobot(plain())))
+    np.testing.assert_allclose(paid - usual, np.broadcast_to([0.0, 1.0], usual.shape), atol=1e-6)
+
+
+def test_shaping_may_stand_on_shaping_and_adapters_on_one_environment():
+    twice = TransformReward(TransformReward(plain(), lambda r: r + 1.0), lambda r: 2.0 * r)
+    usual, _ = played(RobotVecEnv(plain()))
+    RobotVecEnv(twice)  # another adapter looked at it before
+    shaped, _ = played(RobotVecEnv(twice))
+    np.testing.assert_allclose(shaped[:, :, 0], 2.0 * (usual[:, :, 0] + 1.0), rtol=1e-5)
+
+
+def test_shaping_may_stand_under_a_guarantee():
+    usual, _ = played(RobotVecEnv(certified()))
+    under = TransformReward(plain(), lambda rewards: rewards + 1.0)
+    shaped, _ = played(RobotVecEnv(HeadingVectorWrapper(under, decision_period=3)))
+    added = (shaped - usual)[:, :, 0]
+    assert (added > 0.99).all() and np.isclose(added, 3.0, rtol=1e-4).mean() > 0.5
+
+
+def test_robots_that_are_gone_are_paid_nothing_more():
+    shaping = RewardShaping(teams := TransformReward(plain(), lambda rewards: rewards + 1.0))
+    teams.reset(seed=0)
+    _, rewards, _, _, infos = teams.step(np.zeros(teams.action_space.shape, np.float32))
+    acted = np.array([[True, False]] * TEAMS)
+    usual = infos["robot_rewards"]
+    found = shaping.robot_rewards(rewards, infos, acted)
+    np.testing.assert_allclose(found - usual, acted.astype(float))
+
+
+def test_ppo_learns_from_the_shaped_reward():
+    returns = []
+    for shift in (0.0, 100.0):
+        teams = TransformReward(plain(), lambda rewards, shift=shift: rewards + shift)
+        model = PPO("MlpPolicy", RobotVecEnv(teams), n_steps=16, batch_size=128, n_epochs=1, seed=0)
+        model.learn(16 * 8)
+        returns.append(model.rollout_buffer.rewards.mean())
+    assert returns[1] > returns[0] + 50.0

@@ -1,0 +1,369 @@
+"""``rendezvous compare``: what it measures, and what it writes."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+
+import baselines
+from rendezvous_env import Scenario, rollout
+from rendezvous_env.safety.lyapunov import lyapunov
+from rendezvous_env.safety.theorems.descent import time_bound
+from rendezvous_env.scenario import scenarios
+from train import policies, results
+from train.compare import compare, playing, statistics
+from train.compare import evaluation as episodes
+from train.compare.evaluation import Episodes, play
+from train.recording import whole
+from train.report.input import read
+
+QUICK = {"scenarios": ("duo", "fig4"), "policies": ("bearing-only", "tangent-joined", "zero")}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """What a small comparison writes."""
+    out = tmp_path_factory.mktemp("compare")
+    assert compare.run(compare.Config(**QUICK, episodes=7, seed=3, keep=2, out=out)) == 0
+    return out
+
+
+def batch(**changed):
+    """Episodes of four starts: two clean, one with a contact, one time-out at 10 s."""
+    nothing = np.zeros(4)
+    values = dict.fromkeys(Episodes.__dataclass_fields__, nothing)
+    values |= {
+        "success": np.array([True, True, True, False]),
+        "clean": np.array([True, True, False, False]),
+        "time": np.array([2.0, 4.0, 3.0, 10.0]),
+        "contacts": np.array([0, 0, 5, 0]),
+        "time_bound": np.array([8.0, 8.0, 4.0, np.nan]),
+        "clearance": np.array([0.5, 0.25, 0.0, 1.0]),
+    }
+    return Episodes(**(values | changed))
+
+
+class TestFiles:
+    def test_all_are_there_and_none_is_left_over(self, folder):
+        written = {path.name for path in folder.iterdir()}
+        tables = {"results.csv", "episodes.csv", "paired.csv", "trajectories.npz", "run.json"}
+        assert written == tables | {"success.png", "times.png", "trajectories-fig4.png"}
+
+    def test_columns_of_results_are_those_of_the_design(self, folder):
+        header = (folder / "results.csv").read_text().splitlines()[0]
+        assert header == (
+            "scenario,policy,episodes,success,success_low,success_high,clean_success,clean_low,"
+            "clean_high,median_time,time_low,time_high,time_over_bound,path_length,min_clearance,"
+            "max_rise_between_merges,min_alignment,contacts"
+        )
+
+    def test_columns_of_episodes(self, folder):
+        header = (folder / "episodes.csv").read_text().splitlines()[0]
+        assert header.startswith(
+            "scenario,policy,start,success,clean,time,path_length,contacts,clearance,"
+        )
+
+    def test_results_follow_from_episodes(self, folder):
+        rows = results.read_csv(folder / "episodes.csv")
+        for row in results.read_csv(folder / "results.csv"):
+            own = [
+                r for r in rows if (r["scenario"], r["policy"]) == (row["scenario"], row["policy"])
+            ]
+            starts = {"duo": 7, "fig4": 1}[row["scenario"]]  # that of fig4 is given
+            assert [int(r["start"]) for r in own] == list(range(starts))
+            assert int(row["episodes"]) == starts
+            column = lambda name, own=own: [float(r[name]) for r in own if r[name]]  # noqa: E731
+            assert float(row["success"]) == np.mean(column("success"))
+            assert float(row["clean_success"]) == np.mean(column("clean"))
+            assert float(row["median_time"]) == np.median(column("time"))
+            assert float(row["path_length"]) == np.median(column("path_length"))
+            assert float(row["contacts"]) == np.mean(column("contacts"))
+            assert float(row["max_rise_between_merges"]) == max(column("max_rise_between_merges"))
+            if row["min_clearance"]:
+                assert float(row["min_clearance"]) == min(column("clearance"))
+            if row["time_over_bound"]:
+                shares = np.divide(column("time"), column("time_bound"))
+                assert float(row["time_over_bound"]) == max(shares) < 1
+
+    def test_cells_are_plain_numbers_or_empty(self, folder):
+        for row in results.read_csv(folder / "results.csv"):
+            for name in results.RESULT_COLUMNS[2:]:
+                assert row[name] == "" or math.isfinite(float(row[name]))
+        for row in results.read_csv(folder / "results.csv"):
+            ends = [row[name] for name in row if name.endswith(("_low", "_high"))]
+            assert all(ends) == (row["scenario"] == "duo") and any(ends) == all(ends)
+        duo = results.read_csv(folder / "results.csv")[0]
+        assert duo["scenario"] == "duo" and duo["min_clearance"] == ""
+
+    def test_policies_start_alike(self, folder):
+        rows = results.read_csv(folder / "episodes.csv")
+        first = {
+            policy: [r["initial_lyapunov"] for r in rows if r["policy"] == policy]
+            for policy in ("bearing-only", "zero")
+        }
+        assert first["bearing-only"] == first["zero"]
+        assert len(set(first["zero"])) == 7 + 1  # seven starts of duo, the one of fig4
+
+    def test_trajectories(self, folder):
+        with np.load(folder / "trajectories.npz") as arrays:
+            alone = rollout(
+                "duo", baselines.make("bearing-only", scenarios.get("duo")), seed=4, record="all"
+            )
+            key = "duo/bearing-only/1/"
+            assert np.array_equal(arrays[key + "positions"], alone.positions[:, 0])
+            seen = read(folder).recordings["duo", "bearing-only", 1]["observations"]
+            assert np.array_equal(seen, alone.observations[:, 0])
+            assert not any(name.endswith("observations") for name in arrays)
+            assert np.array_equal(arrays[key + "lyapunov"], alone.lyapunov[:, 0])
+            assert arrays[key + "times"][-1] == alone.rendezvous_time[0]
+            jumps = np.flatnonzero(~np.isnan(arrays[key + "lyapunov_before_merge"]))
+            assert jumps.tolist() == [len(alone.times) - 1]
+            assert arrays[key + "lyapunov_after_merge"][-1] == 0
+            starts = {name.split("/")[2] for name in arrays.files}
+            assert starts == {"0", "1"}
+
+    def test_run_json_is_enough_to_run_again(self, folder):
+        run = json.loads((folder / "run.json").read_text())
+        assert (run["seed"], run["episodes"]) == (3, 7)
+        assert run["format_version"] == results.FORMAT_VERSION
+        assert Scenario.from_plain(run["scenarios"]["fig4"]) == scenarios.get("fig4")
+        assert run["policies"]["duo"] == ["bearing-only", "zero"]
+        assert run["versions"]["rendezvous-env"] and run["merges_above_bound"] == 0
+
+    def test_figures_show_something(self, folder):
+        from matplotlib.image import imread
+
+        for path in folder.glob("*.png"):
+            assert imread(path)[..., :3].std() > 0.05
+
+    def test_paired(self, folder):
+        rows = {(r["scenario"], r["policy"]): r for r in results.read_csv(folder / "paired.csv")}
+        joined = rows["fig4", "tangent-joined"]
+        assert joined["against"] == "bearing-only"
+        assert float(joined["clean_difference"]) == 1.0  # law (1) touches every obstacle
+        assert float(rows["duo", "zero"]["probability_of_improvement"]) == 0.0
+
+    def test_an_interrupted_run_leaves_what_was_there(self, tmp_path, monkeypatch):
+        config = compare.Config(**QUICK, episodes=2, out=tmp_path, figures=False)
+        (tmp_path / "results.csv").write_text("old")
+
+        def interrupted(*rows):
+            raise KeyboardInterrupt
+
+        monkeypatch.setattr(compare, "_episode_rows", lambda played: iter(interrupted, None))
+        with pytest.raises(KeyboardInterrupt):
+            compare.run(config)
+        assert [path.name for path in tmp_path.iterdir()] == ["results.csv"]
+        assert (tmp_path / "results.csv").read_text() == "old"
+
+    def test_a_half_written_file_is_removed(self, tmp_path):
+        def rows():
+            yield {"a": 1}
+            raise OSError("disk full")
+
+        with pytest.raises(OSError, match="disk full"):
+            results.write_csv(tmp_path / "table.csv", ["a"], rows())
+        assert list(tmp_path.iterdir()) == []
+
+
+class TestMeasures:
+    def test_nothing_is_clean_where_robots_pass_through_obstacles(self):
+        done, _ = run_play(scenarios.get("fig3"), "bearing-only", 3)
+        assert done.success.tolist() == [True] and done.clearance[0] < -0.5
+        assert np.isnan(done.clean).all()
+        stopped, _ = run_play(scenarios.get("fig4"), "bearing-only", 3)
+        assert stopped.clean.tolist() == [0.0]
+
+    def test_law_1_is_aligned_falls_and_keeps_its_bound(self):
+        scenario = scenarios.get("random-10")
+        done, _ = run_play(scenario, "bearing-only", 5)
+        assert done.success.all() and done.min_alignment == pytest.approx(1.0, abs=1e-6)
+        assert (done.max_rise_between_merges <= 0).all() and (done.merge_excess == 0).all()
+        bound = time_bound(scenario, done.initial_lyapunov)
+        assert np.array_equal(done.time_bound, bound) and (done.time < bound).all()
+
+    def test_size_counts_where_the_graph_changes(self):
+        scenario = scenarios.get("rotating-paths")
+        law, _ = run_play(scenario, "bearing-only", 5)
+        assert len(law.success) == 1, "one start, which is given"
+        assert law.success.all() and (law.max_rise_of_size <= 0).all()
+        chance, _ = run_play(scenario.replace(time_limit=1.0), "random", 5)
+        assert (chance.max_rise_of_size > 0).all()
+        fixed, _ = run_play(scenarios.get("duo"), "bearing-only", 2)
+        assert np.isnan(fixed.max_rise_of_size).all()
+
+    def test_certified_headings_keep_their_margin(self):
+        done, _ = run_play(scenarios.get("fig3"), "tangent-certified", 2)
+        assert (done.min_alignment >= 0.1 - 1e-6).all()
+        assert np.isfinite(done.time_bound).all()
+
+    @pytest.mark.parametrize("name", ["tangent-joined", "random", "zero"])
+    def test_nothing_is_promised_for_others(self, name):
+        done, _ = run_play(scenarios.get("fig3").replace(time_limit=1.0), name, 2)
+        assert np.isnan(done.time_bound).all()
+
+    def test_the_axis_counts_for_a_unicycle(self):
+        """Both robots look along y at right angles to each other: alignment 0 at the start."""
+        scenario = Scenario(
+            n_robots=2,
+            robot_model="unicycle",
+            start_positions=((0, 0), (3, 0)),
+            start_headings=((math.pi / 2,), (math.pi / 4,)),
+        )
+        done, recordings = run_play(scenario, "unicycle", 1, keep=1)
+        assert recordings[0]["alignment"][1] == pytest.approx([0, math.sqrt(0.5)], abs=1e-6)
+        assert done.min_alignment[0] == pytest.approx(0, abs=1e-6)
+
+    def test_chunks_change_nothing(self, monkeypatch):
+        whole, _ = run_play(scenarios.get("duo"), "bearing-only", 5)
+        monkeypatch.setattr(episodes, "CHUNK", 2)
+        parts, _ = run_play(scenarios.get("duo"), "bearing-only", 5)
+        for name in Episodes.__dataclass_fields__:
+            np.testing.assert_array_equal(getattr(parts, name), getattr(whole, name))
+
+    @pytest.mark.parametrize("most", [19, 20, 21, 22])
+    def test_the_end_of_a_time_out_is_kept(self, most, monkeypatch):
+        from train import recording
+
+        monkeypatch.setattr(recording, "MAX_FRAMES", most)
+        scenario = scenarios.get("duo").replace(time_limit=2.1)  # 21 steps
+        _, (kept,) = run_play(scenario, "zero", 1, keep=1)
+        assert kept["times"][-1] == pytest.approx(2.1)
+
+    def test_long_episodes_are_thinned_out(self, monkeypatch):
+        from train import recording
+
+        monkeypatch.setattr(recording, "MAX_FRAMES", 20)
+        scenario = scenarios.get("random-10")
+        _, (full,) = run_play(scenario, "bearing-only", 1, keep=1)
+        alone = rollout(scenario, policies.make("bearing-only", scenario))
+        merges = np.flatnonzero((alone.active[:-1] != alone.active[1:]).any(axis=(1, 2))) + 1
+        assert len(full["times"]) <= 20 + len(merges)
+        assert np.isin(alone.times[merges], full["times"]).all()
+        assert full["times"][0] == 0 and full["active"][-1].sum() == 1
+        steps = np.rint(full["times"] / scenario.tau).astype(int)
+        assert np.array_equal(full["positions"], alone.positions[steps, 0])
+        start = rollout(scenario, policies.make("zero", scenario), seed=0).positions[0, 0]
+        assert np.array_equal(full["positions"][0], start)
+
+
+def run_play(scenario, name, count, keep=0):
+    make = lambda: policies.make(name, scenario)  # noqa: E731
+    margin = policies.promised_margin(name, make())
+    return play(scenario, make, margin=margin, episodes=count, seed=0, keep=keep)
+
+
+class TestStatistics:
+    def test_a_row_by_hand(self):
+        row = statistics.summarise("s", "p", batch(), limit=10.0)
+        assert (row["success"], row["clean_success"], row["contacts"]) == (0.75, 0.5, 1.25)
+        assert row["median_time"] == 3.5  # of 2, 3, 4 and later than 10
+        assert (row["time_over_bound"], row["min_clearance"]) == (0.75, 0.0)
+
+    def test_wilson_interval(self):
+        """Newcombe 1998, table I: 81 of 263."""
+        hits = np.arange(263) < 81
+        assert statistics.fraction_interval(hits) == pytest.approx((0.2553, 0.3662), abs=5e-5)
+
+    def test_time_outs_are_later_than_every_time(self):
+        times, met = np.array([1.0, 2.0, 10.0, 10.0]), np.array([True, True, False, False])
+        median, (low, high) = statistics.censored_median(times, met, 10.0)
+        assert (median, high) == (10.0, 10.0) and 1.0 <= low < 10.0
+
+    def test_interval_of_a_median(self):
+        times = np.random.default_rng(1).exponential(size=400)
+        median, (low, high) = statistics.censored_median(times, times > -1, 99.0)
+        assert low < median < high
+        assert low < math.log(2) < high and high - low < 0.35
+
+    def test_a_single_start_has_no_interval(self):
+        median, interval = statistics.censored_median(np.ones(1), np.ones(1, bool), 9.0)
+        assert median == 1.0 and np.isnan(interval).all()
+        assert np.isnan(statistics.fraction_interval(np.ones(1, bool))).all()
+
+    def test_where_contacts_do_not_count_nothing_is_clean_or_not(self):
+        through = batch(clean=np.full(4, np.nan))
+        row = statistics.summarise("s", "p", through, limit=10.0)
+        assert np.isnan([row["clean_success"], row["clean_low"], row["clean_high"]]).all()
+        assert row["success"] == 0.75 and row["success_low"] > 0
+        assert [episode["clean"] for episode in through.rows()] == [None] * 4
+        sooner = batch(clean=through.clean, time=np.array([1.0, 1, 1, 10]))
+        (pair,) = statistics.compare_pairs("s", {"bearing-only": through, "other": sooner})
+        assert np.isnan(pair["clean_difference"])
+        assert pair["probability_of_improvement"] == (1 + 1 + 1 + 0.5) / 4  # by meeting sooner
+
+    def test_another_reference_on_request(self):
+        played = {"bearing-only": batch(), "other": batch()}
+        (row,) = statistics.compare_pairs("s", played, against="other")
+        assert (row["policy"], row["against"]) == ("bearing-only", "other")
+
+    def test_pairs_by_hand(self):
+        better = batch(clean=np.array([True, True, True, False]), time=np.array([1.0, 4, 9, 10]))
+        (row,) = statistics.compare_pairs("s", {"bearing-only": batch(), "other": better})
+        assert (row["policy"], row["against"]) == ("other", "bearing-only")
+        assert row["clean_difference"] == 0.25
+        assert row["probability_of_improvement"] == (1 + 0.5 + 1 + 0.5) / 4
+
+    def test_without_law_1_the_best_is_the_reference(self):
+        worse = batch(clean=np.zeros(4, bool))
+        assert statistics.reference_policy({"a": worse, "b": batch()}) == "b"
+
+
+class TestWall:
+    def test_nobody_gets_round(self):
+        """Theory 6: V would have to rise."""
+        scenario = scenarios.get("wall")
+        for name in policies.names(scenario):
+            done, _ = run_play(scenario, name, 64)
+            assert not done.success.any(), name
+
+
+def test_excess_at_a_merge_is_an_error(tmp_path, monkeypatch, capsys):
+    config = compare.Config(("duo",), ("bearing-only",), episodes=2, out=tmp_path, figures=False)
+    real = playing.play
+
+    def broken(*args, **options):
+        done, recordings = real(*args, **options)
+        done.merge_excess[0] = 0.5
+        return done, recordings
+
+    monkeypatch.setattr(playing, "play", broken)
+    assert compare.run(config) == 1
+    assert "in 1 episodes a merge raised V above its bound" in capsys.readouterr().err
+
+
+def test_lyapunov_of_a_recording_is_that_of_its_positions():
+    scenario = scenarios.get("cloud-8")
+    _, (kept,) = run_play(scenario, "bearing-only", 1, keep=1)
+    value = lyapunov(kept["positions"][0], scenario.sensing_graph.base_weights(8))
+    assert kept["lyapunov"][0] == pytest.approx(float(value), rel=1e-12)
+
+
+@pytest.mark.parametrize("name", ["cloud-8", "unicycle-6"])
+def test_recorded_frames_turn_what_is_seen_into_the_world(name):
+    scenario = scenarios.get(name)
+    law = "unicycle" if name == "unicycle-6" else "bearing-only"
+    _, (kept,) = run_play(scenario, law, 1, keep=1)
+    kept = whole(kept, scenario)
+    merges = np.flatnonzero(~np.isnan(kept["lyapunov_before_merge"]))
+    seen = kept["observations"][: merges[0], 2, 0]  # robot 2 sees robot 0
+    way = kept["positions"][: merges[0], 0] - kept["positions"][: merges[0], 2]
+    bearing = way / np.linalg.norm(way, axis=-1, keepdims=True)
+    turned = np.einsum("tij,tj->ti", kept["frames"][: merges[0], 2], seen)
+    assert len(turned) > 3
+    np.testing.assert_allclose(turned, bearing, atol=1e-5)
+
+
+def test_the_first_failure_of_a_policy_is_recorded_too(tmp_path):
+    """The rule that ignores what stands in its way fails on some start, of which none is kept."""
+    words = {"scenarios": ("clutter-8",), "policies": ("bearing-only",), "figures": False}
+    config = compare.Config(**words, episodes=12, keep=1, seed=2, out=tmp_path / "out")
+    assert compare.run(config) == 0
+    rows = results.read_csv(config.out / "episodes.csv")
+    failed = [int(row["start"]) for row in rows if row["clean"] == "0"]
+    kept = {key[2]: one for key, one in read(config.out).recordings.items()}
+    assert failed and sorted(kept) == sorted({0, failed[0]})
+    row, last = rows[failed[0]], kept[failed[0]]
+    assert last["times"][-1] == float(row["time"])
+    assert last["contacts"][-1].sum() == int(row["contacts"])

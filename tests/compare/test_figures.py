@@ -1,0 +1,285 @@
+"""Figures of compare and reproduce: a policy has one colour, axes are equal, data are right."""
+
+from __future__ import annotations
+
+import re
+from functools import cache
+from itertools import combinations
+
+import numpy as np
+import pytest
+from matplotlib.axes import Axes
+from matplotlib.colors import to_rgb
+from matplotlib.image import imread
+from matplotlib.patches import ConnectionPatch
+from matplotlib.text import Annotation, Text
+from PIL import Image
+
+import baselines
+import rendezvous_env as rv
+from train.compare import compare
+from train.figures import figures, learning_figures, path_figures, style
+from train.figures.reproduce import one_team
+
+
+def row(scenario, policy, clean, **others):
+    """A row of results.csv."""
+    return {
+        "scenario": scenario, "policy": policy, "success": 1.0, "success_low": 0.9,
+        "success_high": 1.0, "clean_success": clean, "clean_low": clean - 0.1,
+        "clean_high": clean + 0.05, "median_time": 4.0, "time_low": 3.0, "time_high": 6.0,
+    } | others  # fmt: skip
+
+
+def lightness_and_hue(code):
+    """Where a colour-blind reader sees a colour: lightness, and blue against yellow."""
+    red, green, blue = to_rgb(code)
+    light = 0.3 * red + 0.59 * green + 0.11 * blue
+    return np.array([light, blue - (red + green) / 2])
+
+
+class TestColours:
+    def test_a_policy_has_one_colour_and_a_variant_another_marker(self):
+        for name in baselines.names():
+            base = name.removesuffix("-certified").removesuffix("-tuned")
+            assert figures.policy_colour(name) == figures.policy_colour(base)
+            assert (figures.policy_marker(name) == figures.policy_marker(base)) == (name == base)
+        assert figures.policy_colour("learned") not in (
+            figures.policy_colour(name)
+            for name in baselines.names()
+            if not name.startswith("learned")
+        )
+        assert figures.policy_colour("learned:runs/mine") != figures.policy_colour("learned")
+
+    def test_policies_that_meet_in_clutter_are_told_apart_without_red_and_green(self):
+        shown = ["bearing-only", "tangent", "tangent-blocking", "tangent-joined", "learned", "zero"]
+        colours = [figures.policy_colour(name) for name in shown]
+        for one, other in combinations(colours, 2):
+            assert np.linalg.norm(lightness_and_hue(one) - lightness_and_hue(other)) > 0.1
+
+    def test_compare_draws_policies_in_their_colours(self):
+        rows = [row("duo", name, 0.5) for name in ("bearing-only", "learned", "random")]
+        for figure in (figures.success_figure(rows), figures.time_figure(rows)):
+            drawn = [
+                line.get_color() for line in figure.axes[0].get_lines() if len(line.get_xdata())
+            ]
+            wanted = {figures.policy_colour(entry["policy"]) for entry in rows}
+            assert set(drawn) == wanted
+
+
+class TestWhatDoesNotApply:
+    def test_no_mark_where_nothing_is_clean_and_no_bar_from_a_single_start(self, tmp_path):
+        nothing = dict.fromkeys(("success_low", "success_high", "time_low", "time_high"), np.nan)
+        alone = row("fig3", "tangent", np.nan, episodes=1, **nothing)
+        figure = figures.success_figure([alone])
+        axes = figure.axes[0]
+        assert axes.get_title() == "fig3, one start"
+        [success] = axes.containers  # and none of clean success
+        assert success.lines[0].get_xdata() == [100.0]
+        [bars] = success.lines[2]
+        assert np.ptp(bars.get_segments()[0][:, 0]) == 0
+        times = figures.time_figure([alone])
+        assert times.axes[0].get_xlim()[1] == pytest.approx(1.15 * 4.0)
+        style.save(times, tmp_path / "times.png")
+
+
+class TestSweeps:
+    def test_scenarios_that_differ_in_one_number_are_grouped(self):
+        names = ["clutter-16", "fig4", "clutter-4", "duo", "clutter-8"]
+        scenarios = [rv.scenarios.get(name) for name in names]
+        [group] = figures.sweeps(scenarios, "obstacles")
+        assert [scenario.name for scenario in group] == ["clutter-4", "clutter-8", "clutter-16"]
+        assert figures.sweeps(scenarios, "robots") == []
+        teams = [scenarios[0].replace(n_robots=n, name=f"team-{n}") for n in (8, 3)]
+        [group] = figures.sweeps([*scenarios, *teams], "robots")
+        assert [scenario.n_robots for scenario in group] == [3, 4, 8]
+
+    def test_the_figure_holds_the_numbers(self):
+        group = [rv.scenarios.get(f"clutter-{count}") for count in (4, 8)]
+        rows = [
+            row("clutter-8", "tangent-joined", 0.6),
+            row("clutter-4", "tangent-joined", 0.8),
+            row("clutter-4", "bearing-only", 0.3),
+            row("fig4", "bearing-only", 0.1),
+        ]
+        axes = figures.sweep_figure(rows, group, "obstacles").axes[0]
+        joined, law = (container.lines[0] for container in axes.containers)
+        assert joined.get_ydata() == pytest.approx([80.0, 60.0])
+        assert joined.get_xdata() == pytest.approx([4, 8], abs=0)
+        assert law.get_ydata() == pytest.approx([30.0])
+        assert joined.get_color() == figures.policy_colour("tangent-joined")
+        assert axes.get_xlabel() == "number of obstacles" and "% of starts" in axes.get_ylabel()
+        [bars] = axes.containers[1].lines[2]
+        assert bars.get_segments()[0][:, 1] == pytest.approx([20.0, 35.0])
+
+
+def texts_of(figure):
+    """What is written and where, pixels: every visible text but the empty ones."""
+    figure.draw_without_rendering()
+    inside = {
+        id(label)
+        for axes in figure.findobj(Axes)
+        for axis, (low, high) in ((axes.xaxis, axes.get_xlim()), (axes.yaxis, axes.get_ylim()))
+        for place, label in zip(axis.get_ticklocs(), axis.get_ticklabels(), strict=False)
+        if min(low, high) <= place <= max(low, high)
+    }
+    ticks = {
+        id(label)
+        for axes in figure.findobj(Axes)
+        for axis in (axes.xaxis, axes.yaxis)
+        for label in axis.get_ticklabels()
+    }
+    return [
+        (text.get_text(), text.get_window_extent())
+        for text in figure.findobj(Text)
+        if text.get_text().strip()
+        and text.get_visible()
+        and (id(text) in inside or id(text) not in ticks)
+    ]
+
+
+def assert_readable(figure):
+    """No text covers another one, or leaves the picture."""
+    found, (width, height) = texts_of(figure), figure.get_size_inches() * figure.dpi
+    assert len(found) > 5
+    for text, box in found:
+        assert box.x0 >= -1 and box.y0 >= -1, text
+        assert box.x1 <= width + 1 and box.y1 <= height + 1, text
+    for (one, a), (other, b) in combinations(found, 2):
+        across = min(a.x1, b.x1) - max(a.x0, b.x0)
+        down = min(a.y1, b.y1) - max(a.y0, b.y0)
+        assert not (across > 1 and down > 1), (one, other)
+
+
+@pytest.fixture(scope="module")
+def drawn():
+    """A function: the picture of one episode; each is drawn once."""
+
+    @cache
+    def draw(name, policy):
+        scenario = rv.scenarios.get(name)
+        recording = one_team(rv.rollout(scenario, baselines.make(policy, scenario)))
+        return path_figures.team_figure(scenario, recording, policy)
+
+    return draw
+
+
+class TestPrint:
+    @pytest.mark.parametrize(
+        ("name", "policy"),
+        [
+            ("fig3", "bearing-only"),
+            ("fig4", "tangent-joined"),
+            ("unicycle-6", "unicycle"),
+            ("clutter-8", "tangent-joined"),
+        ],
+    )
+    def test_an_episode_fits_a_column_and_is_readable(self, name, policy, drawn):
+        figure = drawn(name, policy)
+        assert figure.get_figwidth() == style.COLUMN == 3.5
+        assert_readable(figure)
+
+    def test_a_sweep_fits_a_column_and_is_readable(self):
+        names = ("clutter-16-team-3", "clutter-16", "clutter-16-team-8", "clutter-16-team-32")
+        group = sorted(map(rv.scenarios.get, names), key=lambda scenario: scenario.n_robots)
+        policies = ["bearing-only", *(n for n in baselines.names() if n.startswith("tangent"))]
+        rows = [row(s.name, policy, 0.5) for s in group for policy in policies]
+        figure = figures.sweep_figure(rows, group, "robots")
+        assert figure.get_figwidth() == style.COLUMN
+        assert_readable(figure)
+
+    def test_panels_fit_a_page_and_are_readable(self):
+        policies = ["bearing-only", "tangent-joined-certified", "learned", "privileged-planner"]
+        rows = [row(f"clutter-{k}", policy, 0.5) for k in (4, 8, 12, 16) for policy in policies]
+        for figure in (figures.success_figure(rows), figures.time_figure(rows)):
+            assert figure.get_figwidth() == style.PAGE == 7.16
+            assert_readable(figure)
+
+    def test_tanks_are_readable_and_in_per_cent(self):
+        rows = [
+            {"budget": budget, "min_alignment": margin, "clean_success": 0.9, "bound": 1e4 / margin}
+            | {"episodes": 256}
+            for budget in learning_figures.BUDGETS
+            for margin in learning_figures.MARGINS
+        ]
+        figure = learning_figures.tank_tradeoff_figure(rows)
+        assert_readable(figure)
+        [line, _] = figure.axes[0].get_lines()
+        assert line.get_ydata() == pytest.approx(90.0) and "%" in figure.axes[0].get_ylabel()
+        times = np.linspace(0.0, 9.0, 10)
+        levels, active = np.full((10, 3), 5.0), np.ones((10, 3), dtype=bool)
+        assert_readable(learning_figures.tank_figure(times, 90.0 - 9.0 * times, levels, active))
+
+    def test_headings_are_arrows(self, drawn):
+        paths = drawn("unicycle-6", "unicycle").axes[0]
+        arrows = [text for text in paths.texts if isinstance(text, Annotation)]
+        assert len(arrows) >= 6 * 3
+        scenario = rv.scenarios.get("unicycle-6")
+        start = one_team(rv.rollout(scenario, baselines.make("unicycle", scenario)))
+        along = np.subtract(arrows[0].get_position(), arrows[0].xy) * -1
+        yaw = start["headings"][0, 0, 0]
+        assert along / np.hypot(*along) == pytest.approx([np.cos(yaw), np.sin(yaw)])
+        assert "headings" in paths.get_title()
+
+    def test_nothing_crosses_the_curve(self, drawn):
+        figure = drawn("fig4", "tangent-joined")
+        figure.draw_without_rendering()
+        value = figure.axes[1]
+        [inset] = value.child_axes
+        connectors = [patch for patch in value.findobj(ConnectionPatch) if patch.get_visible()]
+        assert connectors == []
+        [first, *_] = value.get_lines()
+        curve = value.transData.transform(first.get_xydata())
+        box = inset.get_tightbbox()
+        assert not box.count_contains(curve)
+
+    def test_fonts_are_those_that_journals_take(self, drawn, tmp_path):
+        for name, figure in {
+            "sweep": figures.success_figure([row("duo", "zero", 0.5)]),
+            "paths": drawn("fig4", "tangent-joined"),
+        }.items():
+            style.save(figure, tmp_path / f"{name}.pdf")
+            written = (tmp_path / f"{name}.pdf").read_bytes()
+            assert b"/FontFile2" in written and b"/CIDFontType2" in written
+            assert b"/Type3" not in written
+            [size] = re.findall(rb"/MediaBox \[ ?0 0 ([\d.]+) ", written)
+            assert float(size) / 72 == pytest.approx(figure.get_figwidth(), abs=0.01)
+
+    def test_few_colours_are_enough(self, tmp_path):
+        names = ["bearing-only", "tangent", "tangent-blocking", "tangent-joined", "learned"]
+        rows = [row(f"clutter-{k}", name, 0.5) for k in (4, 8, 12) for name in names]
+        style.save(figures.success_figure(rows), tmp_path / "a.png", run="7")
+        pixels = imread(tmp_path / "a.png")[..., :3]
+        for name in names:
+            wanted = np.array(to_rgb(figures.policy_colour(name)))
+            assert (np.abs(pixels - wanted).max(axis=-1) < 0.01).sum() > 100
+        assert (pixels[0] == 1.0).all()
+        with Image.open(tmp_path / "a.png") as picture:
+            assert picture.info["Subject"] == "rendezvous compare, run 7"
+
+
+class TestEpisodes:
+    def test_space_is_drawn_in_equal_axes_with_its_spheres(self):
+        scenario = rv.scenarios.get("clutter-3d")
+        recording = one_team(rv.rollout(scenario, baselines.make("bearing-only", scenario)))
+        axes = path_figures.team_figure(scenario, recording, "bearing-only").axes[0]
+        extents = np.diff([axes.get_xlim(), axes.get_ylim(), axes.get_zlim()])[:, 0]
+        box = axes.get_box_aspect()
+        assert extents / extents[0] == pytest.approx(box / box[0])
+        assert axes.get_zlabel() == "z / m" and len(axes.collections) == 12
+
+    def test_a_figure_is_written_by_its_ending(self, tmp_path):
+        figure = figures.success_figure([row("duo", "zero", 0.5)])
+        for ending, start in ((".png", b"\x89PNG"), (".pdf", b"%PDF")):
+            style.save(figure, tmp_path / f"a{ending}")
+            assert (tmp_path / f"a{ending}").read_bytes().startswith(start)
+        assert imread(tmp_path / "a.png").std() > 0.05
+
+
+def test_compare_writes_pdf_when_asked_and_draws_sweeps(tmp_path):
+    names = ("clutter-4", "clutter-8")
+    config = compare.Config(names, ("bearing-only",), episodes=2, keep=0, out=tmp_path, pdf=True)
+    assert compare.run(config) == 0
+    for name in ("success", "times", "against-obstacles"):
+        assert imread(tmp_path / f"{name}.png").std() > 0.05
+        assert (tmp_path / f"{name}.pdf").read_bytes().startswith(b"%PDF")

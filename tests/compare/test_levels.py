@@ -1,0 +1,90 @@
+"""``compare --sensing``: the same starts at every level of a sensor's field."""
+
+import pytest
+
+import rendezvous_env as rv
+from rendezvous_env.scenario import scenarios
+from train import cli, results
+from train.checks import UserError
+from train.compare import compare
+from train.compare import sweep as levels
+
+DUO = scenarios.get("duo")
+
+
+class TestLevels:
+    def test_scenarios_differ_in_one_field(self):
+        noise, sight = levels.sweeps([DUO], ["noise=0,0.25", "range=none,4,2.5"])
+        assert noise.levels == (0, 0.25) and noise.labels == ["0", "0.25"]
+        assert sight.levels == (None, 4, 2.5) and sight.labels == ["none", "4", "2.5"]
+        assert noise.scenarios[0] is sight.scenarios[0] is DUO
+        assert noise.scenarios[1].sensing == rv.Sensing(noise=0.25)
+        assert [one.name for one in sight.scenarios] == ["duo", "duo-range-4", "duo-range-2.5"]
+        assert sight.scenarios[2].replace(name="duo", sensing=rv.Sensing()) == DUO
+
+    def test_other_fields_stay_those_of_the_scenario(self):
+        blurred = DUO.replace(sensing=rv.Sensing(noise=0.1, delay=2))
+        (sweep,) = levels.sweeps([blurred], ["dropout=0,0.5"])
+        assert sweep.scenarios[0] is blurred
+        assert sweep.scenarios[1].sensing == rv.Sensing(noise=0.1, delay=2, dropout=0.5)
+
+    def test_words_are_levels_too(self):
+        (sweep,) = levels.sweeps([DUO], ["occlusion=none,robots"])
+        assert [one.sensing.occlusion for one in sweep.scenarios] == ["none", "robots"]
+
+    @pytest.mark.parametrize(
+        ("words", "message"),
+        [
+            (["noice=0,1"], "'noice' is no field of a sensor; did you mean 'noise'"),
+            (["noise"], "name two or more levels, as in noise=0,0.1"),
+            (["noise=0,0"], "name two or more levels"),
+            (["noise=0,1", "noise=0,2"], "noise is named twice"),
+            (["noise=0,-1"], r"--sensing noise=-1: sensing.noise is -1"),
+            (["delay=0,1.5"], r"--sensing delay=1.5: sensing.delay is 1.5"),
+            (["occlusion=none,fog"], "--sensing occlusion=fog"),
+        ],
+    )
+    def test_refusals(self, words, message):
+        with pytest.raises(UserError, match=message):
+            levels.sweeps([DUO], words)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    out = tmp_path_factory.mktemp("levels") / "out"
+    words = ["--scenarios", "duo", "--policies", "bearing-only", "zero", "--episodes", "4"]
+    sensing = ["--sensing", "range=none,3", "dropout=0,1"]
+    assert cli.main(["compare", *words, *sensing, "--pdf", "--out", str(out)]) == 0
+    return out
+
+
+def test_each_level_has_its_row(folder):
+    rows = results.read_csv(folder / "levels.csv")
+    assert [(row["field"], row["level"], row["policy"]) for row in rows] == [
+        (field, level, policy)
+        for field, level in (("range", ""), ("range", "3"), ("dropout", "0"), ("dropout", "1"))
+        for policy in ("bearing-only", "zero")
+    ]
+    found = {(row["field"], row["level"], row["policy"]): float(row["success"]) for row in rows}
+    assert found["range", "", "bearing-only"] == found["dropout", "0", "bearing-only"] == 1.0
+    assert found["dropout", "1", "bearing-only"] == 0.0  # who sees nobody stays
+    by_name = {(r["scenario"], r["policy"]): r for r in results.read_csv(folder / "results.csv")}
+    assert {name for name, _ in by_name} == {"duo", "duo-range-3", "duo-dropout-1"}
+    for row in rows:
+        own = by_name[row["scenario"], row["policy"]]
+        assert all(row[name] == own[name] for name in results.RESULT_COLUMNS)
+
+
+def test_a_figure_for_each_field(folder):
+    from matplotlib.image import imread
+
+    for field in ("range", "dropout"):
+        assert imread(folder / f"levels-duo-{field}.png")[..., :3].std() > 0.05
+        assert (folder / f"levels-duo-{field}.pdf").stat().st_size > 5000
+
+
+def test_the_tables_stand_for_the_matrix(tmp_path, capsys):
+    config = compare.Config(("duo",), ("bearing-only",), 3, sensing=("noise=0,0.2",), out=tmp_path)
+    assert compare.run(config) == 0
+    said = capsys.readouterr().out
+    assert "duo: noise, 3 starts" in said and "100, " in said and "met cleanly, %  " not in said

@@ -1,0 +1,346 @@
+"""OUT is whole or not there; what was finished is gone on with; one process at a time writes."""
+
+import dataclasses
+import json
+import os
+import shutil
+import subprocess
+import sys
+
+import pytest
+
+from baselines import policy
+from train import cli, results, resume
+from train.checks import UserError
+from train.compare import compare, out_folder, playing
+from train.compare import upper_bound as ceiling
+from train.compare.out_folder import part_of
+from train.report.input import read
+
+NAMES = ("duo", "clutter-4")
+POLICIES = ("bearing-only", "zero", "tangent-joined")
+SAME = ("results.csv", "episodes.csv", "paired.csv", "ceiling.csv", "trajectories.npz")
+
+
+def config(out, **changes):
+    given = {"scenarios": NAMES, "policies": POLICIES, "episodes": 3, "keep": 1, "ceiling": 2}
+    return compare.Config(**{**given, "figures": False, "out": out, **changes})
+
+
+def contents(folder):
+    return {path.name: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """What a comparison that nothing stopped writes."""
+    out = tmp_path_factory.mktemp("whole") / "out"
+    assert compare.run(config(out)) == 0
+    return contents(out)
+
+
+def stopped(settings, after, error=KeyboardInterrupt):
+    """Compare until some jobs are finished, and stop in the next one."""
+    real, done = playing.play_job, 0
+
+    def play_job(job, **options):
+        nonlocal done
+        whole = options.get("steps") is None and options["episodes"] > 1  # no failure played again
+        if whole and (done := done + 1) > after:
+            raise error
+        return real(job, **options)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(playing, "play_job", play_job)
+        with pytest.raises(error) as caught:
+            compare.run(settings)
+    return caught.value
+
+
+class TestGoingOn:
+    @pytest.mark.parametrize("after", [1, 3, 4])
+    def test_every_bit_is_that_of_an_uninterrupted_run(self, after, whole, tmp_path, capsys):
+        out = tmp_path / "out"
+        notes = stopped(config(out), after).__notes__
+        assert f"{after} finished tasks lie in {part_of(out)}" in notes[0] and not out.exists()
+        assert compare.run(config(out)) == 0
+        assert f"resumes with {after} finished tasks" in " ".join(capsys.readouterr().out.split())
+        found = contents(out)
+        assert {name: found[name] for name in SAME} == {name: whole[name] for name in SAME}
+        assert not part_of(out).exists() and read(out).run["run"]
+
+    def test_only_what_is_left_is_played(self, tmp_path, monkeypatch):
+        stopped(config(tmp_path / "out"), 3)
+        real, played = playing.play_job, []
+
+        def play_job(job, **options):
+            if options["episodes"] > 1:  # a failure is played again alone
+                played.append((job.scenario.name, job.policy))
+            return real(job, **options)
+
+        monkeypatch.setattr(playing, "play_job", play_job)
+        playing.make_ready.cache_clear()
+        assert compare.run(config(tmp_path / "out")) == 0
+        left = [("clutter-4", "zero"), ("clutter-4", "tangent-joined")]
+        assert played == [name for name in left for _ in range(2)]  # kernels, then all starts
+
+    def test_a_ceiling_is_kept(self, tmp_path, monkeypatch, whole):
+        monkeypatch.setattr(compare, "write", lambda *given: 1 / 0)
+        with pytest.raises(ZeroDivisionError):
+            compare.run(config(tmp_path / "out"))
+        monkeypatch.undo()
+        monkeypatch.setattr(ceiling, "play_run", lambda task: 1 / 0)
+        assert compare.run(config(tmp_path / "out")) == 0
+        assert (tmp_path / "out" / "ceiling.csv").read_bytes() == whole["ceiling.csv"]
+
+    @pytest.mark.parametrize("damage", [b"", b"PK", None])
+    def test_a_damaged_cell_is_played_anew(self, damage, whole, tmp_path):
+        out = tmp_path / "out"
+        stopped(config(out), 4)
+        for number, path in enumerate(sorted(part_of(out).glob("cells/*.cell"))):
+            content = path.read_bytes()
+            middle = len(content) // 2
+            flipped = content[:middle] + bytes([content[middle] ^ 1]) + content[middle + 1 :]
+            if number % 2:
+                path.write_bytes(flipped if damage is None else damage)
+        assert compare.run(config(out)) == 0
+        assert (out / "episodes.csv").read_bytes() == whole["episodes.csv"]
+
+    def test_nothing_finished_leaves_nothing(self, tmp_path):
+        assert not hasattr(stopped(config(tmp_path / "a" / "b" / "out"), 0), "__notes__")
+        assert list(tmp_path.iterdir()) == []
+
+    @pytest.mark.parametrize(
+        ("changes", "field"),
+        [
+            ({"episodes": 4}, "episodes (3, here 4)"),
+            ({"seed": 1}, "seed (0, here 1)"),
+            ({"keep": 0}, "keep (1, here 0)"),
+            ({"scenarios": ("duo",)}, "scenarios"),
+            ({"policies": ("zero",)}, "policies"),
+        ],
+    )
+    def test_another_command_is_refused(self, changes, field, tmp_path):
+        out = tmp_path / "out"
+        stopped(config(out), 2)
+        before = contents(tmp_path)
+        with pytest.raises(UserError, match="holds an unfinished comparison") as caught:
+            compare.run(config(out, **changes))
+        assert field in str(caught.value) and "--overwrite" in str(caught.value)
+        assert contents(tmp_path) == before
+
+    def test_another_command_starts_afresh_if_told(self, tmp_path):
+        out = tmp_path / "out"
+        stopped(config(out), 2)
+        assert compare.run(config(out, seed=1, fresh=True)) == 0
+        assert read(out).run["seed"] == 1 and not part_of(out).exists()
+
+    def test_what_is_drawn_may_change(self, tmp_path):
+        stopped(config(tmp_path / "out"), 2)
+        assert compare.run(config(tmp_path / "out", figures=True)) == 0
+        assert {path.name for path in read(tmp_path / "out").figures} >= {"success.png"}
+
+    def test_other_weights_of_a_learned_policy_are_another_comparison(self, tmp_path, monkeypatch):
+        jobs = compare.plan(config(tmp_path, policies=("learned",)))
+        first = playing.plan_of(jobs, config(tmp_path))
+        monkeypatch.setattr(playing.checkpoints, "describe", lambda place: {"sha256": "other"})
+        second = playing.plan_of(jobs, config(tmp_path))
+        assert resume.run_id(first) != resume.run_id(second)
+
+    def test_another_law_of_the_same_name_is_another_comparison(self, tmp_path, monkeypatch):
+        registry = policy._registry
+        jobs = compare.plan(config(tmp_path, scenarios=("duo",), policies=("zero",)))
+        first = playing.plan_of(jobs, config(tmp_path))
+        mine = dataclasses.replace(registry["zero"], build=lambda scenario: None)
+        monkeypatch.setitem(registry, "zero", mine)
+        assert resume.run_id(first) != resume.run_id(playing.plan_of(jobs, config(tmp_path)))
+
+    def test_a_part_folder_of_someone_else_stays(self, tmp_path):
+        (tmp_path / "out.part").mkdir()
+        (tmp_path / "out.part" / "thesis.tex").write_text("mine")
+        with pytest.raises(UserError, match=r"holds no plan\.json"):
+            compare.run(config(tmp_path / "out", fresh=True))
+        assert contents(tmp_path) == {"thesis.tex": b"mine"}
+
+
+class TestPlace:
+    """What a kill at each moment of the end leaves, and how it is put right."""
+
+    @pytest.fixture
+    def finished(self, tmp_path):
+        """A finished OUT and the settings of another comparison into it."""
+        settings = config(tmp_path / "out", ceiling=0)
+        assert compare.run(settings) == 0
+        return settings
+
+    def killed_at(self, settings, monkeypatch, name, call):
+        """Run another seed until call number ``call`` of a function of the file system."""
+        real, calls = getattr(out_folder, name), 0
+
+        def gone(*given, **options):
+            nonlocal calls
+            calls += 1
+            if calls == call:
+                raise SystemExit("killed")
+            return real(*given, **options)
+
+        changed = compare.Config(**vars(settings) | {"seed": 9})
+        with monkeypatch.context() as patch:
+            patch.setattr(out_folder, name, gone)
+            with pytest.raises(SystemExit):
+                compare.run(changed)
+        return changed
+
+    @pytest.mark.parametrize(
+        ("name", "call"), [("seal", 1), ("promote", 1), ("_rename", 1), ("_rename", 2)]
+    )
+    def test_old_or_new(self, name, call, finished, monkeypatch):
+        changed = self.killed_at(finished, monkeypatch, name, call)
+        between = (name, call) == ("_rename", 2)  # the one moment at which OUT is not there
+        assert finished.out.exists() is not between
+        if not between:
+            assert read(finished.out).run["seed"] == 0
+        assert compare.run(changed) == 0
+        assert read(finished.out).run["seed"] == 9
+        assert [path.name for path in finished.out.parent.iterdir()] == ["out"]
+
+    def test_a_finished_part_is_put_in_place_before_another_begins(self, finished, monkeypatch):
+        self.killed_at(finished, monkeypatch, "promote", 1)
+        assert compare.run(compare.Config(**vars(finished) | {"seed": 3})) == 0
+        assert read(finished.out).run["seed"] == 3
+
+    def test_a_finished_part_is_not_played_again(self, finished, monkeypatch):
+        changed = self.killed_at(finished, monkeypatch, "promote", 1)
+        monkeypatch.setattr(playing, "play_job", lambda *given, **options: 1 / 0)
+        assert compare.run(changed) == 0
+        assert read(finished.out).run["seed"] == 9
+
+    def test_older_results_go_as_a_whole(self, finished):
+        assert compare.run(compare.Config(**vars(finished) | {"figures": True, "pdf": True})) == 0
+        assert cli.main(["report", str(finished.out)]) == 0
+        assert (finished.out / "times.pdf").exists() and (finished.out / "report.html").exists()
+        assert compare.run(finished) == 0
+        assert not list(finished.out.glob("*.p[nd][gf]"))
+        assert not (finished.out / "report.html").exists()
+
+    def test_report_says_what_is_unfinished(self, tmp_path, capsys):
+        stopped(config(tmp_path / "out"), 2)
+        assert cli.main(["report", str(tmp_path / "out")]) == 2
+        assert f"{part_of(tmp_path / 'out')} is an unfinished one" in capsys.readouterr().err
+
+
+class TestRefusals:
+    def test_what_compare_has_not_written_is_not_removed(self, tmp_path):
+        (tmp_path / "notes.txt").write_text("mine")
+        with pytest.raises(UserError, match=r"holds 'notes.txt', which compare has not written"):
+            compare.run(config(tmp_path))
+        assert contents(tmp_path.parent / tmp_path.name) == {"notes.txt": b"mine"}
+
+    def test_the_folder_one_stands_in(self, tmp_path, monkeypatch):
+        (tmp_path / "a").mkdir()
+        monkeypatch.chdir(tmp_path / "a")
+        for out in (".", "..", "/"):
+            with pytest.raises(UserError, match="cannot be replaced as a whole"):
+                compare.run(config(out_folder.Path(out)))
+
+    def test_a_link_is_followed(self, tmp_path):
+        (tmp_path / "real").mkdir()
+        (tmp_path / "link").symlink_to(tmp_path / "real")
+        assert compare.run(config(tmp_path / "link", ceiling=0)) == 0
+        assert (tmp_path / "link").is_symlink() and read(tmp_path / "real").run["seed"] == 0
+
+    def test_a_damaged_plan_is_named(self, tmp_path):
+        stopped(config(tmp_path / "out"), 2)
+        (part_of(tmp_path / "out") / "plan.json").write_text("[" * 100_000)
+        with pytest.raises(UserError, match=r"plan\.json: not readable"):
+            compare.run(config(tmp_path / "out"))
+
+
+HOLD = """
+import sys, time
+from pathlib import Path
+from train.resume import claimed
+path = Path(sys.argv[1])
+with claimed(path.parent, path.name, "it"):
+    print("held", flush=True)
+    time.sleep(60)
+"""
+
+
+@pytest.fixture
+def hold():
+    """Start a process that holds a lock file, and end it."""
+    begun = []
+
+    def start(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
+        process = subprocess.Popen(
+            [sys.executable, "-c", HOLD, path], stdout=subprocess.PIPE, text=True, env=environment
+        )
+        begun.append(process)
+        assert process.stdout.readline() == "held\n"
+        return process
+
+    yield start
+    for process in begun:
+        process.kill()
+        process.communicate()
+
+
+class TestLocks:
+    def test_two_compare_into_one_folder(self, hold, tmp_path, capsys):
+        out = tmp_path / "out"
+        other = hold(tmp_path / ".out.lock")
+        words = ["compare", "--scenarios", "duo", "--episodes", "1", "--no-figures"]
+        assert cli.main([*words, "--out", str(out)]) == 2
+        said = capsys.readouterr().err
+        assert f"--out {out} is in use by process {other.pid} on" in said and said.count("\n") == 1
+        assert not out.exists() and not part_of(out).exists()
+        other.kill()
+        other.wait()
+        assert cli.main([*words, "--out", str(out)]) == 0
+        assert [path.name for path in tmp_path.iterdir()] == ["out"]
+
+    def test_two_train_on_one_folder(self, hold, tmp_path, capsys):
+        from train.learn import ppo
+
+        folder = tmp_path / "run"
+        small = {"num_teams": 2, "n_steps": 4, "total_steps": 32, "eval_every": 0}
+        begun = ppo.Config("clutter-4", out=folder, tensorboard=False, num_threads=1, **small)
+        assert ppo.run(begun).status == 0
+        other = hold(folder / ".lock")
+        before = contents(folder)
+        assert cli.main(["train", "--resume", str(folder)]) == 2
+        said = capsys.readouterr().err
+        assert f"{folder} is in use by process {other.pid} on" in said
+        assert contents(folder) == before
+        shutil.rmtree(folder / "checkpoints")  # a run that has only just begun
+        assert cli.main(["train", "--out", str(folder)]) == 2
+        assert "is in use by process" in capsys.readouterr().err
+
+    def test_the_lock_goes_in_the_end(self, tmp_path):
+        path = tmp_path / ".lock"
+        for _ in range(2):
+            with resume.claimed(tmp_path, ".lock", "it"):
+                assert f"process {os.getpid()} on" in path.read_text()
+                with pytest.raises(UserError, match=f"in use by process {os.getpid()}"):
+                    with resume.claimed(tmp_path, ".lock", "it"):
+                        pass
+            assert not path.exists()
+
+    def test_a_folder_that_stays_empty_goes(self, tmp_path):
+        with resume.claimed(tmp_path / "a" / "b", ".lock", "it"):
+            assert (tmp_path / "a" / "b").is_dir()
+        assert list(tmp_path.iterdir()) == []
+        with resume.claimed(tmp_path / "a" / "b", ".lock", "it"):
+            (tmp_path / "a" / "kept").write_text("")
+        assert [path.name for path in tmp_path.rglob("*")] == ["a", "kept"]
+
+
+def test_run_json_is_sealed(tmp_path):
+    compare.run(config(tmp_path / "out", ceiling=0))
+    run = json.loads((tmp_path / "out" / "run.json").read_text())
+    assert out_folder.is_sealed(run) and not out_folder.is_sealed(run | {"seed": 5})
+    for name, entry in run["files"].items():
+        assert results.entry(tmp_path / "out" / name) == entry

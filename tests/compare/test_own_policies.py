@@ -1,0 +1,132 @@
+"""A user's own policies by ``module:function``, out of the folder in which the command runs."""
+
+import csv
+import sys
+
+import pytest
+
+from baselines.policy import kind_of
+from train import cli, policies, resume, tasks
+from train.checks import UserError
+from train.compare import compare, playing
+
+MINE = '''
+import baselines
+
+RATE = 3
+
+class Away(baselines.HeadingPolicy):
+    """Made of a scenario alone."""
+
+    def __init__(self, scenario):
+        super().__init__(scenario, lambda seen: [0.3, 1.0] + 0.0 * seen[..., 0, :])
+
+def law(scenario):
+    """Law (1), where robots can."""
+    if scenario.robot_model == "single_integrator":
+        return baselines.make("bearing-only", scenario)
+
+def sideways(scenario):
+    return Away(scenario) if scenario.dim == 2 else None
+
+def broken(scenario):
+    return scenario.colour
+
+def text(scenario):
+    return "bearing-only"
+
+def a_class(scenario):
+    return Away
+
+def flat(scenario):
+    return lambda observations, time: 0.0 * observations[..., 0, 0]
+
+def fails(scenario):
+    return lambda observations, time: observations.colour
+'''
+
+
+@pytest.fixture
+def mine(tmp_path, monkeypatch):
+    """The name of a module in the current folder, one that no test has imported before."""
+    name = f"mine_{tmp_path.name.replace('-', '_')}"
+    (tmp_path / f"{name}.py").write_text(MINE)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [path for path in sys.path if path])
+    yield name
+    sys.modules.pop(name, None)
+
+
+def rows(folder):
+    with (folder / "results.csv").open() as file:
+        return {(row["scenario"], row["policy"]): row for row in csv.DictReader(file)}
+
+
+def test_it_is_compared_under_its_name_by_workers_too(mine, tmp_path, monkeypatch):
+    monkeypatch.setattr(tasks, "_ALONE", 0.0)
+    names = [f"{mine}:law", f"{mine}:sideways", f"{mine}:Away", "bearing-only"]
+    words = ["--scenarios", "duo", "swarm-20", "--policies", *names, "--episodes", "4"]
+    assert cli.main(["compare", *words, "--jobs", "2", "--out", str(tmp_path / "out")]) == 0
+    found = rows(tmp_path / "out")
+    assert {policy for _, policy in found} == set(names)
+    law, same = found["swarm-20", "bearing-only"], found["swarm-20", f"{mine}:law"]
+    for column in ("success", "median_time", "path_length", "min_clearance"):
+        assert law[column] == same[column]
+    margins = [float(found["swarm-20", name]["min_alignment"]) for name in names[1:3]]
+    assert margins[0] == margins[1] and 0.1 < margins[0] < 0.5
+
+
+def test_where_it_gives_none_it_is_left_out(mine, tmp_path):
+    names = (f"{mine}:law", "random")
+    config = compare.Config(scenarios=("duo", "uav-6"), policies=names, out=tmp_path / "out")
+    jobs = [(job.scenario.name, job.policy) for job in compare.plan(config)]
+    assert jobs == [("duo", names[0]), ("duo", "random"), ("uav-6", "random")]
+    assert policies.kind_of(names[0]) == "own" and policies.about(names[0]) == ""
+
+
+def test_another_source_is_another_comparison(mine, tmp_path):
+    config = compare.Config(scenarios=("duo",), policies=(f"{mine}:law",), out=tmp_path / "out")
+    jobs = compare.plan(config)
+    first = playing.plan_of(jobs, config)
+    with (tmp_path / f"{mine}.py").open("a") as file:
+        file.write("\n# another law\n")
+    assert resume.run_id(first) != resume.run_id(playing.plan_of(jobs, config))
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("no_such_module:law", "no module 'no_such_module', neither installed nor as no_such_mod"),
+        ("MINE:laws", r"has no 'laws'; did you mean 'law'\?"),
+        ("MINE:RATE", r"RATE in MINE is 3; it must be a function of a scenario"),
+        ("MINE:", r"write MODULE:FUNCTION, as in my_policies:make"),
+        ("MINE/a.py:law", r"write MODULE:FUNCTION"),
+        ("MINE:broken", r"for scenario 'duo': AttributeError: .*colour"),
+        ("MINE:text", r"gave 'bearing-only' for scenario 'duo'; it must give a function of obs"),
+        ("MINE:a_class", r"gave .* for scenario 'duo'; it must give"),
+        ("MINE:flat", r"in the first step of scenario 'duo': ValueError: actions"),
+        ("MINE:fails", r"in the first step of scenario 'duo': AttributeError: .*colour"),
+        ("broken_module:law", "importing broken_module failed: ZeroDivisionError: division"),
+        ("needs_more:law", "importing needs_more failed: No module named 'no_such_module'"),
+    ],
+)
+def test_what_is_wrong_is_said_before_any_work(mine, tmp_path, name, message):
+    (tmp_path / "broken_module.py").write_text("1 / 0\n")
+    (tmp_path / "needs_more.py").write_text("import no_such_module\n")
+    name = name.replace("MINE", mine)
+    config = compare.Config(scenarios=("duo",), policies=(name,), out=tmp_path / "out")
+    with pytest.raises(UserError, match=message.replace("MINE", mine)) as caught:
+        compare.plan(config)
+    assert repr(name) in str(caught.value)
+
+
+def test_no_file_of_a_user_stands_in_for_a_module_of_others(mine, tmp_path):
+    (tmp_path / "json.py").write_text("raise RuntimeError('the wrong module')\n")
+    (tmp_path / "colorsys.py").write_text("raise RuntimeError('the wrong module')\n")
+    sys.modules.pop("colorsys", None)
+    policies.check_names([f"{mine}:law"])
+    import colorsys
+
+    assert colorsys.hsv_to_rgb(0.0, 0.0, 1.0) == (1.0, 1.0, 1.0)
+    with pytest.raises(KeyError):
+        kind_of(f"{mine}:law")

@@ -1,0 +1,229 @@
+"""The answer of ``compare``: who wins, who is not told from the winner, and how it is shown."""
+
+import io
+import json
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from rendezvous_env.scenario import scenarios
+from train.checks import UserError
+from train.compare import compare, ranking, statistics, tables
+from train.compare.evaluation import Episodes
+from train.compare.playing import Played
+from train.compare.settings import Job
+
+STARTS = 200
+
+
+def played(scenario, policy, clean, time=5.0):
+    """Made-up episodes: clean on the given share of the starts, the first ones."""
+    count = len(clean) if isinstance(clean, np.ndarray) else STARTS
+    hits = clean if isinstance(clean, np.ndarray) else np.arange(count) < clean * count
+    values = dict.fromkeys(Episodes.__dataclass_fields__, np.zeros(count))
+    values |= {"success": np.ones(count, bool), "clean": hits.astype(float)}
+    values |= {"time": np.full(count, time), "time_bound": np.full(count, 10.0)}
+    return Played(Job(scenarios.get(scenario), policy), Episodes(**values), [])
+
+
+def shown(rankings, width):
+    console = Console(file=io.StringIO(), width=width)
+    tables.show_matrix(rankings, console)
+    return console.file.getvalue()
+
+
+class TestRanking:
+    def test_the_best_is_the_cleanest_and_then_the_soonest(self):
+        own = [played("fig4", "tangent", 0.5, 1.0), played("fig4", "tangent-joined", 0.9, 9.0)]
+        [found] = ranking.rank([*own, played("fig4", "bearing-only", 0.9, 3.0)])
+        assert found.best == "bearing-only" and found.tied == ("tangent-joined",)
+        assert found.share["tangent"] == 0.5 and found.starts == STARTS
+
+    @pytest.mark.parametrize(("worse", "tied"), [(0, True), (2, True), (8, False)])
+    def test_a_tie_is_a_paired_interval_that_holds_0(self, worse, tied):
+        """So many starts of 200 are lost; two of them are within what chance does."""
+        best = np.arange(STARTS) < 150
+        other = best & (np.arange(STARTS) >= worse)
+        pair = [played("fig4", "tangent", best, 1.0), played("fig4", "tangent-joined", other, 2.0)]
+        [found] = ranking.rank(pair)
+        assert (found.tied == ("tangent-joined",)) == tied
+        difference, (low, high) = statistics.clean_difference(pair[1].episodes, pair[0].episodes)
+        assert difference == -worse / STARTS and low <= difference <= high
+
+    def test_a_single_start_speaks_for_itself(self):
+        one, none = np.ones(1, bool), np.zeros(1, bool)
+        names = {"tangent": one, "tangent-joined": one, "bearing-only": none}
+        [found] = ranking.rank([played("fig4", name, hit) for name, hit in names.items()])
+        assert found.top == ("tangent", "tangent-joined")
+
+    def test_who_knows_the_map_does_not_compete(self):
+        [found] = ranking.rank(
+            [played("fig4", "privileged-planner", 1.0), played("fig4", "tangent", 0.4)]
+        )
+        assert found.best == "tangent" and found.references == ("privileged-planner",)
+        assert not found.is_contest
+
+    def test_nothing_is_won_where_contacts_do_not_count(self):
+        nothing = np.full(STARTS, np.nan)
+        [found] = ranking.rank([played("fig3", n, nothing) for n in ("tangent", "bearing-only")])
+        assert found.best is None and not found.is_contest
+
+
+class TestAnswer:
+    def test_who_leads(self):
+        cells = [("clutter-4", 0.7, 0.7), ("clutter-8", 0.9, 0.9), ("clutter-12", 0.2, 0.8)]
+        found = ranking.rank(
+            [played(s, "tangent", a) for s, a, _ in cells]
+            + [played(s, "tangent-joined", b, 6.0) for s, _, b in cells]
+        )
+        assert ranking.answer(found) == (
+            "tangent-joined leads in clean success: best, or not told from the best, in 3 of 3 "
+            "scenarios, alone in 1; then tangent, in 2."
+        )
+
+    def test_many_are_level(self):
+        names = ("tangent", "bearing-only", "zero", "random", "tangent-joined")
+        found = ranking.rank([played("fig4", name, 1.0) for name in names])
+        assert ranking.answer(found).startswith("5 policies are level in clean success")
+
+    def test_nothing_to_win(self):
+        assert "Nothing to win" in ranking.answer(ranking.rank([played("duo", "zero", 0.0)]))
+
+
+class TestMatrix:
+    NAMES = scenarios.names()
+
+    @pytest.mark.parametrize("width", [80, 120])
+    def test_all_of_it_fits_the_terminal(self, width):
+        names = ("bearing-only", "tangent-blocking-certified", "privileged-planner")
+        text = shown(ranking.rank([played(s, n, 0.5) for s in self.NAMES for n in names]), width)
+        lines = text.splitlines()
+        assert max(map(len, lines)) <= width and "…" not in text
+        parts = sum(line.startswith("met cleanly") or "met cleanly" in line for line in lines)
+        assert sum(line.startswith("tangent-blocking-certified ") for line in lines) == parts > 1
+        assert text.count(" 50") == 3 * len(self.NAMES)
+
+    def test_marks_and_what_they_mean(self):
+        joined = played("fig4", "tangent-joined", 1.0, 9.0)
+        law = played("fig4", "bearing-only", 0.25)
+        found = ranking.rank([played("fig4", "tangent", 1.0), joined, law])
+        text = shown(found, 80)
+        assert "100*" in text and "100=" in text and "  25" in text and "holds 0" in text
+        assert text.index("tangent ") < text.index("bearing-only")  # as they were asked for
+
+    def test_no_mark_without_a_contest(self):
+        text = shown(ranking.rank([played("duo", "bearing-only", 1.0)]), 80)
+        assert "100" in text and "*" not in text and "=" not in text
+
+    def test_where_it_does_not_apply(self):
+        text = shown(ranking.rank([played("fig3", "tangent", np.full(1, np.nan))]), 80)
+        assert "– in fig3: robots pass through" in text and "nan" not in text
+
+    def test_a_digit_more_where_there_are_starts_to_mean_it(self):
+        assert tables.percent(0.9965, 1000) == "99.7" and tables.percent(0.9965, 200) == "100"
+
+
+class TestTables:
+    def test_a_rise_is_said_in_words_where_there_is_none(self):
+        found = played("fig4", "tangent", np.ones(1, bool))
+        row = statistics.summarise("fig4", "tangent", found.episodes, 30.0)
+        console = Console(file=io.StringIO(), width=tables.WIDTH)
+        fell = {**row, "max_rise_between_merges": -0.5}
+        rose = {**row, "policy": "zero", "max_rise_between_merges": 0.25}
+        console.print(tables.results_table([fell, rose], {"fig4": scenarios.get("fig4")}))
+        text = console.file.getvalue()
+        lines = {line.split()[0]: line for line in text.splitlines() if line.strip()}
+        assert " none " in lines["tangent"] and " 0.25 " in lines["zero"]
+        assert "fig4, one start" in text and "nan" not in text and "[" not in lines["tangent"]
+
+    def test_pairs(self):
+        pair = {"bearing-only": played("fig4", "bearing-only", 0.5).episodes}
+        pair["tangent"] = played("fig4", "tangent", 0.75).episodes
+        rows = statistics.compare_pairs("fig4", pair, "bearing-only")
+        console = Console(file=io.StringIO(), width=80)
+        console.print(tables.paired_table(rows))
+        [line] = [text for text in console.file.getvalue().splitlines() if "tangent" in text]
+        assert "+25.0 [+" in line and " 62 [" in line  # better on a quarter, even on the rest
+
+
+QUICK = {"scenarios": ("fig4",), "episodes": 3, "keep": 0, "figures": False}
+
+
+@pytest.fixture(scope="module")
+def said(tmp_path_factory):
+    """What a comparison prints, and its summary."""
+    out = tmp_path_factory.mktemp("answer")
+    names = ("bearing-only", "tangent-joined", "zero")
+    config = compare.Config(
+        **QUICK,
+        policies=names,
+        out=out / "out",
+        json=out / "new" / "short.json",
+        against="tangent-joined",
+    )
+    with pytest.MonkeyPatch.context() as patch:
+        console = Console(file=io.StringIO(), width=80)
+        patch.setattr(compare, "Console", lambda **options: console)
+        assert compare.run(config) == 0
+    return console.file.getvalue(), json.loads((out / "new" / "short.json").read_text())
+
+
+class TestCommand:
+    def test_the_answer_comes_before_the_tables(self, said):
+        text, summary = said
+        places = [text.index(part) for part in (summary["answer"][:30], "met cleanly", "Against")]
+        assert places == sorted(places) and summary["answer"].startswith("tangent-joined leads")
+        assert "T/bound" not in text  # that takes --details
+
+    def test_all_the_time_is_counted(self, said):
+        text, summary = said
+        timing = summary["timing"]
+        parts = [seconds for name, seconds in timing.items() if name != "total_s"]
+        assert {"setting_up_s", "compiling_s", "playing_s", "tables_s"} <= set(timing)
+        assert min(parts) >= 0 and sum(parts) == pytest.approx(timing["total_s"], abs=0.2)
+        assert "playing" in text.splitlines()[-2] + text.splitlines()[-1]
+
+    def test_the_summary_as_json(self, said):
+        _, summary = said
+        fig4 = summary["scenarios"]["fig4"]
+        assert (fig4["starts"], fig4["best"], fig4["tied"]) == (1, "tangent-joined", [])
+        assert fig4["policies"]["bearing-only"]["clean_success"] == 0
+        assert fig4["policies"]["bearing-only"]["clean_low"] is None
+        assert {row["against"] for row in summary["paired"]} == {"tangent-joined"}
+
+    def test_those_that_see_nothing_are_left_out_unless_they_are_named(self, tmp_path):
+        jobs = compare.plan(compare.Config(scenarios=("duo", "fig4"), out=tmp_path / "o"))
+        assert not {job.policy for job in jobs} & {"random", "zero"}
+        jobs = compare.plan(compare.Config(("duo",), ("zero",), out=tmp_path / "o"))
+        assert [job.policy for job in jobs] == ["zero"]
+
+    @pytest.mark.parametrize(
+        ("changes", "message"),
+        [
+            ({"against": "tangent-joind"}, "did you mean 'tangent-joined'"),
+            ({"against": "unicycle"}, "--against 'unicycle' is not compared"),
+            ({"json": "out/x.json"}, "lies in --out"),
+            ({"json": "."}, "is a folder"),
+        ],
+    )
+    def test_what_cannot_be_is_refused_before_any_work(
+        self, changes, message, tmp_path, monkeypatch
+    ):
+        from pathlib import Path
+
+        monkeypatch.chdir(tmp_path)
+        if "json" in changes:
+            changes = {"json": Path(changes["json"])}
+        with pytest.raises(UserError, match=message):
+            compare.plan(compare.Config(**QUICK, out=Path("out"), **changes))
+
+
+def test_paired_rows_fall_back_where_the_reference_was_not_played():
+    cells = [played("fig4", "tangent", 0.5), played("fig4", "bearing-only", 0.2)]
+    cells += [played("duo", "bearing-only", 1.0), played("duo", "zero", 0.0)]
+    rows = compare.paired_rows(cells, "tangent")
+    assert {(r["scenario"], r["against"]) for r in rows} == {
+        ("fig4", "tangent"),
+        ("duo", "bearing-only"),
+    }

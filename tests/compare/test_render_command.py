@@ -1,0 +1,195 @@
+"""``rendezvous render``: films and figures of one episode."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import baselines
+import rendezvous_env as rv
+from rendezvous_env.render.palette import OBSTACLE, ROBOTS
+from train.checks import UserError
+from train.cli import main
+from train.figures import render
+
+
+def make(path, **options):
+    """Run the command for a film of few pictures; its exit status."""
+    chosen = {"scenario": "fig4", "policy": "tangent-joined", "size": 300, "fps": 10, "speed": 1.0}
+    return render.run(render.Config(out=path, **(chosen | options)))
+
+
+@pytest.fixture(scope="module")
+def gif(tmp_path_factory):
+    path = tmp_path_factory.mktemp("films") / "fig4.gif"
+    assert make(path) == 0
+    return path
+
+
+def pictures(path):
+    """Pictures of a GIF and how long each stays, ms."""
+    with Image.open(path) as film:
+        found = []
+        for number in range(film.n_frames):
+            film.seek(number)
+            found.append((np.asarray(film.convert("RGB")), film.info["duration"]))
+    return found
+
+
+def length_of(name, policy):
+    scenario = rv.scenarios.get(name)
+    return float(rv.rollout(scenario, baselines.make(policy, scenario)).times[-1])
+
+
+def count(picture, colour):
+    """Pixels that nearly have a colour."""
+    return int((np.abs(picture.astype(int) - colour).max(axis=-1) < 25).sum())
+
+
+class TestGif:
+    def test_it_lasts_as_long_as_the_episode_and_a_little(self, gif):
+        total = sum(duration for _, duration in pictures(gif)) / 1000
+        simulated = length_of("fig4", "tangent-joined")
+        assert total == pytest.approx(simulated + 1.5, abs=0.11)
+
+    def test_it_shows_obstacles_and_robots_that_become_one(self, gif):
+        (first, _), (last, _) = pictures(gif)[0], pictures(gif)[-1]
+        assert first.shape == (300, 300, 3)
+        for picture in (first, last):
+            assert count(picture, OBSTACLE) > 500
+        assert [count(first[:240], colour) > 5 for colour in ROBOTS[:3]] == [True] * 3
+        assert [count(last[:240], colour) > 5 for colour in ROBOTS[:3]] == [True, False, False]
+
+    def test_the_last_picture_stays(self, gif):
+        durations = [duration for _, duration in pictures(gif)]
+        assert durations[-1] >= 1500 > max(durations[:-1])
+
+    def test_twice_the_speed_half_the_time(self, gif, tmp_path):
+        make(tmp_path / "fast.gif", speed=2.0)
+        fast, slow = (
+            sum(duration for _, duration in pictures(path)) - 1500
+            for path in (tmp_path / "fast.gif", gif)
+        )
+        assert slow / fast == pytest.approx(2.0, rel=0.1)
+
+    def test_it_is_small(self, gif):
+        assert gif.stat().st_size < 100_000
+
+    def test_the_rate_is_one_that_a_gif_can_have(self, tmp_path):
+        assert render.video_rate(tmp_path / "a.gif", 30) == pytest.approx(100 / 3)
+        assert render.video_rate(tmp_path / "a.GIF", 100) == 50.0
+        assert render.video_rate(tmp_path / "a.mp4", 30) == 30.0
+
+    def test_without_a_speed_it_lasts_eight_seconds_or_has_motion(self, tmp_path):
+        make(tmp_path / "a.gif", scenario="duo", policy="bearing-only", speed=None)
+        total = sum(duration for _, duration in pictures(tmp_path / "a.gif")) / 1000
+        scenario = rv.scenarios.get("duo")
+        steps = round(length_of("duo", "bearing-only") / scenario.tau)
+        assert total == pytest.approx(1.5 + min(8.0, steps / 15), abs=0.3)
+
+
+@pytest.mark.filterwarnings(
+    "ignore:unclosed file:ResourceWarning",  # of the library's reader, as is the next
+    "ignore::pytest.PytestUnraisableExceptionWarning",
+)
+def test_mp4_holds_the_same_pictures(gif, tmp_path):
+    import imageio_ffmpeg
+
+    path = tmp_path / "fig4.mp4"
+    assert make(path, size=301) == 0
+    reader = imageio_ffmpeg.read_frames(str(path))
+    about = next(reader)
+    frames = [np.frombuffer(raw, np.uint8).reshape(300, 300, 3) for raw in reader]
+    assert about["source_size"] == (300, 300) and about["fps"] == 10.0
+    assert len(frames) / 10 == pytest.approx(sum(ms for _, ms in pictures(gif)) / 1000, abs=0.11)
+    difference = np.abs(frames[-1].astype(int) - pictures(gif)[-1][0])
+    assert difference.mean() < 8  # of 255; colours are subsampled
+
+
+@pytest.mark.parametrize("scenario", ["fig4", "clutter-3d"])
+def test_stills_are_figures(scenario, tmp_path):
+    assert make(tmp_path / "a.png", scenario=scenario, policy="bearing-only") == 0
+    with Image.open(tmp_path / "a.png") as image:
+        assert image.size[0] == 700 and np.asarray(image.convert("RGB")).std() > 10
+    assert make(tmp_path / "a.pdf", scenario=scenario, policy="bearing-only") == 0
+    assert (tmp_path / "a.pdf").read_bytes().startswith(b"%PDF")
+
+
+class TestMistakes:
+    @pytest.mark.parametrize(
+        ("flags", "message"),
+        [
+            (["--out", "a.avi"], "unknown ending '.avi'; known are .gif, .mp4, .png, .pdf"),
+            (["--scenario", "fig5"], "scenario 'fig5' is unknown; did you mean 'fig4'?"),
+            (["--policy", "tangnt"], "policy 'tangnt' is unknown; did you mean 'tangent'?"),
+            (
+                ["--scenario", "uav-6", "--policy", "tangent-joined"],
+                "'tangent-joined' does not fit nonholonomic_3d",
+            ),
+            (["--fps", "0"], "--fps is 0; it must be from 1 to 100"),
+            (["--size", "10"], "--size is 10; it must be from 120 to 4096"),
+            (["--speed", "0"], "--speed is 0.0; it must be from 0.001"),
+            (["--seed=-1"], "--seed is -1; it must be from 0"),
+        ],
+    )
+    def test_are_told_in_one_line(self, flags, message, tmp_path, monkeypatch, capsys):
+        monkeypatch.chdir(tmp_path)
+        assert main(["render", *flags]) == 2
+        told = capsys.readouterr().err
+        assert message in told and told.count("\n") == 1
+        assert list(tmp_path.iterdir()) == []
+
+    @pytest.mark.parametrize(
+        ("missing", "path"),
+        [("imageio_ffmpeg", "a.mp4"), ("PIL.Image", "a.gif"), ("pygame", "a.gif")],
+    )
+    def test_a_missing_library_is_named_with_what_to_install(
+        self, missing, path, tmp_path, monkeypatch
+    ):
+        monkeypatch.setitem(sys.modules, missing, None)
+        with pytest.raises(
+            UserError, match=r"is not installed; pip install rendezvous-env\[render\]"
+        ):
+            make(tmp_path / path)
+
+    def test_a_folder_in_the_way_leaves_nothing_behind(self, tmp_path):
+        (tmp_path / "a.gif").mkdir()
+        with pytest.raises(UserError, match=r"--out .*a\.gif: cannot write there"):
+            make(tmp_path / "a.gif")
+        assert [path.name for path in tmp_path.iterdir()] == ["a.gif"]
+
+    def test_an_interrupted_film_leaves_the_old_one(self, tmp_path, monkeypatch):
+        (tmp_path / "a.gif").write_bytes(b"old")
+        monkeypatch.setattr(render, "_palette", lambda: 1 / 0)
+        with pytest.raises(ZeroDivisionError):
+            make(tmp_path / "a.gif")
+        assert [path.read_bytes() for path in tmp_path.iterdir()] == [b"old"]
+
+
+def test_a_still_loads_no_pygame_and_a_film_no_torch(tmp_path):
+    code = (
+        "import sys, train.cli as c;"
+        "c.main(['render', '--out', 'a.png']); assert 'pygame' not in sys.modules;"
+        "c.main(['render', '--size', '120', '--fps', '5', '--speed', '2', '--out', 'a.gif']);"
+        "assert not {'torch', 'matplotlib.pyplot'} & set(sys.modules)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, timeout=120
+    )
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "a.gif").stat().st_size > 1000
+
+
+@pytest.mark.parametrize(
+    ("scenario", "policy"),
+    [("uav-6", "nonholonomic-3d"), ("duo", "bearing-only"), ("fig4", "learned-tank")],
+)
+def test_without_a_policy_it_takes_the_best_that_fits(scenario, policy, tmp_path, capsys):
+    path = tmp_path / "still.png"
+    assert main(["render", "--scenario", scenario, "--out", str(path)]) == 0
+    assert f"{scenario}, {policy}: met after" in capsys.readouterr().out
+    assert path.stat().st_size > 1000

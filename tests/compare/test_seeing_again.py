@@ -1,0 +1,56 @@
+"""What robots saw is found again, bit for bit, where their sensors are exact."""
+
+import numpy as np
+import pytest
+
+import rendezvous_env as rv
+from rendezvous_env import graphs
+from rendezvous_env.scenario import scenarios
+from train import policies
+from train.compare.evaluation import play
+from train.recording import observations, whole
+
+TEAMS = {
+    "fig4": scenarios.get("fig4"),
+    "trap": scenarios.get("trap"),
+    "clutter-16-team-8": scenarios.get("clutter-16-team-8"),
+    "random-10": scenarios.get("random-10"),
+    "unicycle-6": scenarios.get("unicycle-6"),
+    "uav-6": scenarios.get("uav-6"),
+    "cloud-8": scenarios.get("cloud-8"),
+    "listed links": rv.Scenario(name="ring", n_robots=40, graph=graphs.cycle((0.5, 1.5))),
+    "inertia": rv.Scenario(name="heavy", n_robots=4, robot_model="double_integrator"),
+}
+
+
+@pytest.mark.parametrize("name", TEAMS)
+def test_what_was_seen(name, monkeypatch):
+    scenario = TEAMS[name].replace(time_limit=6.0)
+    law = policies.fitting(scenario, ())[-1]
+    seen, kept = {}, recordings(scenario, law, 3)
+    simulator = rv.Simulator(scenario, 3)
+    first = simulator.reset(5)
+    seen[0] = first
+    policy = policies.make(law, scenario)
+    for step in rv.trajectory.run(simulator, policy, first):
+        seen[len(seen)] = step.outcome.observations
+    merges = 0
+    for team, recording in enumerate(kept):
+        assert "observations" not in recording
+        at = np.rint(recording["times"] / scenario.tau).astype(int)
+        expected = np.stack([seen[number][team] for number in at])
+        assert np.array_equal(observations(recording, scenario), expected)
+        merges += int((~recording["active"][-1]).sum())
+    assert merges > 0 or name == "inertia"
+
+
+def recordings(scenario, law, count):
+    make = lambda: policies.make(law, scenario)  # noqa: E731
+    return play(scenario, make, margin=None, episodes=count, seed=5, keep=count)[1]
+
+
+def test_what_a_sensor_has_got_wrong_is_kept():
+    scenario = rv.Scenario(name="blurred", n_robots=3, sensing=rv.Sensing(noise=0.1), time_limit=1)
+    (kept,) = recordings(scenario, "bearing-only", 1)
+    assert "weights" not in kept and whole(kept, scenario) is kept
+    assert kept["observations"].shape[:2] == kept["active"].shape

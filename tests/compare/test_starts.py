@@ -1,0 +1,70 @@
+"""How many starts a scenario has: one, where an episode draws nothing that matters."""
+
+import numpy as np
+import pytest
+
+from rendezvous_env import Disc, ObstacleField, Scenario, Simulator, graphs
+from rendezvous_env.engine.preparation import begins_alike
+from rendezvous_env.scenario import scenarios
+from train.compare import compare
+from train.compare.evaluation import counts_contacts, starts_of
+
+PLACES = ((0.0, 0.0), (3.0, 0.0), (0.0, 4.0))
+GIVEN = Scenario(n_robots=3, start_positions=PLACES)
+CYCLIST = GIVEN.replace(robot_model="unicycle")
+CASES = {
+    "fig3": scenarios.get("fig3"),
+    "given": GIVEN,
+    "drawn places": GIVEN.replace(start_positions=None),
+    "fixed discs": GIVEN.replace(obstacles=Disc((1.0, 1.0), 0.3)),
+    "drawn discs": GIVEN.replace(obstacles=ObstacleField(2, (0.1, 0.2), 2.0, 0.2)),
+    "drawn gains": GIVEN.replace(graph=graphs.complete((0.5, 2.0))),
+    "drawn tree": GIVEN.replace(graph=graphs.random_tree()),
+    "drawn headings": CYCLIST,
+    "given headings": CYCLIST.replace(start_headings=((0.1,), (0.2,), (0.3,))),
+    "at rest": GIVEN.replace(robot_model="double_integrator"),
+}
+
+
+def starts(scenario, seeds):
+    """What each of some starts consists of, the robots' frames aside."""
+    simulator = Simulator(scenario, seeds)
+    simulator.reset(0)
+    parts = (simulator.positions, simulator.headings, simulator.weights, simulator.obstacles)
+    return [tuple(part[b].tobytes() for part in parts) for b in range(seeds)]
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_one_start_is_one_however_often_it_is_drawn(case):
+    found = len(set(starts(CASES[case], 16)))
+    assert begins_alike(CASES[case]) == (found == 1), found
+    assert starts_of(CASES[case], 16) == (1 if found == 1 else 16)
+
+
+def test_frames_of_its_own_turn_what_a_robot_does_alike():
+    """They are drawn in fig4, and all teams of law (1) move the same to rounding."""
+    import baselines
+    from rendezvous_env import rollout
+
+    scenario = scenarios.get("fig4").replace(time_limit=1.0)
+    moved = rollout(scenario, baselines.make("bearing-only", scenario), num_envs=5)
+    assert np.ptp(moved.positions, axis=1).max() < 1e-5
+
+
+def test_contacts_count_where_they_stop_a_robot():
+    fig3, fig4 = scenarios.get("fig3"), scenarios.get("fig4")
+    assert counts_contacts(fig4) and not counts_contacts(fig3)
+    assert counts_contacts(fig3.replace(obstacles=()))  # nothing to touch: all is clean
+
+
+@pytest.mark.parametrize(
+    ("name", "starts", "kept"),
+    [("fig4", 1, 3), ("swarm-20", 100, 3), ("clutter-16-team-8", 100, 3),
+     ("clutter-16-team-16", 50, 1), ("clutter-16-team-32", 25, 1)],
+)  # fmt: skip
+def test_large_teams_among_obstacles_have_fewer_starts(name, starts, kept):
+    scenario = scenarios.get(name)
+    usual = compare.Config()
+    assert (usual.starts(scenario), usual.kept(scenario)) == (starts, kept)
+    asked = compare.Config(episodes=7, keep=2)
+    assert (asked.starts(scenario), asked.kept(scenario)) == (min(7, starts), 2)

@@ -1,0 +1,209 @@
+"""What is wrong with a robot model of one's own is said when it is registered."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+import rendezvous_env as rv
+from baselines import policy
+from rendezvous_env.robots import motion, robot_models
+
+
+@pytest.fixture
+def registry():
+    """Models and policies that a test registers are gone after it."""
+    registries = robot_models.ROBOT_MODELS, policy._registry
+    known = [registry.copy() for registry in registries]
+    yield
+    for entries, before in zip(registries, known, strict=True):
+        entries.clear()
+        entries.update(before)
+
+
+class Still(NamedTuple):
+    """Constants of a robot that is described only in part."""
+
+    duration: float
+    speed_limit: float
+
+
+def test_what_is_wrong_with_a_model_is_said(registry):
+    good = {"constants": lambda s: Still(s.tau, 1.0), "bounds": lambda s: [1.0] * 2}
+    for changes, message in [
+        ({"name": "unicycle", "dims": (2,)}, "is already registered; replace=True"),
+        ({"name": "still", "dims": ()}, r"dims \(\); they must be of 2 and 3"),
+        ({"name": "still", "dims": (2,), "n_kept": lambda d: 5}, "keeps 5 numbers.* from 0.* to 4"),
+        ({"name": "still", "dims": (2,), "n_angles": 2, "n_kept": lambda d: 1}, "from 2"),
+        ({"name": "still", "dims": (2,), "senses": "smell"}, "senses 'smell'; it must be one of"),
+        ({"name": "still", "dims": (2,), "n_kept": lambda d: 3, "keeps_velocity": True}, "be 2"),
+    ]:
+        with pytest.raises(ValueError, match=message):
+            rv.register_robot_model(rv.RobotModel(**good | changes))
+    with pytest.raises(ValueError, match="it must be a RobotModel"):
+        rv.register_robot_model("still")
+    rv.register_robot_model(rv.RobotModel("still", dims=(2,), **good))
+    with pytest.raises(ValueError, match="are a Still; describe_motion must have said"):
+        rv.Simulator(rv.Scenario(robot_model="still"))
+    hover = motion._MOTIONS[type(rv.Scenario().model.constants(rv.Scenario()))]
+    with pytest.raises(TypeError, match="bend of a Still is 3; it must be a function"):
+        rv.describe_motion(Still, hover._replace(bend=3))
+    with pytest.raises(ValueError, match="must be a NamedTuple class"):
+        rv.describe_motion(dict, hover)
+    rv.describe_motion(Still, hover)
+    with pytest.raises(ValueError, match="has been described before"):
+        rv.describe_motion(Still, hover._replace(drifts=True))
+    short = rv.RobotModel("still", **good | {"dims": (2,), "constants": lambda s: Still(0.0, 1.0)})
+    rv.register_robot_model(short, replace=True)
+    with pytest.raises(ValueError, match=r"have duration = 0\.0; it must be the step, 0\.05 s"):
+        rv.Simulator(rv.Scenario(robot_model="still", time_step=0.05, allow_long_step=True))
+
+
+def walker(registry, equations=None, **fields):
+    """Register a good robot model with some of its equations and fields replaced."""
+
+    def propose(model, action, frame, memory):
+        way = model.duration * action[0], model.duration * action[1]
+        return way, math.hypot(*way)
+
+    class Walker(NamedTuple):
+        duration: float
+        speed_limit: float
+
+    rv.describe_motion(Walker, rv.Motion(**{"propose": propose} | (equations or {})))
+    good = {
+        "name": "walker",
+        "dims": (2,),
+        "constants": lambda s: Walker(s.tau, 1.5 * s.speed_limit),
+        "bounds": lambda s: [s.speed_limit] * 2,
+    }
+    rv.register_robot_model(rv.RobotModel(**good | fields))
+
+
+def test_a_model_needs_to_say_how_it_moves_and_no_more(registry):
+    walker(registry)
+    assert rv.Scenario(robot_model="walker").action_size == 2
+
+
+KEEPS = {"n_angles": 1, "n_kept": lambda dim: 1}
+TURNS = {
+    "begin": lambda model, key, counter: (0.5,),
+    "along": lambda model, action, frame, memory, time: (time * action[0], time * action[1]),
+}
+BAD_EQUATIONS = {
+    "NaN": ({"propose": lambda *_: ((math.nan, 0.0), 1.0)}, {}, "propose .* 2 finite numbers"),
+    "infinite": ({"propose": lambda *_: ((math.inf, 0.0), 1.0)}, {}, "2 finite numbers"),
+    "of space": ({"propose": lambda *_: ((0.0, 0.0, 0.0), 0.0)}, {}, "a tuple of 2 finite"),
+    "no pair": ({"propose": lambda *_: 3.0}, {}, "a displacement and the length of the way"),
+    "text": ({"propose": lambda *_: (("a", "b"), 1.0)}, {}, "2 finite numbers"),
+    "negative length": ({"propose": lambda *_: ((0.0, 0.0), -1.0)}, {}, "or longer"),
+    "length NaN": ({"propose": lambda *_: ((0.0, 0.0), math.nan)}, {}, "or longer"),
+    "a length below the way's": ({"propose": lambda *_: ((1e-3, 0.0), 0.0)}, {}, "or longer"),
+    "beyond the speed limit": (
+        {"propose": lambda model, *_: ((2 * model.speed_limit * model.duration, 0.0), 1e9)},
+        {},
+        "speed_limit times",
+    ),
+    "raises": ({"propose": lambda *_: [][0]}, {}, "propose of .* fails: IndexError"),
+    "wants other arguments": ({"propose": lambda: 0}, {}, "propose of .* fails: TypeError"),
+    "a frame that is none": ({"frame": lambda *_: (2.0, 0.0, 0.0, 2.0)}, {}, "a rotation"),
+    "forgets": ({**TURNS, "remember": lambda *_: ()}, KEEPS, "remember .* 1 finite"),
+    "keeps NaN": ({**TURNS, "remember": lambda *_: (math.nan,)}, KEEPS, "remember .* 1 finite"),
+    "begins with nothing": ({}, KEEPS, "begin .* 1 finite"),
+    "goes elsewhere": ({**TURNS, "along": lambda *_: (9.0, 9.0)}, KEEPS, "along .* of what"),
+    "negative bend": ({**TURNS, "bend": lambda *_: -1.0}, KEEPS, "bend .* 0 or more"),
+    "comes back before it goes": ({**TURNS, "closes": lambda *_: 0.0}, KEEPS, "closes .* positive"),
+    "more bent than it says": (
+        {
+            **TURNS,
+            "along": lambda model, action, frame, memory, time: (
+                time * action[0] + time * (model.duration - time) * 9.0,
+                time * action[1],
+            ),
+        },
+        KEEPS,
+        "bend .* as large as the way is bent",
+    ),
+    "senses what it does not say": ({"sense": lambda *_: (1.0, 0.0)}, {}, "sense .* 0 finite"),
+    "senses nothing after all": ({}, {"senses": "velocity"}, "sense .* 2 finite"),
+}
+BAD_FIELDS = {
+    "bounds NaN": ({"bounds": lambda s: [1.0, math.nan]}, r"bounds\[1\] .* is nan"),
+    "bounds infinite": ({"bounds": lambda s: [math.inf, 1.0]}, r"bounds\[0\] .* is inf"),
+    "bounds negative": ({"bounds": lambda s: [-1.0, 1.0]}, r"bounds\[0\] .* is -1.0"),
+    "bounds empty": ({"bounds": lambda s: []}, "must be a list of numbers"),
+    "bounds a number": ({"bounds": lambda s: 1.0}, "must be a list of numbers"),
+    "bounds too few": ({"bounds": lambda s: [1.0]}, "propose of .* fails: IndexError"),
+    "bounds too many": ({"bounds": lambda s: [1.0] * 3}, r"do not look at action\[2\]"),
+    "bounds raise": ({"bounds": lambda s: s.nothing}, "bounds of .* fails: AttributeError"),
+    "bounds no function": ({"bounds": [1.0, 1.0]}, "must be a function of the scenario"),
+    "constants none": ({"constants": None}, "constants None; it must be a function"),
+    "constants raise": ({"constants": lambda s: 1 / "a"}, "constants of .* fails: TypeError"),
+    "constants a dict": ({"constants": lambda s: {}}, "are a dict; describe_motion must have"),
+    "angles": ({"n_angles": -1}, "n_angles -1; it must be a whole number from 0 to 4"),
+    "angles half": ({"n_angles": 0.5}, "n_angles 0.5"),
+    "kept": ({"n_kept": 2}, "n_kept 2; it must be a function of the dimension"),
+    "kept what": ({"n_kept": lambda dim: "a"}, "keeps 'a' numbers"),
+    "flag": ({"keeps_velocity": 1}, "must be True or False"),
+    "senses": ({"senses": ["velocity"]}, "must be one of"),
+    "dims": ({"dims": None}, "must be of 2 and 3"),
+    "dims of lists": ({"dims": ([2],)}, "must be of 2 and 3"),
+    "no name": ({"name": ""}, "must be a word"),
+    "name with a gap": ({"name": "a b"}, "must be a word"),
+    "name of lines": ({"name": "a\nb"}, "must be a word"),
+    "name a number": ({"name": 3}, "must be a word"),
+    "action": ({"action": None}, "action None; it must be a text"),
+    "theorem": ({"theorem": 3}, "theorem 3; it must be a text"),
+}
+
+
+@pytest.mark.parametrize("case", BAD_EQUATIONS)
+def test_equations_that_no_step_can_bear_are_refused_at_registration(registry, case):
+    equations, fields, message = BAD_EQUATIONS[case]
+    with pytest.raises(ValueError, match=message):
+        walker(registry, equations, **fields)
+    assert "walker" not in robot_models.ROBOT_MODELS
+
+
+@pytest.mark.parametrize("case", BAD_FIELDS)
+def test_fields_that_say_nothing_are_refused_at_registration(registry, case):
+    fields, message = BAD_FIELDS[case]
+    with pytest.raises((ValueError, TypeError), match=message):
+        walker(registry, **fields)
+    assert set(robot_models.ROBOT_MODELS) == {
+        *("single_integrator", "double_integrator", "unicycle", "nonholonomic_3d")
+    }
+
+
+@pytest.mark.parametrize("way", [math.nan, 50.0])
+def test_a_leap_that_no_question_found_is_told_in_the_step(registry, way):
+    @rv.kernel
+    def propose(model, action, frame, memory):
+        if 0.3 < action[0] < 0.3001:
+            return (way, 0.0), 50.0
+        step = model.duration * action[0], model.duration * action[1]
+        return step, math.hypot(*step)
+
+    walker(registry, {"propose": propose})
+    teams = rv.Simulator(rv.Scenario(robot_model="walker", n_robots=3), 2)
+    teams.reset(seed=0)
+    actions = np.zeros((2, 3, 2), np.float32)
+    teams.step(actions)
+    actions[1, 2, 0] = 0.30005
+    with pytest.raises(RuntimeError, match=r"'walker' moved robot 2 of environment 1 by .* m in a"):
+        teams.step(actions)
+    with pytest.raises(RuntimeError, match="reset"):
+        teams.step(actions)
+
+
+@pytest.mark.parametrize("name", ["unicycle", "nonholonomic_3d", "double_integrator"])
+def test_the_packages_own_models_answer_the_same_questions(name):
+    model = robot_models.ROBOT_MODELS[name]
+    for dim in model.dims:
+        scenario = rv.Scenario(robot_model=name, dim=dim)
+        constants = model.constants(scenario)
+        motion_of = motion.motion_of(type(constants))
+        robot_models._try(model, motion_of, constants, tuple(model.bounds(scenario)), dim)

@@ -1,0 +1,283 @@
+"""What all doors have in common: flat observations, words they do not know, tensors, state."""
+
+from __future__ import annotations
+
+import warnings
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from gymnasium.vector import AutoresetMode
+
+import baselines
+import rendezvous_env as rv
+from rendezvous_env import rendezvous_v0, vector
+from rendezvous_env.engine.memory import RENDEZVOUS
+from rendezvous_env.envs.gymnasium_env import make_env, make_heading_env, make_heading_vec
+
+SCENARIO = rv.scenarios.get("clutter-4").replace(time_limit=0.3)
+LAYOUT = SCENARIO.observation_layout
+SIZE = LAYOUT.rows * LAYOUT.dim
+HEADING = "rendezvous_env:rendezvous/RendezvousHeading-v0"
+WRAPPERS = ("HeadingVectorWrapper", "EnergyTankWrapper", "GainWrapper", "LinkKeepingWrapper")
+
+
+def wrapped(name, env, home=vector):
+    return getattr(home, name)(env) if name else env
+
+
+# ---- flat observations --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("mode", list(AutoresetMode))
+@pytest.mark.parametrize("name", [None, *WRAPPERS])
+def test_flat_vector_environments_show_the_same_numbers(name, mode):
+    tables, flat = (
+        wrapped(name, rv.make_vec(SCENARIO, 3, autoreset_mode=mode, flatten=flatten))
+        for flatten in (False, True)
+    )
+    rows, seen = tables.reset(seed=1)[0], flat.reset(seed=1)[0]
+    ends = 0
+    for _ in range(9):
+        assert flat.observation_space.contains(seen) and seen.shape == (3, 4, SIZE)
+        np.testing.assert_array_equal(seen, rows.reshape(seen.shape))
+        choices = tables.action_space.sample()
+        rows, *_, cuts, infos = tables.step(choices)
+        seen, *_, told = flat.step(choices)
+        ends += cuts.sum()
+        for last, other in zip(told.get("final_obs", ()), infos.get("final_obs", ()), strict=True):
+            np.testing.assert_array_equal(last, other.reshape(4, SIZE))
+    assert ends
+
+
+@pytest.mark.parametrize("name", [None, *WRAPPERS])
+def test_flat_pettingzoo_environments_show_the_same_numbers(name):
+    tables, flat = (
+        wrapped(name, rv.parallel_env(SCENARIO, flatten=flatten), rv) for flatten in (False, True)
+    )
+    rows, seen = tables.reset(seed=1)[0], flat.reset(seed=1)[0]
+    while tables.agents:
+        for robot, vector_seen in seen.items():
+            assert flat.observation_space(robot).contains(vector_seen)
+            np.testing.assert_array_equal(vector_seen, rows[robot].reshape(-1))
+        choices = {robot: tables.action_space(robot).sample() for robot in tables.agents}
+        rows, seen = tables.step(choices)[0], flat.step(choices)[0]
+    assert not flat.agents
+
+
+def test_the_other_doors_take_flatten_too():
+    one = rendezvous_v0.env(SCENARIO, flatten=True)
+    one.reset(seed=0)
+    assert one.observe("robot_1").shape == one.observation_space("robot_1").shape == (SIZE,)
+    for make in (make_env, make_heading_env):
+        env = make(SCENARIO, flatten=True)
+        assert env.reset(seed=0)[0].shape == env.observation_space.shape == (4, SIZE)
+    with pytest.raises(ValueError, match="flatten is 'yes'; it must be one of True, False"):
+        rv.make_vec(SCENARIO, flatten="yes")
+
+
+def test_a_layout_takes_flat_observations_apart():
+    rows, _ = rv.make_vec(SCENARIO, 2).reset(seed=0)
+    flat = rows.reshape(2, 4, SIZE)
+    for part, other in zip(LAYOUT.split(flat)[:2], LAYOUT.split(rows)[:2], strict=True):
+        np.testing.assert_array_equal(part, other)
+    np.testing.assert_array_equal(LAYOUT.unflattened(flat), rows)
+    np.testing.assert_array_equal(LAYOUT.unflattened(rows), rows)
+    with pytest.raises(ValueError, match="``unflattened`` makes these of flat ones"):
+        LAYOUT.net_bearing(flat)
+    with pytest.raises(ValueError, match="this layout needs"):
+        LAYOUT.split(flat[..., 1:])
+
+
+# ---- the single-team heading environment --------------------------------------------------------
+
+
+def test_gymnasium_is_content_with_the_heading_environment():
+    env = gymnasium.make(HEADING, scenario=SCENARIO, min_alignment=0.3)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # it prefers images and bounded boxes
+        check_env(env.unwrapped, skip_render_check=True)
+    assert env.action_space.shape == (4, 2)
+
+
+def test_the_heading_environment_is_the_wrapped_one():
+    """Whatever the robots choose, the alignment is kept; numbers are those of the vector one."""
+    one = gymnasium.make(HEADING, scenario=SCENARIO, min_alignment=0.3, decision_period=2)
+    mode = AutoresetMode.DISABLED
+    many = gymnasium.make_vec(
+        HEADING,
+        num_envs=2,
+        vectorization_mode="vector_entry_point",
+        scenario=SCENARIO,
+        min_alignment=0.3,
+        decision_period=2,
+        autoreset_mode=mode,
+    )
+    assert many.autoreset_mode is mode and many.metadata["autoreset_mode"] is mode
+    seen, infos = one.reset(seed=6)
+    table, told = many.reset(seed=5)
+    keys, over = set(infos), False
+    while not over:
+        np.testing.assert_array_equal(seen, table[1])
+        np.testing.assert_array_equal(one.unwrapped.state(), many.state()[1])
+        choices = many.action_space.sample()
+        table, rewards, _, cuts, told = many.step(choices)
+        seen, reward, _, over, infos = one.step(choices[1])
+        assert reward == rewards[1] and over == cuts[1]
+        np.testing.assert_array_equal(infos["alignment"], told["alignment"][1])
+        assert (infos["alignment"] >= 0.3 - 1e-9).all() and keys <= set(infos)
+    assert infos["summary"]["time"] == infos["time"] == pytest.approx(SCENARIO.time_limit)
+
+
+# ---- words and numbers that nobody knows --------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("make", "word", "meant"),
+    [
+        (rv.make_vec, "num_env", "num_envs"),
+        (rv.make_vec, "n_robot", "n_robots"),
+        (rv.parallel_env, "rendermode", "render_mode"),
+        (rv.parallel_env, "flaten", "flatten"),
+        (make_env, "max_cycle", "max_cycles"),
+        (make_heading_vec, "min_alignmet", "min_alignment"),
+        (make_heading_vec, "autoreset", "autoreset_mode"),
+        (make_heading_env, "time_limt", "time_limit"),
+    ],
+)
+def test_an_unknown_word_is_a_type_error_with_the_nearest_one(make, word, meant):
+    with pytest.raises(TypeError, match=f"'{word}'; did you mean '{meant}'"):
+        make("fig3", **{word: 1})
+
+
+UNKNOWN = {
+    "HeadingVectorWrapper": ("min_alignmet", "min_alignment"),
+    "EnergyTankWrapper": ("bugdet", "budget"),
+    "GainWrapper": ("max_gains", "max_gain"),
+    "LinkKeepingWrapper": ("bearing_errors", "bearing_error"),
+}
+
+
+@pytest.mark.parametrize("name", WRAPPERS)
+@pytest.mark.parametrize("home", [rv, vector])
+def test_so_it_is_for_a_wrapper(home, name):
+    word, meant = UNKNOWN[name]
+    env = rv.parallel_env(SCENARIO) if home is rv else rv.make_vec(SCENARIO, 2)
+    wrapper = getattr(home, name)
+    with pytest.raises(TypeError, match=f"{name} has no argument '{word}'; did you mean '{meant}'"):
+        wrapper(env, **{word: 1})
+    with pytest.raises(TypeError, match=f"{name} has no argument 'zzz'; known are env, .*{meant}"):
+        wrapper(env, zzz=1)
+    assert wrapper(env=env).unwrapped is env.unwrapped
+
+
+@pytest.mark.parametrize("home", [rv, vector])
+def test_a_wrapper_of_ones_own_may_collect_words(home):
+    class Mine(home.HeadingVectorWrapper):
+        def __init__(self, env, **options):
+            super().__init__(env, **{"min_alignment": 0.4} | options)
+
+    env = rv.parallel_env(SCENARIO) if home is rv else rv.make_vec(SCENARIO, 2)
+    assert Mine(env, decision_period=3).decision_period == 3
+    with pytest.raises(TypeError, match="HeadingVectorWrapper has no argument 'period'; did you"):
+        Mine(env, period=3)
+
+
+TENSORS = {
+    "that requires grad": {"requires_grad": True},
+    "bfloat16 tensor": {"dtype": "bfloat16"},
+    "tensor on meta": {"device": "meta"},
+}
+
+
+@pytest.mark.parametrize("what", list(TENSORS))
+def test_tensors_that_numpy_cannot_read_are_named_with_what_to_do(what):
+    torch = pytest.importorskip("torch")
+    of = TENSORS[what]
+    of = {key: getattr(torch, value) if key == "dtype" else value for key, value in of.items()}
+    advice = rf"{what}.*\.detach\(\)\.cpu\(\)\.float\(\)\.numpy\(\)"
+    bare = rv.make_vec(SCENARIO, 2)
+    for env in (bare, vector.HeadingVectorWrapper(rv.make_vec(SCENARIO, 2))):
+        env.reset(seed=0)
+        with pytest.raises(ValueError, match=f"actions is a .*{advice}"):
+            env.step(torch.zeros(2, 4, 2, **of))
+    for env in (rv.parallel_env(SCENARIO), rv.training_env(SCENARIO)):
+        env.reset(seed=0)
+        actions = {robot: env.action_space(robot).sample() for robot in env.agents}
+        state = env.state()
+        with pytest.raises(ValueError, match=f"action of robot_2 is a .*{advice}"):
+            env.step(actions | {"robot_2": torch.zeros(2, **of)})
+        np.testing.assert_array_equal(env.state(), state)
+
+
+# ---- the global state, and the reward's bound ---------------------------------------------------
+
+
+def test_the_state_of_a_batch_is_the_states_of_its_teams():
+    teams = vector.GainWrapper(rv.make_vec(SCENARIO, 3))
+    env = rv.parallel_env(SCENARIO)
+    teams.reset(seed=2)
+    for team in range(3):
+        env.reset(seed=2 + team)
+        np.testing.assert_array_equal(teams.state()[team], env.state())
+    assert teams.state().dtype == np.float32
+    assert teams.unwrapped.single_state_space == env.state_space
+
+
+@pytest.mark.parametrize("name", ["duo", "swarm-20", "clutter-8", "unicycle-6"])
+def test_no_step_and_no_episode_earns_less_than_the_bound(name):
+    """Robots flee along −f at full speed; of two that face away from each other it is attained."""
+    scenario = rv.scenarios.get(name).replace(time_limit=3.0)
+    teams = rv.make_vec(scenario, 4, autoreset_mode=AutoresetMode.DISABLED)
+    rows, _ = teams.reset(seed=0)
+    simulator, n, weights = teams.simulator, scenario.n_robots, scenario.reward
+    start, gains = simulator.initial_lyapunov, simulator.weights.sum(axis=(1, 2))
+    rise = 2 * scenario.speed_limit * scenario.tau * gains / start
+    at_merge = 2 * scenario.merge_radius * scenario.max_degree / start
+    total, steps = np.zeros(4), simulator.max_steps
+    for _ in range(steps):
+        f = scenario.observation_layout.net_bearing(rows)
+        length = np.linalg.norm(f, axis=-1, keepdims=True)
+        away = -scenario.speed_limit * f / np.where(length > 0, length, 1.0)
+        if name == "unicycle-6":
+            away[..., 0], away[..., 1] = -scenario.speed_limit * np.sign(f[..., 0]), 0.0
+        active = simulator.active.sum(axis=1)
+        rows, rewards, *_ = teams.step(away.astype(np.float32))
+        merges = active - simulator.active.sum(axis=1)
+        least = -weights.progress * (rise + at_merge * merges)
+        least = least - weights.time_penalty / steps - weights.collision_penalty * n
+        assert (rewards >= least - 1e-9).all()
+        total += rewards
+        if name == "duo":
+            np.testing.assert_allclose(rewards, least + weights.collision_penalty * n, rtol=1e-4)
+    fixed = weights.time_penalty + weights.collision_penalty * n * steps
+    assert (total >= -weights.progress * (rise * steps + at_merge * (n - 1)) - fixed).all()
+    assert (total < 0).all()
+
+
+@pytest.mark.parametrize("teams", [1, 2, 40])
+def test_how_teams_stand_is_what_their_simulator_reads(teams):
+    """Read at once or one by one; more teams than lanes in a block, or one."""
+    simulator = rv.Simulator(rv.scenarios.get("clutter-8").replace(merge_radius=2.0), teams)
+    law = baselines.make("bearing-only", simulator.scenario)
+    rows = simulator.reset(0)
+    for _ in range(260):
+        outcome = simulator.step(law(rows, 0.0))
+        rows = outcome.observations
+    told = simulator.standing()
+    for key, values in simulator.standing(outcome).items():
+        np.testing.assert_array_equal(values, told[key])
+        assert values.dtype == told[key].dtype
+    assert simulator.standing_of_first(outcome) == simulator.standing_of_first()
+    np.testing.assert_array_equal(told["success"], simulator.status == RENDEZVOUS)
+    np.testing.assert_array_equal(told["lyapunov"], simulator.lyapunov())
+    for key in ("time", "contacts", "path_length"):
+        np.testing.assert_array_equal(told[key], getattr(simulator, key))
+        assert told[key].dtype == getattr(simulator, key).dtype
+    first = simulator.standing_of_first(outcome)
+    assert first == {key: values[0] for key, values in told.items()}
+    assert {type(value) for value in first.values()} == {bool, float, int}
+    assert told["success"].any() and told["path_length"].min() > 1
+    told["path_length"][:] = 0
+    assert simulator.path_length.min() > 1

@@ -1,0 +1,292 @@
+"""One action tape through every kind of environment gives the same transitions."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+import warnings
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env, data_equivalence
+from gymnasium.vector import AutoresetMode, SyncVectorEnv
+
+import rendezvous_env as rv
+from rendezvous_env.envs.gymnasium_env import make_env
+
+NAME = "rendezvous_env:rendezvous/Rendezvous-v0"
+TEAMS, STEPS, SEED = 21, 60, 3  # more teams than lanes in a block
+DISC = rv.Disc(centre=(0.3, 0.2), radius=0.2)
+SCENARIOS = {
+    "2-D": {"n_robots": 3},
+    "follow": {"n_robots": 3, "on_merge": "follow"},
+    "discs": {"n_robots": 3, "obstacles": (DISC,), "max_speed": 1.0},
+    "unicycle": {"n_robots": 2, "robot_model": "unicycle"},
+    "uav": {"n_robots": 2, "robot_model": "nonholonomic_3d", "dim": 3},
+}
+"""Small worlds in which teams meet, or not, within some steps of a random tape."""
+
+
+@pytest.fixture(params=list(SCENARIOS))
+def scenario(request):
+    return rv.Scenario(
+        **SCENARIOS[request.param],
+        merge_radius=0.25,
+        spawn_size=1.3,
+        time_step=0.2,
+        allow_long_step=True,
+        time_limit=3.4,
+    )
+
+
+def tape_of(scenario, teams=TEAMS):
+    random = np.random.default_rng(0)
+    shape = (STEPS, teams, scenario.n_robots, scenario.action_size)
+    return random.uniform(-1.5, 1.5, shape).astype(np.float32)
+
+
+def replay_pettingzoo(scenario, team, tape):
+    """Transitions of one PettingZoo environment on (STEPS, n, a), with resets in between."""
+    env = rv.parallel_env(scenario)
+    observations, _ = env.reset(seed=SEED + team)
+    transitions, names = [], env.possible_agents
+    start = np.stack([observations[name] for name in names])
+    for actions in tape:
+        alive = list(env.agents)
+        chosen = {name: actions[names.index(name)] for name in alive}
+        observed, rewards, ends, cuts, infos = env.step(chosen)
+        empty = np.zeros_like(start[0])
+        seen = np.stack([observed.get(name, empty) for name in names])
+        earned = np.array([rewards.get(name, 0.0) for name in names])
+        active = env.simulator.active[0]
+        over = not env.agents
+        transitions.append(
+            {
+                "observations": seen,
+                "robot_rewards": earned,
+                "reward": rewards[alive[0]],
+                "active": active,
+                "contact": [infos[name]["contact"] if name in infos else False for name in names],
+                "clearance": [infos[n]["clearance"] if n in infos else np.inf for n in names],
+                "met": over and all(ends[name] for name in alive),
+                "cut": over and any(cuts[name] for name in alive),
+                "summary": infos[alive[0]].get("summary"),
+            }
+        )
+        if over:
+            observations, _ = env.reset()
+            transitions[-1]["next"] = np.stack([observations[name] for name in names])
+    return start, transitions
+
+
+def assert_same(transition, team, obs, rewards, met, cut, infos):
+    """One team's transition equals that of its PettingZoo environment, bit for bit."""
+    np.testing.assert_array_equal(obs, transition["observations"])
+    np.testing.assert_array_equal(infos["robot_rewards"][team], transition["robot_rewards"])
+    np.testing.assert_array_equal(infos["active"][team], transition["active"])
+    np.testing.assert_array_equal(infos["contact"][team], transition["contact"])
+    np.testing.assert_array_equal(infos["clearance"][team], transition["clearance"])
+    assert rewards[team] == transition["reward"]
+    assert (met[team], cut[team]) == (transition["met"], transition["cut"])
+
+
+def summary_of(infos, team):
+    kept = {key: value for key, value in infos["summary"].items() if key[0] != "_"}
+    assert infos["_summary"][team]
+    assert all(infos["summary"][f"_{key}"][team] for key in kept)
+    return {key: values[team] for key, values in kept.items()}
+
+
+@pytest.mark.parametrize("mode", list(AutoresetMode))
+def test_a_tape_gives_the_transitions_of_single_environments(scenario, mode):
+    tape = tape_of(scenario)
+    venv = rv.make_vec(scenario, TEAMS, autoreset_mode=mode, num_threads=2)
+    obs, _ = venv.reset(seed=SEED)
+    single = [replay_pettingzoo(scenario, team, tape[:, team]) for team in range(TEAMS)]
+    np.testing.assert_array_equal(obs, [start for start, _ in single])
+    place = [0] * TEAMS  # how far each team's own tape has been played
+    resting, ends = [False] * TEAMS, {True: 0, False: 0}
+    for _ in range(STEPS):
+        actions = np.stack([tape[place[team], team] for team in range(TEAMS)])
+        obs, rewards, met, cut, infos = venv.step(actions)
+        over = met | cut
+        for team in range(TEAMS):
+            step = single[team][1][place[team] - 1 if resting[team] else place[team]]
+            if resting[team]:
+                np.testing.assert_array_equal(obs[team], step["next"])
+                assert not over[team] and rewards[team] == 0 and infos["active"][team].all()
+                resting[team] = False
+                continue
+            place[team] += 1
+            if over[team] and mode is AutoresetMode.SAME_STEP:
+                assert infos["_final_obs"][team] and infos["_final_info"][team]
+                final = infos["final_info"]
+                assert_same(step, team, infos["final_obs"][team], rewards, met, cut, final)
+                np.testing.assert_array_equal(obs[team], step["next"])
+                assert summary_of(final, team) == step["summary"]
+            else:
+                assert_same(step, team, obs[team], rewards, met, cut, infos)
+            if over[team]:
+                ends[bool(met[team])] += 1
+                if mode is not AutoresetMode.SAME_STEP:
+                    assert summary_of(infos, team) == step["summary"]
+                resting[team] = mode is AutoresetMode.NEXT_STEP
+        if over.any() and mode is AutoresetMode.DISABLED:
+            obs, infos = venv.reset(options={"reset_mask": over})
+            np.testing.assert_array_equal(infos["_active"], over)
+            for team in np.flatnonzero(over):
+                np.testing.assert_array_equal(obs[team], single[team][1][place[team] - 1]["next"])
+    assert ends[False] >= TEAMS
+    if scenario.dim == 2:
+        assert ends[True] >= 3
+
+
+@pytest.mark.parametrize("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP])
+def test_infos_have_the_form_that_gymnasium_gives_single_environments(scenario, mode):
+    tape = tape_of(scenario, teams=4)
+    ours = rv.make_vec(scenario, 4, autoreset_mode=mode)
+    theirs = SyncVectorEnv([lambda: make_env(scenario)] * 4, autoreset_mode=mode)
+    assert ours.single_observation_space == theirs.single_observation_space
+    assert ours.observation_space == theirs.observation_space
+    assert ours.action_space == theirs.action_space
+    assert data_equivalence(ours.reset(seed=[7, 1, 5, 3]), theirs.reset(seed=[7, 1, 5, 3]))
+    for actions in tape:
+        *mine, my_infos = ours.step(actions)
+        *other, infos = theirs.step(actions)
+        assert data_equivalence(tuple(mine), tuple(other), exact=True)
+        if mode is AutoresetMode.SAME_STEP:  # ours stay those of the step, theirs start anew
+            del my_infos["robot_rewards"], infos["robot_rewards"]
+            final, their_final = my_infos.get("final_info"), infos.get("final_info")
+            for key in list(final or ()):  # theirs hold zeros where the mask is False
+                if isinstance(final[key], np.ndarray) and key[0] != "_":
+                    rows = my_infos["_final_info"]
+                    np.testing.assert_array_equal(final[key][rows], their_final[key][rows])
+            my_infos.pop("final_info", None), infos.pop("final_info", None)
+            my_final, other = my_infos.pop("final_obs", None), infos.pop("final_obs", None)
+            assert (my_final is None) == (other is None)
+        summary, their_summary = my_infos.pop("summary", None), infos.pop("summary", None)
+        assert (summary or {}).keys() == (their_summary or {}).keys()
+        assert my_infos.keys() == infos.keys()
+        for key, values in infos.items():
+            assert values.dtype == my_infos[key].dtype
+            np.testing.assert_array_equal(values, my_infos[key])
+        for key, values in (their_summary or {}).items():
+            rows = their_summary[f"_{key.lstrip('_')}"]
+            np.testing.assert_array_equal(values[rows], summary[key][rows])
+            assert values.dtype == summary[key].dtype
+
+
+@pytest.mark.parametrize("name", ["fig4", "swarm-20", "unicycle-6", "uav-6", "random-10"])
+def test_gymnasium_finds_nothing_to_warn_of(name):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        env = gymnasium.make(NAME, scenario=name)
+        check_env(env.unwrapped, skip_render_check=True)
+    assert env.spec.max_episode_steps is None
+
+
+def test_gymnasium_makes_teams():
+    venv = gymnasium.make_vec(
+        NAME, num_envs=3, scenario="duo", max_cycles=5, autoreset_mode=AutoresetMode.SAME_STEP
+    )
+    assert venv.metadata["autoreset_mode"] is AutoresetMode.SAME_STEP
+    obs, _ = venv.reset(seed=0)
+    assert obs.shape == (3, 2, 1, 2) and obs in venv.observation_space
+    lengths = [venv.step(np.zeros((3, 2, 2), np.float32))[3].all() for _ in range(10)]
+    assert lengths == [False] * 4 + [True] + [False] * 4 + [True]
+
+
+def test_a_disabled_team_stays_ended():
+    venv = rv.make_vec("duo", 2, autoreset_mode="Disabled", max_cycles=2)
+    venv.reset(seed=0)
+    actions = np.ones((2, 2, 2), np.float32)
+    venv.step(actions)
+    obs, _, _, cut, _ = venv.step(actions)
+    after, rewards, _, still, _ = venv.step(actions)
+    assert cut.all() and still.all() and not rewards.any()
+    np.testing.assert_array_equal(after, obs)
+
+
+def test_given_starts_and_seeds_reach_the_teams():
+    venv = rv.make_vec("duo", 3)
+    starts = np.arange(12.0).reshape(3, 2, 2)
+    venv.reset(seed=5, options={"positions": starts})
+    np.testing.assert_array_equal(venv.simulator.positions, starts)
+    np.testing.assert_array_equal(venv.simulator.seeds, [5, 6, 7])
+    venv.reset(seed=[9, None, 4], options={"reset_mask": np.array([True, False, True])})
+    np.testing.assert_array_equal(venv.simulator.seeds, [9, 6, 4])
+    np.testing.assert_array_equal(venv.simulator.positions[1], starts[1])
+
+
+def test_given_starts_within_reach_merge_in_the_first_step_and_not_before():
+    start = ((0.0, 0.0), (0.1, 0.0), (3.0, 0.0))
+    scenario = rv.Scenario(n_robots=3, start_positions=start, time_limit=1.0)
+    venv = rv.make_vec(scenario, 2, max_cycles=1)
+    rest = np.zeros((2, 3, 2), np.float32)
+    venv.reset(seed=0)
+    seen = [venv.step(rest)[4]["active"].sum(axis=1).tolist() for _ in range(4)]
+    assert seen == [[2, 2], [3, 3], [2, 2], [3, 3]]
+
+
+@pytest.mark.parametrize("copied", [copy.deepcopy, lambda venv: pickle.loads(pickle.dumps(venv))])
+def test_copies_go_on_where_the_teams_are(scenario, copied):
+    tape = tape_of(scenario)
+    venv = rv.make_vec(scenario, TEAMS)
+    venv.reset(seed=SEED)
+    for actions in tape[:25]:
+        venv.step(actions)
+    other = copied(venv)
+    third = rv.make_vec(scenario, TEAMS)
+    third.set_state(venv.get_state())
+    for actions in tape[25:50]:
+        expected = venv.step(actions)
+        assert data_equivalence(expected, other.step(actions), exact=True)
+        assert data_equivalence(expected, third.step(actions), exact=True)
+
+
+def test_every_step_gives_arrays_of_its_own():
+    venv = rv.make_vec("clutter-4", 20, autoreset_mode=AutoresetMode.SAME_STEP, max_cycles=3)
+    venv.reset(seed=0)
+    kept = []
+    for _ in range(4):
+        *arrays, infos = venv.step(np.ones((20, 4, 2), np.float32))
+        arrays += [value for value in infos.values() if isinstance(value, np.ndarray)]
+        kept += arrays
+    for i, array in enumerate(kept):
+        assert array.flags.writeable
+        assert not any(np.may_share_memory(array, other) for other in kept[i + 1 :])
+
+
+def test_a_wrong_action_names_its_robot():
+    venv = rv.make_vec("duo", 3)
+    venv.reset(seed=0)
+    actions = np.zeros((3, 2, 2), np.float32)
+    actions[2, 1, 0] = np.nan
+    with pytest.raises(ValueError, match="robot_1 in team 2"):
+        venv.step(actions)
+    with pytest.raises(ValueError, match=r"\(B, n, a\)"):
+        venv.step(actions[:2])
+
+
+def test_a_reset_without_room_changes_nothing():
+    scenario = rv.Scenario(n_robots=3, merge_radius=0.2, spawn_size=0.5)
+
+    def has_room(seed):
+        try:
+            rv.make_vec(scenario).reset(seed=seed)
+        except RuntimeError:
+            return False
+        return True
+
+    roomy = next(seed for seed in range(100) if has_room(seed))
+    narrow = next(seed for seed in range(100) if not has_room(seed))
+    venv = rv.make_vec(scenario, 2)
+    merging = np.array([[0.0, 0.0], [0.1, 0.0], [3.0, 0.0]])
+    venv.reset(seed=5, options={"positions": merging})
+    venv.step(np.zeros((2, 3, 2), np.float32))
+    before = venv.get_state()
+    assert not venv.simulator.active.all()
+    with pytest.raises(RuntimeError, match="team 1"):
+        venv.reset(seed=[roomy, narrow])
+    assert data_equivalence(venv.get_state(), before, exact=True)

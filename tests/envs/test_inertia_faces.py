@@ -1,0 +1,113 @@
+"""Robots with inertia through every door: API suites, spaces, files, what is refused."""
+
+from __future__ import annotations
+
+import warnings
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+import baselines
+import rendezvous_env as rv
+from rendezvous_env import rendezvous_v0
+from rendezvous_env.envs.gymnasium_env import make_env
+from rendezvous_env.safety.theorems.descent import covered, time_bound
+from rendezvous_env.vector import HeadingVectorWrapper
+
+with warnings.catch_warnings():  # PettingZoo imports its own old modules here
+    warnings.simplefilter("ignore", DeprecationWarning)
+    from pettingzoo.test import api_test, parallel_api_test
+
+
+def team(dim: int = 2, **changes: object) -> rv.Scenario:
+    given = {"n_robots": 3, "dim": dim, "robot_model": "double_integrator", "time_limit": 5.0}
+    return rv.Scenario(**given | changes)
+
+
+@pytest.mark.filterwarnings("ignore:^The observation contains negative numbers:UserWarning")
+@pytest.mark.filterwarnings(r"ignore:^Observation numpy array is all zeros\.$:UserWarning")
+@pytest.mark.parametrize("dim", [2, 3])
+def test_api_suites(dim):
+    parallel_api_test(rendezvous_v0.parallel_env(team(dim)), num_cycles=300)
+    api_test(rendezvous_v0.env(team(dim)), num_cycles=200, verbose_progress=False)
+    check_env(make_env(team(dim)), skip_render_check=True)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_observations_stay_in_their_space_and_end_with_the_velocity(dim):
+    scenario = team(dim, max_speed=0.7, max_acceleration=50.0)
+    env, random = rv.parallel_env(scenario), np.random.default_rng(0)
+    observations, _ = env.reset(0)
+    assert observations["robot_0"].shape == (2 + 1, dim)
+    space = env.observation_space("robot_0")
+    np.testing.assert_allclose(space.high[-1], 0.7, rtol=1e-6)
+    np.testing.assert_allclose(env.action_space("robot_0").high, 50.0)
+    fastest = 0.0
+    for _ in range(100):
+        if not env.agents:
+            break
+        actions = {name: random.uniform(-50, 50, dim).astype(np.float32) for name in env.agents}
+        observations, *_ = env.step(actions)
+        for seen in observations.values():
+            assert space.contains(seen)
+            fastest = max(fastest, float(np.linalg.norm(seen[-1])))
+    assert 0.69 < fastest <= 0.7000001
+
+
+def test_autoreset_begins_at_rest():
+    venv = rv.make_vec(team(time_limit=0.3), num_envs=6)
+    venv.reset(seed=0)
+    push = np.full(venv.action_space.shape, 1.0, np.float32)
+    for _ in range(venv.simulator.max_steps):
+        venv.step(push)
+    assert (np.linalg.norm(venv.simulator.velocities, axis=-1) > 0.1).all()
+    observations, rewards, *_ = venv.step(push)
+    np.testing.assert_array_equal(venv.simulator.velocities, 0.0)
+    np.testing.assert_array_equal(observations[:, :, -1], 0.0)
+    assert (rewards == 0).all() and (venv.simulator.steps == 0).all()
+
+
+def test_files(tmp_path):
+    scenario = team(max_acceleration=2.5, max_speed=1.5)
+    scenario.to_toml(tmp_path / "team.toml")
+    assert rv.Scenario.from_toml(tmp_path / "team.toml") == scenario
+    assert scenario.acceleration_limit == 2.5 and team().acceleration_limit == 4 * 2.0
+    with pytest.raises(ValueError, match=r"max_acceleration is -1; it must be a positive"):
+        team(max_acceleration=-1)
+
+
+def test_no_theorem_is_claimed():
+    scenario = team(graph="path")
+    certificate = rv.certificate(scenario)
+    assert not certificate.guaranteed and certificate.time_bound == np.inf
+    assert certificate.theorem == (
+        "none: no theorem covers double_integrator robots, whose action (acceleration, m/s²) is "
+        "not their velocity; V may rise at any time"
+    )
+    assert not covered(scenario) and time_bound(scenario, 5.0) == np.inf
+    walled = scenario.replace(obstacles=[rv.Disc((0, 0), 1)])
+    assert "double_integrator" in rv.certificate(walled).theorem
+    assert "theorem 3" in rv.certificate(rv.scenarios.get("unicycle-6")).theorem
+    assert "theorem 4" in rv.certificate(rv.scenarios.get("uav-6")).theorem
+
+
+def test_headings_do_not_steer_them():
+    message = r"scenario has double_integrator robots, whose action is acceleration, m/s²; law"
+    with pytest.raises(ValueError, match=message):
+        rv.HeadingVectorWrapper(rv.parallel_env(team()))
+    venv = rv.make_vec(team(), 2, autoreset_mode=gymnasium.vector.AutoresetMode.DISABLED)
+    with pytest.raises(ValueError, match=message):
+        HeadingVectorWrapper(venv)
+    assert baselines.names(team()) == ["damped", "random", "zero"]
+    with pytest.raises(ValueError, match='headings: double_integrator robots have none; give "fra'):
+        rv.Simulator(team()).reset(0, {"headings": [0.0, 0.0, 0.0]})
+
+
+def test_actions_keep_their_direction_within_the_limit():
+    scenario = team(max_acceleration=1.0, max_speed=9.0)
+    policy = baselines.make("damped", scenario, damping=100.0)
+    seen = np.zeros((1, 3, 3, 2), np.float32)
+    seen[..., -1, :] = (0.3, 0.4)
+    np.testing.assert_allclose(policy(seen, 0.0), np.broadcast_to((-0.6, -0.8), (1, 3, 2)))

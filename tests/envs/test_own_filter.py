@@ -1,0 +1,160 @@
+"""A safety filter of a user's own, from outside the package, and wrappers under a guarantee."""
+
+from __future__ import annotations
+
+import copy
+import logging
+import pickle
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.vector import AutoresetMode
+
+import rendezvous_env as rv
+from rendezvous_env.envs import vector_env
+
+
+class HalfSpeed(rv.SafetyFilter):
+    """Law (1) at a share of its speed that the policy chooses, never less than ``least``."""
+
+    state_key = "half_speed"
+    chooses_vectors = False
+    lowest_choice = 0.0
+
+    def __init__(self, scenario, num_envs, *, least=0.5, num_threads=None):
+        super().__init__(scenario, num_envs, action_size=1, frame="local", num_threads=num_threads)
+        self.least = least
+
+    def act(self, observations):
+        f = self.scenario.observation_layout.net_bearing(observations)
+        return (np.maximum(self.held, self.least) * f).astype(np.float32)
+
+
+rv.register_filter("half_speed", HalfSpeed)
+
+
+def drive(env, steps=400):
+    """Rewards, last V, and whether all have met, with choices that are all zero."""
+    env.reset(seed=0)
+    total = 0.0
+    for _ in range(steps):
+        zero = np.zeros(env.action_space.shape, env.action_space.dtype)
+        _, rewards, ends, _, _ = env.step(zero)
+        total += rewards.sum()
+        if ends.all():
+            break
+    return total, env.unwrapped.simulator.status.tolist()
+
+
+def test_a_filter_of_ones_own_serves_every_environment():
+    env = rv.GuaranteeWrapper(rv.parallel_env("fig3"), "half_speed", least=0.25)
+    env.reset(seed=0)
+    assert env.action_space("robot_0").shape == (1,) and env.filter.least == 0.25
+    while env.agents:
+        *_, infos = env.step({name: np.zeros(1, np.float32) for name in env.agents})
+    assert all(info["summary"]["success"] for info in infos.values())
+
+    venv = rv.make_vec("fig3", num_envs=3, autoreset_mode="Disabled")
+    _, status = drive(rv.vector.GuaranteeWrapper(venv, HalfSpeed, least=0.5))
+    assert status == [venv.simulator.status[0]] * 3
+
+    made = HalfSpeed(venv.scenario, 3)
+    assert rv.vector.GuaranteeWrapper(venv, made).filter is made
+    teams = rv.vector.training_env("fig3", 2, guarantee="half_speed", least=0.75)
+    assert teams.env.filter.least == 0.75
+    teams.reset(seed=0)
+    teams.step(np.zeros(teams.action_space.shape, np.float32))
+
+
+def test_its_memory_is_part_of_state_and_pickle():
+    env = rv.GuaranteeWrapper(rv.parallel_env("fig3"), HalfSpeed, decision_period=2)
+    env.reset(seed=1)
+    choices = {name: np.ones(1, np.float32) for name in env.agents}
+    env.step(choices)
+    assert set(env.get_state()) == {"env", "half_speed", "observed"}
+    others = [pickle.loads(pickle.dumps(env)), copy.deepcopy(env)]
+    first = env.step(choices)[0]
+    for other in others:
+        for name, seen in other.step(choices)[0].items():
+            np.testing.assert_array_equal(seen, first[name])
+
+
+def test_what_is_no_filter_is_refused_by_name():
+    base = rv.parallel_env("fig3")
+    with pytest.raises(ValueError, match="safety_filter is 'half_sped'"):
+        rv.GuaranteeWrapper(base, "half_sped")
+    with pytest.raises(TypeError, match="HalfSpeed has no setting 'leats'; did you mean 'least'"):
+        rv.GuaranteeWrapper(base, "half_speed", leats=1)
+    with pytest.raises(ValueError, match="of this scenario and 1 teams"):
+        rv.GuaranteeWrapper(base, HalfSpeed(base.scenario, 2))
+    with pytest.raises(ValueError, match="which are taken"):
+        rv.register_filter("heading", HalfSpeed)
+    with pytest.raises(ValueError, match="subclass of SafetyFilter"):
+        rv.register_filter("other", dict)
+    with pytest.raises(ValueError, match="a word"):
+        rv.register_filter("no word", HalfSpeed)
+
+
+@pytest.mark.parametrize("mode", list(AutoresetMode))
+@pytest.mark.parametrize("period", [1, 3])
+def test_wrappers_of_gymnasium_stand_under_a_guarantee(mode, period):
+    """Rewards pass through them in each base step; everything else is as without."""
+
+    def make(between):
+        venv = rv.make_vec("fig3", num_envs=3, autoreset_mode=mode, time_limit=2.0)
+        env = between(venv)
+        return rv.vector.EnergyTankWrapper(env, budget=1.0, decision_period=period)
+
+    plain = make(lambda env: env)
+    doubled = make(lambda env: gymnasium.wrappers.vector.TransformReward(env, lambda r: 2 * r))
+    random, ended = np.random.default_rng(0), 0
+    seen, _ = plain.reset(seed=4)
+    np.testing.assert_array_equal(seen, doubled.reset(seed=4)[0])
+    for _ in range(60):
+        choices = random.uniform(-1, 1, plain.action_space.shape)
+        one, two = plain.step(choices), doubled.step(choices)
+        np.testing.assert_array_equal(one[0], two[0])
+        np.testing.assert_array_equal(2 * one[1], two[1])
+        ended += (one[2] | one[3]).sum()
+        for key in ("tank", "merged_into", "time", "contact"):
+            np.testing.assert_array_equal(one[4][key], two[4][key])
+    assert ended >= 3
+
+
+def test_a_decision_is_told_of_once_and_wrappers_between_hear_of_each_base_step(monkeypatch):
+    told, tell = [], vector_env.step_info
+
+    def count(*arguments):
+        told.append(arguments)
+        return tell(*arguments)
+
+    monkeypatch.setattr(vector_env, "step_info", count)
+    for between, times in ((lambda env: env, 1), (gymnasium.vector.VectorWrapper, 5)):
+        venv = between(rv.make_vec("fig3", num_envs=2))
+        env = rv.vector.HeadingVectorWrapper(venv, decision_period=5)
+        env.reset(seed=0)
+        told.clear()
+        env.step(np.zeros(env.action_space.shape))
+        assert len(told) == times
+
+
+def test_wrappers_that_change_what_robots_see_or_do_stand_upon_it():
+    venv = rv.make_vec("fig3", num_envs=2)
+    for between in (
+        gymnasium.wrappers.vector.TransformAction(venv, lambda a: a),
+        gymnasium.wrappers.vector.FlattenObservation(venv),
+    ):
+        with pytest.raises(TypeError, match=rf"{type(between).__name__}.*put it upon"):
+            rv.vector.HeadingVectorWrapper(between)
+
+
+def test_a_training_environment_says_once_what_is_not_guaranteed(caplog):
+    with caplog.at_level(logging.WARNING, logger="rendezvous_env"):
+        for _ in range(2):
+            rv.vector.training_env("noisy-8", learning_preset=False, time_limit=7.25)
+        told = [record.getMessage() for record in caplog.records]
+        assert len(told) == 1 and "nothing is guaranteed" in told[0]
+        caplog.clear()
+        rv.vector.training_env("ring-12", learning_preset=False, time_limit=7.25)
+        assert not caplog.records

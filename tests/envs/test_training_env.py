@@ -1,0 +1,297 @@
+"""Teams to train in: what generic learners see, do, earn and are told."""
+
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+import pytest
+from gymnasium.vector import AutoresetMode
+
+import baselines
+import rendezvous_env as rv
+from baselines.learned.features import Features
+from baselines.learned.guide import ALL_ROUND, ANGLES
+from baselines.learned.shipped import preset
+from train.learn.settings import Config
+
+with warnings.catch_warnings():  # PettingZoo's suites load environments that it calls outdated
+    warnings.simplefilter("ignore", DeprecationWarning)
+    from pettingzoo.test import parallel_api_test, parallel_seed_test
+
+SCENARIO = rv.scenarios.get("clutter-8").replace(time_limit=6.0)
+FORMS = {
+    "preset": {},
+    "discrete": {"discrete": True},
+    "tank": {"guarantee": "tank"},
+    "tank, discrete": {"guarantee": "tank", "discrete": True},
+    "gains": {"guarantee": "gains"},
+    "links": {"guarantee": "links"},
+    "bare": {"guarantee": None},
+    "plain": {"learning_preset": False},
+    "tables": {"learning_preset": False, "flatten": False},
+}
+
+
+@pytest.fixture(params=list(FORMS))
+def form(request):
+    return FORMS[request.param]
+
+
+def choices(env, seed=0):
+    random = np.random.default_rng(seed)
+    shape = (env.num_envs, *env.single_action_space.shape)
+    if env.single_action_space.dtype == np.float32:
+        return random.uniform(-0.5, 1.0, shape).clip(env.single_action_space.low)
+    return random.integers(env.single_action_space.nvec[0], size=shape)
+
+
+# ---- both doors ---------------------------------------------------------------------------------
+
+
+def test_the_suites_of_pettingzoo(form, capsys):
+    parallel_api_test(rv.training_env(SCENARIO, **form), 60)
+    assert "Passed" in capsys.readouterr().out
+    parallel_seed_test(lambda: rv.training_env(SCENARIO, **form), 5)
+
+
+def test_the_door_by_name_is_the_vector_door_with_one_team(form):
+    mode = AutoresetMode.DISABLED
+    teams = rv.vector.training_env(SCENARIO, 3, autoreset_mode=mode, **form)
+    env = rv.training_env(SCENARIO, **form)
+    table, _ = teams.reset(seed=4)
+    seen, infos = env.reset(seed=5)
+    keys, steps = set(infos["robot_0"]), 0
+    while env.agents:
+        np.testing.assert_array_equal(np.stack(list(seen.values())), table[1])
+        actions = choices(teams, steps)
+        table, rewards, ends, cuts, told = teams.step(actions)
+        by_name = dict(zip(env.agents, actions[1], strict=True))
+        seen, earned, _, _, infos = env.step(by_name)
+        assert env.observation_space("robot_0").contains(seen["robot_0"])
+        assert list(earned.values()) == told["robot_rewards"][1].tolist()
+        assert rewards[1] == pytest.approx(np.mean(list(earned.values())), abs=1e-15)
+        for i, info in enumerate(infos.values()):
+            assert set(info) == keys and all(np.isscalar(value) for value in info.values())
+            assert info["merged_into"] == told["merged_into"][1, i]
+            assert info["time"] == told["time"][1]
+        steps += 1
+    assert (ends | cuts)[1] and steps > 5
+
+
+def test_all_robots_stay_and_those_that_are_gone_do_nothing():
+    env = rv.training_env("duo", guarantee=None, n_robots=3, time_limit=20.0)
+    law = baselines.make("bearing-only", env.scenario)
+    seen, infos = env.reset(seed=1)
+    gone = set()
+    while env.agents:
+        assert env.agents == env.possible_agents
+        rows = np.stack(list(seen.values())).reshape(1, 3, *env.scenario.observation_layout.shape)
+        actions = law(rows, 0.0)[0]
+        for name in gone:
+            assert not seen[name].any()
+            actions[env.possible_agents.index(name)] = env.action_space(name).high
+        seen, rewards, ends, _, infos = env.step(dict(zip(env.agents, actions, strict=True)))
+        assert len(set(rewards.values())) == 1
+        gone = {name for name, info in infos.items() if not info["active"]}
+    assert all(ends.values()) and len(gone) == 2 and infos["robot_0"]["success"]
+
+
+# ---- the preset ---------------------------------------------------------------------------------
+
+
+def test_the_preset_is_what_training_begins_with():
+    config = Config()
+    for guarantee in ("heading", "tank"):
+        found = preset(guarantee)
+        assert found.reward == config.base_scenario().reward
+        assert found.touch_penalty == config.touch_penalty
+        assert found.settings.decision_time == pytest.approx(0.6)
+    assert preset("heading").settings == config.policy_settings()
+    assert preset(None) == preset("heading")
+    env = rv.training_env(SCENARIO)
+    assert env.scenario.reward == config.base_scenario().reward
+
+
+def test_robots_are_shown_what_the_shipped_policy_is_shown():
+    teams = rv.vector.training_env(SCENARIO, 4)
+    shown, _ = teams.reset(seed=2)
+    simulator = rv.Simulator(teams.scenario, 4)
+    perception = Features(teams.scenario, 4, decision_time=0.6)
+    still = np.zeros((4, 4, 2))
+    np.testing.assert_array_equal(shown, perception.see(simulator.reset(2), still))
+    assert teams.layout.split(shown).neighbours.shape == (4, 4, 3, 3)
+
+
+@pytest.mark.parametrize(("guarantee", "angles"), [("heading", ANGLES), ("tank", ALL_ROUND)])
+def test_a_direction_is_the_choice_of_its_angle(guarantee, angles):
+    """Of any length; and none at all is the rule itself."""
+    mode = {"guarantee": guarantee, "autoreset_mode": AutoresetMode.DISABLED}
+    chosen = rv.vector.training_env(SCENARIO, 6, discrete=True, **mode)
+    headed = rv.vector.training_env(SCENARIO, 6, **mode)
+    np.testing.assert_array_equal(chosen.reset(seed=7)[0], headed.reset(seed=7)[0])
+    random = np.random.default_rng(3)
+    for _ in range(8):
+        indices = random.integers(len(angles), size=(6, 4))
+        vectors = np.stack((np.cos(angles), np.sin(angles)), axis=-1)[indices]
+        vectors = vectors * random.uniform(0.1, 0.9, (6, 4, 1)) * (indices != 0)[..., None]
+        seen, *_ = chosen.step(indices)
+        other, *_ = headed.step(vectors)
+        np.testing.assert_allclose(other, seen, atol=2e-5)
+
+
+def test_a_first_touch_is_paid_for_once_in_every_autoreset_mode():
+    """Straight ahead into obstacles: the bare reward is the team's, less 1 at a first touch."""
+    for mode in AutoresetMode:
+        free, paid = (
+            rv.vector.training_env(
+                SCENARIO,
+                8,
+                guarantee=None,
+                autoreset_mode=mode,
+                touch_penalty=price,
+                max_cycles=90,
+            )
+            for price in (0.0, 1.0)
+        )
+        rows, _ = free.reset(seed=0)
+        paid.reset(seed=0)
+        law = baselines.make("bearing-only", SCENARIO)
+        touched, touches = np.zeros((8, 4), bool), 0
+        for _ in range(200):
+            actions = law(rows.reshape(8, 4, *SCENARIO.observation_layout.shape), 0.0)
+            rows, _, ends, cuts, infos = free.step(actions)
+            *_, told = paid.step(actions)
+            contact = infos["contact"]
+            over = ends | cuts
+            if "final_info" in infos:
+                contact = np.where(over[:, None], infos["final_info"]["contact"], contact)
+            first = contact & ~touched
+            np.testing.assert_allclose(told["robot_rewards"], infos["robot_rewards"] - first)
+            touched, touches = (touched | contact) & ~over[:, None], touches + first.sum()
+        assert touches > 8
+
+
+def test_robots_without_a_shipped_policy_see_and_do_what_the_wrapper_says():
+    uav = rv.training_env("uav-6")
+    plain = rv.training_env("uav-6", learning_preset=False)
+    assert uav.observation_space("robot_0") == plain.observation_space("robot_0")
+    assert uav.teams.env.decision_period == round(0.6 / uav.scenario.tau)
+    assert plain.teams.env.decision_period == 1 and plain.teams.touch_penalty == 0.0
+    assert uav.teams.touch_penalty == 1.0 and uav.scenario.reward != plain.scenario.reward
+    tank = rv.training_env("cloud-8", guarantee="tank")
+    assert tank.teams.env.tank.get_state()["levels"].min() > 0
+
+
+# ---- arguments ----------------------------------------------------------------------------------
+
+
+def test_overrides_reach_the_wrapper_the_preset_and_the_scenario():
+    env = rv.training_env(
+        "clutter-8", min_alignment=0.3, n_robots=3, max_cycles=7, decision_period=5
+    )
+    assert env.teams.env.decision_period == 5
+    env.reset(seed=0)
+    while env.agents:
+        *_, infos = env.step({name: [-1.0, 0.0] for name in env.agents})
+        assert min(info["alignment"] for info in infos.values()) > 0.29
+    assert len(env.possible_agents) == 3 and env.simulator.max_steps == 7
+    own = rv.RewardWeights(progress=2.0)
+    assert rv.training_env("clutter-8", reward=own).scenario.reward == own
+    kept = rv.training_env(SCENARIO.replace(reward=own))
+    assert kept.scenario.reward == own
+    gains = rv.training_env("clutter-8", guarantee="gains", max_gain=0.7, frame="local")
+    assert not gains.teams.env.gains.along_net_bearing
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error", "message"),
+    [
+        ({"min_aligment": 0.1}, TypeError, "did you mean 'min_alignment'"),
+        ({"n_robot": 3}, TypeError, "did you mean 'n_robots'"),
+        ({"flaten": True}, TypeError, "did you mean 'flatten'"),
+        ({"budget": 1.0}, TypeError, "no argument 'budget'"),
+        ({"guarantee": "headings"}, ValueError, "guarantee is 'headings'; it must be one of"),
+        ({"on_merge": "remove"}, ValueError, "on_merge is 'remove'; it must be 'follow'"),
+        ({"flatten": False}, ValueError, "flatten is False.*learning_preset"),
+        ({"learning_preset": False, "discrete": True}, ValueError, "discrete is True"),
+        ({"guarantee": "gains", "discrete": True}, ValueError, "discrete is True"),
+        ({"frame": "local"}, ValueError, "frame is 'local'.*learning_preset=False"),
+        ({"learning_preset": 1}, ValueError, "learning_preset is 1"),
+        ({"touch_penalty": "no"}, ValueError, "touch_penalty is 'no'"),
+        ({"scenario": "uav-6", "discrete": True}, ValueError, "single integrators in the plane"),
+    ],
+)
+def test_what_cannot_be_is_refused(arguments, error, message):
+    with pytest.raises(error, match=message):
+        rv.training_env(**({"scenario": SCENARIO} | arguments))
+
+
+def test_bad_actions_name_the_robot_and_change_nothing():
+    for form, bad in (({}, [0.0, np.nan]), ({"discrete": True}, 9), ({"discrete": True}, 0.5)):
+        env = rv.training_env(SCENARIO, **form)
+        env.reset(seed=0)
+        actions = {name: env.action_space(name).sample() for name in env.agents}
+        before = env.state()
+        with pytest.raises(ValueError, match="action of robot_2"):
+            env.step(actions | {"robot_2": bad})
+        with pytest.raises(KeyError, match="robot_3 is alive but has no action"):
+            env.step({name: actions[name] for name in env.agents[:3]})
+        np.testing.assert_array_equal(env.state(), before)
+        env.step(actions)
+
+
+@pytest.mark.parametrize(
+    ("form", "bad", "message"),
+    [
+        ({}, np.full((2, 4, 2), np.nan), "action of robot_0 in team 0 is .*must be finite"),
+        ({}, np.zeros((2, 4)), r"shape \(2, 4\); they must be \(B, n, 2\) = \(2, 4, 2\)"),
+        ({}, "ahead", "actions is 'ahead'"),
+        ({"discrete": True}, np.full((2, 4), 9), "robot_0 in team 0 is 9.*whole number below 9"),
+        ({"discrete": True}, np.zeros((2, 4, 2)), r"they must be \(B, n\) = \(2, 4\)"),
+    ],
+)
+def test_the_vector_door_names_team_and_robot(form, bad, message):
+    teams = rv.vector.training_env(SCENARIO, 2, **form)
+    teams.reset(seed=0)
+    before = teams.get_state()["env"]["env"]
+    with pytest.raises(ValueError, match=message):
+        teams.step(bad)
+    for key, array in teams.get_state()["env"]["env"].items():
+        np.testing.assert_array_equal(array, before[key])
+
+
+def test_a_running_episode_can_be_taken_out_and_put_back(form):
+    env = rv.training_env(SCENARIO, **form)
+    env.reset(seed=3)
+    actions = [dict(zip(env.agents, choices(env.teams, seed)[0], strict=True)) for seed in range(8)]
+    for each in actions[:3]:
+        env.step(each)
+    kept = env.get_state()
+    first = [env.step(each)[:2] for each in actions[3:]]
+    env.set_state(kept)
+    for each, (seen, rewards) in zip(actions[3:], first, strict=True):
+        again, earned, *_ = env.step(each)
+        assert earned == rewards
+        for name in again:
+            np.testing.assert_array_equal(again[name], seen[name])
+
+
+def test_the_adapter_of_stable_baselines3_takes_training_teams():
+    """A merged robot's slot is valued by its survivor, and a team's statistics are its own."""
+    pytest.importorskip("stable_baselines3")
+    from rendezvous_env.adapters.sb3 import RobotVecEnv
+
+    teams = rv.vector.training_env("duo", 3, guarantee=None, n_robots=3, max_cycles=400)
+    robots, law = RobotVecEnv(teams), baselines.make("bearing-only", teams.scenario)
+    layout = teams.scenario.observation_layout
+    robots.seed(0)
+    seen, episodes, cut = robots.reset(), [], 0
+    while len(episodes) < 3:
+        rows = layout.unflattened(seen).reshape(3, 3, *layout.shape)
+        seen, _, _, infos = robots.step(law(rows, 0.0).reshape(9, 2))
+        cut += sum(info.get("TimeLimit.truncated", False) for info in infos)
+        episodes += [info["episode"] for info in infos if "episode" in info]
+    assert cut >= 3 and all(episode["success"] for episode in episodes)
+    for episode in episodes:
+        assert episode["time"] == pytest.approx(episode["l"] * teams.scenario.tau)

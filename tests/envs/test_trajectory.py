@@ -1,0 +1,133 @@
+"""Rollouts."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from conftest import five, law_of
+
+import baselines
+import rendezvous_env as rv
+from rendezvous_env import Scenario, Simulator, rollout
+from rendezvous_env.safety.lyapunov import lyapunov
+from rendezvous_env.trajectory import run
+
+
+def test_two_robots_by_hand():
+    duo = Scenario(n_robots=2, merge_radius=0.5, local_frames="global")  # τ = 0.25 s
+    start = {"positions": [[0.0, 0.0], [1.8, 0.0]]}
+    traj = rollout(duo, baselines.make("bearing-only", duo), options=start)
+    # they close in at 2 m/s: 1.8, 1.3, 0.8 and then 0.5 after 0.15 s of the third step
+    np.testing.assert_allclose(traj.times, [0, 0.25, 0.5, 0.75])
+    np.testing.assert_allclose(traj.positions[:, 0, 0, 0], [0, 0.25, 0.5, 0.9], atol=1e-6)
+    np.testing.assert_allclose(traj.positions[:, 0, 1, 0], [1.8, 1.55, 1.3, 0.9], atol=1e-6)
+    np.testing.assert_allclose(traj.lyapunov[:, 0], [3.6, 2.6, 1.6, 0], atol=1e-6)
+    np.testing.assert_allclose(traj.lyapunov_before_merge[:, 0], [2.6, 1.6, 1.0], atol=1e-6)
+    np.testing.assert_allclose(traj.lyapunov_after_merge[:, 0], [2.6, 1.6, 0.0], atol=1e-6)
+    assert traj.active[:, 0].tolist() == [[True, True]] * 3 + [[True, False]]
+    assert traj.success.tolist() == [True] and traj.rendezvous_time.tolist() == [0.75]
+    (merge,) = traj.merges
+    assert merge[:3] == (0, 0.75, (1,)) and merge.lyapunov_before == pytest.approx(1.0, abs=1e-6)
+    assert traj.largest_rise_between_merges == pytest.approx(-0.6, abs=1e-6)
+
+
+def test_shapes_and_consistency(kind):
+    scenario = five(kind, time_limit=4.0)
+    traj = rollout(scenario, law_of(scenario), seed=3, num_envs=6, record="all")
+    steps, layout = len(traj.times) - 1, scenario.observation_layout
+    assert traj.positions.shape == (steps + 1, 6, 5, scenario.dim)
+    assert traj.headings.shape == (steps + 1, 6, 5, scenario.model.n_angles)
+    assert traj.observations.shape == (steps + 1, 6, 5, *layout.shape)
+    assert traj.actions.shape == (steps, 6, 5, scenario.action_size)
+    assert traj.rewards.shape == (steps, 6) and traj.contacts.shape == (steps, 6, 5)
+    assert traj.scenario is scenario and steps <= scenario.max_steps
+    np.testing.assert_allclose(np.diff(traj.times), scenario.tau)
+    together = traj.active.sum(axis=-1)
+    assert (np.diff(together, axis=0) <= 0).all()
+    np.testing.assert_array_equal(traj.success, np.isfinite(traj.rendezvous_time))
+    np.testing.assert_array_equal(traj.success, together[-1] == 1)
+    gone = traj.active[:-1] & ~traj.active[1:]
+    assert sum(len(merge.robots) for merge in traj.merges) == gone.sum() > 0
+    start = lyapunov(
+        traj.positions[0], Simulator(scenario).weights * 0 + scenario_weights(scenario)
+    )
+    np.testing.assert_allclose(traj.lyapunov[0], start, rtol=1e-12)
+
+
+def scenario_weights(scenario: Scenario) -> np.ndarray:
+    return scenario.sensing_graph.base_weights(scenario.n_robots)
+
+
+def test_a_team_that_has_finished_stays_as_it_is():
+    duo = Scenario(n_robots=2, local_frames="global")
+    starts = {"positions": [[[0.0, 0], [0.5, 0]], [[0.0, 0], [5, 0]]]}
+    traj = rollout(duo, law_of(duo), num_envs=2, options=starts, record="all")
+    end = round(traj.rendezvous_time[0] / duo.tau)
+    assert end < len(traj.times) - 1
+    for array in (traj.positions, traj.active, traj.lyapunov, traj.observations):
+        np.testing.assert_array_equal(
+            array[end:, 0], np.broadcast_to(array[end, 0], array[end:, 0].shape)
+        )
+    assert (traj.rewards[end:, 0] == 0).all()
+    assert [merge.env for merge in traj.merges] == [0, 1]
+
+
+def test_the_same_seed_gives_the_same_rollout_and_teams_have_their_own():
+    scenario = five("unicycle", time_limit=2.0)
+    a, b = (rollout(scenario, law_of(scenario), seed=4, num_envs=3) for _ in range(2))
+    single = rollout(scenario, law_of(scenario), seed=6)
+    for field in dataclasses.fields(a):
+        if field.name not in ("scenario", "recorded"):
+            np.testing.assert_array_equal(getattr(a, field.name), getattr(b, field.name))
+    np.testing.assert_array_equal(a.positions[:, 2], single.positions[:, 0])
+
+
+def test_any_callable_and_any_name_will_do():
+    seen = []
+
+    def policy(observations, time):
+        seen.append((observations.shape, time.tolist()))
+        return np.zeros((1, 3, 2))
+
+    traj = rv.rollout("fig3", policy)
+    assert not traj.success.any() and np.isinf(traj.rendezvous_time).all()
+    assert np.isclose(traj.times[-1], 30.0)
+    assert seen[0][0] == (1, 3, *traj.scenario.observation_layout.shape)
+    np.testing.assert_allclose([time for _, (time,) in seen], traj.times[:-1])
+    assert traj.obstacles.shape[:2] == (1, 3) and traj.merges == []
+    with pytest.raises(ValueError, match=r"actions have shape \(2, 2\)"):
+        rollout("duo", lambda observations, time: np.zeros((2, 2)))
+    with pytest.raises(ValueError, match="is unknown"):
+        rollout("duu", policy)
+
+
+def test_a_policy_with_memory_is_reset_first():
+    class Remembers:
+        resets = 0
+
+        def __call__(self, observations, time):
+            assert self.resets == 1
+            return np.zeros((1, 2, 2))
+
+        def reset(self, mask=None):
+            self.resets += 1
+
+    policy = Remembers()
+    rollout(Scenario(n_robots=2, time_limit=0.5), policy)
+    assert policy.resets == 1
+
+
+def test_steps_as_they_come():
+    scenario = five("single_integrator-3d", time_limit=1.0)
+    sim = Simulator(scenario, 4)
+    observations = sim.reset(0)
+    for k, step in enumerate(run(sim, law_of(scenario), observations)):
+        assert step.running.tolist() == [True] * 4
+        assert (sim.steps == k + 1).all()
+        if k == 0:
+            assert step.observations is observations
+            np.testing.assert_array_equal(step.lyapunov, sim.initial_lyapunov)
+        assert step.actions.dtype == np.float32
+    assert k + 1 == scenario.max_steps

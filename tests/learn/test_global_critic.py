@@ -1,0 +1,135 @@
+"""A critic that reads the global state: what it is told, and that nobody else is."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from gymnasium.vector import AutoresetMode
+
+import rendezvous_env as rv
+from baselines.learned.numpy_actor import NumpyActor
+from baselines.learned.training_environment import FeatureVectorEnv
+from rendezvous_env.adapters.slots import of_one_robot
+from train.checks import UserError
+from train.learn.networks import FAR, GlobalStateLayout
+from train.learn.recurrent import network_of, network_settings
+from train.learn.settings import Config, check
+
+SCENARIO = rv.scenarios.get("clutter-12").replace(time_limit=3.0)
+CONFIG = Config(
+    guarantee="tank", budget=2.0, critic="global", set_width=8, hidden=(16,), memory_units=8
+)
+
+
+def teams(config=CONFIG, batch=5):
+    venv = rv.make_vec(SCENARIO, batch, autoreset_mode=AutoresetMode.SAME_STEP)
+    settings = replace(config.policy_settings(), decision_time=SCENARIO.tau)
+    state = GlobalStateLayout(SCENARIO.n_robots, SCENARIO.observation_layout.obstacle_slots)
+    return FeatureVectorEnv(
+        venv, settings, global_state=state if config.critic == "global" else None
+    )
+
+
+def network(config, env):
+    torch.manual_seed(1)
+    spaces = map(of_one_robot, (env.single_observation_space, env.single_action_space))
+    return network_of(config, env)(*spaces, lambda _: 0.0, **network_settings(config, env))
+
+
+def test_the_state_by_hand():
+    """Robot 1 is 5 m from robot 0, the disc's centre 2 m to the left of it and 1 m ahead."""
+    disc = rv.Disc((-1.0, 2.5), 0.5)
+    scenario = rv.Scenario(n_robots=2, obstacles=(disc,), time_limit=10.0, max_speed=2.0)
+    simulator = rv.Simulator(scenario, 1)
+    positions = [[0.0, 0.0], [3.0, 4.0]]
+    observations = simulator.reset(0, {"positions": positions})
+    f = scenario.observation_layout.net_bearing(observations)
+    layout = GlobalStateLayout(2, 3)
+    states = layout.states(simulator, f, np.array([[0.0, np.e - 1.0]]))
+    assert states.shape == (1, 2, layout.size) and states.dtype == np.float32
+    seen = layout.split(states)
+    np.testing.assert_allclose(
+        seen.robots[0], [[[0, 0, 0, 1], [1, 0, 1, 1]], [[1, 0, 0, 1], [0, 0, 1, 1]]], atol=1e-6
+    )
+    x, y = np.array([0.6, 0.8]), np.array([-0.8, 0.6])
+    centre = np.array([-1.0, 2.5])
+    expected = [centre @ x / FAR, centre @ y / FAR, 0.5 / FAR]
+    np.testing.assert_allclose(seen.obstacles[0, 0, 0], expected, atol=1e-6)
+    assert not seen.obstacles[0, :, 1:].any()
+    np.testing.assert_allclose(seen.context[0], [[1, 0], [1, 0]], atol=1e-6)
+    for _ in range(20):
+        observations = simulator.step(observations[..., 0, :]).observations
+    f = scenario.observation_layout.net_bearing(observations)
+    later = layout.split(layout.states(simulator, f, np.zeros((1, 2))))
+    share = 20 * scenario.tau / 10.0
+    left = float(simulator.lyapunov()[0] / simulator.initial_lyapunov[0])
+    assert left < 0.99
+    np.testing.assert_allclose(later.context[0, 0], [left, share], atol=1e-6)
+
+
+def test_who_is_gone_is_not_there():
+    env = teams()
+    env.reset(seed=3)
+    for _ in range(59):
+        shown, *_ = env.step(np.zeros((5, 4), dtype=np.int64))
+    active = env.env.simulator.active
+    assert 0 < (~active).sum() < active.size
+    states = shown[..., env.layout.size :]
+    np.testing.assert_array_equal(states.any(axis=-1), active)
+    robots = env.global_state.split(states).robots
+    there = active[:, :, None] & active[:, None, :]
+    np.testing.assert_array_equal(robots[..., 3] == 1.0, there)
+
+
+def test_the_last_state_is_of_the_episode_that_ended():
+    env = teams()
+    env.reset(seed=3)
+    for _ in range(60):
+        shown, _, _, cuts, infos = env.step(np.zeros((5, 4), dtype=np.int64))
+    assert cuts.any()
+    last = np.stack(infos["final_obs"][cuts].tolist())
+    split = env.global_state.split
+    np.testing.assert_array_equal(split(last[:, 0, env.layout.size :]).context[:, 1], 1.0)
+    np.testing.assert_array_equal(split(shown[cuts][..., env.layout.size :]).context[..., 1], 0.0)
+
+
+@pytest.mark.parametrize("memory", ["none", "features", "recurrent"])
+def test_only_the_critic_reads_it(memory):
+    config = replace(CONFIG, memory=memory)
+    env = teams(config)
+    shown, _ = env.reset(seed=3)
+    made, local = network(config, env), teams(replace(config, critic="local"))
+    seen = torch.as_tensor(shown.reshape(-1, shown.shape[-1]))
+    other = seen.clone()
+    other[:, env.layout.size :] += 1.0
+    if memory == "recurrent":
+        made.begin(len(seen))
+    with torch.no_grad():
+        torch.nn.init.normal_(made.action_net.weight, std=0.5)
+        before, after = (made.get_distribution(each).distribution.logits for each in (seen, other))
+        values = made.predict_values(seen), made.predict_values(other)
+    assert torch.equal(before, after) and (before[0] != before[1]).any()
+    assert ((values[0] - values[1]).abs() > 1e-4).all()
+    if memory == "recurrent":
+        kept = []
+        for each in (seen, other):
+            made.begin(len(seen))
+            made(each)
+            kept.append(made.hidden)
+        assert torch.equal(*kept) and kept[0].any()
+    assert local.layout == env.layout
+    arrays = {name: value.detach().numpy() for name, value in made.state_dict().items()}
+    needed = {k: v for k, v in arrays.items() if not {"team_net", "field_net"} & set(k.split("."))}
+    needed = {k: v for k, v in needed.items() if "value_net" not in k}
+    assert len(needed) < len(arrays)
+    ours = NumpyActor(needed, config.policy_settings(), env.layout)
+    preferences = ours.preferences(seen[:, : env.layout.size].numpy())
+    logits = before.numpy()
+    np.testing.assert_allclose(preferences - preferences[:, :1], logits - logits[:, :1], atol=2e-5)
+
+
+@pytest.mark.parametrize("name", ["guarantee", "memory", "critic"])
+def test_words_that_are_none(name):
+    with pytest.raises(UserError, match=f"--{name} is 'oracle'; it must be one of "):
+        check(replace(CONFIG, **{name: "oracle"}))

@@ -1,0 +1,173 @@
+"""A set network: order, absent rows and the world's orientation do not matter."""
+
+import numpy as np
+import pytest
+import torch
+from torch import nn
+
+import baselines
+import rendezvous_env as rv
+from baselines.learned.features import CONTEXT_COLUMNS, FeatureLayout
+from baselines.learned.guide import CHOICES
+from baselines.learned.numpy_actor import NumpyActor
+from baselines.learned.policy_settings import PolicySettings
+from train.bench.learners import TorchChooser
+from train.learn.networks import make_network
+
+K, M = 4, 6
+SETTINGS = {"set_width": 8, "hidden": (16,)}
+
+
+def network(K=K, M=M, *, seed=0):
+    """With random weights in every layer, the last one included."""
+    torch.manual_seed(seed)
+    made = make_network(FeatureLayout(K, M), **SETTINGS)
+    with torch.no_grad():
+        nn.init.normal_(made.action_net.weight, std=0.3)
+    return made
+
+
+def shown(seed=0, robots=50):
+    """Random rows, some absent, as (neighbours, obstacles, context)."""
+    random = np.random.default_rng(seed)
+    parts = [random.normal(size=(robots, *shape)) for shape in ((K, 3), (M, 6), (CONTEXT_COLUMNS,))]
+    parts[0][random.random((robots, K)) < 0.3] = 0.0
+    parts[1][random.random((robots, M)) < 0.5] = 0.0
+    parts[1][0] = 0.0  # sees no obstacle
+    return parts
+
+
+def outputs(made, parts):
+    flat = np.concatenate([part.reshape(len(part), -1) for part in parts], axis=1)
+    seen = torch.as_tensor(flat.astype(np.float32))
+    with torch.no_grad():
+        chances = made.get_distribution(seen).distribution.probs
+        return chances.numpy(), made.predict_values(seen).numpy()
+
+
+def same(one, other):
+    for a, b in zip(one, other, strict=True):
+        np.testing.assert_allclose(a, b, atol=2e-6)
+
+
+def test_order_does_not_matter():
+    made, (neighbours, obstacles, context) = network(), shown()
+    random = np.random.default_rng(1)
+    mixed = (neighbours[:, random.permutation(K)], obstacles[:, random.permutation(M)], context)
+    same(outputs(made, mixed), outputs(made, (neighbours, obstacles, context)))
+
+
+@pytest.mark.parametrize(("more_neighbours", "more_obstacles"), [(3, 0), (0, 18), (28, 18)])
+def test_absent_rows_do_not_count(more_neighbours, more_obstacles):
+    made, (neighbours, obstacles, context) = network(), shown()
+    wide = make_network(FeatureLayout(K + more_neighbours, M + more_obstacles), **SETTINGS)
+    wide.load_state_dict(made.state_dict())
+    padded = (
+        np.concatenate([neighbours, np.zeros((50, more_neighbours, 3))], axis=1),
+        np.concatenate([np.zeros((50, more_obstacles, 6)), obstacles], axis=1),
+        context,
+    )
+    same(outputs(wide, padded), outputs(made, (neighbours, obstacles, context)))
+
+
+def test_every_part_matters():
+    made, parts = network(), shown()
+    before, value = outputs(made, parts)
+    for k in range(3):
+        changed = [part.copy() for part in parts]
+        changed[k][1:] += 0.5 * (changed[k][1:] != 0)
+        after, other = outputs(made, changed)
+        assert np.abs(after - before).max() > 1e-3 and np.abs(other - value).max() > 1e-3
+
+
+def test_empty_sets_are_finite():
+    neighbours, obstacles, context = (np.zeros_like(part) for part in shown())
+    seen = outputs(network(), (neighbours, obstacles, context))
+    none = outputs(network(M=0), (neighbours, obstacles[:, :0], context))
+    same(seen, none)
+    assert all(np.isfinite(values).all() for values in seen)
+
+
+def test_untrained_it_chooses_the_rule():
+    torch.manual_seed(3)
+    made = make_network(FeatureLayout(K, M), prior=2.0, **SETTINGS)
+    chances, _ = outputs(made, shown())
+    expected = np.r_[np.exp(2.0), np.ones(CHOICES - 1)] / (np.exp(2.0) + CHOICES - 1)
+    np.testing.assert_allclose(chances, np.broadcast_to(expected, chances.shape), atol=0.1)
+    assert (chances.argmax(axis=1) == 0).all()
+
+
+def test_gradients_reach_every_weight():
+    made, parts = network(), shown()
+    flat = np.concatenate([part.reshape(len(part), -1) for part in parts], axis=1)
+    seen = torch.as_tensor(flat.astype(np.float32))
+    value, log_prob, entropy = made.evaluate_actions(seen, torch.zeros(50))
+    (value.sum() + log_prob.sum() + entropy.sum()).backward()
+    for name, weight in made.named_parameters():
+        assert weight.grad is not None and weight.grad.abs().sum() > 0, name
+
+
+@pytest.mark.parametrize("tank", [False, True])
+def test_numpy_chooses_as_torch(tank):
+    """With other numbers of slots too; the critic's weights are not asked for."""
+    settings = PolicySettings(
+        **SETTINGS, clearance=0.1, persistence=0.5, min_alignment=0.1, max_turn_rate=3.0,
+        decision_time=0.2, **({"guarantee": "tank", "memory": "features"} if tank else {}),
+    )  # fmt: skip
+    torch.manual_seed(2)
+    layout = settings.layout(K, M)
+    made = make_network(layout, len(settings.angles), **SETTINGS)
+    with torch.no_grad():
+        nn.init.normal_(made.action_net.weight, std=0.3)
+    neighbours, obstacles, _ = shown(robots=3000)
+    context = np.random.default_rng(4).normal(size=(3000, layout.context_columns))
+    context[:5] = neighbours[:5] = obstacles[:5] = 0.0
+    flat = np.concatenate(
+        [part.reshape(3000, -1) for part in (neighbours, obstacles, context)], axis=1
+    ).astype(np.float32)
+    weights = {k: v.numpy() for k, v in made.state_dict().items() if "value" not in k}
+    ours = NumpyActor(weights, settings, layout)
+    with torch.no_grad():
+        distribution = made.get_distribution(torch.as_tensor(flat))
+    expected = distribution.distribution.logits.numpy()
+    preferences = ours.preferences(flat)
+    np.testing.assert_allclose(
+        preferences - preferences.max(axis=1, keepdims=True),
+        expected - expected.max(axis=1, keepdims=True),
+        atol=2e-5,
+    )
+    chosen = ours.choose(flat)
+    clear = np.diff(np.sort(expected, axis=1)[:, -2:])[:, 0] > 1e-4
+    np.testing.assert_array_equal(chosen[clear], distribution.mode().numpy()[clear])
+    assert clear.mean() > 0.99 and len(np.unique(chosen)) > 3
+    del weights["action_net.bias"]
+    with pytest.raises(ValueError, match=r"weights have no 'action_net\.bias'"):
+        NumpyActor(weights, settings, layout)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["learned", "learned-tank", "learned-tank-noise"])
+def test_shipped_weights_choose_as_torch_on_what_robots_really_see(name, monkeypatch):
+    """10⁴ robots' sights, on the way through discs."""
+    scenario = rv.scenarios.get("clutter-24")
+    policy, simulator = baselines.make(name, scenario), rv.Simulator(scenario, 256)
+    trained, real, sights = TorchChooser(name, policy), NumpyActor.choose, []
+
+    def choose(self, shown, hidden=None):
+        sights.append(shown.copy())
+        return real(self, shown, hidden)
+
+    monkeypatch.setattr(NumpyActor, "choose", choose)
+    seen = simulator.reset(0)
+    while sum(map(len, sights)) < 10_000 and not simulator.ended.all():
+        seen = simulator.step(policy(seen, simulator.time)).observations
+    monkeypatch.undo()
+    shown = np.concatenate(sights)
+    assert len(shown) >= 10_000
+    ours, theirs = policy._chooser.choose(shown), trained.choose(shown)
+    with torch.no_grad():
+        logits = trained.network.get_distribution(torch.as_tensor(shown)).distribution.logits
+    best, second = np.sort(logits.numpy(), axis=1)[:, [-1, -2]].T
+    clear = best - second > 1e-4
+    np.testing.assert_array_equal(ours[clear], theirs[clear])
+    assert clear.mean() > 0.999 and len(np.unique(ours)) > 3

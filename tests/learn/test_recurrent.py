@@ -1,0 +1,224 @@
+"""Robots that remember: trained is what was done, and served is what was trained."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from gymnasium.vector import AutoresetMode
+from stable_baselines3.common.callbacks import BaseCallback
+
+import rendezvous_env as rv
+from baselines.learned.learned_policy import LearnedPolicy
+from baselines.learned.numpy_actor import NumpyActor
+from baselines.learned.policy_settings import PolicySettings, memory_of
+from baselines.learned.training_environment import FeatureVectorEnv
+from rendezvous_env.adapters.sb3 import RobotVecEnv
+from train.learn.networks import network_settings
+from train.learn.recurrent import RecurrentNetwork, RecurrentRobotPPO
+
+TEAMS, STEPS, UNITS = 8, 20, 8
+SCENARIO = rv.scenarios.get("clutter-12").replace(time_limit=1.5)
+SETTINGS = PolicySettings(
+    set_width=8,
+    hidden=(16,),
+    clearance=0.1,
+    persistence=0.5,
+    min_alignment=0.1,
+    max_turn_rate=3.0,
+    decision_time=SCENARIO.tau,
+    guarantee="tank",
+    budget=2.0,
+    memory="recurrent",
+    memory_units=UNITS,
+)
+
+
+def base():
+    return rv.make_vec(SCENARIO, TEAMS, autoreset_mode=AutoresetMode.SAME_STEP)
+
+
+def model(settings=SETTINGS, steps=STEPS):
+    """PPO on teams that meet, or run out of time, within a rollout or two."""
+    torch.manual_seed(3)
+    teams = FeatureVectorEnv(base(), settings)
+    arguments = network_settings(teams.layout, set_width=8, hidden=(16,), prior=3.0)
+    made = RecurrentRobotPPO(
+        RecurrentNetwork,
+        RobotVecEnv(teams),
+        n_steps=steps,
+        batch_size=4 * steps,
+        n_epochs=1,
+        seed=5,
+        device="cpu",
+        policy_kwargs=arguments | {"units": UNITS},
+    )
+    with torch.no_grad():
+        torch.nn.init.normal_(made.policy.action_net.weight, std=0.3)
+    return made
+
+
+class Spy(BaseCallback):
+    """After every step: what the robots remember, and whose episode ended."""
+
+    def __init__(self):
+        super().__init__()
+        self.seen = []
+
+    def _on_step(self):
+        robots = self.model.get_env()
+        merged = robots.bootstrapped[robots.survivors != robots.bootstrapped]
+        hidden = self.model.policy.hidden.clone()
+        self.seen.append((hidden, robots.ended.copy(), merged))
+        return True
+
+
+@pytest.fixture(scope="module")
+def collected():
+    """A model after a rollout that it did not begin with, none of which was learned from."""
+    made, spy = model(), Spy()
+    made.train = lambda: None
+    made.learn(2 * STEPS * made.n_envs, callback=spy)
+    return made, spy.seen
+
+
+def test_what_is_evaluated_is_what_was_done(collected):
+    """Over resets, merges and the cut between rollouts: the ratio of the first pass is one."""
+    made, seen = collected
+    assert any(len(merged) for _, _, merged in seen[STEPS:])
+    assert sum(ended.sum() for _, ended, _ in seen[STEPS:]) > TEAMS
+    buffer, samples = made.rollout_buffer, 0
+    buffer.generator_ready = False
+    kept = buffer.mask.copy()
+    for batch in buffer.get(4 * STEPS):
+        assert (batch.observations.hidden != 0).any()
+        actions = batch.actions.long().flatten()
+        values, log_prob, _ = made.policy.evaluate_actions(batch.observations, actions)
+        torch.testing.assert_close(log_prob, batch.old_log_prob, atol=2e-5, rtol=0)
+        torch.testing.assert_close(values.flatten(), batch.old_values, atol=2e-5, rtol=0)
+        samples += len(actions)
+    assert samples == kept.sum() < kept.size
+    assert len(buffer.values) == samples
+
+
+def test_an_episode_that_ends_is_forgotten_and_no_other(collected):
+    made, seen = collected
+    policy, (hidden, ended, _) = made.policy, seen[-1]
+    assert not ended.all()
+    np.testing.assert_array_equal(policy.hidden[~ended], hidden[~ended])
+    assert policy.hidden[0].any()
+    policy.forget(torch.arange(made.n_envs) == 0)
+    assert not policy.hidden[0].any()
+    np.testing.assert_array_equal(
+        policy.hidden[1:], hidden[1:].masked_fill(torch.as_tensor(ended)[1:, None], 0.0)
+    )
+
+
+def test_who_is_gone_remembers_nothing(collected):
+    made, _ = collected
+    policy, seen = made.policy, torch.as_tensor(made._last_obs).clone()
+    policy.hidden = torch.ones_like(policy.hidden)
+    seen[::2] = 0.0
+    with torch.no_grad():
+        policy(seen)
+    assert not policy.hidden[::2].any() and policy.hidden[1::2].any(dim=-1).all()
+
+
+def test_a_merged_robot_is_valued_by_its_survivor(monkeypatch):
+    """Its observation, and what it remembers before it forgets."""
+    made, told, merges = model(steps=1), [], 0
+    robots, real = made.get_env(), made.policy.predict_values
+
+    def predict_values(seen, hidden=None):
+        if hidden is not None:
+            told.append((seen, hidden, made.policy.hidden))
+        return real(seen, hidden)
+
+    monkeypatch.setattr(made.policy, "predict_values", predict_values)
+    made.train = lambda: None
+    for _ in range(90):
+        made.learn(made.n_envs, reset_num_timesteps=False)
+        if robots.bootstrapped.size:
+            seen, hidden, all_hidden = told.pop()
+            np.testing.assert_array_equal(hidden, all_hidden[robots.survivors])
+            running = ~robots.ended[robots.survivors]
+            np.testing.assert_array_equal(seen[running], made._last_obs[robots.survivors[running]])
+            merges += int(running.sum())
+            assert hidden.any(dim=-1).all()
+    assert merges >= 2
+
+
+def test_served_as_trained():
+    """Bit by bit over several episodes: choices, motion, and when memory is lost."""
+    made = model()
+    policy, robots, served = made.policy, made.get_env(), base()
+    arrays = {name: value.numpy() for name, value in policy.state_dict().items()}
+    ours = LearnedPolicy(SCENARIO, arrays, SETTINGS)
+    robots.seed(2)
+    shown, (observations, _), ends = robots.reset(), served.reset(seed=2), 0
+    for _ in range(70):
+        with torch.no_grad():
+            choices, *_ = policy(torch.as_tensor(shown), deterministic=True)
+        acting = shown.any(axis=-1)
+        shown, *_ = robots.step(np.where(acting, choices, 0))
+        policy.forget(torch.as_tensor(robots.ended))
+        actions = ours(observations, 0.0)
+        hidden = ours._hidden.reshape(-1, UNITS).copy()
+        observations, _, met, cut, _ = served.step(actions)
+        np.testing.assert_array_equal(observations, robots.teams._observed)
+        over = np.repeat(met | cut, SCENARIO.n_robots)
+        gone = ~observations.any(axis=(-1, -2)).reshape(-1)
+        same = ~over & ~gone
+        np.testing.assert_allclose(hidden[same], policy.hidden[same], atol=1e-5)
+        ours.reset(met | cut)
+        assert hidden.any() and not ours._hidden[met | cut].any()
+        ends += (met | cut).sum()
+    assert ends >= 2 * TEAMS
+
+
+def test_memory_makes_a_difference(collected):
+    """The same sight with another memory is another distribution, in torch and in NumPy."""
+    made, _ = collected
+    seen = torch.as_tensor(made._last_obs)
+    seen = seen[seen.any(dim=-1)]
+    hidden = torch.randn(len(seen), UNITS)
+    arrays = {name: value.numpy() for name, value in made.policy.state_dict().items()}
+    ours = NumpyActor(arrays, SETTINGS, made.get_env().teams.layout)
+    with torch.no_grad():
+        expected = [
+            made.policy.get_distribution(seen, before).distribution.logits.numpy()
+            for before in (hidden, torch.zeros_like(hidden))
+        ]
+    after = hidden.numpy().copy()
+    found = [ours.preferences(seen.numpy(), after), ours.preferences(seen.numpy())]
+    for logits, preferences in zip(expected, found, strict=True):
+        relative = preferences - preferences[:, :1]
+        np.testing.assert_allclose(relative, logits - logits[:, :1], atol=2e-5)
+    assert np.abs(found[0] - found[1]).max() > 0.01
+    assert not np.array_equal(after, hidden.numpy())
+    with pytest.raises(ValueError, match=r"weights have no 'memory\.weight_ih'"):
+        NumpyActor({k: v for k, v in arrays.items() if "memory" not in k}, SETTINGS, ours._layout)
+    with pytest.raises(ValueError, match=r"size mismatch: memory\.weight_ih"):
+        NumpyActor(arrays, replace(SETTINGS, memory_units=UNITS + 1), ours._layout)
+
+
+def test_memory_put_back_must_fit(collected):
+    made, _ = collected
+    kept = made.get_memory()["hidden"].copy()
+    made.set_memory({"hidden": kept + 1.0})
+    np.testing.assert_array_equal(made.policy.hidden, kept + 1.0)
+    for wrong in (kept[1:], np.full_like(kept, np.nan)):
+        with pytest.raises(ValueError, match="hidden has shape"):
+            made.set_memory({"hidden": wrong})
+    np.testing.assert_array_equal(made.policy.hidden, kept + 1.0)
+
+
+def test_the_kind_of_memory_is_written_down():
+    plain = SETTINGS.to_plain()
+    assert plain["memory"] == "recurrent" and PolicySettings.from_plain(plain) == SETTINGS
+    for written, kind in ((True, "features"), (False, "none"), ("recurrent", "recurrent")):
+        assert memory_of(written) == kind
+        older = {k: v for k, v in plain.items() if k != "memory_units"} | {"memory": written}
+        assert PolicySettings.from_plain(older).memory == kind
+    with pytest.raises(ValueError, match="memory is 'elephant'"):
+        PolicySettings.from_plain(plain | {"memory": "elephant"})

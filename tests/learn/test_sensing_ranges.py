@@ -1,0 +1,182 @@
+"""Training under sensors that are drawn: their ranges, their groups, and going on bit by bit."""
+
+import json
+import math
+import signal
+
+import numpy as np
+import pytest
+from test_ppo import UPDATE, assert_same_run, config, flags, stopped_after
+
+from baselines.learned import checkpoints
+from rendezvous_env.sensors.sensing import Sensing
+from train import cli
+from train.learn import ppo, trainer
+from train.learn.ppo import Config
+from train.learn.sensing_ranges import SensingRanges
+from train.learn.teams import make_teams
+
+RANGES = SensingRanges(
+    noise=(0.05, 0.2),
+    bias=(0.0, 0.1),
+    dropout=(0.1, 0.3),
+    range=(10.0, 20.0),
+    field_of_view=(math.pi, 6.0),
+    occlusion=("obstacles", "both"),
+    delay=(1, 3),
+)
+DRAWN = {
+    "sensing_noise": (0.05, 0.3),
+    "sensing_dropout": (0.0, 0.5),
+    "sensing_delay": (0, 2),
+    "sensing_groups": 3,
+    "sensing_updates": 2,
+}
+"""Three groups of 3, 3 and 2 teams, one or two of which have a new sensor in every update."""
+
+
+class TestRanges:
+    def test_what_is_drawn_is_in_its_range(self):
+        drawn = [RANGES.draw(Sensing(sectors=8), 0, g, k) for g in range(20) for k in range(20)]
+        assert all(sensing.sectors == 8 and sensing.error == 0.0 for sensing in drawn)
+        for name in ("noise", "bias", "dropout", "range", "field_of_view", "delay"):
+            low, high = getattr(RANGES, name)
+            exact = getattr(Sensing(), name)
+            found = np.array([v for s in drawn if (v := getattr(s, name)) != exact])
+            assert low <= found.min() and found.max() <= high, name
+            assert found.max() - found.min() > 0.9 * (high - low), name
+            # 400 draws with chance 1/2: five standard deviations are 50
+            assert abs(len(found) - 200) < 50, name
+        assert {s.delay for s in drawn} == {0, 1, 2, 3}
+        assert {s.occlusion for s in drawn} == {"none", "obstacles", "both"}
+
+    def test_a_key_has_one_sensor(self):
+        keys = [(seed, g, k) for seed in range(3) for g in range(3) for k in range(3)]
+        drawn = [SensingRanges(noise=(0.0, 1.0), chance=1.0).draw(Sensing(), *k) for k in keys]
+        again = [SensingRanges(noise=(0.0, 1.0), chance=1.0).draw(Sensing(), *k) for k in keys]
+        assert drawn == again and len(set(drawn)) == len(keys)
+
+    def test_chances(self):
+        ranges = {"noise": (0.2, 0.2), "occlusion": ("robots",)}
+        always = SensingRanges(**ranges, chance=1.0).draw(Sensing(bias=0.1), 0)
+        assert always == Sensing(noise=0.2, bias=0.1, occlusion="robots")
+        assert SensingRanges(**ranges, chance=0.0).draw(Sensing(bias=0.1), 0) == Sensing(bias=0.1)
+        assert RANGES and not SensingRanges()
+
+    @pytest.mark.parametrize(
+        ("words", "message"),
+        [
+            (["--sensing-noise", "-0.1", "0.2"], "sensing.noise is -0.1; it must be a finite"),
+            (["--sensing-noise", "0.2", "0.1"], "sensing.noise is from 0.2 to 0.1; it must be LOW"),
+            (["--sensing-bias", "0", "7"], "sensing.bias is 7.0; it must be"),
+            (["--sensing-dropout", "0.5", "1.5"], "sensing.dropout is 1.5; it must be"),
+            (["--sensing-range", "0", "3"], "sensing.range is 0.0; it must be a positive"),
+            (["--sensing-field-of-view", "0", "3"], "sensing.field_of_view is 0.0; it must be"),
+            (["--sensing-occlusion", "fog"], "sensing.occlusion is 'fog'; it must be one of"),
+            (["--sensing-delay", "0", "-1"], "sensing.delay is -1; it must be"),
+            (["--sensing-noise", "0", "1", "--sensing-chance", "2"], "chance is 2.0; it must be"),
+            (["--sensing-noise", "nan", "1"], "--sensing-noise is nan; it must be a finite"),
+            (["--sensing-noise", "0", "1", "--sensing-groups", "9"], "it must be 8 or less"),
+            (["--sensing-updates", "0"], "--sensing-updates is 0; it must be 1 or more"),
+            (["--sensing-updates", "3"], "--sensing-updates is 3; no sensors are drawn"),
+        ],
+    )
+    def test_what_no_sensor_can_have(self, words, message, capsys, tmp_path):
+        assert cli.main(["train", *flags(tmp_path / "out"), *words]) == 2
+        said = capsys.readouterr().err
+        assert message in said and said.count("\n") == 1
+        assert not (tmp_path / "out").exists()
+
+    def test_as_plain_data(self):
+        given = Config(**DRAWN, sensing_occlusion=("both",))
+        plain = json.loads(json.dumps(given.to_plain()))
+        assert Config.from_plain(plain) == given
+        before = {k: v for k, v in Config().to_plain().items() if not k.startswith("sensing")}
+        assert Config.from_plain(before) == Config()  # a run of an earlier version
+
+
+class TestGroups:
+    def test_each_has_a_sensor_that_is_renewed_in_turn(self, tmp_path):
+        given = config(tmp_path, **DRAWN)
+        groups = make_teams(given, 0)
+        groups.reset(seed=5)
+        assert [teams.num_envs for teams in groups.groups] == [3, 3, 2]
+        generations, ranges = [], given.sensing_ranges()
+        for update in range(5):
+            which, seen = groups.renew(update)
+            assert len(seen) == which.sum()
+            generations.append(groups.generations.tolist())
+            for g, k in enumerate(generations[-1]):
+                expected = ranges.draw(Sensing(), given.seed, g, k)
+                assert groups.sensors[g] == expected
+        # offsets ⌊2 g/3⌋ = 0, 0, 1
+        assert generations == [[0, 0, 0], [0, 0, 1], [1, 1, 1], [1, 1, 2], [2, 2, 2]]
+
+    def test_a_new_sensor_comes_with_the_next_episodes(self, tmp_path):
+        groups = make_teams(config(tmp_path, **DRAWN), 0)
+        groups.reset(seed=5)
+        before = [teams.env.simulator.get_state() for teams in groups.groups]
+        which, _ = groups.renew(1)
+        assert which.tolist() == [False] * 6 + [True] * 2
+        after = [teams.env.simulator.get_state() for teams in groups.groups]
+        for old, new in zip(before, after, strict=True):
+            np.testing.assert_array_equal(old["seed"], new["seed"])
+        assert [new["episode"].tolist() for new in after] == [[0] * 3, [0] * 3, [1] * 2]
+        np.testing.assert_array_equal(before[0]["positions"], after[0]["positions"])
+        assert (before[2]["positions"] != after[2]["positions"]).any()
+
+    def test_groups_are_their_teams(self, tmp_path):
+        """With sensors that are all exact, groups do bit by bit what the teams do without them."""
+        exact = {"sensing_noise": (0.1, 0.2), "sensing_chance": 0.0, "sensing_groups": 3}
+        apart, together = (make_teams(config(tmp_path, **more), 0) for more in (exact, {}))
+        seeds, choices = list(range(40, 48)), np.random.default_rng(0)
+        seen, _ = together.reset(seed=seeds)
+        np.testing.assert_array_equal(apart.reset(seed=seeds)[0], seen)
+        ended = 0
+        for _ in range(60):
+            chosen = np.where(seen.any(axis=-1), choices.integers(0, 9, (8, 4)), 0)
+            *arrays, infos = together.step(chosen)
+            *others, told = apart.step(chosen)
+            for one, other in zip(arrays, others, strict=True):
+                np.testing.assert_array_equal(one, other)
+            for key in ("active", "merged_into", "robot_rewards", "contact"):
+                np.testing.assert_array_equal(infos[key], told[key], key)
+            seen, over = arrays[0], arrays[2] | arrays[3]
+            ended += over.sum()
+            for key in ("success", "time", "contacts") if over.any() else ():
+                mine, theirs = (i["final_info"]["summary"][key][over] for i in (infos, told))
+                np.testing.assert_array_equal(mine, theirs)
+        assert ended > 8
+
+    def test_who_is_shown_nothing_makes_choice_zero(self, tmp_path):
+        drawn = {"sensing_range": (0.3, 0.3), "sensing_chance": 1.0, "sensing_groups": 1}
+        teams = make_teams(config(tmp_path, **drawn), 0)
+        seen, _ = teams.reset(seed=0)
+        assert not seen.any()
+        teams.step(np.full((8, 4), 3))
+        assert not teams.groups[0].guided.choices.any()
+
+
+class TestTraining:
+    def test_what_is_stopped_goes_on_bit_by_bit(self, tmp_path):
+        more = DRAWN | {"total_steps": 6 * UPDATE, "eval_every": 0, "guarantee": "tank"}
+        whole, run = (config(tmp_path / name, **more) for name in ("whole", "run"))
+        assert ppo.run(whole).status == 0
+        assert stopped_after(run, 4) == 128 + signal.SIGTERM
+        assert ppo.run(Config(resume=run.out)).status == 0
+        assert_same_run(whole.out, run.out)
+        state = checkpoints.read(checkpoints.find(run.out), trainer.STATE_FILES)[1]["state"]
+        assert state["robots/teams/generations"].tolist() == [2, 2, 3]
+        exact = config(tmp_path / "exact", total_steps=UPDATE, eval_every=0, guarantee="tank")
+        assert ppo.run(exact).status == 0
+        first = [path / "metrics.csv" for path in (exact.out, run.out)]
+        assert first[0].read_text().splitlines()[1] != first[1].read_text().splitlines()[1]
+
+    def test_with_memory_and_a_critic_that_sees_all(self, tmp_path):
+        more = {"memory": "recurrent", "memory_units": 4, "critic": "global", "eval_every": 0}
+        more |= DRAWN | {"total_steps": 4 * UPDATE, "curriculum": (1, 3)}
+        whole, run = (config(tmp_path / name, **more) for name in ("whole", "run"))
+        assert ppo.run(whole).status == 0
+        assert stopped_after(run, 3) == 128 + signal.SIGTERM
+        assert ppo.run(Config(resume=run.out)).status == 0
+        assert_same_run(whole.out, run.out)

@@ -1,0 +1,189 @@
+"""Capsules: distance, normal, way in and silhouette, by hand and against sampling."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from rendezvous_env import Capsule, Disc, Sphere
+from rendezvous_env.obstacles.capsule import (
+    capsule_entry,
+    capsule_ray,
+    capsule_silhouette,
+    capsule_surface,
+)
+from rendezvous_env.obstacles.disc import disc_edges
+from rendezvous_env.obstacles.obstacle_set import (
+    distance_to,
+    entry,
+    pack,
+    silhouette_2d,
+    silhouette_3d,
+    world_of,
+)
+from rendezvous_env.obstacles.shape import azimuth_axes, centre_direction
+
+ZERO = (0.0, 0.0, 0.0)
+HALF = (2.0, 0.0, 0.0)
+"""Of a capsule from (−2, 0) to (2, 0)."""
+numbers = st.floats(-4, 4).map(lambda x: round(x, 3))
+points = arrays(np.float64, 3, elements=numbers)
+radii = st.floats(0.05, 1.5)
+
+
+def distance_to_segment(point, half) -> float:
+    """From a point to the segment from −half to half, by trying many places of it."""
+    shares = np.linspace(-1, 1, 4001)[:, None]
+    return float(np.linalg.norm(np.asarray(point) - shares * np.asarray(half), axis=1).min())
+
+
+@pytest.mark.parametrize(
+    ("point", "distance", "normal"),
+    [
+        ((0.0, 1.5, 0.0), 1.0, (0, 1, 0)),  # beside it
+        ((2.0, -0.75, 0.0), 0.25, (0, -1, 0)),  # beside its very end
+        ((5.0, 4.0, 0.0), 4.5, (0.6, 0.8, 0)),  # beyond an end
+        ((-2.4, 0.0, 0.0), -0.1, (-1, 0, 0)),  # inside a round end
+        ((1.0, 0.0, 0.3), -0.2, (0, 0, 1)),  # inside, above the segment
+        ((1.0, 0.0, 0.0), -0.5, (0, 1, 0)),  # on the segment: some direction across it
+    ],
+)
+def test_distance_and_normal_by_hand(point, distance, normal):
+    found, out = capsule_surface(point, ZERO, HALF, 0.5)
+    assert found == pytest.approx(distance)
+    np.testing.assert_allclose(out, normal, atol=1e-12)
+
+
+def test_a_segment_along_z_has_a_normal_too():
+    found, normal = capsule_surface((0.0, 0.0, 0.4), ZERO, (0.0, 0.0, 1.0), 0.5)
+    assert found == -0.5 and np.dot(normal, (0, 0, 1)) == 0 and np.linalg.norm(normal) == 1
+
+
+@given(points, points, radii)
+def test_distance_against_sampling(point, half, radius):
+    found, normal = capsule_surface(tuple(point), ZERO, tuple(half), radius)
+    wanted = distance_to_segment(point, half) - radius
+    assert wanted - 1e-3 * (1 + np.linalg.norm(half)) <= found <= wanted + 1e-12
+    assert np.linalg.norm(normal) == pytest.approx(1)
+    if found > 1e-6:  # a step along the normal leads away, one against it to the surface
+        on, _ = capsule_surface(tuple(point - found * np.array(normal)), ZERO, tuple(half), radius)
+        assert abs(on) < 1e-12
+
+
+@given(points, points, points, radii)
+def test_way_in_against_sampling(point, way, half, radius):
+    distance, _ = capsule_surface(tuple(point), ZERO, tuple(half), radius)
+    assume(distance > 0 and np.linalg.norm(way) > 0.01)
+    shares = np.linspace(0, 1, 2001)
+    along = [
+        capsule_surface(tuple(point + s * way), ZERO, tuple(half), radius)[0] for s in shares[::20]
+    ]
+    found = capsule_entry(tuple(point), tuple(way), ZERO, tuple(half), radius, 1e-6)
+    if found > 1:
+        assert found == math.inf and min(along) > -2e-6
+        return
+    there, _ = capsule_surface(tuple(point + found * way), ZERO, tuple(half), radius)
+    assert abs(there) < 1e-9
+    before = [
+        capsule_surface(tuple(point + s * way), ZERO, tuple(half), radius)[0]
+        for s in np.linspace(0, found, 50)[:-1]
+    ]
+    assert min(before) > -1e-9
+
+
+def test_way_in_by_hand():
+    enter = lambda point, way, depth=1e-6: capsule_entry(point, way, ZERO, HALF, 0.5, depth)  # noqa: E731
+    assert enter((0.0, 2.5, 0.0), (0.0, -4.0, 0.0)) == pytest.approx(0.5)
+    assert enter((5.5, 0.0, 0.0), (-6.0, 0.0, 0.0)) == pytest.approx(0.5)
+    assert enter((0.0, 2.5, 0.0), (4.0, 0.0, 0.0)) == math.inf
+    assert enter((-9.0, 0.5, 0.0), (18.0, 0.0, 0.0)) == math.inf  # grazing is no contact
+    assert enter((-9.0, 0.5, 0.0), (18.0, 0.0, 0.0), -0.1) < 0.5  # but it is for a fatter one
+    assert enter((0.0, 0.5, 0.0), (0.0, 1.0, 0.0)) == math.inf  # leaving
+
+
+def stadium(half, radius, count=20_000) -> np.ndarray:
+    """Fine polygon of a capsule of the plane about the origin."""
+    angles = np.linspace(0, 2 * math.pi, count)
+    circle = radius * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    return np.concatenate([circle + np.asarray(half)[:2], circle - np.asarray(half)[:2]])
+
+
+@given(points, points, radii)
+def test_silhouette_against_a_fine_polygon(point, half, radius):
+    point[2] = half[2] = 0.0
+    distance, _ = capsule_surface(tuple(point), ZERO, tuple(half), radius)
+    assume(distance > 0.05)
+    left, right = capsule_silhouette(tuple(point), ZERO, tuple(half), radius)
+    rays = stadium(half, radius) - point[:2]
+    middle = math.atan2(-point[1], -point[0])
+    turned = np.angle(np.exp(1j * (np.arctan2(rays[:, 1], rays[:, 0]) - middle)))
+    for edge, extreme in ((left, turned.max()), (right, turned.min())):
+        angle = np.angle(np.exp(1j * (math.atan2(edge[1], edge[0]) - middle)))
+        assert angle == pytest.approx(extreme, abs=1e-3)
+        assert abs(angle) >= abs(extreme) - 1e-12  # the polygon's corners lie on the surface
+        assert math.hypot(edge[0], edge[1]) == pytest.approx(1) and edge[2] == 0
+
+
+@given(points, points, points, radii)
+def test_every_ray_in_space_grazes(point, half, net_bearing, radius):
+    point, half = tuple(point), tuple(half)
+    distance, _ = capsule_surface(point, ZERO, half, radius)
+    assume(distance > 0.02)
+    towards, _ = centre_direction(point, ZERO)
+    e, w = azimuth_axes(towards, tuple(net_bearing), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
+    for k in range(8):
+        ray = np.array(capsule_ray(point, ZERO, half, radius, towards, e, w, k))
+        assert np.linalg.norm(ray) == pytest.approx(1)
+        nearest = nearest_along(np.array(point), ray, np.array(half))
+        assert nearest == pytest.approx(radius, abs=1e-6)
+        aside = math.cos(k * math.pi / 4) * np.array(e) + math.sin(k * math.pi / 4) * np.array(w)
+        across = ray - np.dot(ray, towards) * np.array(towards)
+        assert np.linalg.norm(across - np.dot(across, aside) * aside) < 1e-9  # at its azimuth
+        assert np.dot(across, aside) >= 0
+
+
+def nearest_along(point, ray, half) -> float:
+    """Least distance of a half-line to the segment from −half to half: convex, so by bisection."""
+    low, high = 0.0, 40.0
+    inside = lambda t: capsule_surface(tuple(point + t * ray), ZERO, tuple(half), 0.0)[0]  # noqa: E731
+    for _ in range(200):
+        a, b = low + (high - low) / 3, high - (high - low) / 3
+        low, high = (low, b) if inside(a) < inside(b) else (a, high)
+    return inside(0.5 * (low + high))
+
+
+@given(arrays(np.float64, 2, elements=numbers), radii)
+def test_a_capsule_without_length_is_a_disc(point, radius):
+    disc = world_of(pack((Disc((0.5, -0.25), radius),), 1))
+    capsule = world_of(pack((Capsule(((0.5, -0.25), (0.5, -0.25)), radius),), 1))
+    where = (point[0], point[1], 0.0)
+    assert distance_to(capsule, 0, where) == pytest.approx(distance_to(disc, 0, where), abs=1e-12)
+    assume(distance_to(disc, 0, where) > 1e-3)
+    ways = [entry(world, 0, where, (1.0, -1.0, 0.0), 1e-6) for world in (disc, capsule)]
+    assert ways[0] == pytest.approx(ways[1], abs=1e-9)
+    seen = np.empty((2, 2, 2))
+    for world, out in zip((disc, capsule), seen, strict=True):
+        silhouette_2d(world, 0, where, out)
+    np.testing.assert_allclose(seen[0], seen[1], atol=1e-12)
+    ax, ay, *_ = disc_edges(0.5 - point[0], -0.25 - point[1], radius)
+    np.testing.assert_allclose(seen[1][0], (ax, ay), atol=1e-12)
+
+
+@given(points, points, radii)
+def test_a_capsule_without_length_is_a_sphere(point, net_bearing, radius):
+    centre = (0.5, -0.25, 1.0)
+    sphere = world_of(pack((Sphere(centre, radius),), 1))
+    capsule = world_of(pack((Capsule((centre, centre), radius),), 1))
+    point, f = tuple(point), tuple(net_bearing)
+    distance = distance_to(sphere, 0, point)
+    assert distance_to(capsule, 0, point) == pytest.approx(distance, abs=1e-12)
+    assume(distance > 1e-2)
+    seen = np.empty((2, 8, 3))
+    for world, out in zip((sphere, capsule), seen, strict=True):
+        silhouette_3d(world, 0, point, f, (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), out)
+    np.testing.assert_allclose(seen[0], seen[1], atol=1e-6)

@@ -1,0 +1,128 @@
+"""Robots with inertia: the exact motion under a held input, its length, its limits."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from scipy.integrate import quad, solve_ivp
+
+from rendezvous_env.robots import motion
+from rendezvous_env.robots.double_integrator import DoubleIntegrator, final_velocity, mean_speed
+
+TAU, V_MAX, A_MAX = 0.4, 2.0, 5.0
+MODEL = DoubleIntegrator(TAU, V_MAX, A_MAX, (0.0, 0.0))
+GLOBAL = (1.0, 0.0, 0.0, 1.0)
+numbers = st.floats(-3, 3).map(lambda x: round(x, 4))
+pairs = arrays(np.float64, 2, elements=numbers).map(lambda v: tuple(v.tolist()))
+triples = arrays(np.float64, 3, elements=numbers).map(lambda v: tuple(v.tolist()))
+
+
+def within(v, limit):
+    return tuple(np.array(v) * min(1.0, limit / max(np.linalg.norm(v), 1e-300)))
+
+
+def test_free_motion_by_hand():
+    way, length = motion.propose(MODEL, (1.0, 0.0), GLOBAL, (0.5, -1.0))
+    np.testing.assert_allclose(way, (0.5 * 0.4 + 0.5 * 0.16, -0.4))  # v τ + ½ a τ²
+    np.testing.assert_allclose(final_velocity(MODEL, (1.0, 0.0), GLOBAL, (0.5, -1.0)), (0.9, -1.0))
+    assert length == pytest.approx(quad(lambda t: math.hypot(0.5 + t, -1.0), 0, 0.4)[0], abs=1e-12)
+
+
+def test_the_action_is_turned_by_the_frame_and_limited():
+    quarter = (0.0, -1.0, 1.0, 0.0)  # local x is global y
+    np.testing.assert_allclose(final_velocity(MODEL, (3.0, 0.0), quarter, (0.0, 0.0)), (0, 1.2))
+    limited = final_velocity(MODEL, (30.0, 40.0), GLOBAL, (-1.0, -1.0))
+    np.testing.assert_allclose(limited, (-1 + 0.6 * 2, -1 + 0.8 * 2))  # 5 m/s², direction kept
+    fastest = final_velocity(MODEL, (5.0, 0.0), GLOBAL, (1.9, 0.0))
+    np.testing.assert_allclose(fastest, (2.0, 0.0))
+
+
+@given(triples, triples, st.floats(0, 1))
+def test_against_an_integrator_of_its_own(action, velocity, share):
+    """p̈ = a with the acceleration in force, by scipy."""
+    model = DoubleIntegrator(TAU, V_MAX, A_MAX, (0.0,) * 3)
+    frame = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
+    velocity = within(velocity, V_MAX)
+    after = np.array(final_velocity(model, action, frame, velocity))
+    acceleration = (after - velocity) / TAU
+    assert np.linalg.norm(acceleration) <= A_MAX * (1 + 1e-12)
+    unlimited = np.array(velocity) + TAU * np.array(within(action, A_MAX))
+    np.testing.assert_allclose(after, within(unlimited, V_MAX), atol=1e-12)
+    time = share * TAU
+    exact = solve_ivp(
+        lambda t, y: [*y[3:6], *acceleration, np.linalg.norm(y[3:6])],
+        (0, TAU),
+        [0, 0, 0, *velocity, 0],
+        t_eval=sorted({time, TAU}),
+        rtol=1e-10,
+        atol=1e-12,
+    )
+    along = motion.along(model, action, frame, velocity, time)
+    np.testing.assert_allclose(along, exact.y[:3, 0], atol=1e-9)
+    way, length = motion.propose(model, action, frame, velocity)
+    np.testing.assert_allclose(way, exact.y[:3, -1], atol=1e-9)
+    assert length == pytest.approx(exact.y[6, -1], abs=1e-6)
+    assert (np.linalg.norm(exact.y[3:6], axis=0) <= V_MAX * (1 + 1e-9)).all()
+
+
+@given(pairs, pairs)
+def test_length_of_the_way_against_quadrature(before, after):
+    def speed(s):
+        return math.hypot(*(b + s * (a - b) for b, a in zip(before, after, strict=True)))
+
+    change = np.subtract(after, before)
+    turn = -np.dot(before, change) / max(np.dot(change, change), 1e-300)
+    wanted, _ = quad(speed, 0, 1, points=[min(max(turn, 0.0), 1.0)], limit=200, epsabs=1e-12)
+    assert mean_speed(before, after) == pytest.approx(wanted, abs=1e-9)
+
+
+def test_length_of_the_way_by_hand():
+    assert mean_speed((1.0, 0.0), (-1.0, 0.0)) == pytest.approx(0.5)  # there and back
+    assert mean_speed((0.0, 0.0), (0.0, 3.0)) == pytest.approx(1.5)
+    assert mean_speed((0.0, 0.0), (0.0, 0.0)) == 0.0
+    assert mean_speed((3.0, 4.0), (3.0, 4.0)) == 5.0
+    for small in (0.9e-3, 1.1e-3):  # both ways of computing it agree where they meet
+        b = (2.0 + 2 * small, small)
+        wanted, _ = quad(lambda s, b=b: math.hypot(2 + s * (b[0] - 2), s * b[1]), 0, 1)
+        assert mean_speed((2.0, 0.0), b) == pytest.approx(wanted, rel=1e-13)
+
+
+@given(pairs, pairs, st.floats(0, 1), st.floats(0, 1))
+def test_a_piece_of_the_way_is_as_near_to_its_chord_as_bend_says(action, velocity, start, share):
+    velocity = within(velocity, V_MAX)
+    end = start + share * (1 - start)
+    times = TAU * np.linspace(start, end, 41)
+    path = np.array([motion.along(MODEL, action, GLOBAL, velocity, t) for t in times])
+    shares = np.linspace(0, 1, 41)[:, None]
+    gap = np.linalg.norm(path - (path[0] + shares * (path[-1] - path[0])), axis=1).max()
+    allowed = motion.bend(MODEL, action, velocity) * (TAU * (end - start)) ** 2
+    assert gap <= allowed * (1 + 1e-9) + 1e-12
+
+
+@given(pairs, pairs, st.floats(0, 2 * math.pi), st.floats(0, 1))
+def test_a_contact_takes_what_goes_into_the_wall_and_nothing_else(action, velocity, angle, kept):
+    """A flat wall with the normal n took all but a share of what of the way went into it."""
+    velocity = within(velocity, V_MAX)
+    normal = np.array([math.cos(angle), math.sin(angle)])
+    way, _ = motion.propose(MODEL, action, GLOBAL, velocity)
+    into = -min(0.0, float(np.dot(way, normal)))
+    assume((1 - kept) * into > 1e-6)
+    executed = tuple(np.array(way) + (1 - kept) * into * normal)
+    free = np.array(motion.remember(MODEL, action, GLOBAL, velocity, way, motion.FREE))
+    np.testing.assert_array_equal(free, final_velocity(MODEL, action, GLOBAL, velocity))
+    slid = np.array(motion.remember(MODEL, action, GLOBAL, velocity, executed, motion.SLID))
+    np.testing.assert_allclose(slid, free - min(0.0, free @ normal) * normal, atol=1e-7)
+    assert np.linalg.norm(slid) <= np.linalg.norm(free) * (1 + 1e-12)
+    stopped = motion.remember(MODEL, action, GLOBAL, velocity, executed, motion.STOPPED)
+    assert np.array_equal(np.abs(stopped), (0.0, 0.0))
+
+
+def test_it_starts_at_rest_and_observes_its_velocity_in_its_own_frame():
+    assert motion.begin_memory(MODEL, np.uint64(1), 0) == (0.0, 0.0)
+    quarter = (0.0, -1.0, 1.0, 0.0)
+    assert motion.sense_oneself(MODEL, quarter, (0.0, 1.5)) == (1.5, 0.0)

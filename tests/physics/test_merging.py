@@ -1,0 +1,211 @@
+"""Merging (theory 5), by hand and against its bound."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from tuples import world
+
+from rendezvous_env import Disc, Scenario, Simulator
+from rendezvous_env.graphs.merging import merge_swept
+from rendezvous_env.safety.lyapunov import lyapunov
+
+CHAIN = np.array([[0, 2.0, 0, 0], [2.0, 0, 0.5, 0], [0, 0.5, 0, 1.0], [0, 0, 1.0, 0]])
+
+
+class Moved:
+    """What ``merge_swept`` makes of one team, r = 1."""
+
+    def __init__(self, positions, displacements, weights=CHAIN, obstacles=None, radius=1.0):
+        self.positions = np.array(positions, dtype=float)
+        self.displacements = np.array(displacements, dtype=float)
+        self.lengths = np.linalg.norm(self.displacements, axis=1)
+        n, matrix = len(self.positions), np.array(weights, dtype=float)
+        first, second = np.nonzero(np.triu(matrix))
+        links = first, second, matrix[first, second]
+        self.merged_into, self.report = np.arange(n), np.zeros(4)
+        here, resting = np.empty_like(self.positions), np.empty(n, dtype=bool)
+        self.merges = merge_swept(
+            self.positions,
+            self.displacements,
+            self.lengths,
+            links,
+            None,
+            self.merged_into,
+            obstacles,
+            radius,
+            (np.empty(len(first)), here, resting, self.report),
+        )
+        first, second, weight = (array[links[2] > 0] for array in links)
+        self.weights = np.zeros((n, n))
+        self.weights[first, second] = self.weights[second, first] = weight
+
+
+def test_nobody_near():
+    moved = Moved([[0, 0], [5, 0], [10, 0], [15, 0]], [[1, 0], [0, 1], [0, -1], [0, 0]])
+    assert moved.merges == 0 and moved.merged_into.tolist() == [0, 1, 2, 3]
+    np.testing.assert_array_equal(moved.positions, [[1, 0], [5, 1], [10, -1], [15, 0]])
+    np.testing.assert_array_equal(moved.weights, CHAIN)
+    assert moved.report.tolist() == [0, 0, 0, 0]
+
+
+def test_a_pair_merges_where_it_first_touches_and_rests():
+    # 0 and 1 close in at 2 + 2 from distance 5: r = 1 after the whole motion's share 4/8 … 1 of 4
+    moved = Moved([[0, 0], [5, 0], [50, 0], [60, 0]], [[4, 0], [-4, 0], [0, 3], [0, 0]])
+    assert moved.merges == 1 and moved.merged_into.tolist() == [0, 0, 2, 3]
+    # gap 5 − 8 s = 1 at s = 1/2: they stand at 2 and 3
+    np.testing.assert_allclose(moved.positions[:2], [[2.5, 0], [2.5, 0]])
+    np.testing.assert_allclose(moved.positions[2], [50, 3])
+    np.testing.assert_allclose(moved.lengths, [2, 2, 3, 0])
+    # at that moment robot 2 is at (50, 1.5)
+    here = np.array([[2, 0], [3, 0], [50, 1.5], [60, 0]])
+    assert moved.report[0] == pytest.approx(lyapunov(here, CHAIN))
+    after = np.array([[2.5, 0], [2.5, 0], [50, 1.5], [60, 0]])
+    contracted = np.array([[0, 0, 0.5, 0], [0, 0, 0, 0], [0.5, 0, 0, 1], [0, 0, 1, 0]])
+    np.testing.assert_array_equal(moved.weights, contracted)
+    assert moved.report[1] == pytest.approx(lyapunov(after, contracted))
+    assert moved.report[2] == 0 and moved.report[3] == 0
+
+
+def test_no_pair_jumps_over_another():
+    moved = Moved([[0, 0], [3, 0]], [[100, 0], [-100, 0]], [[0, 1], [1, 0]])
+    assert moved.merges == 1
+    np.testing.assert_allclose(moved.positions, [[1.5, 0], [1.5, 0]])
+    passing = Moved([[0, 0], [3, 1.0001]], [[6, 0], [0, 0]], [[0, 1], [1, 0]])
+    assert passing.merges == 0  # it passes just outside r
+    touching = Moved([[0, 0], [3, 0.9]], [[6, 0], [0, 0]], [[0, 1], [1, 0]])
+    assert touching.merges == 1
+
+
+def test_only_neighbours_merge():
+    moved = Moved([[0, 0], [50, 0], [0.1, 0], [50, 9]], np.zeros((4, 2)))
+    assert moved.merges == 0  # 0 and 2 stand on each other and do not see each other
+    through = Moved([[0, 0], [50, 0], [3, 0], [50, 9]], [[6, 0], [0, 0], [-6, 0], [0, 0]])
+    assert through.merges == 0
+    np.testing.assert_array_equal(through.positions[[0, 2]], [[6, 0], [-3, 0]])
+
+
+def test_at_the_start_if_they_are_already_below():
+    moved = Moved([[0, 0], [0.4, 0], [9, 0], [20, 0]], [[5, 0], [5, 0], [0, 0], [0, 0]])
+    assert moved.merges == 1
+    np.testing.assert_allclose(moved.positions[0], [0.2, 0])
+
+
+def test_the_earliest_first_and_then_by_index():
+    # 1 reaches 2 before it reaches 0
+    moved = Moved([[0, 0], [4, 0], [6, 0], [60, 0]], [[2, 0], [0, 0], [-3, 0], [0, 0]])
+    assert moved.merged_into[2] == 1
+    # a tie: pairs (0, 1) and (1, 2) touch at the same moment, the lower index wins
+    tie = Moved([[0, 0], [4, 0], [8, 0], [60, 0]], [[3, 0], [0, 0], [-3, 0], [0, 0]])
+    np.testing.assert_allclose(tie.positions[0], [3.5, 0])
+    assert tie.merged_into[:2].tolist() == [0, 0]
+    # 2 has gone on to 5, which is 1.5 from there
+    assert tie.merged_into[2] == 2 and tie.positions[2].tolist() == [5, 0]
+
+
+def test_chains_that_stand_within_r_collapse():
+    moved = Moved([[0, 0], [0.9, 0], [1.2, 0], [1.3, 0]], np.zeros((4, 2)))
+    assert moved.merges == 3 and moved.merged_into.tolist() == [0, 0, 0, 0]
+    # (0, 1) at 0.45 and (2, 3) at 1.25 first; those are 0.8 apart
+    np.testing.assert_allclose(moved.positions[0], [0.85, 0])
+    assert not moved.weights.any()
+    assert moved.report[1] == 0
+
+
+def test_the_merged_robot_has_the_union_of_the_links_with_the_larger_weight():
+    weights = np.array(
+        [
+            [0, 1, 0.5, 0, 0],
+            [1, 0, 0.9, 0.3, 0],
+            [0.5, 0.9, 0, 0, 2],
+            [0, 0.3, 0, 0, 0],
+            [0, 0, 2, 0, 0],
+        ]
+    )  # fmt: skip
+    moved = Moved([[0, 0], [0.5, 0], [20, 0], [0, 20], [-20, 0]], np.zeros((5, 2)), weights)
+    expected = np.zeros((5, 5))
+    expected[0, 2] = expected[2, 0] = 0.9
+    expected[0, 3] = expected[3, 0] = 0.3
+    expected[2, 4] = expected[4, 2] = 2
+    np.testing.assert_array_equal(moved.weights, expected)
+
+
+def test_merged_into_follows_the_survivor_through_several_merges():
+    weights = np.zeros((4, 4))
+    for i, j in ((2, 3), (1, 2), (0, 1)):
+        weights[i, j] = weights[j, i] = 1
+    apart = Scenario(
+        n_robots=4, graph=weights, merge_radius=1.0, local_frames="global", max_speed=9.0
+    )
+    sim = Simulator(apart)
+    sim.reset(0, {"positions": [[0.0, 0], [4, 0], [8, 0], [8.5, 0]]})
+    sim.step(np.zeros((1, 4, 2)))
+    assert sim.merged_into.tolist() == [[0, 1, 2, 2]]
+    np.testing.assert_allclose(sim.positions[0, 2:], [[8.25, 0]] * 2)
+    while sim.active[0, 2]:
+        sim.step([[[0, 0], [0, 0], [-1, 0], [9, 9]]])
+    assert sim.merged_into.tolist() == [[0, 1, 1, 1]]
+    while sim.active[0, 1]:
+        sim.step([[[0, 0], [-1, 0], [9, 9], [9, 9]]])
+    assert sim.merged_into.tolist() == [[0, 0, 0, 0]]
+    np.testing.assert_array_equal(sim.positions, np.tile(sim.positions[:, :1], (1, 4, 1)))
+
+
+def test_at_the_lower_index_if_the_midpoint_lies_in_an_obstacle():
+    disc = world([Disc((0.4, 0.0), 0.05)])
+    moved = Moved([[0, 0], [0.8, 0]], np.zeros((2, 2)), [[0, 1], [1, 0]], disc)
+    np.testing.assert_array_equal(moved.positions, np.zeros((2, 2)))
+
+
+def test_a_merge_can_raise_v_and_the_bound_knows_by_how_much():
+    """0 and 1 hang on far robots that pull both ways: joining them costs length."""
+    weights = np.zeros((6, 6))
+    for i, j, a in ((0, 1, 0.2), (0, 2, 1.0), (0, 3, 1.0), (1, 4, 1.0), (1, 5, 1.0)):
+        weights[i, j] = weights[j, i] = a
+    positions = np.array([[-0.4, 0], [0.4, 0], [-0.4, 9], [-0.4, -9], [0.4, 9], [0.4, -9]])
+    moved = Moved(positions, np.zeros((6, 2)), weights)
+    rise = moved.report[1] - moved.report[0]
+    by_hand = 2 * (4 * (np.hypot(0.4, 9) - 9) - 0.2 * 0.8)
+    assert rise == pytest.approx(by_hand)
+    moved.report[2] = 0
+    tight = Moved(positions * [1, 0.05], np.zeros((6, 2)), weights)
+    assert tight.report[2] > 0.1  # a real rise …
+    assert tight.report[3] <= 0  # … within r max(0, D_i + D_j − 4 a_ij) = 4.4 − 0.8
+
+
+@pytest.mark.parametrize("in_an_obstacle", [False, True])
+def test_the_bound_is_attained_by_four_robots_on_a_line(in_an_obstacle):
+    """Midpoint: r (D_1 + D_2 − 4 a_12); the lower index's place: r (2 max D − 4 a_12)."""
+    weights = np.zeros((4, 4))
+    for i, j, a in ((0, 1, 0.2), (0, 2, 1.0), (1, 3, 1.5)):
+        weights[i, j] = weights[j, i] = a
+    disc = world([Disc((0.5, 0.0), 0.05)]) if in_an_obstacle else None
+    start = [[0, 0], [1, 0], [-9, 0], [9, 0]]
+    moved = Moved(start, np.zeros((4, 2)), weights, disc)
+    attained = 2 * 1.7 - 4 * 0.2 if in_an_obstacle else 1.2 + 1.7 - 4 * 0.2
+    assert moved.report[2] == pytest.approx(attained, rel=1e-12)
+    assert moved.report[3] == pytest.approx(0, abs=1e-12)
+
+
+@given(st.integers(3, 7), st.integers(0, 10**6), st.booleans())
+def test_no_merge_raises_v_above_the_bound(n, seed, in_an_obstacle):
+    random = np.random.default_rng(seed)
+    links = np.triu(random.random((n, n)) < 0.6, 1)
+    weights = np.where(links, random.uniform(0.1, 2, (n, n)), 0)
+    weights += weights.T
+    positions = random.normal(size=(n, 2)) * random.choice([0.3, 1.0, 3.0])
+    displacements = random.normal(size=(n, 2)) * random.choice([0.0, 0.2, 1.0])
+    disc = world([Disc((0.0, 0.0), 20.0)]) if in_an_obstacle else None
+    moved = Moved(positions, displacements, weights, disc, radius=0.7)
+    assert moved.report[3] <= 1e-12
+    active = moved.merged_into == np.arange(n)
+    assert moved.merges == n - active.sum()
+    left = moved.positions[active]
+    apart = np.linalg.norm(left[:, None] - left, axis=-1)
+    seen = moved.weights[np.ix_(active, active)] > 0
+    assert (apart[seen] >= 0.7 * (1 - 1e-12)).all()
+    assert not moved.weights[~active].any() and not moved.weights[:, ~active].any()
+    assert (moved.merged_into[moved.merged_into] == moved.merged_into).all()
+    assert (moved.merged_into <= np.arange(n)).all()

@@ -1,0 +1,281 @@
+"""Distances, normals, silhouettes and crossings against shapely, trigonometry and brute force."""
+
+import math
+
+import numpy as np
+import pytest
+import shapely
+from tuples import triple, world
+
+from rendezvous_env.obstacles.disc import Disc, Sphere
+from rendezvous_env.obstacles.obstacle_set import (
+    CENTRE,
+    DETAILS,
+    clear_of_obstacles,
+    distance_to,
+    silhouette_2d,
+    silhouette_3d,
+    surface,
+)
+from rendezvous_env.obstacles.polygon import Polygon
+from rendezvous_env.physics.crossings import first_crossing
+from rendezvous_env.physics.vectors import ORIGIN
+
+N_VIEWS = 10_000
+SQUARE = Polygon(((0, 0), (2, 0), (2, 2), (0, 2)))
+
+
+def views(obstacles, positions):
+    """Distances (V,), normals (V, d) and silhouettes (V, 2, d) from position k of obstacle k of a
+    world, and so on round and round.
+    """
+    count, d = positions.shape
+    distances, normals = np.empty(count), np.empty((count, 3))
+    silhouettes = np.empty((count, 2, d))
+    for k in range(count):
+        m, point = k % len(obstacles.kinds), triple(positions[k])
+        distances[k], normals[k] = surface(obstacles, m, point)
+        if d == 2:
+            silhouette_2d(obstacles, m, point, silhouettes[k])
+    return distances, normals[:, :d], silhouettes
+
+
+def random_polygon(rng):
+    """Vertices on an ellipse, so always convex; 3 to 8 of them, at least 0.2 rad apart."""
+    gaps = rng.uniform(0.2, 1.0, rng.integers(3, 9))
+    angles = np.cumsum(gaps) / gaps.sum() * 2 * math.pi + rng.uniform(0, 7)
+    axes, centre = rng.uniform(0.3, 3.0, 2), rng.uniform(-10, 10, 2)
+    return Polygon(tuple(map(tuple, centre + axes * np.c_[np.cos(angles), np.sin(angles)])))
+
+
+@pytest.fixture(scope="module")
+def polygon_views():
+    """Random polygons, each with a viewpoint anywhere near it."""
+    rng = np.random.default_rng(1)
+    polygons = [random_polygon(rng) for _ in range(N_VIEWS // 10)] * 10
+    obstacles = world(polygons[: N_VIEWS // 10])
+    positions = np.array([p.centroid for p in polygons]) + rng.normal(0, 3, (N_VIEWS, 2))
+    shapes = np.array([shapely.Polygon(p.vertices) for p in polygons])
+    return obstacles, positions, shapes
+
+
+def unwrapped(angles):
+    """The same angles in (-π, π]."""
+    return (angles + math.pi) % (2 * math.pi) - math.pi
+
+
+def direction(angles):
+    """Unit vectors (..., 2) at angles (...)."""
+    return np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+
+
+class TestDistanceAndNormal:
+    def test_of_polygons_equals_shapely(self, polygon_views):
+        obstacles, positions, shapes = polygon_views
+        distances, normals, _ = views(obstacles, positions)
+        points = shapely.points(positions)
+        to_boundary = shapely.distance(shapely.boundary(shapes), points)
+        inside = shapely.contains(shapes, points)
+        assert 500 < inside.sum() < N_VIEWS - 500
+        np.testing.assert_allclose(distances, np.where(inside, -1, 1) * to_boundary, atol=1e-9)
+        feet = shapely.points(positions - distances[:, None] * normals)
+        assert shapely.distance(shapely.boundary(shapes), feet).max() < 1e-9
+        np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1, atol=1e-12)
+
+    @pytest.mark.parametrize(("dim", "kind"), [(2, Disc), (3, Sphere)])
+    def test_of_balls_is_distance_to_the_centre_less_radius(self, dim, kind):
+        rng = np.random.default_rng(2)
+        centres, radii = rng.normal(0, 5, (1000, dim)), rng.uniform(0.1, 5, 1000)
+        positions = rng.normal(0, 5, (1000, dim))
+        obstacles = world([kind(tuple(c), r) for c, r in zip(centres, radii, strict=True)])
+        distances, normals, _ = views(obstacles, positions)
+        offsets = positions - centres
+        lengths = np.linalg.norm(offsets, axis=1)
+        np.testing.assert_allclose(distances, lengths - radii, atol=1e-12)
+        np.testing.assert_allclose(normals, offsets / lengths[:, None], atol=1e-12)
+
+    def test_hand_computed(self):
+        square = world([SQUARE])
+        table = [  # position, distance, normal
+            ((1.0, 1.5), -0.5, (0, 1)),
+            ((3.0, 1.0), 1.0, (1, 0)),
+            ((5.0, 6.0), 5.0, (0.6, 0.8)),
+            ((2.0, 0.7), 0.0, (1, 0)),
+            ((-1e-17, 0.7), 0.0, (-1, 0)),
+        ]
+        for position, distance, expected in table:
+            found, normal = surface(square, 0, triple(position))
+            assert found == pytest.approx(distance, abs=1e-15)
+            np.testing.assert_allclose(normal, triple(expected), atol=1e-15)
+
+    def test_on_a_vertex_the_normal_is_that_of_an_edge(self):
+        square = world([SQUARE])
+        for x in (2.0, 2.0 + 1e-16, 2.0 - 4e-16, 2.0 + 4e-16):
+            _, normal = surface(square, 0, (x, 2.0 + 4e-16, 0.0))
+            assert normal[:2] in {(1.0, 0.0), (-0.0, 1.0), (0.0, 1.0), (1.0, -0.0)}
+            assert normal[2] == 0
+
+    def test_absent_slot_is_infinitely_far(self):
+        absent = world([], 2)
+        assert distance_to(absent, 0, ORIGIN) == np.inf
+        assert clear_of_obstacles(ORIGIN, absent, 1e9)
+
+    def test_clear_of_obstacles_asks_for_the_margin_from_every_one(self):
+        discs = world([Disc((3, 0), 1), Disc((0, 5), 1)], 3)
+        assert clear_of_obstacles(ORIGIN, discs, 2.0)
+        assert not clear_of_obstacles(ORIGIN, discs, 2.0 + 1e-9)
+        assert not clear_of_obstacles((0.0, 4.5, 0.0), discs, -0.25)
+        assert clear_of_obstacles((0.0, 4.5, 0.0), discs, -0.75)
+
+
+class TestSilhouette2d:
+    def test_of_discs_is_the_centre_direction_turned_by_the_half_angle(self):
+        rng = np.random.default_rng(3)
+        centres, radii = rng.uniform(-10, 10, (N_VIEWS, 2)), rng.uniform(0.05, 5, N_VIEWS)
+        discs = world([Disc(tuple(c), r) for c, r in zip(centres, radii, strict=True)])
+        turn, distance = rng.uniform(0, 7, N_VIEWS), radii * rng.uniform(1.001, 30, N_VIEWS)
+        _, _, seen = views(discs, centres - distance[:, None] * direction(turn))
+        half = np.arcsin(radii / distance)
+        np.testing.assert_allclose(seen[:, 0], direction(turn + half), atol=1e-9)
+        np.testing.assert_allclose(seen[:, 1], direction(turn - half), atol=1e-9)
+
+    def test_of_polygons_is_the_extreme_vertices(self, polygon_views):
+        obstacles, positions, shapes = polygon_views
+        outside = ~shapely.contains(shapes, shapely.points(positions))
+        _, _, seen = views(obstacles, positions)
+        for k in np.flatnonzero(outside):
+            m = k % len(obstacles.kinds)
+            row, count = obstacles.shapes[m], obstacles.corners[m]
+            corners = row[DETAILS : DETAILS + 2 * count].reshape(-1, 2) - positions[k]
+            angles = np.arctan2(corners[:, 1], corners[:, 0])
+            middle = math.atan2(*(row[CENTRE : CENTRE + 2] - positions[k])[::-1])
+            turns = unwrapped(angles - middle)
+            expected = direction(middle + np.array([turns.max(), turns.min()]))
+            np.testing.assert_allclose(seen[k], expected, atol=1e-9)
+        assert outside.sum() > 5000
+
+    def test_no_ray_outside_the_silhouette_meets_the_polygon_and_every_one_inside_does(
+        self, polygon_views
+    ):
+        obstacles, *rest = polygon_views
+        positions, shapes = (a[:1000] for a in rest)
+        outside = shapely.distance(shapes, shapely.points(positions)) > 1e-3
+        _, _, seen = views(obstacles, positions)
+        for k in np.flatnonzero(outside):
+            left, right = np.arctan2(seen[k, :, 1], seen[k, :, 0])
+            for edge, inwards in ((left, -1e-6), (right, 1e-6)):
+                for turn, hits in ((inwards, True), (-inwards, False)):
+                    far = positions[k] + 100 * direction(edge + turn)
+                    assert shapes[k].intersects(shapely.LineString([positions[k], far])) == hits
+
+    def test_on_the_surface_it_is_the_two_directions_along_it(self):
+        both = world([SQUARE, Disc((0.3, -0.1), 0.7)])
+        seen = np.empty((2, 2))
+        for x in (-1e-16, 0.0, 1e-16):
+            silhouette_2d(both, 0, (x, 0.6, 0.0), seen)  # on the left edge, looking right
+            np.testing.assert_allclose(seen, [(0, 1), (0, -1)], atol=1e-12)
+            silhouette_2d(both, 0, (x, x, 0.0), seen)  # on a corner
+            np.testing.assert_allclose(seen, [(0, 1), (1, 0)], atol=1e-12)
+            silhouette_2d(both, 1, (-0.4 + x, -0.1, 0.0), seen)
+            np.testing.assert_allclose(seen, [(0, 1), (0, -1)], atol=1e-7)
+
+
+class TestSilhouette3d:
+    def rays(self, sphere, position, net_bearing, axis_x=(1, 0, 0), axis_y=(0, 1, 0)):
+        out = np.full((8, 3), np.nan)
+        vectors = map(triple, (position, net_bearing, axis_x, axis_y))
+        silhouette_3d(world([sphere]), 0, *vectors, out)
+        return out
+
+    def test_rays_touch_the_sphere_45_degrees_apart(self):
+        rng = np.random.default_rng(4)
+        for _ in range(300):
+            centre, position, f = rng.normal(0, 4, (3, 3))
+            o = centre - position
+            distance = np.linalg.norm(o)
+            radius = distance * rng.uniform(0.01, 0.999)
+            rays = self.rays(Sphere(tuple(centre), radius), position, f)
+            along = rays @ o
+            np.testing.assert_allclose(along, math.sqrt(distance**2 - radius**2), atol=1e-9)
+            feet = along[:, None] * rays
+            np.testing.assert_allclose(np.linalg.norm(feet - o, axis=1), radius, atol=1e-9)
+            u = o / distance
+            spokes = rays - np.outer(rays @ u, u)
+            spokes /= np.linalg.norm(spokes, axis=1, keepdims=True)
+            e = f - (f @ u) * u
+            np.testing.assert_allclose(spokes[0], e / np.linalg.norm(e), atol=1e-9)
+            following = np.roll(spokes, -1, axis=0)
+            np.testing.assert_allclose(np.sum(spokes * following, axis=1), 0.5**0.5, atol=1e-9)
+            assert np.all(np.cross(spokes, following) @ u > 0)  # right-handed about u
+
+    def test_no_point_of_the_sphere_is_seen_outside_the_cone(self):
+        rng = np.random.default_rng(5)
+        rays = self.rays(Sphere((3, 1, -2), 1.2), (0, 0, 0), (0, 0, 1))
+        normals = rng.normal(size=(200_000, 3))
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+        points = np.array([3, 1, -2]) + 1.2 * normals
+        u = np.array([3, 1, -2]) / math.sqrt(14)
+        cosines = points @ u / np.linalg.norm(points, axis=1)
+        np.testing.assert_allclose(rays @ u, cosines.min(), atol=1e-4)
+        assert np.all(rays @ u <= cosines.min() + 1e-12)
+
+    def test_azimuth_0_falls_back_on_the_local_axes(self):
+        sphere, c, s = Sphere((2, 0, 0), 1.0), math.sqrt(0.75), 0.5
+        table = [  # net bearing, local x, local y, azimuth-0 ray
+            ((1, 1, 0), (0, 0, 1), (0, 1, 0), (c, s, 0)),
+            ((1, 0, 0), (0, 0, 1), (0, 1, 0), (c, 0, s)),
+            ((0, 0, 0), (0, 0, -1), (0, 1, 0), (c, 0, -s)),
+            ((-3, 0, 0), (-1, 0, 0), (0, -1, 0), (c, -s, 0)),
+        ]
+        for net_bearing, axis_x, axis_y, expected in table:
+            rays = self.rays(sphere, (0, 0, 0), net_bearing, axis_x, axis_y)
+            np.testing.assert_allclose(rays[0], expected, atol=1e-15)
+
+    def test_on_the_surface_the_rays_lie_in_the_tangent_plane(self):
+        rays = self.rays(Sphere((2, 0, 0), 2.0), (1e-17, 0, 0), (0, 1, 0))
+        np.testing.assert_allclose(rays[:, 0], 0, atol=1e-7)
+        np.testing.assert_allclose(np.linalg.norm(rays, axis=1), 1, atol=1e-12)
+
+
+class TestFirstCrossing:
+    @pytest.mark.parametrize(
+        ("offset", "velocity", "radius", "expected"),
+        [
+            ((3, 0), (-4, 0), 1, 0.5),
+            ((3, 0, 0), (-4, 0, 0), 1, 0.5),
+            ((3, 1), (-4, 0), 1, 0.75),  # grazing
+            ((3, 1.001), (-4, 0), 1, np.inf),
+            ((3, 0), (-2, 0), 1, 1.0),
+            ((3, 0), (-1.99, 0), 1, np.inf),
+            ((3, 0), (4, 0), 1, np.inf),
+            ((3, 0), (0, 0), 1, np.inf),
+            ((0.5, 0), (4, 0), 1, 0.0),
+            ((1, 0), (0, 0), 1, 0.0),
+            ((3, 4), (-3, -4), 0, 1.0),
+            ((3, 4), (-3, -4), -1, np.inf),
+        ],
+    )
+    def test_hand_computed(self, offset, velocity, radius, expected):
+        found = first_crossing(triple(offset), triple(velocity), float(radius))
+        assert found == pytest.approx(expected, abs=1e-15)
+
+    def test_is_the_first_time_on_the_sphere(self):
+        rng = np.random.default_rng(6)
+        times = np.linspace(0, 1, 20_001)
+        crossed = 0
+        for _ in range(500):
+            d = int(rng.integers(2, 4))
+            offset, velocity, radius = rng.normal(0, 2, d), rng.normal(0, 4, d), rng.uniform(0.1, 2)
+            s = first_crossing(triple(offset), triple(velocity), radius)
+            distances = np.linalg.norm(offset + times[:, None] * velocity, axis=1)
+            before = distances[times < s - 1e-9] if s < np.inf else distances
+            assert np.all(before > radius - 1e-9)
+            if 0 < s < np.inf:
+                crossed += 1
+                assert np.linalg.norm(offset + s * velocity) == pytest.approx(radius, abs=1e-12)
+        assert crossed > 30
+
+    def test_keeps_its_digits_far_away(self):
+        s = first_crossing((1e6, 0.2, 0.0), (-2e6, 0.0, 0.0), 0.2 + 1e-9)
+        assert s == pytest.approx(0.5, abs=1e-10)
+        assert first_crossing((1e6, 0.2, 0.0), (-2e6, 0.0, 0.0), 0.2 - 1e-9) == np.inf

@@ -1,0 +1,299 @@
+"""What a sensor does not see, and how it turns bearings: as equations."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy import stats
+from shapely.geometry import LineString, Point, Polygon
+from tuples import triple, world
+
+import rendezvous_env as rv
+from rendezvous_env.physics.hull_perimeter import size
+from rendezvous_env.physics.outward import outward_directions
+from rendezvous_env.physics.random_streams import SENSING, stream_key
+from rendezvous_env.sensors.line_of_sight import is_hidden_by_obstacles, is_hidden_by_robot, is_seen
+from rendezvous_env.sensors.sensor_equations import (
+    gaussian,
+    in_sectors,
+    random_axis,
+    step_key,
+    turned,
+    turned_towards,
+)
+
+Z_AXIS = (0.0, 0.0, 1.0)
+
+
+def angle_between(a, b):
+    a, b = np.asarray(a), np.asarray(b)
+    cross = np.linalg.norm(np.cross(np.append(a, 0.0)[:3], np.append(b, 0.0)[:3]))
+    return math.atan2(cross, float(a @ b))
+
+
+def vectors(d: int, count: int, seed: int = 0) -> list[tuple[float, ...]]:
+    table = np.random.default_rng(seed).normal(size=(count, d))
+    return [tuple(row) for row in table.tolist()]
+
+
+# ---- range and field of view --------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("offset", "reach", "field", "seen"),
+    [
+        ((3.0, 4.0), 5.0, 2 * math.pi, True),
+        ((3.0, 4.0), 4.999, 2 * math.pi, False),
+        ((-1.0, 0.0), math.inf, 2 * math.pi, True),
+        ((-1.0, 0.0), math.inf, 6.28, False),
+        ((1.0, 1.0), math.inf, math.pi / 2 + 1e-9, True),
+        ((1.0, -1.0), math.inf, math.pi / 2 + 1e-9, True),
+        ((1.0, 1.0), math.inf, math.pi / 2 - 1e-9, False),
+        ((1.0, 0.6, 0.8), math.inf, math.pi / 2 + 1e-9, True),
+        ((1.0, 0.6, -0.8), math.inf, math.pi / 2 - 1e-9, False),
+        ((0.0, 0.0, -2.0), 1.9, 2 * math.pi, False),
+    ],
+)
+def test_a_place_is_seen_within_range_and_field_of_view(offset, reach, field, seen):
+    assert is_seen(offset, reach, 0.5 * field) == seen
+
+
+# ---- turning ------------------------------------------------------------------------------------
+
+
+def test_in_the_plane_a_positive_angle_turns_counter_clockwise():
+    assert turned((2.0, 0.0), math.pi / 2, Z_AXIS) == pytest.approx((0.0, 2.0))
+    assert turned((0.0, 1.0), 0.3, Z_AXIS) == pytest.approx((-math.sin(0.3), math.cos(0.3)))
+
+
+@pytest.mark.parametrize("d", [2, 3])
+@pytest.mark.parametrize("angle", [0.0, 1e-6, 0.4, 3.0])
+def test_a_row_is_turned_by_the_angle_and_keeps_its_length(d, angle):
+    for row, axis in zip(vectors(d, 50), vectors(3, 50, seed=1), strict=True):
+        found = turned(row, angle, axis)
+        assert np.linalg.norm(found) == pytest.approx(np.linalg.norm(row), rel=1e-14)
+        assert angle_between(row, found) == pytest.approx(angle, abs=1e-12)
+
+
+def test_in_space_a_row_turns_about_the_part_of_the_axis_across_it():
+    assert turned((1.0, 0.0, 0.0), math.pi / 2, (5.0, 0.0, 2.0)) == pytest.approx((0.0, 1.0, 0.0))
+    for row, axis in zip(vectors(3, 50), vectors(3, 50, seed=1), strict=True):
+        about = np.cross(row, turned(row, 0.5, axis))
+        about /= np.linalg.norm(about)
+        across = np.array(axis) - np.dot(axis, row) / np.dot(row, row) * np.array(row)
+        assert about == pytest.approx(across / np.linalg.norm(across), abs=1e-9)
+
+
+@pytest.mark.parametrize("row", [(1.0, 0.0, 0.0), (0.0, -2.0, 0.0), (0.0, 0.0, 1e-9)])
+def test_an_axis_along_the_row_still_turns_it(row):
+    assert angle_between(row, turned(row, 0.7, row)) == pytest.approx(0.7)
+
+
+def test_a_zero_row_stays_zero():
+    assert turned((0.0, 0.0, 0.0), 0.7, Z_AXIS) == (0.0, 0.0, 0.0)
+    assert turned((0.0, 0.0), 0.7, Z_AXIS) == (0.0, 0.0)
+
+
+@pytest.mark.parametrize("d", [2, 3])
+def test_no_turn_by_the_same_angle_points_farther_along_the_target(d):
+    angle = 0.3
+    for k, (row, target) in enumerate(zip(vectors(d, 40), vectors(d, 40, seed=2), strict=True)):
+        found = turned_towards(row, angle, target)
+        assert angle_between(row, found) == pytest.approx(angle, abs=1e-12)
+        others = [turned(row, s * angle, a) for a in vectors(3, 40, seed=k) for s in (-1, 1)]
+        best = max(np.dot(other, target) for other in others)
+        assert np.dot(found, target) >= best - 1e-12
+
+
+# ---- sectors ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("sectors", [2, 3, 4, 7, 360])
+def test_in_the_plane_a_bearing_becomes_the_nearest_of_so_many(sectors):
+    directions = 2 * math.pi * np.arange(sectors) / sectors
+    units = np.stack([np.cos(directions), np.sin(directions)], axis=-1)
+    found = set()
+    for row in vectors(2, 300):
+        rounded = np.array(in_sectors(row, sectors))
+        nearest = units[np.argmax(units @ row)] * np.linalg.norm(row)
+        assert rounded == pytest.approx(nearest, abs=1e-9)
+        found.add(tuple(np.round(rounded / np.linalg.norm(row), 6) + 0.0))
+    assert len(found) <= sectors and (sectors > 10 or len(found) == sectors)
+
+
+@pytest.mark.parametrize("sectors", [2, 4, 6, 8, 15])
+def test_in_space_yaw_and_elevation_are_rounded(sectors):
+    width = 2 * math.pi / sectors
+    for row in vectors(3, 300):
+        x, y, z = in_sectors(row, sectors)
+        assert math.hypot(x, y, z) == pytest.approx(np.linalg.norm(row))
+        pitch = math.atan2(z, math.hypot(x, y)) / width
+        assert pitch == pytest.approx(round(pitch), abs=1e-9)
+        wanted = math.atan2(row[2], math.hypot(row[0], row[1])) / width
+        assert abs(pitch - wanted) <= 0.5 + 1e-9 or abs(wanted) > math.floor(sectors / 4)
+        if math.hypot(x, y) > 1e-9:
+            yaw = math.atan2(y, x) / width
+            assert yaw == pytest.approx(round(yaw), abs=1e-9)
+            turn = (yaw - math.atan2(row[1], row[0]) / width) % sectors
+            assert min(turn, sectors - turn) <= 0.5 + 1e-9
+
+
+# ---- hiding -------------------------------------------------------------------------------------
+
+
+def test_robots_hide_as_discs_do():
+    random, hidden, seen = np.random.default_rng(3), 0, 0
+    for _ in range(2000):
+        offset, other = random.normal(size=(2, 2))
+        radius = 0.3
+        if np.linalg.norm(other) < radius:
+            continue
+        disc = Point(other).buffer(radius, quad_segs=256)
+        way = LineString([(0.0, 0.0), offset])
+        if abs(way.distance(Point(other)) - radius) < 1e-3:
+            continue
+        nearer = np.linalg.norm(other) < np.linalg.norm(offset)
+        expected = bool(disc.intersects(way)) and nearer
+        assert is_hidden_by_robot(triple(offset), triple(other), radius) == expected
+        hidden, seen = hidden + expected, seen + (not expected)
+    assert hidden > 100 and seen > 100
+
+
+def test_the_nearest_robot_is_always_seen():
+    for first, second in zip(vectors(3, 200), vectors(3, 200, seed=1), strict=True):
+        near, far = sorted((first, second), key=np.linalg.norm)
+        assert not is_hidden_by_robot(near, far, 5.0)
+
+
+def test_a_robot_within_the_disc_of_another_sees_what_is_behind_it():
+    assert is_hidden_by_robot((2.0, 0.0, 0.0), (0.05, 0.0, 0.0), 0.1)
+    assert not is_hidden_by_robot((-2.0, 0.0, 0.0), (0.05, 0.0, 0.0), 0.1)
+    assert not is_hidden_by_robot((0.0, 0.0, 0.0), (0.05, 0.0, 0.0), 0.1)
+
+
+CORNERS = ((-1.5, -0.5), (-0.4, -0.8), (-0.6, 0.7))
+SHAPES = (
+    rv.Disc((1.0, 0.5), 0.5),
+    rv.Polygon(CORNERS),
+    rv.Capsule(((0.5, -1.2), (1.6, -0.9)), 0.2),
+)
+OUTLINES = (
+    Point(1.0, 0.5).buffer(0.5, quad_segs=512),
+    Polygon(CORNERS),
+    LineString([(0.5, -1.2), (1.6, -0.9)]).buffer(0.2, quad_segs=512),
+)
+
+
+@pytest.mark.parametrize("m", range(3))
+def test_obstacles_hide_what_the_way_to_goes_through_them(m):
+    random, hidden, seen = np.random.default_rng(4), 0, 0
+    for _ in range(1500):
+        start, end = random.uniform(-2.5, 2.5, size=(2, 2))
+        inside = LineString([start, end]).intersection(OUTLINES[m]).length
+        if 0.0 < inside < 1e-2:
+            continue
+        way = triple(end - start)
+        assert is_hidden_by_obstacles(world([SHAPES[m]]), triple(start), way) == (inside > 0.0)
+        hidden, seen = hidden + (inside > 0.0), seen + (inside == 0.0)
+    assert hidden > 100 and seen > 100
+
+
+def test_a_robot_that_touches_an_obstacle_sees_past_it_but_not_through_it():
+    disc = world([rv.Disc((0.0, 0.0), 1.0)])
+    assert not is_hidden_by_obstacles(disc, (1.0, 0.0, 0.0), (0.0, 3.0, 0.0))
+    assert is_hidden_by_obstacles(disc, (1.0, 0.0, 0.0), (-3.0, 0.5, 0.0))
+
+
+def test_an_absent_obstacle_hides_nothing():
+    absent = world([rv.Sphere((0.0, 0.0, 0.0), 1.0)], slots=2)
+    absent.kinds[0] = absent.kinds[1]
+    assert not is_hidden_by_obstacles(absent, (-2.0, 0.0, 0.0), (4.0, 0.0, 0.0))
+
+
+# ---- outward ------------------------------------------------------------------------------------
+
+
+def outward(positions, merged_into=None):
+    out = np.zeros_like(positions)
+    everyone = np.arange(len(positions)) if merged_into is None else merged_into
+    outward_directions(positions, everyone, out)
+    return out
+
+
+def gradient_of_size(positions, i, step=1e-6):
+    """By central differences."""
+    gradient = []
+    for shift in np.eye(positions.shape[1]) * step:
+        there, back = positions.copy(), positions.copy()
+        there[i], back[i] = there[i] + shift, back[i] - shift
+        gradient.append((size(there) - size(back)) / (2 * step))
+    return np.array(gradient)
+
+
+@pytest.mark.parametrize("d", [2, 3])
+@pytest.mark.parametrize("n", [2, 3, 4, 7, 12])
+def test_outward_is_along_the_gradient_of_the_size(d, n):
+    random, inside = np.random.default_rng(n), 0
+    for _ in range(5):
+        positions = random.normal(size=(n, d))
+        found = outward(positions)
+        for i in range(n):
+            gradient = gradient_of_size(positions, i)
+            length = np.linalg.norm(gradient)
+            if 1e-6 < length < 1e-2:
+                continue  # too short for its direction to be found by differences
+            if length < 1e-6:
+                gradient, inside = positions[i] - positions.mean(axis=0), inside + 1
+            assert found[i] == pytest.approx(gradient / np.linalg.norm(gradient), abs=2e-4)
+    assert inside > 0 or n < 7
+
+
+@pytest.mark.parametrize("d", [2, 3])
+def test_outward_of_a_team_on_one_line_is_along_it(d):
+    along = np.array([0.6, 0.8, 0.0])[:d]
+    found = outward(np.array([0.0, 2.0, 0.5, 5.0])[:, None] * along)
+    assert found[0] == pytest.approx(-along) and found[3] == pytest.approx(along)
+
+
+def test_outward_of_a_grid_counts_each_edge_once():
+    """The corners of a cube with the middles of its edges, faces and itself."""
+    grid = np.stack(np.meshgrid(*[[-1.0, 0.0, 1.0]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+    found = outward(grid)
+    for place, direction in zip(grid, found, strict=True):
+        if place.any():
+            assert direction == pytest.approx(place / np.linalg.norm(place), abs=1e-9)
+        else:
+            assert not direction.any()
+
+
+def test_merged_robots_do_not_count():
+    positions = np.array([[0.0, 0.0], [4.0, 0.0], [0.0, 3.0], [9.0, 9.0]])
+    found = outward(positions, np.array([0, 1, 2, 0]))
+    assert found[:3] == pytest.approx(outward(positions[:3])) and not found[3].any()
+
+
+# ---- chance -------------------------------------------------------------------------------------
+
+KEY = np.uint64(stream_key(3, 1, SENSING))
+
+
+def test_gaussian_numbers_are_standard_normal():
+    numbers = [gaussian(KEY, 2 * k) for k in range(4000)]
+    assert stats.kstest(numbers, "norm").pvalue > 0.01
+
+
+def test_a_random_axis_is_uniform_on_the_sphere():
+    axes = np.array([random_axis(KEY, 2 * k) for k in range(4000)])
+    assert np.linalg.norm(axes, axis=-1) == pytest.approx(1.0)
+    for column in axes.T:
+        assert stats.kstest(column, "uniform", args=(-1, 2)).pvalue > 0.01
+
+
+def test_every_step_has_numbers_of_its_own():
+    keys = {int(np.uint64(step_key(KEY, step))) for step in (0, 1, 2, 10**15)} | {int(KEY)}
+    assert len(keys) == 5
+    rows = [[gaussian(np.uint64(step_key(KEY, t)), 5 * k) for k in range(500)] for t in range(4)]
+    correlations = np.corrcoef(rows)[np.triu_indices(4, 1)]
+    assert np.abs(correlations).max() < 0.2

@@ -1,0 +1,219 @@
+"""The environment of a heading policy, recomputed from its parts."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from gymnasium.vector import AutoresetMode
+
+import rendezvous_env as rv
+from baselines.learned.features import Features
+from baselines.learned.guide import ALL_ROUND, ANGLES, CHOICES, Guide
+from baselines.learned.policy_settings import PolicySettings
+from baselines.learned.training_environment import FeatureVectorEnv
+from rendezvous_env.adapters.sb3 import RobotVecEnv
+from rendezvous_env.vector import HeadingVectorWrapper
+from train.learn.checkpoint import flatten, unflatten
+
+TEAMS, PERIOD = 5, 3
+SCENARIO = rv.scenarios.get("clutter-12").replace(time_limit=6.0)
+HEADING = PolicySettings(
+    set_width=8,
+    hidden=(16,),
+    clearance=0.1,
+    persistence=0.5,
+    min_alignment=0.1,
+    max_turn_rate=3.0,
+    decision_time=PERIOD * SCENARIO.tau,
+)
+TANK = replace(HEADING, guarantee="tank", budget=0.5, memory="features")
+
+
+def base(**options):
+    return rv.make_vec(SCENARIO, TEAMS, autoreset_mode=AutoresetMode.SAME_STEP, **options)
+
+
+def guide():
+    return Guide(SCENARIO, clearance=0.1, persistence=0.5)
+
+
+def teams(settings=HEADING, **options):
+    return FeatureVectorEnv(base(), settings, **options)
+
+
+def tape(length, seed=0, choices=CHOICES):
+    """Choices that keep a robot from going straight, so that it takes time and touches things."""
+    shape = (length, TEAMS, SCENARIO.n_robots)
+    return np.random.default_rng(seed).integers(choices, size=shape)
+
+
+class Plain:
+    """The same teams, driven step by step through the heading wrapper."""
+
+    def __init__(self, mode=AutoresetMode.SAME_STEP):
+        venv = rv.make_vec(SCENARIO, TEAMS, autoreset_mode=mode)
+        self.wrapper = HeadingVectorWrapper(venv, frame="local")
+
+    def step(self, choices):
+        """Rewards, ends, contacts of a period; teams that end begin anew at its end."""
+        rewards, contact = np.zeros(TEAMS), np.zeros((TEAMS, SCENARIO.n_robots), bool)
+        for _ in range(PERIOD):
+            raw = guide().aim(self.wrapper._observed, choices, self.wrapper.steering.headings)
+            _, earned, _, _, infos = self.wrapper.step(raw)
+            rewards += earned
+            contact |= infos["contact"]
+        return rewards, self.wrapper.env.simulator.ended, contact
+
+
+def test_it_is_the_heading_wrapper_with_guide_and_perception():
+    """Episodes end, and what is shown last is what perception shows with the old memory."""
+    ours, plain = teams(), Plain(AutoresetMode.DISABLED)
+    shown, _ = ours.reset(seed=3)
+    plain.wrapper.reset(seed=3)
+    perception = Features(SCENARIO, TEAMS, decision_time=PERIOD * SCENARIO.tau)
+    headings, ended = plain.wrapper.steering, 0
+    np.testing.assert_array_equal(shown, perception.see(plain.wrapper._observed, headings.headings))
+    for choices in tape(60):
+        shown, rewards, ends, cuts, infos = ours.step(choices)
+        other_rewards, over, _ = plain.step(choices)
+        np.testing.assert_array_equal(rewards, other_rewards)
+        np.testing.assert_array_equal(ends | cuts, over)
+        last = perception.see(plain.wrapper._observed, headings.headings)
+        if over.any():
+            ended += over.sum()
+            seen = np.stack(infos["final_obs"][over].tolist())
+            np.testing.assert_array_equal(seen, last[over])
+            plain.wrapper.reset(options={"reset_mask": over})
+            perception.forget(over)
+            last[over] = perception.see(plain.wrapper._observed, headings.headings, over)[over]
+        np.testing.assert_array_equal(shown, last)
+    assert ended >= TEAMS
+
+
+def test_the_first_touch_costs_the_robot_and_nobody_else():
+    ours, free = teams(touch_penalty=7.0), teams()
+    for env in (ours, free):
+        env.reset(seed=3)
+    touched, paid = np.zeros((TEAMS, SCENARIO.n_robots), bool), 0
+    for choices in tape(90):
+        *_, ends, cuts, infos = ours.step(choices)
+        *_, others = free.step(choices)
+        over = (ends | cuts)[:, None]
+        contact = infos["contact"]
+        if over.any():
+            contact = np.where(over, infos["final_info"]["contact"], contact)
+        cost = others["robot_rewards"] - infos["robot_rewards"]
+        np.testing.assert_allclose(cost, 7.0 * (contact & ~touched), atol=1e-12)
+        paid += (cost > 0).sum()
+        touched = np.where(over, False, touched | contact)
+    assert paid >= 2
+
+
+def test_choices_of_another_shape_are_refused():
+    env = teams()
+    env.reset(seed=3)
+    with pytest.raises(ValueError, match=r"actions have shape \(5, 3\); they must be \(B, n\)"):
+        env.step(np.zeros((TEAMS, 3)))
+
+
+def test_the_guide_turns_f_before_the_rule():
+    """With nothing in sight a robot heads exactly so far aside of f."""
+    free = SCENARIO.replace(obstacles=())
+    observations = rv.Simulator(free, 2).reset(0)
+    f = free.observation_layout.net_bearing(observations)
+    choices = np.arange(8).reshape(2, 4)
+    raw = Guide(free, clearance=0.1, persistence=0.5).aim(observations, choices, np.zeros_like(f))
+    turned = np.arctan2(f[..., 0] * raw[..., 1] - f[..., 1] * raw[..., 0], np.sum(f * raw, axis=-1))
+    np.testing.assert_allclose(turned, ANGLES[choices], atol=1e-6)
+
+
+def test_with_a_tank_robots_go_where_they_choose_as_fast_as_law_one():
+    """In a field without obstacles, away from f too; and the velocity is along R(φ) f."""
+    free = SCENARIO.replace(obstacles=())
+    settings = replace(TANK, budget=1e6)
+    guided, simulator = settings.make_teams(free, 4), rv.Simulator(free, 4)
+    observations = simulator.reset(0)
+    choices = np.arange(16).reshape(4, 4) % len(ALL_ROUND)
+    guided.choose(choices)
+    v = guided.act(observations).astype(np.float64)
+    f = free.observation_layout.net_bearing(observations)
+    turned = np.arctan2(f[..., 0] * v[..., 1] - f[..., 1] * v[..., 0], np.sum(f * v, axis=-1))
+    off = np.abs(np.angle(np.exp(1j * (turned - ALL_ROUND[choices]))))
+    np.testing.assert_allclose(off, 0.0, atol=1e-5)
+    strength = np.linalg.norm(f, axis=-1)
+    scale = np.minimum(1.0, free.merge_radius / (2 * 3 * free.tau))
+    expected = np.minimum(free.max_speed, scale * strength)
+    np.testing.assert_allclose(np.linalg.norm(v, axis=-1), expected, rtol=1e-5)
+
+
+@pytest.mark.parametrize("budget", [0.0, 3.0])
+def test_v_and_the_tanks_together_never_rise(budget):
+    """Theorem D under arbitrary choices without obstacles, until the first merge."""
+    free = SCENARIO.replace(obstacles=(), time_step=None, time_limit=60.0)
+    settings = replace(TANK, budget=budget / 0.6)  # in units of r D̄
+    guided, simulator = settings.make_teams(free, TEAMS), rv.Simulator(free, TEAMS)
+    observations, random = simulator.reset(4), np.random.default_rng(4)
+    before = simulator.lyapunov() + free.n_robots * budget
+    rises, apart = 0, np.ones(TEAMS, bool)
+    for _ in range(300):
+        guided.choose(random.integers(len(ALL_ROUND), size=guided.choices.shape))
+        v = simulator.lyapunov()
+        observations = simulator.step(guided.act(observations)).observations
+        apart &= (simulator.merged_into == np.arange(free.n_robots)).all(axis=1)
+        rises += int((simulator.lyapunov() > v)[apart].sum())
+        now = simulator.lyapunov() + guided.steering.levels.sum(axis=1)
+        assert (now <= before + 1e-9)[apart].all()
+        assert guided.steering.levels.min() >= 0.0
+        before = now
+    assert rises > 20  # the freedom is used
+
+
+@pytest.mark.parametrize("settings", [HEADING, TANK], ids=["heading", "tank"])
+def test_robots_go_on_bit_by_bit_from_their_state(settings):
+    robots = RobotVecEnv(teams(settings, touch_penalty=1.0))
+    robots.seed(8)
+    robots.reset()
+    actions = tape(80, choices=len(settings.angles)).reshape(80, -1)
+    for raw in actions[:30]:
+        robots.step(raw)
+    state = unflatten(flatten(robots.get_state()))
+    other = RobotVecEnv(teams(settings, touch_penalty=1.0))
+    other.reset()
+    other.set_state(state)
+    for raw in actions[30:]:
+        for a, b in zip(robots.step(raw)[:3], other.step(raw)[:3], strict=True):
+            np.testing.assert_array_equal(a, b)
+        np.testing.assert_array_equal(robots.bootstrapped, other.bootstrapped)
+        np.testing.assert_array_equal(robots.bootstrap_observations, other.bootstrap_observations)
+    with pytest.raises(ValueError, match="active must be an array of shape"):
+        other.set_state({**state, "active": np.zeros(3)})
+    state["teams"]["touched"] = np.zeros(2)
+    with pytest.raises(ValueError, match="touched must be an array of shape"):
+        other.set_state(state)
+
+
+def test_autoreset_modes_differ_only_after_an_end():
+    """What is shown at an end is the same; a masked reset leaves what the others are shown."""
+    modes = (AutoresetMode.SAME_STEP, AutoresetMode.NEXT_STEP, AutoresetMode.DISABLED)
+    same, following, held = (
+        FeatureVectorEnv(rv.make_vec(SCENARIO, TEAMS, autoreset_mode=mode), HEADING)
+        for mode in modes
+    )
+    for each in (same, following, held):
+        each.reset(seed=1)
+    for choices in tape(60):
+        shown, *_, ends, cuts, infos = same.step(choices)
+        over = ends | cuts
+        later, *_ = following.step(choices)
+        rested, *_ = held.step(choices)
+        if over.any():
+            break
+        np.testing.assert_array_equal(later, shown)
+    final = np.stack(infos["final_obs"][over].tolist())
+    np.testing.assert_array_equal(later[over], final)
+    np.testing.assert_array_equal(rested[over], final)
+    np.testing.assert_array_equal(following.step(choices)[0][over], shown[over])
+    one = np.arange(TEAMS) == 1
+    begun, _ = held.reset(options={"reset_mask": one})
+    np.testing.assert_array_equal(begun[one], shown[one])
+    np.testing.assert_array_equal(begun[~one], rested[~one])

@@ -1,0 +1,206 @@
+"""The free integrator does by hand what it should, and what the environment does."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from continuous_time import Teams, Trial, integrate, outward, turned
+from continuous_time_laws import away, followed
+
+import baselines
+from rendezvous_env import Scenario, Sensing, Simulator
+from rendezvous_env.safety.gains import Gains
+from rendezvous_env.safety.links import least_norm_points, link_keeping_law
+from rendezvous_env.trajectory import run
+from train.verify.falsification import directions, extents
+
+
+def still(teams):
+    return np.zeros_like(teams.positions)
+
+
+# ---- by hand -------------------------------------------------------------------------------------
+
+
+def test_two_robots_meet_when_they_should():
+    teams = Teams(np.array([[[0.0, 0.0], [2.0, 0.0]], [[0.0, 1.0], [0.0, 5.0]]]), 0.2)
+
+    def law(teams):
+        return followed(teams.look().bearings, teams.weights)
+
+    times, _ = integrate(Trial(teams, law, 0.07, np.array([10.0, 10.0])))
+    np.testing.assert_allclose(times, [0.9, 1.9])  # (distance − r)/2a, at no multiple of the step
+    np.testing.assert_allclose(teams.positions[:, 0], [[1.0, 0.0], [0.0, 3.0]])
+    assert (teams.into == 0).all() and teams.left.tolist() == [1, 1]
+
+
+def test_robots_that_cross_within_a_step_dock_at_r():
+    teams = Teams(np.array([[[-1.0, 0.0], [1.0, 0.1], [0.0, 9.0]]]), 0.2)
+    velocities = np.array([[[1.0, 0.0], [-1.0, 0.0], [0.0, 0.0]]])
+    teams.advance(velocities, np.array([5.0]))
+    assert teams.time[0] == pytest.approx(1.0 - np.sqrt(0.2**2 - 0.1**2) / 2)
+    assert teams.active.tolist() == [[True, False, True]]
+    np.testing.assert_allclose(teams.positions[0, 0], [0.0, 0.05], atol=1e-12)
+    assert teams.merged.tolist() == [[True, False, False]]
+
+
+def test_robots_without_a_link_pass_and_survivors_inherit_links():
+    weights = np.array([[[0.0, 0.0, 2.0], [0.0, 0.0, 3.0], [2.0, 3.0, 0.0]]])
+    places = np.array([[[0.0, 0.0], [0.05, 0.0], [1.0, 0.0]]])
+    teams = Teams(places, 0.2, weights)
+    teams.advance(still(teams), np.array([1.0]))
+    assert teams.left.tolist() == [3] and teams.time[0] == 1.0
+    teams.advance(np.array([[[0.0, 0.0], [0.0, 5.0], [-1.0, 0.0]]]), np.array([2.0]))
+    assert teams.time[0] == pytest.approx(1.8)
+    assert teams.into[0].tolist() == [0, 1, 0]
+    assert teams.weights[0, 0, 1] == teams.weights[0, 1, 0] == 3.0
+    assert teams.lyapunov() == pytest.approx(6.0 * np.hypot(0.05 - 0.1, 4.0))
+
+
+def test_a_merge_may_bring_the_next_one_about():
+    places = np.array([[[0.0, 0.0], [1.0, 0.0], [0.5, 0.19]]])
+    teams = Teams(places, 0.2)
+    teams.advance(np.array([[[1.0, 0.0], [-1.0, 0.0], [0.0, 0.0]]]), np.array([1.0]))
+    assert teams.left.tolist() == [1] and teams.time[0] == pytest.approx(0.4)
+
+
+def test_a_team_with_no_time_rests():
+    teams = Teams(np.zeros((1, 3, 2)), 0.2)
+    teams.advance(np.ones((1, 3, 2)), np.array([0.0]))
+    assert teams.left.tolist() == [3] and not teams.positions.any()
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_outward_is_the_gradient_of_the_size(dim):
+    random = np.random.default_rng(dim)
+    teams = Teams(random.normal(size=(10, 6, dim)), 1e-6)
+    found, sizes, small = outward(teams, teams.look()), teams.size(), 1e-6
+    for robot in range(6):
+        gradient = np.zeros((10, dim))
+        for axis in range(dim):
+            moved = teams.positions.copy()
+            moved[:, robot, axis] += small
+            gradient[:, axis] = (Teams(moved, 1e-6).size() - sizes) / small
+        length = np.linalg.norm(gradient, axis=-1)
+        corner = length > (1e-3 if dim == 2 else 0.3)
+        cosine = np.sum(gradient * found[:, robot], axis=-1)[corner] / length[corner]
+        assert (cosine > (1 - 1e-6 if dim == 2 else 0.97)).all()
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_extents_average_to_the_size(dim):
+    teams = Teams(np.random.default_rng(0).normal(size=(5, 7, dim)), 0.1)
+    mean = extents(teams.positions, teams.active, directions(dim, 4000)).mean(axis=-1)
+    np.testing.assert_allclose(mean * 2 * np.pi * (dim - 1), teams.size(), rtol=1e-3)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_bearings_are_turned_by_the_error(dim):
+    random = np.random.default_rng(1)
+    g = random.normal(size=(4, 3, 3, dim))
+    g /= np.linalg.norm(g, axis=-1, keepdims=True)
+    towards = random.normal(size=g.shape)
+    towards[0], towards[1] = g[0], -2.0 * g[1]  # towards where they point already, and away
+    wrong = turned(g, towards, 0.3)
+    np.testing.assert_allclose(np.linalg.norm(wrong, axis=-1), 1.0)
+    np.testing.assert_allclose(np.sum(wrong * g, axis=-1), np.cos(0.3))
+    gained = np.sum((wrong - g) * towards, axis=-1)
+    between = np.sum(g * towards, axis=-1) / np.linalg.norm(towards, axis=-1)
+    assert (gained[np.abs(between) < np.cos(0.3)] > 0).all()
+
+
+# ---- and the environment -------------------------------------------------------------------------
+
+
+def law_1(error):
+    def law(teams, step):
+        sights = teams.look()
+        seen = turned(sights.bearings, away(teams, sights), error) if error else sights.bearings
+        return followed(seen, 1.5 * teams.weights)
+
+    return law, lambda scenario: baselines.make("bearing-only", scenario)
+
+
+def links():
+    def law(teams, step):
+        rows = 1.5 * teams.look().bearings
+        degree = np.linalg.norm(rows, axis=-1).sum(axis=-1)
+        return link_keeping_law(
+            least_norm_points(rows), degree, merge_radius=teams.merge_radius, duration=step
+        )
+
+    return law, lambda scenario: baselines.make("link-keeping", scenario)
+
+
+def gains():
+    chosen = np.random.default_rng(5).random((20, 5, 4))
+    weights = np.zeros((20, 5, 5))
+    weights[:, ~np.eye(5, dtype=bool)] = chosen.reshape(20, -1)
+
+    def policy(scenario):
+        filtered = Gains(scenario, 20, min_gain=2.0, max_gain=2.0, frame="local")
+        filtered.hold(chosen)
+        return lambda observations, time: filtered.act(observations)
+
+    def law(teams, step):
+        return followed(teams.look().bearings, 2.0 * weights / weights.sum(axis=-1, keepdims=True))
+
+    return law, policy
+
+
+@pytest.mark.parametrize(
+    ("dim", "error", "laws"),
+    [
+        (2, 0.0, law_1(0.0)),
+        (3, 0.0, law_1(0.0)),
+        (2, 0.3, law_1(0.3)),
+        (2, 0.0, links()),
+        (3, 0.0, links()),
+        (2, 0.0, gains()),
+        (3, 0.0, gains()),
+    ],
+)
+def test_the_environment_moves_as_the_integrator(dim, error, laws):
+    law, policy = laws
+    scenario = Scenario(
+        n_robots=5, dim=dim, graph=1.5 * (np.ones((5, 5)) - np.eye(5)), spawn_size=4.0,
+        time_step=0.002, merge_radius=0.2, time_limit=60.0, sensing=Sensing(error=error),
+    )  # fmt: skip
+    simulator = Simulator(scenario, 20)
+    observations = simulator.reset(3)
+    teams = Teams(simulator.positions, 0.2)
+    step, compared = scenario.tau, 0
+    for _ in run(simulator, policy(scenario), observations):
+        whole = teams.active.all(axis=-1) & (teams.left > 1)
+        teams.advance(law(teams, step), np.where(teams.left > 1, step, 0.0))
+        whole &= teams.active.all(axis=-1)
+        assert (simulator.active.all(axis=-1) == whole)[whole].all()
+        np.testing.assert_allclose(simulator.positions[whole], teams.positions[whole], atol=2e-5)
+        compared += whole.sum()
+        if compared > 2000 or not whole.any():
+            break
+    assert compared > 500
+
+
+def test_the_environment_meets_when_the_integrator_does():
+    error = 0.3
+    scenario = Scenario(
+        n_robots=5, dim=2, graph="complete", spawn_size=4.0, time_step=0.005, merge_radius=0.2,
+        time_limit=60.0, sensing=Sensing(error=error),
+    )  # fmt: skip
+    simulator = Simulator(scenario, 30)
+    observations = simulator.reset(4)
+    teams = Teams(simulator.positions, 0.2)
+
+    def law(teams):
+        sights = teams.look()
+        return followed(turned(sights.bearings, away(teams, sights), error), teams.weights)
+
+    times, _ = integrate(Trial(teams, law, 0.005, np.full(30, 60.0)))
+    met = np.full(30, np.inf)
+    for _ in run(simulator, baselines.make("bearing-only", scenario), observations):
+        just = np.isinf(met) & (simulator.active.sum(axis=-1) == 1)
+        met[just] = simulator.time[just]
+    assert np.isfinite(met).all()
+    # a robot that merges rests for what is left of the step
+    np.testing.assert_allclose(met, times, atol=0.05)

@@ -1,0 +1,269 @@
+"""Claims tried in the free integrator hold, and are violated where something is made wrong."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import continuous_time_claims
+import delay_claims
+import link_claims
+import numpy as np
+import pytest
+from adversarial_graphs import Attention, draw_teams, draw_weights
+from claims import CLAIMS, check, main
+from continuous_time import Teams, turned, unit
+from continuous_time_laws import away, followed, into_cone
+
+from train.verify.adversaries import across
+from train.verify.cases import BATCH
+
+FREE = (*continuous_time_claims.CONTINUOUS_TIME, *delay_claims.DELAY, *link_claims.LINKS)
+BY_NAME = {claim.name: claim for claim in FREE}
+
+
+def findings(name, batches=(0, 1, 2, 3), broken=None):
+    """Violations and worst T/bound of a claim, with something broken in each of its trials."""
+    claim = BY_NAME[name]
+
+    def draw(random, batch, least_margin):
+        trial = claim.draw(random, batch, least_margin)
+        if broken is not None:
+            broken(trial, random)
+        return trial
+
+    changed = dataclasses.replace(claim, draw=draw)
+    found = [check(changed, 7, batch, BATCH, 0.3) for batch in batches]
+    assert sum(f.trials for f in found) == len(batches) * BATCH
+    return sum(f.violations for f in found), max(f.time_over_bound for f in found)
+
+
+@pytest.mark.parametrize("name", BY_NAME)
+def test_nothing_is_violated(name):
+    violations, ratio = findings(name)
+    assert violations == 0
+    if BY_NAME[name].meets:
+        assert 0.01 < ratio <= 1  # a bound that nobody comes near checks little
+
+
+def test_the_script_names_them_all_and_says_what_it_found(capsys):
+    assert set(FREE) < set(CLAIMS)
+    assert len({claim.name for claim in CLAIMS}) == len(CLAIMS)
+    assert main(["--trials", "3", "gains", "stale"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split()[:4] for line in lines] == [
+        ["gains", "3", "teams", "0"],
+        ["stale", "3", "teams", "0"],
+    ]
+
+
+# ---- broken on purpose ---------------------------------------------------------------------------
+
+
+def too_soon(trial, random):
+    trial.limit = trial.limit / 100
+
+
+@pytest.mark.parametrize("name", [name for name in BY_NAME if BY_NAME[name].meets])
+def test_a_bound_a_hundred_times_too_small_is_caught(name):
+    assert findings(name, (1, 2), broken=too_soon)[0] > 0
+
+
+def soon(trial):
+    """No need to wait for what is broken at once."""
+    trial.limit = np.minimum(trial.limit, 50 * np.max(trial.step))
+
+
+def backwards(trial, random):
+    law = trial.law
+    trial.law = lambda teams: -law(teams)
+    soon(trial)
+    trial.limit[...] += 1e3 * (trial.look is None)
+
+
+@pytest.mark.parametrize("name", BY_NAME)
+def test_robots_that_flee_are_caught(name):
+    if name == "beyond-N":
+        pytest.skip("they are meant to")
+    assert findings(name, batches=(1,), broken=backwards)[0] > 0.9 * BATCH
+
+
+def sideways(trial, random):
+    """Velocities are turned by a little, outward."""
+    law = trial.law
+
+    def turning(teams):
+        velocities, towards = law(teams), away(teams, teams.look())
+        speeds = np.linalg.norm(velocities, axis=-1, keepdims=True)
+        lone = unit(velocities)[:, :, None]
+        return speeds * turned(lone, towards[:, :, :1], 0.2)[:, :, 0]
+
+    trial.law = turning
+    soon(trial)
+
+
+@pytest.mark.parametrize("name", ["gains", "gains-leader", "cone-headings"])
+def test_a_hull_that_is_not_nested_is_caught(name):
+    trial = BY_NAME[name].draw(np.random.default_rng(0), 3, 0.3)
+    assert trial.look is not None
+    assert findings(name, batches=(3,), broken=sideways)[0] > BATCH / 2
+
+
+def test_errors_beyond_n_where_n_is_claimed_are_caught():
+    def broken(trial, random):
+        sideways(trial, random)
+        trial.limit = 400 * trial.step * np.ones(BATCH)
+
+    assert findings("wrong-bearings", batches=(2, 3), broken=broken)[0] > 0
+
+
+def test_polygons_within_n_do_not_grow():
+    def draw(random, batch, least_margin):
+        return continuous_time_claims.draw_growing(random, batch, least_margin, share=0.98)
+
+    claim = dataclasses.replace(BY_NAME["beyond-N"], draw=draw)
+    assert check(claim, 7, 2, BATCH, 0.3).violations == BATCH
+
+
+def test_two_robots_that_see_nobody_are_caught():
+    def broken(trial, random):
+        law = trial.law
+
+        def resting(teams):
+            velocities = law(teams)
+            velocities[:, 1] = 0.0
+            return velocities
+
+        trial.law = resting
+
+    assert findings("gains-leader", batches=(1, 2), broken=broken)[0] > 1.8 * BATCH
+
+
+def test_headings_outside_the_cone_are_caught():
+    """Law (4) at the margin to one side of f."""
+
+    def broken(trial, random):
+        attention, axis = (
+            Attention(trial.teams, random),
+            random.normal(size=trial.teams.positions.shape),
+        )
+
+        def law(teams):
+            sights = teams.look()
+            f = followed(sights.bearings, attention(teams, sights))
+            ahead = unit(f)
+            h = 0.3 * ahead + np.sqrt(1 - 0.3**2) * unit(across(ahead, axis))
+            return h * np.sum(h * f, axis=-1, keepdims=True)
+
+        trial.law = law
+        soon(trial)
+
+    assert findings("cone-headings", batches=(2, 3), broken=broken)[0] > BATCH
+
+
+def test_bearings_that_are_far_too_old_are_caught(monkeypatch):
+    monkeypatch.setattr(delay_claims, "_KEPT", 2)
+    largest = delay_claims.largest_age
+    monkeypatch.setattr(
+        delay_claims, "largest_age", lambda *given, **named: 200.0 * largest(*given, **named)
+    )
+    assert findings("stale", batches=(2, 3))[0] > 0
+
+
+@pytest.mark.parametrize("name", ["links", "links-misled"])
+def test_wishes_that_are_carried_out_are_caught(name, monkeypatch):
+    class Careless(link_claims.LinkKeeping):
+        def act(self, observations):
+            super().act(observations)
+            return (self.scenario.speed_limit * self._held).astype(np.float32)
+
+    monkeypatch.setattr(link_claims, "LinkKeeping", Careless)
+    assert findings(name, batches=(1, 2), broken=lambda trial, _: soon(trial))[0] > BATCH
+
+
+def test_robots_that_do_not_allow_for_errors_are_caught(monkeypatch):
+    real = link_claims.LinkKeeping
+
+    def trusting(*given, bearing_error, **named):
+        return real(*given, bearing_error=0.0, **named)
+
+    monkeypatch.setattr(link_claims, "LinkKeeping", trusting)
+    assert findings("links-misled", batches=(1, 2))[0] > 0
+
+
+def test_law_1_loses_links():
+    def broken(trial, random):
+        def law(teams):
+            sights = teams.look()
+            return link_claims.rows_in_sight(sights, sights.bearings, 1.0).sum(axis=-2)
+
+        trial.law = law
+
+    assert findings("link-keeping", batches=(2, 3), broken=broken)[0] > 0
+
+
+# ---- what the adversaries are --------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("batch", [1, 3])
+def test_attention_is_of_all_kinds(batch):
+    random = np.random.default_rng(batch)
+    teams = draw_teams(random, batch)
+    attention, sights = Attention(teams, random), teams.look()
+    shares = np.array([attention(teams, sights) for _ in range(50)])
+    np.testing.assert_allclose(shares.sum(axis=-1), 1.0)
+    assert (shares >= 0).all() and not shares[..., np.eye(shares.shape[-1], dtype=bool)].any()
+    one = shares.max(axis=-1) > 0.999
+    assert 0.3 < one.mean() < 0.95
+    changes = np.abs(np.diff(shares, axis=0)).max(axis=(2, 3)) > 1e-9
+    rate = changes.mean(axis=0)
+    assert (rate == 0).any() and (rate > 0.9).any() and ((rate > 0) & (rate < 0.5)).any()
+    assert (shares != np.swapaxes(shares, -1, -2)).any(axis=(0, 2, 3)).mean() > 0.7
+
+
+def test_shares_of_a_team_with_a_merged_robot():
+    random = np.random.default_rng(0)
+    teams = Teams(random.normal(size=(BATCH, 3, 2)), 0.01)
+    teams.active[0, 1], teams.active[1, 1:] = False, False
+    shares = Attention(teams, random)(teams, teams.look())
+    assert shares[0, 0].tolist() == [0, 0, 1] and not shares[0, 1].any()
+    assert not shares[1].any()
+
+
+def test_headings_stay_in_the_cone_of_two_bearings():
+    random = np.random.default_rng(0)
+    g, other = (unit(random.normal(size=(1000, 3))) for _ in range(2))
+    f, margin = g * random.random((1000, 1)) + other, random.uniform(0.1, 0.9, (1000, 1))
+    h = into_cone(g, f, margin)
+    np.testing.assert_allclose(np.linalg.norm(h, axis=-1), 1.0)
+    cosine = np.sum(h * unit(f), axis=-1, keepdims=True)
+    assert (cosine >= margin - 1e-12).all()
+    parts = np.array([np.linalg.lstsq(np.stack(p[:2], axis=-1), p[2], rcond=None)[0]
+                      for p in zip(g, other, h, strict=True)])  # fmt: skip
+    rebuilt = parts[:, :1] * g + parts[:, 1:] * other
+    np.testing.assert_allclose(rebuilt, h, atol=1e-6)
+    assert (parts >= -1e-6).all()
+
+
+def test_bearings_are_as_old_as_they_may_be():
+    """A robot that goes by: its bearings tell when it was seen."""
+    random = np.random.default_rng(3)
+    places = random.uniform(-50.0, 50.0, (BATCH, 3, 2))  # so that nobody meets
+    teams = Teams(places, 0.2, draw_weights(random, 3))
+    seen, step = delay_claims._stale(teams, random, law_4=False)
+    velocities = np.zeros_like(teams.positions)
+    velocities[:, 0, 0] = 0.1
+    paths, oldest = [], []
+    for _ in range(30):
+        sights = teams.look()
+        paths.append((teams.time.copy(), sights.bearings))
+        got = seen(teams, sights)
+        ages = np.full(got.shape[:3], -np.inf)
+        for when, bearings in paths:
+            same = np.all(got == bearings, axis=-1)
+            ages = np.where(same, (teams.time - when)[:, None, None], ages)
+        assert (ages >= 0).all()  # each is one that was seen
+        oldest.append(ages[:, 0, 1:].max(axis=-1) / step)
+        teams.advance(velocities, step)
+    late = np.array(oldest[10:])
+    assert late.max() <= delay_claims._KEPT - 1 + 1e-6  # and held for one step more
+    assert (late.max(axis=0) > delay_claims._KEPT - 1.5).mean() > 0.3

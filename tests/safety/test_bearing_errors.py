@@ -1,0 +1,249 @@
+"""Wrong bearings: headings and tanks that allow for them, under whoever misleads them most."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from conftest import UNEQUAL, five
+from test_tank import ROUNDING, longer
+from tuples import triple
+
+from rendezvous_env import Scenario, Simulator
+from rendezvous_env.engine.memory import RENDEZVOUS, RUNNING
+from rendezvous_env.safety.heading import HeadingFilter
+from rendezvous_env.safety.settings import error_chord
+from rendezvous_env.safety.tank import (
+    EnergyTank,
+    certain_descent,
+    descending_velocity,
+    descent_scale,
+    promised_descent,
+)
+from research.tank_wishes import wishes
+
+TEAMS = 12
+ERRORS = ("common", "backwards", "random")
+
+
+def misled(observations, layout, angle, kind, frozen, random):
+    """Observations whose bearings are turned by the angle, or by less where it is drawn: towards a
+    direction that a robot never changes, away from f, or anywhere.
+    """
+    k = layout.neighbour_slots
+    rows = observations[..., :k, :].astype(np.float64)
+    lengths = np.linalg.norm(rows, axis=-1, keepdims=True)
+    g = rows / np.where(lengths > 0, lengths, 1.0)
+    target = {
+        "common": frozen[..., None, :],
+        "backwards": -layout.net_bearing(observations)[..., None, :],
+        "random": random.normal(size=rows.shape),
+    }[kind]
+    across = target - np.sum(target * g, axis=-1, keepdims=True) * g
+    size = np.linalg.norm(across, axis=-1, keepdims=True)
+    turn = angle * (random.random(lengths.shape) if kind == "random" else 1.0)
+    turned = np.cos(turn) * g + np.sin(turn) * across / np.where(size > 0, size, 1.0)
+    wrong = observations.copy()
+    wrong[..., :k, :] = np.where(size > 1e-6, turned, g) * lengths
+    return wrong
+
+
+class Misled:
+    """What a batch of episodes under wrong bearings showed; V and A in m²/s."""
+
+    def __init__(self, scenario, action_filter, error, *, kind, choose, steps=None, seed=0):
+        random = np.random.default_rng(seed)
+        frozen = random.normal(size=(TEAMS, scenario.n_robots, scenario.dim))
+        simulator, layout = Simulator(scenario, TEAMS), scenario.observation_layout
+        observations, self.start = simulator.reset(seed), simulator.lyapunov()
+        levels = getattr(action_filter, "_levels", np.zeros(1))  # as they are in every step
+        tolerance = 2 * ROUNDING * scenario.n_robots * scenario.max_degree**2 * scenario.tau
+        self.rise, self.times, self.calm_steps, step = -np.inf, np.full(TEAMS, np.inf), 0, 0
+        while (on := simulator.status == RUNNING).any() and step != steps:
+            before, alone = simulator.lyapunov() + levels.sum(axis=-1), simulator.active
+            seen = misled(observations, layout, error, kind, frozen, random)
+            action_filter.hold(choose(seen, step))
+            outcome = simulator.step(action_filter.act(seen))
+            action_filter.book(outcome.contact, simulator.merged_into, ~on)
+            calm = on & (alone == outcome.active).all(axis=-1)
+            rise = simulator.lyapunov() + levels.sum(axis=-1) - before - tolerance
+            self.rise = max(self.rise, rise[calm].max(initial=-np.inf))
+            self.calm_steps += int(calm.sum())
+            met = on & (outcome.status == RENDEZVOUS)
+            self.times[met] = simulator.time[met]
+            observations = outcome.observations
+            step += 1
+
+
+def chooser(scenario, seed=0):
+    return wishes(scenario, TEAMS, np.random.default_rng(seed), "mixed")
+
+
+def raw_headings(scenario, seed=0):
+    """Frozen, drawn anew or across f: raw vectors, or turn rates, in any unit."""
+    random = np.random.default_rng(seed)
+    size = TEAMS, scenario.n_robots, 1 if scenario.dim == 2 else 2
+    if not scenario.model.nonholonomic:
+        return chooser(scenario, seed)
+    frozen = random.uniform(-1, 1, size)
+    return lambda seen, step: np.where(random.random(size) < 0.5, frozen, -frozen)
+
+
+def heading_bound(scenario, start, error, min_alignment):
+    """Theorem N1' with δ = a*/(2n), s."""
+    n, a, r = scenario.n_robots, scenario.bottleneck_weight, scenario.merge_radius
+    rho = n * scenario.max_degree * math.sin(error / 2) / a
+    q = 1.5 * min_alignment - 2 * (1 + min_alignment) * rho
+    assert q > 0
+    rises = (n - 1) * r * np.triu(UNEQUAL).sum()
+    return n * (start + rises) / (a * q) ** 2 + (n - 1) * scenario.tau
+
+
+def small_error(scenario):
+    """Half of what leaves nothing of q at ε = 0.6, rad."""
+    scale = scenario.bottleneck_weight / (scenario.n_robots * scenario.max_degree)
+    return 2 * math.asin(0.5 * 0.9 / 3.2 * scale)
+
+
+# ---- headings ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", ERRORS)
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("error", [0.1, 0.6])
+def test_v_never_rises_between_merges(dim, kind, error):
+    scenario = five(f"single_integrator-{dim}d", spawn_size=3.0)
+    steering = HeadingFilter(scenario, TEAMS, bearing_error=error, min_alignment=0.6, frame="local")
+    choose = raw_headings(scenario)
+    seen = Misled(scenario, steering, error, kind=kind, choose=choose, steps=200)
+    assert seen.rise <= 0 and seen.calm_steps > 200
+
+
+@pytest.mark.parametrize("model", ["unicycle", "nonholonomic_3d"])
+def test_v_never_rises_for_bodies(model):
+    scenario = five(model, spawn_size=3.0)
+    steering = HeadingFilter(scenario, TEAMS, bearing_error=0.4)
+    choose = raw_headings(scenario)
+    seen = Misled(scenario, steering, 0.4, kind="common", choose=choose, steps=200)
+    assert seen.rise <= 0 and seen.calm_steps > 200
+
+
+@pytest.mark.parametrize("kind", ERRORS)
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("factor", [1.0, 3.0])
+def test_all_meet_in_time_with_small_errors(dim, kind, factor):
+    scenario = longer(five(f"single_integrator-{dim}d", spawn_size=3.0), factor)
+    error = small_error(scenario)
+    steering = HeadingFilter(scenario, TEAMS, bearing_error=error, min_alignment=0.6, frame="local")
+    seen = Misled(scenario, steering, error, kind=kind, choose=raw_headings(scenario))
+    assert seen.rise <= 0
+    assert (seen.times <= factor * heading_bound(scenario, seen.start, error, 0.6)).all()
+
+
+@pytest.mark.parametrize("model", ["single_integrator-2d", "single_integrator-3d", "unicycle"])
+def test_errors_that_are_not_allowed_for_raise_v(model):
+    scenario = five(model, spawn_size=3.0)
+    steering = HeadingFilter(scenario, TEAMS, min_alignment=0.1, frame="local")
+    choose = raw_headings(scenario)
+    seen = Misled(scenario, steering, 1.0, kind="common", choose=choose, steps=200)
+    assert seen.rise > 1e-3
+
+
+def test_a_robot_goes_slower_by_what_errors_could_feign():
+    scenario = Scenario(n_robots=3)
+    options = {"frame": "local", "min_alignment": 0.5}
+    wary, sure = (HeadingFilter(scenario, 1, **options, bearing_error=e) for e in (0.3, 0.0))
+    observations = Simulator(scenario).reset(0)
+    f = scenario.observation_layout.net_bearing(observations)
+    actions = []
+    for steering in (wary, sure):
+        steering.hold(f)
+        actions.append(np.linalg.norm(steering.act(observations), axis=-1))
+    strength = np.linalg.norm(f, axis=-1)
+    slower = np.maximum(strength - 2 * math.sin(0.15) * 2.0, 0.0)
+    np.testing.assert_allclose(actions[0], slower, atol=1e-6)
+    np.testing.assert_allclose(actions[1], strength, atol=1e-6)
+    np.testing.assert_allclose(wary.lyapunov_rate, -2 * strength * slower, atol=1e-5)
+
+
+def test_bare_headings_have_nothing_to_protect():
+    with pytest.raises(
+        ValueError, match=r"bearing_error is 0\.1; it must be 0 with certified=False"
+    ):
+        HeadingFilter(Scenario(), 1, certified=False, bearing_error=0.1)
+
+
+# ---- tanks ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", ERRORS)
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize(("error", "budget"), [(0.1, 0.0), (0.6, 2.0)])
+def test_the_ledger_is_kept(dim, kind, error, budget):
+    scenario = longer(five(f"single_integrator-{dim}d", spawn_size=3.0), 2.0)
+    tank = EnergyTank(
+        scenario, TEAMS, frame="local", bearing_error=error, budget=budget, min_alignment=0.6
+    )
+    choose = chooser(scenario)
+    seen = Misled(scenario, tank, error, kind=kind, choose=choose, steps=200)
+    assert seen.rise <= 0 and seen.calm_steps > 200 and tank.levels.min() >= 0
+
+
+@pytest.mark.parametrize("model", ["unicycle", "nonholonomic_3d"])
+def test_the_ledger_of_bodies_is_kept(model):
+    scenario = five(model, spawn_size=3.0)
+    tank = EnergyTank(scenario, TEAMS, bearing_error=0.3, budget=1.0)
+    choose = chooser(scenario)
+    seen = Misled(scenario, tank, 0.3, kind="common", choose=choose, steps=200)
+    assert seen.rise <= 0 and seen.calm_steps > 200
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("kind", ERRORS)
+def test_all_meet_in_time_under_a_tank(dim, kind):
+    scenario = longer(five(f"single_integrator-{dim}d", spawn_size=3.0), 1.0)
+    error, margin = small_error(scenario), 0.6
+    tank = EnergyTank(scenario, TEAMS, frame="local", bearing_error=error, min_alignment=margin)
+    seen = Misled(scenario, tank, error, kind=kind, choose=chooser(scenario))
+    n, a = 5, scenario.bottleneck_weight
+    rho = n * scenario.max_degree * math.sin(error / 2) / a
+    q = 2 * margin - 2 * (1 + margin) * rho
+    rises = 2 * (n - 1) * scenario.merge_radius * np.triu(UNEQUAL).sum()
+    bound = n * (seen.start + rises) / (a * q) ** 2 + (n - 1) * scenario.tau
+    assert q > 0 and (seen.times <= bound).all()
+
+
+@pytest.mark.parametrize("model", ["single_integrator-2d", "single_integrator-3d", "unicycle"])
+def test_a_ledger_that_believes_wrong_bearings_is_caught(model):
+    scenario = five(model, spawn_size=3.0)
+    tank = EnergyTank(scenario, TEAMS, frame="local", budget=1.0)
+    choose = chooser(scenario)
+    seen = Misled(scenario, tank, 0.6, kind="common", choose=choose, steps=200)
+    assert seen.rise > 1e-3
+
+
+def test_what_a_step_earns_and_owes_with_errors():
+    f, moved = triple([3.0, 4.0]), triple([0.3, 0.4])
+    free = certain_descent(f, 6.0, moved, 0.5)
+    assert certain_descent(f, 6.0, moved, 0.5, 0.7) == pytest.approx(free - 2 * 0.7 * 0.5)
+    assert promised_descent(5.0, 0.5, 0.2, 0.1, 0.4) == pytest.approx(0.1 * 0.5 * 0.6**2)
+    assert promised_descent(5.0, 0.5, 0.2, 0.1, 1.1) == 0.0
+    velocity = descending_velocity(triple([1.0, 0.0]), triple([2.0, 0.0]), 0.5, 0.6, 0.5)
+    assert velocity == pytest.approx((0.75, 0.0, 0.0))
+    assert error_chord(math.pi / 3) == pytest.approx(1.0)
+
+
+def test_an_empty_tank_is_never_overdrawn_with_errors():
+    random = np.random.default_rng(0)
+    for _ in range(500):
+        f, wanted = random.normal(size=3), random.normal(size=3)
+        strength, margin = float(np.linalg.norm(f)), random.uniform(0.01, 0.99)
+        degree, radius = strength * random.uniform(1, 4), random.uniform(0.1, 1)
+        duration, error = random.uniform(0.01, 3) * radius / degree, random.uniform(0, strength)
+        scale = descent_scale(strength, degree, radius, duration, random.uniform(0.1, 9))
+        velocity = descending_velocity(triple(wanted), triple(f), scale, margin, error)
+        moved = tuple(duration * v for v in velocity)
+        earned = certain_descent(triple(f), degree, moved, radius, error)
+        owed = promised_descent(strength, scale, margin, duration, error)
+        assert earned - owed >= -1e-12 * duration * strength**2

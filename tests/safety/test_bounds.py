@@ -1,0 +1,288 @@
+"""Time bounds by hand, and the facts that they rest on."""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+from conftest import UNEQUAL, unequal_matrix
+from scipy.optimize import minimize
+
+from rendezvous_env import Disc, Scenario, graphs
+from rendezvous_env.safety.lyapunov import lyapunov
+from rendezvous_env.safety.theorems.constants import (
+    degrees_stay_equal,
+    least_degrees,
+    lyapunov_bound,
+    merge_rise_allowance,
+)
+from rendezvous_env.safety.theorems.descent import rendezvous_time_lower_bound, time_bound
+from rendezvous_env.safety.theorems.gains import kappa, shrinking, size_bound
+from rendezvous_env.safety.theorems.noise import held_size_bound
+from rendezvous_env.safety.theorems.tank import tank_lyapunov_bound, tank_time_bound
+from rendezvous_env.safety.theorems.turning import pursuit_bound
+
+ALLOWANCE = 4 * 0.2 * 6.5
+"""(n − 1) r W of UNEQUAL, whose a* is 0.9 and D̄ 6.5."""
+
+
+# ---- theorems A and C ----------------------------------------------------------------------------
+
+
+def test_the_time_bound_by_hand():
+    team = Scenario(n_robots=5, graph=UNEQUAL, merge_radius=0.2)
+    assert merge_rise_allowance(team) == pytest.approx(ALLOWANCE)
+    a = 5 * (100 + ALLOWANCE) / (8 * 0.9**2)
+    assert time_bound(team, 100.0) == pytest.approx(2 * a)
+    assert time_bound(team, 100.0, min_alignment=0.3) == pytest.approx(2 * a / 0.3**2)
+    slow = team.replace(max_speed=1.3)
+    assert time_bound(slow, 100.0) == pytest.approx(2 * a * 5)  # D̄/v_max = 6.5/1.3
+    fast = team.replace(max_speed=100.0)
+    assert time_bound(fast, 100.0) == pytest.approx(2 * a)
+    long = team.replace(time_step=3 * team.certified_step, allow_long_step=True)
+    assert time_bound(long, 100.0) == pytest.approx(2 * 3 * a)
+    short = team.replace(time_step=team.certified_step / 7)
+    assert time_bound(short, 100.0) == pytest.approx(2 * a)
+    np.testing.assert_allclose(time_bound(team, [0.0, 100.0])[1], 2 * a)
+    for wrong in (0.0, -0.1, 1.1, math.nan):
+        with pytest.raises(ValueError, match="min_alignment is"):
+            time_bound(team, 1.0, min_alignment=wrong)
+    for wrong in (-1.0, math.nan, [1.0, math.inf]):
+        with pytest.raises(ValueError, match="initial_lyapunov is"):
+            time_bound(team, wrong)
+
+
+def test_a_margin_of_almost_nothing_is_refused():
+    with pytest.raises(ValueError, match="min_alignment is 5e-324"):
+        time_bound(Scenario(n_robots=2), 1.0, min_alignment=5e-324)
+
+
+@pytest.mark.parametrize("n", [2, 3, 5, 40])
+def test_the_fade_costs_no_more_than_theorem_c_says(n):
+    """The least of Σ x_i² clip(x_i/δ − 1, 0, 1)² under Σx_i ≥ 2a* (lemma 1) is above 4a*²/n."""
+    a, delta = 1.3, 1.3 / (2 * n)
+
+    def work(x):
+        return np.sum(x**2 * np.clip(x / delta - 1, 0, 1) ** 2)
+
+    # the adversary keeps some robots at the foot of the fade, and shares the rest out
+    for resting, foot in itertools.product(range(n), np.linspace(0, 2 * delta, 50)):
+        share = (2 * a - resting * foot) / (n - resting)
+        x = np.r_[np.full(resting, foot), np.full(n - resting, share)]
+        assert work(x) >= 4 * a**2 / n - 1e-12
+    x = np.linspace(0, 50 * delta, 2001)
+    eight = 8 * delta * x - 16 * delta**2
+    assert (x**2 * np.clip(x / delta - 1, 0, 1) ** 2 >= eight - 1e-12).all()
+
+
+def test_complete_graphs_of_one_weight_by_hand():
+    team = Scenario(n_robots=6, graph=graphs.complete(0.7))
+    bound = 2 * 50.0 / (4 * 5 * 0.7**2)
+    assert time_bound(team, 50.0) == pytest.approx(bound)
+    assert time_bound(team, 50.0, min_alignment=0.2) == pytest.approx(bound / 0.2**2)
+    assert time_bound(team.replace(max_speed=0.5), 50.0) == pytest.approx(bound * 3.5 / 0.5)
+    matrix = team.replace(graph=0.7 * (1 - np.eye(6)))
+    assert time_bound(matrix, 50.0) == pytest.approx(bound)
+    other = 2 * 6 * (50 + 5 * 0.2 * 15 * 0.7) / (8 * 0.7**2)
+    almost = 0.7 * (1 - np.eye(6))
+    almost[1, 4] = almost[4, 1] = 0.7000001
+    drawn = team.replace(graph=graphs.erdos_renyi(1.0, 0.7))
+    assert time_bound(drawn, 50.0) == pytest.approx(other, rel=1e-6)
+    # two are left at last, of degree a: V0⁺ max_m m/(4 c_m²) = V0⁺/(2a²)
+    late = (50 + 5 * 0.2 * 15 * 0.7) / (2 * 0.7**2) + 5 * team.tau
+    for graph in (almost, graphs.complete((0.7, 0.7000001))):
+        assert time_bound(team.replace(graph=graph), 50.0) == pytest.approx(late, rel=1e-6)
+    walled = team.replace(obstacles=[Disc((0, 0), 1)], obstacle_contact="ignore")
+    # midpoints may lie in an obstacle: at one robot's place V can rise by twice as much (theory 5)
+    twice = (50 + 2 * 5 * 0.2 * 15 * 0.7) / (2 * 0.7**2) + 5 * team.tau
+    assert time_bound(walled, 50.0) == pytest.approx(twice)
+
+
+def test_v_per_other_robot_never_rises_at_a_merge_of_a_complete_graph():
+    """V/(m − 1), on which that bound rests, for any two robots that become one at their middle."""
+    random = np.random.default_rng(0)
+    for _ in range(300):
+        m, d = int(random.integers(3, 9)), int(random.integers(2, 4))
+        p = random.normal(size=(m, d)) * np.exp(random.normal(size=(m, 1)))
+        merged = np.concatenate([p[2:], p[:2].mean(axis=0, keepdims=True)])
+        before = lyapunov(p, 1.0 - np.eye(m)) / (m - 1)
+        after = lyapunov(merged, 1.0 - np.eye(m - 1)) / (m - 2)
+        assert after <= before * (1 + 1e-12)
+
+
+# ---- theorem G -----------------------------------------------------------------------------------
+
+
+def test_kappa_is_the_least_that_robots_can_share_out():
+    assert kappa([2, 3, 4]) == pytest.approx([2, 2, 1.75])
+    for n in range(2, 12):
+        best = math.inf
+        for seed in range(6):
+            start = np.random.default_rng(seed).dirichlet(np.ones(n)) * math.pi
+            found = minimize(
+                lambda x: np.sum(np.sin(x) ** 2),
+                np.minimum(start, 1.5),
+                bounds=[(0, math.pi / 2)] * n,
+                constraints={"type": "eq", "fun": lambda x: np.sum(x) - math.pi},
+            )
+            best = min(best, found.fun) if found.success else best
+        alike, flat = np.full(n, math.pi / n), np.full(n, math.pi / (2 * max(n - 1, 1)))
+        flat[0] = math.pi / 2
+        best = min(best, np.sum(np.sin(alike) ** 2), np.sum(np.sin(flat) ** 2))
+        assert kappa(n) == pytest.approx(best, rel=1e-6)
+
+
+def contracted(weights, random):
+    """The weights after one random link is contracted, by the max rule."""
+    i, j = random.permutation(np.argwhere(weights > 0))[0]
+    union = np.maximum(weights[i], weights[j])
+    union[[i, j]] = 0
+    weights = weights.copy()
+    weights[i], weights[:, i] = union, union
+    return np.delete(np.delete(weights, j, axis=0), j, axis=1)
+
+
+@pytest.mark.parametrize(
+    "graph",
+    [
+        graphs.complete(0.7),
+        graphs.cycle(0.7),
+        graphs.path(1.1),
+        UNEQUAL,
+        unequal_matrix(5, 3),
+        graphs.from_matrix(np.where(np.eye(5), 0, UNEQUAL + 0.3)),
+        graphs.from_edges([(0, 2, 0.4), (2, 4, 2.0), (4, 1, 1.0), (1, 3, 0.9), (3, 0, 0.6)]),
+    ],
+)
+def test_no_merge_brings_a_degree_below_the_least(graph):
+    scenario = Scenario(n_robots=5, graph=graph)
+    least, random = least_degrees(scenario), np.random.default_rng(0)
+    for _ in range(200):
+        weights = scenario.sensing_graph.base_weights(5) * scenario.sensing_graph.weight_range[0]
+        for m in range(5, 1, -1):
+            degrees = weights.sum(axis=0)
+            assert degrees.min() >= least[m - 2] - 1e-12
+            if degrees_stay_equal(scenario):
+                np.testing.assert_allclose(degrees, least[m - 2])
+            weights = contracted(weights, random)
+
+
+def test_where_all_degrees_stay_equal():
+    for graph in (graphs.complete(0.7), graphs.cycle(2.0), 3.0 * (1 - np.eye(5))):
+        assert degrees_stay_equal(Scenario(graph=graph))
+    for graph in (graphs.path(), graphs.star(), UNEQUAL, graphs.cycle((1, 2)), "random_tree"):
+        assert not degrees_stay_equal(Scenario(graph=graph))
+    assert degrees_stay_equal(Scenario(n_robots=2, graph=graphs.path(0.3)))
+
+
+def test_theorem_g_by_hand():
+    for n in (2, 3, 5, 12):
+        team = Scenario(n_robots=n, graph=graphs.complete(0.7))
+        assert size_bound(team, 9.0) == pytest.approx(9 / (4 * 0.7))
+        space = team.replace(dim=3)
+        assert size_bound(space, 9.0) == pytest.approx(9 / (2 * math.pi) / 0.7)
+    any_graph = Scenario(graph=UNEQUAL)
+    kappa_5 = 1 + 4 * math.sin(math.pi / 8) ** 2
+    assert size_bound(any_graph, 9.0) == pytest.approx(9 / (2 * 0.9 * kappa_5))
+    assert size_bound(any_graph.replace(dim=3), 9.0) == pytest.approx(
+        5 * 9 / (2 * math.pi) / (2 * 0.9)
+    )
+    slow = any_graph.replace(max_speed=0.3)
+    assert size_bound(slow, 9.0) == pytest.approx(9 / (2 * 0.3 * kappa_5))
+    ring = Scenario(n_robots=12, graph="cycle")
+    assert size_bound(ring, 9.0) == pytest.approx(9 / (4 * 12 * math.sin(math.pi / 12) ** 2))
+    np.testing.assert_allclose(size_bound(ring, [0.0, 9.0]), [0, size_bound(ring, 9.0)])
+    with pytest.raises(ValueError, match=r"initial_size is -1\.0; it must be finite"):
+        size_bound(ring, -1.0)
+
+
+def test_held_inputs_by_hand():
+    """T ≤ L0 sin(π/n)/(2cκ(n) sin((1 − β)π/n)) + (n − 1)τ at τ = (r/2c) sin(βπ/n)."""
+    n, c, r, beta = 7, 2 * 0.7, 0.3, 0.6
+    step = r / (2 * c) * math.sin(beta * math.pi / n)
+    ring = Scenario(n_robots=n, graph=graphs.cycle(0.7), merge_radius=r, time_step=step)
+    rate = 2 * c * n * math.sin(math.pi / n) ** 2
+    rate *= math.sin((1 - beta) * math.pi / n) / math.sin(math.pi / n)
+    assert held_size_bound(ring, 9.0) == pytest.approx(9 / rate + 6 * step)
+    assert time_bound(ring, 1e6, initial_size=9.0) == held_size_bound(ring, 9.0)
+    assert time_bound(ring, 0.0, initial_size=1e6) == time_bound(ring, 0.0)
+    assert time_bound(ring, 1e6, initial_size=9.0, min_alignment=0.9) == time_bound(
+        ring, 1e6, min_alignment=0.9
+    )
+    space, least = ring.replace(dim=3), math.atan(1 / math.sqrt(n * (n - 2)))
+    eta = 0.6 * least
+    space = space.replace(time_step=r / (2 * c) * math.sin(eta))
+    bracket = math.cos(eta) / n - math.sin(eta) * math.sqrt(1 - 2 / n)
+    expected = 9 / (2 * math.pi) / (2 * c * bracket) + 6 * space.tau
+    assert held_size_bound(space, 9.0) == pytest.approx(expected)
+    pair = Scenario(n_robots=2)  # both on one line: no bearing is ever wrong
+    assert held_size_bound(pair, 9.0) == pytest.approx(9 / 4 + pair.tau)
+
+
+def test_held_inputs_are_covered_nowhere_else():
+    step = 0.02 * Scenario().certified_step
+    assert np.isfinite(held_size_bound(Scenario(time_step=step), 9.0))
+    for other in (
+        Scenario(time_step=step, graph="path"),
+        Scenario(time_step=step, graph=UNEQUAL),
+        Scenario(time_step=step, graph=graphs.complete((1, 2))),
+        Scenario(time_step=step, max_speed=3.9),
+        Scenario(),  # the certified step: asin(1) is more than π/5
+    ):
+        assert held_size_bound(other, 9.0) == np.inf
+    assert shrinking(5, 2, 1.0, 0.99 * math.pi / 5) > 0 == shrinking(5, 2, 1.0, math.pi / 5)
+    sharp = math.atan(1 / math.sqrt(15))
+    assert shrinking(5, 3, 1.0, 0.99 * sharp) > 0 == shrinking(5, 3, 1.0, 1.01 * sharp)
+
+
+def test_pursuit_by_hand():
+    team = Scenario(robot_model="unicycle", max_turn_rate=4.0, merge_radius=0.2)
+    kappa_5 = 1 + 4 * math.sin(math.pi / 8) ** 2
+    turning = 5 * math.pi / (4 - 2 * 0.3 / 0.2)
+    assert pursuit_bound(team, 9.0, 0.3) == pytest.approx(9 / (2 * 0.3 * kappa_5) + turning)
+    space = Scenario(robot_model="nonholonomic_3d", dim=3, max_turn_rate=4.0, merge_radius=0.2)
+    driving = 5 * 9 / (2 * math.pi) / (2 * 0.3)
+    assert pursuit_bound(space, 9.0, 0.3) == pytest.approx(driving + turning)
+    for wrong in (0.0, 0.4, math.nan):
+        with pytest.raises(ValueError, match=r"speed is .*less than ω_max r/2 = 0\.4 m/s"):
+            pursuit_bound(team, 9.0, wrong)
+
+
+# ---- theorem D -----------------------------------------------------------------------------------
+
+
+def test_the_tank_by_hand():
+    team = Scenario(n_robots=5, graph=UNEQUAL, merge_radius=0.2)
+    most = 100 + 2 * ALLOWANCE + 5 * 20.0
+    assert lyapunov_bound(team, 100.0) == pytest.approx(100 + ALLOWANCE)
+    assert tank_lyapunov_bound(team, 100.0, budget=20.0) == pytest.approx(most)
+    bound = 5 * most / (4 * 0.3**2 * 0.9**2)
+    given = {"min_alignment": 0.3, "budget": 20.0}
+    assert tank_time_bound(team, 100.0, **given) == pytest.approx(bound + 4 * team.tau)
+    slow = team.replace(max_speed=1.3)
+    assert tank_time_bound(slow, 100.0, **given) == pytest.approx(5 * bound + 4 * slow.tau)
+    long = team.replace(time_step=3 * team.certified_step, allow_long_step=True)
+    assert tank_time_bound(long, 100.0, **given) == pytest.approx(3 * bound + 4 * long.tau)
+    both = long.replace(max_speed=1.3)  # the smaller of the two scales, not their product
+    assert tank_time_bound(both, 100.0, **given) == pytest.approx(5 * bound + 4 * long.tau)
+    unicycles = Scenario(robot_model="unicycle")
+    assert tank_time_bound(unicycles, 1.0, min_alignment=0.3) == np.inf
+    for wrong in (-1.0, math.inf, math.nan, "1"):
+        with pytest.raises(ValueError, match="budget is"):
+            tank_lyapunov_bound(team, 1.0, budget=wrong)
+    with pytest.raises(ValueError, match="min_alignment is"):
+        tank_time_bound(team, 1.0, min_alignment=0.0)
+
+
+# ---- the lower bound -----------------------------------------------------------------------------
+
+
+def test_the_lower_bound_by_hand():
+    team = Scenario(n_robots=3, merge_radius=0.2, max_speed=0.5)
+    start = [[0.0, 0.0], [6.0, 8.0], [3.0, 4.0]]
+    assert rendezvous_time_lower_bound(team, start) == pytest.approx((5 - 2 * 0.1) / 0.5)
+    crowded = team.replace(obstacles=[Disc((50.0, 0.0), 1.0)])
+    assert rendezvous_time_lower_bound(crowded, start) == pytest.approx((5 - 2 * 0.2) / 0.5)
+    assert rendezvous_time_lower_bound(team, np.zeros((3, 2))) == 0

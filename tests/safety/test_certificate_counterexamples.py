@@ -1,0 +1,269 @@
+"""What certificates once promised and the environment does not keep: each is played here."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+import baselines
+from rendezvous_env import Disc, Scenario, Sensing, Simulator, certificate, graphs, rollout
+from rendezvous_env.safety.gains import Gains
+from rendezvous_env.safety.links import LinkKeeping
+from rendezvous_env.safety.settings import check_gate_constants
+from rendezvous_env.safety.theorems.turning import pursuit_bound
+
+
+def unit(degrees):
+    return np.array([math.cos(math.radians(degrees)), math.sin(math.radians(degrees))])
+
+
+# ---- theorem R beside obstacles that robots pass through -----------------------------------------
+
+
+def behind_discs(longest):
+    """Two merges in discs, at the lower index's place, take robot 2 some 2 r from robot 3."""
+    start = [(-0.402, 0.0), (-0.201, 0.0), (0.0, 0.0), tuple(longest * unit(30))]
+    return Scenario(
+        n_robots=4, graph=graphs.proximity(), sensing=Sensing(range=3.0), local_frames="global",
+        obstacles=(Disc((-0.3015, 0.0), 0.06), Disc((-0.1005, 0.0), 0.06)),
+        obstacle_contact="ignore", start_positions=start,
+    )  # fmt: skip
+
+
+def links_played(scenario, steps=20):
+    """How many robots are left under wishes that pull links apart, and their links."""
+    links = LinkKeeping(scenario, 1, frame="local", share=0.001)
+    simulator = Simulator(scenario, 1)
+    observations, wish = simulator.reset(0), np.zeros((1, 4, 2))
+    wish[0, 2] = -0.1, 0.3
+    for step in range(steps):
+        wish[0, 0] = (0.5, 0.0) if step > 3 else (0.0, 0.0)
+        links.hold(wish)
+        observations = simulator.step(links.act(observations)).observations
+    return int(simulator.active.sum()), simulator.weights[0]
+
+
+def test_links_that_merges_in_obstacles_lengthen_are_not_certified():
+    far = behind_discs(2.699999)
+    left, weights = links_played(far)
+    assert left == 2 and weights.max() == 0.0  # two robots that see nobody, for ever
+    found = certificate(far, by="links", share=0.001)
+    assert not found.guaranteed and "range − (n − 1) r with obstacles" in found.theorem
+
+
+def test_links_shorter_by_r_per_merge_are_kept_beside_such_obstacles():
+    near = behind_discs(2.399999)
+    assert certificate(near, by="links", share=0.001).guaranteed
+    _, weights = links_played(near)
+    assert weights.max() > 0.0
+    drawn = near.replace(start_positions=None, obstacles=(Disc((0.0, 0.0), 0.5),))
+    assert not certificate(drawn, by="links").guaranteed
+    assert certificate(drawn.replace(obstacles=()), by="links").guaranteed
+
+
+# ---- law (1) on what other robots do not hide ----------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("places", "heavy", "old"),
+    [
+        ((0.0, 2.0, 4.0, 6.0), [(0, 2), (0, 3), (1, 3)], 0.343),
+        ((0.0, 4.0, 8.0), [(0, 2), (0, 1)], 0.40),
+    ],
+)
+def test_the_link_to_the_nearest_may_be_the_lightest(places, heavy, old):
+    n = len(places)
+    weights = np.full((n, n), 0.1) - 0.1 * np.eye(n)
+    for i, j in heavy:
+        weights[i, j] = weights[j, i] = 10.0
+    team = Scenario(
+        n_robots=n, graph=weights, start_positions=tuple((x, 0.0) for x in places),
+        sensing=Sensing(occlusion="robots"), time_limit=300.0,
+    )  # fmt: skip
+    taken = rollout(team, baselines.make("bearing-only", team), 0).rendezvous_time[0]
+    found = certificate(team)
+    assert found.guaranteed and old < taken <= found.time_bound
+
+
+# ---- robots that turn ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("model", ["unicycle", "nonholonomic_3d"])
+def test_robots_that_turn_are_certified_under_the_gate_only(model):
+    """Of the paper's laws nothing is said for held inputs; the gate cannot overshoot."""
+    scenario = Scenario(robot_model=model, dim=2 if model == "unicycle" else 3)
+    law = certificate(scenario)
+    assert law.continuous_time_only and "in continuous time" in law.theorem and not law.promises
+    gated = certificate(scenario, 0.3)
+    assert gated.guaranteed and gated.theorem.startswith("theorem T")
+    assert set(gated.promises) == {"time", "lyapunov"}
+    assert not certificate(scenario, 0.3, bearing_error=0.01).guaranteed
+    small = scenario.replace(n_robots=2, spawn_size=1.0)
+    slow = certificate(small.replace(max_turn_rate=0.1), 0.3).time_bound
+    assert certificate(small, 0.3).time_bound < slow < math.inf
+
+
+# ---- bearings that are late ----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("delay", [1, 3])
+def test_late_bearings_are_certified_while_they_are_young(delay):
+    """After a merge robots act on what was seen before it, which the bound pays for."""
+    team = Scenario(sensing=Sensing(delay=delay), time_limit=100.0)
+    oldest = team.merge_radius / (2 * team.max_degree)
+    young = team.replace(time_step=oldest / (delay + 1))
+    found = certificate(young)
+    assert found.guaranteed and found.theorem.startswith("theorem E1")
+    law = rollout(young, baselines.make("bearing-only", young), 0, num_envs=8)
+    assert (law.rendezvous_time <= found.time_bound).all()
+    old = certificate(team)
+    assert not old.guaranteed and "no more than r/(2D̄)" in old.theorem
+    noisy = young.replace(sensing=Sensing(delay=delay, dropout=0.1))
+    assert not certificate(noisy).guaranteed
+    for by, margin in (("heading", 0.3), ("tank", 0.3), ("gains", 1.0), ("links", 1.0)):
+        assert "late" in certificate(young, margin, by=by).theorem
+
+
+# ---- held inputs on any graph --------------------------------------------------------------------
+
+
+EIGHT = {
+    "cycle": graphs.directed_cycle(),
+    "led": graphs.directed([(i, i - 1, 0.5 + i) for i in range(1, 8)], 8),
+    "switching": graphs.switching(["path", "cycle", graphs.directed_cycle()], dwell=1.0),
+    "weights": graphs.from_edges([(i, (i + 1) % 8, 1.0 + i) for i in range(8)] + [(0, 4, 0.3)], 8),
+}
+
+
+@pytest.mark.parametrize(
+    ("kind", "dim"), [("cycle", 2), ("led", 2), ("switching", 2), ("weights", 2), ("cycle", 3)]
+)
+def test_law_1_meets_as_it_steps_within_the_bound(kind, dim):
+    """Continuous time was exceeded 5.8 times at 2 × the certified step; D1 holds for τ D̄ < r."""
+    team = Scenario(n_robots=8, dim=dim, graph=EIGHT[kind], spawn_size=4.0, time_limit=400.0)
+    team = team.replace(time_step=1.9 * team.certified_step, allow_long_step=True)
+    found = certificate(team)
+    assert found.guaranteed and found.continuous_time_bound < found.time_bound < math.inf
+    law = rollout(team, baselines.make("bearing-only", team), 0, num_envs=6)
+    assert (law.rendezvous_time <= found.time_bound).all()
+
+
+def test_what_a_user_reads_first():
+    """In three lines: what, what else, by when beside the episode's limit."""
+    first, second, third = str(certificate("ring-12")).splitlines()
+    assert first.startswith("ring-12 under law (1): theorems 1 and G")
+    assert "V never exceeds" in second and "bearings may err by up to" in second
+    assert third.startswith("Bound 274.9 s, limit 60 s: the guarantee says nothing about")
+    assert "within the limit" in str(certificate("duo"))
+    assert "No rendezvous" in str(certificate("fig4")) and "none:" in str(certificate("fig4"))
+    bodies = str(certificate("unicycle-6"))
+    assert "in continuous time only, without a bound" in bodies
+
+
+def test_old_names_of_fields_still_work():
+    found = certificate(Scenario())
+    for old, new in (
+        ("held_time_bound", "time_bound"),
+        ("bearing_error_borne", "tolerated_bearing_error"),
+        ("continuous_time", "continuous_time_only"),
+    ):
+        with pytest.warns(DeprecationWarning, match=new):
+            assert getattr(found, old) == getattr(found, new)
+    assert found.margin == found.min_alignment == 1.0
+
+
+# ---- pursuit with a turn limit -------------------------------------------------------------------
+
+
+def pursued(scenario, speed):
+    """How long pursuers took, s."""
+    found = rollout(scenario, baselines.make("pursuit", scenario, speed=speed), 0)
+    return found.rendezvous_time[0]
+
+
+def test_no_bound_of_pursuit_where_a_leader_rests():
+    pair = Scenario(
+        n_robots=2, graph=graphs.directed([(0, 1)], 2), robot_model="unicycle", time_step=0.005,
+        max_speed=1.0, max_turn_rate=20.0, time_limit=60.0, allow_long_step=True,
+        start_positions=((0.0, 0.0), (30.0, 0.0)),
+    )  # fmt: skip
+    assert 15.63 < 29 < pursued(pair, 1.0) < math.inf  # where 15.63 s were promised
+    assert np.isinf(pursuit_bound(pair, 60.0, 1.0))
+
+
+def test_no_bound_of_pursuit_where_links_change():
+    cycles = [[(0, 1), (1, 2), (2, 0)], [(0, 2), (2, 1), (1, 0)]]
+    start = tuple(tuple(2.0 * unit(90 + 120 * i)) for i in range(3))
+    team = Scenario(
+        n_robots=3, robot_model="unicycle", max_speed=0.19, max_turn_rate=2.0, time_step=0.01,
+        allow_long_step=True, start_positions=start,
+        graph=graphs.switching([graphs.directed(edges, 3) for edges in cycles], dwell=0.1),
+    )  # fmt: skip
+    assert np.isinf(pursuit_bound(team, 10.0, 0.19))
+    fixed = team.replace(graph=graphs.directed_cycle())
+    assert np.isfinite(pursuit_bound(fixed, 10.0, 0.19))
+    near = team.replace(graph=graphs.proximity(), sensing=Sensing(range=9.0))
+    assert np.isinf(pursuit_bound(near, 10.0, 0.19))
+
+
+# ---- law (1) with long steps and a speed limit ---------------------------------------------------
+
+
+def test_a_speed_limit_does_not_keep_law_1_within_the_hull():
+    """Bearings of weight 2 that nearly cancel: ‖f‖ < v_max cuts nothing off Σ_j c_ij = 4."""
+    gains = np.array([[0.0, 2.0, 2.0], [0.01, 0.0, 0.01], [0.01, 0.01, 0.0]])
+    side = 0.3 * np.array([math.cos(0.2), math.sin(0.2)])
+    team = Scenario(
+        n_robots=3, graph=graphs.directed(gains), max_speed=1.0, time_step=0.2,
+        start_positions=((0.0, 0.0), (-side[0], -side[1]), (side[0], -side[1])),
+        allow_long_step=True, local_frames="global",
+    )  # fmt: skip
+    simulator = Simulator(team, 1)
+    observations = simulator.reset(0)
+    law = baselines.make("bearing-only", team)
+    lowest = -side[1]
+    below = 0.0
+    for _ in range(31):
+        observations = simulator.step(law(observations, 0.0)).observations
+        below = max(below, lowest - simulator.positions[0, :, 1].min())
+    assert below > 0.09
+    found = certificate(team)
+    assert not found.guaranteed and "beyond its neighbours" in found.theorem
+    assert certificate(team.replace(time_step=0.02)).guaranteed
+
+
+# ---- the hull in steps that begin with linked robots within r ------------------------------------
+
+
+def test_the_hull_may_grow_by_r_where_robots_start_within_r():
+    """Two of three merge at once and rest, the third walks on past them."""
+    near = [(0.0, 0.0), (0.0, 0.002), (0.002, 0.001)]
+    start = (*near, *((2.0 - x, y) for x, y in near))
+    team = Scenario(n_robots=6, graph="complete", start_positions=start, local_frames="global")
+    gains = Gains(team, 1, frame="local", min_gain=5.0)
+    simulator = Simulator(team, 1)
+    observations = simulator.reset(0)
+    near_mates = np.zeros((1, 6, 5))
+    for i in range(6):
+        mates = [j for j in range(6) if j != i]
+        near_mates[0, i] = [float(j // 3 == i // 3) for j in mates]
+    gains.hold(near_mates)
+    before = simulator.size()[0]
+    simulator.step(gains.act(observations))
+    grown = simulator.size()[0] - before
+    assert 0.05 < grown <= 2 * math.pi * team.merge_radius
+
+
+# ---- margins of almost nothing -------------------------------------------------------------------
+
+
+def test_a_margin_that_promises_nothing_is_refused():
+    for least in (1e-200, 5e-324, 0.99e-6):
+        with pytest.raises(ValueError, match="at least 1e-06"):
+            certificate(Scenario(), least)
+        with pytest.raises(ValueError, match="at least 1e-06"):
+            check_gate_constants(least, 1.0)
+    found = certificate(Scenario(), 1e-6)
+    assert found.guaranteed and math.isfinite(found.time_bound)

@@ -1,0 +1,207 @@
+"""The point of least norm against another solver, on random and on degenerate bearings; law R b."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy.optimize import nnls
+
+import baselines
+import rendezvous_env as rv
+from rendezvous_env import Simulator, graphs
+from rendezvous_env.engine.memory import RENDEZVOUS, RUNNING
+from rendezvous_env.safety.links import least_norm_points, link_keeping_law
+
+SETS = 300
+
+
+def by_another_solver(bearings):
+    """q from min ‖x‖ subject to g·x ≥ 1 (Lawson and Hanson, 1974, chapter 23): q = x/‖x‖²."""
+    system = np.vstack([bearings.T, np.ones(len(bearings))])
+    target = np.append(np.zeros(bearings.shape[1]), 1.0)
+    weights, _ = nnls(system, target)
+    residual = system @ weights - target
+    if np.linalg.norm(residual) < 1e-7:
+        return np.zeros(bearings.shape[1])
+    x = -residual[:-1] / residual[-1]
+    return x / (x @ x)
+
+
+def directions(random, count, dim):
+    g = random.normal(size=(count, dim))
+    return g / np.linalg.norm(g, axis=-1, keepdims=True)
+
+
+def degenerate_sets(dim):
+    """Bearings that coincide, nearly or quite, are opposite, or lie in one plane or on a cone."""
+    random = np.random.default_rng(dim)
+    for _ in range(SETS):
+        few = directions(random, random.integers(1, 4), dim)
+        yield few[random.integers(len(few), size=9)]
+        nearly = few[random.integers(len(few), size=9)]
+        for apart in (1e-3, 1e-7, 1e-12, 1e-15):
+            close = nearly + apart * random.normal(size=nearly.shape)
+            yield close / np.linalg.norm(close, axis=-1, keepdims=True)
+        yield np.vstack([few, -few[:1]])
+        yield np.vstack([few, -few])
+        flat = few.copy()
+        flat[:, -1] = 0.0
+        if np.linalg.norm(flat, axis=-1).min() > 0.1:
+            yield flat / np.linalg.norm(flat, axis=-1, keepdims=True)
+        yaw, height = random.uniform(0, 7, 8), random.choice([1e-9, 0.01, 0.5])
+        if dim == 3:
+            level = math.sqrt(1 - height**2)
+            yield np.stack([level * np.cos(yaw), level * np.sin(yaw), np.full(8, height)], axis=-1)
+            yield np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1.0]]) / math.sqrt(3)
+
+
+def check(bearings, q, tolerance=1e-12):
+    """‖q‖² ≤ q·g for all g says that no point of the hull is nearer; q is in it by the other."""
+    square = q @ q
+    assert (bearings @ q).min() >= square - tolerance * max(math.sqrt(square), 1e-3)
+    np.testing.assert_allclose(
+        math.sqrt(square), np.linalg.norm(by_another_solver(bearings)), atol=1e-7
+    )
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("count", [1, 2, 3, 4, 6, 12])
+@pytest.mark.parametrize("half_angle", [0.3, 1.2, 3.2])
+def test_random_bearings(dim, count, half_angle):
+    """Within a cone, in nearly a half-space, all round."""
+    random = np.random.default_rng([dim, count])
+    axis = np.eye(dim)[0]
+    for _ in range(SETS // 10):
+        g = directions(random, 400, dim)
+        g = g[np.arccos(np.clip(g @ axis, -1, 1)) <= half_angle][:count]
+        lengths = random.uniform(0.1, 5.0, (len(g), 1))
+        q = least_norm_points(lengths * g)
+        check(g, q)
+        np.testing.assert_allclose(q, by_another_solver(g), atol=1e-9)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_degenerate_bearings(dim):
+    checked = 0
+    for bearings in degenerate_sets(dim):
+        check(bearings, least_norm_points(bearings))
+        checked += 1
+    assert checked > 7 * SETS
+
+
+def test_points_by_hand():
+    east, north, west = [1.0, 0.0], [0.0, 1.0], [-1.0, 0.0]
+    slanted = [math.cos(2.5), math.sin(2.5)]
+    for bearings, q in (
+        ([east], east),
+        ([east, north], [0.5, 0.5]),
+        ([east, north, west], [0.0, 0.0]),
+        ([east, west], [0.0, 0.0]),
+        ([slanted, east, north], [(1 + math.cos(2.5)) / 2, math.sin(2.5) / 2]),
+        ([[0.0, 0.0], [0.0, 3.0], [0.0, 0.0]], north),
+        ([[0.0, 0.0], [0.0, 0.0]], [0.0, 0.0]),
+    ):
+        np.testing.assert_allclose(least_norm_points(bearings), q, atol=1e-16)
+    axes = np.eye(3)
+    np.testing.assert_allclose(least_norm_points(axes), [1 / 3] * 3, atol=1e-15)
+    np.testing.assert_allclose(least_norm_points([*axes, [0.9, 0.9, 0]]), [1 / 3] * 3, atol=1e-15)
+    np.testing.assert_array_equal(least_norm_points([*axes, -np.ones(3)]), np.zeros(3))
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_weights_order_and_absent_rows_do_not_count(dim):
+    random = np.random.default_rng(7)
+    rows = random.normal(size=(5, 40, 4, dim)) + 1.5 * np.eye(dim)[0]
+    q = least_norm_points(rows)
+    assert q.shape == (5, 40, dim)
+    longer = rows * random.uniform(1e-3, 1e3, (5, 40, 4, 1))
+    spread = np.insert(longer[:, :, ::-1], [0, 2, 4], 0.0, axis=2)
+    np.testing.assert_allclose(least_norm_points(spread), q, atol=1e-14)
+    np.testing.assert_allclose(least_norm_points(rows.astype(np.float32)), q, atol=1e-6)
+    np.testing.assert_array_equal(least_norm_points(rows[3, 7]), q[3, 7])
+
+
+def test_turned_bearings_give_the_turned_point():
+    random = np.random.default_rng(3)
+    rows = random.normal(size=(50, 5, 3)) + np.eye(3)[2]
+    turn, _ = np.linalg.qr(random.normal(size=(3, 3)))
+    np.testing.assert_allclose(
+        least_norm_points(rows @ turn), least_norm_points(rows) @ turn, atol=1e-13
+    )
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_the_team_has_at_least_two_in_all(dim):
+    """Lemma 2: Σ‖q_i‖ ≥ 2 if everyone sees someone, directed or not."""
+    random, least = np.random.default_rng(dim), np.inf
+    for _ in range(SETS):
+        n = int(random.integers(2, 9))
+        places = random.normal(size=(n, dim)) * random.choice([1.0, 1.0, 1e-3], dim)
+        offsets = places - places[:, None]
+        sees = random.random((n, n)) < 0.4
+        sees[np.arange(n), random.permutation(n)] = True
+        sees[np.arange(n), (np.arange(n) + 1) % n] |= ~sees.any(axis=1)
+        np.fill_diagonal(sees, False)
+        sees[np.arange(n), (np.arange(n) + 1) % n] |= ~sees.any(axis=1)
+        total = np.linalg.norm(least_norm_points(offsets * sees[..., None]), axis=-1).sum()
+        least = min(least, total)
+    assert 2 - 1e-9 <= least < 2.2
+
+
+@pytest.mark.parametrize(
+    ("rows", "message"),
+    [
+        ([1.0, 2.0], "neighbour_rows has shape"),
+        ([[1.0, 2.0, 3.0, 4.0]], "neighbour_rows has shape"),
+        ([[1.0, np.nan]], "neighbour_rows must be finite"),
+    ],
+)
+def test_other_rows_are_refused(rows, message):
+    with pytest.raises(ValueError, match=message):
+        least_norm_points(rows)
+
+
+# ---- the law -------------------------------------------------------------------------------------
+
+
+def test_a_long_step_slows_the_law_down():
+    q = np.array([[0.5, 0.0], [0.0, 1.0]])
+    velocity = link_keeping_law(q, np.array([1.0, 9.0]), merge_radius=0.4, duration=0.1)
+    np.testing.assert_allclose(velocity, [[0.5, 0.0], [0.0, 4.0]])
+
+
+GRAPHS = {"path": graphs.path(2.0), "tree": graphs.random_tree((0.5, 2.0)), "cycle": "cycle"}
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("graph", GRAPHS)
+@pytest.mark.parametrize("steps", [1.0, 2.0])
+def test_no_link_grows_longer_and_all_meet(dim, graph, steps):
+    """At twice the certified step too, r/D: then v τ is as long as it may be."""
+    scenario = rv.Scenario(
+        n_robots=6, dim=dim, graph=GRAPHS[graph], spawn_size=5.0, merge_radius=0.3, time_limit=400.0
+    )
+    scenario = scenario.replace(time_step=steps * scenario.certified_step, allow_long_step=True)
+    policy, simulator = baselines.make("link-keeping", scenario), Simulator(scenario, 6)
+    observations, longest = simulator.reset(1), -np.inf
+    while (on := simulator.status == RUNNING).any():
+        before, alive = lengths(simulator), simulator.active
+        outcome = simulator.step(policy(observations, 0.0))
+        whole = on & (alive == simulator.active).all(axis=-1)
+        grown = lengths(simulator) - before
+        longest = max(longest, np.where(simulator.weights > 0, grown, -1.0)[whole].max(initial=-1))
+        observations = outcome.observations
+    assert longest < 1e-6 and (simulator.status == RENDEZVOUS).all()
+
+
+def lengths(simulator):
+    p = simulator.positions
+    return np.linalg.norm(p[:, :, None] - p[:, None], axis=-1)
+
+
+def test_it_is_a_law_of_single_integrators():
+    assert "link-keeping" in baselines.names(rv.Scenario())
+    assert "link-keeping" in baselines.names(rv.Scenario(dim=3))
+    assert "link-keeping" not in baselines.names(rv.Scenario(robot_model="unicycle"))

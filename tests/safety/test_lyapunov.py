@@ -1,0 +1,110 @@
+"""V, its rate and gradient, and the enclosing ball."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from conftest import UNEQUAL
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.optimize import minimize
+
+from rendezvous_env import Simulator
+from rendezvous_env.safety.enclosing_ball import smallest_enclosing_ball
+from rendezvous_env.safety.lyapunov import alignment, lyapunov, lyapunov_rate, net_bearings
+
+PLACES = np.array([[0.0, 0.0], [3.0, 4.0], [3.0, 0.0]])
+WEIGHTS = np.array([[0, 2.0, 0.5], [2.0, 0, 0], [0.5, 0, 0]])
+
+
+def test_v_counts_every_edge_twice():
+    assert lyapunov(PLACES, WEIGHTS) == 2 * (2 * 5 + 0.5 * 3)
+
+
+def test_net_bearings_by_hand():
+    expected = [[2 * 0.6 + 0.5, 2 * 0.8], [-1.2, -1.6], [-0.5, 0]]
+    np.testing.assert_allclose(net_bearings(PLACES, WEIGHTS), expected, atol=1e-15)
+
+
+def test_leading_axes_broadcast():
+    places = PLACES * np.arange(1, 7).reshape(2, 3, 1, 1)
+    assert lyapunov(places, WEIGHTS).shape == (2, 3)
+    np.testing.assert_allclose(lyapunov(places, WEIGHTS), 23.0 * np.arange(1, 7).reshape(2, 3))
+    f = net_bearings(places, WEIGHTS)
+    np.testing.assert_allclose(f, np.broadcast_to(net_bearings(PLACES, WEIGHTS), f.shape))
+    with pytest.raises(ValueError, match=r"positions \(3, 2\) and weights \(5, 5\)"):
+        lyapunov(PLACES, UNEQUAL)
+
+
+def test_the_rate_and_the_alignment_by_hand():
+    f = np.array([[3.0, 4.0], [0.0, 0.0], [1.0, 0.0]])
+    h = np.array([[1.0, 0.0], [1.0, 0.0], [-1.0, 0.0]])
+    np.testing.assert_array_equal(alignment(f, h), [0.6, np.nan, 1.0])
+    assert lyapunov_rate([[1.0, 1.0], [5.0, 5.0], [2.0, 2.0]], f) == -2 * (7 + 2)
+
+
+def test_the_simulator_agrees_with_these_formulas(kind):
+    from conftest import five
+
+    sim = Simulator(five(kind), 20)
+    observations = sim.reset(3)
+    for _ in range(5):
+        np.testing.assert_allclose(sim.lyapunov(), lyapunov(sim.positions, sim.weights), rtol=1e-13)
+        neighbours = sim.scenario.observation_layout.neighbours
+        f_local = observations[..., neighbours, :].sum(axis=-2, dtype=float)
+        f = np.einsum("bnij,bnj->bni", sim.frames, f_local)
+        np.testing.assert_allclose(f, net_bearings(sim.positions, sim.weights), atol=2e-6)
+        observations = sim.step(np.ones((20, 5, sim.scenario.action_size))).observations
+
+
+# ---- the smallest enclosing ball ----------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("points", "centre", "radius"),
+    [
+        ([[2.0, 3.0]], [2, 3], 0),
+        ([[0.0, 0.0], [6.0, 8.0]], [3, 4], 5),
+        ([[0.0, 0.0], [6.0, 0.0], [3.0, 1.0]], [3, 0], 3),  # obtuse: the long side
+        (
+            [[0.0, 0.0], [4.0, 0.0], [2.0, 2 * math.sqrt(3)]],
+            [2, 2 / math.sqrt(3)],
+            4 / math.sqrt(3),
+        ),
+        ([[1.0, 1.0]] * 4, [1, 1], 0),
+        (
+            [[x, y, z] for x in (0.0, 2.0) for y in (0.0, 2.0) for z in (0.0, 2.0)],
+            [1, 1, 1],
+            3**0.5,
+        ),
+        ([[0.0, 0, 0], [1.0, 0, 0], [2.0, 0, 0], [3.0, 0, 0]], [1.5, 0, 0], 1.5),
+    ],
+)
+def test_balls_by_hand(points, centre, radius):
+    found, size = smallest_enclosing_ball(points)
+    np.testing.assert_allclose(found, centre, atol=1e-12)
+    assert size == pytest.approx(radius, abs=1e-12)
+
+
+@given(st.integers(1, 12), st.integers(2, 3), st.integers(0, 10**6), st.booleans())
+def test_the_ball_encloses_and_none_is_smaller(count, d, seed, on_a_grid):
+    points = np.random.default_rng(seed).normal(size=(count, d)) * 4
+    points = np.round(points) if on_a_grid else points
+    centre, radius = smallest_enclosing_ball(points)
+    assert np.linalg.norm(points - centre, axis=1).max() <= radius * (1 + 1e-9) + 1e-12
+
+    def size(x):
+        return np.linalg.norm(points - x, axis=1).max()
+
+    nudges = np.random.default_rng(0).normal(size=(50, d)) * 1e-3
+    assert min(size(centre + nudge) for nudge in nudges) >= radius - 1e-9
+    best = minimize(size, points.mean(axis=0), method="Nelder-Mead", options={"fatol": 1e-9})
+    assert best.fun >= radius - 1e-9
+
+
+@pytest.mark.parametrize("points", [np.zeros((0, 2)), np.zeros(3), [[np.nan, 0.0]]])
+def test_no_ball(points):
+    with pytest.raises(ValueError, match="points have shape"):
+        smallest_enclosing_ball(points)

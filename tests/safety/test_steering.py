@@ -1,0 +1,340 @@
+"""HeadingFilter: V under any raw vectors, with obstacles and without; frames, arcs, memory."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from conftest import MODELS, UNEQUAL, five
+
+import rendezvous_env as rv
+from rendezvous_env import Scenario, Simulator, graphs
+from rendezvous_env.engine.memory import RENDEZVOUS
+from rendezvous_env.safety.heading import HeadingFilter
+from rendezvous_env.safety.lyapunov import lyapunov
+from rendezvous_env.safety.theorems.descent import time_bound
+from rendezvous_env.safety.turning import mean_body_axis_2d, mean_body_axis_3d
+from rendezvous_env.trajectory import run
+from train.verify.adversaries import KINDS, Steered, adversary
+
+TEAMS = 48
+ROUNDING = 2.0**-20
+"""Of float32 rows and actions, relative to n D̄² τ (train/claims.py says why)."""
+
+
+class Watched:
+    """What a batch of adversarial episodes showed; V in m²/s."""
+
+    def __init__(self, scenario, *, seed=0, kind=None, steps=None, num_envs=TEAMS, **options):
+        random = np.random.default_rng(seed)
+        turn = options.get("max_turn_rate", 3.0)
+        chosen = adversary(scenario, num_envs, random, max_turn_rate=turn, kind=kind)
+        policy = Steered(scenario, num_envs, chosen, **options)
+        simulator = Simulator(scenario, num_envs)
+        observations = simulator.reset(seed)
+        self.start = simulator.lyapunov()
+        self.times = np.full(num_envs, np.inf)
+        self.rise_free = self.rise_in_contact = -np.inf
+        self.rises_in_contact = self.contacts = self.excess = 0
+        if steps:
+            simulator.set_max_steps(steps)
+        tolerance = ROUNDING * scenario.n_robots * scenario.max_degree**2 * scenario.tau
+        for step in run(simulator, policy, observations):
+            out, on = step.outcome, step.running
+            rise = out.lyapunov_before_merge - step.lyapunov - tolerance - 1e-12 * step.lyapunov
+            touched = out.contact.any(axis=-1)
+            self.rise_free = max(self.rise_free, rise[on & ~touched].max(initial=-np.inf))
+            in_contact = rise[on & touched]
+            self.rise_in_contact = max(self.rise_in_contact, in_contact.max(initial=-np.inf))
+            self.rises_in_contact += int(np.sum(in_contact > 0))
+            self.contacts += len(in_contact)
+            self.excess = max(self.excess, out.merge_excess[on].max())
+            met = on & (out.status == RENDEZVOUS)
+            self.times[met] = simulator.time[met]
+        self.met = np.isfinite(self.times)
+
+
+# ---- V under any policy --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("dim", [2, 3])
+def test_every_single_integrator_run_ends_within_the_bound(dim, kind):
+    scenario = five(f"single_integrator-{dim}d", spawn_size=3.0)
+    watched = Watched(scenario, kind=kind, min_alignment=0.4, steps=100_000)
+    assert watched.met.all() and watched.rise_free <= 0 and watched.excess <= 1e-9
+    assert (watched.times <= time_bound(scenario, watched.start, min_alignment=0.4)).all()
+
+
+@pytest.mark.parametrize("period", [2, 7])
+@pytest.mark.parametrize("turn", [0.2, 50.0])
+def test_periods_and_turn_limits_keep_the_guarantee(period, turn):
+    scenario = five("single_integrator-2d", spawn_size=3.0)
+    options = {"min_alignment": 0.4, "decision_period": period, "max_turn_rate": turn}
+    watched = Watched(scenario, steps=100_000, **options)
+    assert watched.met.all() and watched.rise_free <= 0
+    assert (watched.times <= time_bound(scenario, watched.start, min_alignment=0.4)).all()
+
+
+@pytest.mark.parametrize("model", ["unicycle", "nonholonomic_3d"])
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_nonholonomic_run_ends(model, kind):
+    scenario = five(model, spawn_size=3.0, time_limit=300.0)
+    watched = Watched(scenario, kind=kind, min_alignment=0.3)
+    assert watched.met.all() and watched.rise_free <= 0 and watched.excess <= 1e-9
+
+
+@pytest.mark.parametrize("model", ["unicycle", "nonholonomic_3d"])
+def test_without_the_gate_none_that_keeps_across_f_ever_meets(model):
+    """40 runs, of which the gate lets all meet (above)."""
+    scenario = five(model, spawn_size=6.0, time_limit=60.0)
+    watched = Watched(scenario, kind="orthogonal", certified=False, num_envs=40)
+    assert watched.met.sum() <= 2
+
+
+@pytest.mark.parametrize("model", list(MODELS))
+@pytest.mark.parametrize("factor", [4.0, 10.0])
+def test_v_never_rises_with_a_long_step(model, factor):
+    scenario = five(model, spawn_size=3.0, time_limit=200.0)
+    long = scenario.replace(time_step=factor * scenario.certified_step, allow_long_step=True)
+    watched = Watched(long, min_alignment=0.4)
+    assert watched.met.all() and watched.rise_free <= 0
+
+
+def test_it_would_rise_without_the_scaling():
+    scenario = five("single_integrator-2d", spawn_size=3.0, time_limit=20.0)
+    long = scenario.replace(time_step=10 * scenario.certified_step, allow_long_step=True)
+    watched = Watched(long, kind="random", min_alignment=0.4, certified=False)
+    assert watched.rise_free > 0.02
+
+
+CLUTTERS = {
+    "clutter-12": rv.scenarios.get("clutter-12"),
+    "clutter-3d": rv.scenarios.get("clutter-3d"),
+    "unicycle": rv.scenarios.get("clutter-12").replace(robot_model="unicycle"),
+    "nonholonomic_3d": rv.scenarios.get("clutter-3d").replace(robot_model="nonholonomic_3d"),
+}
+
+
+@pytest.mark.parametrize("name", CLUTTERS)
+def test_v_never_rises_where_robots_stop_at_obstacles(name):
+    scenario = CLUTTERS[name].replace(obstacle_contact="stop", time_limit=15.0)
+    watched = Watched(scenario, seed=3)
+    assert watched.contacts > 100
+    assert watched.rise_free <= 0 and watched.rise_in_contact <= 0
+
+
+@pytest.mark.parametrize("name", CLUTTERS)
+def test_v_never_rises_in_a_step_without_a_contact_where_robots_slide(name):
+    scenario = CLUTTERS[name].replace(time_limit=15.0)
+    watched = Watched(scenario, seed=3)
+    assert watched.contacts > 100 and watched.rise_free <= 0
+    # a slide along an obstacle takes away the inward part of h hᵀf and may leave an uphill one
+    assert watched.rises_in_contact <= watched.contacts
+    bound = scenario.tau * scenario.n_robots * scenario.max_degree**2
+    assert watched.rise_in_contact <= bound
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", CLUTTERS)
+@pytest.mark.parametrize("kind", KINDS)
+def test_clutter_at_length(name, kind):
+    for contact in ("stop", "slide"):
+        scenario = CLUTTERS[name].replace(obstacle_contact=contact, time_limit=30.0)
+        watched = Watched(scenario, seed=7, kind=kind, num_envs=96, decision_period=2)
+        assert watched.rise_free <= 0
+        if contact == "stop" and name == "nonholonomic_3d":
+            # v = mᵀf is that of the whole arc; what an obstacle leaves of it has another mean axis
+            way = scenario.tau * scenario.speed_limit
+            assert watched.rise_in_contact <= 0.001 * way * scenario.max_degree
+        elif contact == "stop":
+            assert watched.rise_in_contact <= 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("model", list(MODELS))
+@pytest.mark.parametrize(
+    "graph", [graphs.path((0.5, 2.0)), graphs.random_tree((0.5, 2.0)), graphs.erdos_renyi(0.4)]
+)
+def test_larger_teams(model, graph):
+    scenario = Scenario(n_robots=10, graph=graph, spawn_size=4.0, time_limit=500.0, **MODELS[model])
+    watched = Watched(scenario, min_alignment=0.5)
+    assert watched.met.all() and watched.rise_free <= 0 and watched.excess <= 1e-9
+
+
+# ---- arcs ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("model", ["unicycle", "nonholonomic_3d"])
+def test_v_falls_by_twice_the_certified_rate_less_the_curvature_on_held_arcs(model):
+    """V(t+τ) ≤ V − 2τ Σ (mᵀf)² + (2τ²/r) Σ D (mᵀf)² ≤ V − τ Σ (mᵀf)², m the mean body axis."""
+    scenario = five(model, spawn_size=4.0, max_turn_rate=8.0)
+    tau, radius = scenario.tau, scenario.merge_radius
+    simulator = Simulator(scenario, TEAMS)
+    steering = HeadingFilter(scenario, TEAMS, max_turn_rate=8.0)
+    observations = simulator.reset(1)
+    random = np.random.default_rng(0)
+    degree = UNEQUAL.sum(axis=1)
+    compared = 0
+    for _ in range(20):
+        steering.hold(random.uniform(-1, 1, (*simulator.headings.shape[:2], scenario.dim - 1)))
+        actions = steering.act(observations)
+        before, places, apart = simulator.lyapunov(), simulator.positions, simulator.active
+        m = mean_axes(scenario, actions, observations)
+        along = np.sum(m * scenario.observation_layout.net_bearing(observations), axis=-1)
+        frames = simulator.frames
+        outcome = simulator.step(actions)
+        observations = outcome.observations
+        whole = apart.all(axis=-1) & outcome.active.all(axis=-1)
+        fall = (before - outcome.lyapunov_before_merge)[whole]
+        rate = np.sum((along**2)[whole], axis=-1)
+        curvature = 2 * tau**2 / radius * np.sum((degree * along**2)[whole], axis=-1)
+        assert (fall >= 2 * tau * rate - curvature - 1e-6 * tau).all()
+        assert (fall >= tau * rate - 1e-6 * tau).all()
+        moved = np.einsum("bnij,bnj->bni", frames, m) * along[..., None] * tau
+        np.testing.assert_allclose(
+            (simulator.positions - places)[whole], moved[whole], atol=2e-6 * tau * 5
+        )
+        compared += int(whole.sum())
+    assert compared > 300
+
+
+def mean_axes(scenario, actions, observations):
+    """m of the turn rates executed, in the body frames, (B, n, d)."""
+    rates = actions[..., 1:].astype(np.float64)
+    if scenario.dim == 2:
+        return mean_body_axis_2d(rates[..., 0], scenario.tau)
+    gravity = observations[..., -1, :].astype(np.float64)
+    pitch = np.arctan2(-gravity[..., 0], -gravity[..., 2])
+    return mean_body_axis_3d(rates[..., 0], rates[..., 1], pitch, scenario.tau)
+
+
+def test_the_axis_at_the_start_of_the_step_would_not_do():
+    """Held over an arc, v = hᵀf can raise V where v = mᵀf lets it fall (theory 4)."""
+    scenario = Scenario(
+        n_robots=2,
+        robot_model="unicycle",
+        merge_radius=0.2,
+        max_turn_rate=20.0,
+        start_positions=((0.0, 0.0), (1.0, 0.0)),
+        start_headings=((1.2,), (1.2 + np.pi,)),
+    )
+    rise = {}
+    for law in ("h", "m"):
+        simulator = Simulator(scenario)
+        f = scenario.observation_layout.net_bearing(simulator.reset(0))[0]
+        rate = np.full(2, 20.0)
+        m = mean_body_axis_2d(rate, scenario.tau)
+        v = f[:, 0] if law == "h" else np.sum(m * f, axis=-1)
+        before = simulator.lyapunov()[0]
+        simulator.step(np.stack([v, rate], axis=-1)[None])
+        rise[law] = simulator.lyapunov()[0] - before
+    assert rise["h"] > 1e-3 and rise["m"] < 0
+
+
+# ---- robots alone, batches, memory ---------------------------------------------------------------
+
+
+def test_a_batch_is_its_teams_one_by_one():
+    scenario = five("single_integrator-3d", spawn_size=3.0)
+    together, alone = HeadingFilter(scenario, 6), [HeadingFilter(scenario, 1) for _ in range(6)]
+    observations = Simulator(scenario, 6).reset(2)
+    raw = np.random.default_rng(0).normal(size=(6, 5, 3))
+    seen = together.view(observations)
+    together.hold(raw)
+    actions = together.act(observations)
+    for team, steering in enumerate(alone):
+        own = observations[team : team + 1]
+        np.testing.assert_array_equal(steering.view(own)[0], seen[team])
+        steering.hold(raw[team : team + 1])
+        np.testing.assert_array_equal(steering.act(own)[0], actions[team])
+
+
+def test_forgetting_some_teams_spares_the_others(kind):
+    scenario = five(kind)
+    steering, observations = HeadingFilter(scenario, 3), Simulator(scenario, 3).reset(0)
+    steering.view(observations)
+    steering.hold(np.ones((3, 5, steering.action_size)))
+    steering.act(observations)
+    before = steering.get_state()
+    steering.forget(np.array([False, True, False]))
+    after = steering.get_state()
+    for name, array in before.items():
+        np.testing.assert_array_equal(after[name][[0, 2]], array[[0, 2]])
+    assert not after["headings"][1].any() and not after["held"][1].any()
+    np.testing.assert_array_equal(
+        after["frames"][1], np.broadcast_to(np.eye(scenario.dim), (5, *after["frames"].shape[2:]))
+    )
+
+
+def test_robots_that_see_nobody_stand_still(kind):
+    scenario = five(kind)
+    steering = HeadingFilter(scenario, 2)
+    blind = np.zeros((2, 5, *scenario.observation_layout.shape), np.float32)
+    steering.view(blind)
+    steering.hold(np.ones((2, 5, steering.action_size)))
+    assert not steering.act(blind).any()
+    assert np.isnan(steering.alignment).all() and not steering.lyapunov_rate.any()
+
+
+def test_the_turn_limit_is_the_smaller_one():
+    slow = five("unicycle", max_turn_rate=0.5)
+    for scenario, limit in ((slow, 0.5), (five("unicycle"), 3.0)):
+        steering = HeadingFilter(scenario, 1, certified=False)
+        observations = Simulator(scenario).reset(0)
+        steering.hold(np.ones((1, 5, 1)))
+        np.testing.assert_allclose(steering.act(observations)[..., 1], limit, rtol=1e-6)
+
+
+def test_headings_turn_by_at_most_the_limit():
+    scenario = five("single_integrator-2d")
+    steering = HeadingFilter(scenario, 1, max_turn_rate=1.0, frame="local")
+    observations = Simulator(scenario).reset(0)
+    f = scenario.observation_layout.net_bearing(observations)[0]
+    first = f / np.linalg.norm(f, axis=-1, keepdims=True)
+    steering.hold(np.stack([-f[:, 1], f[:, 0]], axis=-1)[None])
+    for k in range(1, 4):
+        steering.act(observations)
+        cosines = np.sum(steering.headings[0] * first, axis=-1)
+        np.testing.assert_allclose(np.arccos(cosines), k * scenario.tau * 1.0, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("raw", "message"),
+    [
+        (np.zeros((2, 5, 3)), r"shape \(2, 5, 3\)"),
+        (np.zeros((5, 2)), r"shape \(5, 2\)"),
+        (np.where(np.arange(20).reshape(2, 5, 2) == 13, np.nan, 0.0), "robot_1 in team 1"),
+    ],
+)
+def test_bad_raw_vectors_are_refused_and_not_taken(raw, message):
+    steering = HeadingFilter(five("single_integrator-2d"), 2)
+    steering.hold(np.ones((2, 5, 2)))
+    with pytest.raises(ValueError, match=message):
+        steering.hold(raw)
+    np.testing.assert_array_equal(steering.get_state()["held"], np.ones((2, 5, 2)))
+
+
+@pytest.mark.parametrize("rows", [2, 3])
+def test_in_space_rounding_does_not_choose_the_second_axis(rows):
+    """The parts across f of two neighbours are equal and opposite: the first row counts."""
+    scenario = Scenario(n_robots=rows + 1, dim=3, graph="complete")
+    random = np.random.default_rng(0)
+    axis = None
+    for _ in range(200):
+        turn, _ = np.linalg.qr(random.normal(size=(3, 3)))
+        turn *= np.sign(np.linalg.det(turn))
+        seen = np.zeros((1, rows + 1, rows, 3), np.float32)
+        table = np.array([[0.6, 0.8, 0.0], [0.8, -0.8, 0.0], [0.1, 0.0, 0.0]])[:rows]
+        seen[0, 0] = table @ turn.T
+        view = HeadingFilter(scenario, 1).view(seen)[0, 0]
+        axis = view if axis is None else axis
+        np.testing.assert_allclose(view, axis, atol=1e-6)
+    assert axis[0, 1] == pytest.approx(0.8, abs=1e-6)
+
+
+def test_v_at_the_end_is_that_of_the_positions():
+    """The simulator's V, on which all of this stands, is the formula's."""
+    simulator = Simulator(five("single_integrator-2d"), 4)
+    simulator.reset(0)
+    expected = lyapunov(simulator.positions, simulator.weights)
+    np.testing.assert_allclose(simulator.lyapunov(), expected, rtol=1e-12)

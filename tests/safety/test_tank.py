@@ -1,0 +1,540 @@
+"""The energy tank: V under any wishes, the ledger and how it is kept, memory."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+
+import numpy as np
+import pytest
+from conftest import UNEQUAL, five
+from tuples import triple
+
+import rendezvous_env as rv
+from rendezvous_env import Scenario, Simulator, graphs
+from rendezvous_env.engine.memory import RENDEZVOUS, RUNNING
+from rendezvous_env.safety.tank import (
+    EnergyTank,
+    certain_descent,
+    descending_velocity,
+    descent_scale,
+    promised_descent,
+)
+from research.tank_wishes import WISHES, wishes
+
+TEAMS = 24
+ROUNDING = 2.0**-20
+"""Of float32 rows, relative to n D̄² τ; what is displaced in float32 is booked as it is."""
+
+
+# ---- who watches the adversaries -----------------------------------------------------------------
+
+
+class Ledgers:
+    """What a batch of adversarial episodes showed; V and A in m²/s."""
+
+    def __init__(self, scenario, *, kind="mixed", seed=0, steps=None, num_envs=TEAMS, **options):
+        made = options.pop("tank", EnergyTank)
+        self.tank = made(scenario, num_envs, frame="local", **options)
+        choose = wishes(scenario, num_envs, np.random.default_rng(seed), kind)
+        simulator = Simulator(scenario, num_envs)
+        observations = simulator.reset(seed)
+        self.start, n = simulator.lyapunov(), scenario.n_robots
+        budgets = self.tank.levels.sum(axis=-1)
+        self.times = np.full(num_envs, np.inf)
+        self.rise = self.above_start = self.highest = -np.inf
+        self.lowest_level, self.calm_steps, self.spent = np.inf, 0, 0
+        tolerance = ROUNDING * n * scenario.max_degree**2 * scenario.tau
+        step = 0
+        while (on := simulator.status == RUNNING).any() and step != steps:
+            before, alone = simulator.lyapunov() + self.tank.levels.sum(axis=-1), simulator.active
+            self.tank.hold(choose(observations, step))
+            outcome = simulator.step(self.tank.act(observations))
+            self.spent += int(np.sum(self.tank.lyapunov_rate > 0))
+            self.tank.book(outcome.contact, simulator.merged_into, ~on)
+            observations, now = outcome.observations, simulator.lyapunov()
+            calm = on & (alone == outcome.active).all(axis=-1) & ~outcome.contact.any(axis=-1)
+            rise = now + self.tank.levels.sum(axis=-1) - before - tolerance - 1e-12 * before
+            self.rise = max(self.rise, rise[calm].max(initial=-np.inf))
+            whole = on & outcome.active.all(axis=-1)
+            excess = now - self.start - budgets - (step + 1) * tolerance
+            self.above_start = max(self.above_start, excess[whole].max(initial=-np.inf))
+            self.highest = max(self.highest, (now / self.start)[on].max(initial=-np.inf))
+            self.lowest_level = min(self.lowest_level, self.tank.levels.min())
+            self.calm_steps += int(calm.sum())
+            met = on & (outcome.status == RENDEZVOUS)
+            self.times[met] = simulator.time[met]
+            step += 1
+        self.met = np.isfinite(self.times)
+
+    def kept(self):
+        return self.rise <= 0 and self.above_start <= 0 and self.lowest_level >= 0
+
+
+def bound_of(scenario, start, weights, min_alignment, budget):
+    """Theorem D's T, s."""
+    n, r, tau = scenario.n_robots, scenario.merge_radius, scenario.tau
+    rises = 2 * (n - 1) * r * np.triu(weights).sum()
+    slowest = min(
+        1, r / (2 * scenario.max_degree * tau), scenario.speed_limit / scenario.max_degree
+    )
+    rate = 4 * min_alignment**2 * scenario.bottleneck_weight**2 * slowest
+    return n * (start + rises + n * budget) / rate + (n - 1) * tau
+
+
+def longer(scenario, factor, **changes):
+    step = factor * scenario.certified_step
+    return scenario.replace(time_step=step, allow_long_step=True, time_limit=1e4, **changes)
+
+
+# ---- V under any wishes --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", WISHES)
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize(("factor", "budget"), [(1.0, 0.0), (3.0, 2.0)])
+def test_the_ledger_is_kept_and_all_meet_in_time(dim, kind, factor, budget):
+    scenario = longer(five(f"single_integrator-{dim}d", spawn_size=3.0), factor)
+    seen = Ledgers(scenario, kind=kind, min_alignment=0.4, budget=budget)
+    assert seen.kept() and seen.calm_steps > 150
+    assert seen.met.all()
+    assert (seen.times <= bound_of(scenario, seen.start, UNEQUAL, 0.4, budget)).all()
+
+
+GRAPHS = {
+    "complete": graphs.complete(0.7),
+    "path": graphs.path((0.5, 2.0)),
+    "cycle": graphs.cycle(),
+    "tree": graphs.random_tree((0.5, 2.0)),
+    "random": graphs.erdos_renyi(0.4),
+}
+
+
+@pytest.mark.parametrize("graph", GRAPHS)
+@pytest.mark.parametrize("min_alignment", [0.05, 0.8])
+@pytest.mark.parametrize("factor", [0.5, 2.0])
+def test_the_ledger_is_kept_on_any_graph(graph, min_alignment, factor):
+    scenario = Scenario(n_robots=6, graph=GRAPHS[graph], spawn_size=4.0)
+    given = {"min_alignment": min_alignment, "budget": 1.0, "steps": 250}
+    seen = Ledgers(longer(scenario, factor, max_speed=1.3), **given)
+    assert seen.kept() and seen.calm_steps > 500 and seen.spent > 100
+
+
+@pytest.mark.parametrize("model", ["unicycle", "nonholonomic_3d"])
+@pytest.mark.parametrize("factor", [1.0, 3.0])
+@pytest.mark.parametrize("budget", [0.0, 3.0])
+def test_the_ledger_of_nonholonomic_robots_is_kept(model, factor, budget):
+    scenario = longer(five(model, spawn_size=3.0, max_turn_rate=6.0), factor)
+    seen = Ledgers(scenario, min_alignment=0.3, budget=budget, steps=400)
+    assert seen.kept() and seen.calm_steps > 500 and seen.spent > 100
+
+
+@pytest.mark.parametrize("model", ["unicycle", "nonholonomic_3d"])
+def test_nonholonomic_robots_meet_although_they_drive_backwards(model):
+    scenario = five(model, spawn_size=3.0, time_limit=300.0)
+    seen = Ledgers(scenario, min_alignment=0.3)
+    assert seen.met.all() and seen.kept()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", WISHES)
+@pytest.mark.parametrize("graph", GRAPHS)
+@pytest.mark.parametrize("dim", [2, 3])
+def test_ledgers_at_length(kind, graph, dim):
+    scenario = Scenario(n_robots=8, dim=dim, graph=GRAPHS[graph], spawn_size=5.0)
+    for factor in (0.3, 1.0, 3.0):
+        for min_alignment, budget in ((0.05, 0.0), (0.3, 20.0), (0.8, 0.0)):
+            given = {"kind": kind, "min_alignment": min_alignment, "budget": budget}
+            seen = Ledgers(longer(scenario, factor), steps=500, num_envs=32, **given)
+            assert seen.kept()
+
+
+class ForgetsTheSquare(EnergyTank):
+    """As if a step were so short that Δ² did not matter."""
+
+    def __init__(self, *args, **options):
+        super().__init__(*args, **options)
+        self._constants = self._constants._replace(merge_radius=1e9)
+
+
+class BooksWhatWasWished(EnergyTank):
+    """As if every wish had been carried out and had earned what law (1) earns."""
+
+    def act(self, observations):
+        actions = super().act(observations)
+        self._deposits += 1e-3
+        return actions
+
+
+@pytest.mark.parametrize("broken", [ForgetsTheSquare, BooksWhatWasWished])
+def test_a_broken_ledger_is_caught(broken):
+    scenario = longer(five("single_integrator-2d", spawn_size=3.0), 2.0)
+    seen = Ledgers(scenario, tank=broken, min_alignment=0.1, budget=1.0, steps=100)
+    assert seen.rise > 1e-4
+
+
+# ---- what the freedom is worth -------------------------------------------------------------------
+
+
+def test_a_budget_lets_robots_walk_away_and_no_further():
+    scenario = five("single_integrator-2d", spawn_size=3.0, time_limit=1e3)
+    for budget, low, high in ((0.0, 0.0, 1.0 + 1e-6), (20.0, 1.3, np.inf)):
+        seen = Ledgers(scenario, kind="flee", min_alignment=0.2, budget=budget, steps=200)
+        assert low < seen.highest < high and seen.kept()
+
+
+def test_what_is_earned_can_be_spent():
+    """Law (1) for a while, then away from f: an empty tank would not have let them."""
+    scenario = five("single_integrator-2d", spawn_size=6.0)
+    tank, simulator = EnergyTank(scenario, 1, frame="local"), Simulator(scenario)
+    observations = simulator.reset(1)
+    layout = scenario.observation_layout
+    for step in range(20):
+        f = layout.net_bearing(observations)
+        tank.hold((f if step < 10 else -f) / scenario.speed_limit * 0.5)
+        observations = simulator.step(tank.act(observations)).observations
+        tank.book()
+        if step == 9:
+            earned = tank.levels
+        assert tank.carried_out.all() or step >= 10
+    assert (earned > 0).all() and (tank.levels < earned).all()
+
+
+# ---- equations, by hand --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("strength", "degree", "radius", "duration", "limit", "expected"),
+    [
+        (1.0, 2.0, 0.4, 0.1, 5.0, 1.0),  # the certified step, slow enough
+        (1.0, 2.0, 0.4, 0.3, 5.0, 1 / 3),  # three times as long
+        (4.0, 2.0, 0.4, 0.1, 1.0, 0.25),  # faster than the robot may go
+        (0.0, 2.0, 0.4, 0.1, 1.0, 1.0),
+    ],
+)
+def test_the_scale(strength, degree, radius, duration, limit, expected):
+    found = descent_scale(strength, degree, radius, duration, limit)
+    assert found == pytest.approx(expected, rel=1e-15)
+
+
+def test_what_a_step_earns_and_owes():
+    f, displacement = triple([3.0, 4.0]), triple([0.1, -0.2])
+    # 2 (0.3 − 0.8) − (2/0.5) 6 (0.01 + 0.04)
+    assert certain_descent(f, 6.0, displacement, 0.5) == pytest.approx(-1.0 - 1.2, rel=1e-15)
+    assert promised_descent(5.0, 0.5, 0.2, 0.1) == pytest.approx(0.04 * 0.1 * 0.5 * 25, rel=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("wanted", "expected"),
+    [
+        ((0.0, 0.0), (1.0, 0.0)),  # nothing: law (1)
+        ((5.0, 0.0), (1.0, 0.0)),
+        ((-3.0, 0.0), (1.0, 0.0)),  # away: the same line
+        ((1.0, 1.0), (0.5, 0.5)),
+        ((-1.0, -1.0), (0.5, 0.5)),
+        ((0.0, 2.0), (0.36, 0.48)),  # across: the edge of the cap, h = (0.6, 0.8)
+    ],
+)
+def test_law_4_along_the_wanted_line(wanted, expected):
+    velocity = descending_velocity(triple(wanted), triple([2.0, 0.0]), 0.5, 0.6)
+    np.testing.assert_allclose(velocity, (*expected, 0.0), atol=1e-15)
+
+
+def test_an_empty_tank_is_never_overdrawn():
+    """G ≥ τ s ((hᵀf)² − ε²‖f‖²) ≥ 0 for law (4) along whatever is wanted."""
+    random = np.random.default_rng(0)
+    for _ in range(500):
+        f, wanted = random.normal(size=3), random.normal(size=3)
+        strength, margin = float(np.linalg.norm(f)), random.uniform(0.01, 0.99)
+        degree, radius = strength * random.uniform(1, 4), random.uniform(0.1, 1)
+        duration, limit = random.uniform(0.01, 3) * radius / degree, random.uniform(0.1, 9)
+        scale = descent_scale(strength, degree, radius, duration, limit)
+        velocity = np.array(descending_velocity(triple(wanted), triple(f), scale, margin))
+        assert np.linalg.norm(velocity) <= limit * (1 + 1e-12)
+        owed = promised_descent(strength, scale, margin, duration)
+        deposit = certain_descent(triple(f), degree, triple(velocity * duration), radius) - owed
+        along = f @ velocity / np.linalg.norm(velocity)
+        assert along >= margin * strength * (1 - 1e-12)
+        least = duration * scale * (along**2 - margin**2 * strength**2)
+        assert deposit >= least - 1e-12 * duration * strength**2
+
+
+# ---- how the ledger is kept ----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("factor", [1.0, 3.0])
+def test_deposits_are_those_of_the_motion_that_the_simulator_executes(kind, factor):
+    """Computed anew from positions, before and after."""
+    scenario = longer(five(kind, spawn_size=8.0), factor)
+    simulator = Simulator(scenario, TEAMS)
+    tank = EnergyTank(scenario, TEAMS, frame="local", budget=0.05, min_alignment=0.2)
+    observations, random = simulator.reset(0), np.random.default_rng(1)
+    layout, both = scenario.observation_layout, set()
+    for _ in range(5):
+        tank.hold(random.uniform(-1, 1, (TEAMS, 5, scenario.action_size)))
+        f, degree = layout.net_bearing(observations), layout.degree(observations)
+        before, frames, places = tank.levels, simulator.frames, simulator.positions
+        outcome = simulator.step(tank.act(observations))
+        whole = outcome.active.all(axis=-1)
+        tank.book()
+        moved = np.einsum("bnji,bnj->bni", frames, simulator.positions - places)
+        strength = np.linalg.norm(f, axis=-1)
+        earned = 2 * np.sum(f * moved, axis=-1)
+        rate = -earned / scenario.tau
+        earned -= 2 / scenario.merge_radius * degree * np.sum(moved**2, axis=-1)
+        if scenario.model.bounded:
+            r, tau = scenario.merge_radius, scenario.tau
+            with np.errstate(divide="ignore", invalid="ignore"):  # robots that are gone
+                scale = np.minimum(r / (2 * degree * tau), scenario.speed_limit / strength)
+            earned -= 0.2**2 * tau * np.minimum(scale, 1) * strength**2
+        expected = np.maximum(before + earned, 0)[whole]
+        np.testing.assert_allclose(tank.levels[whole], expected, atol=2e-7)
+        np.testing.assert_allclose(tank.lyapunov_rate[whole], rate[whole], atol=1e-5)
+        observations = outcome.observations
+        both |= set(np.unique(tank.carried_out))
+    assert both == {False, True} and whole.any()
+
+
+def test_a_wish_is_carried_out_as_it_is(kind):
+    scenario = five(kind)
+    tank = EnergyTank(scenario, 2, frame="local", budget=1e6)
+    observations = Simulator(scenario, 2).reset(0)
+    wishes = np.random.default_rng(0).uniform(-1, 1, (2, 5, scenario.action_size))
+    tank.hold(2.0 * wishes)
+    actions = tank.act(observations)
+    assert tank.carried_out.all()
+    if scenario.model.bounded:  # too long: direction kept
+        lengths = np.linalg.norm(wishes, axis=-1, keepdims=True)
+        expected = wishes * np.minimum(2.0, 1 / lengths) * scenario.speed_limit
+    else:
+        expected = np.clip(2 * wishes, -1, 1) * scenario.action_bounds
+    np.testing.assert_allclose(actions, expected, rtol=1e-6)
+
+
+@pytest.mark.parametrize("model", ["unicycle", "nonholonomic_3d"])
+def test_with_an_empty_tank_a_body_turns_through_the_gate_and_drives_with_m(model):
+    scenario = five(model, spawn_size=6.0, max_turn_rate=2.0)
+    tank, observations = EnergyTank(scenario, 8), Simulator(scenario, 8).reset(0)
+    f = scenario.observation_layout.net_bearing(observations)
+    wishes = np.zeros((8, 5, scenario.action_size))
+    wishes[..., 0] = -np.sign(f[..., 0])
+    tank.hold(wishes)
+    actions = tank.act(observations)
+    gated = np.abs(f[..., 0]) < 0.05 * np.linalg.norm(f, axis=-1)
+    assert not tank.carried_out.any() and (tank.lyapunov_rate <= 0).all()
+    assert not actions[..., 1:][~gated].any()  # no turn was wished, and none was due
+    np.testing.assert_allclose(actions[..., 0][~gated], f[..., 0][~gated], rtol=1e-5, atol=1e-6)
+
+
+def test_in_a_step_with_contact_only_a_loss_is_booked():
+    """A robot pressed against a wall along f earns nothing; one that is thrust away from f pays."""
+    scenario = Scenario(
+        n_robots=2,
+        start_positions=((-2.0, 0.0), (2.0, 0.0)),
+        obstacles=(rv.Disc(centre=(0.0, 0.0), radius=1.9),),
+        local_frames="global",
+    )
+    simulator, tank = Simulator(scenario), EnergyTank(scenario, 1, frame="local", budget=1.0)
+    observations, contacts, free = simulator.reset(0), 0, []
+    for _ in range(6):
+        tank.hold([[[1.0, 0.0], [-1.0, 0.0]]])
+        actions, before = tank.act(observations), tank.levels
+        outcome = simulator.step(actions)
+        tank.book(outcome.contact, simulator.merged_into)
+        observations = outcome.observations
+        gained = tank.levels - before
+        assert (gained[outcome.contact] == 0).all() and (gained[~outcome.contact] > 0).all()
+        contacts, free = contacts + int(outcome.contact.sum()), [*free, *gained[~outcome.contact]]
+    assert contacts >= 4 and len(free) >= 1
+    tank.hold([[[-1.0, 0.0], [1.0, 0.0]]])
+    tank.act(observations)
+    before = tank.levels
+    tank.book(contact=[[True, False]])
+    assert tank.levels[0, 0] < before[0, 0] and tank.levels[0, 1] < before[0, 1]
+
+
+def test_survivors_inherit_and_a_cut_step_books_as_commanded():
+    scenario = Scenario(n_robots=3, graph="path", merge_radius=0.2, local_frames="global")
+    simulator, tank = Simulator(scenario), EnergyTank(scenario, 1, frame="local", budget=2.0)
+    twin = EnergyTank(scenario, 1, frame="local", budget=2.0)
+    start = {"positions": [[0.0, 0.0], [0.22, 0.0], [6.0, 0.0]]}
+    observations = simulator.reset(0, start)
+    for each in (tank, twin):
+        each.hold([[[1.0, 0.0], [-1.0, 0.0], [0.0, 0.0]]])
+        actions = each.act(observations)
+    outcome = simulator.step(actions)
+    assert outcome.active.tolist() == [[True, False, True]]
+    tank.book(outcome.contact, simulator.merged_into)
+    twin.book()
+    own = twin.levels[0]
+    assert tank.levels[0, 0] == own[0] + own[1] and own[1] > 0
+    assert tank.levels[0, 1] == 0 and tank.levels[0, 2] == own[2]
+
+
+def test_resting_teams_book_nothing_and_nothing_is_booked_twice():
+    scenario = five("single_integrator-2d")
+    tank = EnergyTank(scenario, 3, budget=1.0)
+    tank.hold(np.zeros((3, 5, 2)))
+    tank.act(Simulator(scenario, 3).reset(0))
+    tank.book(resting=[False, True, False])
+    once = tank.levels
+    assert (once[1] == 1.0).all() and (once[[0, 2]] < 1.0).all()  # rest has its price
+    tank.book()
+    np.testing.assert_array_equal(tank.levels, once)
+
+
+def test_robots_that_see_nobody_stand_still(kind):
+    scenario = five(kind)
+    tank = EnergyTank(scenario, 2, budget=1.0)
+    blind = np.zeros((2, 5, *scenario.observation_layout.shape), np.float32)
+    tank.view(blind)
+    tank.hold(np.ones((2, 5, scenario.action_size)))
+    assert not tank.act(blind).any() and not tank.carried_out.any()
+    tank.book()
+    assert (tank.levels == 1.0).all()
+    assert np.isnan(tank.alignment).all() and not tank.lyapunov_rate.any()
+
+
+def test_alignment_is_that_of_the_motion():
+    scenario = five("single_integrator-2d")
+    tank = EnergyTank(scenario, 1, frame="local", budget=50.0)
+    observations = Simulator(scenario).reset(0)
+    f = scenario.observation_layout.net_bearing(observations)
+    u = f / np.linalg.norm(f, axis=-1, keepdims=True)
+    across = np.stack([-u[..., 1], u[..., 0]], axis=-1)
+    for cosine in (-1.0, -0.6, 0.0, 0.8):
+        tank.hold(cosine * u + np.sqrt(1 - cosine**2) * across)
+        tank.act(observations)
+        np.testing.assert_allclose(tank.alignment, abs(cosine), atol=1e-6)
+        assert (np.sign(np.round(tank.lyapunov_rate, 4)) == -np.sign(cosine)).all()
+    tank.hold(0 * u)
+    tank.act(observations)
+    assert np.isnan(tank.alignment).all()
+
+
+# ---- what is seen --------------------------------------------------------------------------------
+
+
+def test_the_level_is_one_row_more(kind):
+    scenario = five(kind)
+    plain, shown = EnergyTank(scenario, 2), EnergyTank(scenario, 2, budget=1.5, observe_level=True)
+    observations = Simulator(scenario, 2).reset(0)
+    seen = shown.view(observations)
+    np.testing.assert_array_equal(seen[..., :-1, :], plain.view(observations))
+    np.testing.assert_array_equal(seen[..., -1, 1:], 0)
+    level = 1.5 / (scenario.merge_radius * scenario.max_degree)
+    np.testing.assert_allclose(seen[..., -1, 0], level, rtol=1e-6)
+    np.testing.assert_allclose(shown.normalised_levels, level)
+
+
+# ---- batches, memory, refusals -------------------------------------------------------------------
+
+
+def test_a_batch_is_its_teams_one_by_one(kind):
+    scenario = five(kind, spawn_size=3.0)
+    given = {"budget": 0.1, "min_alignment": 0.3}
+    together = EnergyTank(scenario, 6, **given)
+    alone = [EnergyTank(scenario, 1, **given) for _ in range(6)]
+    observations, random = Simulator(scenario, 6).reset(2), np.random.default_rng(0)
+    for _ in range(4):
+        raw = random.normal(size=(6, 5, scenario.action_size))
+        contact = random.random((6, 5)) < 0.3
+        seen = together.view(observations)
+        together.hold(raw)
+        actions = together.act(observations)
+        together.book(contact)
+        for team, tank in enumerate(alone):
+            own = slice(team, team + 1)
+            np.testing.assert_array_equal(tank.view(observations[own])[0], seen[team])
+            tank.hold(raw[own])
+            np.testing.assert_array_equal(tank.act(observations[own])[0], actions[team])
+            tank.book(contact[own])
+            np.testing.assert_array_equal(tank.levels[0], together.levels[team])
+
+
+def test_state_pickle_and_deepcopy_go_on_alike():
+    scenario = five("single_integrator-3d")
+    tank, observations = EnergyTank(scenario, 2, budget=0.2), Simulator(scenario, 2).reset(0)
+    random = np.random.default_rng(0)
+
+    def go_on(each, wishes):
+        each.view(observations)
+        each.hold(wishes)
+        actions = each.act(observations)
+        each.book()
+        return actions, each.levels
+
+    go_on(tank, random.normal(size=(2, 5, 3)))
+    fresh = EnergyTank(scenario, 2, budget=9.0)
+    fresh.set_state(tank.get_state())
+    others = [fresh, copy.deepcopy(tank), pickle.loads(pickle.dumps(tank))]
+    wishes = random.normal(size=(2, 5, 3))
+    expected = go_on(tank, wishes)
+    for other in others:
+        for a, b in zip(go_on(other, wishes), expected, strict=True):
+            np.testing.assert_array_equal(a, b)
+
+
+def test_forgetting_some_teams_spares_the_others():
+    scenario = five("unicycle")
+    tank = EnergyTank(scenario, 3, budget=0.5)
+    tank.hold(np.ones((3, 5, 2)))
+    tank.act(Simulator(scenario, 3).reset(0))
+    tank.book()
+    before = tank.get_state()
+    tank.forget(np.array([False, True, False]))
+    after = tank.get_state()
+    for name, array in before.items():
+        np.testing.assert_array_equal(after[name][[0, 2]], array[[0, 2]])
+    assert (after["levels"][1] == 0.5).all() and (before["levels"] != 0.5).all()
+    assert not after["held"][1].any()
+
+
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        ({"levels": np.full((2, 5), -1.0)}, r"levels of robot_0 in team 0 is -1.0; it must be"),
+        ({"levels": np.full((2, 5), np.nan)}, "levels.* must be finite"),
+        ({"levels": np.full((2, 5), 1e61)}, "levels.* must be"),
+        ({"levels": np.zeros((2, 4))}, "levels must be an array"),
+        ({"frames": np.zeros((2, 5, 2, 2))}, "a rotation"),
+    ],
+)
+def test_a_state_is_taken_as_a_whole(spoil, message):
+    tank = EnergyTank(five("single_integrator-2d"), 2, budget=3.0)
+    state = {**tank.get_state(), "held": np.ones((2, 5, 2))}
+    with pytest.raises(ValueError, match=message):
+        tank.set_state({**state, **spoil})
+    assert not tank.get_state()["held"].any() and (tank.levels == 3.0).all()
+
+
+@pytest.mark.parametrize(
+    ("told", "message"),
+    [
+        ({"contact": np.zeros((2, 4), bool)}, "contact is"),
+        ({"contact": np.zeros((2, 5))}, "contact is"),
+        ({"resting": np.zeros(3, bool)}, "resting is"),
+        ({"merged_into": np.zeros((2, 5))}, "merged_into is"),
+        ({"merged_into": np.full((2, 5), 5)}, "merged_into is .* from 0 to 4"),
+        ({"merged_into": np.full((2, 5), -1)}, "merged_into is .* from 0 to 4"),
+        ({"merged_into": np.zeros((5, 2), int)}, "merged_into is"),
+    ],
+)
+def test_what_no_step_can_have_been_is_not_booked(told, message):
+    scenario = five("single_integrator-2d")
+    tank = EnergyTank(scenario, 2, budget=1.0)
+    tank.act(Simulator(scenario, 2).reset(0))
+    with pytest.raises(ValueError, match=message):
+        tank.book(**told)
+    assert (tank.levels == 1.0).all()
+
+
+@pytest.mark.parametrize("budget", [-1.0, np.nan, np.inf, "1", None, [1.0], True])
+def test_a_budget_is_a_number_of_zero_or_more(budget):
+    with pytest.raises(ValueError, match=r"budget is .* from 0 to"):
+        EnergyTank(five("single_integrator-2d"), 1, budget=budget)
+
+
+def test_robots_with_inertia_are_refused():
+    with pytest.raises(ValueError, match="scenario has double_integrator robots"):
+        EnergyTank(Scenario(robot_model="double_integrator"), 1)

@@ -1,0 +1,283 @@
+"""A family of graphs, an imperfection and a reward term from a user's own file."""
+
+from __future__ import annotations
+
+import pickle
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import rendezvous_env as rv
+from rendezvous_env import Scenario, Sensing, Simulator, graphs
+
+
+@graphs.family("hexagon-and-chords")
+def ring_with_chords(n, random):
+    """A ring, and one chord from robot 0."""
+    ring = [(i, (i + 1) % n) for i in range(n)]
+    return [*ring, (0, int(random.integers(2, n - 1)))]
+
+
+@rv.sensor_imperfection("blind-behind")
+def blind_behind(seen):
+    """Misses robots behind the y axis of the robot's frame."""
+    seen.neighbours[seen.neighbours[..., 0] < 0.0] = 0.0
+
+
+@rv.sensor_imperfection("half-lost")
+def half_lost(seen):
+    """Loses every second row, by chance."""
+    seen.neighbours[seen.uniform(*seen.neighbours.shape[1:3]) < 0.5] = 0.0
+
+
+@rv.reward_term("effort")
+def effort(step):
+    """What each robot asks for, m/s."""
+    return np.linalg.norm(step.actions, axis=-1)
+
+
+@rv.reward_term("spread")
+def spread(step):
+    """Mean distance to the centre of the team, m."""
+    centred = step.positions - step.positions.mean(axis=1, keepdims=True)
+    return np.linalg.norm(centred, axis=-1).mean(axis=-1)
+
+
+FAMILY = Scenario(n_robots=6, graph="hexagon-and-chords")
+
+
+def towards(scenario):
+    rows = scenario.observation_layout.neighbours
+    return lambda seen, time: seen[..., rows, :].sum(axis=-2)
+
+
+def walk(scenario, seed, num_envs, steps=12):
+    """Observations, rewards and rewards of robots of some steps, (steps, B, …)."""
+    simulator, act = Simulator(scenario, num_envs), towards(scenario)
+    observations, found = simulator.reset(seed), []
+    for _ in range(steps):
+        outcome = simulator.step(act(observations, 0.0))
+        observations = outcome.observations
+        found.append((observations, outcome.rewards.copy(), outcome.robot_rewards))
+    return [np.array(each) for each in zip(*found, strict=True)]
+
+
+# ---- a family of graphs -------------------------------------------------------------------------
+
+
+def test_a_family_is_drawn_for_every_seed_and_episode_and_no_batch():
+    graph = {"kind": "hexagon-and-chords", "weight_range": [0.5, 2.0]}
+    simulator = Simulator(FAMILY.replace(graph=graph), 40)
+    simulator.reset(3)
+    weights = simulator.weights
+    assert ((weights > 0).sum(axis=(1, 2)) == 2 * 7).all()
+    assert len(np.unique(weights > 0, axis=0)) == 3  # chords to robots 2, 3 and 4
+    positive = weights[weights > 0]
+    assert 0.5 <= positive.min() < 0.7 and 1.8 < positive.max() <= 2.0
+    single = Simulator(simulator.scenario)
+    single.reset(3 + 7)
+    np.testing.assert_array_equal(single.weights[0], weights[7])
+    simulator.reset()
+    assert not np.array_equal(simulator.weights, weights)
+
+
+def test_a_family_is_a_graph_like_any_other(tmp_path):
+    assert Scenario.from_plain(FAMILY.to_plain()) == FAMILY
+    FAMILY.to_toml(tmp_path / "mine.toml")
+    assert Scenario.from_toml(tmp_path / "mine.toml").graph == FAMILY.graph
+    assert FAMILY.max_degree == 5.0 and FAMILY.bottleneck_weight == 1.0
+    assert FAMILY.observation_layout.neighbour_slots == 5
+    met = rv.rollout(FAMILY, towards(FAMILY), seed=0, num_envs=3)
+    assert met.success.all() and met.largest_rise_between_merges.max() <= 0.0
+    assert rv.certificate(FAMILY).guaranteed and np.isfinite(rv.certificate(FAMILY).time_bound)
+
+
+@pytest.mark.parametrize(
+    ("draw", "said"),
+    [
+        (lambda n, random: [(0, 1)], "drew a graph that is not connected: it falls into"),
+        (lambda n, random: [(0, n)], r"drew for 6 robots: graph: edge \(0, 6\) must join"),
+        (lambda n, random: 5, "graph: edges is 5; it must be a sequence"),
+    ],
+)
+def test_a_bad_family_is_told_before_any_episode(draw, said):
+    graphs.family("bad", draw)
+    with pytest.raises(ValueError, match=f"family 'bad' .*{said}|{said}"):
+        FAMILY.replace(graph="bad")
+
+
+def test_a_family_that_fails_later_leaves_everything_as_it_was():
+    graphs.family("moody", lambda n, random: [(i, i + 1) for i in range(n - 1)])
+    simulator = Simulator(FAMILY.replace(graph="moody"), 2)
+    simulator.reset(5)
+    before = simulator.get_state()
+    graphs.family("moody", lambda n, random: [])
+    with pytest.raises(ValueError, match="'moody' drew a graph that is not connected"):
+        simulator.reset(9)
+    after = simulator.get_state()
+    assert all(np.array_equal(before[key], after[key]) for key in before)
+
+
+def test_names_of_families():
+    with pytest.raises(ValueError, match="name is 'path'; it must be new"):
+        graphs.family("path", ring_with_chords)
+    with pytest.raises(ValueError, match=r"choose one of .*; did you mean 'hexagon-and-chords'"):
+        FAMILY.replace(graph="hexagon-and-chord")
+    with pytest.raises(ValueError, match="family of graphs 'mine' is 5; it must be a function"):
+        graphs.family("mine", 5)
+    with pytest.raises(ValueError, match="name of a family of graphs is ''"):
+        graphs.family("")(ring_with_chords)
+
+
+# ---- an imperfection ----------------------------------------------------------------------------
+
+
+def test_who_is_behind_is_not_seen():
+    scenario = Scenario(n_robots=4)
+    blind = scenario.replace(sensing=Sensing(custom=["blind-behind"]))
+    assert not blind.sensing.exact and "blind-behind" in blind.sensing.departures()
+    exact, seen = (Simulator(s, 5).reset(2) for s in (scenario, blind))
+    behind = exact[..., :3, 0] < 0.0
+    assert behind.any() and not seen[..., :3, :][behind].any()
+    np.testing.assert_array_equal(seen[..., :3, :][~behind], exact[..., :3, :][~behind])
+
+
+def test_those_left_stand_first_where_rows_are_few():
+    ring = Scenario(n_robots=5, graph="cycle", sensing=Sensing(custom=("blind-behind",)))
+    seen = Simulator(ring, 20).reset(0).any(axis=-1)
+    assert (seen[..., 0] | ~seen[..., 1]).all() and not seen.all()
+
+
+@pytest.mark.parametrize("names", [("half-lost",), ("blind-behind", "half-lost")])
+def test_batches_see_and_earn_what_single_teams_do(names):
+    scenario = Scenario(
+        n_robots=4,
+        sensing=Sensing(custom=names, noise=0.1),
+        reward=rv.RewardWeights(custom={"effort": -0.01, "spread": -0.1}),
+    )
+    batch = walk(scenario, 3, 4)
+    for team in range(4):
+        single = walk(scenario, 3 + team, 1)
+        for many, one in zip(batch, single, strict=True):
+            np.testing.assert_array_equal(many[:, team], one[:, 0])
+
+
+def test_what_is_seen_follows_from_the_state():
+    simulator = Simulator(Scenario(n_robots=4, sensing=Sensing(custom=("half-lost",))), 2)
+    first = simulator.reset(0)
+    again = simulator.observe()
+    np.testing.assert_array_equal(first, again)
+    zero = np.zeros((2, 4, 2), np.float32)
+    assert not np.array_equal(simulator.step(zero).observations == 0, first == 0)
+    outcome = simulator.step(zero)
+    kept = outcome.observations[1].copy()
+    simulator.restart(np.array([True, False]), outcome)
+    np.testing.assert_array_equal(outcome.observations[1], kept)
+    np.testing.assert_array_equal(outcome.observations, simulator.observe())
+
+
+def test_no_theorem_covers_a_custom_sensor():
+    scenario = Scenario(sensing=Sensing(custom=("blind-behind",)))
+    for by in ("law", "heading", "tank", "gains", "links"):
+        margin = 0.5 if by in ("heading", "tank") else 1.0
+        certificate = rv.certificate(scenario, margin, by=by)
+        assert not certificate.guaranteed and "blind-behind" in str(certificate)
+
+
+# ---- a reward term ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("on_merge", ["remove", "follow"])
+def test_terms_are_added_with_their_weights(on_merge):
+    plain = Scenario(n_robots=3, on_merge=on_merge, time_limit=20.0)
+    paid = plain.replace(reward=rv.RewardWeights(custom={"effort": -0.5, "spread": 2.0}))
+    steps, scenarios = 60, (plain, paid)
+    (_, usual, each_usual), (_, earned, each_earned) = (walk(s, 1, 2, steps) for s in scenarios)
+    simulator, act = Simulator(plain, 2), towards(plain)
+    observations = simulator.reset(1)
+    for k in range(steps):
+        actions, took_part = act(observations, 0.0), simulator.active
+        running = ~simulator.ended
+        observations = simulator.step(actions).observations
+        centred = simulator.positions - simulator.positions.mean(axis=1, keepdims=True)
+        size = 2.0 * np.linalg.norm(centred, axis=-1).mean(axis=-1)
+        effort = -0.5 * np.linalg.norm(actions, axis=-1)
+        team = np.where(took_part, effort, 0.0).sum(axis=1) / took_part.sum(axis=1)
+        np.testing.assert_allclose(earned[k] - usual[k], running * (team + size), atol=1e-6)
+        earning = (took_part | (on_merge == "follow")) & running[:, None]
+        each = np.where(earning, effort + size[:, None], 0.0)
+        np.testing.assert_allclose(each_earned[k] - each_usual[k], each, atol=1e-6)
+
+
+def test_terms_reach_every_interface():
+    scenario = Scenario(n_robots=2, reward=rv.RewardWeights(custom={"effort": -1.0}))
+    actions = np.array([[0.6, 0.8], [0.0, 0.5]], np.float32)
+    expected = {}
+    for weights in (scenario.reward, rv.RewardWeights()):
+        env = rv.parallel_env(scenario, reward=weights)
+        env.reset(seed=0)
+        expected[weights] = env.step(dict(zip(env.agents, actions, strict=True)))[1]
+    custom, usual = expected.values()
+    assert custom["robot_0"] - usual["robot_0"] == pytest.approx(-1.0)
+    assert custom["robot_1"] - usual["robot_1"] == pytest.approx(-0.5)
+    venv = rv.make_vec(scenario, num_envs=1)
+    venv.reset(seed=0)
+    _, reward, _, _, infos = venv.step(actions[None])
+    assert infos["robot_rewards"][0].tolist() == list(custom.values())
+    assert reward[0] == pytest.approx(sum(custom.values()) / 2)
+
+
+@pytest.mark.parametrize(
+    ("make", "said"),
+    [
+        (lambda: rv.RewardWeights(custom={"efort": 1.0}), "'efort' is unknown; did you mean 'eff"),
+        (lambda: rv.RewardWeights(custom={"effort": "x"}), "reward.custom.effort is 'x'"),
+        (lambda: rv.RewardWeights(custom=5), "reward.custom is 5; it must be a mapping"),
+        (lambda: Sensing(custom=("nothing",)), "'nothing' is unknown; register it with rv.sensor"),
+        (lambda: Sensing(custom="blind-behind"), "it must be a list of names"),
+        (lambda: rv.reward_term("x", 5), "term 'x' is 5; it must be a function"),
+        (lambda: rv.reward_term(""), "name of a reward term is ''"),
+        (lambda: rv.sensor_imperfection("x", 5), "imperfection 'x' is 5; it must be a function"),
+    ],
+)
+def test_what_is_not_registered_is_refused(make, said):
+    with pytest.raises(ValueError, match=said):
+        make()
+
+
+def test_a_term_of_the_wrong_shape_is_named():
+    rv.reward_term("wide", lambda step: np.zeros(7))
+    rv.reward_term("endless", lambda step: np.full(len(step.time), np.inf))
+    for name, said in (("wide", r"shape \(7,\); it must be \(1,\) or"), ("endless", "finite")):
+        simulator = Simulator(Scenario(reward=rv.RewardWeights(custom={name: 1.0})))
+        simulator.reset(0)
+        with pytest.raises(ValueError, match=f"reward term '{name}' .*{said}"):
+            simulator.step(np.zeros((1, 5, 2)))
+
+
+def test_weights_and_names_are_written_to_files(tmp_path):
+    scenario = Scenario(
+        name="mine",
+        reward=rv.RewardWeights(custom={"spread": 2, "effort": np.float32(-0.5)}),
+        sensing=Sensing(custom=("blind-behind",)),
+    )
+    scenario.to_toml(tmp_path / "mine.toml")
+    assert Scenario.from_toml(tmp_path / "mine.toml") == scenario
+    assert hash(scenario) == hash(Scenario.from_plain(scenario.to_plain()))
+
+
+def test_a_process_that_has_not_registered_them_says_so(tmp_path):
+    scenario = FAMILY.replace(
+        sensing=Sensing(custom=("blind-behind",)), reward=rv.RewardWeights(custom={"effort": 1.0})
+    )
+    (tmp_path / "scenario.pickle").write_bytes(pickle.dumps(scenario))
+    code = (
+        "import pickle, pathlib; s = pickle.loads(pathlib.Path('scenario.pickle').read_bytes());"
+        "s.sensing_graph.draw(6, 0, 0, connected=True)"
+    )
+    found = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert "'hexagon-and-chords' is not registered here; import the file that" in found.stderr

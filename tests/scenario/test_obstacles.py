@@ -1,0 +1,259 @@
+"""Obstacles as data: what is accepted, what is refused, and random fields of them."""
+
+import math
+import tomllib
+
+import numpy as np
+import pytest
+import shapely
+
+from rendezvous_env.obstacles.capsule import CAPSULE, Capsule
+from rendezvous_env.obstacles.disc import BALL, Disc, Sphere
+from rendezvous_env.obstacles.fields import ObstacleField, draw_field
+from rendezvous_env.obstacles.obstacle_set import check_outside, pack, table_of, world_of
+from rendezvous_env.obstacles.parsing import max_count, parse, row_width, to_plain
+from rendezvous_env.obstacles.polygon import POLYGON, Polygon
+from rendezvous_env.obstacles.shape import ABSENT, CENTRE, KIND, RADIUS
+from rendezvous_env.physics.random_streams import OBSTACLES, stream_key
+
+TRIANGLE = ((0, 0), (3, 0), (0, 3))
+FIELD = ObstacleField(count=(2, 5), radius=(0.5, 1.5), region=12.0, keep_out=0.4, overlap=False)
+
+
+class TestValidation:
+    @pytest.mark.parametrize(
+        ("make", "message"),
+        [
+            (lambda: Disc((0, 0), 0), "radius 0 of a Disc must be"),
+            (lambda: Disc((0, 0), math.nan), "radius nan of a Disc must be"),
+            (lambda: Disc((0, 0), "1"), "radius '1' of a Disc must be"),
+            (lambda: Disc((0, 0, 0), 1), "centre .* of a Disc must be 2 finite numbers"),
+            (lambda: Disc((0, math.inf), 1), "centre .* of a Disc must be 2 finite numbers"),
+            (lambda: Disc(3, 1), "centre 3 of a Disc must be 2 finite numbers"),
+            (lambda: Sphere((0, 0), 1), "centre .* of a Sphere must be 3 finite numbers"),
+            (lambda: Sphere((0, 0, 0), -1), "radius -1 of a Sphere must be"),
+            (lambda: Capsule(((0, 0), (1, 0)), 0), "radius 0 of a Capsule must be"),
+            (lambda: Capsule(((0, 0),), 1), "ends .* of a Capsule must be two points"),
+            (lambda: Capsule(((0, 0), (1, 0, 0)), 1), r"ends\[1\] .* must be 2 finite numbers"),
+            (lambda: Polygon(((0, 0), (1, 0))), "must be at least 3 points"),
+            (lambda: Polygon(None), "must be at least 3 points"),
+            (lambda: Polygon(((0, 0), (1, 0), (0, math.nan))), r"vertices\[2\] .* finite"),
+            (lambda: Polygon((*TRIANGLE, (0, 0))), r"vertices\[3\] .* repeats another"),
+            (lambda: Polygon(((0, 0), (1, 1), (2, 2))), "degenerate"),
+            (lambda: Polygon(((0, 0), (1, 0), (2, 1e-7))), "degenerate"),
+            (lambda: Polygon(((0, 0), (1, 1), (1, 0), (0, 1))), "cross over"),
+            (lambda: Polygon(((0, 0), (4, 0), (1, 1), (0, 4))), "not convex"),
+            (lambda: ObstacleField(-1, (1, 2), 9, 1), "count -1 .* must be"),
+            (lambda: ObstacleField((5, 2), (1, 2), 9, 1), "count .* must be"),
+            (lambda: ObstacleField(2.5, (1, 2), 9, 1), "count 2.5 .* must be"),
+            (lambda: ObstacleField(2, (2, 1), 9, 1), "radius .* low <= high"),
+            (lambda: ObstacleField(2, (0, 1), 9, 1), "radius 0 of a"),
+            (lambda: ObstacleField(2, (1, 2), -9, 1), "region -9 .* must be"),
+            (lambda: ObstacleField(2, (1, 2), 9, math.nan), "keep_out nan .* must be"),
+            (lambda: ObstacleField(2, (1, 2), 9, 1, "no"), "overlap 'no' .* True or False"),
+        ],
+    )
+    def test_refusals_name_the_field_and_what_would_be_right(self, make, message):
+        with pytest.raises(ValueError, match=message):
+            make()
+
+    def test_a_pentagram_is_refused(self):
+        turns = 4 * math.pi / 5 * np.arange(5)
+        with pytest.raises(ValueError, match="cross over"):
+            Polygon(tuple(zip(np.cos(turns), np.sin(turns), strict=True)))
+
+    def test_clockwise_vertices_are_turned_round(self):
+        assert Polygon(TRIANGLE[::-1]) == Polygon(((0, 3), (0, 0), (3, 0)))
+        assert Polygon(((0, 0), (0, 3), (3, 0))) == Polygon(TRIANGLE)
+
+    def test_equal_obstacles_hash_equal(self):
+        assert hash(Disc([1, 2], 3)) == hash(Disc((1.0, 2.0), 3.0))
+        assert len({Polygon(TRIANGLE), Polygon([list(v) for v in TRIANGLE]), FIELD, FIELD}) == 2
+
+    def test_rounding_makes_no_polygon_concave(self):
+        """Long, thin and turned: the area of such a rectangle is known to fewer digits."""
+        long = np.array([(-1000.0, -0.005), (1000.0, -0.005), (1000.0, 0.005), (-1000.0, 0.005)])
+        along = np.array([(-1.0, -1.0), (0.3, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)])
+        rng = np.random.default_rng(0)
+        for k in range(300):
+            angle = 0.3 if k == 0 else rng.uniform(-math.pi, math.pi)
+            turn = np.array(
+                [(math.cos(angle), -math.sin(angle)), (math.sin(angle), math.cos(angle))]
+            )
+            size, away = 10.0 ** rng.uniform(-2, 4, 2), rng.normal(0, 1000, 2)
+            for corners in (long, along * size):  # the second with a corner on a straight edge
+                Polygon(corners @ turn.T)
+                Polygon(corners @ turn.T + away)
+
+    @pytest.mark.parametrize("scale", [1e-2, 1.0, 1e3])
+    def test_a_small_dent_is_not_taken_for_rounding(self, scale):
+        corners = np.array([(0.0, 0.0), (1.0, 1e-10), (2.0, 0.0), (2.0, 1.0), (0.0, 1.0)])
+        with pytest.raises(ValueError, match="not convex"):
+            Polygon(scale * corners)
+
+    def test_centroid_equals_shapely(self):
+        rng = np.random.default_rng(0)
+        for _ in range(100):
+            hull = shapely.MultiPoint(rng.normal(100, 2, (9, 2))).convex_hull
+            polygon = Polygon(tuple(hull.exterior.coords)[:-1])
+            np.testing.assert_allclose(polygon.centroid, hull.centroid.coords[0], atol=1e-9)
+
+
+class TestPlainData:
+    @pytest.mark.parametrize(
+        ("value", "dim"),
+        [
+            ((), 2),
+            ((Disc((0.1, 1 / 3), 0.7), Polygon(TRIANGLE)), 2),
+            ((Sphere((0.1, 2, 3), 0.7),), 3),
+            ((Capsule(((0.1, 2), (3, 1 / 3)), 0.7),), 2),
+            ((Capsule(((0.1, 2, 3), (3, 1 / 3, 3)), 0.7),), 3),
+            (FIELD, 2),
+            (ObstacleField(4, (1, 1), 8, 0), 3),
+        ],
+    )
+    def test_round_trip_is_exact(self, value, dim):
+        assert parse(to_plain(value), dim) == value
+        assert parse(value, dim) == value
+
+    def test_what_toml_gives_is_understood(self):
+        table = tomllib.loads(
+            """
+            few = [
+                {centre = [1, 2], radius = 0.5},
+                {vertices = [[0, 0], [3, 0], [0, 3]]},
+            ]
+            [many]
+            count = [2, 5]
+            radius = [0.5, 1.5]
+            region = 12
+            keep_out = 0.4
+            overlap = false
+            """
+        )
+        assert parse(table["few"], 2) == (Disc((1, 2), 0.5), Polygon(TRIANGLE))
+        assert parse(table["many"], 2) == FIELD
+
+    def test_one_obstacle_needs_no_list(self):
+        assert parse(Disc((1, 2), 3), 2) == (Disc((1, 2), 3),)
+        assert parse({"centre": [1, 2, 0], "radius": 3}, 3) == (Sphere((1, 2, 0), 3),)
+
+    @pytest.mark.parametrize(
+        ("value", "dim", "message"),
+        [
+            ([{"center": [0, 0], "radius": 1}], 2, "'center' of a disc; did you mean 'centre'"),
+            ({"count": 3, "radii": [1, 2]}, 2, "'radii' of a field; did you mean 'radius'"),
+            ([{"kind": "cube"}], 2, "kind 'cube' must be one of disc"),
+            ([{"centre": [0, 0]}], 2, "a disc needs radius"),
+            ([Sphere((0, 0, 0), 1)], 2, r"obstacles\[0\].*in 2-D use Disc, Polygon or Capsule"),
+            ([Disc((0, 0), 1)], 3, r"obstacles\[0\].*in 3-D use Sphere or Capsule"),
+            ([FIELD], 2, "stands alone"),
+            ([Disc((0, 0), 1), 7], 2, r"obstacles\[1\]: 7 must be"),
+            ("disc", 2, "'disc' must be a sequence"),
+            (5, 2, "5 must be a sequence"),
+        ],
+    )
+    def test_refusals(self, value, dim, message):
+        with pytest.raises(ValueError, match=message):
+            parse(value, dim)
+
+
+class TestPacking:
+    def test_hand_computed(self):
+        rows = pack([Polygon(TRIANGLE), Disc((5, 6), 7)], 3)
+        polygon = [POLYGON, 3, math.sqrt(5), 1, 1, 0, 0, 0, 3, 0, 0, 3]
+        np.testing.assert_allclose(rows[0], polygon, atol=1e-15)
+        assert rows[1].tolist() == [BALL, 0, 7, 5, 6, 0, 0, 0, 0, 0, 0, 0]
+        assert rows[2].tolist() == [ABSENT] + [0] * 11
+        assert pack([Sphere((1, 2, 3), 4)], 1).tolist() == [[BALL, 0, 4, 1, 2, 3]]
+
+    def test_capsules_by_hand(self):
+        flat = pack([Capsule(((1, 0), (5, 0)), 0.5)], 1)
+        assert flat.tolist() == [[CAPSULE, 0, 2.5, 3, 0, 0, 2, 0, 0, 0.5]]
+        upright = pack([Capsule(((1, 2, 0), (1, 2, 4)), 0.5)], 1)
+        assert upright.tolist() == [[CAPSULE, 0, 2.5, 1, 2, 2, 0, 0, 2, 0.5]]
+
+    def test_a_world_is_the_table_again(self):
+        table = pack([Polygon(TRIANGLE), Disc((5, 6), 7), Capsule(((1, 0), (5, 0)), 0.5)], 4)
+        tables = np.stack([table, table[[2, 0, 3, 1]]])
+        np.testing.assert_array_equal(table_of(world_of(tables)), tables)
+
+    def test_width_and_count(self):
+        few = (Disc((0, 0), 1), Polygon(TRIANGLE))
+        assert (row_width(few), max_count(few)) == (12, 2)
+        assert (row_width(()), max_count(())) == (6, 0)
+        assert (row_width(FIELD), max_count(FIELD)) == (6, 5)
+
+    def test_no_room_is_refused(self):
+        with pytest.raises(ValueError, match="2 were given, there is room for 1"):
+            pack([Disc((0, 0), 1)] * 2, 1)
+        with pytest.raises(ValueError, match="needs 6 numbers for its shape, there is room for 2"):
+            pack([Polygon(TRIANGLE)], 1, width=8)
+
+    def test_positions_inside_are_refused_by_name(self):
+        check_outside("positions", np.array([[2.0, 0.0], [0.0, 3.0]]), (Disc((0, 0), 2),))
+        with pytest.raises(ValueError, match=r"positions: robot_1 at \[0.0, 1.5\] is 0.5 m inside"):
+            check_outside("positions", np.array([[2.0, 0.0], [0.0, 1.5]]), (Disc((0, 0), 2),))
+
+
+def draw(field, episode, starts, slots=6):
+    """Whether a field was drawn, and its table (slots, width)."""
+    key = np.uint64(stream_key(11, episode, OBSTACLES))
+    table = np.full((slots, row_width(field)), 77.0)
+    obstacles = world_of(table, only_balls=True)
+    drawn = draw_field(key, field.rules, starts, len(starts), obstacles)
+    return drawn, table_of(obstacles)
+
+
+class TestDrawField:
+    @pytest.mark.parametrize("dim", [2, 3])
+    def test_keeps_count_radius_region_distance_and_apart(self, dim):
+        starts = np.random.default_rng(dim).uniform(-6, 6, (4, dim))
+        counts = []
+        for episode in range(300):
+            drawn, rows = draw(FIELD, episode, starts)
+            count = int((rows[:, KIND] == BALL).sum())
+            counts.append(count)
+            assert drawn
+            assert np.all(rows[count:, KIND] == ABSENT)
+            radii, centres = rows[:count, RADIUS], rows[:count, CENTRE : CENTRE + dim]
+            assert not rows[:count, CENTRE + dim :].any()
+            assert np.all((radii >= 0.5) & (radii < 1.5))
+            assert np.all(np.abs(centres) <= 6)
+            gaps = np.linalg.norm(centres[:, None] - starts, axis=2) - radii[:, None]
+            assert gaps.min() >= 0.4
+            between = np.linalg.norm(centres[:, None] - centres, axis=2) + 99 * np.eye(count)
+            assert np.all(between >= radii[:, None] + radii)
+        assert np.all(np.bincount(counts, minlength=6)[2:] > 40)
+        assert set(counts) == {2, 3, 4, 5}
+
+    def test_radii_and_centres_are_uniform(self):
+        field = ObstacleField(6, (1, 3), 10, 0)
+        nowhere = np.empty((0, 2))
+        rows = np.concatenate([draw(field, episode, nowhere)[1] for episode in range(1000)])
+        columns = rows[:, [RADIUS, CENTRE, CENTRE + 1]]
+        for numbers, (low, high) in zip(columns.T, ((1, 3), (-5, 5), (-5, 5)), strict=True):
+            found, _ = np.histogram(numbers, bins=10, range=(low, high))
+            assert found.sum() == 6000
+            assert np.abs(found - 600).max() < 5 * math.sqrt(600)
+        assert np.abs(np.corrcoef(columns.T) - np.eye(3)).max() < 0.06
+
+    def test_only_the_first_starts_count(self):
+        starts, key = np.array([[9.0, 9.0], [0.0, 0.0]]), np.uint64(stream_key(0, 0, OBSTACLES))
+        rules = ObstacleField(1, (1.0, 1.0), 0.1, 0.5).rules
+        obstacles = world_of(pack([], 6), only_balls=True)
+        assert draw_field(key, rules, starts, 1, obstacles)
+        assert not draw_field(key, rules, starts, 2, obstacles)
+
+    def test_a_full_place_fails_and_leaves_what_was_placed(self):
+        drawn, rows = draw(ObstacleField(6, (1, 1), 2.5, 0, False), 0, np.empty((0, 2)))
+        assert not drawn
+        count = int((rows[:, KIND] == BALL).sum())
+        assert 1 <= count < 6
+        assert np.all(rows[count:, KIND] == ABSENT)
+
+    def test_the_same_stream_gives_the_same_field(self):
+        nowhere = np.empty((0, 2))
+        first, again, other = (draw(FIELD, episode, nowhere)[1] for episode in (3, 3, 4))
+        assert np.array_equal(first, again)
+        assert not np.array_equal(first, other)

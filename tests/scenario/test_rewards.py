@@ -1,0 +1,92 @@
+"""The team reward, by hand and over whole episodes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from conftest import five, law_of
+
+from rendezvous_env import Disc, RewardWeights, Scenario, Simulator
+from rendezvous_env.engine.memory import RENDEZVOUS, RUNNING
+from rendezvous_env.rewards.terms import team_reward
+
+WEIGHTS = (2.0, 0.5, 0.25, 3.0, 0.5)
+
+
+@pytest.mark.parametrize(
+    ("progress", "time_share", "contacts", "closeness", "met", "expected"),
+    [
+        (0.1, 0.02, 0, 0.0, False, 0.2 - 0.01),
+        (-0.1, 0.02, 3, 0.0, False, -0.2 - 0.01 - 0.75),
+        (0.1, 0.02, 0, 0.0, True, 0.2 - 0.01 + 3.0),
+        (0.1, 0.02, 0, 1.5, True, 0.2 - 0.01 + 3.0 - 0.75),
+    ],
+)
+def test_by_hand(progress, time_share, contacts, closeness, met, expected):
+    found = team_reward(progress, time_share, contacts, closeness, met, WEIGHTS)
+    assert found == pytest.approx(expected)
+
+
+def test_progress_telescopes_and_each_term_is_its_own(kind):
+    """Over an episode that ends in a rendezvous progress is 1, whatever happened on the way."""
+    terms = {
+        "progress": RewardWeights(1.0, 0.0, 0.0, 0.0),
+        "time": RewardWeights(0.0, 1.0, 0.0, 0.0),
+        "bonus": RewardWeights(0.0, 0.0, 0.0, 1.0),
+    }
+    for name, reward in terms.items():
+        scenario = five(kind, reward=reward, time_limit=100.0, spawn_size=5.0)
+        sim, policy = Simulator(scenario, 8), law_of(scenario)
+        observations, total = sim.reset(0), np.zeros(8)
+        before = sim.lyapunov()
+        while (running := sim.status == RUNNING).any():
+            outcome = sim.step(policy(observations, sim.time))
+            observations, now = outcome.observations, sim.lyapunov()
+            if name == "progress":
+                expected = (before - now) / sim.initial_lyapunov
+                np.testing.assert_allclose(outcome.rewards, expected * running, atol=1e-13)
+            if name == "time":
+                np.testing.assert_allclose(outcome.rewards, -1.0 * running / scenario.max_steps)
+            if name == "bonus":
+                np.testing.assert_array_equal(
+                    outcome.rewards, running & (outcome.status == RENDEZVOUS)
+                )
+            total, before = total + outcome.rewards, now
+        assert (sim.status == RENDEZVOUS).all()
+        if name == "time":
+            np.testing.assert_allclose(total, -sim.steps / scenario.max_steps)
+        else:
+            np.testing.assert_allclose(total, 1.0)
+
+
+def test_each_robot_in_contact_costs_in_each_step():
+    walls = [Disc((-3.0, 0.0), 1.0), Disc((3.0, 0.0), 1.0)]
+    scenario = Scenario(
+        n_robots=3,
+        obstacles=walls,
+        local_frames="global",
+        obstacle_contact="stop",
+        reward=RewardWeights(0.0, 0.0, 0.5, 0.0),
+    )
+    sim = Simulator(scenario)
+    sim.reset(0, {"positions": [[-1.9, 0.0], [1.9, 0.0], [0.0, 5.0]]})
+    into = np.array([[[-9.0, 0], [9.0, 0], [0, 0]]])
+    for _ in range(4):
+        outcome = sim.step(into)
+    assert outcome.contact.tolist() == [[True, True, False]]
+    assert outcome.rewards[0] == pytest.approx(-1.0)
+    assert sim.contacts[0] >= 6
+
+
+def test_clearance_costs_each_robot_near_an_obstacle_in_proportion():
+    scenario = Scenario(
+        n_robots=3,
+        obstacles=[Disc((0.0, 0.0), 1.0)],
+        obstacle_range=2.0,
+        reward=RewardWeights(0.0, 0.0, 0.0, 0.0, clearance_penalty=0.4),
+    )
+    sim = Simulator(scenario)
+    sim.reset(0, {"positions": [[1.5, 0.0], [0.0, -2.0], [-9.0, 0.0]]})
+    outcome = sim.step(np.zeros((1, 3, 2)))
+    np.testing.assert_allclose(outcome.clearance, [[0.5, 1.0, 8.0]])
+    assert outcome.rewards[0] == pytest.approx(-0.4 * (0.75 + 0.5))

@@ -1,0 +1,109 @@
+"""Law (4) does not survive a graph that switches; what restores it (guarantees, section 10)."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import rendezvous_env as rv
+from rendezvous_env.safety.heading import flexible_velocity
+from rendezvous_env.safety.lyapunov import net_bearings
+
+SCENARIO = rv.scenarios.get("rotating-paths").replace(local_frames="global")
+MARGINS = np.array([0.1, 0.3, 0.26, 0.29, 0.1])
+SCALES = np.array([1.0, 1.0, 10.0, 10.0, 1.0])
+"""The effect of a held step falls with the size of the team: beside the threshold it must be
+large."""
+CONE = 4
+"""The team whose headings lie in the cone of their bearings."""
+
+
+class Growing:
+    """Certified headings that want the side of their cap, hᵀf = ε‖f‖, that lets L grow faster."""
+
+    def watch(self, simulator):
+        self.simulator, self.previous = simulator, np.zeros_like(simulator.positions)
+
+    def __call__(self, observations, time):
+        p, f = self.simulator.positions, SCENARIO.observation_layout.net_bearing(observations)
+        f = f.astype(float)
+        wish = growing_side(f, outward(p), MARGINS[:, None, None])
+        for team, margin in enumerate(MARGINS):
+            self.previous[team] = rv.certified_heading(
+                wish[team],
+                f[team],
+                self.previous[team],
+                min_alignment=margin,
+                dead_zone=SCENARIO.dead_zone,
+                max_turn=np.inf,
+            )
+        rows = observations[CONE, :, SCENARIO.observation_layout.neighbours]
+        self.previous[CONE] = in_cone(rows.astype(float), f[CONE], MARGINS[CONE])
+        return flexible_velocity(f, self.previous)
+
+
+def outward(p):
+    """∂L/∂p_i of triangles, (B, 3, 2): minus the bearings of the two others."""
+    complete = 1.0 - np.eye(3)
+    return -net_bearings(p + 1e-9 * np.arange(3)[:, None], complete)
+
+
+def growing_side(f, gradient, margin):
+    length = np.linalg.norm(f, axis=-1, keepdims=True)
+    along = f / np.where(length > 0, length, 1.0)
+    across = np.stack([-along[..., 1], along[..., 0]], axis=-1)
+    left, right = (margin * along + s * np.sqrt(1 - margin**2) * across for s in (1, -1))
+    better = np.sum((left - right) * gradient, axis=-1, keepdims=True) >= 0
+    return np.where(better, left, right)
+
+
+def in_cone(rows, f, margin):
+    """The first bearing of every robot that keeps the margin, else f: always in the cone (C4)."""
+    found = f / np.maximum(np.linalg.norm(f, axis=-1, keepdims=True), 1e-12)
+    for i, seen in enumerate(rows):
+        for g in seen[np.linalg.norm(seen, axis=-1) > 0]:
+            if g @ f[i] >= margin * np.linalg.norm(f[i]):
+                found[i] = g
+                break
+    return found
+
+
+@pytest.fixture(scope="module")
+def sizes():
+    """L of each team over time, (T + 1, B), m."""
+    starts = SCALES[:, None, None] * np.array(SCENARIO.start_positions)
+    policy = Growing()
+    found = rv.rollout(SCENARIO, policy, 0, num_envs=5, options={"positions": starts})
+    sides = found.positions - np.roll(found.positions, 1, axis=2)
+    return np.linalg.norm(sides, axis=-1).sum(axis=-1)
+
+
+def test_at_a_margin_of_a_tenth_the_team_grows_without_end(sizes):
+    assert SCENARIO.time_limit == 400.0
+    assert sizes[-1, 0] / sizes[0, 0] == pytest.approx(9.7, abs=0.05)
+    assert (np.diff(sizes[::60, 0]) > 0).all(), "in every round of three dwell times"
+
+
+def test_it_grows_at_the_rate_of_the_equilateral_triangle(sizes):
+    margin = MARGINS[0]
+    rate = np.sqrt(3) * margin * np.sqrt(1 - margin**2) - 6 * margin**2
+    assert (sizes[-1, 0] - sizes[0, 0]) / 400.0 == pytest.approx(rate, rel=0.01)
+
+
+def test_above_the_threshold_it_does_not_grow(sizes):
+    assert 1 / np.sqrt(13) == pytest.approx(0.277, abs=5e-4)
+    assert sizes[:, 1].max() == sizes[0, 1] and sizes[-1, 1] < 0.3 * sizes[0, 1]
+    assert sizes[-1, 2] > 1.05 * sizes[0, 2], "just below it"
+    assert sizes[-1, 3] < 0.95 * sizes[0, 3], "just above it"
+
+
+def test_headings_in_the_cone_of_what_is_seen_never_let_it_grow(sizes):
+    assert np.diff(sizes[:, CONE]).max() <= 1e-9
+    assert sizes[-1, CONE] == 0.0, "all have met"
+
+
+def test_law_1_meets_on_it():
+    import baselines
+
+    found = rv.rollout("rotating-paths", baselines.make("bearing-only", SCENARIO), 0)
+    assert found.success.all() and found.rendezvous_time < 5.0

@@ -1,0 +1,378 @@
+"""Scenario: what it refuses, what follows from it, and its TOML form."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import pickle
+import warnings
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from conftest import UNEQUAL
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from rendezvous_env import (
+    Disc,
+    ObstacleField,
+    Polygon,
+    RewardWeights,
+    Scenario,
+    Sphere,
+    TimeStepWarning,
+    graphs,
+)
+from rendezvous_env.scenario import scenarios
+
+TRIANGLE = Polygon(((0.0, 0.0), (1.0, 0.0), (0.0, 1.0)))
+
+
+def matrix(**entries: float) -> np.ndarray:
+    """UNEQUAL with some entries a_ij changed, given as a01=…, on one side only."""
+    weights = UNEQUAL.copy()
+    for name, value in entries.items():
+        weights[int(name[1]), int(name[2])] = value
+    return weights
+
+
+REFUSED = [
+    ({"n_robots": 1}, r"n_robots is 1; it must be a whole number, 2 or more"),
+    ({"n_robots": 0}, r"n_robots is 0"),
+    ({"n_robots": 2.0}, r"n_robots is 2\.0; .* whole number"),
+    ({"n_robots": True}, r"n_robots is True"),
+    ({"dim": 1}, r"dim is 1"),
+    ({"dim": 4}, r"dim is 4; it must be 2 or 3"),
+    ({"robot_model": "car"}, r"robot_model is 'car'; it must be one of 'single_integrator'"),
+    ({"robot_model": "unicycle", "dim": 3},
+        r"robot_model is 'unicycle'; .*'nonholonomic_3d'.*dim is 3"),
+    ({"robot_model": "nonholonomic_3d"},
+        r"robot_model is 'nonholonomic_3d'; .*'unicycle'.*dim is 2"),
+    *[
+        ({field: value}, rf"{field} is {value!r}; it must be a positive, finite number")
+        for field in (
+            "merge_radius", "time_step", "time_limit", "max_speed", "max_turn_rate",
+            "obstacle_range", "spawn_size",
+        )
+        for value in (0, -1.5, math.inf, math.nan, "1", True)
+    ],
+    *[({field: None}, rf"{field} is None") for field in ("merge_radius", "time_limit")],
+    ({"obstacle_contact": "bounce"}, r"obstacle_contact is 'bounce'; .*'slide', 'stop', 'ignore'"),
+    ({"local_frames": "world"}, r"local_frames is 'world'; .*'random', 'global'"),
+    ({"on_merge": "stay"}, r"on_merge is 'stay'; .*'remove', 'follow'"),
+    ({"require_connected": "no"}, r"require_connected is 'no'"),
+    ({"name": ""}, r"name is ''; it must be a word"),
+    ({"reward": {"progress": 1}}, r"reward is .* must be a RewardWeights"),
+    ({"graph": "ring"}, r"graph: 'ring' is not a graph; choose one of complete, path, cycle"),
+    ({"graph": matrix(a01=1.0)}, r"graph: weight a\[0, 1\] = 1\.0 must equal its mirror image"),
+    ({"graph": -UNEQUAL}, r"graph: weight a\[0, 1\] = -2\.0 must not be negative"),
+    ({"graph": matrix(a12=np.nan)}, r"a\[1, 2\] = nan must be finite"),
+    ({"graph": matrix(a33=1.0)}, r"a\[3, 3\] = 1\.0 must be 0: no robot is its own neighbour"),
+    ({"graph": UNEQUAL[:4]}, r"graph: weights have shape \(4, 5\); they must be \(4, 4\)"),
+    ({"graph": UNEQUAL, "n_robots": 4},
+        r"graph: its matrix or edge list is for 5 robots, not for 4"),
+    ({"graph": graphs.from_edges([(0, 3), (1, 2)], 5)},
+        r"not connected: it falls into \[0, 3\] and \[1, 2\] and \[4\].*require_connected"),
+    ({"graph": np.zeros((5, 5)), "require_connected": False}, r"time_step is None; .* no edge"),
+    ({"neighbour_slots": 5}, r"neighbour_slots is 5; .* from 1 to n_robots - 1 = 4"),
+    ({"neighbour_slots": 0}, r"neighbour_slots is 0; .* from 1 to n_robots - 1 = 4"),
+    ({"obstacle_slots": 1, "obstacles": [TRIANGLE, TRIANGLE]},
+        r"obstacle_slots is 1; .* obstacles, 2"),
+    ({"start_positions": [[0, 0]] * 4}, r"start_positions has shape \(4, 2\); it must be \(5, 2\)"),
+    ({"start_positions": [[k, 0.0] for k in range(4)] + [[math.inf, 0]]},
+        r"start_positions of robot_4 is \[inf, 0\.0\]; it must be finite"),
+    ({"start_positions": [[1.0, 2.0]] * 5}, r"robot_0 and robot_1 both stand at \[1\.0, 2\.0\]"),
+    ({"start_headings": [[0.0]] * 5}, r"start_headings has shape \(5, 1\); it must be \(5, 0\)"),
+    ({"robot_model": "unicycle", "start_headings": [0.0] * 5}, r"start_headings has shape \(5,\)"),
+    ({"start_positions": [[k, 0.0] for k in range(5)], "obstacles": [Disc((2.0, 0.3), 0.4)]},
+        r"start_positions: robot.2 at \[2\.0, 0\.0\].*inside Disc"),
+    ({"n_robot": 3}, r"no field 'n_robot'; did you mean 'n_robots'"),
+    ({"zzz": 3}, r"no field 'zzz'; known are name, n_robots, dim"),
+    ({"noise": 0.1}, r"no field 'noise'; known are name, n_robots, dim"),
+    ({"radius": 0.1}, r"no field 'radius'; did you mean 'merge_radius'"),
+    ({"merge": 0.1}, r"no field 'merge'; did you mean 'on_merge'"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("changes", "message"), REFUSED)
+def test_the_impossible_is_refused_with_field_value_and_remedy(changes, message):
+    with pytest.raises(ValueError, match=message):
+        Scenario().replace(**changes)
+
+
+@pytest.mark.parametrize("weight", [math.nan, math.inf, "1", None, True])
+def test_reward_weights_are_finite_numbers(weight):
+    with pytest.raises(ValueError, match=rf"reward.time_penalty is {weight!r}; .* finite number"):
+        RewardWeights(time_penalty=weight)
+
+
+def test_positions_are_by_keyword_only_and_fields_cannot_be_set():
+    with pytest.raises(TypeError):
+        Scenario("name", 3)
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        Scenario().n_robots = 3
+
+
+def test_a_disconnected_graph_is_allowed_on_request():
+    scenario = Scenario(graph=graphs.from_edges([(0, 3), (1, 2)], 5), require_connected=False)
+    assert scenario.max_degree == 1 and scenario.certified_step == pytest.approx(0.1)
+
+
+# ---- the time step ------------------------------------------------------------------------------
+
+
+def test_a_long_step_warns_and_says_the_certified_one():
+    message = r"time_step is 0\.05 s, longer than the certified step 0\.025 s.*allow_long_step=True"
+    with pytest.warns(TimeStepWarning, match=message) as caught:
+        scenario = Scenario(time_step=0.05)
+    assert caught[0].filename == __file__ and len(caught) == 1
+    assert scenario.tau == 0.05 and scenario.certified_step == 0.025
+    with pytest.warns(TimeStepWarning) as caught:
+        Scenario().replace(time_step=0.05)
+    assert caught[0].filename == __file__
+
+
+@pytest.mark.parametrize(
+    "changes", [{"time_step": 0.025}, {"time_step": 9.0, "allow_long_step": True}]
+)
+def test_other_steps_do_not(changes):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert Scenario(**changes).tau == changes["time_step"]
+
+
+@pytest.mark.parametrize(
+    ("limit", "tau", "steps"), [(1.0, 0.1, 10), (1.0, 0.3, 4), (0.3, 0.1, 3), (1e-6, 0.1, 1)]
+)
+def test_the_time_limit_is_rounded_up_to_whole_steps(limit, tau, steps):
+    scenario = Scenario(n_robots=2, time_limit=limit, time_step=tau, allow_long_step=True)
+    assert scenario.max_steps == steps
+
+
+# ---- derived constants, by hand -----------------------------------------------------------------
+
+CONSTANTS = [
+    # graph, n, D̄, a*
+    ("complete", 2, 1.0, 1.0),
+    ("complete", 3, 2.0, 1.0),
+    ("complete", 5, 4.0, 1.0),
+    ("path", 2, 1.0, 1.0),
+    ("path", 3, 2.0, 1.0),
+    ("path", 7, 2.0, 1.0),
+    ("cycle", 5, 2.0, 1.0),
+    ("star", 5, 4.0, 1.0),
+    (graphs.path((0.5, 2.0)), 6, 4.0, 0.5),
+    (graphs.cycle(3.0), 6, 6.0, 3.0),
+    (graphs.complete((0.5, 1.5)), 4, 4.5, 0.5),
+    (graphs.random_tree((0.5, 2.0)), 6, 10.0, 0.5),
+    (graphs.erdos_renyi(0.3, (0.5, 1.5)), 4, 4.5, 0.5),
+    ([[0, 2, 0], [2, 0, 0.5], [0, 0.5, 0]], 3, 2.5, 0.5),  # a path: min(2·2, 2 + 0.5)
+    (UNEQUAL, 5, 6.5, 0.9),  # W = 2 + .5 + 1.3 + .7 + 1.1 + .9 < 4·2; the tree 2, 1.3, 1.1, .9
+]
+
+
+@pytest.mark.parametrize(("graph", "n", "degree", "bottleneck"), CONSTANTS)
+def test_derived_constants(graph, n, degree, bottleneck):
+    scenario = Scenario(n_robots=n, graph=graph, merge_radius=0.3)
+    assert scenario.max_degree == pytest.approx(degree, rel=1e-12)
+    assert scenario.bottleneck_weight == pytest.approx(bottleneck, rel=1e-12)
+    assert scenario.dead_zone == pytest.approx(bottleneck / (2 * n), rel=1e-12)
+    assert scenario.certified_step == scenario.tau == pytest.approx(0.15 / degree, rel=1e-12)
+    assert scenario.speed_limit == scenario.turn_limit == pytest.approx(degree, rel=1e-12)
+    limited = scenario.replace(max_speed=0.4, max_turn_rate=0.7)
+    assert (limited.speed_limit, limited.turn_limit) == (0.4, 0.7)
+
+
+@pytest.mark.parametrize(
+    ("model", "dim", "bounds"),
+    [
+        ("single_integrator", 2, [0.5, 0.5]),
+        ("single_integrator", 3, [0.5, 0.5, 0.5]),
+        ("unicycle", 2, [0.5, 0.7]),
+        ("nonholonomic_3d", 3, [0.5, 7.0, 0.7]),
+    ],
+)
+def test_action_bounds(model, dim, bounds):
+    scenario = Scenario(robot_model=model, dim=dim, max_speed=0.5, max_turn_rate=0.7)
+    np.testing.assert_allclose(scenario.action_bounds, bounds)
+    assert scenario.action_size == len(bounds)
+
+
+# ---- identity and TOML --------------------------------------------------------------------------
+
+
+def test_equal_fields_make_equal_hashable_scenarios():
+    a = Scenario(graph=UNEQUAL, obstacles=[TRIANGLE], time_limit=10)
+    b = Scenario(graph=UNEQUAL.tolist(), obstacles=(TRIANGLE,), time_limit=10.0)
+    assert a == b and hash(a) == hash(b) and len({a, b}) == 1
+    assert a.max_degree == 6.5 and a == b  # what is cached is no part of it
+    assert pickle.loads(pickle.dumps(a)) == a
+    others = [a.replace(name="other"), a.replace(time_limit=11.0), a.replace(graph="complete")]
+    assert all(a != other for other in others) and len({a, *others}) == 4
+    assert Scenario() == Scenario(graph="complete")
+
+
+def test_replace_checks_again():
+    assert Scenario().replace(n_robots=8).max_degree == 7
+    with pytest.raises(ValueError, match=r"start_positions has shape \(3, 2\)"):
+        scenarios.get("fig3").replace(n_robots=4)
+
+
+def round_trip(scenario: Scenario, path) -> Scenario:
+    scenario.to_toml(path)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", TimeStepWarning)
+        return Scenario.from_toml(path)
+
+
+@pytest.mark.parametrize("name", scenarios.names())
+def test_named_scenarios_survive_toml(name, tmp_path):
+    scenario = scenarios.get(name)
+    assert scenario.name == name
+    again = round_trip(scenario, tmp_path / "scenario.toml")
+    assert again == scenario and hash(again) == hash(scenario)
+    assert list(tmp_path.iterdir()) == [tmp_path / "scenario.toml"]
+
+
+def test_the_named_scenarios_of_the_issue_exist():
+    wanted = {"fig3", "duo", "swarm-20", "ring-12", "tree-12", "unicycle-6", "uav-6", "cloud-8"}
+    assert wanted <= set(scenarios.names())
+    assert scenarios.get("swarm-20").sensing_graph == graphs.complete()
+    assert scenarios.get("tree-12").sensing_graph == graphs.random_tree((0.5, 2.0))
+    assert scenarios.get("uav-6").robot_model == "nonholonomic_3d"
+    with pytest.raises(ValueError, match=r"'swarm-2' is unknown; did you mean 'swarm-20'"):
+        scenarios.get("swarm-2")
+
+
+positive = st.floats(1e-3, 1e3)
+
+
+@st.composite
+def any_scenario(draw) -> Scenario:
+    n = draw(st.integers(2, 6))
+    model, dim = draw(
+        st.sampled_from(
+            [
+                ("single_integrator", 2),
+                ("single_integrator", 3),
+                ("unicycle", 2),
+                ("nonholonomic_3d", 3),
+            ]
+        )
+    )
+    low = draw(st.floats(0.1, 2.0))
+    weight = (low, low + draw(st.floats(0, 2.0)))
+    weights = draw(st.lists(positive, min_size=n - 1, max_size=n - 1))
+    graph = draw(
+        st.sampled_from(
+            [
+                graphs.complete(weight),
+                graphs.path(),
+                graphs.cycle(weight) if n > 2 else "complete",
+                graphs.star(weight),
+                graphs.random_tree(weight),
+                graphs.erdos_renyi(draw(st.floats(0.01, 1.0)), weight),
+                graphs.from_edges([(i, i + 1, w) for i, w in enumerate(weights)], n),
+            ]
+        )
+    )
+    disc = Disc((draw(positive), -draw(positive)), draw(positive))
+    sphere = Sphere((draw(positive), 0.0, 1.0), draw(positive))
+    field = ObstacleField((1, 3), (0.5, 1.5), draw(positive), 0.2, draw(st.booleans()))
+    solids = [(), field, (disc, TRIANGLE) if dim == 2 else (sphere,)]
+    headings = draw(st.none() | st.just([[0.1 * i] * (dim - 1) for i in range(n)]))
+    return Scenario(
+        name=draw(st.text(min_size=1, max_size=255).filter(str.isprintable)),
+        n_robots=n,
+        dim=dim,
+        robot_model=model,
+        graph=graph,
+        merge_radius=draw(positive),
+        time_step=draw(st.none() | positive),
+        allow_long_step=True,
+        time_limit=draw(positive),
+        max_speed=draw(st.none() | positive),
+        max_turn_rate=draw(st.none() | positive),
+        obstacles=draw(st.sampled_from(solids)),
+        obstacle_slots=draw(st.sampled_from([None, 5])),
+        obstacle_contact=draw(st.sampled_from(["slide", "stop", "ignore"])),
+        neighbour_slots=draw(st.sampled_from([None, 1, n - 1])),
+        spawn_size=draw(positive),
+        start_positions=draw(st.none() | st.just([[-1e5 * (i + 1)] * dim for i in range(n)])),
+        start_headings=None if model == "single_integrator" else headings,
+        local_frames=draw(st.sampled_from(["random", "global"])),
+        on_merge=draw(st.sampled_from(["remove", "follow"])),
+        reward=RewardWeights(*(draw(st.floats(-10, 10)) for _ in range(4))),
+    )
+
+
+@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(any_scenario())
+def test_any_scenario_survives_toml(tmp_path, scenario):
+    assert round_trip(scenario, tmp_path / "any.toml") == scenario
+
+
+def test_a_toml_file_without_a_name_names_its_scenario(tmp_path):
+    path = tmp_path / "wheel.toml"
+    path.write_text("n_robots = 3\n")
+    assert Scenario.from_toml(path).name == "wheel"
+    path.write_text('name = "own"\n')
+    assert Scenario.from_toml(path).name == "own"
+
+
+def test_toml_by_hand(tmp_path):
+    path = tmp_path / "mine.toml"
+    path.write_text(
+        """
+        name = "three"
+        n_robots = 3
+        graph = {edges = [[0, 1, 2.0], [1, 2, 0.5]], n_nodes = 3}
+        time_limit = 12
+        [reward]
+        time_penalty = 0
+        """
+    )
+    expected = Scenario(
+        name="three",
+        n_robots=3,
+        graph=[[0, 2.0, 0], [2.0, 0, 0.5], [0, 0.5, 0]],
+        time_limit=12.0,
+        reward=RewardWeights(time_penalty=0.0),
+    )
+    assert Scenario.from_toml(path) == expected
+    assert scenarios.resolve(path) == expected
+    assert scenarios.resolve(str(path), n_robots=3).max_degree == 2.5
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("n_robot = 3", r"scenario has no field 'n_robot'; did you mean 'n_robots'"),
+        ("merge_radios = 0.1", r"did you mean 'merge_radius'"),
+        ("[reward]\nprogres = 1", r"reward has no field 'progres'; did you mean 'progress'"),
+        ("[graph]\nkind = 'path'\nweights = 1", r"graph: unknown key 'weights'; known keys are"),
+        ("n_robots = 1", r"n_robots is 1"),
+        ("n_robots = ", r"mine\.toml: not a TOML file"),
+    ],
+)
+def test_wrong_toml_is_refused(text, message, tmp_path):
+    (tmp_path / "mine.toml").write_text(text)
+    with pytest.raises(ValueError, match=message):
+        Scenario.from_toml(tmp_path / "mine.toml")
+    with pytest.raises(FileNotFoundError):
+        Scenario.from_toml(tmp_path / "absent.toml")
+
+
+def test_every_field_is_documented():
+    """The line after each field is its documentation."""
+    import inspect
+
+    source = inspect.getsource(Scenario).splitlines()
+    names = {field.name for field in dataclasses.fields(Scenario)}
+    documented = {
+        line.split(":")[0].strip()
+        for line, following in pairwise(source)
+        if following.strip().startswith('"""')
+    }
+    assert names <= documented

@@ -1,0 +1,273 @@
+"""Walls that are drawn, and fields of discs in which nobody is walled in."""
+
+import math
+import tomllib
+
+import numpy as np
+import pytest
+import shapely
+
+import rendezvous_env as rv
+from rendezvous_env import ObstacleField, Scenario, Simulator, WallField
+from rendezvous_env.obstacles.obstacle_set import world_of
+from rendezvous_env.obstacles.parsing import max_count, only_balls, parse, row_width, to_plain
+from rendezvous_env.obstacles.reachability import none_walled_in
+from rendezvous_env.obstacles.shape import CENTRE, DETAILS, KIND, RADIUS
+
+TRAP = WallField("trap", (3, 5), (2, 4), thickness=0.5, region=2, keep_out=0.4)
+LAYOUTS = {"trap": 3, "corridor": 2, "rooms": 8}
+
+
+def field(layout, **changes):
+    given = {"size": (6, 8), "opening": (1, 2), "thickness": 0.5, "region": 2, "keep_out": 0.4}
+    return WallField(layout, **{**given, **changes})
+
+
+def drawn(name, count, first=0):
+    simulator = Simulator(rv.scenarios.get(name), count)
+    simulator.reset(first)
+    return simulator.obstacles, simulator.positions
+
+
+def solids(table, wider=0.0):
+    """Shapely's obstacles of one team, (M,)."""
+    return np.array(
+        [
+            shapely.Polygon(row[DETAILS : DETAILS + 8].reshape(4, 2))
+            if row_width(()) < len(row)
+            else shapely.Point(row[CENTRE : CENTRE + 2]).buffer(row[RADIUS] + wider, quad_segs=64)
+            for row in table[table[:, KIND] >= 1]
+        ]
+    )
+
+
+def together(table, positions, wider=0.0):
+    """Whether all robots are in one part of what is free, by shapely's geometry."""
+    walls = shapely.union_all(solids(table, wider))
+    free = shapely.box(-99, -99, 99, 99).difference(walls)
+    parts = shapely.get_parts(free)
+    inside = shapely.contains_xy(parts[:, None], positions[:, 0], positions[:, 1])
+    assert (inside.sum(axis=0) == 1).all()  # nobody starts in an obstacle
+    return bool(inside.all(axis=1).any())
+
+
+class TestField:
+    @pytest.mark.parametrize(("layout", "boxes"), LAYOUTS.items())
+    def test_round_trip_and_size(self, layout, boxes):
+        walls = field(layout)
+        assert parse(to_plain(walls), 2) == walls == parse(walls, 2)
+        assert (max_count(walls), row_width(walls), only_balls(walls)) == (boxes, 14, False)
+        scenario = Scenario(obstacles=walls)
+        assert scenario.observation_layout.obstacle_slots == boxes
+        assert Scenario.from_plain(scenario.to_plain()) == scenario
+
+    def test_what_toml_gives_is_understood(self):
+        table = tomllib.loads(
+            """
+            layout = "trap"
+            size = [3, 5]
+            opening = [2, 4]
+            thickness = 0.5
+            region = 2
+            keep_out = 0.4
+            """
+        )
+        assert parse(table, 2) == TRAP
+
+    @pytest.mark.parametrize(
+        ("make", "message"),
+        [
+            (lambda: field("tarp"), "layout 'tarp' of a WallField: did you mean 'trap'"),
+            (lambda: field(3), "layout 3 of a WallField: it must be one of trap, corridor, rooms"),
+            (lambda: field("trap", size=(5, 3)), r"size \(5, 3\) of a WallField must be a pair"),
+            (lambda: field("trap", opening=(0, 3)), "opening 0 of a WallField must be .* least"),
+            (lambda: field("trap", thickness=0), "thickness 0 of a WallField"),
+            (lambda: field("trap", region=-1), "region -1 of a WallField must be"),
+            (lambda: field("trap", keep_out=math.nan), "keep_out nan of a WallField must be"),
+            (lambda: field("rooms", size=(3, 5)), r"size \(3.0, 5.0\) of .* at least 3.5 m"),
+            (lambda: parse(TRAP, 3), "is 2-D; in 3-D use an ObstacleField"),
+            (lambda: parse([TRAP], 2), "stands alone, not in a list"),
+            (lambda: parse({"layout": "trap", "size": [3, 5]}, 2), "a walls needs opening"),
+            (lambda: parse({"layout": "trap", "sise": 1}, 2), "'sise' of a walls.* mean 'size'"),
+        ],
+    )
+    def test_refusals(self, make, message):
+        with pytest.raises(ValueError, match=message):
+            make()
+
+    def test_positions_are_given_and_walls_keep_clear_of_them(self):
+        walls = field("rooms", region=10.0)
+        simulator = Simulator(Scenario(n_robots=3, obstacles=walls), 200)
+        starts = np.array([[0.0, 0.0], [3.0, 1.0], [-2.0, 4.0]])
+        simulator.reset(0, {"positions": starts})
+        assert (simulator.positions == starts).all()
+        assert simulator.clearance.min() >= 0.4
+
+    def test_walls_that_find_no_place_are_an_error(self):
+        crowd = np.stack(np.meshgrid(*2 * [np.linspace(-9, 9, 10)]), axis=-1).reshape(-1, 2)
+        walls = field("trap", keep_out=2.0)
+        simulator = Simulator(Scenario(n_robots=100, obstacles=walls))
+        with pytest.raises(RuntimeError, match="no room for the start of team 0"):
+            simulator.reset(0, {"positions": crowd})
+
+
+class TestLayouts:
+    """Measured in the frame of the first box, whose first edge runs along its length."""
+
+    @pytest.mark.parametrize("layout", LAYOUTS)
+    def test_boxes_are_as_long_and_thick_as_asked(self, layout):
+        simulator = Simulator(Scenario(n_robots=2, obstacles=field(layout)), 300)
+        simulator.reset(0)
+        corners = simulator.obstacles[..., DETAILS:].reshape(300, -1, 4, 2)
+        edges = np.roll(corners, -1, axis=2) - corners
+        lengths = np.linalg.norm(edges, axis=-1)
+        np.testing.assert_allclose(lengths[..., :2], lengths[..., 2:], atol=1e-12)
+        np.testing.assert_allclose(lengths.min(axis=-1), 0.5, atol=1e-12)  # thickness
+        turns = edges[..., 0] * np.roll(edges, -1, axis=2)[..., 1]
+        turns -= edges[..., 1] * np.roll(edges, -1, axis=2)[..., 0]
+        assert (turns > 0).all()  # counter-clockwise
+        centres = simulator.obstacles[..., CENTRE : CENTRE + 2]
+        np.testing.assert_allclose(corners.mean(axis=2), centres, atol=1e-12)
+        reach = np.linalg.norm(corners - centres[:, :, None], axis=-1)
+        np.testing.assert_allclose(reach, simulator.obstacles[..., [RADIUS]] + 0 * reach)
+
+    def test_a_trap_is_a_u(self):
+        table, _ = drawn("trap", 300)
+        for rows in table:
+            bottom, one, other = solids(rows)
+            mouth = shapely.distance(one, other)
+            assert 5.0 - 1e-9 <= mouth <= 8.0
+            for arm in (one, other):
+                assert 7.0 * 0.5 <= arm.area - bottom.intersection(arm).area <= 10.0 * 0.5 + 1e-9
+            assert bottom.area == pytest.approx(0.5 * (mouth + 1.0))
+            assert shapely.union_all([bottom, one, other]).geom_type == "Polygon"
+
+    def test_a_corridor_is_as_wide_as_asked(self):
+        table, _ = drawn("corridor", 300)
+        widths = [shapely.distance(*solids(rows)) for rows in table]
+        assert 2.0 - 1e-9 <= min(widths) < 2.1 and 3.9 < max(widths) <= 4.0
+        lengths = [wall.area / 0.5 for rows in table for wall in solids(rows)]
+        assert 16.0 - 1e-9 <= min(lengths) < 16.2 and 19.8 < max(lengths) <= 20.0 + 1e-9
+
+    def test_rooms_have_a_door_in_each_of_four_walls(self):
+        table, _ = drawn("rooms", 300)
+        for rows in table:
+            boxes = solids(rows)
+            doors = [shapely.distance(boxes[2 * k], boxes[2 * k + 1]) for k in range(4)]
+            assert 0.8 - 1e-9 <= min(doors) and max(doors) <= 1.2
+            parts = shapely.get_parts(shapely.union_all(boxes))
+            assert len(parts) == 5  # the cross in the middle, and a piece beyond each door
+            for near, far, door in zip(boxes[::2], boxes[1::2], doors, strict=True):
+                assert 10.0 <= (near.area + far.area) / 0.5 + door - 0.25 <= 14.0
+
+
+class TestNobodyIsWalledIn:
+    @pytest.mark.parametrize("name", ["trap", "corridor", "rooms", "clutter-32"])
+    def test_in_a_thousand_starts(self, name):
+        tables, positions = drawn(name, 1000)
+        assert all(map(together, tables, positions))
+
+    def test_gaps_are_as_wide_as_promised(self):
+        """Discs made wider by half a passage still wall nobody in."""
+        tables, positions = drawn("clutter-32", 200)
+        assert all(together(*start, wider=0.0999) for start in zip(tables, positions, strict=True))
+
+    def test_exactly_the_starts_with_somebody_walled_in_are_drawn_again(self):
+        scenario = rv.scenarios.get("clutter-32")
+        careless = scenario.replace(
+            obstacles=ObstacleField(32, (0.8, 2.0), 16.0, 0.5, True, passage=0.0)
+        )
+        simulator, careful = Simulator(careless, 20000), Simulator(scenario, 20000)
+        simulator.reset(0)
+        careful.reset(0)
+        again = (simulator.positions != careful.positions).any(axis=(1, 2))
+        starts = simulator.obstacles[again], simulator.positions[again]
+        assert 5 < again.sum() < 100
+        assert not any(together(*start, wider=0.101) for start in zip(*starts, strict=True))
+
+    def test_the_check_agrees_with_shapely(self):
+        """On discs that nearly close two rings, one in the other, a robot in the middle and
+        two outside; where a little smaller and larger ones give the same answer.
+        """
+        random = np.random.default_rng(0)
+        answers, chains = [], np.empty((34, 2), np.int64)
+        for _ in range(200):
+            around = 2 * np.pi * (np.arange(34) + random.uniform(-0.3, 0.3, 34))
+            around /= np.repeat([12, 22], [12, 22])
+            far = np.repeat([3.0, 6.0], [12, 22]) + random.uniform(-0.5, 0.5, 34)
+            table = np.zeros((34, 6))
+            table[:, KIND], table[:, RADIUS] = 1, random.uniform(0.95, 1.2, 34)
+            table[:, CENTRE] = far * np.cos(around)
+            table[:, CENTRE + 1] = far * np.sin(around)
+            positions = np.array([[0.0, 0.0], [9.0, 1.0], [-8.0, 5.0]])
+            found = none_walled_in(world_of(table, only_balls=True), positions, 0.0, chains)
+            one, other = (together(table, positions, wider) for wider in (-0.005, 0.005))
+            if one == other:
+                answers.append(found)
+                assert found == one
+        assert len(answers) > 180 and 0.2 < np.mean(answers) < 0.8
+
+    def test_a_ring_of_discs_by_hand(self):
+        around = 2 * np.pi * np.arange(8) / 8
+        table = np.zeros((8, 6))
+        table[:, KIND], table[:, RADIUS] = 1, 1.0
+        table[:, CENTRE : CENTRE + 2] = 2.5 * np.stack([np.cos(around), np.sin(around)], axis=-1)
+        chains = np.empty((8, 2), np.int64)  # neighbours are 1.913 m apart: they overlap
+        split, out = np.array([[0.0, 0.0], [5.0, 5.0]]), np.array([[5.0, 5.0], [-5.0, 4.0]])
+        ring = world_of(table, only_balls=True)
+        assert not none_walled_in(ring, split, 0.0, chains)
+        assert none_walled_in(ring, out, 0.0, chains)
+        table[3, KIND] = 0  # a gap of 3.536 − 2 = 1.536 m
+        gap = world_of(table, only_balls=True)
+        assert none_walled_in(gap, split, 1.53, chains)
+        assert not none_walled_in(gap, split, 1.54, chains)
+
+    @pytest.mark.parametrize(
+        ("make", "message"),
+        [
+            (lambda: ObstacleField(3, (1, 2), 9, 0.5, passage=1.1), "at most twice keep_out, 1 m"),
+            (lambda: ObstacleField(3, (1, 2), 9, 0.5, passage=-1), "passage -1 .* at least 0"),
+            (
+                lambda: parse(ObstacleField(3, (1, 2), 9, 0.5, passage=0.1), 3),
+                "passage 0.1 of an ObstacleField must be 0 in 3-D",
+            ),
+        ],
+    )
+    def test_refusals(self, make, message):
+        with pytest.raises(ValueError, match=message):
+            make()
+
+    def test_a_hopeless_field_is_an_error(self):
+        """One robot in the midst of so many discs, and one outside."""
+        closed = ObstacleField(400, (0.8, 0.9), 12, 0.3, passage=0.6)
+        scenario = Scenario(n_robots=2, obstacles=closed)
+        simulator = Simulator(scenario)
+        with pytest.raises(RuntimeError, match="no room for the start"):
+            simulator.reset(0, {"positions": np.array([[0.0, 0.0], [0.0, 20.0]])})
+
+
+class TestReproducible:
+    @pytest.mark.parametrize("name", ["trap", "rooms", "clutter-32"])
+    def test_a_batch_is_its_teams_one_by_one_with_any_threads(self, name):
+        scenario = rv.scenarios.get(name)
+        many, alone = Simulator(scenario, 40, num_threads=2), Simulator(scenario, num_threads=1)
+        for episode in range(2):
+            seen = many.reset(None if episode else 5)
+            for team in (0, 17, 39):
+                alone.reset(5 + team)
+                if episode:
+                    alone.reset()
+                np.testing.assert_array_equal(alone.positions[0], many.positions[team])
+                np.testing.assert_array_equal(alone.obstacles[0], many.obstacles[team])
+                np.testing.assert_array_equal(alone.observe()[0], seen[team])
+
+    def test_discs_of_fields_that_promise_nothing_are_those_of_the_first_try(self):
+        plain = rv.scenarios.get("clutter-8")
+        promised = plain.replace(
+            obstacles=ObstacleField(8, (0.8, 2.0), 16.0, 0.5, True, passage=1e-3)
+        )
+        one, other = Simulator(plain, 30), Simulator(promised, 30)
+        one.reset(0)
+        other.reset(0)
+        same = (one.obstacles == other.obstacles).all(axis=(1, 2))
+        assert same.mean() > 0.9

@@ -1,0 +1,213 @@
+"""``rendezvous verify --any``: random scenarios find what a certificate promises in vain."""
+
+import csv
+import dataclasses
+import io
+import math
+from collections import Counter
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+import rendezvous_env as rv
+from train.verify import counterexamples, falsification, verify
+from train.verify.counterexamples import repeat, shrink, trials_of, write
+from train.verify.falsification import Trial, play
+from train.verify.random_scenarios import CHOICES, Kind, draw, draw_kind
+
+PLANE = Kind("single_integrator", 2, "fixed", True, "none")
+PAIR = rv.Scenario(
+    n_robots=2, start_positions=((0.0, 0.0), (1.0, 0.0)), local_frames="global", name="pair"
+)
+SQUARE = PAIR.replace(n_robots=4, start_positions=((0, 0), (1, 0), (1, 1), (0, 1)))
+
+
+def trial(scenario=SQUARE, by="law", seed=0, **arguments):
+    if by in ("heading", "tank"):
+        arguments = {"min_alignment": 0.7, **arguments}
+    return Trial(scenario, by, arguments, "local", 1, seed)
+
+
+def with_certificate(monkeypatch, **changes):
+    """Let every certificate promise something else."""
+    ask = falsification.ask
+
+    def wrong(*given):
+        found = ask(*given)
+        return found and dataclasses.replace(
+            found, **{name: change(getattr(found, name)) for name, change in changes.items()}
+        )
+
+    monkeypatch.setattr(falsification, "ask", wrong)
+
+
+# ---- what is drawn -------------------------------------------------------------------------------
+
+
+def test_scenarios_are_of_every_kind():
+    drawn = []
+    for number in range(600):
+        random = np.random.default_rng(number)
+        drawn.append(draw(random, draw_kind(random)).scenario)
+    count = Counter(scenario.sensing_graph.kind for scenario in drawn)
+    kinds = {"complete", "edges", "path", "cycle", "star", "random_tree", "erdos_renyi"}
+    assert set(count) == kinds | {"directed", "directed_cycle", "switching", "proximity"}
+    models = {"single_integrator", "double_integrator", "unicycle", "nonholonomic_3d"}
+    assert {scenario.robot_model for scenario in drawn} == models
+    assert {scenario.n_robots for scenario in drawn} == {2, 3, 4, 5, 6}
+    solid = [scenario for scenario in drawn if scenario.obstacles]
+    assert {scenario.obstacle_contact for scenario in solid} == {"slide", "stop", "ignore"}
+    shapes = {
+        type(one).__name__
+        for scenario in solid
+        for one in np.atleast_1d(np.array(scenario.obstacles, dtype=object))
+    }
+    assert shapes >= {"Disc", "Sphere", "Polygon", "Capsule", "ObstacleField", "WallField"}
+    sensors = [dataclasses.asdict(scenario.sensing) for scenario in drawn]
+    flaws = {name for one in sensors for name in one if one[name] != sensors[0][name]}
+    flaws |= {name for name in sensors[0] if sensors[0][name] != getattr(rv.Sensing(), name)}
+    assert flaws >= {"range", "field_of_view", "noise", "bias", "error", "dropout", "delay"}
+    assert flaws >= {"sectors", "occlusion"}
+    steps = [scenario.tau / scenario.certified_step for scenario in drawn]
+    assert min(steps) < 0.15 and max(steps) > 15
+    given = [np.array(s.start_positions) for s in drawn if s.start_positions is not None]
+    assert 300 < len(given) < 600
+
+
+def test_the_same_number_is_the_same_scenario():
+    assert trials_of(3, 17) == trials_of(3, 17) != trials_of(3, 18)
+    assert [one.by for one in trials_of(3, 17)] == list(CHOICES)
+    assert trials_of(3, 17)[0].scenario != trials_of(4, 17)[0].scenario
+
+
+# ---- what is found -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("by", CHOICES)
+def test_a_certificate_that_holds_is_checked_to_its_bound(by):
+    played = play(trial(PAIR, by))
+    assert played.violation is None and "time" in played.checked
+    assert 0 < played.time_over_bound <= 1
+    assert played.theorem.startswith(by)
+
+
+def test_a_time_bound_that_is_too_small_is_found(monkeypatch):
+    with_certificate(monkeypatch, time_bound=lambda time: time / 20)
+    played = play(trial())
+    assert played.violation.number == "time"
+    assert played.violation.found > played.violation.promised
+
+
+def test_a_bound_on_v_that_is_too_small_is_found(monkeypatch):
+    with_certificate(monkeypatch, lyapunov_bound=lambda most: 0.3 * most)
+    assert play(trial(by="tank", budget=1.0)).violation.number == "lyapunov"
+
+
+@pytest.mark.parametrize(
+    ("number", "changes"),
+    [
+        ("hull", {"hull_bound": lambda most: 2.0}),
+        ("link_growth", {"link_growth_bound": lambda most: -0.5}),
+        ("nested", {"theorem": lambda _: "the hull does not grow", "by": lambda _: "gains"}),
+        ("links", {"theorem": lambda _: "no link grows longer", "by": lambda _: "links"}),
+    ],
+)
+def test_what_is_promised_in_vain_is_found(number, changes, monkeypatch):
+    """Of headings at a small margin none of it is true; the team is larger, and links longer."""
+    with_certificate(monkeypatch, **changes)
+    loose = trial(SQUARE.replace(graph="cycle"), "heading", min_alignment=0.05)
+    assert play(loose).violation.number == number
+
+
+def test_a_violation_is_made_small_and_repeats_itself(monkeypatch, tmp_path):
+    with_certificate(monkeypatch, lyapunov_bound=lambda most: 0.3 * most)
+    large = trial(
+        SQUARE.replace(
+            max_speed=3.0,
+            time_step=0.01,
+            on_merge="follow",
+            obstacles=(rv.Disc((9.0, 9.0), 0.1),),
+            sensing=rv.Sensing(error=1e-4),
+            start_positions=None,
+            spawn_size=2.0,
+        ),
+        "tank",
+        budget=1.0,
+    )
+    small, played = shrink(large, play(large))
+    plain = small.scenario
+    assert plain.n_robots == 2 and not plain.obstacles and plain.sensing.exact
+    assert plain.max_speed is None and plain.time_step is None and plain.on_merge == "remove"
+    file = write(tmp_path, "found", small, played)
+    again = repeat(file)
+    assert again.violation.number == "lyapunov"
+    assert rv.Scenario.from_toml(file).n_robots == 2
+    monkeypatch.undo()
+    assert repeat(file).violation is None  # of the right certificate
+
+
+def test_what_is_not_promised_is_not_played():
+    alone = SQUARE.replace(graph=rv.graphs.from_edges([(0, 1)], 4), require_connected=False)
+    played = play(trial(alone, "tank"))
+    assert played.theorem == "" and played.steps == 0
+
+
+# ---- the command ---------------------------------------------------------------------------------
+
+
+def command(tmp_path, **options):
+    printed = io.StringIO()
+    config = verify.Config(any=True, out=tmp_path, **{"trials": 50, "jobs": 1, **options})
+    status = verify.run(config, console=Console(file=printed, width=200))
+    with (tmp_path / "any.csv").open(newline="", encoding="utf-8") as file:
+        return status, list(csv.DictReader(file)), printed.getvalue()
+
+
+@pytest.fixture
+def one_kind(monkeypatch):
+    """Compiled code of one kind only."""
+    monkeypatch.setattr(counterexamples, "draw_kind", lambda random: PLANE)
+
+
+def test_nothing_is_violated(tmp_path, one_kind):
+    status, rows, printed = command(tmp_path)
+    assert status == 0 and printed.count("0 violations") == 1
+    assert sum(int(row["granted"]) for row in rows) > 50
+    for row in rows:
+        assert row["violations"] == "0"
+        assert math.isnan(ratio := float(row["worst_time_over_bound"] or "nan")) or ratio <= 1.0
+    assert [path.name for path in tmp_path.iterdir()] == ["any.csv"]
+
+
+def test_it_is_stopped_and_goes_on(tmp_path, monkeypatch, one_kind):
+    whole = command(tmp_path / "whole", trials=12)[1]
+    monkeypatch.setattr(counterexamples, "TRIALS", 4)
+    done = []
+
+    def look(block):
+        if len(done) == 2:
+            raise KeyboardInterrupt
+        done.append(block.name)
+        return counterexamples.look_at_any(block)
+
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(verify, "look_at_any", look)
+        command(tmp_path, trials=12)
+    assert command(tmp_path, trials=12)[1] == whole and len(done) == 2
+
+
+def test_violations_are_written_and_end_with_status_1(tmp_path, monkeypatch, one_kind):
+    with_certificate(monkeypatch, lyapunov_bound=lambda most: 0.5 * most)
+    status, rows, printed = command(tmp_path, trials=6)
+    assert status == 1 and sum(int(row["violations"]) for row in rows) > 0
+    files = sorted(tmp_path.glob("any-0-*.toml"))
+    assert files and all(repeat(file).violation is not None for file in files)
+    assert str(files[0]) in printed
+
+
+@pytest.mark.slow
+def test_two_thousand_scenarios_of_all_kinds(tmp_path):
+    status, rows, printed = command(tmp_path, trials=2_000, jobs=None)
+    assert status == 0, printed
+    assert sum(int(row["granted"]) for row in rows) > 2_000

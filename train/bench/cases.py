@@ -1,0 +1,247 @@
+"""What ``rendezvous bench`` times of the environments, beside a peer and a bare kernel."""
+
+from __future__ import annotations
+
+import importlib.util
+import itertools
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+from gymnasium.spaces import MultiDiscrete
+from numba import njit
+
+import rendezvous_env as rv
+from rendezvous_env.vector import EnergyTankWrapper, HeadingVectorWrapper
+
+EPISODE = 200
+"""Steps of an episode in the case that ends episodes."""
+LIMIT = "limit"
+_LANES = 64
+_SENSORS = {
+    "exact sensor": rv.Sensing(),
+    "noise": rv.Sensing(noise=0.1),
+    "noise, dropout, range": rv.Sensing(noise=0.1, dropout=0.1, range=1e6),
+}
+
+
+class Running(NamedTuple):
+    """Something that can be timed."""
+
+    step: Callable[[], Any]
+    """One step; its results are thrown away."""
+    intact: Callable[[], bool] = lambda: True
+    """Whether no robot has merged meanwhile, so that every step did the same work."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """One row of the table, before it is measured."""
+
+    name: str
+    group: str
+    """One of bench.GROUPS."""
+    n_robots: int
+    num_envs: int
+    """B, environments that step together."""
+    per_step: int
+    """What one step counts as, in ``unit``."""
+    unit: str
+    """"team steps", "robot steps", "robot ticks" or "samples"."""
+    build: Callable[[], Running]
+    against: str = ""
+    """How the name of the case begins, of the same group and size, that this is divided by."""
+
+
+class Size(NamedTuple):
+    """What the rows of many environments share."""
+
+    num_envs: int
+    num_threads: int | None
+
+
+def spread_out(n_robots: int, **fields: Any) -> rv.Scenario:
+    """A complete graph of robots that are too far apart to meet while they are timed."""
+    fields = {"spawn_size": 2000.0 * n_robots, "time_limit": 1e9} | fields
+    return rv.Scenario(name=f"spread-out-{n_robots}", n_robots=n_robots, **fields)
+
+
+def among_discs() -> rv.Scenario:
+    """Four robots that see 8 discs and are too slow to meet or reach them while they are timed."""
+    places = [(6.0 * math.cos(k * math.pi / 4), 6.0 * math.sin(k * math.pi / 4)) for k in range(8)]
+    return rv.Scenario(
+        name="among-discs",
+        n_robots=4,
+        start_positions=((-3.0, 0.0), (3.0, 0.0), (0.0, 3.0), (0.0, -3.0)),
+        obstacles=tuple(rv.Disc(centre=place, radius=1.0) for place in places),
+        obstacle_range=20.0,
+        max_speed=1e-6,
+        time_limit=1e9,
+    )
+
+
+def one_team(scenario: rv.Scenario, group: str, peer: bool) -> list[Case]:
+    """A step of one team in dicts, beside MPE2's ``simple_spread_v3`` when it is installed."""
+    size = (group, scenario.n_robots, 1, 1, "team steps")
+    ours = partial(dicts_of, scenario)
+    if not peer or importlib.util.find_spec("mpe2") is None:
+        return [Case("PettingZoo", *size, ours)]
+    theirs = partial(_mpe2, scenario.n_robots)
+    return [Case("MPE2 simple_spread_v3", *size, theirs), Case("PettingZoo", *size, ours, "MPE2")]
+
+
+def batched(scenario: rv.Scenario, group: str, size: Size) -> list[Case]:
+    """Steps of many teams, beside the bare kernel where there are no obstacles."""
+    own = (group, scenario.n_robots, size.num_envs, size.num_envs, "team steps")
+    name, against = f"{LIMIT}, 1 thread", "" if scenario.obstacles else LIMIT
+    ended = f"make_vec, episodes of {EPISODE} steps"
+    found = [
+        Case("Simulator", *own, partial(simulator_of, scenario, size), against),
+        Case("make_vec", *own, partial(vector_of, scenario, size), against),
+        Case(ended, *own, partial(vector_of, scenario, size, EPISODE), against),
+    ]
+    limit = partial(_limit, scenario.n_robots, size.num_envs)
+    return found if scenario.obstacles else [Case(name, *own, limit), *found]
+
+
+def wrapped(n: int, size: Size) -> list[Case]:
+    """Steps of many teams under random choices, beside the certified heading's."""
+    # robots that are steered go towards each other, unlike those of random actions
+    scenario = spread_out(n, spawn_size=1e6 * n)
+
+    def build(wrap: Callable[[Any], Any]) -> Running:
+        return stepping(wrap(rv.make_vec(scenario, size.num_envs, num_threads=size.num_threads)))
+
+    own = ("wrapped", n, size.num_envs, size.num_envs, "team steps")
+    heading = "HeadingVectorWrapper"
+    return [
+        Case("make_vec", *own, partial(build, lambda env: env)),
+        Case(heading, *own, partial(build, HeadingVectorWrapper)),
+        Case("EnergyTankWrapper", *own, partial(build, EnergyTankWrapper), heading),
+    ]
+
+
+def sensing(n: int, size: Size) -> Iterator[list[Case]]:
+    """Steps of one team in dicts and of many teams, with sensors that err beside the exact one."""
+    many: Callable[[rv.Scenario], Running] = lambda scenario: simulator_of(scenario, size)  # noqa: E731
+    for count, build in ((1, dicts_of), (size.num_envs, many)):
+        own = ("sensing", n, count, count, "team steps")
+        exact = next(iter(_SENSORS))
+        yield [
+            Case(
+                name,
+                *own,
+                partial(build, spread_out(n, sensing=sensor)),
+                "" if name == exact else exact,
+            )
+            for name, sensor in _SENSORS.items()
+        ]
+
+
+# ---- what steps ---------------------------------------------------------------------------------
+
+
+def tape_of(space: Any, *batch: int) -> Iterator[Any]:
+    """Random actions again and again, prepared beforehand: (*batch, *shape)."""
+    random, shape = np.random.default_rng(0), (8, *batch, *space.shape)
+    if isinstance(space, MultiDiscrete):
+        return itertools.cycle(random.integers(space.nvec.min(), size=shape))
+    return itertools.cycle(random.uniform(-1.0, 1.0, shape).astype(np.float32))
+
+
+def stepping(env: Any) -> Running:
+    """A vector environment under random actions."""
+    env.reset(seed=0)
+    tape, simulator = tape_of(env.single_action_space, env.num_envs), env.unwrapped.simulator
+    return Running(lambda: env.step(next(tape)), lambda: bool(simulator.active.all()))
+
+
+def dicts_of(scenario: rv.Scenario) -> Running:
+    """One team through PettingZoo, under random actions."""
+    env = rv.parallel_env(scenario)
+    env.reset(seed=0)
+    tape = _dicts(env.agents, scenario.action_size, -1.0)
+    return Running(lambda: env.step(next(tape)), lambda: bool(env.simulator.active.all()))
+
+
+def _dicts(agents: Sequence[str], size: int, low: float) -> Iterator[dict[str, Any]]:
+    drawn = np.random.default_rng(0).uniform(low, 1.0, (8, len(agents), size)).astype(np.float32)
+    return itertools.cycle([dict(zip(agents, each, strict=True)) for each in drawn])
+
+
+def _mpe2(n: int) -> Running:
+    from mpe2 import simple_spread_v3
+
+    env = simple_spread_v3.parallel_env(N=n, continuous_actions=True, max_cycles=10**9)
+    env.reset(seed=0)
+    tape = _dicts(env.agents, 5, 0.0)
+    return Running(lambda: env.step(next(tape)), lambda: len(env.agents) == n)
+
+
+def simulator_of(scenario: rv.Scenario, size: Size) -> Running:
+    """Many teams in the bare simulator, under random actions."""
+    simulator = rv.Simulator(scenario, size.num_envs, num_threads=size.num_threads)
+    simulator.reset(0)
+    venv = rv.make_vec(scenario, 1)
+    tape = tape_of(venv.single_action_space, size.num_envs)
+
+    def step() -> Any:
+        outcome = simulator.step(next(tape))
+        if not simulator.all_running:  # autoreset
+            simulator.restart(simulator.ended, outcome)
+        return outcome
+
+    return Running(step, lambda: bool(simulator.active.all()))
+
+
+def vector_of(scenario: rv.Scenario, size: Size, max_cycles: int | None = None) -> Running:
+    """Many teams through ``make_vec``; with ``max_cycles`` their episodes end one after another."""
+    venv = rv.make_vec(scenario, size.num_envs, num_threads=size.num_threads, max_cycles=max_cycles)
+    running = stepping(venv)
+    if max_cycles is not None:
+        venv.set_state(venv.get_state() | {"steps": np.arange(size.num_envs) % max_cycles})
+    return running
+
+
+# ---- the limit: what any environment of this kind must do at least -----------------------------
+
+
+def _limit(n: int, num_envs: int) -> Running:
+    blocks = -(-num_envs // _LANES)
+    positions = np.random.default_rng(0).uniform(-1e3, 1e3, (blocks, n, 2, _LANES))
+    bearings, f = np.zeros((blocks, n, n - 1, 2, _LANES)), np.zeros((n, 2, _LANES))
+    return Running(lambda: bare_step(positions, bearings, f))
+
+
+@njit(nogil=True, error_model="numpy")
+def bare_step(positions: Any, bearings: Any, f: Any) -> None:
+    """All bearings, their sums and an Euler step of 1 ns, with no frames, merging or reward.
+
+    Teams stand last in memory, so that the processor takes several at once.
+
+    Args:
+        positions: (blocks, n, 2, lanes), m.
+        bearings: to fill, (blocks, n, n - 1, 2, lanes).
+        f: scratch, (n, 2, lanes).
+    """
+    blocks, n, _, lanes = positions.shape
+    for block in range(blocks):
+        p, g = positions[block], bearings[block]
+        f[:] = 0.0
+        for i in range(n):
+            for j in range(n):
+                if j != i:
+                    row = g[i, j - (j > i)]
+                    for lane in range(lanes):
+                        dx, dy = p[j, 0, lane] - p[i, 0, lane], p[j, 1, lane] - p[i, 1, lane]
+                        inverse = 1.0 / math.sqrt(dx * dx + dy * dy)
+                        row[0, lane], row[1, lane] = dx * inverse, dy * inverse
+                        f[i, 0, lane] += dx * inverse
+                        f[i, 1, lane] += dy * inverse
+        for i in range(n):
+            for k in range(2):
+                for lane in range(lanes):
+                    p[i, k, lane] += 1e-9 * f[i, k, lane]

@@ -1,0 +1,18 @@
+"""Policies on the same starts: evaluation, statistics, tables.
+
+``Config``, ``run``, ``plan`` and the other names of the command are loaded when they are asked for.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import Any
+
+_NAMES = ("Config", "Job", "Played", "plan", "play_job", "run", "summary")
+
+
+def __getattr__(name: str) -> Any:
+    """A name of the command, which lies in ``compare.compare``."""
+    if name in _NAMES:
+        return getattr(import_module("train.compare.compare"), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

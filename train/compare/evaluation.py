@@ -1,0 +1,282 @@
+"""Play episodes of one policy and measure them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, fields
+from itertools import islice
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rendezvous_env.compilation import kernel
+from rendezvous_env.engine.memory import RENDEZVOUS
+from rendezvous_env.engine.preparation import begins_alike
+from rendezvous_env.engine.state_checks import check_mask, check_numbers, check_observations
+from rendezvous_env.safety.theorems.certificate import certificate
+from rendezvous_env.safety.theorems.descent import time_bound
+from rendezvous_env.scenario.scenario import Scenario
+from rendezvous_env.simulator import Simulator
+from rendezvous_env.trajectory import Policy, Step, run
+
+from ..checks import UserError
+from ..recording import Recorder, Recording, Snapshot, seen_again
+
+CHUNK = 1024
+"""Most teams simulated at once; more starts are played one chunk after the other."""
+
+
+@dataclass(frozen=True)
+class Episodes:
+    """What one policy did on N starts of one scenario; every field is (N,)."""
+
+    success: NDArray[np.bool_]
+    """Whether all robots met within the time limit."""
+    clean: NDArray[np.float64]
+    """1 if they met without touching an obstacle, else 0; NaN where contacts do not count, because
+    robots pass through obstacles."""
+    time: NDArray[np.float64]
+    """When they met, s; the time limit if they did not."""
+    path_length: NDArray[np.float64]
+    """Way of all robots together, m."""
+    contacts: NDArray[np.int64]
+    """Contacts with obstacles, one for each robot and step."""
+    clearance: NDArray[np.float64]
+    """Least distance of a robot to an obstacle, m; NaN without obstacles."""
+    max_rise_between_merges: NDArray[np.float64]
+    """Largest change of V in a step up to its first merge, m²/s; negative if V always fell."""
+    merge_rise: NDArray[np.float64]
+    """Largest rise of V at a merge, m²/s."""
+    merge_excess: NDArray[np.float64]
+    """By how much a merge raised V above the bound of theory 5, m²/s; anything but 0 is an
+    error."""
+    min_alignment: NDArray[np.float64]
+    """Least alignment of a robot with ‖f‖ ≥ 2δ, NaN if there was none; see
+    ``alignment.alignments``."""
+    initial_lyapunov: NDArray[np.float64]
+    """V at the start, m²/s."""
+    time_bound: NDArray[np.float64]
+    """Time by which the policy is proven to have met, s; NaN where nothing is proven."""
+    max_rise_of_size: NDArray[np.float64]
+    """Largest change of the size L in a step, m; negative if L always fell. NaN where the graph is
+    undirected and fixed: there V is what must not rise."""
+
+    @classmethod
+    def joined(cls, parts: list[Episodes]) -> Episodes:
+        """Episodes one after the other."""
+        columns = [field.name for field in fields(cls)]
+        return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in columns))
+
+    @property
+    def good(self) -> NDArray[np.bool_]:
+        """(N,), whether all met: without a contact, where contacts count."""
+        return np.where(np.isnan(self.clean), self.success, self.clean == 1)
+
+    def rows(self) -> Iterator[dict[str, Any]]:
+        """One row for each start, as in episodes.csv."""
+        columns = {field.name: getattr(self, field.name).tolist() for field in fields(self)}
+        columns["clean"] = [None if value != value else int(value) for value in self.clean]
+        for start in range(len(self.success)):
+            yield {"start": start} | {name: values[start] for name, values in columns.items()}
+
+
+def play(
+    scenario: Scenario,
+    make_policy: Callable[[], Policy],
+    *,
+    margin: float | None,
+    episodes: int,
+    seed: int,
+    keep: int = 0,
+    steps: int | None = None,
+) -> tuple[Episodes, list[Recording]]:
+    """Run one policy from the starts ``seed``, ``seed`` + 1, … of a scenario.
+
+    The starts depend on their seeds alone, so every policy meets the same ones. A scenario whose
+    episodes are all one and the same is played once.
+
+    Args:
+        scenario: the experiment.
+        make_policy: gives a fresh policy for each chunk of teams.
+        margin: alignment margin ε that the policy promises, 1 for law (1), None if none.
+        episodes: N.
+        seed: of the first start.
+        keep: how many of the first starts to record.
+        steps: after how many the episodes are left; None plays them to their end.
+
+    Raises:
+        UserError: if the scenario has no room for a start.
+    """
+    episodes = starts_of(scenario, episodes)
+    parts: list[Episodes] = []
+    recordings: list[Recording] = []
+    for first in range(0, episodes, CHUNK):
+        simulator = Simulator(scenario, min(CHUNK, episodes - first))
+        observations = _reset(simulator, seed + first)
+        kept = range(min(keep, episodes)) if first == 0 else ()
+        start, exact = Snapshot(simulator), seen_again(scenario)
+        recorders = [Recorder(start, team, observations, exact) for team in kept]
+        meter = _Meter(simulator)
+        for step in islice(run(simulator, make_policy(), observations), steps):
+            aligned, after = meter.see(step), Snapshot(simulator)
+            for recorder in recorders:
+                recorder.see(step, aligned, after)
+        parts.append(meter.episodes(margin))
+        recordings += [recorder.finish() for recorder in recorders]
+    return Episodes.joined(parts), recordings
+
+
+def starts_of(scenario: Scenario, asked: int) -> int:
+    """How many different starts a scenario has, of as many as are asked for."""
+    return 1 if begins_alike(scenario) else asked
+
+
+def counts_contacts(scenario: Scenario) -> bool:
+    """Whether a contact with an obstacle is counted: robots that pass through none are not clean,
+    nor the contrary.
+    """
+    return not scenario.obstacles or scenario.obstacle_contact != "ignore"
+
+
+def _reset(simulator: Simulator, seed: int) -> NDArray[np.float32]:
+    try:
+        return simulator.reset(seed)
+    except RuntimeError as error:  # no room for a start
+        raise UserError(f"{simulator.scenario.name}: {error}") from error
+
+
+class _Meter:
+    """Watches a batch and keeps what is worst in each team so far."""
+
+    def __init__(self, simulator: Simulator) -> None:
+        batch = simulator.num_envs
+        self._simulator = simulator
+        self._rise = np.full(batch, -np.inf)
+        self._merge_rise, self._merge_excess = np.zeros(batch), np.zeros(batch)
+        self._alignment = np.full(batch, np.inf)
+        self._growth = np.full(batch, -np.inf)
+        sized = not simulator.scenario.sensing_graph.undirected
+        self._size = simulator.size() if sized else np.full(batch, np.nan)
+
+    def see(self, step: Step) -> NDArray[np.float64]:
+        """Take in one step; returns the alignments of its robots, (B, n)."""
+        at, outcome = step.running, step.outcome
+        change = outcome.lyapunov_before_merge - step.lyapunov
+        np.maximum(self._rise, change, out=self._rise, where=at)
+        np.maximum(self._merge_rise, outcome.merge_rise, out=self._merge_rise, where=at)
+        np.maximum(self._merge_excess, outcome.merge_excess, out=self._merge_excess, where=at)
+        aligned = alignments(self._simulator.scenario, step)
+        np.fmin(self._alignment, np.fmin.reduce(aligned, axis=1), out=self._alignment, where=at)
+        if not np.isnan(self._size).any():  # a hull for every team and step costs more than a step
+            before, self._size = self._size, self._simulator.size()
+            np.maximum(self._growth, self._size - before, out=self._growth, where=at)
+        return aligned
+
+    def episodes(self, margin: float | None) -> Episodes:
+        """What came of it, once every team has finished."""
+        simulator, scenario = self._simulator, self._simulator.scenario
+        success = simulator.status == RENDEZVOUS
+        contacts, clearance = simulator.contacts, simulator.min_clearance
+        return Episodes(
+            success=success,
+            clean=np.where(counts_contacts(scenario), success & (contacts == 0), np.nan),
+            time=simulator.time,
+            path_length=simulator.path_length,
+            contacts=contacts,
+            clearance=np.where(np.isfinite(clearance), clearance, np.nan),
+            max_rise_between_merges=self._rise,
+            merge_rise=self._merge_rise,
+            merge_excess=self._merge_excess,
+            min_alignment=np.where(np.isfinite(self._alignment), self._alignment, np.nan),
+            initial_lyapunov=simulator.initial_lyapunov,
+            time_bound=_bounds(scenario, simulator.initial_lyapunov, margin),
+            max_rise_of_size=np.where(np.isfinite(self._growth), self._growth, np.nan),
+        )
+
+
+def _bounds(
+    scenario: Scenario, initial_lyapunov: NDArray[np.float64], margin: float | None
+) -> NDArray[np.float64]:
+    """Proven times in s, NaN where none is proven."""
+    nothing = np.full(initial_lyapunov.shape, np.nan)
+    if margin is None:
+        return nothing
+    found = certificate(scenario, margin)
+    if not np.isfinite(found.time_bound) or found.bearing_error > 0.0:
+        return nothing
+    bounds = time_bound(scenario, initial_lyapunov, min_alignment=margin)
+    return np.where(np.isfinite(bounds), bounds, nothing)
+
+
+def alignments(scenario: Scenario, step: Step) -> NDArray[np.float64]:
+    """Alignment |vᵀf|/(‖v‖‖f‖) of every robot with ‖f‖ ≥ 2δ, NaN for the others.
+
+    v is the commanded velocity; for nonholonomic robots it has the direction of the body axis,
+    for robots with inertia it is the commanded acceleration. A robot told to rest has alignment 0.
+    Robots of teams that have finished have NaN.
+
+    Args:
+        scenario: gives δ and the robot model.
+        step: what the robots saw and were told to do.
+
+    Returns:
+        (B, n), in [0, 1].
+
+    Raises:
+        ValueError: for a step of other robots.
+    """
+    n, layout = scenario.n_robots, scenario.observation_layout
+    shape = (len(step.running), n, *layout.shape)
+    observations = check_observations(step.observations, shape)
+    acted = (*shape[:2], scenario.action_size)
+    actions = check_numbers("actions", step.actions, acted, "(B, n, a)")
+    running = check_mask(step.running, shape[0])
+    least = max(2.0 * scenario.dead_zone, 1e-12)
+    slots, along_x = layout.neighbour_slots, scenario.model.nonholonomic
+    out = np.empty(shape[:2])
+    batch_alignments(observations, actions, running, slots, along_x, least, out)
+    return out
+
+
+@kernel
+def batch_alignments(
+    observations: Any,
+    actions: Any,
+    running: Any,
+    slots: int,
+    along_x: bool,
+    least: float,
+    out: Any,
+) -> None:
+    """Alignments of the robots of running teams, to ``out`` (B, n)."""
+    batch, n = out.shape
+    for b in range(batch):
+        for i in range(n):
+            out[b, i] = np.nan
+            if running[b]:
+                rows = observations[b, i, :slots]
+                out[b, i] = _alignment(rows, actions[b, i], along_x, least)
+
+
+@kernel
+def _alignment(rows: Any, action: Any, along_x: bool, least: float) -> float:
+    """|vᵀf|/(‖v‖‖f‖) of one robot; NaN if ‖f‖ is below ``least`` (m/s), 0 if v = 0."""
+    f_square, v_square, product = 0.0, 0.0, 0.0
+    for k in range(rows.shape[1]):
+        f = 0.0
+        for row in range(rows.shape[0]):
+            f += rows[row, k]
+        v = 0.0
+        if not along_x:
+            v = action[k]
+        elif k == 0:
+            v = 1.0
+        f_square += f * f
+        v_square += v * v
+        product += v * f
+    if f_square < least * least:
+        return np.nan
+    if v_square == 0.0:
+        return 0.0
+    return min(1.0, abs(product) / np.sqrt(f_square * v_square))

@@ -1,0 +1,118 @@
+"""Who wins: the best policy of each scenario, and those that the starts do not tell from it."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from .. import policies
+from .evaluation import Episodes
+from .playing import Played
+from .statistics import best_policy, clean_difference
+
+_CONTEST = 2
+"""Policies that it takes at least."""
+_MOST_NAMED = 4
+"""Of policies that are level."""
+
+
+@dataclass(frozen=True)
+class Ranking:
+    """Clean success of the policies on one scenario."""
+
+    scenario: str
+    """Its name."""
+    starts: int
+    """How many each policy was played on."""
+    share: dict[str, float]
+    """Clean success of every policy, from 0 to 1; NaN where contacts do not count."""
+    best: str | None
+    """The best of those that know no map, None where nothing of its kind can be said."""
+    tied: tuple[str, ...]
+    """Those that the starts do not tell from it: the paired interval holds 0."""
+    references: tuple[str, ...]
+    """Those that know the map: they are shown and do not compete."""
+
+    @property
+    def is_contest(self) -> bool:
+        """Whether there was something to win."""
+        return self.best is not None and len(self.share) - len(self.references) >= _CONTEST
+
+    @property
+    def top(self) -> tuple[str, ...]:
+        """The best, and those that are tied with it."""
+        return () if self.best is None else (self.best, *self.tied)
+
+
+def rank(played: Sequence[Played]) -> list[Ranking]:
+    """The rankings of all scenarios, in their order."""
+    by_scenario: dict[str, dict[str, Episodes]] = {}
+    for done in played:
+        by_scenario.setdefault(done.job.scenario.name, {})[done.job.policy] = done.episodes
+    return [_ranking(scenario, episodes) for scenario, episodes in by_scenario.items()]
+
+
+def _ranking(scenario: str, played: dict[str, Episodes]) -> Ranking:
+    share = {name: float(own.clean.mean()) for name, own in played.items()}
+    references = tuple(name for name in played if policies.kind_of(name) == "privileged")
+    competing = {name: own for name, own in played.items() if name not in references}
+    starts = len(next(iter(played.values())).clean)
+    applies = not any(np.isnan(value) for value in share.values())
+    best = best_policy(competing) if competing and applies else None
+    tied = (
+        name
+        for name, own in competing.items()
+        if best is not None and name != best and _is_tied(own, competing[best])
+    )
+    return Ranking(scenario, starts, share, best, tuple(tied), references)
+
+
+def _is_tied(own: Episodes, best: Episodes) -> bool:
+    """Whether these starts do not say that the best is better; a single one speaks for itself."""
+    difference, (low, high) = clean_difference(own, best)
+    return difference == 0 or bool(low <= 0 <= high)
+
+
+# ---- in words -----------------------------------------------------------------------------------
+
+
+def answer(rankings: Sequence[Ranking]) -> str:
+    """Who wins, in one sentence."""
+    contests = [ranking for ranking in rankings if ranking.is_contest]
+    if not contests:
+        return "Nothing to win: no scenario has two policies whose clean success can be compared."
+    tops, alone = _counts(contests)
+    order = leaders(rankings)
+    leader = order[0]
+    level = [name for name in order if (tops[name], alone[name]) == (tops[leader], alone[leader])]
+    where = f"best, or not told from the best, in {_of(tops[leader], len(contests))}"
+    if len(level) > 1:
+        return f"{_listed(level)} are level in clean success: {where}."
+    by_itself = f", alone in {alone[leader]}" if alone[leader] and len(contests) > 1 else ""
+    then = f"; then {order[1]}, in {tops[order[1]]}" if len(order) > 1 else ""
+    return f"{leader} leads in clean success: {where}{by_itself}{then}."
+
+
+def leaders(rankings: Sequence[Ranking]) -> list[str]:
+    """Policies that are best of a scenario or not told from it, those of most scenarios first."""
+    tops, alone = _counts([ranking for ranking in rankings if ranking.is_contest])
+    return sorted(tops, key=lambda name: (-tops[name], -alone[name]))
+
+
+def _counts(contests: Sequence[Ranking]) -> tuple[Counter[str], Counter[str]]:
+    """In how many scenarios each policy is at the top, and in how many alone."""
+    tops = Counter(name for ranking in contests for name in ranking.top)
+    return tops, Counter(ranking.top[0] for ranking in contests if not ranking.tied)
+
+
+def _of(count: int, total: int) -> str:
+    return "the one scenario with a choice" if total == 1 else f"{count} of {total} scenarios"
+
+
+def _listed(names: Sequence[str]) -> str:
+    if len(names) > _MOST_NAMED:
+        return f"{len(names)} policies"
+    return f"{', '.join(names[:-1])} and {names[-1]}"

@@ -1,0 +1,208 @@
+"""What a comparison is to be: its settings, and the jobs that follow from them."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from tyro.conf import arg
+
+from rendezvous_env.scenario import scenarios as named_scenarios
+from rendezvous_env.scenario.scenario import Scenario, nearest_word
+
+from .. import policies, results
+from ..checks import UserError, check_least
+from ..tasks import WorkerFlags
+from . import sweep as levels
+from .evaluation import starts_of
+
+DEFAULT_SCENARIOS = (
+    "fig3",
+    "fig4",
+    "duo",
+    "swarm-20",
+    "ring-12",
+    "tree-12",
+    "random-10",
+    "unicycle-6",
+    "uav-6",
+    "cloud-8",
+    "clutter-4",
+    "clutter-8",
+    "clutter-12",
+    "clutter-16",
+    "clutter-24",
+    "clutter-16-team-3",
+    "clutter-16-team-8",
+    "clutter-16-team-16",
+    "clutter-16-team-32",
+    "clutter-32",
+    "trap",
+    "corridor",
+    "rooms",
+)
+
+_STARTS, _KEPT = 100, 3
+_LARGE = 8
+"""Robots; what more of them do among obstacles takes so long, and so much room, that fewer starts
+must do."""
+
+
+EXAMPLES = (
+    "",
+    "--scenario clutter-8 trap --policies tangent-joined learned --episodes 200",
+    "--scenario fig3 --set n_robots=9 time_limit=60",
+    "--scenario clutter-8 --sensing noise=0,0.1,0.2 --against tangent-joined",
+)
+FLAG_GROUPS = {
+    "Output": ("out", "fresh", "keep", "details", "json", "figures", "pdf"),
+    "Workers": ("jobs", "on", "address"),
+}
+
+
+@dataclass(frozen=True)
+class Config(WorkerFlags):
+    """Compare policies on the same starts and under one speed limit."""
+
+    scenarios: Annotated[tuple[str, ...], arg(aliases=("--scenario",))] = DEFAULT_SCENARIOS
+    """Names of scenarios, or paths of TOML files."""
+    policies: Annotated[tuple[str, ...], arg(aliases=("--policy",))] = ()
+    """Names of policies, learned:PATH of a run, or module:function of your own: a function of a
+    scenario that gives a policy, or None where it does not fit. Without this flag every policy that
+    fits is compared, but for those that see nothing and for references, which see everything. Where
+    a policy does not fit it is left out."""
+    episodes: int | None = None
+    """How many starts of each scenario are played: 100 if nothing is said, and fewer for more than
+    eight robots among obstacles, 800 over their number. A scenario whose start is given is played
+    once."""
+    seed: int = 0
+    """Start k of every scenario has the seed SEED + k, whatever the policy."""
+    out: Path = Path("out/compare")
+    """The folder for tables, trajectories and figures; one that is there is replaced at the end.
+    Until then what is finished lies in OUT.part, and the same command resumes it."""
+    fresh: Annotated[bool, arg(name="overwrite", aliases=("--fresh",))] = False
+    """Throws away what another command has left unfinished in OUT.part."""
+    keep: Annotated[int | None, arg(name="keep-trajectories", aliases=("--keep",))] = None
+    """Of how many starts the trajectories are kept: 3 if nothing is said, and fewer where there are
+    fewer starts. Where a policy fails and none of these fails, its first failure is kept too."""
+    sensing: tuple[str, ...] = ()
+    """Fields of the sensor and levels of each, as in noise=0,0.1,0.2 range=none,4,2: each scenario
+    is played at each of them, one field at a time, and drawn against it. The level none is that of
+    an exact sensor."""
+    set: tuple[str, ...] = ()
+    """Other values for fields of every scenario, as in n_robots=9 time_limit=60."""
+    ceiling: Annotated[int, arg(name="oracle-runs", aliases=("--ceiling",))] = 0
+    """Randomised runs of law (4) on each start, the best of which says what any heading policy can
+    reach (a hindsight upper bound), beside what a planner can that knows the map. With 0 this is
+    left out."""
+    details: bool = False
+    """Prints times, lengths and margins of every policy too, which always stand in results.csv."""
+    against: str | None = None
+    """The policy that the others are compared with, start by start: paired differences with
+    intervals, printed and in paired.csv."""
+    json: Path | None = None
+    """A file for all that is found in short, as JSON."""
+    figures: bool = True
+    """Draws figures."""
+    pdf: bool = False
+    """Writes each figure as PDF too, for print."""
+
+    def sweeps(self) -> list[levels.Sweep]:
+        """What the figures against levels of a sensor show."""
+        return levels.sweeps(_resolve(self), self.sensing)
+
+    def starts(self, scenario: Scenario) -> int:
+        """How many different starts of a scenario are played."""
+        asked = _fewer(_STARTS, scenario) if self.episodes is None else self.episodes
+        return starts_of(scenario, asked)
+
+    def kept(self, scenario: Scenario) -> int:
+        """How many of them are recorded."""
+        return _fewer(_KEPT, scenario) if self.keep is None else self.keep
+
+
+def _fewer(usual: int, scenario: Scenario) -> int:
+    """As many as usual, or fewer for a large team among obstacles."""
+    large = scenario.obstacles and scenario.n_robots > _LARGE
+    return max(1, usual * _LARGE // scenario.n_robots) if large else usual
+
+
+@dataclass(frozen=True)
+class Job:
+    """One policy on one scenario."""
+
+    scenario: Scenario
+    """The experiment."""
+    policy: str
+    """Name of the policy."""
+
+
+def plan(config: Config) -> list[Job]:
+    """The jobs that a configuration asks for.
+
+    Raises:
+        UserError: for an unknown name or an impossible number.
+    """
+    check_least(config, episodes=1, seed=0, keep=0, ceiling=0)
+    episodes = config.episodes or _STARTS
+    if config.seed + episodes > 2**63:
+        raise UserError(f"--seed is {config.seed}; with {episodes} starts it is too large")
+    _ = config.workers  # refuses what cannot be
+    policies.check_names(config.policies)
+    jobs: list[Job] = []
+    for scenario in _at_levels(_resolve(config), config.sensing):
+        fitting = policies.fitting(scenario, config.policies)
+        if not fitting:
+            known = ", ".join(policies.names(scenario))
+            raise UserError(f"no policy of those named fits {scenario.name}; these do: {known}")
+        jobs += [Job(scenario, name) for name in fitting]
+    _check_against(config.against, jobs)
+    _check_json(config)
+    return jobs
+
+
+def _at_levels(scenarios: Sequence[Scenario], words: Sequence[str]) -> list[Scenario]:
+    """The scenarios, or each of them once at every level of its sensor."""
+    if not words:
+        return list(scenarios)
+    swept = [one for sweep in levels.sweeps(scenarios, words) for one in sweep.scenarios]
+    return list(dict.fromkeys(swept))
+
+
+def _check_against(against: str | None, jobs: Sequence[Job]) -> None:
+    """Refuse a reference that nobody can be compared with."""
+    played = list(dict.fromkeys(job.policy for job in jobs))
+    if against is not None and against not in played:
+        near = nearest_word(against, played)
+        hint = f"did you mean {near!r}? " if near else ""
+        raise UserError(
+            f"--against {against!r} is not compared; {hint}these are: {', '.join(played)}"
+        )
+
+
+def _check_json(config: Config) -> None:
+    """Refuse a file that cannot be written, before any work."""
+    if config.json is None:
+        return
+    path, out = Path(os.path.realpath(config.json)), Path(os.path.realpath(config.out))
+    if path == out or out in path.parents:
+        raise UserError(f"--json {config.json}: lies in --out, which is replaced as a whole")
+    if path.is_dir():
+        raise UserError(f"--json {config.json}: is a folder; name a file")
+    results.prepare_folder(path.parent, f"--json {config.json}")
+
+
+def _resolve(config: Config) -> list[Scenario]:
+    if not config.scenarios:
+        raise UserError("--scenarios names none; known are " + ", ".join(named_scenarios.names()))
+    resolved = [policies.resolve_scenario(name, config.set) for name in config.scenarios]
+    names = [scenario.name for scenario in resolved]
+    for name in names:
+        if "/" in name or os.sep in name:
+            raise UserError(f"scenario name {name!r} would name a folder; leave out the slash")
+        if names.count(name) > 1:
+            raise UserError(f"two scenarios are called {name!r}; their results would mix")
+    return resolved

@@ -1,0 +1,201 @@
+"""From episodes to the numbers of a table: intervals, censored medians, paired comparisons."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .evaluation import Episodes
+
+CONFIDENCE = 0.95
+RESAMPLES = 2000
+"""Of every bootstrap."""
+
+Interval = tuple[float, float]
+
+
+_NONE: Interval = (np.nan, np.nan)
+"""What is known of other starts from a single one, or of what does not apply."""
+
+
+def fraction_interval(hits: NDArray[Any]) -> Interval:
+    """Wilson interval of a fraction, which unlike the bootstrap is honest about 0 and 1.
+
+    Args:
+        hits: (N,), 0 or 1; a single one has no interval, nor has NaN.
+    """
+    from scipy.stats import binomtest
+
+    if len(hits) == 1 or np.isnan(hits).any():
+        return _NONE
+
+    test = binomtest(int(hits.sum()), len(hits))
+    interval = test.proportion_ci(CONFIDENCE, method="wilson")
+    return float(interval.low), float(interval.high)
+
+
+def bootstrap_interval(
+    samples: tuple[NDArray[Any], ...], statistic: Callable[..., Any]
+) -> Interval:
+    """Percentile bootstrap interval over starts; the same for the same samples.
+
+    Args:
+        samples: each (N,), paired by start; a single start has no interval, nor has NaN.
+        statistic: of samples along ``axis``.
+    """
+    from scipy.stats import bootstrap
+
+    if len(samples[0]) == 1 or np.isnan(samples[0]).any():
+        return _NONE
+    result = bootstrap(
+        samples,
+        statistic,
+        paired=True,
+        vectorized=True,
+        n_resamples=RESAMPLES,
+        confidence_level=CONFIDENCE,
+        method="percentile",
+        rng=np.random.default_rng(0),
+    )
+    interval = result.confidence_interval
+    return float(interval.low), float(interval.high)
+
+
+def censored_median(
+    times: NDArray[np.float64], success: NDArray[np.bool_], limit: float
+) -> tuple[float, Interval]:
+    """Median rendezvous time with time-outs censored, and its 95 % bootstrap interval.
+
+    A time-out counts as later than every rendezvous, never as a time. Where the median (or an end
+    of its interval) falls among the time-outs it is ``limit``, which then means: later than this.
+
+    Args:
+        times: (N,), s.
+        success: (N,).
+        limit: time limit, s.
+    """
+
+    def median(censored: NDArray[np.float64], axis: int = -1) -> Any:
+        return np.minimum(np.median(censored, axis=axis), limit)
+
+    censored = np.where(success, times, np.inf)
+    value = float(median(censored))
+    return value, bootstrap_interval((censored,), median)
+
+
+def summarise(scenario: str, policy: str, episodes: Episodes, limit: float) -> dict[str, Any]:
+    """One row of results.csv.
+
+    Medians over starts: median_time (s, censored, see ``censored_median``) and path_length (m, all
+    robots together). Worst over starts: time_over_bound (largest), min_clearance (m),
+    max_rise_between_merges (m²/s; negative: V fell all the way in each of them), min_alignment.
+    Mean over starts: contacts. NaN where it does not apply: intervals of a single start, clean
+    success where robots pass through obstacles.
+
+    Args:
+        scenario: its name.
+        policy: its name.
+        episodes: what it did.
+        limit: time limit of the scenario, s.
+    """
+    success_low, success_high = fraction_interval(episodes.success)
+    clean_low, clean_high = fraction_interval(episodes.clean)
+    median, (time_low, time_high) = censored_median(episodes.time, episodes.success, limit)
+    return {
+        "scenario": scenario,
+        "policy": policy,
+        "episodes": len(episodes.success),
+        "success": episodes.success.mean(),
+        "success_low": success_low,
+        "success_high": success_high,
+        "clean_success": episodes.clean.mean(),
+        "clean_low": clean_low,
+        "clean_high": clean_high,
+        "median_time": median,
+        "time_low": time_low,
+        "time_high": time_high,
+        "time_over_bound": np.fmax.reduce(episodes.time / episodes.time_bound),
+        "path_length": np.median(episodes.path_length),
+        "min_clearance": np.fmin.reduce(episodes.clearance),
+        "max_rise_between_merges": episodes.max_rise_between_merges.max(),
+        "min_alignment": np.fmin.reduce(episodes.min_alignment),
+        "contacts": episodes.contacts.mean(),
+    }
+
+
+def reference_policy(played: dict[str, Episodes]) -> str:
+    """The policy that the others are compared with: law (1), or else the best there is.
+
+    Args:
+        played: episodes of every policy on the same starts of a scenario.
+    """
+    return "bearing-only" if "bearing-only" in played else best_policy(played)
+
+
+def best_policy(played: dict[str, Episodes]) -> str:
+    """The policy that meets most often, cleanly where contacts count; among equals the soonest."""
+    return max(played, key=lambda name: (played[name].good.mean(), -np.median(played[name].time)))
+
+
+def clean_difference(own: Episodes, other: Episodes) -> tuple[float, Interval]:
+    """Difference of the fractions of clean success on the same starts, and its 95 % bootstrap
+    interval over starts; NaN where contacts do not count.
+    """
+    difference = own.clean.astype(float) - other.clean
+    return float(difference.mean()), _mean_interval(difference)
+
+
+def compare_pairs(
+    scenario: str, played: dict[str, Episodes], against: str | None = None
+) -> list[dict[str, Any]]:
+    """Rows of paired.csv: every policy against the reference on the same starts.
+
+    clean_difference is that of the fractions of clean success, probability_of_improvement that of
+    doing better on a start: meeting cleanly and sooner; a tie counts half, and two failures tie.
+    Both have a 95 % bootstrap interval over starts.
+
+    Args:
+        scenario: its name.
+        played: episodes of every policy on the same starts.
+        against: name of the reference; None is ``reference_policy``.
+    """
+    against = against or reference_policy(played)
+    other = played[against]
+    rows = []
+    for name, own in played.items():
+        if name == against:
+            continue
+        difference, (difference_low, difference_high) = clean_difference(own, other)
+        better = _improvement(_cost(own), _cost(other))
+        better_low, better_high = _mean_interval(better)
+        rows.append(
+            {
+                "scenario": scenario,
+                "policy": name,
+                "against": against,
+                "clean_difference": difference,
+                "clean_difference_low": difference_low,
+                "clean_difference_high": difference_high,
+                "probability_of_improvement": better.mean(),
+                "improvement_low": better_low,
+                "improvement_high": better_high,
+            }
+        )
+    return rows
+
+
+def _cost(episodes: Episodes) -> NDArray[np.float64]:
+    """(N,), s: the time of a rendezvous that is ``good``, inf for anything else."""
+    return np.where(episodes.good, episodes.time, np.inf)
+
+
+def _improvement(own: NDArray[np.float64], other: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(N,): 1 where ``own`` is less, ½ where both are equal."""
+    return (own < other) + 0.5 * (own == other)
+
+
+def _mean_interval(values: NDArray[np.float64]) -> Interval:
+    return bootstrap_interval((values,), np.mean)

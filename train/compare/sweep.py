@@ -1,0 +1,140 @@
+"""Scenarios at several levels of what a sensor gets wrong."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+from rendezvous_env.scenario.scenario import Scenario, nearest_word
+from rendezvous_env.sensors.sensing import Sensing
+
+from .. import results
+from ..checks import UserError
+from ..resume import Part
+
+Level = float | str | None
+_EXACT = "none"
+"""The level of an exact sensor, whatever the field."""
+_FIELDS = tuple(field.name for field in fields(Sensing))
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """One scenario at some levels of one field of its sensor."""
+
+    base: Scenario
+    """The scenario as it was named."""
+    field: str
+    """Of ``rv.Sensing``."""
+    levels: tuple[Level, ...]
+    """Values of the field, in the order in which they were named."""
+    scenarios: tuple[Scenario, ...]
+    """The scenario at each of them."""
+
+    @property
+    def labels(self) -> list[str]:
+        """The levels as text."""
+        return [shown(level) for level in self.levels]
+
+    @property
+    def name(self) -> str:
+        """Of its files."""
+        return f"levels-{self.base.name}-{self.field.replace('_', '-')}"
+
+
+def parse(words: Sequence[str]) -> dict[str, tuple[Level, ...]]:
+    """Levels by field, of words like ``noise=0,0.1,0.2``.
+
+    Raises:
+        UserError: naming the word and what would be right.
+    """
+    found: dict[str, tuple[Level, ...]] = {}
+    for word in words:
+        name, _, listed = word.partition("=")
+        if name not in _FIELDS:
+            near = nearest_word(name, _FIELDS)
+            hint = f"did you mean {near!r}? " if near else ""
+            raise UserError(
+                f"--sensing {word}: {name!r} is no field of a sensor; {hint}they are "
+                f"{', '.join(_FIELDS)}"
+            )
+        levels = tuple(_level(name, text) for text in listed.split(",") if text)
+        if len(levels) < 2 or len(set(levels)) < len(levels):
+            raise UserError(f"--sensing {word}: name two or more levels, as in {name}=0,0.1")
+        if name in found:
+            raise UserError(f"--sensing {word}: {name} is named twice; list its levels once")
+        found[name] = levels
+    return found
+
+
+def _level(field: str, text: str) -> Level:
+    """A value of a field; numbers where they are numbers."""
+    if text == _EXACT:
+        exact: Level = getattr(Sensing(), field)
+        return exact
+    try:
+        number = float(text)
+    except ValueError:
+        return text
+    return int(number) if number.is_integer() else number
+
+
+def sweeps(scenarios: Sequence[Scenario], words: Sequence[str]) -> list[Sweep]:
+    """Each scenario at each level of each field; the other fields are the scenario's own.
+
+    Raises:
+        UserError: for a field or a level that cannot be.
+    """
+    return [
+        Sweep(base, field, levels, tuple(_at(base, field, level) for level in levels))
+        for base in scenarios
+        for field, levels in parse(words).items()
+    ]
+
+
+def _at(base: Scenario, field: str, level: Level) -> Scenario:
+    """The scenario at a level; the scenario itself where that is its own."""
+    try:
+        change: dict[str, Any] = {field: level}
+        sensing = replace(base.sensing, **change)
+        if sensing == base.sensing:
+            return base
+        name = f"{base.name}-{field.replace('_', '-')}-{shown(level)}"
+        return base.replace(name=name, sensing=sensing)
+    except (ValueError, TypeError) as error:
+        raise UserError(f"--sensing {field}={level}: {error}") from error
+
+
+def shown(level: Level) -> str:
+    """A level as text."""
+    if isinstance(level, float | int):
+        return f"{level:.4g}"
+    return _EXACT if level is None else level
+
+
+COLUMNS = ("base", "field", "level", *results.RESULT_COLUMNS)
+"""Of levels.csv: a scenario, a field of its sensor and the level at which it stands; then the row
+of results.csv. A level is empty where the field is that of an exact sensor and no number."""
+
+
+def rows_of(sweep: Sweep, rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """The rows of levels.csv that belong to a sweep.
+
+    Args:
+        sweep: scenario, field and levels.
+        rows: of results.csv.
+    """
+    return [
+        {"base": sweep.base.name, "field": sweep.field, "level": level} | row
+        for level, scenario in zip(sweep.levels, sweep.scenarios, strict=True)
+        for row in rows
+        if row["scenario"] == scenario.name
+    ]
+
+
+def write(part: Part, sweeps: Sequence[Sweep], rows: Sequence[dict[str, Any]]) -> list[str]:
+    """Write levels.csv; its name."""
+    found = [row for sweep in sweeps for row in rows_of(sweep, rows)]
+    results.write_csv(part.folder / "levels.csv", COLUMNS, found)
+    return ["levels.csv"]

@@ -1,1 +1,0 @@
-"""Policies on the same starts: episodes, statistics, tables."""

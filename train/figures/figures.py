@@ -1,0 +1,354 @@
+"""Figures of ``compare``: success, times, and clean success against clutter and team size.
+
+The drawing library is imported when a figure is made.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rendezvous_env.render.palette import OBSTACLE, ROBOTS, code
+from rendezvous_env.scenario.scenario import Scenario
+
+from .style import COLUMN, PAGE, SMALL, new_figure, styled
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+ROBOT_COLOURS = tuple(code(colour) for colour in ROBOTS)
+ORANGE = code(OBSTACLE)
+"""Of obstacles, as in the paper."""
+BLUE, VERMILLION, GREEN, PURPLE, SKY, DARK_RED, BLACK = ROBOT_COLOURS
+GREY = "#B8B8B8"
+_POLICY_COLOURS = {
+    "bearing-only": BLUE,
+    "unicycle": BLUE,
+    "nonholonomic-3d": BLUE,
+    "unicycle-cosine": SKY,
+    "privileged-planner": SKY,
+    "tangent": DARK_RED,
+    "tangent-blocking": PURPLE,
+    "tangent-joined": GREEN,
+    "tank-joined": GREEN,
+    "learned": VERMILLION,
+}
+"""The paper's laws (1), (7) and (12) never meet in one scenario and share a colour."""
+LINE = 0.155
+"""Height of a line of a panel or a legend, inch."""
+LEGEND_COLUMNS = 2
+_CROWDED = 0.07
+"""Share of an axis in which two numbers would touch."""
+_VARIANTS = {"-certified": "s", "-tuned": "^", "-tank": "D", "-tank-noise": "P"}
+"""Variants of a policy have its colour and another marker."""
+
+
+def policy_colour(name: str) -> str:
+    """The colour of a policy in every figure; black for learned ones that are not shipped."""
+    base = _base(name)
+    return BLACK if base.startswith("learned:") else _POLICY_COLOURS.get(base, GREY)
+
+
+def policy_marker(name: str) -> str:
+    """The marker of a policy, which tells its variants apart."""
+    if name.startswith("tank-"):
+        return _VARIANTS["-tank"]
+    return next((mark for end, mark in _VARIANTS.items() if name.endswith(end)), "o")
+
+
+def _line_style(name: str) -> str:
+    """Solid for a policy, broken for a variant, dotted under a tank."""
+    return {"o": "-", _VARIANTS["-tank"]: ":"}.get(policy_marker(name), "--")
+
+
+def _base(name: str) -> str:
+    """A policy's name without its variant."""
+    for ending in _VARIANTS:
+        name = name.removesuffix(ending)
+    return name
+
+
+# ---- compare ------------------------------------------------------------------------------------
+
+
+@styled
+def success_figure(rows: Sequence[Mapping[str, Any]]) -> Figure:
+    """Success and clean success of every policy, one panel for each scenario.
+
+    Args:
+        rows: of results.csv.
+    """
+
+    def draw(axes: Axes, panel: Sequence[Mapping[str, Any]]) -> None:
+        _intervals(axes, panel, "success", "success", above=True, factor=100.0)
+        _intervals(axes, panel, "clean_success", "clean", factor=100.0)
+        axes.set_xlim(-4, 104)
+        axes.set_xticks(range(0, 101, 25))
+
+    figure = _panels(rows, draw, "share of starts / %")
+    axes = figure.axes[0]
+    handles = [
+        axes.plot([], [], "o", color=GREY, fillstyle="none", label="all robots met")[0],
+        axes.plot([], [], "o", color=GREY, label="and none touched an obstacle")[0],
+        axes.plot([], [], "-", color=GREY, label="95 % interval")[0],
+    ]
+    figure.legend(handles=handles, loc="outside upper center", ncols=3)
+    return figure
+
+
+@styled
+def time_figure(rows: Sequence[Mapping[str, Any]]) -> Figure:
+    """Median rendezvous times of the policies that meet, one panel for each scenario.
+
+    Args:
+        rows: of results.csv.
+    """
+
+    def draw(axes: Axes, panel: Sequence[Mapping[str, Any]]) -> None:
+        met = [row for row in panel if row["success"] > 0.5]
+        _intervals(axes, met, "median_time", "time")
+        for row in panel:
+            if row not in met:
+                note = axes.text(
+                    0.02,
+                    row["place"],
+                    "more than half time out",
+                    transform=axes.get_yaxis_transform(),
+                    va="center",
+                    fontsize=SMALL - 1,
+                    color="0.4",
+                )
+                note.set_in_layout(False)  # in a panel of time-outs alone it would take all room
+        latest = [np.fmax(row["time_high"], row["median_time"]) for row in met]
+        axes.set_xlim(0, 1.15 * max(latest, default=1.0))
+
+    figure = _panels(rows, draw, "median rendezvous time / s")
+    handle = figure.axes[0].plot([], [], "o-", color=GREY, label="median, 95 % interval")[0]
+    figure.legend(handles=[handle], loc="outside upper center")
+    return figure
+
+
+def _panels(rows: Sequence[Mapping[str, Any]], draw: Any, label: str) -> Figure:
+    """A page with one panel for each scenario and one line for each of its policies."""
+    names = list(dict.fromkeys(row["scenario"] for row in rows))
+    panels = [[dict(row) for row in rows if row["scenario"] == name] for name in names]
+    columns = min(3, len(names))
+    tallest = [max(map(len, panels[k : k + columns])) for k in range(0, len(names), columns)]
+    heights = [0.35 + LINE * lines for lines in tallest]
+    width = COLUMN if columns == 1 else PAGE
+    figure = new_figure(width, 0.6 + sum(heights))
+    grid = figure.add_gridspec(len(heights), columns, height_ratios=heights)
+    for number, (name, panel) in enumerate(zip(names, panels, strict=True)):
+        axes = figure.add_subplot(grid[number // columns, number % columns])
+        for place, row in enumerate(panel):
+            row["place"] = place
+        draw(axes, panel)
+        axes.set_title(f"{name}, one start" if _is_single(panel[0]) else name)
+        axes.set_yticks(range(len(panel)), [row["policy"] for row in panel])
+        axes.set_ylim(tallest[number // columns] - 0.5, -0.5)
+        axes.tick_params(length=2)
+        axes.grid(axis="x")
+    figure.supxlabel(label, fontsize=8)
+    return figure
+
+
+def _is_single(row: Mapping[str, Any]) -> bool:
+    return row.get("episodes") == 1
+
+
+def _intervals(
+    axes: Axes,
+    rows: Sequence[Mapping[str, Any]],
+    value: str,
+    interval: str,
+    *,
+    above: bool = False,
+    factor: float = 1.0,
+) -> None:
+    """A marker with a horizontal interval for each row, open and over the line where another one
+    stands below it; nothing where the value does not apply, and no interval where there is none.
+    """
+    shift = 0.17 if interval == "clean" else -0.17 if above else 0.0
+    for row in rows:
+        centre, low, high = (factor * float(row[key]) for key in (value, *_ends(interval)))
+        if math.isnan(centre):
+            continue
+        axes.errorbar(
+            [centre],
+            [row["place"] + shift],
+            xerr=np.fmax(0.0, [[centre - low], [high - centre]]),
+            fmt=policy_marker(row["policy"]),
+            color=policy_colour(row["policy"]),
+            markerfacecolor="white" if above else None,
+            markersize=3,
+            linewidth=1.0,
+            markeredgewidth=0.8,
+            clip_on=False,
+        )
+
+
+def _ends(interval: str) -> tuple[str, str]:
+    return f"{interval}_low", f"{interval}_high"
+
+
+# ---- against one quantity -----------------------------------------------------------------------
+
+
+def sweeps(scenarios: Sequence[Scenario], quantity: str) -> list[list[Scenario]]:
+    """Groups of scenarios, two or more in each, that differ in one quantity only, in its order.
+
+    Args:
+        scenarios: any.
+        quantity: "obstacles", how many are drawn at random, or "robots".
+    """
+    groups: dict[str, dict[int, Scenario]] = {}
+    for scenario in scenarios:
+        plain = scenario.to_plain()
+        for derived in ("name", "obstacle_slots", "neighbour_slots"):
+            plain.pop(derived, None)
+        number = _number(scenario, quantity)
+        if number is None:
+            continue
+        if quantity == "obstacles":
+            del plain["obstacles"]["count"]
+        else:
+            del plain["n_robots"]
+        groups.setdefault(json.dumps(plain, sort_keys=True), {})[number] = scenario
+    return [[group[k] for k in sorted(group)] for group in groups.values() if len(group) > 1]
+
+
+def _number(scenario: Scenario, quantity: str) -> int | None:
+    """How many obstacles or robots a scenario has; None where they are not drawn by number."""
+    if quantity == "robots":
+        return scenario.n_robots
+    count = getattr(scenario.obstacles, "count", None)
+    return count if isinstance(count, int) and not isinstance(scenario.obstacles, tuple) else None
+
+
+@styled
+def sweep_figure(
+    rows: Sequence[Mapping[str, Any]], group: Sequence[Scenario], quantity: str
+) -> Figure:
+    """Clean success of every policy against the number of obstacles or of robots.
+
+    Args:
+        rows: of results.csv.
+        group: scenarios, as ``sweeps`` gives them.
+        quantity: "obstacles" or "robots".
+    """
+    numbers = {scenario.name: _number(scenario, quantity) or 0 for scenario in group}
+    inside = [row for row in rows if row["scenario"] in numbers]
+    policies = list(dict.fromkeys(row["policy"] for row in inside))
+    lines = math.ceil(len(policies) / LEGEND_COLUMNS)
+    figure = new_figure(COLUMN, 2.75 + LINE * lines)
+    axes = figure.add_subplot()
+    for policy in policies:
+        own = [row for row in inside if row["policy"] == policy]
+        own.sort(key=lambda row: numbers[row["scenario"]])
+        x = [numbers[row["scenario"]] for row in own]
+        policy_line(axes, policy, x, 100.0 * columns_of(own, "clean_success", "clean"))
+    places = sorted(numbers.values())
+    if min(np.diff(places)) < _CROWDED * (places[-1] - places[0]):
+        axes.set_xscale("log")
+    axes.set_xticks(places, [str(place) for place in places])
+    axes.minorticks_off()
+    axes.set(xlabel=f"number of {quantity}", ylim=(-3, 103))
+    axes.set_ylabel("met without a contact / % of starts")
+    axes.grid()
+    example = group[0]
+    count = _number(example, "obstacles")
+    clutter = f"{count} obstacles" if count else "the same obstacles"
+    fixed = f"{example.n_robots} robots" if quantity == "obstacles" else clutter
+    axes.set_title(f"Teams that meet cleanly: {fixed}, 95 % intervals")
+    figure.legend(loc="outside lower center", ncols=LEGEND_COLUMNS)
+    return figure
+
+
+def policy_line(
+    axes: Axes, policy: str, x: Sequence[float] | NDArray[Any], numbers: NDArray[Any]
+) -> None:
+    """One policy, with its intervals.
+
+    Args:
+        axes: to draw into.
+        policy: its name, which says how it is drawn.
+        x: (N,).
+        numbers: values and the ends of their intervals, (3, N).
+    """
+    centre, low, high = numbers
+    axes.errorbar(
+        x,
+        centre,
+        yerr=np.fmax(0.0, [centre - low, high - centre]),
+        fmt=policy_marker(policy),
+        linestyle=_line_style(policy),
+        color=policy_colour(policy),
+        elinewidth=0.6,
+        label=policy,
+    )
+
+
+def columns_of(rows: Sequence[Mapping[str, Any]], value: str, interval: str) -> NDArray[Any]:
+    """Values and the ends of their intervals, (3, N), of rows of results.csv."""
+    names = (value, *_ends(interval))
+    return np.array([[row[name] for row in rows] for name in names], dtype=float)
+
+
+_UNITS = {
+    "range": "m",
+    "field_of_view": "rad",
+    "noise": "rad",
+    "bias": "rad",
+    "error": "rad",
+    "delay": "steps",
+}
+
+
+@styled
+def level_figure(
+    base: Scenario, field: str, labels: Sequence[str], rows: Sequence[dict[str, Any]]
+) -> Figure:
+    """One line for each policy in two panels, with 95 % intervals.
+
+    Levels stand at equal distances, since the exact sensor need not be a number. Where more than
+    half of the starts time out there is no median time, and no mark.
+
+    Args:
+        base: the scenario.
+        field: of its sensor.
+        labels: its levels.
+        rows: of levels.csv.
+    """
+    lines = math.ceil(len({row["policy"] for row in rows}) / LEGEND_COLUMNS)
+    figure = new_figure(COLUMN, 4.2 + LINE * lines)
+    above, below = figure.subplots(2, 1, sharex=True)
+    policies = list(dict.fromkeys(row["policy"] for row in rows))
+    limit = base.max_steps * base.tau
+    counts = not np.isnan([row["clean_success"] for row in rows]).any()
+    names = ("clean_success", "clean") if counts else ("success", "success")
+    for policy in policies:
+        own = [row for row in rows if row["policy"] == policy]
+        x = np.arange(len(own))
+        policy_line(above, policy, x, 100.0 * columns_of(own, *names))
+        times = columns_of(own, "median_time", "time")
+        met = times[0] < limit
+        policy_line(below, policy, x[met], times[:, met])
+    above.set(ylim=(-2, 102), ylabel=f"met {'without contact ' if counts else ''}/ % of starts")
+    below.set(ylabel="median time / s")
+    below.set_ylim(bottom=0.0)
+    below.set_xticks(range(len(labels)), labels)
+    unit = f" / {_UNITS[field]}" if field in _UNITS else ""
+    below.set_xlabel(f"{field.replace('_', ' ')}{unit}")
+    for axes in (above, below):
+        axes.grid()
+    starts = rows[0]["episodes"]
+    above.set_title(f"{base.name}, {starts} starts, 95 % intervals")
+    handles, names = above.get_legend_handles_labels()
+    figure.legend(handles, names, loc="outside lower center", ncols=LEGEND_COLUMNS)
+    return figure

@@ -1,0 +1,230 @@
+"""Figures of single episodes: paths among obstacles, in the plane and in space, and V(t)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rendezvous_env.obstacles.obstacle_set import balls, outlines
+from rendezvous_env.render.facing import facing
+from rendezvous_env.render.palette import OBSTACLE_EDGE, code
+from rendezvous_env.scenario.scenario import Scenario
+
+from ..recording import Recording
+from .figures import BLACK, BLUE, ORANGE, ROBOT_COLOURS, VERMILLION, policy_colour
+from .style import COLUMN, PAGE, SMALL, new_figure, styled
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+_MOST_NAMES = 8
+"""Robots up to which each has its number beside its start."""
+_PATHS, _VALUE = 3.1, 2.2
+"""Heights of both parts of the picture of a team, inch."""
+_ARROWS = 4
+"""Headings drawn along each path."""
+_LATE = 0.7
+"""Share of an episode after which merges are so close together that they are shown enlarged."""
+
+
+@styled
+def trajectories_figure(scenario: Scenario, recordings: Mapping[str, Recording]) -> Figure:
+    """What every policy does on the same start, one panel for each.
+
+    Args:
+        scenario: two-dimensional.
+        recordings: by policy.
+    """
+    columns = min(4, len(recordings))
+    rows = math.ceil(len(recordings) / columns)
+    width = COLUMN if columns < 3 else PAGE
+    figure = new_figure(width, 0.5 + rows * (0.87 * width / columns + 0.3))
+    panels = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
+    for axes, (name, recording) in zip(panels.flat, recordings.items(), strict=False):
+        draw_paths(axes, recording, scenario)
+        met = recording["active"][-1].sum() == 1
+        end = f"met after {recording['times'][-1]:.1f} s" if met else "time out"
+        contacts = int(recording["contacts"][-1].sum())
+        touched = f", {contacts} contact{'s' if contacts > 1 else ''}" if contacts else ""
+        axes.set_title(f"{name}\n{end}{touched}", fontsize=SMALL, color=policy_colour(name))
+        axes.locator_params(nbins=4)
+        axes.tick_params(length=2)
+    for axes in panels.flat[len(recordings) :]:
+        axes.set_axis_off()
+    for axes in panels.flat[: len(recordings)][-columns:]:
+        axes.tick_params(labelbottom=True)
+    figure.supxlabel("x / m", fontsize=8)
+    figure.supylabel("y / m", fontsize=8)
+    figure.suptitle(f"{scenario.name}, first start: the ways of the robots under each policy")
+    return figure
+
+
+# ---- one team -----------------------------------------------------------------------------------
+
+
+def draw_paths(axes: Any, recording: Mapping[str, NDArray[Any]], scenario: Scenario) -> None:
+    """Paths of the robots of one team among orange obstacles, in axes of equal scale.
+
+    Filled circles are starts, crosses are merges; a robot's path ends where it merged. Arrows are
+    headings, of robots that have one.
+
+    Args:
+        axes: to draw in; of three dimensions for robots in space.
+        recording: positions (T, n, d), m; active (T, n); headings (T, n, k), rad; obstacles.
+        scenario: in the plane or in space.
+    """
+    positions, active = recording["positions"], recording["active"]
+    flat = scenario.dim == 2
+    size = 0.1 * np.ptp(positions, axis=(0, 1)).max()
+    (_draw_obstacles if flat else _draw_spheres)(axes, recording["obstacles"])
+    for robot in range(positions.shape[1]):
+        colour = ROBOT_COLOURS[robot % len(ROBOT_COLOURS)]
+        last = int(active[:, robot].sum()) + 1  # one frame more: to where it merged
+        path = positions[:last, robot]
+        axes.plot(*path.T, color=colour, zorder=3)
+        axes.plot(*path[:1].T, "o", color=colour, markersize=4, zorder=4)
+        if scenario.model.n_angles:
+            along = size * facing(recording["headings"][:last, robot], scenario.dim)
+            _draw_headings(axes, path, along)
+    for frame, robot in np.argwhere(active[:-1] & ~active[1:]):
+        axes.plot(*positions[frame + 1, robot][:, None], "x", color=BLACK, markersize=4, zorder=5)
+    axes.set_aspect("equal", adjustable="box" if flat else "datalim")
+
+
+def _draw_headings(axes: Any, path: NDArray[np.float64], arrows: NDArray[np.float64]) -> None:
+    """Arrows at the start of a path and at equal times after it, in m."""
+    frames = np.unique(np.linspace(0, len(path) - 1, _ARROWS + 1).astype(int)[:-1])
+    where, along = path[frames], arrows[frames]
+    if path.shape[1] == 3:
+        axes.quiver(*where.T, *along.T, color=BLACK, linewidth=0.8, arrow_length_ratio=0.4)
+        return
+    for place, arrow in zip(where, along, strict=True):
+        style = {"arrowstyle": "-|>", "color": BLACK, "lw": 0.7, "mutation_scale": 5}
+        ends = {"shrinkA": 0, "shrinkB": 0, "zorder": 6}
+        axes.annotate("", place + arrow, place, arrowprops=style | ends)
+
+
+def _draw_obstacles(axes: Axes, obstacles: NDArray[np.float64]) -> None:
+    from matplotlib.patches import Circle, Polygon
+
+    for (x, y), radius, vertices in outlines(obstacles):
+        shape = Polygon(vertices) if len(vertices) else Circle((x, y), radius)
+        shape.set(facecolor=ORANGE, edgecolor=code(OBSTACLE_EDGE), linewidth=0.8, zorder=1)
+        axes.add_patch(shape)
+
+
+def _draw_spheres(axes: Any, obstacles: NDArray[np.float64]) -> None:
+    around, down = np.mgrid[0 : 2 * math.pi : 25j, 0 : math.pi : 13j]
+    ball = np.stack([np.cos(around) * np.sin(down), np.sin(around) * np.sin(down), np.cos(down)])
+    for centre, radius in balls(obstacles):
+        surface = centre[:, None, None] + radius * ball
+        axes.plot_surface(*surface, color=ORANGE, alpha=0.55, linewidth=0)
+
+
+@styled
+def team_figure(scenario: Scenario, recording: Mapping[str, NDArray[Any]], policy: str) -> Figure:
+    """One episode as in figures 3 and 4 of the paper: (a) paths, (b) V(t) with its jumps at merges.
+
+    Args:
+        scenario: in the plane or in space.
+        recording: one team with every step kept: times, positions, headings, active, obstacles,
+            lyapunov, and lyapunov_before_merge and lyapunov_after_merge of the step to each frame.
+        policy: for the title.
+    """
+    figure = new_figure(COLUMN, _PATHS + _VALUE)
+    space = scenario.dim == 3
+    grid = figure.add_gridspec(2, 1, height_ratios=(_PATHS, _VALUE))
+    paths: Any = figure.add_subplot(grid[0], projection="3d" if space else None)
+    value = figure.add_subplot(grid[1])
+    if space:
+        paths.locator_params(nbins=5)  # before the scales are made equal, which it undoes
+    draw_paths(paths, recording, scenario)
+    arrows = ", arrows: headings" if scenario.model.n_angles else ""
+    paths.set(xlabel="x / m", ylabel="y / m", title=f"(a) dots: starts, crosses: merges{arrows}")
+    if space:
+        paths.set(zlabel="z / m")
+        paths.tick_params(pad=0)
+        paths.set_box_aspect(None, zoom=0.85)  # its labels lie outside of the room it asks for
+    elif scenario.n_robots <= _MOST_NAMES:
+        _name_robots(paths, recording)
+    draw_lyapunov(value, recording)
+    value.set(title="(b) the Lyapunov function")
+    figure.suptitle(f"{scenario.n_robots} robots under {policy} ({scenario.name})")
+    return figure
+
+
+def _name_robots(axes: Axes, recording: Mapping[str, NDArray[Any]]) -> None:
+    """The number of each robot beside its start, on the side where most room is left."""
+    positions = recording["positions"]
+    away = 0.06 * np.ptp(positions, axis=(0, 1)).max()
+    angles = np.arange(16) * np.pi / 8
+    around = away * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    taken = positions.reshape(-1, 2)
+    if recording["headings"].shape[-1]:  # the arrow that is drawn at each start
+        heads = positions[0] + away * facing(recording["headings"][0], 2)
+        taken = np.concatenate([taken, heads, 2 * heads - positions[0]])
+    for robot, start in enumerate(positions[0]):
+        free = np.linalg.norm((start + around)[:, None] - taken, axis=-1).min(axis=1)
+        place = start + around[free.argmax()]
+        x, y = place.tolist()
+        axes.text(x, y, str(robot), ha="center", va="center", fontsize=SMALL)
+        taken = np.concatenate([taken, place[None]])
+    axes.margins(x=0.18, y=0.12)
+
+
+def draw_lyapunov(axes: Axes, recording: Mapping[str, NDArray[Any]]) -> None:
+    """V(t) of one team, the part with the merges enlarged.
+
+    Args:
+        axes: to draw in.
+        recording: times, lyapunov, lyapunov_before_merge and lyapunov_after_merge, each (T,).
+    """
+    times, before = recording["times"], recording["lyapunov_before_merge"]
+    merges = np.flatnonzero(~np.isnan(before))
+    _plot_lyapunov(axes, recording, merges)
+    axes.set(xlabel="time / s", ylabel="V / (m²/s)", ylim=(0, None), xlim=(0, times[-1] * 1.03))
+    if merges.size:
+        axes.legend(loc="lower left")
+    if merges.size and times[merges[0]] > _LATE * times[-1]:
+        inset = axes.inset_axes((0.62, 0.56, 0.37, 0.32))
+        _plot_lyapunov(inset, recording, merges)
+        span = times[-1] - times[merges[0]] + 0.06 * times[-1]
+        inset.set(xlim=(times[-1] - span, times[-1] + 0.1 * span))
+        inset.set(ylim=(0, 1.4 * before[merges].max()))
+        inset.set_title("the box, enlarged", fontsize=SMALL, pad=3)
+        inset.tick_params(labelsize=SMALL - 1, length=2)
+        inset.locator_params(nbins=4)
+        box = axes.indicate_inset_zoom(inset, edgecolor="0.3", linewidth=0.8)
+        for connector in box.connectors or ():
+            connector.set_visible(False)  # it would cross V
+
+
+def _plot_lyapunov(
+    axes: Axes, recording: Mapping[str, NDArray[Any]], merges: NDArray[np.int64]
+) -> None:
+    """V(t); every merge is a dashed vertical line from V before it to V after it."""
+    times, lyapunov = recording["times"], recording["lyapunov"]
+    before, after = recording["lyapunov_before_merge"], recording["lyapunov_after_merge"]
+    for first, last in zip([0, *merges], [*merges, len(times) - 1], strict=True):
+        stretch = lyapunov[first : last + 1].copy()
+        if first in merges:
+            stretch[0] = after[first]
+        if last in merges:
+            stretch[-1] = before[last]
+        if last > first:
+            axes.plot(times[first : last + 1], stretch, color=BLUE)
+    axes.vlines(
+        times[merges],
+        after[merges],
+        before[merges],
+        VERMILLION,
+        (0, (2, 1)),
+        linewidth=1.4,
+        label="jump at a merge",
+    )
+    axes.grid()

@@ -1,0 +1,267 @@
+"""``rendezvous render``: one episode as a video or as a figure."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from importlib import import_module
+from itertools import chain, repeat
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.progress import Progress
+from tyro.conf import arg
+
+from rendezvous_env.render.palette import OBSTACLE, OBSTACLE_EDGE, ROBOTS, mixed
+from rendezvous_env.render.renderer import Renderer
+from rendezvous_env.scenario.scenario import Scenario
+from rendezvous_env.simulator import Simulator
+from rendezvous_env.trajectory import Policy, Trajectory, rollout
+from rendezvous_env.trajectory import run as steps_of
+
+from .. import policies
+from ..checks import UserError
+from ..results import atomic, prepare_folder
+from . import path_figures, style
+from .reproduce import one_team
+
+STILLS = (".png", ".pdf")
+_USUAL_LENGTH = 8.0  # s, of a video whose speed is not given
+_LEAST_STEPS = 15  # in a second of such a video; fewer would not look like motion
+_LAST_PICTURE = 1.5  # s, for which a video shows the end of the episode
+_LIMITS = {"seed": (0, 2**63 - 1), "size": (120, 4096), "fps": (1, 100), "speed": (1e-3, 1e3)}
+
+Frame = NDArray[np.uint8]
+
+
+EXAMPLES = (
+    "--scenario fig4",
+    "--scenario trap --policy tangent-joined --out out/trap.mp4 --fps 30",
+)
+
+
+@dataclass(frozen=True)
+class Config:
+    """Make a video (.gif, .mp4) or a figure (.png, .pdf) of one episode."""
+
+    scenario: Annotated[str, arg(aliases=("--scenarios",))] = "fig4"
+    """The name of a scenario, or the path of a TOML file."""
+    policy: Annotated[str | None, arg(aliases=("--policies",))] = None
+    """The name of a policy; learned and learned:PATH are among them. Without it the best that fits
+    is taken."""
+    seed: int = 0
+    """The seed of the start."""
+    out: Path = Path("out/render.gif")
+    """The file to write; its ending says what: .gif, .mp4, .png or .pdf."""
+    size: int = 600
+    """The edge of a video's square picture, pixels; an odd one is made even."""
+    fps: int = 25
+    """How many pictures a second of video has."""
+    speed: float | None = None
+    """How many simulated seconds a second of video shows. Without it the video is 8 s long, or
+    shorter if the episode has few steps."""
+    set: tuple[str, ...] = ()
+    """Other values for fields of the scenario, as in n_robots=9 time_limit=60."""
+
+
+def run(config: Config) -> int:
+    """Simulate, draw, and write the file.
+
+    Raises:
+        UserError: for an unknown name or ending, an impossible number, a file that cannot be
+            written, or a missing extra.
+    """
+    scenario, name = _check(config)
+    prepare_folder(config.out.parent)
+    console = Console()
+    with console.status("simulating; the first use on a machine compiles …"):
+        policy = policies.make(name, scenario)
+        trajectory = rollout(scenario, policy, config.seed)
+    try:
+        if config.out.suffix.lower() in STILLS:
+            figure = path_figures.team_figure(scenario, one_team(trajectory), name)
+            style.save(figure, config.out)
+        else:
+            _write_video(config, name, trajectory, console)
+    except OSError as error:
+        raise UserError(f"--out {config.out}: cannot write there: {error.strerror}") from error
+    end = "met" if trajectory.success[0] else "did not meet, stopped"
+    seconds = float(trajectory.times[-1])
+    console.print(f"{scenario.name}, {name}: {end} after {seconds:.2f} s; {config.out}")
+    return 0
+
+
+def _check(config: Config) -> tuple[Scenario, str]:
+    """The scenario and the policy's name, once everything is known to be right."""
+    ending, known = config.out.suffix.lower(), (*VIDEOS, *STILLS)
+    if ending not in known:
+        raise UserError(
+            f"--out {config.out}: unknown ending {ending!r}; known are {', '.join(known)}"
+        )
+    for field, (least, most) in _LIMITS.items():
+        value = getattr(config, field)
+        if value is not None and not least <= value <= most:
+            raise UserError(f"--{field} is {value}; it must be from {least} to {most}")
+    policies.check_names([config.policy] if config.policy else [])
+    try:
+        scenario = policies.resolve_scenario(config.scenario, config.set)
+        name = config.policy or policies.best(scenario)
+        policies.make(name, scenario)
+    except (ValueError, OSError) as error:
+        raise UserError(str(error)) from error
+    if ending in VIDEOS:
+        _check_video(config.out)
+    return scenario, name
+
+
+def _write_video(config: Config, name: str, trajectory: Trajectory, console: Console) -> None:
+    """Play the episode once more, with a renderer looking on."""
+    scenario = trajectory.scenario
+    length = float(trajectory.times[-1])
+    fps = video_rate(config.out, config.fps)
+    steps = len(trajectory.times) - 1
+    speed = config.speed or length / min(_USUAL_LENGTH, steps / _LEAST_STEPS)
+    edge = 2 * (config.size // 2)
+    simulator = Simulator(scenario)
+    observations = simulator.reset(config.seed)
+    renderer = Renderer(simulator, "rgb_array", (edge, edge), horizon=length)
+    policy = policies.make(name, scenario)
+    pictures = _pictures(renderer, simulator, policy, observations, (speed / fps, fps))
+    total = math.ceil(length * fps / speed) + round(_LAST_PICTURE * fps)
+    with Progress(console=console, transient=True) as progress, atomic(config.out) as temporary:
+        counted = progress.track(pictures, total=total, description="drawing")
+        write_video(temporary, config.out.suffix.lower(), counted, fps)
+
+
+def _pictures(
+    renderer: Renderer,
+    simulator: Simulator,
+    policy: Policy,
+    observations: NDArray[np.float32],
+    pace: tuple[float, float],
+) -> Iterator[Frame]:
+    """Pictures at equal times of the first state, the states between, and at length of the last.
+
+    Args:
+        renderer: of the simulator.
+        simulator: freshly reset.
+        policy: what moves the robots.
+        observations: of the start.
+        pace: simulated seconds from picture to picture, and pictures a second.
+    """
+    interval, fps = pace
+    shown = 0
+    for _ in _states(renderer, simulator, policy, observations):
+        next_state = float(simulator.time[0]) + simulator.scenario.tau
+        due = math.ceil(next_state / interval - 1e-9)
+        count = round(_LAST_PICTURE * fps) if simulator.ended[0] else due - shown
+        if count > 0:
+            frame = renderer.render()
+            assert frame is not None
+            yield from repeat(frame, count)
+        shown = max(shown, due)
+
+
+def _states(
+    renderer: Renderer, simulator: Simulator, policy: Policy, observations: NDArray[np.float32]
+) -> Iterator[None]:
+    """Stops at the start and after every step, of which the renderer has been told."""
+    renderer.reset()
+    yield
+    for step in steps_of(simulator, policy, observations):
+        renderer.see(step.outcome.contact)
+        yield
+
+
+Frames = Iterable[NDArray[np.uint8]]
+VIDEOS = (".gif", ".mp4")
+_SHARES = (0.0, 0.15, 0.3, 0.5, 0.65, 0.8)
+"""Of white in a colour: paths are lighter than robots, and edges are smooth."""
+
+
+def video_rate(path: Path, fps: int) -> float:
+    """Pictures a second that a file can have: a GIF counts in hundredths of a second, from two."""
+    return 100 / max(2, round(100 / fps)) if _ending(path) == ".gif" else float(fps)
+
+
+def _check_video(path: Path) -> None:
+    """Refuse a video for which a library is missing, before any work is spent on it.
+
+    Raises:
+        UserError: saying what to install.
+    """
+    _library("PIL.Image" if _ending(path) == ".gif" else "imageio_ffmpeg")
+    _library("pygame")
+
+
+def write_video(path: Path, ending: str, frames: Frames, fps: float) -> None:
+    """Write a video.
+
+    Args:
+        path: of the file.
+        ending: one of VIDEOS, what kind of video.
+        frames: (height, width, 3) each, of equal and even size.
+        fps: as ``video_rate`` gives it.
+    """
+    {".gif": _write_gif, ".mp4": _write_mp4}[ending](path, frames, fps)
+
+
+def _ending(path: Path) -> str:
+    return path.suffix.lower()
+
+
+def _library(name: str) -> Any:
+    try:
+        return import_module(name)
+    except ImportError as error:
+        raise UserError(
+            f"{name.partition('.')[0]} is not installed; pip install rendezvous-env[render]"
+        ) from error
+
+
+def _write_gif(path: Path, frames: Frames, fps: float) -> None:
+    image = _library("PIL.Image")
+    palette = image.new("P", (1, 1))
+    palette.putpalette(_palette())
+
+    def reduced() -> Iterator[Any]:
+        for frame in frames:
+            picture = image.fromarray(frame)
+            yield picture.quantize(palette=palette, dither=image.Dither.NONE)
+
+    pictures = reduced()
+    first = next(pictures)
+    duration = round(1000 / fps)
+    first.save(path, format="GIF", save_all=True, append_images=pictures, duration=duration, loop=0)
+
+
+def _palette() -> list[int]:
+    """Red, green, blue, red, …: the colours of the pictures and what they fade into."""
+    white, black = (255, 255, 255), (0, 0, 0)
+    greys = [mixed(black, white, step / 15) for step in range(16)]
+    dark = [mixed(robot, black, 0.5) for robot in ROBOTS]
+    colours = (*ROBOTS, OBSTACLE, OBSTACLE_EDGE)
+    faded = [mixed(colour, white, share) for colour in colours for share in _SHARES]
+    edges = [
+        mixed(OBSTACLE, other, share) for other in (OBSTACLE_EDGE, *ROBOTS) for share in (0.3, 0.6)
+    ]
+    return list(chain.from_iterable([*greys, *dark, *faded, *edges]))
+
+
+def _write_mp4(path: Path, frames: Frames, fps: float) -> None:
+    pictures = iter(frames)
+    first = next(pictures)
+    height, width = first.shape[:2]
+    writer = _library("imageio_ffmpeg").write_frames(
+        str(path), (width, height), fps=fps, codec="libx264", quality=8, macro_block_size=2
+    )
+    writer.send(None)
+    try:
+        for frame in chain([first], pictures):
+            writer.send(frame.tobytes())
+    finally:
+        writer.close()

@@ -1,0 +1,154 @@
+"""``rendezvous reproduce``: figures 3 and 4 of the paper for our start positions, and what the
+margin and the budget of an energy tank buy.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+from tyro.conf import Positional
+
+from rendezvous_env.scenario import scenarios
+from rendezvous_env.trajectory import Trajectory, rollout
+
+from .. import policies, results
+from ..checks import UserError, check_least, check_most
+from . import learning_figures, path_figures, style
+
+_LAWS = {"fig3": "bearing-only", "fig4": "tangent-joined"}
+"""Figure 3: law (1), through the obstacles. Figure 4: law (4) round them."""
+
+EXAMPLES = ("fig3", "fig4 --policy learned", "tank --episodes 1000")
+
+
+@dataclass(frozen=True)
+class Config:
+    """Draw a figure of the paper: (a) the paths, (b) V(t) with its jumps at merges.
+
+    The paper prints no coordinates; start positions and obstacles are our own choice. Or draw
+    what a tank's margin and budget buy: clean success and the time bound.
+    """
+
+    figure: Positional[Literal["fig3", "fig4", "tank"]]
+    """What to draw. fig3: law (1), obstacles ignored. fig4: law (4) with headings round the
+    obstacles. tank: tank-joined among 24 discs with other margins and budgets."""
+    policy: str | None = None
+    """Another policy than the figure's own, which is bearing-only or tangent-joined; not for
+    tank."""
+    out: Path = Path("out/reproduce")
+    """The folder for the picture and its data; it is made if there is none."""
+    seed: int = 0
+    """The seed of the robots' local frames, which do not change what is drawn; of tank's first
+    start."""
+    episodes: int = 256
+    """How many starts each point of tank has."""
+
+
+def run(config: Config) -> int:
+    """Simulate, draw, and write FIGURE.png, FIGURE.pdf, FIGURE.npz and FIGURE.csv.
+
+    Raises:
+        UserError: for a policy that does not fit or a folder that cannot be written.
+    """
+    check_least(config, seed=0, episodes=1)
+    check_most(config, seed=2**63 - 1, episodes=10**6)
+    if config.figure == "tank":
+        return _tank(config)
+    scenario = scenarios.get(config.figure)
+    name = config.policy or _LAWS[config.figure]
+    try:
+        policy = policies.make(name, scenario)
+    except ValueError as error:
+        raise UserError(str(error)) from error
+    folder = results.prepare_folder(config.out)
+    console = Console()
+    with console.status("simulating; the first use on a machine compiles …"):
+        trajectory = rollout(scenario, policy, config.seed, record="observations")
+    recording = one_team(trajectory)
+    path = folder / f"{config.figure}.png"
+    results.write_arrays(path.with_suffix(".npz"), recording)
+    results.write_csv(path.with_suffix(".csv"), _columns(scenario.n_robots), _rows(recording))
+    figure = path_figures.team_figure(scenario, recording, name)
+    for ending in (".png", ".pdf"):
+        style.save(figure, path.with_suffix(ending))
+    end = f"met after {recording['times'][-1]:.2f} s" if trajectory.success[0] else "did not meet"
+    (rise,) = trajectory.largest_rise_between_merges
+    console.print(f"{config.figure}, {name}: {end}; largest change of V in a step {rise:.2g} m²/s")
+    console.print(f"picture and data: {path}, .pdf, .npz and .csv")
+    return 0
+
+
+def _tank(config: Config) -> int:
+    """Play, draw, and write tank.png, tank.pdf and tank.csv.
+
+    Raises:
+        UserError: if another policy is asked for.
+    """
+    if config.policy is not None:
+        raise UserError(
+            f"--policy is {config.policy}; tank shows {learning_figures.TANK_POLICY} alone"
+        )
+    path, console = results.prepare_folder(config.out) / "tank.png", Console()
+    with console.status("playing; the first use on a machine compiles …"):
+        rows = list(learning_figures.measure_tanks(config.episodes, config.seed))
+    results.write_csv(path.with_suffix(".csv"), learning_figures.TANK_COLUMNS, rows)
+    figure = learning_figures.tank_tradeoff_figure(rows)
+    for ending in (".png", ".pdf"):
+        style.save(figure, path.with_suffix(ending))
+    for row in rows:
+        console.print(
+            f"B = {row['budget']:g} m²/s, ε = {row['min_alignment']:g}: "
+            f"{row['clean_success']:.1%} without a contact; theorem D: {row['bound']:.4g} s"
+        )
+    console.print(f"picture and data: {path}, .pdf and .csv")
+    return 0
+
+
+def one_team(trajectory: Trajectory) -> dict[str, NDArray[Any]]:
+    """The first team of a rollout, every step a frame, with the keys of ``recording.Recording``."""
+    gone = (trajectory.active[:-1, 0] != trajectory.active[1:, 0]).any(axis=-1)
+    first = {
+        name: getattr(trajectory, name)[:, 0]
+        for name in ("positions", "headings", "active", "lyapunov", *trajectory.recorded)
+        if name != "actions"
+    }
+    jumps = {
+        name: np.append(np.nan, np.where(gone, getattr(trajectory, name)[:, 0], np.nan))
+        for name in ("lyapunov_before_merge", "lyapunov_after_merge")
+    }
+    contacts = np.cumsum(trajectory.contacts[:, 0], axis=0)
+    none = np.zeros_like(contacts[:1])
+    return {
+        "times": trajectory.times,
+        **first,
+        **jumps,
+        "contacts": np.concatenate([none, contacts]),
+        "obstacles": trajectory.obstacles[0],
+    }
+
+
+def _columns(n_robots: int) -> list[str]:
+    places = [f"{axis}_{robot}" for robot in range(n_robots) for axis in ("x", "y")]
+    jumps = ["lyapunov_before_merge", "lyapunov_after_merge"]
+    return ["time", "robots", "lyapunov", *jumps, *places]
+
+
+def _rows(recording: dict[str, NDArray[Any]]) -> list[dict[str, Any]]:
+    """One row for each frame: s, m²/s (empty without a merge), m."""
+    n = recording["positions"].shape[1]
+    table = np.column_stack(
+        [
+            recording["times"],
+            recording["active"].sum(axis=1),
+            recording["lyapunov"],
+            recording["lyapunov_before_merge"],
+            recording["lyapunov_after_merge"],
+            recording["positions"].reshape(len(recording["times"]), -1),
+        ]
+    )
+    return [dict(zip(_columns(n), row, strict=True)) for row in table.tolist()]

@@ -1,0 +1,286 @@
+"""Checkpoints of a run: its state as named arrays, written whole or not there at all.
+
+``baselines.learned.checkpoints`` reads them.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from rendezvous_env.baselines.learned import checkpoints, plain_data
+from rendezvous_env.baselines.learned.checkpoints import CheckpointError
+from rendezvous_env.baselines.learned.plain_data import check_types, entry
+from rich.console import Console
+
+from .. import results
+from ..checks import UserError
+from .settings import Config, check, resumed, same_run
+
+CONFIG = "config.json"
+"""In the folder of a run: its settings."""
+STATE_FILES = ("network", "optimizer", "state")
+"""Of a checkpoint from which training can go on."""
+_DESCRIPTION = {"step": int, "stage": int, "updates": int, "wall_s": float, "written": str}
+"""Of a checkpoint: what a run needs to go on."""
+KEPT = 2
+"""Checkpoints of a run that stay on disk."""
+
+Tables = Mapping[str, Mapping[str, NDArray[Any]]]
+
+
+def write(run: Path, step: int, description: Mapping[str, Any], tables: Tables) -> Path:
+    """Write a checkpoint of a run and remove those that are no longer needed.
+
+    Args:
+        run: its folder.
+        step: by which the checkpoint is called.
+        description: plain data.
+        tables: named arrays for each file, without the suffix.
+
+    Raises:
+        OSError: if it cannot be written; older checkpoints are as they were.
+    """
+    folder = run / checkpoints.FOLDER
+    folder.mkdir(parents=True, exist_ok=True)
+    place = folder / f"step-{step:012d}"
+    write_folder(place, description, tables)
+    results.write_json(folder / checkpoints.POINTER, {"checkpoint": place.name})
+    _sync(folder)
+    for old in sorted(folder.glob("step-*"))[:-KEPT]:
+        shutil.rmtree(old, ignore_errors=True)
+    return place
+
+
+def write_folder(place: Path, description: Mapping[str, Any], tables: Tables) -> None:
+    """Write one checkpoint under a temporary name and rename it; one that stands there goes.
+
+    Raises:
+        OSError: if it cannot be written; nothing has changed then.
+    """
+    from safetensors.numpy import save
+
+    for left in place.parent.glob(".*.part"):
+        shutil.rmtree(left, ignore_errors=True)
+    temporary, replaced = (place.with_name(f".{place.name}{end}.part") for end in ("", ".old"))
+    try:
+        temporary.mkdir()
+        files = {}
+        for name, arrays in tables.items():
+            content = save({key: np.ascontiguousarray(value) for key, value in arrays.items()})
+            files[f"{name}.safetensors"] = entry(content)
+            _write(temporary / f"{name}.safetensors", content)
+        about = {"format_version": checkpoints.FORMAT_VERSION, **description, "files": files}
+        about["sha256"] = checkpoints.digest_of(about)
+        _write(temporary / checkpoints.DESCRIPTION, (json.dumps(about, indent=2) + "\n").encode())
+        _sync(temporary)
+        if place.exists():  # never a moment without either
+            place.rename(replaced)
+        temporary.rename(place)
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+        shutil.rmtree(replaced, ignore_errors=True)
+
+
+def _write(path: Path, content: bytes) -> None:
+    with path.open("wb") as file:
+        file.write(content)
+        file.flush()
+        os.fsync(file.fileno())
+
+
+def _sync(folder: Path) -> None:
+    """Make names that were given in a folder outlast a power failure."""
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def ship(run: Path, folder: Path) -> None:
+    """Write what others need of a run: weights, settings, and the tables that tell how it went.
+
+    Args:
+        run: folder of the run, or of one of its checkpoints.
+        folder: where it goes; what stands there is replaced.
+
+    Raises:
+        CheckpointError: if the run cannot be read.
+    """
+    place = checkpoints.find(run)
+    about, tables = checkpoints.read(place, ["network"])
+    write_folder(folder, about, tables)
+    for name in ("metrics.csv", "evaluation.csv"):
+        shutil.copyfile(place.parent.parent / name, folder / name)
+
+
+def flatten(state: Mapping[str, Any], prefix: str = "") -> dict[str, NDArray[Any]]:
+    """Nested arrays under names with slashes."""
+    flat: dict[str, NDArray[Any]] = {}
+    for key, value in state.items():
+        if isinstance(value, Mapping):
+            flat |= flatten(value, f"{prefix}{key}/")
+        else:
+            flat[prefix + key] = np.asarray(value)
+    return flat
+
+
+def unflatten(flat: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
+    """The nested arrays that ``flatten`` took."""
+    state: dict[str, Any] = {}
+    for name, value in flat.items():
+        *path, last = name.split("/")
+        place = state
+        for key in path:
+            place = place.setdefault(key, {})
+        place[last] = value
+    return state
+
+
+def tensors(arrays: Mapping[str, NDArray[Any]]) -> dict[str, torch.Tensor]:
+    """Arrays as tensors that share their memory."""
+    return {name: torch.from_numpy(array) for name, array in arrays.items()}
+
+
+def optimizer_arrays(optimizer: torch.optim.Optimizer) -> dict[str, NDArray[Any]]:
+    """Moments and step counts by parameter number."""
+    return {
+        f"{number}/{name}": value.cpu().numpy()
+        for number, moments in optimizer.state_dict()["state"].items()
+        for name, value in moments.items()
+    }
+
+
+def restore_optimizer(optimizer: torch.optim.Optimizer, arrays: Mapping[str, NDArray[Any]]) -> None:
+    """Put back what ``optimizer_arrays`` took out."""
+    state = {int(number): tensors(moments) for number, moments in unflatten(arrays).items()}
+    groups = optimizer.state_dict()["param_groups"]
+    optimizer.load_state_dict({"state": state, "param_groups": groups})
+
+
+def check_fits(state: Mapping[str, Any], robots: Any, policy: Any) -> None:
+    """Refuse what would only fail later on.
+
+    Args:
+        state: what was stored of the robots' last step.
+        robots: the VecEnv that goes on from there.
+        policy: with the weights and the optimizer that were put back.
+
+    Raises:
+        ValueError: for another shape, or a weight that is not finite, saying which.
+    """
+    wanted = {
+        "last_observations": (robots.num_envs, *robots.observation_space.shape),
+        "last_episode_starts": (robots.num_envs,),
+    }
+    for name, shape in wanted.items():
+        if np.shape(state[name]) != shape:
+            raise ValueError(f"{name} has shape {np.shape(state[name])}; it must be {shape}")
+    for weights in policy.parameters():
+        if not torch.isfinite(weights).all():
+            raise ValueError("a weight of the network is not finite")
+        moments = policy.optimizer.state.get(weights, {})
+        for name in ("exp_avg", "exp_avg_sq"):
+            if name in moments and moments[name].shape != weights.shape:
+                raise ValueError(f"{name} of the optimizer has shape {moments[name].shape}")
+
+
+def random_state() -> dict[str, NDArray[Any]]:
+    """Of NumPy's global generator, which shuffles samples, and of torch's, which explores."""
+    _, keys, position, has_gauss, gauss = np.random.get_state()
+    return {
+        "numpy_keys": np.asarray(keys),
+        "numpy_position": np.array([position, has_gauss]),
+        "numpy_gauss": np.array([gauss]),
+        "torch": torch.get_rng_state().numpy(),
+    }
+
+
+def restore_random(state: Mapping[str, NDArray[Any]]) -> None:
+    """Put back what ``random_state`` took out."""
+    position, has_gauss = (int(value) for value in state["numpy_position"])
+    gauss = float(state["numpy_gauss"][0])
+    np.random.set_state(("MT19937", state["numpy_keys"], position, has_gauss, gauss))
+    torch.set_rng_state(torch.from_numpy(state["torch"]))
+
+
+# ---- where a run begins -------------------------------------------------------------------------
+
+
+def read_config(folder: Path) -> Config:
+    """The settings of the run to resume.
+
+    Raises:
+        UserError: if there is none.
+    """
+    try:
+        return Config.from_plain(plain_data.read_json(folder / CONFIG))
+    except (OSError, ValueError) as error:
+        said = getattr(error, "strerror", None) or error
+        what = f"{folder / CONFIG}: {said}"
+        raise UserError(f"--resume {folder}: it holds no run that can go on: {what}") from error
+
+
+def where_to_begin(config: Config, console: Console) -> tuple[Config, Path | None]:
+    """The settings that hold, and the checkpoint to begin with; None begins at step 0.
+
+    Raises:
+        UserError: if a flag contradicts the run to resume.
+        CheckpointError: if none of its checkpoints is good.
+    """
+    if config.resume is None:
+        return config, None
+    folder = config.resume
+    config = resumed(config, read_config(folder))
+    check(config)
+    place = _newest_good(folder, console)
+    if place is None:
+        console.print(f"{folder} has no checkpoint yet: begins at step 0")
+        return config, None
+    about = checkpoints.describe(place)
+    if not same_run(config, _config_of(place, about)):
+        raise UserError(f"--resume {folder}: {place} is of another run than {CONFIG} tells of")
+    console.print(f"resumes {place} at step {about['step']:,}, written {about['written']}")
+    return config, place
+
+
+def _config_of(place: Path, about: Mapping[str, Any]) -> Config:
+    try:
+        check_types(about, _DESCRIPTION)
+        return Config.from_plain(about["config"])
+    except (KeyError, TypeError, ValueError) as error:
+        raise CheckpointError(f"{place}: is no checkpoint of a run: {error}") from error
+
+
+def _newest_good(folder: Path, console: Console) -> Path | None:
+    """The newest checkpoint that can be read, with a word about those that cannot."""
+    wrong = None
+    for place in checkpoints.candidates(folder):
+        try:
+            checkpoints.read(place, STATE_FILES)
+        except CheckpointError as error:
+            wrong = wrong or error
+            console.print(f"{error}; left out")
+        else:
+            return place
+    if wrong is not None:
+        raise wrong
+    return None
+
+
+def write_failure(folder: Path, error: OSError) -> str:
+    """What is said of a disk that cannot be written, with what there is to go on from."""
+    said = f"cannot write {error.filename or folder}: {error.strerror or error}"
+    try:
+        place = checkpoints.find(folder)
+    except CheckpointError:
+        return f"{said}; there is no checkpoint yet"
+    return f"{said}; the last good checkpoint is {place}: make room, then --resume {folder}"

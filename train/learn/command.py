@@ -1,0 +1,118 @@
+"""``rendezvous train``: one run, or one for each of several seeds."""
+
+from __future__ import annotations
+
+from contextlib import closing, redirect_stdout
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+
+from rendezvous_env.baselines.learned import plain_data, shipped
+from rich.console import Console
+
+from .. import policies, results
+from ..checks import UserError
+from ..compare.playing import TOGETHER, make_ready
+from ..compare.settings import Job
+from ..tasks import WorkerFlags, each
+from . import ppo
+from .settings import EXAMPLES as EXAMPLES
+from .settings import FLAG_GROUPS as SETTINGS_GROUPS
+from .settings import Config as Settings
+from .settings import check, same_run
+
+FLAG_GROUPS = {"Several seeds": ("seeds", "jobs", "on", "address"), **SETTINGS_GROUPS}
+
+
+@dataclass(frozen=True)
+class Config(Settings, WorkerFlags):
+    """Train a policy; the team keeps its guarantee whatever the network says."""
+
+    seeds: tuple[int, ...] = ()
+    """Trains once for each of these seeds, into OUT/seed-0 and so on; each run takes one thread and
+    repeats bit by bit. Stopped, the same command resumes all of them. The flags of workers belong
+    to this one; a Ray cluster must share OUT with this machine."""
+
+    @property
+    def settings(self) -> Settings:
+        """Those of a single run."""
+        return Settings(**{field.name: getattr(self, field.name) for field in fields(Settings)})
+
+
+def run(config: Config) -> int:
+    """Train, or go on training; see ``ppo.run``.
+
+    Raises:
+        UserError: also for seeds that cannot be trained together.
+    """
+    settings = config.settings
+    if not config.seeds:
+        return ppo.run(settings).status
+    runs = [_begun(one) for one in runs_of(settings, config.seeds)]
+    results.prepare_folder(settings.out)
+    console = Console(soft_wrap=True)
+    console.print(f"{len(runs)} runs; {_log_of(runs[0])} and so on tell of them")
+    workers = config.workers
+    found = each(_train, runs, workers, long=True)
+    try:
+        with closing(found):
+            for number, status in found:
+                if status:
+                    return status
+                console.print(f"{runs[number].out}: done")
+    except KeyboardInterrupt as error:
+        error.add_note("the same command goes on from the last checkpoint of each run")
+        raise
+    return 0
+
+
+def runs_of(settings: Settings, seeds: tuple[int, ...]) -> list[Settings]:
+    """The runs of several seeds.
+
+    Raises:
+        UserError: for a seed that is named twice, or a flag that only a single run has.
+    """
+    if len(set(seeds)) < len(seeds):
+        raise UserError(f"--seeds {' '.join(map(str, seeds))}: name each once")
+    for name in ("seed", "resume"):
+        if (value := getattr(settings, name)) != getattr(Settings, name):
+            raise UserError(f"--{name} is {value}; --seeds says which runs there are")
+    threads = settings.num_threads or 1
+    runs = [
+        replace(settings, seed=seed, out=settings.out / f"seed-{seed}", num_threads=threads)
+        for seed in seeds
+    ]
+    for one in runs:
+        check(one)
+    return runs
+
+
+def _begun(settings: Settings) -> Settings:
+    """A run as it is, or where it has begun what resumes it.
+
+    Raises:
+        UserError: if its folder holds another run.
+    """
+    path = settings.out / "config.json"
+    if not path.exists():
+        return settings
+    try:
+        stored = Settings.from_plain(plain_data.read_json(path))
+    except (OSError, ValueError) as error:
+        raise UserError(f"{path}: not readable ({error}); move {settings.out} away") from error
+    if not same_run(settings, stored):
+        raise UserError(f"{settings.out} holds a run of other settings; choose another --out")
+    return replace(settings, resume=settings.out)
+
+
+def _log_of(settings: Settings) -> Path:
+    """The file for what a run says."""
+    return settings.out.with_name(f"{settings.out.name}.txt")
+
+
+def _train(settings: Settings) -> int:
+    """Exit status of a run that tells of itself in a file."""
+    scenario = settings.base_scenario()
+    with _log_of(settings).open("a", encoding="utf-8") as log, redirect_stdout(log):
+        for name in policies.fitting(scenario, shipped.NAMES):  # they need the same kernels
+            make_ready(Job(scenario, name), TOGETHER)
+        return ppo.run(settings).status

@@ -1,0 +1,169 @@
+"""What a training run tells: CSV files, TensorBoard events, lines on the terminal, a result."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from io import StringIO
+from pathlib import Path
+from typing import Any
+
+from .. import results
+from ..checks import UserError
+
+METRICS = (
+    "step", "update", "stage", "episodes", "success", "clean_success", "median_time", "return",
+    "alignment", "policy_loss", "value_loss", "explained_variance", "approx_kl", "clip_fraction",
+    "entropy", "learning_rate", "wall_s", "steps_per_s", "environment_share",
+)  # fmt: skip
+"""Of metrics.csv, one row for each update: fractions 0–1, s; empty where it does not apply."""
+WALL_TIME = ("wall_s", "steps_per_s", "environment_share")
+"""Columns that differ between two runs that are otherwise the same."""
+EVALUATION = ("step", *results.RESULT_COLUMNS)
+"""Of evaluation.csv, one row for each evaluation and scenario."""
+
+
+class Table:
+    """A CSV file that grows by rows and can be cut back to a step.
+
+    Args:
+        path: of the file.
+        columns: its header; one of them is "step".
+        step: rows of later steps are removed, and whatever a kill left of a last row.
+
+    Raises:
+        UserError: if the file is damaged; nothing is written then.
+    """
+
+    def __init__(self, path: Path, columns: Sequence[str], step: int) -> None:
+        self._path, self._columns = path, columns
+        self._kept = [row for row in _complete_rows(path, columns) if int(row["step"]) <= step]
+
+    def begin(self) -> None:
+        """Write the rows that stay."""
+        results.write_csv(self._path, self._columns, self._kept)
+
+    def add(self, row: Mapping[str, Any]) -> None:
+        """Append a row; it is in the file when this returns."""
+        with self._path.open("a", newline="", encoding="utf-8") as file:
+            writer = csv.writer(file)
+            writer.writerow([results.plain(row[column]) for column in self._columns])
+
+
+def _complete_rows(path: Path, columns: Sequence[str]) -> list[dict[str, str]]:
+    """Rows of a file that may end in the middle of one; none if there is no file."""
+    try:
+        text = path.read_bytes().decode("utf-8")
+        whole = StringIO(text[: text.rfind("\n") + 1], newline="")
+        header, *rows = list(csv.reader(whole)) or [list(columns)]
+    except FileNotFoundError:
+        return []
+    except (OSError, ValueError, csv.Error) as error:
+        raise _damaged(path, f"not readable ({error})") from error
+    if header != list(columns):
+        raise _damaged(path, f"line 1 is not {','.join(columns)}")
+    for number, row in enumerate(rows, start=2):
+        if len(row) != len(columns):
+            raise _damaged(path, f"line {number} has {len(row)} cells, not {len(columns)}")
+        step = row[columns.index("step")]
+        if not (step.isascii() and step.isdigit() and len(step) < 20):
+            raise _damaged(path, f"line {number}: step is {step!r}; it must be a whole number")
+    return [dict(zip(columns, row, strict=True)) for row in rows]
+
+
+def _damaged(path: Path, what: str) -> UserError:
+    return UserError(f"{path}: {what}; mend it, or move it away to go on without its rows")
+
+
+class Events:
+    """TensorBoard events, or nothing.
+
+    Args:
+        folder: for the event files.
+        step: events of later steps are hidden.
+        wanted: whether to write at all.
+    """
+
+    def __init__(self, folder: Path, step: int, wanted: bool) -> None:
+        self._writer = None
+        if wanted:
+            from torch.utils.tensorboard import SummaryWriter
+
+            self._writer = SummaryWriter(str(folder), purge_step=step + 1)
+
+    def add(self, kind: str, row: Mapping[str, Any]) -> None:
+        """The numbers of a row at its step."""
+        if self._writer is not None:
+            for name, value in row.items():
+                if isinstance(value, int | float) and value == value:
+                    self._writer.add_scalar(f"{kind}/{name}", value, row["step"])
+
+    def close(self) -> None:
+        """Write what is left."""
+        if self._writer is not None:
+            self._writer.close()
+
+
+Row = Mapping[str, Any]
+OnUpdate = Callable[[int, Row], bool | None]
+"""Called after each update with its number and its metrics; True ends the run."""
+
+
+@dataclass(frozen=True)
+class Result:
+    """A run at its end, or where it was stopped."""
+
+    folder: Path
+    """Of the run; ``learned_policy.load`` reads its policy, ``Config(resume=folder)`` goes on."""
+    status: int
+    """0, or 128 + the number of the signal that ended it."""
+    stopped: bool
+    """Whether ``on_update`` ended it."""
+    steps: int
+    """Decisions of all robots so far, those before a resumption too."""
+    metrics: Row
+    """Row of metrics.csv of the last update; empty if there was none."""
+    evaluations: tuple[Row, ...]
+    """Rows of evaluation.csv, those before a resumption too; NaN where a cell is empty."""
+
+    @property
+    def final(self) -> tuple[Row, ...]:
+        """The last evaluation, a row for each scenario; empty without one."""
+        return self._of_step(max((row["step"] for row in self.evaluations), default=None))
+
+    @property
+    def best(self) -> tuple[Row, ...]:
+        """The evaluation with the largest ``score``, the first of equals; empty without one."""
+        steps = dict.fromkeys(row["step"] for row in self.evaluations)
+        return self._of_step(max(steps, key=lambda step: score(self._of_step(step)), default=None))
+
+    def _of_step(self, step: int | None) -> tuple[Row, ...]:
+        return tuple(row for row in self.evaluations if row["step"] == step)
+
+
+def score(rows: tuple[Row, ...]) -> float:
+    """Mean clean success over the scenarios of an evaluation, 0–1; plain success where robots pass
+    through obstacles.
+    """
+    clean = [row["clean_success"] for row in rows]
+    plain = [row["success"] for row in rows]
+    values = [p if math.isnan(c) else c for c, p in zip(clean, plain, strict=True)]
+    return sum(values) / len(values)
+
+
+def read_evaluations(path: Path, step: int) -> tuple[Row, ...]:
+    """The rows of an evaluation.csv up to a step, as numbers where they are some."""
+    rows = results.read_csv(path) if path.exists() else []
+    read = ({name: _value(name, cell) for name, cell in row.items()} for row in rows)
+    return tuple(row for row in read if row["step"] <= step)
+
+
+def _value(name: str, cell: str) -> Any:
+    if name in ("step", "episodes"):
+        return int(cell)
+    with suppress(ValueError):
+        return float(cell or "nan")
+    return cell

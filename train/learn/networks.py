@@ -1,0 +1,284 @@
+"""Networks that read sets of bearings: any number of neighbours and obstacles, in any order.
+
+Centralised training, decentralised execution: a critic may also read the global state of the whole
+team, as each of its robots would see it. That is privileged, positions and distances that no robot
+can measure, and for training only: no policy that is served is shown any of it.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from gymnasium.spaces import Box, Discrete
+from numpy.typing import NDArray
+from rendezvous_env.baselines.learned.features import (
+    NEIGHBOUR_COLUMNS,
+    OBSTACLE_COLUMNS,
+    FeatureLayout,
+    FeatureParts,
+)
+from rendezvous_env.baselines.learned.guide import CHOICES
+from rendezvous_env.baselines.learned.training_environment import observation_box
+from stable_baselines3.common.policies import ActorCriticPolicy
+from stable_baselines3.common.torch_layers import BaseFeaturesExtractor, MlpExtractor
+from torch import Tensor, nn
+
+from rendezvous_env.obstacles.shape import CENTRE, RADIUS
+from rendezvous_env.simulator import Simulator
+
+_SMALL = 0.1
+"""Share of the usual weights with which the choice begins."""
+
+
+class SetFeatures(BaseFeaturesExtractor):
+    """Deep Sets: every row through one small network, then mean and largest over the set.
+
+        features = (mean φ(g), max φ(g), mean ψ(s), max ψ(s), context)
+
+    Absent (zero) rows do not count. The weights do not depend on the numbers of slots.
+
+    Args:
+        observation_space: of (layout.size,) numbers.
+        layout: which of them is what.
+        width: of φ and ψ.
+    """
+
+    def __init__(self, observation_space: Box, layout: FeatureLayout, width: int) -> None:
+        super().__init__(observation_space, features_dim=4 * width + layout.context_columns)
+        self.local_dim = self.features_dim
+        self.layout = layout
+        self.neighbour_net = row_network(NEIGHBOUR_COLUMNS, width)
+        self.obstacle_net = row_network(OBSTACLE_COLUMNS, width)
+
+    def forward(self, observations: Tensor) -> Tensor:
+        """Features (N, features_dim) of what N robots are shown."""
+        seen: FeatureParts = self.layout.split(observations)
+        neighbours = pooled(self.neighbour_net, seen.neighbours)
+        obstacles = pooled(self.obstacle_net, seen.obstacles)
+        return torch.cat((*neighbours, *obstacles, seen.context), dim=-1)
+
+
+def row_network(columns: int, width: int) -> nn.Sequential:
+    """Reads one row. Ends in a ReLU: no feature is below the zeros of an empty set."""
+    return nn.Sequential(nn.Linear(columns, width), nn.ReLU(), nn.Linear(width, width), nn.ReLU())
+
+
+def pooled(network: nn.Sequential, rows: Tensor) -> tuple[Tensor, Tensor]:
+    """Mean and largest feature over the rows that are present, (N, width) each."""
+    present = rows.any(dim=-1)
+    owner = present.nonzero()[:, 0]
+    features = network(rows[present])
+    empty = features.new_zeros(len(rows), features.shape[-1])
+    count = present.sum(dim=-1, keepdim=True).clamp(min=1)
+    largest = empty.scatter_reduce(0, owner[:, None].expand_as(features), features, "amax")
+    return empty.index_add(0, owner, features) / count, largest
+
+
+class HeadingNetwork(ActorCriticPolicy):
+    """Actor and critic over ``SetFeatures``; the action is one of the choices of ``guide``.
+
+    At first choice 0, the analytic rule, is by far the likeliest whatever is seen, so that training
+    begins near the rule.
+
+    Args:
+        prior: how much likelier than any other, as a logarithm.
+    """
+
+    def __init__(self, *arguments: Any, prior: float = 0.0, **settings: Any) -> None:
+        super().__init__(*arguments, **settings)
+        choice: Any = self.action_net
+        with torch.no_grad():
+            choice.weight *= _SMALL
+            choice.bias.zero_()
+            choice.bias[0] = prior
+
+
+def network_settings(
+    layout: FeatureLayout, *, set_width: int, hidden: tuple[int, ...], prior: float = 0.0
+) -> dict[str, Any]:
+    """Arguments of a HeadingNetwork beside its spaces (``policy_kwargs``)."""
+    return {
+        "features_extractor_class": SetFeatures,
+        "features_extractor_kwargs": {"layout": layout, "width": set_width},
+        "net_arch": {"pi": list(hidden), "vf": list(hidden)},
+        "activation_fn": nn.ReLU,
+        "prior": prior,
+    }
+
+
+def make_network(layout: FeatureLayout, choices: int = CHOICES, **settings: Any) -> HeadingNetwork:
+    """A network on its own, for inference; settings as ``network_settings``."""
+    arguments = network_settings(layout, **settings)
+    return HeadingNetwork(
+        observation_box(layout.size), Discrete(choices), lambda _: 0.0, **arguments
+    )
+
+
+# ---- the global state, for critics --------------------------------------------------------------
+
+STATE_ROBOT_COLUMNS = 4
+"""Where a robot is, x, y, in units of FAR; log(1 + A/(r D̄)) of its tank, 0 without; 1."""
+STATE_OBSTACLE_COLUMNS = 3
+"""Centre x, y and radius of the bounding ball of an obstacle, in units of FAR."""
+STATE_CONTEXT_COLUMNS = 2
+"""V/V(0); the share of the time limit that has passed."""
+FAR = 5.0
+"""m."""
+
+
+class Situation(NamedTuple):
+    """The global state taken apart; every part is a view."""
+
+    robots: Any
+    """(..., n, STATE_ROBOT_COLUMNS); rows of robots that are gone are zero."""
+    obstacles: Any
+    """(..., M, STATE_OBSTACLE_COLUMNS); rows of obstacles that are absent are zero."""
+    context: Any
+    """(..., STATE_CONTEXT_COLUMNS)."""
+
+
+class GlobalStateLayout(NamedTuple):
+    """Which part of a flat row of numbers is what."""
+
+    n_robots: int
+    """n."""
+    obstacle_slots: int
+    """M."""
+
+    @property
+    def size(self) -> int:
+        """Numbers for each robot."""
+        rows = self.n_robots * STATE_ROBOT_COLUMNS + self.obstacle_slots * STATE_OBSTACLE_COLUMNS
+        return rows + STATE_CONTEXT_COLUMNS
+
+    def split(self, state: Any) -> Situation:
+        """Take (..., size) apart, an array or a tensor."""
+        leading, stop = state.shape[:-1], self.n_robots * STATE_ROBOT_COLUMNS
+        return Situation(
+            state[..., :stop].reshape(*leading, self.n_robots, STATE_ROBOT_COLUMNS),
+            state[..., stop:-STATE_CONTEXT_COLUMNS].reshape(
+                *leading, self.obstacle_slots, STATE_OBSTACLE_COLUMNS
+            ),
+            state[..., -STATE_CONTEXT_COLUMNS:],
+        )
+
+    def states(
+        self, simulator: Simulator, towards: NDArray[Any], levels: NDArray[np.float64]
+    ) -> NDArray[np.float32]:
+        """Global states of B teams in the plane.
+
+        Every robot's is written from where it is, in the frame with x along f.
+
+        Args:
+            simulator: of the teams.
+            towards: f_i in the robots' own frames, (B, n, 2), of any length; zero is local x.
+            levels: A/(r D̄) of the tanks, (B, n).
+
+        Returns:
+            (B, n, size); zeros for robots that are gone.
+        """
+        positions, active = simulator.positions, simulator.active
+        axes = _axes(simulator.frames, towards)
+        batch, n = active.shape
+        robots = np.ones((batch, n, n, STATE_ROBOT_COLUMNS))
+        robots[..., :2] = _seen_from(positions, axes, positions)
+        robots[..., 2] = np.log1p(levels)[:, np.newaxis]
+        robots *= active[:, np.newaxis, :, np.newaxis]
+        table = simulator.obstacles
+        obstacles = np.zeros((batch, n, self.obstacle_slots, STATE_OBSTACLE_COLUMNS))
+        there = obstacles[:, :, : table.shape[1]]
+        there[..., :2] = _seen_from(positions, axes, table[..., CENTRE : CENTRE + 2])
+        there[..., 2] = table[:, np.newaxis, :, RADIUS] / FAR
+        there *= (table[..., RADIUS] > 0.0)[:, np.newaxis, :, np.newaxis]
+        context = np.stack(
+            (
+                simulator.lyapunov() / simulator.initial_lyapunov,
+                simulator.steps / simulator.max_steps,
+            ),
+            axis=-1,
+        )
+        rows = (robots.reshape(batch, n, -1), obstacles.reshape(batch, n, -1))
+        context = np.broadcast_to(context[:, np.newaxis], (batch, n, STATE_CONTEXT_COLUMNS))
+        states = np.concatenate((*rows, context), axis=-1) * active[..., np.newaxis]
+        return states.astype(np.float32)
+
+
+def _axes(frames: NDArray[np.float64], towards: NDArray[Any]) -> NDArray[np.float64]:
+    """Axes (B, n, 2, 2) of the frames with x along f, rows in the global frame."""
+    x = towards.astype(np.float64)
+    length = np.linalg.norm(x, axis=-1, keepdims=True)
+    x = np.where(length > 0.0, x / np.where(length > 0.0, length, 1.0), [1.0, 0.0])
+    x = np.einsum("bnij,bnj->bni", frames, x)
+    return np.stack((x, np.stack((-x[..., 1], x[..., 0]), axis=-1)), axis=-2)
+
+
+def _seen_from(
+    positions: NDArray[np.float64], axes: NDArray[np.float64], points: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Points (B, k, 2), m, from robots at positions (B, n, 2): (B, n, k, 2), in units of FAR."""
+    apart = points[:, np.newaxis] - positions[:, :, np.newaxis]
+    return np.einsum("bnij,bnkj->bnki", axes, apart) / FAR
+
+
+class GlobalFeatures(SetFeatures):
+    """``SetFeatures`` and, behind them, those of the global state that follows what is shown.
+
+    Args:
+        observation_space: of (layout.size + state.size,) numbers.
+        layout: of what is shown.
+        width: of the networks that read one row.
+        state: layout of the global state.
+    """
+
+    def __init__(
+        self,
+        observation_space: Box,
+        layout: FeatureLayout,
+        width: int,
+        state: GlobalStateLayout,
+    ) -> None:
+        super().__init__(observation_space, layout, width)
+        self.state = state
+        self.team_net = row_network(STATE_ROBOT_COLUMNS, width)
+        self.field_net = row_network(STATE_OBSTACLE_COLUMNS, width)
+        self._features_dim += 4 * width + STATE_CONTEXT_COLUMNS
+
+    def forward(self, observations: Tensor) -> Tensor:
+        """Features (N, features_dim); the first ``local_dim`` of them are the actor's."""
+        local = super().forward(observations[..., : self.layout.size])
+        state = self.state.split(observations[..., self.layout.size :])
+        robots = pooled(self.team_net, state.robots)
+        obstacles = pooled(self.field_net, state.obstacles)
+        return torch.cat((local, *robots, *obstacles, state.context), dim=-1)
+
+
+class _Split(MlpExtractor):
+    """Actor and critic of which the actor reads the first features only."""
+
+    def __init__(self, actor_dim: int, critic_dim: int, **arguments: Any) -> None:
+        super().__init__(critic_dim, **arguments)
+        self._actor_dim = actor_dim
+        self.policy_net = MlpExtractor(actor_dim, **arguments).policy_net
+
+    def forward_actor(self, features: Tensor) -> Tensor:
+        """What the choice is made of."""
+        return super().forward_actor(features[..., : self._actor_dim])
+
+
+class SplitNetwork(HeadingNetwork):
+    """A HeadingNetwork whose critic may read more than its actor."""
+
+    units = 0
+    """Numbers of a memory, ahead of the features of both."""
+    features_extractor: SetFeatures
+
+    def _build_mlp_extractor(self) -> None:
+        self.mlp_extractor = _Split(
+            self.units + self.features_extractor.local_dim,
+            self.units + self.features_dim,
+            net_arch=self.net_arch,
+            activation_fn=self.activation_fn,
+            device=self.device,
+        )

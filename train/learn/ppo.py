@@ -1,0 +1,40 @@
+"""``rendezvous train``: PPO learns headings; it can be stopped at any moment and resumed."""
+
+from __future__ import annotations
+
+import importlib.util
+
+from ..checks import UserError
+from .log import OnUpdate, Result
+from .settings import EVALUATION_SEEDS, Config, check
+
+__all__ = ["EVALUATION_SEEDS", "Config", "Result", "check", "run"]
+
+
+def run(config: Config, on_update: OnUpdate | None = None) -> Result:
+    """Train, or go on training.
+
+    Args:
+        config: of the run.
+        on_update: called after each update with its number and its metrics: the row of metrics.csv,
+            and under "evaluation" the rows of evaluation.csv, none where none was due. If it
+            returns True, the run ends with a checkpoint, as if all steps were done.
+
+    Returns:
+        What came of it: folder, steps, the last metrics, the last and the best evaluation.
+
+    Raises:
+        UserError: for an impossible setting, a run that cannot be resumed, or a folder or disk that
+            cannot be written.
+    """
+    check(config)
+    _require_extra()
+    from . import trainer
+
+    return trainer.run(config, on_update)
+
+
+def _require_extra() -> None:
+    for package in ("torch", "stable_baselines3"):
+        if importlib.util.find_spec(package) is None:
+            raise UserError(f"training needs {package}; pip install 'rendezvous-env[train]'")

@@ -1,0 +1,255 @@
+"""PPO for robots that remember: a gated recurrent unit, and whole sequences as samples."""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Mapping
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from rendezvous_env.baselines.learned.training_environment import FeatureVectorEnv
+from stable_baselines3.common.buffers import RolloutBuffer
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.distributions import Distribution
+from stable_baselines3.common.policies import ActorCriticPolicy
+from stable_baselines3.common.type_aliases import RolloutBufferSamples
+from stable_baselines3.common.vec_env import VecEnv
+from torch import Tensor, nn
+
+from rendezvous_env.adapters.sb3 import RobotVecEnv
+
+from . import networks
+from .networks import GlobalFeatures, HeadingNetwork, SplitNetwork
+from .rollout_buffer import RobotPPO, RobotRolloutBuffer
+from .settings import Config
+
+
+class Sequences(NamedTuple):
+    """What S robots were shown in T decisions; what a recurrent network evaluates at once."""
+
+    observations: Tensor
+    """(T, S, size)."""
+    starts: Tensor
+    """(T, S), 1 where an episode began with this decision, else 0."""
+    hidden: Tensor
+    """(S, units), what the robots remembered before the first decision."""
+    kept: Tensor
+    """(T, S), bool: decisions that are samples; the others are of robots that were gone."""
+
+
+class RecurrentNetwork(SplitNetwork):
+    """A HeadingNetwork over (h, features), h what a robot remembers (GRU; Cho et al. 2014).
+
+        h ← GRU(features shown to the robot, h),   h = 0 where an episode begins, and for a robot
+                                                   that is shown nothing
+
+    In forward passes the network itself keeps h of all slots.
+
+    Args:
+        units: numbers in h.
+    """
+
+    hidden: Tensor
+    """h of every slot, (slots, units); empty before ``begin``."""
+
+    def __init__(self, *arguments: Any, units: int, **settings: Any) -> None:
+        self.units = units  # the layers, which super() builds, need it
+        super().__init__(*arguments, **settings)
+        self.begin(0)
+
+    def _build_mlp_extractor(self) -> None:
+        super()._build_mlp_extractor()
+        self.memory = nn.GRUCell(self.features_extractor.local_dim, self.units)
+
+    def begin(self, slots: int) -> None:
+        """From now on there are so many slots, which remember nothing."""
+        self.hidden = torch.zeros(slots, self.units, device=self.device)
+
+    def forget(self, ended: Tensor) -> None:
+        """Forget what the slots (slots,) remember whose episodes have ended."""
+        self.hidden = self.hidden.masked_fill(ended[:, None], 0.0)
+
+    def forward(self, obs: Tensor, deterministic: bool = False) -> tuple[Tensor, Tensor, Tensor]:
+        """Choices, values and log-probabilities of all slots; their memory moves on."""
+        features = self._features(obs)
+        self.hidden = self._next(features, self._alive(obs), self.hidden)
+        latent_pi, latent_vf = self.mlp_extractor(torch.cat((self.hidden, features), dim=-1))
+        distribution = self._get_action_dist_from_latent(latent_pi)
+        actions = distribution.get_actions(deterministic=deterministic)
+        return actions, self.value_net(latent_vf), distribution.log_prob(actions)
+
+    def predict_values(  # type: ignore[override]  # with what robots remember
+        self, obs: Tensor, hidden: Tensor | None = None
+    ) -> Tensor:
+        """Values (N, 1) of what comes next; nothing is remembered of it.
+
+        Args:
+            obs: (N, size).
+            hidden: what these robots remember, (N, units); None is that of all slots.
+        """
+        latent = self.mlp_extractor.forward_critic(self._with_memory(obs, hidden))
+        values: Tensor = self.value_net(latent)
+        return values
+
+    def get_distribution(  # type: ignore[override]
+        self, obs: Tensor, hidden: Tensor | None = None
+    ) -> Distribution:
+        """Of the choices; arguments as ``predict_values``."""
+        latent = self.mlp_extractor.forward_actor(self._with_memory(obs, hidden))
+        return self._get_action_dist_from_latent(latent)
+
+    def evaluate_actions(  # type: ignore[override]  # of whole sequences
+        self, obs: Sequences, actions: Tensor
+    ) -> tuple[Tensor, Tensor, Tensor | None]:
+        """Values, log-probabilities and entropies of the samples that are kept."""
+        features = self._features(obs.observations.flatten(0, 1)).unflatten(0, obs.kept.shape)
+        alive, hidden, remembered = self._alive(obs.observations), obs.hidden, []
+        for t in range(len(features)):
+            hidden = hidden.masked_fill(obs.starts[t, :, None] > 0, 0.0)
+            hidden = self._next(features[t], alive[t], hidden)
+            remembered.append(hidden)
+        both = torch.cat((torch.stack(remembered), features), dim=-1)[obs.kept]
+        latent_pi, latent_vf = self.mlp_extractor(both)
+        distribution = self._get_action_dist_from_latent(latent_pi)
+        return self.value_net(latent_vf), distribution.log_prob(actions), distribution.entropy()
+
+    def _features(self, obs: Tensor) -> Tensor:
+        features = self.extract_features(obs)
+        assert isinstance(features, Tensor)  # actor and critic share their extractor
+        return features
+
+    def _alive(self, obs: Tensor) -> Tensor:
+        """Whether a robot is shown anything, (..., 1)."""
+        return obs[..., : self.features_extractor.layout.size].any(dim=-1, keepdim=True)
+
+    def _next(self, features: Tensor, alive: Tensor, hidden: Tensor) -> Tensor:
+        """What is remembered after these features: only of the local ones."""
+        local = features[..., : self.features_extractor.local_dim]
+        remembered: Tensor = self.memory(local, hidden)
+        return remembered * alive
+
+    def _with_memory(self, obs: Tensor, hidden: Tensor | None) -> Tensor:
+        features, before = self._features(obs), self.hidden if hidden is None else hidden
+        return torch.cat((self._next(features, self._alive(obs), before), features), dim=-1)
+
+
+_SAMPLES = ("actions", "values", "log_probs", "advantages", "returns")
+
+
+class SequenceBuffer(RobotRolloutBuffer):
+    """A rollout buffer that gives out the whole rollouts of some slots at a time.
+
+    Gradients go back to the beginning of a rollout, and no further: what the robots remembered then
+    is kept as a number. A slot that was merged away is valued by its survivor's observation and
+    memory.
+    """
+
+    _policy: RecurrentNetwork
+    _hidden: torch.Tensor
+    """What every slot remembered before the rollout, (slots, units)."""
+
+    def follow(self, robots: RobotVecEnv, policy: ActorCriticPolicy) -> None:
+        """As ``RobotRolloutBuffer.follow``, at the beginning of a rollout."""
+        super().follow(robots, policy)
+        self._hidden = self._policy.hidden
+
+    def add(self, *step: Any) -> None:
+        """As ``RobotRolloutBuffer.add``; slots whose episode ended forget it."""
+        super().add(*step)
+        assert self._robots is not None
+        self._policy.forget(torch.as_tensor(self._robots.ended, device=self.device))
+
+    def _value_of(self, seen: torch.Tensor, robots: RobotVecEnv) -> torch.Tensor:
+        return self._policy.predict_values(seen, self._policy.hidden[robots.survivors])
+
+    def get(self, batch_size: int | None = None) -> Generator[RolloutBufferSamples, None, None]:
+        """The slots in random order, in batches of nearly equal size near ``batch_size`` steps."""
+        if not self.generator_ready:
+            self._tables = {name: getattr(self, name).copy() for name in _SAMPLES}
+            for name in ("values", "returns"):  # what is told of the fit is told of samples
+                setattr(self, name, getattr(self, name)[self.mask])
+            self.generator_ready = True
+        order = np.random.permutation(np.flatnonzero(self.mask.any(axis=0)))
+        steps = self.buffer_size * len(order)
+        batches = 1 if batch_size is None else max(1, round(steps / batch_size))
+        for slots in np.array_split(order, min(batches, len(order))):
+            yield self._of_slots(slots)
+
+    def _of_slots(self, slots: NDArray[np.int64]) -> RolloutBufferSamples:
+        kept = self.mask[:, slots]
+        sequences = Sequences(
+            observations=self.to_torch(self.observations[:, slots]),
+            starts=self.to_torch(self.episode_starts[:, slots]),
+            hidden=self._hidden[slots],
+            kept=self.to_torch(kept),
+        )
+        actions, *numbers = (
+            self.to_torch(table[:, slots][kept]) for table in self._tables.values()
+        )
+        return RolloutBufferSamples(sequences, actions, *numbers)  # type: ignore[arg-type]
+
+
+class RecurrentRobotPPO(RobotPPO):
+    """``RobotPPO`` with a ``RecurrentNetwork``, whose memory of running episodes is its state."""
+
+    buffer_class: ClassVar[type[RobotRolloutBuffer]] = SequenceBuffer
+    policy: RecurrentNetwork
+
+    def _setup_model(self) -> None:
+        super()._setup_model()
+        self.policy.begin(self.n_envs)
+
+    def collect_rollouts(
+        self,
+        env: VecEnv,
+        callback: BaseCallback,
+        rollout_buffer: RolloutBuffer,
+        n_rollout_steps: int,
+    ) -> bool:
+        """As ``RobotPPO``; slots whose episodes begin with the rollout remember nothing."""
+        self.policy.forget(torch.as_tensor(self._last_episode_starts, device=self.device))
+        return super().collect_rollouts(env, callback, rollout_buffer, n_rollout_steps)
+
+    def get_memory(self) -> dict[str, NDArray[Any]]:
+        """What the robots remember, (slots, units)."""
+        return {"hidden": self.policy.hidden.cpu().numpy()}
+
+    def set_memory(self, state: Mapping[str, NDArray[Any]]) -> None:
+        """Put back what ``get_memory`` took out.
+
+        Raises:
+            ValueError: for another shape, or a number that is not finite.
+        """
+        hidden, shape = state["hidden"], tuple(self.policy.hidden.shape)
+        if hidden.shape != shape or not np.isfinite(hidden).all():
+            raise ValueError(f"hidden has shape {hidden.shape}; it must be {shape}, and finite")
+        self.policy.hidden = torch.tensor(hidden, device=self.device)
+
+
+# ---- which of them a configuration asks for ------------------------------------------------------
+
+
+def learner_of(config: Config) -> type[RobotPPO]:
+    """The algorithm."""
+    return RecurrentRobotPPO if config.memory == "recurrent" else RobotPPO
+
+
+def network_of(config: Config, teams: FeatureVectorEnv) -> type[ActorCriticPolicy]:
+    """The network for these teams."""
+    if config.memory == "recurrent":
+        return RecurrentNetwork
+    return HeadingNetwork if teams.global_state is None else SplitNetwork
+
+
+def network_settings(config: Config, teams: FeatureVectorEnv) -> dict[str, Any]:
+    """Arguments of the network beside its spaces."""
+    settings = networks.network_settings(
+        teams.layout, set_width=config.set_width, hidden=config.hidden, prior=config.prior
+    )
+    if teams.global_state is not None:
+        settings["features_extractor_class"] = GlobalFeatures
+        settings["features_extractor_kwargs"]["state"] = teams.global_state
+    if config.memory == "recurrent":
+        settings["units"] = config.memory_units
+    return settings

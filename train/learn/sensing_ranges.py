@@ -1,0 +1,83 @@
+"""Sensors drawn at random, so that a policy learns to trust no single one of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+
+from rendezvous_env.sensors.sensing import Sensing
+
+Range = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class SensingRanges:
+    """From what the sensor of a group of teams is drawn: domain randomisation over ``Sensing``.
+
+    A field that has a range departs from the sensor given with ``chance``, each on its own, and is
+    uniform in its range then. None, and no words for ``occlusion``, leave a field as it is.
+
+    Raises:
+        ValueError: naming the field, its value and what would be right.
+    """
+
+    noise: Range | None = None
+    """rad."""
+    bias: Range | None = None
+    """rad."""
+    dropout: Range | None = None
+    range: Range | None = None
+    """m."""
+    field_of_view: Range | None = None
+    """rad."""
+    occlusion: tuple[str, ...] = ()
+    """Words of ``Sensing.occlusion``, all as likely."""
+    delay: tuple[int, int] | None = None
+    """Steps, both ends included."""
+    chance: float = 0.5
+
+    def __post_init__(self) -> None:
+        """Refuse what no sensor can have, and ranges that end before they begin."""
+        for name, given in self._given().items():
+            for value in given:
+                Sensing(**{name: value})
+            if name != "occlusion" and not given[0] <= given[1]:
+                low, high = given
+                raise ValueError(f"sensing.{name} is from {low} to {high}; it must be LOW ≤ HIGH")
+        if not 0.0 <= self.chance <= 1.0:
+            raise ValueError(f"chance is {self.chance}; it must be in [0, 1]")
+
+    def _given(self) -> dict[str, Any]:
+        """The fields that have a range, by name."""
+        names = [field.name for field in fields(self) if field.name != "chance"]
+        return {name: getattr(self, name) for name in names if getattr(self, name)}
+
+    def __bool__(self) -> bool:
+        """Whether anything is drawn at all."""
+        return bool(self._given())
+
+    def draw(self, sensing: Sensing, *key: int) -> Sensing:
+        """The sensor that belongs to a key, the same whenever it is asked for.
+
+        Args:
+            sensing: whose other fields stay.
+            key: whole numbers from 0 on.
+        """
+        random, drawn = np.random.default_rng(key), {}
+        for name, given in self._given().items():
+            departs, share = random.random(2)
+            if departs < self.chance:
+                drawn[name] = _within(name, given, share)
+        return replace(sensing, **drawn)
+
+
+def _within(name: str, given: tuple[Any, ...], share: float) -> Any:
+    """What stands at a share in [0, 1) of a range, or of words."""
+    if name == "occlusion":
+        return given[int(share * len(given))]
+    low, high = given
+    if name == "delay":
+        return low + int(share * (high - low + 1))
+    return low + share * (high - low)

@@ -1,0 +1,425 @@
+"""The settings of a training run, and what follows from them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass, fields, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args, get_type_hints
+
+from rendezvous_env.baselines.learned.features import can_steer, check_readable
+from rendezvous_env.baselines.learned.plain_data import check_types
+from tyro.conf import arg
+
+from rendezvous_env.obstacles.fields import ObstacleField
+from rendezvous_env.rewards.terms import RewardWeights
+from rendezvous_env.scenario import scenarios as named_scenarios
+from rendezvous_env.scenario.scenario import Scenario
+
+from ..checks import UserError, check_fields, check_least, check_most, flag
+from .sensing_ranges import SensingRanges
+
+if TYPE_CHECKING:
+    from rendezvous_env.baselines.learned.learned_policy import PolicySettings
+
+TRAINING_SEEDS, EVALUATION_SEEDS = 2**62, 2**61
+"""Of the first start: of training with seed s it is 2⁶² + 2³² s, of evaluation 2⁶¹. ``compare``
+counts up from its --seed, which is far below, so no policy is judged on starts it was trained on.
+"""
+
+_SENSING = (
+    "sensing_noise", "sensing_bias", "sensing_dropout", "sensing_range", "sensing_field_of_view",
+    "sensing_occlusion", "sensing_delay", "sensing_chance",
+)  # fmt: skip
+"""Fields that say from what sensors are drawn."""
+_LATER = (
+    "guarantee", "budget", "memory", "memory_units", "critic", *_SENSING, "sensing_groups",
+    "sensing_updates",
+)  # fmt: skip
+"""Fields that runs of earlier versions have not written."""
+
+
+EXAMPLES = (
+    "--out runs/heading --total-steps 20000000",
+    "--scenario clutter-8 --guarantee tank --memory recurrent --out runs/tank",
+    "--resume runs/heading",
+)
+_LEARNING = (
+    "num_teams", "n_steps", "batch_size", "epochs", "learning_rate", "gamma", "gae_lambda",
+    "clip_range", "ent_coef", "prior", "start_from",
+)  # fmt: skip
+FLAG_GROUPS = {
+    "PPO": _LEARNING,
+    "Policy": (
+        "set_width", "hidden", "clearance", "persistence", "decision_period", "min_alignment",
+        "max_turn_rate", "guarantee", "budget", "memory", "memory_units", "critic",
+    ),
+    "Sensors that are sampled": (*_SENSING, "sensing_groups", "sensing_updates"),
+    "Rewards": (
+        "progress", "time_penalty", "collision_penalty", "touch_penalty", "rendezvous_bonus",
+    ),
+    "Evaluation and machine": (
+        "eval_every", "eval_starts", "eval_scenarios", "checkpoint_every", "tensorboard",
+        "num_threads", "device",
+    ),
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Config:
+    """Train a policy; the team keeps its guarantee whatever the network says."""
+
+    scenario: Annotated[str, arg(aliases=("--scenarios",))] = "clutter-24"
+    """The name of a scenario, or the path of a TOML file; its robots are single integrators in
+    2-D."""
+    curriculum: tuple[int, ...] = ()
+    """The most obstacles of an episode, in stages of equal length. Without it they are the
+    scenario's."""
+    fewest_obstacles: int | None = None
+    """With a curriculum each episode has this many obstacles up to the most; else always the
+    most."""
+    total_steps: int = 10_000_000
+    """How many decisions of single robots the run takes, in whole updates."""
+    seed: int = 0
+    """The seed of weights, exploration and starts, below 2²⁹."""
+    out: Path = Path("runs/heading")
+    """The folder of the run."""
+    resume: Path | None = None
+    """The folder of a run to resume. Its own settings hold, except total-steps, eval-every,
+    eval-starts, checkpoint-every and num-threads where they are given."""
+    start_from: Path | None = None
+    """A run or checkpoint whose weights the training begins with."""
+
+    num_teams: int = 1024
+    """How many environments are simulated at once."""
+    n_steps: int = 32
+    """How many decisions each robot takes between updates."""
+    batch_size: int = 8192
+    """How many samples a gradient step has."""
+    epochs: int = 4
+    """How often an update passes over its samples."""
+    learning_rate: float = 1e-3
+    """The learning rate at the start; it falls linearly to a twentieth."""
+    gamma: float = 0.99
+    """The discount for each decision."""
+    gae_lambda: float = 0.95
+    """λ of the generalised advantages."""
+    clip_range: float = 0.2
+    """By how much the probability ratio may leave 1."""
+    ent_coef: float = 0.0
+    """The weight of the entropy."""
+    prior: float = 3.0
+    """How much likelier the analytic rule is than any other choice at the start, as a logarithm."""
+
+    set_width: int = 32
+    """The width of the networks that read one neighbour or one obstacle."""
+    hidden: tuple[int, ...] = (128, 128)
+    """The widths of the layers behind them, for actor and critic."""
+    clearance: float = 0.2
+    """The angle by which the guide stays clear of an edge, rad."""
+    persistence: float = 0.5
+    """How firmly the guide commits to a side."""
+
+    decision_period: int = 12
+    """For how many base steps a choice is held."""
+    min_alignment: float = 0.05
+    """The alignment margin ε of the certified heading, or of what a tank owes."""
+    max_turn_rate: float = 100.0
+    """The most that the certified heading turns, rad/s."""
+    guarantee: Literal["heading", "tank"] = "heading"
+    """Which guarantee holds: certified headings (theorem C), or an energy tank for each robot
+    (theorem D)."""
+    budget: float = 0.0
+    """The level of each tank at the start, m²/s. The policy keeps it in units of r D̄, for other
+    teams."""
+    memory: Literal["none", "features", "recurrent"] = "none"
+    """What robots remember beside the last decisions: nothing; with a tank, features of the wall
+    that they are at; whatever a recurrent unit learns to keep."""
+    memory_units: int = 64
+    """How many numbers the recurrent unit keeps for each robot."""
+    critic: Literal["local", "global"] = "local"
+    """What values are estimated from: what the robot is shown, or the state of the whole team too.
+    That is privileged, and for training only: the policy never sees it."""
+
+    sensing_noise: tuple[float, float] | None = None
+    """The least and most noise of a sensor that is sampled, rad. This and the other ranges are of
+    the fields of Sensing; without one the scenario's holds."""
+    sensing_bias: tuple[float, float] | None = None
+    """The least and most bias, rad."""
+    sensing_dropout: tuple[float, float] | None = None
+    """The least and most chance of dropout."""
+    sensing_range: tuple[float, float] | None = None
+    """The least and most range, m."""
+    sensing_field_of_view: tuple[float, float] | None = None
+    """The least and most field of view, rad."""
+    sensing_occlusion: tuple[str, ...] = ()
+    """The kinds of occlusion, all as likely."""
+    sensing_delay: tuple[int, int] | None = None
+    """The least and most delay, steps."""
+    sensing_chance: float = 0.5
+    """The chance that a sensor departs from the scenario's in a field that has a range."""
+    sensing_groups: int = 16
+    """How many groups of environments have a sensor each, where sensors are sampled."""
+    sensing_updates: int = 8
+    """For how many updates a group keeps its sensor; with the next one it begins new episodes."""
+
+    progress: float = 0.5
+    """The reward for V falling from its first value to 0."""
+    time_penalty: float = 0.1
+    """What an episode costs that lasts to the time limit, paid evenly."""
+    collision_penalty: float = 0.0
+    """What the team pays for each robot in contact, in each base step."""
+    touch_penalty: float = 1.0
+    """What a robot pays for its first contact."""
+    rendezvous_bonus: float = 1.0
+    """What the team earns when all have met."""
+
+    eval_every: int = 1_000_000
+    """How many decisions lie between evaluations; with 0 there is none."""
+    eval_starts: int = 200
+    """How many held-out starts an evaluation has."""
+    eval_scenarios: tuple[str, ...] = ()
+    """The scenarios to evaluate on; without any it is the one that is trained on."""
+    checkpoint_every: int = 500_000
+    """How many decisions lie between checkpoints."""
+    tensorboard: bool = True
+    """Writes events for TensorBoard beside metrics.csv."""
+    num_threads: int | None = None
+    """The threads of torch and of the simulator: one for each core if nothing is said. On one
+    thread a run repeats bit by bit."""
+    device: str = "cpu"
+    """Where the network is; small networks are fastest on the CPU."""
+
+    def to_plain(self) -> dict[str, Any]:
+        """As plain data."""
+        return {
+            key: str(value) if isinstance(value, Path) else value
+            for key, value in asdict(self).items()
+        }
+
+    @classmethod
+    def from_plain(cls, plain: dict[str, Any]) -> Config:
+        """What ``to_plain`` gave.
+
+        Raises:
+            ValueError: for a missing or unknown field, or one of a wrong type. Fields that
+                came later may be missing.
+        """
+        if not isinstance(plain, dict):
+            raise ValueError(f"the configuration is a {type(plain).__name__}, not named fields")
+        from rendezvous_env.baselines.learned.policy_settings import memory_of
+
+        plain = {name: getattr(cls, name) for name in _LATER} | plain
+        plain["memory"] = memory_of(plain["memory"])
+        if wrong := sorted(set(plain) ^ {field.name for field in fields(cls)}):
+            raise ValueError(f"field {wrong[0]!r} of the configuration is missing or unknown")
+        paths = ("out", "resume", "start_from")
+        read: dict[str, Any] = {
+            key: tuple(value)
+            if isinstance(value, list)
+            else Path(value)
+            if key in paths and isinstance(value, str)
+            else value
+            for key, value in plain.items()
+        }
+        check_types(read, get_type_hints(cls))
+        return cls(**read)
+
+    @property
+    def first_seed(self) -> int:
+        """Of the starts of team 0."""
+        return TRAINING_SEEDS + 2**32 * self.seed
+
+    @property
+    def samples_per_update(self) -> int:
+        """Robots times decisions between updates."""
+        return self.num_teams * self.base_scenario().n_robots * self.n_steps
+
+    def base_scenario(self) -> Scenario:
+        """The scenario with this configuration's rewards."""
+        rewards = RewardWeights(
+            progress=self.progress,
+            time_penalty=self.time_penalty,
+            collision_penalty=self.collision_penalty,
+            rendezvous_bonus=self.rendezvous_bonus,
+        )
+        return named_scenarios.resolve(self.scenario).replace(reward=rewards)
+
+    def sensing_ranges(self) -> SensingRanges:
+        """From what the sensors of the teams are drawn; false if they are the scenario's.
+
+        Raises:
+            ValueError: naming the field of a range that no sensor can have.
+        """
+        return SensingRanges(**{k.removeprefix("sensing_"): getattr(self, k) for k in _SENSING})
+
+    def stage(self, step: int) -> int:
+        """Which stage of the curriculum a step belongs to; 0 without one."""
+        stages = max(1, len(self.curriculum))
+        return min(stages * step // self.total_steps, stages - 1)
+
+    def stage_scenario(self, stage: int) -> Scenario:
+        """What is trained in a stage."""
+        scenario = self.base_scenario()
+        if not self.curriculum:
+            return scenario
+        if not isinstance(scenario.obstacles, ObstacleField):
+            raise UserError(f"--curriculum: {scenario.name} draws no obstacles; leave it out")
+        most = self.curriculum[stage]
+        fewest = most if self.fewest_obstacles is None else min(self.fewest_obstacles, most)
+        return scenario.replace(obstacles=replace(scenario.obstacles, count=(fewest, most)))
+
+    def obstacle_slots(self) -> int:
+        """Most obstacles of any stage."""
+        stages = range(max(1, len(self.curriculum)))
+        return max(self.stage_scenario(k).observation_layout.obstacle_slots for k in stages)
+
+    def policy_settings(self) -> PolicySettings:
+        """What the policy is, once it is trained."""
+        from rendezvous_env.baselines.learned.learned_policy import PolicySettings
+
+        from rendezvous_env.safety.tank import unit_of_tanks
+
+        scenario = self.base_scenario()
+        return PolicySettings(
+            set_width=self.set_width,
+            hidden=self.hidden,
+            clearance=self.clearance,
+            persistence=self.persistence,
+            min_alignment=self.min_alignment,
+            max_turn_rate=self.max_turn_rate,
+            decision_time=self.decision_period * scenario.tau,
+            guarantee=self.guarantee,
+            budget=self.budget / unit_of_tanks(scenario),
+            memory=self.memory,
+            memory_units=self.memory_units,
+        )
+
+
+_MOST = {
+    "set_width": 2**12, "hidden": 2**12, "decision_period": 10**6, "eval_starts": 2**32,
+    "num_threads": 2**10, "total_steps": 2**62, "checkpoint_every": 2**62, "eval_every": 2**62,
+    "learning_rate": 1e6, "epochs": 2**31, "batch_size": 2**31, "curriculum": 2**10,
+    "fewest_obstacles": 2**10, "budget": 1e9, "memory_units": 2**12,
+    "sensing_groups": 2**20, "sensing_updates": 2**31,
+}  # fmt: skip
+_MOST_SAMPLES = 2**31
+MAY_CHANGE = ("total_steps", "eval_every", "eval_starts", "checkpoint_every", "num_threads")
+"""Fields that a resumed run may change; with any other it would be another run."""
+
+
+def check(config: Config) -> None:
+    """Refuse settings that cannot be.
+
+    Raises:
+        UserError: naming the flag, its value and what would be right.
+    """
+    least = {
+        "total_steps": 1, "seed": 0, "num_teams": 1, "n_steps": 2, "batch_size": 2, "epochs": 1,
+        "set_width": 1, "decision_period": 1, "eval_every": 0, "eval_starts": 1,
+        "checkpoint_every": 1, "touch_penalty": 0, "num_threads": 1, "hidden": 1, "persistence": 0,
+        "budget": 0, "memory_units": 1, "sensing_groups": 1, "sensing_updates": 1,
+    }  # fmt: skip
+    check_fields(config)
+    check_least(config, **least)
+    check_most(config, **_MOST)
+    _check_words(config)
+    _check_guarantee(config)
+    _check_sensing(config)
+    for name in ("gamma", "gae_lambda"):
+        if not 0 <= getattr(config, name) <= 1:
+            raise UserError(f"{flag(name)} is {getattr(config, name)}; it must be in [0, 1]")
+    for name in ("learning_rate", "clip_range", "max_turn_rate"):
+        if not 0 < getattr(config, name) < float("inf"):
+            raise UserError(f"{flag(name)} is {getattr(config, name)}; it must be positive")
+    if not 0 <= config.clearance < math.pi:
+        raise UserError(f"--clearance is {config.clearance}; it must be an angle in [0, π) rad")
+    if config.seed >= 2**29:
+        raise UserError(f"--seed is {config.seed}; it must be below 2^29")
+    if any(count < 0 for count in (*config.curriculum, config.fewest_obstacles or 0)):
+        raise UserError("--curriculum and --fewest-obstacles count obstacles; they must be ≥ 0")
+    try:
+        if (samples := config.samples_per_update) > _MOST_SAMPLES:
+            raise UserError(
+                f"--num-teams times robots times --n-steps is {samples}; it must be "
+                f"{_MOST_SAMPLES} or less"
+            )
+        base = config.base_scenario()
+        if not can_steer(base):
+            raise UserError(
+                f"--scenario {config.scenario}: has {base.robot_model} robots in {base.dim}-D; "
+                "train teaches single_integrator robots in 2-D. For a learner of your own "
+                "rendezvous_env.training_env(scenario) makes these, with the same guarantees"
+            )
+        for scenario in (
+            base,
+            *map(named_scenarios.resolve, config.eval_scenarios),
+        ):
+            check_readable(scenario)
+        config.obstacle_slots()
+    except (ValueError, OSError) as error:
+        raise UserError(str(error)) from error
+
+
+def _check_guarantee(config: Config) -> None:
+    if not 0 < config.min_alignment < 1:
+        raise UserError(f"--min-alignment is {config.min_alignment}; it must be in (0, 1)")
+    of_tanks = {"budget": config.budget > 0, "memory": config.memory == "features"}
+    for name, given in of_tanks.items() if config.guarantee == "heading" else ():
+        if given:
+            value = getattr(config, name)
+            raise UserError(f"{flag(name)} is {value}; headings have none: add --guarantee tank")
+    if config.memory != "recurrent" and config.memory_units != Config.memory_units:
+        units = config.memory_units
+        raise UserError(f"--memory-units is {units}; there are none without --memory recurrent")
+
+
+def _check_sensing(config: Config) -> None:
+    try:
+        drawn = bool(config.sensing_ranges())
+    except ValueError as error:
+        raise UserError(f"--sensing-… draws sensors: {error}") from error
+    if drawn and config.sensing_groups > config.num_teams:
+        raise UserError(
+            f"--sensing-groups is {config.sensing_groups}; it must be {config.num_teams} or less, "
+            "as --num-teams"
+        )
+    for name in () if drawn else ("sensing_chance", "sensing_groups", "sensing_updates"):
+        if (value := getattr(config, name)) != getattr(Config, name):
+            raise UserError(
+                f"{flag(name)} is {value}; no sensors are drawn: add a range, as --sensing-noise"
+            )
+
+
+def _check_words(config: Config) -> None:
+    hints = get_type_hints(Config)
+    for name in ("guarantee", "memory", "critic"):
+        if (value := getattr(config, name)) not in (words := get_args(hints[name])):
+            raise UserError(f"{flag(name)} is {value!r}; it must be one of {', '.join(words)}")
+
+
+def resumed(config: Config, stored: Config) -> Config:
+    """The settings of a resumed run: those stored, with what may be changed on the command line.
+
+    Raises:
+        UserError: for a flag that would make it another run.
+    """
+    default, folder, changed = Config(), config.resume or config.out, {}
+    for name in (field.name for field in fields(Config)):
+        given = getattr(config, name)
+        if name in ("out", "resume") or given in (getattr(default, name), getattr(stored, name)):
+            continue
+        if name not in MAY_CHANGE:
+            raise UserError(
+                f"{flag(name)} is {given}; {folder} was trained with "
+                f"{getattr(stored, name)}: leave it out, or begin a new run"
+            )
+        changed[name] = given
+    return replace(stored, **changed, out=folder, resume=None)
+
+
+def same_run(one: Config, other: Config) -> bool:
+    """Whether two settings differ in nothing but what a resumed run may change."""
+    free = (*MAY_CHANGE, "out", "resume")
+    names = [field.name for field in fields(Config) if field.name not in free]
+    return all(getattr(one, name) == getattr(other, name) for name in names)

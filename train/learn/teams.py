@@ -1,0 +1,280 @@
+"""The teams that a run trains in: all alike, or groups whose sensors are drawn anew."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from gymnasium.vector import AutoresetMode, VectorEnv
+from numpy.typing import ArrayLike, NDArray
+from rendezvous_env.baselines.learned.training_environment import FeatureVectorEnv
+
+from rendezvous_env import make_vec
+from rendezvous_env.adapters.sb3 import RobotVecEnv
+from rendezvous_env.engine.state_checks import check_entries, check_keys
+from rendezvous_env.envs.vector_env import Info, Transition
+from rendezvous_env.scenario.scenario import Scenario
+from rendezvous_env.sensors.sensing import Sensing
+from rendezvous_env.simulator import Simulator
+
+from .networks import GlobalStateLayout
+from .settings import Config
+
+MakeTeams = Callable[[Sensing, int], FeatureVectorEnv]
+"""Makes so many teams with that sensor."""
+
+
+class SensingGroups(VectorEnv[Any, Any, Any]):
+    """Groups of ``FeatureVectorEnv`` as one vector environment of all their teams.
+
+    The sensor of group g follows from its generation, which grows by one every ``period`` updates,
+    for one group after the other. A group with a new sensor begins new episodes; its teams go on to
+    the next ones of their seeds. A robot that is shown nothing makes choice 0, as it does when the
+    policy is served.
+
+    Args:
+        make: the teams of a group.
+        draw: the sensor of a group, from its number and its generation.
+        sizes: how many teams each group has.
+        period: updates for which a group keeps its sensor.
+    """
+
+    def __init__(
+        self,
+        make: MakeTeams,
+        draw: Callable[[int, int], Sensing],
+        sizes: Sequence[int],
+        period: int,
+    ) -> None:
+        self._make, self._draw, self._period = make, draw, period
+        self._sizes, self._bounds = list(sizes), np.cumsum(sizes)[:-1]
+        self.generations = np.zeros(len(sizes), dtype=np.int64)
+        self.groups = self._make_all(self.generations)
+        first = self.groups[0]
+        self.num_envs = sum(sizes)
+        self.metadata, self.render_mode = first.metadata, None
+        self.single_observation_space = first.single_observation_space
+        self.single_action_space = first.single_action_space
+        self.layout, self.global_state = first.layout, first.global_state
+        shape = (self.num_envs, self.simulator.scenario.n_robots)
+        self._blind = np.zeros(shape, dtype=np.bool_)
+
+    def _make_all(self, generations: NDArray[np.int64]) -> list[FeatureVectorEnv]:
+        return [self._make_group(g, int(k)) for g, k in enumerate(generations)]
+
+    def _make_group(self, group: int, generation: int) -> FeatureVectorEnv:
+        return self._make(self._draw(group, generation), self._sizes[group])
+
+    @property
+    def simulator(self) -> Simulator:
+        """Of the first group; each has its own."""
+        return _simulator_of(self.groups[0])
+
+    @property
+    def sensors(self) -> list[Sensing]:
+        """Of the groups."""
+        return [_simulator_of(teams).scenario.sensing for teams in self.groups]
+
+    @property
+    def alignment(self) -> NDArray[np.float64]:
+        """(B, n), as ``FeatureVectorEnv.alignment``."""
+        return np.concatenate([teams.alignment for teams in self.groups])
+
+    # ---- episodes -----------------------------------------------------------------------------
+
+    def reset(
+        self,
+        *,
+        seed: int | Sequence[int | None] | None = None,
+        options: Mapping[str, Any] | None = None,
+    ) -> tuple[NDArray[np.float32], Info]:
+        """Begin a new episode in all teams, as ``RendezvousVectorEnv.reset`` without options.
+
+        Raises:
+            ValueError: if there are options.
+        """
+        if options:
+            raise ValueError(f"options are {dict(options)}; groups of teams take none")
+        seeds = [seed + team for team in range(self.num_envs)] if isinstance(seed, int) else seed
+        begun = []
+        for teams, stop in zip(self.groups, np.cumsum(self._sizes).tolist(), strict=True):
+            own = None if seeds is None else seeds[stop - teams.num_envs : stop]
+            begun.append(teams.reset(seed=own))
+        observations = np.concatenate([seen for seen, _ in begun])
+        self._note_blind(slice(None), observations)
+        return observations, self._joined([infos for _, infos in begun])
+
+    def step(self, actions: ArrayLike) -> Transition:
+        """As ``FeatureVectorEnv.step``."""
+        chosen = np.where(self._blind, 0, np.asarray(actions))
+        parts = np.split(chosen, self._bounds)
+        steps = [teams.step(own) for teams, own in zip(self.groups, parts, strict=True)]
+        *arrays, infos = zip(*steps, strict=True)
+        seen, rewards, ends, cuts = (np.concatenate(parts) for parts in arrays)
+        self._note_blind(slice(None), seen)
+        return seen, rewards, ends, cuts, self._joined(infos)
+
+    def renew(self, update: int) -> tuple[NDArray[np.bool_], NDArray[np.float32]]:
+        """Give the groups whose time has come before this update their next sensor.
+
+        Returns:
+            Which teams have begun new episodes, (B,), and their observations, one after the other.
+        """
+        groups = len(self.groups)
+        due = (update + self._period * np.arange(groups) // groups) // self._period
+        which = np.repeat(due != self.generations, self._sizes)
+        shape: Any = self.single_observation_space.shape
+        begun = [np.empty((0, *shape), dtype=np.float32)]
+        for group in np.flatnonzero(due != self.generations).tolist():
+            renewed = self._make_group(group, int(due[group]))
+            begun.append(_next_episodes(self.groups[group], renewed))
+            self.groups[group], self.generations[group] = renewed, due[group]
+        observations = np.concatenate(begun)
+        self._note_blind(which, observations)
+        return which, observations
+
+    def _note_blind(self, which: Any, observations: NDArray[np.float32]) -> None:
+        self._blind[which] = ~observations[..., : self.layout.size].any(axis=-1)
+
+    def _joined(self, parts: Sequence[Info]) -> Info:
+        """Infos of all groups as of one; where a group tells nothing there are zeros or None."""
+        joined: Info = {}
+        for key in dict.fromkeys(key for part in parts for key in part):
+            told = next(part[key] for part in parts if key in part)
+            if isinstance(told, dict):
+                joined[key] = self._joined([part.get(key, {}) for part in parts])
+                continue
+            nothing = None if told.dtype == object else told.dtype.type(0)
+            joined[key] = np.concatenate(
+                [
+                    part[key] if key in part else np.full((size, *told.shape[1:]), nothing)
+                    for part, size in zip(parts, self._sizes, strict=True)
+                ]
+            )
+        return joined
+
+    # ---- state --------------------------------------------------------------------------------
+
+    def get_state(self) -> dict[str, Any]:
+        """The generations, running episodes and memory of all groups, as copies."""
+        groups = {str(g): teams.get_state() for g, teams in enumerate(self.groups)}
+        return groups | {"generations": self.generations.copy(), "blind": self._blind.copy()}
+
+    def set_state(self, state: Mapping[str, Any]) -> None:
+        """Put back what ``get_state`` took out, with the sensors that belong to it.
+
+        Raises:
+            ValueError: naming what does not fit; nothing has changed then.
+        """
+        check_keys(state, tuple(str(g) for g in range(len(self.groups))))
+        own = check_entries({"generations": self.generations, "blind": self._blind}, state)
+        if (own["generations"] < 0).any():
+            raise ValueError(f"generations are {own['generations']}; they must not be negative")
+        groups = self._make_all(own["generations"])
+        for g, teams in enumerate(groups):
+            teams.set_state(state[str(g)])
+        self.groups = groups
+        self.generations, self._blind = own["generations"].copy(), own["blind"].copy()
+
+
+def _simulator_of(teams: FeatureVectorEnv) -> Simulator:
+    base: Any = teams.env  # any vector environment, as far as its type says
+    simulator: Simulator = base.simulator
+    return simulator
+
+
+def _next_episodes(before: FeatureVectorEnv, renewed: FeatureVectorEnv) -> NDArray[np.float32]:
+    """Begin in new teams what would have been the next episodes of others; observations."""
+    drawn = _simulator_of(before).get_state()
+    simulator = _simulator_of(renewed)
+    simulator.reset(drawn["seed"].tolist())
+    simulator.set_state(simulator.get_state() | {"episode": drawn["episode"]})
+    return renewed.reset()[0]
+
+
+def make_teams(config: Config, stage: int) -> FeatureVectorEnv | SensingGroups:
+    """The teams of a stage of the curriculum."""
+    scenario, ranges = config.stage_scenario(stage), config.sensing_ranges()
+    if not ranges:
+        return _alike(config, scenario, config.num_teams)
+
+    def make(sensing: Sensing, size: int) -> FeatureVectorEnv:
+        return _alike(config, scenario.replace(sensing=sensing), size)
+
+    def draw(group: int, generation: int) -> Sensing:
+        return ranges.draw(scenario.sensing, config.seed, group, generation)
+
+    parts = np.array_split(np.arange(config.num_teams), config.sensing_groups)
+    return SensingGroups(make, draw, [len(part) for part in parts], config.sensing_updates)
+
+
+def _alike(config: Config, scenario: Scenario, size: int) -> FeatureVectorEnv:
+    slots = config.obstacle_slots()
+    state = GlobalStateLayout(scenario.n_robots, slots)
+    teams = make_vec(
+        scenario,
+        size,
+        autoreset_mode=AutoresetMode.SAME_STEP,
+        num_threads=config.num_threads,
+    )
+    return FeatureVectorEnv(
+        teams,
+        config.policy_settings(),
+        touch_penalty=config.touch_penalty,
+        obstacle_slots=slots,
+        global_state=state if config.critic == "global" else None,
+    )
+
+
+class WatchedRobots(RobotVecEnv):
+    """Robots whose environment's time and alignment are summed up."""
+
+    seconds = 0.0
+    """Spent in steps."""
+    alignment = 0.0
+    """Sum over robots and steps."""
+    aligned = 0
+    """How many terms that sum has."""
+
+    def step_wait(self) -> Any:
+        """As RobotVecEnv, and take the time."""
+        began = time.perf_counter()
+        result = super().step_wait()
+        alignment = self.teams.alignment
+        known = ~np.isnan(alignment)
+        self.alignment += float(alignment[known].sum())
+        self.aligned += int(known.sum())
+        self.seconds += time.perf_counter() - began
+        return result
+
+    def renew_sensors(self, update: int) -> tuple[NDArray[np.bool_], NDArray[np.float32]]:
+        """Give groups of teams whose time has come before this update their next sensor.
+
+        Returns:
+            Slots that have begun a new episode, (slots,), and what they are shown, (k, size).
+        """
+        if not isinstance(self.teams, SensingGroups):
+            return np.zeros(self.num_envs, dtype=np.bool_), self.bootstrap_observations[:0]
+        which, observations = self.teams.renew(update)
+        self.slots.begin(which)
+        return np.repeat(which, self.n_robots), self.slots.by_slot(observations)
+
+
+def episode_numbers(episodes: list[dict[str, Any]]) -> dict[str, Any]:
+    """Columns about the episodes that ended in an update; NaN without any."""
+    if not episodes:
+        nothing = dict.fromkeys(("success", "clean_success", "median_time", "return"), np.nan)
+        return {"episodes": 0, **nothing}
+    success = np.array([episode["success"] for episode in episodes])
+    contacts = np.array([episode["contacts"] for episode in episodes])
+    times = np.where(success, [episode["time"] for episode in episodes], np.inf)
+    median = np.median(times)
+    return {
+        "episodes": len(episodes),
+        "success": success.mean(),
+        "clean_success": (success & (contacts == 0)).mean(),
+        "median_time": median if np.isfinite(median) else np.nan,
+        "return": np.mean([episode["r"] for episode in episodes]),
+    }

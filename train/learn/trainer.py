@@ -1,0 +1,435 @@
+"""A training run: what it consists of, from its beginning, or from a checkpoint, to its end."""
+
+from __future__ import annotations
+
+import copy
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from rendezvous_env.baselines.learned import checkpoints
+from rendezvous_env.baselines.learned.checkpoints import CheckpointError
+from rendezvous_env.baselines.learned.learned_policy import LearnedPolicy, PolicySettings
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from stable_baselines3.common.logger import Logger
+
+from rendezvous_env.engine.threads import available_cores
+from rendezvous_env.scenario import scenarios
+
+from .. import interrupts, results
+from ..checks import UserError
+from ..compare import statistics
+from ..compare.evaluation import play
+from ..resume import claimed
+from . import checkpoint
+from .checkpoint import (
+    CONFIG,
+    STATE_FILES,
+    check_fits,
+    flatten,
+    optimizer_arrays,
+    random_state,
+    read_config,
+    restore_optimizer,
+    restore_random,
+    tensors,
+    unflatten,
+    where_to_begin,
+    write_failure,
+)
+from .log import EVALUATION, METRICS, Events, OnUpdate, Result, Row, Table, read_evaluations
+from .recurrent import learner_of, network_of, network_settings
+from .settings import EVALUATION_SEEDS, Config
+from .teams import WatchedRobots, episode_numbers, make_teams
+
+_DOES_NOT_FIT = (
+    KeyError, TypeError, ValueError, RuntimeError, IndexError, AttributeError, OverflowError,
+)  # fmt: skip
+"""What another run's arrays raise where they are put."""
+_LEAST_RATE = 0.05
+"""Share of the learning rate that is left at the end."""
+_LOSSES = {
+    "policy_loss": "policy_gradient_loss", "value_loss": "value_loss", "approx_kl": "approx_kl",
+    "explained_variance": "explained_variance", "clip_fraction": "clip_fraction",
+    "learning_rate": "learning_rate",
+}  # fmt: skip
+"""Columns of metrics.csv that stable-baselines3 tells, and what it calls them."""
+
+
+Snapshot = tuple[dict[str, Any], dict[str, Any]]
+"""Description and tables of a checkpoint."""
+
+
+class Trainer:
+    """Network, optimiser, environment and log of a run.
+
+    Args:
+        config: of the run.
+    """
+
+    def __init__(self, config: Config) -> None:
+        self.config = config
+        self.settings = config.policy_settings()
+        self.stage = 0
+        self.robots = WatchedRobots(make_teams(config, 0))
+        self.model: Any = learner_of(config)(
+            network_of(config, self.robots.teams),
+            self.robots,
+            learning_rate=lambda _: self._learning_rate(),
+            n_steps=config.n_steps,
+            batch_size=config.batch_size,
+            n_epochs=config.epochs,
+            gamma=config.gamma,
+            gae_lambda=config.gae_lambda,
+            clip_range=config.clip_range,
+            ent_coef=config.ent_coef,
+            seed=config.seed,
+            device=config.device,
+            stats_window_size=10**6,
+            policy_kwargs=network_settings(config, self.robots.teams),
+        )
+        self.model.set_logger(Logger(None, []))
+        self._seconds = self._environment_seconds = 0.0
+        self._wall_before = 0.0
+        self._began = time.perf_counter()
+
+    def _learning_rate(self) -> float:
+        done = self.model.num_timesteps / self.config.total_steps if hasattr(self, "model") else 0.0
+        return self.config.learning_rate * max(1.0 - done, _LEAST_RATE)
+
+    # ---- begin and resume -----------------------------------------------------------------------
+
+    def begin(self) -> int:
+        """Begin at step 0, with a checkpoint to come back to."""
+        if self.config.start_from is not None:
+            self._load_weights(self.config.start_from)
+        self._reset_robots()
+        self._open_log(0)
+        self.save()
+        return 0
+
+    def _load_weights(self, path: Path) -> None:
+        _, tables = checkpoints.read(checkpoints.find(path), ["network"])
+        try:
+            self.model.policy.load_state_dict(tensors(tables["network"]))
+        except RuntimeError as error:
+            raise UserError(f"--start-from {path}: another network: {error}") from error
+
+    def _reset_robots(self) -> None:
+        self.robots.seed(self.config.first_seed + 2**24 * self.stage)
+        self.model._last_obs = self.robots.reset()
+        self.model._last_episode_starts = np.ones(self.robots.num_envs, dtype=np.bool_)
+
+    def _enter_stage(self, stage: int) -> None:
+        self.stage, self.robots = stage, WatchedRobots(make_teams(self.config, stage))
+        self.model.set_env(self.robots, force_reset=False)
+
+    def _open_log(self, step: int) -> None:
+        out = self.config.out
+        self._metrics = Table(out / "metrics.csv", METRICS, step)
+        self._evaluations = Table(out / "evaluation.csv", EVALUATION, step)
+        results.write_json(out / CONFIG, self.config.to_plain())  # nothing is refused from here on
+        self._metrics.begin()
+        self._evaluations.begin()
+        self._events = Events(out / "tensorboard", step, self.config.tensorboard)
+
+    def restore(self, place: Path) -> int:
+        """Take up the state of a checkpoint; the step it was written at.
+
+        Raises:
+            CheckpointError: if it belongs to another scenario or network.
+        """
+        about, tables = checkpoints.read(place, STATE_FILES)
+        model = self.model
+        try:
+            if about["stage"] != self.stage:
+                self._enter_stage(about["stage"])
+            model.policy.load_state_dict(tensors(tables["network"]))
+            restore_optimizer(model.policy.optimizer, tables["optimizer"])
+            state = unflatten(tables["state"])
+            check_fits(state, self.robots, model.policy)
+            self.robots.set_state(state["robots"])
+            model._last_obs = state["last_observations"]
+            model._last_episode_starts = state["last_episode_starts"]
+            model.set_memory(state)
+            restore_random(state["random"])
+            model.num_timesteps, model._n_updates = about["step"], about["updates"]
+            self._wall_before = about["wall_s"]
+        except _DOES_NOT_FIT as error:
+            raise CheckpointError(f"{place}: does not fit this run: {error}") from error
+        self._open_log(about["step"])
+        return int(about["step"])
+
+    def save(self, state: Snapshot | None = None) -> Path:
+        """Write a checkpoint of the present, or of a moment that was kept.
+
+        Raises:
+            OSError: if it cannot be written; older ones are as they were.
+        """
+        description, tables = state or self.snapshot()
+        return checkpoint.write(self.config.out, description["step"], description, tables)
+
+    def snapshot(self) -> Snapshot:
+        """All that a checkpoint holds, which no later step changes."""
+        model = self.model
+        state = {
+            "robots": self.robots.get_state(),
+            "last_observations": model._last_obs,
+            "last_episode_starts": model._last_episode_starts,
+            "random": random_state(),
+            **model.get_memory(),
+        }
+        description = {
+            "step": model.num_timesteps,
+            "updates": model._n_updates,
+            "stage": self.stage,
+            "wall_s": self._wall(),
+            "written": datetime.now(UTC).isoformat(timespec="seconds"),
+            "policy": self.settings.to_plain(),
+            "config": self.config.to_plain(),
+            "scenario": self.config.base_scenario().to_plain(),
+            "provenance": results.provenance(("torch", "stable-baselines3", "safetensors")),
+        }
+        tables = {  # as STATE_FILES says
+            "network": self._weights(),
+            "optimizer": optimizer_arrays(model.policy.optimizer),
+            "state": flatten(state),
+        }
+        return description, copy.deepcopy(tables)
+
+    # ---- train ----------------------------------------------------------------------------------
+
+    def update(self) -> int:
+        """Collect and learn once; the steps done so far."""
+        model, config = self.model, self.config
+        if (stage := config.stage(model.num_timesteps)) != self.stage:
+            self._enter_stage(stage)
+            self._reset_robots()
+        begun, seen = self.robots.renew_sensors(model._n_updates // config.epochs)
+        model._last_obs[begun], model._last_episode_starts[begun] = seen, True
+        began, robots = time.perf_counter(), self.robots
+        robots.seconds, robots.alignment, robots.aligned = 0.0, 0.0, 0
+        model.learn(config.samples_per_update, log_interval=None, reset_num_timesteps=False)
+        self._took = time.perf_counter() - began
+        self._seconds += self._took
+        self._environment_seconds += robots.seconds
+        if not all(bool(torch.isfinite(weights).all()) for weights in model.policy.parameters()):
+            raise UserError(
+                f"training diverged: not all weights are finite after step {model.num_timesteps}; "
+                f"begin again with a --learning-rate below {config.learning_rate}"
+            )
+        return int(model.num_timesteps)
+
+    def report(self) -> dict[str, Any]:
+        """The row of metrics.csv that belongs to the last update."""
+        model, robots, took = self.model, self.robots, self._took
+        told = {key.removeprefix("train/"): v for key, v in model.logger.name_to_value.items()}
+        model.logger.dump(model.num_timesteps)
+        row = {
+            "step": model.num_timesteps,
+            "update": model._n_updates // self.config.epochs,
+            "stage": self.stage,
+            **episode_numbers(list(model.ep_info_buffer)),
+            "alignment": robots.alignment / max(robots.aligned, 1),
+            "entropy": -told["entropy_loss"],
+            **{column: told[name] for column, name in _LOSSES.items()},
+            "wall_s": self._wall(),
+            "steps_per_s": self.config.samples_per_update / took,
+            "environment_share": robots.seconds / took,
+        }
+        row = {key: value.item() if hasattr(value, "item") else value for key, value in row.items()}
+        model.ep_info_buffer.clear()
+        model.ep_success_buffer.clear()
+        self._metrics.add(row)
+        self._events.add("train", row)
+        return row
+
+    def evaluate(self) -> list[dict[str, Any]]:
+        """Rows of evaluation.csv: the policy without noise on held-out starts."""
+        config, weights, rows = self.config, self._weights(), []
+        for name in config.eval_scenarios or (config.scenario,):
+            numbers = held_out(name, weights, self.settings, config.eval_starts)
+            row = {"step": self.model.num_timesteps, **numbers}
+            self._evaluations.add(row)
+            self._events.add(f"evaluation-{row['scenario']}", row)
+            rows.append(row)
+        return rows
+
+    def _weights(self) -> dict[str, NDArray[Any]]:
+        return {k: v.cpu().numpy() for k, v in self.model.policy.state_dict().items()}
+
+    def speed(self) -> str:
+        """How much time the environment took since this process began or resumed the run."""
+        if not self._seconds:
+            return "nothing was left to do"
+        share = self._environment_seconds / self._seconds
+        return (
+            f"{100 * share:.0f} % of the time in the environment; the same PPO on one that costs "
+            f"nothing would have taken the other {100 * (1 - share):.0f} %"
+        )
+
+    def _wall(self) -> float:
+        """Time that the run has taken, s, over all its resumptions."""
+        return self._wall_before + time.perf_counter() - self._began
+
+    def close(self) -> None:
+        """Write what is left of the log."""
+        self._events.close()
+
+
+def run(config: Config, on_update: OnUpdate | None = None) -> Result:
+    """Begin or resume a run and train to its end; see ``ppo.run``."""
+    console = Console(soft_wrap=True)
+    threads = torch.get_num_threads()
+    folder = config.resume or config.out
+    try:
+        with interrupts.raised("train"), _own(config, folder):
+            config, place = where_to_begin(config, console)
+            _check_device(config.device)
+            torch.set_num_threads(config.num_threads or available_cores())
+            if (least := config.samples_per_update) > config.total_steps:
+                console.print(
+                    f"one update is {least:,} decisions (--num-teams × robots × --n-steps), more "
+                    f"than --total-steps {config.total_steps:,}: the run ends after the first one"
+                )
+            training = Trainer(config)
+            step = training.restore(place) if place else training.begin()
+            return _loop(training, step, console, on_update or _goes_on)
+    except CheckpointError as error:
+        raise UserError(str(error)) from error
+    except OSError as error:
+        raise UserError(write_failure(folder, error)) from error
+    finally:
+        torch.set_num_threads(threads)
+
+
+# ---- where to begin -----------------------------------------------------------------------------
+
+
+@contextmanager
+def _own(config: Config, folder: Path) -> Iterator[None]:
+    """The folder of a run, for this process alone.
+
+    Raises:
+        UserError: if there is no run to resume, another process has it, or it cannot be written.
+    """
+    if config.resume is not None:
+        read_config(folder)  # so that nothing is made where no run is
+    elif checkpoints.candidates(folder):
+        raise UserError(f"--out {folder} holds a run; --resume it, or choose another folder")
+    with claimed(folder, ".lock", str(folder)):
+        yield
+
+
+def _check_device(device: str) -> None:
+    try:
+        torch.empty(0, device=device)
+    except (RuntimeError, AssertionError, NotImplementedError) as error:
+        said = str(error).partition("\n")[0]
+        raise UserError(f"--device is {device!r}: {said}; cpu is always there") from error
+
+
+# ---- the loop -----------------------------------------------------------------------------------
+
+
+def _goes_on(update: int, metrics: Row) -> bool:
+    return False
+
+
+def _loop(training: Trainer, step: int, console: Console, on_update: OnUpdate) -> Result:
+    """Train to the end, until a signal, or until ``on_update`` ends it; what is kept then is the
+    state after the last update.
+    """
+    config, kept = training.config, training.snapshot()
+    metrics: dict[str, Any] = {}
+    status, stopped, saved = 0, False, True
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+    )
+    try:
+        with Progress(*columns, console=console, transient=True) as progress:
+            bar = progress.add_task("", total=config.total_steps, completed=step)
+            while step < config.total_steps and not stopped:
+                before, step = step, training.update()
+                row = training.report()
+                progress.update(bar, completed=step, description=_line(row))
+                last, evaluation = step >= config.total_steps, []
+                if config.eval_every and (last or _crosses(config.eval_every, before, step)):
+                    evaluation = training.evaluate()
+                    for result in evaluation:
+                        console.print(_evaluation_line(result))
+                kept, metrics, saved = training.snapshot(), row, False
+                if last or _crosses(config.checkpoint_every, before, step):
+                    place, saved = training.save(kept), True
+                    console.print(f"{_line(row)} · {place.name}")
+                stopped = on_update(row["update"], row | {"evaluation": evaluation}) is True
+    except KeyboardInterrupt as error:
+        training.save(kept)  # rows of later steps are cut off when the run goes on
+        step = kept[0]["step"]
+        console.print(f"stopped at step {step:,}; rendezvous train --resume {config.out} goes on")
+        status = interrupts.status_of(error)
+    else:
+        if not saved:
+            training.save(kept)
+        said = "stopped by on_update" if stopped else "done"
+        console.print(f"{said}: {step:,} steps; {training.speed()}")
+    finally:
+        training.close()
+    evaluations = read_evaluations(config.out / "evaluation.csv", step)
+    return Result(config.out, status, stopped, step, metrics, evaluations)
+
+
+def _crosses(every: int, before: int, step: int) -> bool:
+    return step // every > before // every
+
+
+def _line(row: Mapping[str, Any]) -> str:
+    if not row["episodes"]:
+        return f"step {row['step'] / 1e6:.2f} M · no episode has ended in this update"
+    return (
+        f"step {row['step'] / 1e6:.2f} M · met {100 * row['success']:.0f} % · cleanly "
+        f"{100 * row['clean_success']:.0f} % · {row['median_time']:.1f} s · alignment "
+        f"{row['alignment']:.2f} · {row['steps_per_s']:.0f} steps/s"
+    )
+
+
+def _evaluation_line(row: Mapping[str, Any]) -> str:
+    return (
+        f"[bold]{row['scenario']}[/bold] met {100 * row['success']:.1f} % · cleanly "
+        f"{100 * row['clean_success']:.1f} [{100 * row['clean_low']:.1f}, "
+        f"{100 * row['clean_high']:.1f}] % · median {row['median_time']:.2f} s · alignment ≥ "
+        f"{row['min_alignment']:.3f} · {row['episodes']} held-out starts"
+    )
+
+
+def held_out(
+    scenario: str, weights: Mapping[str, NDArray[Any]], settings: PolicySettings, starts: int
+) -> dict[str, Any]:
+    """The row of results.csv that a network earns, choosing without noise.
+
+    Args:
+        scenario: name, or path of a TOML file.
+        weights: of the network, by name.
+        settings: of the policy.
+        starts: how many.
+    """
+    chosen = scenarios.resolve(scenario)
+    episodes, _ = play(
+        chosen,
+        lambda: LearnedPolicy(chosen, weights, settings),
+        margin=settings.promised_margin,
+        episodes=starts,
+        seed=EVALUATION_SEEDS,
+    )
+    limit = chosen.max_steps * chosen.tau
+    return statistics.summarise(chosen.name, "learned", episodes, limit)

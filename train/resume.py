@@ -1,0 +1,225 @@
+"""Work that may be stopped at any moment: what is finished lies in a folder, and the same command
+resumes it; one process at a time.
+
+plan.json says what was asked for, cells/ holds what each finished task gave. A cell depends on
+nothing but the plan, so a resumed command finds what an uninterrupted one would have found.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import pickle
+import shutil
+import socket
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
+from datetime import UTC, datetime
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from filelock import FileLock, Timeout
+from rendezvous_env.baselines.learned import plain_data
+from rich.console import Console
+
+import rendezvous_env
+import train
+from rendezvous_env import baselines
+
+from . import results
+from .checks import UserError
+
+PLAN = "plan.json"
+_DIGEST = hashlib.sha256().digest_size
+
+
+def program() -> dict[str, Any]:
+    """What numbers depend on besides what was asked for, as plain data."""
+    about = results.provenance()
+    return {**{key: about[key] for key in ("format_version", "versions")}, "source": _source()}
+
+
+@cache
+def _source() -> str:
+    """Digest of the program's own files, which change more often than its version."""
+    found = hashlib.sha256()
+    for package in (rendezvous_env, baselines, train):
+        for path in sorted(Path(str(package.__file__)).parent.rglob("*.py")):
+            found.update(path.read_bytes())
+    return found.hexdigest()
+
+
+def run_id(plan: Mapping[str, Any]) -> str:
+    """What was asked for, as a name: the same command gives the same one."""
+    return plain_data.digest(plan)[:16]
+
+
+@contextmanager
+def claimed(folder: Path, lock: str, what: str) -> Iterator[None]:
+    """A folder that can be written to, with a lock file that no other process holds meanwhile.
+
+    The system frees the lock if this process dies. What had to be made of the folder goes again if
+    it stays empty.
+
+    Args:
+        folder: to make.
+        lock: name of a file in it, which says who holds it and goes in the end.
+        what: is locked, for the message.
+
+    Raises:
+        UserError: if another process holds it, which is named; or it cannot be written to.
+    """
+    new = [path for path in (folder, *folder.parents) if not path.exists()]
+    path = folder / lock
+    try:
+        results.prepare_folder(folder)
+        held = FileLock(path, timeout=0)
+        try:
+            held.acquire()
+        except Timeout:
+            raise UserError(
+                f"{what} is in use by {_holder(path)}; wait for its end, or stop it"
+            ) from None
+        except OSError as error:
+            raise UserError(f"{path}: cannot be locked: {error.strerror}") from error
+        try:
+            began = datetime.now(UTC).isoformat(timespec="seconds")
+            path.write_text(f"process {os.getpid()} on {socket.gethostname()}, since {began}\n")
+            yield
+        finally:
+            path.unlink(missing_ok=True)
+            held.release()
+    finally:
+        with suppress(OSError):  # the first that is not empty ends it
+            for made in new:
+                made.rmdir()
+
+
+def _holder(path: Path) -> str:
+    with suppress(OSError):
+        return path.read_text(encoding="utf-8", errors="replace").strip() or "another process"
+    return "another process"
+
+
+class Part:
+    """The folder of work that goes on.
+
+    Args:
+        folder: where it lies.
+        plan: plain data that says what is asked for, with ``program``.
+        what: is done, in a word.
+    """
+
+    def __init__(self, folder: Path, plan: Mapping[str, Any], what: str) -> None:
+        self.folder, self.run = folder, run_id(plan)
+        self._plan, self._what, self._cells = plan, what, folder / "cells"
+
+    def begin(self, given: Path, *, fresh: bool) -> None:
+        """Make the folder, or resume what is there.
+
+        Args:
+            given: what --out said, for messages.
+            fresh: whether to throw away what another command has left unfinished.
+
+        Raises:
+            UserError: if it is of something else.
+            OSError: if it cannot be written; nothing stays where no task was finished.
+        """
+        if any(self.folder.glob("[!.]*")):
+            if fresh and (self.folder / PLAN).is_file():
+                self.discard()
+            else:
+                self._check_same(given)
+        results.prepare_folder(self.folder)
+        try:
+            results.write_json(self.folder / PLAN, {**self._plan, "run": self.run})
+            self._cells.mkdir(exist_ok=True)
+        except OSError:
+            if not self._count():
+                self.discard()
+            raise
+
+    @contextmanager
+    def at_work(self, console: Console) -> Iterator[None]:
+        """Say what is there before the body, and after a body that is interrupted; nothing stays
+        where no task was finished.
+        """
+        if count := self._count():
+            console.print(f"resumes with {count} finished tasks in {self.folder}", soft_wrap=True)
+        try:
+            yield
+        except KeyboardInterrupt as error:
+            if count := self._count():
+                error.add_note(
+                    f"{count} finished tasks lie in {self.folder}; the same command resumes"
+                )
+            raise
+        finally:
+            if self.folder.is_dir() and not self._count():
+                self.discard()
+
+    def save(self, name: str, result: Any) -> None:
+        """Keep what a task gave."""
+        content = pickle.dumps(result)
+        with results.atomic(self._cells / f"{name}.cell") as temporary:
+            temporary.write_bytes(self._digest(content) + content)
+
+    def load(self, name: str) -> Any:
+        """What a task gave; None if it is not finished, or damaged: it is done anew."""
+        try:
+            content = (self._cells / f"{name}.cell").read_bytes()
+        except OSError:
+            return None
+        own, content = content[:_DIGEST], content[_DIGEST:]
+        # nothing is unpickled but what this very plan has written
+        return pickle.loads(content) if own == self._digest(content) else None
+
+    def discard(self) -> None:
+        """Remove the folder; the plan goes last, so that a kill leaves what can be resumed."""
+        for path in self.folder.iterdir():
+            if path.is_dir():
+                shutil.rmtree(path)
+            elif path.name != PLAN:
+                path.unlink()
+        shutil.rmtree(self.folder)
+
+    def _digest(self, content: bytes) -> bytes:
+        return hashlib.sha256(self.run.encode() + content).digest()
+
+    def _count(self) -> int:
+        """How many tasks are finished."""
+        return len(list(self._cells.glob("[!.]*.cell")))
+
+    def _check_same(self, given: Path) -> None:
+        """Refuse to resume something else than what was begun."""
+        if not (self.folder / PLAN).is_file():
+            raise UserError(f"{self.folder}: holds no {PLAN}, so it is none of ours; move it away")
+        stored = read(self.folder / PLAN)
+        if stored.get("run") == self.run:
+            return
+        plain = json.loads(json.dumps(self._plan))
+        other = next((key for key in plain if stored.get(key) != plain[key]), "run")
+        raise UserError(
+            f"{self.folder} holds an unfinished {self._what} of other {other} "
+            f"({_short(stored.get(other))}, here {_short(plain.get(other))}): give its command to "
+            f"resume it, --overwrite to throw it away, or another folder than --out {given}"
+        )
+
+
+def read(path: Path) -> dict[str, Any]:
+    """Plain data of a folder of work.
+
+    Raises:
+        UserError: if it cannot be read.
+    """
+    try:
+        return dict(plain_data.read_json(path))
+    except (OSError, ValueError, TypeError) as error:
+        raise UserError(f"{path}: not readable ({error}); remove {path.parent}") from error
+
+
+def _short(value: Any) -> str:
+    text = json.dumps(value)
+    return text if len(text) <= 60 else f"…{hashlib.sha256(text.encode()).hexdigest()[:8]}"

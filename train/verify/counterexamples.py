@@ -1,0 +1,243 @@
+"""``rendezvous verify --any``: random scenarios by the thousand, and violations made small."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import time
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import rendezvous_env as rv
+
+from .falsification import NUMBERS, TEAMS, Played, Trial, play
+from .random_scenarios import CHOICES, draw, draw_kind
+
+TRIALS = 50
+"""Of a block: they are of one kind and share compiled code."""
+_KINDS = 10**9
+"""Where the random streams of kinds begin, beyond those of trials."""
+
+
+@dataclass(frozen=True)
+class AnyBlock:
+    """Some trials of one kind, a task of its own."""
+
+    number: int
+    trials: int
+    seed: int
+
+    @property
+    def name(self) -> str:
+        """Of its cell."""
+        return f"any-{self.number:07d}"
+
+
+@dataclass
+class Tally:
+    """What some trials say together."""
+
+    trials: int = 0
+    seconds: float = 0.0
+    steps: int = 0
+    granted: Counter[str] = field(default_factory=Counter)
+    """How often each theorem was."""
+    checked: Counter[tuple[str, str]] = field(default_factory=Counter)
+    """How often each of its NUMBERS was."""
+    ratio: dict[str, float] = field(default_factory=dict)
+    """The worst T/bound of each."""
+    violations: list[tuple[int, Trial, Played]] = field(default_factory=list)
+    """Number of the trial, the trial as it was drawn, and what came of it."""
+
+    def add(self, played: Played) -> None:
+        """Count one trial."""
+        self.steps += played.steps
+        if played.checked:
+            name = played.theorem or "none"
+            self.granted[name] += 1
+            self.checked.update((name, number) for number in played.checked)
+            if not np.isnan(played.time_over_bound):
+                self.ratio[name] = max(self.ratio.get(name, 0.0), played.time_over_bound)
+
+    def join(self, other: Tally) -> None:
+        """Take in what others say."""
+        self.trials += other.trials
+        self.seconds += other.seconds
+        self.steps += other.steps
+        self.granted.update(other.granted)
+        self.checked.update(other.checked)
+        self.violations += other.violations
+        for name, ratio in other.ratio.items():
+            self.ratio[name] = max(self.ratio.get(name, 0.0), ratio)
+
+
+def any_blocks(trials: int, seed: int) -> list[AnyBlock]:
+    """Trials cut into tasks."""
+    starts = range(0, trials, TRIALS)
+    return [AnyBlock(k, min(TRIALS, trials - k * TRIALS), seed) for k in range(len(starts))]
+
+
+def look_at_any(block: AnyBlock) -> Tally:
+    """Play the trials of a block."""
+    began, tally = time.perf_counter(), Tally(trials=block.trials)
+    for number in range(block.number * TRIALS, block.number * TRIALS + block.trials):
+        for trial in trials_of(block.seed, number):
+            played = play(trial)
+            tally.add(played)
+            if played.violation is not None:
+                tally.violations.append((number, trial, played))
+    tally.seconds = time.perf_counter() - began
+    return tally
+
+
+def trials_of(seed: int, number: int) -> list[Trial]:
+    """The scenario of a number, played under each of CHOICES."""
+    kind = draw_kind(np.random.default_rng([seed, _KINDS + number // TRIALS]))
+    random = np.random.default_rng([seed, number])
+    drawn = draw(random, kind)
+    return [
+        Trial(
+            scenario=drawn.scenario,
+            by=by,
+            arguments=drawn.arguments[by],
+            frame="net_bearing" if random.random() < 0.3 else "local",
+            period=3 if by != "law" and random.random() < 0.15 else 1,
+            seed=int(random.integers(2**31)),
+        )
+        for by in CHOICES
+    ]
+
+
+# ---- shrinking ---------------------------------------------------------------------------------
+
+
+def shrink(trial: Trial, played: Played) -> tuple[Trial, Played]:
+    """A trial of fewer robots and plainer fields in which the same number is violated.
+
+    One thing is made simpler at a time, and kept if adversaries still find a violation; until
+    nothing is left to try.
+    """
+    assert played.violation is not None
+    number, again = played.violation.number, True
+    while again:
+        again = False
+        for simpler in _simpler(trial, played):
+            found = play(simpler)
+            if found.violation is not None and found.violation.number == number:
+                trial, played, again = simpler, found, True
+                break
+    return trial, played
+
+
+def _simpler(trial: Trial, played: Played) -> Iterator[Trial]:
+    """The trial with one thing less, the largest things first."""
+    scenario, plain = trial.scenario, rv.Scenario()
+    changes: list[dict[str, Any]] = []
+    if scenario.obstacles:
+        changes.append({"obstacles": ()})
+    changes += [
+        {name: getattr(plain, name)}
+        for name in ("max_speed", "time_step", "max_turn_rate", "obstacle_contact", "on_merge")
+    ]
+    changes.append({"local_frames": "global"})
+    exact = rv.Sensing()
+    for name in [f.name for f in dataclasses.fields(exact)]:
+        changes.append({"sensing": replace(scenario.sensing, **{name: getattr(exact, name)})})
+    if isinstance(scenario.obstacles, tuple):
+        for k in range(len(scenario.obstacles)):
+            changes.append({"obstacles": scenario.obstacles[:k] + scenario.obstacles[k + 1 :]})
+    changes += _fewer_robots(scenario)
+    for change in changes:
+        if all(getattr(scenario, name) == value for name, value in change.items()):
+            continue
+        try:
+            yield replace(trial, scenario=scenario.replace(**change))
+        except ValueError:
+            continue
+    if trial.period > 1 or trial.frame != "local":
+        yield replace(trial, period=1, frame="local")
+
+
+def _fewer_robots(scenario: rv.Scenario) -> Iterator[dict[str, Any]]:
+    n, graph = scenario.n_robots, scenario.sensing_graph
+    if n == 2:
+        return
+    for robot in range(n):
+        left = [k for k in range(n) if k != robot]
+        change: dict[str, Any] = {"n_robots": n - 1}
+        for name in ("start_positions", "start_headings"):
+            if (table := getattr(scenario, name)) is not None:
+                change[name] = tuple(table[k] for k in left)
+        if graph.kind in ("edges", "directed"):
+            weights = graph.base_weights(n)[np.ix_(left, left)]
+            made = rv.graphs.directed if graph.kind == "directed" else rv.graphs.from_matrix
+            try:
+                change["graph"] = made(weights)
+            except ValueError:
+                continue
+        yield change
+
+
+# ---- files -------------------------------------------------------------------------------------
+
+
+def write(folder: Path, name: str, trial: Trial, played: Played) -> Path:
+    """A violation as a scenario in NAME.toml, and how it is played in NAME.json.
+
+    Where one team alone repeats it, its choices are written too, and its start becomes the
+    scenario's.
+    """
+    assert played.violation is not None
+    violation = played.violation
+    alone = replace(trial, seed=trial.seed + violation.team)
+    repeated = play(alone, teams=1, choices=violation.choices)
+    choices = None
+    if repeated.violation is not None and repeated.violation.number == violation.number:
+        trial, violation, choices = alone, repeated.violation, violation.choices.tolist()
+    folder.mkdir(parents=True, exist_ok=True)
+    trial.scenario.replace(name=name).to_toml(folder / f"{name}.toml")
+    how = {
+        "by": trial.by,
+        "arguments": trial.arguments,
+        "frame": trial.frame,
+        "period": trial.period,
+        "seed": trial.seed,
+        "teams": TEAMS if choices is None else 1,
+        "number": violation.number,
+        "found": violation.found,
+        "promised": violation.promised,
+        "step": violation.step,
+        "certificate": violation.words,
+        "choices": choices,
+    }
+    (folder / f"{name}.json").write_text(json.dumps(how), encoding="utf-8")
+    return folder / f"{name}.toml"
+
+
+def repeat(path: Path) -> Played:
+    """Play a violation again from the files of ``write``."""
+    how = json.loads(path.with_suffix(".json").read_text(encoding="utf-8"))
+    asked = {name: how[name] for name in ("by", "arguments", "frame", "period", "seed")}
+    trial = Trial(scenario=rv.Scenario.from_toml(path), **asked)
+    choices = None if how["choices"] is None else np.array(how["choices"])
+    return play(trial, teams=how["teams"], choices=choices)
+
+
+def rows_of(tally: Tally) -> list[dict[str, Any]]:
+    """A line for each theorem: how often it was granted, each number checked, and violated."""
+    broken = Counter(played.theorem or "none" for *_, played in tally.violations)
+    return [
+        {
+            "theorem": name,
+            "granted": count,
+            **{number: tally.checked[name, number] for number in NUMBERS},
+            "worst_time_over_bound": tally.ratio.get(name, float("nan")),
+            "violations": broken[name],
+        }
+        for name, count in sorted(tally.granted.items())
+    ]

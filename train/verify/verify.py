@@ -1,0 +1,304 @@
+"""``rendezvous verify``: the theorems of docs/theory.md as a command that can fail."""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.table import Table
+from tyro.conf import arg
+
+from rendezvous_env.scenario.scenario import nearest_word
+
+from ..checks import UserError, check_least, check_most
+from ..results import write_csv
+from ..resume import Part, claimed, program
+from ..tasks import WorkerFlags, each
+from .cases import BATCH
+from .claim import Claim, worst
+from .claims import CLAIMS, Seen, blocks_of, look
+from .counterexamples import Tally, any_blocks, look_at_any, rows_of, shrink, write
+from .falsification import TEAMS
+
+COLUMNS = (
+    "claim",
+    "trials",
+    "worst_margin",
+    "worst_time_over_bound",
+    "violations",
+    "seconds",
+    "first_violation",
+)
+"""Of verify.csv; the margin is a share (of V(0), of the time limit, of 2 max a), and negative
+means violated, rounding aside."""
+_BAR = (
+    TextColumn("{task.description:16}"),
+    BarColumn(),
+    MofNCompleteColumn(),
+    TimeElapsedColumn(),
+)
+_MOST_WRITTEN = 20
+"""Violations of a search that are made small and written."""
+
+FLAG_GROUPS = {"Workers": ("jobs", "on", "address")}
+
+
+@dataclass(frozen=True)
+class Config(WorkerFlags):
+    """Check every claim of the theory on random teams; exit status 1 if one is violated."""
+
+    trials: int = 1000
+    """Teams for each claim."""
+    seed: int = 0
+    """Other seeds draw other teams."""
+    out: Path = Path("out/verify")
+    """Folder for verify.csv. Until it is written what is finished lies in OUT/verify.part, and the
+    same command goes on with it."""
+    min_alignment: float = 0.3
+    """Least margin ε that is drawn; waiting times grow with 1/ε²."""
+    claims: tuple[str, ...] = ()
+    """Names of the claims to check; all if none is given."""
+    only_batch: int | None = None
+    """Repeat one batch of teams, as a violation's report names it."""
+    any: bool = False
+    """Try whole scenarios drawn at random instead of claims: ask for every certificate, and hold
+    each of its numbers against what adversaries can do. What is violated is made small and written
+    to OUT as a TOML file with the choices that repeat it."""
+    fresh: Annotated[bool, arg(name="overwrite", aliases=("--fresh",))] = False
+    """Throws away what another command has left unfinished in OUT/verify.part."""
+
+    def batches(self) -> list[tuple[int, int]]:
+        """(number, teams that count) of each batch to run."""
+        if self.only_batch is not None:
+            return [(self.only_batch, min(self.trials, BATCH))]
+        count = math.ceil(self.trials / BATCH)
+        return [(k, min(BATCH, self.trials - k * BATCH)) for k in range(count)]
+
+
+def check_config(config: Config) -> None:
+    """Refuse what cannot be run, by name.
+
+    Raises:
+        UserError: naming the flag, its value and what would be right.
+    """
+    check_least(config, trials=1, seed=0, only_batch=0)
+    check_most(config, trials=10**8)
+    _ = config.workers  # refuses what cannot be
+    if not 0 < config.min_alignment < 1:
+        raise UserError(
+            f"--min-alignment is {config.min_alignment}; it must lie between 0 and 1, exclusive"
+        )
+    known = [claim.name for claim in CLAIMS]
+    for name in config.claims:
+        if name not in known:
+            near = nearest_word(name, known)
+            hint = f"did you mean {near!r}? " if near else ""
+            raise UserError(f"claim {name!r} is unknown; {hint}known are {', '.join(known)}")
+
+
+@dataclass(frozen=True)
+class Row:
+    """What was found about one claim."""
+
+    claim: Claim
+    trials: int
+    margin: float
+    time_over_bound: float
+    """NaN where the claim names no time."""
+    violations: int
+    seconds: float
+    first_violation: str
+    """The command that repeats it; empty without any."""
+
+
+def row_of(claim: Claim, config: Config, seen: Sequence[Seen]) -> Row:
+    """What all blocks of a claim say, in their order."""
+    found = worst([one.finding for one in seen])
+    first = next((one.first for one in seen if one.first is not None), None)
+    return Row(
+        claim=claim,
+        trials=found.trials,
+        margin=found.margin,
+        time_over_bound=found.time_over_bound,
+        violations=found.violations,
+        seconds=sum(one.seconds for one in seen),
+        first_violation="" if first is None else command_for(claim, config, first),
+    )
+
+
+def command_for(claim: Claim, config: Config, batch: int) -> str:
+    """The command line that repeats one batch of one claim."""
+    return (
+        f"rendezvous verify --claims {claim.name} --seed {config.seed} --only-batch {batch} "
+        f"--min-alignment {config.min_alignment}"
+    )
+
+
+def run(config: Config, claims: Sequence[Claim] = CLAIMS, console: Console | None = None) -> int:
+    """Check the claims, print the table, write verify.csv; the exit status.
+
+    Raises:
+        UserError: for an impossible flag, or a folder that cannot be written to.
+    """
+    check_config(config)
+    console = console or Console(width=None if sys.stdout.isatty() else 120)
+    if config.any:
+        return _run_any(config, console)
+    chosen = [claim for claim in claims if not config.claims or claim.name in config.claims]
+    path = config.out / "verify.csv"
+    part = Part(path.with_suffix(".part"), plan_of(config, chosen), "verification")
+    with claimed(config.out, ".verify.lock", f"--out {config.out}"):
+        part.begin(config.out, fresh=config.fresh)
+        with part.at_work(console):
+            rows = _look_at_all(config, chosen, part, console)
+            write_csv(path, COLUMNS, map(as_plain, rows))
+            part.discard()
+    return _report(rows, path, console)
+
+
+def plan_of(config: Config, claims: Sequence[Claim]) -> dict[str, Any]:
+    """All that the numbers of a verification depend on, as plain data."""
+    asked = ("trials", "seed", "min_alignment", "only_batch")
+    return {
+        **program(),
+        **{name: getattr(config, name) for name in asked},
+        "claims": [claim.name for claim in claims],
+    }
+
+
+def _look_at_all(
+    config: Config, claims: Sequence[Claim], part: Part, console: Console
+) -> list[Row]:
+    """Check what is not finished, under a progress bar for each claim."""
+    batches = config.batches()
+    of_claim = {
+        claim.name: blocks_of(claim, batches, config.seed, config.min_alignment) for claim in claims
+    }
+    blocks = [block for own in of_claim.values() for block in own]
+    seen: dict[str, Seen] = {}
+    with Progress(*_BAR, console=console, transient=True) as progress:
+        total = sum(count for _, count in batches)
+        bars = {name: progress.add_task(name, total=total) for name in of_claim}
+        for block, one in _finish(look, blocks, part, config):
+            seen[block.name] = one
+            progress.advance(bars[block.claim.name], one.finding.trials)
+    return [
+        row_of(claim, config, [seen[block.name] for block in of_claim[claim.name]])
+        for claim in claims
+    ]
+
+
+def _finish(
+    work: Callable[[Any], Any], blocks: Sequence[Any], part: Part, config: Config
+) -> Iterator[tuple[Any, Any]]:
+    """What all blocks say: first those that are finished, then the others as they end."""
+    left = []
+    for block in blocks:
+        if (kept := part.load(block.name)) is None:
+            left.append(block)
+        else:
+            yield block, kept
+    with closing(each(work, left, config.workers)) as found:
+        for number, one in found:
+            part.save(left[number].name, one)
+            yield left[number], one
+
+
+def _run_any(config: Config, console: Console) -> int:
+    """Play random scenarios, print how often each theorem was granted and checked, write any.csv;
+    the exit status.
+    """
+    path, tally = config.out / "any.csv", Tally()
+    plan = {**program(), "trials": config.trials, "seed": config.seed, "any": True}
+    part = Part(path.with_suffix(".part"), plan, "search")
+    with claimed(config.out, ".verify.lock", f"--out {config.out}"):
+        part.begin(config.out, fresh=config.fresh)
+        with part.at_work(console), Progress(*_BAR, console=console, transient=True) as progress:
+            task = progress.add_task("scenarios", total=config.trials)
+            blocks = any_blocks(config.trials, config.seed)
+            for _, one in _finish(look_at_any, blocks, part, config):
+                tally.join(one)
+                progress.advance(task, one.trials)
+            rows = rows_of(tally)
+            write_csv(path, list(rows[0]) if rows else ["theorem"], rows)
+            part.discard()
+    table = Table(title=f"Certificates of {config.trials} random scenarios, tried")
+    for heading in rows[0] if rows else ["theorem"]:
+        table.add_column(
+            heading.replace("_", " "), justify="left" if heading == "theorem" else "right"
+        )
+    for row in rows:
+        style = "bold red" if row["violations"] else None
+        table.add_row(*[_shown(value) for value in row.values()], style=style)
+    console.print(table)
+    tally.violations.sort(key=lambda found: found[0])
+    for number, trial, played in tally.violations[:_MOST_WRITTEN]:
+        name = f"any-{config.seed}-{number}-{trial.by}"
+        small, played = shrink(trial, played)
+        file = write(config.out, name, small, played)
+        console.print(f"scenario {number}: {played.violation}; {file}", soft_wrap=True)
+    console.print(
+        f"{len(tally.violations)} violations, {tally.steps} steps of {TEAMS} teams in "
+        f"{tally.seconds:.0f} s of work; {path}",
+        soft_wrap=True,
+    )
+    return int(bool(tally.violations))
+
+
+def _shown(value: Any) -> str:
+    if isinstance(value, float):
+        return "" if math.isnan(value) else f"{value:.3f}"
+    return str(value)
+
+
+def _report(rows: Sequence[Row], path: Path, console: Console) -> int:
+    """Print the table and what is violated; the exit status."""
+    console.print(table_of(rows))
+    violated = [row for row in rows if row.violations]
+    for row in violated:
+        console.print(f"{row.claim.name} is violated; to repeat the first time:")
+        console.print(f"  {row.first_violation}", soft_wrap=True)
+    seconds = sum(row.seconds for row in rows)
+    total = sum(row.violations for row in rows)
+    console.print(f"{total} violations in {seconds:.0f} s of work; {path}", soft_wrap=True)
+    return int(bool(violated))
+
+
+def table_of(rows: Sequence[Row]) -> Table:
+    """The rows as they are printed."""
+    table = Table(title="What was proved, measured")
+    table.add_column("claim")
+    table.add_column("what is checked")
+    for heading in ("trials", "worst margin", "worst T/bound", "violations"):
+        table.add_column(heading, justify="right")
+    for row in rows:
+        table.add_row(
+            row.claim.name,
+            row.claim.statement,
+            str(row.trials),
+            f"{row.margin + 0.0:.2g}",
+            "" if math.isnan(row.time_over_bound) else f"{row.time_over_bound:.3f}",
+            str(row.violations),
+            style="bold red" if row.violations else None,
+        )
+    return table
+
+
+def as_plain(row: Row) -> dict[str, Any]:
+    """A row as it stands in verify.csv."""
+    return {
+        "claim": row.claim.name,
+        "trials": row.trials,
+        "worst_margin": row.margin,
+        "worst_time_over_bound": row.time_over_bound,
+        "violations": row.violations,
+        "seconds": round(row.seconds, 3),
+        "first_violation": row.first_violation,
+    }
