@@ -10,6 +10,7 @@ import pytest
 from train.bench import bench
 from train.bench.bench import GROUPS, Config, Row, measure, run
 from train.bench.cases import Case, Running, Size, among_discs, bare_step, batched
+from train.bench.learners import installed
 from train.checks import UserError
 
 QUICK = {"robots": (3,), "num_envs": 48, "repeats": 2, "seconds": 0.004, "num_threads": 1}
@@ -51,6 +52,12 @@ def test_all_rows_are_measured_and_written(tmp_path):
     assert written["bytes_per_team"]["3"]["observations"] == 3 * 2 * 2 * 4
     assert written["threads"] == 1 and "numba" in written["versions"]
     assert list(tmp_path.iterdir()) == [tmp_path / "bench.json"]
+
+
+def test_a_folder_named_like_a_learner_is_not_that_learner(tmp_path, monkeypatch):
+    (tmp_path / "folder_of_no_library").mkdir()
+    monkeypatch.syspath_prepend(tmp_path)
+    assert not installed("folder_of_no_library") and installed("numpy")
 
 
 def test_ticks_of_a_learned_policy_are_told_in_microseconds(tmp_path, capsys):

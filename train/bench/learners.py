@@ -27,8 +27,10 @@ _TRAINING = "clutter-8"
 _STEPS, _BATCH, _EPOCHS = 64, 8192, 4
 
 
-def _installed(module: str) -> bool:
-    return importlib.util.find_spec(module) is not None
+def installed(module: str) -> bool:
+    """Whether a library of that name can be imported; a mere folder of that name is none."""
+    found = importlib.util.find_spec(module)
+    return found is not None and found.origin is not None
 
 
 # ---- learned policies ---------------------------------------------------------------------------
@@ -77,7 +79,7 @@ def learned(num_envs: int) -> list[Case]:
     n = scenario.n_robots
     size = ("learned", n, num_envs, num_envs * n, TICKS)
     numpy = Case("learned, NumPy", *size, partial(build, False), "learned, torch")
-    if not _installed("stable_baselines3"):
+    if not installed("stable_baselines3"):
         return [numpy]
     return [numpy, Case("learned, torch", *size, partial(build, True))]
 
@@ -105,7 +107,7 @@ def _over(ours: str, scenario: rv.Scenario, size: Size, choices: dict[str, Any])
     return [Case(ours, *own, build)] + [
         Case(f"{name} over {ours}", *own, partial(make, scenario, size, choices), ours)
         for name, (module, make) in LEARNERS.items()
-        if _installed(module)
+        if installed(module)
     ]
 
 
