@@ -1,5 +1,5 @@
-"""``rendezvous reproduce``: figures 3 and 4 of the paper for our start positions, and what the
-margin and the budget of an energy tank buy.
+"""``rendezvous reproduce``: figures 3 and 4 of the paper for our start positions, what the margin
+and the budget of an energy tank buy, and how far bounds lie above what teams take.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from rendezvous_env.trajectory import Trajectory, rollout
 
 from .. import policies, results
 from ..checks import UserError, check_least, check_most
-from . import learning_figures, path_figures, style
+from . import bounds, learning_figures, path_figures, style
 
 _LAWS = {"fig3": "bearing-only", "fig4": "tangent-joined"}
 """Figure 3: law (1), through the obstacles. Figure 4: law (4) round them."""
 
-EXAMPLES = ("fig3", "fig4 --policy learned", "tank --episodes 1000")
+EXAMPLES = ("fig3", "fig4 --policy learned", "tank --episodes 1000", "bounds")
 
 
 @dataclass(frozen=True)
@@ -31,22 +31,26 @@ class Config:
     """Draw a figure of the paper: (a) the paths, (b) V(t) with its jumps at merges.
 
     The paper prints no coordinates; start positions and obstacles are our own choice. Or draw
-    what a tank's margin and budget buy: clean success and the time bound.
+    what a tank's margin and budget buy: clean success and the time bound. Or make the table of
+    certified times over those that random teams take.
     """
 
-    figure: Positional[Literal["fig3", "fig4", "tank"]]
+    figure: Positional[Literal["fig3", "fig4", "tank", "bounds"]]
     """What to draw. fig3: law (1), obstacles ignored. fig4: law (4) with headings round the
-    obstacles. tank: tank-joined among 24 discs with other margins and budgets."""
+    obstacles. tank: tank-joined among 24 discs with other margins and budgets. bounds: a table of
+    times, random choices under every guarantee."""
     policy: str | None = None
-    """Another policy than the figure's own, which is bearing-only or tangent-joined; not for
-    tank."""
+    """Another policy than the figure's own, which is bearing-only or tangent-joined; for fig3 and
+    fig4 alone."""
     out: Path = Path("out/reproduce")
     """The folder for the picture and its data; it is made if there is none."""
     seed: int = 0
     """The seed of the robots' local frames, which do not change what is drawn; of tank's first
     start."""
     episodes: int = 256
-    """How many starts each point of tank has."""
+    """How many starts each point of tank has, and each row of bounds."""
+    page: Path | None = None
+    """A Markdown page in which the table of bounds takes the place of the one with its head."""
 
 
 def run(config: Config) -> int:
@@ -57,8 +61,13 @@ def run(config: Config) -> int:
     """
     check_least(config, seed=0, episodes=1)
     check_most(config, seed=2**63 - 1, episodes=10**6)
+    if config.policy is not None and config.figure not in _LAWS:
+        shown = {"tank": f"{learning_figures.TANK_POLICY} alone", "bounds": "random choices"}
+        raise UserError(f"--policy is {config.policy}; {config.figure} shows {shown[config.figure]}")
     if config.figure == "tank":
         return _tank(config)
+    if config.figure == "bounds":
+        return _bounds(config)
     scenario = scenarios.get(config.figure)
     name = config.policy or _LAWS[config.figure]
     try:
@@ -84,15 +93,7 @@ def run(config: Config) -> int:
 
 
 def _tank(config: Config) -> int:
-    """Play, draw, and write tank.png, tank.pdf and tank.csv.
-
-    Raises:
-        UserError: if another policy is asked for.
-    """
-    if config.policy is not None:
-        raise UserError(
-            f"--policy is {config.policy}; tank shows {learning_figures.TANK_POLICY} alone"
-        )
+    """Play, draw, and write tank.png, tank.pdf and tank.csv."""
     path, console = results.prepare_folder(config.out) / "tank.png", Console()
     with console.status("playing; the first use on a machine compiles …"):
         rows = list(learning_figures.measure_tanks(config.episodes, config.seed))
@@ -106,6 +107,20 @@ def _tank(config: Config) -> int:
             f"{row['clean_success']:.1%} without a contact; theorem D: {row['bound']:.4g} s"
         )
     console.print(f"picture and data: {path}, .pdf and .csv")
+    return 0
+
+
+def _bounds(config: Config) -> int:
+    """Play, print the table, write bounds.csv and the page."""
+    path, console = results.prepare_folder(config.out) / "bounds.csv", Console()
+    with console.status("playing; the first use on a machine compiles …"):
+        rows = list(bounds.measure(bounds.ROWS, config.episodes, config.seed))
+    results.write_csv(path, bounds.COLUMNS, rows)
+    table = bounds.table_of(rows)
+    if config.page is not None:
+        bounds.write_into(config.page, table)
+    console.print("\n".join(table), soft_wrap=True)
+    console.print(f"data: {path}")
     return 0
 
 

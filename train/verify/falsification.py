@@ -6,7 +6,7 @@ Everything goes through what any user has: ``certificate``, the vector environme
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -240,15 +240,18 @@ class _Run:
         return Played(name_of(self.found), checked, steps, self.watch.time_over_bound, violation)
 
 
+def guarded(env: Any, by: str, arguments: Mapping[str, Any]) -> Any:
+    """A vector environment under what keeps a guarantee; law (1) needs nothing."""
+    return env if by == "law" else _WRAPPERS[by](env, **arguments)
+
+
 def _wrapped(env: Any, trial: Trial, found: rv.Certificate) -> Any:
     """The environment under what keeps the guarantee, with the certificate's own numbers."""
-    if trial.by == "law":
-        return env
     arguments: dict[str, Any] = dict(trial.arguments)
     if trial.by != "gains":
         arguments["bearing_error"] = found.bearing_error
     arguments |= {"frame": trial.frame, "decision_period": trial.period}
-    return _WRAPPERS[trial.by](env, **arguments)
+    return guarded(env, trial.by, arguments)
 
 
 class _Watch:

@@ -1,0 +1,57 @@
+"""``rendezvous reproduce bounds``: certified times over those that teams take, in docs."""
+
+import csv
+import math
+from pathlib import Path
+
+import pytest
+
+import rendezvous_env as rv
+from train.cli import main
+from train.figures import bounds
+
+PAGE = Path(__file__).parents[2] / "docs/guarantees.md"
+FEW = (bounds.Row("law", "complete-3", 6.0), bounds.Row("tank", "complete-3", math.inf))
+
+
+@pytest.fixture(scope="module")
+def rows():
+    return list(bounds.measure(FEW, teams=6, seed=0))
+
+
+def test_teams_meet_within_their_own_bounds(rows):
+    for row, asked in zip(rows, FEW, strict=True):
+        assert set(row) == set(bounds.COLUMNS)
+        assert 0 < row["median"] <= row["longest"] < row["own_bound"] < row["bound"]
+        assert row["ratio"] == row["own_bound"] / row["median"] > 1
+        assert row["ratio_before"] == asked.before / row["median"]
+    law = rv.certificate(rv.Scenario(n_robots=3))
+    assert rows[0]["bound"] == law.time_bound
+
+
+def test_the_command_writes_the_table_and_the_page(rows, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(bounds, "ROWS", FEW)
+    table, page = bounds.table_of(rows), tmp_path / "page.md"
+    page.write_text("\n".join(["# A", "", *table[:2], "| old | row |", "", "after"]))
+    flags = ["reproduce", "bounds", "--episodes", "6", "--out", str(tmp_path), "--page", str(page)]
+    assert main(flags) == 0
+    assert page.read_text().split("\n") == ["# A", "", *table, "", "after"]
+    assert table[3] in capsys.readouterr().out and table[3].endswith(" none |")
+    with (tmp_path / "bounds.csv").open(newline="", encoding="utf-8") as file:
+        assert [row["by"] for row in csv.DictReader(file)] == ["law", "tank"]
+    page.write_text("no table")
+    assert main(flags) == 2 and page.read_text() == "no table"
+    assert main([*flags[:2], "--policy", "zero"]) == 2
+
+
+def test_the_page_shows_the_bounds_of_today():
+    head, rule, *_ = bounds.table_of([])
+    lines = PAGE.read_text(encoding="utf-8").split("\n")
+    first = lines.index(head)
+    assert lines[first + 1] == rule
+    for row, line in zip(bounds.ROWS, lines[first + 2 :], strict=False):
+        margin = 0.1 if row.by in ("heading", "tank") else 1.0
+        found = rv.certificate(bounds.scenario_of(row.graph), margin, by=row.by)
+        _, by, team, _, _, bound, *_ = (cell.strip() for cell in line.split("|"))
+        assert by.startswith(row.by) and team == row.graph
+        assert float(bound.replace(",", "")) == pytest.approx(found.time_bound, rel=0.005)

@@ -1,0 +1,162 @@
+"""``rendezvous reproduce bounds``: what certificates promise, over what teams take."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+import baselines
+import rendezvous_env as rv
+
+from .. import results
+from ..checks import UserError
+from ..verify.falsification import guarded
+
+
+Array = NDArray[np.float64]
+
+
+class Row(NamedTuple):
+    """A team and what keeps its guarantee."""
+
+    by: str
+    graph: str
+    before: float
+    """The bound that the commit 27dbdb6 gave for held inputs, s, median of 256 starts from seed 0;
+    infinite where it knew none."""
+
+
+ROWS = (
+    Row("law", "ring-12", 455.25),
+    Row("law", "complete-10", 26.278),
+    Row("law", "path-10", 277.14),
+    Row("gains", "complete-10", math.inf),
+    Row("gains", "cycle-10", math.inf),
+    Row("heading", "complete-10", 2627.8),
+    Row("heading", "path-10", 27714.0),
+    Row("heading", "cycle-10", 30826.0),
+    Row("tank", "complete-10", 158749.0),
+    Row("tank", "cycle-10", 35326.0),
+    Row("links", "complete-10", 2770.1),
+    Row("links", "cycle-10", 616.97),
+)
+COLUMNS = ("by", "graph", "median", "longest", "bound", "own_bound", "ratio", "ratio_before")
+"""Of bounds.csv; times in s. The bound of any start in the spawn area, the median of the bounds of
+the teams' own starts, and that over the median time."""
+_MARGIN = 0.1
+"""ε of headings and tanks."""
+_MOST_STEPS = 100_000
+_NAMES = {
+    "law": "law (1)",
+    "gains": "gains",
+    "heading": f"headings, ε = {_MARGIN:g}",
+    "tank": f"tank, ε = {_MARGIN:g}",
+    "links": "links",
+}
+
+
+def measure(rows: Sequence[Row], teams: int, seed: int) -> Iterator[dict[str, Any]]:
+    """COLUMNS of each row: how long random teams take under random choices, and by when they must
+    have met.
+
+    Args:
+        rows: which.
+        teams: how many of each.
+        seed: of the first one's start; choices are drawn from it too.
+    """
+    for row in rows:
+        scenario = scenario_of(row.graph)
+        given = {"min_alignment": _MARGIN} if row.by in ("heading", "tank") else {}
+        starts, times = times_to_meet(scenario, row.by, given, teams, seed)
+        any_start, *own = (
+            rv.certificate(one, by=row.by, **given).time_bound
+            for one in (scenario, *(scenario.replace(start_positions=start) for start in starts))
+        )
+        middle, bound = float(np.median(times)), float(np.median(own))
+        yield {
+            "by": row.by,
+            "graph": row.graph,
+            "median": middle,
+            "longest": float(times.max()),
+            "bound": any_start,
+            "own_bound": bound,
+            "ratio": bound / middle,
+            "ratio_before": row.before / middle,
+        }
+
+
+def scenario_of(graph: str) -> rv.Scenario:
+    """A named scenario, or a kind of graph and the number of robots, all else by default."""
+    if graph in rv.scenarios.names():
+        return rv.scenarios.get(graph)
+    kind, _, count = graph.partition("-")
+    return rv.Scenario(n_robots=int(count), graph=kind)
+
+
+def times_to_meet(
+    scenario: rv.Scenario, by: str, arguments: Mapping[str, float], teams: int, seed: int
+) -> tuple[Array, Array]:
+    """Starts (B, n, d), m, and when each team has met under choices drawn anew in every step, (B,),
+    s; inf if it has not.
+    """
+    env = rv.make_vec(scenario, teams, autoreset_mode="Disabled", max_cycles=_MOST_STEPS)
+    wrapped, random = guarded(env, by, arguments), np.random.default_rng([seed, 1])
+    law, simulator = baselines.make("bearing-only", scenario), env.simulator
+    observations, _ = wrapped.reset(seed=seed)
+    starts, met = simulator.positions, np.full(teams, np.inf)
+    while not simulator.ended.all():
+        if by == "law":
+            chosen = law(observations, simulator.time)
+        else:
+            low = 0.0 if by == "gains" else -1.0
+            chosen = random.uniform(low, 1.0, wrapped.action_space.shape).astype(np.float32)
+        observations, *_ = wrapped.step(chosen)
+        now = (simulator.active.sum(axis=-1) == 1) & np.isinf(met)
+        met[now] = simulator.time[now]
+    return starts, met
+
+
+def table_of(rows: Sequence[Mapping[str, Any]]) -> list[str]:
+    """The lines of a Markdown table."""
+    head = (
+        "kept by", "team", "median, s", "longest, s", "bound of any start, s", "of its own start, s",
+        "own bound / median", "at 27dbdb6",
+    )  # fmt: skip
+    lines = [_line(head), "|---|---" + "|--:" * (len(head) - 2) + "|"]
+    for row in rows:
+        numbers = [_short(row[name]) for name in COLUMNS[2:]]
+        lines.append(_line((_NAMES[row["by"]], row["graph"], *numbers)))
+    return lines
+
+
+def _line(cells: Sequence[str]) -> str:
+    return f"| {' | '.join(cells)} |"
+
+
+def _short(value: float) -> str:
+    if math.isinf(value):
+        return "none"
+    return f"{value:,.0f}" if value >= 100 else f"{value:.3g}"
+
+
+def write_into(page: Path, table: Sequence[str]) -> None:
+    """Put a table in the place of the one with the same head in a Markdown page.
+
+    Raises:
+        UserError: if there is none.
+        OSError: if the page cannot be read or written.
+    """
+    lines = page.read_text(encoding="utf-8").split("\n")
+    if table[0] not in lines:
+        raise UserError(f"--page is {page}, which has no table that begins with {table[0]}")
+    first = last = lines.index(table[0])
+    while last < len(lines) and lines[last].startswith("|"):
+        last += 1
+    lines[first:last] = table
+    with results.atomic(page) as part:
+        part.write_text("\n".join(lines), encoding="utf-8")
