@@ -17,7 +17,6 @@ from .. import results
 from ..checks import UserError
 from ..verify.falsification import guarded
 
-
 Array = NDArray[np.float64]
 
 
@@ -48,6 +47,10 @@ ROWS = (
 COLUMNS = ("by", "graph", "median", "longest", "bound", "own_bound", "ratio", "ratio_before")
 """Of bounds.csv; times in s. The bound of any start in the spawn area, the median of the bounds of
 the teams' own starts, and that over the median time."""
+_HEAD = (
+    *("kept by", "team", "median, s", "longest, s", "bound of any start, s"),
+    *("of its own start, s", "own bound / median", "at 27dbdb6"),
+)
 _MARGIN = 0.1
 """ε of headings and tanks."""
 _MOST_STEPS = 100_000
@@ -123,11 +126,7 @@ def times_to_meet(
 
 def table_of(rows: Sequence[Mapping[str, Any]]) -> list[str]:
     """The lines of a Markdown table."""
-    head = (
-        "kept by", "team", "median, s", "longest, s", "bound of any start, s", "of its own start, s",
-        "own bound / median", "at 27dbdb6",
-    )  # fmt: skip
-    lines = [_line(head), "|---|---" + "|--:" * (len(head) - 2) + "|"]
+    lines = [_line(_HEAD), "|---|---" + "|--:" * (len(_HEAD) - 2) + "|"]
     for row in rows:
         numbers = [_short(row[name]) for name in COLUMNS[2:]]
         lines.append(_line((_NAMES[row["by"]], row["graph"], *numbers)))

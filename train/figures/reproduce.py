@@ -62,8 +62,8 @@ def run(config: Config) -> int:
     check_least(config, seed=0, episodes=1)
     check_most(config, seed=2**63 - 1, episodes=10**6)
     if config.policy is not None and config.figure not in _LAWS:
-        shown = {"tank": f"{learning_figures.TANK_POLICY} alone", "bounds": "random choices"}
-        raise UserError(f"--policy is {config.policy}; {config.figure} shows {shown[config.figure]}")
+        shown = learning_figures.TANK_POLICY if config.figure == "tank" else "random choices"
+        raise UserError(f"--policy is {config.policy}; {config.figure} shows {shown} alone")
     if config.figure == "tank":
         return _tank(config)
     if config.figure == "bounds":
