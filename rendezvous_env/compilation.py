@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import gc
+import inspect
 import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import wraps
 from typing import Any, Literal
 
 import numba
@@ -181,9 +183,44 @@ def chosen_by_type(function: Callable[..., Any]) -> Callable[[Callable[..., Any]
 
     A choice by type is made while compiling: what is not chosen is not compiled.
     """
+    return overload(function, jit_options=_overloading())
+
+
+def by_type(argument: str, choose: Callable[[type], Callable[..., Any]]) -> Any:
+    """Make a function the one that is chosen by the type of one of its arguments.
+
+    What this decorates gives name, arguments and docstring. Compiled code chooses while it is being
+    compiled: what is not chosen is not compiled.
+
+    Args:
+        argument: name of the one that decides.
+        choose: its class, NoneType for None → a function of the same arguments.
+    """
+
+    def decorate(described: Callable[..., Any]) -> Callable[..., Any]:
+        names = list(inspect.signature(described).parameters)
+        place, listed = names.index(argument), ", ".join(names)
+        # numba compares the names of arguments, so each function has to be called by its own
+        calling = eval(f"lambda chosen: lambda {listed}: chosen({listed})")
+
+        @wraps(described)
+        def called(*arguments: Any) -> Any:
+            return choose(type(arguments[place]))(*arguments)
+
+        def typed(*types: Any) -> Any:
+            kind = getattr(types[place], "instance_class", type(None))
+            return calling(choose(kind))
+
+        overload(called, jit_options=_overloading(), strict=False)(typed)
+        return called
+
+    return decorate
+
+
+def _overloading() -> Any:
     options: Any = _options(allocates=False, inlined=True, within=True)
     del options["nopython"]
-    return overload(function, jit_options=options)
+    return options
 
 
 def entry_point(function: Any, arguments: tuple[Any, ...]) -> Callable[..., Any]:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from rendezvous_env.obstacles.obstacle_set import Obstacle, World, pack, world_of
+from rendezvous_env.obstacles.obstacle_set import Obstacle, ObstacleSet, pack, world_of
 from rendezvous_env.obstacles.parsing import only_balls
 from rendezvous_env.robots.nonholonomic_3d import arc_3d, body_frame_3d
 from rendezvous_env.robots.unicycle import arc_2d, body_frame_2d
@@ -18,7 +18,7 @@ def triple(vector: Sequence[float] | np.ndarray) -> tuple[float, float, float]:
     return x, y, z
 
 
-def world(obstacles: Sequence[Obstacle], slots: int | None = None) -> World:
+def world(obstacles: Sequence[Obstacle], slots: int | None = None) -> ObstacleSet:
     """Obstacles as a world, of balls if they are; slots left over are absent."""
     table = pack(obstacles, len(obstacles) if slots is None else slots)
     return world_of(table, only_balls(tuple(obstacles)))

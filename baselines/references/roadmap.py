@@ -206,7 +206,7 @@ def _margins_at(world, around, points, most, out):
     """How far ways from points can stay away from all obstacles.
 
     Args:
-        world: Shapes of one team.
+        world: AnyObstacles of one team.
         around: how far each stands out, (M,), and the nearest first for each point, (N, M).
         points: (N, 2), m.
         most: what is enough, m.
@@ -245,7 +245,7 @@ def _straight_lengths(world, around, points, targets, margins, out):
     """Lengths of the straight ways that keep away from all obstacles.
 
     Args:
-        world: Shapes of one team.
+        world: AnyObstacles of one team.
         around: how far each stands out, (M,), and the nearest first for each point, (N, M).
         points: (N, 2), m.
         targets: (K, 2), m.

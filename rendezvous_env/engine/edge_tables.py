@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..graphs.edge_kinds import Arcs, Changes, Links, ListedLinks, PairLinks
+from ..graphs.edge_kinds import Changes, DenseEdges, DirectedEdges, EdgeList, Links
 from ..graphs.proximity import ProximityGraph
 from ..scenario.scenario import Scenario
 from .memory_layout import MemoryLayout
@@ -33,12 +33,12 @@ def empty_links(
     n = place.scenario.n_robots
     if place.one_way:
         weights = np.zeros((place.batch, n, n))
-        return Arcs(weights, changes_of(place.scenario, seeds, episodes))
+        return DirectedEdges(weights, changes_of(place.scenario, seeds, episodes))
     if place.sparse:
         size = (place.batch, place.n_links)
-        return ListedLinks(np.zeros(size, np.int64), np.zeros(size, np.int64), np.zeros(size))
+        return EdgeList(np.zeros(size, np.int64), np.zeros(size, np.int64), np.zeros(size))
     first, second = (pairs.astype(np.int64) for pairs in np.triu_indices(n, 1))
-    return PairLinks(first, second, np.zeros((place.blocks, place.n_links, place.lanes)))
+    return DenseEdges(first, second, np.zeros((place.blocks, place.n_links, place.lanes)))
 
 
 def changes_of(
@@ -65,16 +65,16 @@ def changes_of(
 
 def arrays_of(links: Links) -> dict[str, NDArray[Any]]:
     """The arrays of links that belong to the teams, by name."""
-    names = ListedLinks._fields if isinstance(links, ListedLinks) else ("weights",)
+    names = EdgeList._fields if isinstance(links, EdgeList) else ("weights",)
     return {name: getattr(links, name) for name in names}
 
 
 def matrices(links: Links, batch: int, n: int) -> NDArray[np.float64]:
     """a_ij, (B, n, n), m/s."""
-    if isinstance(links, Arcs):
+    if isinstance(links, DirectedEdges):
         return links.weights.copy()
     weights = np.zeros((batch, n, n))
-    if isinstance(links, ListedLinks):
+    if isinstance(links, EdgeList):
         team, e = np.nonzero(links.weights > 0)
         first, second = links.first[team, e], links.second[team, e]
         weights[team, first, second] = weights[team, second, first] = links.weights[team, e]
@@ -93,7 +93,7 @@ def as_kept(links: Links, listed: Sequence[LinkList], n: int) -> tuple[NDArray[A
         listed: robots (E,), (E,) and weights (E,), m/s, at most as many as there is room for.
         n: number of robots.
     """
-    if isinstance(links, ListedLinks):
+    if isinstance(links, EdgeList):
         kept = [np.zeros((len(listed), a.shape[1]), a.dtype) for a in links]
         for k, one in enumerate(listed):
             for array, values in zip(kept, one, strict=True):
@@ -102,7 +102,7 @@ def as_kept(links: Links, listed: Sequence[LinkList], n: int) -> tuple[NDArray[A
     weights = np.zeros((len(listed), n, n))
     for matrix, (first, second, weight) in zip(weights, listed, strict=True):
         matrix[first, second] = weight
-    if isinstance(links, Arcs):
+    if isinstance(links, DirectedEdges):
         return (weights,)
     return (weights[:, links.first, links.second],)
 

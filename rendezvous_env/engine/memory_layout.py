@@ -71,7 +71,7 @@ def empty_teams(place: MemoryLayout) -> Teams:
 
 
 def empty_obstacles(place: MemoryLayout) -> Any:
-    """Balls or Shapes with a leading axis B, all slots absent; None where there are no slots."""
+    """An ObstacleSet with a leading axis B, all slots absent; None where there are no slots."""
     scenario = place.scenario
     slots = scenario.observation_layout.obstacle_slots
     if slots == 0:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ..graphs.drawn import graph_rules
 from ..obstacles import obstacle_set
 from ..obstacles.fields import Field
-from ..obstacles.obstacle_set import World
+from ..obstacles.obstacle_set import ObstacleSet
 from ..physics.random_streams import ignore_overflow
 from ..robots.motion import begin_memory
 from ..robots.robot_models import constants_of
@@ -146,7 +146,7 @@ def _draws_links(scenario: Scenario) -> bool:
     return drawn or getattr(graph, "order", "cyclic") == "random"
 
 
-def fixed_obstacles(scenario: Scenario) -> World | None:
+def fixed_obstacles(scenario: Scenario) -> ObstacleSet | None:
     """The scenario's obstacles, leading axis 1; None if they are drawn, or there is no room for
     any.
     """

@@ -8,9 +8,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..graphs.edge_kinds import Links, PairLinks
+from ..graphs.edge_kinds import DenseEdges, Links
 from ..obstacles import obstacle_set, parsing
-from ..obstacles.obstacle_set import World
+from ..obstacles.obstacle_set import ObstacleSet
 from . import edge_tables as link_tables
 from .edge_tables import LinkList
 from .memory import STATISTICS, Teams
@@ -110,7 +110,7 @@ class State:
             "obstacles": self.obstacle_table().copy(),
             "merged_into": self.teams.merged_into.copy(),
         }
-        if isinstance(self.links, PairLinks):
+        if isinstance(self.links, DenseEdges):
             state["weights"] = self._by_team(self.links.weights).copy()
         else:
             kept_links = link_tables.arrays_of(self.links)
@@ -140,7 +140,7 @@ class State:
             elif name == "past":
                 self.past[...] = value
             elif name in ("first", "second", "weights"):
-                if isinstance(self.links, PairLinks):
+                if isinstance(self.links, DenseEdges):
                     self._to_lanes(value, self.links.weights)
                 else:
                     getattr(self.links, name)[...] = value
@@ -175,7 +175,7 @@ class State:
         self, kept: tuple[NDArray[Any], ...], which: NDArray[np.int64], log: list[Overwritten]
     ) -> None:
         """Write links, of ``as_kept``: the same for all of these teams, or of each."""
-        if isinstance(self.links, PairLinks):
+        if isinstance(self.links, DenseEdges):
             index = (which // self.lanes, slice(None), which % self.lanes)
             overwrite(self.links.weights, index, kept[0], log)
         else:
@@ -184,7 +184,7 @@ class State:
                 overwrite(array, which, values, log)
 
     def give_obstacles(
-        self, world: World, which: NDArray[np.int64], log: list[Overwritten]
+        self, world: ObstacleSet, which: NDArray[np.int64], log: list[Overwritten]
     ) -> None:
         """Write obstacles: the same for all of these teams, or of each."""
         for array, numbers in zip(self.obstacles, world, strict=True):

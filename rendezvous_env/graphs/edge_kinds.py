@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ..compilation import chosen_by_type
 
 
-class PairLinks(NamedTuple):
+class DenseEdges(NamedTuple):
     """Links as a weight for each pair i < j of robots, 0 where there is none."""
 
     first: NDArray[np.int64]
@@ -23,7 +23,7 @@ class PairLinks(NamedTuple):
     """(blocks, pairs, L), a_ij, m/s."""
 
 
-class ListedLinks(NamedTuple):
+class EdgeList(NamedTuple):
     """Links as a list for each team; only where a block holds one team."""
 
     first: NDArray[np.int64]
@@ -60,7 +60,7 @@ class Changes(NamedTuple):
     """(B,), their numbers."""
 
 
-class Arcs(NamedTuple):
+class DirectedEdges(NamedTuple):
     """Links that can be one-way, as a matrix for each team; only where a block holds one team.
 
     What takes links as pairs gets those that a_ij or a_ji joins, with the mean of the two: then
@@ -73,16 +73,16 @@ class Arcs(NamedTuple):
     """None where only merges change them."""
 
 
-Links = PairLinks | ListedLinks | Arcs
+Links = DenseEdges | EdgeList | DirectedEdges
 
 
 def arcs_of(links: Any, team: int) -> Any:
-    """Arcs of one team, whose weights are (n, n); None of links that go both ways."""
-    return Arcs(links.weights[team], None) if isinstance(links, Arcs) else None
+    """DirectedEdges of one team, whose weights are (n, n); None of links that go both ways."""
+    return DirectedEdges(links.weights[team], None) if isinstance(links, DirectedEdges) else None
 
 
 @chosen_by_type(arcs_of)
 def _compiled_arcs_of(links, team):
-    if links.instance_class is Arcs:
-        return lambda links, team: Arcs(links.weights[team], None)
+    if links.instance_class is DirectedEdges:
+        return lambda links, team: DirectedEdges(links.weights[team], None)
     return lambda links, team: None

@@ -1,9 +1,7 @@
 """Links of one team between the way they are kept and the list that the equations take."""
 
-from typing import Any
-
-from ..compilation import chosen_by_type, inner_kernel, kernel
-from .edge_kinds import Arcs, ListedLinks, PairLinks
+from ..compilation import by_type, inner_kernel, kernel
+from .edge_kinds import DenseEdges, DirectedEdges, EdgeList
 
 
 @inner_kernel(inline="code")
@@ -45,18 +43,11 @@ def _load_arcs(block, lane, links, hand):
     return count
 
 
-_LOAD = {PairLinks: _load_pairs, ListedLinks: _load_list, Arcs: _load_arcs}
-
-
-def load_links(block: int, lane: int, links: Any, hand: Any) -> int:
+@by_type(
+    "links", {DenseEdges: _load_pairs, EdgeList: _load_list, DirectedEdges: _load_arcs}.__getitem__
+)
+def load_links(block, lane, links, hand):
     """Bring the links of one team into working memory; how many there are."""
-    return int(_LOAD[type(links)](block, lane, links, hand))
-
-
-@chosen_by_type(load_links)
-def _compiled_load_links(block, lane, links, hand):
-    chosen = _LOAD[links.instance_class]
-    return lambda block, lane, links, hand: chosen(block, lane, links, hand)
 
 
 @inner_kernel(inline="code")
@@ -89,18 +80,12 @@ def _store_arcs(block, lane, count, links, hand):
     """Nothing: merges contract the matrix itself, see ``merge_swept``."""
 
 
-_STORE = {PairLinks: _store_pairs, ListedLinks: _store_list, Arcs: _store_arcs}
-
-
-def store_links(block: int, lane: int, count: int, links: Any, hand: Any) -> None:
+@by_type(
+    "links",
+    {DenseEdges: _store_pairs, EdgeList: _store_list, DirectedEdges: _store_arcs}.__getitem__,
+)
+def store_links(block, lane, count, links, hand):
     """Put the first ``count`` links of working memory back; those of weight 0 are gone."""
-    _STORE[type(links)](block, lane, count, links, hand)
-
-
-@chosen_by_type(store_links)
-def _compiled_store_links(block, lane, count, links, hand):
-    chosen = _STORE[links.instance_class]
-    return lambda block, lane, count, links, hand: chosen(block, lane, count, links, hand)
 
 
 @kernel

@@ -14,26 +14,32 @@ from numpy.typing import NDArray
 from ..checks import shown
 from ..compilation import kernel
 from ..physics.crossings import capsule_crossing
-from ..physics.vectors import ORIGIN, X_AXIS, add, combine, dot, norm, subtract, without
+from ..physics.vectors import ORIGIN, X_AXIS, add, combine, dot, norm, store, subtract, without
 from .disc import disc_edges
 from .shape import (
-    CENTRE,
+    BOUND,
     COS_AZIMUTH,
     DETAILS,
-    RADIUS,
+    MIDDLE,
+    OWN,
     SIN_AZIMUTH,
     Ball,
     Outline,
     Packed,
+    ShapeKind,
+    centre_of_row,
     check_point,
     check_radius,
     is_sequence,
+    one_normal,
 )
 
 CAPSULE = 3
 """Kind of a capsule; its row goes on with the half axis x, y, z and its own radius."""
 AXIS, THICKNESS = DETAILS, DETAILS + 3
-"""Columns of these."""
+"""Columns of these in a table."""
+_AXIS, _THICKNESS = OWN, OWN + 3
+"""In the rows that kernels take."""
 _HALVINGS = 52
 """Of the interval in which a boundary ray is looked for: as many as a float64 has digits."""
 _ROUND_END = np.linspace(-math.pi / 2, math.pi / 2, 17)
@@ -80,25 +86,6 @@ def _check_ends(value: Any) -> tuple[tuple[float, ...], tuple[float, ...]]:
     return first, second
 
 
-def outline(row: NDArray[np.float64]) -> Outline:
-    """Of the row of a capsule of the plane: two half circles, joined."""
-    half, centre = row[AXIS : AXIS + 2], row[CENTRE : CENTRE + 2]
-    bearing = math.atan2(half[1], half[0])
-    ends = [
-        centre + end * half + row[THICKNESS] * np.stack([np.cos(around), np.sin(around)], axis=-1)
-        for end, around in ((1.0, bearing + _ROUND_END), (-1.0, bearing + math.pi + _ROUND_END))
-    ]
-    return Outline(centre, float(row[RADIUS]), np.concatenate(ends))
-
-
-def beads(row: NDArray[np.float64]) -> list[Ball]:
-    """Of the row of a capsule in space: balls along it."""
-    centre, half, thickness = row[CENTRE : CENTRE + 3], row[AXIS : AXIS + 3], float(row[THICKNESS])
-    count = min(1 + 2 * math.ceil(2 * float(np.linalg.norm(half)) / thickness), _MOST_BEADS)
-    shares = np.linspace(-1.0, 1.0, count) if count > 1 else (0.0,)
-    return [Ball(centre + share * half, thickness) for share in shares]
-
-
 @kernel
 def _nearest_share(offset, half):
     """Where on a segment (middle at the origin, ends ± half) the point nearest to ``offset`` lies,
@@ -112,20 +99,11 @@ def _nearest_share(offset, half):
 
 @kernel
 def capsule_surface(point, centre, half, radius):
-    """Signed distance of a point from a capsule, and the unit normal there.
+    """Signed distance of a point p from a capsule, m, negative inside, and the unit normal there.
 
         ‖o − s h‖ − R,   o = p − c,   s = clip(oᵀh/‖h‖², −1, 1)
 
-    On the segment itself the normal is any direction across it.
-
-    Args:
-        point: p, a triple, m.
-        centre: c, middle of the segment, a triple, m.
-        half: h, from there to one end, a triple, m.
-        radius: R, m.
-
-    Returns:
-        The distance, m, negative inside; and the outward normal, a unit triple.
+    The segment has its middle at c and ends c ± h; on it the normal is any direction across it.
     """
     offset = subtract(point, centre)
     aside = add(offset, -_nearest_share(offset, half), half)
@@ -142,21 +120,10 @@ def capsule_surface(point, centre, half, radius):
 
 @kernel
 def capsule_entry(point, way, centre, half, radius, depth):
-    """Where a straight way meets a capsule that it goes deeper than ``depth`` into.
+    """Where a straight way p + s w meets a capsule that it goes deeper than ``depth`` into.
 
-        least s in [0, 1] at which p + s w is within R + max(0, −depth) of the segment c ± h,
-        if it comes within R − depth of it somewhere on the way
-
-    Args:
-        point: p, where the way begins, a triple, m.
-        way: w, a triple, m.
-        centre: c, middle of the segment, a triple, m.
-        half: h, from there to one end, a triple, m.
-        radius: R, m.
-        depth: m; a negative one makes the capsule fatter by so much.
-
-    Returns:
-        s, a fraction of the way; inf if there is none.
+    least s in [0, 1] at which p + s w is within R + max(0, −depth) of the segment c ± h,
+    if it comes within R − depth of it somewhere on the way; else inf
     """
     offset = subtract(point, centre)
     if capsule_crossing(offset, way, half, radius - depth) > 1.0:
@@ -166,18 +133,8 @@ def capsule_entry(point, way, centre, half, radius, depth):
 
 @kernel
 def capsule_silhouette(point, centre, half, radius):
-    """Bearings of the counter-clockwise and the clockwise edge of a capsule of the plane.
-
-    It is the hull of the discs about its ends c ± h, so each edge is the outer one of theirs.
-
-    Args:
-        point: the robot, a triple, m, outside the capsule or on it.
-        centre: c, middle of the segment, a triple, m.
-        half: h, from there to one end, a triple, m.
-        radius: m.
-
-    Returns:
-        Two unit triples with z = 0.
+    """Bearings of the counter-clockwise and the clockwise edge of a capsule of the plane, unit
+    triples: it is the hull of the discs about its ends c ± h, so each edge is the outer of theirs.
     """
     x, y = centre[0] - point[0], centre[1] - point[1]
     ax, ay, bx, by, _ = disc_edges(x - half[0], y - half[1], radius)
@@ -194,20 +151,8 @@ def capsule_ray(point, centre, half, radius, towards, e, w, k):
     """Boundary ray k of the cone under which a capsule is seen, at azimuth φ = k · 45°.
 
     The cone is convex, so of the rays cos θ u + sin θ (cos φ e + sin φ w), θ in [0, π], the first
-    ones hit the capsule and the others miss it; θ is halved in.
-
-    Args:
-        point: the robot, a triple, m, outside the capsule or on it.
-        centre: middle of the segment, a triple, m.
-        half: from there to one end, a triple, m.
-        radius: m.
-        towards: u, unit vector to the centre.
-        e: azimuth 0, a unit vector across u.
-        w: u × e.
-        k: 0 … 7.
-
-    Returns:
-        The ray, a unit triple.
+    ones hit the capsule and the others miss it; θ is halved in. u is the direction ``towards`` the
+    centre, e azimuth 0 and w = u × e.
     """
     offset = subtract(centre, point)
     aside = combine(COS_AZIMUTH[k], e, SIN_AZIMUTH[k], w)
@@ -229,3 +174,67 @@ def _is_hit(ray, offset, half, radius):
     if dot(add(offset, share, half), ray) < 0.0:
         return False  # the nearest point lies behind, and the origin is outside the capsule
     return norm(add(across, share, half_across)) <= radius
+
+
+# ---- as the step asks for it --------------------------------------------------------------------
+
+
+@kernel(inline="code")
+def _axis(row):
+    return row[_AXIS], row[_AXIS + 1], row[_AXIS + 2]
+
+
+@kernel
+def _surface(row, corners, point):
+    return capsule_surface(point, centre_of_row(row), _axis(row), row[_THICKNESS])
+
+
+@kernel
+def _entry(row, corners, point, way, depth):
+    return capsule_entry(point, way, centre_of_row(row), _axis(row), row[_THICKNESS], depth)
+
+
+@kernel
+def _edges(row, corners, point):
+    return capsule_silhouette(point, centre_of_row(row), _axis(row), row[_THICKNESS])
+
+
+@kernel
+def _cone(row, corners, point, axes, out):
+    towards, e, w = axes
+    centre, half = centre_of_row(row), _axis(row)
+    for k in range(8):
+        store(capsule_ray(point, centre, half, row[_THICKNESS], towards, e, w, k), out[k])
+
+
+def _outline(row: NDArray[np.float64], _: int) -> Outline:
+    """Two half circles, joined."""
+    half, centre = row[_AXIS : _AXIS + 2], row[MIDDLE : MIDDLE + 2]
+    bearing = math.atan2(half[1], half[0])
+    ends = [
+        centre + end * half + row[_THICKNESS] * np.stack([np.cos(around), np.sin(around)], axis=-1)
+        for end, around in ((1.0, bearing + _ROUND_END), (-1.0, bearing + math.pi + _ROUND_END))
+    ]
+    return Outline(centre, float(row[BOUND]), np.concatenate(ends))
+
+
+def _balls(row: NDArray[np.float64]) -> list[Ball]:
+    """Balls along it."""
+    centre, half, thickness = row[MIDDLE : MIDDLE + 3], row[_AXIS:_THICKNESS], row[_THICKNESS]
+    count = min(1 + 2 * math.ceil(2 * float(np.linalg.norm(half)) / thickness), _MOST_BEADS)
+    shares = np.linspace(-1.0, 1.0, count) if count > 1 else (0.0,)
+    return [Ball(centre + share * half, float(thickness)) for share in shares]
+
+
+CAPSULES = ShapeKind(
+    kind=CAPSULE,
+    classes={"capsule": Capsule},
+    surface=_surface,
+    entry=_entry,
+    normals=one_normal(_surface),
+    edges=_edges,
+    cone=_cone,
+    numbers=4,
+    outline=_outline,
+    balls=_balls,
+)

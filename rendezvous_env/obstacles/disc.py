@@ -4,23 +4,26 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..compilation import kernel
 from ..physics.crossings import first_crossing
-from ..physics.vectors import X_AXIS, combine, norm, subtract
+from ..physics.vectors import X_AXIS, combine, norm, store, subtract
 from .shape import (
-    CENTRE,
+    BOUND,
     COS_AZIMUTH,
-    RADIUS,
+    MIDDLE,
     SIN_AZIMUTH,
     Ball,
     Outline,
     Packed,
+    ShapeKind,
+    centre_of_row,
     check_point,
     check_radius,
+    one_normal,
 )
 
 BALL = 1
@@ -28,18 +31,19 @@ BALL = 1
 
 
 @dataclass(frozen=True)
-class Disc:
-    """A round obstacle in the plane."""
+class _Round:
+    """What discs and spheres have in common."""
 
-    centre: tuple[float, float]
+    centre: tuple[float, ...]
     """m."""
     radius: float
     """m."""
-    dim = 2
+    dim: ClassVar[int]
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "centre", check_point("Disc", "centre", self.centre, 2))
-        object.__setattr__(self, "radius", check_radius("Disc", self.radius))
+        kind = type(self).__name__
+        object.__setattr__(self, "centre", check_point(kind, "centre", self.centre, self.dim))
+        object.__setattr__(self, "radius", check_radius(kind, self.radius))
 
     def packed(self) -> Packed:
         """Its row."""
@@ -47,78 +51,37 @@ class Disc:
 
 
 @dataclass(frozen=True)
-class Sphere:
+class Disc(_Round):
+    """A round obstacle in the plane."""
+
+    dim = 2
+
+
+@dataclass(frozen=True)
+class Sphere(_Round):
     """A round obstacle in space."""
 
-    centre: tuple[float, float, float]
-    """m."""
-    radius: float
-    """m."""
     dim = 3
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "centre", check_point("Sphere", "centre", self.centre, 3))
-        object.__setattr__(self, "radius", check_radius("Sphere", self.radius))
-
-    def packed(self) -> Packed:
-        """Its row."""
-        return Packed(BALL, 0, self.centre, self.radius, [])
-
-
-def outline(row: NDArray[np.float64]) -> Outline:
-    """Of a disc's row."""
-    return Outline(row[CENTRE : CENTRE + 2], float(row[RADIUS]), np.empty((0, 2)))
-
-
-def beads(row: NDArray[np.float64]) -> list[Ball]:
-    """Of a sphere's row."""
-    return [Ball(row[CENTRE : CENTRE + 3], float(row[RADIUS]))]
-
 
 @kernel
-def ball_surface(point, centre, radius):
-    """Signed distance of a point from a ball, and the unit normal there.
-
-        ‖p − c‖ − R,   (p − c)/‖p − c‖
-
-    Args:
-        point: p, a triple, m.
-        centre: c, a triple, m.
-        radius: R, m.
-
-    Returns:
-        The distance, m, negative inside; and the outward normal, a unit triple, at the centre the x
-        axis.
-    """
-    offset = subtract(point, centre)
+def _surface(row, corners, point):
+    """‖p − c‖ − R and (p − c)/‖p − c‖; at the centre the normal is the x axis."""
+    offset = subtract(point, centre_of_row(row))
     distance = norm(offset)
     if distance == 0.0:
-        return -radius, X_AXIS
+        return -row[BOUND], X_AXIS
     normal = (offset[0] / distance, offset[1] / distance, offset[2] / distance)
-    return distance - radius, normal
+    return distance - row[BOUND], normal
 
 
 @kernel
-def ball_entry(point, way, centre, radius, depth):
-    """Where a straight way meets a ball that it goes deeper than ``depth`` into.
-
-        least s in [0, 1] with ‖p + s w − c‖ ≤ R + max(0, −depth),
-        if ‖p + s w − c‖ ≤ R − depth somewhere on the way
-
-    Args:
-        point: p, where the way begins, a triple, m.
-        way: w, a triple, m.
-        centre: c, a triple, m.
-        radius: R, m.
-        depth: m; a negative one makes the ball fatter by so much.
-
-    Returns:
-        s, a fraction of the way; inf if there is none.
-    """
-    offset = subtract(point, centre)
-    if first_crossing(offset, way, radius - depth) > 1.0:
+def _entry(row, corners, point, way, depth):
+    """Least s with ‖p + s w − c‖ ≤ R + max(0, −depth), if ‖p + s w − c‖ ≤ R − depth somewhere."""
+    offset = subtract(point, centre_of_row(row))
+    if first_crossing(offset, way, row[BOUND] - depth) > 1.0:
         return np.inf
-    return first_crossing(offset, way, radius + max(0.0, -depth))
+    return first_crossing(offset, way, row[BOUND] + max(0.0, -depth))
 
 
 @kernel
@@ -150,15 +113,16 @@ def disc_edges(x, y, radius):
 
 
 @kernel
-def half_angle(distance, radius):
-    """Half the angle under which a ball is seen: sin α = R/distance.
+def _edges(row, corners, point):
+    centre = centre_of_row(row)
+    ax, ay, bx, by, _ = disc_edges(centre[0] - point[0], centre[1] - point[1], row[BOUND])
+    return (ax, ay, 0.0), (bx, by, 0.0)
 
-    Args:
-        distance: of its centre, m.
-        radius: R, m.
 
-    Returns:
-        cos α and sin α, two numbers without unit; (0, 1) on the ball and inside.
+@kernel
+def _half_angle(distance, radius):
+    """Half the angle under which a ball is seen, sin α = R/distance: cos α and sin α; (0, 1) on the
+    ball and inside.
     """
     if distance <= radius:
         return 0.0, 1.0
@@ -166,21 +130,23 @@ def half_angle(distance, radius):
 
 
 @kernel
-def sphere_ray(towards, e, w, cosine, sine, k):
-    """Boundary ray k of the cone under which a sphere is seen.
+def _cone(row, corners, point, axes, out):
+    """Rays cos α u + sin α (cos φ e + sin φ (u × e)),   φ = k · 45°."""
+    towards, e, w = axes
+    cosine, sine = _half_angle(norm(subtract(centre_of_row(row), point)), row[BOUND])
+    for k in range(8):
+        aside = combine(sine * COS_AZIMUTH[k], e, sine * SIN_AZIMUTH[k], w)
+        store(combine(cosine, towards, 1.0, aside), out[k])
 
-        ray = cos α u + sin α (cos φ e + sin φ w),   φ = k · 45°
 
-    Args:
-        towards: u, unit vector to the centre.
-        e: azimuth 0, a unit vector across u.
-        w: u × e.
-        cosine: cos α, from ``half_angle``.
-        sine: sin α.
-        k: 0 … 7.
-
-    Returns:
-        The ray, a unit triple.
-    """
-    aside = combine(sine * COS_AZIMUTH[k], e, sine * SIN_AZIMUTH[k], w)
-    return combine(cosine, towards, 1.0, aside)
+BALLS = ShapeKind(
+    kind=BALL,
+    classes={"disc": Disc, "sphere": Sphere},
+    surface=_surface,
+    entry=_entry,
+    normals=one_normal(_surface),
+    edges=_edges,
+    cone=_cone,
+    outline=lambda row, _: Outline(row[MIDDLE : MIDDLE + 2], float(row[BOUND]), np.empty((0, 2))),
+    balls=lambda row: [Ball(row[MIDDLE : MIDDLE + 3], float(row[BOUND]))],
+)

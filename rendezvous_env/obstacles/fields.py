@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from ..checks import is_whole, shown
-from ..compilation import chosen_by_type, inner_kernel, kernel
+from ..compilation import by_type, inner_kernel, kernel
 from ..limits import MOST_OBSTACLES
 from ..physics.random_streams import uniform
 from ..physics.vectors import load
@@ -117,7 +117,7 @@ def draw_field(key, rules, starts, n_starts, world):
         rules: FieldRules.
         starts: (n, d) start positions, m; only the first ``n_starts`` count.
         n_starts: number of starts to keep clear of.
-        world: Balls of one team, written to.
+        world: RoundObstacles of one team, written to.
 
     Returns:
         False if an obstacle found no place in 1000 tries; those from there on are then absent.
@@ -179,7 +179,8 @@ def _apart(world, m):
 Rules = FieldRules | WallRules
 
 
-def draw_obstacles(key: Any, rules: Rules, starts: Any, n_starts: int, world: Any) -> Any:
+@by_type("rules", lambda kind: draw_walls if kind is WallRules else draw_field)
+def draw_obstacles(key, rules, starts, n_starts, world):
     """Draw the obstacles of one episode; whether they found room.
 
     Args:
@@ -189,34 +190,25 @@ def draw_obstacles(key: Any, rules: Rules, starts: Any, n_starts: int, world: An
         n_starts: number of starts to keep clear of.
         world: obstacles of one team, written to.
     """
-    draw = draw_walls if isinstance(rules, WallRules) else draw_field
-    return draw(key, rules, starts, n_starts, world)
 
 
-@chosen_by_type(draw_obstacles)
-def _compiled_draw_obstacles(key, rules, starts, n_starts, world):
-    draw = draw_walls if rules.instance_class is WallRules else draw_field
-    return lambda key, rules, starts, n_starts, world: draw(key, rules, starts, n_starts, world)
+@kernel
+def _walls_are_possible(rules, world, positions, chains):
+    return True  # they close nothing in
 
 
-def is_possible(rules: Rules, world: Any, positions: Any, chains: Any) -> Any:
+@kernel
+def _field_is_possible(rules, world, positions, chains):
+    return rules.passage == 0.0 or none_walled_in(world, positions, rules.passage, chains)
+
+
+@by_type("rules", lambda kind: _walls_are_possible if kind is WallRules else _field_is_possible)
+def is_possible(rules, world, positions, chains):
     """Whether the robots can reach one another, if the field promises that.
 
     Args:
-        rules: of the field; walls close nothing in, see ``draw_walls``.
+        rules: of the field.
         world: obstacles of one team.
         positions: (n, d), m.
         chains: (M, 2) int64, working memory.
     """
-    if isinstance(rules, WallRules) or rules.passage == 0.0:
-        return True
-    return none_walled_in(world, positions, rules.passage, chains)
-
-
-@chosen_by_type(is_possible)
-def _compiled_is_possible(rules, world, positions, chains):
-    if rules.instance_class is WallRules:
-        return lambda rules, world, positions, chains: True
-    return lambda rules, world, positions, chains: (
-        rules.passage == 0.0 or none_walled_in(world, positions, rules.passage, chains)
-    )

@@ -1,60 +1,53 @@
 """All obstacles of a team together: where a shape enters the step, a table and a picture.
 
-Kernels take a world: kinds, numbers of corners, and rows that begin with the bounding ball. What
-they ask of obstacle m is chosen by its kind. Compiled code for a world of balls contains nothing
+Kernels take an obstacle set: kinds, numbers of corners, and rows that begin with the bounding ball.
+What they ask of obstacle m is chosen by its kind. Compiled code for a set of balls contains nothing
 about other shapes.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..checks import shown
-from ..compilation import chosen_by_type, kernel
+from ..compilation import by_type, kernel
 from ..physics.vectors import X_AXIS, store
-from . import capsule, disc, polygon, shape
-from .capsule import (
-    CAPSULE,
-    Capsule,
-    capsule_entry,
-    capsule_ray,
-    capsule_silhouette,
-    capsule_surface,
+from . import shape
+from .capsule import CAPSULES, Capsule
+from .disc import BALLS, Disc, Sphere
+from .polygon import POLYGONS, Polygon
+from .shape import (
+    ABSENT,
+    AHEAD,
+    BOUND,
+    KIND,
+    MIDDLE,
+    OWN,
+    Ball,
+    Outline,
+    ShapeKind,
+    azimuth_axes,
+    centre_direction,
+    centre_of_row,
 )
-from .disc import BALL, Disc, Sphere, ball_entry, ball_surface, disc_edges, half_angle, sphere_ray
-from .polygon import (
-    POLYGON,
-    Polygon,
-    edges_touched,
-    polygon_entry,
-    polygon_silhouette,
-    polygon_surface,
-)
-from .shape import ABSENT, KIND, Ball, Outline, azimuth_axes, centre_direction
 
 Obstacle = Disc | Sphere | Polygon | Capsule
+KINDS = (BALLS, POLYGONS, CAPSULES)
+"""Every kind of shape."""
 SHAPES: dict[str, type[Obstacle]] = {
-    "disc": Disc,
-    "sphere": Sphere,
-    "polygon": Polygon,
-    "capsule": Capsule,
+    name: made for kind in KINDS for name, made in kind.classes.items()
 }
 """By the kind that files say."""
-_OUTLINES = {BALL: disc.outline, POLYGON: polygon.outline, CAPSULE: capsule.outline}
-_BEADS = {BALL: disc.beads, CAPSULE: capsule.beads}
-_AHEAD = 2
-"""Columns of a table before those of a world's rows: kind and corners."""
-RADIUS, CENTRE, DETAILS = shape.RADIUS - _AHEAD, shape.CENTRE - _AHEAD, shape.DETAILS - _AHEAD
-"""Columns of a world's row."""
-AXIS, THICKNESS = capsule.AXIS - _AHEAD, capsule.THICKNESS - _AHEAD
-"""Columns of a capsule's row: its half axis, and its own radius."""
+RADIUS, CENTRE, DETAILS = BOUND, MIDDLE, OWN
+"""Columns of a row as kernels take it."""
+_KINDS = {kind.kind: kind for kind in KINDS}
 
 
-class Balls(NamedTuple):
+class RoundObstacles(NamedTuple):
     """Obstacles of one team, all of them discs or spheres."""
 
     kinds: NDArray[np.int64]
@@ -65,56 +58,85 @@ class Balls(NamedTuple):
     """(M, width)."""
 
 
-class Shapes(NamedTuple):
+class AnyObstacles(NamedTuple):
     """Obstacles of one team, of any kind."""
 
     kinds: NDArray[np.int64]
-    """(M,), ABSENT, BALL, POLYGON or CAPSULE."""
+    """(M,), ABSENT or one of the ``KINDS``."""
     corners: NDArray[np.int64]
     """(M,), vertices of a polygon; 0 for other kinds."""
     shapes: NDArray[np.float64]
     """(M, width)."""
 
 
-World = Balls | Shapes
+ObstacleSet = RoundObstacles | AnyObstacles
+
+# ---- questions to the shape of obstacle m -------------------------------------------------------
 
 
-@kernel
-def centre_of(world, m):
-    """Centre c_m = (x, y, z) of obstacle m (an index) of a world, a triple, m."""
-    return world.shapes[m, CENTRE], world.shapes[m, CENTRE + 1], world.shapes[m, CENTRE + 2]
+def _asked(question: str) -> Any:
+    """By the type of the set: what its balls answer, or one kind after another."""
+    ask: Callable[..., Any] = getattr(BALLS, question)
+
+    @kernel
+    def of_balls(world, m, *arguments):
+        return ask(world.shapes[m], world.corners[m], *arguments)
+
+    of_any = of_balls
+    for kind in KINDS[1:]:
+        if (answer := getattr(kind, question)) is not None:
+            of_any = _or_else(kind.kind, answer, of_any)
+    return by_type("world", lambda made: of_balls if made is RoundObstacles else of_any)
 
 
-@kernel
-def _axis_of(world, m):
-    return world.shapes[m, AXIS], world.shapes[m, AXIS + 1], world.shapes[m, AXIS + 2]
+def _or_else(kind: int, ask: Callable[..., Any], otherwise: Callable[..., Any]) -> Any:
+    @kernel
+    def chosen(world, m, *arguments):
+        if world.kinds[m] == kind:
+            return ask(world.shapes[m], world.corners[m], *arguments)
+        return otherwise(world, m, *arguments)
+
+    return chosen
 
 
-@kernel
-def _surface_of_ball(world, m, point):
-    return ball_surface(point, centre_of(world, m), world.shapes[m, RADIUS])
+@_asked("surface")
+def _surface(world, m, point):
+    """Of an obstacle that is there, see ``surface``."""
 
 
-@kernel
-def _surface_of_any(world, m, point):
-    if world.kinds[m] == POLYGON:
-        return polygon_surface(point, world.shapes[m], DETAILS, world.corners[m])
-    if world.kinds[m] == CAPSULE:
-        return capsule_surface(
-            point, centre_of(world, m), _axis_of(world, m), world.shapes[m, THICKNESS]
-        )
-    return ball_surface(point, centre_of(world, m), world.shapes[m, RADIUS])
+@_asked("entry")
+def entry(world, m, point, way, depth):
+    """Fraction s of a straight way p + s w at which it meets the surface of an obstacle.
+
+    Args:
+        world: obstacles of one team.
+        m: which one, an index; it is there.
+        point: p, where the way begins, a triple, m.
+        way: w, a triple, m.
+        depth: only a way that goes deeper than this (m) meets it; a negative depth makes the
+            obstacle fatter by so much.
+
+    Returns:
+        s, a number in [0, 1]; inf if it does not meet it.
+    """
 
 
-def _surface(world: Any, m: int, point: Any) -> Any:
-    """By the type of the world, see ``surface``."""
-    return (_surface_of_ball if isinstance(world, Balls) else _surface_of_any)(world, m, point)
+@_asked("normals")
+def normals(world, m, point):
+    """Two unit triples n = ∇ distance of an obstacle touched by a point; arguments as ``surface``.
+
+    They differ on the vertex of a polygon only, where either edge may be slid along.
+    """
 
 
-@chosen_by_type(_surface)
-def _compiled_surface(world, m, point):
-    chosen = _surface_of_ball if world.instance_class is Balls else _surface_of_any
-    return lambda world, m, point: chosen(world, m, point)
+@_asked("edges")
+def _edges(world, m, point):
+    """Bearings of both edges, seen in the plane."""
+
+
+@_asked("cone")
+def _cone(world, m, point, axes, out):
+    """Boundary rays into ``out``, seen in space."""
 
 
 @kernel
@@ -146,7 +168,7 @@ def distance_to(world, m, point):
 
 @kernel
 def clear_of_obstacles(point, world, margin):
-    """Whether a point (a triple, m) has distances ≥ ``margin`` (m, signed) to a whole world."""
+    """Whether a point (a triple, m) has distances ≥ ``margin`` (m, signed) to a whole set."""
     for m in range(world.kinds.shape[0]):
         if distance_to(world, m, point) < margin:
             return False
@@ -155,14 +177,7 @@ def clear_of_obstacles(point, world, margin):
 
 @kernel
 def within(world, m, point, reach):
-    """Whether the bounding ball (c, R) of obstacle m is near: ‖p − c‖ ≤ R + reach.
-
-    Args:
-        world: obstacles of one team.
-        m: which one, an index.
-        point: p, a triple, m.
-        reach: m.
-    """
+    """Whether the bounding ball (c, R) of obstacle m is near: ‖p − c‖ ≤ R + reach, m."""
     if world.kinds[m] == ABSENT:
         return False
     square, bound = 0.0, world.shapes[m, RADIUS] + reach
@@ -170,75 +185,6 @@ def within(world, m, point, reach):
         difference = point[k] - world.shapes[m, CENTRE + k]
         square += difference * difference
     return square <= bound * bound
-
-
-@kernel
-def _entry_of_ball(world, m, point, way, depth):
-    return ball_entry(point, way, centre_of(world, m), world.shapes[m, RADIUS], depth)
-
-
-@kernel
-def _entry_of_any(world, m, point, way, depth):
-    if world.kinds[m] == POLYGON:
-        return polygon_entry(point, way, world.shapes[m], DETAILS, world.corners[m], depth)
-    centre = centre_of(world, m)
-    if world.kinds[m] == CAPSULE:
-        axis, thickness = _axis_of(world, m), world.shapes[m, THICKNESS]
-        return capsule_entry(point, way, centre, axis, thickness, depth)
-    return ball_entry(point, way, centre, world.shapes[m, RADIUS], depth)
-
-
-def entry(world, m, point, way, depth):
-    """Fraction s of a straight way p + s w at which it meets the surface of an obstacle.
-
-    Args:
-        world: obstacles of one team.
-        m: which one, an index; it is there.
-        point: p, where the way begins, a triple, m.
-        way: w, a triple, m.
-        depth: only a way that goes deeper than this (m) meets it; a negative depth makes the
-            obstacle fatter by so much.
-
-    Returns:
-        s, a number in [0, 1]; inf if it does not meet it.
-    """
-    chosen = _entry_of_ball if isinstance(world, Balls) else _entry_of_any
-    return chosen(world, m, point, way, depth)
-
-
-@chosen_by_type(entry)
-def _compiled_entry(world, m, point, way, depth):
-    chosen = _entry_of_ball if world.instance_class is Balls else _entry_of_any
-    return lambda world, m, point, way, depth: chosen(world, m, point, way, depth)
-
-
-@kernel
-def _normals_of_ball(world, m, point):
-    _, normal = _surface_of_ball(world, m, point)
-    return normal, normal
-
-
-@kernel
-def _normals_of_any(world, m, point):
-    _, normal = _surface_of_any(world, m, point)
-    if world.kinds[m] == POLYGON:
-        return edges_touched(point, world.shapes[m], DETAILS, world.corners[m], normal)
-    return normal, normal
-
-
-def normals(world, m, point):
-    """Two unit triples n = ∇ distance of an obstacle touched by a point; arguments as ``surface``.
-
-    They differ on the vertex of a polygon only, where either edge may be slid along.
-    """
-    chosen = _normals_of_ball if isinstance(world, Balls) else _normals_of_any
-    return chosen(world, m, point)
-
-
-@chosen_by_type(normals)
-def _compiled_normals(world, m, point):
-    chosen = _normals_of_ball if world.instance_class is Balls else _normals_of_any
-    return lambda world, m, point: chosen(world, m, point)
 
 
 @kernel
@@ -254,18 +200,7 @@ def silhouette_2d(world, m, point, out):
         out: (2, d) array for unit vectors in the global frame: first the counter-clockwise edge,
             then the clockwise one.
     """
-    centre = centre_of(world, m)
-    if world.kinds[m] == BALL:
-        ax, ay, bx, by, _ = disc_edges(
-            centre[0] - point[0], centre[1] - point[1], world.shapes[m, RADIUS]
-        )
-        left, right = (ax, ay, 0.0), (bx, by, 0.0)
-    elif world.kinds[m] == CAPSULE:
-        axis, thickness = _axis_of(world, m), world.shapes[m, THICKNESS]
-        left, right = capsule_silhouette(point, centre, axis, thickness)
-    else:
-        towards, _ = centre_direction(point, centre)
-        left, right = polygon_silhouette(point, towards, world.shapes[m], DETAILS, world.corners[m])
+    left, right = _edges(world, m, point)
     store(left, out[0])
     store(right, out[1])
 
@@ -286,19 +221,9 @@ def silhouette_3d(world, m, point, net_bearing, axis_x, axis_y, out):
         axis_y: its y axis.
         out: (8, 3) array for unit vectors in the global frame.
     """
-    centre = centre_of(world, m)
-    towards, distance = centre_direction(point, centre)
+    towards, _ = centre_direction(point, centre_of_row(world.shapes[m]))
     e, w = azimuth_axes(towards, net_bearing, axis_x, axis_y)
-    cosine, sine = half_angle(distance, world.shapes[m, RADIUS])
-    axis, thickness = X_AXIS, 0.0
-    if world.kinds[m] == CAPSULE:
-        axis, thickness = _axis_of(world, m), world.shapes[m, THICKNESS]
-    for k in range(8):
-        if world.kinds[m] == CAPSULE:
-            ray = capsule_ray(point, centre, axis, thickness, towards, e, w, k)
-        else:
-            ray = sphere_ray(towards, e, w, cosine, sine, k)
-        store(ray, out[k])
+    _cone(world, m, point, (towards, e, w), out)
 
 
 # ---- tables -------------------------------------------------------------------------------------
@@ -353,29 +278,32 @@ def faults(
     since they are indices.
     """
     kind, corners, width = table[..., KIND], table[..., shape.CORNERS], table.shape[-1]
-    known = [ABSENT, BALL]
-    if not only_balls:
-        known += [POLYGON] if dim == 2 else []
-        known += [CAPSULE] if width > capsule.THICKNESS else []
+    possible = [BALLS] if only_balls else KINDS
+    known = [ABSENT] + [
+        one.kind
+        for one in possible
+        if (one.edges if dim == 2 else one.cone) and one.numbers <= width - shape.DETAILS
+    ]
     yield ~np.isin(kind, known), f"a row that begins with one of {known}"
     most = (width - shape.DETAILS) // 2
     counted = (corners >= 3) & (corners <= most) & (corners == np.floor(corners))
+    cornered = np.isin(kind, [one.kind for one in KINDS if one.least_corners])
     what = f"a row with 3 to {most} corners if it is a polygon, else 0"
-    yield np.where(kind == POLYGON, ~counted, corners != 0), what
+    yield np.where(cornered, ~counted, corners != 0), what
     yield np.asarray(~np.isfinite(table).all(axis=-1)), "finite"
     yield np.logical_and(kind != ABSENT, table[..., shape.RADIUS] < 0), "of radius 0 or more"
 
 
-def world_of(table: NDArray[np.float64], only_balls: bool = False) -> World:
-    """Tables (..., M, width) as a world; kinds and corners whole numbers, everything contiguous."""
+def world_of(table: NDArray[np.float64], only_balls: bool = False) -> ObstacleSet:
+    """Tables (..., M, width) as a set; kinds and corners whole numbers, everything contiguous."""
     kinds = np.ascontiguousarray(table[..., KIND].astype(np.int64))
     corners = np.ascontiguousarray(table[..., shape.CORNERS].astype(np.int64))
-    shapes = np.ascontiguousarray(table[..., _AHEAD:])
-    return (Balls if only_balls else Shapes)(kinds, corners, shapes)
+    shapes = np.ascontiguousarray(table[..., AHEAD:])
+    return (RoundObstacles if only_balls else AnyObstacles)(kinds, corners, shapes)
 
 
 def table_of(world: Any) -> NDArray[np.float64]:
-    """A world as tables (..., M, width)."""
+    """A set as tables (..., M, width)."""
     ahead = (np.asarray(world.kinds)[..., None], np.asarray(world.corners)[..., None])
     return np.concatenate([*ahead, world.shapes], axis=-1)
 
@@ -409,11 +337,18 @@ def check_outside(field: str, positions: NDArray[np.float64], value: Sequence[Ob
 
 def outlines(table: NDArray[np.float64]) -> Iterator[Outline]:
     """Every obstacle of a table (M, width) of the plane that is there."""
-    for row in table[table[:, KIND] != ABSENT]:
-        yield _OUTLINES[int(row[KIND])](row)
+    for row, kind in _there(table):
+        if kind.outline is not None:
+            yield kind.outline(row[AHEAD:], int(row[shape.CORNERS]))
 
 
 def balls(table: NDArray[np.float64]) -> Iterator[Ball]:
     """Every obstacle of a table (M, width) of space that is there, as balls."""
+    for row, kind in _there(table):
+        if kind.balls is not None:
+            yield from kind.balls(row[AHEAD:])
+
+
+def _there(table: NDArray[np.float64]) -> Iterator[tuple[NDArray[np.float64], ShapeKind]]:
     for row in table[table[:, KIND] != ABSENT]:
-        yield from _BEADS[int(row[KIND])](row)
+        yield row, _KINDS[int(row[KIND])]

@@ -1,7 +1,6 @@
 """Convex polygons of the plane: what a user sets, distance, way in, silhouette, picture.
 
-A polygon is the row ``shape`` of its obstacle and the column of its first vertex; the vertices
-x0, y0, x1, y1, … go round counter-clockwise.
+Its row goes on with the vertices x0, y0, x1, y1, … counter-clockwise.
 """
 
 from __future__ import annotations
@@ -19,14 +18,16 @@ from ..checks import shown
 from ..compilation import kernel
 from ..limits import MOST_VERTICES
 from .shape import (
-    CENTRE,
-    CORNERS,
-    DETAILS,
+    BOUND,
     LEAST_THICKNESS,
+    MIDDLE,
     NEARLY_ZERO,
-    RADIUS,
+    OWN,
     Outline,
     Packed,
+    ShapeKind,
+    centre_direction,
+    centre_of_row,
     check_point,
     is_sequence,
 )
@@ -124,59 +125,33 @@ def _check_vertices(value: Any) -> tuple[tuple[float, ...], ...]:
     return vertices
 
 
-def outline(row: NDArray[np.float64]) -> Outline:
-    """Of a polygon's row."""
-    vertices = row[DETAILS : DETAILS + 2 * int(row[CORNERS])].reshape(-1, 2)
-    return Outline(row[CENTRE : CENTRE + 2], float(row[RADIUS]), vertices)
-
-
 @kernel
-def polygon_edge(shape, first, corners, k):
-    """Edge k of a polygon: its first vertex, unit direction (ex, ey) and length.
+def _edge(row, corners, k):
+    """Edge k: x and y of its first vertex v_k, m, its unit direction e, and its length, m.
 
         e = (v_{k+1} − v_k)/‖v_{k+1} − v_k‖
 
-    The outward normal is (ey, −ex), because the vertices go round counter-clockwise.
-
-    Args:
-        shape: row (width,) of the obstacle, m.
-        first: column of the first vertex.
-        corners: number of vertices.
-        k: index of the edge.
-
-    Returns:
-        Five numbers: x and y of v_k, m, ex and ey, without unit, and the length, m.
+    The outward normal is (e_y, −e_x), because the vertices go round counter-clockwise.
     """
-    here = first + 2 * k
-    there = here + 2 if k + 1 < corners else first
-    x, y = shape[here], shape[here + 1]
-    dx, dy = shape[there] - x, shape[there + 1] - y
+    here = OWN + 2 * k
+    there = here + 2 if k + 1 < corners else OWN
+    x, y = row[here], row[here + 1]
+    dx, dy = row[there] - x, row[there + 1] - y
     length = math.sqrt(dx * dx + dy * dy)
     return x, y, dx / length, dy / length, length
 
 
 @kernel
-def polygon_surface(point, shape, first, corners):
-    """Signed distance of a point from a convex polygon, and its unit normal there.
-
-        max_k n_kᵀ(p − v_k) inside,   min_q ‖p − q‖ over the edges outside
+def _surface(row, corners, point):
+    """max_k n_kᵀ(p − v_k) inside, min_q ‖p − q‖ over the edges outside.
 
     The plane falls into the inside, one strip before each edge and one wedge before each vertex. On
     a vertex, where there is no one normal, it is that of an adjacent edge.
-
-    Args:
-        point: p, a triple, m.
-        shape: row (width,) of the obstacle, m.
-        first: column of the first vertex.
-        corners: number of vertices.
-
-    Returns:
-        The distance, m, negative inside; and the outward normal, a unit triple with z = 0.
     """
     highest, normal_x, normal_y = -np.inf, 0.0, 0.0
     nearest, vertex_x, vertex_y = np.inf, 0.0, 0.0
     for k in range(corners):
-        x, y, ex, ey, length = polygon_edge(shape, first, corners, k)
+        x, y, ex, ey, length = _edge(row, corners, k)
         dx, dy = point[0] - x, point[1] - y
         along, height = dx * ex + dy * ey, dx * ey - dy * ex
         if height > 0.0 and 0.0 <= along <= length:
@@ -195,52 +170,29 @@ def polygon_surface(point, shape, first, corners):
 
 
 @kernel
-def edges_touched(point, shape, first, corners, normal):
-    """Normals n_k of the edges that a point on the surface has behind it: n_kᵀ(p − v_k) ≥ 0.
-
-    But for rounding. Two that differ only on a vertex, where either edge may be slid along.
-
-    Args:
-        point: p, a triple, m.
-        shape: row (width,) of the obstacle, m.
-        first: column of the first vertex.
-        corners: number of vertices.
-        normal: a unit triple, to return where no edge qualifies.
-
-    Returns:
-        The last two of the normals, unit triples.
+def _normals(row, corners, point):
+    """The last two normals n_k of edges that a point on the surface has behind it:
+    n_kᵀ(p − v_k) ≥ 0, but for rounding. They differ only on a vertex, where either edge may be
+    slid along.
     """
+    _, normal = _surface(row, corners, point)
     one, other = normal, normal
     for k in range(corners):
-        x, y, ex, ey, _ = polygon_edge(shape, first, corners, k)
+        x, y, ex, ey, _ = _edge(row, corners, k)
         if (point[0] - x) * ey - (point[1] - y) * ex > -_VERTEX_TOLERANCE:
             one, other = other, (ey, -ex, 0.0)
     return one, other
 
 
 @kernel
-def polygon_entry(point, way, shape, first, corners, depth):
-    """Where a straight way meets a polygon that it goes deeper than ``depth`` into.
-
-        max_k of the s with n_kᵀ(p + s w − v_k) = max(0, −depth), at the edges that it comes in by,
-
-    if the way, clipped by all edges moved inwards by ``depth``, leaves something.
-
-    Args:
-        point: p, where the way begins, a triple, m.
-        way: w, a triple, m.
-        shape: row (width,) of the obstacle, m.
-        first: column of the first vertex.
-        corners: number of vertices.
-        depth: m; a negative one makes the polygon fatter by so much.
-
-    Returns:
-        s, a fraction of the way; inf if there is none.
+def _entry(row, corners, point, way, depth):
+    """Largest s with n_kᵀ(p + s w − v_k) = max(0, −depth) at the edges that it comes in by, if the
+    way, clipped by all edges moved inwards by ``depth``, leaves something.
     """
     fatter = max(0.0, -depth)
     surface, entered, left = 0.0, 0.0, 1.0
     for k in range(corners):
-        x, y, ex, ey, _ = polygon_edge(shape, first, corners, k)
+        x, y, ex, ey, _ = _edge(row, corners, k)
         height = (point[0] - x) * ey - (point[1] - y) * ex
         rate = way[0] * ey - way[1] * ex
         if rate < 0.0:
@@ -254,23 +206,13 @@ def polygon_entry(point, way, shape, first, corners, depth):
 
 
 @kernel
-def polygon_silhouette(point, towards, shape, first, corners):
-    """Bearings (v − p)/‖v − p‖ of the vertices farthest left and right of a direction inside.
-
-    Args:
-        point: p, a triple, m, outside the polygon or on it.
-        towards: unit vector to the centroid.
-        shape: row (width,) of the obstacle, m.
-        first: column of the first vertex.
-        corners: number of vertices.
-
-    Returns:
-        The counter-clockwise edge and the clockwise one, unit triples.
-    """
+def _edges(row, corners, point):
+    """Bearings (v − p)/‖v − p‖ of the vertices farthest left and right of the centre."""
+    towards, _ = centre_direction(point, centre_of_row(row))
     left_x, left_y = towards[0], towards[1]
     right_x, right_y = towards[0], towards[1]
     for k in range(corners):
-        x, y = shape[first + 2 * k] - point[0], shape[first + 2 * k + 1] - point[1]
+        x, y = row[OWN + 2 * k] - point[0], row[OWN + 2 * k + 1] - point[1]
         if x * x + y * y < NEARLY_ZERO * NEARLY_ZERO:
             continue  # the robot stands on this vertex: its neighbours are the silhouette
         if towards[0] * y - towards[1] * x > 0.0:
@@ -281,3 +223,20 @@ def polygon_silhouette(point, towards, shape, first, corners):
     left = math.sqrt(left_x * left_x + left_y * left_y)
     right = math.sqrt(right_x * right_x + right_y * right_y)
     return (left_x / left, left_y / left, 0.0), (right_x / right, right_y / right, 0.0)
+
+
+def _outline(row: NDArray[np.float64], corners: int) -> Outline:
+    vertices = row[OWN : OWN + 2 * corners].reshape(-1, 2)
+    return Outline(row[MIDDLE : MIDDLE + 2], float(row[BOUND]), vertices)
+
+
+POLYGONS = ShapeKind(
+    kind=POLYGON,
+    classes={"polygon": Polygon},
+    surface=_surface,
+    entry=_entry,
+    edges=_edges,
+    normals=_normals,
+    least_corners=3,
+    outline=_outline,
+)

@@ -10,8 +10,7 @@ or 1, such that two joined discs are on different sides exactly if their segment
 
 from ..compilation import inner_kernel, kernel
 from ..physics.vectors import load
-from .obstacle_set import RADIUS, centre_of
-from .shape import ABSENT
+from .shape import ABSENT, BOUND, centre_of_row
 
 _BEFORE, _SIDE = 0, 1
 """Columns of a disc's row: an earlier disc of its chain, itself if it is the first; and whether it
@@ -25,7 +24,7 @@ def none_walled_in(world, positions, passage, chains):
     Discs that leave less between them count as joined.
 
     Args:
-        world: Balls of one team in the plane.
+        world: RoundObstacles of one team in the plane.
         positions: (n, 2), m, at least half a passage from every disc.
         passage: m.
         chains: (M, 2) int64, working memory.
@@ -44,8 +43,8 @@ def _apart(world, p, q, passage, chains):
         if world.kinds[m] == ABSENT:
             continue
         for k in range(m):
-            reach = world.shapes[k, RADIUS] + world.shapes[m, RADIUS] + passage
-            a, b = centre_of(world, k), centre_of(world, m)
+            reach = world.shapes[k, BOUND] + world.shapes[m, BOUND] + passage
+            a, b = centre_of_row(world.shapes[k]), centre_of_row(world.shapes[m])
             if world.kinds[k] == ABSENT or not are_joined(a, b, reach):
                 continue
             side = int(crosses(a, b, p, q))

@@ -4,14 +4,15 @@ An obstacle is a row of numbers, which files and pictures read:
 
     [kind, number of corners, radius of the bounding ball, centre x, y, z, …]
 
-followed by what its shape needs; in the plane z = 0. A new shape is a file like ``disc`` and a
-branch in each function of ``obstacle_set`` that asks for the kind.
+followed by what its shape needs; in the plane z = 0. Kernels take kind and number of corners by
+themselves, and the rest as the row. A new shape is a file like ``capsule`` that ends with a
+``ShapeKind``, and the name of that in ``obstacle_set.KINDS``.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -25,7 +26,11 @@ from ..physics.vectors import X_AXIS, combine, cross, dot, norm, subtract
 ABSENT = 0
 """Kind of an empty slot."""
 KIND, CORNERS, RADIUS, CENTRE, DETAILS = 0, 1, 2, 3, 6
-"""Columns of a row."""
+"""Columns of a table."""
+AHEAD = 2
+"""Columns of a table before those of the rows that kernels take: kind and corners."""
+BOUND, MIDDLE, OWN = RADIUS - AHEAD, CENTRE - AHEAD, DETAILS - AHEAD
+"""Columns of such a row: radius and centre of the bounding ball, and what its shape needs."""
 LEAST_THICKNESS = 1e-5
 """m; ten times as deep as a contact."""
 NEARLY_ZERO = 1e-9
@@ -78,6 +83,59 @@ class Ball(NamedTuple):
     """(3,), m."""
     radius: float
     """m."""
+
+
+class ShapeKind(NamedTuple):
+    """All that is asked of one kind of shape. Kernels take the row and the number of corners of an
+    obstacle first; points and vectors are triples, m, with z = 0 in the plane.
+    """
+
+    kind: int
+    """Number of the kind in tables."""
+    classes: dict[str, type[Any]]
+    """What users make, by the names that files have for them."""
+    surface: Callable[..., Any]
+    """(row, corners, point) → signed distance ± min_q ‖p − q‖ over the surface, m, negative inside,
+    and the outward unit normal at the nearest q."""
+    entry: Callable[..., Any]
+    """(row, corners, point p, way w, depth) → least s in [0, 1] at which p + s w meets the surface,
+    if the way goes deeper in than ``depth``, m; else inf. A negative depth makes the obstacle
+    fatter by so much."""
+    normals: Callable[..., Any]
+    """(row, corners, point) → two normals where the point touches it, which differ where it may
+    slide either way; ``one_normal`` makes it of ``surface``."""
+    edges: Callable[..., Any] | None = None
+    """(row, corners, point) → unit bearings of the counter-clockwise and the clockwise edge, seen
+    from a point outside; None for shapes of space alone."""
+    cone: Callable[..., Any] | None = None
+    """(row, corners, point, axes, out): boundary rays of the cone under which it is seen, at
+    azimuths k · 45°, into (8, 3) ``out``; ``axes`` are u towards the centre, e at azimuth 0, u × e.
+    None for shapes of the plane alone."""
+    numbers: int = 0
+    """Numbers that its row needs beyond the bounding ball, corners aside."""
+    least_corners: int = 0
+    """3 of polygons; 0 of what has none."""
+    outline: Callable[[NDArray[np.float64], int], Outline] | None = None
+    """(row, corners) → picture in the plane."""
+    balls: Callable[[NDArray[np.float64]], list[Ball]] | None = None
+    """row → picture in space."""
+
+
+def one_normal(surface: Callable[..., Any]) -> Any:
+    """``normals`` of a shape without vertices: twice that of its surface."""
+
+    @kernel
+    def normals(row, corners, point):
+        _, normal = surface(row, corners, point)
+        return normal, normal
+
+    return normals
+
+
+@kernel(inline="code")
+def centre_of_row(row):
+    """Centre of the bounding ball, a triple, m."""
+    return row[MIDDLE], row[MIDDLE + 1], row[MIDDLE + 2]
 
 
 # ---- checks; every refusal says what would be right ---------------------------------------------
@@ -141,14 +199,8 @@ def is_sequence(value: Any) -> bool:
 
 @kernel
 def centre_direction(point, centre):
-    """Unit vector u = (c − p)/‖c − p‖ from a point towards a centre, and their distance.
-
-    Args:
-        point: p, a triple, m.
-        centre: c, a triple, m.
-
-    Returns:
-        u, a unit triple, the x axis at the centre itself; and ‖c − p‖, m.
+    """Unit vector u = (c − p)/‖c − p‖ from a point p towards a centre c, the x axis at the centre
+    itself; and ‖c − p‖, m.
     """
     offset = subtract(centre, point)
     distance = norm(offset)
@@ -161,18 +213,9 @@ def centre_direction(point, centre):
 def azimuth_axes(towards, net_bearing, axis_x, axis_y):
     """The unit vectors e (azimuth 0) and u × e across the direction u.
 
-        e = (f − (fᵀu) u)/‖f − (fᵀu) u‖
+        e = (f − (fᵀu) u)/‖f − (fᵀu) u‖,   f the net bearing, m/s
 
-    If that vanishes, axis_x takes the place of f, and then axis_y.
-
-    Args:
-        towards: u, a unit triple.
-        net_bearing: f, a triple, m/s, in the same frame.
-        axis_x: the robot's local x axis, a unit triple.
-        axis_y: its y axis.
-
-    Returns:
-        e and u × e, two unit triples.
+    If that vanishes, the robot's local x axis takes the place of f, and then its y axis.
     """
     across = _across(net_bearing, towards)
     if norm(across) <= NEARLY_ZERO:

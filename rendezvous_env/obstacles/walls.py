@@ -122,7 +122,7 @@ def draw_walls(key, rules, starts, n_starts, world):
         rules: WallRules.
         starts: (n, 2) start positions, m; only the first ``n_starts`` count.
         n_starts: number of starts to keep clear of.
-        world: Shapes of one team, written to.
+        world: AnyObstacles of one team, written to.
 
     Returns:
         False if no place was found in 1000 tries; the walls are then absent.

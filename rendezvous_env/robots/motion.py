@@ -17,7 +17,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from ..checks import shown
-from ..compilation import chosen_by_type, kernel
+from ..compilation import by_type, chosen_by_type, kernel
 from ..kernel_cache import depends_on
 from ..physics.vectors import scaled
 
@@ -131,16 +131,24 @@ def motion_of(model: type) -> Motion | None:
 
 
 def drifts(model):
-    """Whether a robot may move while its action is zero, ‖Δ‖ > 0 m: ``Motion.drifts``, a bool.
-
-    Args:
-        model: constants of a robot model, a NamedTuple.
-    """
+    """Whether a robot may move while its action is zero, ‖Δ‖ > 0 m: ``Motion.drifts``."""
     return _MOTIONS[type(model)].drifts
 
 
+@chosen_by_type(drifts)
+def _compiled_drifts(model):
+    known = _MOTIONS[model.instance_class].drifts
+    return lambda model: known
+
+
+def _equation(name: str) -> Any:
+    """Of the model that the constants are of."""
+    return by_type("model", lambda kind: getattr(_MOTIONS[kind], name))
+
+
+@_equation("propose")
 def propose(model, action, frame, memory):
-    """What a robot would do in a step with nothing in its way: ``Motion.propose`` of the model.
+    """What a robot would do in a step with nothing in its way, as ``Motion`` says of each equation.
 
         Δ = ∫₀^τ ṗ dt,   way = ∫₀^τ ‖ṗ‖ dt
 
@@ -153,69 +161,52 @@ def propose(model, action, frame, memory):
     Returns:
         Δ in the global frame, a pair or triple, m, and the length of the way, m.
     """
-    return _MOTIONS[type(model)].propose(model, action, frame, memory)
 
 
+@_equation("along")
 def along(model, action, frame, memory, time):
-    """∫₀ᵗ ṗ dt: displacement after ``time`` t, s, a pair or triple, m, in the global frame.
-
-    ``Motion.along`` of the model; the other arguments as ``propose`` takes them.
-    """
-    return _MOTIONS[type(model)].along(model, action, frame, memory, time)
+    """∫₀ᵗ ṗ dt: displacement after ``time`` t, s, a pair or triple, m, in the global frame."""
 
 
+@_equation("bend")
 def bend(model, action, memory):
-    """β, m/s², with ‖p(t) − chord‖ ≤ β h² within any time h of the step; 0 for straight ways.
-
-    ``Motion.bend`` of the model; arguments as ``propose``.
-    """
-    return _MOTIONS[type(model)].bend(model, action, memory)
+    """β, m/s², with ‖p(t) − chord‖ ≤ β h² within any time h of the step; 0 for straight ways."""
 
 
+@_equation("closes")
 def closes(model, action, memory):
-    """T, s, with p(t + T) = p(t) while the action is held; inf if there is none.
-
-    ``Motion.closes`` of the model; arguments as ``propose``.
-    """
-    return _MOTIONS[type(model)].closes(model, action, memory)
+    """T, s, with p(t + T) = p(t) while the action is held; inf if there is none."""
 
 
+@_equation("remember")
 def remember(model, action, frame, memory, displacement, contact):
-    """What a model keeps after a step, as many numbers as before: ``Motion.remember``.
+    """What a model keeps after a step: angles, α(t + τ) = α(t) + ω τ, rad, or a velocity, m/s.
 
     Args:
-        model: constants of a robot model, a NamedTuple.
-        action: as ``propose`` takes it.
+        model: as ``propose`` takes it, like action and frame.
+        action: likewise.
         frame: likewise.
         memory: before the step, a tuple of numbers.
         displacement: Δ executed, a pair or triple, m, in the global frame.
         contact: FREE, SLID or STOPPED.
-
-    Returns:
-        Angles, α(t + τ) = α(t) + ω τ, rad, or a velocity, m/s; a tuple.
     """
-    return _MOTIONS[type(model)].remember(model, action, frame, memory, displacement, contact)
 
 
+@_equation("frame")
 def frame_of(model, frame, memory):
-    """R(memory), the frame that goes with a memory, row by row, 4 or 9 numbers: ``Motion.frame``.
-
-    Arguments as ``propose``; ``frame`` is the one before.
-    """
-    return _MOTIONS[type(model)].frame(model, frame, memory)
+    """R(memory), row by row, 4 or 9 numbers; ``frame`` is the one before."""
 
 
+@_equation("sense")
 def sense_oneself(model, frame, memory):
-    """What a robot observes of itself in its own frame: Rᵀv, or the direction of gravity.
-
-    A pair or triple, m/s or without unit, or () for nothing: ``Motion.sense`` of the model.
-    Arguments as ``propose``.
+    """What a robot observes of itself in its own frame: Rᵀv, m/s, or the direction of gravity; a
+    pair or triple, or () for nothing.
     """
-    return _MOTIONS[type(model)].sense(model, frame, memory)
 
 
+@_equation("begin")
 def begin_memory(model, key, counter):
-    """What a model keeps at the start of an episode: ``Motion.begin``.
+    """What a model keeps at the start of an episode, a tuple of numbers, rad or m/s.
 
         α = π (2u − 1) for a yaw, a pitch within ± π/4, a zero velocity
 
@@ -223,66 +214,4 @@ def begin_memory(model, key, counter):
         model: constants of a robot model, a NamedTuple.
         key: of the stream of the uniform numbers u, uint64.
         counter: index of the first of at most three that may be used.
-
-    Returns:
-        A tuple of numbers, rad or m/s, that may be empty.
     """
-    return _MOTIONS[type(model)].begin(model, key, counter)
-
-
-@chosen_by_type(drifts)
-def _drifts(model):
-    chosen = _MOTIONS[model.instance_class].drifts
-    return lambda model: chosen
-
-
-@chosen_by_type(propose)
-def _propose(model, action, frame, memory):
-    chosen = _MOTIONS[model.instance_class].propose
-    return lambda model, action, frame, memory: chosen(model, action, frame, memory)
-
-
-@chosen_by_type(along)
-def _along(model, action, frame, memory, time):
-    chosen = _MOTIONS[model.instance_class].along
-    return lambda model, action, frame, memory, time: chosen(model, action, frame, memory, time)
-
-
-@chosen_by_type(bend)
-def _bend(model, action, memory):
-    chosen = _MOTIONS[model.instance_class].bend
-    return lambda model, action, memory: chosen(model, action, memory)
-
-
-@chosen_by_type(closes)
-def _closes(model, action, memory):
-    chosen = _MOTIONS[model.instance_class].closes
-    return lambda model, action, memory: chosen(model, action, memory)
-
-
-@chosen_by_type(remember)
-def _remember(model, action, frame, memory, displacement, contact):
-    chosen = _MOTIONS[model.instance_class].remember
-
-    def implementation(model, action, frame, memory, displacement, contact):
-        return chosen(model, action, frame, memory, displacement, contact)
-
-    return implementation
-
-
-@chosen_by_type(frame_of)
-def _frame_of(model, frame, memory):
-    chosen = _MOTIONS[model.instance_class].frame
-    return lambda model, frame, memory: chosen(model, frame, memory)
-
-
-@chosen_by_type(sense_oneself)
-def _sense_oneself(model, frame, memory):
-    chosen = _MOTIONS[model.instance_class].sense
-    return lambda model, frame, memory: chosen(model, frame, memory)
-
-
-@chosen_by_type(begin_memory)
-def _begin_memory(model, key, counter):
-    chosen = _MOTIONS[model.instance_class].begin
-    return lambda model, key, counter: chosen(model, key, counter)

@@ -230,7 +230,7 @@ class BatchState(NamedTuple):
     links: Any
     """Of a kind of ``edge_kinds``."""
     obstacles: Any
-    """Balls or Shapes with a leading axis B; None without obstacles."""
+    """ObstacleSet with a leading axis B; None without obstacles."""
 
 
 class BlockScratch(NamedTuple):
@@ -310,7 +310,7 @@ class TeamScratch(NamedTuple):
     resting: NDArray[np.bool_]
     """(n,)."""
     first: NDArray[np.int64]
-    """(E,), its links, see ``link_kinds.ListedLinks``."""
+    """(E,), its links, see ``link_kinds.EdgeList``."""
     second: NDArray[np.int64]
     """(E,)."""
     weights: NDArray[np.float64]

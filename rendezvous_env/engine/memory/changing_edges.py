@@ -6,7 +6,7 @@ from typing import Any
 from numba.core import types
 
 from ...compilation import chosen_by_type, inner_kernel, kernel
-from ...graphs.edge_kinds import Arcs
+from ...graphs.edge_kinds import DirectedEdges
 from ...graphs.edges import load_links, pair_index
 from ...physics.potential import lyapunov_of_links
 from ...physics.random_streams import GRAPH, SWITCHING, stream_key, uniform
@@ -26,9 +26,9 @@ def bring_links_up(block: int, setup: Any, moves: Any, teams: Any, links: Any) -
         setup: of the batch, see ``engine.memory``.
         moves: whether a step is being done, which its teams have not counted yet.
         teams: the fields of Teams.
-        links: of a kind of ``link_kinds``; nothing is done unless they are Arcs that change.
+        links: of a kind of ``link_kinds``; nothing is done unless they change.
     """
-    if isinstance(links, Arcs) and links.changes is not None:
+    if isinstance(links, DirectedEdges) and links.changes is not None:
         _follow(block, setup, moves, teams, links)
 
 
@@ -55,7 +55,7 @@ def _compiled_bring_links_up(block, setup, moves, teams, links):
 
 def _change(links: Any) -> bool:
     """Whether links of this numba type change."""
-    if links.instance_class is not Arcs:
+    if links.instance_class is not DirectedEdges:
         return False
     return not isinstance(links.types[links.fields.index("changes")], types.NoneType)
 
@@ -123,7 +123,7 @@ def _keep_in_sight(team, layout, teams, arcs, changes):
 def begin_links(
     team: int, key: Any, rules: Any, layout: Any, state: Any, positions: Any, scratch: Any
 ) -> None:
-    """Arcs of a team whose start has been written, and V at the start; nothing for other links.
+    """Directed edges of a team whose start has been written, and V at the start; else nothing.
 
     Args:
         team: index.
@@ -134,7 +134,7 @@ def begin_links(
         positions: (n, d), m.
         scratch: working memory for a team.
     """
-    if isinstance(state.links, Arcs):
+    if isinstance(state.links, DirectedEdges):
         _begin_arcs(team, key, rules, layout, state, positions, scratch)
 
 
@@ -146,7 +146,7 @@ def _begin_no_arcs(team, key, rules, layout, state, positions, scratch):
 @chosen_by_type(begin_links)
 def _compiled_begin_links(team, key, rules, layout, state, positions, scratch):
     links = state.types[state.fields.index("links")]
-    chosen = _begin_arcs if links.instance_class is Arcs else _begin_no_arcs
+    chosen = _begin_arcs if links.instance_class is DirectedEdges else _begin_no_arcs
     return lambda team, key, rules, layout, state, positions, scratch: chosen(
         team, key, rules, layout, state, positions, scratch
     )

@@ -5,14 +5,14 @@ from typing import Any
 import numpy as np
 
 from ...compilation import chosen_by_type, kernel
-from ...obstacles.obstacle_set import Balls, Shapes
+from ...obstacles.obstacle_set import AnyObstacles, RoundObstacles
 
 
 def world_of(obstacles: Any, team: int) -> Any:
     """The obstacles of one team.
 
     Args:
-        obstacles: Balls or Shapes with a leading axis B, or None without obstacles.
+        obstacles: ObstacleSet with a leading axis B, or None without obstacles.
         team: index.
     """
     if obstacles is None:
@@ -24,11 +24,11 @@ def world_of(obstacles: Any, team: int) -> Any:
 def _compiled_world_of(obstacles, team):
     if not hasattr(obstacles, "instance_class"):
         return lambda obstacles, team: None
-    if obstacles.instance_class is Balls:
-        return lambda obstacles, team: Balls(
+    if obstacles.instance_class is RoundObstacles:
+        return lambda obstacles, team: RoundObstacles(
             obstacles.kinds[team], obstacles.corners[team], obstacles.shapes[team]
         )
-    return lambda obstacles, team: Shapes(
+    return lambda obstacles, team: AnyObstacles(
         obstacles.kinds[team], obstacles.corners[team], obstacles.shapes[team]
     )
 

@@ -80,7 +80,7 @@ def reset_teams(indices, status, rules, streams, setup, state, scratch, drafts, 
         rules: StartRules.
         streams: seeds, (B,) uint64, and episodes, (B,).
         setup: layout of the memory and robot.
-        state: the fields of Teams; links of a kind of ``edge_kinds``; Balls or Shapes with a
+        state: the fields of Teams; links of a kind of ``edge_kinds``; an ObstacleSet with a
             leading axis B, or None.
         scratch: the fields of TeamScratch, of one thread.
         drafts: the fields of Drafts.

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from ...compilation import chosen_by_type, inner_kernel
-from ...graphs.edge_kinds import Arcs, ListedLinks, PairLinks
+from ...graphs.edge_kinds import DenseEdges, DirectedEdges, EdgeList
 from ...physics.bearings import observed, sighting
 from ...robots.motion import sense_oneself
 from ..memory import in_lanes, lane_count, pair_of, read, statistics_of, write, write_row
@@ -185,7 +185,7 @@ def _look(i, j, gain, block, setup, teams, crowded, scratch):
         crowded[block] = i
 
 
-_SENSE = {PairLinks: _sense_pairs, ListedLinks: _sense_list, Arcs: _sense_arcs}
+_SENSE = {DenseEdges: _sense_pairs, EdgeList: _sense_list, DirectedEdges: _sense_arcs}
 
 
 # ---- oneself ------------------------------------------------------------------------------------
@@ -217,13 +217,13 @@ def _store_oneself(seen, active, row, lane):
 
 def _give_out(block: Any, constants: Any, links: Any, output: Any, scratch: Any) -> None:
     """Copy the rows of all lanes into observations."""
-    chosen = _copy_or_pack if isinstance(links, PairLinks) else _copy_rows
+    chosen = _copy_or_pack if isinstance(links, DenseEdges) else _copy_rows
     chosen(block, constants, links, output, scratch)
 
 
 @chosen_by_type(_give_out)
 def _compiled_give_out(block, constants, links, output, scratch):
-    chosen = _copy_or_pack if links.instance_class is PairLinks else _copy_rows
+    chosen = _copy_or_pack if links.instance_class is DenseEdges else _copy_rows
     return lambda block, constants, links, output, scratch: chosen(
         block, constants, links, output, scratch
     )

@@ -11,7 +11,7 @@ from ...obstacles.disc import BALL, disc_edges
 from ...obstacles.obstacle_set import (
     CENTRE,
     RADIUS,
-    Balls,
+    RoundObstacles,
     distance_to,
     silhouette_2d,
     silhouette_3d,
@@ -143,7 +143,7 @@ def _turn_into(layout, bearing, frame, row):
 def _see_others(
     block: Any, setup: Any, state: Any, obstacles: Any, clearance: Any, scratch: Any
 ) -> None:
-    if len(setup.layout.axes) == 3 or not isinstance(obstacles, Balls):
+    if len(setup.layout.axes) == 3 or not isinstance(obstacles, RoundObstacles):
         _see_one_by_one(block, setup, state, obstacles, clearance, scratch)
 
 
@@ -156,7 +156,7 @@ def _see_no_others(block, setup, state, obstacles, clearance, scratch):
 def _compiled_see_others(block, setup, state, obstacles, clearance, scratch):
     layout = setup.types[setup.fields.index("layout")]
     axes = layout.types[layout.fields.index("axes")]
-    only_discs = axes.count == 2 and obstacles.instance_class is Balls
+    only_discs = axes.count == 2 and obstacles.instance_class is RoundObstacles
     chosen = _see_no_others if only_discs else _see_one_by_one
     return lambda block, setup, state, obstacles, clearance, scratch: chosen(
         block, setup, state, obstacles, clearance, scratch

@@ -41,7 +41,7 @@ def step_blocks(part, moves, blocks, setup, sensor, state, actions, output, scra
         blocks: indices of the blocks to do.
         setup: layout, constants (the fields of Constants) and robot.
         sensor: one that is not exact, or None.
-        state: the fields of Teams; links of a kind of ``edge_kinds``; Balls or Shapes with a
+        state: the fields of Teams; links of a kind of ``edge_kinds``; an ObstacleSet with a
             leading axis B, None without obstacles.
         actions: (B, n, a) finite float32, of all teams.
         output: the fields of StepOutput.
