@@ -93,16 +93,8 @@ class CustomFamily(DrawnGraph):
         self.draw(scenario.n_robots, 0, 0, connected=scenario.require_connected)
 
     def draw(self, n: int, seed: int, episode: int, *, connected: bool) -> LinkArrays:
-        """The edges of one episode, a function of seed and episode alone.
-
-        Args:
-            n: number of robots.
-            seed: of the team.
-            episode: its number.
-            connected: whether the edges must join all robots.
-
-        Returns:
-            Robots i < j, (E,), (E,), and weights (E,), m/s.
+        """The edges of one episode, a function of seed and episode alone, joined if ``connected``:
+        robots i < j, (E,), (E,), and weights (E,), m/s.
 
         Raises:
             ValueError: for what are no edges of n robots, or edges that do not join them.
@@ -180,16 +172,8 @@ def graph_rules(graph: Graph, n: int) -> GraphRules | None:
 
 @kernel
 def draw_links(key, n, rules, first, second, weights, places):
-    """Draw the links of one episode, sorted by their robots.
-
-    Args:
-        key: random stream.
-        n: number of robots.
-        rules: GraphRules.
-        first: (capacity,) array for the lower robots of the links.
-        second: likewise, for the others.
-        weights: likewise, for a_ij, m/s.
-        places: (n,) working memory.
+    """Draw the links of one episode by ``GraphRules``, sorted by their robots, into three arrays;
+    ``places`` is (n,) working memory.
 
     Returns:
         Number of links; −1 if there are more than the arrays hold.
@@ -267,13 +251,7 @@ def _is_listed(low, high, first, second, count):
 
 @kernel
 def is_linked(i, j, links):
-    """Whether two robots i < j are linked.
-
-    Args:
-        i: index.
-        j: index.
-        links: robots (E,) and (E,), sorted, and weights.
-    """
+    """Whether two robots i < j are linked by sorted links (first, second, weights)."""
     first, second, _ = links
     low, high = 0, len(first)
     while low < high:

@@ -41,15 +41,10 @@ class GraphNumbers(NamedTuple):
 
 
 def step_degree(n: int, worst: float, usual: float) -> float:
-    """The D_i, m/s, that a step is made for.
+    """The D_i, m/s, that a step is made for, from D̄ (``worst``) and D_i before any merge.
 
     Merges could turn a large sparse graph into a star, and a step for that would be hundreds of
     times too short for the robots there are. Whoever has a larger D_i goes more slowly (theory 4).
-
-    Args:
-        n: number of robots.
-        worst: D̄, m/s.
-        usual: D_i before any merge, m/s.
     """
     return worst if n < _LARGE_TEAM else min(worst, usual)
 

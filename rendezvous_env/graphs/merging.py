@@ -30,8 +30,7 @@ def merge_swept(positions, displacements, lengths, links, arcs, merged_into, wor
         displacements: (n, d), m; straight or the chord of an arc. Overwritten.
         lengths: (n,) of the ways, m; shortened for robots that rest.
         links: (first, second, weight), each (E,); contracted in place.
-        arcs: of links that can be one-way, with ``weights`` a_ij, (n, n), m/s, contracted in place;
-            None of others.
+        arcs: of links that can be one-way; contracted in place; None of others.
         merged_into: (n,), index of the robot that each one is now part of; updated in place.
         world: obstacles, in which no merged robot may be placed; None where there are none.
         radius: r, m.
@@ -185,14 +184,10 @@ def _pull_at_merge(i, j, links, at_midpoint):
 
 @kernel
 def contract(i, j, links):
-    """The links of j become those of i; of two to the same robot the heavier gain stays.
+    """The links (first, second, weight) of j become those of i < j, in place; of two to the same
+    robot the heavier gain stays.
 
         a_ik ← max(a_ik, a_jk),   a_ij ← 0                         (assumption 2)
-
-    Args:
-        i: index of the robot that stays, i < j.
-        j: index of the robot that becomes part of it.
-        links: (first, second, weight), each (E,); weights a_ij in m/s; changed in place.
     """
     first, second, weight = links
     for e in range(len(first)):
@@ -223,15 +218,10 @@ def _link_between(low, high, links):
 
 @kernel
 def contract_arcs(i, j, links, arcs):
-    """The arcs of j, from it and to it, become those of i; of two the heavier gain stays.
+    """The arcs a_ij, (n, n), m/s, from j and to it become those of i, in place; of two the heavier
+    gain stays. Their links, contracted already, get their new mean weights.
 
         a_ik ← max(a_ik, a_jk),   a_ki ← max(a_ki, a_kj),   a_ij, a_ji ← 0     (assumption 2)
-
-    Args:
-        i: index of the robot that stays.
-        j: index of the robot that becomes part of it.
-        links: of these arcs, contracted already; they get their new mean weights.
-        arcs: a_ij, (n, n), m/s; changed in place.
     """
     n = arcs.shape[0]
     for k in range(n):

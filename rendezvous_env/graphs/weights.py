@@ -143,16 +143,11 @@ def check_weights(
     *,
     directed: bool = False,
 ) -> None:
-    """Refuse a matrix that is no set of sensing weights.
-
-    Args:
-        weights: to be (n, n), symmetric, non-negative, finite, zero on the diagonal.
-        n: number of robots, if known.
-        field: what the message calls the matrix.
-        directed: whether it need not be symmetric.
+    """Refuse a matrix that is no set of sensing weights: (n, n), non-negative, finite, zero on the
+    diagonal and, unless ``directed``, symmetric.
 
     Raises:
-        ValueError: naming the shape or the first entry that is wrong.
+        ValueError: naming the field, and the shape or the first entry that is wrong.
     """
     size = n if n is not None else (weights.shape[0] if weights.ndim else 0)
     if weights.shape != (size, size):
@@ -251,11 +246,7 @@ def closed_groups(weights: Any) -> list[list[int]]:
 
 
 def why_not_led_together(weights: Any) -> str | None:
-    """Why no robot is globally reachable, in words; None if one is (guarantees, section 10).
-
-    Args:
-        weights: (n, n), a_ij > 0 where robot i sees robot j.
-    """
+    """Why no robot is globally reachable, in words; None if one is (guarantees, section 10)."""
     groups = closed_groups(weights)
     if len(groups) == 1:
         return None

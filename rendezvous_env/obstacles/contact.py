@@ -37,12 +37,8 @@ _NEARLY_PARALLEL = 1e-24  # square sine of the angle between two planes that mee
 def move_straight(point, way, world, mode, normals):
     """Move a robot straight, as far as the obstacles let it: ṗ = Π_T(p) v (theory 6).
 
-    Args:
-        point: a triple, m, outside every obstacle or on its surface.
-        way: what the robot would do without obstacles, a triple, m.
-        world: obstacles of the team.
-        mode: SLIDE, STOP or IGNORE.
-        normals: (2M, 3) working memory.
+    It starts at a point, m, outside every obstacle or on its surface; ``way``, m, is what it would
+    do without obstacles, ``mode`` SLIDE, STOP or IGNORE, ``normals`` (2M, 3) working memory.
 
     Returns:
         Whether there was a contact, and the displacement executed, a triple, m: bit-equal to
@@ -58,24 +54,11 @@ def move_straight(point, way, world, mode, normals):
 
 @kernel
 def move_curved(point, way, model, action, frame, memory, world, mode, normals):
-    """Move a robot along its curved way, as far as the obstacles let it.
+    """Move a robot along its curved way, as far as the obstacles let it; as ``move_straight``, with
+    what the equations of its model take (``robots.motion``).
 
     From the contact on, what is left of the way is replaced by its chord, which slides as in
     ``move_straight``, with ṗ = Π_T(p) v.
-
-    Args:
-        point: a triple, m, outside every obstacle or on its surface.
-        way: displacement of the whole step without obstacles, a triple, m.
-        model: constants of the robot model, see ``motion``.
-        action: as the model's equations take it.
-        frame: likewise.
-        memory: likewise.
-        world: obstacles of the team.
-        mode: SLIDE, STOP or IGNORE.
-        normals: (2M, 3) working memory.
-
-    Returns:
-        As ``move_straight``.
     """
     reach = model.speed_limit * model.duration
     if mode == IGNORE or not _any_within(world, point, reach):
@@ -94,12 +77,7 @@ def move_curved(point, way, model, action, frame, memory, world, mode, normals):
 
 @kernel
 def outside_all(point, world):
-    """Whether a point lies in no obstacle: but for rounding, all signed distances are ≥ zero, m.
-
-    Args:
-        point: a triple, m.
-        world: obstacles of the team.
-    """
+    """Whether a point lies in no obstacle: but for rounding, all signed distances are ≥ zero, m."""
     for m in range(world.kinds.shape[0]):
         if within(world, m, point, 0.0) and distance_to(world, m, point) < -_SURFACE_TOLERANCE:
             return False
@@ -194,15 +172,12 @@ def _push_out(point, world):
 
 @kernel
 def _first_contact_on_curve(point, curve, world):
-    """Time until a curve meets the surface of the first obstacle that it enters deeper than 1 µm.
+    """Time, s, until a curve meets the surface of the first obstacle that it enters deeper than
+    1 µm; inf if there is no contact, and if the chords run out, the time that was proved clear.
 
     The curve is followed chord by chord. A chord that clears all obstacles made fatter by what the
     curve may be away from it (``motion.bend``) proves its piece clear; if it does not, the next one
     is half as long.
-
-    Returns:
-        Time in s, inf if there is no contact. If the chords run out, the time that was proved
-        clear.
     """
     model, action, _, memory = curve
     bent = bend(model, action, memory)
@@ -243,17 +218,8 @@ def free_part(velocity, point, world, reach, touched):
     """Π_T v: a velocity projected onto the directions that the obstacles touched leave free.
 
     Of the projections onto the faces of the cone T — v itself, planes, the lines in which two
-    planes meet, 0 — that lie in T, the longest is the projection onto T.
-
-    Args:
-        velocity: v, a triple, m/s, or of any other unit; its z is 0 in the plane.
-        point: a triple, m.
-        world: obstacles of the team.
-        reach: touched are those nearer to the point than this, m.
-        touched: (2M, 3) working memory.
-
-    Returns:
-        Π_T v, a triple in the unit of v; z = 0 in the plane.
+    planes meet, 0 — that lie in T, the longest is the projection onto T. Touched are obstacles
+    nearer to the point than ``reach``, m; ``touched`` is (2M, 3) working memory.
     """
     count = _normals_touched(point, world, reach, touched)
     if _is_free(velocity, touched, count):

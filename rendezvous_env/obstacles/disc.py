@@ -86,21 +86,13 @@ def _entry(row, corners, point, way, depth):
 
 @kernel
 def disc_edges(x, y, radius):
-    """Bearings of both edges of a disc: the offset o of its centre turned by ± α.
+    """Bearings of both edges of a disc: the offset o = (x, y) of its centre turned by ± α.
 
         (√(o² − R²) o ± R o^⊥) / o²
 
     On the surface, or inside, they are the two directions across o. Written without branches, for
-    loops over lanes.
-
-    Args:
-        x: of the centre, seen from the robot, m.
-        y: likewise.
-        radius: R, m.
-
-    Returns:
-        Five numbers: x and y of the counter-clockwise edge and of the clockwise edge, unit vectors,
-        and the distance of the centre, m.
+    loops over lanes. x and y of the counter-clockwise edge and of the clockwise edge, unit vectors,
+    and the distance of the centre, m.
     """
     distance = math.sqrt(x * x + y * y)
     along = distance if distance > 0.0 else 1.0

@@ -90,37 +90,22 @@ Field = ObstacleField | WallField
 
 
 class FieldRules(NamedTuple):
-    """A random field of discs or spheres."""
+    """An ``ObstacleField`` as kernels take it: numbers and ranges by the same names, m."""
 
     counts: tuple[int, int]
-    """Least and largest number of obstacles."""
     radii: tuple[float, float]
-    """Least and largest radius, m."""
     region: float
-    """Edge length of the square or cube about the origin that holds the centres, m."""
     keep_out: float
-    """Least distance of a start from a surface, m."""
     overlap: bool
-    """Whether obstacles may overlap."""
     passage: float
-    """Width of the gaps that join all robots of a start, m; 0 if that is not looked at."""
 
 
 @kernel
 def draw_field(key, rules, starts, n_starts, world):
-    """Draw the discs or spheres of one episode.
+    """Draw the discs or spheres of one episode, as ``draw_obstacles`` says.
 
-    A draw that comes too near to a start, or overlaps where it must not, is replaced by another.
-
-    Args:
-        key: random stream, uint64.
-        rules: FieldRules.
-        starts: (n, d) start positions, m; only the first ``n_starts`` count.
-        n_starts: number of starts to keep clear of.
-        world: RoundObstacles of one team, written to.
-
-    Returns:
-        False if an obstacle found no place in 1000 tries; those from there on are then absent.
+    A draw that comes too near to a start, or overlaps where it must not, is replaced by another. If
+    an obstacle finds no place in 1000 tries, those from there on are absent.
     """
     d = starts.shape[1]
     world.kinds[:] = ABSENT
@@ -204,11 +189,6 @@ def _field_is_possible(rules, world, positions, chains):
 
 @by_type("rules", lambda kind: _walls_are_possible if kind is WallRules else _field_is_possible)
 def is_possible(rules, world, positions, chains):
-    """Whether the robots can reach one another, if the field promises that.
-
-    Args:
-        rules: of the field.
-        world: obstacles of one team.
-        positions: (n, d), m.
-        chains: (M, 2) int64, working memory.
+    """Whether the robots, at positions (n, d), m, can reach one another, if the field promises
+    that; ``chains`` is (M, 2) int64 working memory.
     """

@@ -106,18 +106,9 @@ def _surface(world, m, point):
 
 @_asked("entry")
 def entry(world, m, point, way, depth):
-    """Fraction s of a straight way p + s w at which it meets the surface of an obstacle.
-
-    Args:
-        world: obstacles of one team.
-        m: which one, an index; it is there.
-        point: p, where the way begins, a triple, m.
-        way: w, a triple, m.
-        depth: only a way that goes deeper than this (m) meets it; a negative depth makes the
-            obstacle fatter by so much.
-
-    Returns:
-        s, a number in [0, 1]; inf if it does not meet it.
+    """Fraction s in [0, 1] of a straight way p + s w at which it meets the surface of obstacle m,
+    which is there; inf if it does not. Only a way that goes deeper than ``depth``, m, meets it; a
+    negative depth makes the obstacle fatter by so much.
     """
 
 
@@ -145,14 +136,7 @@ def surface(world, m, point):
 
         ± min_q ‖p − q‖ over its surface, and ∇ of that
 
-    Args:
-        world: obstacles of one team.
-        m: which one, an index.
-        point: p, a triple, m.
-
-    Returns:
-        Distance in m, negative inside, inf for an absent slot; and the outward normal at the
-        nearest point of the surface, a unit triple.
+    The distance, m, is negative inside, and inf for an absent slot.
     """
     if world.kinds[m] == ABSENT:
         return np.inf, X_AXIS
@@ -189,16 +173,10 @@ def within(world, m, point, reach):
 
 @kernel
 def silhouette_2d(world, m, point, out):
-    """Bearings of the two edges of an obstacle of the plane, as seen from a point outside it.
+    """Unit bearings of the two edges of obstacle m of the plane, as seen from a point outside it,
+    into (2, d) ``out``: the counter-clockwise edge, then the clockwise one.
 
     With t the tangent point these are (t − p)/‖t − p‖; on the surface, the two directions along it.
-
-    Args:
-        world: obstacles of one team.
-        m: which one, an index; it is there.
-        point: p, a triple, m.
-        out: (2, d) array for unit vectors in the global frame: first the counter-clockwise edge,
-            then the clockwise one.
     """
     left, right = _edges(world, m, point)
     store(left, out[0])
@@ -207,19 +185,11 @@ def silhouette_2d(world, m, point, out):
 
 @kernel
 def silhouette_3d(world, m, point, net_bearing, axis_x, axis_y, out):
-    """Boundary rays of the cone under which an obstacle is seen, at eight azimuths k · 45°.
+    """Boundary rays of the cone under which obstacle m is seen from a point outside it, at eight
+    azimuths k · 45°, into (8, 3) ``out``; all in the global frame.
 
     Azimuth 0 about the direction u of its centre is the part of the net bearing that is
-    perpendicular to u; if that vanishes, of axis_x, and then of axis_y.
-
-    Args:
-        world: obstacles of one team.
-        m: which one; it is there.
-        point: a triple, m, outside the obstacle or on it.
-        net_bearing: f, a triple, m/s, in the global frame.
-        axis_x: the robot's local x axis in the global frame, a triple.
-        axis_y: its y axis.
-        out: (8, 3) array for unit vectors in the global frame.
+    perpendicular to u; if that vanishes, of the robot's local x axis, and then of its y axis.
     """
     towards, _ = centre_direction(point, centre_of_row(world.shapes[m]))
     e, w = azimuth_axes(towards, net_bearing, axis_x, axis_y)
@@ -238,15 +208,8 @@ def row_width(obstacles: Sequence[Obstacle]) -> int:
 def pack(
     obstacles: Sequence[Obstacle], slots: int, width: int | None = None
 ) -> NDArray[np.float64]:
-    """Obstacles as a table.
-
-    Args:
-        obstacles: at most ``slots``.
-        slots: M, rows of the table; those left over are absent.
-        width: of a row; as narrow as possible if not given.
-
-    Returns:
-        (M, width) array.
+    """Obstacles as a table (slots, width), rows left over absent; as narrow as possible if no width
+    is given.
 
     Raises:
         ValueError: if there are more obstacles, or larger ones, than there is room for.
@@ -309,12 +272,7 @@ def table_of(world: Any) -> NDArray[np.float64]:
 
 
 def check_outside(field: str, positions: NDArray[np.float64], value: Sequence[Obstacle]) -> None:
-    """Refuse positions inside obstacles.
-
-    Args:
-        field: what the message calls the positions.
-        positions: (n, d), m.
-        value: obstacles.
+    """Refuse positions, (n, d), m, inside obstacles.
 
     Raises:
         ValueError: naming the first robot and its obstacle, or positions of another shape.

@@ -19,15 +19,11 @@ is on the other side than that one."""
 
 @kernel
 def none_walled_in(world, positions, passage, chains):
-    """Whether every robot can reach every other through gaps at least ``passage`` (m) wide.
+    """Whether every robot can reach every other through gaps at least ``passage``, m, wide: discs
+    that leave less between them count as joined.
 
-    Discs that leave less between them count as joined.
-
-    Args:
-        world: RoundObstacles of one team in the plane.
-        positions: (n, 2), m, at least half a passage from every disc.
-        passage: m.
-        chains: (M, 2) int64, working memory.
+    Positions, (n, 2), m, are at least half a passage from every disc; ``chains`` is (M, 2) int64
+    working memory.
     """
     for i in range(1, positions.shape[0]):
         if _apart(world, load(positions[0]), load(positions[i]), passage, chains):
@@ -79,25 +75,13 @@ def _is_left(a, b, point):
 def crosses(a, b, p, q):
     """Whether the segments a b and p q of the plane cross, each with its ends on both sides.
 
-        sign((b − a) × (p − a)) ≠ sign((b − a) × (q − a)), and with the pairs exchanged
-
-    Args:
-        a: end of a segment, a triple, m; only x and y count.
-        b: its other end, likewise.
-        p: end of the other segment, likewise.
-        q: its other end, likewise.
+    sign((b − a) × (p − a)) ≠ sign((b − a) × (q − a)), and with the pairs exchanged
     """
     return _is_left(p, q, a) != _is_left(p, q, b) and _is_left(a, b, p) != _is_left(a, b, q)
 
 
 @kernel
 def are_joined(a, b, reach):
-    """Whether two discs of the plane count as overlapping: ‖b − a‖ < reach.
-
-    Args:
-        a: centre of one, a triple, m; only x and y count.
-        b: centre of the other, likewise.
-        reach: sum of their radii, and of what gap counts as closed, m.
-    """
+    """Whether discs of the plane, with centres a and b, count as overlapping: ‖b − a‖ < reach."""
     x, y = b[0] - a[0], b[1] - a[1]
     return x * x + y * y < reach * reach

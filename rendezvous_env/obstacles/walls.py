@@ -97,35 +97,20 @@ class WallField:
 
 
 class WallRules(NamedTuple):
-    """Walls of a layout; see ``WallField``."""
+    """A ``WallField`` as kernels take it: its layout by number, ranges and lengths in m."""
 
     layout: int
-    """TRAP, CORRIDOR or ROOMS."""
     sizes: tuple[float, float]
-    """Least and largest length of a wall, m."""
     openings: tuple[float, float]
-    """Least and largest width of an opening, m."""
     thickness: float
-    """m."""
     region: float
-    """Edge length of the square about the origin that holds the middle, m."""
     keep_out: float
-    """Least distance of a start from a surface, m."""
 
 
 @kernel
 def draw_walls(key, rules, starts, n_starts, world):
-    """Draw the walls of one episode; walls too near to a start are replaced by others.
-
-    Args:
-        key: random stream, uint64.
-        rules: WallRules.
-        starts: (n, 2) start positions, m; only the first ``n_starts`` count.
-        n_starts: number of starts to keep clear of.
-        world: AnyObstacles of one team, written to.
-
-    Returns:
-        False if no place was found in 1000 tries; the walls are then absent.
+    """Draw the walls of one episode, as ``fields.draw_obstacles`` says; walls too near to a start
+    are replaced by others. False if no place was found in 1000 tries; the walls are then absent.
     """
     for trial in range(_TRIES):
         world.kinds[:] = ABSENT

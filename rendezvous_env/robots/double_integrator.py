@@ -39,18 +39,10 @@ class DoubleIntegrator(NamedTuple):
 
 @kernel
 def final_velocity(model, action, frame, velocity):
-    """Velocity at the end of a step: v + τ R a with ‖a‖ ≤ a_max, then ‖v‖ ≤ v_max.
+    """Velocity at the end of a step: v + τ R a with ‖a‖ ≤ a_max, then ‖v‖ ≤ v_max, m/s.
 
-    Both limits keep the direction.
-
-    Args:
-        model: constants, a DoubleIntegrator.
-        action: a, a pair or triple, m/s², in the robot's own frame.
-        frame: R, local → global, row by row, 4 or 9 numbers.
-        velocity: v, a pair or triple, m/s, in the global frame.
-
-    Returns:
-        A pair or triple, m/s, in the global frame.
+    Both limits keep the direction. The action a is in the robot's own frame, velocities are in the
+    global one; pairs or triples.
     """
     _, factor = speed_scale(square(action), model.acceleration_limit)
     pushed = plus(velocity, model.duration * factor, to_global(frame, action))
@@ -68,17 +60,10 @@ def _along(model, action, frame, memory, time):
 
 @kernel
 def mean_speed(before, after):
-    """∫₀¹ ‖v₀ + s (v₁ − v₀)‖ ds: the length of a parabola, per second.
+    """∫₀¹ ‖v₀ + s (v₁ − v₀)‖ ds: the length of a parabola, per second; m/s.
 
     With u the part of the velocity along its change c, and h the part across it, it is
     [u √(u² + h²) + h² asinh(u/h)] / 2‖c‖ between the ends.
-
-    Args:
-        before: v₀, a pair or triple, m/s.
-        after: v₁, likewise.
-
-    Returns:
-        A number, m/s.
     """
     start, end = math.sqrt(square(before)), math.sqrt(square(after))
     change = plus(after, -1.0, before)

@@ -180,15 +180,8 @@ def closes(model, action, memory):
 
 @_equation("remember")
 def remember(model, action, frame, memory, displacement, contact):
-    """What a model keeps after a step: angles, α(t + τ) = α(t) + ω τ, rad, or a velocity, m/s.
-
-    Args:
-        model: as ``propose`` takes it, like action and frame.
-        action: likewise.
-        frame: likewise.
-        memory: before the step, a tuple of numbers.
-        displacement: Δ executed, a pair or triple, m, in the global frame.
-        contact: FREE, SLID or STOPPED.
+    """What a model keeps after a step: angles, α(t + τ) = α(t) + ω τ, rad, or a velocity, m/s; from
+    the displacement executed, m, in the global frame, and FREE, SLID or STOPPED.
     """
 
 
@@ -206,12 +199,8 @@ def sense_oneself(model, frame, memory):
 
 @_equation("begin")
 def begin_memory(model, key, counter):
-    """What a model keeps at the start of an episode, a tuple of numbers, rad or m/s.
+    """What a model keeps at the start of an episode, a tuple of numbers, rad or m/s, drawn from at
+    most three uniform numbers u of a stream.
 
         α = π (2u − 1) for a yaw, a pitch within ± π/4, a zero velocity
-
-    Args:
-        model: constants of a robot model, a NamedTuple.
-        key: of the stream of the uniform numbers u, uint64.
-        counter: index of the first of at most three that may be used.
     """

@@ -32,23 +32,12 @@ class Nonholonomic3D(NamedTuple):
 
 @kernel
 def arc_3d(speed, yaw, pitch, yaw_rate, pitch_rate, duration):
-    """Exact displacement of a 3-D nonholonomic robot with held inputs.
+    """Exact displacement (x, y, z), m, of a 3-D nonholonomic robot with held inputs.
 
         ẋ = v cos β cos α,  ẏ = v cos β sin α,  ż = v sin β,  α̇ = ω_α,  β̇ = ω_β     (eq. 9)
 
     The products of cosines are written as sums of cosines of α + β and α − β, each of which grows
-    evenly.
-
-    Args:
-        speed: v, m/s; negative is backwards.
-        yaw: α at the start, rad.
-        pitch: β at the start, rad.
-        yaw_rate: ω_α, rad/s.
-        pitch_rate: ω_β, rad/s.
-        duration: s.
-
-    Returns:
-        (x, y, z), a triple, m, in the frame that α and β are measured in.
+    evenly. Speed v in m/s, yaw α and pitch β at the start in rad, rates in rad/s, duration in s.
     """
     distance = speed * duration
     cos_sum, sin_sum = mean_cos_sin(yaw + pitch, (yaw_rate + pitch_rate) * duration)
@@ -63,16 +52,10 @@ def arc_3d(speed, yaw, pitch, yaw_rate, pitch_rate, duration):
 
 @kernel
 def body_frame_3d(yaw, pitch):
-    """R = R_z(α) R_y(−β), from the body frame of a robot in space to the global one.
+    """R = R_z(α) R_y(−β), row by row, from the body frame of a robot in space to the global one;
+    yaw α and pitch β in rad.
 
     The body frame has x = heading h of eq. (9), y = horizontal left, z = up-ish.
-
-    Args:
-        yaw: α, rad.
-        pitch: β, rad.
-
-    Returns:
-        R row by row, 9 numbers without unit.
     """
     ca, sa = math.cos(yaw), math.sin(yaw)
     cb, sb = math.cos(pitch), math.sin(pitch)

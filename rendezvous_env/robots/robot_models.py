@@ -262,7 +262,9 @@ def _try(
         if sample < 2:  # at its limits, where models go fastest
             action = bounds if sample else tuple(-bound for bound in bounds)
         try:
-            used |= _tried(model, motion, constants, action, dim, sample)
+            # what overflows is refused as not finite; random streams are meant to
+            with np.errstate(over="ignore", invalid="ignore"):
+                used |= _tried(model, motion, constants, action, dim, sample)
         except ZeroDivisionError:  # which compiled code takes as infinite
             continue
     if not used.all():

@@ -23,14 +23,8 @@ class SingleIntegrator(NamedTuple):
 
 @kernel(inline="code")
 def speed_scale(square_speed, limit):
-    """Speed ‖v‖, and the factor min(1, v_max/‖v‖) that limits it and keeps the direction.
-
-    Args:
-        square_speed: ‖v‖², m²/s².
-        limit: v_max, m/s.
-
-    Returns:
-        Two numbers: ‖v‖, m/s, and the factor. Of accelerations likewise, in m/s².
+    """Speed ‖v‖ from its square, and the factor min(1, v_max/‖v‖) that limits it and keeps the
+    direction; m/s, and of accelerations likewise.
     """
     speed = math.sqrt(square_speed)
     return speed, limit / speed if speed > limit else 1.0

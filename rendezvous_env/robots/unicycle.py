@@ -27,17 +27,10 @@ class Unicycle(NamedTuple):
 
 @kernel
 def mean_cos_sin(angle, swept):
-    """Means of cos and sin over an angle that grows evenly from ``angle`` by ``swept``.
+    """Means of cos and sin over an angle that grows evenly from a by x, rad, of either sign.
 
     With S = sin(x)/x and C = (1 − cos x)/x they are (S cos a − C sin a, S sin a + C cos a); C is
     written as sin²(x/2)/(x/2), which loses no digits as x → 0.
-
-    Args:
-        angle: a, rad.
-        swept: x, rad, of either sign.
-
-    Returns:
-        Two numbers in [−1, 1], without unit: the mean of cos, that of sin.
     """
     half = 0.5 * swept
     if abs(half) < 1e-8:
@@ -52,18 +45,11 @@ def mean_cos_sin(angle, swept):
 
 @kernel
 def arc_2d(speed, yaw, yaw_rate, duration):
-    """Exact displacement of a unicycle with held inputs.
+    """Exact displacement (x, y), m, of a unicycle with held inputs, in the frame of its yaw.
 
         ẋ = v cos θ,  ẏ = v sin θ,  θ̇ = ω                         (eq. 5)
 
-    Args:
-        speed: v, m/s; negative is backwards.
-        yaw: θ at the start, rad.
-        yaw_rate: ω, rad/s.
-        duration: s.
-
-    Returns:
-        (x, y), a pair, m, in the frame that θ is measured in.
+    The speed v, m/s, is negative backwards; yaw in rad, its rate in rad/s, duration in s.
     """
     distance = speed * duration
     mean_cos, mean_sin = mean_cos_sin(yaw, yaw_rate * duration)
@@ -72,15 +58,8 @@ def arc_2d(speed, yaw, yaw_rate, duration):
 
 @kernel
 def body_frame_2d(yaw):
-    """R = (cos θ, −sin θ; sin θ, cos θ), from the body frame to the global one.
-
-    The body frame has x = heading, y = left.
-
-    Args:
-        yaw: θ, rad.
-
-    Returns:
-        R row by row, 4 numbers without unit.
+    """R = (cos θ, −sin θ; sin θ, cos θ), row by row, from the body frame (x = heading, y = left)
+    to the global one; θ is the yaw, rad.
     """
     c, s = math.cos(yaw), math.sin(yaw)
     return c, -s, s, c
