@@ -4,21 +4,24 @@ from __future__ import annotations
 
 import datetime
 import math
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+import pytest
 from hypothesis import strategies as st
 
 from rendezvous_env.limits import LARGEST, SMALLEST
 
+HUGE, UNWRITABLE = 10**400, 10**5000
 DEEP: list = []
-for _ in range(3000):
+for _ in range(5000):
     DEEP = [DEEP]
 
 ABSURD: list[Any] = [
     None, True, False, "", "abc", "1", "a\0b", "x" * 300, "\ud800", b"ab", 0, -1, 5, 0.5, -0.0,
     1e300, -1e308, 1e160, 1e-300, 5e-324, math.nan, math.inf, -math.inf, 10**10, 2**63, -(2**63),
-    10**400, 10**5000, [], [1], [[1]], [1, "a"], [[1], [2, 3]], (), (1, 2), {}, {"a": 1}, {5: 5},
+    HUGE, UNWRITABLE, [], [1], [[1]], [1, "a"], [[1], [2, 3]], (), (1, 2), {}, {"a": 1}, {5: 5},
     set(), object(), 1j, np.array(5), np.array(5.0), np.array([1.0, 2.0]), np.array("a"),
     np.array([None]), np.array([np.nan, np.inf]), np.zeros(0), np.zeros((3, 3, 3)), np.float32(2),
     np.int8(3), np.bool_(True), np.array([True]), DEEP, {"a": DEEP}, len, range(3), b"",
@@ -33,6 +36,14 @@ uncallable = st.integers(0, len(ABSURD) - 1).map(
 )
 edges = st.sampled_from(EDGES) | st.floats()
 lengths = st.sampled_from([SMALLEST, 1e-3, 0.2, 1.0, 1e3, LARGEST])
+
+
+def refusal(call: Callable, *args: Any, kind: type[Exception] = ValueError, **kwargs: Any) -> str:
+    """What a call says when it refuses."""
+    with pytest.raises(kind) as caught:
+        call(*args, **kwargs)
+    assert len(str(caught.value)) < 1200
+    return str(caught.value)
 
 
 def mostly(right: st.SearchStrategy, *others: st.SearchStrategy) -> st.SearchStrategy:
@@ -73,6 +84,19 @@ def any_table(*shape: int) -> st.SearchStrategy:
         right.map(lambda a: a[..., :-1]),
         absurd,
     )
+
+
+def in_numpy(value: Any) -> Any:
+    """Numbers and flags of a value as NumPy's own, where these hold them."""
+    if isinstance(value, dict):
+        return {key: in_numpy(entry) for key, entry in value.items()}
+    if isinstance(value, list):
+        return [in_numpy(entry) for entry in value]
+    if type(value) is bool:
+        return np.bool_(value)
+    if type(value) is int and abs(value) < 2**63:
+        return np.int64(value)
+    return np.float64(value) if type(value) is float else value
 
 
 MODELS = [("single_integrator", 2), ("single_integrator", 3), ("unicycle", 2),
@@ -160,7 +184,8 @@ def scenario_fields(draw: st.DrawFn) -> dict[Any, Any]:
         ),
     }  # fmt: skip
     for name in draw(st.lists(st.sampled_from(sorted(choices)), max_size=5)):
-        fields[name] = draw(choices[name])
+        right = choices[name]
+        fields[name] = draw(mostly(right, right.map(in_numpy)))
     return draw(mostly(st.just(fields), st.just(fields | {"merge_radios": 1.0})))
 
 

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 from conftest import five
+from soup import HUGE, refusal
 
 import rendezvous_env as rv
 from baselines.learned.features import Features
@@ -12,15 +15,17 @@ from baselines.learned.guide import Guide
 from baselines.learned.policy_settings import PolicySettings
 from baselines.learned.training_environment import FeatureVectorEnv
 from baselines.obstacle_rules import obstacle_avoidance
-from rendezvous_env import Simulator
+from rendezvous_env import Scenario, Simulator
 from rendezvous_env.engine.memory import TIME_OUT
-from rendezvous_env.envs.gymnasium_env import make_env
+from rendezvous_env.engine.memory_layout import available_bytes, needed_bytes
+from rendezvous_env.limits import MOST_OBSTACLES
 from rendezvous_env.obstacles.obstacle_set import check_outside
 from rendezvous_env.safety.heading import HeadingFilter
 from rendezvous_env.trajectory import Step
 from train.compare.evaluation import alignments
 
 TEAMS = 6
+PAIR = Scenario(n_robots=2)
 SQUARE = rv.Polygon(((4.0, 0.0), (6.0, 0.0), (6.0, 2.0), (4.0, 2.0)))
 AMONG = {"obstacles": (rv.Disc((0.0, 5.0), 1.0), SQUARE), "obstacle_slots": 3}
 
@@ -89,16 +94,6 @@ def test_bad_actions_send_no_team_on_to_its_next_episode():
         with pytest.raises(ValueError, match="action"):
             venv.step(wrong)
         assert same(before, venv.get_state())
-
-
-def test_a_seed_of_one_team_is_refused_before_it_begins():
-    env = make_env("fig3")
-    env.reset(seed=np.int64(3))
-    before = env.get_state()
-    for seed in ([4, 5], 4.5):
-        with pytest.raises(ValueError, match=r"seed .*must be"):
-            env.reset(seed=seed)
-        assert same(before, env.get_state())
 
 
 # ---- what robots see ----------------------------------------------------------------------------
@@ -210,3 +205,27 @@ def test_a_choice_that_there_is_not_is_refused():
         with pytest.raises(ValueError, match=f"robot_2 in team 1 is {wrong}; it must be a whole"):
             teams.step(choices)
     assert same(before, teams.get_state())
+
+
+# ---- memory -------------------------------------------------------------------------------------
+
+
+def test_what_does_not_fit_into_memory_is_told_before_it_is_taken():
+    for scenario, num_envs in (
+        (PAIR, 10**9),
+        (Scenario(n_robots=2, obstacle_slots=MOST_OBSTACLES), 10**6),
+        (Scenario(n_robots=1000), 10**6),
+    ):
+        message = refusal(Simulator, scenario, num_envs)
+        assert re.search(rf"num_envs is {num_envs}: .* need .* GiB of memory, .* are free", message)
+    assert "at most" in refusal(rv.make_vec, PAIR, num_envs=HUGE)
+    assert 2**26 < available_bytes() < 2**63
+
+
+@pytest.mark.parametrize(("n", "num_envs"), [(2, 1), (40, 1), (3, 500)])
+def test_the_memory_foreseen_is_no_less_than_the_state(n, num_envs):
+    scenario = Scenario(n_robots=n, obstacle_slots=3)
+    simulator = Simulator(scenario, num_envs)
+    given_out = simulator.reset(0).nbytes
+    needed = needed_bytes(scenario, num_envs)
+    assert simulator.nbytes + given_out < needed < 8 * (simulator.nbytes + given_out)

@@ -7,9 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
+from fuzzing import EFFORTS, Refused, attempt, explore
 from hypothesis import strategies as st
 from soup import absurd, edges, mostly, nearly
-from test_fuzz_core import EFFORTS, Refused, attempt, explore
 
 import rendezvous_env as rv
 from rendezvous_env import compilation, kernel_cache

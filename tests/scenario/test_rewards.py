@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from conftest import five, law_of
 
-from rendezvous_env import Disc, RewardWeights, Scenario, Simulator
+from rendezvous_env import Capsule, Disc, RewardWeights, Scenario, Simulator
 from rendezvous_env.engine.memory import RENDEZVOUS, RUNNING
 from rendezvous_env.rewards.terms import team_reward
 
@@ -78,15 +78,57 @@ def test_each_robot_in_contact_costs_in_each_step():
     assert sim.contacts[0] >= 6
 
 
-def test_clearance_costs_each_robot_near_an_obstacle_in_proportion():
-    scenario = Scenario(
-        n_robots=3,
-        obstacles=[Disc((0.0, 0.0), 1.0)],
-        obstacle_range=2.0,
-        reward=RewardWeights(0.0, 0.0, 0.0, 0.0, clearance_penalty=0.4),
-    )
-    sim = Simulator(scenario)
-    sim.reset(0, {"positions": [[1.5, 0.0], [0.0, -2.0], [-9.0, 0.0]]})
-    outcome = sim.step(np.zeros((1, 3, 2)))
-    np.testing.assert_allclose(outcome.clearance, [[0.5, 1.0, 8.0]])
-    assert outcome.rewards[0] == pytest.approx(-0.4 * (0.75 + 0.5))
+# ---- keeping clear of obstacles -----------------------------------------------------------------
+
+ONLY = RewardWeights(0.0, 0.0, 0.0, 0.0, clearance_penalty=0.5)
+WORLD = (Disc((0.0, 0.0), 1.0), Capsule(((-1.0, 6.0), (1.0, 6.0)), 0.5))
+PLACES = [[1.5, 0.0], [0.0, 4.5], [8.0, 0.0]]
+"""0.5 m from the disc, 1 m from the capsule, out of sight."""
+
+
+def team(**changes: object) -> Scenario:
+    given = {"n_robots": 3, "obstacles": WORLD, "obstacle_range": 2.0, "reward": ONLY}
+    return Scenario(**given | {"local_frames": "global", "time_limit": 5.0} | changes)
+
+
+@pytest.mark.parametrize("num_envs", [1, 6])
+def test_each_robot_pays_by_how_near_it_is(num_envs):
+    sim = Simulator(team(), num_envs)
+    sim.reset(0, {"positions": PLACES})
+    out = sim.step(np.zeros((num_envs, 3, 2)))
+    np.testing.assert_allclose(out.clearance[0, :2], [0.5, 1.0])
+    np.testing.assert_allclose(out.rewards, -0.5 * ((1 - 0.25) + (1 - 0.5)))
+    np.testing.assert_array_equal(out.robot_rewards, np.repeat(out.rewards[:, None], 3, axis=1))
+
+
+def test_it_follows_the_clearances_of_every_step():
+    sim, random = Simulator(team(), 4), np.random.default_rng(0)
+    sim.reset(1)
+    paid = np.zeros(4)
+    for _ in range(80):
+        running = ~sim.ended
+        out = sim.step(random.uniform(-2, 2, (4, 3, 2)))
+        closeness = np.maximum(0.0, 1.0 - out.clearance / 2.0).sum(axis=1)
+        np.testing.assert_allclose(out.rewards, -0.5 * closeness * running, atol=1e-12)
+        paid += out.rewards
+    assert (paid < 0).sum() >= 2
+
+
+def test_who_has_merged_pays_nothing_and_the_survivor_once():
+    sim = Simulator(team())
+    sim.reset(0, {"positions": [[1.5, 0.0], [1.5, 0.1], [8.0, 0.0]]})
+    sim.step(np.zeros((1, 3, 2)))
+    assert sim.active[0].tolist() == [True, False, True]
+    out = sim.step(np.zeros((1, 3, 2)))
+    assert np.isinf(out.clearance[0, 1])
+    assert out.rewards[0] == pytest.approx(-0.5 * (1 - out.clearance[0, 0] / 2.0))
+
+
+def test_without_weight_or_obstacles_it_is_nothing():
+    free = Simulator(team(obstacles=()))
+    free.reset(0, {"positions": PLACES})
+    assert free.step(np.zeros((1, 3, 2))).rewards[0] == 0
+    assert RewardWeights().clearance_penalty == 0
+    plain = Simulator(team(reward=RewardWeights(0.0, 0.0, 0.0, 0.0)))
+    plain.reset(0, {"positions": PLACES})
+    assert plain.step(np.zeros((1, 3, 2))).rewards[0] == 0

@@ -7,6 +7,7 @@ import re
 
 import numpy as np
 import pytest
+from soup import DEEP, HUGE, UNWRITABLE, in_numpy, refusal
 
 import rendezvous_env as rv
 from rendezvous_env import Disc, ObstacleField, Polygon, RewardWeights, Scenario, graphs
@@ -14,20 +15,7 @@ from rendezvous_env.checks import UnknownFieldError
 from rendezvous_env.limits import MOST_OBSTACLES, MOST_ROBOTS
 from rendezvous_env.scenario import scenarios
 
-HUGE = 10**400
-UNWRITABLE = 10**5000
-DEEP: list = []
-for _ in range(5000):
-    DEEP = [DEEP]
 PAIR = Scenario(n_robots=2)
-
-
-def refusal(call, *args, kind: type[Exception] = ValueError, **kwargs) -> str:
-    """What a call says when it refuses."""
-    with pytest.raises(kind) as caught:
-        call(*args, **kwargs)
-    assert len(str(caught.value)) < 1200
-    return str(caught.value)
 
 
 # ---- scenarios ----------------------------------------------------------------------------------
@@ -54,7 +42,6 @@ REFUSED = [
     ({"name": "x" * 300}, r"name is 'x+\.\.\.x+'; .* at most 255 printable"),
     ({"name": "a\0b"}, r"name is 'a\\x00b'; .* printable"),
     ({"name": "\ud800"}, r"name is '\\ud800'"),
-    ({"reward": 5}, "reward is 5; it must be a RewardWeights"),
     ({"graph": 5}, r"graph: weights have shape \(\); they must be"),
     ({"graph": None}, "graph is None; it must be numbers"),
     ({"graph": DEEP}, r"graph is \[\[\[\[\[\[\.\.\.\]\]\]\]\]\]"),
@@ -79,7 +66,6 @@ REFUSED = [
     ({"obstacles": [{"centre": [0, HUGE], "radius": 1}]}, "centre .* of a Disc must be 2 finite"),
     ({"obstacles": [{"centre": "12", "radius": 1}]}, "centre '12' of a Disc must be 2 finite"),
     ({"obstacles": [{"centre": [0, 0], "radius": 1e300}]}, r"radius 1e\+300 of a Disc .* at most"),
-    ({"obstacles": [{"vertices": 5}]}, "vertices 5 of a Polygon must be at least 3 points"),
     ({"obstacles": [{"vertices": [1, 2, 3]}]}, r"vertices\[0\] 1 of a Polygon must be 2 finite"),
     ({"obstacle_slots": True}, "obstacle_slots is True; it must be None or at least the number"),
     ({"obstacle_slots": 10**9}, f"obstacle_slots is 1000000000; .* at most {MOST_OBSTACLES}"),
@@ -88,7 +74,6 @@ REFUSED = [
     ({"neighbour_slots": 10**9}, "neighbour_slots is 1000000000; .* from 1 to n_robots - 1 = 4"),
     ({"start_positions": 5}, r"start_positions has shape \(\); it must be \(5, 2\)"),
     ({"start_positions": [[HUGE, 0]] * 5}, r"start_positions is \[\[.*; it must be numbers"),
-    ({"start_positions": [["a", "b"]] * 5}, "start_positions is .* numbers"),
     ({"start_positions": [[1, 2], [3]]}, r"start_positions is \[\[1, 2\], \[3\]\]; .*without gaps"),
     ({"start_positions": [[1e160 * k, 0] for k in range(5)]},
         r"start_positions of robot_1 is \[1e\+160, 0\.0\]; it must be finite, and from -1e\+09"),
@@ -118,7 +103,6 @@ def test_an_unknown_field_is_told_with_the_nearest_one_at_every_door():
     ("call", "said"),
     [
         (lambda: Scenario(n_agents=3), "no field 'n_agents'; did you mean 'n_robots'"),
-        (lambda: Scenario(num_agents=3), "no field 'num_agents'; did you mean 'n_robots'"),
         (lambda: rv.make_vec("duo", num_envs=1, num_agents=3), "did you mean 'n_robots'"),
         (lambda: Scenario(dt=0.1), "no field 'dt'; did you mean 'time_step'"),
         (lambda: Scenario(max_steps=9), "'max_steps'; did you mean 'time_limit'.* not in steps"),
@@ -135,20 +119,6 @@ def test_words_of_other_packages_lead_to_ours(call, said):
     assert re.search(said, refusal(call)), refusal(call)
 
 
-def test_a_sensor_may_be_a_dict_of_its_fields():
-    assert Scenario(sensing={"noise": 0.1}) == Scenario(sensing=rv.Sensing(noise=0.1))
-
-
-def numbers_of_numpy(value):
-    """Plain data with NumPy's scalars for all numbers and flags."""
-    if isinstance(value, dict):
-        return {key: numbers_of_numpy(each) for key, each in value.items()}
-    if isinstance(value, list):
-        return [numbers_of_numpy(each) for each in value]
-    kinds = {bool: np.bool_, int: np.int64, float: np.float64}
-    return kinds.get(type(value), lambda same: same)(value)
-
-
 EVERY_FIELD = Scenario(
     n_robots=3,
     graph={"kind": "edges", "edges": [(0, 1, 2.0), (1, 2)], "weight_range": [0.5, 2.0]},
@@ -163,10 +133,11 @@ EVERY_FIELD = Scenario(
     sensing=rv.Sensing(range=5.0, noise=0.1, delay=2, sectors=8),
     reward=RewardWeights(clearance_penalty=0.1),
 )
-FIELDS_OF_NUMPY = numbers_of_numpy(EVERY_FIELD.to_plain())
+FIELDS_OF_NUMPY = in_numpy(EVERY_FIELD.to_plain())
 
 
 def test_numpy_numbers_become_pythons_own_in_every_field(tmp_path):
+    assert Scenario(sensing={"noise": 0.1}) == Scenario(sensing=rv.Sensing(noise=0.1))
     made = Scenario(
         **FIELDS_OF_NUMPY
         | {
@@ -266,7 +237,6 @@ def test_a_file_that_cannot_be_replaced_leaves_nothing_behind(tmp_path):
         (lambda: Disc(5, 1), "centre 5 of a Disc must be 2 finite numbers"),
         (lambda: Disc(np.zeros(()), 1), r"centre array\(0\.\) of a Disc"),
         (lambda: Disc((0, 0), True), "radius True of a Disc"),
-        (lambda: Disc((0, 0), "1"), "radius '1' of a Disc"),
         (lambda: Polygon(np.array(5)), r"vertices array\(5\) of a Polygon"),
         (lambda: Polygon([(0, 0)] * 2000), "at most 1000"),
         (lambda: ObstacleField(10**9, (1, 2), 1, 1), "count 1000000000 .* <= 10000"),

@@ -1,0 +1,149 @@
+"""How borders are fuzzed: whatever comes in, it is refused in words or gives finite numbers.
+
+Every case asserts the same rule. A refusal is an exception of the kinds that the interface names,
+raised by a ``raise`` of this project and not by what happens to fail inside, with a message of
+readable length, and nothing has changed; what is accepted then runs without a number that is not
+finite; and neither takes longer than a few seconds, compiling aside. A few cases run by default,
+thousands under the ``slow`` marker.
+"""
+
+from __future__ import annotations
+
+import time
+import traceback
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from numba.core.event import install_recorder
+
+import baselines
+import rendezvous_env as rv
+from rendezvous_env import Scenario, Simulator, TimeStepWarning, vector
+from rendezvous_env.envs.gymnasium_env import make_env
+
+FEW, MANY = 2, 28
+EFFORTS = [
+    pytest.param(FEW, id="few"),
+    pytest.param(MANY, id="many", marks=pytest.mark.slow),
+]
+LONGEST = 5.0
+"""Seconds of its thread's processor time that one call may take."""
+OURS = tuple(str(Path(module.__file__).parent) for module in (rv, baselines))
+TEAMS = {
+    "plane": Scenario(
+        n_robots=3,
+        obstacles=[{"centre": [1.0, 2.0], "radius": 0.5}],
+        time_limit=5.0,
+        graph={"kind": "random_tree", "weight_range": [0.5, 2.0]},
+    ),
+    "space": Scenario(n_robots=2, dim=3, obstacle_slots=1, time_limit=5.0),
+    "unicycle": Scenario(n_robots=3, robot_model="unicycle", obstacle_slots=1, time_limit=5.0),
+    "flyer": Scenario(n_robots=2, dim=3, robot_model="nonholonomic_3d", time_limit=5.0),
+}
+teams = st.sampled_from(sorted(TEAMS))
+DOORS: dict[str, tuple[int, Callable[[Scenario, int], Any]]] = {
+    "simulator": (3, Simulator),
+    "pettingzoo": (1, lambda scenario, _: rv.parallel_env(scenario)),
+    "aec": (1, lambda scenario, _: rv.rendezvous_v0.env(scenario)),
+    "gymnasium": (1, lambda scenario, _: make_env(scenario)),
+    "vector": (3, lambda scenario, b: rv.make_vec(scenario, b, max_cycles=2)),
+    "same step": (2, lambda scenario, b: rv.make_vec(scenario, b, "SameStep", max_cycles=2)),
+    "disabled": (2, lambda scenario, b: rv.make_vec(scenario, b, "Disabled", max_cycles=2)),
+    "heading": (
+        1,
+        lambda scenario, _: rv.HeadingVectorWrapper(rv.parallel_env(scenario), decision_period=2),
+    ),
+    "vector heading": (
+        2,
+        lambda scenario, b: vector.HeadingVectorWrapper(
+            rv.make_vec(scenario, b, max_cycles=3), decision_period=2
+        ),
+    ),
+    "tank": (
+        1,
+        lambda scenario, _: rv.EnergyTankWrapper(rv.parallel_env(scenario), decision_period=2),
+    ),
+    "vector tank": (
+        2,
+        lambda scenario, b: vector.EnergyTankWrapper(
+            rv.make_vec(scenario, b, max_cycles=3), budget=1.0, observe_level=True
+        ),
+    ),
+    "gains": (1, lambda scenario, _: rv.GainWrapper(rv.parallel_env(scenario))),
+    "vector gains": (2, lambda scenario, b: vector.GainWrapper(rv.make_vec(scenario, b))),
+    "links": (1, lambda scenario, _: rv.LinkKeepingWrapper(rv.parallel_env(scenario))),
+    "vector links": (2, lambda scenario, b: vector.LinkKeepingWrapper(rv.make_vec(scenario, b))),
+}
+"""How many teams stand behind each kind of environment, and how it is made."""
+
+
+def explore(check: Callable[..., None], count: int, *given_values: st.SearchStrategy) -> None:
+    """Run a check on many cases, the same in every run."""
+    limits = settings(
+        max_examples=count, database=None, suppress_health_check=list(HealthCheck), deadline=None
+    )
+    limits(given(*given_values)(check))()
+
+
+@dataclass
+class Refused:
+    """How a call refused."""
+
+    error: Exception
+
+
+def attempt(call: Callable[[], Any], *kinds: type[Exception]) -> Any:
+    """What a call returns, or how it refused; any other end is a failure."""
+    begun, refusals = time.thread_time(), kinds or (ValueError,)
+    try:
+        with warnings.catch_warnings(), install_recorder("numba:compile") as compiling:
+            warnings.simplefilter("ignore", TimeStepWarning)
+            return call()
+    except refusals as error:
+        assert len(str(error)) < 2000
+        if isinstance(error, OSError):  # as the system puts it
+            return Refused(error)
+        last = traceback.extract_tb(error.__traceback__)[-1]
+        assert last.filename.startswith(OURS), f"refused by {last.filename}: {error!r}"
+        assert (last.line or "").startswith("raise"), f"refused by {last.line}: {error!r}"
+        return Refused(error)
+    finally:
+        # what has to be compiled on the way hangs on what other tests have left on the disk
+        assert compiling.buffer or time.thread_time() - begun < LONGEST
+
+
+def assert_finite(*arrays: Any) -> None:
+    for array in arrays:
+        assert np.isfinite(array).all(), array
+
+
+def play(simulator: Simulator, steps: int, seed: int = 0) -> None:
+    """Steps under wild actions, of which every number must be finite."""
+    random, shape = np.random.default_rng(seed), simulator._acted
+    largest = np.finfo(np.float32).max
+    for k in range(steps):
+        scale = (0.0, 1.0, largest)[k % 3]
+        actions = (scale * random.uniform(-1, 1, shape)).astype(np.float32)
+        outcome = simulator.step(actions)
+        assert_finite(
+            simulator.positions, simulator.headings, simulator.frames, simulator.lyapunov(),
+            simulator.path_length, simulator.initial_lyapunov, outcome.observations,
+            outcome.rewards, outcome.robot_rewards, outcome.lyapunov_before_merge,
+            outcome.lyapunov_after_merge, outcome.merge_rise, outcome.merge_excess,
+        )  # fmt: skip
+        assert not np.isnan(outcome.clearance).any()
+
+
+def start_and_play(simulator: Simulator, steps: int = 6) -> None:
+    """An episode, if there is room for its start, which may be too little."""
+    begun = attempt(lambda: simulator.reset(0), ValueError, RuntimeError)
+    if not isinstance(begun, Refused):
+        assert_finite(begun, simulator.positions, simulator.lyapunov())
+        play(simulator, steps)
