@@ -276,8 +276,10 @@ def nearest_word(word: Any, words: Iterable[str], cutoff: float = 0.65) -> str |
     return close[0] if close else None
 
 
-def known_fields(given: Iterable[Any], known: Iterable[str], what: str) -> None:
-    """Refuse fields that do not exist.
+def known_fields(
+    given: Iterable[Any], known: Iterable[str], what: str, noun: str = "field"
+) -> None:
+    """Refuse fields, or what else ``noun`` calls them, that do not exist.
 
     Raises:
         UnknownFieldError: naming the first one and the one most like it.
@@ -289,7 +291,7 @@ def known_fields(given: Iterable[Any], known: Iterable[str], what: str) -> None:
             hint = f"did you mean {near!r}?" if near else f"known are {', '.join(known)}"
             if key in _SYNONYMS and near == "time_limit":
                 hint += " it is in s, not in steps"
-            raise UnknownFieldError(f"{what} has no field {shown(key)}; {hint}")
+            raise UnknownFieldError(f"{what} has no {noun} {shown(key)}; {hint}")
 
 
 def names_unknown_fields(what: str) -> Callable[[type[_Made]], type[_Made]]:

@@ -11,17 +11,11 @@ from gymnasium.vector import VectorEnv
 from numpy.typing import NDArray
 
 from ..scenario.scenarios import ScenarioLike
-from ..simulator import Simulator
 from ..vector import training_env
 from .slots import RobotSlots
 
-Buffers = tuple[
-    NDArray[np.float32],
-    NDArray[np.float32],
-    NDArray[np.bool_],
-    NDArray[np.bool_],
-    list[dict[str, Any]],
-]
+_Flags = NDArray[np.bool_]
+Buffers = tuple[NDArray[np.float32], NDArray[np.float32], _Flags, _Flags, list[dict[str, Any]]]
 """Observations, rewards, terminals, truncations and infos."""
 
 
@@ -37,17 +31,14 @@ def make(
     """The robots of a training environment as agents; what ``pufferlib.vector.make`` calls.
 
     Args:
-        scenario: a Scenario, the name of one, or the path of a TOML file.
+        scenario: this and further arguments as in ``rendezvous_env.vector.training_env``, which
+            says what is raised, too.
         num_teams: B.
-        buf: see ``RobotPufferEnv``.
-        seed: likewise.
+        buf: as ``seed``, see ``RobotPufferEnv``.
+        seed: s.
         wrap: what makes of the teams those that are stepped: a ``VectorWrapper`` of your own that
             changes rewards, say.
-        **arguments: of ``rendezvous_env.vector.training_env``.
-
-    Raises:
-        TypeError: for an unknown argument or field.
-        ValueError: naming an argument, its value and what would be right.
+        **arguments: of the training environment.
     """
     return RobotPufferEnv(wrap(training_env(scenario, num_teams, **arguments)), buf, seed)
 
@@ -86,15 +77,11 @@ class RobotPufferEnv(pufferlib.PufferEnv):
                 f"on_merge is {follows!r}; agents that live as long as their team need 'follow'"
             )
         self._seed = seed
+        self.simulator = self.slots.simulator
         self.num_agents = self.slots.active.size
         self.single_observation_space = self.slots.single_observation_space
         self.single_action_space = self.slots.single_action_space
         super().__init__(buf)
-
-    @property
-    def simulator(self) -> Simulator:
-        """The teams' simulator, for analysis."""
-        return self.slots.simulator
 
     def reset(self, seed: int | None = None) -> tuple[NDArray[np.float32], list[dict[str, Any]]]:
         """Begin a new episode in all teams; the observations and no infos."""
@@ -106,10 +93,7 @@ class RobotPufferEnv(pufferlib.PufferEnv):
         return self.observations, []
 
     def step(self, actions: NDArray[Any]) -> Buffers:
-        """Advance every team by one step.
-
-        Args:
-            actions: (agents, a), or (agents,) where they are discrete.
+        """Advance every team by one step with actions (agents, a), or (agents,) of choices.
 
         Raises:
             ValueError: for actions of the wrong shape, or that are not finite, naming the robot.

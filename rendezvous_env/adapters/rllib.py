@@ -64,14 +64,10 @@ def configure(
         units: width of the network.
         wrap: what makes of the teams those that are stepped: a ``VectorWrapper`` of your own that
             changes rewards, say.
-        **arguments: of ``rendezvous_env.vector.training_env``.
+        **arguments: of ``rendezvous_env.vector.training_env``, which says what is raised.
 
     Returns:
         The same configuration.
-
-    Raises:
-        TypeError: for an unknown argument or field.
-        ValueError: naming an argument, its value and what would be right.
     """
     settings = {"scenario": scenario, **arguments}
     layout = training_env(**settings).layout
@@ -189,20 +185,15 @@ class RobotEnvRunner(SingleAgentEnvRunner):
         module: Any = self.module
         batch = {Columns.OBS: torch.as_tensor(seen, device=self._device)}
         if explore:
-            out = module.forward_exploration(batch)
-            choice = module.get_exploration_action_dist_cls().from_logits(
-                out[Columns.ACTION_DIST_INPUTS]
-            )
+            inputs = module.forward_exploration(batch)[Columns.ACTION_DIST_INPUTS]
+            choice = module.get_exploration_action_dist_cls().from_logits(inputs)
         else:
-            out = module.forward_inference(batch)
-            choice = module.get_inference_action_dist_cls().from_logits(
-                out[Columns.ACTION_DIST_INPUTS]
-            )
-            choice = choice.to_deterministic()
+            inputs = module.forward_inference(batch)[Columns.ACTION_DIST_INPUTS]
+            choice = module.get_inference_action_dist_cls().from_logits(inputs).to_deterministic()
         actions = choice.sample()
         found = {
             Columns.ACTIONS: actions,
-            Columns.ACTION_DIST_INPUTS: out[Columns.ACTION_DIST_INPUTS],
+            Columns.ACTION_DIST_INPUTS: inputs,
             Columns.ACTION_LOGP: choice.logp(actions),
         }
         columns = {name: values.cpu().numpy() for name, values in found.items()}

@@ -12,11 +12,11 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from numpy.typing import NDArray
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecEnv
+from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 
 from ..checks import floats, mapping, whole
 from ..envs.gymnasium_env import make_vec
 from ..limits import LARGEST_SEED
-from ..simulator import Simulator
 from .slots import RobotSlots, SlotStep, team_options
 
 if TYPE_CHECKING:
@@ -61,43 +61,24 @@ class RobotVecEnv(VecEnv):
     """
 
     acted: NDArray[np.bool_]
-    """(slots,), whose robot took part in the last step; what is added to a buffer after it."""
     ended: NDArray[np.bool_]
-    """(slots,), whose episode the last step ended, in whatever way."""
     bootstrapped: NDArray[np.int64]
-    """(k,), slots that the last step cut off at a time-out or a merge."""
     survivors: NDArray[np.int64]
-    """(k,), slots of the robots that each of them is now part of; its own at a time-out."""
     bootstrap_observations: NDArray[np.float32]
-    """(k, rows, d), or as the teams' space is; what the value of these slots' future is estimated
-    from."""
-    tell_bootstraps: bool
+    """Of the last step, as in ``SlotStep``."""
+    tell_bootstraps = True
     """Whether infos carry ``terminal_observation`` and ``TimeLimit.truncated``."""
 
     def __init__(self, teams: VectorEnv[Any, Any, Any]) -> None:
         self.slots = slots = RobotSlots(teams)
-        self.tell_bootstraps = True
+        self.teams, self.n_robots = slots.teams, slots.n_robots
+        self.simulator = slots.simulator
         self._started = time.time()
         self._told = np.zeros(slots.num_teams, dtype=np.int64)
         self._forget_step()
         super().__init__(
             slots.active.size, slots.single_observation_space, slots.single_action_space
         )
-
-    @property
-    def teams(self) -> Any:
-        """The vector environment of teams."""
-        return self.slots.teams
-
-    @property
-    def n_robots(self) -> int:
-        """Robots in a team, n."""
-        return self.slots.n_robots
-
-    @property
-    def simulator(self) -> Simulator:
-        """The teams' simulator, for analysis."""
-        return self.slots.simulator
 
     # ---- episodes -----------------------------------------------------------------------------
 
@@ -125,17 +106,13 @@ class RobotVecEnv(VecEnv):
         Raises:
             ValueError: for what is no array of numbers of this shape.
         """
-        given, wanted = (
-            floats("actions", actions),
-            (self.num_envs, *(self.action_space.shape or ())),
-        )
+        given = floats("actions", actions)
+        wanted = self.num_envs, *(self.action_space.shape or ())
         if given.shape != wanted:
             raise ValueError(f"actions have shape {given.shape}; they must be {wanted}, by slot")
         self._actions = given.astype(self.action_space.dtype)
 
-    def step_wait(
-        self,
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
+    def step_wait(self) -> VecEnvStepReturn:
         """Advance every team; observations, rewards, dones and infos of the slots."""
         step = self.slots.step(self._actions)
         self.acted, self.ended = step.acted, step.ended
@@ -167,10 +144,7 @@ class RobotVecEnv(VecEnv):
         return {"episode": counts | {"t": passed} | summary, "is_success": episode["success"]}
 
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
-        """Seed team b with ``seed`` + b at the next reset; None draws a seed.
-
-        Returns:
-            The seed of each slot's team.
+        """Seed team b with ``seed`` + b at the next reset; None draws one. The seed of each slot.
 
         Raises:
             ValueError: for what is no seed.
@@ -202,11 +176,7 @@ class RobotVecEnv(VecEnv):
         return self.slots.get_state()
 
     def set_state(self, state: Mapping[str, Any]) -> None:
-        """Put back what ``get_state`` took out of robots of the same scenario and batch.
-
-        Raises:
-            ValueError: naming what does not fit; nothing has changed then.
-        """
+        """As ``RobotSlots.set_state``."""
         self.slots.set_state(state)
         self._forget_step()
 
@@ -225,11 +195,10 @@ class RobotVecEnv(VecEnv):
             AttributeError: if none of them has it.
         """
         owner = self._owner(attr_name)
-        value = getattr(owner, attr_name)
-        slots = self._get_indices(indices)
+        value, slots = getattr(owner, attr_name), self._get_indices(indices)
         if owner is self.simulator and isinstance(value, np.ndarray):
             return [value[slot // self.n_robots] for slot in slots]
-        return [value for _ in slots]
+        return [value] * len(slots)
 
     def set_attr(self, attr_name: str, value: Any, indices: Indices = None) -> None:
         """Set an attribute where it is; all slots share it.
@@ -251,21 +220,16 @@ class RobotVecEnv(VecEnv):
         """
         slots = self._get_indices(indices)
         method = getattr(self._owner(method_name), method_name)
-        result = method(*method_args, **method_kwargs)
-        return [result for _ in slots]
+        return [method(*method_args, **method_kwargs)] * len(slots)
 
     def env_is_wrapped(self, wrapper_class: type, indices: Indices = None) -> list[bool]:
         """Whether the teams are wrapped by this class, for each slot; monitored they are."""
         layers = self._layers()
         wrapped = wrapper_class is Monitor or any(isinstance(one, wrapper_class) for one in layers)
-        return [wrapped for _ in self._get_indices(indices)]
+        return [wrapped] * len(self._get_indices(indices))
 
     def _get_indices(self, indices: Indices) -> list[int]:
-        """The slots that are meant.
-
-        Raises:
-            ValueError: for one that there is not.
-        """
+        """The slots that are meant, refused where there are none."""
         given = range(self.num_envs) if indices is None else indices
         listed = [given] if isinstance(given, int | np.integer) else list(given)
         return [whole("indices", slot, 0, self.num_envs - 1) for slot in listed]
@@ -276,13 +240,10 @@ class RobotVecEnv(VecEnv):
         while layer is not self.teams.unwrapped:
             yield layer
             layer = layer.env
-        yield layer
-        yield self.simulator
+        yield from (layer, self.simulator)
 
     def _owner(self, name: str, default: Any = None) -> Any:
-        for layer in self._layers():
-            if hasattr(layer, name):
-                return layer
-        if default is None:
+        owner = next((layer for layer in self._layers() if hasattr(layer, name)), default)
+        if owner is None:
             raise AttributeError(f"neither the teams nor their simulator have {name!r}")
-        return default
+        return owner

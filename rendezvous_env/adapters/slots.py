@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from functools import cached_property
+from copy import deepcopy
 from typing import Any, NamedTuple
 
 import numpy as np
-from gymnasium.spaces import Space
 from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
-from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from ..engine.state_checks import check_entries, check_keys
@@ -71,6 +69,8 @@ class RobotSlots:
             raise ValueError(f"autoreset_mode is {mode}; robots need AutoresetMode.SAME_STEP")
         self._shaping = RewardShaping(teams)
         self.teams: Any = teams  # wrapped or not: the state is not of Gymnasium's interface
+        base: Any = teams.unwrapped
+        self.simulator: Simulator = base.simulator
         spaces: tuple[Any, ...] = teams.single_observation_space, teams.single_action_space
         self.single_observation_space, self.single_action_space = map(of_one_robot, spaces)
         self.num_teams, self.n_robots = teams.num_envs, int(spaces[0].shape[0])
@@ -79,27 +79,12 @@ class RobotSlots:
         self._returns = np.zeros(self.num_teams)
         self._lengths = np.zeros(self.num_teams, dtype=np.int64)
 
-    @cached_property
-    def observation_space(self) -> Space[Any]:
-        """Of all slots; made when asked for."""
-        return batch_space(self.single_observation_space, self.active.size)
-
-    @cached_property
-    def action_space(self) -> Space[Any]:
-        """Of all slots."""
-        return batch_space(self.single_action_space, self.active.size)
-
-    @property
-    def simulator(self) -> Simulator:
-        """The teams' simulator, for analysis."""
-        return self.teams.unwrapped.simulator
-
     def reset(
         self,
         seeds: int | Sequence[int | None] | None = None,
         options: Mapping[str, Any] | None = None,
     ) -> NDArray[np.float32]:
-        """Begin a new episode in all teams; arguments as for them. Observations (slots, ...)."""
+        """Begin a new episode in all teams, with their arguments; observations (slots, ...)."""
         observations, infos = self.teams.reset(seed=seeds, options=options)
         self.active = infos["active"].copy()
         self._returns[:], self._lengths[:] = 0.0, 0
@@ -111,10 +96,7 @@ class RobotSlots:
         self._returns[which], self._lengths[which] = 0.0, 0
 
     def step(self, actions: NDArray[Any]) -> SlotStep:
-        """Advance every team.
-
-        Args:
-            actions: (slots, a), or (slots,) where they are discrete.
+        """Advance every team with actions (slots, a), or (slots,) where they are discrete.
 
         Raises:
             ValueError: as the teams.
@@ -164,14 +146,13 @@ class RobotSlots:
         """Observations of teams, (B, n, ...), as those of slots."""
         return observations.reshape(-1, *observations.shape[2:])
 
+    @property
+    def _memory(self) -> dict[str, NDArray[Any]]:
+        return {"active": self.active, "returns": self._returns, "lengths": self._lengths}
+
     def get_state(self) -> dict[str, Any]:
         """The running episodes, as copies: nested arrays."""
-        return {
-            "teams": self.teams.get_state(),
-            "active": self.active.copy(),
-            "returns": self._returns.copy(),
-            "lengths": self._lengths.copy(),
-        }
+        return {"teams": self.teams.get_state(), **deepcopy(self._memory)}
 
     def set_state(self, state: Mapping[str, Any]) -> None:
         """Put back what ``get_state`` took out of robots of the same scenario and batch.
@@ -179,11 +160,10 @@ class RobotSlots:
         Raises:
             ValueError: naming what does not fit; nothing has changed then.
         """
-        own = {"active": self.active, "returns": self._returns, "lengths": self._lengths}
         check_keys(state, ("teams",))
-        checked = check_entries(own, state)
+        checked = check_entries(self._memory, state)
         self.teams.set_state(state["teams"])
-        for name, array in own.items():
+        for name, array in self._memory.items():
             array[...] = checked[name]
 
     def close(self) -> None:
@@ -256,12 +236,8 @@ class RewardShaping:
     def robot_rewards(
         self, rewards: NDArray[np.float64], infos: Mapping[str, Any], acted: NDArray[np.bool_]
     ) -> NDArray[np.float64]:
-        """What each robot has earned in the last step, (B, n).
-
-        Args:
-            rewards: of the teams, (B,), as the outermost wrapper gave them.
-            infos: likewise.
-            acted: (B, n), who took part in the step.
+        """What each robot has earned in the last step, (B, n), from what the outermost wrapper gave
+        and who (B, n) took part in the step.
         """
         given: NDArray[np.float64] = infos["robot_rewards"]
         if self._recorder is None:

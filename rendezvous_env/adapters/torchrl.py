@@ -56,14 +56,13 @@ class RendezvousEnv(EnvBase):
     Args:
         scenario: a Scenario, the name of one or the path of a TOML file.
         num_envs: B, number of teams.
-        guarantee, learning_preset, flatten, discrete, num_threads: as ``vector.training_env``.
         return_state: whether to give the global state out, for centralised critics.
         seed: as ``set_seed``.
         wrap: what makes of the teams those that are stepped, ``wrap(teams) -> teams``: a
             ``VectorWrapper`` of your own that changes rewards, say.
         device: where what is given out is moved to; None leaves it where it is computed, on the
             CPU, and costs nothing.
-        **overrides: as ``vector.training_env``.
+        **arguments: of ``vector.training_env``, but for ``autoreset_mode``.
 
     Raises:
         TypeError, ValueError: as ``vector.training_env``.
@@ -74,28 +73,15 @@ class RendezvousEnv(EnvBase):
         scenario: ScenarioLike = "clutter-8",
         num_envs: int = 1,
         *,
-        guarantee: str | None = "heading",
-        learning_preset: bool = True,
-        flatten: bool = True,
-        discrete: bool = False,
         return_state: bool = False,
         seed: int | None = None,
         wrap: Callable[[Any], Any] = lambda teams: teams,
         device: torch.device | str | None = None,
-        num_threads: int | None = None,
-        **overrides: Any,
+        **arguments: Any,
     ) -> None:
-        self.teams: Any = training_env(
-            scenario,
-            num_envs,
-            guarantee=guarantee,
-            learning_preset=learning_preset,
-            flatten=flatten,
-            discrete=discrete,
-            autoreset_mode=AutoresetMode.DISABLED if return_state else AutoresetMode.SAME_STEP,
-            num_threads=num_threads,
-            **overrides,
-        )
+        mode = AutoresetMode.DISABLED if return_state else AutoresetMode.SAME_STEP
+        self.teams: Any = training_env(scenario, num_envs, autoreset_mode=mode, **arguments)
+        self.simulator: Simulator = self.teams.simulator
         self._wrapped = wrap(self.teams)
         self._shaping = RewardShaping(self._wrapped)
         super().__init__(device=device, batch_size=(num_envs,))
@@ -103,12 +89,6 @@ class RendezvousEnv(EnvBase):
         self._make_specs()
         self._begun = np.zeros(num_envs, dtype=np.bool_)
         self._set_seed(seed)
-
-    @property
-    def simulator(self) -> Simulator:
-        """The teams' simulator, for analysis."""
-        simulator: Simulator = self.teams.simulator
-        return simulator
 
     @property
     def max_steps(self) -> int:
@@ -176,10 +156,7 @@ class RendezvousEnv(EnvBase):
         return self._given(*self._start, status == RENDEZVOUS, status == TIME_OUT)
 
     def _begin(
-        self,
-        which: NDArray[np.bool_],
-        seeds: list[int | None],
-        options: Mapping[str, Any],
+        self, which: NDArray[np.bool_], seeds: list[int | None], options: Mapping[str, Any]
     ) -> None:
         """Begin new episodes in these teams, but not where one has just begun unasked."""
         seeded = np.array([seed is not None for seed in seeds])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,22 @@ Observations = dict[str, NDArray[np.float32]]
 Infos = dict[str, dict[str, Any]]
 StepReturn = tuple[Observations, dict[str, float], dict[str, bool], dict[str, bool], Infos]
 """Observations, rewards, terminations, truncations and infos, by name."""
+_Space = TypeVar("_Space")
+
+
+class SpacesByName(Generic[_Space]):
+    """Spaces of single robots; the same object each time, so that each can be seeded."""
+
+    observation_spaces: dict[str, _Space]
+    action_spaces: dict[str, _Space]
+
+    def observation_space(self, agent: str) -> _Space:
+        """The space of one robot's observations."""
+        return self.observation_spaces[agent]
+
+    def action_space(self, agent: str) -> _Space:
+        """The space of one robot's actions."""
+        return self.action_spaces[agent]
 
 
 def names_of(n_robots: int) -> list[str]:
@@ -57,15 +73,10 @@ def check_state(
 
 
 def check_robots(actions: Any, alive: Sequence[str], merged_into: NDArray[np.int64]) -> None:
-    """Refuse actions that are not for exactly the robots alive.
-
-    Args:
-        actions: one for each robot, by name.
-        alive: who takes actions.
-        merged_into: (n,), which robot each is now part of.
+    """Refuse actions, by name, that are not for exactly the robots alive.
 
     Raises:
-        KeyError: naming the robot that is missing, unknown or gone.
+        KeyError: naming the robot that is missing, unknown or gone, and what it is now part of.
         ValueError: if the actions are no dict.
     """
     if not isinstance(actions, Mapping):
@@ -75,8 +86,8 @@ def check_robots(actions: Any, alive: Sequence[str], merged_into: NDArray[np.int
         if name not in names:
             raise KeyError(f"{shown(name)} is no robot of this team: {names}")
         if name not in alive:
-            survivor = _survivor(names, merged_into.tolist(), names.index(name))
-            why = f"has merged into {survivor}" if survivor else "has ended"
+            survivor = names[merged_into[names.index(name)]]
+            why = "has ended" if survivor == name else f"has merged into {survivor}"
             raise KeyError(f"{name} {why} and takes no action; alive are {alive}")
     for name in alive:
         if name not in actions:
@@ -86,12 +97,7 @@ def check_robots(actions: Any, alive: Sequence[str], merged_into: NDArray[np.int
 def table_of(
     actions: Mapping[str, Any], alive: Sequence[str], simulator: Simulator
 ) -> NDArray[np.float32]:
-    """Actions as (1, n, a) float32; zero for robots that are gone.
-
-    Args:
-        actions: one for each robot alive, by name.
-        alive: who takes actions.
-        simulator: of the team.
+    """Actions by name as (1, n, a) float32; zero for robots that are gone.
 
     Raises:
         KeyError: for a missing, unknown or merged-away robot.
@@ -141,15 +147,7 @@ def tell(
     names: Sequence[str],
     alive: list[str],
 ) -> tuple[StepReturn, list[str]]:
-    """What the robots that were alive are told of a step, and who still is.
-
-    Args:
-        observations: of all robots, (n, ...).
-        outcome: of the step, B = 1.
-        simulator: after it.
-        names: of all robots.
-        alive: who took actions.
-    """
+    """What the robots that were alive are told of a step, and who still is."""
     status = outcome.status.item(0)
     over, met = status != RUNNING, status == RENDEZVOUS
     seen = dict(zip(names, observations, strict=True))
@@ -178,11 +176,6 @@ def tell(
         for info in infos.values():
             info["summary"] = standing.copy()
     return (seen, rewards, ends, truncations, infos), left
-
-
-def _survivor(names: Sequence[str], into: Sequence[int], i: int) -> str | None:
-    """Who robot i is now part of; None while it is itself."""
-    return None if into[i] == i else names[into[i]]
 
 
 class OneAfterAnother(parallel_to_aec_wrapper):

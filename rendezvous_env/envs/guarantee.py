@@ -5,13 +5,14 @@ What may be wrapped, a filter from its name and settings, and the wrapper's memo
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
+import functools
+import inspect
+from collections.abc import Callable, Mapping
+from typing import Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..checks import UnknownFieldError, choice, nearest_word, refuse, shown, whole
+from ..checks import choice, known_fields, refuse, whole
 from ..engine.state_checks import check_entries, check_finite, check_keys
 from ..limits import MOST_HELD_STEPS
 from ..safety.gains import Gains
@@ -19,14 +20,12 @@ from ..safety.heading import HeadingFilter
 from ..safety.links import LinkKeeping
 from ..safety.safety_filter import FILTERS, SafetyFilter
 from ..safety.tank import EnergyTank
-from ..scenario.scenario import Scenario
-from .overrides import NamesUnknownArguments, arguments_of
+from ..simulator import Simulator
+from .overrides import arguments_of
 
 AnyFilter = SafetyFilter | type[SafetyFilter] | str
 """A filter that has been made, or its class or its name, to be made of settings."""
-
-
-# ---- what the wrappers of both worlds share ------------------------------------------------------
+_Constructor = TypeVar("_Constructor", bound=Callable[..., None])
 
 
 def check_period(decision_period: int) -> int:
@@ -60,11 +59,7 @@ def check_not_guaranteed(env: Any, wrapper: str, layers: type, guarantees: type)
 
 
 def make_filter(
-    safety_filter: AnyFilter,
-    scenario: Scenario,
-    num_envs: int,
-    num_threads: int | None,
-    settings: Any,
+    safety_filter: AnyFilter, simulator: Simulator, settings: Mapping[str, Any]
 ) -> SafetyFilter:
     """The filter of these teams.
 
@@ -72,73 +67,121 @@ def make_filter(
         TypeError: for a setting that it does not know, with the nearest one.
         ValueError: for an unknown name, or a filter of other teams.
     """
+    scenario, num_envs = simulator.scenario, simulator.num_envs
     if isinstance(safety_filter, SafetyFilter):
         size = (safety_filter.scenario, len(safety_filter.held))
         if size != (scenario, num_envs) or settings:
             refuse("safety_filter", safety_filter, f"of this scenario and {num_envs} teams")
         return safety_filter
-    kind = safety_filter
+    kind: Any = safety_filter
     if not isinstance(kind, type):
         kind = FILTERS[choice("safety_filter", kind, FILTERS)]
     known = [name for name in arguments_of(kind)[2:] if name != "num_threads"]
-    for key in settings:
-        if key not in known:
-            near = nearest_word(key, known)
-            hint = f"did you mean {near!r}?" if near else f"known are {', '.join(known)}"
-            raise UnknownFieldError(f"{kind.__name__} has no setting {shown(key)}; {hint}")
-    making: Any = kind
-    made: SafetyFilter = making(scenario, num_envs, num_threads=num_threads, **settings)
+    known_fields(settings, known, kind.__name__, "setting")
+    made: SafetyFilter = kind(scenario, num_envs, num_threads=simulator.num_threads, **settings)
     return made
 
 
-def check_begun(begun: bool, wrapper: object) -> None:
-    """Refuse a step before a reset: the filter has seen nothing then.
+class HoldsFilter:
+    """The filter of a guarantee wrapper, and what the wrapper remembers from step to step."""
 
-    Raises:
-        RuntimeError: naming the wrapper.
-    """
-    if not begun:
-        raise RuntimeError(
-            f"call reset() of {type(wrapper).__name__} before step(); an environment that was "
-            "reset before it was wrapped needs a new reset"
-        )
+    _base: Any
+    """The environment of ours under all wrappers."""
 
+    def _hold(
+        self,
+        base: Any,
+        safety_filter: AnyFilter,
+        decision_period: int,
+        settings: Mapping[str, Any],
+    ) -> None:
+        """Take up a filter of the teams of this environment; nothing has been seen yet."""
+        self._base = base
+        self.decision_period = check_period(decision_period)
+        self.filter = made = make_filter(safety_filter, base.simulator, settings)
+        setattr(self, made.state_key, made)
+        scenario = base.scenario
+        shape = base.simulator.num_envs, scenario.n_robots, *scenario.observation_layout.shape
+        self._observed = np.zeros(shape, dtype=np.float32)
+        self._begun = False
 
-def restore(
-    env: Any, safety_filter: SafetyFilter, observed: NDArray[np.float32], state: Mapping[str, Any]
-) -> NDArray[np.float32]:
-    """Put a wrapper's state back: the environment's episodes, the filter's memory.
+    def _check_begun(self) -> None:
+        """Refuse a step before a reset: the filter has seen nothing then.
 
-    Args:
-        env: what is wrapped.
-        safety_filter: the wrapper's.
-        observed: observations like those it remembers.
-        state: "env", the filter's part, and "observed".
+        Raises:
+            RuntimeError: naming the wrapper.
+        """
+        if not self._begun:
+            raise RuntimeError(
+                f"call reset() of {type(self).__name__} before step(); an environment that was "
+                "reset before it was wrapped needs a new reset"
+            )
 
-    Returns:
-        The remembered observations.
+    def get_state(self) -> dict[str, Any]:
+        """The running episodes and the wrapper's memory, as copies."""
+        return {
+            "env": self._base.get_state(),
+            self.filter.state_key: self.filter.get_state(),
+            "observed": self._observed.copy(),
+        }
 
-    Raises:
-        ValueError: naming what does not fit; nothing has changed then.
-    """
-    key = safety_filter.state_key
-    check_keys(state, ("env", key, "observed"))
-    checked = check_entries({"observed": observed}, state)
-    check_finite(checked, ("observed",))
-    remembered = safety_filter.check_state(state[key])
-    env.set_state(state["env"])
-    safety_filter.set_state(remembered)
-    return checked["observed"].copy()
+    def set_state(self, state: Mapping[str, Any]) -> None:
+        """Put back what ``get_state`` took out.
+
+        Raises:
+            ValueError: naming what does not fit; nothing has changed then.
+        """
+        key = self.filter.state_key
+        check_keys(state, ("env", key, "observed"))
+        checked = check_entries({"observed": self._observed}, state)
+        check_finite(checked, ("observed",))
+        remembered = self.filter.check_state(state[key])
+        self._base.set_state(state["env"])
+        self.filter.set_state(remembered)
+        self._observed = checked["observed"].copy()
+        self._begun = True
 
 
 # ---- the settings of the four theorems, for both worlds ------------------------------------------
 
 
-class HeadingSettings(NamesUnknownArguments):
+class _MadeOfSettings:
+    """To inherit from beside a GuaranteeWrapper, with a constructor that is ``declared_for``."""
+
+    def _make(self, *arguments: Any, **settings: Any) -> None:
+        super().__init__(*arguments, **settings)
+
+
+def declared_for(kind: type[SafetyFilter]) -> Callable[[_Constructor], _Constructor]:
+    """Makes a constructor of its declaration: what is given, or is its default, goes to the filter.
+
+    Unknown keywords are refused with a TypeError that names the nearest argument.
+    """
+
+    def fill(declared: _Constructor) -> _Constructor:
+        signature = inspect.signature(declared)
+        known = list(signature.parameters)[1:]
+
+        @functools.wraps(declared)
+        def make(self: Any, *arguments: Any, **given: Any) -> None:
+            ours = [c for c in type(self).__mro__ if c.__module__.startswith(__package__)]
+            known_fields(given, known, ours[0].__name__, "argument")
+            bound = signature.bind(self, *arguments, **given)
+            bound.apply_defaults()
+            settings = {name: bound.arguments[name] for name in known}
+            self._make(settings.pop("env"), kind, settings.pop("decision_period"), **settings)
+
+        return make  # type: ignore[return-value]
+
+    return fill
+
+
+class HeadingSettings(_MadeOfSettings):
     """Theorem C: ``HeadingVectorWrapper``."""
 
     steering: HeadingFilter
 
+    @declared_for(HeadingFilter)
     def __init__(
         self,
         env: Any,
@@ -148,24 +191,15 @@ class HeadingSettings(NamesUnknownArguments):
         decision_period: int = 1,
         certified: bool = True,
         bearing_error: float = 0.0,
-    ) -> None:
-        super().__init__(  # type: ignore[call-arg]
-            env,
-            HeadingFilter,
-            decision_period,
-            min_alignment=min_alignment,
-            max_turn_rate=max_turn_rate,
-            frame=frame,
-            certified=certified,
-            bearing_error=bearing_error,
-        )
+    ) -> None: ...
 
 
-class TankSettings(NamesUnknownArguments):
+class TankSettings(_MadeOfSettings):
     """Theorem D: ``EnergyTankWrapper``."""
 
     tank: EnergyTank
 
+    @declared_for(EnergyTank)
     def __init__(
         self,
         env: Any,
@@ -175,24 +209,15 @@ class TankSettings(NamesUnknownArguments):
         decision_period: int = 1,
         observe_level: bool = False,
         bearing_error: float = 0.0,
-    ) -> None:
-        super().__init__(  # type: ignore[call-arg]
-            env,
-            EnergyTank,
-            decision_period,
-            budget=budget,
-            min_alignment=min_alignment,
-            frame=frame,
-            observe_level=observe_level,
-            bearing_error=bearing_error,
-        )
+    ) -> None: ...
 
 
-class GainSettings(NamesUnknownArguments):
+class GainSettings(_MadeOfSettings):
     """Theorem G: ``GainWrapper``."""
 
     gains: Gains
 
+    @declared_for(Gains)
     def __init__(
         self,
         env: Any,
@@ -200,17 +225,15 @@ class GainSettings(NamesUnknownArguments):
         max_gain: float | None = None,
         frame: str = "net_bearing",
         decision_period: int = 1,
-    ) -> None:
-        super().__init__(  # type: ignore[call-arg]
-            env, Gains, decision_period, min_gain=min_gain, max_gain=max_gain, frame=frame
-        )
+    ) -> None: ...
 
 
-class LinkSettings(NamesUnknownArguments):
+class LinkSettings(_MadeOfSettings):
     """Theorem R: ``LinkKeepingWrapper``."""
 
     links: LinkKeeping
 
+    @declared_for(LinkKeeping)
     def __init__(
         self,
         env: Any,
@@ -218,12 +241,4 @@ class LinkSettings(NamesUnknownArguments):
         bearing_error: float = 0.0,
         frame: str = "net_bearing",
         decision_period: int = 1,
-    ) -> None:
-        super().__init__(  # type: ignore[call-arg]
-            env,
-            LinkKeeping,
-            decision_period,
-            share=share,
-            bearing_error=bearing_error,
-            frame=frame,
-        )
+    ) -> None: ...

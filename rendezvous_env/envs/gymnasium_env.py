@@ -16,6 +16,7 @@ from ..scenario.scenario import Scenario
 from ..scenario.scenarios import ScenarioLike, resolve
 from ..scenario.start_options import seeds_of_teams
 from ..simulator import Simulator
+from .one_team import OneOfTeams
 from .overrides import check_overrides, sorted_overrides
 from .vector_env import Info, RendezvousVectorEnv, of_first_team
 from .vector_wrappers import HeadingVectorWrapper
@@ -30,7 +31,7 @@ __all__ = [
 ]
 
 
-class RendezvousEnv(gymnasium.Env[Any, Any]):
+class RendezvousEnv(OneOfTeams, gymnasium.Env[Any, Any]):
     """One team of n robots as one agent.
 
     What a robot does, sees and earns is specified in ``rendezvous_v0``. Observations are (n, rows,
@@ -57,12 +58,7 @@ class RendezvousEnv(gymnasium.Env[Any, Any]):
                 f"teams are {teams.num_envs} with autoreset_mode {mode}; it must be one team, and "
                 "AutoresetMode.DISABLED"
             )
-        self.teams: Any = teams  # wrapped or not: the state is not of Gymnasium's interface
-        base: Any = teams.unwrapped
-        self.simulator: Simulator = base.simulator
-        self.scenario, self.renderer = self.simulator.scenario, base.renderer
-        self.render_mode = base.render_mode
-        self.metadata = {k: v for k, v in teams.metadata.items() if k != "autoreset_mode"}
+        self._take_up(teams)
         self.observation_space = teams.single_observation_space
         self.action_space = teams.single_action_space
 
@@ -90,37 +86,6 @@ class RendezvousEnv(gymnasium.Env[Any, Any]):
         observations, rewards, ends, cuts, infos = self.teams.step(table)
         ended = bool(ends[0]), bool(cuts[0])
         return observations[0], float(rewards[0]), *ended, of_first_team(infos)
-
-    def state(self) -> NDArray[np.float32]:
-        """The privileged global state, one float32 vector, as ``rendezvous_v0`` gives it."""
-        state: NDArray[np.float32] = self.teams.state()[0]
-        return state
-
-    def get_state(self) -> dict[str, Any]:
-        """Everything that the future of the team depends on, as copies."""
-        state: dict[str, Any] = self.teams.get_state()
-        return state
-
-    def set_state(self, state: Mapping[str, Any]) -> None:
-        """Put back what ``get_state`` took out of an environment of the same scenario.
-
-        Raises:
-            ValueError: for a missing, unknown or misshapen entry; nothing has changed then.
-        """
-        self.teams.set_state(state)
-
-    def render(self) -> NDArray[np.uint8] | None:
-        """A picture, (600, 600, 3) uint8, in "rgb_array" mode; in "human" mode it is shown.
-
-        Raises:
-            RuntimeError: before the first reset, or where no window can be opened.
-            ImportError: without the extra ``render``.
-        """
-        return self.renderer.render()
-
-    def close(self) -> None:
-        """Close the window, if there is one."""
-        self.renderer.close()
 
 
 def make_vec(
@@ -159,110 +124,47 @@ def make_vec(
 
 
 def _autoreset_mode(given: AutoresetMode | str) -> AutoresetMode:
-    """The mode of this name or value, as Gymnasium spells them: "SAME_STEP", "same_step",
-    "SameStep".
-    """
+    """The mode of this value, as Gymnasium spells them: "SAME_STEP", "same_step", "SameStep"."""
     if isinstance(given, AutoresetMode):
         return given
+    modes = {mode.value.lower(): mode for mode in AutoresetMode}
     spelled = given.replace("_", "").lower() if isinstance(given, str) else ""
-    for mode in AutoresetMode:
-        if spelled == mode.name.replace("_", "").lower():
-            return mode
-    choice("autoreset_mode", given, [mode.value for mode in AutoresetMode])
-    raise AssertionError(given)
-
-
-def make_env(
-    scenario: ScenarioLike = "fig3",
-    max_cycles: int | None = None,
-    render_mode: str | None = None,
-    flatten: bool = False,
-    **overrides: Any,
-) -> RendezvousEnv:
-    """One team as one agent; arguments as ``make_vec``.
-
-    Raises:
-        TypeError: for an unknown argument or field, with the nearest known one.
-        ValueError: for an unknown scenario, or an impossible value.
-    """
-    check_overrides(make_env, overrides)
-    mode = AutoresetMode.DISABLED
-    return RendezvousEnv(
-        make_vec(scenario, 1, mode, None, max_cycles, render_mode, flatten, **overrides)
-    )
-
-
-def env_from_plain(scenario: Mapping[str, Any], render_mode: str | None = None) -> RendezvousEnv:
-    """One team of a scenario in plain data, as specs of environments hold it.
-
-    Args:
-        scenario: what ``Scenario.to_plain`` gave.
-        render_mode: as ``make_vec``.
-
-    Raises:
-        ValueError: for an unknown key or an impossible value.
-    """
-    return make_env(Scenario.from_plain(scenario), render_mode=render_mode)
+    if spelled not in modes:
+        choice("autoreset_mode", given, [mode.value for mode in AutoresetMode])
+    return modes[spelled]
 
 
 def make_heading_vec(
-    scenario: ScenarioLike = "fig3",
-    num_envs: int = 1,
-    autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
-    num_threads: int | None = None,
-    max_cycles: int | None = None,
-    render_mode: str | None = None,
-    flatten: bool = False,
-    **overrides: Any,
+    scenario: ScenarioLike = "fig3", num_envs: int = 1, **arguments: Any
 ) -> HeadingVectorWrapper:
     """Many teams that choose heading vectors: ``make_vec`` in the vector HeadingVectorWrapper.
 
     Args:
-        scenario: this and the next six as in ``make_vec``.
+        scenario: as in ``make_vec``.
         num_envs: B.
-        autoreset_mode: when a team that has ended begins anew.
-        num_threads: most threads a step may use.
-        max_cycles: time limit in base steps.
-        render_mode: "human", "rgb_array" or None.
-        flatten: whether observations are (B, n, rows·d).
-        **overrides: arguments of the wrapper, and fields of the scenario; ``max_turn_rate`` is the
-            wrapper's.
+        **arguments: of ``make_vec`` and of the wrapper; ``max_turn_rate`` is the wrapper's.
 
     Raises:
-        TypeError: for an unknown argument or field, with the nearest known one.
-        ValueError: naming an argument, its value and what would be right.
+        TypeError, ValueError: as ``make_vec`` and the wrapper.
     """
-    arguments, changes = sorted_overrides(make_heading_vec, HeadingVectorWrapper, overrides)
-    teams = make_vec(
-        scenario,
-        num_envs,
-        autoreset_mode,
-        num_threads,
-        max_cycles,
-        render_mode,
-        flatten,
-        **changes,
-    )
-    return HeadingVectorWrapper(teams, **arguments)
+    of_wrapper, of_teams = sorted_overrides(make_vec, HeadingVectorWrapper, arguments)
+    return HeadingVectorWrapper(make_vec(scenario, num_envs, **of_teams), **of_wrapper)
 
 
-def make_heading_env(
-    scenario: ScenarioLike = "fig3",
-    max_cycles: int | None = None,
-    render_mode: str | None = None,
-    flatten: bool = False,
-    **overrides: Any,
-) -> RendezvousEnv:
-    """One team as one agent that chooses all heading vectors; arguments as ``make_heading_vec``.
+def make_env(scenario: ScenarioLike = "fig3", **arguments: Any) -> RendezvousEnv:
+    """One team as one agent; arguments and errors as ``make_vec``."""
+    return RendezvousEnv(make_vec(scenario, 1, AutoresetMode.DISABLED, **arguments))
 
-    Raises:
-        TypeError: for an unknown argument or field, with the nearest known one.
-        ValueError: naming an argument, its value and what would be right.
-    """
-    mode = AutoresetMode.DISABLED
-    return RendezvousEnv(
-        make_heading_vec(scenario, 1, mode, None, max_cycles, render_mode, flatten, **overrides)
-    )
+
+def make_heading_env(scenario: ScenarioLike = "fig3", **arguments: Any) -> RendezvousEnv:
+    """One team as one agent that chooses all heading vectors, as ``make_heading_vec``."""
+    disabled = AutoresetMode.DISABLED
+    return RendezvousEnv(make_heading_vec(scenario, 1, autoreset_mode=disabled, **arguments))
+
+
+def env_from_plain(scenario: Mapping[str, Any], render_mode: str | None = None) -> RendezvousEnv:
+    """One team of a scenario in plain data (``Scenario.to_plain``), as specs hold it."""
+    return make_env(Scenario.from_plain(scenario), render_mode=render_mode)
 
 
 def register() -> None:

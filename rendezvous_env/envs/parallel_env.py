@@ -17,6 +17,7 @@ from ..simulator import Simulator
 from .agents import (
     Infos,
     Observations,
+    SpacesByName,
     StepReturn,
     check_robots,
     check_state,
@@ -25,10 +26,13 @@ from .agents import (
     table_of,
     tell,
 )
+from .one_team import Drawn
 from .spaces import action_box, as_told, observation_box, state_box, team_state
 
 
-class RendezvousParallelEnv(ParallelEnv[str, NDArray[np.float32], NDArray[np.float32]]):
+class RendezvousParallelEnv(
+    Drawn, SpacesByName[Box], ParallelEnv[str, NDArray[np.float32], NDArray[np.float32]]
+):
     """Robots that see only directions must all meet.
 
     ## Description
@@ -179,22 +183,10 @@ class RendezvousParallelEnv(ParallelEnv[str, NDArray[np.float32], NDArray[np.flo
     def max_cycles(self, value: int) -> None:
         self.simulator.set_max_steps(value)
 
-    def observation_space(self, agent: str) -> Box:
-        """The space of one robot's observations; the same object each time."""
-        return self.observation_spaces[agent]
-
-    def action_space(self, agent: str) -> Box:
-        """The space of one robot's actions; the same object each time."""
-        return self.action_spaces[agent]
-
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observations, Infos]:
-        """Begin an episode: the first of a seed, or without one the next.
-
-        Args:
-            seed: whole number; the same seed gives the same episodes.
-            options: given parts of the start, see the class.
+        """Begin an episode: the first of a seed, or without one the next; options: see the class.
 
         Raises:
             ValueError: for a bad option; nothing has changed then.
@@ -206,10 +198,7 @@ class RendezvousParallelEnv(ParallelEnv[str, NDArray[np.float32], NDArray[np.flo
         return dict(zip(self.agents, observations, strict=True)), infos
 
     def step(self, actions: Mapping[str, Any]) -> StepReturn:
-        """Advance by one step τ.
-
-        Args:
-            actions: one for each robot in ``agents``.
+        """Advance by one step τ with an action for each robot in ``agents``.
 
         Returns:
             Observations, rewards, terminations, truncations and infos of the robots that were alive
@@ -240,19 +229,6 @@ class RendezvousParallelEnv(ParallelEnv[str, NDArray[np.float32], NDArray[np.flo
         """
         return team_state(self.simulator)[0]
 
-    def render(self) -> NDArray[np.uint8] | None:
-        """A picture, (600, 600, 3) uint8, in "rgb_array" mode; in "human" mode it is shown.
-
-        Raises:
-            RuntimeError: before the first reset, or where no window can be opened.
-            ImportError: without the extra ``render``.
-        """
-        return self.renderer.render()
-
-    def close(self) -> None:
-        """Close the window, if there is one."""
-        self.renderer.close()
-
     def index(self, name: str) -> int:
         """Index of a robot by its name."""
         return self._indices[name]
@@ -272,10 +248,5 @@ class RendezvousParallelEnv(ParallelEnv[str, NDArray[np.float32], NDArray[np.flo
         self.agents = alive
 
     def check_robots(self, actions: Mapping[str, Any]) -> None:
-        """Refuse actions that are not for exactly the robots alive.
-
-        Raises:
-            KeyError: naming the robot that is missing, unknown or gone.
-            ValueError: if they are no dict.
-        """
+        """Refuse actions that are not for exactly the robots alive, as ``step`` does."""
         check_robots(actions, self.agents, self.simulator.merged_into[0])

@@ -4,10 +4,12 @@ environment.
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from gymnasium.spaces import Box, Discrete, MultiDiscrete, Space
+from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from ..obstacles.parsing import row_width
@@ -69,6 +71,15 @@ def filtered_observation_box(action_filter: SafetyFilter, flatten: bool = False)
     return Box(-bounds, bounds, dtype=np.float32)
 
 
+def of_all_teams(space_of_one: str) -> Any:
+    """An attribute: the space of B teams, made when asked for, as it is larger than what it holds.
+
+    Args:
+        space_of_one: name of the attribute with that of one team.
+    """
+    return cached_property(lambda env: batch_space(getattr(env, space_of_one), env.num_envs))
+
+
 def team_box(robot: Box, n: int) -> Box:
     """Space of a team of n robots that all have the same one, (n, ...)."""
     low, high = (np.broadcast_to(bound, (n, *robot.shape)) for bound in (robot.low, robot.high))
@@ -90,11 +101,7 @@ def state_box(scenario: Scenario) -> Box:
 
 
 def team_state(simulator: Simulator) -> NDArray[np.float32]:
-    """The privileged global state of every team, (B, …) float32.
-
-    Positions (n·d, m), frames (n·d·d), weights (n·n, m/s), active (n), packed obstacles (M·width),
-    and the share of the time limit that has passed.
-    """
+    """The privileged global state of every team, (B, …) float32, see ``rendezvous_v0``."""
     parts = (
         simulator.positions,
         simulator.frames,

@@ -20,7 +20,6 @@ from ..safety.theorems.certificate import certificate
 from ..scenario.scenario import Scenario
 from ..scenario.scenarios import ScenarioLike, resolve
 from ..scenario.start_options import as_options
-from ..simulator import Simulator
 from .gymnasium_env import make_vec
 from .overrides import sorted_overrides
 from .vector_env import Info, RendezvousVectorEnv, Transition
@@ -61,11 +60,7 @@ class LearningPreset(Protocol):
         ...
 
     def wrap(
-        self,
-        env: RendezvousVectorEnv,
-        guarantee: str,
-        discrete: bool,
-        arguments: Mapping[str, Any],
+        self, env: RendezvousVectorEnv, guarantee: str, discrete: bool, arguments: Mapping[str, Any]
     ) -> GuaranteeWrapper:
         """The teams that see and do what the shipped policy does."""
         ...
@@ -75,10 +70,8 @@ _presets: list[Callable[[], LearningPreset]] = []
 
 
 def hand_in_preset(load: Callable[[], LearningPreset]) -> None:
-    """Say where ``learning_preset`` comes from: the environment knows no policy.
-
-    Args:
-        load: called when a preset is asked for; the last one that was handed in counts.
+    """Say where ``learning_preset`` comes from, since the environment knows no policy: ``load`` is
+    called when a preset is asked for; the last one that was handed in counts.
     """
     _presets.append(load)
 
@@ -191,9 +184,9 @@ def _say_what_is_not_covered(
     _said.add((scenario, guarantee))
     known = inspect.signature(certificate).parameters
     asked = {key: value for key, value in arguments.items() if key in known}
-    if guarantee in ("heading", "tank"):
-        own = inspect.signature(WRAPPERS[guarantee]).parameters["min_alignment"].default
-        asked.setdefault("min_alignment", own)
+    own = inspect.signature(WRAPPERS[guarantee]).parameters
+    if "min_alignment" in own:
+        asked.setdefault("min_alignment", own["min_alignment"].default)
     found = certificate(scenario, by=guarantee, **asked)
     if not found.guaranteed:
         _LOGGER.warning(
@@ -243,35 +236,14 @@ class TrainingTeams(gymnasium.vector.VectorWrapper):
         self, teams: RendezvousVectorEnv | GuaranteeWrapper, touch_penalty: float = 0.0
     ) -> None:
         super().__init__(teams)
+        base = teams.unwrapped
+        assert isinstance(base, RendezvousVectorEnv)
+        self.teams, self.simulator, self.scenario = base, base.simulator, base.scenario
+        self.autoreset_mode = base.autoreset_mode
+        self.layout: Any = getattr(teams, "layout", self.scenario.observation_layout)
+        """What takes observations apart (``split``): of the scenario, or of ``Features``."""
         self.touch_penalty = touch_penalty
         self._touches = FirstContacts(teams.num_envs, self.scenario.n_robots)
-
-    @property
-    def simulator(self) -> Simulator:
-        """The global state of the teams, for analysis."""
-        return self.teams.simulator
-
-    @property
-    def scenario(self) -> Scenario:
-        """What is simulated."""
-        return self.teams.scenario
-
-    @property
-    def layout(self) -> Any:
-        """What takes observations apart (``split``): of the scenario, or of ``Features``."""
-        return getattr(self.env, "layout", self.scenario.observation_layout)
-
-    @property
-    def autoreset_mode(self) -> AutoresetMode:
-        """When a team that has ended begins anew."""
-        return self.env.autoreset_mode
-
-    @property
-    def teams(self) -> RendezvousVectorEnv:
-        """The vector environment itself."""
-        base = self.env.unwrapped
-        assert isinstance(base, RendezvousVectorEnv)
-        return base
 
     def reset(
         self,
@@ -305,7 +277,7 @@ class TrainingTeams(gymnasium.vector.VectorWrapper):
         return seen, rewards, ends, cuts, infos
 
     def state(self) -> NDArray[np.float32]:
-        """The privileged global state of every team, (B, …), as ``RendezvousVectorEnv.state``."""
+        """As ``RendezvousVectorEnv.state``."""
         return self.teams.state()
 
     def get_state(self) -> dict[str, Any]:
@@ -331,23 +303,14 @@ def _leave_out_summary(infos: Info) -> None:
 
 
 class FirstContacts:
-    """Which robots have touched an obstacle in the running episode.
-
-    Args:
-        num_envs: B.
-        n_robots: n.
-    """
+    """Which of n robots of B teams have touched an obstacle in the running episode."""
 
     def __init__(self, num_envs: int, n_robots: int) -> None:
         self.touched = np.zeros((num_envs, n_robots), dtype=np.bool_)
 
     def note(self, infos: Info, over: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Whose first touch of the episode the last step was, (B, n).
-
-        Args:
-            infos: of the step; where a team has begun anew in it, ``final_info`` tells how its last
-                episode ended.
-            over: (B,), teams whose episode has ended.
+        """Whose first touch of the episode the last step was, (B, n), from its infos and the
+        teams (B,) whose episode it ended.
         """
         contact = infos["contact"]
         if "final_info" in infos:

@@ -13,10 +13,9 @@ from pettingzoo.utils.env import ParallelEnv
 
 from ..checks import check_action, whole
 from ..render.renderer import RENDER_MODES
-from ..scenario.scenario import Scenario
 from ..scenario.scenarios import ScenarioLike
-from ..simulator import Simulator
-from .agents import Infos, Observations, StepReturn, alive_in, check_robots, names_of
+from .agents import Infos, Observations, SpacesByName, StepReturn, alive_in, check_robots, names_of
+from .one_team import OneOfTeams
 from .spaces import of_one_robot
 from .training import TrainingTeams
 from .training import training_env as teams_to_train
@@ -34,22 +33,9 @@ def training_env(
 ) -> TrainingParallelEnv:
     """One team as a generic learner wants it: a PettingZoo environment.
 
-    It is the team of ``rendezvous_env.vector.training_env`` with B = 1, by name: arguments, what
-    robots see, do and earn, and errors are told there.
-
-    Args:
-        scenario: a Scenario, the name of one, or the path of a TOML file.
-        guarantee: "heading", "tank", "gains", "links" or None.
-        learning_preset: whether robots see, do and earn what a shipped policy was trained with.
-        flatten: whether observations are vectors.
-        discrete: whether robots choose among the angles of the shipped policy.
-        render_mode: "human", "rgb_array" or None.
-        **overrides: ``max_cycles``, ``touch_penalty``, arguments of the guarantee's wrapper, and
-            fields of the scenario.
-
-    Raises:
-        TypeError: for an unknown argument or field, with the nearest known one.
-        ValueError: naming an argument, its value and what would be right.
+    It is the team of ``rendezvous_env.vector.training_env`` with B = 1, by name: the other
+    arguments (``max_cycles``, ``touch_penalty``, those of the guarantee's wrapper, fields of the
+    scenario), what robots see, do and earn, and errors are told there.
     """
     teams = teams_to_train(
         scenario,
@@ -65,7 +51,9 @@ def training_env(
     return TrainingParallelEnv(teams)
 
 
-class TrainingParallelEnv(ParallelEnv[str, NDArray[np.float32], Any]):
+class TrainingParallelEnv(
+    OneOfTeams, SpacesByName[Box | Discrete], ParallelEnv[str, NDArray[np.float32], Any]
+):
     """The robots of one training team, by name.
 
     All are there from the first step of an episode to its last: one that has merged away observes
@@ -92,11 +80,7 @@ class TrainingParallelEnv(ParallelEnv[str, NDArray[np.float32], Any]):
     }
 
     def __init__(self, teams: TrainingTeams) -> None:
-        self.teams = teams
-        self.metadata = self.metadata | {
-            key: value for key, value in teams.metadata.items() if key != "autoreset_mode"
-        }
-        self.render_mode = teams.teams.render_mode
+        self._take_up(teams)
         self.possible_agents = names_of(teams.scenario.n_robots)
         self.agents: list[str] = []
         self.observation_spaces = self._for_each(teams.single_observation_space)
@@ -106,24 +90,6 @@ class TrainingParallelEnv(ParallelEnv[str, NDArray[np.float32], Any]):
     def _for_each(self, space: Space[Any]) -> dict[str, Box | Discrete]:
         """A space of its own for each robot, so that each can be seeded."""
         return {name: of_one_robot(space) for name in self.possible_agents}
-
-    @property
-    def scenario(self) -> Scenario:
-        """What is simulated."""
-        return self.teams.scenario
-
-    @property
-    def simulator(self) -> Simulator:
-        """The global state, B = 1, for analysis."""
-        return self.teams.simulator
-
-    def observation_space(self, agent: str) -> Box | Discrete:
-        """The space of one robot's observations; the same object each time."""
-        return self.observation_spaces[agent]
-
-    def action_space(self, agent: str) -> Box | Discrete:
-        """The space of one robot's actions; the same object each time."""
-        return self.action_spaces[agent]
 
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
@@ -138,10 +104,7 @@ class TrainingParallelEnv(ParallelEnv[str, NDArray[np.float32], Any]):
         return dict(zip(self.agents, observations[0], strict=True)), self._by_name(infos)
 
     def step(self, actions: Mapping[str, Any]) -> StepReturn:
-        """Let all robots act.
-
-        Args:
-            actions: one for each robot, those that have merged away included.
+        """Let all robots act, those that have merged away included.
 
         Raises:
             KeyError: for a missing or unknown robot; nothing has changed then.
@@ -185,27 +148,11 @@ class TrainingParallelEnv(ParallelEnv[str, NDArray[np.float32], Any]):
             for i, name in enumerate(self.possible_agents)
         }
 
-    def state(self) -> NDArray[np.float32]:
-        """The privileged global state, one float32 vector, as ``rendezvous_v0`` gives it."""
-        return self.teams.state()[0]
-
-    def render(self) -> NDArray[np.uint8] | None:
-        """A picture, (600, 600, 3) uint8, in "rgb_array" mode; in "human" mode it is shown."""
-        return self.teams.teams.renderer.render()
-
-    def close(self) -> None:
-        """Close the window, if there is one."""
-        self.teams.close()
-
-    def get_state(self) -> dict[str, Any]:
-        """The running episode and all memory, as copies; ``set_state`` puts it back."""
-        return self.teams.get_state()
-
     def set_state(self, state: Mapping[str, Any]) -> None:
         """Put back an episode that ``get_state`` took out.
 
         Raises:
             ValueError: naming what does not fit; nothing has changed then.
         """
-        self.teams.set_state(state)
+        super().set_state(state)
         self.agents = alive_in(self.simulator.get_state(), "follow")

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from gymnasium.spaces import Space
 from gymnasium.vector import AutoresetMode, VectorEnv
-from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from ..checks import flag
@@ -19,7 +18,15 @@ from ..render.renderer import Renderer, render_metadata
 from ..scenario.start_options import as_options
 from ..simulator import Simulator
 from ..team_readings import STANDING
-from .spaces import action_box, as_told, observation_box, state_box, team_box, team_state
+from .spaces import (
+    action_box,
+    as_told,
+    observation_box,
+    of_all_teams,
+    state_box,
+    team_box,
+    team_state,
+)
 
 Info = dict[str, Any]
 Transition = tuple[
@@ -82,6 +89,9 @@ class RendezvousVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
         flatten: whether a robot's rows stand one after another, as one vector.
     """
 
+    observation_space: Space[Any] = of_all_teams("single_observation_space")
+    action_space: Space[Any] = of_all_teams("single_action_space")
+
     def __init__(
         self,
         simulator: Simulator,
@@ -104,27 +114,13 @@ class RendezvousVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
         self.single_action_space = team_box(action_box(self.scenario), n)
         self.single_state_space = state_box(self.scenario)
 
-    @cached_property
-    def observation_space(self) -> Space[Any]:  # type: ignore[override]
-        """Of all teams; made when asked for, since it is larger than the observations."""
-        return batch_space(self.single_observation_space, self.num_envs)
-
-    @cached_property
-    def action_space(self) -> Space[Any]:  # type: ignore[override]
-        """Of all teams."""
-        return batch_space(self.single_action_space, self.num_envs)
-
     def reset(
         self,
         *,
         seed: int | Sequence[int | None] | None = None,
         options: Mapping[str, Any] | None = None,
     ) -> tuple[NDArray[np.float32], Info]:
-        """Begin a new episode in all teams, or in those of ``options["reset_mask"]``.
-
-        Args:
-            seed: see the class.
-            options: given parts of the start, and "reset_mask" (B,) bool.
+        """Begin a new episode in all teams, or in those of ``options["reset_mask"]``, (B,) bool.
 
         Returns:
             Observations of all teams, and infos masked to those that were reset.
@@ -140,13 +136,7 @@ class RendezvousVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
         return as_told(observations, self.flatten), masked(start_info(self.simulator), which)
 
     def step(self, actions: NDArray[np.float32]) -> Transition:
-        """Advance every team by one step τ.
-
-        Args:
-            actions: (B, n, a).
-
-        Returns:
-            Observations, rewards, terminations, truncations and infos, see the class.
+        """Advance every team by one step τ with actions (B, n, a); see the class.
 
         Raises:
             ValueError: for actions of the wrong shape, or that are not finite, naming the robot;
@@ -169,12 +159,7 @@ class RendezvousVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
         return observations, rewards, terminations, truncations, infos
 
     def advance(self, actions: NDArray[np.float32]) -> StepOutput:
-        """A step in which no team begins anew, and of which nobody is told yet.
-
-        Raises:
-            ValueError: as ``step``.
-            RuntimeError: before the first reset.
-        """
+        """A step in which no team begins anew, and of which nobody is told yet."""
         outcome = self._outcome = self.simulator.step(actions)
         self.renderer.see(outcome.contact)
         return outcome
@@ -191,14 +176,8 @@ class RendezvousVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
         return observations, outcome.rewards, terminations, truncations, infos
 
     def begin_anew(self, which: NDArray[np.bool_], infos: Info) -> NDArray[np.float32]:
-        """Next episodes of these teams: the arrays that the last step gave out follow, in place.
-
-        Args:
-            which: (B,), of teams.
-            infos: of the step; what they tell of these teams follows too.
-
-        Returns:
-            The observations of the last step.
+        """Next episodes of these teams (B,): the arrays and the infos that the last step gave out
+        follow, in place; its observations.
         """
         outcome = self._outcome
         assert outcome is not None  # there has been a step
@@ -208,8 +187,8 @@ class RendezvousVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
         return as_told(outcome.observations, self.flatten)
 
     def state(self) -> NDArray[np.float32]:
-        """The privileged global state of every team, (B, …) float32, for centralised critics: a
-        row of it is what ``rendezvous_v0`` gives, in ``single_state_space``.
+        """The privileged global state of every team, (B, …) float32, for centralised critics; a
+        row is in ``single_state_space``.
         """
         return team_state(self.simulator)
 
@@ -218,20 +197,19 @@ class RendezvousVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
         return vars(self) | {"_outcome": None}
 
     def get_state(self) -> dict[str, NDArray[Any]]:
-        """Everything that the future of the teams depends on, see ``Simulator``."""
+        """Everything that the future of the teams depends on, as copies."""
         return self.simulator.get_state()
 
     def set_state(self, state: Mapping[str, NDArray[Any]]) -> None:
         """Put back what ``get_state`` took out of an environment of the same scenario and batch.
 
         Raises:
-            ValueError: for a missing, unknown or misshapen entry; nothing has changed then.
+            ValueError: naming what does not fit; nothing has changed then.
         """
         self.simulator.set_state(state)
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
-        """A picture for each team, (height, width, 3) uint8, in "rgb_array" mode; in "human" mode
-        they are shown, side by side.
+        """A picture for each team, see the class; in "human" mode they are shown, side by side.
 
         Raises:
             RuntimeError: before the first reset, or where no window can be opened.
@@ -314,13 +292,8 @@ def _everyone(keys: int, num_envs: int) -> NDArray[np.bool_]:
     return np.ones((keys, num_envs), dtype=np.bool_)
 
 
-def of_first_team(infos: Info) -> Info:
-    """Infos of team 0, without the axis of teams and without masks."""
-    return {key: _first(values) for key, values in infos.items() if key[0] != "_"}
-
-
-def _first(values: Any) -> Any:
-    """What is told of team 0: nested infos, an array, or one of Python's own numbers."""
-    if isinstance(values, dict):
-        return of_first_team(values)
-    return values[0] if values.ndim > 1 else values[0].item()
+def of_first_team(told: Any) -> Any:
+    """Infos of team 0, nested or not, without the axis of teams and without masks."""
+    if isinstance(told, dict):
+        return {key: of_first_team(values) for key, values in told.items() if key[0] != "_"}
+    return told[0] if told.ndim > 1 else told[0].item()

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from functools import cached_property
 from typing import Any
 
 import gymnasium
 import numpy as np
 from gymnasium.spaces import Space
 from gymnasium.vector import AutoresetMode, VectorActionWrapper, VectorObservationWrapper
-from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
 from ..engine.memory import RUNNING
@@ -19,15 +17,12 @@ from .guarantee import (
     AnyFilter,
     GainSettings,
     HeadingSettings,
+    HoldsFilter,
     LinkSettings,
     TankSettings,
-    check_begun,
     check_not_guaranteed,
-    check_period,
-    make_filter,
-    restore,
 )
-from .spaces import as_told, choice_box, filtered_observation_box, team_box
+from .spaces import as_told, choice_box, filtered_observation_box, of_all_teams, team_box
 from .vector_env import Info, RendezvousVectorEnv, Transition, final_of, masked, of_all, summary_of
 
 __all__ = [
@@ -39,7 +34,7 @@ __all__ = [
 ]
 
 
-class GuaranteeWrapper(gymnasium.vector.VectorWrapper):
+class GuaranteeWrapper(HoldsFilter, gymnasium.vector.VectorWrapper):
     """Teams choose; for ``decision_period`` base steps a safety filter makes actions of it.
 
     Choices (B, n, k), observations (B, n, rows, d) as the filter shows them; infos hold what it
@@ -59,6 +54,10 @@ class GuaranteeWrapper(gymnasium.vector.VectorWrapper):
         ValueError: naming the argument, its value and what would be right.
     """
 
+    _base: RendezvousVectorEnv
+    observation_space: Space[Any] = of_all_teams("single_observation_space")
+    action_space: Space[Any] = of_all_teams("single_action_space")
+
     def __init__(
         self,
         env: gymnasium.vector.VectorEnv[Any, Any, Any],
@@ -66,21 +65,14 @@ class GuaranteeWrapper(gymnasium.vector.VectorWrapper):
         decision_period: int = 1,
         **settings: Any,
     ) -> None:
-        self._base = base = _base_of(env, type(self).__name__)
-        self.decision_period = check_period(decision_period)
-        threads = base.simulator.num_threads
-        made = make_filter(safety_filter, base.scenario, base.num_envs, threads, settings)
+        base = _base_of(env, type(self).__name__)
+        self._hold(base, safety_filter, decision_period, settings)
         super().__init__(env)
         rate = base.metadata["render_fps"] / self.decision_period  # a picture for each decision
         self.metadata = base.metadata | {"render_fps": max(1, round(rate))}
-        self.filter = made
-        setattr(self, made.state_key, made)
-        n = base.scenario.n_robots
-        self.single_observation_space = team_box(filtered_observation_box(made, base.flatten), n)
-        self.single_action_space = team_box(choice_box(made), n)
-        shape = (base.num_envs, n, *base.scenario.observation_layout.shape)
-        self._observed = np.zeros(shape, dtype=np.float32)
-        self._begun = False
+        robot, n = filtered_observation_box(self.filter, base.flatten), base.scenario.n_robots
+        self.single_observation_space = team_box(robot, n)
+        self.single_action_space = team_box(choice_box(self.filter), n)
 
     @property
     def autoreset_mode(self) -> AutoresetMode:
@@ -88,18 +80,8 @@ class GuaranteeWrapper(gymnasium.vector.VectorWrapper):
         return self._base.autoreset_mode
 
     def state(self) -> NDArray[np.float32]:
-        """The privileged global state of every team, (B, …), as ``RendezvousVectorEnv.state``."""
+        """As ``RendezvousVectorEnv.state``."""
         return self._base.state()
-
-    @cached_property
-    def observation_space(self) -> Space[Any]:  # type: ignore[override]
-        """Of all teams."""
-        return batch_space(self.single_observation_space, self.num_envs)
-
-    @cached_property
-    def action_space(self) -> Space[Any]:  # type: ignore[override]
-        """Of all teams."""
-        return batch_space(self.single_action_space, self.num_envs)
 
     def reset(
         self,
@@ -120,19 +102,13 @@ class GuaranteeWrapper(gymnasium.vector.VectorWrapper):
         return self._see(which), infos | masked(told, reset)
 
     def step(self, actions: ArrayLike) -> Transition:
-        """Hold the choices for ``decision_period`` base steps.
-
-        Args:
-            actions: choices (B, n, k).
-
-        Returns:
-            As ``RendezvousVectorEnv.step``, with the rewards of the base steps summed.
+        """Hold the choices (B, n, k) for ``decision_period`` base steps; rewards are summed.
 
         Raises:
             ValueError: for a wrong shape, or naming the robot whose choice is not finite.
             RuntimeError: before the first reset of the wrapper.
         """
-        check_begun(self._begun, self)
+        self._check_begun()
         base, mode = self._base, self._base.autoreset_mode
         resting = None
         if mode is AutoresetMode.NEXT_STEP and not base.simulator.all_running:
@@ -215,23 +191,6 @@ class GuaranteeWrapper(gymnasium.vector.VectorWrapper):
     def _forget(self, which: NDArray[np.bool_] | None) -> None:
         """These teams, None is all, begin anew."""
         self.filter.forget(which)
-
-    def get_state(self) -> dict[str, Any]:
-        """The running episodes and the wrapper's memory, as copies."""
-        return {
-            "env": self._base.get_state(),
-            self.filter.state_key: self.filter.get_state(),
-            "observed": self._observed.copy(),
-        }
-
-    def set_state(self, state: Mapping[str, Any]) -> None:
-        """Put back what ``get_state`` took out.
-
-        Raises:
-            ValueError: naming what does not fit; nothing has changed then.
-        """
-        self._observed = restore(self._base, self.filter, self._observed, state)
-        self._begun = True
 
 
 def _base_of(env: Any, wrapper: str) -> RendezvousVectorEnv:

@@ -11,18 +11,15 @@ from pettingzoo.utils.env import ParallelEnv
 from pettingzoo.utils.wrappers import BaseParallelWrapper
 
 from ..checks import check_action
-from .agents import Infos, Observations, StepReturn
+from .agents import Infos, Observations, SpacesByName, StepReturn
 from .guarantee import (
     AnyFilter,
     GainSettings,
     HeadingSettings,
+    HoldsFilter,
     LinkSettings,
     TankSettings,
-    check_begun,
     check_not_guaranteed,
-    check_period,
-    make_filter,
-    restore,
 )
 from .parallel_env import RendezvousParallelEnv
 from .spaces import as_told, choice_box, filtered_observation_box
@@ -36,25 +33,29 @@ __all__ = [
 ]
 
 
-class GuaranteeWrapper(BaseParallelWrapper):
+class GuaranteeWrapper(HoldsFilter, SpacesByName[Box], BaseParallelWrapper):
     """Robots choose; for ``decision_period`` base steps a safety filter makes actions of it.
 
     Observations are the filter's view of the rows, the action space is its choices, and infos hold
-    what it tells of the last base step.
+    what it tells of the last base step, beside those of the base environment.
 
     Args:
         env: a rendezvous parallel environment, which other wrappers may have changed.
         safety_filter: a filter of one team of this scenario, its class, or its name
             (``register_filter``): "heading", "tank", "gains", "links" or a user's own.
-        decision_period: base steps for which a choice is held. Rewards are summed, and a robot that
-            merges on the way ends with its last observation.
-        **settings: of the filter, if it is to be made.
+        decision_period: base steps for which a choice is held; the filter makes actions of it in
+            each. Rewards are summed, and a robot that merges on the way ends with its last
+            observation.
+        **settings: of the filter, if it is to be made; of all of ours ``frame``, in which robots
+            see and choose: "net_bearing" (x along f_i, single integrators only) or "local".
 
     Raises:
         TypeError: for another kind of environment, one under a guarantee already, or a setting that
             the filter does not know.
         ValueError: naming the argument, its value and what would be right.
     """
+
+    _base: RendezvousParallelEnv
 
     def __init__(
         self,
@@ -63,19 +64,12 @@ class GuaranteeWrapper(BaseParallelWrapper):
         decision_period: int = 1,
         **settings: Any,
     ) -> None:
-        self._base = _base_of(env, type(self).__name__)
-        self.decision_period = check_period(decision_period)
-        scenario, flatten = self._base.scenario, self._base.flatten
-        made = make_filter(safety_filter, scenario, 1, 1, settings)
+        base = _base_of(env, type(self).__name__)
+        self._hold(base, safety_filter, decision_period, settings)
         super().__init__(env)
-        self.filter = made
-        setattr(self, made.state_key, made)
-        names = self._base.possible_agents
-        self.observation_spaces = {name: filtered_observation_box(made, flatten) for name in names}
+        names, made, flat = base.possible_agents, self.filter, base.flatten
+        self.observation_spaces = {name: filtered_observation_box(made, flat) for name in names}
         self.action_spaces = {name: choice_box(made) for name in names}
-        shape = (1, scenario.n_robots, *scenario.observation_layout.shape)
-        self._observed = np.zeros(shape, dtype=np.float32)
-        self._begun = False
 
     @property
     def max_cycles(self) -> int:
@@ -85,14 +79,6 @@ class GuaranteeWrapper(BaseParallelWrapper):
     @max_cycles.setter
     def max_cycles(self, value: int) -> None:
         self._base.max_cycles = value
-
-    def observation_space(self, agent: str) -> Box:
-        """The space of one robot's observations; the same object each time."""
-        return self.observation_spaces[agent]
-
-    def action_space(self, agent: str) -> Box:
-        """The space of one robot's choices; the same object each time."""
-        return self.action_spaces[agent]
 
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
@@ -106,20 +92,14 @@ class GuaranteeWrapper(BaseParallelWrapper):
         return self._view(observations), infos
 
     def step(self, actions: Mapping[str, Any]) -> StepReturn:
-        """Hold the choices for ``decision_period`` base steps.
-
-        Args:
-            actions: one choice for each robot in ``agents``.
-
-        Returns:
-            As the base environment, for the robots that were alive at the start.
+        """Hold the choices of the robots in ``agents`` for ``decision_period`` base steps.
 
         Raises:
             KeyError: for a missing, unknown or merged-away robot; nothing has changed then.
             ValueError: for a choice of the wrong shape, or one that is not finite; likewise.
             RuntimeError: before the first reset of the wrapper.
         """
-        check_begun(self._begun, self)
+        self._check_begun()
         if not self.agents and isinstance(actions, Mapping) and not actions:
             return {}, {}, {}, {}, {}
         self._base.check_robots(actions)
@@ -183,23 +163,6 @@ class GuaranteeWrapper(BaseParallelWrapper):
         seen = as_told(self.filter.view(self._observed)[0], self._base.flatten)
         return {name: seen[self._base.index(name)].copy() for name in observations}
 
-    def get_state(self) -> dict[str, Any]:
-        """The running episode and the wrapper's memory, as copies."""
-        return {
-            "env": self._base.get_state(),
-            self.filter.state_key: self.filter.get_state(),
-            "observed": self._observed.copy(),
-        }
-
-    def set_state(self, state: Mapping[str, Any]) -> None:
-        """Put back what ``get_state`` took out.
-
-        Raises:
-            ValueError: naming what does not fit; nothing has changed then.
-        """
-        self._observed = restore(self._base, self.filter, self._observed, state)
-        self._begun = True
-
 
 def _base_of(env: Any, wrapper: str) -> RendezvousParallelEnv:
     """The environment of ours that is wrapped.
@@ -241,24 +204,15 @@ class HeadingVectorWrapper(HeadingSettings, GuaranteeWrapper):
 
     ## Infos
 
-    Those of the base environment, and ``alignment`` = |h_iᵀf_i|/‖f_i‖ (NaN where f_i = 0) and
-    ``lyapunov_rate`` = −2 (h_iᵀf_i)², both of the last base step.
+    ``alignment`` = |h_iᵀf_i|/‖f_i‖ (NaN where f_i = 0) and ``lyapunov_rate`` = −2 (h_iᵀf_i)².
 
     Args:
-        env: a rendezvous parallel environment.
+        env: this, ``frame``, ``decision_period`` and errors as in ``GuaranteeWrapper``.
         min_alignment: ε, in (0, 1).
         max_turn_rate: ω_max, rad/s; for nonholonomic robots the scenario's limit holds too.
-        frame: "net_bearing" or "local".
-        decision_period: base steps for which a raw vector is held; the certified heading follows
-            f_i in each. Rewards are summed, and a robot that merges on the way ends with its
-            last observation.
         certified: False lets the raw vector through as h_i, without any guarantee.
         bearing_error: η, rad: V never rises between merges while no bearing is wrong by more.
             Robots then go max(0, h_iᵀf_i − e_i) along h_i, e_i = 2 sin(η/2) D_i (theorem N1').
-
-    Raises:
-        TypeError: for another kind of environment.
-        ValueError: naming the argument, its value and what would be right.
     """
 
 
@@ -288,8 +242,6 @@ class EnergyTankWrapper(TankSettings, GuaranteeWrapper):
 
     ## Infos
 
-    Those of the base environment, and of the last base step
-
     | key | |
     |---|---|
     | tank | A_i after it, m²/s; 0 for a robot that has merged: the survivor has it |
@@ -301,19 +253,12 @@ class EnergyTankWrapper(TankSettings, GuaranteeWrapper):
     contacts. A survivor's tank is the sum of both.
 
     Args:
-        env: a rendezvous parallel environment.
+        env: this, ``frame``, ``decision_period`` and errors as in ``GuaranteeWrapper``.
         budget: B_i, the level of each robot's tank at the start of an episode, m²/s.
         min_alignment: ε, in (0, 1): how fast robots are promised to meet.
-        frame: "net_bearing" or "local".
-        decision_period: base steps for which a wish is held; the ledger is kept in each. Rewards
-            are summed, and a robot that merges on the way ends with its last observation.
         observe_level: whether robots see the level of their own tank.
         bearing_error: η, rad: the promises hold while no bearing is wrong by more; each step is
             charged what that could feign.
-
-    Raises:
-        TypeError: for another kind of environment.
-        ValueError: naming the argument, its value and what would be right.
     """
 
 
@@ -334,12 +279,9 @@ class GainWrapper(GainSettings, GuaranteeWrapper):
 
     ## Observation space
 
-    The rows of the base environment, with ``frame="net_bearing"`` turned as by
-    ``HeadingVectorWrapper``.
+    As ``HeadingVectorWrapper``'s.
 
     ## Infos
-
-    Those of the base environment, and of the last base step
 
     | key | |
     |---|---|
@@ -348,17 +290,11 @@ class GainWrapper(GainSettings, GuaranteeWrapper):
     | lyapunov_rate | −2 f_iᵀv_i, m²/s²: positive where V is made to rise |
 
     Args:
-        env: a rendezvous parallel environment of robots whose action is their velocity.
+        env: this, ``frame``, ``decision_period`` and errors as in ``GuaranteeWrapper``; its robots'
+            action is their velocity.
         min_gain: m/s; None is a*. The promised time is in inverse proportion to it.
         max_gain: m/s; None is D̄. Never more than r/τ: a robot that goes farther in one step may
             leave the hull.
-        frame: "net_bearing" or "local".
-        decision_period: base steps for which weights are held. Rewards are summed, and a robot that
-            merges on the way ends with its last observation.
-
-    Raises:
-        TypeError: for another kind of environment.
-        ValueError: naming the argument, its value and what would be right.
     """
 
 
@@ -380,29 +316,24 @@ class LinkKeepingWrapper(LinkSettings, GuaranteeWrapper):
 
     ## Observation space
 
-    The rows of the base environment, with ``frame="net_bearing"`` turned as by
-    ``HeadingVectorWrapper``.
+    As ``HeadingVectorWrapper``'s.
 
     ## Infos
 
-    Those of the base environment, and of the last base step ``alignment`` = |h_iᵀf_i|/‖f_i‖, h_i
-    the direction of motion (NaN without any), and ``lyapunov_rate`` = −2 f_iᵀv_i, m²/s², which is
-    never positive while no bearing errs by more than ``bearing_error``.
+    ``alignment`` = |h_iᵀf_i|/‖f_i‖, h_i the direction of motion (NaN without any), and
+    ``lyapunov_rate`` = −2 f_iᵀv_i, m²/s², which is never positive while no bearing errs by more
+    than ``bearing_error``.
 
     Args:
-        env: a rendezvous parallel environment of robots whose action is their velocity, and who see
-            each other or not: with a field of view, rows that drop out, or robots and obstacles
-            that hide others sight is not so, or ends for other reasons than distance.
+        env: this, ``frame``, ``decision_period`` and errors as in ``GuaranteeWrapper``; its robots'
+            action is their velocity, and they see each other or not: with a field of view, rows
+            that drop out, or robots and obstacles that hide others sight is not so, or ends for
+            other reasons than distance.
         share: λ, in (0, 1]: how much of the velocity is the link-keeping law's. The promised time
             is in inverse proportion to it.
         bearing_error: η, rad: links are kept while no bearing is wrong by more. For η < π/(2n) all
             meet (theorem R d).
-        frame: "net_bearing" or "local".
-        decision_period: base steps for which a wish is held; it is projected in each. Rewards are
-            summed, and a robot that merges on the way ends with its last observation.
 
     Raises:
-        TypeError: for another kind of environment.
-        ValueError: naming the argument, its value and what would be right, or why the robots of
-            this scenario cannot keep their links.
+        ValueError: why the robots of this scenario cannot keep their links.
     """

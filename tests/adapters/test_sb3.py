@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections import Counter
+
 import numpy as np
 import pytest
 import torch
 from gymnasium.vector import AutoresetMode
+from small_world import ROBOTS, SCENARIO, SEED, Lives
 from stable_baselines3 import PPO
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
@@ -15,17 +18,8 @@ from rendezvous_env.adapters.sb3 import RobotVecEnv, make_robots
 from rendezvous_env.vector import EnergyTankWrapper, HeadingVectorWrapper
 from train.learn.rollout_buffer import RobotPPO
 
-TEAMS, ROBOTS, STEPS, SEED = 8, 3, 90, 4
+TEAMS, STEPS = 8, 90
 GAMMA, LAMBDA = 0.95, 0.9
-SCENARIO = rv.Scenario(
-    n_robots=ROBOTS,
-    merge_radius=0.25,
-    spawn_size=1.1,
-    time_step=0.2,
-    allow_long_step=True,
-    time_limit=4.4,
-)
-"""A small world in which a random policy merges, meets and runs out of time."""
 SETTINGS = {
     "n_steps": STEPS,
     "batch_size": 64,
@@ -61,69 +55,41 @@ def value_of(model, observation):
         return model.policy.predict_values(torch.as_tensor(observation[None])).item()
 
 
-class Replay:
-    """One team of a filled buffer, played again in PettingZoo, robot by robot."""
+def lived(model, team):
+    """Advantages of one team's robots by (step, slot), and how their lives ended.
 
-    def __init__(self, model, team):
-        self.model, self.team = model, team
-        self.advantages = {}
-        self.counts = {"met": 0, "merged": 0, "late": 0}
-        self.rewards = {}
-        self.env = rv.parallel_env(SCENARIO)
-        self.seen, _ = self.env.reset(seed=SEED + team)
-        self.open = {name: [] for name in self.env.possible_agents}
-        for t in range(STEPS):
-            self.step(t)
-        for name in self.env.agents:
-            self.close(name, value_of(model, self.seen[name]))
-
-    def step(self, t):
-        alive, buffer = list(self.env.agents), self.model.rollout_buffer
-        actions = {name: buffer.actions[t, self.slot(name)].clip(-2, 2) for name in alive}
-        new, rewards, ends, cuts, infos = self.env.step(actions)
-        met = infos[alive[0]].get("summary", {}).get("success", False)
-        for name in alive:
-            self.rewards[t, self.slot(name)] = rewards[name]
-            self.open[name].append((t, rewards[name], value_of(self.model, self.seen[name])))
-            if met:
-                self.close(name, 0.0)
-            elif ends[name]:
-                self.counts["merged"] += 1
-                self.close(name, value_of(self.model, new[f"robot_{infos[name]['merged_into']}"]))
-            elif cuts[name]:
-                self.counts["late"] += 1
-                self.close(name, value_of(self.model, new[name]))
-        self.counts["met"] += met
-        self.seen = new if self.env.agents else self.env.reset()[0]
-
-    def slot(self, name):
-        return self.team * ROBOTS + int(name.removeprefix("robot_"))
-
-    def close(self, name, future):
-        """Generalised advantages of one stretch of life, backwards from the value of its future."""
-        advantage = 0.0
-        for t, reward, value in reversed(self.open[name]):
-            surprise = reward + GAMMA * future - value
-            advantage = surprise + GAMMA * LAMBDA * advantage
-            self.advantages[t, self.slot(name)] = advantage
+    A team of a filled buffer is played again, robot by robot, and generalised advantages are taken
+    over each life backwards from the value of its future.
+    """
+    lives, advantages, ends = Lives(team), {}, Counter()
+    slots = {name: team * ROBOTS + i for i, name in enumerate(lives.env.possible_agents)}
+    for actions in model.rollout_buffer.actions:
+        lives.step({name: actions[slot].clip(-2, 2) for name, slot in slots.items()})
+    for robot, life, last, kind in (*lives.found, *lives.unfinished()):
+        future, advantage = 0.0 if kind == "met" else value_of(model, last), 0.0
+        ends[kind] += 1
+        for t, reward, seen in list(zip(life.times, life.rewards, life.seen, strict=True))[::-1]:
+            value = value_of(model, seen)
+            advantage = reward + GAMMA * future - value + GAMMA * LAMBDA * advantage
+            advantages[t, team * ROBOTS + robot] = advantage
             future = value
-        self.open[name] = []
+    return advantages, ends
 
 
 def test_advantages_are_those_of_each_robot_on_its_own():
     np.testing.assert_array_equal(SCENARIO.action_bounds, 2.0)
     model = collected(RobotPPO, make_robots(SCENARIO, TEAMS))
-    buffer, counts = model.rollout_buffer, {"met": 0, "merged": 0, "late": 0}
-    lived = np.zeros_like(buffer.mask)
+    buffer, counts = model.rollout_buffer, Counter()
+    acted = np.zeros_like(buffer.mask)
     for team in range(TEAMS):
-        replay = Replay(model, team)
-        for (t, slot), advantage in replay.advantages.items():
-            lived[t, slot] = True
+        advantages, ends = lived(model, team)
+        for (t, slot), advantage in advantages.items():
+            acted[t, slot] = True
             assert buffer.advantages[t, slot] == pytest.approx(advantage, abs=2e-5)
-        counts = {key: counts[key] + replay.counts[key] for key in counts}
-    np.testing.assert_array_equal(buffer.mask, lived)
-    assert min(counts.values()) >= 3, counts
-    assert not lived.all()
+        counts += ends
+    np.testing.assert_array_equal(buffer.mask, acted)
+    assert min(counts[kind] for kind in ("met", "merged", "late")) >= 3, counts
+    assert not acted.all()
 
 
 @pytest.mark.filterwarnings("ignore:You have specified a mini-batch size")

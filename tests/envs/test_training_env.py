@@ -227,40 +227,6 @@ def test_what_cannot_be_is_refused(arguments, error, message):
         rv.training_env(**({"scenario": SCENARIO} | arguments))
 
 
-def test_bad_actions_name_the_robot_and_change_nothing():
-    for form, bad in (({}, [0.0, np.nan]), ({"discrete": True}, 9), ({"discrete": True}, 0.5)):
-        env = rv.training_env(SCENARIO, **form)
-        env.reset(seed=0)
-        actions = {name: env.action_space(name).sample() for name in env.agents}
-        before = env.state()
-        with pytest.raises(ValueError, match="action of robot_2"):
-            env.step(actions | {"robot_2": bad})
-        with pytest.raises(KeyError, match="robot_3 is alive but has no action"):
-            env.step({name: actions[name] for name in env.agents[:3]})
-        np.testing.assert_array_equal(env.state(), before)
-        env.step(actions)
-
-
-@pytest.mark.parametrize(
-    ("form", "bad", "message"),
-    [
-        ({}, np.full((2, 4, 2), np.nan), "action of robot_0 in team 0 is .*must be finite"),
-        ({}, np.zeros((2, 4)), r"shape \(2, 4\); they must be \(B, n, 2\) = \(2, 4, 2\)"),
-        ({}, "ahead", "actions is 'ahead'"),
-        ({"discrete": True}, np.full((2, 4), 9), "robot_0 in team 0 is 9.*whole number below 9"),
-        ({"discrete": True}, np.zeros((2, 4, 2)), r"they must be \(B, n\) = \(2, 4\)"),
-    ],
-)
-def test_the_vector_door_names_team_and_robot(form, bad, message):
-    teams = rv.vector.training_env(SCENARIO, 2, **form)
-    teams.reset(seed=0)
-    before = teams.get_state()["env"]["env"]
-    with pytest.raises(ValueError, match=message):
-        teams.step(bad)
-    for key, array in teams.get_state()["env"]["env"].items():
-        np.testing.assert_array_equal(array, before[key])
-
-
 def test_a_running_episode_can_be_taken_out_and_put_back(form):
     env = rv.training_env(SCENARIO, **form)
     env.reset(seed=3)

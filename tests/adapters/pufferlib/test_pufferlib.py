@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from small_world import BARE, ROBOTS, SCENARIO, SEED
+from test_examples import JUDGED, run
 
 import rendezvous_env as rv
 from rendezvous_env.vector import training_env
@@ -13,17 +15,7 @@ from pufferlib import PufferEnv
 
 from rendezvous_env.adapters.pufferlib import RobotPufferEnv, make
 
-TEAMS, ROBOTS, SEED = 6, 3, 4
-SCENARIO = rv.Scenario(
-    n_robots=ROBOTS,
-    merge_radius=0.25,
-    spawn_size=1.1,
-    time_step=0.2,
-    allow_long_step=True,
-    time_limit=4.4,
-)
-"""A small world in which a random policy merges, meets and runs out of time."""
-BARE = {"guarantee": None, "learning_preset": False}
+TEAMS = 6
 
 
 def actions_of(steps, agents):
@@ -121,3 +113,12 @@ def test_seeds_and_what_is_refused():
         RobotPufferEnv(teams)
     with pytest.raises(ValueError, match="robot_1"):
         other.step(np.full((2 * ROBOTS, 2), [[0.0], [np.nan]] * 3, dtype=np.float32))
+
+
+@pytest.mark.slow
+def test_the_example_learns():
+    """Judged on starts that it never saw."""
+    told = run("09_pufferlib_ppo.py", "--updates", "15", "--teams", "64", "--held-out", "100")
+    (_, met, clean), (_, met_after, clean_after) = JUDGED.findall(told)
+    assert float(met_after) > float(met) + 20
+    assert float(clean_after) > float(clean)

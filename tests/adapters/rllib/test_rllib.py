@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 from gymnasium.spaces import Box, Discrete
+from small_world import BARE, ROBOTS, SCENARIO, SEED, Lives
+from test_examples import JUDGED, run
 
 import rendezvous_env as rv
 from rendezvous_env.adapters.slots import RobotSlots
@@ -28,17 +28,7 @@ pytestmark = [
     pytest.mark.filterwarnings("ignore::DeprecationWarning"),  # RLlib's own
     pytest.mark.filterwarnings("ignore::ResourceWarning"),
 ]
-TEAMS, ROBOTS, SEED = 8, 3, 4
-SCENARIO = rv.Scenario(
-    n_robots=ROBOTS,
-    merge_radius=0.25,
-    spawn_size=1.1,
-    time_step=0.2,
-    allow_long_step=True,
-    time_limit=4.4,
-)
-"""A small world in which a random policy merges, meets and runs out of time."""
-BARE = {"guarantee": None, "learning_preset": False}
+TEAMS = 8
 
 
 @pytest.fixture(scope="module")
@@ -52,35 +42,6 @@ def local_ray():
     )
     yield
     ray.shutdown()
-
-
-class Lives:
-    """What the robots of one team live through, played alone in PettingZoo."""
-
-    def __init__(self, team):
-        self.team, self.found = team, []
-        self.env = rv.parallel_env(SCENARIO)
-        self.seen, _ = self.env.reset(seed=SEED + team)
-        self.open = {}
-
-    def step(self, actions):
-        alive, names_of = list(self.env.agents), self.env.possible_agents
-        new, rewards, ends, cuts, infos = self.env.step({name: actions[name] for name in alive})
-        met = infos[alive[0]].get("summary", {}).get("success", False)
-        for name in alive:
-            life = self.open.setdefault(name, SimpleNamespace(seen=[], rewards=[], acts=[]))
-            life.seen.append(self.seen[name])
-            life.rewards.append(rewards[name])
-            life.acts.append(actions[name])
-            if ends[name] or cuts[name]:
-                into = name if met or cuts[name] else names_of[infos[name]["merged_into"]]
-                kind = "met" if met else "late" if cuts[name] else "merged"
-                self.close(name, new[into], kind)
-        self.seen = new if self.env.agents else self.env.reset()[0]
-
-    def close(self, name, last, kind):
-        life = self.open.pop(name)
-        self.found.append((int(name.removeprefix("robot_")), life, last, kind))
 
 
 def test_episodes_are_those_of_each_robot_on_its_own():
@@ -232,6 +193,15 @@ def test_a_remote_runner_samples(local_ray):
     algorithm = small().env_runners(num_env_runners=1).debugging(seed=SEED).build_algo()
     assert algorithm.train()["env_runners"]["num_env_steps_sampled"] >= 600
     algorithm.stop()
+
+
+@pytest.mark.slow
+def test_the_example_learns():
+    """Judged on starts that it never saw."""
+    told = run("08_rllib_ppo.py", "--updates", "40", "--held-out", "100")
+    (_, met, clean), (_, met_after, clean_after) = JUDGED.findall(told)
+    assert float(met_after) > float(met) + 20
+    assert float(clean_after) > float(clean)
 
 
 def test_what_is_refused(local_ray):

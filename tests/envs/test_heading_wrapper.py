@@ -1,52 +1,20 @@
-"""HeadingVectorWrapper for PettingZoo: API suites, law (4) from what is seen, periods, memory."""
+"""HeadingVectorWrapper: law (4) from what is seen, decision periods, frames, what it is worth."""
 
 from __future__ import annotations
 
-import copy
-import pickle
-import warnings
-
 import numpy as np
 import pytest
-from conftest import five
-from test_pettingzoo import api_suite
+from guarantees import constant, draw
+from guarantees import make as make_under
 
-import rendezvous_env as rv
 from rendezvous_env import HeadingVectorWrapper, Scenario, graphs, parallel_env
 from rendezvous_env.safety.theorems.descent import time_bound
 from rendezvous_env.safety.turning import mean_body_axis_2d, mean_body_axis_3d
 
-with warnings.catch_warnings():  # PettingZoo imports its own old modules here
-    warnings.simplefilter("ignore", DeprecationWarning)
-    from pettingzoo.test import api_test, parallel_api_test, parallel_seed_test
-    from pettingzoo.test.state_test import state_test
-    from pettingzoo.utils.conversions import parallel_to_aec
 
-
-def make(kind="single_integrator-2d", *, spawn_size=4.0, time_limit=8.0, changes=None, **options):
-    scenario = five(kind, spawn_size=spawn_size, time_limit=time_limit, **(changes or {}))
-    return HeadingVectorWrapper(parallel_env(scenario), **options)
-
-
-def draw(env, random):
-    """Raw vectors of all robots alive."""
-    return {
-        name: random.uniform(-1, 1, env.action_space(name).shape).astype(np.float32)
-        for name in env.agents
-    }
-
-
-def constant(env, vector):
-    return {name: np.array(vector, np.float32) for name in env.agents}
-
-
-def same(a, b):
-    """Whether two nested dicts of arrays are equal, bit for bit."""
-    if isinstance(a, dict):
-        return a.keys() == b.keys() and all(same(a[key], b[key]) for key in a)
-    if isinstance(a, np.ndarray):
-        return a.dtype == b.dtype and np.array_equal(a, b, equal_nan=a.dtype.kind == "f")
-    return a == b or (a != a and b != b)
+def make(kind="single_integrator-2d", *, changes=None, spawn_size=4.0, time_limit=8.0, **options):
+    changes = {"spawn_size": spawn_size, "time_limit": time_limit, **(changes or {})}
+    return make_under("heading", kind, changes=changes, **options)
 
 
 def rotation(dim, seed):
@@ -56,51 +24,6 @@ def rotation(dim, seed):
 
 def _proper(matrix):
     return matrix if np.linalg.det(matrix) > 0 else matrix[:, ::-1]
-
-
-# ---- the suites of PettingZoo --------------------------------------------------------------------
-
-
-@api_suite
-@pytest.mark.parametrize("period", [1, 3])
-def test_parallel_api(kind, period, capsys):
-    parallel_api_test(make(kind, decision_period=period), num_cycles=300)
-    assert "Passed Parallel API test" in capsys.readouterr().out
-
-
-@api_suite
-def test_aec_api(kind, capsys):
-    api_test(parallel_to_aec(make(kind)), num_cycles=100, verbose_progress=False)
-    assert "Passed API test" in capsys.readouterr().out
-
-
-@api_suite
-def test_seeds(kind):
-    parallel_seed_test(lambda: make(kind), num_cycles=100)
-    first, second = (make(kind).reset(seed=seed)[0]["robot_0"] for seed in (1, 2))
-    assert not np.array_equal(first, second)
-
-
-def test_state_suite(kind):
-    env = make(kind)
-    state_test(parallel_to_aec(env), make(kind), num_cycles=20)
-    np.testing.assert_array_equal(env.state_space.low, env.unwrapped.state_space.low)
-
-
-def test_spaces_hold_what_is_seen_and_done(kind):
-    env = make(kind)
-    random = np.random.default_rng(0)
-    observations, _ = env.reset(seed=3)
-    k = {"single_integrator-2d": 2, "single_integrator-3d": 3, "unicycle": 1, "nonholonomic_3d": 2}
-    assert env.action_space("robot_0").shape == (k[kind],)
-    assert env.action_space("robot_0") is env.action_space("robot_0")
-    seen = 0
-    while env.agents:
-        for name, rows in observations.items():
-            assert env.observation_space(name).contains(rows)
-            seen += 1
-        observations, *_ = env.step(draw(env, random))
-    assert seen > 50
 
 
 # ---- law (4) from the observation's own rows -----------------------------------------------------
@@ -186,112 +109,7 @@ def test_nothing_but_the_rows_is_looked_at():
     )
 
 
-# ---- decision period -----------------------------------------------------------------------------
-
-
-def by_hand(scenario, raw, seed, **options):
-    """The same episode, every raw vector repeated one base step at a time, in the local frame."""
-    env = HeadingVectorWrapper(parallel_env(scenario), frame="local", **options)
-    env.reset(seed=seed)
-    told = []
-    while env.agents:
-        told.append(env.step({name: raw[name] for name in env.agents}))
-    return told
-
-
-def test_a_period_is_that_many_base_steps_with_the_raw_vector_held(kind):
-    scenario = five(kind, spawn_size=3.0, time_limit=5.0)
-    random = np.random.default_rng(5)
-    env = HeadingVectorWrapper(parallel_env(scenario), frame="local", decision_period=4)
-    env.reset(seed=8)
-    raw = draw(env, random)
-    singles = by_hand(scenario, raw, seed=8)
-    ended_within = 0
-    for first in range(0, len(singles), 4):
-        part = singles[first : first + 4]
-        alive = env.agents.copy()
-        observations, rewards, ends, cuts, infos = env.step({name: raw[name] for name in alive})
-        assert set(observations) == set(rewards) == set(ends) == set(cuts) == set(alive)
-        for name in alive:
-            own = [step for step in part if name in step[0]]
-            assert rewards[name] == pytest.approx(sum(step[1][name] for step in own), abs=1e-12)
-            np.testing.assert_array_equal(observations[name], own[-1][0][name])
-            assert ends[name] == own[-1][2][name] and cuts[name] == own[-1][3][name]
-            assert same(infos[name], own[-1][4][name])
-            ended_within += len(own) < len(part)
-    assert not env.agents
-    assert ended_within > 0 or not any(step[2].get("robot_4") for step in singles)
-
-
-def test_a_robot_that_merges_on_the_way_ends_with_its_last_observation():
-    scenario = Scenario(n_robots=3, graph="path", merge_radius=0.2, spawn_size=4.0)
-    starts = [[0.0, 0.0], [0.5, 0.0], [6.0, 0.0]]
-    env = HeadingVectorWrapper(parallel_env(scenario), decision_period=10)
-    env.reset(seed=0, options={"positions": starts})
-    observations, _, ends, cuts, infos = env.step(constant(env, (1.0, 0.0)))
-    assert ends == {"robot_0": False, "robot_1": True, "robot_2": False}
-    assert not any(cuts.values()) and env.agents == ["robot_0", "robot_2"]
-    assert infos["robot_1"]["merged_into"] == 0
-    assert not observations["robot_1"].any() and observations["robot_0"].any()
-    with pytest.raises(KeyError, match="robot_1 has merged into robot_0"):
-        env.step({name: np.ones(2, np.float32) for name in ("robot_0", "robot_1", "robot_2")})
-
-
-def test_the_time_limit_may_fall_within_a_period():
-    env = make(decision_period=5)
-    env.max_cycles = 7
-    env.reset(seed=0)
-    *_, cuts, _ = env.step(constant(env, (1.0, 0.0)))
-    assert not any(cuts.values()) and len(env.agents) == 5
-    *_, cuts, infos = env.step(constant(env, (1.0, 0.0)))
-    assert all(cuts.values()) and len(cuts) == 5 and env.agents == []
-    assert infos["robot_0"]["summary"]["time"] == pytest.approx(7 * env.unwrapped.scenario.tau)
-    assert env.step({}) == ({}, {}, {}, {}, {})
-
-
-def test_the_certified_heading_follows_f_within_a_period():
-    """Passing by a neighbour f swings round; a held heading would lose the margin, h does not."""
-    env = make(decision_period=40, min_alignment=0.5, max_turn_rate=1.0)
-    margins, swings, base = [], [], env.unwrapped
-    step = base.step
-
-    def noting(actions):
-        f = base.scenario.observation_layout.net_bearing(env._observed[0])
-        strong = np.linalg.norm(f, axis=-1) >= 2 * base.scenario.dead_zone
-        margins.extend(env.steering.alignment[0][strong])
-        swings.append(f)
-        return step(actions)
-
-    base.step = noting
-    env.reset(seed=4)
-    while env.agents:
-        env.step(constant(env, (0.0, 1.0)))
-    assert min(margins) >= 0.5 - 1e-9 and len(margins) > 50
-    first, last = (swings[k][0] / np.linalg.norm(swings[k][0]) for k in (0, 30))
-    assert first @ last < 0.999
-
-
 # ---- memory --------------------------------------------------------------------------------------
-
-
-def test_state_pickle_and_deepcopy_go_on_alike(kind):
-    env = make(kind, decision_period=2)
-    random = np.random.default_rng(0)
-    env.reset(seed=3)
-    for _ in range(6):
-        env.step(draw(env, random))
-    fresh = make(kind, decision_period=2)
-    fresh.set_state(env.get_state())
-    copies = [fresh, copy.deepcopy(env), pickle.loads(pickle.dumps(env))]
-    compared = 0
-    while env.agents and compared < 30:
-        raw = draw(env, random)
-        result = env.step(raw)
-        for other in copies:
-            assert all(same(a, b) for a, b in zip(result, other.step(raw), strict=True))
-            assert same(env.get_state(), other.get_state())
-        compared += 1
-    assert compared > 5
 
 
 def test_without_its_memory_the_episode_would_go_on_differently():
@@ -304,31 +122,6 @@ def test_without_its_memory_the_episode_would_go_on_differently():
     env.step(constant(env, (0.0, 1.0)))
     other.step(constant(other, (0.0, 1.0)))
     assert not np.array_equal(env.steering.headings, other.steering.headings)
-
-
-def test_a_state_is_a_copy_and_can_be_put_back():
-    env = make()
-    env.reset(seed=3)
-    env.step(constant(env, (0.5, 0.5)))
-    state = env.get_state()
-    kept = copy.deepcopy(state)
-    first = [env.step(constant(env, (0.1, -0.9))) for _ in range(5)]
-    assert same(state, kept)
-    env.set_state(state)
-    second = [env.step(constant(env, (0.1, -0.9))) for _ in range(5)]
-    assert all(same(a[0], b[0]) and same(a[1], b[1]) for a, b in zip(first, second, strict=True))
-
-
-def test_a_reset_forgets_the_headings(kind):
-    env, fresh = make(kind, max_turn_rate=0.5), make(kind, max_turn_rate=0.5)
-    random = np.random.default_rng(0)
-    env.reset(seed=1)
-    for _ in range(10):
-        env.step(draw(env, random))
-    observations, _ = env.reset(seed=9)
-    assert not env.steering.headings.any()
-    again, _ = fresh.reset(seed=9)
-    assert same(observations, again) and same(env.get_state(), fresh.get_state())
 
 
 # ---- frame="net_bearing" -------------------------------------------------------------------------
@@ -412,8 +205,9 @@ def test_a_weak_f_keeps_the_last_frame():
     np.testing.assert_allclose(states[0].sum(axis=0)[1], 0, atol=1e-6)
     env.reset(seed=0, options={"positions": [[-2.0, 0], [0, 0.5], [2.0, 0]]})
     frame = env.steering.get_state()["frames"][0, 1]
-    env._observed[0, 1] = env._observed[0, 1] * 0.0
-    env.steering.view(env._observed)
+    rows = env.unwrapped.simulator.observe()
+    rows[0, 1] = 0.0
+    env.steering.view(rows)
     np.testing.assert_array_equal(env.steering.get_state()["frames"][0, 1], frame)
     assert not np.array_equal(frame, np.eye(2))
 
@@ -483,71 +277,6 @@ def test_single_integrators_meet_within_the_bound_whatever_the_policy():
             *_, infos = env.step(draw(env, random))
         summary = next(iter(infos.values()))["summary"]
         assert summary["success"] and summary["time"] <= bound
-
-
-# ---- bad arguments -------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"min_alignment": 0.0}, "min_alignment is 0.0; it must be at least 1e-06"),
-        ({"min_alignment": 1.0}, "min_alignment is 1.0"),
-        ({"min_alignment": float("nan")}, "min_alignment is nan"),
-        ({"decision_period": 0}, "decision_period is 0; it must be a whole number"),
-        ({"decision_period": 2.0}, "decision_period is 2.0"),
-        ({"decision_period": True}, "decision_period is True"),
-        ({"frame": "global"}, "frame is 'global'; it must be one of"),
-        ({"max_turn_rate": 0.0}, "max_turn_rate is 0.0; it must be a positive"),
-        ({"max_turn_rate": float("inf")}, "max_turn_rate is inf"),
-    ],
-)
-def test_bad_options_are_refused_by_name(kind, options, message):
-    with pytest.raises(ValueError, match=message):
-        make(kind, **options)
-
-
-def test_a_vector_environment_is_sent_to_its_own_wrapper():
-    with pytest.raises(TypeError, match=r"RendezvousVectorEnv.*vector\.HeadingVectorWrapper"):
-        rv.HeadingVectorWrapper(rv.make_vec("duo", num_envs=2))
-
-
-BAD_ACTIONS = {
-    "NaN": (lambda raw: raw | {"robot_2": raw["robot_2"] * np.nan}, ValueError, "robot_2"),
-    "inf": (lambda raw: raw | {"robot_0": raw["robot_0"] + np.inf}, ValueError, "robot_0"),
-    "wrong shape": (lambda raw: raw | {"robot_1": np.zeros(7)}, ValueError, "robot_1"),
-    "a word": (lambda raw: raw | {"robot_1": "left"}, ValueError, "robot_1"),
-    "missing": (lambda raw: {k: v for k, v in raw.items() if k != "robot_3"}, KeyError, "robot_3"),
-    "unknown": (lambda raw: raw | {"robot_9": raw["robot_0"]}, KeyError, "robot_9"),
-}
-
-
-@pytest.mark.parametrize("wrong", BAD_ACTIONS)
-def test_bad_actions_are_refused_by_name_and_change_nothing(kind, wrong):
-    spoil, error, name = BAD_ACTIONS[wrong]
-    env = make(kind)
-    env.reset(seed=0)
-    random = np.random.default_rng(0)
-    env.step(draw(env, random))
-    before = env.get_state()
-    with pytest.raises(error, match=name):
-        env.step(spoil(draw(env, random)))
-    assert same(before, env.get_state())
-
-
-def test_a_state_that_does_not_fit_is_refused_and_changes_nothing():
-    env, other = make(), HeadingVectorWrapper(rv.parallel_env("duo"))
-    env.reset(seed=0)
-    other.reset(seed=0)
-    before = env.get_state()
-    with pytest.raises(ValueError, match="observed must be an array of shape"):
-        env.set_state(other.get_state())
-    broken = env.get_state()
-    broken["env"]["simulator"].pop("weights")
-    broken["steering"]["headings"] += 1.0
-    with pytest.raises(ValueError, match="weights"):
-        env.set_state(broken)
-    assert same(before, env.get_state())
 
 
 def test_a_graph_without_links_moves_nobody():

@@ -1,0 +1,97 @@
+"""Actions that are none: refused by the name of their robot, and nothing has changed."""
+
+from __future__ import annotations
+
+import copy
+
+import numpy as np
+import pytest
+from conftest import five
+from guarantees import same
+from test_pettingzoo import act, make, merged, until_a_merge
+
+import rendezvous_env as rv
+from rendezvous_env import parallel_env
+
+CLUTTER = rv.scenarios.get("clutter-8").replace(time_limit=6.0)
+
+
+def _with(name, value):
+    return lambda actions, gone: {**actions, name: value(actions.get("robot_0"))}
+
+
+BAD_ACTIONS = {
+    "nan": (_with("robot_0", lambda a: a * np.nan), ValueError, r"action of robot_0 .*nan"),
+    "inf": (_with("robot_0", lambda a: a + np.inf), ValueError, r"action of robot_0 .*inf"),
+    "minus inf": (_with("robot_0", lambda a: a - np.inf), ValueError, r"action of robot_0 .*-inf"),
+    "short": (_with("robot_0", lambda a: a[:1]), ValueError, "action of robot_0 .* finite numbers"),
+    "long": (_with("robot_0", lambda a: np.zeros(7)), ValueError, "action of robot_0 "),
+    "matrix": (_with("robot_0", lambda a: a[None]), ValueError, "action of robot_0 "),
+    "number": (_with("robot_0", lambda a: 1.0), ValueError, "action of robot_0 is 1.0"),
+    "text": (_with("robot_0", lambda a: "left"), ValueError, "action of robot_0 is 'left'"),
+    "none": (_with("robot_0", lambda a: None), ValueError, "action of robot_0 is None"),
+    "missing": (lambda a, gone: {k: v for k, v in a.items() if k != "robot_0"}, KeyError,
+        "robot_0 is alive but has no action"),
+    "none at all": (lambda a, gone: {}, KeyError, "robot_0 is alive"),
+    "unknown": (_with("robot_9", lambda a: a), KeyError, "'robot_9' is no robot of this team"),
+    "renamed": (lambda a, gone: {"robot_9" if k == "robot_0" else k: v for k, v in a.items()},
+        KeyError, "'robot_9' is no robot"),
+    "merged away": (lambda a, gone: {**a, gone: a["robot_0"]}, KeyError, "GONE has merged into"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", BAD_ACTIONS)
+def test_bad_actions_are_refused_name_the_robot_and_change_nothing(kind, name):
+    spoil, error, message = BAD_ACTIONS[name]
+    env = make(kind)
+    _, _, _, _, infos = until_a_merge(env)
+    gone = merged(infos)[0]
+    reference, before = copy.deepcopy(env), env.simulator.get_state()
+    with pytest.raises(error, match=message.replace("GONE", gone)):
+        env.step(spoil(act(env), gone))
+    assert env.agents == reference.agents and same(env.simulator.get_state(), before)
+    after, expected = env.step(act(env)), reference.step(act(reference))
+    assert all(same(a, b) for a, b in zip(after, expected, strict=True))
+
+
+def test_huge_finite_actions_and_lists_are_fine():
+    env = parallel_env(five("single_integrator-2d"))
+    env.reset(seed=0)
+    before = env.simulator.positions
+    env.step({name: [3e38, 3e38] for name in env.agents})
+    speed = np.linalg.norm(env.simulator.positions - before, axis=-1) / env.scenario.tau
+    np.testing.assert_allclose(speed, env.scenario.speed_limit, rtol=1e-9)
+
+
+def test_training_environments_name_the_robot():
+    for form, bad in (({}, [0.0, np.nan]), ({"discrete": True}, 9), ({"discrete": True}, 0.5)):
+        env = rv.training_env(CLUTTER, **form)
+        env.reset(seed=0)
+        actions = {name: env.action_space(name).sample() for name in env.agents}
+        before = env.state()
+        with pytest.raises(ValueError, match="action of robot_2"):
+            env.step(actions | {"robot_2": bad})
+        with pytest.raises(KeyError, match="robot_3 is alive but has no action"):
+            env.step({name: actions[name] for name in env.agents[:3]})
+        np.testing.assert_array_equal(env.state(), before)
+        env.step(actions)
+
+
+@pytest.mark.parametrize(
+    ("form", "bad", "message"),
+    [
+        ({}, np.full((2, 4, 2), np.nan), "action of robot_0 in team 0 is .*must be finite"),
+        ({}, np.zeros((2, 4)), r"shape \(2, 4\); they must be \(B, n, 2\) = \(2, 4, 2\)"),
+        ({}, "ahead", "actions is 'ahead'"),
+        ({"discrete": True}, np.full((2, 4), 9), "robot_0 in team 0 is 9.*whole number below 9"),
+        ({"discrete": True}, np.zeros((2, 4, 2)), r"they must be \(B, n\) = \(2, 4\)"),
+    ],
+)
+def test_the_vector_door_names_team_and_robot(form, bad, message):
+    teams = rv.vector.training_env(CLUTTER, 2, **form)
+    teams.reset(seed=0)
+    before = teams.get_state()["env"]["env"]
+    with pytest.raises(ValueError, match=message):
+        teams.step(bad)
+    for key, array in teams.get_state()["env"]["env"].items():
+        np.testing.assert_array_equal(array, before[key])
