@@ -4,7 +4,6 @@ where there is no environment to wrap.
 
 from __future__ import annotations
 
-import math
 from abc import abstractmethod
 from collections.abc import Callable
 from functools import partial
@@ -13,14 +12,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rendezvous_env.checks import bools, refuse
+from rendezvous_env.checks import refuse
 from rendezvous_env.envs.guarantee import check_period
 from rendezvous_env.safety.heading import HeadingFilter
 from rendezvous_env.safety.safety_filter import SafetyFilter
 from rendezvous_env.safety.tank import EnergyTank
 from rendezvous_env.scenario.scenarios import resolve
 
-from .policy import TeamPolicy, of_whole_teams, within_limits
+from .policy import RememberingPolicy, within_limits
 
 if TYPE_CHECKING:
     from rendezvous_env.scenario.scenario import Scenario
@@ -30,26 +29,13 @@ Choose = Callable[[NDArray[np.float32]], ArrayLike]
 """Observations (..., n, rows, d) → choices (..., n, k), in [−1, 1]."""
 
 
-class DecidingPolicy(TeamPolicy):
-    """Decides every ``decision_period`` steps, and acts on the decision in each of them.
-
-    It remembers with the leading axes of the observations; other leading axes are other teams, and
-    start anew.
-
-    Args:
-        scenario: whose robots it steers.
-        decision_period: base steps for which a decision is held.
-    """
+class DecidingPolicy(RememberingPolicy):
+    """Decides every ``decision_period`` steps, and acts on the decision in each of them."""
 
     def __init__(self, scenario: Scenario, decision_period: int) -> None:
         self.scenario, self.decision_period = scenario, decision_period
-        self._leading: tuple[int, ...] | None = None
         self._steps: NDArray[np.float64] = np.zeros(0)
         """Since the last decision, (B,), in units of τ; inf before the first."""
-
-    @abstractmethod
-    def _start(self, teams: int) -> None:
-        """Begin anew with so many teams."""
 
     @abstractmethod
     def _decide(self, teams: NDArray[np.float32], due: NDArray[np.bool_]) -> None:
@@ -58,10 +44,6 @@ class DecidingPolicy(TeamPolicy):
     @abstractmethod
     def _act(self, teams: NDArray[np.float32], elapsed: float) -> NDArray[np.float32]:
         """Actions (B, n, a) of a step, so many s after the step before."""
-
-    @abstractmethod
-    def _forget(self, which: NDArray[np.bool_]) -> None:
-        """These teams, (B,), begin anew."""
 
     def _settle(self, share: float) -> None:
         """Take note that the step before lasted so much of τ."""
@@ -77,10 +59,7 @@ class DecidingPolicy(TeamPolicy):
 
     def _after(self, elapsed: float, observations: NDArray[Any]) -> NDArray[np.float32]:
         """Actions, where the call before was so many seconds ago."""
-        seen = of_whole_teams(observations, self.scenario)
-        if seen.shape[:-3] != self._leading:
-            self._begin(seen.shape[:-3])
-        teams = seen.reshape(-1, *seen.shape[-3:])
+        teams = self._teams_of(observations)
         share = elapsed / self.scenario.tau
         self._settle(share)
         self._steps += share
@@ -88,25 +67,13 @@ class DecidingPolicy(TeamPolicy):
         if due.any():
             self._decide(teams, due)
             self._steps[due] = 0.0
-        return self._act(teams, elapsed).reshape(*seen.shape[:-2], -1)
+        return self._as_given(self._act(teams, elapsed))
 
-    def _begin(self, leading: tuple[int, ...]) -> None:
-        self._leading = leading
-        self._start(math.prod(leading))
-        self._steps = np.full(math.prod(leading), np.inf)
+    def _start(self, teams: int) -> None:
+        self._steps = np.full(teams, np.inf)
 
-    def reset(self, mask: NDArray[np.bool_] | None = None) -> None:
-        """Forget the teams where ``mask`` (...) is true, of all if it is None.
-
-        Raises:
-            ValueError: for another mask.
-        """
-        if mask is None:
-            self._leading = None
-        elif self._leading is not None:
-            which = bools("mask", mask, self._leading, "teams").reshape(-1)
-            self._forget(which)
-            self._steps[which] = np.inf
+    def _forget(self, which: NDArray[np.bool_]) -> None:
+        self._steps[which] = np.inf
 
 
 class FilteredPolicy(DecidingPolicy):
@@ -137,6 +104,7 @@ class FilteredPolicy(DecidingPolicy):
         self._begin(())
 
     def _start(self, teams: int) -> None:
+        super()._start(teams)
         self._filter = self._make_filter(teams)
 
     def _act(self, teams: NDArray[np.float32], elapsed: float) -> NDArray[np.float32]:
@@ -150,10 +118,9 @@ class FilteredPolicy(DecidingPolicy):
 
     def _decide(self, teams: NDArray[np.float32], due: NDArray[np.bool_]) -> None:
         before = None if due.all() else self._filter.get_state()
-        seen = self._filter.view(teams)
-        leading = self._leading or ()
-        choices = np.asarray(self.choose(seen.reshape(*leading, *seen.shape[1:])))
-        wanted = *leading, self.scenario.n_robots, self._filter.action_size
+        seen = self._as_given(self._filter.view(teams))
+        choices = np.asarray(self.choose(seen))
+        wanted = *seen.shape[:-2], self._filter.action_size
         if choices.shape != wanted:
             raise ValueError(
                 f"choose gave an array of shape {choices.shape}; it must be (..., n, k) = {wanted}"
@@ -166,6 +133,7 @@ class FilteredPolicy(DecidingPolicy):
             self._filter.set_state(now)
 
     def _forget(self, which: NDArray[np.bool_]) -> None:
+        super()._forget(which)
         self._filter.forget(which)
 
     def reset(self, mask: NDArray[np.bool_] | None = None) -> None:
@@ -248,4 +216,4 @@ class TankPolicy(FilteredPolicy):
     @property
     def levels(self) -> NDArray[np.float64]:
         """A of the tanks, (..., n), m²/s."""
-        return np.asarray(self._filter.levels).reshape(*(self._leading or ()), -1)
+        return self._as_given(self._filter.levels)

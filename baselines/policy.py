@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import inspect
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol, TypeVar, overload
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeVar, overload, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rendezvous_env.checks import nearest_word, shown
+from rendezvous_env.checks import bools, nearest_word, shown
 from rendezvous_env.scenario.scenarios import resolve
 
 if TYPE_CHECKING:
@@ -41,6 +41,7 @@ class Policy(Protocol):
         ...
 
 
+@runtime_checkable
 class RealTimePolicy(Policy, Protocol):
     """A policy whose memory runs in seconds, not in calls."""
 
@@ -118,6 +119,57 @@ class TeamPolicy(ABC):
         """Forget the state of the teams where ``mask`` (...) is true, of all if it is None."""
 
 
+class RememberingPolicy(TeamPolicy):
+    """One whose memory has the leading axes of the observations; other leading axes are other
+    teams, and start anew.
+    """
+
+    _leading: tuple[int, ...] | None = None
+    """Of the teams that are remembered; None before the first call."""
+
+    @abstractmethod
+    def _start(self, teams: int) -> None:
+        """Begin anew with so many teams."""
+
+    @abstractmethod
+    def _forget(self, which: NDArray[np.bool_]) -> None:
+        """These teams, (B,), begin anew."""
+
+    def _teams_of(self, observations: NDArray[Any]) -> NDArray[np.float32]:
+        """What the remembered teams see, (B, n, rows, d)."""
+        n, layout = self.scenario.n_robots, self.scenario.observation_layout
+        seen = np.ascontiguousarray(layout.checked(observations), dtype=np.float32)
+        if seen.ndim < 3 or seen.shape[-3] != n:
+            raise ValueError(
+                f"observations have shape {seen.shape}; scenario {self.scenario.name!r} needs "
+                f"(..., {n}, {layout.rows}, {layout.dim})"
+            )
+        if seen.shape[:-3] != self._leading:
+            self._begin(seen.shape[:-3])
+        return seen.reshape(-1, *seen.shape[-3:])
+
+    def _begin(self, leading: tuple[int, ...]) -> None:
+        self._leading = leading
+        self._start(math.prod(leading))
+
+    def _as_given(self, values: NDArray[Any]) -> NDArray[Any]:
+        """Values (B, ...) of the remembered teams with their leading axes; none without teams."""
+        if self._leading is None:
+            return np.zeros(0, values.dtype)
+        return values.reshape(*self._leading, *values.shape[1:])
+
+    def reset(self, mask: NDArray[np.bool_] | None = None) -> None:
+        """Forget the teams where ``mask`` (...) is true, all if it is None.
+
+        Raises:
+            ValueError: for another mask.
+        """
+        if mask is None:
+            self._leading = None
+        elif self._leading is not None:
+            self._forget(bools("mask", mask, self._leading, "teams").reshape(-1))
+
+
 KINDS = {
     "law": "laws, most of them of the paper",
     "field": "laws of others",
@@ -131,8 +183,7 @@ KINDS = {
 """What policies there are, in the order in which lists and tables show them."""
 
 
-@dataclass(frozen=True)
-class _Entry:
+class _Entry(NamedTuple):
     build: Callable[..., Policy]
     fits: Callable[[Scenario], bool]
     kind: str
@@ -150,7 +201,7 @@ def register(
     kind: str = "own",
     on_request: bool = False,
 ) -> Callable[[_Builder], _Builder]:
-    """Enter the decorated builder ``(scenario, **options) -> Policy`` under a name.
+    """Enter the decorated builder ``(scenario, **options) -> Policy``, a function or a class.
 
     Args:
         name: what ``make`` calls it.
@@ -173,40 +224,32 @@ def register(
 
 def names(scenario: Scenario | None = None) -> list[str]:
     """Names of the policies that fit a scenario, or of all of them, in the order of KINDS."""
+    kinds = list(KINDS)
     fitting = [n for n, entry in _registry.items() if scenario is None or entry.fits(scenario)]
-    return sorted(fitting, key=lambda name: in_order(_registry[name].kind))
+    return sorted(fitting, key=lambda name: kinds.index(_registry[name].kind))
 
 
-def in_order(kind: str) -> int:
-    """The place of a kind among KINDS."""
-    return list(KINDS).index(kind)
+# Of a name that is not registered these raise a KeyError.
 
 
 def kind_of(name: str) -> str:
-    """The kind of a policy.
-
-    Raises:
-        KeyError: for an unknown name.
-    """
+    """The kind of a policy, one of KINDS."""
     return _registry[name].kind
 
 
 def on_request(name: str) -> bool:
-    """Whether a comparison takes a policy only if it is named.
-
-    Raises:
-        KeyError: for an unknown name.
-    """
+    """Whether a comparison takes a policy only if it is named."""
     return _registry[name].on_request
 
 
 def about(name: str) -> str:
-    """What a policy is, the first line of its builder's docstring; empty without one.
-
-    Raises:
-        KeyError: for an unknown name.
-    """
+    """What a policy is, the first line of its builder's docstring; empty without one."""
     return (inspect.getdoc(_registry[name].build) or "").partition("\n")[0].rstrip(".")
+
+
+def source_file(name: str) -> Path | None:
+    """The file in which a policy is made; None for one that was typed in."""
+    return file_of(_registry[name].build)
 
 
 def make(name: str, scenario: ScenarioLike, **options: Any) -> Policy:
@@ -224,8 +267,11 @@ def make(name: str, scenario: ScenarioLike, **options: Any) -> Policy:
     scenario = resolve(scenario)
     fitting = names(scenario)
     if not isinstance(name, str) or name not in fitting:
-        listed = isinstance(name, str) and name in _registry
-        known = f"does not fit {_describe(scenario)}" if listed else "is unknown"
+        known = "is unknown"
+        if isinstance(name, str) and name in _registry:
+            slots = scenario.observation_layout.obstacle_slots
+            robots = f"{scenario.robot_model} robots in {scenario.dim}-D"
+            known = f"does not fit {robots} with {slots} obstacle slots"
         near = nearest_word(name, fitting)
         hint = f"; did you mean {near!r}?" if near else ""
         raise ValueError(
@@ -242,15 +288,6 @@ def make(name: str, scenario: ScenarioLike, **options: Any) -> Policy:
     return build(scenario, **options)
 
 
-def source_file(name: str) -> Path | None:
-    """The file in which a policy is made; None for one that was typed in.
-
-    Raises:
-        KeyError: for an unknown name.
-    """
-    return file_of(_registry[name].build)
-
-
 def file_of(build: Callable[..., Any]) -> Path | None:
     """The file in which a function is written; None for one that was typed in."""
     try:
@@ -260,35 +297,29 @@ def file_of(build: Callable[..., Any]) -> Path | None:
     return Path(found) if found is not None and Path(found).is_file() else None
 
 
-def _describe(scenario: Scenario) -> str:
-    slots = scenario.observation_layout.obstacle_slots
-    return f"{scenario.robot_model} robots in {scenario.dim}-D with {slots} obstacle slots"
-
-
 def is_single_integrator(scenario: Scenario) -> bool:
     """Whether actions are velocities."""
     return scenario.robot_model == "single_integrator"
 
 
+def in_the_plane(scenario: Scenario) -> bool:
+    """Whether actions are velocities in the plane."""
+    return is_single_integrator(scenario) and scenario.dim == 2
+
+
+def among_obstacles(scenario: Scenario) -> bool:
+    """Whether actions are velocities, and obstacles may be seen."""
+    return is_single_integrator(scenario) and scenario.observation_layout.obstacle_slots > 0
+
+
+def among_obstacles_in_the_plane(scenario: Scenario) -> bool:
+    """Both."""
+    return among_obstacles(scenario) and scenario.dim == 2
+
+
 def is_double_integrator(scenario: Scenario) -> bool:
     """Whether actions are accelerations."""
     return scenario.robot_model == "double_integrator"
-
-
-def of_whole_teams(observations: Any, scenario: Scenario) -> NDArray[np.float32]:
-    """Observations (..., n, rows, d) for a policy that remembers robots.
-
-    Raises:
-        ValueError: if they are not those of teams of this scenario.
-    """
-    n, layout = scenario.n_robots, scenario.observation_layout
-    seen = np.ascontiguousarray(layout.checked(observations), dtype=np.float32)
-    if seen.ndim < 3 or seen.shape[-3] != n:
-        raise ValueError(
-            f"observations have shape {seen.shape}; scenario {scenario.name!r} needs "
-            f"(..., {n}, {layout.rows}, {layout.dim})"
-        )
-    return seen
 
 
 def within_limits(actions: NDArray[np.float64], scenario: Scenario) -> NDArray[np.float32]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +14,7 @@ from rendezvous_env.scenario.scenario import Scenario
 from rendezvous_env.scenario.scenarios import ScenarioLike, resolve
 
 from . import policy as registry
-from .policy import Policy
+from .policy import Policy, RealTimePolicy
 
 _KINDS = ("law", "rule", "learned")
 """Kinds whose policies ask neither which robot is which nor how often they were called."""
@@ -100,10 +99,9 @@ class RobotPolicy:
         elapsed = self.scenario.tau if dt is None else positive("dt", dt, "s")
         self._team[0, 0] = self._sight.rows(bearings, obstacles, weights)
         self._time = self._time + elapsed if self._time >= 0.0 else 0.0
-        after: Callable[..., NDArray[np.float32]] | None = getattr(self.policy, "after", None)
-        if after is None:
-            return self.policy(self._team, self._time)[0, 0]
-        return after(elapsed, self._team, self._time)[0, 0]
+        if isinstance(self.policy, RealTimePolicy):
+            return self.policy.after(elapsed, self._team, self._time)[0, 0]
+        return self.policy(self._team, self._time)[0, 0]
 
     def reset(self) -> None:
         """Forget everything: the next tick is the first."""
@@ -162,21 +160,10 @@ class RobotSight:
     def rows(
         self, bearings: ArrayLike, obstacles: ArrayLike, weights: ArrayLike | None
     ) -> NDArray[np.float32]:
-        """The observation of the robot.
+        """The observation of the robot, (rows, 2); arguments and refusals as ``RobotPolicy.act``.
 
-        Args:
-            bearings: g_ij, (k, 2), unit vectors in the robot's frame; k at most K.
-            obstacles: both edges of each obstacle, (m, 2, 2), unit vectors; m at most M. A
-                silhouette is narrower than π, which tells the counter-clockwise edge; of two
-                opposite edges that is the first.
-            weights: a_ij, (k,), m/s, positive; None is 1 for all.
-
-        Returns:
-            (rows, 2).
-
-        Raises:
-            ValueError: naming the argument, its value and what would be right; nothing has changed
-                then.
+        A silhouette is narrower than π, which tells its counter-clockwise edge; of two opposite
+        edges that is the first.
         """
         layout = self._layout
         seen = _unit_vectors("bearings", bearings, (2,), layout.neighbour_slots, "neighbours")

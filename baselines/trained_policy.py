@@ -14,7 +14,8 @@ from rendezvous_env.safety.safety_filter import SafetyFilter
 from rendezvous_env.scenario.scenarios import resolve
 from rendezvous_env.vector import training_env
 
-from .filtered_policies import DecidingPolicy, FilteredPolicy
+from .filtered_policies import FilteredPolicy
+from .learned.learned_policy import GuidedPolicy
 from .learned.training_environment import FeatureVectorEnv
 from .policy import TeamPolicy, within_limits
 
@@ -120,32 +121,20 @@ class TrainedPolicy(TeamPolicy):
         self._policy.reset(mask)
 
 
-class _PresetPolicy(DecidingPolicy):
+class _PresetPolicy(GuidedPolicy):
     """Sees and does what the shipped policy of a guarantee does."""
 
     def __init__(self, scenario: Scenario, ask: Predict, env: FeatureVectorEnv) -> None:
-        super().__init__(scenario, env.decision_period)
-        self._ask, self._settings, self._discrete = ask, env.settings, env.discrete
-        self._one = env.single_action_space
+        super().__init__(scenario, env.settings)
+        self._ask, self._discrete, self._one = ask, env.discrete, env.single_action_space
 
     def _start(self, teams: int) -> None:
-        self._guided = self._settings.make_teams(self.scenario, teams)
+        super()._start(teams)
         self._held = np.zeros((teams, *(self._one.shape or ())), self._one.dtype)
 
-    def _settle(self, share: float) -> None:
-        self._guided.settle(share)
-
-    def _decide(self, teams: NDArray[np.float32], due: NDArray[np.bool_]) -> None:
-        steps = np.where(np.isinf(self._steps), self.decision_period, self._steps)
-        seen = self._guided.show(teams, due, steps * self.scenario.tau)
-        self._held[due] = self._ask(seen)[due]
+    def _choose(self, shown: NDArray[np.float32], due: NDArray[np.bool_]) -> None:
+        self._held[due] = self._ask(shown)[due]
         (self._guided.choose if self._discrete else self._guided.head)(self._held)
-
-    def _act(self, teams: NDArray[np.float32], elapsed: float) -> NDArray[np.float32]:
-        return within_limits(self._guided.act(teams, elapsed).astype(np.float64), self.scenario)
-
-    def _forget(self, which: NDArray[np.bool_]) -> None:
-        self._guided.forget(which)
 
 
 class _BarePolicy(TeamPolicy):

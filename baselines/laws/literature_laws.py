@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -15,7 +16,7 @@ from rendezvous_env.safety.heading import step_scale
 from rendezvous_env.scenario.observation_layout import ObservedRows
 from rendezvous_env.sensors.sensor_equations import in_sectors
 
-from ..policy import Policy, is_single_integrator, register
+from ..policy import Policy, in_the_plane, is_single_integrator, register
 from .neighbour_order import (
     chosen_rows,
     first_seen,
@@ -27,14 +28,6 @@ from .paper_laws import Array, LawPolicy, bearing_only_law
 
 if TYPE_CHECKING:
     from rendezvous_env.scenario.scenario import Scenario
-
-__all__ = [
-    "cyclic_pursuit_law",
-    "nearest_pursuit_law",
-    "rounded_bearings",
-    "smallest_sector_law",
-    "unit_mean_law",
-]
 
 
 def unit_mean_law(net_bearing: Array, *, speed: float) -> Array:
@@ -104,13 +97,7 @@ def rounded_bearings(bearings: NDArray[Any], sectors: int) -> Array:
 
 @kernel
 def _round_rows(rows, sectors, out):
-    """Turn rows into the middles of their sectors.
-
-    Args:
-        rows: (N, 2).
-        sectors: how many there are, all round.
-        out: (N, 2), as long as the rows.
-    """
+    """Rows (N, 2) turned into the middles of their sectors, as long as before."""
     for i in range(rows.shape[0]):
         out[i, 0], out[i, 1] = in_sectors((rows[i, 0], rows[i, 1]), sectors)
 
@@ -159,10 +146,6 @@ def _pursuit_law(bearings: NDArray[Any], order: NDArray[np.int64], speed: float)
 # ---- as policies --------------------------------------------------------------------------------
 
 
-def _in_the_plane(scenario: Scenario) -> bool:
-    return is_single_integrator(scenario) and scenario.dim == 2
-
-
 def _unit_mean_velocities(f: Array, seen: ObservedRows, time: ArrayLike, *, speed: float) -> Array:
     return unit_mean_law(f, speed=speed)
 
@@ -177,7 +160,7 @@ def _smallest_sector_velocities(f: Array, seen: ObservedRows, time: ArrayLike) -
     return smallest_sector_law(seen.neighbours)
 
 
-@register("smallest-sector", fits=_in_the_plane, kind="field", on_request=True)
+@register("smallest-sector", fits=in_the_plane, kind="field", on_request=True)
 def _smallest_sector(scenario: Scenario) -> Policy:
     """Between the two neighbours that bound the smallest sector with all of them in it."""
     return LawPolicy(scenario, _smallest_sector_velocities)
@@ -192,7 +175,7 @@ def _quantised_velocities(
     return bearing_only_law(rows.sum(axis=-2)) * (scale if scenario.scales_velocity else 1.0)
 
 
-@register("quantised", fits=_in_the_plane, kind="field", on_request=True)
+@register("quantised", fits=in_the_plane, kind="field", on_request=True)
 def _quantised(scenario: Scenario, sectors: int = 8) -> Policy:
     """Law (1) of bearings that are known by sector only."""
     count = whole("sectors", sectors, 2, MOST_SECTORS)
@@ -203,27 +186,21 @@ def _knows_who(scenario: Scenario) -> bool:
     return is_single_integrator(scenario) and rows_have_an_order(scenario)
 
 
-def _cyclic_pursuit_velocities(
-    f: Array, seen: ObservedRows, time: ArrayLike, *, speed: float
+def _pursuit_velocities(
+    f: Array, seen: ObservedRows, time: ArrayLike, *, law: Callable[..., Array], speed: float
 ) -> Array:
-    return cyclic_pursuit_law(seen.neighbours, speed=speed)
+    return law(seen.neighbours, speed=speed)
 
 
 @register("cyclic-pursuit", fits=_knows_who, kind="field", on_request=True)
 def _cyclic_pursuit(scenario: Scenario) -> Policy:
     """Straight at the next robot by row, at the speed limit."""
-    law = partial(_cyclic_pursuit_velocities, speed=scenario.speed_limit)
-    return LawPolicy(scenario, law)
-
-
-def _nearest_pursuit_velocities(
-    f: Array, seen: ObservedRows, time: ArrayLike, *, speed: float
-) -> Array:
-    return nearest_pursuit_law(seen.neighbours, speed=speed)
+    speed = scenario.speed_limit
+    return LawPolicy(scenario, partial(_pursuit_velocities, law=cyclic_pursuit_law, speed=speed))
 
 
 @register("nearest-pursuit", fits=_knows_who, kind="field", on_request=True)
 def _nearest_pursuit(scenario: Scenario) -> Policy:
     """Straight at the robot nearest by index, at the speed limit."""
-    law = partial(_nearest_pursuit_velocities, speed=scenario.speed_limit)
-    return LawPolicy(scenario, law)
+    speed = scenario.speed_limit
+    return LawPolicy(scenario, partial(_pursuit_velocities, law=nearest_pursuit_law, speed=speed))

@@ -20,32 +20,18 @@ def rows_have_an_order(scenario: Scenario) -> bool:
 
 
 def rows_from_next(n_robots: int, rows: int) -> NDArray[np.int64]:
-    """Rows in cyclic order from the next robot's on.
+    """Indices of rows, (n, K), in cyclic order from the next robot's on.
 
     With a row for each other robot these are the rows of robots i + 1, i + 2, …, i − 1 (mod n);
     with fewer, on sparse graphs, the rows as they stand.
-
-    Args:
-        n_robots: n.
-        rows: K.
-
-    Returns:
-        (n, K), indices of rows.
     """
     robots, steps = np.arange(n_robots)[:, np.newaxis], np.arange(rows)
     return (robots + steps) % rows if rows == n_robots - 1 else 0 * robots + steps
 
 
 def rows_from_nearest(n_robots: int, rows: int) -> NDArray[np.int64]:
-    """Rows in the order of how far their robots' indices are from a robot's own, of two equally far
-    ones the lower first; with fewer than n − 1, on sparse graphs, the rows as they stand.
-
-    Args:
-        n_robots: n.
-        rows: K.
-
-    Returns:
-        (n, K), indices of rows.
+    """Indices of rows, (n, K), in the order of how far their robots' indices are from a robot's
+    own, of two equally far ones the lower first; on sparse graphs the rows as they stand.
     """
     own, row = np.arange(n_robots)[:, np.newaxis], np.arange(rows)
     if rows != n_robots - 1:
@@ -54,14 +40,8 @@ def rows_from_nearest(n_robots: int, rows: int) -> NDArray[np.int64]:
 
 
 def first_seen(seen: NDArray[np.bool_], order: NDArray[np.int64]) -> NDArray[np.int64]:
-    """The row that comes first among those that are seen.
-
-    Args:
-        seen: (..., n, K).
-        order: indices of rows, (n, K) or (..., n, K).
-
-    Returns:
-        (..., n); the first row of the order where none is seen.
+    """Of rows in an order, ([...,] n, K), the first that is seen, (..., n, K): its index, (..., n);
+    the first of all where none is seen.
     """
     order = np.broadcast_to(order, seen.shape)
     first = np.argmax(np.take_along_axis(seen, order, axis=-1), axis=-1)
@@ -69,14 +49,6 @@ def first_seen(seen: NDArray[np.bool_], order: NDArray[np.int64]) -> NDArray[np.
 
 
 def chosen_rows(rows: NDArray[Any], target: NDArray[np.int64]) -> NDArray[np.float64]:
-    """One row of each robot.
-
-    Args:
-        rows: (..., n, K, d).
-        target: (..., n), which.
-
-    Returns:
-        (..., n, d), float64.
-    """
+    """Of the rows (..., n, K, d) of each robot its target, (..., n): (..., n, d), float64."""
     chosen = target[..., np.newaxis, np.newaxis]
     return np.take_along_axis(rows, chosen, axis=-2)[..., 0, :].astype(np.float64)

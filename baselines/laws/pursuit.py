@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import math
+from abc import abstractmethod
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rendezvous_env.checks import bools, real, refuse
+from rendezvous_env.checks import real, refuse
 from rendezvous_env.scenario.observation_layout import ObservedRows
 
-from ..policy import Policy, TeamPolicy, register, within_limits
+from ..policy import Policy, RememberingPolicy, register, within_limits
 from .neighbour_order import chosen_rows, first_seen, rows_from_next
 from .paper_laws import Array, pitch_of
 
@@ -24,11 +25,10 @@ _SHARE = 0.8
 
 
 @dataclass
-class Pursuer(TeamPolicy):
+class Pursuer(RememberingPolicy):
     """Keeps a target while it is seen, and then takes the first that is seen in an order of rows.
 
     Where nobody is seen it turns on the spot at ω_max: with a narrow field of view it searches.
-    Other leading axes of the observations are other teams, and start anew.
     """
 
     scenario: Scenario
@@ -36,44 +36,36 @@ class Pursuer(TeamPolicy):
     speed: float
     """c, m/s."""
     order: NDArray[np.int64] | None = None
-    """Rows, the most liked first, (n, K) or (..., n, K); None is the next robot's first, see
+    """Rows, the most liked first, (n, K) or (B, n, K); None is the next robot's first, see
     ``rows_from_next``."""
-    _target: NDArray[np.int64] = field(
-        init=False, repr=False, default_factory=lambda: np.zeros(0, np.int64)
-    )
+
+    def _start(self, teams: int) -> None:
+        self._targets = np.full((teams, self.scenario.n_robots), -1)
+
+    def _forget(self, which: NDArray[np.bool_]) -> None:
+        self._targets[which] = -1
 
     def act(self, observations: NDArray[Any], time: ArrayLike) -> NDArray[np.float32]:
         """Actions (..., n, a): v, and ω or (ω_α, ω_β); see ``Policy``."""
-        rows = self.scenario.observation_layout.split(observations)
+        rows = self.scenario.observation_layout.split(self._teams_of(observations))
         seen = np.any(rows.neighbours, axis=-1)
-        bearing = chosen_rows(rows.neighbours, self._targets(seen))
+        self._choose_targets(seen)
         searching = np.zeros(self.scenario.action_size)
         searching[1] = self.scenario.turn_limit
-        found = seen.any(axis=-1, keepdims=True)
-        actions = np.where(found, self._actions(bearing, rows), searching)
-        return within_limits(actions, self.scenario)
+        pursuing = self._actions(chosen_rows(rows.neighbours, self._targets), rows)
+        actions = np.where(seen.any(axis=-1, keepdims=True), pursuing, searching)
+        return self._as_given(within_limits(actions, self.scenario))
 
+    @abstractmethod
     def _actions(self, bearing: Array, rows: ObservedRows) -> Array:
-        """(..., n, a) for bearings (..., n, d) of targets."""
-        raise NotImplementedError
+        """(B, n, a) for bearings (B, n, d) of targets."""
 
-    def _targets(self, seen: NDArray[np.bool_]) -> NDArray[np.int64]:
-        """Rows (..., n) of the targets: those there were, where they are still seen."""
+    def _choose_targets(self, seen: NDArray[np.bool_]) -> None:
+        """Keep the rows of the targets that are still among those seen, (B, n, K)."""
         order = rows_from_next(*seen.shape[-2:]) if self.order is None else self.order
-        best = first_seen(seen, order)
-        if self._target.shape == best.shape:
-            before = self._target
-            kept = np.take_along_axis(seen, np.maximum(before, 0)[..., np.newaxis], axis=-1)[..., 0]
-            best = np.where(kept & (before >= 0), before, best)
-        self._target = best
-        return best
-
-    def reset(self, mask: NDArray[np.bool_] | None = None) -> None:
-        """Forget the targets of the teams where ``mask`` is true, of all if it is None."""
-        if mask is None:
-            self._target = np.zeros(0, np.int64)
-        elif self._target.size:
-            self._target[bools("mask", mask, self._target.shape[:-1], "teams")] = -1
+        before = self._targets[..., np.newaxis]
+        kept = np.take_along_axis(seen, np.maximum(before, 0), axis=-1) & (before >= 0)
+        self._targets = np.where(kept[..., 0], self._targets, first_seen(seen, order))
 
 
 class Pursuit(Pursuer):
@@ -133,11 +125,7 @@ def yaw_and_pitch(bearing: Array, pitch: Array) -> Array:
 
 
 def _speed(scenario: Scenario, speed: float | None) -> float:
-    """c, m/s; at most the speed limit, and less than ω_max r/2.
-
-    Raises:
-        ValueError: for another one.
-    """
+    """c, m/s; at most the speed limit, and less than ω_max r/2."""
     fastest = scenario.turn_limit * scenario.merge_radius / 2.0
     if speed is None:
         return min(scenario.speed_limit, _SHARE * fastest)
@@ -152,23 +140,21 @@ def _speed(scenario: Scenario, speed: float | None) -> float:
     return value
 
 
-@register(
-    "pursuit",
-    fits=lambda scenario: scenario.robot_model in ("unicycle", "nonholonomic_3d"),
-    kind="field",
-    on_request=True,
-)
+def _is_car(scenario: Scenario) -> bool:
+    return scenario.robot_model == "unicycle"
+
+
+def _has_turn_limit(scenario: Scenario) -> bool:
+    return scenario.robot_model in ("unicycle", "nonholonomic_3d")
+
+
+@register("pursuit", fits=_has_turn_limit, kind="field", on_request=True)
 def _pursuit(scenario: Scenario, speed: float | None = None) -> Policy:
     """Turns towards one robot, and drives only while it points at it (E2)."""
     return Pursuit(scenario, _speed(scenario, speed))
 
 
-@register(
-    "windshield",
-    fits=lambda scenario: scenario.robot_model == "unicycle",
-    kind="field",
-    on_request=True,
-)
+@register("windshield", fits=_is_car, kind="field", on_request=True)
 def _windshield(
     scenario: Scenario, half_angle: float | None = None, speed: float | None = None
 ) -> Policy:

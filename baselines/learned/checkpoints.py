@@ -26,9 +26,6 @@ class CheckpointError(ValueError):
     """A checkpoint cannot be read; the message names the file and what would be right."""
 
 
-# ---- find ---------------------------------------------------------------------------------------
-
-
 def find(path: Path) -> Path:
     """The checkpoint that a path means: the folder itself, or the newest one of a run.
 
@@ -67,9 +64,6 @@ def _names(folder: Path) -> list[str]:
         return []
     except OSError as error:
         raise CheckpointError(f"{folder}: cannot be read: {_reason(error)}") from error
-
-
-# ---- read ---------------------------------------------------------------------------------------
 
 
 def describe(place: Path) -> dict[str, Any]:

@@ -48,6 +48,8 @@ class Constants(NamedTuple):
     """What the kernels need to know of a scenario."""
 
     neighbour_slots: int
+    context: int
+    """Number of columns before the context."""
     merge_radius: float
     duration: float
     speed_limit: float
@@ -69,17 +71,8 @@ def law_velocities(observations, headings, constants, velocities):
 
 @kernel(allocates=True)
 def show(teams, elapsed, observations, headings, velocities, constants, memory, shown):
-    """Fill the rows of ``shown`` (B, n, size) that belong to these teams.
-
-    Args:
-        teams: indices of teams.
-        elapsed: (B,), s since the decision before.
-        observations: (B, n, rows, 2), in the robots' own frames.
-        headings: (B, n, 2), carried.
-        velocities: (B, n, 2), m/s.
-        constants: of the scenario.
-        memory: of the robots; brought up to date.
-        shown: filled in.
+    """Fill the rows of ``shown`` (B, n, size) that belong to teams, and bring their memory up to
+    date; arguments as ``Features.see``.
     """
     K, M = constants.neighbour_slots, memory.edges.shape[2]
     intervals = np.empty((M, 2))
@@ -100,7 +93,7 @@ def show(teams, elapsed, observations, headings, velocities, constants, memory, 
                 _show_obstacle(
                     edges, u, before, elapsed[team], out[first : first + OBSTACLE_COLUMNS]
                 )
-            context = out[out.shape[0] - CONTEXT_COLUMNS :]
+            context = out[constants.context :]
             context[0], context[1] = strength / degree, min(strength, 2.0)
             context[2] = 1.0 / count
             moving = headings[team, i], velocities[team, i]

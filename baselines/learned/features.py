@@ -22,7 +22,7 @@ from rendezvous_env.engine.state_checks import (
 )
 from rendezvous_env.scenario.scenario import Scenario
 
-from ..policy import is_single_integrator
+from ..policy import in_the_plane as can_steer
 from .feature_kernels import (
     CONTEXT_COLUMNS,
     NEIGHBOUR_COLUMNS,
@@ -32,15 +32,14 @@ from .feature_kernels import (
     law_velocities,
     show,
 )
+from .wall_memory import WallMemory
 
 VERSION = 2
 """Of what the columns mean; a network trained with another one cannot read the tables."""
 BLOCKED = slice(16, 18)
 """Of the context: whether the joined silhouettes leave nothing free, whether any is seen."""
 LEVEL_COLUMNS = 1
-"""After the context, with a tank: log(1 + A/(r D̄))."""
-WALL_COLUMNS = 12
-"""After that, with a memory of walls: see ``TankFeatures``."""
+"""After the context, with a tank: log(1 + A/(r D̄)). With a memory of walls WALL_COLUMNS follow."""
 
 
 class FeatureParts(NamedTuple):
@@ -86,11 +85,6 @@ class FeatureLayout(NamedTuple):
         )
 
 
-def can_steer(scenario: Scenario) -> bool:
-    """Whether its robots are single integrators in the plane."""
-    return is_single_integrator(scenario) and scenario.dim == 2
-
-
 def check_readable(scenario: Scenario) -> None:
     """Refuse robots that a learned policy cannot steer.
 
@@ -112,6 +106,7 @@ class Features:
         num_envs: B.
         decision_time: s between two decisions of a team, where nothing else is said.
         obstacle_slots: M, at least the scenario's; further rows are absent. None is the scenario's.
+        tank_columns: 0, LEVEL_COLUMNS, or LEVEL_COLUMNS + WALL_COLUMNS with a memory of walls.
 
     Raises:
         ValueError: for robots that it cannot show, or too few obstacle slots.
@@ -124,6 +119,7 @@ class Features:
         *,
         decision_time: float,
         obstacle_slots: int | None = None,
+        tank_columns: int = 0,
     ) -> None:
         check_readable(scenario)
         rows = scenario.observation_layout
@@ -133,29 +129,36 @@ class Features:
                 f"obstacle_slots is {slots}; scenario {scenario.name!r} needs "
                 f"{rows.obstacle_slots} or more"
             )
-        self.layout = FeatureLayout(rows.neighbour_slots, slots)
-        self._decision_time = float(decision_time)
+        self.layout = FeatureLayout(rows.neighbour_slots, slots, tank_columns)
+        self._rows, self._decision_time = rows, float(decision_time)
         self._constants = Constants(
             neighbour_slots=rows.neighbour_slots,
+            context=self.layout.size - self.layout.context_columns,
             merge_radius=float(scenario.merge_radius),
             duration=float(scenario.tau),
             speed_limit=float(scenario.speed_limit),
         )
         robots = num_envs, scenario.n_robots
-        self._seen = (*robots, *rows.shape)
         self._memory = Memory(
             edges=np.zeros((*robots, rows.obstacle_slots, 2, 2)),
             towards=np.zeros((*robots, 2)),
             averages=np.zeros((*robots, 4, 2)),
             time=np.zeros(robots),
         )
+        self._walls = WallMemory(*robots) if tank_columns > LEVEL_COLUMNS else None
+        self._remembered: dict[str, NDArray[np.float64]] = self._memory._asdict()
+        if self._walls is not None:
+            walls = self._walls.arrays.items()
+            self._remembered |= {f"wall_{name}": array for name, array in walls}
 
     def see(
         self,
         observations: NDArray[np.float32],
         headings: NDArray[np.float64],
         which: NDArray[np.bool_] | None = None,
+        *,
         velocities: NDArray[np.float64] | None = None,
+        levels: NDArray[np.float64] | None = None,
         elapsed: NDArray[np.float64] | None = None,
     ) -> NDArray[np.float32]:
         """What the robots are shown; brings the memory up to date.
@@ -165,6 +168,7 @@ class Features:
             headings: those carried, (B, n, 2), in the same frames; zero where there is none.
             which: (B,), whose memory moves on; the others are shown as zeros. None is all teams.
             velocities: of the robots, (B, n, 2), m/s; None is those of law (4).
+            levels: A/(r D̄) of their tanks, (B, n); None without.
             elapsed: since the decision before, (B,), s; None is ``decision_time``.
 
         Returns:
@@ -173,32 +177,36 @@ class Features:
         Raises:
             ValueError: for arrays of another shape or type; nothing has changed then.
         """
-        observations = check_observations(observations, self._seen)
-        headings = check_numbers("headings", headings, self._memory.towards.shape, "(B, n, 2)")
+        robots = self._memory.time.shape
+        observations = check_observations(observations, (*robots, *self._rows.shape))
+        headings = check_numbers("headings", headings, (*robots, 2), "(B, n, 2)")
         teams = np.arange(len(observations))
         if which is not None:
             teams = np.flatnonzero(check_mask(which, len(observations)))
         if velocities is None:
             velocities = np.empty_like(headings)
             law_velocities(observations, headings, self._constants, velocities)
-        size = self.layout._replace(tank_columns=0).size
-        shown = np.zeros((*observations.shape[:2], size), dtype=np.float32)
+        times = np.full(robots[0], self._decision_time)
+        if elapsed is not None:
+            times[:] = check_numbers("elapsed", elapsed, robots[:1], "(B,)")
+        shown = np.zeros((*robots, self.layout.size), dtype=np.float32)
         moving = headings, np.ascontiguousarray(velocities)
-        times = self._times(elapsed)
         show(teams, times, observations, *moving, self._constants, self._memory, shown)
+        if levels is None:
+            return shown
+        context = self.layout.split(shown).context
+        alive, more = np.asarray(shown.any(axis=-1)), [np.log1p(levels)]
+        if self._walls is not None:
+            blocked = np.asarray(context[..., BLOCKED].any(axis=-1))
+            f = self._rows.net_bearing(observations)
+            more += self._walls.see(alive, times, blocked, more[0], f, headings, velocities)
+        context[..., CONTEXT_COLUMNS:] = np.stack(more, axis=-1) * alive[..., np.newaxis]
         return shown
 
-    def _times(self, elapsed: NDArray[np.float64] | None) -> NDArray[np.float64]:
-        """Since the decision before, (B,), s."""
-        if elapsed is None:
-            return np.full(len(self._memory.time), self._decision_time)
-        times = check_numbers("elapsed", elapsed, self._memory.time.shape[:1], "(B,)")
-        return np.ascontiguousarray(times, dtype=np.float64)
-
-    @property
-    def _remembered(self) -> dict[str, NDArray[np.float64]]:
-        """All memory by name; not copied."""
-        return self._memory._asdict()
+    def note(self, angles: NDArray[np.float64]) -> None:
+        """Remember the angles (B, n) that were chosen, rad."""
+        if self._walls is not None:
+            self._walls.arrays["angle"][...] = angles
 
     def forget(self, mask: NDArray[np.bool_] | None = None) -> None:
         """Forget what all teams saw, or those of a mask (B,).
@@ -233,177 +241,3 @@ class Features:
         checked = check_entries(self._remembered, state)
         check_finite(checked, tuple(checked))
         return checked
-
-
-# ---- with a tank --------------------------------------------------------------------------------
-
-_LEFT = 2.0
-"""Time without a wall before f after which it is left behind, s."""
-_LONG = 20.0
-"""Over which velocity and direction of f are averaged, s."""
-_FRESH = 8.0
-_SLOW = 30.0
-"""Units of the time at a wall, s."""
-
-
-class _Walls(NamedTuple):
-    """What robots remember of the wall that they are at, (B, n) each but for the vectors."""
-
-    since: NDArray[np.float64]
-    """s for which they have been at it; 0 at none."""
-    clear: NDArray[np.float64]
-    """s for which nothing was before f."""
-    level: NDArray[np.float64]
-    """log(1 + A/(r D̄)) when it was met."""
-    turned: NDArray[np.float64]
-    """By how much f has turned since, rad."""
-    wound: NDArray[np.float64]
-    """By how much the heading has turned since, rad."""
-    angle: NDArray[np.float64]
-    """Last chosen, rad."""
-    towards: NDArray[np.float64]
-    """(B, n, 2), direction of f at the last decision, zero before the first."""
-    heading: NDArray[np.float64]
-    """(B, n, 2), at the last decision."""
-    averages: NDArray[np.float64]
-    """(B, n, 2, 2), of the velocity and of the direction of f."""
-
-
-class TankFeatures(Features):
-    """As ``Features``, and the columns of the tank and of the wall's memory behind them.
-
-    Args:
-        scenario: whose robots see.
-        num_envs: B.
-        decision_time: as in ``Features``.
-        obstacle_slots: as in ``Features``.
-        walls: whether to remember walls.
-    """
-
-    def __init__(
-        self,
-        scenario: Scenario,
-        num_envs: int,
-        *,
-        decision_time: float,
-        obstacle_slots: int | None = None,
-        walls: bool = False,
-    ) -> None:
-        super().__init__(
-            scenario, num_envs, decision_time=decision_time, obstacle_slots=obstacle_slots
-        )
-        columns = LEVEL_COLUMNS + (WALL_COLUMNS if walls else 0)
-        self.layout = self.layout._replace(tank_columns=columns)
-        self._scenario = scenario
-        self._walls: _Walls | None = None
-        if walls:
-            robots = num_envs, scenario.n_robots
-            shapes = [robots] * 6 + [(*robots, 2)] * 2 + [(*robots, 2, 2)]
-            self._walls = _Walls(*map(np.zeros, shapes))
-
-    def see_tank(
-        self,
-        observations: NDArray[np.float32],
-        headings: NDArray[np.float64],
-        which: NDArray[np.bool_] | None = None,
-        *,
-        velocities: NDArray[np.float64],
-        levels: NDArray[np.float64],
-        elapsed: NDArray[np.float64] | None = None,
-    ) -> NDArray[np.float32]:
-        """As ``Features.see``.
-
-        Args:
-            observations: as there.
-            headings: as there.
-            which: as there.
-            velocities: of the robots, (B, n, 2), m/s.
-            levels: A/(r D̄) of their tanks, (B, n).
-            elapsed: as there.
-        """
-        base = self.see(observations, headings, which, velocities, elapsed)
-        alive = np.asarray(base.any(axis=-1))
-        level = np.log1p(levels)
-        more = [level]
-        if self._walls is not None:
-            f = self._scenario.observation_layout.net_bearing(observations)
-            strength = np.linalg.norm(f, axis=-1, keepdims=True)
-            towards = np.where(strength > 0.0, f / np.where(strength > 0.0, strength, 1.0), 0.0)
-            first = base.shape[-1] - self.layout._replace(tank_columns=0).context_columns
-            blocked = np.asarray(base[..., first:][..., BLOCKED].any(axis=-1))
-            moving = headings, velocities
-            self._move_on(self._times(elapsed), alive, blocked, level, towards, *moving)
-            more += self._tell(towards)
-        columns = np.stack(more, axis=-1) * alive[..., np.newaxis]
-        return np.concatenate([base, columns.astype(np.float32)], axis=-1)
-
-    def note(self, angles: NDArray[np.float64]) -> None:
-        """Remember the angles (B, n) that were chosen, rad."""
-        if self._walls is not None:
-            self._walls.angle[...] = angles
-
-    def _move_on(
-        self,
-        elapsed: NDArray[np.float64],
-        alive: NDArray[np.bool_],
-        blocked: NDArray[np.bool_],
-        level: NDArray[np.float64],
-        towards: NDArray[np.float64],
-        headings: NDArray[np.float64],
-        velocities: NDArray[np.float64],
-    ) -> None:
-        """Bring the memory of the robots that are shown something up to date."""
-        assert self._walls is not None
-        walls, time = self._walls, elapsed[:, np.newaxis]
-        clear = np.where(blocked, 0.0, walls.clear + time)
-        stays = (walls.since > 0.0) & (clear <= _LEFT)
-        meets = blocked & ~stays
-        turned = walls.turned + _turn(walls.towards, towards)
-        wound = walls.wound + _turn(walls.heading, headings)
-        now = np.stack([velocities, towards], axis=-2)
-        known = np.asarray(walls.towards.any(axis=-1))[..., np.newaxis, np.newaxis]
-        begun = np.where(known, walls.averages, np.stack([0.0 * towards, towards], axis=-2))
-        kept = np.exp(-elapsed / _LONG)[:, np.newaxis, np.newaxis, np.newaxis]
-        values = _Walls(
-            since=np.where(stays, walls.since + time, np.where(meets, time, 0.0)),
-            clear=clear,
-            level=np.where(stays, walls.level, np.where(meets, level, 0.0)),
-            turned=np.where(stays, turned, 0.0),
-            wound=np.where(stays, wound, 0.0),
-            angle=walls.angle,
-            towards=towards,
-            heading=headings,
-            averages=kept * begun + (1.0 - kept) * now,
-        )
-        for mine, value in zip(walls, values, strict=True):
-            mine[alive] = value[alive]
-
-    def _tell(self, towards: NDArray[np.float64]) -> list[NDArray[np.float64]]:
-        """The columns (B, n) of the wall's memory, vectors with x along f."""
-        assert self._walls is not None
-        walls = self._walls
-        at = walls.since > 0.0
-        across = np.stack([-towards[..., 1], towards[..., 0]], axis=-1)
-        return [
-            at.astype(np.float64),
-            walls.level,
-            walls.since / _SLOW,
-            np.where(at, np.exp(-walls.since / _FRESH), 0.0),
-            walls.turned / np.pi,
-            walls.wound / np.pi,
-            np.cos(walls.angle),
-            np.sin(walls.angle),
-            *(np.sum(walls.averages[..., k, :] * u, -1) for k in (0, 1) for u in (towards, across)),
-        ]
-
-    @property
-    def _remembered(self) -> dict[str, NDArray[np.float64]]:
-        walls = {} if self._walls is None else self._walls._asdict()
-        return super()._remembered | {f"wall_{name}": array for name, array in walls.items()}
-
-
-def _turn(before: NDArray[np.float64], now: NDArray[np.float64]) -> NDArray[np.float64]:
-    """From one vector to another, rad counter-clockwise in (−π, π]; 0 where one is zero."""
-    across = before[..., 0] * now[..., 1] - before[..., 1] * now[..., 0]
-    turn: NDArray[np.float64] = np.arctan2(across, np.sum(before * now, axis=-1))
-    return turn

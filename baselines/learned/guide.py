@@ -4,16 +4,22 @@ its guarantee; the same in training and in use.
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING, Any
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rendezvous_env.checks import floats, refuse
 from rendezvous_env.safety.heading import HeadingFilter
+from rendezvous_env.safety.tank import unit_of_tanks
 from rendezvous_env.scenario.scenario import Scenario
 
 from ..obstacle_rules.obstacle_avoidance import tangent_joined_heading
-from .features import Features, TankFeatures
+from .features import Features
 from .heading_tank_filter import HeadingTankFilter
+
+if TYPE_CHECKING:
+    from .policy_settings import PolicySettings
 
 ANGLES = np.array([0.0, 0.3, -0.3, 0.6, -0.6, 1.0, -1.0, 1.4, -1.4])
 """What can be chosen where headings are certified, rad counter-clockwise from f; the first choice
@@ -23,91 +29,67 @@ ALL_ROUND = np.array([*ANGLES, 1.9, -1.9, 2.5, -2.5, np.pi])
 CHOICES = len(ANGLES)
 
 
-class Guide:
-    """Turns choices into raw vectors: which way round, and how much aside.
-
-        raw = joined rule(R(φ) f),   φ the angle chosen
-
-    Choice 0 is the rule of ``tangent-joined-tuned``. Edges are passed with a clearance, and the
-    side that a robot has chosen before counts (``persistence``).
-
-    Args:
-        scenario: whose robots are guided.
-        clearance: rad.
-        persistence: λ of ``baselines.obstacle_rules.merged_silhouettes_2d.joined_headings_2d``.
-        angles: φ of every choice, rad.
-    """
-
-    def __init__(
-        self,
-        scenario: Scenario,
-        *,
-        clearance: float,
-        persistence: float,
-        angles: NDArray[np.float64] = ANGLES,
-    ) -> None:
-        self.angles = angles
-        self.directions = np.stack((np.cos(angles), np.sin(angles)), axis=-1)
-        self._layout = scenario.observation_layout
-        self._clearance, self._persistence = clearance, persistence
-
-    def aim(
-        self,
-        observations: NDArray[np.float32],
-        choices: NDArray[np.int64],
-        carried: NDArray[np.float64],
-    ) -> NDArray[np.float64]:
-        """Raw vectors (B, n, 2) in the robots' own frames.
-
-        Args:
-            observations: (B, n, rows, 2), in the robots' own frames.
-            choices: (B, n), indices of ``angles``.
-            carried: headings of the step before, (B, n, 2), zero where there is none.
-        """
-        return self.aim_aside(observations, self.directions[choices], carried)
-
-    def aim_aside(
-        self,
-        observations: NDArray[np.float32],
-        directions: NDArray[np.float64],
-        carried: NDArray[np.float64],
-    ) -> NDArray[np.float64]:
-        """As ``aim``, for any directions (cos φ, sin φ), (B, n, 2)."""
-        f = self._layout.net_bearing(observations).astype(np.float64)
-        c, s = directions[..., 0], directions[..., 1]
-        aside = np.stack((c * f[..., 0] - s * f[..., 1], s * f[..., 0] + c * f[..., 1]), axis=-1)
-        return tangent_joined_heading(
-            aside,
-            self._layout.split(observations).obstacles,
-            clearance=self._clearance,
-            carried=carried,
-            persistence=self._persistence,
-        )
-
-
 class GuidedTeams:
-    """B teams whose robots are shown something, choose by it, and head where the guide says.
+    """B teams whose robots are shown something, choose by it, and head where the rule of
+    ``tangent-joined-tuned`` does if f is turned as they chose.
 
-        show → (a network chooses) → choose, or head → act: guide, certified heading, law (4)
+        show → (a network chooses) → choose, or head → act:  raw = joined rule(R(φ) f)
 
-    What is shown moves the memory on, so it is asked for once in each decision; ``act`` follows
-    what is seen in every step.
+    The raw vector becomes a certified heading, or with tanks any heading that they pay for. What is
+    shown moves the memory on, so it is asked for once in each decision; ``act`` follows what is
+    seen in every step.
 
     Args:
-        steering: of the teams, in the robots' local frames: certified headings, or a tank.
-        guide: of their scenario.
-        perception: of the teams.
+        settings: of the policy.
+        scenario: whose robots they are.
+        num_envs: B.
+        obstacle_slots: of ``Features``.
+        num_threads: most threads that may be used.
+
+    Raises:
+        ValueError: for robots that ``Features`` cannot show.
     """
 
     def __init__(
-        self, steering: HeadingFilter | HeadingTankFilter, guide: Guide, perception: Features
+        self,
+        settings: PolicySettings,
+        scenario: Scenario,
+        num_envs: int,
+        *,
+        obstacle_slots: int | None = None,
+        num_threads: int | None = None,
     ) -> None:
-        self.steering, self.guide, self.perception = steering, guide, perception
-        self.choices = np.zeros(steering.alignment.shape, dtype=np.int64)
-        self._directions = guide.directions[self.choices]
+        self.perception = Features(
+            scenario,
+            num_envs,
+            decision_time=settings.decision_period(scenario) * scenario.tau,
+            obstacle_slots=obstacle_slots,
+            tank_columns=settings.layout(0, 0).tank_columns,
+        )
+        self._rule = {"clearance": settings.clearance, "persistence": settings.persistence}
+        self._layout = scenario.observation_layout
+        common: dict[str, Any] = {
+            "min_alignment": settings.min_alignment,
+            "num_threads": num_threads,
+        }
+        self.steering: HeadingFilter | HeadingTankFilter
+        self.tank: HeadingTankFilter | None = None
+        if settings.guarantee == "heading":
+            turning: dict[str, Any] = {"max_turn_rate": settings.max_turn_rate, "frame": "local"}
+            self.steering = HeadingFilter(scenario, num_envs, **turning, **common)
+        else:
+            budget = settings.budget * unit_of_tanks(scenario)
+            self.tank = HeadingTankFilter(scenario, num_envs, budget=budget, **common)
+            self.steering = self.tank
+        self.angles = settings.angles
+        self._turns = np.stack((np.cos(self.angles), np.sin(self.angles)), axis=-1)
+        self.choices = np.zeros((num_envs, scenario.n_robots), dtype=np.int64)
+        self._directions = self._turns[self.choices]
 
     def settle(self, share: float) -> None:
-        """Take note that the step before lasted so much of τ; who keeps no account need not."""
+        """Take note that the step before lasted so much of τ."""
+        if self.tank is not None:
+            self.tank.settle(share)
 
     def show(
         self,
@@ -116,7 +98,15 @@ class GuidedTeams:
         elapsed: NDArray[np.float64] | None = None,
     ) -> NDArray[np.float32]:
         """What the robots are shown before they choose; arguments as ``Features.see``."""
-        return self.perception.see(observations, self.steering.headings, which, elapsed=elapsed)
+        headings, tank = self.steering.headings, self.tank
+        return self.perception.see(
+            observations,
+            headings,
+            which,
+            velocities=None if tank is None else tank.velocities,
+            levels=None if tank is None else tank.normalised_levels,
+            elapsed=elapsed,
+        )
 
     def choose(self, choices: ArrayLike) -> None:
         """Take choices (B, n), held until the next ones.
@@ -124,7 +114,7 @@ class GuidedTeams:
         Raises:
             ValueError: for another shape, or naming the robot whose choice there is not.
         """
-        given, count = np.asarray(choices), len(self.guide.angles)
+        given, count = np.asarray(choices), len(self.angles)
         if given.shape != self.choices.shape:
             raise ValueError(
                 f"actions have shape {given.shape}; they must be (B, n) = {self.choices.shape}"
@@ -136,7 +126,8 @@ class GuidedTeams:
                 f"whole number below {count}"
             )
         self.choices = given.astype(np.int64)
-        self._directions = self.guide.directions[self.choices]
+        self._directions = self._turns[self.choices]
+        self.perception.note(self.angles[self.choices])
 
     def head(self, vectors: ArrayLike) -> None:
         """Take directions instead of choices: how f is to be turned, seen with x along f.
@@ -153,9 +144,10 @@ class GuidedTeams:
         for team, robot, _ in np.argwhere(~np.isfinite(given)):
             refuse(f"action of robot_{robot} in team {team}", given[team, robot].tolist(), "finite")
         length = np.linalg.norm(given, axis=-1, keepdims=True)
-        ahead = self.guide.directions[0]
         unit = given / np.where(length > 0.0, length, 1.0)
-        self._directions = np.where(length > 0.0, unit, ahead)
+        turned = np.where(length > 0.0, unit, self._turns[0])
+        self._directions = turned
+        self.perception.note(np.arctan2(turned[..., 1], turned[..., 0]))
 
     def act(
         self, observations: NDArray[np.float32], elapsed: float | None = None
@@ -169,55 +161,15 @@ class GuidedTeams:
         Returns:
             (B, n, 2), m/s.
         """
-        headings = self.steering.headings
-        self.steering.hold(self.guide.aim_aside(observations, self._directions, headings))
+        f = self._layout.net_bearing(observations).astype(np.float64)
+        c, s = self._directions[..., 0], self._directions[..., 1]
+        aside = np.stack((c * f[..., 0] - s * f[..., 1], s * f[..., 0] + c * f[..., 1]), axis=-1)
+        silhouettes, before = self._layout.split(observations).obstacles, self.steering.headings
+        raw = tangent_joined_heading(aside, silhouettes, carried=before, **self._rule)
+        self.steering.hold(raw)
         return self.steering.act(observations, elapsed)
 
     def forget(self, which: NDArray[np.bool_] | None = None) -> None:
         """Forget headings and what was seen, of all teams or of those of a mask (B,)."""
         self.steering.forget(which)
         self.perception.forget(which)
-
-
-class TankTeams(GuidedTeams):
-    """The same with theorem D: headings all round, as far as the tanks pay for them.
-
-    Args:
-        steering: the tanks.
-        guide: of the scenario.
-        perception: which shows the level too.
-    """
-
-    steering: HeadingTankFilter
-    perception: TankFeatures
-
-    def settle(self, share: float) -> None:
-        """As ``HeadingTankFilter.settle``."""
-        self.steering.settle(share)
-
-    def show(
-        self,
-        observations: NDArray[np.float32],
-        which: NDArray[np.bool_] | None = None,
-        elapsed: NDArray[np.float64] | None = None,
-    ) -> NDArray[np.float32]:
-        """As ``GuidedTeams.show``."""
-        tank = self.steering
-        return self.perception.see_tank(
-            observations,
-            tank.headings,
-            which,
-            velocities=tank.velocities,
-            levels=tank.normalised_levels,
-            elapsed=elapsed,
-        )
-
-    def choose(self, choices: ArrayLike) -> None:
-        """As ``GuidedTeams.choose``; the perception remembers them."""
-        super().choose(choices)
-        self.perception.note(self.guide.angles[self.choices])
-
-    def head(self, vectors: ArrayLike) -> None:
-        """As ``GuidedTeams.head``; the perception remembers the angles."""
-        super().head(vectors)
-        self.perception.note(np.arctan2(self._directions[..., 1], self._directions[..., 0]))

@@ -59,11 +59,7 @@ class HeadingTankFilter(EnergyTank):
         self._booked[which] = 0.0
 
     def hold(self, raw: ArrayLike) -> None:
-        """Take headings (B, n, d), unit vectors in the robots' own frames.
-
-        Raises:
-            ValueError: for another shape, or a number that is not finite.
-        """
+        """Take headings (B, n, d), unit vectors in the robots' own frames."""
         self._headings[...] = check_numbers("headings", raw, self._headings.shape, "(B, n, d)")
 
     def settle(self, share: float) -> None:
@@ -82,11 +78,8 @@ class HeadingTankFilter(EnergyTank):
     def act(
         self, observations: NDArray[np.float32], elapsed: float | None = None
     ) -> NDArray[np.float32]:
-        """As ``EnergyTank.act``; the step is booked at once, as one that lasts τ.
-
-        Args:
-            observations: as there.
-            elapsed: of no concern to headings that turn as they like.
+        """As ``EnergyTank.act``; the step is booked at once, as one that lasts τ. How much time
+        has elapsed is of no concern to headings that turn as they like.
         """
         scenario, layout = self.scenario, self.scenario.observation_layout
         strength = np.linalg.norm(layout.net_bearing(observations), axis=-1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,7 @@ from ..policy import within_limits
 from . import checkpoints
 from .checkpoints import CheckpointError
 from .features import check_readable
-from .guide import TankTeams
+from .guide import GuidedTeams
 from .numpy_actor import Network, NumpyActor
 from .onnx_network import SUFFIX, OnnxNetwork
 from .policy_settings import PolicySettings
@@ -24,13 +25,52 @@ from .policy_settings import PolicySettings
 __all__ = ["LearnedPolicy", "PolicySettings", "load"]
 
 
-class LearnedPolicy(DecidingPolicy):
+class GuidedPolicy(DecidingPolicy):
+    """Guided teams that something chooses for; guide and guarantee follow what is seen in each
+    step.
+    """
+
+    _guided: GuidedTeams
+
+    def __init__(self, scenario: Scenario, settings: PolicySettings) -> None:
+        super().__init__(scenario, settings.decision_period(scenario))
+        self.settings = settings
+
+    @abstractmethod
+    def _choose(self, shown: NDArray[np.float32], due: NDArray[np.bool_]) -> None:
+        """Choose for the teams that are due, (B,), by what they are shown, (B, n, size)."""
+
+    def after(
+        self, elapsed: float, observations: NDArray[Any], time: ArrayLike
+    ) -> NDArray[np.float32]:
+        """As a call, where the call before was so many seconds ago; see ``RealTimePolicy``."""
+        return self._after(elapsed, observations)
+
+    def _start(self, teams: int) -> None:
+        super()._start(teams)
+        self._guided = GuidedTeams(self.settings, self.scenario, teams)
+
+    def _forget(self, which: NDArray[np.bool_]) -> None:
+        super()._forget(which)
+        self._guided.forget(which)
+
+    def _settle(self, share: float) -> None:
+        self._guided.settle(share)
+
+    def _decide(self, teams: NDArray[np.float32], due: NDArray[np.bool_]) -> None:
+        steps = np.where(np.isinf(self._steps), self.decision_period, self._steps)
+        self._choose(self._guided.show(teams, due, steps * self.scenario.tau), due)
+
+    def _act(self, teams: NDArray[np.float32], elapsed: float) -> NDArray[np.float32]:
+        return within_limits(self._guided.act(teams, elapsed).astype(np.float64), self.scenario)
+
+
+class LearnedPolicy(GuidedPolicy):
     """A network's greedy choice, made safe: theorem C, or D, holds whatever the weights.
 
-    It chooses every ``decision_time``; guide and certified heading, or tank, follow what is seen in
-    each step. Teams of any size and any number of obstacles; single integrators in the plane. The
-    memory has the leading axes of the observations; other leading axes are other teams, and start
-    anew.
+    It chooses every ``decision_time``. Teams of any size and any number of obstacles; single
+    integrators in the plane. The memory has the leading axes of the observations; other leading
+    axes are other teams, and start anew.
 
     Args:
         scenario: whose robots it steers.
@@ -48,40 +88,30 @@ class LearnedPolicy(DecidingPolicy):
         settings: PolicySettings,
     ) -> None:
         check_readable(scenario)
-        super().__init__(scenario, settings.decision_period(scenario))
-        self.settings, self.min_alignment = settings, settings.promised_margin
+        super().__init__(scenario, settings)
+        self.min_alignment = settings.promised_margin
         if isinstance(weights, Network):
             self._chooser = weights
         else:
             self._chooser = NumpyActor(weights, settings, settings.layout_of(scenario))
 
-    def after(
-        self, elapsed: float, observations: NDArray[Any], time: ArrayLike
-    ) -> NDArray[np.float32]:
-        """As a call, where the call before was so many seconds ago; see ``RealTimePolicy``."""
-        return self._after(elapsed, observations)
-
     @property
     def levels(self) -> NDArray[np.float64] | None:
         """Of the tanks, (..., n), m²/s; None without tanks or before the first action."""
-        if self._leading is None or not isinstance(self._guided, TankTeams):
+        if self._leading is None or self._guided.tank is None:
             return None
-        return self._guided.steering.levels.reshape(*self._leading, -1)
+        return self._as_given(self._guided.tank.levels)
 
     def _start(self, teams: int) -> None:
-        self._guided = self.settings.make_teams(self.scenario, teams)
+        super()._start(teams)
         remembered = (teams, self.scenario.n_robots, self.settings.units)
         self._hidden = np.zeros(remembered, dtype=np.float32)
 
-    def _settle(self, share: float) -> None:
-        self._guided.settle(share)
+    def _forget(self, which: NDArray[np.bool_]) -> None:
+        super()._forget(which)
+        self._hidden[which] = 0.0
 
-    def _act(self, teams: NDArray[np.float32], elapsed: float) -> NDArray[np.float32]:
-        return within_limits(self._guided.act(teams, elapsed).astype(np.float64), self.scenario)
-
-    def _decide(self, teams: NDArray[np.float32], due: NDArray[np.bool_]) -> None:
-        steps = np.where(np.isinf(self._steps), self.decision_period, self._steps)
-        shown = self._guided.show(teams, due, steps * self.scenario.tau)
+    def _choose(self, shown: NDArray[np.float32], due: NDArray[np.bool_]) -> None:
         choices, alive = self._guided.choices.copy(), shown.any(axis=-1)
         choices[due] = 0
         hidden = self._hidden[alive]
@@ -89,10 +119,6 @@ class LearnedPolicy(DecidingPolicy):
         self._hidden[due] = 0.0  # a robot that is shown nothing remembers nothing
         self._hidden[alive] = hidden
         self._guided.choose(choices)
-
-    def _forget(self, which: NDArray[np.bool_]) -> None:
-        self._guided.forget(which)
-        self._hidden[which] = 0.0
 
 
 def load(path: Path, scenario: Scenario) -> LearnedPolicy:

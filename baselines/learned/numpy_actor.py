@@ -44,7 +44,7 @@ class Network(ABC):
 
 
 class NumpyActor(Network):
-    """A network's greedy choices, as .`networks.HeadingNetwork`` has them.
+    """A network's greedy choices, as ``HeadingNetwork`` of ``train.learn.networks`` has them.
 
     Args:
         weights: of its state, by name; those of the critic are not needed.
@@ -69,7 +69,7 @@ class NumpyActor(Network):
             for name, columns in rows.items()
         ]
         features = 4 * width + layout.context_columns
-        units = settings.units
+        units = self._units = settings.units
         self._memory = RecurrentUnit(weights, features, units) if units else None
         sizes = (units + features, *hidden)
         self._policy = linear_layers(weights, "mlp_extractor.policy_net", sizes)
@@ -83,7 +83,8 @@ class NumpyActor(Network):
         pooled = [part for layers, rows in sets for part in _pooled(layers, rows)]
         features = np.concatenate([*pooled, seen.context], axis=-1)
         if self._memory is not None:
-            hidden = self._memory.nothing(len(shown)) if hidden is None else hidden
+            if hidden is None:
+                hidden = np.zeros((len(shown), self._units), dtype=np.float32)
             hidden[...] = self._memory.next(features, hidden)
             features = np.concatenate([hidden, features], axis=-1)
         weight, bias = self._action
@@ -111,15 +112,10 @@ def _pooled(layers: list[Layer], rows: Array) -> tuple[Array, Array]:
 def linear_layers(
     weights: Mapping[str, NDArray[Any]], name: str, sizes: tuple[int, ...]
 ) -> list[Layer]:
-    """Linear layers with a ReLU behind each, which takes a number of its own.
-
-    Raises:
-        ValueError: see ``linear_layer``.
-    """
-    names = (f"{name}.{2 * k}" for k in range(len(sizes) - 1))
+    """Linear layers with a ReLU behind each, which takes a number of its own."""
     return [
-        linear_layer(weights, f"{layer}.weight", f"{layer}.bias", *pair)
-        for layer, pair in zip(names, pairwise(sizes), strict=True)
+        linear_layer(weights, f"{name}.{2 * k}.weight", f"{name}.{2 * k}.bias", *pair)
+        for k, pair in enumerate(pairwise(sizes))
     ]
 
 
@@ -156,26 +152,13 @@ class RecurrentUnit:
         r = σ(W_r x + U_r h),   z = σ(W_z x + U_z h),   m = tanh(W_m x + r ⊙ (U_m h))
         h ← (1 − z) ⊙ m + z ⊙ h
 
-    each W and U with its bias.
-
-    Args:
-        weights: of a network's state, by name; those of ``memory`` are read.
-        inputs: numbers in x.
-        units: numbers in h.
-
-    Raises:
-        ValueError: naming an array that is missing, of another shape or not finite.
+    with a bias to each W and U, ``memory`` of a network's state; as many x and h as are said.
     """
 
     def __init__(self, weights: Mapping[str, NDArray[Any]], inputs: int, units: int) -> None:
-        self.units = units
         names = [("memory.weight_ih", "memory.bias_ih"), ("memory.weight_hh", "memory.bias_hh")]
         self._seen = linear_layer(weights, *names[0], inputs, 3 * units)
         self._kept = linear_layer(weights, *names[1], units, 3 * units)
-
-    def nothing(self, robots: int) -> Array:
-        """What so many robots remember at first, (N, units): zeros."""
-        return np.zeros((robots, self.units), dtype=np.float32)
 
     def next(self, features: Array, hidden: Array) -> Array:
         """What is remembered, (N, units), after features (N, inputs)."""

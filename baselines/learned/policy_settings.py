@@ -10,17 +10,21 @@ from typing import Any, Literal, get_type_hints
 import numpy as np
 from numpy.typing import NDArray
 
-from rendezvous_env.safety.heading import HeadingFilter
-from rendezvous_env.safety.tank import unit_of_tanks
 from rendezvous_env.scenario.scenario import Scenario
 
-from .features import LEVEL_COLUMNS, VERSION, WALL_COLUMNS, FeatureLayout, Features, TankFeatures
-from .guide import ALL_ROUND, ANGLES, Guide, GuidedTeams, TankTeams
-from .heading_tank_filter import HeadingTankFilter
+from .features import LEVEL_COLUMNS, VERSION, FeatureLayout
+from .guide import ALL_ROUND, ANGLES
 from .plain_data import check_types
+from .wall_memory import WALL_COLUMNS
 
 Memory = Literal["none", "features", "recurrent"]
 """What a robot remembers beside the last decisions."""
+_WIDEST = 2**12
+_RANGES = {
+    "set_width": (1, _WIDEST), "clearance": (0.0, math.pi), "persistence": (0.0, 1e9),
+    "min_alignment": (1e-9, 1.0), "max_turn_rate": (1e-9, 1e9), "decision_time": (1e-9, 1e9),
+    "budget": (0.0, 1e9), "memory_units": (1, _WIDEST),
+}  # fmt: skip
 
 
 def memory_of(written: Any) -> Any:
@@ -58,19 +62,13 @@ class PolicySettings:
     def __post_init__(self) -> None:
         """Refuse what no network and no heading can have."""
         check_types(vars(self), get_type_hints(type(self)))
-        ranges = {
-            "set_width": (1, 2**12), "clearance": (0.0, math.pi), "persistence": (0.0, 1e9),
-            "min_alignment": (1e-9, 1.0), "max_turn_rate": (1e-9, 1e9),
-            "decision_time": (1e-9, 1e9), "budget": (0.0, 1e9),
-            "memory_units": (1, 2**12),
-        }  # fmt: skip
-        for name, (least, most) in ranges.items():
+        for name, (least, most) in _RANGES.items():
             if not least <= getattr(self, name) <= most:
                 raise ValueError(
                     f"{name} is {getattr(self, name)}; it must be in [{least}, {most}]"
                 )
-        if not all(1 <= width <= 2**12 for width in self.hidden):
-            raise ValueError(f"hidden is {self.hidden}; each must be in [1, {2**12}]")
+        if not all(1 <= width <= _WIDEST for width in self.hidden):
+            raise ValueError(f"hidden is {self.hidden}; each must be in [1, {_WIDEST}]")
 
     def to_plain(self) -> dict[str, Any]:
         """As plain data, with the version of the perception that the weights belong to."""
@@ -105,11 +103,6 @@ class PolicySettings:
         return self.memory_units if self.memory == "recurrent" else 0
 
     @property
-    def _walls(self) -> bool:
-        """Whether features of walls are remembered."""
-        return self.memory == "features"
-
-    @property
     def angles(self) -> NDArray[np.float64]:
         """What can be chosen, rad."""
         return ANGLES if self.guarantee == "heading" else ALL_ROUND
@@ -122,53 +115,10 @@ class PolicySettings:
         """What the network is shown, with so many slots."""
         columns = 0
         if self.guarantee == "tank":
-            columns = LEVEL_COLUMNS + (WALL_COLUMNS if self._walls else 0)
+            columns = LEVEL_COLUMNS + (WALL_COLUMNS if self.memory == "features" else 0)
         return FeatureLayout(neighbour_slots, obstacle_slots, columns)
 
     def layout_of(self, scenario: Scenario) -> FeatureLayout:
         """What the network is shown in a scenario."""
         rows = scenario.observation_layout
         return self.layout(rows.neighbour_slots, rows.obstacle_slots)
-
-    def make_guide(self, scenario: Scenario) -> Guide:
-        """What turns its choices into headings."""
-        return Guide(
-            scenario,
-            clearance=self.clearance,
-            persistence=self.persistence,
-            angles=self.angles,
-        )
-
-    def make_teams(
-        self,
-        scenario: Scenario,
-        num_envs: int,
-        *,
-        obstacle_slots: int | None = None,
-        num_threads: int | None = None,
-    ) -> GuidedTeams:
-        """Teams that decide, are guided and are kept to the guarantee.
-
-        Args:
-            scenario: whose robots they are.
-            num_envs: B.
-            obstacle_slots: of ``Features``.
-            num_threads: most threads that may be used.
-
-        Raises:
-            ValueError: for robots that ``Features`` cannot show.
-        """
-        guide = self.make_guide(scenario)
-        decision_time = self.decision_period(scenario) * scenario.tau
-        shown: dict[str, Any] = {"decision_time": decision_time, "obstacle_slots": obstacle_slots}
-        common: dict[str, Any] = {"min_alignment": self.min_alignment, "num_threads": num_threads}
-        if self.guarantee == "heading":
-            perception = Features(scenario, num_envs, **shown)
-            turning: dict[str, Any] = {"max_turn_rate": self.max_turn_rate, "frame": "local"}
-            return GuidedTeams(
-                HeadingFilter(scenario, num_envs, **turning, **common), guide, perception
-            )
-        seen = TankFeatures(scenario, num_envs, walls=self._walls, **shown)
-        budget = self.budget * unit_of_tanks(scenario)
-        tank = HeadingTankFilter(scenario, num_envs, budget=budget, **common)
-        return TankTeams(tank, guide, seen)

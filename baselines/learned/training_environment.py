@@ -3,26 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any, Protocol
 
 import numpy as np
 from gymnasium.spaces import Box, MultiDiscrete
 from numpy.typing import ArrayLike, NDArray
 
+from rendezvous_env.checks import number, refuse, whole
 from rendezvous_env.engine.state_checks import check_entries, check_keys
 from rendezvous_env.envs.spaces import team_box
 from rendezvous_env.envs.training import FirstContacts
 from rendezvous_env.envs.vector_env import Info, RendezvousVectorEnv, Transition
 from rendezvous_env.envs.vector_wrappers import GuaranteeWrapper
+from rendezvous_env.limits import MOST_HELD_STEPS
 from rendezvous_env.rewards.terms import RewardWeights
+from rendezvous_env.safety.tank import unit_of_tanks
 from rendezvous_env.scenario.scenario import Scenario
 from rendezvous_env.scenario.start_options import as_options
 from rendezvous_env.simulator import Simulator
 
 from .features import FeatureLayout, can_steer
-from .heading_tank_filter import HeadingTankFilter
+from .guide import GuidedTeams
 from .policy_settings import PolicySettings
-from .shipped import POLICIES, held_arguments, preset, settings_for
+from .shipped import POLICIES, preset
 
 
 class GlobalState(Protocol):
@@ -82,7 +86,8 @@ class FeatureVectorEnv(GuaranteeWrapper):
         discrete: bool = True,
     ) -> None:
         scenario, self.settings = env.scenario, settings
-        self.guided = settings.make_teams(
+        self.guided = GuidedTeams(
+            settings,
             scenario,
             env.num_envs,
             obstacle_slots=obstacle_slots,
@@ -114,14 +119,6 @@ class FeatureVectorEnv(GuaranteeWrapper):
         """Of the headings with f in the last base step, (B, n); NaN where there is none."""
         return self.guided.steering.alignment
 
-    @property
-    def _levels(self) -> NDArray[np.float64]:
-        """A/(r D̄) of the tanks, (B, n); 0 without."""
-        steering = self.guided.steering
-        if isinstance(steering, HeadingTankFilter):
-            return steering.normalised_levels
-        return np.zeros(self._touches.touched.shape)
-
     def step(self, actions: ArrayLike) -> Transition:
         """As ``GuaranteeWrapper.step``, with touches paid for in ``robot_rewards``."""
         seen, rewards, ends, cuts, infos = super().step(actions)
@@ -151,7 +148,9 @@ class FeatureVectorEnv(GuaranteeWrapper):
         assert self.global_state is not None
         base: Any = self.env
         towards = base.scenario.observation_layout.net_bearing(self._observed)
-        return self.global_state.states(base.simulator, towards, self._levels)
+        tank, nothing = self.guided.tank, np.zeros(self._touches.touched.shape)
+        levels = nothing if tank is None else tank.normalised_levels
+        return self.global_state.states(base.simulator, towards, levels)
 
     def reset(
         self,
@@ -190,19 +189,29 @@ class FeatureVectorEnv(GuaranteeWrapper):
 
 
 class ShippedPreset:
-    """What ``training_env`` hands to learners: what the shipped policies see, do and earn."""
+    """What ``training_env`` hands to learners: what the shipped policies see, do and earn; a
+    ``LearningPreset``.
+    """
 
     def earnings(self, guarantee: str | None) -> tuple[RewardWeights, float]:
-        """As ``LearningPreset`` says."""
+        """The reward, and the price of a robot's first touch."""
         return preset(guarantee).reward, preset(guarantee).touch_penalty
 
     def shows(self, scenario: Scenario, guarantee: str | None) -> bool:
-        """As ``LearningPreset`` says."""
+        """Whether robots see and do what the shipped policy of this guarantee does."""
         return guarantee in POLICIES and can_steer(scenario)
 
     def held_arguments(self, scenario: Scenario, guarantee: str) -> dict[str, Any]:
-        """As ``LearningPreset`` says."""
-        return held_arguments(scenario, guarantee)
+        """Arguments of the guarantee's wrapper where they do not.
+
+        A choice is held as long as the shipped policy's; a tank has the same budget in units of
+        r D̄, and its level is observed, as by the shipped policy.
+        """
+        settings = preset(guarantee).settings
+        held: dict[str, Any] = {"decision_period": settings.decision_period(scenario)}
+        if guarantee == "tank":
+            held |= {"budget": settings.budget * unit_of_tanks(scenario), "observe_level": True}
+        return held
 
     def wrap(
         self,
@@ -211,6 +220,28 @@ class ShippedPreset:
         discrete: bool,
         arguments: Mapping[str, Any],
     ) -> FeatureVectorEnv:
-        """As ``LearningPreset`` says."""
-        settings = settings_for(env.scenario, guarantee, arguments)
+        """The teams that see and do what the shipped policy does.
+
+        Args:
+            env: teams of single integrators in the plane.
+            guarantee: "heading" or "tank".
+            discrete: as ``FeatureVectorEnv``.
+            arguments: of the guarantee's wrapper: min_alignment, decision_period (steps), and
+                max_turn_rate or budget (m²/s).
+
+        Raises:
+            ValueError: for another argument, or an impossible value.
+        """
+        scenario, own = env.scenario, {"heading": "max_turn_rate", "tank": "budget"}[guarantee]
+        changes: dict[str, Any] = {}
+        for key, value in arguments.items():
+            if key == "decision_period":
+                changes["decision_time"] = whole(key, value, 1, MOST_HELD_STEPS) * scenario.tau
+            elif key == "budget" and key == own:
+                changes[key] = number(key, value, 0.0) / unit_of_tanks(scenario)
+            elif key in ("min_alignment", own):
+                changes[key] = number(key, value)
+            else:
+                refuse(key, value, "left to the learning preset; learning_preset=False takes it")
+        settings = replace(preset(guarantee).settings, **changes)
         return FeatureVectorEnv(env, settings, discrete=discrete)

@@ -1,43 +1,137 @@
-"""Scripted heading policies for single integrators among obstacles, by name.
+"""Rules that go round obstacles by the bearings of their edges alone, and the policies they make.
 
-Each rule gives a heading h from the edges of obstacles; the velocity is law (4), h hᵀf. The
-certified form of a rule passes its heading through theorem C first.
+Each rule gives a heading h; the velocity is law (4), h hᵀf. The certified form of a rule passes its
+heading through theorem C first.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rendezvous_env.checks import between, bools, number, positive
+from rendezvous_env.checks import between, number, positive, real, shown
 from rendezvous_env.safety.heading import certified_heading, flexible_velocity, step_scale
+from rendezvous_env.safety.settings import check_vectors
+from rendezvous_env.scenario.observation_layout import SILHOUETTE_POINTS
 
-from ..policy import Policy, TeamPolicy, is_single_integrator, register, within_limits
-from .heading_rules import (
-    Array,
-    HeadingRule,
-    check_clearance,
-    tangent_blocking_heading,
-    tangent_heading,
-    tangent_joined_heading,
+from ..policy import (
+    Policy,
+    RememberingPolicy,
+    TeamPolicy,
+    among_obstacles,
+    among_obstacles_in_the_plane,
+    register,
+    within_limits,
 )
+from .merged_silhouettes_2d import joined_headings_2d
+from .merged_silhouettes_3d import joined_headings_3d
+from .silhouettes import tangent_headings
 
 if TYPE_CHECKING:
     from rendezvous_env.scenario.scenario import Scenario
 
-__all__ = [
-    "BareHeadingPolicy",
-    "CertifiedHeadingPolicy",
-    "HeadingRule",
-    "TunedJoinedPolicy",
-    "tangent_blocking_heading",
-    "tangent_heading",
-    "tangent_joined_heading",
-]
+Array = NDArray[np.float64]
+HeadingRule = Callable[[Array, NDArray[Any]], Array]
+"""Net bearings fᵢ, (..., d), m/s, and silhouettes, (..., M, S, d), unit vectors, zero where no
+obstacle is seen → headings hᵢ, (..., d), unit vectors."""
+
+
+# ---- rules --------------------------------------------------------------------------------------
+
+
+def tangent_heading(net_bearing: Array, silhouettes: NDArray[Any]) -> Array:
+    """Section IV-C read literally: the edge nearest to f of the most prominent obstacle in sight.
+
+    The most prominent obstacle is the one with the largest angular width, whether it stands in the
+    way or not. With none in sight h = f/‖f‖ (the x axis where f = 0).
+
+    Args:
+        net_bearing: fᵢ, (..., d), m/s.
+        silhouettes: unit bearings, (..., M, S, d).
+
+    Returns:
+        Headings, (..., d).
+
+    Raises:
+        ValueError: naming an argument of the wrong shape, or that is not finite.
+    """
+    return _over_robots(tangent_headings, net_bearing, silhouettes, False)
+
+
+def tangent_blocking_heading(net_bearing: Array, silhouettes: NDArray[Any]) -> Array:
+    """Section IV-C for obstacles in the way only: of those that f points into, the most prominent.
+
+    As ``tangent_heading`` otherwise.
+    """
+    return _over_robots(tangent_headings, net_bearing, silhouettes, True)
+
+
+def tangent_joined_heading(
+    net_bearing: Array,
+    silhouettes: NDArray[Any],
+    *,
+    clearance: float = 0.05,
+    carried: Array | None = None,
+    persistence: float = 0.0,
+) -> Array:
+    """Overlapping silhouettes are one obstacle; pass it on the nearer side (theory 6).
+
+    Details are with ``joined_headings_2d`` and ``joined_headings_3d``.
+
+    Args:
+        net_bearing: fᵢ, (..., d), m/s.
+        silhouettes: unit bearings, (..., M, S, d).
+        clearance: angle by which to stay clear of an edge, rad.
+        carried: headings of the step before, (..., d), zero where there is none; in the plane only.
+        persistence: how much an edge's angle from the carried heading counts beside that from f.
+
+    Returns:
+        Headings, (..., d); f/‖f‖ (the x axis where f = 0) if nothing is in the way.
+
+    Raises:
+        ValueError: naming an argument of the wrong shape, or that is not finite.
+    """
+    f = check_vectors("net_bearing", net_bearing)
+    if f.shape[-1] == 3:
+        return _over_robots(joined_headings_3d, f, silhouettes, float(clearance))
+    before = np.zeros_like(f) if carried is None else check_vectors("carried", carried, like=f)
+    options = float(clearance), before.reshape(-1, 2), float(persistence)
+    return _over_robots(joined_headings_2d, f, silhouettes, *options)
+
+
+def _over_robots(
+    rule: Any, net_bearing: Array, silhouettes: NDArray[Any], *options: bool | float | Array
+) -> Array:
+    f = check_vectors("net_bearing", net_bearing)
+    points = np.ascontiguousarray(silhouettes)
+    d, leading = f.shape[-1], f.shape[:-1]
+    seen = (SILHOUETTE_POINTS[d], d)
+    if points.ndim != f.ndim + 2 or (*points.shape[:-3], *points.shape[-2:]) != (*leading, *seen):
+        raise ValueError(
+            f"silhouettes has shape {points.shape}; with net_bearing of shape {f.shape} it must be "
+            f"(..., M, {seen[0]}, {seen[1]})"
+        )
+    if points.dtype not in (np.float32, np.float64):
+        raise ValueError(f"silhouettes are {points.dtype}; they must be float32 or float64")
+    headings = np.empty_like(f)
+    robots = f.size // d
+    points = points.reshape(robots, *points.shape[-3:])  # -1 cannot be inferred without obstacles
+    rule(f.reshape(robots, d), points, *options, headings.reshape(robots, d))
+    return headings
+
+
+def check_clearance(clearance: Any) -> None:
+    """Refuse a clearance that is no angle in [0, π) rad."""
+    if not 0 <= real(clearance) < np.pi:
+        raise ValueError(f"clearance is {shown(clearance)}; it must be an angle in [0, π) rad")
+
+
+# ---- policies -----------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -57,14 +151,12 @@ class BareHeadingPolicy(TeamPolicy):
 
 
 @dataclass
-class CertifiedHeadingPolicy(TeamPolicy):
+class CertifiedHeadingPolicy(RememberingPolicy):
     """A heading rule made certain to meet: theorem C, and velocities scaled where the step is long.
 
         vᵢ = min(1, r/(2 Dᵢ τ)) hᵢ hᵢᵀ fᵢ                             (theory 3 and 4)
 
-    The rule means a line, so its heading is flipped to the side of f before it is certified. The
-    policy remembers the headings of every robot, with the leading axes of the observations; other
-    leading axes are other teams, and start anew.
+    The rule means a line, so its heading is flipped to the side of f before it is certified.
     """
 
     scenario: Scenario
@@ -75,7 +167,6 @@ class CertifiedHeadingPolicy(TeamPolicy):
     """ε, the margin |hᵀf| ≥ ε‖f‖."""
     max_turn_rate: float = 3.0
     """ω_max of the heading, rad/s."""
-    _previous: Array = field(init=False, repr=False, default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
         between("min_alignment", self.min_alignment, 0, 1)
@@ -90,21 +181,25 @@ class CertifiedHeadingPolicy(TeamPolicy):
     ) -> NDArray[np.float32]:
         """As a call, where the call before was so many seconds ago; see ``RealTimePolicy``."""
         scenario, layout = self.scenario, self.scenario.observation_layout
-        f, seen = layout.net_bearing(observations), layout.split(observations)
-        if self._previous.shape != f.shape:
-            self._previous = np.zeros_like(f)
-        raw = self._aim(f, seen.obstacles)
+        seen = self._teams_of(observations)
+        f = layout.net_bearing(seen)
         h = self._previous = certified_heading(
-            raw,
+            self._aim(f, layout.split(seen).obstacles),
             f,
             self._previous,
             min_alignment=self.min_alignment,
             dead_zone=scenario.dead_zone or 1.0,  # without a link f is 0 whatever it is
             max_turn=self.max_turn_rate * elapsed,
         )
-        degree = layout.degree(observations)
-        scale = step_scale(degree, scenario.merge_radius, scenario.tau)[..., np.newaxis]
-        return within_limits(scale * flexible_velocity(f, h), scenario)
+        scale = step_scale(layout.degree(seen), scenario.merge_radius, scenario.tau)
+        velocity = scale[..., np.newaxis] * flexible_velocity(f, h)
+        return self._as_given(within_limits(velocity, scenario))
+
+    def _start(self, teams: int) -> None:
+        self._previous = np.zeros((teams, self.scenario.n_robots, self.scenario.dim))
+
+    def _forget(self, which: NDArray[np.bool_]) -> None:
+        self._previous[which] = 0.0
 
     def _aim(self, f: Array, silhouettes: NDArray[Any]) -> Array:
         """Raw vectors (..., d) that are to be certified."""
@@ -114,14 +209,7 @@ class CertifiedHeadingPolicy(TeamPolicy):
     @property
     def headings(self) -> Array:
         """The headings last taken, (..., n, d); zero for a robot that has none yet."""
-        return self._previous.copy()
-
-    def reset(self, mask: NDArray[np.bool_] | None = None) -> None:
-        """Forget the headings of the teams where ``mask`` is true, of all if it is None."""
-        if mask is None:
-            self._previous = np.zeros(0)
-        elif self._previous.size:
-            self._previous[bools("mask", mask, self._previous.shape[:-2], "teams")] = 0.0
+        return np.zeros(0) if self._leading is None else self._as_given(self._previous).copy()
 
 
 @dataclass
@@ -156,29 +244,25 @@ class TunedJoinedPolicy(CertifiedHeadingPolicy):
 # ---- by name ------------------------------------------------------------------------------------
 
 
-def _fits(scenario: Scenario) -> bool:
-    return is_single_integrator(scenario) and scenario.observation_layout.obstacle_slots > 0
-
-
-@register("tangent", fits=_fits, kind="rule")
+@register("tangent", fits=among_obstacles, kind="rule")
 def _tangent(scenario: Scenario) -> Policy:
     """Section IV-C read literally: to the nearer edge of an obstacle that is near."""
     return BareHeadingPolicy(scenario, tangent_heading)
 
 
-@register("tangent-blocking", fits=_fits, kind="rule")
+@register("tangent-blocking", fits=among_obstacles, kind="rule")
 def _tangent_blocking(scenario: Scenario) -> Policy:
     """The same, only for an obstacle that stands in the way of f."""
     return BareHeadingPolicy(scenario, tangent_blocking_heading)
 
 
-@register("tangent-joined", fits=_fits, kind="rule")
+@register("tangent-joined", fits=among_obstacles, kind="rule")
 def _tangent_joined(scenario: Scenario, clearance: float = 0.05) -> Policy:
     """The same, with silhouettes that overlap taken for one."""
     return BareHeadingPolicy(scenario, _joined_with(clearance))
 
 
-@register("tangent-certified", fits=_fits, kind="rule")
+@register("tangent-certified", fits=among_obstacles, kind="rule")
 def _tangent_certified(
     scenario: Scenario, min_alignment: float = 0.1, max_turn_rate: float = 3.0
 ) -> Policy:
@@ -186,7 +270,7 @@ def _tangent_certified(
     return CertifiedHeadingPolicy(scenario, tangent_heading, min_alignment, max_turn_rate)
 
 
-@register("tangent-blocking-certified", fits=_fits, kind="rule")
+@register("tangent-blocking-certified", fits=among_obstacles, kind="rule")
 def _tangent_blocking_certified(
     scenario: Scenario, min_alignment: float = 0.1, max_turn_rate: float = 3.0
 ) -> Policy:
@@ -194,7 +278,7 @@ def _tangent_blocking_certified(
     return CertifiedHeadingPolicy(scenario, tangent_blocking_heading, min_alignment, max_turn_rate)
 
 
-@register("tangent-joined-certified", fits=_fits, kind="rule")
+@register("tangent-joined-certified", fits=among_obstacles, kind="rule")
 def _tangent_joined_certified(
     scenario: Scenario,
     clearance: float = 0.05,
@@ -206,9 +290,7 @@ def _tangent_joined_certified(
     return CertifiedHeadingPolicy(scenario, rule, min_alignment, max_turn_rate)
 
 
-@register(
-    "tangent-joined-tuned", fits=lambda scenario: _fits(scenario) and scenario.dim == 2, kind="rule"
-)
+@register("tangent-joined-tuned", fits=among_obstacles_in_the_plane, kind="rule")
 def _tangent_joined_tuned(
     scenario: Scenario,
     clearance: float = 0.2,

@@ -4,7 +4,7 @@ Silhouette points of an obstacle are S unit vectors in the robot's own frame: th
 and the clockwise edge in the plane, eight boundary rays of a cone in space. An obstacle whose first
 point is exactly zero is not seen. All kernels take net bearings (N, d) float64 and silhouettes
 (N, M, S, d) of any float type, and write unit headings (N, d); a robot without a net bearing heads
-along its x axis. Overlapping silhouettes are joined in ``joined_plane`` and ``joined_space``.
+along its x axis. Overlapping silhouettes are joined in ``merged_silhouettes_2d`` and ``_3d``.
 """
 
 import math
@@ -20,14 +20,8 @@ STRAIGHT_AHEAD = -1
 def tangent_headings(net_bearing, silhouettes, only_blocking, out):
     """Head for the edge nearest to f of the most prominent obstacle, along f if there is none.
 
-    Section IV-C of the paper. "Most prominent" is the one with the largest angular width, the first
-    of equals.
-
-    Args:
-        net_bearing: fᵢ, (N, d).
-        silhouettes: (N, M, S, d).
-        only_blocking: whether to look only at obstacles that f points into.
-        out: (N, d).
+    Section IV-C of the paper; the first of equals, and if ``only_blocking`` of those obstacles that
+    f points into.
     """
     for i in range(out.shape[0]):
         towards = direction_of(net_bearing[i])

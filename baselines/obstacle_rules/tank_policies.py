@@ -1,26 +1,70 @@
-"""Scripted policies under an energy tank (theorem D)."""
+"""The joined rule under an energy tank (theorem D): round walls, on one side, turning back when it
+costs too much.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rendezvous_env.checks import between, bools, number, positive
-from rendezvous_env.safety.tank import EnergyTank
+from rendezvous_env.checks import between, number, positive
+from rendezvous_env.compilation import kernel
+from rendezvous_env.physics.vectors import combine, dot, load, split, store
+from rendezvous_env.safety.tank import (
+    EnergyTank,
+    certain_descent,
+    descent_scale,
+    promised_descent,
+)
 
-from ..policy import Policy, TeamPolicy, is_single_integrator, register
-from .heading_rules import Array, check_clearance
-from .wall_following import MEMORY, PATIENCE, WORK, Settings, wall_following_wishes
+from ..policy import Policy, RememberingPolicy, among_obstacles_in_the_plane, register
+from .merged_silhouettes_2d import TWO_PI, joined_interval_2d
+from .obstacle_avoidance import Array, check_clearance
 
 if TYPE_CHECKING:
     from rendezvous_env.scenario.scenario import Scenario
 
+SIDE, HEADING_X, HEADING_Y, WORK, PATIENCE, SHORT = range(6)
+MEMORY = 6
+"""Numbers in a robot's memory: the side on which it passes what blocks f (1 counter-clockwise, −1
+clockwise, 0 nothing blocks f); its heading; ∫ f·v dt since it met the wall, m²/s; over ‖f‖ how far
+that may fall before it turns back, m; whether its tank was too low for the step before."""
+
+_JUMP = 1.5
+"""rad; an edge so far from the heading is another wall's."""
+_LOST = 2.4
+"""rad; farther round than this no wall is felt for."""
+_BEHIND_EDGE = 0.9
+"""Of the clearance: how far beside the heading the wall is felt for."""
+_LARGEST_PATIENCE = 1e3
+"""m."""
+_REST_TIME = 30.0
+"""For so long must the tank last at rest after any step that costs something, s."""
+
+
+class Settings(NamedTuple):
+    """What wall followers share."""
+
+    clearance: float
+    """Angle by which to stay clear of an edge, rad."""
+    patience: float
+    """How far back a first try may lead, m; each turn doubles it."""
+    min_alignment: float
+    """ε of the tank."""
+    merge_radius: float
+    """r, m."""
+    duration: float
+    """τ, s."""
+    speed_limit: float
+    """v_max, m/s."""
+
 
 @dataclass
-class TankJoinedPolicy(TeamPolicy):
+class TankJoinedPolicy(RememberingPolicy):
     """The joined rule under an energy tank: round walls, away from f too while the tank lasts.
 
     What blocks f is passed on one side, along the wall, until f is free. The robot turns back when
@@ -28,9 +72,8 @@ class TankJoinedPolicy(TeamPolicy):
     much after each turn, or when its tank is low; so it tries both sides ever farther. Where the
     tank would not last it rests instead of pressing against a wall.
 
-    A policy like any other: it books what it commanded, knows neither contacts nor steps that a
-    merge cut short, and what an absorbed robot had left is lost. Other leading axes of the
-    observations are other teams, and start anew.
+    It books what it commanded, knows neither contacts nor steps that a merge cut short, and what an
+    absorbed robot had left is lost.
     """
 
     scenario: Scenario
@@ -43,8 +86,6 @@ class TankJoinedPolicy(TeamPolicy):
     """Angle by which to stay clear of an edge, rad."""
     patience: float = 1.0
     """How far from f a first try may lead, m."""
-    _tank: EnergyTank | None = field(init=False, repr=False, default=None)
-    _memory: Array = field(init=False, repr=False, default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
         number("budget", self.budget, 0.0, unit="m²/s")
@@ -61,69 +102,45 @@ class TankJoinedPolicy(TeamPolicy):
             speed_limit=float(scenario.speed_limit),
         )
 
+    def _start(self, teams: int) -> None:
+        scenario, options = self.scenario, {"min_alignment": self.margin, "frame": "local"}
+        self._tank = EnergyTank(scenario, teams, budget=self.budget, **options)
+        self._memory = np.zeros((teams, scenario.n_robots, MEMORY))
+        self._memory[..., PATIENCE] = self.patience
+
+    def _forget(self, which: NDArray[np.bool_]) -> None:
+        self._tank.forget(which)
+        self._memory[which] = 0.0
+        self._memory[which, :, PATIENCE] = self.patience
+
     def act(self, observations: NDArray[Any], time: ArrayLike) -> NDArray[np.float32]:
         """Velocities (..., n, d); see ``Policy``."""
-        layout = self.scenario.observation_layout
-        f, degrees = layout.net_bearing(observations), layout.degree(observations)
-        tank, memory = self._remembered(f.shape[:-1])
-        seen = np.ascontiguousarray(observations, np.float32).reshape(
-            -1, f.shape[-2], *layout.shape
-        )
+        seen, layout = self._teams_of(observations), self.scenario.observation_layout
+        f, robots = layout.net_bearing(seen), seen.shape[0] * seen.shape[1]
         silhouettes = np.ascontiguousarray(layout.split(seen).obstacles)
-        wished = np.zeros((f.size // 2, 2))
-        wall_following_wishes(
-            f.reshape(wished.shape),
-            degrees.reshape(-1),
-            silhouettes.reshape(len(wished), *silhouettes.shape[2:]),
-            tank.levels.reshape(-1),
+        desired = np.zeros((robots, 2))
+        wall_following_velocities(
+            f.reshape(robots, 2),
+            layout.degree(seen).reshape(robots),
+            silhouettes.reshape(robots, *silhouettes.shape[2:]),
+            self._tank.levels.reshape(robots),
             self._settings,
-            memory,
-            wished,
+            self._memory.reshape(robots, MEMORY),
+            desired,
         )
-        tank.hold(wished.reshape(len(seen), -1, 2) / self.scenario.speed_limit)
-        actions = tank.act(seen).reshape(f.shape)
-        tank.book()
-        memory[:, WORK] += self.scenario.tau * np.sum(f * actions, axis=-1).reshape(-1)
-        return actions
-
-    def _remembered(self, team: tuple[int, ...]) -> tuple[EnergyTank, Array]:
-        """The tanks and memories of teams (..., n), new ones if the last teams were others."""
-        if self._tank is None or self._memory.shape != (*team, MEMORY):
-            self._tank = EnergyTank(
-                self.scenario,
-                int(np.prod(team[:-1])),
-                budget=self.budget,
-                min_alignment=self.margin,
-                frame="local",
-            )
-            self._memory = np.zeros((*team, MEMORY))
-            self._memory[..., PATIENCE] = self.patience
-        return self._tank, self._memory.reshape(-1, MEMORY)
+        self._tank.hold(desired.reshape(f.shape) / self.scenario.speed_limit)
+        actions = self._tank.act(seen)
+        self._tank.book()
+        self._memory[..., WORK] += self.scenario.tau * np.sum(f * actions, axis=-1)
+        return self._as_given(actions)
 
     @property
     def levels(self) -> Array:
         """A, (..., n), m²/s; without an episode there are none."""
-        if self._tank is None:
-            return np.zeros(0)
-        return self._tank.levels.reshape(self._memory.shape[:-1])
-
-    def reset(self, mask: NDArray[np.bool_] | None = None) -> None:
-        """Fill the tanks and forget the walls of the teams where ``mask`` is true; None: of all."""
-        if mask is None:
-            self._tank = None
-        elif self._tank is not None:
-            chosen = bools("mask", mask, self._memory.shape[:-2], "teams")
-            self._tank.forget(np.atleast_1d(chosen.reshape(-1)))
-            self._memory[chosen] = 0.0
-            self._memory[chosen, :, PATIENCE] = self.patience
+        return np.zeros(0) if self._leading is None else self._as_given(self._tank.levels)
 
 
-def _fits(scenario: Scenario) -> bool:
-    slots = scenario.observation_layout.obstacle_slots
-    return is_single_integrator(scenario) and scenario.dim == 2 and slots > 0
-
-
-@register("tank-joined", fits=_fits, kind="tank")
+@register("tank-joined", fits=among_obstacles_in_the_plane, kind="tank")
 def _tank_joined(
     scenario: Scenario,
     budget: float = TankJoinedPolicy.budget,
@@ -133,3 +150,139 @@ def _tank_joined(
 ) -> Policy:
     """Follows walls under an energy tank, the one side or the other, ever farther."""
     return TankJoinedPolicy(scenario, budget, min_alignment, clearance, patience)
+
+
+# ---- kernels over robots -------------------------------------------------------------------------
+
+
+@kernel(allocates=True)
+def wall_following_velocities(net_bearing, degrees, silhouettes, levels, settings, memory, out):
+    """Desired velocities: along f where nothing blocks it, else along the wall.
+
+        vᵢ = sᵢ ‖fᵢ‖ hᵢ                                                            (guarantees 8)
+
+    A robot rests where its tank would not last, and turns back after that.
+
+    Args:
+        net_bearing: fᵢ, (N, 2), m/s.
+        degrees: Dᵢ, (N,), m/s.
+        silhouettes: (N, M, 2, 2), counter-clockwise edge, then clockwise edge.
+        levels: Aᵢ, (N,), m²/s.
+        settings: a Settings.
+        memory: (N, MEMORY), changed.
+        out: (N, 2), m/s.
+    """
+    intervals = np.empty((silhouettes.shape[1], 2))
+    for i in range(out.shape[0]):
+        f = load(net_bearing[i])
+        strength, towards = split(f)
+        memory[i, SHORT], short = 0.0, memory[i, SHORT] > 0.0
+        if strength == 0.0:
+            out[i, :] = 0.0
+            continue
+        free, turn = _turn(towards, strength, short, silhouettes[i], settings, memory[i], intervals)
+        heading = _turned(towards, turn)
+        memory[i, HEADING_X], memory[i, HEADING_Y] = heading[0], heading[1]
+        velocity = _affordable(f, degrees[i], levels[i], heading, free, settings, memory[i])
+        store(velocity, out[i])
+
+
+@kernel
+def _turn(towards, strength, short, silhouettes, settings, memory, intervals):
+    """Whether any direction is free, and the angle from f to the heading, rad."""
+    joined = joined_interval_2d(towards, silhouettes, intervals)
+    low, high = joined[0], joined[1]
+    clearance = settings.clearance
+    if high - low >= TWO_PI:
+        return False, 0.0
+    if low >= clearance or high <= -clearance:
+        if memory[WORK] >= 0.0:
+            memory[PATIENCE] = settings.patience
+        memory[SIDE] = 0.0
+        return True, 0.0
+    kept = _kept_angle(towards, memory)
+    held = memory[SIDE]
+    _choose_side(joined, strength, short, memory)
+    side = memory[SIDE]
+    edge, gap = _edge(joined, side)
+    if held == side and abs(_wrapped(edge - kept)) > _JUMP:
+        edge, gap = _along_wall(towards, kept, edge, gap, silhouettes, settings, side, intervals)
+    return True, edge + side * min(clearance, 0.5 * gap)
+
+
+@kernel
+def _choose_side(joined, strength, short, memory):
+    """Take the nearer edge at first; the other side once work or tank are spent."""
+    if memory[SIDE] == 0.0:
+        memory[SIDE] = 1.0 if abs(joined[1]) <= abs(joined[0]) else -1.0
+        memory[WORK] = 0.0
+    elif short or memory[WORK] < -memory[PATIENCE] * strength:
+        memory[SIDE] = -memory[SIDE]
+        memory[PATIENCE] = min(2.0 * memory[PATIENCE], _LARGEST_PATIENCE)
+
+
+@kernel
+def _along_wall(towards, kept, edge, gap, silhouettes, settings, side, intervals):
+    """Edge of the wall beside the heading, rad from f, and the gap beyond; else as given."""
+    feeler = kept - side * _BEHIND_EDGE * settings.clearance
+    felt = joined_interval_2d(_turned(towards, feeler), silhouettes, intervals)
+    if felt[1] - felt[0] >= TWO_PI:
+        return edge, gap
+    nearest, beyond = _edge(felt, side)
+    other, before = _edge(felt, -side)
+    if side * other > 0.0:  # nearest is one on the far side: the wall lies before it
+        nearest, beyond = other - side * before, before
+    if side * nearest < -_LOST:
+        return edge, gap
+    return feeler + nearest, beyond
+
+
+@kernel
+def _edge(joined, side):
+    """The edge of a joined interval on a side, and the free angle beyond it, rad."""
+    if side > 0.0:
+        return joined[1], joined[3]
+    return joined[0], joined[2]
+
+
+@kernel
+def _affordable(f, degree, level, heading, free, settings, memory):
+    """The velocity along a heading, or rest where the tank would not last."""
+    strength, towards = split(f)
+    r, duration = settings.merge_radius, settings.duration
+    scale = descent_scale(strength, degree, r, duration, settings.speed_limit)
+    speed = scale * strength
+    moved = combine(speed * duration, heading, 0.0, heading)
+    owed = promised_descent(strength, scale, settings.min_alignment, duration)
+    deposit = certain_descent(f, degree, moved, r) - owed
+    reserve = owed * _REST_TIME / duration
+    if free and (deposit >= 0.0 or level + deposit >= reserve):
+        return combine(speed, heading, 0.0, heading)
+    memory[SHORT] = 1.0
+    if level >= owed:
+        return 0.0, 0.0, 0.0
+    # law (4) will drive it: then as little as can be, and away from the wall
+    across = towards[0] * heading[1] - towards[1] * heading[0]
+    turn = math.copysign(math.acos(settings.min_alignment), across)
+    return combine(speed, _turned(towards, turn), 0.0, heading)
+
+
+@kernel
+def _kept_angle(towards, memory):
+    """Angle from f to the heading of the step before, rad; 0 if there is none."""
+    before = memory[HEADING_X], memory[HEADING_Y], 0.0
+    across = towards[0] * before[1] - towards[1] * before[0]
+    return math.atan2(across, dot(towards, before))
+
+
+@kernel
+def _turned(direction, angle):
+    """A direction of the plane turned counter-clockwise, as a triple."""
+    c, s = math.cos(angle), math.sin(angle)
+    return c * direction[0] - s * direction[1], s * direction[0] + c * direction[1], 0.0
+
+
+@kernel
+def _wrapped(angle):
+    """The same angle in [−π, π)."""
+    return angle - TWO_PI * math.floor((angle + math.pi) / TWO_PI)

@@ -20,9 +20,13 @@ if TYPE_CHECKING:
     from rendezvous_env.scenario.scenario import Scenario
 
 
+@register("random", fits=lambda scenario: True, kind="blind")
 @dataclass
 class RandomPolicy(TeamPolicy):
-    """Actions drawn uniformly from the action space by a generator of its own."""
+    """Actions drawn at random, whatever is seen.
+
+    They are uniform in the action space, from a generator of its own.
+    """
 
     scenario: Scenario
     """Whose robots it steers."""
@@ -47,12 +51,6 @@ class RandomPolicy(TeamPolicy):
         """Start the stream anew; the teams share it, so a mask that spares some changes nothing."""
         if mask is None or bools("mask", mask, None, "teams").all():
             self._generator = np.random.default_rng(self.seed)
-
-
-@register("random", fits=lambda scenario: True, kind="blind")
-def _random(scenario: Scenario, seed: int = 0) -> Policy:
-    """Actions drawn at random, whatever is seen."""
-    return RandomPolicy(scenario, seed)
 
 
 def _no_actions(f: Array, seen: ObservedRows, time: ArrayLike, *, size: int) -> Array:

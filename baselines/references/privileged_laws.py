@@ -6,29 +6,15 @@ They show what the distances would be worth that bearings lack.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rendezvous_env.safety.enclosing_ball import smallest_enclosing_ball
 from rendezvous_env.scenario.scenario import Scenario
 from rendezvous_env.simulator import Simulator
 
-from ..policy import Policy, is_single_integrator, register
-from .privileged_policy import Array, PrivilegedPolicy
-
-Mask = NDArray[np.bool_]
-
-
-def linked_gains(simulator: Simulator, ways: Array) -> Array:
-    """a_ij, (B, n, n), m/s, between robots that are linked and within each other's range.
-
-    Args:
-        simulator: the teams.
-        ways: p_j − p_i, (B, n, n, d), m.
-    """
-    gains, sight = simulator.weights, simulator.scenario.sensing.range
-    if sight is None:
-        return gains
-    return np.where(np.linalg.norm(ways, axis=-1) <= sight, gains, 0.0)
+from ..laws.literature_laws import unit_mean_law
+from ..laws.neighbour_order import chosen_rows
+from ..policy import is_single_integrator, register
+from .privileged_policy import Array, Mask, PrivilegedPolicy, within_a_step
 
 
 def consensus_law(ways: Array, gains: Array) -> Array:
@@ -85,45 +71,40 @@ def farthest_steps(towards: Array, ways: Array, linked: Mask, sight: float) -> A
     return np.asarray(np.min(np.maximum(limits, 0.0), axis=-1, where=linked, initial=np.inf))
 
 
-def within_a_step(rest: Array, scenario: Scenario) -> Array:
-    """Velocities that lead straight to a place at the speed limit, and not beyond it in a step.
-
-    Args:
-        rest: ways that are left, (..., d), m.
-        scenario: gives v_max and τ.
-
-    Returns:
-        (..., d), m/s.
-    """
-    distance = np.linalg.norm(rest, axis=-1, keepdims=True)
-    speed = scenario.speed_limit / np.where(distance > 0.0, distance, 1.0)
-    return rest * np.minimum(speed, 1.0 / scenario.tau)
+def _ways_and_gains(simulator: Simulator) -> tuple[Array, Array]:
+    """p_j − p_i, (B, n, n, d), m; and a_ij, (B, n, n), m/s, of robots within each other's range."""
+    positions, sight = simulator.positions, simulator.scenario.sensing.range
+    ways, gains = positions[:, np.newaxis] - positions[:, :, np.newaxis], simulator.weights
+    if sight is not None:
+        gains = np.where(np.linalg.norm(ways, axis=-1) <= sight, gains, 0.0)
+    return ways, gains
 
 
+@register("privileged-consensus", is_single_integrator, kind="privileged", on_request=True)
 class PrivilegedConsensus(PrivilegedPolicy):
-    """Linear consensus, slowed where a step would lead beyond the neighbours' mean."""
+    """Linear consensus: towards the neighbours, the faster the farther they are.
+
+    Slowed where a step would lead beyond the neighbours' mean.
+    """
 
     name = "privileged-consensus"
 
-    def _velocities(
-        self, simulator: Simulator, positions: Array, active: Mask, begun: Mask
-    ) -> Array:
-        ways = positions[:, np.newaxis] - positions[:, :, np.newaxis]
-        gains = linked_gains(simulator, ways)
+    def _velocities(self, simulator: Simulator, active: Mask, begun: Mask) -> Array:
+        ways, gains = _ways_and_gains(simulator)
         held = self.scenario.tau * gains.sum(axis=-1, keepdims=True)
         return consensus_law(ways, gains) / np.maximum(held, 1.0)
 
 
+@register("privileged-circumcentre", is_single_integrator, kind="privileged", on_request=True)
 class PrivilegedCircumcentre(PrivilegedPolicy):
-    """Each robot goes to the circumcentre of what it sees, and no farther than keeps its links."""
+    """To the circumcentre of what is seen, no farther than keeps links of limited range."""
 
     name = "privileged-circumcentre"
 
-    def _velocities(
-        self, simulator: Simulator, positions: Array, active: Mask, begun: Mask
-    ) -> Array:
-        ways = positions[:, np.newaxis] - positions[:, :, np.newaxis]
-        linked, sight = linked_gains(simulator, ways) > 0.0, self.scenario.sensing.range
+    def _velocities(self, simulator: Simulator, active: Mask, begun: Mask) -> Array:
+        ways, gains = _ways_and_gains(simulator)
+        linked, sight = gains > 0.0, self.scenario.sensing.range
+        positions = simulator.positions
         rest = np.zeros_like(positions)
         for team in np.flatnonzero(active.sum(axis=1) > 1):
             here = np.flatnonzero(active[team])
@@ -139,8 +120,12 @@ class PrivilegedCircumcentre(PrivilegedPolicy):
         return within_a_step(rest, self.scenario)
 
 
+@register("privileged-enclosing-ball", is_single_integrator, kind="privileged", on_request=True)
 class PrivilegedEnclosingBall(PrivilegedPolicy):
-    """All go straight to the centre of the smallest ball about the start: nobody can be sooner."""
+    """Straight to the centre of the smallest ball about the start; ignores obstacles.
+
+    Nobody can be sooner.
+    """
 
     name = "privileged-enclosing-ball"
 
@@ -148,9 +133,8 @@ class PrivilegedEnclosingBall(PrivilegedPolicy):
         super().__init__(scenario)
         self._centres: Array = np.zeros((0, scenario.dim))
 
-    def _velocities(
-        self, simulator: Simulator, positions: Array, active: Mask, begun: Mask
-    ) -> Array:
+    def _velocities(self, simulator: Simulator, active: Mask, begun: Mask) -> Array:
+        positions = simulator.positions
         if len(self._centres) != len(begun):
             self._centres = np.zeros((len(begun), self.scenario.dim))
         for team in np.flatnonzero(begun):
@@ -158,49 +142,16 @@ class PrivilegedEnclosingBall(PrivilegedPolicy):
         return within_a_step(self._centres[:, np.newaxis] - positions, self.scenario)
 
 
+@register("privileged-nearest-pursuit", is_single_integrator, kind="privileged", on_request=True)
 class PrivilegedNearestPursuit(PrivilegedPolicy):
-    """Each robot goes straight at the nearest of those it sees; which that is no bearing tells."""
+    """Straight at the nearest robot that is seen; which that is no bearing tells."""
 
     name = "privileged-nearest-pursuit"
 
-    def _velocities(
-        self, simulator: Simulator, positions: Array, active: Mask, begun: Mask
-    ) -> Array:
-        ways = positions[:, np.newaxis] - positions[:, :, np.newaxis]
-        linked = linked_gains(simulator, ways) > 0.0
+    def _velocities(self, simulator: Simulator, active: Mask, begun: Mask) -> Array:
+        ways, gains = _ways_and_gains(simulator)
+        linked = gains > 0.0
         distances = np.where(linked, np.linalg.norm(ways, axis=-1), np.inf)
-        nearest = np.argmin(distances, axis=-1)[..., np.newaxis]
-        way = np.take_along_axis(ways, nearest[..., np.newaxis], axis=-2)[..., 0, :]
+        way = chosen_rows(ways, np.argmin(distances, axis=-1))
         way = np.where(linked.any(axis=-1, keepdims=True), way, 0.0)
-        distance = np.linalg.norm(way, axis=-1, keepdims=True)
-        return self.scenario.speed_limit * way / np.where(distance > 0.0, distance, 1.0)
-
-
-@register(PrivilegedConsensus.name, fits=is_single_integrator, kind="privileged", on_request=True)
-def _privileged_consensus(scenario: Scenario) -> Policy:
-    """Linear consensus: towards the neighbours, the faster the farther they are."""
-    return PrivilegedConsensus(scenario)
-
-
-@register(
-    PrivilegedCircumcentre.name, fits=is_single_integrator, kind="privileged", on_request=True
-)
-def _privileged_circumcentre(scenario: Scenario) -> Policy:
-    """To the circumcentre of what is seen, no farther than keeps links of limited range."""
-    return PrivilegedCircumcentre(scenario)
-
-
-@register(
-    PrivilegedEnclosingBall.name, fits=is_single_integrator, kind="privileged", on_request=True
-)
-def _privileged_enclosing_ball(scenario: Scenario) -> Policy:
-    """Straight to the centre of the smallest ball about the start; ignores obstacles."""
-    return PrivilegedEnclosingBall(scenario)
-
-
-@register(
-    PrivilegedNearestPursuit.name, fits=is_single_integrator, kind="privileged", on_request=True
-)
-def _privileged_nearest_pursuit(scenario: Scenario) -> Policy:
-    """Straight at the nearest robot that is seen."""
-    return PrivilegedNearestPursuit(scenario)
+        return unit_mean_law(way, speed=self.scenario.speed_limit)

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from rendezvous_env.simulator import Simulator
 
-from ..policy import Policy, is_single_integrator, register
-from .privileged_policy import PrivilegedPolicy
+from ..policy import in_the_plane, register
+from .privileged_policy import Mask, PrivilegedPolicy, within_a_step
 from .roadmap import Array, Roadmap, WaysTo
 
 if TYPE_CHECKING:
@@ -43,12 +43,8 @@ class Meeting:
 def meeting_place(roadmap: Roadmap, positions: Array) -> Meeting:
     """Where the last robot arrives first; among equals, where the ways together are shortest.
 
-    Of the robots' own places, the corners of obstacles and a grid over the team; and then of a
-    finer grid about the best of these.
-
-    Args:
-        roadmap: of the team.
-        positions: (n, 2), m.
+    Of the robots' own places, (n, 2), m, the corners of obstacles and a grid over the team; and
+    then of a finer grid about the best of these.
     """
     to_corners, _ = roadmap.to_corners(positions)
     low, high = positions.min(axis=0), positions.max(axis=0)
@@ -74,11 +70,8 @@ def _best(places: Array, ways: Array) -> Meeting:
 
 
 def plan(table: Array, positions: Array) -> WaysTo:
-    """The ways on which a team meets soonest; who cannot get there stays where it is.
-
-    Args:
-        table: obstacles, (M, width), see ``obstacles.obstacle_set``.
-        positions: (n, 2), m.
+    """The ways on which a team at (n, 2), m, meets soonest among a table of obstacles, see
+    ``obstacles.obstacle_set``; who cannot get there stays where it is.
     """
     found: tuple[Roadmap, Meeting] | None = None
     for clearance in _CLEARANCES:
@@ -92,8 +85,9 @@ def plan(table: Array, positions: Array) -> WaysTo:
     return WaysTo(found[0], found[1].place)
 
 
+@register(NAME, in_the_plane, kind="privileged")
 class PrivilegedPlanner(PrivilegedPolicy):
-    """Every robot takes the shortest way to the place where the last of them arrives first.
+    """Shortest ways on the map to where the last robot arrives first.
 
     It goes at full speed from turn to turn, and shortens the step before one so that it never
     leaves its way. After a merge, which moves the survivor, ways start anew. It keeps some
@@ -108,7 +102,7 @@ class PrivilegedPlanner(PrivilegedPolicy):
     def __init__(self, scenario: Scenario) -> None:
         super().__init__(scenario)
         self._goals: list[WaysTo | None] = []
-        self._active: NDArray[np.bool_] = np.zeros((0, 0), np.bool_)
+        self._active: Mask = np.zeros((0, 0), np.bool_)
         self._turns: Array = np.zeros((0, 0, 0, 2))
         self._next: NDArray[np.int64] = np.zeros((0, 0), np.int64)
 
@@ -120,35 +114,20 @@ class PrivilegedPlanner(PrivilegedPolicy):
         self._turns = simulator.positions[:, :, None]
         self._next = np.zeros(self._active.shape, np.int64)
 
-    def _velocities(
-        self,
-        simulator: Simulator,
-        positions: Array,
-        active: NDArray[np.bool_],
-        begun: NDArray[np.bool_],
-    ) -> Array:
+    def _velocities(self, simulator: Simulator, active: Mask, begun: Mask) -> Array:
+        positions, scenario = simulator.positions, simulator.scenario
         self._keep_up(simulator, positions, active, begun)
-        speed, duration = simulator.scenario.speed_limit, simulator.scenario.tau
-        rest, distance = self._to_next_turn(positions)
-        self._next += distance <= _ARRIVED * speed * duration
-        rest, distance = self._to_next_turn(positions)
-        rate = np.minimum(speed / np.where(distance > 0, distance, 1.0), 1.0 / duration)
-        return rest * rate[..., None]
+        distance = np.linalg.norm(self._to_next_turn(positions), axis=-1)
+        self._next += distance <= _ARRIVED * scenario.speed_limit * scenario.tau
+        return within_a_step(self._to_next_turn(positions), scenario)
 
-    def _to_next_turn(self, positions: Array) -> tuple[Array, Array]:
-        """The straight way (B, n, 2) to the turn that comes next, and its length (B, n), m."""
+    def _to_next_turn(self, positions: Array) -> Array:
+        """The straight way (B, n, 2) to the turn that comes next, m."""
         self._next = np.minimum(self._next, self._turns.shape[2] - 1)
         turn = np.take_along_axis(self._turns, self._next[..., None, None], axis=2)[:, :, 0]
-        rest = turn - positions
-        return rest, np.hypot(rest[..., 0], rest[..., 1])
+        return turn - positions
 
-    def _keep_up(
-        self,
-        simulator: Simulator,
-        positions: Array,
-        active: NDArray[np.bool_],
-        begun: NDArray[np.bool_],
-    ) -> None:
+    def _keep_up(self, simulator: Simulator, positions: Array, active: Mask, begun: Mask) -> None:
         """Plan for teams that begin an episode, and find new ways where robots have merged."""
         merged = (active != self._active).any(axis=1)
         self._active = active
@@ -168,13 +147,3 @@ class PrivilegedPlanner(PrivilegedPolicy):
         self._turns[team, robot, : len(way)] = way
         self._turns[team, robot, len(way) :] = way[-1]
         self._next[team, robot] = 0
-
-
-def _fits(scenario: Scenario) -> bool:
-    return is_single_integrator(scenario) and scenario.dim == 2
-
-
-@register(NAME, fits=_fits, kind="privileged")
-def _privileged_planner(scenario: Scenario) -> Policy:
-    """Shortest ways on the map to where the last robot arrives first."""
-    return PrivilegedPlanner(scenario)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,14 +17,11 @@ if TYPE_CHECKING:
     from rendezvous_env.scenario.scenario import Scenario
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 
 class PrivilegedPolicy(TeamPolicy):
-    """A policy of single integrators that reads where they are.
-
-    Args:
-        scenario: whose robots it steers.
-    """
+    """A policy of single integrators that reads where they are."""
 
     name: str
     """What the registry calls it."""
@@ -85,25 +83,25 @@ class PrivilegedPolicy(TeamPolicy):
         steps, active = simulator.steps, simulator.active
         begun = self._fresh | (steps < self._steps)
         self._fresh, self._steps = np.zeros_like(begun), steps
-        wanted = self._velocities(simulator, simulator.positions, active, begun)
+        wanted = self._velocities(simulator, active, begun)
         wanted = np.where(active[..., np.newaxis], wanted, 0.0)
         # frames lead from local to global, their transpose leads back
         own = np.sum(simulator.frames * wanted[..., np.newaxis], axis=-2)
         return within_limits(own, self.scenario).reshape(*seen.shape[:-2], self.scenario.dim)
 
-    def _velocities(
-        self,
-        simulator: Simulator,
-        positions: Array,
-        active: NDArray[np.bool_],
-        begun: NDArray[np.bool_],
-    ) -> Array:
+    @abstractmethod
+    def _velocities(self, simulator: Simulator, active: Mask, begun: Mask) -> Array:
         """(B, n, d), m/s, in the global frame.
 
-        Args:
-            simulator: the teams.
-            positions: (B, n, d), m.
-            active: (B, n), who still exists on its own.
-            begun: (B,), which teams are at the beginning of an episode, or have been told to be.
+        Robots of ``active``, (B, n), still exist on their own; teams of ``begun``, (B,), are at the
+        beginning of an episode, or have been told to be.
         """
-        raise NotImplementedError
+
+
+def within_a_step(rest: Array, scenario: Scenario) -> Array:
+    """Velocities (..., d), m/s, that lead straight on for what is left, (..., d), m, at the speed
+    limit, and not beyond it in a step.
+    """
+    distance = np.linalg.norm(rest, axis=-1, keepdims=True)
+    speed = scenario.speed_limit / np.where(distance > 0.0, distance, 1.0)
+    return rest * np.minimum(speed, 1.0 / scenario.tau)

@@ -74,11 +74,8 @@ class Roadmap:
         return np.argsort(gaps, axis=1)
 
     def straight(self, points: Array, targets: Array) -> Array:
-        """Lengths of straight ways, (N, K), m; inf where an obstacle is in the way.
-
-        Args:
-            points: (N, 2), m.
-            targets: (K, 2), m.
+        """Lengths of straight ways from points (N, 2) to targets (K, 2), m; inf where an obstacle
+        is in the way.
         """
         out = np.empty((len(points), len(targets)))
         around = self._spikes, self._nearest_first(points)
@@ -86,11 +83,8 @@ class Roadmap:
         return out
 
     def to_corners(self, points: Array) -> tuple[Array, NDArray[np.int32]]:
-        """Lengths of the shortest ways from points to all corners, (N, C), m; and the corner before
-        each on that way, negative if it is the first.
-
-        Args:
-            points: (N, 2), m.
+        """Lengths of the shortest ways from points (N, 2) to all corners, (N, C), m; and the corner
+        before each on that way, negative if it is the first.
         """
         n, count = len(points), len(self.corners)
         first = self.straight(points, self.corners)
@@ -100,12 +94,8 @@ class Roadmap:
         return found[:, n:], before[:, n:] - n
 
     def distances(self, points: Array, to_corners: Array, places: Array) -> Array:
-        """Lengths of the shortest ways, (N, K), m; inf where there is none.
-
-        Args:
-            points: (N, 2), m.
-            to_corners: from there, (N, C), m.
-            places: (K, 2), m.
+        """Lengths of the shortest ways from points to places (K, 2), m, by way of corners whose
+        distances (N, C) are known; inf where there is none.
         """
         out, last = self.straight(points, places), self.straight(self.corners, places)
         if len(self.corners):
@@ -115,12 +105,7 @@ class Roadmap:
 
 
 class WaysTo:
-    """The shortest way from anywhere to one place.
-
-    Args:
-        roadmap: of the team.
-        place: (2,), m.
-    """
+    """The shortest way from anywhere to one place, (2,), m."""
 
     def __init__(self, roadmap: Roadmap, place: Array) -> None:
         self._roadmap, self._place = roadmap, place
@@ -203,14 +188,10 @@ def _spikes(table: Array) -> Array:
 
 @kernel
 def _margins_at(world, around, points, most, out):
-    """How far ways from points can stay away from all obstacles.
+    """How far ways from points (N, 2) can stay away from all obstacles, m: ``most``, or where a
+    point is too near for that half of it, a quarter, and so on.
 
-    Args:
-        world: AnyObstacles of one team.
-        around: how far each stands out, (M,), and the nearest first for each point, (N, M).
-        points: (N, 2), m.
-        most: what is enough, m.
-        out: (N,), m; ``most``, or where a point is too near for that a half of it, a quarter, …
+    ``around`` is how far each obstacle stands out, (M,), and the nearest first for each point.
     """
     spikes, order = around
     for i in range(len(points)):
@@ -242,15 +223,8 @@ def _in_the_way(world, spikes, order, here, way, margin):
 
 @kernel
 def _straight_lengths(world, around, points, targets, margins, out):
-    """Lengths of the straight ways that keep away from all obstacles.
-
-    Args:
-        world: AnyObstacles of one team.
-        around: how far each stands out, (M,), and the nearest first for each point, (N, M).
-        points: (N, 2), m.
-        targets: (K, 2), m.
-        margins: how far the ways from each point stay away from obstacles, (N,), m.
-        out: (N, K), m; inf where an obstacle is in the way.
+    """Lengths of the straight ways from points (N, 2) to targets (K, 2) that keep margins (N,) from
+    all obstacles, m; inf where one is in the way. See ``_margins_at``.
     """
     spikes, order = around
     for i in range(len(points)):

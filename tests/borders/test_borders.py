@@ -11,7 +11,6 @@ from soup import HUGE, refusal
 
 import rendezvous_env as rv
 from baselines.learned.features import Features
-from baselines.learned.guide import Guide
 from baselines.learned.policy_settings import PolicySettings
 from baselines.learned.training_environment import FeatureVectorEnv
 from baselines.obstacle_rules import obstacle_avoidance
@@ -162,11 +161,6 @@ def test_carried_headings_of_other_robots_are_refused():
     f, points = np.ones((3, 4, 2)), np.ones((3, 4, 5, 2, 2))
     with pytest.raises(ValueError, match=r"carried has shape \(2, 4, 2\)"):
         obstacle_avoidance.tangent_joined_heading(f, points, carried=f[:2])
-    clutter = rv.scenarios.get("clutter-16")
-    guide = Guide(clutter, clearance=0.1, persistence=0.5)
-    seen = Simulator(clutter, 3).reset(0)
-    with pytest.raises(ValueError, match="carried has shape"):
-        guide.aim(seen, np.zeros((3, 4), np.int64), np.zeros((2, 4, 2)))
 
 
 def test_alignments_refuse_a_step_of_other_robots(kind):

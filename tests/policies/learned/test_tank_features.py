@@ -3,19 +3,18 @@
 import numpy as np
 import pytest
 
-from baselines.learned.features import (
-    CONTEXT_COLUMNS,
-    LEVEL_COLUMNS,
-    WALL_COLUMNS,
-    Features,
-    TankFeatures,
-)
+from baselines.learned.features import CONTEXT_COLUMNS, LEVEL_COLUMNS, Features
+from baselines.learned.wall_memory import WALL_COLUMNS
 from rendezvous_env import Scenario
 from rendezvous_env.scenario import scenarios
 
 PAIR = Scenario(n_robots=2, obstacles=scenarios.get("clutter-4").obstacles)
 TIME = 0.5
 NOTHING = np.zeros((1, 2, 2))
+
+
+def tank_features(columns):
+    return Features(PAIR, 1, decision_time=TIME, tank_columns=columns)
 
 
 def unit(degrees):
@@ -36,13 +35,13 @@ def see(perception, observations, level=0.0, heading=0.0, velocity=None):
     headings[0, 0] = unit(heading)
     velocities[0, 0] = [0.0, 0.0] if velocity is None else velocity
     levels = np.array([[level, 7.0]])
-    shown = perception.see_tank(observations, headings, velocities=velocities, levels=levels)
+    shown = perception.see(observations, headings, velocities=velocities, levels=levels)
     assert not shown[0, 1].any()  # no neighbour: nothing, not even a level
     return shown[0, 0, -perception.layout.tank_columns :]
 
 
 def test_the_level_keeps_its_resolution():
-    perception = TankFeatures(PAIR, 1, decision_time=TIME)
+    perception = tank_features(LEVEL_COLUMNS)
     assert perception.layout.tank_columns == LEVEL_COLUMNS
     for level in (0.0, 0.01, 33.3):
         np.testing.assert_allclose(see(perception, look(0), level), [np.log1p(level)], rtol=1e-6)
@@ -50,11 +49,11 @@ def test_the_level_keeps_its_resolution():
 
 def test_the_other_columns_are_those_of_perception():
     own = Features(PAIR, 1, decision_time=TIME)
-    tank = TankFeatures(PAIR, 1, decision_time=TIME, walls=True)
+    tank = tank_features(LEVEL_COLUMNS + WALL_COLUMNS)
     velocities, headings = np.full((1, 2, 2), 0.3), np.full((1, 2, 2), np.sqrt(0.5))
     for f in (0, 20, 40):
-        plain = own.see(look(f, f + 10, f - 20), headings, None, velocities)
-        shown = tank.see_tank(
+        plain = own.see(look(f, f + 10, f - 20), headings, velocities=velocities)
+        shown = tank.see(
             look(f, f + 10, f - 20), headings, velocities=velocities, levels=np.ones((1, 2))
         )
         np.testing.assert_array_equal(shown[..., : plain.shape[-1]], plain)
@@ -64,7 +63,7 @@ def test_the_other_columns_are_those_of_perception():
 
 def test_a_wall_is_met_walked_along_and_left():
     """It stands before f for two decisions, while f turns by 30° and the heading by −90°."""
-    perception = TankFeatures(PAIR, 1, decision_time=TIME, walls=True)
+    perception = tank_features(LEVEL_COLUMNS + WALL_COLUMNS)
     away = see(perception, look(0), level=3.0)
     assert not away[1:7].any()
     met = see(perception, look(0, 20, -20), level=3.0)
@@ -86,7 +85,7 @@ def test_a_wall_is_met_walked_along_and_left():
 
 
 def test_long_averages_are_in_the_frame_along_f():
-    perception = TankFeatures(PAIR, 1, decision_time=TIME, walls=True)
+    perception = tank_features(LEVEL_COLUMNS + WALL_COLUMNS)
     kept = np.exp(-TIME / 20)
     np.testing.assert_allclose(see(perception, look(0), velocity=[0.0, 0.0])[9:], [0, 0, 1, 0])
     turned = see(perception, look(90), velocity=[0.0, 1.0])
@@ -95,12 +94,12 @@ def test_long_averages_are_in_the_frame_along_f():
 
 
 def test_memory_is_kept_put_back_and_forgotten():
-    perception = TankFeatures(PAIR, 1, decision_time=TIME, walls=True)
+    perception = tank_features(LEVEL_COLUMNS + WALL_COLUMNS)
     fresh = see(perception, look(0, 20, -20), level=2.0)
     perception.note(np.array([[1.0, 0.0]]))
     state = perception.get_state()
     later = see(perception, look(40, 60, 0), level=1.0)
-    other = TankFeatures(PAIR, 1, decision_time=TIME, walls=True)
+    other = tank_features(LEVEL_COLUMNS + WALL_COLUMNS)
     other.set_state(state)
     np.testing.assert_array_equal(see(other, look(40, 60, 0), level=1.0), later)
     perception.forget(np.array([True]))
@@ -115,11 +114,11 @@ def test_the_wall_is_remembered_in_seconds_not_in_decisions():
     headings[0, 0], moving[0, 0] = unit(60), 0.5 * unit(60)
     levels = np.array([[2.0, 0.0]])
     for cuts in ([1.25] * 4, [0.3, 3.1, 0.05, 1.55], [5.0]):
-        perception = TankFeatures(PAIR, 1, decision_time=TIME, walls=True)
+        perception = tank_features(LEVEL_COLUMNS + WALL_COLUMNS)
         seen = {"levels": levels, "velocities": NOTHING}
-        shown = perception.see_tank(look(0, 30, -30), headings, **seen)
+        shown = perception.see(look(0, 30, -30), headings, **seen)
         for time in cuts:
-            shown = perception.see_tank(
+            shown = perception.see(
                 look(0, 30, -30),
                 headings,
                 levels=levels,

@@ -8,9 +8,10 @@ from gymnasium.vector import AutoresetMode
 
 import rendezvous_env as rv
 from baselines.learned.features import Features
-from baselines.learned.guide import ALL_ROUND, ANGLES, CHOICES, Guide
+from baselines.learned.guide import ALL_ROUND, ANGLES, CHOICES, GuidedTeams
 from baselines.learned.policy_settings import PolicySettings
 from baselines.learned.training_environment import FeatureVectorEnv
+from baselines.obstacle_rules.obstacle_avoidance import tangent_joined_heading
 from rendezvous_env.adapters.sb3 import RobotVecEnv
 from rendezvous_env.vector import HeadingVectorWrapper
 from train.learn.checkpoint import flatten, unflatten
@@ -33,8 +34,17 @@ def base(**options):
     return rv.make_vec(SCENARIO, TEAMS, autoreset_mode=AutoresetMode.SAME_STEP, **options)
 
 
-def guide():
-    return Guide(SCENARIO, clearance=0.1, persistence=0.5)
+def aim(observations, choices, carried):
+    """The joined rule, as if f pointed the chosen angle to the side."""
+    layout, (c, s) = SCENARIO.observation_layout, (np.cos(ANGLES[choices]), np.sin(ANGLES[choices]))
+    x, y = np.moveaxis(layout.net_bearing(observations), -1, 0)
+    return tangent_joined_heading(
+        np.stack((c * x - s * y, s * x + c * y), axis=-1),
+        layout.split(observations).obstacles,
+        clearance=0.1,
+        carried=carried,
+        persistence=0.5,
+    )
 
 
 def teams(settings=HEADING, **options):
@@ -58,7 +68,7 @@ class Plain:
         """Rewards, ends, contacts of a period; teams that end begin anew at its end."""
         rewards, contact = np.zeros(TEAMS), np.zeros((TEAMS, SCENARIO.n_robots), bool)
         for _ in range(PERIOD):
-            raw = guide().aim(self.wrapper._observed, choices, self.wrapper.steering.headings)
+            raw = aim(self.wrapper._observed, choices, self.wrapper.steering.headings)
             _, earned, _, _, infos = self.wrapper.step(raw)
             rewards += earned
             contact |= infos["contact"]
@@ -116,22 +126,11 @@ def test_choices_of_another_shape_are_refused():
         env.step(np.zeros((TEAMS, 3)))
 
 
-def test_the_guide_turns_f_before_the_rule():
-    """With nothing in sight a robot heads exactly so far aside of f."""
-    free = SCENARIO.replace(obstacles=())
-    observations = rv.Simulator(free, 2).reset(0)
-    f = free.observation_layout.net_bearing(observations)
-    choices = np.arange(8).reshape(2, 4)
-    raw = Guide(free, clearance=0.1, persistence=0.5).aim(observations, choices, np.zeros_like(f))
-    turned = np.arctan2(f[..., 0] * raw[..., 1] - f[..., 1] * raw[..., 0], np.sum(f * raw, axis=-1))
-    np.testing.assert_allclose(turned, ANGLES[choices], atol=1e-6)
-
-
 def test_with_a_tank_robots_go_where_they_choose_as_fast_as_law_one():
     """In a field without obstacles, away from f too; and the velocity is along R(φ) f."""
     free = SCENARIO.replace(obstacles=())
     settings = replace(TANK, budget=1e6)
-    guided, simulator = settings.make_teams(free, 4), rv.Simulator(free, 4)
+    guided, simulator = GuidedTeams(settings, free, 4), rv.Simulator(free, 4)
     observations = simulator.reset(0)
     choices = np.arange(16).reshape(4, 4) % len(ALL_ROUND)
     guided.choose(choices)
@@ -151,7 +150,7 @@ def test_v_and_the_tanks_together_never_rise(budget):
     """Theorem D under arbitrary choices without obstacles, until the first merge."""
     free = SCENARIO.replace(obstacles=(), time_step=None, time_limit=60.0)
     settings = replace(TANK, budget=budget / 0.6)  # in units of r D̄
-    guided, simulator = settings.make_teams(free, TEAMS), rv.Simulator(free, TEAMS)
+    guided, simulator = GuidedTeams(settings, free, TEAMS), rv.Simulator(free, TEAMS)
     observations, random = simulator.reset(4), np.random.default_rng(4)
     before = simulator.lyapunov() + free.n_robots * budget
     rises, apart = 0, np.ones(TEAMS, bool)
