@@ -22,7 +22,7 @@ from rendezvous_env.engine.state_checks import (
 )
 from rendezvous_env.scenario.scenario import Scenario
 
-from ..policy import in_the_plane as can_steer
+from ..policy import in_the_plane
 from .feature_kernels import (
     CONTEXT_COLUMNS,
     NEIGHBOUR_COLUMNS,
@@ -83,6 +83,10 @@ class FeatureLayout(NamedTuple):
             shown[..., stop:context].reshape(*leading, M, OBSTACLE_COLUMNS),
             shown[..., context:],
         )
+
+
+can_steer = in_the_plane
+"""Of a scenario: whether a learned policy can steer its robots, single integrators in the plane."""
 
 
 def check_readable(scenario: Scenario) -> None:

@@ -13,10 +13,15 @@ from numpy.typing import NDArray
 from rendezvous_env.scenario.scenario import Scenario
 
 from .features import LEVEL_COLUMNS, VERSION, FeatureLayout
-from .guide import ALL_ROUND, ANGLES
 from .plain_data import check_types
 from .wall_memory import WALL_COLUMNS
 
+ANGLES = np.array([0.0, 0.3, -0.3, 0.6, -0.6, 1.0, -1.0, 1.4, -1.4])
+"""What can be chosen where headings are certified, rad counter-clockwise from f; the first choice
+is the rule itself."""
+ALL_ROUND = np.array([*ANGLES, 1.9, -1.9, 2.5, -2.5, np.pi])
+"""What can be chosen where a tank pays for going away from f, rad; begins as ANGLES."""
+CHOICES = len(ANGLES)
 Memory = Literal["none", "features", "recurrent"]
 """What a robot remembers beside the last decisions."""
 _WIDEST = 2**12

@@ -172,6 +172,12 @@ class CertifiedHeadingPolicy(RememberingPolicy):
         between("min_alignment", self.min_alignment, 0, 1)
         positive("max_turn_rate", self.max_turn_rate, "rad/s")
 
+    def _start(self, teams: int) -> None:
+        self._previous: Array = np.zeros((teams, self.scenario.n_robots, self.scenario.dim))
+
+    def _forget(self, which: NDArray[np.bool_]) -> None:
+        self._previous[which] = 0.0
+
     def act(self, observations: NDArray[Any], time: ArrayLike) -> NDArray[np.float32]:
         """Velocities (..., n, d); see ``Policy``."""
         return self.after(self.scenario.tau, observations, time)
@@ -194,12 +200,6 @@ class CertifiedHeadingPolicy(RememberingPolicy):
         scale = step_scale(layout.degree(seen), scenario.merge_radius, scenario.tau)
         velocity = scale[..., np.newaxis] * flexible_velocity(f, h)
         return self._as_given(within_limits(velocity, scenario))
-
-    def _start(self, teams: int) -> None:
-        self._previous = np.zeros((teams, self.scenario.n_robots, self.scenario.dim))
-
-    def _forget(self, which: NDArray[np.bool_]) -> None:
-        self._previous[which] = 0.0
 
     def _aim(self, f: Array, silhouettes: NDArray[Any]) -> Array:
         """Raw vectors (..., d) that are to be certified."""

@@ -103,8 +103,10 @@ class TankJoinedPolicy(RememberingPolicy):
         )
 
     def _start(self, teams: int) -> None:
-        scenario, options = self.scenario, {"min_alignment": self.margin, "frame": "local"}
-        self._tank = EnergyTank(scenario, teams, budget=self.budget, **options)
+        scenario, margin = self.scenario, self.margin
+        self._tank = EnergyTank(
+            scenario, teams, budget=self.budget, min_alignment=margin, frame="local"
+        )
         self._memory = np.zeros((teams, scenario.n_robots, MEMORY))
         self._memory[..., PATIENCE] = self.patience
 

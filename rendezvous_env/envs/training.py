@@ -106,7 +106,7 @@ def training_env(
     |---|---|
     | observations | what ``Features`` shows, (B, n, size); ``env.layout.split`` takes it apart |
     | actions | (B, n, 2) in [−1, 1]: f turned to this direction, seen with x along f |
-    | actions, ``discrete`` | (B, n): index of an angle φ in ``baselines.learned.guide``; 0: φ = 0 |
+    | actions, ``discrete`` | (B, n): index of an angle φ in ``learned.policy_settings``; 0: φ = 0 |
 
     An action says where f is imagined to point; from there the joined rule leads round obstacles,
     and the guarantee's filter makes of that what keeps its promise. The length does not count; no

@@ -11,7 +11,7 @@ from gymnasium.vector import AutoresetMode
 import baselines
 import rendezvous_env as rv
 from baselines.learned.features import Features
-from baselines.learned.guide import ALL_ROUND, ANGLES
+from baselines.learned.policy_settings import ALL_ROUND, ANGLES
 from baselines.learned.shipped import preset
 from train.learn.settings import Config
 

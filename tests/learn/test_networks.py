@@ -8,9 +8,8 @@ from torch import nn
 import baselines
 import rendezvous_env as rv
 from baselines.learned.features import CONTEXT_COLUMNS, FeatureLayout
-from baselines.learned.guide import CHOICES
 from baselines.learned.numpy_actor import NumpyActor
-from baselines.learned.policy_settings import PolicySettings
+from baselines.learned.policy_settings import CHOICES, PolicySettings
 from train.bench.learners import TorchChooser
 from train.learn.networks import make_network
 

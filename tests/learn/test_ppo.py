@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 
 from baselines.learned import checkpoints, learned_policy
-from baselines.learned.guide import CHOICES
+from baselines.learned.policy_settings import CHOICES
 from rendezvous_env.obstacles.fields import ObstacleField
 from rendezvous_env.scenario import scenarios
 from train import cli, results

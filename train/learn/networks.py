@@ -19,7 +19,7 @@ from rendezvous_env.baselines.learned.features import (
     FeatureLayout,
     FeatureParts,
 )
-from rendezvous_env.baselines.learned.guide import CHOICES
+from rendezvous_env.baselines.learned.policy_settings import CHOICES
 from rendezvous_env.baselines.learned.training_environment import observation_box
 from stable_baselines3.common.policies import ActorCriticPolicy
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor, MlpExtractor

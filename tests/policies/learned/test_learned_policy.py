@@ -8,8 +8,8 @@ import torch
 
 import baselines
 from baselines.learned import checkpoints, learned_policy
-from baselines.learned.guide import ALL_ROUND
-from baselines.learned.learned_policy import LearnedPolicy, PolicySettings
+from baselines.learned.learned_policy import LearnedPolicy
+from baselines.learned.policy_settings import ALL_ROUND, PolicySettings
 from rendezvous_env import Scenario, Simulator, rollout
 from rendezvous_env.scenario import scenarios
 from train import policies

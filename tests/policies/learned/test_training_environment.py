@@ -8,8 +8,8 @@ from gymnasium.vector import AutoresetMode
 
 import rendezvous_env as rv
 from baselines.learned.features import Features
-from baselines.learned.guide import ALL_ROUND, ANGLES, CHOICES, GuidedTeams
-from baselines.learned.policy_settings import PolicySettings
+from baselines.learned.guide import GuidedTeams
+from baselines.learned.policy_settings import ALL_ROUND, ANGLES, CHOICES, PolicySettings
 from baselines.learned.training_environment import FeatureVectorEnv
 from baselines.obstacle_rules.obstacle_avoidance import tangent_joined_heading
 from rendezvous_env.adapters.sb3 import RobotVecEnv
