@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from rendezvous_env.physics.hull_perimeter import size
 from train.verify.falsification import directions
+from train.verify.misled import unit
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -175,15 +176,7 @@ def integrate(trial: Trial) -> tuple[Array, Array]:
             kept[running] = np.minimum(kept, trial.look(teams))[running]
 
 
-# ---- where a robot must not go, and bearings turned that way ------------------------------------
-
-_TINY = 1e-12
-
-
-def unit(vectors: Array) -> Array:
-    """Unit vectors (..., d); zero stays zero."""
-    lengths = np.sqrt(np.sum(vectors**2, axis=-1, keepdims=True))
-    return np.divide(vectors, lengths, out=np.zeros_like(vectors), where=lengths > _TINY)
+# ---- where a robot must not go -------------------------------------------------------------------
 
 
 def outward(teams: Teams, sights: Sights) -> Array:
@@ -222,19 +215,3 @@ def _widest_gap(sights: Sights) -> tuple[Array, Array]:
     width = np.take_along_axis(gaps, widest, axis=-1)[..., 0]
     start = np.take_along_axis(ordered, widest, axis=-1)[..., 0]
     return start + width / 2.0, np.where(alone, 0.0, width)
-
-
-def turned(bearings: Array, towards: Array, error: Array | float) -> Array:
-    """Bearings (B, n, n, d) turned by an error, rad, towards directions of the same shape.
-
-    One that already points there, or away, is turned across.
-    """
-    aside = towards - np.sum(towards * bearings, axis=-1, keepdims=True) * bearings
-    across = np.roll(bearings, 1, axis=-1) * np.array([-1.0, 1.0, 0.5])[: bearings.shape[-1]]
-    across = across - np.sum(across * bearings, axis=-1, keepdims=True) * bearings
-    aligned = np.sum(aside**2, axis=-1, keepdims=True) < 1e-18
-    side = unit(np.where(aligned, across, aside))
-    angle = np.asarray(error)
-    if angle.ndim:
-        angle = angle.reshape(*angle.shape, *[1] * (4 - angle.ndim))
-    return np.asarray(np.cos(angle) * bearings + np.sin(angle) * side)

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -34,20 +35,12 @@ class ContinuousTimeClaim:
     meets: bool = True
     """Whether it claims that all have met in time."""
 
-    @property
-    def timed(self) -> bool:
-        """Whether there is a worst T/bound."""
-        return self.meets
-
 
 def check(
-    claim: ContinuousTimeClaim,
-    random: np.random.Generator,
-    batch: int,
-    trials: int,
-    least_margin: float,
+    claim: ContinuousTimeClaim, seed: int, batch: int, trials: int, least_margin: float = 0.3
 ) -> Finding:
     """Run one batch of a claim, and count as many of its teams as are wanted."""
+    random = np.random.default_rng([seed, zlib.crc32(claim.name.encode()), batch])
     trial = claim.draw(random, batch, least_margin)
     times, kept = (found[:trials] for found in integrate(trial))
     limit = trial.limit[:trials]

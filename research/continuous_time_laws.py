@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 from adversarial_graphs import Attention
-from continuous_time import Array, Law, Sights, Teams, outward, turned, unit
+from continuous_time import Array, Law, Sights, Teams, outward
+
+from train.verify.misled import turned, unit
 
 Random = np.random.Generator
 

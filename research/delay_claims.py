@@ -6,12 +6,13 @@ import math
 
 import numpy as np
 from adversarial_graphs import draw_teams
-from continuous_time import Array, Law, Sights, Teams, Trial, unit
+from continuous_time import Array, Law, Sights, Teams, Trial
 from continuous_time_claims import ContinuousTimeClaim, stays_below
 from continuous_time_laws import Random, followed
 
 from rendezvous_env.graphs.weights import bottleneck_weight, max_degree
 from rendezvous_env.safety.theorems.delay import largest_age, stale_time
+from train.verify.misled import unit
 
 _KEPT = 8
 """Moments that are remembered; the oldest admissible one is nearly as old as is allowed."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from continuous_time import Array, Law, Look, Sights, Teams, Trial, turned, unit
+from continuous_time import Array, Law, Look, Sights, Teams, Trial
 from continuous_time_claims import ContinuousTimeClaim
 from continuous_time_laws import Random, away
 from tank_wishes import wishes
@@ -13,6 +13,7 @@ from rendezvous_env import Scenario
 from rendezvous_env.safety.links import LinkKeeping, least_norm_points, link_keeping_law
 from rendezvous_env.safety.theorems.links import sighted_lyapunov_bound
 from train.verify.cases import BATCH
+from train.verify.misled import turned, unit
 
 _SIZES = (2, 3, 4, 5)
 _SIGHT = 1.0

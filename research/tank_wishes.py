@@ -1,4 +1,4 @@
-"""Wishes that try to overdraw an energy tank, and what stands between them and the robots."""
+"""Wishes that try to overdraw an energy tank."""
 
 from __future__ import annotations
 
@@ -6,11 +6,10 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from rendezvous_env import Scenario, Simulator
-from rendezvous_env.safety.tank import EnergyTank
-from train.verify.adversaries import across
+from rendezvous_env import Scenario
+from train.verify.misled import across, unit
 
 Array = NDArray[np.float64]
 Wishes = Callable[[NDArray[Any], int], Array]
@@ -41,8 +40,8 @@ def wishes(
 
     def choose(seen: NDArray[Any], step: int) -> Array:
         f = scenario.observation_layout.net_bearing(seen)
-        ahead = _unit(f)
-        side = _unit(across(ahead, frozen)) * np.sign(frozen[..., :1])
+        ahead = unit(f)
+        side = unit(across(ahead, frozen)) * np.sign(frozen[..., :1])
         wished = {
             "flee": -ahead,
             "orthogonal": side,
@@ -70,42 +69,3 @@ def _controls(scenario: Scenario, num_envs: int, random: np.random.Generator) ->
         return np.choose(own, [frozen, random.uniform(-1.5, 1.5, size), backwards])
 
     return choose
-
-
-def _unit(vectors: Array) -> Array:
-    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-12)
-
-
-class Tanked:
-    """Wishes under an ``EnergyTank``, as a policy: base observations in, base actions out.
-
-    Survivors inherit what the absorbed robots had left once ``watch`` has shown the teams; without
-    it that is lost, as to any policy.
-
-    Args:
-        tank: what is between wishes and robots.
-        wished: chooses what is wanted.
-        decision_period: steps for which each wish is held.
-    """
-
-    def __init__(self, tank: EnergyTank, wished: Wishes, decision_period: int = 1) -> None:
-        self.tank, self._wished, self._period = tank, wished, decision_period
-        self._teams: Simulator | None = None
-        self._step = 0
-
-    def watch(self, teams: Simulator) -> None:
-        """Look at who merges with whom."""
-        self._teams = teams
-
-    def __call__(self, observations: NDArray[np.float32], time: ArrayLike) -> NDArray[np.float32]:
-        """Actions (B, n, a)."""
-        self.tank.book(merged_into=None if self._teams is None else self._teams.merged_into)
-        if self._step % self._period == 0:
-            self.tank.hold(self._wished(self.tank.view(observations), self._step))
-        self._step += 1
-        return self.tank.act(observations)
-
-    def reset(self, mask: NDArray[np.bool_] | None = None) -> None:
-        """Fill the tanks anew."""
-        self.tank.forget(mask)
-        self._step = 0

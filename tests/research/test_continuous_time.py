@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from continuous_time import Teams, Trial, integrate, outward, turned
+from continuous_time import Teams, Trial, integrate, outward
 from continuous_time_laws import away, followed
 
 import baselines
@@ -13,6 +13,7 @@ from rendezvous_env.safety.gains import Gains
 from rendezvous_env.safety.links import least_norm_points, link_keeping_law
 from rendezvous_env.trajectory import run
 from train.verify.falsification import directions, extents
+from train.verify.misled import turned
 
 
 def still(teams):

@@ -12,6 +12,7 @@ from rich.console import Console
 
 import rendezvous_env as rv
 from train.verify import counterexamples, falsification, verify
+from train.verify import misled as misled_module
 from train.verify.counterexamples import repeat, shrink, trials_of, write
 from train.verify.falsification import Trial, ask, climb, play
 from train.verify.random_scenarios import CHOICES, Kind, draw, draw_kind
@@ -141,6 +142,19 @@ def test_a_mean_time_above_its_bound_is_found(monkeypatch):
     promising(monkeypatch, expected_time=lambda bound: bound / 8)
     found = play(noisy).violation
     assert found.number == "expected_time" and 0.3 < found.found < 2.0  # 0.4 s without noise
+
+
+@pytest.mark.parametrize(
+    ("by", "number"), [("law", "time"), ("heading", "descent"), ("tank", "ledger")]
+)
+def test_bearings_that_are_more_wrong_than_allowed_are_found(by, number, monkeypatch):
+    path = SQUARE.replace(graph="path")
+    off = 0.5 * rv.certificate(path, by=by, **trial(by=by).arguments).tolerated_bearing_error
+    misled = trial(path, by, bearing_error=off)
+    played = play(misled)
+    assert played.violation is None and any("η > 0" in name for name in played.granted)
+    monkeypatch.setattr(misled_module, "_ROUNDED", 2.0 / off)
+    assert play(misled).violation.number == number
 
 
 def test_starts_are_bettered_until_one_breaks_a_bound(monkeypatch):

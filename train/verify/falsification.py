@@ -19,6 +19,7 @@ from rendezvous_env import vector
 from rendezvous_env.safety.theorems.certificate import THEOREMS
 from rendezvous_env.safety.theorems.theorem import Asked
 
+from .misled import Misled
 from .wishes import Adversary
 
 Array = NDArray[np.float64]
@@ -222,10 +223,14 @@ class _Run:
             max_cycles=trial.period * self.most + 1,
         )
         arguments: dict[str, Any] = dict(trial.arguments)
+        error = arguments.pop("bearing_error", 0.0)
+        arguments |= {"frame": trial.frame, "decision_period": trial.period}
         if trial.by != "gains":
             arguments["bearing_error"] = promised[0].bearing_error
-        arguments |= {"frame": trial.frame, "decision_period": trial.period}
-        self.wrapped = guarded(env, trial.by, arguments)
+        random = np.random.default_rng([trial.seed, 1])
+        # what the sensor itself does not do
+        seen = Misled(env, scenario, error, random) if error > scenario.sensing.error else env
+        self.wrapped = guarded(seen, trial.by, arguments)
         options = None if starts is None else {"positions": np.array(starts)}
         self.observations, _ = self.wrapped.reset(seed=trial.seed, options=options)
         self.teams = env.simulator
@@ -234,7 +239,7 @@ class _Run:
             law = baselines.make(_LAWS.get(scenario.robot_model, "bearing-only"), scenario)
             self.policy = lambda: law(self.observations, self.teams.time)
         else:
-            adversary = Adversary(scenario, teams, trial.by, np.random.default_rng([trial.seed, 1]))
+            adversary = Adversary(scenario, teams, trial.by, random)
             self.policy = lambda: adversary(self.observations, self.teams)
         self.watch = _Watch(self.teams, trial, limits)
 

@@ -126,6 +126,10 @@ def _tolerable(
         exact = exact.replace(time_step=step, time_limit=1000.0 * step)
         found = rv.certificate(exact, by=by, **given[by])
         error = found.tolerated_bearing_error * random.uniform(0.1, 0.99)
+        if random.random() < 0.6:  # turned as an adversary likes, not only outward
+            for own in given.values():
+                own["bearing_error"] = error
+            return exact
         sensing = rv.Sensing(error=error)
     return exact.replace(sensing=sensing, time_step=step, time_limit=1000.0 * step)
 
