@@ -8,11 +8,9 @@ from itertools import product
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..obstacles.obstacle_set import balls, outlines
-
-Floats = NDArray[np.float64]
+from ..obstacles.obstacle_set import balls
+from .scene import Bools, Floats, outermost
 
 _AZIMUTH, _ELEVATION = math.radians(-62.0), math.radians(24.0)
 """From where space is seen."""
@@ -20,6 +18,30 @@ _DISTANCE = 2.6
 """Of the eye from the middle of a scene in space, in diagonals of its bounding box."""
 _LEAST_SHARE = 0.02
 """Of its largest extent that a scene has in every axis, so that a row of robots has a view too."""
+
+
+class Area(NamedTuple):
+    """A rectangle of pixels."""
+
+    left: int
+    top: int
+    width: int
+    height: int
+
+
+def columns_of(count: int) -> int:
+    """Teams in a row of a picture of so many."""
+    return math.ceil(math.sqrt(count))
+
+
+def cell(team: int, count: int, width: int, height: int) -> Area:
+    """A team's part of a picture of so many teams, whose size is given in pixels."""
+    columns = columns_of(count)
+    rows = math.ceil(count / columns)
+    row, column = divmod(team, columns)
+    left, right = (place * width // columns for place in (column, column + 1))
+    top, bottom = (place * height // rows for place in (row, row + 1))
+    return Area(left, top, right - left, bottom - top)
 
 
 @dataclass(frozen=True)
@@ -48,11 +70,6 @@ class Camera:
         """(d,), middle of the scene, m."""
         return (self.low + self.high) / 2
 
-    @property
-    def eye(self) -> Floats:
-        """(d,), where the eye is, m; at infinity in the plane."""
-        return self.centre + self.distance * self.back
-
     def project(self, points: Floats) -> Floats:
         """Pixels (..., 2), x to the right and y downwards, of points (..., d) in m."""
         offsets = np.asarray(points, dtype=np.float64) - self.centre
@@ -72,33 +89,21 @@ class Camera:
         moved = self.project(points + short * vectors) - self.project(points)
         return moved / (1e-3 * self.nearness(points)[..., None])
 
-    def hidden(self, points: Floats, obstacles: Floats) -> NDArray[np.bool_]:
-        """(m,), whether a sphere stands between the eye and each point (m, d).
-
-        Args:
-            points: m.
-            obstacles: (M, width), see ``obstacles.obstacle_set``; in the plane nothing is hidden.
+    def hidden(self, points: Floats, obstacles: Floats) -> Bools:
+        """(m,), whether a sphere of a table stands between the eye and each point (m, d), m; in the
+        plane nothing is hidden.
         """
         spheres = [] if math.isinf(self.distance) else list(balls(obstacles))
         if not spheres:
             return np.zeros(len(points), dtype=np.bool_)
         centres = np.array([ball.centre for ball in spheres])
         radii = np.array([ball.radius for ball in spheres])
-        sight = self.eye - points
+        sight = self.centre + self.distance * self.back - points
         to_centres = centres[None] - points[:, None]
         along = np.einsum("pmk,pk->pm", to_centres, sight) / np.sum(sight**2, axis=-1)[:, None]
         nearest = to_centres - np.clip(along, 0.0, 1.0)[..., None] * sight[:, None]
         inside = np.sum(nearest**2, axis=-1) < radii**2
         return np.asarray(inside.any(axis=-1))
-
-
-class Area(NamedTuple):
-    """A rectangle of pixels."""
-
-    left: int
-    top: int
-    width: int
-    height: int
 
 
 def fit(positions: Floats, obstacles: Floats, area: Area, margin: float) -> Camera:
@@ -110,12 +115,12 @@ def fit(positions: Floats, obstacles: Floats, area: Area, margin: float) -> Came
         area: what to fill; pixels count from its left top corner.
         margin: pixels to leave free on each side.
     """
-    points = _outline(positions, obstacles)
-    low, high = _bounds(points)
-    camera = _from_above(low, high) if len(low) == 2 else _in_perspective(low, high)
-    corners = np.array(list(product(*zip(low[:2], high[:2], strict=True))))
-    floor = np.broadcast_to(low, (4, len(low))).copy()
-    floor[:, :2] = corners
+    points = outermost(positions, obstacles)
+    low, high = points.min(axis=0), points.max(axis=0)
+    lacking = np.maximum(0.0, _LEAST_SHARE * (high - low).max() - (high - low)) / 2
+    camera = _view(low - lacking, high + lacking)
+    floor = np.tile(camera.low, (4, 1))
+    floor[:, :2] = list(product(*zip(camera.low[:2], camera.high[:2], strict=True)))
     seen = camera.project(np.concatenate([points, floor]))
     least, most = seen.min(axis=0), seen.max(axis=0)
     room = np.array([area.width, area.height]) - 2 * margin
@@ -124,31 +129,11 @@ def fit(positions: Floats, obstacles: Floats, area: Area, margin: float) -> Came
     return replace(camera, scale=scale, shift=(float(shift[0]), float(shift[1])))
 
 
-def _outline(positions: Floats, obstacles: Floats) -> Floats:
-    """Robots, corners of polygons and the outermost points of discs and spheres, (m, d)."""
-    points, d = [positions], positions.shape[1]
-    arms = np.concatenate([np.eye(d), -np.eye(d)])
-    if d == 2:
-        for centre, radius, corners in outlines(obstacles):
-            points.append(corners if len(corners) else centre + radius * arms)
-    else:
-        points += [centre + radius * arms for centre, radius in balls(obstacles)]
-    return np.concatenate(points)
-
-
-def _bounds(points: Floats) -> tuple[Floats, Floats]:
-    """Least and largest corner of a box about points; no side of it is negligible."""
-    low, high = points.min(axis=0), points.max(axis=0)
-    lacking = np.maximum(0.0, _LEAST_SHARE * (high - low).max() - (high - low)) / 2
-    return low - lacking, high + lacking
-
-
-def _from_above(low: Floats, high: Floats) -> Camera:
-    right, up = np.eye(2)
-    return Camera(low, high, right, up, np.zeros(2), math.inf)
-
-
-def _in_perspective(low: Floats, high: Floats) -> Camera:
+def _view(low: Floats, high: Floats) -> Camera:
+    """Of a bounding box: from above, or in perspective."""
+    if len(low) == 2:
+        right, up = np.eye(2)
+        return Camera(low, high, right, up, np.zeros(2), math.inf)
     sine, cosine = math.sin(_AZIMUTH), math.cos(_AZIMUTH)
     rise, level = math.sin(_ELEVATION), math.cos(_ELEVATION)
     return Camera(

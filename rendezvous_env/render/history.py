@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..simulator import Simulator
+from .scene import Bools, Floats
 
 
 class Moment(NamedTuple):
@@ -18,19 +19,19 @@ class Moment(NamedTuple):
     """Done in the episode."""
     time: float
     """s."""
-    positions: NDArray[np.float64]
+    positions: Floats
     """(n, d), m; a merged-away robot is where its survivor is."""
-    headings: NDArray[np.float64]
+    headings: Floats
     """(n, k), rad: none, yaw, or yaw and pitch."""
     merged_into: NDArray[np.int64]
     """(n,), the robot that each one is now part of."""
-    contact: NDArray[np.bool_]
+    contact: Bools
     """(n,), whether the robot touched an obstacle in the step."""
     lyapunov: float
     """V, m²/s."""
 
     @property
-    def active(self) -> NDArray[np.bool_]:
+    def active(self) -> Bools:
         """(n,), whether the robot still exists on its own."""
         return self.merged_into == np.arange(len(self.merged_into))
 
@@ -39,8 +40,8 @@ class Moment(NamedTuple):
 class History:
     """One team's episode since it was first looked at."""
 
-    obstacles: NDArray[np.float64]
-    """(M, width), tables of ``obstacles.obstacle_set``."""
+    obstacles: Floats
+    """(M, width), a table of ``obstacles.obstacle_set``."""
     initial_lyapunov: float
     """V at the start of the episode, m²/s."""
     moments: list[Moment] = field(default_factory=list)
@@ -51,7 +52,7 @@ class History:
         follows = moment.steps == self.moments[-1].steps + 1
         return follows and initial_lyapunov == self.initial_lyapunov
 
-    def ends_with(self, moment: Moment, obstacles: NDArray[np.float64]) -> bool:
+    def ends_with(self, moment: Moment, obstacles: Floats) -> bool:
         """Whether a moment among these obstacles has been seen already."""
         last = self.moments[-1]
         same = np.array_equal(moment.positions, last.positions)
@@ -59,7 +60,7 @@ class History:
 
 
 def look(
-    simulator: Simulator, histories: list[History], teams: int, contact: NDArray[np.bool_] | None
+    simulator: Simulator, histories: list[History], teams: int, contact: Bools | None
 ) -> list[History]:
     """Histories with the present moment added; an episode that is not the last one begins anew.
 
@@ -71,19 +72,6 @@ def look(
     """
     if contact is None:
         contact = np.zeros(simulator.merged_into.shape, dtype=np.bool_)
-    obstacles, initial = simulator.obstacles[:teams], simulator.initial_lyapunov.tolist()
-    looked = []
-    for team, moment in enumerate(_moments(simulator, teams, contact)):
-        history = histories[team] if histories else None
-        if history is None or not history.ends_with(moment, obstacles[team]):
-            if history is None or not history.goes_on_with(moment, initial[team]):
-                history = History(obstacles[team].copy(), initial[team])
-            history.moments.append(moment)
-        looked.append(history)
-    return looked
-
-
-def _moments(simulator: Simulator, teams: int, contact: NDArray[np.bool_]) -> list[Moment]:
     columns = (
         simulator.steps[:teams].tolist(),
         simulator.time[:teams].tolist(),
@@ -93,4 +81,14 @@ def _moments(simulator: Simulator, teams: int, contact: NDArray[np.bool_]) -> li
         contact[:teams].copy(),
         simulator.lyapunov()[:teams].tolist(),
     )
-    return [Moment(*values) for values in zip(*columns, strict=True)]
+    all_obstacles, initially = simulator.obstacles, simulator.initial_lyapunov.tolist()
+    looked = []
+    for team, moment in enumerate(map(Moment, *columns)):
+        history = histories[team] if histories else None
+        obstacles, initial = all_obstacles[team], initially[team]
+        if history is None or not history.ends_with(moment, obstacles):
+            if history is None or not history.goes_on_with(moment, initial):
+                history = History(obstacles.copy(), initial)
+            history.moments.append(moment)
+        looked.append(history)
+    return looked

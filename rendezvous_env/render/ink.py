@@ -6,10 +6,10 @@ from functools import lru_cache
 
 import numpy as np
 import pygame
-from numpy.typing import NDArray
 
 from .palette import Rgb as Colour
 from .palette import mixed
+from .scene import Floats
 
 Place = tuple[float, float] | list[float]
 
@@ -26,11 +26,6 @@ def tint(base: Colour, share: float) -> Colour:
     return mixed(base, WHITE, share)
 
 
-def shaded(base: Colour, share: float) -> Colour:
-    """A colour with a share of black mixed in."""
-    return mixed(base, BLACK, share)
-
-
 @lru_cache
 def _font(size: int) -> pygame.font.Font:
     pygame.font.init()
@@ -41,7 +36,7 @@ def write(
     surface: pygame.Surface,
     text: str,
     place: tuple[float, float],
-    size: int,
+    size: float,
     *,
     anchor: str = "topleft",
     ink: Colour = TEXT,
@@ -59,7 +54,7 @@ def write(
     Returns:
         Width of the line, pixels.
     """
-    letters = _font(size).render(text, True, ink)
+    letters = _font(round(size)).render(text, True, ink)
     surface.blit(letters, letters.get_rect(**{anchor: (round(place[0]), round(place[1]))}))
     return letters.get_width()
 
@@ -77,33 +72,13 @@ def ring(surface: pygame.Surface, place: Place, unit: float, radius: float = 0.0
 
 
 def wedge(
-    surface: pygame.Surface,
-    shade: Colour,
-    middle: NDArray[np.float64],
-    along: NDArray[np.float64],
-    lengths: tuple[float, float],
+    surface: pygame.Surface, shade: Colour, tip: Floats, along: Floats, length: float, half: float
 ) -> None:
-    """The nose of a robot: its radius and how far it sticks out; ``along`` is shorter than 1 where
-    it points towards the eye.
+    """The nose of a robot or the head of an arrow, which is half as wide at its foot; ``along`` is
+    shorter than 1 where it points towards the eye.
     """
     norm = float(np.hypot(*along))
-    if norm == 0:
-        return
-    radius, length = lengths
-    foot = 0.95 * radius * np.array([-along[1], along[0]]) / norm
-    corners = [middle + foot, middle + along * (radius + length), middle - foot]
-    pygame.draw.polygon(surface, shade, [corner.tolist() for corner in corners])
-
-
-def arrow_head(
-    surface: pygame.Surface,
-    shade: Colour,
-    tip: NDArray[np.float64],
-    along: NDArray[np.float64],
-    size: float,
-) -> None:
-    """The head of an arrow in the plane."""
-    foot, half = tip - size * along, 0.5 * size * np.array([-along[1], along[0]])
-    pygame.draw.polygon(
-        surface, shade, [corner.tolist() for corner in (tip, foot + half, foot - half)]
-    )
+    if norm > 0:
+        foot, across = tip - length * along, half * np.array([-along[1], along[0]]) / norm
+        corners = [corner.tolist() for corner in (foot + across, tip, foot - across)]
+        pygame.draw.polygon(surface, shade, corners)

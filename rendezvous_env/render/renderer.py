@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from ..checks import refuse
 from ..engine.memory import RUNNING
 from ..simulator import Simulator
+from .camera import cell
 from .history import History, look
-from .tile import cell
 
 if TYPE_CHECKING:
     from .page import Page
@@ -73,7 +73,7 @@ class Renderer:
         self._teams = min(simulator.num_envs, MOST_TEAMS)
         self._histories: list[History] = []
         self._page: Page | None = None
-        self._window: Window | None = None
+        self.window: Window | None = None  # while one is open
         self._dismissed = False
 
     def reset(self) -> None:
@@ -91,12 +91,13 @@ class Renderer:
         if self.render_mode is None:
             return
         self._look(contact)
-        if self._window is not None:
+        if self.window is not None:
             over = not (self._simulator.status == RUNNING).any()
-            if over or self._window.wants_picture:
+            if over or self.window.wants_picture:
                 self._show()
-            self._window.wait(self._simulator.scenario.tau)
-            self._forget_closed()
+            self.window.wait(self._simulator.scenario.tau)
+            if self.window.closed:
+                self.window, self._dismissed = None, True
 
     def render(self) -> NDArray[np.uint8] | None:
         """The picture, (height, width, 3); None in "human" mode, which shows it.
@@ -116,7 +117,9 @@ class Renderer:
         if self.render_mode == "human":
             self._show()
             return None
-        return self._array()
+        surface, (width, height) = self._draw(), self.size
+        flat = np.frombuffer(_load_pygame().image.tobytes(surface, "RGB"), dtype=np.uint8)
+        return flat.reshape(height, width, 3).copy()
 
     def pictures(self) -> tuple[NDArray[np.uint8], ...] | None:
         """The picture cut into the parts of its teams; None in "human" mode, which shows it.
@@ -129,8 +132,11 @@ class Renderer:
         if (picture := self.render()) is None:
             return None
         height, width = picture.shape[:2]
-        cells = [cell(team, self._teams, width, height) for team in range(self._teams)]
-        parts = [picture[top:bottom, left:right] for left, top, right, bottom in cells]
+        cells = (cell(team, self._teams, width, height) for team in range(self._teams))
+        parts = [
+            picture[one.top : one.top + one.height, one.left : one.left + one.width]
+            for one in cells
+        ]
         blank = np.full_like(parts[0], 255)
         return (*parts, *[blank] * (self._simulator.num_envs - self._teams))
 
@@ -142,9 +148,9 @@ class Renderer:
 
     def close(self) -> None:
         """Take the window off the screen."""
-        if self._window is not None:
-            self._window.close()
-            self._window = None
+        if self.window is not None:
+            self.window.close()
+            self.window = None
 
     def _look(self, contact: NDArray[np.bool_] | None = None) -> None:
         self._histories = look(self._simulator, self._histories, self._teams, contact)
@@ -157,37 +163,24 @@ class Renderer:
             self._page = Page(self._simulator, self.size, self._horizon)
         return self._page.draw(self._histories)
 
-    def _array(self) -> NDArray[np.uint8]:
-        surface, (width, height) = self._draw(), self.size
-        flat = np.frombuffer(_load_pygame().image.tobytes(surface, "RGB"), dtype=np.uint8)
-        return flat.reshape(height, width, 3).copy()
-
     def _show(self) -> None:
         """Draw into the window; once its user has closed it there is none any more."""
         if self.render_mode != "human" or self._dismissed:
             return
-        picture = self._draw()
-        if self._window is None:
-            self._window = self._open()
-        self._window.show(picture)
+        picture, pygame = self._draw(), _load_pygame()
+        if self.window is None:
+            from .window import Window
 
-    def _open(self) -> Window:
-        pygame = _load_pygame()
-        from .window import Window
-
-        try:
-            return Window(f"rendezvous: {self._simulator.scenario.name}", self.size)
-        except pygame.error as error:
-            raise RuntimeError(
-                f'no window can be opened here ({error}); render_mode="rgb_array" needs none'
-            ) from error
-
-    def _forget_closed(self) -> None:
-        if self._window is not None and self._window.closed:
-            self._window, self._dismissed = None, True
+            try:
+                self.window = Window(f"rendezvous: {self._simulator.scenario.name}", self.size)
+            except pygame.error as error:
+                raise RuntimeError(
+                    f'no window can be opened here ({error}); render_mode="rgb_array" needs none'
+                ) from error
+        self.window.show(picture)
 
     def __getstate__(self) -> dict[str, Any]:
-        return self.__dict__ | {"_page": None, "_window": None}
+        return self.__dict__ | {"_page": None, "window": None}
 
 
 def _load_pygame() -> ModuleType:

@@ -39,23 +39,21 @@ class Strip:
             area.width - round((_LEFT + _RIGHT) * unit),
             area.height - round((_TOP + _BOTTOM) * unit),
         )
-        self._drawn = 0
         step = nice_step(max(horizon, 1e-6), 6)
         self._begin(step, math.ceil(horizon / step - 1e-9))
 
     def draw(self, page: pygame.Surface) -> None:
         """Draw the curve up to the last moment of the history."""
-        moments = self._history.moments
+        moments, colour = self._history.moments, ROBOTS[0]
         if moments[-1].time > self._end * (1 + 1e-9):
             self._begin(nice_step(2 * moments[-1].time, 6), 6)
         points = [self._place(m.time, m.lyapunov) for m in moments[max(0, self._drawn - 1) :]]
         for start, end in pairwise(points):
-            pygame.draw.line(self._sheet, ROBOTS[0], start, end, round(2 * self._unit))
+            pygame.draw.line(self._sheet, colour, start, end, round(2 * self._unit))
         self._drawn = len(moments)
-        page.blit(self._sheet, (self._area.left, self._area.top))
-        x, y = self._place(moments[-1].time, moments[-1].lyapunov)
-        place = x + self._area.left, y + self._area.top
-        pygame.draw.circle(page, ROBOTS[0], place, 4 * self._unit)
+        page.blit(self._sheet, self._area[:2])
+        x, y = points[-1]
+        pygame.draw.circle(page, colour, (x + self._area.left, y + self._area.top), 4 * self._unit)
 
     def _place(self, time: float, lyapunov: float) -> tuple[float, float]:
         """Pixel of the strip; V above its start stays at the upper edge."""
@@ -65,29 +63,21 @@ class Strip:
 
     def _begin(self, step: float, ticks: int) -> None:
         """Empty axes with so many ticks, a step in s apart."""
-        self._end = step * ticks
-        self._drawn = 0
+        self._end, self._drawn = step * ticks, 0
         unit, box = self._unit, self._box
-        self._sheet: pygame.Surface = pygame.Surface(
-            (self._area.width, self._area.height), depth=32
-        )
-        self._sheet.fill(ink.WHITE)
+        sheet = self._sheet = pygame.Surface(self._area[2:], depth=32)
+        sheet.fill(ink.WHITE)
         for number, text in ((0.0, "0"), (self._highest, f"{self._highest:.4g}")):
             _, y = self._place(0.0, number)
-            pygame.draw.line(self._sheet, ink.GRID, (box.left, y), (box.right, y), round(unit))
-            place = box.left - 6 * unit, y
-            ink.write(self._sheet, text, place, round(17 * unit), anchor="midright")
+            pygame.draw.line(sheet, ink.GRID, (box.left, y), (box.right, y), round(unit))
+            ink.write(sheet, text, (box.left - 6 * unit, y), 17 * unit, anchor="midright")
         for time in np.linspace(0.0, self._end, ticks + 1).tolist():
             x, _ = self._place(time, 0.0)
-            pygame.draw.line(self._sheet, ink.FRAME, (x, box.bottom), (x, box.bottom + 4 * unit))
-            place = x, box.bottom + 7 * unit
-            ink.write(self._sheet, f"{time:g}", place, round(17 * unit), anchor="midtop")
-        pygame.draw.line(self._sheet, ink.FRAME, box.bottomleft, box.bottomright, round(unit))
-        names = (
-            ("V", (box.left - 6 * unit, box.centery - 9 * unit)),
-            ("m²/s", (box.left - 6 * unit, box.centery + 9 * unit)),
-        )
-        for text, place in names:
-            ink.write(self._sheet, text, place, round(17 * unit), anchor="midright")
-        place = box.right, box.bottom + 20 * unit
-        ink.write(self._sheet, "time / s", place, round(17 * unit), anchor="topright")
+            pygame.draw.line(sheet, ink.FRAME, (x, box.bottom), (x, box.bottom + 4 * unit))
+            ink.write(sheet, f"{time:g}", (x, box.bottom + 7 * unit), 17 * unit, anchor="midtop")
+        pygame.draw.line(sheet, ink.FRAME, box.bottomleft, box.bottomright, round(unit))
+        for text, down in (("V", -9), ("m²/s", 9)):
+            place = box.left - 6 * unit, box.centery + down * unit
+            ink.write(sheet, text, place, 17 * unit, anchor="midright")
+        corner = box.right, box.bottom + 20 * unit
+        ink.write(sheet, "time / s", corner, 17 * unit, anchor="topright")

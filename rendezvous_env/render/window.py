@@ -24,7 +24,7 @@ class Window:
     def __init__(self, title: str, size: tuple[int, int]) -> None:
         pygame.display.init()
         self._title = title
-        self._window: pygame.Window | None = pygame.Window(title, size)
+        self.screen: pygame.Window | None = pygame.Window(title, size)
         self.paused = False
         self._steps = 0
         self._due = self._shown = time.monotonic()
@@ -32,7 +32,7 @@ class Window:
     @property
     def closed(self) -> bool:
         """Whether it is gone, closed by its user or by ``close``."""
-        return self._window is None
+        return self.screen is None
 
     @property
     def wants_picture(self) -> bool:
@@ -42,20 +42,21 @@ class Window:
 
     def show(self, picture: pygame.Surface) -> None:
         """Put a picture into the window."""
-        if self._window is not None:
-            self._window.get_surface().blit(picture, (0, 0))
-            self._window.flip()
+        if self.screen is not None:
+            self.screen.get_surface().blit(picture, (0, 0))
+            self.screen.flip()
             self._shown = time.monotonic()
 
     def wait(self, seconds: float) -> None:
         """Wait until a step of so many seconds is over; while paused, for a key."""
-        while self._is_held():
+        while self.is_held():
             time.sleep(0.01)
         now = time.monotonic()
         self._due = max(self._due + seconds, now)
         time.sleep(self._due - now)
 
-    def _is_held(self) -> bool:
+    def is_held(self) -> bool:
+        """Whether it is paused, and no single step is asked for."""
         self._read_events()
         if not self.paused or self.closed:
             return False
@@ -65,8 +66,8 @@ class Window:
         return True
 
     def _read_events(self) -> None:
-        for event in pygame.event.get() if self._window is not None else ():
-            if getattr(event, "window", None) not in (None, self._window):
+        for event in pygame.event.get() if self.screen is not None else ():
+            if getattr(event, "window", None) not in (None, self.screen):
                 continue
             if event.type in (pygame.QUIT, pygame.WINDOWCLOSE):
                 self.close()
@@ -80,11 +81,11 @@ class Window:
             self.paused, self._steps = True, self._steps + 1
         elif key in _CLOSE_KEYS:
             self.close()
-        if self._window is not None:
-            self._window.title = self._title + (" (paused)" if self.paused else "")
+        if self.screen is not None:
+            self.screen.title = self._title + (" (paused)" if self.paused else "")
 
     def close(self) -> None:
         """Take the window off the screen."""
-        if self._window is not None:
-            self._window.destroy()
-            self._window = None
+        if self.screen is not None:
+            self.screen.destroy()
+            self.screen = None

@@ -6,14 +6,14 @@ import os
 import shutil
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
 from baselines import policy
 from train import cli, results, resume
 from train.checks import UserError
-from train.compare import compare, out_folder, playing
-from train.compare import upper_bound as ceiling
+from train.compare import compare, out_folder, playing, upper_bound
 from train.compare.out_folder import part_of
 from train.report.input import read
 
@@ -89,7 +89,7 @@ class TestGoingOn:
         with pytest.raises(ZeroDivisionError):
             compare.run(config(tmp_path / "out"))
         monkeypatch.undo()
-        monkeypatch.setattr(ceiling, "play_run", lambda task: 1 / 0)
+        monkeypatch.setattr(upper_bound, "play_run", lambda *given: 1 / 0)
         assert compare.run(config(tmp_path / "out")) == 0
         assert (tmp_path / "out" / "ceiling.csv").read_bytes() == whole["ceiling.csv"]
 
@@ -175,7 +175,8 @@ class TestPlace:
 
     def killed_at(self, settings, monkeypatch, name, call):
         """Run another seed until call number ``call`` of a function of the file system."""
-        real, calls = getattr(out_folder, name), 0
+        where = Path if name == "rename" else out_folder
+        real, calls = getattr(where, name), 0
 
         def gone(*given, **options):
             nonlocal calls
@@ -186,17 +187,17 @@ class TestPlace:
 
         changed = compare.Config(**vars(settings) | {"seed": 9})
         with monkeypatch.context() as patch:
-            patch.setattr(out_folder, name, gone)
+            patch.setattr(where, name, gone)
             with pytest.raises(SystemExit):
                 compare.run(changed)
         return changed
 
     @pytest.mark.parametrize(
-        ("name", "call"), [("seal", 1), ("promote", 1), ("_rename", 1), ("_rename", 2)]
+        ("name", "call"), [("seal", 1), ("promote", 1), ("rename", 1), ("rename", 2)]
     )
     def test_old_or_new(self, name, call, finished, monkeypatch):
         changed = self.killed_at(finished, monkeypatch, name, call)
-        between = (name, call) == ("_rename", 2)  # the one moment at which OUT is not there
+        between = (name, call) == ("rename", 2)  # the one moment at which OUT is not there
         assert finished.out.exists() is not between
         if not between:
             assert read(finished.out).run["seed"] == 0
@@ -241,7 +242,7 @@ class TestRefusals:
         monkeypatch.chdir(tmp_path / "a")
         for out in (".", "..", "/"):
             with pytest.raises(UserError, match="cannot be replaced as a whole"):
-                compare.run(config(out_folder.Path(out)))
+                compare.run(config(Path(out)))
 
     def test_a_link_is_followed(self, tmp_path):
         (tmp_path / "real").mkdir()

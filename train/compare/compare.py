@@ -5,22 +5,25 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from rich.console import Console
 
 from .. import results
 from ..resume import Part, claimed
-from . import gallery, out_folder, ranking, statistics, sweep, tables
-from .evaluation import Episodes
-from .playing import Played, plan_of, play_all, play_job, summary
-from .ranking import Ranking, answer
+from . import gallery, out_folder, statistics, sweep, tables, upper_bound
+from .playing import Played, blocks_of, by_scenario, joined, plan_of, play_all, play_job, summary
+from .ranking import Ranking, answer, rank
 from .settings import Config, Job, plan
-from .upper_bound import play_upper_bounds
 
 __all__ = ["Config", "Job", "Played", "plan", "play_job", "run", "summary"]
+
+_ROUNDING = 1e-9  # m²/s, of V; a larger rise at a merge above its bound is an error
+
+Row = dict[str, Any]
 
 
 class _Clock:
@@ -29,22 +32,21 @@ class _Clock:
     def __init__(self) -> None:
         self._began, self.parts = time.perf_counter(), dict[str, float]()
 
-    def now(self, part: str) -> None:
-        """All since the last call was spent on ``part``."""
-        self.parts[part] = self.total - sum(self.parts.values())
-
     @property
     def total(self) -> float:
         """Since the command began, s."""
         return time.perf_counter() - self._began
+
+    def now(self, part: str) -> None:
+        """All since the last call was spent on ``part``."""
+        self.parts[part] = self.total - sum(self.parts.values())
 
     def timing(self) -> dict[str, float]:
         """The parts and the time in all, s, as run.json names them."""
         parts = {f"{name.replace(' ', '_')}_s": seconds for name, seconds in self.parts.items()}
         return parts | {"total_s": self.total}
 
-    def line(self) -> str:
-        """The time in all, and its parts."""
+    def __str__(self) -> str:
         split = ", ".join(f"{name} {seconds:.1f}" for name, seconds in self.parts.items())
         return f"{self.total:.1f} s: {split}"
 
@@ -62,14 +64,12 @@ def run(config: Config) -> int:
     jobs = plan(config)
     out = out_folder.destination(config.out)
     with claimed(out.parent, f".{out.name}.lock", f"--out {config.out}"):
-        asked = plan_of(jobs, config)
-        part = out_folder.open_part(config.out, out, asked, fresh=config.fresh)
-        if part is None:
-            console.print(
-                f"{out} holds this comparison: it was finished, but not renamed yet",
-                soft_wrap=True,
-            )
+        part = Part(out_folder.part_of(out), plan_of(jobs, config), "comparison")
+        if out_folder.settle(out) == part.run:
+            said = f"{out} holds this comparison: it was finished, but not renamed yet"
+            console.print(said, soft_wrap=True)
             return 0
+        part.begin(config.out, fresh=config.fresh)
         with part.at_work(console):
             return _run(config, jobs, out, part, console, clock)
 
@@ -78,182 +78,178 @@ def _run(
     config: Config, jobs: Sequence[Job], out: Path, part: Part, console: Console, clock: _Clock
 ) -> int:
     clock.now("setting up")
-    played, compile_time = play_all(jobs, config, part, console)
-    files = play_upper_bounds(part, jobs, config, console) if config.ceiling else []
+    found, compiling = _play(config, jobs, part, console)
     clock.now("playing")
-    playing = clock.parts.pop("playing") - compile_time
-    clock.parts |= {"compiling": compile_time, "playing": playing}
-    rows, rankings = [summary(done) for done in played], ranking.rank(played)
-    pairs = paired_rows(played, config.against)
-    files += write(part, played, rows, pairs)
-    if sweeps := config.sweeps():
-        files += sweep.write(part, sweeps, rows)
-    _show(config, jobs, console, rankings, rows, pairs)
+    clock.parts = {
+        "setting up": clock.parts["setting up"],
+        "compiling": compiling,
+        "playing": clock.parts["playing"] - compiling,
+    }
+    files = write(part, found, config)
+    _show(found, config, console)
     clock.now("tables")
     if config.figures:
-        files += gallery.draw(part, rows, played, config, console)
+        files += gallery.draw(part, found.rows, found.played, config, console)
         clock.now("drawing")
-    about = description(config, played, clock.timing())
-    out_folder.finish(out, part, files, about)
+    about = description(config, found, clock.timing())
+    out_folder.seal(part.folder, files, {**about, "run": part.run})
+    out_folder.promote(out)
     if config.json is not None:
         kept = {name: about[name] for name in ("seed", "command_line", "versions", "timing")}
-        write_summary(config.json, rankings, rows, pairs, kept)
-    episodes = sum(len(done.episodes.success) for done in played)
-    console.print(f"{episodes} episodes in {clock.line()}; files in {config.out}", soft_wrap=True)
-    return _report_excess(played)
+        write_summary(config.json, found, kept)
+    episodes = sum(len(done.episodes.success) for done in found.played)
+    console.print(f"{episodes} episodes in {clock}; files in {config.out}", soft_wrap=True)
+    if found.excess:
+        print(
+            f"error: in {found.excess} episodes a merge raised V above its bound (theory 5); "
+            "see merge_excess in episodes.csv",
+            file=sys.stderr,
+        )
+    return int(found.excess > 0)
 
 
-def _show(
-    config: Config,
-    jobs: Sequence[Job],
-    console: Console,
-    rankings: Sequence[ranking.Ranking],
-    rows: Sequence[dict[str, Any]],
-    pairs: Sequence[dict[str, Any]],
-) -> None:
+@dataclass(frozen=True)
+class Found:
+    """What a comparison found."""
+
+    played: list[Played]
+    """In the order of the jobs."""
+    rows: list[Row]
+    """Of results.csv."""
+    pairs: list[Row]
+    """Of paired.csv."""
+    bounds: list[Row]
+    """Of ceiling.csv."""
+    rankings: list[Ranking]
+
+    @property
+    def excess(self) -> int:
+        """Episodes in which a merge raised V above its proven bound."""
+        return sum(int((one.episodes.merge_excess > _ROUNDING).sum()) for one in self.played)
+
+
+def _play(config: Config, jobs: Sequence[Job], part: Part, console: Console) -> tuple[Found, float]:
+    """What was found, and how long workers made kernels ready, s."""
+    blocks = [blocks_of(number, job, config) for number, job in enumerate(jobs)]
+    bounded = filter(upper_bound.applies, dict.fromkeys(job.scenario for job in jobs))
+    runs = {one: upper_bound.tasks_of(one, config) for one in bounded if config.ceiling}
+    tasks = list(chain(*blocks, *runs.values()))
+    cells, compiling = play_all(tasks, config, part, console)
+    parts = ([cells[task.name] for task in own] for own in blocks)
+    played = [joined(job, own) for job, own in zip(jobs, parts, strict=True)]
+    bounds = [
+        upper_bound.row_of(scenario, [cells[task.name] for task in own])
+        for scenario, own in runs.items()
+    ]
+    rows, pairs = [summary(done) for done in played], paired_rows(played, config.against)
+    return Found(played, rows, pairs, bounds, rank(played)), compiling
+
+
+def paired_rows(played: Sequence[Played], against: str | None) -> list[Row]:
+    """The rows of paired.csv; where ``against`` was not played another is the reference."""
+    return [
+        row
+        for scenario, own in by_scenario(played).items()
+        for row in statistics.compare_pairs(scenario, own, against if against in own else None)
+    ]
+
+
+# ---- what is shown and written ------------------------------------------------------------------
+
+
+def _show(found: Found, config: Config, console: Console) -> None:
     """The answer, the matrix, and what was asked for besides."""
-    console.print(f"\n[bold]{ranking.answer(rankings)}[/bold]\n")
+    if config.ceiling:
+        console.print(tables.ceiling_table(found.bounds))
+    console.print(f"\n[bold]{answer(found.rankings)}[/bold]\n")
     if config.sensing:
-        tables.show_sweeps(config.sweeps(), rows, console)
+        tables.show_sweeps(config.sweeps(), found.rows, console)
     else:
-        tables.show_matrix(rankings, console)
+        tables.show_matrix(found.rankings, console)
     if config.against is not None:
         console.print()
-        console.print(
-            tables.paired_table([row for row in pairs if row["against"] == config.against])
-        )
+        own = [row for row in found.pairs if row["against"] == config.against]
+        console.print(tables.paired_table(own))
     if config.details:
-        used = {job.scenario.name: job.scenario for job in jobs}
+        used = {done.job.scenario.name: done.job.scenario for done in found.played}
         wide = Console(width=max(console.width, tables.WIDTH))
         wide.print()
-        wide.print(tables.results_table(rows, used))
+        wide.print(tables.results_table(found.rows, used))
     else:
         console.print("times, lengths, margins: --details, or results.csv")
     console.print()
 
 
-def _report_excess(played: Sequence[Played]) -> int:
-    if count := count_excess(played):
-        print(
-            f"error: in {count} episodes a merge raised V above its bound (theory 5); "
-            "see merge_excess in episodes.csv",
-            file=sys.stderr,
-        )
-    return int(count > 0)
-
-
-_ROUNDING = 1e-9  # m²/s, of V; a larger rise at a merge above its bound is an error
-
-
-def write(
-    part: Part,
-    played: Sequence[Played],
-    rows: Sequence[dict[str, Any]],
-    pairs: Sequence[dict[str, Any]],
-) -> list[str]:
-    """Write results.csv, episodes.csv, paired.csv and trajectories.npz; their names."""
-    tables = {
-        "results.csv": (results.RESULT_COLUMNS, rows),
-        "episodes.csv": (results.EPISODE_COLUMNS, _episode_rows(played)),
-        "paired.csv": (results.PAIRED_COLUMNS, pairs),
+def write(part: Part, found: Found, config: Config) -> list[str]:
+    """Write all tables and trajectories.npz; their names."""
+    files: dict[str, tuple[Sequence[str], Any]] = {
+        "results.csv": (results.RESULT_COLUMNS, found.rows),
+        "episodes.csv": (results.EPISODE_COLUMNS, _episode_rows(found.played)),
+        "paired.csv": (results.PAIRED_COLUMNS, found.pairs),
     }
-    for name, (columns, content) in tables.items():
-        results.write_csv(part.folder / name, columns, content)
-    results.write_arrays(part.folder / "trajectories.npz", _arrays(played), part.run)
-    return [*tables, "trajectories.npz"]
+    if config.ceiling:
+        files["ceiling.csv"] = upper_bound.COLUMNS, found.bounds
+    if sweeps := config.sweeps():
+        levels = (sweep.rows_of(one, found.rows) for one in sweeps)
+        files["levels.csv"] = sweep.COLUMNS, chain.from_iterable(levels)
+    for name, (columns, rows) in files.items():
+        results.write_csv(part.folder / name, columns, rows)
+    arrays = {
+        f"{done.job.scenario.name}/{done.job.policy}/{start}/{name}": array
+        for done in found.played
+        for start, recording in done.recordings.items()
+        for name, array in recording.items()
+    }
+    results.write_arrays(part.folder / "trajectories.npz", arrays, part.run)
+    return [*files, "trajectories.npz"]
 
 
-def _episode_rows(played: Sequence[Played]) -> Iterator[dict[str, Any]]:
+def _episode_rows(played: Sequence[Played]) -> Iterator[Row]:
     for done in played:
         head = {"scenario": done.job.scenario.name, "policy": done.job.policy}
         yield from (head | row for row in done.episodes.rows())
 
 
-def paired_rows(played: Sequence[Played], against: str | None) -> list[dict[str, Any]]:
-    """The rows of paired.csv; where ``against`` was not played another is the reference."""
-    by_scenario: dict[str, dict[str, Episodes]] = {}
-    for done in played:
-        by_scenario.setdefault(done.job.scenario.name, {})[done.job.policy] = done.episodes
-    return [
-        row
-        for scenario, episodes in by_scenario.items()
-        for row in statistics.compare_pairs(
-            scenario, episodes, against if against in episodes else None
-        )
-    ]
-
-
-def _arrays(played: Sequence[Played]) -> dict[str, np.ndarray[Any, Any]]:
-    """Recorded arrays under scenario/policy/start/name."""
-    return {
-        f"{done.job.scenario.name}/{done.job.policy}/{start}/{name}": array
-        for done in played
-        for start, recording in done.recordings.items()
-        for name, array in recording.items()
-    }
-
-
-def description(
-    config: Config, played: Sequence[Played], timing: dict[str, float]
-) -> dict[str, Any]:
+def description(config: Config, found: Found, timing: dict[str, float]) -> dict[str, Any]:
     """What run.json says of a comparison."""
-    used = {done.job.scenario.name: done.job.scenario for done in played}
+    starts = {done.job.scenario: len(done.episodes.success) for done in found.played}
     return results.provenance() | {
         "seed": config.seed,
-        "episodes": config.episodes or max(len(done.episodes.success) for done in played),
-        "keep": max(min(config.kept(one), config.starts(one)) for one in used.values()),
-        "starts": {done.job.scenario.name: len(done.episodes.success) for done in played},
-        "scenarios": {name: scenario.to_plain() for name, scenario in used.items()},
-        "policies": {
-            name: [done.job.policy for done in played if done.job.scenario.name == name]
-            for name in used
-        },
-        "merges_above_bound": count_excess(played),
+        "episodes": config.episodes or max(starts.values()),
+        "keep": max(min(config.kept(one), config.starts(one)) for one in starts),
+        "starts": {scenario.name: count for scenario, count in starts.items()},
+        "scenarios": {scenario.name: scenario.to_plain() for scenario in starts},
+        "policies": {name: list(own) for name, own in by_scenario(found.played).items()},
+        "merges_above_bound": found.excess,
         "timing": timing,
     }
 
 
-def write_summary(
-    path: Path,
-    rankings: Sequence[Ranking],
-    rows: Sequence[dict[str, Any]],
-    pairs: Sequence[dict[str, Any]],
-    about: Mapping[str, Any],
-) -> None:
+def write_summary(path: Path, found: Found, about: Mapping[str, Any]) -> None:
     """Write all that was found in short, as JSON: what ``--json`` asks for.
 
     The names of columns are those of results.csv and paired.csv; null where it does not apply.
     """
-    results.write_json(
-        path,
-        {
-            "answer": answer(rankings),
-            "scenarios": {
-                ranking.scenario: {
-                    "starts": ranking.starts,
-                    "best": ranking.best if ranking.is_contest else None,
-                    "tied": list(ranking.tied),
-                    "references": list(ranking.references),
-                    "policies": {
-                        row["policy"]: _plain(row, results.RESULT_COLUMNS[2:])
-                        for row in rows
-                        if row["scenario"] == ranking.scenario
-                    },
-                }
-                for ranking in rankings
-            },
-            "paired": [_plain(row, results.PAIRED_COLUMNS) for row in pairs],
-            **about,
-        },
-    )
+    policies: dict[str, Row] = {}
+    for row in found.rows:
+        of_scenario = policies.setdefault(row["scenario"], {})
+        of_scenario[row["policy"]] = _plain(row, results.RESULT_COLUMNS[2:])
+    scenarios = {
+        ranking.scenario: {
+            "starts": ranking.starts,
+            "best": ranking.best if ranking.is_contest else None,
+            "tied": list(ranking.tied),
+            "references": list(ranking.references),
+            "policies": policies[ranking.scenario],
+        }
+        for ranking in found.rankings
+    }
+    pairs = [_plain(row, results.PAIRED_COLUMNS) for row in found.pairs]
+    content = {"answer": answer(found.rankings), "scenarios": scenarios, "paired": pairs, **about}
+    results.write_json(path, content)
 
 
-def _plain(row: Mapping[str, Any], columns: Sequence[str]) -> dict[str, Any]:
+def _plain(row: Row, columns: Sequence[str]) -> Row:
     """Cells as numbers and words, null where they are empty."""
     cells = {column: results.plain(row[column]) for column in columns}
     return {column: None if cell == "" else cell for column, cell in cells.items()}
-
-
-def count_excess(played: Sequence[Played]) -> int:
-    """Episodes in which a merge raised V above its proven bound."""
-    return sum(int((done.episodes.merge_excess > _ROUNDING).sum()) for done in played)

@@ -19,7 +19,6 @@ from rendezvous_env.baselines.learned import plain_data
 
 from .. import results, resume
 from ..checks import UserError
-from ..resume import Part
 
 RUN = "run.json"
 _OURS = re.compile(
@@ -71,94 +70,14 @@ def destination(given: Path) -> Path:
     return out
 
 
-def finish(out: Path, part: Part, files: Sequence[str], about: Mapping[str, Any]) -> None:
-    """Seal the files in OUT.part with run.json, and put them in the place of OUT.
-
-    Args:
-        out: the folder.
-        part: its OUT.part.
-        files: names, all written.
-        about: what run.json says besides.
-    """
-    seal(part.folder, files, {**about, "run": part.run})
-    promote(out)
-
-
 def seal(folder: Path, files: Sequence[str], about: Mapping[str, Any]) -> None:
-    """Write run.json with the digest of every file, and its own."""
+    """Write run.json, which says so much about a run, with the digest of every file and its own."""
     for name in files:
-        _sync(folder / name)
+        with (folder / name).open("rb") as file:
+            os.fsync(file.fileno())  # outlasts a power failure, as run.json does
     entries = {name: results.entry(folder / name) for name in sorted(files)}
     content = {**about, "files": entries}
     results.write_json(folder / RUN, {**content, "sha256": plain_data.digest(content)})
-
-
-# ---- begin, go on, put in place -----------------------------------------------------------------
-
-
-def open_part(given: Path, out: Path, plan: Mapping[str, Any], *, fresh: bool) -> Part | None:
-    """OUT.part for a comparison, with the cells that an earlier run of it has finished.
-
-    Args:
-        given: what --out said, for messages.
-        out: the folder, as ``destination`` gives it.
-        plan: plain data that says what is asked for.
-        fresh: whether to throw away what another comparison has left unfinished.
-
-    Returns:
-        None if just this comparison was finished, and only had to be put in its place.
-
-    Raises:
-        UserError: if OUT.part is of something else.
-    """
-    part = Part(part_of(out), plan, "comparison")
-    if settle(out) == part.run:
-        return None
-    part.begin(given, fresh=fresh)
-    return part
-
-
-def settle(out: Path) -> str | None:
-    """Put in place what a kill has left finished beside OUT; the id of its run, if there was."""
-    replaced, promoted = _replaced(out), None
-    if (part_of(out) / RUN).is_file():
-        promoted = _finished(part_of(out))["run"]
-        promote(out)
-    if replaced.exists():
-        if out.exists():
-            shutil.rmtree(replaced)
-        else:
-            replaced.rename(out)
-    return promoted
-
-
-def promote(out: Path) -> None:
-    """Rename a finished OUT.part to OUT; an older OUT goes as a whole."""
-    part, replaced = part_of(out), _replaced(out)
-    files = {*_finished(part)["files"], RUN}
-    for path in part.iterdir():
-        if path.is_dir():
-            shutil.rmtree(path)
-        elif path.name not in files:
-            path.unlink()
-    if out.exists():
-        if replaced.exists():
-            shutil.rmtree(replaced)
-        _rename(out, replaced)
-    _rename(part, out)
-    shutil.rmtree(replaced, ignore_errors=True)
-
-
-def _rename(old: Path, new: Path) -> None:
-    old.rename(new)
-
-
-def _finished(part: Path) -> dict[str, Any]:
-    """run.json of a folder that is whole."""
-    about = resume.read(part / RUN)
-    if not is_sealed(about):
-        raise UserError(f"{part / RUN}: its content was changed; remove {part}")
-    return about
 
 
 def is_sealed(about: Mapping[str, Any]) -> bool:
@@ -167,10 +86,30 @@ def is_sealed(about: Mapping[str, Any]) -> bool:
     return about.get("sha256") == plain_data.digest(content)
 
 
-def _sync(path: Path) -> None:
-    """Make a file outlast a power failure."""
-    descriptor = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
+def settle(out: Path) -> str | None:
+    """Put in place what a kill has left finished beside OUT; the id of its run, if there was."""
+    if (part_of(out) / RUN).is_file():
+        return promote(out)
+    if not out.exists() and _replaced(out).exists():
+        _replaced(out).rename(out)
+    shutil.rmtree(_replaced(out), ignore_errors=True)
+    return None
+
+
+def promote(out: Path) -> str:
+    """Rename a finished OUT.part to OUT, from which an older one goes as a whole; id of the run."""
+    part, replaced = part_of(out), _replaced(out)
+    about = resume.read(part / RUN)
+    if not is_sealed(about):
+        raise UserError(f"{part / RUN}: its content was changed; remove {part}")
+    for path in part.iterdir():
+        if path.is_dir():
+            shutil.rmtree(path)
+        elif path.name not in (*about["files"], RUN):
+            path.unlink()
+    if out.exists():
+        shutil.rmtree(replaced, ignore_errors=True)
+        out.rename(replaced)
+    part.rename(out)
+    shutil.rmtree(replaced, ignore_errors=True)
+    return str(about["run"])

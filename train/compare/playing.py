@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import hashlib
-import os
-import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import closing, suppress
 from dataclasses import dataclass
 from functools import cache, partial
-from pathlib import Path
-from typing import Any
+from itertools import chain
+from typing import Any, NamedTuple
 
 import numpy as np
-from filelock import FileLock
 from rendezvous_env.baselines import policy as registry
 from rendezvous_env.baselines.learned import checkpoints
 from rich.console import Console
@@ -52,31 +49,12 @@ class Played:
     """By start: the first ones, and the first on which the policy failed."""
 
 
-Cell = tuple[Episodes, dict[int, Recording]]
-"""What comes of a task."""
-
-
-@dataclass(frozen=True)
-class Task:
-    """A block of the starts of a job."""
-
-    number: int
-    """Of the job."""
-    job: Job
-    """The job."""
-    first: int
-    """Number of the first start."""
-    count: int
-    """How many there are."""
-    seed: int
-    """Of the first start."""
-    keep: int
-    """How many of them to record."""
-
-    @property
-    def name(self) -> str:
-        """Of its cell."""
-        return f"job-{self.number:04d}-{self.first:06d}"
+def by_scenario(played: Sequence[Played]) -> dict[str, dict[str, Episodes]]:
+    """Episodes by names of scenario and policy."""
+    found: dict[str, dict[str, Episodes]] = {}
+    for done in played:
+        found.setdefault(done.job.scenario.name, {})[done.job.policy] = done.episodes
+    return found
 
 
 def play_job(
@@ -114,9 +92,7 @@ def plan_of(jobs: Sequence[Job], config: Config) -> dict[str, Any]:
 
 def _weights(policy: str) -> str | None:
     """Digest of a learned policy's checkpoint, or of the file that holds a policy: an exported
-    network, or the source of a scripted one.
-
-    None for one that was typed in and stands in no file.
+    network, or the source of a scripted one. None for one that was typed in.
     """
     learned = policies.learned_path(policy)
     if learned is not None and not learned.is_file():
@@ -128,43 +104,133 @@ def _weights(policy: str) -> str | None:
 # ---- tasks --------------------------------------------------------------------------------------
 
 
-def tasks_of(jobs: Sequence[Job], config: Config) -> Iterator[Task]:
-    """The tasks of a comparison, in the order of its jobs."""
-    for number, job in enumerate(jobs):
-        starts = config.starts(job.scenario)
-        for first in range(0, starts, BLOCK):
-            count, kept = min(BLOCK, starts - first), max(0, config.kept(job.scenario) - first)
-            yield Task(number, job, first, count, config.seed + first, min(kept, count))
+@dataclass(frozen=True)
+class Task:
+    """A part of a comparison that any process can do."""
+
+    name: str
+    """Of the file in OUT.part that keeps what comes of it."""
+    label: str
+    """What the progress bar says once it is done."""
+    scenario: Scenario
+    """On which it is played."""
+    count: int
+    """How many starts it plays."""
+    work: Callable[[], Any]
+    """Does it; travels to other processes, as what it gives does."""
+    stays: bool = False
+    """Whether only this process can do it."""
 
 
-def play_task(task: Task) -> tuple[Cell, float]:
-    """What came of a task, and how long it took to make its kernels ready, s."""
+class Cell(NamedTuple):
+    """What comes of a block of the starts of a job."""
+
+    episodes: Episodes
+    recordings: dict[int, Recording]
+    """By start."""
+    ready: float
+    """How long it took to make the kernels ready, s."""
+
+
+def blocks_of(number: int, job: Job, config: Config) -> list[Task]:
+    """A job, cut into blocks of its starts; ``number`` is its place among all jobs."""
+    starts, kept = config.starts(job.scenario), config.kept(job.scenario)
+    return [
+        Task(
+            name=f"job-{number:04d}-{first:06d}",
+            label=f"{job.scenario.name} · {job.policy}",
+            scenario=job.scenario,
+            count=(count := min(BLOCK, starts - first)),
+            work=partial(play_block, job, first, count, config.seed, min(count, kept - first)),
+            stays=_is_typed_in(job.policy),
+        )
+        for first in range(0, starts, BLOCK)
+    ]
+
+
+def _is_typed_in(policy: str) -> bool:
+    """Whether only this process knows a policy: it was entered from outside."""
+    with suppress(KeyError):
+        return registry.kind_of(policy) == "own"
+    return False
+
+
+def play_block(job: Job, first: int, count: int, seed: int, keep: int) -> Cell:
+    """Play the starts ``first``, ``first`` + 1, … of a job.
+
+    Args:
+        job: what to play.
+        first: number of the first start.
+        count: how many.
+        seed: of start 0.
+        keep: how many of them to record; beyond these, of the first block, the first failure.
+    """
     began = time.perf_counter()
-    make_ready(task.job, min(task.count, TOGETHER))
-    seconds = time.perf_counter() - began
-    done = play_job(task.job, episodes=task.count, seed=task.seed, keep=task.keep)
-    return (done.episodes, done.recordings | _first_failure(task, done.episodes)), seconds
-
-
-def _first_failure(task: Task, episodes: Episodes) -> dict[int, Recording]:
-    """A recording of the first start on which the policy failed, unless one is kept already."""
-    failed = np.flatnonzero(~episodes.good)
-    if task.first or not task.keep or not failed.size or failed[0] < task.keep:
-        return {}
-    start = int(failed[0])
-    again = play_job(task.job, episodes=1, seed=task.seed + start, keep=1)
-    # played alone, a network may round otherwise: only what is told of the start is shown
-    same = again.episodes.time[0] == episodes.time[start]
-    return {start: again.recordings[0]} if same and not again.episodes.good[0] else {}
+    make_ready(job, min(count, TOGETHER))
+    ready = time.perf_counter() - began
+    done = play_job(job, episodes=count, seed=seed + first, keep=max(0, keep))
+    kept = {first + start: one for start, one in done.recordings.items()}
+    failed = np.flatnonzero(~done.episodes.good)
+    if first == 0 and keep > 0 and failed.size and failed[0] >= keep:
+        start = int(failed[0])
+        again = play_job(job, episodes=1, seed=seed + start, keep=1)
+        # played alone, a network may round otherwise: only what is told of the start is shown
+        if again.episodes.time[0] == done.episodes.time[start] and not again.episodes.good[0]:
+            kept[start] = again.recordings[0]
+    return Cell(done.episodes, kept, ready)
 
 
 @cache
 def make_ready(job: Job, starts: int) -> None:
-    """Play two steps, so that the kernels of a job are loaded, or compiled by one process while the
-    others that need the like wait for it.
+    """Play two steps, so that the kernels of a job are loaded, or compiled."""
+    play_job(job, episodes=starts, seed=0, steps=2)
+
+
+def joined(job: Job, cells: Sequence[Cell]) -> Played:
+    """What came of a job, of all its blocks in order."""
+    recordings = dict(chain.from_iterable(cell.recordings.items() for cell in cells))
+    return Played(job, Episodes.joined([cell.episodes for cell in cells]), recordings)
+
+
+def play_all(
+    tasks: Sequence[Task], config: Config, part: Part, console: Console
+) -> tuple[dict[str, Any], float]:
+    """Do all tasks that are not finished, under a progress bar.
+
+    Returns:
+        What came of the tasks, by their names; and how long workers made kernels ready, s, each.
     """
-    with FileLock(_lock_of(_kernels_of(job.scenario, starts))):
-        play_job(job, episodes=starts, seed=0, steps=2)
+    found = {task.name: part.load(task.name) for task in tasks}
+    left = _one_of_each_first([task for task in tasks if found[task.name] is None])
+    ready, long = 0.0, len(left) >= _MANY
+    results = each(_do, left, config.workers, lambda task: task.stays, long=long)
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
+    progress = Progress(*columns, TimeElapsedColumn(), console=console)
+    with progress, closing(results):
+        total, missing = (sum(task.count for task in some) for some in (tasks, left))
+        bar = progress.add_task("playing", total=total, completed=total - missing)
+        for number, result in results:
+            task = left[number]
+            part.save(task.name, result)
+            found[task.name] = result
+            ready += result.ready if isinstance(result, Cell) else 0.0
+            progress.update(bar, advance=task.count, description=task.label.ljust(40))
+        progress.update(bar, description="played".ljust(40))
+    return found, ready / config.workers.count
+
+
+def _do(task: Task) -> Any:
+    return task.work()
+
+
+def _one_of_each_first(tasks: Sequence[Task]) -> list[Task]:
+    """The same tasks, begun with one for each kind of kernels: workers that start together then
+    compile different ones.
+    """
+    first: dict[tuple[Any, ...], str] = {}
+    for task in tasks:
+        first.setdefault(_kernels_of(task.scenario, task.count), task.name)
+    return sorted(tasks, key=lambda task: task.name not in first.values())
 
 
 def _kernels_of(scenario: Scenario, starts: int) -> tuple[Any, ...]:
@@ -178,83 +244,3 @@ def _kernels_of(scenario: Scenario, starts: int) -> tuple[Any, ...]:
         layout.neighbour_slots == scenario.n_robots - 1,
         starts < TOGETHER,
     )
-
-
-def _one_of_each_first(tasks: Sequence[Task]) -> list[Task]:
-    """The same tasks, begun with one for each kind of kernels: workers that start together then
-    compile different ones, and none waits for another.
-    """
-    seen: set[tuple[Any, ...]] = set()
-    first: list[Task] = []
-    rest: list[Task] = []
-    for task in tasks:
-        kernels = _kernels_of(task.job.scenario, task.count)
-        (rest if kernels in seen else first).append(task)
-        seen.add(kernels)
-    return first + rest
-
-
-def _lock_of(kernels: tuple[Any, ...]) -> Path:
-    """The lock of a kind of kernels, in a folder of this user's own."""
-    user = os.getuid() if hasattr(os, "getuid") else 0
-    folder = Path(tempfile.gettempdir()) / f"rendezvous-env-locks-{user}"
-    folder.mkdir(mode=0o700, exist_ok=True)
-    return folder / f"{hashlib.sha256(repr(kernels).encode()).hexdigest()[:16]}.lock"
-
-
-def _stays(task: Task) -> bool:
-    """Whether only this process knows the policy: it was entered from outside."""
-    with suppress(KeyError):
-        return registry.kind_of(task.job.policy) == "own"
-    return False
-
-
-def play_all(
-    jobs: Sequence[Job], config: Config, part: Part, console: Console
-) -> tuple[list[Played], float]:
-    """Play all tasks that are not finished, under a progress bar.
-
-    Returns:
-        What came of all jobs, and the time for which workers made kernels ready, s, for each of
-        them.
-    """
-    tasks = list(tasks_of(jobs, config))
-    found: dict[Task, Cell | None] = {task: part.load(task.name) for task in tasks}
-    left = _one_of_each_first([task for task in tasks if found[task] is None])
-    ready = 0.0
-    results = each(play_task, left, config.workers, _stays, long=len(left) >= _MANY)
-    with progress(console) as shown, closing(results):
-        total = sum(task.count for task in tasks)
-        done = total - sum(task.count for task in left)
-        bar = shown.add_task("playing", total=total, completed=done)
-        for number, (cell, seconds) in results:
-            task, ready = left[number], ready + seconds
-            part.save(task.name, cell)
-            found[task] = cell
-            name = f"{task.job.scenario.name} · {task.job.policy}".ljust(40)
-            shown.update(bar, advance=task.count, description=name)
-        shown.update(bar, description="played".ljust(40))
-    return list(_joined(jobs, found)), ready / config.workers.count
-
-
-def _joined(jobs: Sequence[Job], found: dict[Task, Cell | None]) -> Iterator[Played]:
-    """What came of each job, of the cells of its tasks."""
-    parts: list[list[Cell]] = [[] for _ in jobs]
-    for task, cell in found.items():
-        assert cell is not None
-        parts[task.number].append(cell)
-    for job, blocks in zip(jobs, parts, strict=True):
-        episodes = Episodes.joined([episodes for episodes, _ in blocks])
-        # blocks are in the order of their starts
-        kept = [
-            (number * BLOCK + start, one)
-            for number, (_, recordings) in enumerate(blocks)
-            for start, one in recordings.items()
-        ]
-        yield Played(job, episodes, dict(kept))
-
-
-def progress(console: Console) -> Progress:
-    """A progress bar for starts."""
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
-    return Progress(*columns, TimeElapsedColumn(), console=console)

@@ -10,7 +10,7 @@ import numpy as np
 
 from .. import policies
 from .evaluation import Episodes
-from .playing import Played
+from .playing import Played, by_scenario
 from .statistics import best_policy, clean_difference
 
 _CONTEST = 2
@@ -49,10 +49,7 @@ class Ranking:
 
 def rank(played: Sequence[Played]) -> list[Ranking]:
     """The rankings of all scenarios, in their order."""
-    by_scenario: dict[str, dict[str, Episodes]] = {}
-    for done in played:
-        by_scenario.setdefault(done.job.scenario.name, {})[done.job.policy] = done.episodes
-    return [_ranking(scenario, episodes) for scenario, episodes in by_scenario.items()]
+    return [_ranking(scenario, own) for scenario, own in by_scenario(played).items()]
 
 
 def _ranking(scenario: str, played: dict[str, Episodes]) -> Ranking:

@@ -19,30 +19,12 @@ from ..tasks import WorkerFlags
 from . import sweep as levels
 from .evaluation import starts_of
 
+_CLUTTER = ("4", "8", "12", "16", "24", "16-team-3", "16-team-8", "16-team-16", "16-team-32", "32")
 DEFAULT_SCENARIOS = (
-    "fig3",
-    "fig4",
-    "duo",
-    "swarm-20",
-    "ring-12",
-    "tree-12",
-    "random-10",
-    "unicycle-6",
-    "uav-6",
-    "cloud-8",
-    "clutter-4",
-    "clutter-8",
-    "clutter-12",
-    "clutter-16",
-    "clutter-24",
-    "clutter-16-team-3",
-    "clutter-16-team-8",
-    "clutter-16-team-16",
-    "clutter-16-team-32",
-    "clutter-32",
-    "trap",
-    "corridor",
-    "rooms",
+    *("fig3", "fig4", "duo", "swarm-20", "ring-12", "tree-12", "random-10"),
+    *("unicycle-6", "uav-6", "cloud-8"),
+    *(f"clutter-{name}" for name in _CLUTTER),
+    *("trap", "corridor", "rooms"),
 )
 
 _STARTS, _KEPT = 100, 3
@@ -152,29 +134,24 @@ def plan(config: Config) -> list[Job]:
         raise UserError(f"--seed is {config.seed}; with {episodes} starts it is too large")
     _ = config.workers  # refuses what cannot be
     policies.check_names(config.policies)
+    scenarios = _resolve(config)
+    if swept := levels.sweeps(scenarios, config.sensing):
+        scenarios = list(dict.fromkeys(one for sweep in swept for one in sweep.scenarios))
     jobs: list[Job] = []
-    for scenario in _at_levels(_resolve(config), config.sensing):
+    for scenario in scenarios:
         fitting = policies.fitting(scenario, config.policies)
         if not fitting:
             known = ", ".join(policies.names(scenario))
             raise UserError(f"no policy of those named fits {scenario.name}; these do: {known}")
         jobs += [Job(scenario, name) for name in fitting]
-    _check_against(config.against, jobs)
-    _check_json(config)
+    _check_against(config.against, list(dict.fromkeys(job.policy for job in jobs)))
+    if config.json is not None:
+        _check_json(config.json, config.out)
     return jobs
 
 
-def _at_levels(scenarios: Sequence[Scenario], words: Sequence[str]) -> list[Scenario]:
-    """The scenarios, or each of them once at every level of its sensor."""
-    if not words:
-        return list(scenarios)
-    swept = [one for sweep in levels.sweeps(scenarios, words) for one in sweep.scenarios]
-    return list(dict.fromkeys(swept))
-
-
-def _check_against(against: str | None, jobs: Sequence[Job]) -> None:
+def _check_against(against: str | None, played: Sequence[str]) -> None:
     """Refuse a reference that nobody can be compared with."""
-    played = list(dict.fromkeys(job.policy for job in jobs))
     if against is not None and against not in played:
         near = nearest_word(against, played)
         hint = f"did you mean {near!r}? " if near else ""
@@ -183,16 +160,14 @@ def _check_against(against: str | None, jobs: Sequence[Job]) -> None:
         )
 
 
-def _check_json(config: Config) -> None:
+def _check_json(given: Path, out: Path) -> None:
     """Refuse a file that cannot be written, before any work."""
-    if config.json is None:
-        return
-    path, out = Path(os.path.realpath(config.json)), Path(os.path.realpath(config.out))
+    path, out = Path(os.path.realpath(given)), Path(os.path.realpath(out))
     if path == out or out in path.parents:
-        raise UserError(f"--json {config.json}: lies in --out, which is replaced as a whole")
+        raise UserError(f"--json {given}: lies in --out, which is replaced as a whole")
     if path.is_dir():
-        raise UserError(f"--json {config.json}: is a folder; name a file")
-    results.prepare_folder(path.parent, f"--json {config.json}")
+        raise UserError(f"--json {given}: is a folder; name a file")
+    results.prepare_folder(path.parent, f"--json {given}")
 
 
 def _resolve(config: Config) -> list[Scenario]:

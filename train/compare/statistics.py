@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -15,8 +15,6 @@ RESAMPLES = 2000
 """Of every bootstrap."""
 
 Interval = tuple[float, float]
-
-
 _NONE: Interval = (np.nan, np.nan)
 """What is known of other starts from a single one, or of what does not apply."""
 
@@ -31,7 +29,6 @@ def fraction_interval(hits: NDArray[Any]) -> Interval:
 
     if len(hits) == 1 or np.isnan(hits).any():
         return _NONE
-
     test = binomtest(int(hits.sum()), len(hits))
     interval = test.proportion_ci(CONFIDENCE, method="wilson")
     return float(interval.low), float(interval.high)
@@ -87,13 +84,10 @@ def censored_median(
 
 
 def summarise(scenario: str, policy: str, episodes: Episodes, limit: float) -> dict[str, Any]:
-    """One row of results.csv.
+    """One row of results.csv; ``results.RESULTS`` says what each column is.
 
-    Medians over starts: median_time (s, censored, see ``censored_median``) and path_length (m, all
-    robots together). Worst over starts: time_over_bound (largest), min_clearance (m),
-    max_rise_between_merges (m²/s; negative: V fell all the way in each of them), min_alignment.
-    Mean over starts: contacts. NaN where it does not apply: intervals of a single start, clean
-    success where robots pass through obstacles.
+    NaN where it does not apply: intervals of a single start, clean success where robots pass
+    through obstacles.
 
     Args:
         scenario: its name.
@@ -101,22 +95,17 @@ def summarise(scenario: str, policy: str, episodes: Episodes, limit: float) -> d
         episodes: what it did.
         limit: time limit of the scenario, s.
     """
-    success_low, success_high = fraction_interval(episodes.success)
-    clean_low, clean_high = fraction_interval(episodes.clean)
-    median, (time_low, time_high) = censored_median(episodes.time, episodes.success, limit)
+    median, times = censored_median(episodes.time, episodes.success, limit)
     return {
         "scenario": scenario,
         "policy": policy,
         "episodes": len(episodes.success),
         "success": episodes.success.mean(),
-        "success_low": success_low,
-        "success_high": success_high,
+        **_ends("success", fraction_interval(episodes.success)),
         "clean_success": episodes.clean.mean(),
-        "clean_low": clean_low,
-        "clean_high": clean_high,
+        **_ends("clean", fraction_interval(episodes.clean)),
         "median_time": median,
-        "time_low": time_low,
-        "time_high": time_high,
+        **_ends("time", times),
         "time_over_bound": np.fmax.reduce(episodes.time / episodes.time_bound),
         "path_length": np.median(episodes.path_length),
         "min_clearance": np.fmin.reduce(episodes.clearance),
@@ -126,7 +115,12 @@ def summarise(scenario: str, policy: str, episodes: Episodes, limit: float) -> d
     }
 
 
-def reference_policy(played: dict[str, Episodes]) -> str:
+def _ends(name: str, interval: Interval) -> dict[str, float]:
+    """The columns of an interval."""
+    return {f"{name}_low": interval[0], f"{name}_high": interval[1]}
+
+
+def reference_policy(played: Mapping[str, Episodes]) -> str:
     """The policy that the others are compared with: law (1), or else the best there is.
 
     Args:
@@ -135,7 +129,7 @@ def reference_policy(played: dict[str, Episodes]) -> str:
     return "bearing-only" if "bearing-only" in played else best_policy(played)
 
 
-def best_policy(played: dict[str, Episodes]) -> str:
+def best_policy(played: Mapping[str, Episodes]) -> str:
     """The policy that meets most often, cleanly where contacts count; among equals the soonest."""
     return max(played, key=lambda name: (played[name].good.mean(), -np.median(played[name].time)))
 
@@ -145,11 +139,11 @@ def clean_difference(own: Episodes, other: Episodes) -> tuple[float, Interval]:
     interval over starts; NaN where contacts do not count.
     """
     difference = own.clean.astype(float) - other.clean
-    return float(difference.mean()), _mean_interval(difference)
+    return float(difference.mean()), bootstrap_interval((difference,), np.mean)
 
 
 def compare_pairs(
-    scenario: str, played: dict[str, Episodes], against: str | None = None
+    scenario: str, played: Mapping[str, Episodes], against: str | None = None
 ) -> list[dict[str, Any]]:
     """Rows of paired.csv: every policy against the reference on the same starts.
 
@@ -163,39 +157,21 @@ def compare_pairs(
         against: name of the reference; None is ``reference_policy``.
     """
     against = against or reference_policy(played)
-    other = played[against]
+    # a rendezvous that is not good is later than any
+    costs = {name: np.where(own.good, own.time, np.inf) for name, own in played.items()}
     rows = []
-    for name, own in played.items():
-        if name == against:
-            continue
-        difference, (difference_low, difference_high) = clean_difference(own, other)
-        better = _improvement(_cost(own), _cost(other))
-        better_low, better_high = _mean_interval(better)
+    for name in (name for name in played if name != against):
+        difference, interval = clean_difference(played[name], played[against])
+        better = (costs[name] < costs[against]) + 0.5 * (costs[name] == costs[against])
         rows.append(
             {
                 "scenario": scenario,
                 "policy": name,
                 "against": against,
                 "clean_difference": difference,
-                "clean_difference_low": difference_low,
-                "clean_difference_high": difference_high,
+                **_ends("clean_difference", interval),
                 "probability_of_improvement": better.mean(),
-                "improvement_low": better_low,
-                "improvement_high": better_high,
+                **_ends("improvement", bootstrap_interval((better,), np.mean)),
             }
         )
     return rows
-
-
-def _cost(episodes: Episodes) -> NDArray[np.float64]:
-    """(N,), s: the time of a rendezvous that is ``good``, inf for anything else."""
-    return np.where(episodes.good, episodes.time, np.inf)
-
-
-def _improvement(own: NDArray[np.float64], other: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(N,): 1 where ``own`` is less, ½ where both are equal."""
-    return (own < other) + 0.5 * (own == other)
-
-
-def _mean_interval(values: NDArray[np.float64]) -> Interval:
-    return bootstrap_interval((values,), np.mean)

@@ -11,7 +11,6 @@ from rendezvous_env.sensors.sensing import Sensing
 
 from .. import results
 from ..checks import UserError
-from ..resume import Part
 
 Level = float | str | None
 _EXACT = "none"
@@ -131,10 +130,3 @@ def rows_of(sweep: Sweep, rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]
         for row in rows
         if row["scenario"] == scenario.name
     ]
-
-
-def write(part: Part, sweeps: Sequence[Sweep], rows: Sequence[dict[str, Any]]) -> list[str]:
-    """Write levels.csv; its name."""
-    found = [row for sweep in sweeps for row in rows_of(sweep, rows)]
-    results.write_csv(part.folder / "levels.csv", COLUMNS, found)
-    return ["levels.csv"]

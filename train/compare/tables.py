@@ -5,8 +5,10 @@ from __future__ import annotations
 import math
 import textwrap
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import groupby
 from typing import Any
 
+import numpy as np
 from rich.console import Console, RenderableType
 from rich.markup import escape
 from rich.table import Table
@@ -16,52 +18,56 @@ from rendezvous_env.scenario.scenario import Scenario
 
 from .. import policies
 from .ranking import Ranking
-from .sweep import Sweep
-from .sweep import rows_of as sweep_rows
-
-_COLUMNS = (
-    "policy",
-    "met %",
-    "cleanly % [95 %]",
-    "median s [95 %]",
-    "T/bound",
-    "path m",
-    "V rise",
-    "clear m",
-    "align",
-)
+from .sweep import Sweep, rows_of
 
 _ROUNDING = 1e-9  # m²/s, of V
 
 WIDTH = 118
 """Characters that the table needs; on a narrower terminal its lines wrap, and nothing is lost."""
 
+Row = Mapping[str, Any]
 
-def results_table(rows: Sequence[Mapping[str, Any]], scenarios: Mapping[str, Scenario]) -> Table:
+
+def _empty(*columns: str, **options: Any) -> Table:
+    """A table without lines; numbers stand to the right, and names in the first column."""
+    table = Table(box=None, header_style="bold", pad_edge=False, caption_justify="left", **options)
+    for number, column in enumerate(columns):
+        table.add_column(column, justify="right" if number else "left")
+    return table
+
+
+def _by_scenario(rows: Sequence[Row]) -> Iterator[tuple[str, list[Row]]]:
+    """Rows that stand together, under the name of their scenario as a heading."""
+    for name, own in groupby(rows, lambda row: row["scenario"]):
+        yield f"[bold]{escape(name)}[/bold]", list(own)
+
+
+def results_table(rows: Sequence[Row], scenarios: Mapping[str, Scenario]) -> Table:
     """The rows of results.csv for people.
 
     Args:
         rows: as ``statistics.summarise`` gives them.
         scenarios: by name; give the time limits.
     """
-    table = Table(
-        title="Policies on the same starts",
-        box=None,
-        header_style="bold",
-        pad_edge=False,
-        caption_justify="left",
-    )
-    for column in _COLUMNS:
-        table.add_column(column, justify="left" if column == "policy" else "right", no_wrap=True)
-    last = None
-    for row in rows:
-        if row["scenario"] != last:
-            last = row["scenario"]
-            count = row["episodes"]
-            starts = "one start" if count == 1 else f"{count} starts"
-            table.add_row(f"[bold]{escape(last)}[/bold], {starts}")
-        scenario = scenarios[row["scenario"]]
-        table.add_row(*_cells(row, scenario.max_steps * scenario.tau))
+    columns = ("policy", "met %", "cleanly % [95 %]", "median s [95 %]", "T/bound", "path m")
+    table = _empty(*columns, "V rise", "clear m", "align", title="Policies on the same starts")
+    for column in table.columns:
+        column.no_wrap = True
+    for heading, own in _by_scenario(rows):
+        scenario, count = scenarios[own[0]["scenario"]], own[0]["episodes"]
+        table.add_row(f"{heading}, {'one start' if count == 1 else f'{count} starts'}")
+        for row in own:
+            table.add_row(
+                f"  {escape(row['policy'])}",
+                f"{100 * row['success']:.0f}",
+                _percent(row["clean_success"], row["clean_low"], row["clean_high"]),
+                _time_cell(row, scenario.max_steps * scenario.tau),
+                _number(row["time_over_bound"], ".2g"),
+                _number(row["path_length"], ".1f"),
+                _rise(row["max_rise_between_merges"]),
+                _number(row["min_clearance"], ".2f"),
+                _number(row["min_alignment"], ".2f"),
+            )
     table.caption = (
         "median: time-outs count as later than the limit; T/bound, V rise, clear, align: the worst "
         "of all starts\nV rise: the largest in a step up to its first merge, m²/s; none: V fell in "
@@ -70,41 +76,25 @@ def results_table(rows: Sequence[Mapping[str, Any]], scenarios: Mapping[str, Sce
     return table
 
 
-def _cells(row: Mapping[str, Any], limit: float) -> tuple[str, ...]:
-    return (
-        f"  {escape(row['policy'])}",
-        f"{100 * row['success']:.0f}",
-        _percent(row["clean_success"], row["clean_low"], row["clean_high"]),
-        _time_cell(row, limit),
-        _number(row["time_over_bound"], ".2g"),
-        _number(row["path_length"], ".1f"),
-        _rise(row["max_rise_between_merges"]),
-        _number(row["min_clearance"], ".2f"),
-        _number(row["min_alignment"], ".2f"),
-    )
-
-
 def _rise(value: float) -> str:
     """Of V; a negative one says that V fell all the way."""
     return "none" if value <= _ROUNDING else f"{value:.2g}"
 
 
-def _percent(value: float, low: float, high: float) -> str:
+def _percent(value: float, low: float, high: float, style: str = ".0f") -> str:
     """A share with its interval, if it has one; – where it does not apply."""
     if value != value:
         return "–"
-    interval = f" [{100 * low:.0f}, {100 * high:.0f}]" if low == low else ""
-    return f"{100 * value:.0f}{interval}"
+    cells = [format(100 * number, style) for number in (value, low, high)]
+    return f"{cells[0]} [{cells[1]}, {cells[2]}]" if low == low else cells[0]
 
 
-def _time_cell(row: Mapping[str, Any], limit: float) -> str:
-    """Median and interval, if it has one; a time at the limit is later than it."""
+def _time_cell(row: Row, limit: float) -> str:
+    """Median and interval, if it has one."""
     median, low, high = (
-        f"> {limit:.3g}" if row[name] >= limit else f"{row[name]:.3g}"
-        for name in ("median_time", "time_low", "time_high")
+        _time(row[name], limit) for name in ("median_time", "time_low", "time_high")
     )
-    has_interval = row["time_low"] < limit
-    return f"{median} [{low}, {high}]" if has_interval else median
+    return f"{median} [{low}, {high}]" if row["time_low"] < limit else median
 
 
 def _number(value: float, style: str) -> str:
@@ -112,61 +102,35 @@ def _number(value: float, style: str) -> str:
     return "–" if value != value else format(value, "z" + style)
 
 
-def paired_table(rows: Sequence[Mapping[str, Any]]) -> Table:
+def paired_table(rows: Sequence[Row]) -> Table:
     """Rows of paired.csv for people: one policy against the others, start by start."""
-    table = Table(
+    table = _empty(
+        *("policy", "points", "better %"),
         title=f"Against {escape(rows[0]['against'])} on the same starts",
-        box=None,
-        header_style="bold",
-        pad_edge=False,
-        caption_justify="left",
         caption="points: of clean success; better: meeting cleanly and sooner on a start, a tie "
         "counts half; [95 % bootstrap intervals]",
     )
-    for column in ("policy", "points", "better %"):
-        table.add_column(column, justify="left" if column == "policy" else "right")
-    last = None
-    for row in rows:
-        if row["scenario"] != last:
-            last = row["scenario"]
-            table.add_row(f"[bold]{escape(last)}[/bold]")
-        ends = (
-            ("clean_difference_low", "clean_difference_high"),
-            ("improvement_low", "improvement_high"),
-        )
-        difference = [100 * row[name] for name in ("clean_difference", *ends[0])]
-        better = (row[name] for name in ("probability_of_improvement", *ends[1]))
-        table.add_row(f"  {escape(row['policy'])}", _points(*difference), _percent(*better))
+    for heading, own in _by_scenario(rows):
+        table.add_row(heading)
+        for row in own:
+            names = ("clean_difference", "clean_difference_low", "clean_difference_high")
+            points = _percent(*(row[name] for name in names), style="+z.1f")
+            names = ("probability_of_improvement", "improvement_low", "improvement_high")
+            better = _percent(*(row[name] for name in names))
+            table.add_row(f"  {escape(row['policy'])}", points, better)
     return table
 
 
-def _points(value: float, low: float, high: float) -> str:
-    """A difference in percentage points with its interval."""
-    if value != value:
-        return "–"
-    interval = f" [{low:+z.1f}, {high:+z.1f}]" if low == low else ""
-    return f"{value:+z.1f}{interval}"
-
-
-def ceiling_table(rows: Sequence[Mapping[str, Any]]) -> Table:
+def ceiling_table(rows: Sequence[Row]) -> Table:
     """The rows of ceiling.csv for people."""
-    table = Table(
-        title="What can be reached: by a planner, and by law (4), the best of its randomised runs",
-        box=None,
-        header_style="bold",
-        pad_edge=False,
-    )
     columns = ("planner cleanly %", "cleanly %", "met %", "mean run cleanly %", "never cleanly")
-    for column in ("scenario", "runs", *columns):
-        table.add_column(column, justify="left" if column == "scenario" else "right")
+    title = "What can be reached: by a planner, and by law (4), the best of its randomised runs"
+    table = _empty("scenario", "runs", *columns, title=title)
     for row in rows:
         names = ("clean_planner", "clean_best", "success_best", "clean_mean")
-        table.add_row(
-            row["scenario"],
-            str(row["runs"]),
-            *(_number(100 * row[name], ".1f") for name in names),
-            f"{row['never_clean']} of {row['episodes']}",
-        )
+        shares = (_number(100 * row[name], ".1f") for name in names)
+        never = f"{row['never_clean']} of {row['episodes']}"
+        table.add_row(row["scenario"], str(row["runs"]), *shares, never)
     return table
 
 
@@ -178,18 +142,13 @@ BEST, TIED = "*", "="
 
 def show_matrix(rankings: Sequence[Ranking], console: Console) -> None:
     """Print the matrix, in as many parts as the console is too narrow for, and its marks."""
-    for part in _parts(rankings, console.width):
-        console.print(_table(part))
+    names = max(len(name) for ranking in rankings for name in ranking.share)
+    room = console.width - min(names, console.width // 2)
+    columns = max(1, room // (_HEADING + _BETWEEN))
+    for first in range(0, len(rankings), columns):
+        console.print(_table(rankings[first : first + columns]))
     for note in _notes(rankings):
         console.print(note)
-
-
-def _parts(rankings: Sequence[Ranking], width: int) -> Iterator[Sequence[Ranking]]:
-    """As many scenarios beside each other as fit beside the policies' names."""
-    names = max(len(name) for ranking in rankings for name in ranking.share)
-    columns = max(1, (width - min(names, width // 2)) // (_HEADING + _BETWEEN))
-    for first in range(0, len(rankings), columns):
-        yield rankings[first : first + columns]
 
 
 def _table(rankings: Sequence[Ranking]) -> Table:
@@ -200,14 +159,9 @@ def _table(rankings: Sequence[Ranking]) -> Table:
         table.add_column(Text(name), justify="right", vertical="bottom", min_width=5)
     shown = dict.fromkeys(name for ranking in rankings for name in ranking.share)
     table.add_row("starts", *(Text(str(ranking.starts)) for ranking in rankings), style="dim")
-    for name in sorted(shown, key=_order):
+    for name in sorted(shown, key=lambda name: policies.kind_of(name) == "privileged"):
         table.add_row(escape(name), *(_cell(ranking, name) for ranking in rankings))
     return table
-
-
-def _order(name: str) -> int:
-    """References last; the others stay as they were asked for."""
-    return int(policies.kind_of(name) == "privileged")
 
 
 def _cell(ranking: Ranking, name: str) -> RenderableType:
@@ -240,38 +194,30 @@ def _notes(rankings: Sequence[Ranking]) -> Iterator[str]:
             f"{', '.join(references)}: reference, knows the map and all positions; what it passes "
             "cleanly is possible"
         )
-    if through := [ranking.scenario for ranking in rankings if _unknown(ranking)]:
+    through = [one.scenario for one in rankings if np.isnan(list(one.share.values())).any()]
+    if through:
         yield f"– in {', '.join(through)}: robots pass through obstacles, nothing is clean or not"
-
-
-def _unknown(ranking: Ranking) -> bool:
-    return any(value != value for value in ranking.share.values())
 
 
 def show_sweeps(sweeps: Sequence[Sweep], rows: Sequence[dict[str, Any]], console: Console) -> None:
     """Print a table for each sweep: clean success and median time of each policy and level."""
     for sweep in sweeps:
-        own = sweep_rows(sweep, rows)
+        own, limit = rows_of(sweep, rows), sweep.base.max_steps * sweep.base.tau
         title = f"{sweep.base.name}: {sweep.field}, {own[0]['episodes']} starts"
         console.print(f"[bold]{escape(title)}[/bold]; met cleanly %, median s")
-        console.print(_sweep_table(sweep, own))
+        table = _empty("policy", *sweep.labels)
+        for policy in dict.fromkeys(row["policy"] for row in own):
+            levels = (row for row in own if row["policy"] == policy)
+            table.add_row(escape(policy), *(_sweep_cell(row, limit) for row in levels))
+        console.print(table)
         console.print()
-
-
-def _sweep_table(sweep: Sweep, rows: Sequence[dict[str, Any]]) -> Table:
-    table = Table(box=None, header_style="bold", pad_edge=False)
-    table.add_column("policy")
-    for level in sweep.labels:
-        table.add_column(level, justify="right")
-    limit = sweep.base.max_steps * sweep.base.tau
-    for policy in dict.fromkeys(row["policy"] for row in rows):
-        own = [row for row in rows if row["policy"] == policy]
-        table.add_row(escape(policy), *(_sweep_cell(row, limit) for row in own))
-    return table
 
 
 def _sweep_cell(row: dict[str, Any], limit: float) -> str:
     value = row["success"] if math.isnan(row["clean_success"]) else row["clean_success"]
-    median = row["median_time"]
-    time = f"> {limit:.3g}" if median >= limit else f"{median:.3g}"
-    return f"{percent(value, row['episodes'])}, {time}"
+    return f"{percent(value, row['episodes'])}, {_time(row['median_time'], limit)}"
+
+
+def _time(seconds: float, limit: float) -> str:
+    """A time at the limit is later than it."""
+    return f"> {limit:.3g}" if seconds >= limit else f"{seconds:.3g}"

@@ -8,8 +8,7 @@ certified runs passed cleanly is an estimate, from below, of what any heading po
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import closing
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, NamedTuple
@@ -21,19 +20,14 @@ from rendezvous_env.baselines.obstacle_rules.obstacle_avoidance import (
     tangent_joined_heading,
 )
 from rendezvous_env.baselines.references import privileged_planner
-from rich.console import Console
 
 from rendezvous_env import baselines
 from rendezvous_env.scenario.scenario import Scenario
 from rendezvous_env.trajectory import Policy
 
-from .. import results
-from ..resume import Part
-from ..tasks import each
-from . import tables
 from .evaluation import counts_contacts, play
-from .playing import progress
-from .settings import Config, Job
+from .playing import Task
+from .settings import Config
 
 MIN_ALIGNMENT = 0.05
 """ε of every run."""
@@ -42,32 +36,6 @@ _SPREADS = (0.3, 0.6, 1.0)  # rad; of the bias that a robot keeps for an episode
 _WANDER = 0.3
 """Spread of the bias that comes and goes, as a share of the one that stays."""
 _WANDER_TIME = 1.0  # s
-
-
-@dataclass(frozen=True)
-class UpperBound:
-    """What R runs did on N starts."""
-
-    success: NDArray[np.bool_]
-    """(R, N), whether all met."""
-    clean: NDArray[np.bool_]
-    """(R, N), whether they met without touching an obstacle."""
-    planned: NDArray[np.bool_]
-    """(N,), whether the planner passed cleanly; (0,) where it steers no such robots."""
-
-    def row(self, scenario: Scenario) -> dict[str, Any]:
-        """One row of ceiling.csv."""
-        return {
-            "scenario": scenario.name,
-            "episodes": self.clean.shape[1],
-            "runs": len(self.clean),
-            "clean_planner": float(self.planned.mean()) if self.planned.size else math.nan,
-            "clean_best": float(self.clean.any(axis=0).mean()),
-            "success_best": float(self.success.any(axis=0).mean()),
-            "clean_mean": float(self.clean.mean()),
-            "never_clean": int((~self.clean.any(axis=0)).sum()),
-            "never_met": int((~self.success.any(axis=0)).sum()),
-        }
 
 
 COLUMNS = (
@@ -85,6 +53,18 @@ COLUMNS = (
 starts that no run passed cleanly, or at all."""
 
 
+class Run(NamedTuple):
+    """What one run did on N starts."""
+
+    number: int | None
+    """Of which all that is random follows; the first is the joined rule with nothing random but its
+    clearance. None is the planner."""
+    success: NDArray[np.bool_]
+    """(N,), whether all met."""
+    clean: NDArray[np.bool_]
+    """(N,), whether they met without touching an obstacle."""
+
+
 def applies(scenario: Scenario) -> bool:
     """Whether there is anything to steer around: single integrators among obstacles that stop
     them.
@@ -92,63 +72,49 @@ def applies(scenario: Scenario) -> bool:
     return "tangent-joined" in baselines.names(scenario) and counts_contacts(scenario)
 
 
-class Run(NamedTuple):
-    """What one run did on N starts."""
-
-    success: NDArray[np.bool_]
-    """(N,), whether all met."""
-    clean: NDArray[np.bool_]
-    """(N,), whether they met without touching an obstacle."""
-
-
-@dataclass(frozen=True)
-class Task:
-    """One run on one scenario."""
-
-    scenario: Scenario
-    """Single integrators among obstacles."""
-    run: int
-    """Its number, of which all that is random follows; the first is the joined rule with nothing
-    random but its clearance. PLANNER is no run of law (4), but the planner's."""
-    episodes: int
-    """N."""
-    seed: int
-    """Of the first start."""
+def play_run(scenario: Scenario, number: int | None, episodes: int, seed: int) -> Run:
+    """Play a run on the starts that follow from ``seed``."""
+    make: Callable[[], Policy] = partial(baselines.make, privileged_planner.NAME, scenario)
+    if number is not None:
+        spread = _SPREADS[number % 3] if number else 0.0
+        make = partial(randomised, scenario, seed=number, spread=spread)
+    margin = None if number is None else MIN_ALIGNMENT
+    done, _ = play(scenario, make, margin=margin, episodes=episodes, seed=seed)
+    return Run(number, done.success, done.clean == 1)
 
 
-PLANNER = -1
-
-
-def tasks_of(scenario: Scenario, runs: int, *, episodes: int, seed: int) -> list[Task]:
-    """R runs on the starts that follow from ``seed``, and the planner's where it fits."""
+def tasks_of(scenario: Scenario, config: Config) -> list[Task]:
+    """So many runs of law (4) as are asked for, and the planner's where it fits."""
     fits = privileged_planner.NAME in baselines.names(scenario)
-    numbers = (*range(runs), *((PLANNER,) if fits else ()))
-    return [Task(scenario, run, episodes, seed) for run in numbers]
+    starts = config.starts(scenario)
+    return [
+        Task(
+            name=f"upper-bound-{scenario.name}-{'planner' if run is None else f'{run:04d}'}",
+            label=f"{scenario.name} · best of {config.ceiling}",
+            scenario=scenario,
+            count=starts,
+            work=partial(play_run, scenario, run, starts, config.seed),
+        )
+        for run in (*range(config.ceiling), *([None] if fits else []))
+    ]
 
 
-def play_run(task: Task) -> Run:
-    """Play a run."""
-    scenario, run = task.scenario, task.run
-    make: Callable[[], Policy]
-    if run == PLANNER:
-        make, margin = partial(baselines.make, privileged_planner.NAME, scenario), None
-    else:
-        spread = _SPREADS[run % 3] if run else 0.0
-        make = partial(randomised, scenario, seed=run, spread=spread)
-        margin = MIN_ALIGNMENT
-    done, _ = play(scenario, make, margin=margin, episodes=task.episodes, seed=task.seed)
-    return Run(done.success, done.clean == 1)
-
-
-def joined(runs: Mapping[Task, Run]) -> UpperBound:
-    """What all runs on one scenario say."""
-    own = [run for task, run in runs.items() if task.run != PLANNER]
-    planned = [run.clean for task, run in runs.items() if task.run == PLANNER]
-    return UpperBound(
-        success=np.array([run.success for run in own]),
-        clean=np.array([run.clean for run in own]),
-        planned=planned[0] if planned else np.zeros(0, np.bool_),
-    )
+def row_of(scenario: Scenario, runs: Sequence[Run]) -> dict[str, Any]:
+    """The row of ceiling.csv that tells of all runs on a scenario."""
+    own = [run for run in runs if run.number is not None]
+    planned = [run.clean.mean() for run in runs if run.number is None]
+    clean, success = np.array([run.clean for run in own]), np.array([run.success for run in own])
+    return {
+        "scenario": scenario.name,
+        "episodes": clean.shape[1],
+        "runs": len(own),
+        "clean_planner": float(planned[0]) if planned else math.nan,
+        "clean_best": float(clean.any(axis=0).mean()),
+        "success_best": float(success.any(axis=0).mean()),
+        "clean_mean": float(clean.mean()),
+        "never_clean": int((~clean.any(axis=0)).sum()),
+        "never_met": int((~success.any(axis=0)).sum()),
+    }
 
 
 def randomised(scenario: Scenario, *, seed: int, spread: float) -> CertifiedHeadingPolicy:
@@ -207,46 +173,3 @@ def _not_against(headings: NDArray[np.float64], f: NDArray[np.float64]) -> NDArr
     square = np.maximum(np.sum(f * f, axis=-1, keepdims=True), np.finfo(float).tiny)
     against = np.minimum(np.sum(headings * f, axis=-1, keepdims=True), 0.0)
     return headings - against / square * f
-
-
-def play_upper_bounds(
-    part: Part, jobs: Sequence[Job], config: Config, console: Console
-) -> list[str]:
-    """Estimate what can be reached in each scenario with obstacles; a table and ceiling.csv.
-
-    Returns:
-        Names of the files.
-    """
-    scenarios = dict.fromkeys(job.scenario for job in jobs if applies(job.scenario))
-    tasks = [
-        task
-        for scenario in scenarios
-        for task in tasks_of(
-            scenario, config.ceiling, episodes=config.starts(scenario), seed=config.seed
-        )
-    ]
-    names = {task: f"upper-bound-{task.scenario.name}-{task.run:04d}" for task in tasks}
-    found = {task: part.load(name) for task, name in names.items()}
-    left = [task for task in tasks if found[task] is None]
-    runs = each(play_run, left, config.workers)
-    with progress(console) as shown, closing(runs):
-        done = len(tasks) - len(left)
-        bar = shown.add_task("best of many", total=len(tasks), completed=done)
-        for number, run in runs:
-            found[left[number]] = run
-            part.save(names[left[number]], run)
-            name = f"{left[number].scenario.name} · best of {config.ceiling}".ljust(40)
-            shown.update(bar, advance=1, description=name)
-    rows = [joined(_of(found, scenario.name)).row(scenario) for scenario in scenarios]
-    results.write_csv(part.folder / "ceiling.csv", COLUMNS, rows)
-    console.print(tables.ceiling_table(rows))
-    return ["ceiling.csv"]
-
-
-def _of(found: dict[Task, Run | None], scenario: str) -> dict[Task, Run]:
-    """The runs on one scenario."""
-    return {
-        task: run
-        for task, run in found.items()
-        if run is not None and task.scenario.name == scenario
-    }

@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rendezvous_env.obstacles.obstacle_set import balls, outlines
-from rendezvous_env.render.facing import facing
 from rendezvous_env.render.palette import OBSTACLE_EDGE, code
+from rendezvous_env.render.scene import ended, facing, in_contact, shapes, ways
 from rendezvous_env.scenario.scenario import Scenario
 
 from ..recording import Recording
@@ -50,7 +49,7 @@ def trajectories_figure(scenario: Scenario, recordings: Mapping[str, Recording])
         met = recording["active"][-1].sum() == 1
         end = f"met after {recording['times'][-1]:.1f} s" if met else "time out"
         contacts = int(recording["contacts"][-1].sum())
-        touched = f", {contacts} contact{'s' if contacts > 1 else ''}" if contacts else ""
+        touched = f"\n{in_contact(contacts)}" if contacts else ""
         axes.set_title(f"{name}\n{end}{touched}", fontsize=SMALL, color=policy_colour(name))
         axes.locator_params(nbins=4)
         axes.tick_params(length=2)
@@ -82,17 +81,15 @@ def draw_paths(axes: Any, recording: Mapping[str, NDArray[Any]], scenario: Scena
     flat = scenario.dim == 2
     size = 0.1 * np.ptp(positions, axis=(0, 1)).max()
     (_draw_obstacles if flat else _draw_spheres)(axes, recording["obstacles"])
-    for robot in range(positions.shape[1]):
+    for robot, path in enumerate(ways(positions, active)):
         colour = ROBOT_COLOURS[robot % len(ROBOT_COLOURS)]
-        last = int(active[:, robot].sum()) + 1  # one frame more: to where it merged
-        path = positions[:last, robot]
         axes.plot(*path.T, color=colour, zorder=3)
         axes.plot(*path[:1].T, "o", color=colour, markersize=4, zorder=4)
         if scenario.model.n_angles:
-            along = size * facing(recording["headings"][:last, robot], scenario.dim)
+            along = size * facing(recording["headings"][: len(path), robot], scenario.dim)
             _draw_headings(axes, path, along)
-    for frame, robot in np.argwhere(active[:-1] & ~active[1:]):
-        axes.plot(*positions[frame + 1, robot][:, None], "x", color=BLACK, markersize=4, zorder=5)
+    for frame, robot in ended(active):
+        axes.plot(*positions[frame, robot][:, None], "x", color=BLACK, markersize=4, zorder=5)
     axes.set_aspect("equal", adjustable="box" if flat else "datalim")
 
 
@@ -112,7 +109,7 @@ def _draw_headings(axes: Any, path: NDArray[np.float64], arrows: NDArray[np.floa
 def _draw_obstacles(axes: Axes, obstacles: NDArray[np.float64]) -> None:
     from matplotlib.patches import Circle, Polygon
 
-    for (x, y), radius, vertices in outlines(obstacles):
+    for (x, y), radius, vertices in shapes(obstacles, 2):
         shape = Polygon(vertices) if len(vertices) else Circle((x, y), radius)
         shape.set(facecolor=ORANGE, edgecolor=code(OBSTACLE_EDGE), linewidth=0.8, zorder=1)
         axes.add_patch(shape)
@@ -121,7 +118,7 @@ def _draw_obstacles(axes: Axes, obstacles: NDArray[np.float64]) -> None:
 def _draw_spheres(axes: Any, obstacles: NDArray[np.float64]) -> None:
     around, down = np.mgrid[0 : 2 * math.pi : 25j, 0 : math.pi : 13j]
     ball = np.stack([np.cos(around) * np.sin(down), np.sin(around) * np.sin(down), np.cos(down)])
-    for centre, radius in balls(obstacles):
+    for centre, radius, _ in shapes(obstacles, 3):
         surface = centre[:, None, None] + radius * ball
         axes.plot_surface(*surface, color=ORANGE, alpha=0.55, linewidth=0)
 

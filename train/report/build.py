@@ -13,11 +13,10 @@ from string import Template
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.console import Console
 from tyro.conf import Positional
 
-from rendezvous_env.obstacles.obstacle_set import balls, outlines
+from rendezvous_env.render.scene import outermost, shapes
 from rendezvous_env.scenario.scenario import Scenario
 
 from ..checks import UserError
@@ -123,8 +122,14 @@ def _data(
     entries, worlds = [], dict[tuple[str, int], list[dict[str, Any]]]()
     recordings = found.recordings.items()
     for ((scenario, policy, start), recording), one in zip(recordings, encoded, strict=True):
-        table = recording["obstacles"]
-        worlds.setdefault((scenario, start), list(_obstacles(table, found.scenarios[scenario])))
+        table, positions = recording["obstacles"], recording["positions"]
+        if (scenario, start) not in worlds:
+            worlds[scenario, start] = [
+                {"centre": shape.centre.tolist(), "radius": shape.radius}
+                | {"vertices": shape.vertices.tolist()}
+                for shape in shapes(table, positions.shape[-1])
+            ]
+        points = outermost(positions, table)
         entries.append(
             {
                 "scenario": scenario,
@@ -133,6 +138,7 @@ def _data(
                 "fields": [list(field.values()) for field in one.fields],
                 "stride": one.stride,
                 "obstacles": list(worlds).index((scenario, start)),
+                "extent": np.stack([points.min(axis=0), points.max(axis=0)], axis=1).tolist(),
                 "outcome": {name: outcomes[scenario, policy, start][name] for name in _OUTCOME},
             }
         )
@@ -167,20 +173,6 @@ def _scenario(scenario: Scenario) -> dict[str, Any]:
         "obstacle_slots": layout.obstacle_slots,
         "silhouette_points": layout.silhouette_points,
     }
-
-
-def _obstacles(packed: NDArray[np.float64], scenario: Scenario) -> Iterator[dict[str, Any]]:
-    """Centres, radii and corners, m, of the obstacles of one start."""
-    if scenario.dim == 2:
-        for centre, radius, vertices in outlines(packed):
-            yield {
-                "centre": centre.tolist(),
-                "radius": radius,
-                "vertices": vertices.tolist(),
-            }
-    else:
-        for centre, radius in balls(packed):
-            yield {"centre": centre.tolist(), "radius": radius, "vertices": []}
 
 
 # ---- words --------------------------------------------------------------------------------------

@@ -5,20 +5,11 @@ const CONTACT_S = 0.25; // how long a contact is shown
 
 /** Box of all robots and obstacles of these recordings, [[low, high], …] for each axis, with room. */
 function boundsOf(recordings) {
-  const dim = recordings[0].shape.positions[2];
-  const bounds = Array.from({ length: dim }, () => [Infinity, -Infinity]);
-  const take = (axis, value) => {
-    const range = bounds[axis];
-    range[0] = Math.min(range[0], value);
-    range[1] = Math.max(range[1], value);
-  };
-  for (const { positions, obstacles } of recordings) {
-    for (let at = 0; at < positions.length; at++) take(at % dim, positions[at]);
-    for (const { centre, radius, vertices } of obstacles)
-      for (const place of vertices.length ? vertices : [centre])
-        for (const side of vertices.length ? [0] : [-radius, radius])
-          place.forEach((value, axis) => take(axis, value + side));
-  }
+  const [first, ...others] = recordings.map(({ extent }) => extent);
+  const bounds = first.map(([low, high], axis) => [
+    Math.min(low, ...others.map((extent) => extent[axis][0])),
+    Math.max(high, ...others.map((extent) => extent[axis][1])),
+  ]);
   const room = 0.08 * Math.max(1, ...bounds.map(([low, high]) => high - low));
   return bounds.map(([low, high]) => [low - room, high + room]);
 }

@@ -1,0 +1,254 @@
+"""Pictures show what the data say: colours stand where the robots and the obstacles are."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from conftest import MODELS, five
+from drawing import at, drawn, near, still
+
+import baselines
+import rendezvous_env as rv
+from rendezvous_env.obstacles.obstacle_set import pack
+from rendezvous_env.render.camera import Area, fit, nice_step
+from rendezvous_env.render.palette import OBSTACLE, ROBOTS, robot_colour
+from rendezvous_env.render.scene import ended, in_contact, outermost, shapes, ways
+from train.figures import path_figures, reproduce
+
+STRIP = 600 - 118
+"""First row of pixels of the strip of V(t)."""
+
+
+def test_each_robot_has_its_colour_where_it_is(kind):
+    env, _ = drawn(five(kind))
+    law = {name: np.full(env.action_space(name).shape, 0.4, np.float32) for name in env.agents}
+    for _ in range(5):
+        env.step(law)
+    frame = env.render()
+    assert frame.shape == (600, 600, 3) and frame.dtype == np.uint8
+    places = env.renderer.pixels(env.simulator.positions[0])
+    assert [at(frame, place) for place in places] == [list(c) for c in ROBOTS[:5]]
+
+
+def test_obstacles_are_orange_where_the_data_say():
+    env, frame = drawn("fig4")
+    disc, _, polygon = env.scenario.obstacles
+    for inside in (disc.centre, polygon.centroid):
+        assert at(frame, env.renderer.pixels(np.array(inside))) == list(OBSTACLE)
+    for angle in np.linspace(0.0, 6.0, 12):
+        along = np.array([np.cos(angle), np.sin(angle)])
+        edge = np.array(disc.centre) + (disc.radius - 0.06) * along
+        assert near(frame, env.renderer.pixels(edge), OBSTACLE, 0) == 1
+        beyond = np.array(disc.centre) + (disc.radius + 0.06) * along
+        assert near(frame, env.renderer.pixels(beyond), OBSTACLE, 0) == 0
+
+
+def test_a_sphere_is_orange_and_hides_what_is_behind():
+    positions = np.array([[2.0, 0.0, 0.0], [-2.0, 0.0, 0.0], [0.0, 0.0, 2.5]])
+    scenario = rv.Scenario(n_robots=3, dim=3, obstacles=(rv.Sphere((0.0, 0.0, 0.0), 1.0),))
+    camera = fit(positions, pack(scenario.obstacles, 1), Area(0, 0, 600, 450), 18)
+    behind, before = -1.5 * camera.back, 1.5 * camera.back
+    points = np.array([behind, before, positions[2]])
+    hidden = camera.hidden(points, pack(scenario.obstacles, 1))
+    assert hidden.tolist() == [True, False, False]
+    env, frame = drawn(scenario, options={"positions": np.array([behind, before, [0, 0, 2.5]])})
+    places = env.renderer.pixels(env.simulator.positions[0])
+    assert at(frame, places[1]) == list(ROBOTS[1])
+    assert np.abs(np.subtract(at(frame, places[0]), ROBOTS[0])).max() > 60
+    right = env.renderer.pixels(0.8 * camera.right)
+    assert near(frame, right, (233, 171, 31), 3) > 40  # orange through which white shines
+
+
+def test_axes_are_equal():
+    env, _ = drawn("fig3")
+    origin, x, y = env.renderer.pixels(np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]))
+    assert x - origin == pytest.approx([(x - origin)[0], 0.0], abs=1e-9)
+    assert y - origin == pytest.approx([0.0, -(x - origin)[0]], abs=1e-9)
+
+
+def test_space_is_seen_in_perspective():
+    camera = fit(np.eye(3) * 4, np.zeros((0, 5)), Area(0, 0, 600, 400), 20)
+    assert (
+        camera.nearness(camera.centre + camera.back)
+        > 1
+        > camera.nearness(camera.centre - camera.back)
+    )
+    up = camera.directions(camera.centre, np.array([0.0, 0.0, 1.0]))
+    assert up[0] == pytest.approx(0.0, abs=1e-9) and -1 < up[1] < -0.8
+    assert camera.directions(camera.centre, camera.back) == pytest.approx([0, 0], abs=1e-9)
+
+
+@pytest.mark.parametrize("kind", MODELS)
+def test_everything_at_the_start_is_within_the_picture(kind):
+    env, _ = drawn(five(kind))
+    places = env.renderer.pixels(env.simulator.positions[0])
+    assert (places >= 0).all() and (places[:, 0] < 600).all() and (places[:, 1] < STRIP).all()
+
+
+def test_a_robot_that_moves_leaves_a_path_and_the_view_stays():
+    env, before = drawn("fig3", local_frames="global")
+    fixed = np.array([[-1.0, 2.0], [3.0, 0.5]])
+    view, start = env.renderer.pixels(fixed), env.simulator.positions[0].copy()
+    for _ in range(20):
+        env.step(still(env) | {"robot_0": np.array([1.0, 0.0], np.float32)})
+    after = env.render()
+    assert np.array_equal(env.renderer.pixels(fixed), view)
+    assert at(before, env.renderer.pixels(start[0])) == list(ROBOTS[0])
+    assert near(after, env.renderer.pixels(start[0]), ROBOTS[0], 1) == 0
+    moved = env.simulator.positions[0, 0]
+    assert np.linalg.norm(moved - start[0]) > 0.5
+    path = at(after, env.renderer.pixels((start[0] + moved) / 2))
+    assert path[2] > path[0] + 40  # a bluish line half way
+    assert at(after, env.renderer.pixels(start[1])) == list(ROBOTS[1])
+
+
+def test_headings_and_bearings_stick_out_of_a_robot():
+    scenario = rv.Scenario(n_robots=2, robot_model="unicycle")
+    options = {"positions": [[0.0, 0.0], [4.0, 0.0]], "headings": [np.pi / 2, 0.0]}
+    env, frame = drawn(scenario, options=options)
+    place = env.renderer.pixels(np.zeros(2))
+    up, right = np.array([0, -10]), np.array([18, 0])
+    nose = np.array(at(frame, place + up))
+    assert nose.max() < 160 and at(frame, place - up) != nose.tolist()
+    assert near(frame, place + right, ROBOTS[0], 3) > 3  # its bearing points to the other
+    assert near(frame, place - right, ROBOTS[0], 3) == 0
+
+
+def test_who_senses_whom_is_joined_by_a_line():
+    path = np.array([[0, 1.0, 0], [1.0, 0, 1.0], [0, 1.0, 0]])
+    scenario = rv.Scenario(n_robots=3, graph=path)
+    options = {"positions": [[-3.1, 0.0], [0.0, 4.1], [3.1, 0.0]]}
+    env, frame = drawn(scenario, options=options)
+    positions = env.simulator.positions[0]
+    middles = [env.renderer.pixels((positions[i] + positions[j]) / 2) for i, j in ((0, 1), (0, 2))]
+    assert near(frame, middles[0], (205, 205, 205), 1) > 0
+    assert near(frame, middles[1], (205, 205, 205), 1) == 0
+
+
+def test_a_merge_leaves_a_cross_and_a_number():
+    options = {"positions": [[0.0, 0.0], [0.3, 0.0], [4.0, 4.0]]}
+    env, _ = drawn(rv.Scenario(n_robots=3), options=options)
+    to_the_other = {"robot_0": 0.0, "robot_1": -1.0, "robot_2": 0.0}
+    frames = env.simulator.frames[0]
+    while env.simulator.active.all():
+        away = np.array([[to_the_other[f"robot_{i}"], 0.0] for i in range(3)])
+        local = np.einsum("nij,ni->nj", frames, away).astype(np.float32)
+        env.step({name: local[env.index(name)] for name in env.agents})
+    merged_at = env.simulator.positions[0, 0].copy()
+    up = (frames[0].T @ np.array([0.0, 1.0])).astype(np.float32)
+    for _ in range(60):
+        env.step(still(env) | {"robot_0": up})
+    frame = env.render()
+    black = near(frame, env.renderer.pixels(merged_at), (0, 0, 0), 5)
+    assert black > 4
+    survivor = env.renderer.pixels(env.simulator.positions[0, 0])
+    assert near(frame, survivor, (255, 255, 255), 3) > 3  # the 2
+    assert near(frame, survivor, ROBOTS[0], 6) > 40
+
+
+def test_a_contact_is_ringed_and_stays_marked():
+    scenario = rv.Scenario(
+        n_robots=2, obstacles=(rv.Disc((0.0, 0.0), 1.0),), local_frames="global", max_speed=1.0
+    )
+    env, _ = drawn(scenario, options={"positions": [[-1.5, 0.0], [3.0, 3.0]]})
+    ahead = np.array([1.0, 0.0], np.float32)
+    while env.simulator.contacts[0] == 0:
+        env.step(still(env) | {"robot_0": ahead})
+    touching = env.renderer.pixels(env.simulator.positions[0, 0])
+    assert near(env.render(), touching, (0, 0, 0), 11) > 20
+    for _ in range(6):
+        env.step(still(env) | {"robot_0": -ahead})
+    frame = env.render()
+    assert near(frame, touching, (0, 0, 0), 6) > 8
+    assert near(frame, env.renderer.pixels(env.simulator.positions[0, 0]), (0, 0, 0), 11) == 0
+
+
+def test_the_strip_shows_v_falling():
+    env = rv.parallel_env("duo", render_mode="rgb_array")
+    policy = baselines.make("bearing-only", env.scenario)
+    observations, _ = env.reset(seed=0)
+    heights = []
+    for _ in range(2):
+        for _ in range(12):
+            actions = {name: policy(observations[name], 0.0) for name in env.agents}
+            observations, *_ = env.step(actions)
+        rows, columns = np.nonzero((env.render()[STRIP:] == ROBOTS[0]).all(axis=-1))
+        heights.append((columns.max(), rows[columns > columns.max() - 4].mean()))
+    assert heights[1][0] > heights[0][0] and heights[1][1] > heights[0][1]
+
+
+def test_colours_go_round_by_index():
+    assert robot_colour(7) == robot_colour(0) == ROBOTS[0]
+    assert len(set(ROBOTS)) == len(ROBOTS) and OBSTACLE not in ROBOTS
+
+
+def test_steps_of_a_grid_are_round():
+    assert [nice_step(span, 8) for span in (1.0, 9.0, 16.0, 20.0, 39.0)] == [0.2, 2, 2, 5, 5]
+
+
+# ---- capsules -----------------------------------------------------------------------------------
+
+LOG = rv.Capsule(((-2.0, -1.0), (2.0, 1.0)), 0.5)
+BEAM = rv.Capsule(((-2.0, -1.0, 0.0), (2.0, 1.0, 1.0)), 0.5)
+STARTS = {2: [[0.0, 3.0], [0.5, -3.0]], 3: [[0.0, 3.0, 0.0], [0.5, -3.0, 0.0]]}
+
+
+def beside(capsule):
+    """Two robots and a capsule; what sets their start."""
+    scenario = rv.Scenario(n_robots=2, dim=capsule.dim, obstacles=(capsule,), time_limit=20.0)
+    return scenario, {"positions": STARTS[capsule.dim]}
+
+
+@pytest.mark.parametrize("capsule", [LOG, BEAM], ids=["plane", "space"])
+def test_a_capsule_is_drawn(capsule):
+    scenario, start = beside(capsule)
+    _, frame = drawn(scenario, options=start)
+    found = np.abs(frame.astype(int) - OBSTACLE).max(axis=-1) < 40
+    assert found.sum() > 500
+    if capsule is LOG:
+        rows, columns = np.nonzero(found)
+        # metres per pixel from the height of the shape, which is 3 m; its area is 4.472 · 1 + π/4
+        scale = 3.0 / (np.ptp(rows) + 1)
+        assert found.sum() * scale**2 == pytest.approx(2 * np.hypot(2, 1) + np.pi / 4, rel=0.05)
+        assert (np.ptp(columns) + 1) * scale == pytest.approx(5.0, rel=0.05)
+
+
+def test_a_very_thin_capsule_is_drawn_with_few_balls():
+    wire = rv.Capsule(((0.0, 0.0, 0.0), (9.0, 0.0, 0.0)), 0.001)
+    beads = shapes(pack((wire,), 1), 3)
+    assert len(beads) == 99 and beads[-1].centre.tolist() == [9.0, 0.0, 0.0]
+
+
+@pytest.mark.parametrize("capsule", [LOG, BEAM], ids=["plane", "space"])
+def test_a_figure_shows_a_capsule(capsule):
+    scenario, start = beside(capsule)
+    found = rv.rollout(scenario, baselines.make("tangent-joined", scenario), options=start)
+    recording = reproduce.one_team(found)
+    path_figures.team_figure(scenario, recording, "tangent-joined").canvas.draw()
+    parts = shapes(recording["obstacles"], scenario.dim)
+    if capsule is BEAM:
+        assert len(parts) > 10 and {part.radius for part in parts} == {0.5}
+        return
+    (part,) = parts
+    assert len(part.vertices) == 34 and part.centre.tolist() == [0.0, 0.0]
+    assert np.hypot(*part.vertices.T).max() == pytest.approx(np.hypot(2, 1) + 0.5)
+
+
+# ---- what every renderer draws ------------------------------------------------------------------
+
+
+def test_what_a_picture_has_to_hold():
+    table = pack((rv.Disc((3.0, 0.0), 1.0), rv.Polygon(((0, 0), (0, 5), (-2, 0)))), 2)
+    points = outermost(np.array([[0.0, -1.5]]), table)
+    assert points.min(axis=0).tolist() == [-2.0, -1.5] and points.max(axis=0).tolist() == [4.0, 5.0]
+
+
+def test_a_way_ends_where_its_robot_merges():
+    positions = np.arange(8.0).reshape(4, 2, 1)
+    active = np.array([[1, 1], [1, 1], [1, 0], [1, 0]], dtype=bool)
+    assert ended(active).tolist() == [[2, 1]]
+    assert [way.ravel().tolist() for way in ways(positions, active)] == [[0, 2, 4, 6], [1, 3, 5]]
+
+
+def test_contacts_are_told_in_robot_steps():
+    assert in_contact(1) == "1 robot-step in contact" and in_contact(0).startswith("0 robot-steps")

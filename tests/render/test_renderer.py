@@ -1,0 +1,249 @@
+"""One interface of pictures for every kind of environment; tiles of teams; the drawing library."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+import sys
+import warnings
+from types import ModuleType
+
+import gymnasium
+import numpy as np
+import pytest
+from drawing import at, drawn, still
+from gymnasium.utils.env_checker import check_env
+from gymnasium.wrappers.vector import RecordVideo
+from test_package import run_python
+
+import rendezvous_env as rv
+from rendezvous_env import rendezvous_v0
+from rendezvous_env.envs.gymnasium_env import make_env
+from rendezvous_env.render.palette import OBSTACLE, ROBOTS
+from rendezvous_env.render.renderer import MOST_TEAMS, Renderer
+from rendezvous_env.vector import HeadingVectorWrapper
+
+NAME = "rendezvous_env:rendezvous/Rendezvous-v0"
+MAKERS = {
+    "parallel": rv.parallel_env,
+    "aec": rendezvous_v0.env,
+    "raw": rendezvous_v0.raw_env,
+    "gymnasium": make_env,
+    "vector": rv.make_vec,
+}
+
+
+def forward(env, steps):
+    """An environment after some steps along x of each robot's own frame."""
+    for _ in range(steps):
+        env.step({name: np.ones(2, np.float32) for name in env.agents})
+    return env
+
+
+@pytest.mark.parametrize("make", MAKERS.values(), ids=MAKERS)
+class TestEveryKind:
+    def test_renders(self, make):
+        env = make("duo", render_mode="rgb_array")
+        env.reset(seed=0)
+        assert env.render_mode == "rgb_array"
+        picture = env.render()
+        assert (picture[0] if make is rv.make_vec else picture).shape == (600, 600, 3)
+        assert env.metadata["render_modes"] == ["human", "rgb_array"]
+        assert env.metadata["render_fps"] == round(1 / rv.scenarios.get("duo").tau)
+        env.close()
+
+    def test_refuses_an_unknown_mode_by_name(self, make):
+        with pytest.raises(ValueError, match="render_mode is 'ansi'; it must be None or one of"):
+            make("duo", render_mode="ansi")
+
+    def test_warns_without_a_mode(self, make):
+        env = make("duo")
+        env.reset(seed=0)
+        with pytest.warns(UserWarning, match="without a render mode"):
+            assert env.render() is None
+
+
+class TestPicture:
+    def test_before_the_first_reset_there_is_nothing_to_draw(self):
+        env = rv.parallel_env("duo", render_mode="rgb_array")
+        with pytest.raises(RuntimeError, match=r"call reset\(\) before render\(\)"):
+            env.render()
+        with pytest.raises(RuntimeError, match=r"call render\(\) before pixels\(\)"):
+            env.renderer.pixels(np.zeros(2))
+
+    def test_it_changes_neither_the_episode_nor_the_next_picture(self):
+        env, first = drawn("fig4", 3)
+        assert np.array_equal(env.render(), first)
+        first[:] = 0
+        assert env.render().max() == 255  # every picture belongs to its caller
+        bare = rv.parallel_env("fig4")
+        bare.reset(seed=0)
+        for _ in range(3):
+            bare.step(still(bare))
+        assert np.array_equal(bare.simulator.positions, env.simulator.positions)
+
+    def test_a_path_does_not_depend_on_how_often_it_is_drawn(self):
+        often, seldom = (drawn("fig3")[0] for _ in range(2))
+        for _ in range(15):
+            forward(often, 1).render()
+        assert np.array_equal(often.render(), forward(seldom, 15).render())
+
+    def test_a_new_episode_has_a_view_of_its_own(self):
+        env = rv.parallel_env("clutter-8", render_mode="rgb_array")
+        env.reset(seed=1)
+        forward(env, 1).render()
+        env.reset(seed=0)
+        assert np.array_equal(env.render(), drawn("clutter-8")[1])
+
+    def test_other_obstacles_at_the_same_start_are_seen(self):
+        env, _ = drawn(rv.scenarios.get("fig4").replace(obstacle_slots=3))
+        env.reset(seed=0, options={"obstacles": [rv.Disc((0.0, 0.0), 0.5)]})
+        frame = env.render()
+        assert at(frame, env.renderer.pixels(np.zeros(2))) == list(OBSTACLE)
+
+    def test_a_state_put_back_begins_a_new_path(self):
+        env, at_start = drawn("fig4")
+        state = env.get_state()
+        assert not np.array_equal(forward(env, 10).render(), at_start)
+        env.set_state(state)
+        assert np.array_equal(env.render(), at_start)
+
+    @pytest.mark.parametrize("duplicate", [copy.deepcopy, lambda e: pickle.loads(pickle.dumps(e))])
+    def test_copies_draw_the_same(self, duplicate):
+        env, frame = drawn("clutter-3d", 4)
+        twin = duplicate(env)
+        assert np.array_equal(twin.render(), frame)
+        twin.step(still(twin))
+        assert np.array_equal(env.render(), frame)
+
+    def test_a_wrapper_hands_it_on(self):
+        env = rv.HeadingVectorWrapper(rv.parallel_env("fig4", render_mode="rgb_array"))
+        env.reset(seed=0)
+        env.step({name: env.action_space(name).sample() for name in env.agents})
+        assert env.render().shape == (600, 600, 3) and env.render_mode == "rgb_array"
+        assert env.metadata["render_fps"] == round(1 / env.unwrapped.scenario.tau)
+
+    def test_other_sizes(self):
+        simulator = rv.Simulator(rv.scenarios.get("fig3"))
+        simulator.reset(0)
+        frame = Renderer(simulator, "rgb_array", size=(400, 320)).render()
+        assert frame.shape == (320, 400, 3)
+        assert (frame == OBSTACLE).all(axis=-1).sum() > 500
+
+    def test_gymnasium_is_content(self):
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            env = gymnasium.make(NAME, scenario="duo", render_mode="rgb_array")
+            env.reset(seed=0)
+            env.render()
+            check_env(env.unwrapped)
+
+    @pytest.mark.parametrize("scenario", ["duo", "uav-6"])
+    def test_pettingzoo_is_content(self, scenario):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # the suite's own imports are deprecated
+            from pettingzoo.test import render_test
+        render_test(lambda **options: rendezvous_v0.env(scenario, max_cycles=20, **options))
+        render_test(lambda **options: rendezvous_v0.raw_env(scenario, max_cycles=20, **options))
+
+
+class TestTile:
+    def test_each_team_has_its_place(self):
+        venv = rv.make_vec("clutter-4", num_envs=4, render_mode="rgb_array")
+        venv.reset(seed=0)
+        before = venv.renderer.render()
+        for team, (y, x) in enumerate([(0, 0), (0, 300), (300, 0), (300, 300)]):
+            part = before[y : y + 300, x : x + 300]
+            assert np.array_equal(venv.render()[team], part)
+            places = venv.renderer.pixels(venv.simulator.positions[team], team)
+            assert ((places > (x, y)) & (places < (x + 300, y + 300))).all()
+            assert [at(before, place) for place in places] == [list(c) for c in ROBOTS[:4]]
+            assert (part == OBSTACLE).all(axis=-1).sum() > 200
+        actions = np.zeros((4, 4, 2), np.float32)
+        actions[2] = 1.0
+        for _ in range(8):
+            venv.step(actions)
+        changed = (venv.renderer.render() != before).any(axis=-1)
+        pictures = [changed[y + 21 : y + 298, x + 2 : x + 298] for y in (0, 300) for x in (0, 300)]
+        assert [bool(part.any()) for part in pictures] == [False, False, True, False]
+
+    def test_of_many_teams_the_first_are_shown(self):
+        few, many = (
+            rv.make_vec("duo", num_envs=count, render_mode="rgb_array")
+            for count in (MOST_TEAMS, 3 * MOST_TEAMS)
+        )
+        for venv in (few, many):
+            venv.reset(seed=5)
+        assert np.array_equal(few.renderer.render(), many.renderer.render())
+        first, rest = many.render()[:MOST_TEAMS], many.render()[MOST_TEAMS:]
+        assert np.array_equal(first, few.render()) and len(rest) == 2 * MOST_TEAMS
+        assert all(part.min() == 255 and part.shape == first[0].shape for part in rest)
+
+    @pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
+    def test_a_team_that_begins_anew_has_no_old_path(self, mode):
+        """As if the renderer had looked for the first time after the last beginning."""
+        scenario = rv.scenarios.get("clutter-4").replace(time_limit=0.2)
+        venv = rv.make_vec(scenario, num_envs=4, autoreset_mode=mode, render_mode="rgb_array")
+        venv.reset(seed=0)
+        while venv.simulator.steps[0] or not venv.simulator.get_state()["episode"][0]:
+            venv.step(np.ones((4, 4, 2), np.float32))
+        fresh = Renderer(venv.simulator, "rgb_array")
+        assert np.array_equal(venv.renderer.render(), fresh.render())
+
+    def test_the_vector_wrapper_shows_every_base_step(self):
+        bare = rv.make_vec("fig4", num_envs=2, render_mode="rgb_array")
+        venv = HeadingVectorWrapper(bare, decision_period=5)
+        venv.reset(seed=0)
+        seen, see = [], bare.renderer.see
+        bare.renderer.see = lambda contact: seen.append(contact) or see(contact)
+        venv.step(venv.action_space.sample())
+        assert len(seen) == 5
+        assert [part.shape for part in venv.render()] == [(600, 300, 3)] * 2
+        assert venv.metadata["render_fps"] == round(bare.metadata["render_fps"] / 5)
+
+    @pytest.mark.parametrize("first_only", [False, True])
+    def test_gymnasium_records_films_of_teams(self, first_only, tmp_path, monkeypatch):
+        """All but the last step, which makes a file of the frames."""
+        films = []
+
+        class Clip:
+            def __init__(self, frames, fps):
+                films.append((np.stack(frames), fps))
+
+            def write_videofile(self, path, logger):
+                assert path.endswith(".mp4")
+
+        writer = ModuleType("moviepy.video.io.ImageSequenceClip")
+        writer.ImageSequenceClip = Clip
+        for name in ("moviepy", "moviepy.video", "moviepy.video.io"):
+            monkeypatch.setitem(sys.modules, name, ModuleType(name))
+        monkeypatch.setitem(sys.modules, writer.__name__, writer)
+        venv = rv.make_vec("duo", num_envs=4, render_mode="rgb_array")
+        options = {"record_first_only": first_only, "disable_logger": True}
+        film = RecordVideo(venv, str(tmp_path / "films"), video_length=6, **options)
+        film.reset(seed=0)
+        part = venv.renderer.render()[:300, :300]
+        for _ in range(8):
+            film.step(np.ones((4, 2, 2), np.float32))
+        [(frames, fps)] = films
+        assert len(frames) == 7 and fps == venv.metadata["render_fps"]
+        assert np.array_equal(frames[0][:300, :300], part)
+        assert frames[0].size == part.size * (1 if first_only else 4)
+        assert (frames[1:] != frames[0]).any(axis=(1, 2, 3)).all()
+
+
+def test_the_library_is_loaded_when_the_first_picture_is_drawn(tmp_path):
+    code = (
+        "import sys, rendezvous_env as rv; env = rv.parallel_env('duo', render_mode='rgb_array');"
+        "env.reset(seed=0); print('pygame' in sys.modules); env.render();"
+        "print('pygame' in sys.modules)"
+    )
+    assert run_python(code, tmp_path, "-W", "error").split() == ["False", "True"]
+
+
+def test_without_the_library_the_error_says_what_to_install(monkeypatch):
+    env = rv.parallel_env("duo", render_mode="rgb_array")
+    env.reset(seed=0)
+    monkeypatch.setitem(sys.modules, "pygame", None)
+    with pytest.raises(ImportError, match=r"pip install rendezvous-env\[render\]"):
+        env.render()

@@ -1,0 +1,98 @@
+"""The window that plays an episode: keys, closing, copies."""
+
+from __future__ import annotations
+
+import copy
+
+import pygame
+import pytest
+from drawing import drawn, still
+from test_package import run_python
+
+import rendezvous_env as rv
+from rendezvous_env.render.palette import ROBOTS
+
+
+def press(*keys):
+    for key in keys:
+        pygame.event.post(pygame.Event(pygame.KEYDOWN, key=key))
+
+
+@pytest.fixture
+def shown():
+    """An environment with a window, whose steps are short; keys of other tests are forgotten."""
+    env, nothing = drawn("duo", mode="human", time_step=1e-3, allow_long_step=True)
+    assert nothing is None
+    pygame.event.clear()
+    yield env
+    env.close()
+
+
+class TestWindow:
+    def test_it_shows_the_picture_and_goes_away(self, shown):
+        window = shown.renderer.window
+        pixels = pygame.surfarray.array3d(window.screen.get_surface())
+        assert (pixels == ROBOTS[0]).all(axis=-1).sum() > 50
+        assert shown.render() is None
+        shown.close()
+        assert window.closed and shown.renderer.window is None
+        shown.close()
+        shown.reset(seed=0)
+        assert shown.renderer.window is not None
+
+    def test_space_pauses_and_the_arrow_makes_single_steps(self, shown):
+        window = shown.renderer.window
+        press(pygame.K_SPACE, pygame.K_RIGHT, pygame.K_s)
+        shown.step(still(shown))
+        shown.step(still(shown))
+        assert window.paused and window.is_held()
+        press(pygame.K_SPACE)
+        shown.step(still(shown))
+        assert not window.paused and not window.is_held()
+        assert shown.simulator.steps[0] == 3
+
+    @pytest.mark.parametrize(
+        "event",
+        [
+            pygame.Event(pygame.QUIT),
+            pygame.Event(pygame.WINDOWCLOSE),
+            pygame.Event(pygame.KEYDOWN, key=pygame.K_ESCAPE),
+        ],
+        ids=["quit", "close", "escape"],
+    )
+    def test_once_closed_the_episode_goes_on_unseen(self, shown, event):
+        press(pygame.K_SPACE)  # closing ends a pause
+        pygame.event.post(event)
+        for _ in range(3):
+            shown.step(still(shown))
+        assert shown.simulator.steps[0] == 3
+        assert shown.renderer.window is None
+        assert shown.render() is None
+        shown.reset(seed=1)
+        assert shown.renderer.window is None
+
+    def test_a_copy_has_no_window_until_its_reset(self, shown):
+        twin = copy.deepcopy(shown)
+        twin.step(still(twin))
+        assert twin.renderer.window is None
+        twin.reset(seed=0)
+        assert twin.renderer.window is not None
+        twin.close()
+        assert not shown.renderer.window.closed
+
+    def test_teams_share_a_window(self):
+        venv = rv.make_vec("duo", num_envs=4, render_mode="human")
+        venv.reset(seed=0)
+        assert venv.renderer.window is not None
+        venv.close()
+        assert venv.renderer.window is None
+
+    def test_where_there_is_no_screen_the_error_says_what_needs_none(self, tmp_path):
+        code = (
+            "import rendezvous_env as rv\n"
+            "env = rv.parallel_env('duo', render_mode='human')\n"
+            "try: env.reset(seed=0)\n"
+            "except RuntimeError as error: print(error)"
+        )
+        printed = run_python(code, tmp_path, SDL_VIDEODRIVER="nowhere")
+        assert "no window can be opened here" in printed and 'render_mode="rgb_array"' in printed
