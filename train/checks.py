@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import importlib.util
 import math
-from dataclasses import Field, fields
+from collections.abc import Callable, Mapping
+from dataclasses import fields
+from operator import ge, le
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +20,23 @@ class UserError(Exception):
     """
 
 
+def installed(module: str) -> bool:
+    """Whether a library of that name can be imported; a mere folder of that name is none."""
+    found = importlib.util.find_spec(module)
+    return found is not None and found.origin is not None
+
+
+def check_installed(what: str, extra: str, *packages: str) -> None:
+    """Refuse what needs packages that are missing.
+
+    Raises:
+        UserError: naming the package, and the extra that installs it.
+    """
+    for package in packages:
+        if not installed(package):
+            raise UserError(f"{what} needs {package}; pip install 'rendezvous-env[{extra}]'")
+
+
 def check_fields(config: Any) -> None:
     """Refuse what no setting of any command may be: NaN, ±∞, text that no file can be called.
 
@@ -27,9 +47,17 @@ def check_fields(config: Any) -> None:
         UserError: naming the flag, its value and what would be right.
     """
     for field in fields(config):
-        value = getattr(config, field.name)
-        for one in value if isinstance(value, tuple) else (value,):
-            _check_value(_name(field), one)
+        name = field.name if "Positional" in str(field.type) else flag(field.name)
+        for value in _each(config, field.name):
+            if isinstance(value, float) and not math.isfinite(value):
+                raise UserError(f"{name} is {value}; it must be a finite number")
+            if isinstance(value, str | Path):
+                check_text(name, str(value))
+            for part in value.parts if isinstance(value, Path) else ():
+                if (size := len(part.encode())) > _LONGEST_NAME:
+                    raise UserError(
+                        f"{name}: {part[:20]}… has {size} bytes; a name may have {_LONGEST_NAME}"
+                    )
 
 
 def check_least(config: Any, **least: float) -> None:
@@ -42,23 +70,26 @@ def check_least(config: Any, **least: float) -> None:
     Raises:
         UserError: naming the flag, its value and what would be right.
     """
-    for name, bound in least.items():
-        for one in _numbers(config, name):
-            if not one >= bound:
-                raise UserError(f"{flag(name)} is {one}; it must be {bound} or more")
+    _check_bounds(config, least, ge, "more")
 
 
 def check_most(config: Any, **most: float) -> None:
     """Refuse numbers above a bound; as ``check_least``."""
-    for name, bound in most.items():
-        for one in _numbers(config, name):
-            if not one <= bound:
-                raise UserError(f"{flag(name)} is {one}; it must be {bound} or less")
+    _check_bounds(config, most, le, "less")
 
 
-def _numbers(config: Any, name: str) -> list[float]:
+def _check_bounds(
+    config: Any, bounds: Mapping[str, float], right: Callable[[Any, Any], bool], which: str
+) -> None:
+    for name, bound in bounds.items():
+        for one in _each(config, name):
+            if one is not None and not right(one, bound):
+                raise UserError(f"{flag(name)} is {one}; it must be {bound} or {which}")
+
+
+def _each(config: Any, name: str) -> tuple[Any, ...]:
     value = getattr(config, name)
-    return [one for one in (value if isinstance(value, tuple) else (value,)) if one is not None]
+    return value if isinstance(value, tuple) else (value,)
 
 
 def check_text(name: str, text: str) -> None:
@@ -83,20 +114,3 @@ _FLAGS = {
 def flag(name: str) -> str:
     """What the command line calls a field."""
     return "--" + _FLAGS.get(name, name.replace("_", "-"))
-
-
-def _name(field: Field[Any]) -> str:
-    return field.name if "Positional" in str(field.type) else flag(field.name)
-
-
-def _check_value(name: str, value: Any) -> None:
-    if isinstance(value, float) and not math.isfinite(value):
-        raise UserError(f"{name} is {value}; it must be a finite number")
-    if isinstance(value, str | Path):
-        check_text(name, str(value))
-    if isinstance(value, Path):
-        for part in value.parts:
-            if (size := len(part.encode())) > _LONGEST_NAME:
-                raise UserError(
-                    f"{name}: {part[:20]}… has {size} bytes; a name may have {_LONGEST_NAME}"
-                )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -35,7 +34,7 @@ from rendezvous_env.baselines.learned.policy_settings import PolicySettings
 from rich.console import Console
 
 from . import policies
-from .checks import UserError
+from .checks import UserError, check_installed
 from .results import atomic, prepare_folder
 
 _MOST_CHECKS = 10**7
@@ -86,9 +85,7 @@ def _check(config: Config) -> tuple[dict[str, NDArray[np.float32]], PolicySettin
         raise UserError(f"--out {config.out}: unknown ending; it must be {SUFFIX}")
     if not 1 <= config.checks <= _MOST_CHECKS:
         raise UserError(f"--checks is {config.checks}; it must be from 1 to {_MOST_CHECKS}")
-    for package in ("onnx", "onnxruntime"):
-        if importlib.util.find_spec(package) is None:
-            raise UserError(f"export needs {package}; pip install 'rendezvous-env[export]'")
+    check_installed("export", "export", "onnx", "onnxruntime")
     policies.check_names([config.policy])
     path = policies.learned_path(config.policy)
     if path is None:
@@ -177,27 +174,22 @@ def model_of(weights: Mapping[str, NDArray[Any]], settings: PolicySettings) -> A
     context = settings.layout(0, 0).context_columns
     features = 4 * width + context
     graph = _Graph()
-    pooled = [
-        part
-        for rows, name, columns in (
-            ("neighbours", "neighbour_net", NEIGHBOUR_COLUMNS),
-            ("obstacles", "obstacle_net", OBSTACLE_COLUMNS),
-        )
-        for part in _pooled(
-            graph,
-            rows,
-            linear_layers(weights, f"features_extractor.{name}", (columns, width, width)),
-        )
-    ]
+    pooled: list[str] = []
+    for rows, net, columns in (
+        ("neighbours", "neighbour_net", NEIGHBOUR_COLUMNS),
+        ("obstacles", "obstacle_net", OBSTACLE_COLUMNS),
+    ):
+        layers = linear_layers(weights, f"features_extractor.{net}", (columns, width, width))
+        pooled += _pooled(graph, rows, layers)
     seen = graph.add("Concat", [*pooled, "context"], axis=1)
     if units:
         hidden = _remembered(graph, weights, seen, features, units)
         seen = graph.add("Concat", [hidden, seen], axis=1)
     sizes = (units + features, *settings.hidden)
     for layer in linear_layers(weights, "mlp_extractor.policy_net", sizes):
-        seen = graph.add("Relu", [_linear(graph, seen, layer)])
+        seen = graph.add("Relu", [graph.linear(seen, layer)])
     last = linear_layer(weights, "action_net.weight", "action_net.bias", sizes[-1], choices)
-    graph.add("Identity", [_linear(graph, seen, last)], name="preferences")
+    graph.add("Identity", [graph.linear(seen, last)], name="preferences")
     shapes: dict[str, list[int | str]] = {
         "neighbours": ["robots", "neighbour_slots", NEIGHBOUR_COLUMNS],
         "obstacles": ["robots", "obstacle_slots", OBSTACLE_COLUMNS],
@@ -210,8 +202,8 @@ def model_of(weights: Mapping[str, NDArray[Any]], settings: PolicySettings) -> A
         helper.make_graph(
             graph.nodes,
             "rendezvous_policy",
-            [_value(name, shape, _INPUTS[name]) for name, shape in shapes.items()],
-            [_value(name, shape) for name, shape in results.items()],
+            [graph.value(*entry) for entry in shapes.items()],
+            [graph.value(*entry) for entry in results.items()],
             graph.constants,
         ),
         opset_imports=[helper.make_opsetid("", _OPSET)],
@@ -255,12 +247,18 @@ class _Graph:
         self.constants.append(numpy_helper.from_array(array, name))
         return name
 
+    def linear(self, values: str, layer: Layer) -> str:
+        """W x + b over the last axis."""
+        weight, bias = layer
+        product = self.add("MatMul", [values, self.constant(weight.T)])
+        return self.add("Add", [product, self.constant(bias)])
 
-def _linear(graph: _Graph, values: str, layer: Layer) -> str:
-    """W x + b over the last axis."""
-    weight, bias = layer
-    product = graph.add("MatMul", [values, graph.constant(weight.T)])
-    return graph.add("Add", [product, graph.constant(bias)])
+    def value(self, name: str, shape: Sequence[int | str]) -> Any:
+        """What goes in or comes out."""
+        from onnx import TensorProto, helper
+
+        about = _INPUTS.get(name, "")
+        return helper.make_tensor_value_info(name, TensorProto.FLOAT, shape, about)
 
 
 def _pooled(graph: _Graph, rows: str, layers: list[Layer]) -> tuple[str, str]:
@@ -276,7 +274,7 @@ def _pooled(graph: _Graph, rows: str, layers: list[Layer]) -> tuple[str, str]:
     present = graph.add("Cast", [is_present], to=1)  # to float32
     features = padded
     for layer in layers:
-        features = graph.add("Relu", [_linear(graph, features, layer)])
+        features = graph.add("Relu", [graph.linear(features, layer)])
     kept = graph.add("Mul", [features, present])
     counted = graph.add("ReduceSum", [present, along], keepdims=0)
     count = graph.add("Max", [counted, graph.constant(1.0)])
@@ -286,11 +284,7 @@ def _pooled(graph: _Graph, rows: str, layers: list[Layer]) -> tuple[str, str]:
 
 
 def _remembered(
-    graph: _Graph,
-    weights: Mapping[str, NDArray[Any]],
-    features: str,
-    inputs: int,
-    units: int,
+    graph: _Graph, weights: Mapping[str, NDArray[Any]], features: str, inputs: int, units: int
 ) -> str:
     """The equations of ``RecurrentUnit``, from "hidden" to "hidden_next"."""
     seen = linear_layer(weights, "memory.weight_ih", "memory.bias_ih", inputs, 3 * units)
@@ -298,7 +292,7 @@ def _remembered(
 
     def part(values: str, layer: Layer, gate: int) -> str:
         rows = slice(gate * units, (gate + 1) * units)
-        return _linear(graph, values, (layer[0][rows], layer[1][rows]))
+        return graph.linear(values, (layer[0][rows], layer[1][rows]))
 
     def both(gate: int) -> str:
         parts = [part(features, seen, gate), part("hidden", kept, gate)]
@@ -309,9 +303,3 @@ def _remembered(
     m = graph.add("Tanh", [graph.add("Add", [part(features, seen, 2), faded])])
     stays = graph.add("Mul", [z, graph.add("Sub", ["hidden", m])])
     return graph.add("Add", [m, stays], name="hidden_next")
-
-
-def _value(name: str, shape: Sequence[int | str], about: str = "") -> Any:
-    from onnx import TensorProto, helper
-
-    return helper.make_tensor_value_info(name, TensorProto.FLOAT, shape, about)

@@ -12,7 +12,8 @@ import os
 import re
 import sys
 import tomllib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -124,7 +125,10 @@ def check_names(wanted: Sequence[str]) -> None:
         if is_user_policy(name):
             find_function(name)
         elif learned_path(name) is not None:
-            _check_learned(name)
+            try:
+                make(name, Scenario(n_robots=2))
+            except ValueError as error:
+                raise UserError(f"policy {name!r}: {error}") from error
         elif name not in known:
             near = nearest_word(name, known)
             hint = f"did you mean {near!r}? " if near else ""
@@ -132,13 +136,6 @@ def check_names(wanted: Sequence[str]) -> None:
                 f"policy {name!r} is unknown; {hint}known are {', '.join(known)}, {_AT_PATH}PATH, "
                 "MODULE:FUNCTION"
             )
-
-
-def _check_learned(name: str) -> None:
-    try:
-        make(name, Scenario(n_robots=2))
-    except ValueError as error:
-        raise UserError(f"policy {name!r}: {error}") from error
 
 
 def promised_margin(name: str, policy: Policy) -> float | None:
@@ -166,8 +163,7 @@ def resolve_scenario(name: str, changes: Sequence[str] = ()) -> Scenario:
         UserError: saying what would be right.
     """
     try:
-        scenario = scenarios.resolve(name)
-        given = {}
+        given: dict[str, Any] = {}
         for change in changes:
             field, equals, value = change.partition("=")
             if not equals:
@@ -176,9 +172,10 @@ def resolve_scenario(name: str, changes: Sequence[str] = ()) -> Scenario:
                 given[field] = tomllib.loads(f"value = {value}")["value"]
             except tomllib.TOMLDecodeError:
                 given[field] = value  # a word
-        said = "-".join(re.sub(r"[^\w.+-]+", "-", change.replace("_", "-")) for change in changes)
-        named = {"name": f"{scenario.name}-{said}"} if changes and "name" not in given else {}
-        return scenario.replace(**given, **named) if changes else scenario
+        scenario = scenarios.resolve(name)
+        said = [re.sub(r"[^\w.+-]+", "-", change.replace("_", "-")) for change in changes]
+        own_name = {"name": "-".join([scenario.name, *said])}
+        return scenario.replace(**(own_name | given)) if changes else scenario
     except (ValueError, TypeError, OSError) as error:
         what = f"--set {' '.join(changes)}: " if changes else ""
         raise UserError(f"{what}{error}") from error
@@ -201,7 +198,8 @@ def find_function(name: str) -> Callable[[Scenario], Policy | None]:
     module_name, _, function_name = name.partition(":")
     if not all(part.isidentifier() for part in (*module_name.split("."), function_name)):
         raise UserError(f"policy {name!r}: write MODULE:FUNCTION, as in my_policies:make")
-    module = _imported(name, module_name)
+    with _code_of(name, f": importing {module_name} failed"):
+        module = _imported(name, module_name)
     function = getattr(module, function_name, None)
     place = getattr(module, "__file__", None) or "built in"
     if function is None:
@@ -217,18 +215,10 @@ def find_function(name: str) -> Callable[[Scenario], Policy | None]:
 
 
 def _make_own(name: str, scenario: Scenario) -> Policy | None:
-    """What the function gives for a scenario; None if that does not fit it.
-
-    Raises:
-        UserError: for an unknown name, what the function raised, or something that is no policy.
-    """
+    """What the function gives for a scenario; None if that does not fit it."""
     function = find_function(name)
-    try:
+    with _code_of(name, f" for scenario {scenario.name!r}"):
         policy = function(scenario)
-    except Exception as error:  # whatever a user's code may raise
-        raise UserError(
-            f"policy {name!r} for scenario {scenario.name!r}: {type(error).__name__}: {error}"
-        ) from error
     if policy is not None and (not callable(policy) or inspect.isclass(policy)):
         raise UserError(
             f"policy {name!r} gave {shown(policy)} for scenario {scenario.name!r}; it must give a "
@@ -238,24 +228,27 @@ def _make_own(name: str, scenario: Scenario) -> Policy | None:
 
 
 def _fits_own(name: str, scenario: Scenario) -> bool:
-    """Whether it steers the robots of a scenario, for which it is tried for one step.
-
-    Raises:
-        UserError: as ``_make_own``; also for what it raised, or actions that no robot can execute.
-    """
+    """Whether it steers the robots of a scenario, for which it is tried for one step."""
     if (policy := _make_own(name, scenario)) is None:
         return False
     simulator = Simulator(scenario, 1)
     observations = simulator.reset(0)
-    try:
+    with _code_of(name, f" in the first step of scenario {scenario.name!r}"):
         begin(policy, simulator)
         simulator.step(np.asarray(policy(observations, simulator.time)))
-    except Exception as error:  # whatever a user's code may raise
-        raise UserError(
-            f"policy {name!r} in the first step of scenario {scenario.name!r}: "
-            f"{type(error).__name__}: {error}"
-        ) from error
     return True
+
+
+@contextmanager
+def _code_of(name: str, where: str) -> Iterator[None]:
+    """Whatever a user's code raises is a line that says where."""
+    try:
+        yield
+    except UserError:
+        raise
+    except Exception as error:
+        kind = "" if isinstance(error, ModuleNotFoundError) else f"{type(error).__name__}: "
+        raise UserError(f"policy {name!r}{where}: {kind}{error}") from error
 
 
 def _own_file(name: str) -> Path | None:
@@ -274,13 +267,9 @@ def _imported(name: str, module: str) -> Any:
     try:
         return importlib.import_module(module)
     except ModuleNotFoundError as error:
-        if error.name is not None and f"{module}.".startswith(f"{error.name}."):
-            raise UserError(
-                f"policy {name!r}: there is no module {error.name!r}, neither installed nor as "
-                f"{error.name.replace('.', '/')}.py in {here}"
-            ) from error
-        raise UserError(f"policy {name!r}: importing {module} failed: {error}") from error
-    except Exception as error:  # whatever a user's module may raise
+        if error.name is None or not f"{module}.".startswith(f"{error.name}."):
+            raise
         raise UserError(
-            f"policy {name!r}: importing {module} failed: {type(error).__name__}: {error}"
+            f"policy {name!r}: there is no module {error.name!r}, neither installed nor as "
+            f"{error.name.replace('.', '/')}.py in {here}"
         ) from error

@@ -17,29 +17,46 @@ from rendezvous_env.trajectory import Step
 MAX_FRAMES = 400
 """Frames kept of one episode; of a longer one only every second, fourth, … step is kept."""
 
-ARRAYS = {
-    "times": "(T,), s",
-    "positions": "(T, n, d), m",
-    "headings": "(T, n, k), rad: yaw, or yaw and pitch; k is 0 where a model has none",
-    "velocities": "(T, n, d), m/s, of robots with inertia, else (T, n, 0)",
-    "frames": "(T, n, d, d), rotations R_i from the robots' own frames to the world",
-    "active": "(T, n), whether the robot still exists on its own",
-    "merged_into": "(T, n), index of the robot that each one is now part of; its own while active",
-    "lyapunov": "(T,), V, m²/s",
-    "lyapunov_before_merge": "(T,), V just before the first merge of the step that led to the "
-    "frame, m²/s; NaN if there was none",
-    "lyapunov_after_merge": "(T,), V just after the last merge of that step, m²/s, or NaN",
-    "contacts": "(T, n), steps with a contact up to the frame",
-    "alignment": "(T, n), of the step that led to the frame; NaN where there is none",
-    "observations": "(T, n, rows, d), what the robots saw; only where sensors err or links are not "
-    "fixed and undirected, else ``report`` finds it again",
-    "weights": "elsewhere: the links at the start and after each merge, as "
-    "``Simulator.get_state`` gives them",
-    "first": "lower robot of each link, likewise; of large sparse teams only",
-    "second": "higher robot of each link, likewise",
-    "obstacles": "(M, width), a table as ``rendezvous_env.obstacles.shape`` says",
+_ARRAYS = {
+    "times": ("T", "s"),
+    "positions": ("T n d", "m"),
+    "headings": ("T n k", "rad: yaw, or yaw and pitch; k is 0 where a model has none"),
+    "velocities": ("T n v", "m/s; v is d for robots with inertia, else 0"),
+    "frames": ("T n d d", "rotations R_i from the robots' own frames to the world"),
+    "active": ("T n", "whether the robot still exists on its own"),
+    "merged_into": ("T n", "index of the robot that each one is now part of; its own while active"),
+    "lyapunov": ("T", "V, m²/s"),
+    "lyapunov_before_merge": (
+        "T",
+        "V just before the first merge of the step that led to the frame, m²/s; NaN if there was "
+        "none",
+    ),
+    "lyapunov_after_merge": ("T", "V just after the last merge of that step, m²/s, or NaN"),
+    "contacts": ("T n", "steps with a contact up to the frame"),
+    "alignment": ("T n", "of the step that led to the frame; NaN where there is none"),
+    "observations": (
+        "T n rows d",
+        "what the robots saw; only where sensors err or links are not fixed and undirected, else "
+        "``report`` finds it again",
+    ),
+    "weights": (
+        "changes links",
+        "elsewhere: the links at the start and after each merge, as ``Simulator.get_state`` gives "
+        "them",
+    ),
+    "first": ("changes links", "lower robot of each link, likewise; of large sparse teams only"),
+    "second": ("changes links", "higher robot of each link, likewise"),
+    "obstacles": (
+        "changes links",
+        "a row each, a table as ``rendezvous_env.obstacles.shape`` says",
+    ),
 }
-"""Arrays of a recording; in trajectories.npz each under scenario/policy/start/name."""
+"""Shape and meaning of the arrays of a recording; names that no scenario gives are any size."""
+ARRAYS = {
+    name: f"({shape.replace(' ', ', ')}{'' if ' ' in shape else ','}), {about}"
+    for name, (shape, about) in _ARRAYS.items()
+}
+"""The same in words; in trajectories.npz each under scenario/policy/start/name."""
 Recording = dict[str, NDArray[Any]]
 """One team's episode over T frames: the start, some of the steps, every merge and the end. The
 arrays are those of ``ARRAYS``.
@@ -158,61 +175,38 @@ class Recorder:
         return stacked | {"obstacles": self._obstacles}
 
 
-Shape = tuple[int | None, ...]
 _MAY_BE_NAN = ("lyapunov_before_merge", "lyapunov_after_merge", "alignment")
+_SEEN_AGAIN_BY = ("headings", "velocities", "merged_into", "weights")
+"""What observations follow from."""
 
 
 def fault_of(recording: Recording, scenario: Scenario) -> str | None:
     """What is wrong with a recording of a scenario, in words; None if nothing is."""
-    for name, shape in _shapes(recording, scenario).items():
+    model, times = scenario.model, recording.get("times", np.zeros(1))
+    sizes = {
+        "T": max(1, len(np.atleast_1d(times))),
+        "n": scenario.n_robots,
+        "d": scenario.dim,
+        "k": model.n_angles,
+        "v": scenario.dim if model.keeps_velocity else 0,
+        "rows": scenario.observation_layout.shape[0],
+    }
+    left_out = ("observations",) if seen_again(scenario) else _SEEN_AGAIN_BY
+    for name, (shape, _) in _ARRAYS.items():
+        if name in left_out or name in ("first", "second"):
+            continue
         if name not in recording:
             return f"has no {name!r}"
-        array = recording[name]
+        array, wanted = recording[name], [sizes.get(axis, "any") for axis in shape.split()]
         if array.dtype.kind not in "bif":
             return f"{name} holds {array.dtype}, no numbers"
-        if not _has_shape(array.shape, shape):
-            wanted = tuple("any" if size is None else size for size in shape)
-            return f"{name} has shape {array.shape}; it must be {wanted}"
+        if len(wanted) != array.ndim or any(
+            size not in ("any", own) for size, own in zip(wanted, array.shape, strict=True)
+        ):
+            return f"{name} has shape {array.shape}; it must be {tuple(wanted)}"
         if np.isinf(array).any() or (name not in _MAY_BE_NAN and np.isnan(array).any()):
             return f"{name} holds a number that is not finite"
     return _fault_of_obstacles(recording["obstacles"], scenario.dim)
-
-
-def _shapes(recording: Recording, scenario: Scenario) -> dict[str, Shape]:
-    """Of the arrays that a page shows."""
-    n, d = scenario.n_robots, scenario.dim
-    rows = scenario.observation_layout.shape[0]
-    frames = max(1, len(np.atleast_1d(recording.get("times", np.zeros(1)))))
-    times: Shape = (frames,)
-    model = scenario.model
-    seen: dict[str, Shape] = {"observations": (frames, n, rows, d)}
-    if seen_again(scenario):
-        velocities = d if model.keeps_velocity else 0
-        seen = {
-            "headings": (frames, n, model.n_angles),
-            "velocities": (frames, n, velocities),
-            "merged_into": (frames, n),
-            "weights": (None, None),
-        }
-    return {
-        "times": times,
-        "positions": (frames, n, d),
-        "frames": (frames, n, d, d),
-        "active": (frames, n),
-        "lyapunov": times,
-        "lyapunov_before_merge": times,
-        "lyapunov_after_merge": times,
-        "contacts": (frames, n),
-        "alignment": (frames, n),
-        **seen,
-        "obstacles": (None, None),
-    }
-
-
-def _has_shape(shape: tuple[int, ...], wanted: Shape) -> bool:
-    return len(shape) == len(wanted) and all(
-        size is None or size == own for own, size in zip(shape, wanted, strict=True)
-    )
 
 
 def _fault_of_obstacles(table: np.ndarray, dim: int) -> str | None:

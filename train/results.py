@@ -66,23 +66,10 @@ RESULT_COLUMNS = tuple(RESULTS)
 """Of results.csv."""
 
 EPISODE_COLUMNS = (
-    "scenario",
-    "policy",
-    "start",
-    "success",
-    "clean",
-    "time",
-    "path_length",
-    "contacts",
-    "clearance",
-    "max_rise_between_merges",
-    "merge_rise",
-    "merge_excess",
-    "min_alignment",
-    "initial_lyapunov",
-    "time_bound",
-    "max_rise_of_size",
-)
+    "scenario", "policy", "start", "success", "clean", "time", "path_length", "contacts",
+    "clearance", "max_rise_between_merges", "merge_rise", "merge_excess", "min_alignment",
+    "initial_lyapunov", "time_bound", "max_rise_of_size",
+)  # fmt: skip
 """Of episodes.csv; ``episodes.Episodes`` says what each means."""
 
 PAIRED_COLUMNS = tuple(PAIRED)
@@ -128,13 +115,7 @@ def prepare_folder(folder: Path, flag: str | None = None) -> Path:
 
 
 def write_csv(path: Path, columns: Sequence[str], rows: Iterable[Mapping[str, Any]]) -> None:
-    """Write rows of plain numbers and words; None and NaN become empty cells.
-
-    Args:
-        path: of the file.
-        columns: its header.
-        rows: each with exactly these columns.
-    """
+    """Write rows, each with exactly these columns; None and NaN become empty cells."""
     with atomic(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, columns)
         writer.writeheader()
@@ -160,13 +141,7 @@ def read_csv(path: Path) -> list[dict[str, str]]:
 
 
 def write_arrays(path: Path, arrays: Mapping[str, Any], run: str = "") -> None:
-    """Write named arrays to an npz file; names may hold slashes.
-
-    Args:
-        path: of the file.
-        arrays: by name.
-        run: id of the run that they are of; it becomes the comment of the archive.
-    """
+    """Write named arrays to an npz file, with the id of their run as its comment."""
     with atomic(path) as temporary:
         with temporary.open("wb") as file:
             np.savez_compressed(file, **dict(arrays))

@@ -71,7 +71,7 @@ def claimed(folder: Path, lock: str, what: str) -> Iterator[None]:
     Raises:
         UserError: if another process holds it, which is named; or it cannot be written to.
     """
-    new = [path for path in (folder, *folder.parents) if not path.exists()]
+    new, holder = [path for path in (folder, *folder.parents) if not path.exists()], ""
     path = folder / lock
     try:
         results.prepare_folder(folder)
@@ -79,9 +79,10 @@ def claimed(folder: Path, lock: str, what: str) -> Iterator[None]:
         try:
             held.acquire()
         except Timeout:
-            raise UserError(
-                f"{what} is in use by {_holder(path)}; wait for its end, or stop it"
-            ) from None
+            with suppress(OSError):
+                holder = path.read_text(encoding="utf-8", errors="replace").strip()
+            who = holder or "another process"
+            raise UserError(f"{what} is in use by {who}; wait for its end, or stop it") from None
         except OSError as error:
             raise UserError(f"{path}: cannot be locked: {error.strerror}") from error
         try:
@@ -97,20 +98,8 @@ def claimed(folder: Path, lock: str, what: str) -> Iterator[None]:
                 made.rmdir()
 
 
-def _holder(path: Path) -> str:
-    with suppress(OSError):
-        return path.read_text(encoding="utf-8", errors="replace").strip() or "another process"
-    return "another process"
-
-
 class Part:
-    """The folder of work that goes on.
-
-    Args:
-        folder: where it lies.
-        plan: plain data that says what is asked for, with ``program``.
-        what: is done, in a word.
-    """
+    """The folder of work that goes on: a plan, as plain data, and what is done, in a word."""
 
     def __init__(self, folder: Path, plan: Mapping[str, Any], what: str) -> None:
         self.folder, self.run = folder, run_id(plan)
@@ -222,4 +211,4 @@ def read(path: Path) -> dict[str, Any]:
 
 def _short(value: Any) -> str:
     text = json.dumps(value)
-    return text if len(text) <= 60 else f"…{hashlib.sha256(text.encode()).hexdigest()[:8]}"
+    return text if len(text) <= 60 else f"…{plain_data.digest(value)[:8]}"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import os
 import queue
 import signal
@@ -20,7 +19,7 @@ from tyro.conf import arg
 from rendezvous_env.engine.threads import available_cores
 
 from . import cluster
-from .checks import UserError, check_least, check_most
+from .checks import UserError, check_installed, check_least, check_most
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
@@ -53,8 +52,8 @@ class Workers:
         check_most(self, jobs=_MOST)
         if self.on == "here" and self.address is not None:
             raise UserError(f"--address is {self.address}; only --backend ray has one")
-        if self.on == "ray" and importlib.util.find_spec("ray") is None:
-            raise UserError("--backend ray needs Ray; pip install 'rendezvous-env[ray]'")
+        if self.on == "ray":
+            check_installed("--backend ray", "ray", "ray")
 
     @property
     def count(self) -> int:
@@ -76,11 +75,7 @@ class WorkerFlags:
 
     @property
     def workers(self) -> Workers:
-        """Who does the tasks.
-
-        Raises:
-            UserError: as ``Workers``.
-        """
+        """Who does the tasks."""
         return Workers(self.jobs, self.on, self.address)
 
 
@@ -94,17 +89,16 @@ def each(
 ) -> Generator[tuple[int, Result], None, None]:
     """Do all tasks; what each gives does not depend on who does it, nor on when.
 
-    Workers are processes: most of a step is Python's, and holds its lock. A worker that is lost (a
-    kill, or no memory) costs what was in the air, which is done again. The workers end when the
-    iterator is closed, which a caller that may be interrupted sees to itself.
+    Workers are processes: most of a step is Python's, and holds its lock. One that is lost (a kill,
+    or no memory) costs what was in the air, which is done again. They end when the iterator is
+    closed, which a caller that may be interrupted sees to itself.
 
     Args:
         work: what to do with a task; both travel to other processes, as the result does.
         tasks: any.
         workers: who does them.
         here: whether a task must be done in this process.
-        long: whether to start workers at once, since a single task takes long or there are many;
-            else they start when the first tasks have taken some seconds.
+        long: whether to start workers at once; else when the first tasks have taken some seconds.
 
     Yields:
         Number of a task and what it gave, in the order in which they end.
@@ -123,9 +117,14 @@ def each(
     if not left:
         return
     if workers.on == "ray":
-        options: dict[str, Any] = {"jobs": workers.jobs, "address": workers.address}
-        tasks_left = list(left.items())
-        found = cluster.spread(work, tasks_left, tries=_TRIES, cores=workers.count, **options)
+        found = cluster.spread(
+            work,
+            list(left.items()),
+            tries=_TRIES,
+            jobs=workers.jobs,
+            address=workers.address,
+            cores=workers.count,
+        )
     else:
         found = _on_cores(work, left, workers.count)
     with closing(found):

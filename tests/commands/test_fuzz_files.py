@@ -270,7 +270,7 @@ def sign(folder):
             about = json.loads(path.read_text())
             for name in about["files"]:
                 about["files"][name] = results.entry(place / name)
-            about["sha256"] = checkpoints._digest(about)
+            about["sha256"] = checkpoints.digest_of(about)
             path.write_text(json.dumps(about))
         except _NONE_ANY_MORE:
             continue
@@ -369,10 +369,8 @@ def no_work(monkeypatch):
 
     monkeypatch.setattr(compare, "_run", lambda *given: 0)
     monkeypatch.setattr(trainer, "_loop", lambda *given: SimpleNamespace(status=0))
-    monkeypatch.setattr(bench, "_groups", lambda *given: iter(()))
+    monkeypatch.setattr(bench, "_compared", lambda *given: iter(()))
     monkeypatch.setattr(bench, "_bytes_per_team", lambda *given: (0, 0))
-    monkeypatch.setattr(bench, "_one_core_busy", lambda: 1 / 0)
-    monkeypatch.setattr("train.bench.bench._draw_growth", lambda *given: None)
     monkeypatch.setattr(render, "_write_video", lambda *given: None)
     monkeypatch.setattr(style, "save", lambda *given: None)
     fine = claim.Finding(trials=1, margin=1.0, time_over_bound=0.5, violations=0)

@@ -18,7 +18,7 @@ COMMANDS = {
     "train": ["--scenario", "clutter-24", "--num-threads", "1", "--out", "run"],
     "verify": ["--trials", "1000000", "--out", "out"],
     "render": ["--scenario", "clutter-16", "--speed", "0.01", "--out", "x.gif"],
-    "bench": ["--busy", "--seconds", "60", "--only", "one-team"],
+    "bench": ["--seconds", "60", "--only", "one-team"],
 }
 """Those that can take long; the others go through the same lines of cli.py."""
 SIGNALS = [signal.SIGINT, signal.SIGTERM]

@@ -18,8 +18,7 @@ from PIL import Image
 import baselines
 import rendezvous_env as rv
 from train.compare import compare
-from train.figures import figures, learning_figures, path_figures, style
-from train.figures.reproduce import one_team
+from train.figures import figures, path_figures, reproduce, style
 
 
 def row(scenario, policy, clean, **others):
@@ -158,7 +157,7 @@ def drawn():
     @cache
     def draw(name, policy):
         scenario = rv.scenarios.get(name)
-        recording = one_team(rv.rollout(scenario, baselines.make(policy, scenario)))
+        recording = reproduce.one_team(rv.rollout(scenario, baselines.make(policy, scenario)))
         return path_figures.team_figure(scenario, recording, policy)
 
     return draw
@@ -199,23 +198,20 @@ class TestPrint:
         rows = [
             {"budget": budget, "min_alignment": margin, "clean_success": 0.9, "bound": 1e4 / margin}
             | {"episodes": 256}
-            for budget in learning_figures.BUDGETS
-            for margin in learning_figures.MARGINS
+            for budget in reproduce.BUDGETS
+            for margin in reproduce.MARGINS
         ]
-        figure = learning_figures.tank_tradeoff_figure(rows)
+        figure = reproduce.tank_tradeoff_figure(rows)
         assert_readable(figure)
         [line, _] = figure.axes[0].get_lines()
         assert line.get_ydata() == pytest.approx(90.0) and "%" in figure.axes[0].get_ylabel()
-        times = np.linspace(0.0, 9.0, 10)
-        levels, active = np.full((10, 3), 5.0), np.ones((10, 3), dtype=bool)
-        assert_readable(learning_figures.tank_figure(times, 90.0 - 9.0 * times, levels, active))
 
     def test_headings_are_arrows(self, drawn):
         paths = drawn("unicycle-6", "unicycle").axes[0]
         arrows = [text for text in paths.texts if isinstance(text, Annotation)]
         assert len(arrows) >= 6 * 3
         scenario = rv.scenarios.get("unicycle-6")
-        start = one_team(rv.rollout(scenario, baselines.make("unicycle", scenario)))
+        start = reproduce.one_team(rv.rollout(scenario, baselines.make("unicycle", scenario)))
         along = np.subtract(arrows[0].get_position(), arrows[0].xy) * -1
         yaw = start["headings"][0, 0, 0]
         assert along / np.hypot(*along) == pytest.approx([np.cos(yaw), np.sin(yaw)])
@@ -261,7 +257,8 @@ class TestPrint:
 class TestEpisodes:
     def test_space_is_drawn_in_equal_axes_with_its_spheres(self):
         scenario = rv.scenarios.get("clutter-3d")
-        recording = one_team(rv.rollout(scenario, baselines.make("bearing-only", scenario)))
+        trajectory = rv.rollout(scenario, baselines.make("bearing-only", scenario))
+        recording = reproduce.one_team(trajectory)
         axes = path_figures.team_figure(scenario, recording, "bearing-only").axes[0]
         extents = np.diff([axes.get_xlim(), axes.get_ylim(), axes.get_zlim()])[:, 0]
         box = axes.get_box_aspect()

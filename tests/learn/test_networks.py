@@ -5,12 +5,9 @@ import pytest
 import torch
 from torch import nn
 
-import baselines
-import rendezvous_env as rv
 from baselines.learned.features import CONTEXT_COLUMNS, FeatureLayout
 from baselines.learned.numpy_actor import NumpyActor
 from baselines.learned.policy_settings import CHOICES, PolicySettings
-from train.bench.learners import TorchChooser
 from train.learn.networks import make_network
 
 K, M = 4, 6
@@ -142,31 +139,3 @@ def test_numpy_chooses_as_torch(tank):
     del weights["action_net.bias"]
     with pytest.raises(ValueError, match=r"weights have no 'action_net\.bias'"):
         NumpyActor(weights, settings, layout)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["learned", "learned-tank", "learned-tank-noise"])
-def test_shipped_weights_choose_as_torch_on_what_robots_really_see(name, monkeypatch):
-    """10⁴ robots' sights, on the way through discs."""
-    scenario = rv.scenarios.get("clutter-24")
-    policy, simulator = baselines.make(name, scenario), rv.Simulator(scenario, 256)
-    trained, real, sights = TorchChooser(name, policy), NumpyActor.choose, []
-
-    def choose(self, shown, hidden=None):
-        sights.append(shown.copy())
-        return real(self, shown, hidden)
-
-    monkeypatch.setattr(NumpyActor, "choose", choose)
-    seen = simulator.reset(0)
-    while sum(map(len, sights)) < 10_000 and not simulator.ended.all():
-        seen = simulator.step(policy(seen, simulator.time)).observations
-    monkeypatch.undo()
-    shown = np.concatenate(sights)
-    assert len(shown) >= 10_000
-    ours, theirs = policy._chooser.choose(shown), trained.choose(shown)
-    with torch.no_grad():
-        logits = trained.network.get_distribution(torch.as_tensor(shown)).distribution.logits
-    best, second = np.sort(logits.numpy(), axis=1)[:, [-1, -2]].T
-    clear = best - second > 1e-4
-    np.testing.assert_array_equal(ours[clear], theirs[clear])
-    assert clear.mean() > 0.999 and len(np.unique(ours)) > 3

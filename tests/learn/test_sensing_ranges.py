@@ -6,7 +6,7 @@ import signal
 
 import numpy as np
 import pytest
-from test_ppo import UPDATE, assert_same_run, config, flags, stopped_after
+from training_runs import UPDATE, assert_same_run, config, flags, resumed, stopped_after
 
 from baselines.learned import checkpoints
 from rendezvous_env.sensors.sensing import Sensing
@@ -157,26 +157,18 @@ class TestGroups:
         assert not teams.groups[0].guided.choices.any()
 
 
-class TestTraining:
-    def test_what_is_stopped_goes_on_bit_by_bit(self, tmp_path):
-        more = DRAWN | {"total_steps": 6 * UPDATE, "eval_every": 0, "guarantee": "tank"}
-        whole, run = (config(tmp_path / name, **more) for name in ("whole", "run"))
-        assert ppo.run(whole).status == 0
-        assert stopped_after(run, 4) == 128 + signal.SIGTERM
-        assert ppo.run(Config(resume=run.out)).status == 0
-        assert_same_run(whole.out, run.out)
-        state = checkpoints.read(checkpoints.find(run.out), trainer.STATE_FILES)[1]["state"]
-        assert state["robots/teams/generations"].tolist() == [2, 2, 3]
-        exact = config(tmp_path / "exact", total_steps=UPDATE, eval_every=0, guarantee="tank")
-        assert ppo.run(exact).status == 0
-        first = [path / "metrics.csv" for path in (exact.out, run.out)]
-        assert first[0].read_text().splitlines()[1] != first[1].read_text().splitlines()[1]
-
-    def test_with_memory_and_a_critic_that_sees_all(self, tmp_path):
-        more = {"memory": "recurrent", "memory_units": 4, "critic": "global", "eval_every": 0}
-        more |= DRAWN | {"total_steps": 4 * UPDATE, "curriculum": (1, 3)}
-        whole, run = (config(tmp_path / name, **more) for name in ("whole", "run"))
-        assert ppo.run(whole).status == 0
-        assert stopped_after(run, 3) == 128 + signal.SIGTERM
-        assert ppo.run(Config(resume=run.out)).status == 0
-        assert_same_run(whole.out, run.out)
+def test_what_is_stopped_goes_on_bit_by_bit(tmp_path):
+    """With memory, a critic that sees all and a curriculum: groups and their sensors are state."""
+    more = DRAWN | {"total_steps": 6 * UPDATE, "eval_every": 0, "guarantee": "tank"}
+    more |= {"memory": "recurrent", "memory_units": 4, "critic": "global", "curriculum": (1, 3)}
+    whole, run = (config(tmp_path / name, **more) for name in ("whole", "run"))
+    assert ppo.run(whole).status == 0
+    assert stopped_after(run, 5) == 128 + signal.SIGTERM
+    resumed(run.out)
+    assert_same_run(whole.out, run.out)
+    state = checkpoints.read(checkpoints.find(run.out), trainer.STATE_FILES)[1]["state"]
+    assert state["robots/teams/generations"].tolist() == [2, 2, 3]
+    exact = {name: more[name] for name in more if not name.startswith("sensing")}
+    assert ppo.run(config(tmp_path / "exact", **exact | {"total_steps": UPDATE})).status == 0
+    first = [tmp_path / name / "metrics.csv" for name in ("exact", "run")]
+    assert first[0].read_text().splitlines()[1] != first[1].read_text().splitlines()[1]

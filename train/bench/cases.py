@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import itertools
 import math
 from collections.abc import Callable, Iterator, Sequence
@@ -17,9 +16,11 @@ from numba import njit
 import rendezvous_env as rv
 from rendezvous_env.vector import EnergyTankWrapper, HeadingVectorWrapper
 
+from ..checks import installed
+
 EPISODE = 200
 """Steps of an episode in the case that ends episodes."""
-LIMIT = "limit"
+_LIMIT = "limit"
 _LANES = 64
 _SENSORS = {
     "exact sensor": rv.Sensing(),
@@ -83,28 +84,31 @@ def among_discs() -> rv.Scenario:
     )
 
 
-def one_team(scenario: rv.Scenario, group: str, peer: bool) -> list[Case]:
+# ---- what is timed in turns ---------------------------------------------------------------------
+
+
+def one_team(group: str, scenario: rv.Scenario, size: Size | None = None) -> list[Case]:
     """A step of one team in dicts, beside MPE2's ``simple_spread_v3`` when it is installed."""
-    size = (group, scenario.n_robots, 1, 1, "team steps")
-    ours = partial(dicts_of, scenario)
-    if not peer or importlib.util.find_spec("mpe2") is None:
-        return [Case("PettingZoo", *size, ours)]
+    own = (group, scenario.n_robots, 1, 1, "team steps")
+    ours = partial(_dicts, scenario)
+    if scenario.obstacles or not installed("mpe2"):
+        return [Case("PettingZoo", *own, ours)]
     theirs = partial(_mpe2, scenario.n_robots)
-    return [Case("MPE2 simple_spread_v3", *size, theirs), Case("PettingZoo", *size, ours, "MPE2")]
+    return [Case("MPE2 simple_spread_v3", *own, theirs), Case("PettingZoo", *own, ours, "MPE2")]
 
 
-def batched(scenario: rv.Scenario, group: str, size: Size) -> list[Case]:
+def batched(group: str, scenario: rv.Scenario, size: Size) -> list[Case]:
     """Steps of many teams, beside the bare kernel where there are no obstacles."""
     own = (group, scenario.n_robots, size.num_envs, size.num_envs, "team steps")
-    name, against = f"{LIMIT}, 1 thread", "" if scenario.obstacles else LIMIT
-    ended = f"make_vec, episodes of {EPISODE} steps"
-    found = [
-        Case("Simulator", *own, partial(simulator_of, scenario, size), against),
-        Case("make_vec", *own, partial(vector_of, scenario, size), against),
-        Case(ended, *own, partial(vector_of, scenario, size, EPISODE), against),
-    ]
-    limit = partial(_limit, scenario.n_robots, size.num_envs)
-    return found if scenario.obstacles else [Case(name, *own, limit), *found]
+    against = "" if scenario.obstacles else _LIMIT
+    limit = Case(f"{_LIMIT}, 1 thread", *own, partial(_limit, scenario.n_robots, size.num_envs))
+    builds = {
+        "Simulator": partial(simulator_of, scenario, size),
+        "make_vec": partial(_vector, scenario, size),
+        f"make_vec, episodes of {EPISODE} steps": partial(_vector, scenario, size, EPISODE),
+    }
+    found = [Case(name, *own, build, against) for name, build in builds.items()]
+    return found if scenario.obstacles else [limit, *found]
 
 
 def wrapped(n: int, size: Size) -> list[Case]:
@@ -124,21 +128,19 @@ def wrapped(n: int, size: Size) -> list[Case]:
     ]
 
 
-def sensing(n: int, size: Size) -> Iterator[list[Case]]:
-    """Steps of one team in dicts and of many teams, with sensors that err beside the exact one."""
-    many: Callable[[rv.Scenario], Running] = lambda scenario: simulator_of(scenario, size)  # noqa: E731
-    for count, build in ((1, dicts_of), (size.num_envs, many)):
-        own = ("sensing", n, count, count, "team steps")
-        exact = next(iter(_SENSORS))
-        yield [
-            Case(
-                name,
-                *own,
-                partial(build, spread_out(n, sensing=sensor)),
-                "" if name == exact else exact,
-            )
-            for name, sensor in _SENSORS.items()
-        ]
+def sensing(n: int, size: Size | None) -> list[Case]:
+    """Steps of many teams, or of one in dicts, with sensors that err beside the exact one."""
+    count = 1 if size is None else size.num_envs
+    own, exact = ("sensing", n, count, count, "team steps"), next(iter(_SENSORS))
+
+    def build(sensor: rv.Sensing) -> Running:
+        scenario = spread_out(n, sensing=sensor)
+        return _dicts(scenario) if size is None else simulator_of(scenario, size)
+
+    return [
+        Case(name, *own, partial(build, sensor), "" if name == exact else exact)
+        for name, sensor in _SENSORS.items()
+    ]
 
 
 # ---- what steps ---------------------------------------------------------------------------------
@@ -159,17 +161,12 @@ def stepping(env: Any) -> Running:
     return Running(lambda: env.step(next(tape)), lambda: bool(simulator.active.all()))
 
 
-def dicts_of(scenario: rv.Scenario) -> Running:
+def _dicts(scenario: rv.Scenario) -> Running:
     """One team through PettingZoo, under random actions."""
     env = rv.parallel_env(scenario)
     env.reset(seed=0)
-    tape = _dicts(env.agents, scenario.action_size, -1.0)
+    tape = _tape_of_dicts(env.agents, scenario.action_size, -1.0)
     return Running(lambda: env.step(next(tape)), lambda: bool(env.simulator.active.all()))
-
-
-def _dicts(agents: Sequence[str], size: int, low: float) -> Iterator[dict[str, Any]]:
-    drawn = np.random.default_rng(0).uniform(low, 1.0, (8, len(agents), size)).astype(np.float32)
-    return itertools.cycle([dict(zip(agents, each, strict=True)) for each in drawn])
 
 
 def _mpe2(n: int) -> Running:
@@ -177,16 +174,20 @@ def _mpe2(n: int) -> Running:
 
     env = simple_spread_v3.parallel_env(N=n, continuous_actions=True, max_cycles=10**9)
     env.reset(seed=0)
-    tape = _dicts(env.agents, 5, 0.0)
+    tape = _tape_of_dicts(env.agents, 5, 0.0)
     return Running(lambda: env.step(next(tape)), lambda: len(env.agents) == n)
+
+
+def _tape_of_dicts(agents: Sequence[str], size: int, low: float) -> Iterator[dict[str, Any]]:
+    drawn = np.random.default_rng(0).uniform(low, 1.0, (8, len(agents), size)).astype(np.float32)
+    return itertools.cycle([dict(zip(agents, each, strict=True)) for each in drawn])
 
 
 def simulator_of(scenario: rv.Scenario, size: Size) -> Running:
     """Many teams in the bare simulator, under random actions."""
     simulator = rv.Simulator(scenario, size.num_envs, num_threads=size.num_threads)
     simulator.reset(0)
-    venv = rv.make_vec(scenario, 1)
-    tape = tape_of(venv.single_action_space, size.num_envs)
+    tape = tape_of(rv.make_vec(scenario, 1).single_action_space, size.num_envs)
 
     def step() -> Any:
         outcome = simulator.step(next(tape))
@@ -197,7 +198,7 @@ def simulator_of(scenario: rv.Scenario, size: Size) -> Running:
     return Running(step, lambda: bool(simulator.active.all()))
 
 
-def vector_of(scenario: rv.Scenario, size: Size, max_cycles: int | None = None) -> Running:
+def _vector(scenario: rv.Scenario, size: Size, max_cycles: int | None = None) -> Running:
     """Many teams through ``make_vec``; with ``max_cycles`` their episodes end one after another."""
     venv = rv.make_vec(scenario, size.num_envs, num_threads=size.num_threads, max_cycles=max_cycles)
     running = stepping(venv)

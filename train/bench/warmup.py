@@ -31,11 +31,7 @@ class Config:
 
 
 def run(config: Config) -> None:
-    """Step every scenario once, one team and many, and ask every policy that fits it.
-
-    Raises:
-        UserError: for an unknown scenario or a bad file.
-    """
+    """Step every scenario once, one team and many, and ask every policy that fits it."""
     scenarios = [resolve_scenario(name) for name in config.scenarios or names()]
     for scenario in track(scenarios, "compiling", console=Console(stderr=True)):
         for teams in (1, _TOGETHER):

@@ -4,24 +4,39 @@ and the budget of an energy tank buy, and how far bounds lie above what teams ta
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
 from tyro.conf import Positional
 
+from rendezvous_env import baselines
+from rendezvous_env.safety.theorems.certificate import certificate
 from rendezvous_env.scenario import scenarios
 from rendezvous_env.trajectory import Trajectory, rollout
 
 from .. import policies, results
 from ..checks import UserError, check_least, check_most
-from . import bounds, learning_figures, path_figures, style
+from . import bounds, path_figures, style
+from .figures import BLUE, VERMILLION
+from .style import PAGE, new_figure, styled
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 _LAWS = {"fig3": "bearing-only", "fig4": "tangent-joined"}
 """Figure 3: law (1), through the obstacles. Figure 4: law (4) round them."""
+
+TANK_SCENARIO, TANK_POLICY = "clutter-24", "tank-joined"
+MARGINS = (0.05, 0.1, 0.2, 0.4, 0.8)
+BUDGETS = (0.0, 20.0)
+"""m²/s."""
+_TANK_COLOURS = (BLUE, VERMILLION)
 
 EXAMPLES = ("fig3", "fig4 --policy learned", "tank --episodes 1000", "bounds")
 
@@ -62,7 +77,7 @@ def run(config: Config) -> int:
     check_least(config, seed=0, episodes=1)
     check_most(config, seed=2**63 - 1, episodes=10**6)
     if config.policy is not None and config.figure not in _LAWS:
-        shown = learning_figures.TANK_POLICY if config.figure == "tank" else "random choices"
+        shown = TANK_POLICY if config.figure == "tank" else "random choices"
         raise UserError(f"--policy is {config.policy}; {config.figure} shows {shown} alone")
     if config.figure == "tank":
         return _tank(config)
@@ -82,9 +97,7 @@ def run(config: Config) -> int:
     path = folder / f"{config.figure}.png"
     results.write_arrays(path.with_suffix(".npz"), recording)
     results.write_csv(path.with_suffix(".csv"), _columns(scenario.n_robots), _rows(recording))
-    figure = path_figures.team_figure(scenario, recording, name)
-    for ending in (".png", ".pdf"):
-        style.save(figure, path.with_suffix(ending))
+    _save(path_figures.team_figure(scenario, recording, name), path)
     end = f"met after {recording['times'][-1]:.2f} s" if trajectory.success[0] else "did not meet"
     (rise,) = trajectory.largest_rise_between_merges
     console.print(f"{config.figure}, {name}: {end}; largest change of V in a step {rise:.2g} m²/s")
@@ -92,36 +105,9 @@ def run(config: Config) -> int:
     return 0
 
 
-def _tank(config: Config) -> int:
-    """Play, draw, and write tank.png, tank.pdf and tank.csv."""
-    path, console = results.prepare_folder(config.out) / "tank.png", Console()
-    with console.status("playing; the first use on a machine compiles …"):
-        rows = list(learning_figures.measure_tanks(config.episodes, config.seed))
-    results.write_csv(path.with_suffix(".csv"), learning_figures.TANK_COLUMNS, rows)
-    figure = learning_figures.tank_tradeoff_figure(rows)
+def _save(figure: Figure, path: Path) -> None:
     for ending in (".png", ".pdf"):
         style.save(figure, path.with_suffix(ending))
-    for row in rows:
-        console.print(
-            f"B = {row['budget']:g} m²/s, ε = {row['min_alignment']:g}: "
-            f"{row['clean_success']:.1%} without a contact; theorem D: {row['bound']:.4g} s"
-        )
-    console.print(f"picture and data: {path}, .pdf and .csv")
-    return 0
-
-
-def _bounds(config: Config) -> int:
-    """Play, print the table, write bounds.csv and the page."""
-    path, console = results.prepare_folder(config.out) / "bounds.csv", Console()
-    with console.status("playing; the first use on a machine compiles …"):
-        rows = list(bounds.measure(bounds.ROWS, config.episodes, config.seed))
-    results.write_csv(path, bounds.COLUMNS, rows)
-    table = bounds.table_of(rows)
-    if config.page is not None:
-        bounds.write_into(config.page, table)
-    console.print("\n".join(table), soft_wrap=True)
-    console.print(f"data: {path}")
-    return 0
 
 
 def one_team(trajectory: Trajectory) -> dict[str, NDArray[Any]]:
@@ -167,3 +153,86 @@ def _rows(recording: dict[str, NDArray[Any]]) -> list[dict[str, Any]]:
         ]
     )
     return [dict(zip(_columns(n), row, strict=True)) for row in table.tolist()]
+
+
+def _bounds(config: Config) -> int:
+    """Play, print the table, write bounds.csv and the page."""
+    path, console = results.prepare_folder(config.out) / "bounds.csv", Console()
+    with console.status("playing; the first use on a machine compiles …"):
+        rows = list(bounds.measure(bounds.ROWS, config.episodes, config.seed))
+    results.write_csv(path, bounds.COLUMNS, rows)
+    table = bounds.table_of(rows)
+    if config.page is not None:
+        bounds.write_into(config.page, table)
+    console.print("\n".join(table), soft_wrap=True)
+    console.print(f"data: {path}")
+    return 0
+
+
+# ---- what a tank's margin and budget buy ---------------------------------------------------------
+
+
+def _tank(config: Config) -> int:
+    """Play, draw, and write tank.png, tank.pdf and tank.csv."""
+    path, console = results.prepare_folder(config.out) / "tank.png", Console()
+    with console.status("playing; the first use on a machine compiles …"):
+        rows = list(measure_tanks(config.episodes, config.seed))
+    results.write_csv(path.with_suffix(".csv"), list(rows[0]), rows)
+    _save(tank_tradeoff_figure(rows), path)
+    for row in rows:
+        console.print(
+            f"B = {row['budget']:g} m²/s, ε = {row['min_alignment']:g}: "
+            f"{row['clean_success']:.1%} without a contact; theorem D: {row['bound']:.4g} s"
+        )
+    console.print(f"picture and data: {path}, .pdf and .csv")
+    return 0
+
+
+def measure_tanks(episodes: int, seed: int) -> Iterator[dict[str, Any]]:
+    """One row for each budget and margin, all from the same starts, of which seed is the first."""
+    scenario = scenarios.get(TANK_SCENARIO)
+    free = scenario.replace(obstacles=())  # theorem D bounds a team with nothing in its way
+    for budget, margin in product(BUDGETS, MARGINS):
+        options = {"budget": budget, "min_alignment": margin}
+        policy = baselines.make(TANK_POLICY, scenario, **options)
+        found = rollout(scenario, policy, seed=seed, num_envs=episodes, record=())
+        touched = found.contacts.any(axis=(0, 2))
+        yield {
+            **options,
+            "episodes": episodes,
+            "clean_success": float((found.success & ~touched).mean()),
+            "success": float(found.success.mean()),
+            "contact": float(touched.mean()),
+            "bound": certificate(free, margin, by="tank", budget=budget).time_bound,
+        }
+
+
+@styled
+def tank_tradeoff_figure(rows: Sequence[dict[str, Any]]) -> Figure:
+    """Clean success and the bound against ε, one line for each budget.
+
+    Args:
+        rows: as ``measure_tanks`` gives them.
+    """
+    figure = new_figure(PAGE, 2.6)
+    left, right = figure.subplots(1, 2)
+    for budget, colour in zip(BUDGETS, _TANK_COLOURS, strict=True):
+        line = [row for row in rows if row["budget"] == budget]
+        margins = [row["min_alignment"] for row in line]
+        label = f"B = {budget:g} m²/s"
+        left.plot(
+            margins, [100 * row["clean_success"] for row in line], "o-", color=colour, label=label
+        )
+        right.plot(margins, [row["bound"] for row in line], "o-", color=colour, label=label)
+    starts = rows[0]["episodes"]
+    left.set(ylim=(0, 103), ylabel="met without a contact / %")
+    left.set(title=f"What is reached: {TANK_SCENARIO}, {starts} starts")
+    right.set(yscale="log", ylabel="time bound / s")
+    right.set(title="What theorem D promises with nothing in the way")
+    for axes in (left, right):
+        axes.set(xscale="log", xlabel="alignment margin ε")
+        axes.set_xticks(MARGINS, [f"{margin:g}" for margin in MARGINS])
+        axes.minorticks_off()
+        axes.grid()
+    left.legend(loc="lower left")
+    return figure

@@ -15,17 +15,15 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from rendezvous_env.baselines.learned import checkpoints, plain_data
+from rendezvous_env.baselines.learned import checkpoints
 from rendezvous_env.baselines.learned.checkpoints import CheckpointError
 from rendezvous_env.baselines.learned.plain_data import check_types, entry
 from rich.console import Console
 
 from .. import results
 from ..checks import UserError
-from .settings import Config, check, resumed, same_run
+from .settings import CONFIG, Config, check, read_config, resumed, same_run
 
-CONFIG = "config.json"
-"""In the folder of a run: its settings."""
 STATE_FILES = ("network", "optimizer", "state")
 """Of a checkpoint from which training can go on."""
 _DESCRIPTION = {"step": int, "stage": int, "updates": int, "wall_s": float, "written": str}
@@ -51,7 +49,7 @@ def write(run: Path, step: int, description: Mapping[str, Any], tables: Tables) 
     folder = run / checkpoints.FOLDER
     folder.mkdir(parents=True, exist_ok=True)
     place = folder / f"step-{step:012d}"
-    write_folder(place, description, tables)
+    _write_folder(place, description, tables)
     results.write_json(folder / checkpoints.POINTER, {"checkpoint": place.name})
     _sync(folder)
     for old in sorted(folder.glob("step-*"))[:-KEPT]:
@@ -59,12 +57,8 @@ def write(run: Path, step: int, description: Mapping[str, Any], tables: Tables) 
     return place
 
 
-def write_folder(place: Path, description: Mapping[str, Any], tables: Tables) -> None:
-    """Write one checkpoint under a temporary name and rename it; one that stands there goes.
-
-    Raises:
-        OSError: if it cannot be written; nothing has changed then.
-    """
+def _write_folder(place: Path, description: Mapping[str, Any], tables: Tables) -> None:
+    """Write one checkpoint under a temporary name and rename it; one that stands there goes."""
     from safetensors.numpy import save
 
     for left in place.parent.glob(".*.part"):
@@ -105,31 +99,15 @@ def _sync(folder: Path) -> None:
         os.close(descriptor)
 
 
-def ship(run: Path, folder: Path) -> None:
-    """Write what others need of a run: weights, settings, and the tables that tell how it went.
-
-    Args:
-        run: folder of the run, or of one of its checkpoints.
-        folder: where it goes; what stands there is replaced.
-
-    Raises:
-        CheckpointError: if the run cannot be read.
-    """
-    place = checkpoints.find(run)
-    about, tables = checkpoints.read(place, ["network"])
-    write_folder(folder, about, tables)
-    for name in ("metrics.csv", "evaluation.csv"):
-        shutil.copyfile(place.parent.parent / name, folder / name)
-
-
-def flatten(state: Mapping[str, Any], prefix: str = "") -> dict[str, NDArray[Any]]:
-    """Nested arrays under names with slashes."""
+def flatten(state: Mapping[Any, Any], prefix: str = "") -> dict[str, NDArray[Any]]:
+    """Nested arrays and tensors under names with slashes."""
     flat: dict[str, NDArray[Any]] = {}
     for key, value in state.items():
         if isinstance(value, Mapping):
             flat |= flatten(value, f"{prefix}{key}/")
         else:
-            flat[prefix + key] = np.asarray(value)
+            is_tensor = isinstance(value, torch.Tensor)
+            flat[f"{prefix}{key}"] = value.cpu().numpy() if is_tensor else np.asarray(value)
     return flat
 
 
@@ -150,17 +128,8 @@ def tensors(arrays: Mapping[str, NDArray[Any]]) -> dict[str, torch.Tensor]:
     return {name: torch.from_numpy(array) for name, array in arrays.items()}
 
 
-def optimizer_arrays(optimizer: torch.optim.Optimizer) -> dict[str, NDArray[Any]]:
-    """Moments and step counts by parameter number."""
-    return {
-        f"{number}/{name}": value.cpu().numpy()
-        for number, moments in optimizer.state_dict()["state"].items()
-        for name, value in moments.items()
-    }
-
-
 def restore_optimizer(optimizer: torch.optim.Optimizer, arrays: Mapping[str, NDArray[Any]]) -> None:
-    """Put back what ``optimizer_arrays`` took out."""
+    """Put back what ``flatten`` took of an optimizer's state: moments and step counts."""
     state = {int(number): tensors(moments) for number, moments in unflatten(arrays).items()}
     groups = optimizer.state_dict()["param_groups"]
     optimizer.load_state_dict({"state": state, "param_groups": groups})
@@ -213,20 +182,6 @@ def restore_random(state: Mapping[str, NDArray[Any]]) -> None:
 
 
 # ---- where a run begins -------------------------------------------------------------------------
-
-
-def read_config(folder: Path) -> Config:
-    """The settings of the run to resume.
-
-    Raises:
-        UserError: if there is none.
-    """
-    try:
-        return Config.from_plain(plain_data.read_json(folder / CONFIG))
-    except (OSError, ValueError) as error:
-        said = getattr(error, "strerror", None) or error
-        what = f"{folder / CONFIG}: {said}"
-        raise UserError(f"--resume {folder}: it holds no run that can go on: {what}") from error
 
 
 def where_to_begin(config: Config, console: Console) -> tuple[Config, Path | None]:

@@ -6,7 +6,7 @@ from contextlib import closing, redirect_stdout
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
-from rendezvous_env.baselines.learned import plain_data, shipped
+from rendezvous_env.baselines.learned import shipped
 from rich.console import Console
 
 from .. import policies, results
@@ -15,10 +15,10 @@ from ..compare.playing import TOGETHER, make_ready
 from ..compare.settings import Job
 from ..tasks import WorkerFlags, each
 from . import ppo
+from .settings import CONFIG, check, read_config, same_run
 from .settings import EXAMPLES as EXAMPLES
 from .settings import FLAG_GROUPS as SETTINGS_GROUPS
 from .settings import Config as Settings
-from .settings import check, same_run
 
 FLAG_GROUPS = {"Several seeds": ("seeds", "jobs", "on", "address"), **SETTINGS_GROUPS}
 
@@ -51,10 +51,8 @@ def run(config: Config) -> int:
     results.prepare_folder(settings.out)
     console = Console(soft_wrap=True)
     console.print(f"{len(runs)} runs; {_log_of(runs[0])} and so on tell of them")
-    workers = config.workers
-    found = each(_train, runs, workers, long=True)
     try:
-        with closing(found):
+        with closing(each(_train, runs, config.workers, long=True)) as found:
             for number, status in found:
                 if status:
                     return status
@@ -87,18 +85,10 @@ def runs_of(settings: Settings, seeds: tuple[int, ...]) -> list[Settings]:
 
 
 def _begun(settings: Settings) -> Settings:
-    """A run as it is, or where it has begun what resumes it.
-
-    Raises:
-        UserError: if its folder holds another run.
-    """
-    path = settings.out / "config.json"
-    if not path.exists():
+    """A run as it is, or where it has begun what resumes it; another one there is refused."""
+    if not (settings.out / CONFIG).exists():
         return settings
-    try:
-        stored = Settings.from_plain(plain_data.read_json(path))
-    except (OSError, ValueError) as error:
-        raise UserError(f"{path}: not readable ({error}); move {settings.out} away") from error
+    stored = read_config(settings.out)
     if not same_run(settings, stored):
         raise UserError(f"{settings.out} holds a run of other settings; choose another --out")
     return replace(settings, resume=settings.out)

@@ -8,7 +8,10 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from io import StringIO
+from itertools import groupby
+from operator import itemgetter
 from pathlib import Path
+from statistics import fmean
 from typing import Any
 
 from .. import results
@@ -55,6 +58,10 @@ class Table:
 
 def _complete_rows(path: Path, columns: Sequence[str]) -> list[dict[str, str]]:
     """Rows of a file that may end in the middle of one; none if there is no file."""
+
+    def damaged(what: str) -> UserError:
+        return UserError(f"{path}: {what}; mend it, or move it away to go on without its rows")
+
     try:
         text = path.read_bytes().decode("utf-8")
         whole = StringIO(text[: text.rfind("\n") + 1], newline="")
@@ -62,30 +69,20 @@ def _complete_rows(path: Path, columns: Sequence[str]) -> list[dict[str, str]]:
     except FileNotFoundError:
         return []
     except (OSError, ValueError, csv.Error) as error:
-        raise _damaged(path, f"not readable ({error})") from error
+        raise damaged(f"not readable ({error})") from error
     if header != list(columns):
-        raise _damaged(path, f"line 1 is not {','.join(columns)}")
+        raise damaged(f"line 1 is not {','.join(columns)}")
     for number, row in enumerate(rows, start=2):
         if len(row) != len(columns):
-            raise _damaged(path, f"line {number} has {len(row)} cells, not {len(columns)}")
+            raise damaged(f"line {number} has {len(row)} cells, not {len(columns)}")
         step = row[columns.index("step")]
         if not (step.isascii() and step.isdigit() and len(step) < 20):
-            raise _damaged(path, f"line {number}: step is {step!r}; it must be a whole number")
+            raise damaged(f"line {number}: step is {step!r}; it must be a whole number")
     return [dict(zip(columns, row, strict=True)) for row in rows]
 
 
-def _damaged(path: Path, what: str) -> UserError:
-    return UserError(f"{path}: {what}; mend it, or move it away to go on without its rows")
-
-
 class Events:
-    """TensorBoard events, or nothing.
-
-    Args:
-        folder: for the event files.
-        step: events of later steps are hidden.
-        wanted: whether to write at all.
-    """
+    """TensorBoard events, or nothing; those of later steps than the one given are hidden."""
 
     def __init__(self, folder: Path, step: int, wanted: bool) -> None:
         self._writer = None
@@ -132,26 +129,24 @@ class Result:
     @property
     def final(self) -> tuple[Row, ...]:
         """The last evaluation, a row for each scenario; empty without one."""
-        return self._of_step(max((row["step"] for row in self.evaluations), default=None))
+        return max(self._by_step(), key=lambda rows: rows[0]["step"], default=())
 
     @property
     def best(self) -> tuple[Row, ...]:
         """The evaluation with the largest ``score``, the first of equals; empty without one."""
-        steps = dict.fromkeys(row["step"] for row in self.evaluations)
-        return self._of_step(max(steps, key=lambda step: score(self._of_step(step)), default=None))
+        return max(self._by_step(), key=score, default=())
 
-    def _of_step(self, step: int | None) -> tuple[Row, ...]:
-        return tuple(row for row in self.evaluations if row["step"] == step)
+    def _by_step(self) -> list[tuple[Row, ...]]:
+        grouped = groupby(self.evaluations, key=itemgetter("step"))
+        return [tuple(rows) for _, rows in grouped]
 
 
 def score(rows: tuple[Row, ...]) -> float:
     """Mean clean success over the scenarios of an evaluation, 0–1; plain success where robots pass
     through obstacles.
     """
-    clean = [row["clean_success"] for row in rows]
-    plain = [row["success"] for row in rows]
-    values = [p if math.isnan(c) else c for c, p in zip(clean, plain, strict=True)]
-    return sum(values) / len(values)
+    shares = ((row["clean_success"], row["success"]) for row in rows)
+    return fmean(success if math.isnan(clean) else clean for clean, success in shares)
 
 
 def read_evaluations(path: Path, step: int) -> tuple[Row, ...]:

@@ -37,12 +37,8 @@ class SetFeatures(BaseFeaturesExtractor):
 
         features = (mean φ(g), max φ(g), mean ψ(s), max ψ(s), context)
 
-    Absent (zero) rows do not count. The weights do not depend on the numbers of slots.
-
-    Args:
-        observation_space: of (layout.size,) numbers.
-        layout: which of them is what.
-        width: of φ and ψ.
+    Absent (zero) rows do not count. The weights, φ and ψ of ``width``, do not depend on the numbers
+    of slots.
     """
 
     def __init__(self, observation_space: Box, layout: FeatureLayout, width: int) -> None:
@@ -129,23 +125,21 @@ FAR = 5.0
 
 
 class Situation(NamedTuple):
-    """The global state taken apart; every part is a view."""
+    """The global state taken apart; every part is a view, and rows of what is gone are zero."""
 
     robots: Any
-    """(..., n, STATE_ROBOT_COLUMNS); rows of robots that are gone are zero."""
+    """(..., n, STATE_ROBOT_COLUMNS)."""
     obstacles: Any
-    """(..., M, STATE_OBSTACLE_COLUMNS); rows of obstacles that are absent are zero."""
+    """(..., M, STATE_OBSTACLE_COLUMNS)."""
     context: Any
     """(..., STATE_CONTEXT_COLUMNS)."""
 
 
 class GlobalStateLayout(NamedTuple):
-    """Which part of a flat row of numbers is what."""
+    """Which part of a flat row of numbers is what, for n robots and M obstacles."""
 
     n_robots: int
-    """n."""
     obstacle_slots: int
-    """M."""
 
     @property
     def size(self) -> int:
@@ -155,12 +149,11 @@ class GlobalStateLayout(NamedTuple):
 
     def split(self, state: Any) -> Situation:
         """Take (..., size) apart, an array or a tensor."""
-        leading, stop = state.shape[:-1], self.n_robots * STATE_ROBOT_COLUMNS
+        robots = self.n_robots * STATE_ROBOT_COLUMNS
+        obstacles = state[..., robots:-STATE_CONTEXT_COLUMNS]
         return Situation(
-            state[..., :stop].reshape(*leading, self.n_robots, STATE_ROBOT_COLUMNS),
-            state[..., stop:-STATE_CONTEXT_COLUMNS].reshape(
-                *leading, self.obstacle_slots, STATE_OBSTACLE_COLUMNS
-            ),
+            state[..., :robots].reshape(*state.shape[:-1], self.n_robots, STATE_ROBOT_COLUMNS),
+            obstacles.reshape(*state.shape[:-1], self.obstacle_slots, STATE_OBSTACLE_COLUMNS),
             state[..., -STATE_CONTEXT_COLUMNS:],
         )
 
@@ -192,13 +185,8 @@ class GlobalStateLayout(NamedTuple):
         there[..., :2] = _seen_from(positions, axes, table[..., CENTRE : CENTRE + 2])
         there[..., 2] = table[:, np.newaxis, :, RADIUS] / FAR
         there *= (table[..., RADIUS] > 0.0)[:, np.newaxis, :, np.newaxis]
-        context = np.stack(
-            (
-                simulator.lyapunov() / simulator.initial_lyapunov,
-                simulator.steps / simulator.max_steps,
-            ),
-            axis=-1,
-        )
+        left = simulator.lyapunov() / simulator.initial_lyapunov
+        context = np.stack((left, simulator.steps / simulator.max_steps), axis=-1)
         rows = (robots.reshape(batch, n, -1), obstacles.reshape(batch, n, -1))
         context = np.broadcast_to(context[:, np.newaxis], (batch, n, STATE_CONTEXT_COLUMNS))
         states = np.concatenate((*rows, context), axis=-1) * active[..., np.newaxis]
@@ -223,21 +211,10 @@ def _seen_from(
 
 
 class GlobalFeatures(SetFeatures):
-    """``SetFeatures`` and, behind them, those of the global state that follows what is shown.
-
-    Args:
-        observation_space: of (layout.size + state.size,) numbers.
-        layout: of what is shown.
-        width: of the networks that read one row.
-        state: layout of the global state.
-    """
+    """``SetFeatures`` and, behind them, those of the global state that follows what is shown."""
 
     def __init__(
-        self,
-        observation_space: Box,
-        layout: FeatureLayout,
-        width: int,
-        state: GlobalStateLayout,
+        self, observation_space: Box, layout: FeatureLayout, width: int, state: GlobalStateLayout
     ) -> None:
         super().__init__(observation_space, layout, width)
         self.state = state

@@ -1,10 +1,8 @@
-"""``rendezvous train``: PPO learns headings; it can be stopped at any moment and resumed."""
+"""PPO learns headings; a run can be stopped at any moment and resumed."""
 
 from __future__ import annotations
 
-import importlib.util
-
-from ..checks import UserError
+from ..checks import check_installed
 from .log import OnUpdate, Result
 from .settings import EVALUATION_SEEDS, Config, check
 
@@ -28,13 +26,7 @@ def run(config: Config, on_update: OnUpdate | None = None) -> Result:
             cannot be written.
     """
     check(config)
-    _require_extra()
+    check_installed("training", "train", "torch", "stable_baselines3")
     from . import trainer
 
     return trainer.run(config, on_update)
-
-
-def _require_extra() -> None:
-    for package in ("torch", "stable_baselines3"):
-        if importlib.util.find_spec(package) is None:
-            raise UserError(f"training needs {package}; pip install 'rendezvous-env[train]'")

@@ -9,8 +9,6 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from rendezvous_env.baselines.learned.training_environment import FeatureVectorEnv
-from stable_baselines3.common.buffers import RolloutBuffer
-from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.distributions import Distribution
 from stable_baselines3.common.policies import ActorCriticPolicy
 from stable_baselines3.common.type_aliases import RolloutBufferSamples
@@ -82,11 +80,8 @@ class RecurrentNetwork(SplitNetwork):
     def predict_values(  # type: ignore[override]  # with what robots remember
         self, obs: Tensor, hidden: Tensor | None = None
     ) -> Tensor:
-        """Values (N, 1) of what comes next; nothing is remembered of it.
-
-        Args:
-            obs: (N, size).
-            hidden: what these robots remember, (N, units); None is that of all slots.
+        """Values (N, 1) of what comes next, by what these robots remember, (N, units); None is that
+        of all slots. Nothing new is remembered.
         """
         latent = self.mlp_extractor.forward_critic(self._with_memory(obs, hidden))
         values: Tensor = self.value_net(latent)
@@ -200,16 +195,10 @@ class RecurrentRobotPPO(RobotPPO):
         super()._setup_model()
         self.policy.begin(self.n_envs)
 
-    def collect_rollouts(
-        self,
-        env: VecEnv,
-        callback: BaseCallback,
-        rollout_buffer: RolloutBuffer,
-        n_rollout_steps: int,
-    ) -> bool:
+    def collect_rollouts(self, env: VecEnv, *how: Any, **more: Any) -> bool:
         """As ``RobotPPO``; slots whose episodes begin with the rollout remember nothing."""
         self.policy.forget(torch.as_tensor(self._last_episode_starts, device=self.device))
-        return super().collect_rollouts(env, callback, rollout_buffer, n_rollout_steps)
+        return super().collect_rollouts(env, *how, **more)
 
     def get_memory(self) -> dict[str, NDArray[Any]]:
         """What the robots remember, (slots, units)."""

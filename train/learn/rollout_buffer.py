@@ -11,7 +11,6 @@ import torch
 from numpy.typing import NDArray
 from stable_baselines3 import PPO
 from stable_baselines3.common.buffers import RolloutBuffer
-from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.policies import ActorCriticPolicy
 from stable_baselines3.common.type_aliases import RolloutBufferSamples
 from stable_baselines3.common.vec_env import VecEnv, VecNormalize
@@ -42,20 +41,12 @@ class RobotRolloutBuffer(RolloutBuffer):
         super().reset()
         self.mask = np.ones((self.buffer_size, self.n_envs), dtype=np.bool_)
 
-    def add(
-        self,
-        obs: NDArray[np.float32],
-        action: NDArray[np.float32],
-        reward: NDArray[np.float32],
-        episode_start: NDArray[np.bool_],
-        value: torch.Tensor,
-        log_prob: torch.Tensor,
-    ) -> None:
+    def add(self, obs: Any, action: Any, reward: NDArray[np.float32], *more: Any) -> None:
         """Add the step that the robots have just done; arguments as in stable-baselines3."""
         if self._robots is not None:
             self.mask[self.pos] = self._robots.acted
             reward = reward + self.gamma * self._values_of_cut_off(self._robots)
-        super().add(obs, action, reward, episode_start, value, log_prob)
+        super().add(obs, action, reward, *more)
 
     def _values_of_cut_off(self, robots: RobotVecEnv) -> NDArray[np.float32]:
         """V(o) of the slots that the last step cut off, 0 of the others, (slots,)."""
@@ -110,13 +101,7 @@ class RobotPPO(PPO):
     def set_memory(self, state: Mapping[str, NDArray[Any]]) -> None:
         """Put back what ``get_memory`` took out."""
 
-    def collect_rollouts(
-        self,
-        env: VecEnv,
-        callback: BaseCallback,
-        rollout_buffer: RolloutBuffer,
-        n_rollout_steps: int,
-    ) -> bool:
+    def collect_rollouts(self, env: VecEnv, *how: Any, **more: Any) -> bool:
         """Collect as PPO does, with the buffer following the robots.
 
         Raises:
@@ -130,6 +115,6 @@ class RobotPPO(PPO):
         self.rollout_buffer.follow(robots, self.policy)
         robots.tell_bootstraps = False
         try:
-            return super().collect_rollouts(env, callback, rollout_buffer, n_rollout_steps)
+            return super().collect_rollouts(env, *how, **more)
         finally:
             robots.tell_bootstraps = True

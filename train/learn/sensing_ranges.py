@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -39,7 +39,6 @@ class SensingRanges:
     chance: float = 0.5
 
     def __post_init__(self) -> None:
-        """Refuse what no sensor can have, and ranges that end before they begin."""
         for name, given in self._given().items():
             for value in given:
                 Sensing(**{name: value})
@@ -51,20 +50,14 @@ class SensingRanges:
 
     def _given(self) -> dict[str, Any]:
         """The fields that have a range, by name."""
-        names = [field.name for field in fields(self) if field.name != "chance"]
-        return {name: getattr(self, name) for name in names if getattr(self, name)}
+        return {name: given for name, given in asdict(self).items() if given and name != "chance"}
 
     def __bool__(self) -> bool:
         """Whether anything is drawn at all."""
         return bool(self._given())
 
     def draw(self, sensing: Sensing, *key: int) -> Sensing:
-        """The sensor that belongs to a key, the same whenever it is asked for.
-
-        Args:
-            sensing: whose other fields stay.
-            key: whole numbers from 0 on.
-        """
+        """The sensor that belongs to a key of whole numbers from 0 on; other fields stay."""
         random, drawn = np.random.default_rng(key), {}
         for name, given in self._given().items():
             departs, share = random.random(2)

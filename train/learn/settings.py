@@ -5,22 +5,21 @@ from __future__ import annotations
 import math
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args, get_type_hints
+from typing import Annotated, Any, Literal, get_args, get_type_hints
 
 from rendezvous_env.baselines.learned.features import can_steer, check_readable
-from rendezvous_env.baselines.learned.plain_data import check_types
+from rendezvous_env.baselines.learned.plain_data import check_types, read_json
+from rendezvous_env.baselines.learned.policy_settings import PolicySettings, memory_of
 from tyro.conf import arg
 
 from rendezvous_env.obstacles.fields import ObstacleField
 from rendezvous_env.rewards.terms import RewardWeights
-from rendezvous_env.scenario import scenarios as named_scenarios
+from rendezvous_env.safety.tank import unit_of_tanks
 from rendezvous_env.scenario.scenario import Scenario
 
 from ..checks import UserError, check_fields, check_least, check_most, flag
+from ..policies import resolve_scenario
 from .sensing_ranges import SensingRanges
-
-if TYPE_CHECKING:
-    from rendezvous_env.baselines.learned.learned_policy import PolicySettings
 
 TRAINING_SEEDS, EVALUATION_SEEDS = 2**62, 2**61
 """Of the first start: of training with seed s it is 2⁶² + 2³² s, of evaluation 2⁶¹. ``compare``
@@ -32,32 +31,29 @@ _SENSING = (
     "sensing_occlusion", "sensing_delay", "sensing_chance",
 )  # fmt: skip
 """Fields that say from what sensors are drawn."""
-_LATER = (
-    "guarantee", "budget", "memory", "memory_units", "critic", *_SENSING, "sensing_groups",
-    "sensing_updates",
-)  # fmt: skip
-"""Fields that runs of earlier versions have not written."""
-
+_PATHS = ("out", "resume", "start_from")
+CONFIG = "config.json"
+"""In the folder of a run: its settings."""
 
 EXAMPLES = (
     "--out runs/heading --total-steps 20000000",
     "--scenario clutter-8 --guarantee tank --memory recurrent --out runs/tank",
     "--resume runs/heading",
 )
+_REWARDS = ("progress", "time_penalty", "collision_penalty", "rendezvous_bonus")
+_POLICY = (
+    "set_width", "hidden", "clearance", "persistence", "min_alignment", "max_turn_rate",
+    "guarantee", "memory", "memory_units",
+)  # fmt: skip
 _LEARNING = (
     "num_teams", "n_steps", "batch_size", "epochs", "learning_rate", "gamma", "gae_lambda",
     "clip_range", "ent_coef", "prior", "start_from",
 )  # fmt: skip
 FLAG_GROUPS = {
     "PPO": _LEARNING,
-    "Policy": (
-        "set_width", "hidden", "clearance", "persistence", "decision_period", "min_alignment",
-        "max_turn_rate", "guarantee", "budget", "memory", "memory_units", "critic",
-    ),
+    "Policy": (*_POLICY, "decision_period", "budget", "critic"),
     "Sensors that are sampled": (*_SENSING, "sensing_groups", "sensing_updates"),
-    "Rewards": (
-        "progress", "time_penalty", "collision_penalty", "touch_penalty", "rendezvous_bonus",
-    ),
+    "Rewards": (*_REWARDS, "touch_penalty"),
     "Evaluation and machine": (
         "eval_every", "eval_starts", "eval_scenarios", "checkpoint_every", "tensorboard",
         "num_threads", "device",
@@ -89,6 +85,9 @@ class Config:
     eval-starts, checkpoint-every and num-threads where they are given."""
     start_from: Path | None = None
     """A run or checkpoint whose weights the training begins with."""
+
+    set: tuple[str, ...] = ()
+    """Other values for fields of the scenario, as in n_robots=9 time_limit=60."""
 
     num_teams: int = 1024
     """How many environments are simulated at once."""
@@ -192,37 +191,26 @@ class Config:
 
     def to_plain(self) -> dict[str, Any]:
         """As plain data."""
-        return {
-            key: str(value) if isinstance(value, Path) else value
-            for key, value in asdict(self).items()
-        }
+        plain = asdict(self)
+        return plain | {name: None if plain[name] is None else str(plain[name]) for name in _PATHS}
 
     @classmethod
     def from_plain(cls, plain: dict[str, Any]) -> Config:
-        """What ``to_plain`` gave.
+        """What ``to_plain`` gave; fields that came later may be missing.
 
         Raises:
-            ValueError: for a missing or unknown field, or one of a wrong type. Fields that
-                came later may be missing.
+            ValueError: for an unknown field, or one of a wrong type.
         """
         if not isinstance(plain, dict):
             raise ValueError(f"the configuration is a {type(plain).__name__}, not named fields")
-        from rendezvous_env.baselines.learned.policy_settings import memory_of
-
-        plain = {name: getattr(cls, name) for name in _LATER} | plain
-        plain["memory"] = memory_of(plain["memory"])
-        if wrong := sorted(set(plain) ^ {field.name for field in fields(cls)}):
-            raise ValueError(f"field {wrong[0]!r} of the configuration is missing or unknown")
-        paths = ("out", "resume", "start_from")
-        read: dict[str, Any] = {
-            key: tuple(value)
-            if isinstance(value, list)
-            else Path(value)
-            if key in paths and isinstance(value, str)
-            else value
-            for key, value in plain.items()
-        }
-        check_types(read, get_type_hints(cls))
+        hints = get_type_hints(cls)
+        if unknown := sorted(set(plain) - set(hints)):
+            raise ValueError(f"field {unknown[0]!r} of the configuration is unknown")
+        read: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in plain.items()}
+        read |= {name: Path(read[name]) for name in _PATHS if isinstance(read.get(name), str)}
+        if "memory" in read:
+            read["memory"] = memory_of(read["memory"])
+        check_types(read, {name: hints[name] for name in read})
         return cls(**read)
 
     @property
@@ -237,13 +225,16 @@ class Config:
 
     def base_scenario(self) -> Scenario:
         """The scenario with this configuration's rewards."""
-        rewards = RewardWeights(
-            progress=self.progress,
-            time_penalty=self.time_penalty,
-            collision_penalty=self.collision_penalty,
-            rendezvous_bonus=self.rendezvous_bonus,
-        )
-        return named_scenarios.resolve(self.scenario).replace(reward=rewards)
+        rewards = RewardWeights(**{name: getattr(self, name) for name in _REWARDS})
+        return self.plain_scenario().replace(reward=rewards)
+
+    def plain_scenario(self) -> Scenario:
+        """The scenario as it is named, with what --set says.
+
+        Raises:
+            UserError: saying what would be right.
+        """
+        return resolve_scenario(self.scenario, self.set)
 
     def sensing_ranges(self) -> SensingRanges:
         """From what the sensors of the teams are drawn; false if they are the scenario's.
@@ -276,33 +267,26 @@ class Config:
 
     def policy_settings(self) -> PolicySettings:
         """What the policy is, once it is trained."""
-        from rendezvous_env.baselines.learned.learned_policy import PolicySettings
-
-        from rendezvous_env.safety.tank import unit_of_tanks
-
         scenario = self.base_scenario()
         return PolicySettings(
-            set_width=self.set_width,
-            hidden=self.hidden,
-            clearance=self.clearance,
-            persistence=self.persistence,
-            min_alignment=self.min_alignment,
-            max_turn_rate=self.max_turn_rate,
+            **{name: getattr(self, name) for name in _POLICY},
             decision_time=self.decision_period * scenario.tau,
-            guarantee=self.guarantee,
             budget=self.budget / unit_of_tanks(scenario),
-            memory=self.memory,
-            memory_units=self.memory_units,
         )
 
 
-_MOST = {
-    "set_width": 2**12, "hidden": 2**12, "decision_period": 10**6, "eval_starts": 2**32,
-    "num_threads": 2**10, "total_steps": 2**62, "checkpoint_every": 2**62, "eval_every": 2**62,
-    "learning_rate": 1e6, "epochs": 2**31, "batch_size": 2**31, "curriculum": 2**10,
-    "fewest_obstacles": 2**10, "budget": 1e9, "memory_units": 2**12,
-    "sensing_groups": 2**20, "sensing_updates": 2**31,
+_ANY = float("inf")
+_BOUNDS = {
+    "total_steps": (1, 2**62), "seed": (0, 2**29 - 1), "num_teams": (1, _ANY),
+    "n_steps": (2, _ANY), "batch_size": (2, 2**31), "epochs": (1, 2**31), "gamma": (0, 1),
+    "gae_lambda": (0, 1), "learning_rate": (0, 1e6), "touch_penalty": (0, _ANY),
+    "curriculum": (0, 2**10), "fewest_obstacles": (0, 2**10), "set_width": (1, 2**12),
+    "hidden": (1, 2**12), "persistence": (0, _ANY), "decision_period": (1, 10**6),
+    "budget": (0, 1e9), "memory_units": (1, 2**12), "sensing_groups": (1, 2**20),
+    "sensing_updates": (1, 2**31), "eval_every": (0, 2**62), "eval_starts": (1, 2**32),
+    "checkpoint_every": (1, 2**62), "num_threads": (1, 2**10),
 }  # fmt: skip
+"""Least and most of numbers, or of each of several."""
 _MOST_SAMPLES = 2**31
 MAY_CHANGE = ("total_steps", "eval_every", "eval_starts", "checkpoint_every", "num_threads")
 """Fields that a resumed run may change; with any other it would be another run."""
@@ -314,67 +298,29 @@ def check(config: Config) -> None:
     Raises:
         UserError: naming the flag, its value and what would be right.
     """
-    least = {
-        "total_steps": 1, "seed": 0, "num_teams": 1, "n_steps": 2, "batch_size": 2, "epochs": 1,
-        "set_width": 1, "decision_period": 1, "eval_every": 0, "eval_starts": 1,
-        "checkpoint_every": 1, "touch_penalty": 0, "num_threads": 1, "hidden": 1, "persistence": 0,
-        "budget": 0, "memory_units": 1, "sensing_groups": 1, "sensing_updates": 1,
-    }  # fmt: skip
     check_fields(config)
-    check_least(config, **least)
-    check_most(config, **_MOST)
-    _check_words(config)
-    _check_guarantee(config)
-    _check_sensing(config)
-    for name in ("gamma", "gae_lambda"):
-        if not 0 <= getattr(config, name) <= 1:
-            raise UserError(f"{flag(name)} is {getattr(config, name)}; it must be in [0, 1]")
+    check_least(config, **{name: least for name, (least, _) in _BOUNDS.items()})
+    check_most(config, **{name: most for name, (_, most) in _BOUNDS.items()})
+    hints = get_type_hints(Config)
+    for name in ("guarantee", "memory", "critic"):
+        if (value := getattr(config, name)) not in (words := get_args(hints[name])):
+            raise UserError(f"{flag(name)} is {value!r}; it must be one of {', '.join(words)}")
     for name in ("learning_rate", "clip_range", "max_turn_rate"):
-        if not 0 < getattr(config, name) < float("inf"):
+        if not getattr(config, name) > 0:
             raise UserError(f"{flag(name)} is {getattr(config, name)}; it must be positive")
     if not 0 <= config.clearance < math.pi:
         raise UserError(f"--clearance is {config.clearance}; it must be an angle in [0, π) rad")
-    if config.seed >= 2**29:
-        raise UserError(f"--seed is {config.seed}; it must be below 2^29")
-    if any(count < 0 for count in (*config.curriculum, config.fewest_obstacles or 0)):
-        raise UserError("--curriculum and --fewest-obstacles count obstacles; they must be ≥ 0")
+    if not 0 < config.min_alignment < 1:
+        raise UserError(f"--min-alignment is {config.min_alignment}; it must be in (0, 1)")
+    _check_unused(config)
     try:
-        if (samples := config.samples_per_update) > _MOST_SAMPLES:
-            raise UserError(
-                f"--num-teams times robots times --n-steps is {samples}; it must be "
-                f"{_MOST_SAMPLES} or less"
-            )
-        base = config.base_scenario()
-        if not can_steer(base):
-            raise UserError(
-                f"--scenario {config.scenario}: has {base.robot_model} robots in {base.dim}-D; "
-                "train teaches single_integrator robots in 2-D. For a learner of your own "
-                "rendezvous_env.training_env(scenario) makes these, with the same guarantees"
-            )
-        for scenario in (
-            base,
-            *map(named_scenarios.resolve, config.eval_scenarios),
-        ):
-            check_readable(scenario)
-        config.obstacle_slots()
+        _check_scenarios(config)
     except (ValueError, OSError) as error:
         raise UserError(str(error)) from error
 
 
-def _check_guarantee(config: Config) -> None:
-    if not 0 < config.min_alignment < 1:
-        raise UserError(f"--min-alignment is {config.min_alignment}; it must be in (0, 1)")
-    of_tanks = {"budget": config.budget > 0, "memory": config.memory == "features"}
-    for name, given in of_tanks.items() if config.guarantee == "heading" else ():
-        if given:
-            value = getattr(config, name)
-            raise UserError(f"{flag(name)} is {value}; headings have none: add --guarantee tank")
-    if config.memory != "recurrent" and config.memory_units != Config.memory_units:
-        units = config.memory_units
-        raise UserError(f"--memory-units is {units}; there are none without --memory recurrent")
-
-
-def _check_sensing(config: Config) -> None:
+def _check_unused(config: Config) -> None:
+    """Refuse a flag that means nothing without another one."""
     try:
         drawn = bool(config.sensing_ranges())
     except ValueError as error:
@@ -384,18 +330,51 @@ def _check_sensing(config: Config) -> None:
             f"--sensing-groups is {config.sensing_groups}; it must be {config.num_teams} or less, "
             "as --num-teams"
         )
-    for name in () if drawn else ("sensing_chance", "sensing_groups", "sensing_updates"):
+    unused = {}
+    if config.guarantee == "heading":
+        unused["budget"] = "headings have none: add --guarantee tank"
+        if config.memory == "features":
+            unused["memory"] = unused["budget"]
+    if config.memory != "recurrent":
+        unused["memory_units"] = "there are none without --memory recurrent"
+    if not drawn:
+        why = "no sensors are drawn: add a range, as --sensing-noise"
+        unused |= dict.fromkeys(("sensing_chance", "sensing_groups", "sensing_updates"), why)
+    for name, why in unused.items():
         if (value := getattr(config, name)) != getattr(Config, name):
-            raise UserError(
-                f"{flag(name)} is {value}; no sensors are drawn: add a range, as --sensing-noise"
-            )
+            raise UserError(f"{flag(name)} is {value}; {why}")
 
 
-def _check_words(config: Config) -> None:
-    hints = get_type_hints(Config)
-    for name in ("guarantee", "memory", "critic"):
-        if (value := getattr(config, name)) not in (words := get_args(hints[name])):
-            raise UserError(f"{flag(name)} is {value!r}; it must be one of {', '.join(words)}")
+def _check_scenarios(config: Config) -> None:
+    base = config.base_scenario()
+    if not can_steer(base):
+        raise UserError(
+            f"--scenario {config.scenario}: has {base.robot_model} robots in {base.dim}-D; "
+            "train teaches single_integrator robots in 2-D. For a learner of your own "
+            "rendezvous_env.training_env(scenario) makes these, with the same guarantees"
+        )
+    if (samples := config.samples_per_update) > _MOST_SAMPLES:
+        raise UserError(
+            f"--num-teams times robots times --n-steps is {samples}; it must be "
+            f"{_MOST_SAMPLES} or less"
+        )
+    for scenario in (base, *map(resolve_scenario, config.eval_scenarios)):
+        check_readable(scenario)
+    config.obstacle_slots()
+
+
+def read_config(folder: Path) -> Config:
+    """The settings of the run to resume.
+
+    Raises:
+        UserError: if there is none.
+    """
+    path = folder / CONFIG
+    try:
+        return Config.from_plain(read_json(path))
+    except (OSError, ValueError) as error:
+        what = f"{path}: {getattr(error, 'strerror', None) or error}"
+        raise UserError(f"--resume {folder}: it holds no run that can go on: {what}") from error
 
 
 def resumed(config: Config, stored: Config) -> Config:
@@ -420,6 +399,6 @@ def resumed(config: Config, stored: Config) -> Config:
 
 def same_run(one: Config, other: Config) -> bool:
     """Whether two settings differ in nothing but what a resumed run may change."""
-    free = (*MAY_CHANGE, "out", "resume")
-    names = [field.name for field in fields(Config) if field.name not in free]
-    return all(getattr(one, name) == getattr(other, name) for name in names)
+    default = Config()
+    free = {name: getattr(default, name) for name in (*MAY_CHANGE, "out", "resume")}
+    return replace(one, **free) == replace(other, **free)

@@ -15,15 +15,11 @@ from rendezvous_env import make_vec
 from rendezvous_env.adapters.sb3 import RobotVecEnv
 from rendezvous_env.engine.state_checks import check_entries, check_keys
 from rendezvous_env.envs.vector_env import Info, Transition
-from rendezvous_env.scenario.scenario import Scenario
 from rendezvous_env.sensors.sensing import Sensing
 from rendezvous_env.simulator import Simulator
 
 from .networks import GlobalStateLayout
 from .settings import Config
-
-MakeTeams = Callable[[Sensing, int], FeatureVectorEnv]
-"""Makes so many teams with that sensor."""
 
 
 class SensingGroups(VectorEnv[Any, Any, Any]):
@@ -35,7 +31,7 @@ class SensingGroups(VectorEnv[Any, Any, Any]):
     policy is served.
 
     Args:
-        make: the teams of a group.
+        make: a group of so many teams with a sensor.
         draw: the sensor of a group, from its number and its generation.
         sizes: how many teams each group has.
         period: updates for which a group keeps its sensor.
@@ -43,7 +39,7 @@ class SensingGroups(VectorEnv[Any, Any, Any]):
 
     def __init__(
         self,
-        make: MakeTeams,
+        make: Callable[[Sensing, int], FeatureVectorEnv],
         draw: Callable[[int, int], Sensing],
         sizes: Sequence[int],
         period: int,
@@ -90,18 +86,16 @@ class SensingGroups(VectorEnv[Any, Any, Any]):
         seed: int | Sequence[int | None] | None = None,
         options: Mapping[str, Any] | None = None,
     ) -> tuple[NDArray[np.float32], Info]:
-        """Begin a new episode in all teams, as ``RendezvousVectorEnv.reset`` without options.
-
-        Raises:
-            ValueError: if there are options.
-        """
+        """Begin a new episode in all teams, as ``RendezvousVectorEnv.reset`` without options."""
         if options:
             raise ValueError(f"options are {dict(options)}; groups of teams take none")
         seeds = [seed + team for team in range(self.num_envs)] if isinstance(seed, int) else seed
-        begun = []
-        for teams, stop in zip(self.groups, np.cumsum(self._sizes).tolist(), strict=True):
-            own = None if seeds is None else seeds[stop - teams.num_envs : stop]
-            begun.append(teams.reset(seed=own))
+        none = [None] * len(self.groups)
+        parts: Any = none if seeds is None else np.split(np.array(seeds), self._bounds)
+        begun = [
+            teams.reset(seed=None if own is None else own.tolist())
+            for teams, own in zip(self.groups, parts, strict=True)
+        ]
         observations = np.concatenate([seen for seen, _ in begun])
         self._note_blind(slice(None), observations)
         return observations, self._joined([infos for _, infos in begun])
@@ -197,46 +191,37 @@ def _next_episodes(before: FeatureVectorEnv, renewed: FeatureVectorEnv) -> NDArr
 def make_teams(config: Config, stage: int) -> FeatureVectorEnv | SensingGroups:
     """The teams of a stage of the curriculum."""
     scenario, ranges = config.stage_scenario(stage), config.sensing_ranges()
-    if not ranges:
-        return _alike(config, scenario, config.num_teams)
+    slots, settings = config.obstacle_slots(), config.policy_settings()
+    state = GlobalStateLayout(scenario.n_robots, slots) if config.critic == "global" else None
 
     def make(sensing: Sensing, size: int) -> FeatureVectorEnv:
-        return _alike(config, scenario.replace(sensing=sensing), size)
+        teams = make_vec(
+            scenario.replace(sensing=sensing),
+            size,
+            autoreset_mode=AutoresetMode.SAME_STEP,
+            num_threads=config.num_threads,
+        )
+        return FeatureVectorEnv(
+            teams,
+            settings,
+            touch_penalty=config.touch_penalty,
+            obstacle_slots=slots,
+            global_state=state,
+        )
 
     def draw(group: int, generation: int) -> Sensing:
         return ranges.draw(scenario.sensing, config.seed, group, generation)
 
+    if not ranges:
+        return make(scenario.sensing, config.num_teams)
     parts = np.array_split(np.arange(config.num_teams), config.sensing_groups)
     return SensingGroups(make, draw, [len(part) for part in parts], config.sensing_updates)
 
 
-def _alike(config: Config, scenario: Scenario, size: int) -> FeatureVectorEnv:
-    slots = config.obstacle_slots()
-    state = GlobalStateLayout(scenario.n_robots, slots)
-    teams = make_vec(
-        scenario,
-        size,
-        autoreset_mode=AutoresetMode.SAME_STEP,
-        num_threads=config.num_threads,
-    )
-    return FeatureVectorEnv(
-        teams,
-        config.policy_settings(),
-        touch_penalty=config.touch_penalty,
-        obstacle_slots=slots,
-        global_state=state if config.critic == "global" else None,
-    )
-
-
 class WatchedRobots(RobotVecEnv):
-    """Robots whose environment's time and alignment are summed up."""
+    """Robots whose environment's time, s, and alignment with its number of terms are summed up."""
 
-    seconds = 0.0
-    """Spent in steps."""
-    alignment = 0.0
-    """Sum over robots and steps."""
-    aligned = 0
-    """How many terms that sum has."""
+    seconds, alignment, aligned = 0.0, 0.0, 0
 
     def step_wait(self) -> Any:
         """As RobotVecEnv, and take the time."""

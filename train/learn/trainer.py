@@ -17,36 +17,23 @@ from rendezvous_env.baselines.learned import checkpoints
 from rendezvous_env.baselines.learned.checkpoints import CheckpointError
 from rendezvous_env.baselines.learned.learned_policy import LearnedPolicy, PolicySettings
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import Progress
 from stable_baselines3.common.logger import Logger
 
 from rendezvous_env.engine.threads import available_cores
-from rendezvous_env.scenario import scenarios
+from rendezvous_env.scenario.scenario import Scenario
 
 from .. import interrupts, results
 from ..checks import UserError
 from ..compare import statistics
 from ..compare.evaluation import play
+from ..policies import resolve_scenario
 from ..resume import claimed
 from . import checkpoint
-from .checkpoint import (
-    CONFIG,
-    STATE_FILES,
-    check_fits,
-    flatten,
-    optimizer_arrays,
-    random_state,
-    read_config,
-    restore_optimizer,
-    restore_random,
-    tensors,
-    unflatten,
-    where_to_begin,
-    write_failure,
-)
-from .log import EVALUATION, METRICS, Events, OnUpdate, Result, Row, Table, read_evaluations
+from .checkpoint import STATE_FILES, flatten, tensors, unflatten
+from .log import EVALUATION, METRICS, Events, OnUpdate, Result, Table, read_evaluations
 from .recurrent import learner_of, network_of, network_settings
-from .settings import EVALUATION_SEEDS, Config
+from .settings import CONFIG, EVALUATION_SEEDS, Config, read_config
 from .teams import WatchedRobots, episode_numbers, make_teams
 
 _DOES_NOT_FIT = (
@@ -55,6 +42,10 @@ _DOES_NOT_FIT = (
 """What another run's arrays raise where they are put."""
 _LEAST_RATE = 0.05
 """Share of the learning rate that is left at the end."""
+_SAME_NAME = (
+    "n_steps", "batch_size", "gamma", "gae_lambda", "clip_range", "ent_coef", "seed", "device",
+)  # fmt: skip
+"""Settings that PPO has under the same name."""
 _LOSSES = {
     "policy_loss": "policy_gradient_loss", "value_loss": "value_loss", "approx_kl": "approx_kl",
     "explained_variance": "explained_variance", "clip_fraction": "clip_fraction",
@@ -68,11 +59,7 @@ Snapshot = tuple[dict[str, Any], dict[str, Any]]
 
 
 class Trainer:
-    """Network, optimiser, environment and log of a run.
-
-    Args:
-        config: of the run.
-    """
+    """Network, optimiser, environment and log of a run."""
 
     def __init__(self, config: Config) -> None:
         self.config = config
@@ -83,21 +70,13 @@ class Trainer:
             network_of(config, self.robots.teams),
             self.robots,
             learning_rate=lambda _: self._learning_rate(),
-            n_steps=config.n_steps,
-            batch_size=config.batch_size,
             n_epochs=config.epochs,
-            gamma=config.gamma,
-            gae_lambda=config.gae_lambda,
-            clip_range=config.clip_range,
-            ent_coef=config.ent_coef,
-            seed=config.seed,
-            device=config.device,
             stats_window_size=10**6,
+            **{name: getattr(config, name) for name in _SAME_NAME},
             policy_kwargs=network_settings(config, self.robots.teams),
         )
         self.model.set_logger(Logger(None, []))
-        self._seconds = self._environment_seconds = 0.0
-        self._wall_before = 0.0
+        self._seconds = self._environment_seconds = self._wall_before = 0.0
         self._began = time.perf_counter()
 
     def _learning_rate(self) -> float:
@@ -108,19 +87,16 @@ class Trainer:
 
     def begin(self) -> int:
         """Begin at step 0, with a checkpoint to come back to."""
-        if self.config.start_from is not None:
-            self._load_weights(self.config.start_from)
+        if (path := self.config.start_from) is not None:
+            _, tables = checkpoints.read(checkpoints.find(path), ["network"])
+            try:
+                self.model.policy.load_state_dict(tensors(tables["network"]))
+            except RuntimeError as error:
+                raise UserError(f"--start-from {path}: another network: {error}") from error
         self._reset_robots()
         self._open_log(0)
-        self.save()
+        self.save(self.snapshot())
         return 0
-
-    def _load_weights(self, path: Path) -> None:
-        _, tables = checkpoints.read(checkpoints.find(path), ["network"])
-        try:
-            self.model.policy.load_state_dict(tensors(tables["network"]))
-        except RuntimeError as error:
-            raise UserError(f"--start-from {path}: another network: {error}") from error
 
     def _reset_robots(self) -> None:
         self.robots.seed(self.config.first_seed + 2**24 * self.stage)
@@ -152,14 +128,14 @@ class Trainer:
             if about["stage"] != self.stage:
                 self._enter_stage(about["stage"])
             model.policy.load_state_dict(tensors(tables["network"]))
-            restore_optimizer(model.policy.optimizer, tables["optimizer"])
+            checkpoint.restore_optimizer(model.policy.optimizer, tables["optimizer"])
             state = unflatten(tables["state"])
-            check_fits(state, self.robots, model.policy)
+            checkpoint.check_fits(state, self.robots, model.policy)
             self.robots.set_state(state["robots"])
             model._last_obs = state["last_observations"]
             model._last_episode_starts = state["last_episode_starts"]
             model.set_memory(state)
-            restore_random(state["random"])
+            checkpoint.restore_random(state["random"])
             model.num_timesteps, model._n_updates = about["step"], about["updates"]
             self._wall_before = about["wall_s"]
         except _DOES_NOT_FIT as error:
@@ -167,13 +143,9 @@ class Trainer:
         self._open_log(about["step"])
         return int(about["step"])
 
-    def save(self, state: Snapshot | None = None) -> Path:
-        """Write a checkpoint of the present, or of a moment that was kept.
-
-        Raises:
-            OSError: if it cannot be written; older ones are as they were.
-        """
-        description, tables = state or self.snapshot()
+    def save(self, state: Snapshot) -> Path:
+        """Write a checkpoint of a moment that was kept; one that fails leaves older ones."""
+        description, tables = state
         return checkpoint.write(self.config.out, description["step"], description, tables)
 
     def snapshot(self) -> Snapshot:
@@ -183,7 +155,7 @@ class Trainer:
             "robots": self.robots.get_state(),
             "last_observations": model._last_obs,
             "last_episode_starts": model._last_episode_starts,
-            "random": random_state(),
+            "random": checkpoint.random_state(),
             **model.get_memory(),
         }
         description = {
@@ -199,7 +171,7 @@ class Trainer:
         }
         tables = {  # as STATE_FILES says
             "network": self._weights(),
-            "optimizer": optimizer_arrays(model.policy.optimizer),
+            "optimizer": flatten(model.policy.optimizer.state_dict()["state"]),
             "state": flatten(state),
         }
         return description, copy.deepcopy(tables)
@@ -220,7 +192,7 @@ class Trainer:
         self._took = time.perf_counter() - began
         self._seconds += self._took
         self._environment_seconds += robots.seconds
-        if not all(bool(torch.isfinite(weights).all()) for weights in model.policy.parameters()):
+        if not all(torch.isfinite(weights).all() for weights in model.policy.parameters()):
             raise UserError(
                 f"training diverged: not all weights are finite after step {model.num_timesteps}; "
                 f"begin again with a --learning-rate below {config.learning_rate}"
@@ -254,8 +226,9 @@ class Trainer:
     def evaluate(self) -> list[dict[str, Any]]:
         """Rows of evaluation.csv: the policy without noise on held-out starts."""
         config, weights, rows = self.config, self._weights(), []
-        for name in config.eval_scenarios or (config.scenario,):
-            numbers = held_out(name, weights, self.settings, config.eval_starts)
+        chosen = [resolve_scenario(name) for name in config.eval_scenarios]
+        for scenario in chosen or [config.plain_scenario()]:
+            numbers = held_out(scenario, weights, self.settings, config.eval_starts)
             row = {"step": self.model.num_timesteps, **numbers}
             self._evaluations.add(row)
             self._events.add(f"evaluation-{row['scenario']}", row)
@@ -263,7 +236,7 @@ class Trainer:
         return rows
 
     def _weights(self) -> dict[str, NDArray[Any]]:
-        return {k: v.cpu().numpy() for k, v in self.model.policy.state_dict().items()}
+        return flatten(self.model.policy.state_dict())
 
     def speed(self) -> str:
         """How much time the environment took since this process began or resumed the run."""
@@ -291,7 +264,7 @@ def run(config: Config, on_update: OnUpdate | None = None) -> Result:
     folder = config.resume or config.out
     try:
         with interrupts.raised("train"), _own(config, folder):
-            config, place = where_to_begin(config, console)
+            config, place = checkpoint.where_to_begin(config, console)
             _check_device(config.device)
             torch.set_num_threads(config.num_threads or available_cores())
             if (least := config.samples_per_update) > config.total_steps:
@@ -301,11 +274,11 @@ def run(config: Config, on_update: OnUpdate | None = None) -> Result:
                 )
             training = Trainer(config)
             step = training.restore(place) if place else training.begin()
-            return _loop(training, step, console, on_update or _goes_on)
+            return _loop(training, step, console, on_update)
     except CheckpointError as error:
         raise UserError(str(error)) from error
     except OSError as error:
-        raise UserError(write_failure(folder, error)) from error
+        raise UserError(checkpoint.write_failure(folder, error)) from error
     finally:
         torch.set_num_threads(threads)
 
@@ -315,11 +288,7 @@ def run(config: Config, on_update: OnUpdate | None = None) -> Result:
 
 @contextmanager
 def _own(config: Config, folder: Path) -> Iterator[None]:
-    """The folder of a run, for this process alone.
-
-    Raises:
-        UserError: if there is no run to resume, another process has it, or it cannot be written.
-    """
+    """The folder of a run, for this process alone."""
     if config.resume is not None:
         read_config(folder)  # so that nothing is made where no run is
     elif checkpoints.candidates(folder):
@@ -339,25 +308,15 @@ def _check_device(device: str) -> None:
 # ---- the loop -----------------------------------------------------------------------------------
 
 
-def _goes_on(update: int, metrics: Row) -> bool:
-    return False
-
-
-def _loop(training: Trainer, step: int, console: Console, on_update: OnUpdate) -> Result:
+def _loop(training: Trainer, step: int, console: Console, on_update: OnUpdate | None) -> Result:
     """Train to the end, until a signal, or until ``on_update`` ends it; what is kept then is the
     state after the last update.
     """
     config, kept = training.config, training.snapshot()
     metrics: dict[str, Any] = {}
     status, stopped, saved = 0, False, True
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-    )
     try:
-        with Progress(*columns, console=console, transient=True) as progress:
+        with Progress(console=console, transient=True) as progress:
             bar = progress.add_task("", total=config.total_steps, completed=step)
             while step < config.total_steps and not stopped:
                 before, step = step, training.update()
@@ -372,7 +331,8 @@ def _loop(training: Trainer, step: int, console: Console, on_update: OnUpdate) -
                 if last or _crosses(config.checkpoint_every, before, step):
                     place, saved = training.save(kept), True
                     console.print(f"{_line(row)} · {place.name}")
-                stopped = on_update(row["update"], row | {"evaluation": evaluation}) is True
+                if on_update is not None:
+                    stopped = on_update(row["update"], row | {"evaluation": evaluation}) is True
     except KeyboardInterrupt as error:
         training.save(kept)  # rows of later steps are cut off when the run goes on
         step = kept[0]["step"]
@@ -413,23 +373,15 @@ def _evaluation_line(row: Mapping[str, Any]) -> str:
 
 
 def held_out(
-    scenario: str, weights: Mapping[str, NDArray[Any]], settings: PolicySettings, starts: int
+    scenario: Scenario, weights: Mapping[str, NDArray[Any]], settings: PolicySettings, starts: int
 ) -> dict[str, Any]:
-    """The row of results.csv that a network earns, choosing without noise.
-
-    Args:
-        scenario: name, or path of a TOML file.
-        weights: of the network, by name.
-        settings: of the policy.
-        starts: how many.
-    """
-    chosen = scenarios.resolve(scenario)
+    """The row of results.csv that a network earns on so many starts, choosing without noise."""
     episodes, _ = play(
-        chosen,
-        lambda: LearnedPolicy(chosen, weights, settings),
+        scenario,
+        lambda: LearnedPolicy(scenario, weights, settings),
         margin=settings.promised_margin,
         episodes=starts,
         seed=EVALUATION_SEEDS,
     )
-    limit = chosen.max_steps * chosen.tau
-    return statistics.summarise(chosen.name, "learned", episodes, limit)
+    limit = scenario.max_steps * scenario.tau
+    return statistics.summarise(scenario.name, "learned", episodes, limit)

@@ -8,7 +8,7 @@ import pytest
 
 pytest.importorskip("torchrl.envs")
 
-from train.bench import bench, cases, learners
+from train.bench import bench
 
 
 def test_torchrl_is_timed_over_what_it_adapts(tmp_path):
@@ -22,9 +22,3 @@ def test_torchrl_is_timed_over_what_it_adapts(tmp_path):
         assert rows[f"TorchRL over {ours}"]["against"] == ours
         assert rows[f"TorchRL over {ours}"]["ratio"] > 0
     assert "torchrl" in written["versions"]
-
-
-def test_the_actions_of_a_case_are_those_of_the_space():
-    env = learners.training_env("clutter-8", 3, discrete=True)
-    drawn = next(cases.tape_of(env.single_action_space, 3))
-    assert env.action_space.contains(drawn)

@@ -1,28 +1,21 @@
-"""Figures of learning and of energy tanks: how training went, how a robot spends what its tank
-holds, and what margin and budget of a tank buy (``reproduce tank``).
-"""
+"""Figures of docs/results.md: how a training went, and how robots spend what their tanks hold."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from rendezvous_env import baselines
-from rendezvous_env.safety.theorems.certificate import certificate
-from rendezvous_env.scenario import scenarios
-from rendezvous_env.trajectory import rollout
-
-from .. import results
-from .figures import BLACK, BLUE, GREY, ROBOT_COLOURS, VERMILLION
-from .style import COLUMN, PAGE, new_figure, styled
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
+from rendezvous_env.simulator import Simulator
+from rendezvous_env.trajectory import run
+from train import results
+from train.figures.figures import BLACK, BLUE, GREY, ROBOT_COLOURS, VERMILLION
+from train.figures.style import COLUMN, new_figure, styled
 
 _COLOURS = (VERMILLION, BLUE, BLACK)
 _FIRST_UPDATES = 8
@@ -117,9 +110,6 @@ def watch_tanks(scenario: Any, policy: Any, seed: int) -> dict[str, NDArray[Any]
         policy: with ``levels``, (..., n).
         seed: of the start.
     """
-    from rendezvous_env.simulator import Simulator
-    from rendezvous_env.trajectory import run
-
     simulator = Simulator(scenario, 1)
     observations = simulator.reset(seed)
     rows: list[tuple[Any, ...]] = []
@@ -131,80 +121,3 @@ def watch_tanks(scenario: Any, policy: Any, seed: int) -> dict[str, NDArray[Any]
     return {
         name: np.array(values) for name, values in zip(names, zip(*rows, strict=True), strict=True)
     }
-
-
-TANK_SCENARIO, TANK_POLICY = "clutter-24", "tank-joined"
-MARGINS = (0.05, 0.1, 0.2, 0.4, 0.8)
-BUDGETS = (0.0, 20.0)
-"""m²/s."""
-TANK_COLUMNS = (
-    "budget",
-    "min_alignment",
-    "episodes",
-    "clean_success",
-    "success",
-    "contact",
-    "bound",
-)
-_TANK_COLOURS = (BLUE, VERMILLION)
-
-
-def measure_tanks(episodes: int, seed: int) -> Iterator[dict[str, Any]]:
-    """One row for each budget and margin, all from the same starts.
-
-    Args:
-        episodes: starts for each.
-        seed: of the first start.
-    """
-    scenario = scenarios.get(TANK_SCENARIO)
-    for budget in BUDGETS:
-        for margin in MARGINS:
-            options = {"budget": budget, "min_alignment": margin}
-            policy = baselines.make(TANK_POLICY, scenario, **options)
-            found = rollout(scenario, policy, seed=seed, num_envs=episodes, record=())
-            touched = found.contacts.any(axis=(0, 2))
-            yield {
-                **options,
-                "episodes": episodes,
-                "clean_success": float((found.success & ~touched).mean()),
-                "success": float(found.success.mean()),
-                "contact": float(touched.mean()),
-                "bound": tank_bound(margin, budget),
-            }
-
-
-def tank_bound(margin: float, budget: float) -> float:
-    """Theorem D's time bound for the same team with nothing in its way, s."""
-    free = scenarios.get(TANK_SCENARIO).replace(obstacles=())
-    return certificate(free, margin, by="tank", budget=budget).time_bound
-
-
-@styled
-def tank_tradeoff_figure(rows: Sequence[dict[str, Any]]) -> Figure:
-    """Clean success and the bound against ε, one line for each budget.
-
-    Args:
-        rows: as ``measure_tanks`` gives them.
-    """
-    figure = new_figure(PAGE, 2.6)
-    left, right = figure.subplots(1, 2)
-    for budget, colour in zip(BUDGETS, _TANK_COLOURS, strict=True):
-        line = [row for row in rows if row["budget"] == budget]
-        margins = [row["min_alignment"] for row in line]
-        label = f"B = {budget:g} m²/s"
-        left.plot(
-            margins, [100 * row["clean_success"] for row in line], "o-", color=colour, label=label
-        )
-        right.plot(margins, [row["bound"] for row in line], "o-", color=colour, label=label)
-    starts = rows[0]["episodes"]
-    left.set(ylim=(0, 103), ylabel="met without a contact / %")
-    left.set(title=f"What is reached: {TANK_SCENARIO}, {starts} starts")
-    right.set(yscale="log", ylabel="time bound / s")
-    right.set(title="What theorem D promises with nothing in the way")
-    for axes in (left, right):
-        axes.set(xscale="log", xlabel="alignment margin ε")
-        axes.set_xticks(MARGINS, [f"{margin:g}" for margin in MARGINS])
-        axes.minorticks_off()
-        axes.grid()
-    left.legend(loc="lower left")
-    return figure

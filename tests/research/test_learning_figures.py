@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from learning_figures import learning_figure, tank_figure, watch_tanks
 
 from baselines.learned.learned_policy import LearnedPolicy
 from baselines.learned.policy_settings import PolicySettings
 from rendezvous_env.scenario import scenarios
 from train import results
-from train.figures.learning_figures import learning_figure, tank_figure, watch_tanks
 from train.learn.log import EVALUATION, METRICS
 from train.learn.networks import make_network
 

@@ -1,0 +1,287 @@
+"""A run can be stopped, killed and hurt at any moment: it goes on, or says what is wrong."""
+
+import errno
+import json
+import os
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+from training_runs import (
+    UPDATE,
+    assert_same_run,
+    config,
+    flags,
+    metrics,
+    network,
+    resumed,
+    stopped_after,
+)
+
+from baselines.learned import checkpoints, learned_policy
+from rendezvous_env.scenario import scenarios
+from train import cli, results
+from train.learn import checkpoint, ppo, trainer
+from train.learn.log import Table
+
+
+@pytest.fixture
+def copied(whole, tmp_path):
+    """Folder of a run that is finished, to be hurt."""
+    return shutil.copytree(whole, tmp_path / "run")
+
+
+class TestResume:
+    @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+    def test_a_signal_keeps_all_whole_updates(self, whole, tmp_path, number, capsys):
+        """It comes while the fourth is being told; checkpoints are written every other update."""
+        folder = tmp_path / "run"
+        assert stopped_after(config(folder), 4, number) == 128 + number
+        assert checkpoints.find(folder).name == f"step-{3 * UPDATE:012d}"
+        resumed(folder)
+        said = capsys.readouterr().out
+        assert f"at step {3 * UPDATE:,}" in said and f"step-{3 * UPDATE:012d}" in said
+        assert_same_run(whole, folder)
+
+    def test_a_second_signal_leaves_at_once(self, tmp_path, monkeypatch):
+        def update(self):
+            monkeypatch.setattr(trainer.Trainer, "save", interrupt)
+            interrupt(self)
+
+        def interrupt(self, state=None):
+            os.kill(os.getpid(), signal.SIGINT)
+            raise AssertionError("still here")
+
+        monkeypatch.setattr(trainer.Trainer, "update", update)
+        before = signal.getsignal(signal.SIGINT)
+        with pytest.raises(KeyboardInterrupt):
+            ppo.run(config(tmp_path / "run"))
+        assert signal.getsignal(signal.SIGINT) is before
+
+    def test_rows_after_the_checkpoint_go(self, tmp_path):
+        """What a kill leaves: rows of updates that will be done again, and half a row."""
+        folder = tmp_path / "run"
+        stopped_after(config(folder), 4)
+        resumed(folder, total_steps=6 * UPDATE)
+        shutil.rmtree(checkpoints.candidates(folder)[0])
+        with (folder / "metrics.csv").open("a") as file:
+            file.write("99999,")
+        resumed(folder, total_steps=12 * UPDATE)
+        steps = [int(row["step"]) for row in metrics(folder)]
+        assert steps == [UPDATE * (k + 1) for k in range(12)]
+
+    def test_a_broken_checkpoint_is_left_out(self, whole, tmp_path, capsys):
+        folder = tmp_path / "run"
+        stopped_after(config(folder), 5)
+        newest, older = checkpoints.candidates(folder)
+        file = newest / "optimizer.safetensors"
+        file.write_bytes(file.read_bytes()[:-10])
+        resumed(folder)
+        said = capsys.readouterr().out
+        assert "truncated" in said and f"resumes {older}" in said
+        assert_same_run(whole, folder)
+
+    def test_a_finished_run(self, copied, capsys):
+        before = metrics(copied)
+        resumed(copied)
+        assert "nothing was left to do" in capsys.readouterr().out
+        assert metrics(copied) == before
+
+    @pytest.mark.parametrize(
+        "more",
+        [{}, {"memory": "features"}, {"memory": "recurrent", "critic": "global"}],
+        ids=["plain", "features", "recurrent and global"],
+    )
+    def test_with_a_tank(self, tmp_path, more):
+        """Ledgers and memory of running episodes are part of a checkpoint."""
+        tank = {"guarantee": "tank", "budget": 2.0, "eval_every": 1500, "prior": 0.5} | more
+        short = tank | {"total_steps": 4 * UPDATE}
+        assert ppo.run(config(tmp_path / "whole", **short)).status == 0
+        assert stopped_after(config(tmp_path / "run", **short), 3) == 128 + signal.SIGTERM
+        resumed(tmp_path / "run")
+        assert_same_run(tmp_path / "whole", tmp_path / "run")
+        about, tables = checkpoints.read(checkpoints.find(tmp_path / "run"), trainer.STATE_FILES)
+        levels = tables["state"]["robots/teams/tank/levels"]
+        assert levels.shape == (8, 4) and (levels >= 0.0).all() and (levels != 2.0).any()
+        assert about["policy"]["guarantee"] == "tank"
+        assert about["policy"]["budget"] == 2.0 / (0.2 * 3)
+
+    def test_memory_with_certified_headings(self, tmp_path):
+        more = {"memory": "recurrent", "memory_units": 4, "total_steps": 2 * UPDATE}
+        assert ppo.run(config(tmp_path, eval_every=UPDATE, **more)).status == 0
+        rows = results.read_csv(tmp_path / "evaluation.csv")
+        assert len(rows) == 2
+        assert all(float(row["min_alignment"]) >= 0.05 - 1e-6 for row in rows)
+        assert network(tmp_path)["memory.weight_hh"].shape == (12, 4)
+
+    def test_a_run_of_a_version_without_tanks(self, copied):
+        plain = json.loads((copied / "config.json").read_text())
+        for name in ("guarantee", "budget", "memory", "memory_units", "critic"):
+            del plain[name]
+        (copied / "config.json").write_text(json.dumps(plain))
+        resumed(copied, total_steps=13 * UPDATE)
+
+    def test_before_the_first_checkpoint(self, whole, tmp_path):
+        folder = tmp_path / "run"
+
+        def killed(self, state):
+            raise KeyboardInterrupt
+
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(trainer.Trainer, "save", killed)
+            with pytest.raises(KeyboardInterrupt):
+                ppo.run(config(folder))
+        resumed(folder)
+        assert_same_run(whole, folder)
+
+    def test_killed_twice_at_random_moments(self, whole, tmp_path):
+        folder, moments = tmp_path / "run", random.Random(0)
+        words = flags(folder)
+        for _ in range(2):
+            before, deadline = self.step_of(folder), time.monotonic() + 120
+            process = subprocess.Popen(
+                [sys.executable, "-m", "train.cli", "train", *words],
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.PIPE,
+                text=True,
+            )
+            while self.step_of(folder) == before and process.poll() is None:
+                assert time.monotonic() < deadline
+                time.sleep(0.01)
+            time.sleep(moments.uniform(0.0, 0.3))
+            process.kill()
+            _, said = process.communicate()
+            assert process.returncode in (0, -signal.SIGKILL), said
+            words = ["--resume", str(folder)]
+        resumed(folder)
+        assert_same_run(whole, folder)
+
+    def step_of(self, folder):
+        """Of the newest checkpoint."""
+        try:
+            return checkpoints.describe(checkpoints.find(folder))["step"]
+        except checkpoints.CheckpointError:
+            return -1
+
+
+class TestRefusals:
+    """One line, and nothing is changed."""
+
+    def refused(self, message, capsys, folder, *words):
+        before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+        assert cli.main(["train", "--resume", str(folder), *words]) == 2
+        said = capsys.readouterr().err
+        assert message in said and said.count("\n") == 1 and "Traceback" not in said
+        assert {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()} == before
+
+    def test_resume_what_is_not_there(self, tmp_path, capsys):
+        self.refused("it holds no run that can go on", capsys, tmp_path)
+        self.refused("No such file or directory", capsys, tmp_path / "nowhere")
+        assert not (tmp_path / "nowhere").exists()
+
+    def test_the_folder_of_another_run(self, whole, capsys):
+        assert cli.main(["train", *flags(whole)]) == 2
+        assert "holds a run; --resume it" in capsys.readouterr().err
+
+    @pytest.mark.parametrize(
+        ("words", "message"),
+        [
+            (["--scenario", "clutter-8"], "was trained with clutter-4: leave it out"),
+            (["--num-threads", "0"], "--num-threads is 0; it must be 1 or more"),
+        ],
+    )
+    def test_a_flag(self, whole, words, message, capsys):
+        self.refused(message, capsys, whole, *words)
+
+    def test_no_good_checkpoint(self, copied, capsys):
+        for place in (copied / "checkpoints").glob("step-*"):
+            (place / "state.safetensors").unlink()
+        assert cli.main(["train", "--resume", str(copied)]) == 2
+        assert "state.safetensors: cannot be read" in capsys.readouterr().err
+
+    def test_a_folder_without_permission(self, copied, tmp_path, capsys, without_rights):
+        with without_rights(copied):
+            assert cli.main(["train", "--resume", str(copied)]) == 2
+        with without_rights(tmp_path):
+            assert cli.main(["train", *flags(tmp_path / "new")]) == 2
+        said = capsys.readouterr().err
+        assert said.count("Permission denied") == 2 and said.count("\n") == 2
+
+    def test_a_full_disk(self, tmp_path, capsys, monkeypatch):
+        folder, real = tmp_path / "run", checkpoint.write
+
+        def write(run, step, *content):
+            if step > 2000:
+                raise OSError(errno.ENOSPC, "No space left on device")
+            return real(run, step, *content)
+
+        monkeypatch.setattr(checkpoint, "write", write)
+        assert cli.main(["train", *flags(folder)]) == 2
+        said = capsys.readouterr().err
+        good = checkpoints.find(folder)
+        assert "No space left on device" in said and f"last good checkpoint is {good}" in said
+        monkeypatch.undo()
+        learned_policy.load(folder, scenarios.get("clutter-4"))
+        assert cli.main(["train", "--resume", str(folder)]) == 0
+
+    @pytest.mark.parametrize(
+        ("name", "content", "message"),
+        [
+            ("metrics.csv", b"step\xff\n", "metrics.csv: not readable ('utf-8' codec"),
+            ("metrics.csv", b"step\n1\n", "metrics.csv: line 1 is not step,update"),
+            ("evaluation.csv", b"a,b\n", "evaluation.csv: line 1 is not step,scenario"),
+            ("config.json", b"[" * 100_000, "config.json: it is nested too deeply"),
+            ("config.json", b"\xff", "config.json: 'utf-8' codec"),
+            ("config.json", b"[]", "config.json: the configuration is a list"),
+        ],
+    )
+    def test_a_damaged_file(self, copied, capsys, name, content, message):
+        (copied / name).write_bytes(content)
+        self.refused(message, capsys, copied)
+
+    @pytest.mark.parametrize(
+        ("row", "message"),
+        [
+            ("x{}", "line 5: step is 'x2048'; it must be a whole number"),
+            ("7,8\n", "line 5 has 2 cells, not 19"),
+        ],
+    )
+    def test_a_damaged_row(self, copied, capsys, row, message):
+        lines = (copied / "metrics.csv").read_text().splitlines(keepends=True)
+        lines[4] = row.format(lines[4])
+        (copied / "metrics.csv").write_text("".join(lines))
+        self.refused(message, capsys, copied)
+
+    @pytest.mark.parametrize(
+        ("field", "value", "message"),
+        [
+            ("clearance", float("nan"), "--clearance is nan; it must be a finite number"),
+            ("num_teams", "8", "num_teams is '8'; it must be of type int"),
+            ("hidden", [16, "16"], "hidden is (16, '16'); it must be of type tuple[int, ...]"),
+            ("scenario", "clutter-8", "is of another run"),
+        ],
+    )
+    def test_a_setting(self, copied, capsys, field, value, message):
+        plain = json.loads((copied / "config.json").read_text()) | {field: value}
+        (copied / "config.json").write_text(json.dumps(plain))
+        self.refused(message, capsys, copied)
+
+
+def test_a_table_is_cut_back_to_a_step(tmp_path):
+    path = tmp_path / "table.csv"
+    table = Table(path, ("step", "value"), 0)
+    table.begin()
+    for step in (1, 2, 3):
+        table.add({"step": step, "value": step / 3})
+    with path.open("a") as file:
+        file.write("4,0.")
+    again = Table(path, ("step", "value"), 2)
+    again.begin()
+    again.add({"step": 3, "value": float("nan")})
+    rows = results.read_csv(path)
+    assert [row["step"] for row in rows] == ["1", "2", "3"]
+    assert float(rows[0]["value"]) == 1 / 3 and rows[2]["value"] == ""

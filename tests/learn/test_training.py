@@ -1,0 +1,250 @@
+"""``rendezvous train``: it learns, repeats, and tells how it goes."""
+
+import dataclasses
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from training_runs import UPDATE, assert_same_run, config, flags, network, resumed, stopped_after
+
+from baselines.learned import checkpoints, learned_policy
+from baselines.learned.policy_settings import CHOICES
+from rendezvous_env.scenario import scenarios
+from train import checks, cli, results
+from train.checks import UserError
+from train.learn import checkpoint, ppo, rollout_buffer, trainer
+from train.learn.log import EVALUATION, METRICS
+from train.learn.ppo import Config
+
+
+class TestFiles:
+    def test_metrics(self, whole):
+        rows = results.read_csv(whole / "metrics.csv")
+        assert tuple(rows[0]) == METRICS
+        assert [int(row["step"]) for row in rows] == [UPDATE * (k + 1) for k in range(12)]
+        assert [int(row["update"]) for row in rows] == list(range(1, 13))
+        rates = [float(row["learning_rate"]) for row in rows]
+        first = config(whole).learning_rate
+        expected = [first * max(1 - (k + 1) / 12, 0.05) for k in range(12)]
+        np.testing.assert_allclose(rates, expected)
+        ended = [row for row in rows if int(row["episodes"])]
+        assert ended and all(0 <= float(row["clean_success"]) <= 1 for row in ended)
+        for row in rows:
+            assert 0.05 <= float(row["alignment"]) <= 1
+            assert 0 < float(row["environment_share"]) < 1 and float(row["wall_s"]) > 0
+
+    def test_evaluation_is_that_of_compare(self, whole):
+        from train.compare.compare import Job, play_job, summary
+
+        rows = results.read_csv(whole / "evaluation.csv")
+        assert tuple(rows[0]) == EVALUATION
+        assert [int(row["step"]) for row in rows] == [2048, 4096, 6144]
+        job = Job(scenarios.get("clutter-4"), f"learned:{whole}")
+        expected = summary(play_job(job, episodes=4, seed=ppo.EVALUATION_SEEDS))
+        for name in results.RESULT_COLUMNS[2:]:
+            assert rows[-1][name] == str(results.plain(expected[name])), name
+
+    def test_starts_are_apart(self, whole):
+        """Training from 2^62, evaluation from 2^61, compare from 0: none meets another."""
+        assert config(whole, seed=2**29 - 1).first_seed + 2**32 < 2**63
+        assert ppo.EVALUATION_SEEDS + 10**9 < config(whole).first_seed
+        state = checkpoints.read(checkpoints.find(whole), ["state"])[1]["state"]
+        seeds = state["robots/teams/env/seed"]
+        np.testing.assert_array_equal(seeds, config(whole).first_seed + np.arange(8))
+
+    def test_checkpoint(self, whole):
+        about, tables = checkpoints.read(checkpoints.find(whole), trainer.STATE_FILES)
+        assert about["step"] == 12 * UPDATE
+        assert Config.from_plain(about["config"]) == config(whole)
+        assert {"torch", "stable-baselines3", "numpy"} <= about["provenance"]["versions"].keys()
+        assert {name.split("/")[1] for name in tables["optimizer"]} >= {"exp_avg", "exp_avg_sq"}
+        assert len(list((whole / "checkpoints").glob("step-*"))) == checkpoint.KEPT
+        size = (checkpoints.find(whole) / "network.safetensors").stat().st_size
+        assert size < 2_000_000
+        loaded = learned_policy.load(whole, scenarios.get("fig4"))
+        assert loaded.settings == config(whole).policy_settings()
+
+    def test_the_policy_can_be_compared(self, whole, tmp_path):
+        words = ["--scenarios", "clutter-4", "--policies", "bearing-only", f"learned:{whole}"]
+        out = ["--episodes", "3", "--keep", "1", "--no-figures", "--out", str(tmp_path)]
+        assert cli.main(["compare", *words, *out]) == 0
+        rows = results.read_csv(tmp_path / "results.csv")
+        assert [row["policy"] for row in rows] == ["bearing-only", f"learned:{whole}"]
+        assert float(rows[1]["min_alignment"]) >= 0.05 - 1e-6
+
+    def test_tensorboard(self, tmp_path):
+        changed = config(tmp_path, tensorboard=True, total_steps=UPDATE, eval_every=0)
+        assert ppo.run(changed).status == 0
+        sizes = [path.stat().st_size > 500 for path in (tmp_path / "tensorboard").iterdir()]
+        assert sizes == [True]
+
+
+class TestLearning:
+    def test_weights_move_and_the_rule_is_where_it_starts(self, whole, tmp_path):
+        begun = trainer.Trainer(config(tmp_path))
+        start = {k: v.numpy() for k, v in begun.model.policy.state_dict().items()}
+        assert start["action_net.bias"].tolist() == [3.0, *[0.0] * (CHOICES - 1)]
+        moved = [name for name, value in network(whole).items() if (value != start[name]).any()]
+        assert set(moved) == set(start)
+
+    def test_a_reward_is_learned(self, tmp_path):
+        """Where only progress counts, straight towards f is best, however random it begins."""
+        changed = config(
+            tmp_path / "run", total_steps=16 * 2048, num_teams=32, prior=0.0, touch_penalty=0.0,
+            learning_rate=3e-3, epochs=4, batch_size=512, progress=20.0, time_penalty=0.0,
+            rendezvous_bonus=0.0, curriculum=(0,), eval_every=0, gamma=0.9,
+        )  # fmt: skip
+        assert ppo.run(changed).status == 0
+        rows = results.read_csv(tmp_path / "run" / "metrics.csv")
+        alignment = [float(row["alignment"]) for row in rows]
+        assert np.mean(alignment[-4:]) > np.mean(alignment[:4]) + 0.1
+
+    def test_curriculum(self, tmp_path):
+        changed = config(
+            tmp_path / "run", curriculum=(0, 3), fewest_obstacles=1, total_steps=4 * UPDATE
+        )
+        assert changed.stage_scenario(0).obstacles.count == (0, 0)
+        assert changed.stage_scenario(1).obstacles.count == (1, 3)
+        assert changed.obstacle_slots() == 3
+        assert ppo.run(changed).status == 0
+        rows = results.read_csv(tmp_path / "run" / "metrics.csv")
+        assert [row["stage"] for row in rows] == ["0", "0", "1", "1"]
+        other = dataclasses.replace(changed, out=tmp_path / "other")
+        stopped_after(other, 3)
+        resumed(other.out)
+        assert_same_run(changed.out, other.out)
+
+    def test_weights_of_another_run_to_start_from(self, whole, tmp_path):
+        trainer.Trainer(config(tmp_path, start_from=whole)).begin()
+        for name, weights in network(whole).items():
+            np.testing.assert_array_equal(network(tmp_path)[name], weights)
+        with pytest.raises(UserError, match="another network"):
+            ppo.run(config(tmp_path / "wider", start_from=whole, set_width=9))
+
+    def test_fields_of_the_scenario(self, tmp_path, capsys):
+        """As ``compare --set``; held-out starts are of the changed scenario, too."""
+        more = {"total_steps": 2 * 8 * 3 * 16, "eval_every": 1}
+        words = flags(tmp_path / "run", **more, set=("n_robots=3", "time_limit=20"))
+        assert cli.main(["train", *words]) == 0
+        (row, _) = results.read_csv(tmp_path / "run" / "evaluation.csv")
+        name = "clutter-4-n-robots-3-time-limit-20"
+        assert row["scenario"] == name and float(row["median_time"]) <= 20
+        about = checkpoints.describe(checkpoints.find(tmp_path / "run"))
+        assert about["scenario"]["n_robots"] == 3 and about["scenario"]["name"] == name
+        assert cli.main(["train", "--resume", str(tmp_path / "run"), "--set", "n_robots=4"]) == 2
+        assert "was trained with ('n_robots=3', 'time_limit=20')" in capsys.readouterr().err
+        resumed(tmp_path / "run", total_steps=3 * 8 * 3 * 16)
+
+    def test_training_that_diverges_is_a_message(self, tmp_path, capsys, monkeypatch):
+        real = rollout_buffer.RobotPPO.learn
+
+        def learn(self, *given, **options):
+            real(self, *given, **options)
+            next(self.policy.parameters()).data[0] = np.nan
+
+        monkeypatch.setattr(rollout_buffer.RobotPPO, "learn", learn)
+        assert cli.main(["train", *flags(tmp_path / "run")]) == 2
+        said = capsys.readouterr().err
+        assert "training diverged" in said and "--learning-rate below 0.001" in said
+        assert checkpoints.find(tmp_path / "run").name == f"step-{0:012d}"
+
+
+class TestResult:
+    """What the program that called gets, and what it is told on the way."""
+
+    def test_it_holds_the_last_metrics_and_the_best_evaluation(self, tmp_path):
+        told = []
+        result = ppo.run(
+            config(tmp_path, eval_every=2 * UPDATE, eval_starts=6),
+            on_update=lambda update, metrics: told.append((update, metrics)),
+        )
+        assert result.folder == tmp_path and result.status == 0 and not result.stopped
+        assert [update for update, _ in told] == list(range(1, len(told) + 1))
+        assert result.steps == told[-1][1]["step"] == len(told) * UPDATE
+        assert dict(result.metrics) | {"evaluation": told[-1][1]["evaluation"]} == told[-1][1]
+        evaluated = [metrics["evaluation"][0] for _, metrics in told if metrics["evaluation"]]
+        assert [row["step"] for row in evaluated] == [row["step"] for row in result.evaluations]
+        for one, other in zip(evaluated, result.evaluations, strict=True):
+            assert one["clean_success"] == other["clean_success"] and one["scenario"] == "clutter-4"
+        assert result.final[0]["step"] == result.steps
+        clean = [row["clean_success"] for row in evaluated]
+        assert result.best[0]["step"] == evaluated[clean.index(max(clean))]["step"]
+
+    def test_the_best_is_that_of_all_scenarios(self, tmp_path):
+        def row(step, clean, success=1.0):
+            return {"step": step, "clean_success": clean, "success": success}
+
+        rows = (row(1, 0.9), row(1, 0.1), row(2, 0.6), row(2, 0.6), row(3, 0.6), row(3, 0.6))
+        result = ppo.Result(tmp_path, 0, False, 3, {}, rows)
+        assert result.best == rows[2:4] and result.final == rows[4:]
+        nothing = ppo.Result(tmp_path, 0, False, 3, {}, ())
+        assert nothing.best == nothing.final == ()
+        through = (row(1, math.nan, 0.2), row(2, math.nan, 0.3))
+        assert ppo.Result(tmp_path, 0, False, 2, {}, through).best == through[1:]
+
+    def test_who_returns_true_ends_it_and_it_can_go_on(self, whole, tmp_path, capsys):
+        folder = tmp_path / "run"
+        result = ppo.run(config(folder), on_update=lambda update, metrics: update == 3)
+        assert result.stopped and result.status == 0 and result.steps == 3 * UPDATE
+        assert f"stopped by on_update: {3 * UPDATE:,} steps" in capsys.readouterr().out
+        assert checkpoints.find(folder).name == f"step-{3 * UPDATE:012d}"
+        resumed(folder)
+        assert_same_run(folder, whole)
+
+    def test_a_pruned_trial_passes_through(self, tmp_path):
+        """As Optuna's, which is raised in the middle."""
+
+        class TrialPrunedError(Exception):
+            pass
+
+        def prune(update, metrics):
+            raise TrialPrunedError
+
+        with pytest.raises(TrialPrunedError):
+            ppo.run(config(tmp_path / "run"), on_update=prune)
+        assert resumed(tmp_path / "run", total_steps=UPDATE).steps == UPDATE
+
+
+class TestSettings:
+    @pytest.mark.parametrize(
+        ("words", "message"),
+        [
+            (["--scenario", "clutter-5"], "did you mean 'clutter-"),
+            (["--scenario", "uav-6"], "train teaches single_integrator robots in 2-D"),
+            (["--eval-scenarios", "unicycle-6"], "learned policies steer"),
+            (["--scenario", "fig4", "--curriculum", "3"], "fig4 draws no obstacles"),
+            (["--curriculum", "-1"], "--curriculum is -1; it must be 0 or more"),
+            (["--num-teams", "0"], "--num-teams is 0; it must be 1 or more"),
+            (["--gamma", "1.5"], "--gamma is 1.5; it must be 1 or less"),
+            (["--min-alignment", "1"], "--min-alignment is 1.0; it must be in (0, 1)"),
+            (["--seed", str(2**29)], "it must be 536870911 or less"),
+            (["--budget", "3"], "--budget is 3.0; headings have none: add --guarantee tank"),
+            (["--memory", "features"], "--memory is features; headings have none: add --guarantee"),
+            (["--memory-units", "9"], "--memory-units is 9; there are none without --memory"),
+            (["--guarantee", "tank", "--budget", "-1"], "--budget is -1.0; it must be 0 or more"),
+            (["--start-from", "nowhere"], "nowhere: no such folder"),
+            (["--set", "n_robots"], "--set n_robots: write FIELD=VALUE"),
+            (["--set", "robots=9"], "'robots'"),
+        ],
+    )
+    def test_one_line_and_status_2(self, words, message, capsys, tmp_path):
+        assert cli.main(["train", *flags(tmp_path / "out"), *words]) == 2
+        said = capsys.readouterr().err
+        assert message in said and said.count("\n") == 1 and "Traceback" not in said
+
+    def test_no_extra(self, tmp_path, capsys, monkeypatch):
+        monkeypatch.setattr(checks.importlib.util, "find_spec", lambda name: None)
+        assert cli.main(["train", *flags(tmp_path / "run")]) == 2
+        assert "pip install 'rendezvous-env[train]'" in capsys.readouterr().err
+
+    def test_as_plain_data(self):
+        given = Config(out=Path("a"), curriculum=(3, 5), start_from=Path("b"), set=("n_robots=3",))
+        plain = json.loads(json.dumps(given.to_plain()))
+        assert Config.from_plain(plain) == given
+        later = ("guarantee", "budget", "memory", "memory_units", "critic", "sensing_noise", "set")
+        older = {name: value for name, value in Config().to_plain().items() if name not in later}
+        assert Config.from_plain(older) == Config()  # a run of an earlier version
+        with pytest.raises(ValueError, match="field 'colour'"):
+            Config.from_plain(plain | {"colour": 1})
