@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from copy import deepcopy
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
+from gymnasium.spaces import Space
 from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
+from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from ..engine.state_checks import check_entries, check_keys
@@ -78,6 +81,16 @@ class RobotSlots:
         self.active = np.zeros((self.num_teams, self.n_robots), dtype=np.bool_)
         self._returns = np.zeros(self.num_teams)
         self._lengths = np.zeros(self.num_teams, dtype=np.int64)
+
+    @cached_property
+    def observation_space(self) -> Space[Any]:
+        """Of all slots, which RLlib asks for; made when asked for."""
+        return batch_space(self.single_observation_space, self.active.size)
+
+    @cached_property
+    def action_space(self) -> Space[Any]:
+        """Of all slots."""
+        return batch_space(self.single_action_space, self.active.size)
 
     def reset(
         self,
