@@ -62,11 +62,7 @@ shown = _Shown().repr
 
 
 def refuse(field: str, value: Any, wanted: str) -> NoReturn:
-    """Say that a field has a wrong value.
-
-    Raises:
-        ValueError: naming all three.
-    """
+    """Raise the ValueError that names a field, its wrong value and what would be right."""
     raise ValueError(f"{field} is {shown(value)}; it must be {wanted}")
 
 
@@ -150,8 +146,7 @@ def mapping(field: str, value: Any, wanted: str) -> Mapping[Any, Any]:
 def floats(field: str, value: Any, dtype: type[np.floating[Any]] = np.float64) -> NDArray[Any]:
     """Numbers of any shape as an array; what does not fit the type is infinite in it.
 
-    Raises:
-        ValueError: for words, nothing, mappings, ragged lists and whatever else is no number.
+    Words, nothing, mappings, ragged lists and whatever else is no number are refused.
     """
     try:
         array = np.asarray(value)
@@ -167,10 +162,8 @@ def floats(field: str, value: Any, dtype: type[np.floating[Any]] = np.float64) -
 
 
 def check_table(field: str, value: Any, shape: tuple[int, ...]) -> NDArray[np.float64]:
-    """A float64 array of a shape, of numbers within the limits.
-
-    Raises:
-        ValueError: naming the field, and its shape or the robot whose entry is not finite.
+    """A float64 array of a shape, of numbers within the limits; a ValueError names the field, and
+    its shape or the robot whose entry is wrong.
     """
     table = np.array(floats(field, value))
     if table.shape != shape:
@@ -187,14 +180,8 @@ def check_table(field: str, value: Any, shape: tuple[int, ...]) -> NDArray[np.fl
 def check_distinct(field: str, positions: NDArray[np.float64], weights: Any) -> None:
     """Refuse neighbours that stand in the same place: no bearing exists between them.
 
-    Args:
-        field: what the message calls the positions.
-        positions: (n, d), m.
-        weights: (n, n), or what gives such a matrix for n; only pairs with a positive weight, in
-            either way, are looked at.
-
-    Raises:
-        ValueError: naming the pair.
+    Weights are (n, n), or what gives such a matrix for n; only pairs with a positive weight, in
+    either way, are looked at.
     """
     _, place, counts = np.unique(positions + 0.0, axis=0, return_inverse=True, return_counts=True)
     if counts.max() == 1:
@@ -220,11 +207,7 @@ def _unreadable(value: Any) -> str:
 
 
 def check_action(robot: str, value: Any, size: int) -> None:
-    """Refuse a robot's action that is not ``size`` finite numbers.
-
-    Raises:
-        ValueError: naming the robot and the value.
-    """
+    """Refuse a robot's action that is not ``size`` finite numbers, naming robot and value."""
     try:
         action = floats("action", value, np.float32)
     except ValueError:
@@ -236,11 +219,7 @@ def check_action(robot: str, value: Any, size: int) -> None:
 
 
 def bools(field: str, value: Any, shape: tuple[int, ...] | None, of_what: str) -> NDArray[np.bool_]:
-    """True or False for each of some things, of any shape if None is asked for.
-
-    Raises:
-        ValueError: for another shape or type.
-    """
+    """True or False for each of some things, of any shape if None is asked for."""
     try:
         array = np.asarray(value)
     except (TypeError, ValueError, OverflowError, RecursionError):
@@ -256,13 +235,8 @@ def bools(field: str, value: Any, shape: tuple[int, ...] | None, of_what: str) -
 
 
 def nearest_word(word: Any, words: Iterable[str], cutoff: float = 0.65) -> str | None:
-    """The word that other packages call ``word``, or the one most like it, if any is much like it
-    or has it as a part.
-
-    Args:
-        word: what was given.
-        words: what is known; their parts stand between - and _.
-        cutoff: least likeness, from 0 to 1.
+    """The known word that other packages call ``word``, or the one most like it, if any is much
+    like it (``cutoff`` of 1) or has it as a part; parts stand between - and _.
     """
     if not isinstance(word, str) or len(word) > _LONGEST_WORD:
         return None
@@ -279,10 +253,8 @@ def nearest_word(word: Any, words: Iterable[str], cutoff: float = 0.65) -> str |
 def known_fields(
     given: Iterable[Any], known: Iterable[str], what: str, noun: str = "field"
 ) -> None:
-    """Refuse fields, or what else ``noun`` calls them, that do not exist.
-
-    Raises:
-        UnknownFieldError: naming the first one and the one most like it.
+    """Raise an UnknownFieldError for a field, or what else ``noun`` calls it, that does not exist,
+    with the one most like it.
     """
     known = list(known)
     for key in given:
@@ -295,11 +267,7 @@ def known_fields(
 
 
 def names_unknown_fields(what: str) -> Callable[[type[_Made]], type[_Made]]:
-    """For a dataclass: unknown keywords of its constructor are refused with the nearest field.
-
-    Args:
-        what: it describes.
-    """
+    """For a dataclass: unknown keywords of its constructor are refused with the nearest field."""
 
     def decorate(made: type[_Made]) -> type[_Made]:
         make = made.__init__
@@ -319,17 +287,10 @@ def names_unknown_fields(what: str) -> Callable[[type[_Made]], type[_Made]]:
 def check_fields(
     made: Any, checks: Mapping[str, Callable[[str, Any], Any]], prefix: str = ""
 ) -> None:
-    """Bring the fields of a frozen dataclass into the form in which they are kept: NumPy's scalars
-    become Python's own, and each value goes through the check of its field.
-
-    Args:
-        made: the dataclass, from its ``__post_init__``.
-        checks: for some fields, what takes a name and a value and returns what is kept. None is
-            kept where it is the default.
-        prefix: of the fields' names in messages.
-
-    Raises:
-        ValueError: of the first check that refuses.
+    """Bring the fields of a frozen dataclass into the form in which they are kept, from its
+    ``__post_init__``: NumPy's scalars become Python's own, and each value goes through the check of
+    its field, which takes a name and a value and returns what is kept. None is kept where it is the
+    default. Messages put ``prefix`` before the names.
     """
     for field in dataclasses.fields(made):
         value = getattr(made, field.name)
@@ -342,11 +303,8 @@ def check_fields(
 
 
 class Registry(dict[str, Callable[..., Any]]):
-    """Functions of users, by name.
-
-    Args:
-        what: they are.
-        register: the function that registers one, as users write it.
+    """Functions of users, by name: what they are, and the function that registers one, as users
+    write it.
     """
 
     def __init__(self, what: str, register: str) -> None:
@@ -360,11 +318,7 @@ class Registry(dict[str, Callable[..., Any]]):
         )
 
     def add(self, name: Any, function: Any) -> Any:
-        """Register a function, which is returned; without one a decorator is.
-
-        Raises:
-            ValueError: for what is no name, or no function.
-        """
+        """Register a function, which is returned; without one a decorator is."""
         if not isinstance(name, str) or not name or not name.isprintable():
             refuse(f"name of a {self.what}", name, "a word")
         if function is None:
@@ -375,11 +329,7 @@ class Registry(dict[str, Callable[..., Any]]):
         return function
 
     def check(self, field: str, name: Any) -> None:
-        """Refuse a name that nobody has registered.
-
-        Raises:
-            ValueError: naming the nearest one, or how to register it.
-        """
+        """Refuse a name that nobody has registered, with the nearest one or how to register it."""
         if not isinstance(name, str) or name not in self:
             near = nearest_word(name, self)
             hint = f"did you mean {near!r}?" if near else f"register it with {self._register}"

@@ -107,11 +107,7 @@ class Graph:
             raise ValueError(f"graph: a {self.kind} has neither edges nor n_nodes")
 
     def check_fits(self, scenario: Any) -> None:
-        """Refuse a scenario whose other fields this graph does not fit.
-
-        Raises:
-            ValueError: naming the field, and what would be right.
-        """
+        """Refuse a scenario whose other fields this graph does not fit."""
 
     @property
     def undirected(self) -> bool:
@@ -199,9 +195,7 @@ class Graph:
         return _numbers(self, n).most_neighbours
 
     def max_degree(self, n: int) -> float:
-        """D̄, m/s: the largest D_i = Σ_j a_ij that an episode or its merges can produce (theory
-        4).
-        """
+        """D̄, m/s: the largest D_i = Σ_j a_ij in any episode, merges included (theory 4)."""
         return _numbers(self, n).max_degree
 
     def step_degree(self, n: int) -> float:
@@ -269,11 +263,7 @@ def _numbers(graph: Graph, n: int) -> GraphNumbers:
 
 
 def check_keys(plain: Mapping[Any, Any], known: Sequence[str]) -> None:
-    """Refuse unknown keys of a graph's plain data.
-
-    Raises:
-        ValueError: naming the first one.
-    """
+    """Refuse unknown keys of a graph's plain data."""
     for key in plain:
         if key not in known:
             raise ValueError(
@@ -282,11 +272,7 @@ def check_keys(plain: Mapping[Any, Any], known: Sequence[str]) -> None:
 
 
 def class_of(kind: Any) -> type[Graph]:
-    """The class of a kind of graph.
-
-    Raises:
-        ValueError: for an unknown one, with the nearest known one.
-    """
+    """The class of a kind of graph; an unknown one is refused with the nearest known one."""
     if isinstance(kind, str) and kind in KINDS:
         return KINDS[kind]
     near = nearest_word(kind, KINDS)

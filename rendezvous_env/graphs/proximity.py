@@ -24,11 +24,7 @@ class ProximityGraph(CompleteGraph, kinds=("proximity",)):
     changes: ClassVar[bool] = True
 
     def check_fits(self, scenario: Any) -> None:
-        """Links by sight need a limit of sight, and one that lets a drawn start be connected.
-
-        Raises:
-            ValueError: naming the graph, or the range that is too short.
-        """
+        """Links by sight need a limit of sight, and one that lets a drawn start be connected."""
         sensing = scenario.sensing
         if sensing.range is None and sensing.field_of_view == type(sensing)().field_of_view:
             raise ValueError(

@@ -56,11 +56,7 @@ class SwitchingGraph(Graph, kinds=("switching",)):
         checks.choice("graph: order", self.order, ORDERS)
 
     def check_fits(self, scenario: Any) -> None:
-        """A graph that holds for less than a step would never be seen.
-
-        Raises:
-            ValueError: naming dwell and step.
-        """
+        """A graph that holds for less than a step would never be seen."""
         if self.dwell < scenario.tau * (1 - 1e-9):
             raise ValueError(
                 f"graph: dwell is {self.dwell:g} s, shorter than the time step {scenario.tau:g} s; "
@@ -129,11 +125,7 @@ class SwitchingGraph(Graph, kinds=("switching",)):
 
     @classmethod
     def from_plain(cls, plain: Mapping[str, Any]) -> Graph:
-        """A graph from the plain data of ``to_plain``, some keys left out.
-
-        Raises:
-            ValueError: for an unknown key or an impossible value.
-        """
+        """A graph from the plain data of ``to_plain``, some keys left out."""
         check_keys(plain, ("dwell", "graphs", "kind", "order"))
         return switching(**{"graphs": (), **{k: v for k, v in plain.items() if k != "kind"}})
 

@@ -13,11 +13,7 @@ from ..limits import LARGEST, SMALLEST
 
 
 def as_range(weight: Any) -> tuple[float, float]:
-    """The lowest and highest of a range of weights, from one number or two, m/s.
-
-    Raises:
-        ValueError: for what is no range within the limits.
-    """
+    """Lowest and highest of a range of weights within the limits, from one number or two, m/s."""
     pair = tuple(weight) if isinstance(weight, list | tuple) else (weight, weight)
     if len(pair) != 2 or not SMALLEST <= real(pair[0]) <= real(pair[1]) <= LARGEST:
         raise ValueError(
@@ -28,13 +24,7 @@ def as_range(weight: Any) -> tuple[float, float]:
 
 
 class Edges(Sequence[tuple[int, int, float]]):
-    """Edges (i, j, a_ij), sorted: three arrays that look like a tuple of triples.
-
-    Args:
-        first: (E,), i.
-        second: (E,), j.
-        weight: (E,), a_ij, m/s.
-    """
+    """Edges (i, j, a_ij), m/s, sorted: three arrays (E,) that look like a tuple of triples."""
 
     def __init__(self, first: NDArray[Any], second: NDArray[Any], weight: NDArray[Any]) -> None:
         n = 1 + max(first.max(initial=0), second.max(initial=0))
@@ -72,11 +62,7 @@ class Edges(Sequence[tuple[int, int, float]]):
 
 
 def read_edges(edges: Any) -> tuple[tuple[int, int, float], ...]:
-    """Edges as they are given: (i, j), of weight 1 m/s, or (i, j, weight).
-
-    Raises:
-        ValueError: for what is no sequence of them.
-    """
+    """Edges as they are given: (i, j), of weight 1 m/s, or (i, j, weight)."""
     scalar = isinstance(edges, np.ndarray) and edges.ndim == 0  # says that it can be iterated
     if isinstance(edges, str | bytes) or not isinstance(edges, Iterable) or scalar:
         refuse("graph: edges", edges, "a sequence of (i, j) or (i, j, weight)")

@@ -166,14 +166,8 @@ Rules = FieldRules | WallRules
 
 @by_type("rules", lambda kind: draw_walls if kind is WallRules else draw_field)
 def draw_obstacles(key, rules, starts, n_starts, world):
-    """Draw the obstacles of one episode; whether they found room.
-
-    Args:
-        key: random stream, uint64.
-        rules: of the field.
-        starts: (n, d) start positions, m; only the first ``n_starts`` count.
-        n_starts: number of starts to keep clear of.
-        world: obstacles of one team, written to.
+    """Draw the obstacles of one episode into ``world``, obstacles of one team; whether they found
+    room, clear of the first ``n_starts`` of the starts (n, d), m.
     """
 
 

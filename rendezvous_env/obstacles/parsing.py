@@ -22,12 +22,8 @@ _KINDS: dict[str, Callable[..., Obstacle | Field]] = {
 
 
 def parse(value: Any, dim: int) -> Obstacles:
-    """Obstacles of a scenario from whatever describes them.
-
-    Args:
-        value: an obstacle, a field, the plain data of ``to_plain`` for one, or a sequence of
-            obstacles and their plain data.
-        dim: dimension of the space, 2 or 3.
+    """Obstacles of a space of 2 or 3 dimensions from whatever describes them: an obstacle, a field,
+    the plain data of ``to_plain`` for one, or a sequence of obstacles and their plain data.
 
     Raises:
         ValueError: naming what is wrong and what would be right.

@@ -91,11 +91,8 @@ class ObservationLayout:
         return self.rows, self.dim
 
     def split(self, observations: NDArray[Any]) -> ObservedRows:
-        """Take observations apart into neighbours, obstacles and gravity.
-
-        Args:
-            observations: (..., rows, d), or flat, (..., rows·d). Where there is one row only,
-                (..., 1, d) is a table.
+        """Take observations, (..., rows, d) or flat, (..., rows·d), apart; where there is one row
+        only, (..., 1, d) is a table.
 
         Raises:
             ValueError: for another shape.
@@ -118,11 +115,7 @@ class ObservationLayout:
         return observations
 
     def checked(self, observations: Any) -> NDArray[Any]:
-        """Observations as an array of numbers whose last two axes are ours.
-
-        Raises:
-            ValueError: if they are anything else.
-        """
+        """Observations as an array of numbers whose last two axes are ours, or a ValueError."""
         if not isinstance(observations, np.ndarray) or observations.dtype not in _TYPES:
             observations = floats("observations", observations)
         if observations.shape[-2:] != self.shape:
@@ -133,20 +126,11 @@ class ObservationLayout:
         return observations
 
     def net_bearing(self, observations: NDArray[Any]) -> NDArray[Any]:
-        """Net bearing f_i = Σ_j a_ij g_ij: the sum of the neighbour rows, (..., d), m/s,
-        float64.
-
-        Raises:
-            ValueError: as ``split``.
-        """
+        """Net bearing f_i = Σ_j a_ij g_ij: the sum of the neighbour rows, (..., d), m/s."""
         rows = self.checked(observations)[..., self.neighbours, :]
         return np.asarray(np.sum(rows, axis=-2, dtype=np.float64))
 
     def degree(self, observations: NDArray[Any]) -> NDArray[Any]:
-        """D_i = Σ_j a_ij: the summed lengths of the neighbour rows, (...), m/s, float64.
-
-        Raises:
-            ValueError: as ``split``.
-        """
+        """D_i = Σ_j a_ij: the summed lengths of the neighbour rows, (...), m/s, float64."""
         rows = self.checked(observations)[..., self.neighbours, :]
         return np.asarray(np.linalg.norm(rows, axis=-1).sum(axis=-1, dtype=np.float64))

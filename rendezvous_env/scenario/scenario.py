@@ -9,29 +9,27 @@ import sys
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import partial
-from typing import Any
+from functools import cached_property, partial
+from typing import Any, cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .. import checks, graphs
 from ..checks import known_fields
-from ..checks import nearest_word as nearest_word
-from ..graphs import GraphLike
+from ..graphs import Graph, GraphLike
 from ..limits import LONGEST_NAME, MOST_OBSTACLES, MOST_ROBOTS, MOST_STEPS
 from ..obstacles import obstacle_set
 from ..obstacles import parsing as obstacles
 from ..obstacles.fields import Field
 from ..obstacles.parsing import Obstacles
 from ..rewards.terms import RewardWeights
-from ..robots.robot_models import ROBOT_MODELS, try_with
+from ..robots.robot_models import ROBOT_MODELS, RobotModel, try_with
 from ..sensors.sensing import Sensing
 from . import scenario_files
-from .derived_constants import DerivedConstants
+from .observation_layout import ObservationLayout
 
 CONTACT_MODES = ("slide", "stop", "ignore")
-LOCAL_FRAMES = ("random", "global")
-ON_MERGE = ("remove", "follow")
 Table = tuple[tuple[float, ...], ...]
 
 
@@ -82,8 +80,8 @@ _CHECKS: dict[str, Callable[[str, Any], Any]] = {
     "obstacle_range": _LENGTH,
     "obstacle_contact": partial(checks.choice, choices=CONTACT_MODES),
     "spawn_size": _LENGTH,
-    "local_frames": partial(checks.choice, choices=LOCAL_FRAMES),
-    "on_merge": partial(checks.choice, choices=ON_MERGE),
+    "local_frames": partial(checks.choice, choices=("random", "global")),
+    "on_merge": partial(checks.choice, choices=("remove", "follow")),
     "sensing": _check_sensing,
     "reward": _check_reward,
 }
@@ -92,7 +90,7 @@ _CHECKS: dict[str, Callable[[str, Any], Any]] = {
 
 @checks.names_unknown_fields("scenario")
 @dataclass(frozen=True, kw_only=True)
-class Scenario(DerivedConstants):
+class Scenario:
     """One experiment: the team, its graph, the world, the clock and the reward.
 
     Instances are immutable, hashable and equal when their fields are. Derived constants of
@@ -166,27 +164,129 @@ class Scenario(DerivedConstants):
         checks.check_fields(self, _CHECKS)
         if self.dim not in self.model.dims:
             fitting = [repr(m.name) for m in ROBOT_MODELS.values() if self.dim in m.dims]
-            self._refuse("robot_model", f"one of {', '.join(fitting)} where dim is {self.dim}")
+            wanted = f"one of {', '.join(fitting)} where dim is {self.dim}"
+            checks.refuse("robot_model", self.robot_model, wanted)
         self._check_graph()
         self._check_obstacles()
         self._check_starts()
         self._check_time_step()
 
+    # ---- what follows from the fields (theory 3 and 4) ------------------------------------------
+
+    @property
+    def sensing_graph(self) -> Graph:
+        """The field ``graph`` as a Graph, which it is after construction."""
+        return cast(Graph, self.graph)
+
+    @property
+    def model(self) -> RobotModel:
+        """The robot model."""
+        return ROBOT_MODELS[self.robot_model]
+
+    @cached_property
+    def max_degree(self) -> float:
+        """D̄, m/s: the largest D_i = Σ_j a_ij that an episode can produce (theory 4)."""
+        return self.sensing_graph.max_degree(self.n_robots)
+
+    @cached_property
+    def bottleneck_weight(self) -> float:
+        """a*, m/s, in the worst case, see ``Graph.bottleneck_weight`` (theory 3)."""
+        return self.sensing_graph.bottleneck_weight(self.n_robots)
+
+    @property
+    def start_reach(self) -> float:
+        """Links up to this length, m, connect every start that is drawn, see ``Graph``."""
+        return self.sensing_graph.start_reach(self)
+
+    @property
+    def dead_zone(self) -> float:
+        """δ = a*/(2n), m/s: below it a certified heading need not follow the net bearing."""
+        return self.bottleneck_weight / (2 * self.n_robots)
+
+    @property
+    def certified_step(self) -> float:
+        """τ = r/(2D̄), s: the longest step with which V cannot rise between merges (theory 4); on
+        graphs that are directed or change, half the longest with which the hull cannot grow.
+        """
+        return self._step_for(self.max_degree)
+
+    @cached_property
+    def step_degree(self) -> float:
+        """The D_i, m/s, that default step and speed are made for: D̄, or less in large sparse graphs
+        of single integrators (``Graph.step_degree``).
+        """
+        graph = self.sensing_graph
+        return graph.step_degree(self.n_robots) if self.model.bounded else self.max_degree
+
+    @property
+    def scales_velocity(self) -> bool:
+        """Whether the step in force is the default one of a large sparse graph, longer than
+        certified: laws then scale their velocities by r/(2 D_i τ) where that is below 1 (theory 4).
+        """
+        return self.time_step is None and self.step_degree < self.max_degree
+
+    @property
+    def tau(self) -> float:
+        """τ, s: the step in force, r/(2D) with D the ``step_degree`` if none is given."""
+        return self._step_for(self.step_degree) if self.time_step is None else self.time_step
+
+    def _step_for(self, degree: float) -> float:
+        return self.merge_radius / (2 * degree) if degree > 0 else math.inf
+
+    @property
+    def max_steps(self) -> int:
+        """Steps until the time limit."""
+        return max(1, math.ceil(self.time_limit / self.tau - 1e-9))
+
+    @property
+    def speed_limit(self) -> float:
+        """v_max in force, m/s."""
+        return self.step_degree if self.max_speed is None else self.max_speed
+
+    @property
+    def acceleration_limit(self) -> float:
+        """Largest acceleration in force, m/s²."""
+        return 4.0 * self.speed_limit if self.max_acceleration is None else self.max_acceleration
+
+    @property
+    def turn_limit(self) -> float:
+        """Largest turn rate in force, rad/s."""
+        return self.max_degree if self.max_turn_rate is None else self.max_turn_rate
+
+    @property
+    def action_size(self) -> int:
+        """Numbers in one robot's action."""
+        return len(self.action_bounds)
+
+    @cached_property
+    def action_bounds(self) -> NDArray[np.float64]:
+        """Symmetric bound on each number of an action, (a,): m/s, m/s², or m/s and rad/s."""
+        return np.array(self.model.bounds(self), dtype=np.float64)
+
+    @cached_property
+    def observation_layout(self) -> ObservationLayout:
+        """Which row of an observation is what."""
+        slots = self.obstacle_slots
+        return ObservationLayout(
+            dim=self.dim,
+            neighbour_slots=self.neighbour_slots
+            or self.sensing_graph.most_neighbours(self.n_robots),
+            obstacle_slots=obstacles.max_count(self.obstacles) if slots is None else slots,
+            senses_gravity=self.model.senses_gravity,
+            senses_velocity=self.model.senses_velocity,
+        )
+
     # ---- construction -------------------------------------------------------------------------
 
     def replace(self, **changes: Any) -> Scenario:
-        """A copy with some fields changed; starts of another shape have to be given anew.
-
-        Raises:
-            ValueError: for an unknown field, naming the nearest one, or an impossible value.
+        """A copy with some fields changed, checked as ever; starts of another shape have to be
+        given anew.
         """
-        known_fields(changes, [field.name for field in dataclasses.fields(self)], "scenario")
         return dataclasses.replace(self, **changes)
 
     @classmethod
     def from_toml(cls, path: str | os.PathLike[str]) -> Scenario:
-        """Read a scenario from a TOML file; an absent key has its default, and a scenario without
-        a name that of the file.
+        """Read a scenario from a TOML file, whose name it has if none is given.
 
         Raises:
             FileNotFoundError: if there is no such file.
@@ -197,11 +297,7 @@ class Scenario(DerivedConstants):
 
     @classmethod
     def from_plain(cls, plain: Mapping[str, Any]) -> Scenario:
-        """A scenario from plain data, as TOML or JSON hold it.
-
-        Raises:
-            ValueError: for an unknown key or an impossible value.
-        """
+        """A scenario from plain data, as TOML or JSON hold it; checked as ever."""
         checks.mapping("a scenario's plain data", plain, "a mapping of fields to values")
         known_fields(plain, [field.name for field in dataclasses.fields(cls)], "scenario")
         reward = RewardWeights.from_plain(plain.get("reward", {}))
@@ -209,9 +305,7 @@ class Scenario(DerivedConstants):
         return cls(**{**plain, "reward": reward, "sensing": sensing})
 
     def to_plain(self) -> dict[str, Any]:
-        """The scenario as plain data; ``from_plain`` gives an equal scenario. None is an absent
-        key.
-        """
+        """Plain data, of which ``from_plain`` makes an equal scenario; None is an absent key."""
         plain = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
         plain["graph"] = self.sensing_graph.to_plain()
         plain["obstacles"] = obstacles.to_plain(self.obstacles)
@@ -225,17 +319,10 @@ class Scenario(DerivedConstants):
         return {key: value for key, value in plain.items() if value is not None}
 
     def to_toml(self, path: str | os.PathLike[str]) -> None:
-        """Write the scenario to a TOML file that ``from_toml`` reads back as an equal scenario.
-
-        Raises:
-            ValueError: for a path that no file can have.
-        """
+        """Write a TOML file that ``from_toml`` reads back as an equal scenario."""
         scenario_files.write(path, self.to_plain())
 
     # ---- checks -------------------------------------------------------------------------------
-
-    def _refuse(self, field: str, wanted: str) -> None:
-        checks.refuse(field, getattr(self, field), wanted)
 
     def _check_graph(self) -> None:
         graph = graphs.parse(self.graph)
@@ -250,7 +337,7 @@ class Scenario(DerivedConstants):
     def _check_slots(self, field: str, least: int, most: int, wanted: str) -> None:
         slots = getattr(self, field)
         if slots is not None and not (checks.is_whole(slots) and least <= slots <= most):
-            self._refuse(field, f"None or {wanted} {most}")
+            checks.refuse(field, slots, f"None or {wanted} {most}")
 
     def _check_obstacles(self) -> None:
         parsed = obstacles.parse(self.obstacles, self.dim)
@@ -276,7 +363,8 @@ class Scenario(DerivedConstants):
 
     def _check_time_step(self) -> None:
         if self.time_step is None and not math.isfinite(self.certified_step):
-            self._refuse("time_step", "given where the graph has no edge: no step is certified")
+            wanted = "given where the graph has no edge: no step is certified"
+            checks.refuse("time_step", None, wanted)
         self.sensing_graph.check_fits(self)
         if self.max_steps > MOST_STEPS:
             raise ValueError(
@@ -295,9 +383,7 @@ class Scenario(DerivedConstants):
 
 
 def _frames_to_caller() -> int:
-    """How far up the stack the code stands that made the scenario, for the warning's line
-    number.
-    """
+    """How far up the stack the code stands that made the scenario: its line is warned of."""
 
     def inside(frame: Any) -> bool:
         module = frame.f_globals.get("__name__", "")

@@ -1,6 +1,4 @@
-"""TOML files of scenarios: read and written as plain data, with paths that no file can have told
-apart from files that are not there.
-"""
+"""TOML files of scenarios as plain data; paths that no file can have are refused in words."""
 
 from __future__ import annotations
 
@@ -18,12 +16,7 @@ _PathLike = str | os.PathLike[str]
 
 
 def read(path: _PathLike) -> dict[str, Any]:
-    """The plain data of a TOML file.
-
-    Raises:
-        FileNotFoundError: if there is no such file.
-        ValueError: for a path that no file can have, or text that is not TOML.
-    """
+    """The plain data of a TOML file; ValueError for text that is none."""
     file = _file(path)
     with _possible(path):
         content = file.read_bytes()
@@ -42,11 +35,7 @@ def stem(path: _PathLike) -> str:
 
 
 def write(path: _PathLike, plain: dict[str, Any]) -> None:
-    """Write plain data to a TOML file: all of it, or nothing.
-
-    Raises:
-        ValueError: for a path that no file can have.
-    """
+    """Write plain data to a TOML file: all of it, or nothing."""
     import tomli_w
 
     text = tomli_w.dumps(plain)

@@ -21,25 +21,6 @@ ScenarioLike = Scenario | str | os.PathLike[str]
 """A Scenario, the name of one, or the path of a TOML file."""
 
 
-def _figure(name: str, obstacle_contact: str) -> Scenario:
-    """Field and start are our own choice, an obstacle in the way of every robot: the paper prints
-    no coordinates.
-    """
-    return Scenario(
-        name=name,
-        n_robots=3,
-        merge_radius=0.2,
-        start_positions=((-4.0, -3.0), (4.5, -2.0), (0.5, 4.5)),
-        obstacles=(
-            Disc(centre=(-1.9, -1.55), radius=0.8),
-            Disc(centre=(0.6, 2.0), radius=0.7),
-            Polygon(vertices=((2.0, -1.9), (2.9, -2.1), (3.1, -0.9), (2.2, -0.7))),
-        ),
-        obstacle_contact=obstacle_contact,
-        obstacle_range=2.0,
-    )
-
-
 _AMONG_OBSTACLES: dict[str, Any] = {
     "max_speed": 1.0,
     "time_step": 0.05,
@@ -49,61 +30,60 @@ _AMONG_OBSTACLES: dict[str, Any] = {
 """The experiment of theory 6: the long step is meant, V still falls with it."""
 
 
-def _clutter(discs: int, robots: int = 4, passage: float = 0.0) -> Scenario:
-    return Scenario(
-        name=f"clutter-{discs}" if robots == 4 else f"clutter-{discs}-team-{robots}",
-        n_robots=robots,
-        obstacles=ObstacleField(
-            count=discs,
-            radius=(0.8, 2.0),
-            region=16.0,
-            keep_out=0.5,
-            overlap=True,
-            passage=passage,
+def _figure(obstacle_contact: str) -> dict[str, Any]:
+    """Field and start are our own choice, an obstacle in the way of every robot: the paper prints
+    no coordinates.
+    """
+    return {
+        "n_robots": 3,
+        "start_positions": ((-4.0, -3.0), (4.5, -2.0), (0.5, 4.5)),
+        "obstacles": (
+            Disc(centre=(-1.9, -1.55), radius=0.8),
+            Disc(centre=(0.6, 2.0), radius=0.7),
+            Polygon(vertices=((2.0, -1.9), (2.9, -2.1), (3.1, -0.9), (2.2, -0.7))),
         ),
-        spawn_size=20.0,
-        **_AMONG_OBSTACLES,
-    )
+        "obstacle_contact": obstacle_contact,
+    }
+
+
+def _clutter(discs: int, robots: int = 4, passage: float = 0.0) -> dict[str, Any]:
+    field = ObstacleField(discs, (0.8, 2.0), region=16.0, keep_out=0.5, passage=passage)
+    return {"n_robots": robots, "obstacles": field, "spawn_size": 20.0, **_AMONG_OBSTACLES}
 
 
 def _walls(
     layout: str, size: tuple[float, float], opening: tuple[float, float], spawn_size: float
-) -> Scenario:
+) -> dict[str, Any]:
     """Walls longer than the team is wide: most ways round them raise V, which law (4) may not."""
-    return Scenario(
-        name=layout,
-        n_robots=5,
-        obstacles=WallField(layout, size, opening, thickness=0.5, region=2.0, keep_out=0.5),
-        spawn_size=spawn_size,
-        **_AMONG_OBSTACLES,
-    )
+    walls = WallField(layout, size, opening, thickness=0.5, region=2.0, keep_out=0.5)
+    return {"obstacles": walls, "spawn_size": spawn_size, **_AMONG_OBSTACLES}
 
 
-def _occluded() -> Scenario:
-    """Discs that stand in the way of sight as of robots, and robots that hide one another."""
-    return _clutter(8, 8).replace(name="occluded-8", sensing=Sensing(occlusion="both"))
+def _wall() -> dict[str, Any]:
+    box = Polygon(vertices=((-0.5, -50.0), (0.5, -50.0), (0.5, 50.0), (-0.5, 50.0)))
+    starts = ((-0.6, 0.0), (0.6, 0.0))
+    return {"n_robots": 2, "start_positions": starts, "obstacles": (box,), "max_speed": 1.0}
 
 
-def _huettenrauch(sight: float | None = None) -> Scenario:
+def _huettenrauch(sight: float | None = None) -> dict[str, Any]:
     """After Hüttenrauch, Šošić & Neumann (2019), with bearings alone; docs/scenarios.md says what
     is not kept. Who is far away is not seen, but is met all the same.
     """
-    return Scenario(
-        name="huettenrauch-20" if sight is None else f"huettenrauch-20-sight-{sight:g}",
-        n_robots=20,
-        robot_model="unicycle",
-        merge_radius=1.0,
-        time_step=0.1,
-        allow_long_step=True,
-        time_limit=102.4,
-        max_speed=10.0,
-        max_turn_rate=math.pi,
-        spawn_size=90.0,
-        sensing=Sensing(range=sight),
-    )
+    return {
+        "n_robots": 20,
+        "robot_model": "unicycle",
+        "merge_radius": 1.0,
+        "time_step": 0.1,
+        "allow_long_step": True,
+        "time_limit": 102.4,
+        "max_speed": 10.0,
+        "max_turn_rate": math.pi,
+        "spawn_size": 90.0,
+        "sensing": Sensing(range=sight),
+    }
 
 
-def _rotating_paths() -> Scenario:
+def _rotating_paths() -> dict[str, Any]:
     """Law (4) does not survive switching (guarantees, section 10): the three paths of three robots,
     one after another.
 
@@ -116,109 +96,92 @@ def _rotating_paths() -> Scenario:
     and as the middle goes round, the triangle stays equilateral and L' the same.
     """
     paths = [[(middle, end) for end in range(3) if end != middle] for middle in range(3)]
-    return Scenario(
-        name="rotating-paths",
-        n_robots=3,
-        graph=graphs.switching([graphs.from_edges(path) for path in paths], dwell=1.0),
-        start_positions=((0.0, 1.0), (-(0.75**0.5), -0.5), (0.75**0.5, -0.5)),
-        time_limit=400.0,
-    )
+    return {
+        "n_robots": 3,
+        "graph": graphs.switching([graphs.from_edges(path) for path in paths], dwell=1.0),
+        "start_positions": ((0.0, 1.0), (-(0.75**0.5), -0.5), (0.75**0.5, -0.5)),
+        "time_limit": 400.0,
+    }
 
 
-def _rssdoa() -> Scenario:
+def _rssdoa() -> dict[str, Any]:
     """After the open code RSSDOA, without its signal strengths; docs/scenarios.md says what is not
     kept. No start can be certain to keep its links: 14 merges may lengthen one by 0.7 m.
     """
-    return Scenario(
-        name="rssdoa-15",
-        n_robots=15,
-        graph=graphs.proximity(),
-        require_connected=False,
-        merge_radius=0.1,
-        time_step=0.033,
-        allow_long_step=True,
-        time_limit=33.0,
-        max_speed=0.075,
-        spawn_size=2.0,
-        sensing=Sensing(range=0.8, noise=0.1),
-    )
+    return {
+        "n_robots": 15,
+        "graph": graphs.proximity(),
+        "require_connected": False,
+        "merge_radius": 0.1,
+        "time_step": 0.033,
+        "allow_long_step": True,
+        "time_limit": 33.0,
+        "max_speed": 0.075,
+        "spawn_size": 2.0,
+        "sensing": Sensing(range=0.8, noise=0.1),
+    }
 
 
-_BUILDERS: dict[str, Callable[[], Scenario]] = {
-    "fig3": lambda: _figure("fig3", "ignore"),
-    "fig4": lambda: _figure("fig4", "slide"),
-    "duo": lambda: Scenario(name="duo", n_robots=2),
-    "swarm-20": lambda: Scenario(name="swarm-20", n_robots=20, time_limit=10.0),
-    "ring-12": lambda: Scenario(name="ring-12", n_robots=12, graph=graphs.cycle(), time_limit=60.0),
-    "tree-12": lambda: Scenario(
-        name="tree-12", n_robots=12, graph=graphs.random_tree((0.5, 2.0)), time_limit=20.0
-    ),
-    "random-10": lambda: Scenario(
-        name="random-10", n_robots=10, graph=graphs.erdos_renyi(0.3, (0.5, 1.5))
-    ),
-    "unicycle-6": lambda: Scenario(name="unicycle-6", n_robots=6, robot_model="unicycle"),
-    "uav-6": lambda: Scenario(name="uav-6", n_robots=6, dim=3, robot_model="nonholonomic_3d"),
-    "cloud-8": lambda: Scenario(name="cloud-8", n_robots=8, dim=3),
+_FIELDS: dict[str, Callable[[], dict[str, Any]]] = {
+    "fig3": partial(_figure, "ignore"),
+    "fig4": partial(_figure, "slide"),
+    "duo": lambda: {"n_robots": 2},
+    "swarm-20": lambda: {"n_robots": 20, "time_limit": 10.0},
+    "ring-12": lambda: {"n_robots": 12, "graph": graphs.cycle(), "time_limit": 60.0},
+    "tree-12": lambda: {
+        "n_robots": 12,
+        "graph": graphs.random_tree((0.5, 2.0)),
+        "time_limit": 20.0,
+    },
+    "random-10": lambda: {"n_robots": 10, "graph": graphs.erdos_renyi(0.3, (0.5, 1.5))},
+    "unicycle-6": lambda: {"n_robots": 6, "robot_model": "unicycle"},
+    "uav-6": lambda: {"n_robots": 6, "dim": 3, "robot_model": "nonholonomic_3d"},
+    "cloud-8": lambda: {"n_robots": 8, "dim": 3},
     **{f"clutter-{discs}": partial(_clutter, discs) for discs in (4, 8, 12, 16, 24)},
     **{f"clutter-16-team-{robots}": partial(_clutter, 16, robots) for robots in (3, 8, 16, 32)},
     "clutter-32": partial(_clutter, 32, passage=0.2),
     "trap": partial(_walls, "trap", (7.0, 10.0), (5.0, 8.0), 12.0),
     "corridor": partial(_walls, "corridor", (16.0, 20.0), (2.0, 4.0), 12.0),
     "rooms": partial(_walls, "rooms", (10.0, 14.0), (0.8, 1.2), 14.0),
-    "clutter-3d": lambda: Scenario(
-        name="clutter-3d",
-        n_robots=4,
-        dim=3,
-        obstacles=ObstacleField(
-            count=12, radius=(0.8, 2.0), region=10.0, keep_out=0.5, overlap=True
-        ),
-        spawn_size=14.0,
+    "clutter-3d": lambda: {
+        "n_robots": 4,
+        "dim": 3,
+        "obstacles": ObstacleField(12, (0.8, 2.0), region=10.0, keep_out=0.5),
+        "spawn_size": 14.0,
         **_AMONG_OBSTACLES,
-    ),
+    },
     "rotating-paths": _rotating_paths,
-    "wall": lambda: Scenario(
-        name="wall",
-        n_robots=2,
-        start_positions=((-0.6, 0.0), (0.6, 0.0)),
-        obstacles=(Polygon(vertices=((-0.5, -50.0), (0.5, -50.0), (0.5, 50.0), (-0.5, 50.0))),),
-        max_speed=1.0,
-        time_limit=30.0,
-    ),
-    "noisy-8": lambda: Scenario(
-        name="noisy-8", n_robots=8, sensing=Sensing(noise=0.3, dropout=0.1)
-    ),
-    "fov-8": lambda: Scenario(
-        name="fov-8",
-        n_robots=8,
-        robot_model="unicycle",
-        sensing=Sensing(field_of_view=2.0 * math.pi / 3.0),
-    ),
-    "occluded-8": _occluded,
-    "range-12": lambda: Scenario(
-        name="range-12",
-        n_robots=12,
-        graph=graphs.proximity(),
-        spawn_size=8.0,
-        sensing=Sensing(range=4.0),
-    ),
-    "switching-8": lambda: Scenario(
-        name="switching-8",
-        n_robots=8,
-        graph=graphs.switching([graphs.path(), graphs.star(), graphs.cycle()], dwell=1.0),
-        time_limit=60.0,
-    ),
-    "pursuit-6": lambda: Scenario(
-        name="pursuit-6", n_robots=6, graph=graphs.directed_cycle(), time_limit=60.0
-    ),
+    "wall": _wall,
+    "noisy-8": lambda: {"n_robots": 8, "sensing": Sensing(noise=0.3, dropout=0.1)},
+    "fov-8": lambda: {
+        "n_robots": 8,
+        "robot_model": "unicycle",
+        "sensing": Sensing(field_of_view=2.0 * math.pi / 3.0),
+    },
+    # discs that stand in the way of sight as of robots, and robots that hide one another
+    "occluded-8": lambda: {**_clutter(8, 8), "sensing": Sensing(occlusion="both")},
+    "range-12": lambda: {
+        "n_robots": 12,
+        "graph": graphs.proximity(),
+        "spawn_size": 8.0,
+        "sensing": Sensing(range=4.0),
+    },
+    "switching-8": lambda: {
+        "n_robots": 8,
+        "graph": graphs.switching([graphs.path(), graphs.star(), graphs.cycle()], dwell=1.0),
+        "time_limit": 60.0,
+    },
+    "pursuit-6": lambda: {"n_robots": 6, "graph": graphs.directed_cycle(), "time_limit": 60.0},
     "rssdoa-15": _rssdoa,
     "huettenrauch-20": _huettenrauch,
     "huettenrauch-20-sight-40": partial(_huettenrauch, 40.0),
 }
+"""What each differs in from the default; made when asked for, since polygons are slow to check."""
 
 
 def names() -> list[str]:
     """Names of all scenarios."""
-    return list(_BUILDERS)
+    return list(_FIELDS)
 
 
 def get(name: str) -> Scenario:
@@ -227,13 +190,11 @@ def get(name: str) -> Scenario:
     Raises:
         ValueError: for an unknown name, with the nearest known one.
     """
-    if not isinstance(name, str) or name not in _BUILDERS:
-        near = nearest_word(name, _BUILDERS)
+    if not isinstance(name, str) or name not in _FIELDS:
+        near = nearest_word(name, _FIELDS)
         hint = f"did you mean {near!r}? " if near else ""
-        raise ValueError(
-            f"scenario {shown(name)} is unknown; {hint}known are {', '.join(_BUILDERS)}"
-        )
-    return _BUILDERS[name]()
+        raise ValueError(f"scenario {shown(name)} is unknown; {hint}known are {', '.join(_FIELDS)}")
+    return Scenario(name=name, **_FIELDS[name]())
 
 
 def resolve(scenario: ScenarioLike, **overrides: Any) -> Scenario:

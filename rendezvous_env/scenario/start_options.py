@@ -34,14 +34,9 @@ class StartOptions(NamedTuple):
 def parse_options(
     scenario: Scenario, num_envs: int, options: Mapping[str, Any] | None
 ) -> StartOptions:
-    """Check the options of a reset.
+    """Check the options of a reset of B teams, see ``Simulator.reset``.
 
     An unknown key is ignored, as Gymnasium has it, unless it is nearly one of ours.
-
-    Args:
-        scenario: what the options must fit.
-        num_envs: B.
-        options: see ``Simulator.reset``.
 
     Raises:
         ValueError: naming the option, its value and what would be right.
@@ -60,11 +55,7 @@ def parse_options(
 
 
 def as_options(options: Any) -> dict[Any, Any]:
-    """Options as a dict of their own; None is none.
-
-    Raises:
-        ValueError: if they are no mapping.
-    """
+    """Options as a dict of their own; None is none, and what is no mapping is refused."""
     if options is None:
         return {}
     return dict(mapping("options", options, f"None or a dict; it may hold {', '.join(OPTIONS)}"))
@@ -209,11 +200,9 @@ def _check_together(scenario: Scenario, given: StartOptions, options: Mapping[st
 
 
 def seeds_of_teams(seed: Any, num_envs: int) -> list[int | None] | None:
-    """A seed for each team, None where it keeps its own; None if all do.
+    """A seed for each of B teams, None where it keeps its own; None if all do.
 
-    Args:
-        seed: s gives team i the seed s + i; a sequence or array gives each team its own.
-        num_envs: B.
+    One number s gives team i the seed s + i; a sequence or array gives each team its own.
 
     Raises:
         ValueError: naming what is no seed.

@@ -10,8 +10,9 @@ from typing import Annotated
 
 from tyro.conf import arg
 
+from rendezvous_env.checks import nearest_word
 from rendezvous_env.scenario import scenarios as named_scenarios
-from rendezvous_env.scenario.scenario import Scenario, nearest_word
+from rendezvous_env.scenario.scenario import Scenario
 
 from .. import policies, results
 from ..checks import UserError, check_least

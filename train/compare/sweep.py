@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
-from rendezvous_env.scenario.scenario import Scenario, nearest_word
+from rendezvous_env.checks import nearest_word
+from rendezvous_env.scenario.scenario import Scenario
 from rendezvous_env.sensors.sensing import Sensing
 
 from .. import results
