@@ -52,7 +52,7 @@ def own_registry(monkeypatch, tmp_path):
 
 @pytest.mark.parametrize("page", with_blocks("python", PAGES[1:]))
 def test_every_python_block_runs(page, tmp_path, monkeypatch, own_registry):
-    """One page is one program, in a folder of its own; README.md is in test_readme.py.
+    """One page is one program, in a folder of its own; README.md has a test of its own.
 
     A block that begins with the name of a file is that file.
     """
@@ -63,6 +63,27 @@ def test_every_python_block_runs(page, tmp_path, monkeypatch, own_registry):
             Path(file[1]).write_text(block, encoding="utf-8")
         else:
             exec(compile(block, str(page), "exec"), names)
+
+
+def test_every_python_block_of_the_readme_runs(capsys):
+    found = blocks(PAGES[0], "python")
+    names = {}
+    for block in found:
+        exec(compile(block, "README.md", "exec"), names)
+    assert len(found) == 4
+    assert names["observations"].shape == (256, 4, 3 + 8 * 2, 2)
+    assert names["trajectory"].success.all()
+    printed = capsys.readouterr().out
+    assert "'success': True" in printed
+    assert "theorems 2 and C" in printed
+
+
+def test_the_readme_names_every_command_and_scenarios_that_there_are():
+    text = PAGES[0].read_text(encoding="utf-8")
+    assert set(re.findall(r"`rendezvous (\w+)", text)) == set(COMMANDS)
+    shown = set(re.findall(r'"((?:fig|swarm-|ring-|clutter-)\w+)"', text))
+    assert shown and shown <= set(rv.scenarios.names())
+    assert (ROOT / "docs/images/fig4.png").stat().st_size > 10_000
 
 
 @pytest.mark.parametrize("page", with_blocks("bash"))

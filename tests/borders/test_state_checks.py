@@ -7,6 +7,7 @@ import re
 import numpy as np
 import pytest
 from conftest import five
+from test_borders import AMONG, TEAMS, same
 
 import rendezvous_env as rv
 from baselines.learned.policy_settings import PolicySettings
@@ -17,10 +18,6 @@ from rendezvous_env.engine.memory import AWAITING_RESET, RENDEZVOUS, TIME_OUT
 from rendezvous_env.obstacles.shape import CORNERS, DETAILS, KIND, RADIUS
 from rendezvous_env.safety.heading import HeadingFilter
 from rendezvous_env.vector import EnergyTankWrapper, HeadingVectorWrapper
-
-TEAMS = 6
-SQUARE = rv.Polygon(((4.0, 0.0), (6.0, 0.0), (6.0, 2.0), (4.0, 2.0)))
-AMONG = {"obstacles": (rv.Disc((0.0, 5.0), 1.0), SQUARE), "obstacle_slots": 3}
 
 
 def following_law(sim: Simulator) -> np.ndarray:
@@ -39,12 +36,6 @@ def halfway(**changes: object) -> Simulator:
     while sim.active.all():
         sim.step(following_law(sim))
     return sim
-
-
-def same(a, b):
-    if isinstance(a, dict):
-        return a.keys() == b.keys() and all(same(a[key], b[key]) for key in a)
-    return np.array_equal(a, b, equal_nan=np.asarray(a).dtype.kind == "f")
 
 
 def refused(target, state, message):
@@ -206,14 +197,7 @@ def test_steering_takes_a_state_as_a_whole(entry, spoil, message):
     refused(steering, {**steering_state, entry: spoil(steering_state[entry])}, message)
 
 
-def wrapped():
-    venv = HeadingVectorWrapper(rv.make_vec("clutter-16", 2))
-    venv.reset(seed=0)
-    return venv
-
-
-def tank():
-    venv = EnergyTankWrapper(rv.make_vec("clutter-16", 2), budget=1.0)
+def begun(venv):
     venv.reset(seed=0)
     return venv
 
@@ -222,9 +206,7 @@ def perceiving():
     scenario = rv.scenarios.get("clutter-16")
     teams = rv.make_vec(scenario, 2, autoreset_mode="SameStep")
     settings = PolicySettings(8, (16,), 0.1, 0.5, 0.1, 3.0, scenario.tau)
-    teams = FeatureVectorEnv(teams, settings)
-    teams.reset(seed=0)
-    return teams
+    return begun(FeatureVectorEnv(teams, settings))
 
 
 def robots():
@@ -234,16 +216,23 @@ def robots():
     return vec_env
 
 
+NESTED = {
+    "heading": lambda: begun(HeadingVectorWrapper(rv.make_vec("clutter-16", 2))),
+    "tank": lambda: begun(EnergyTankWrapper(rv.make_vec("clutter-16", 2), budget=1.0)),
+    "features": perceiving,
+    "robots": robots,
+}
+
+
 def leaves(state, path=()):
     for key, value in state.items():
         yield from leaves(value, (*path, key)) if isinstance(value, dict) else [(*path, key)]
 
 
-@pytest.mark.parametrize("make", [wrapped, tank, perceiving, robots])
+@pytest.mark.parametrize("make", NESTED.values(), ids=NESTED)
 def test_every_entry_of_a_nested_state_is_checked_before_any_is_taken(make):
     """Entries of another moment, one of them spoilt: none of the others may get in."""
-    target = make()
-    other = make()
+    target, other = make(), make()
     other.reset()  # the next episode: every entry that can differs
     paths = list(leaves(target.get_state()))
     assert len(paths) > 10

@@ -7,10 +7,18 @@ import numpy as np
 import pytest
 import shapely
 
+from rendezvous_env import Scenario, Simulator
 from rendezvous_env.obstacles.capsule import CAPSULE, Capsule
 from rendezvous_env.obstacles.disc import BALL, Disc, Sphere
 from rendezvous_env.obstacles.fields import ObstacleField, draw_field
-from rendezvous_env.obstacles.obstacle_set import check_outside, pack, table_of, world_of
+from rendezvous_env.obstacles.obstacle_set import (
+    balls,
+    check_outside,
+    outlines,
+    pack,
+    table_of,
+    world_of,
+)
 from rendezvous_env.obstacles.parsing import max_count, parse, row_width, to_plain
 from rendezvous_env.obstacles.polygon import POLYGON, Polygon
 from rendezvous_env.obstacles.shape import ABSENT, CENTRE, KIND, RADIUS
@@ -18,6 +26,9 @@ from rendezvous_env.physics.random_streams import OBSTACLES, stream_key
 
 TRIANGLE = ((0, 0), (3, 0), (0, 3))
 FIELD = ObstacleField(count=(2, 5), radius=(0.5, 1.5), region=12.0, keep_out=0.4, overlap=False)
+
+LOG = Capsule(((-1.0, 0.0), (1.0, 2.0)), 0.5)
+TRUNK = Capsule(((-1.0, 0.0, 1.0), (1.0, 2.0, 3.0)), 0.5)
 
 
 class TestValidation:
@@ -35,6 +46,8 @@ class TestValidation:
             (lambda: Capsule(((0, 0), (1, 0)), 0), "radius 0 of a Capsule must be"),
             (lambda: Capsule(((0, 0),), 1), "ends .* of a Capsule must be two points"),
             (lambda: Capsule(((0, 0), (1, 0, 0)), 1), r"ends\[1\] .* must be 2 finite numbers"),
+            (lambda: Capsule(((0, 0), (1, math.nan)), 1), r"ends\[1\] .* must be 2 finite numbers"),
+            (lambda: Capsule(7, 1), "ends 7 of a Capsule"),
             (lambda: Polygon(((0, 0), (1, 0))), "must be at least 3 points"),
             (lambda: Polygon(None), "must be at least 3 points"),
             (lambda: Polygon(((0, 0), (1, 0), (0, math.nan))), r"vertices\[2\] .* finite"),
@@ -134,6 +147,12 @@ class TestPlainData:
         assert parse(table["few"], 2) == (Disc((1, 2), 0.5), Polygon(TRIANGLE))
         assert parse(table["many"], 2) == FIELD
 
+    @pytest.mark.parametrize("capsule", [LOG, TRUNK])
+    def test_the_keys_tell_the_kind(self, capsule):
+        (plain,) = to_plain((capsule,))
+        del plain["kind"]
+        assert parse(plain, capsule.dim) == (capsule,)
+
     def test_one_obstacle_needs_no_list(self):
         assert parse(Disc((1, 2), 3), 2) == (Disc((1, 2), 3),)
         assert parse({"centre": [1, 2, 0], "radius": 3}, 3) == (Sphere((1, 2, 0), 3),)
@@ -147,6 +166,9 @@ class TestPlainData:
             ([{"centre": [0, 0]}], 2, "a disc needs radius"),
             ([Sphere((0, 0, 0), 1)], 2, r"obstacles\[0\].*in 2-D use Disc, Polygon or Capsule"),
             ([Disc((0, 0), 1)], 3, r"obstacles\[0\].*in 3-D use Sphere or Capsule"),
+            ([TRUNK], 2, r"obstacles\[0\]: .* is 3-D; in 2-D use Disc, Polygon or"),
+            ([{"kind": "capsule", "radius": 1}], 2, "a capsule needs ends"),
+            ([{"ends": [[0, 0], [1, 0]], "radus": 1}], 2, "unknown key 'radus'"),
             ([FIELD], 2, "stands alone"),
             ([Disc((0, 0), 1), 7], 2, r"obstacles\[1\]: 7 must be"),
             ("disc", 2, "'disc' must be a sequence"),
@@ -257,3 +279,47 @@ class TestDrawField:
         first, again, other = (draw(FIELD, episode, nowhere)[1] for episode in (3, 3, 4))
         assert np.array_equal(first, again)
         assert not np.array_equal(first, other)
+
+
+# ---- capsules: pictures, and starts with them ---------------------------------------------------
+
+
+def test_outlines_are_those_of_the_capsule():
+    (outline,) = outlines(pack((LOG,), 1))
+    away = [distance(corner, LOG) for corner in outline.vertices]
+    np.testing.assert_allclose(away, 0.5)
+    edges = np.roll(outline.vertices, -1, axis=0) - outline.vertices
+    following = np.roll(edges, -1, axis=0)
+    turns = edges[:, 0] * following[:, 1] - edges[:, 1] * following[:, 0]
+    assert (turns > -1e-12).all()  # convex, counter-clockwise
+    beads = list(balls(pack((TRUNK,), 1)))
+    np.testing.assert_allclose([distance(bead.centre, TRUNK) for bead in beads], 0, atol=1e-12)
+    np.testing.assert_allclose(beads[0].centre, TRUNK.ends[0])
+    np.testing.assert_allclose(beads[-1].centre, TRUNK.ends[1])
+    assert np.linalg.norm(beads[1].centre - beads[0].centre) <= 0.5
+
+
+def distance(point, capsule: Capsule) -> float:
+    first, second = np.array(capsule.ends)
+    along = second - first
+    share = np.clip((point - first) @ along / (along @ along), 0, 1)
+    return float(np.linalg.norm(point - first - share * along))
+
+
+def test_given_at_a_reset():
+    scenario = Scenario(n_robots=2, obstacles=[LOG], obstacle_slots=2, spawn_size=20.0)
+    sim = Simulator(scenario)
+    moved = Capsule(((5.0, 5.0), (6.0, 5.0)), 0.25)
+    sim.reset(0, {"obstacles": [moved, Disc((0.0, 0.0), 1.0)]})
+    np.testing.assert_array_equal(sim.obstacles[0], pack((moved, Disc((0.0, 0.0), 1.0)), 2, 10))
+    with pytest.raises(ValueError, match="inside"):
+        sim.reset(0, {"obstacles": [moved], "positions": [[5.5, 5.1], [0.0, 0.0]]})
+    square = Polygon(((0, 0), (1, 0), (1, 1), (0, 1)))
+    flat = Simulator(Scenario(n_robots=2, obstacles=[Disc((0.0, 0.0), 1.0)], spawn_size=20.0))
+    with pytest.raises(ValueError, match="a capsule where the scenario has none"):
+        flat.reset(0, {"obstacles": [moved]})
+    tight = Simulator(Scenario(n_robots=2, obstacles=[square], spawn_size=20.0))
+    tight.reset(0, {"obstacles": [square]})
+    round_ones = Simulator(Scenario(n_robots=2, dim=3, obstacles=[Sphere((0.0,) * 3, 1.0)]))
+    with pytest.raises(ValueError, match="capsule"):
+        round_ones.reset(0, {"obstacles": [TRUNK]})

@@ -15,7 +15,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 from tyro.conf import arg
 
-from rendezvous_env.scenario.scenario import nearest_word
+from rendezvous_env.checks import nearest_word
 
 from ..checks import UserError, check_least, check_most
 from ..results import write_csv
