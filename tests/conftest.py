@@ -6,7 +6,7 @@ import json
 import os
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
 from typing import NamedTuple
 
@@ -25,6 +25,12 @@ from rendezvous_env.trajectory import run
 
 settings.register_profile("rendezvous", deadline=None, derandomize=True, print_blob=False)
 settings.load_profile("rendezvous")
+# it draws from the constants of all modules imported so far, which hang on the other tests of the
+# process: cases would be others in each
+with suppress(ImportError, AttributeError):
+    from hypothesis.internal.conjecture import providers
+
+    providers._get_local_constants = lambda: providers._local_constants
 
 ROOT = Path(__file__).parent.parent
 MODELS = {
