@@ -121,7 +121,9 @@ def door(name: str, team: str) -> Door:
     return Door(name, TEAMS[team])
 
 
-names = st.sampled_from(list(DOORS))
+NAMES = [name for name in DOORS if not name.endswith(("gains", "links"))]
+"""Those that robots of all models may stand behind."""
+names = st.sampled_from(NAMES)
 
 
 @st.composite
@@ -272,5 +274,5 @@ def test_states(effort):
             play(it.simulator, 20)
             assert (it.simulator.status >= RUNNING).all()
 
-    stateful = st.sampled_from([name for name in DOORS if name != "aec"])
+    stateful = st.sampled_from([name for name in NAMES if name != "aec"])
     explore(check, 40 * effort, stateful, teams, st.data())
