@@ -20,8 +20,7 @@ from train.verify import cases
 from train.verify.adversaries import Steered, adversary
 from train.verify.cases import BATCH, Case
 from train.verify.claim import Claim
-from train.verify.claims import CLAIMS
-from train.verify.paper_claims import bound_a
+from train.verify.claims import CLAIMS, bound_a
 from train.verify.verify import COLUMNS, Config, run
 
 BY_NAME = {claim.name: claim for claim in CLAIMS}

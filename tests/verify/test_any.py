@@ -255,7 +255,9 @@ def test_violations_are_written_and_end_with_status_1(tmp_path, monkeypatch, one
 
 
 @pytest.mark.slow
-def test_two_thousand_scenarios_of_all_kinds(tmp_path):
-    status, rows, printed = command(tmp_path, trials=2_000, jobs=None)
+def test_hundreds_of_scenarios_of_all_kinds(tmp_path):
+    """As many as a core plays in some four minutes."""
+    status, rows, printed = command(tmp_path, trials=600, jobs=None)
     assert status == 0, printed
-    assert sum(int(row["granted"]) for row in rows) > 2_000
+    granted = {row["theorem"]: int(row["granted"]) for row in rows}
+    assert sum(granted.values()) > 600 and len(granted) > 15

@@ -20,6 +20,7 @@ from rendezvous_env.trajectory import Policy
 
 from .cases import Case
 from .claim import Law
+from .misled import across, unit
 
 Array = NDArray[np.float64]
 Adversary = Callable[[NDArray[Any], ArrayLike], Array]
@@ -119,13 +120,6 @@ def _directions(
     return choose
 
 
-def across(f: Array, axis: Array) -> Array:
-    """A vector orthogonal to f, (..., d): f turned by 90° in the plane, f × axis in space."""
-    if f.shape[-1] == 2:
-        return np.stack([-f[..., 1], f[..., 0]], axis=-1)
-    return np.cross(f, axis)
-
-
 def _turn_rates(
     scenario: Scenario,
     kinds: NDArray[np.int64],
@@ -210,9 +204,3 @@ def at_fixed_angle(case: Case, num_envs: int, random: np.random.Generator) -> Po
         return flexible_velocity(f, h).astype(np.float32)
 
     return policy
-
-
-def unit(vectors: Array) -> Array:
-    """Unit vectors (..., d); zero stays zero."""
-    lengths = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    return np.divide(vectors, lengths, out=np.zeros_like(vectors), where=lengths > 0)

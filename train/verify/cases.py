@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -27,20 +26,10 @@ class Case:
     """ε of the certified heading, or of a heading at a fixed angle to f."""
     options: dict[str, Any] = field(default_factory=dict)
     """Given parts of the start, as ``Simulator.reset`` takes them."""
-    budget: float = 0.0
-    """B of each robot's energy tank, m²/s."""
-    error: float = 0.0
-    """η, the most by which a bearing is wrong, rad."""
 
 
-FAMILIES: dict[str, Callable[[int, tuple[float, float], np.random.Generator], graphs.Graph]] = {
-    "complete": lambda n, weight, random: graphs.complete(weight),
-    "path": lambda n, weight, random: graphs.path(weight),
-    "cycle": lambda n, weight, random: graphs.cycle(weight) if n > 2 else graphs.path(weight),
-    "star": lambda n, weight, random: graphs.star(weight),
-    "random_tree": lambda n, weight, random: graphs.random_tree(weight),
-    "erdos_renyi": lambda n, weight, random: graphs.erdos_renyi(random.uniform(0.2, 0.8), weight),
-}
+FAMILIES = ("complete", "path", "cycle", "star", "random_tree", "erdos_renyi")
+"""Kinds of graphs."""
 
 
 def draw_case(
@@ -66,11 +55,13 @@ def draw_case(
     """
     n, dim = SIZES[batch % len(SIZES)], int(random.choice(dims))
     weight = (random.uniform(0.5, 1.0), random.uniform(1.0, 2.0))
-    graph = FAMILIES[str(random.choice(list(FAMILIES)))](n, weight, random)
+    family = str(random.choice(FAMILIES))
+    chance = (random.uniform(0.2, 0.8),) if family == "erdos_renyi" else ()
+    made = getattr(graphs, family if n > 2 or family != "cycle" else "path")
     scenario = Scenario(
         n_robots=n,
         dim=dim,
-        graph=graph,
+        graph=made(*chance, weight),
         merge_radius=random.uniform(0.1, 0.3),
         spawn_size=random.uniform(2.0, 4.0),
         local_frames=str(random.choice(["random", "random", "global"])),
@@ -114,24 +105,27 @@ def draw_unlimited(random: np.random.Generator, batch: int, least_margin: float)
 
 def draw_unicycles(random: np.random.Generator, batch: int, least_margin: float) -> Case:
     """Unicycles, with any limit on their turn rate."""
-    turn = float(random.uniform(1.0, 6.0))
-    return draw_case(
-        random, batch, least_margin, dims=(2,), robot_model="unicycle", max_turn_rate=turn
-    )
+    return _draw_turning(random, batch, least_margin, "unicycle", 2)
 
 
 def draw_3d(random: np.random.Generator, batch: int, least_margin: float) -> Case:
     """3-D nonholonomic robots, with any limit on their turn rates."""
-    turn = float(random.uniform(1.0, 6.0))
-    return draw_case(
-        random, batch, least_margin, dims=(3,), robot_model="nonholonomic_3d", max_turn_rate=turn
-    )
+    return _draw_turning(random, batch, least_margin, "nonholonomic_3d", 3)
 
 
 def draw_nonholonomic(random: np.random.Generator, batch: int, least_margin: float) -> Case:
     """Either of the two."""
     draw = draw_unicycles if random.random() < 0.5 else draw_3d
     return draw(random, batch, least_margin)
+
+
+def _draw_turning(
+    random: np.random.Generator, batch: int, least_margin: float, model: str, dim: int
+) -> Case:
+    turn = float(random.uniform(1.0, 6.0))
+    return draw_case(
+        random, batch, least_margin, dims=(dim,), robot_model=model, max_turn_rate=turn
+    )
 
 
 def draw_long_steps(random: np.random.Generator, batch: int, least_margin: float) -> Case:

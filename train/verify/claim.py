@@ -1,10 +1,15 @@
-"""What a claim is, what is measured of it, by what it is judged, and what is found."""
+"""What a claim is: an experiment that can fail. What is measured of it, by what it is judged, and
+the tasks of it.
+"""
 
 from __future__ import annotations
 
 import math
+import time
+import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,8 +46,6 @@ class Record:
     """Robots left at the end."""
     total: Array
     """Σ‖u_i‖ at the start over 2 max a_ij; u_i are the speeds the law chose."""
-    watched: Array
-    """Least of what the claim's watch has found; inf without one."""
 
 
 Verdict = tuple[Array, Mask]
@@ -55,9 +58,6 @@ Bound = Callable[[Case, Simulator], Array]
 Judge = Callable[[Record], Verdict]
 Promise = Callable[[Scenario, Step], Array]
 """(scenario, step) → what V must fall in it (B,), m²/s, if nobody merges."""
-Watch = Callable[[Simulator, Case], Callable[[Step], Array]]
-"""(teams at their start, case) → what is asked after every step: by how much each keeps a promise
-of its own, (B,); negative where it is broken, rounding aside."""
 
 
 @dataclass(frozen=True)
@@ -75,10 +75,6 @@ class Claim:
     """What V must fall in each step."""
     timed: bool = False
     """Whether ``bound`` is a theorem's, so that T/bound is worth reporting."""
-    watch: Watch | None = None
-    """What else is measured in every step, for the judge ``keeps``."""
-    patience: float = 1.0
-    """Times ``bound`` for which teams are waited for: more than 1 where it bounds a mean."""
 
 
 @dataclass(frozen=True)
@@ -101,11 +97,6 @@ def worst(findings: Sequence[Finding]) -> Finding:
         time_over_bound=max(finding.time_over_bound for finding in findings),
         violations=sum(finding.violations for finding in findings),
     )
-
-
-def anything(scenario: Scenario, step: Step) -> Array:
-    """Nothing."""
-    return np.full(len(step.running), -np.inf)
 
 
 def no_rise(scenario: Scenario, step: Step) -> Array:
@@ -134,9 +125,6 @@ def _limited(velocities: Array, scenario: Scenario) -> Array:
 
 _FLOAT64 = 1e-12
 _FLOAT32 = 2.0**-20
-_WATCHED = 1e-9
-_CONFIDENCE = 3.0
-"""Standard errors."""
 
 
 def falls(record: Record) -> Verdict:
@@ -148,16 +136,6 @@ def meets(record: Record) -> Verdict:
     """All have met by the time limit; the margin is the share of it that is left."""
     margin = 1.0 - record.times / record.limit
     return margin, record.times <= record.limit
-
-
-def meets_on_average(record: Record) -> Verdict:
-    """The mean of T/bound over the teams of a batch is at most 1, with three standard errors to
-    spare.
-    """
-    ratio = record.times / record.limit
-    spread = np.std(ratio, ddof=1) if np.isfinite(ratio).all() else np.inf
-    margin = 1.0 - np.mean(ratio) - _CONFIDENCE * spread / np.sqrt(len(ratio))
-    return np.full(len(ratio), margin), np.full(len(ratio), bool(margin >= 0))
 
 
 def stays_apart(record: Record) -> Verdict:
@@ -179,13 +157,6 @@ def is_lemma_1(record: Record) -> Verdict:
     return record.total - 1.0, record.total >= 1.0 - _FLOAT32
 
 
-def keeps(record: Record) -> Verdict:
-    """What the claim watches has kept its promise in every step; watches are shares of a length,
-    of which rounding takes far less than 10⁻⁹.
-    """
-    return record.watched, record.watched >= -_WATCHED
-
-
 def rounding(scenario: Scenario, lyapunov: Array) -> Array:
     """By how much rounding alone can make V miss its promise, m²/s.
 
@@ -201,39 +172,18 @@ def rounding(scenario: Scenario, lyapunov: Array) -> Array:
 def measure(claim: Claim, case: Case, policy: Policy, seed: int) -> Record:
     """Run BATCH teams until each has met or is out of time.
 
-    A team in which V has not fallen as the claim demands is not waited for. A law that looks at
-    positions is shown the teams before the first step (``watch``).
+    A team in which V has not fallen as the claim demands is not waited for.
     """
     scenario = case.scenario
     simulator = Simulator(scenario, BATCH)
     observations = simulator.reset(seed, case.options)
-    if hasattr(policy, "watch"):
-        policy.watch(simulator)
     limit = claim.bound(case, simulator)
     # one step more: a bound falls within a step
-    simulator.set_max_steps(math.ceil(claim.patience * float(limit.max()) / scenario.tau) + 1)
+    simulator.set_max_steps(math.ceil(float(limit.max()) / scenario.tau) + 1)
     heaviest = simulator.weights.max(axis=(-2, -1))
-    record = _blank(case, simulator.lyapunov(), limit)
-    watch = claim.watch(simulator, case) if claim.watch else None
-    pieces = len(scenario.sensing_graph.components(scenario.n_robots))
-    for number, step in enumerate(steps_of(simulator, policy, observations)):
-        if number == 0:
-            record.total = np.linalg.norm(step.actions, axis=-1).sum(axis=-1) / (2 * heaviest)
-        _note(record, step, simulator, claim.promise)
-        if watch:
-            record.watched[step.running] = np.minimum(record.watched, watch(step))[step.running]
-        undecided = (simulator.active.sum(axis=-1) > pieces) & ~simulator.ended
-        waited_for = record.fell | (falls not in claim.judges)
-        if not (undecided & waited_for).any():
-            break
-    record.left = simulator.active.sum(axis=-1)
-    return record
-
-
-def _blank(case: Case, start: Array, limit: Array) -> Record:
-    return Record(
+    record = Record(
         case=case,
-        start=start,
+        start=simulator.lyapunov(),
         limit=limit,
         times=np.full(BATCH, np.inf),
         slack=np.full(BATCH, np.inf),
@@ -241,8 +191,18 @@ def _blank(case: Case, start: Array, limit: Array) -> Record:
         excess=np.full(BATCH, -np.inf),
         left=np.zeros(BATCH, dtype=np.int64),
         total=np.zeros(BATCH),
-        watched=np.full(BATCH, np.inf),
     )
+    pieces = len(scenario.sensing_graph.components(scenario.n_robots))
+    for number, step in enumerate(steps_of(simulator, policy, observations)):
+        if number == 0:
+            record.total = np.linalg.norm(step.actions, axis=-1).sum(axis=-1) / (2 * heaviest)
+        _note(record, step, simulator, claim.promise)
+        undecided = (simulator.active.sum(axis=-1) > pieces) & ~simulator.ended
+        waited_for = record.fell | (falls not in claim.judges)
+        if not (undecided & waited_for).any():
+            break
+    record.left = simulator.active.sum(axis=-1)
+    return record
 
 
 def _note(record: Record, step: Step, simulator: Simulator, promise: Promise) -> None:
@@ -257,3 +217,81 @@ def _note(record: Record, step: Step, simulator: Simulator, promise: Promise) ->
     record.excess[on] = np.maximum(record.excess, out.merge_excess / record.start)[on]
     met = on & (out.status == RENDEZVOUS)
     record.times[met] = simulator.time[met]
+
+
+# ---- tasks ---------------------------------------------------------------------------------------
+
+
+def check(claim: Claim, seed: int, batch: int, trials: int, least_margin: float) -> Finding:
+    """Run one batch of a claim; the same arguments give the same finding.
+
+    Args:
+        claim: what to check.
+        seed: of the whole run.
+        batch: number of the batch.
+        trials: how many of its BATCH teams to count.
+        least_margin: smallest ε to draw.
+    """
+    random = np.random.default_rng([seed, zlib.crc32(claim.name.encode()), batch])
+    case = claim.draw(random, batch, least_margin)
+    policy = claim.law(case, BATCH, random)
+    start_seed = int(random.integers(2**40))
+    record = measure(claim, case, policy, start_seed)
+    verdicts = [judge(record) for judge in claim.judges]
+    held = np.logical_and.reduce([ok for _, ok in verdicts])[:trials]
+    ratio = np.max((record.times / record.limit)[:trials]) if claim.timed else math.nan
+    margin = float(np.min(verdicts[0][0][:trials]))
+    return Finding(len(held), margin, float(ratio), int(np.sum(~held)))
+
+
+_MOST = 256
+"""Tasks of a claim."""
+
+
+@dataclass(frozen=True)
+class Block:
+    """Some batches of one claim, a task of its own."""
+
+    claim: Claim
+    batches: tuple[tuple[int, int], ...]
+    """Numbers, and teams that count."""
+    seed: int
+    min_alignment: float
+
+    @property
+    def name(self) -> str:
+        """Of its cell."""
+        return f"{self.claim.name}-{self.batches[0][0]:07d}"
+
+
+class Seen(NamedTuple):
+    """What a block says."""
+
+    finding: Finding
+    seconds: float
+    first: int | None
+    """Number of the first batch with a violation."""
+
+
+def blocks_of(
+    claim: Claim, batches: Sequence[tuple[int, int]], seed: int, min_alignment: float
+) -> list[Block]:
+    """The batches of a claim, cut into tasks."""
+    size = math.ceil(len(batches) / _MOST)
+    return [
+        Block(claim, tuple(batches[k : k + size]), seed, min_alignment)
+        for k in range(0, len(batches), size)
+    ]
+
+
+def look(block: Block) -> Seen:
+    """Check the batches of a block."""
+    began = time.perf_counter()
+    findings = [
+        check(block.claim, block.seed, batch, trials, block.min_alignment)
+        for batch, trials in block.batches
+    ]
+    numbers = (batch for batch, _ in block.batches)
+    violated = zip(numbers, findings, strict=True)
+    first = next((batch for batch, finding in violated if finding.violations), None)
+    return Seen(worst(findings), time.perf_counter() - began, first)

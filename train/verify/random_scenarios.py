@@ -7,7 +7,6 @@ far apart; steps long and robots slow.
 
 from __future__ import annotations
 
-import itertools
 import math
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -16,6 +15,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 import rendezvous_env as rv
+
+from .random_starts import (
+    angular,
+    at_midpoints,
+    in_row,
+    in_tail,
+    in_wedge,
+    log_uniform,
+    obstacles,
+    on_line,
+    pick,
+    starts,
+)
 
 Array = NDArray[np.float64]
 Random = np.random.Generator
@@ -45,10 +57,10 @@ class Kind(NamedTuple):
 
 def draw_kind(random: Random) -> Kind:
     """Mostly single integrators in the plane without obstacles, about which most is promised."""
-    model, dim = _pick(random, *_MODELS)
-    graphs = _pick(random, "fixed", "fixed", "changing", "proximity")
+    model, dim = pick(random, *_MODELS)
+    graphs = pick(random, "fixed", "fixed", "changing", "proximity")
     exact = graphs != "proximity" and random.random() < 0.45
-    obstacles = _pick(random, "none", "none", "none", "round", "any")
+    obstacles = pick(random, "none", "none", "none", "round", "any")
     return Kind(model, dim, graphs, exact, obstacles)
 
 
@@ -86,12 +98,15 @@ def draw(random: Random, kind: Kind) -> Drawn:
 def arguments(random: Random, scenario: rv.Scenario, by: str) -> dict[str, float]:
     """What a certificate is asked with besides ``by``, and a wrapper made with."""
     if by == "heading":
-        return {"min_alignment": float(1.0 - _log(random, 0.02, 0.95))}
+        return {"min_alignment": float(1.0 - log_uniform(random, 0.02, 0.95))}
     if by == "tank":
-        budget = _log(random, 0.01, 10.0) * random.integers(2)
-        return {"min_alignment": float(1.0 - _log(random, 0.02, 0.95)), "budget": float(budget)}
+        budget = log_uniform(random, 0.01, 10.0) * random.integers(2)
+        return {
+            "min_alignment": float(1.0 - log_uniform(random, 0.02, 0.95)),
+            "budget": float(budget),
+        }
     if by == "links":
-        return {"share": _log(random, 1e-3, 1.0)}
+        return {"share": log_uniform(random, 1e-3, 1.0)}
     if by == "gains" and random.random() < 0.6:
         most = min(scenario.max_degree, scenario.merge_radius / scenario.tau)
         low, high = sorted(most * random.uniform(0.05, 1.0, 2))
@@ -105,24 +120,24 @@ def _tolerable(
     """The same with bearings that err, are noisy or are late by what some theorem bears, and with
     gains that are the same for all where it needs them.
     """
-    n, step = scenario.n_robots, scenario.certified_step * _log(random, 0.1, 1.0)
+    n, step = scenario.n_robots, scenario.certified_step * log_uniform(random, 0.1, 1.0)
     exact = scenario.replace(sensing=rv.Sensing(), max_speed=None, obstacles=())
     lasting = exact.sensing_graph.kind not in GRAPHS["changing"]
-    flaw = _pick(random, "error", "error", "noise", "delay") if lasting else "error"
+    flaw = pick(random, "error", "error", "noise", "delay") if lasting else "error"
     if flaw == "noise":
-        sensing = rv.Sensing(noise=_log(random, 0.01, 0.6))
+        sensing = rv.Sensing(noise=log_uniform(random, 0.01, 0.6))
     elif flaw == "delay":
         sensing = rv.Sensing(delay=int(random.integers(1, 5)))
         step = exact.certified_step * random.uniform(0.3, 1.05) / (sensing.delay + 1)
     else:
-        by = _pick(random, *CHOICES)
+        by = pick(random, *CHOICES)
         if by == "gains":
             gain = min(exact.max_degree, exact.merge_radius / step) * random.uniform(0.05, 0.5)
             given[by] = {"min_gain": float(gain), "max_gain": float(gain)}
         if by == "law" and random.random() < 0.7:
-            graph = _pick(random, rv.graphs.complete, rv.graphs.cycle) if n > 2 else rv.graphs.path
+            graph = pick(random, rv.graphs.complete, rv.graphs.cycle) if n > 2 else rv.graphs.path
             exact = exact.replace(graph=graph(float(exact.max_degree / n)))
-            step = exact.certified_step * _log(random, 0.1, 0.7)
+            step = exact.certified_step * log_uniform(random, 0.1, 0.7)
         exact = exact.replace(time_step=step, time_limit=1000.0 * step)
         found = rv.certificate(exact, by=by, **given[by])
         error = found.tolerated_bearing_error * random.uniform(0.1, 0.99)
@@ -134,24 +149,16 @@ def _tolerable(
     return exact.replace(sensing=sensing, time_step=step, time_limit=1000.0 * step)
 
 
-def _log(random: Random, low: float, high: float) -> float:
-    return float(math.exp(random.uniform(math.log(low), math.log(high))))
-
-
-def _pick(random: Random, *options: Any) -> Any:
-    return options[int(random.integers(len(options)))]
-
-
 def _scenario(random: Random, kind: Kind) -> rv.Scenario:
-    n, dim = _pick(random, *_SIZES), kind.dim
-    r = _pick(random, 0.2, 0.2, _log(random, 0.05, 1.0))
-    graph = _pick(random, *GRAPHS[kind.graphs])
-    sight = r * _log(random, 0.6 * n + 2.0, 20.0 + n) if graph == "proximity" else None
+    n, dim = pick(random, *_SIZES), kind.dim
+    r = pick(random, 0.2, 0.2, log_uniform(random, 0.05, 1.0))
+    graph = pick(random, *GRAPHS[kind.graphs])
+    sight = r * log_uniform(random, 0.6 * n + 2.0, 20.0 + n) if graph == "proximity" else None
     sensing = rv.Sensing() if kind.exact else _sensing(random, n, r, sight)
     reach = math.inf if sight is None else sight - (n - 1) * r / 2.0
     if random.random() < _CORNERS:
         return _corner(random, kind, n, r, graph, sensing, reach)
-    places = _starts(random, n, dim, r, reach)
+    places = starts(random, n, dim, r, reach)
     fields: dict[str, Any] = {
         "n_robots": n,
         "dim": dim,
@@ -159,15 +166,17 @@ def _scenario(random: Random, kind: Kind) -> rv.Scenario:
         "graph": _graph(random, graph, n, r),
         "merge_radius": r,
         "allow_long_step": True,
-        "obstacle_contact": _pick(random, "slide", "stop", "ignore"),
-        "spawn_size": r * _log(random, 4.0, 25.0),
+        "obstacle_contact": pick(random, "slide", "stop", "ignore"),
+        "spawn_size": r * log_uniform(random, 4.0, 25.0),
         "start_positions": places,
-        "local_frames": _pick(random, "random", "global"),
-        "on_merge": _pick(random, "remove", "follow"),
+        "local_frames": pick(random, "random", "global"),
+        "on_merge": pick(random, "remove", "follow"),
         "sensing": sensing,
     }
     if kind.obstacles != "none":
-        fields["obstacles"] = _obstacles(random, kind, r, places, fields["spawn_size"])
+        fields["obstacles"] = obstacles(
+            random, dim, kind.obstacles == "round", r, places, fields["spawn_size"]
+        )
     scenario = rv.Scenario(**fields)
     return scenario.replace(**_clock(random, scenario))
 
@@ -179,7 +188,7 @@ def _corner(
     heavy and light links of robots that hide each other; bearings that nearly cancel, in long steps
     of slow robots.
     """
-    place = {"fixed": _on_line, "changing": _in_wedge, "proximity": _in_tail}[kind.graphs]
+    place = {"fixed": on_line, "changing": in_wedge, "proximity": in_tail}[kind.graphs]
     places = place(random, n, kind.dim, r, reach)
     fields: dict[str, Any] = {
         "n_robots": n,
@@ -191,29 +200,29 @@ def _corner(
         "start_positions": places,
         "local_frames": "global",
         "sensing": sensing,
-        "obstacle_contact": _pick(random, "ignore", "ignore", "slide"),
+        "obstacle_contact": pick(random, "ignore", "ignore", "slide"),
     }
     if kind.graphs == "fixed" and not kind.exact:
         fields["sensing"] = rv.Sensing(occlusion="robots")
         fields["graph"] = _fixed(random, n, False, 1.0)
         if random.random() < 0.5:  # in a row, and who is next has the light link
-            fields["start_positions"] = _in_row(random, n, kind.dim, r)
+            fields["start_positions"] = in_row(random, n, kind.dim, r)
             far = np.abs(np.arange(n)[:, None] - np.arange(n)) > 1
-            light = _log(random, 0.003, 0.3) * (1.0 - np.eye(n))
+            light = log_uniform(random, 0.003, 0.3) * (1.0 - np.eye(n))
             fields["graph"] = rv.graphs.from_matrix(np.where(far, 1.0, light))
     if kind.graphs == "changing":
-        heavy = np.full((n, n), _log(random, 0.003, 1.0))
+        heavy = np.full((n, n), log_uniform(random, 0.003, 1.0))
         heavy[0] = 1.0
         fields["graph"] = rv.graphs.directed(heavy * (1.0 - np.eye(n)))
     if kind.obstacles != "none":
-        balls = _at_midpoints(random, rv.Disc if kind.dim == 2 else rv.Sphere, places)
+        balls = at_midpoints(random, rv.Disc if kind.dim == 2 else rv.Sphere, places)
         if kind.obstacles == "any":
-            balls.append(_angular(random, kind.dim, r, places + 100.0 * r))
+            balls.append(angular(random, kind.dim, r, places + 100.0 * r))
         fields["obstacles"] = tuple(balls)
     scenario = rv.Scenario(**fields)
     if kind.graphs != "changing":
         return scenario.replace(**_clock(random, scenario))
-    tau = scenario.certified_step * _log(random, 1.0, 20.0)
+    tau = scenario.certified_step * log_uniform(random, 1.0, 20.0)
     slow = r / tau * random.uniform(0.3, 1.0)
     return scenario.replace(time_step=tau, max_speed=slow, time_limit=1000.0 * tau)
 
@@ -222,14 +231,14 @@ def _clock(random: Random, scenario: rv.Scenario) -> dict[str, Any]:
     """Step and limits of speed: from a tenth to twenty times what is certified."""
     fields: dict[str, Any] = {}
     if random.random() < 0.6:
-        fields["time_step"] = scenario.certified_step * _log(random, 0.1, 20.0)
+        fields["time_step"] = scenario.certified_step * log_uniform(random, 0.1, 20.0)
     tau = fields.get("time_step", scenario.tau)
     if random.random() < 0.35:
-        fields["max_speed"] = scenario.max_degree * _log(random, 0.02, 2.0)
+        fields["max_speed"] = scenario.max_degree * log_uniform(random, 0.02, 2.0)
         if tau > scenario.certified_step and random.random() < 0.6:
             fields["max_speed"] = scenario.merge_radius / tau * random.uniform(0.3, 1.0)
     if random.random() < 0.3:
-        fields["max_turn_rate"] = _log(random, 0.1, 100.0)
+        fields["max_turn_rate"] = log_uniform(random, 0.1, 100.0)
     steps = max(1.0, getattr(scenario.sensing_graph, "dwell", 0.0) / tau)
     if hasattr(scenario.sensing_graph, "dwell") and steps <= 1.0:
         fields["time_step"] = scenario.sensing_graph.dwell
@@ -248,16 +257,16 @@ GRAPHS = {
 
 def _weight(random: Random) -> Any:
     """One weight, or a range of them."""
-    low = _pick(random, 1.0, _log(random, 0.01, 100.0))
-    return low if random.random() < 0.6 else (low, low * _pick(random, 2.0, 100.0))
+    low = pick(random, 1.0, log_uniform(random, 0.01, 100.0))
+    return low if random.random() < 0.6 else (low, low * pick(random, 2.0, 100.0))
 
 
 def _matrix(random: Random, n: int, density: float = 1.0) -> Array:
     """Weights: all the same, heavy or light, or anything over four decades; (n, n), m/s."""
-    kind, scale = int(random.integers(4)), _log(random, 0.1, 10.0)
+    kind, scale = int(random.integers(4)), log_uniform(random, 0.1, 10.0)
     weights = np.ones((n, n))
     if kind == 1:
-        weights = np.where(random.random((n, n)) < 0.5, 1.0, _log(random, 0.003, 0.3))
+        weights = np.where(random.random((n, n)) < 0.5, 1.0, log_uniform(random, 0.003, 0.3))
     elif kind == 2:
         weights = 10.0 ** random.uniform(-2.0, 2.0, (n, n))
     elif kind == 3:
@@ -266,7 +275,7 @@ def _matrix(random: Random, n: int, density: float = 1.0) -> Array:
 
 
 def _fixed(random: Random, n: int, directed: bool, density: float | None = None) -> Any:
-    weights = _matrix(random, n, density or _pick(random, 1.0, 1.0, 0.6))
+    weights = _matrix(random, n, density or pick(random, 1.0, 1.0, 0.6))
     if directed:
         return rv.graphs.directed(weights)
     return rv.graphs.from_matrix(np.triu(weights) + np.triu(weights).T)
@@ -280,7 +289,7 @@ def _graph(random: Random, kind: str, n: int, r: float) -> Any:
         return _fixed(random, n, True)
     if kind == "switching":
         listed = [
-            _pick(random, _fixed(random, n, True), _fixed(random, n, False), graphs.complete())
+            pick(random, _fixed(random, n, True), _fixed(random, n, False), graphs.complete())
             for _ in range(int(random.integers(1, 4)))
         ]
         if n > 3 and random.random() < 0.3:  # sides that see each other, and then all
@@ -290,8 +299,8 @@ def _graph(random: Random, kind: str, n: int, r: float) -> Any:
         heaviest = max(graph.max_degree(n) for graph in listed)
         if heaviest == 0.0:
             raise ValueError("no graph of the list has an edge")
-        dwell = r / (2.0 * heaviest) * _log(random, 1.0, 20.0)
-        return graphs.switching(listed, dwell, _pick(random, "cyclic", "random"))
+        dwell = r / (2.0 * heaviest) * log_uniform(random, 1.0, 20.0)
+        return graphs.switching(listed, dwell, pick(random, "cyclic", "random"))
     if kind == "erdos_renyi":
         return graphs.erdos_renyi(random.uniform(0.2, 0.9), _weight(random))
     if kind == "cycle" and n == 2:
@@ -303,163 +312,18 @@ def _sensing(random: Random, n: int, r: float, sight: float | None) -> rv.Sensin
     """One imperfection, seldom several; a range that links need may be all."""
     fields: dict[str, Any] = {} if sight is None else {"range": sight}
     flaws = {
-        "error": np.pi / n * _log(random, 0.001, 1.5),
-        "occlusion": _pick(random, "robots", "robots", "obstacles", "both"),
-        "noise": _log(random, 0.001, 1.0),
-        "bias": _log(random, 0.001, 1.0),
+        "error": np.pi / n * log_uniform(random, 0.001, 1.5),
+        "occlusion": pick(random, "robots", "robots", "obstacles", "both"),
+        "noise": log_uniform(random, 0.001, 1.0),
+        "bias": log_uniform(random, 0.001, 1.0),
         "dropout": random.uniform(0.0, 0.9),
         "delay": int(random.integers(1, 5)),
         "sectors": int(random.integers(2, 200)),
-        "range": r * _log(random, 3.0, 100.0),
+        "range": r * log_uniform(random, 3.0, 100.0),
         "field_of_view": random.uniform(0.5, 2.0 * np.pi),
     }
     names = [*flaws, *["error", "occlusion"] * 4]
     while (not fields or random.random() < 0.2) and (sight is None or random.random() < 0.4):
-        name = str(_pick(random, *names))
+        name = str(pick(random, *names))
         fields.setdefault(name, flaws[name])
     return rv.Sensing(**fields)
-
-
-def _starts(random: Random, n: int, dim: int, r: float, reach: float) -> Array | None:
-    """Places (n, d), m, of one of STARTS, in any order and orientation; None: they are drawn."""
-    place = _pick(random, *STARTS)
-    if place is None:
-        return None
-    places = place(random, n, dim, r, reach)
-    turn, _ = np.linalg.qr(random.normal(size=(dim, dim)))
-    if random.random() < 0.7:
-        places = random.permutation(places)
-    return np.asarray(places @ turn.T)
-
-
-def _in_box(random: Random, n: int, dim: int, r: float, reach: float) -> Array:
-    return random.uniform(0.0, r * _log(random, 1.5, 25.0), (n, dim))
-
-
-def _on_line(random: Random, n: int, dim: int, r: float, reach: float) -> Array:
-    gaps = [_gap(random, r, reach) for _ in range(n)]
-    places = np.zeros((n, dim))
-    places[:, 0] = np.cumsum(gaps)
-    return places + _pick(random, 0.0, 1e-9, 1e-3, 0.1) * r * random.normal(size=(n, dim))
-
-
-def _gap(random: Random, r: float, reach: float) -> float:
-    """Between neighbours: within r, hardly more, as far as a link may be, or anything."""
-    far = min(reach, 30.0 * r)
-    return float(
-        _pick(
-            random,
-            r * _log(random, 1e-3, 1.0),
-            r * (1.0 + _log(random, 1e-5, 0.3)),
-            r * _log(random, 1.0, 20.0),
-            far * (1.0 - _log(random, 1e-7, 0.1)),
-        )
-    )
-
-
-def _in_clusters(random: Random, n: int, dim: int, r: float, reach: float) -> Array:
-    """Some robots within r of each other, and others so, a few r apart."""
-    apart = r * _log(random, 1.2, 20.0)
-    centres = apart * random.normal(size=(int(random.integers(2, 4)), dim))
-    offsets = r * _log(random, 1e-3, 0.9) * random.normal(size=(n, dim))
-    return np.asarray(centres[np.arange(n) % len(centres)] + offsets)
-
-
-def _on_ring(random: Random, n: int, dim: int, r: float, reach: float) -> Array:
-    angle = 2.0 * np.pi * np.arange(n) / n
-    places = np.zeros((n, dim))
-    places[:, 0], places[:, 1] = np.cos(angle), np.sin(angle)
-    places *= r * _log(random, 0.4, 10.0)
-    return places + _pick(random, 0.0, 1e-6, 0.1) * r * random.normal(size=(n, dim))
-
-
-def _in_tree(random: Random, n: int, dim: int, r: float, reach: float) -> Array:
-    """Each at a gap from one before it, straight on or to any side."""
-    places, straight = np.zeros((n, dim)), random.normal(size=dim)
-    for k in range(1, n):
-        towards = _pick(random, straight, random.normal(size=dim))
-        at = int(_pick(random, k - 1, random.integers(k)))
-        places[k] = places[at] + _gap(random, r, reach) * towards / np.linalg.norm(towards)
-    return places
-
-
-def _in_row(random: Random, n: int, dim: int, r: float) -> Array:
-    """Robots on a line, apart, in order."""
-    places = np.zeros((n, dim))
-    places[:, 0] = np.cumsum([r * _log(random, 2.0, 20.0) for _ in range(n)])
-    return places
-
-
-def _in_tail(random: Random, n: int, dim: int, r: float, reach: float) -> Array:
-    """Robots in a row within r of each other, ever nearer, and the last one as far as it may be."""
-    gaps = np.sort(random.uniform(0.6, 1.0, n - 1))[::-1] * r
-    gaps[-1] = min(reach, 30.0 * r) * (1.0 - _log(random, 1e-7, 0.05))
-    places = np.zeros((n, dim))
-    places[1:, 0] = np.cumsum(gaps)
-    return places + _pick(random, 0.0, 1e-3, 0.05) * r * random.normal(size=(n, dim))
-
-
-def _in_wedge(random: Random, n: int, dim: int, r: float, reach: float) -> Array:
-    """Robot 0 between others in nearly opposite directions, so that its bearings nearly cancel."""
-    angle = _log(random, 0.02, 0.8)
-    places = np.zeros((n, dim))
-    for k in range(1, n):
-        distance = r * _log(random, 1.01, 3.0) if n > 3 else r * 1.5
-        places[k, 0] = (-1.0) ** k * distance * math.cos(angle)
-        places[k, 1] = -distance * math.sin(angle) - 1.2 * r * ((k - 1) // 2)
-    return places
-
-
-STARTS = (None, _in_box, _on_line, _in_clusters, _in_clusters, _on_ring, _in_tree, _in_wedge)
-
-
-def _obstacles(random: Random, kind: Kind, r: float, places: Array | None, side: float) -> Any:
-    """Where robots will merge, anywhere among them, or drawn for every episode."""
-    dim, round_only = kind.dim, kind.obstacles == "round"
-    if places is None or random.random() < 0.2:
-        if dim == 2 and not round_only:
-            length = (0.3 * side, 0.6 * side)
-            layout = _pick(random, "trap", "corridor", "rooms")
-            return rv.WallField(
-                layout, length, (0.05 * side, 0.1 * side), 0.03 * side, side, 0.1 * r
-            )
-        radius = (0.02 * side, 0.1 * side)
-        return rv.ObstacleField((1, 3), radius, side, 0.1 * r, bool(random.integers(2)))
-    ball = rv.Disc if dim == 2 else rv.Sphere
-    if random.random() < 0.6:
-        found = _at_midpoints(random, ball, places)
-    else:
-        at = places[random.integers(len(places), size=int(random.integers(1, 4)))]
-        sizes = [r * _log(random, 0.1, 5.0) for _ in at]
-        found = [
-            ball(tuple((place + 2.0 * size * random.normal(size=dim)).tolist()), size)
-            for place, size in zip(at, sizes, strict=True)
-        ]
-    if not round_only:
-        found.append(_angular(random, dim, r, places))
-    return tuple(found)
-
-
-def _angular(random: Random, dim: int, r: float, places: Array) -> Any:
-    """A triangle or a capsule somewhere among the robots."""
-    size = r * _log(random, 0.1, 5.0)
-    at = places[int(random.integers(len(places)))] + 2.0 * size * random.normal(size=dim)
-    if dim == 2 and random.random() < 0.5:
-        angles = np.sort(random.uniform(0.0, 2.0 * np.pi, 3))
-        corners = at + size * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
-        return rv.Polygon(tuple(map(tuple, corners.tolist())))
-    other = at + size * random.normal(size=dim)
-    return rv.Capsule((tuple(at.tolist()), tuple(other.tolist())), 0.3 * size)
-
-
-def _at_midpoints(random: Random, ball: Any, places: Array) -> list[Any]:
-    """Balls at the midpoints of the nearest pairs."""
-    pairs = sorted(
-        itertools.combinations(range(len(places)), 2),
-        key=lambda pair: float(np.linalg.norm(places[pair[0]] - places[pair[1]])),
-    )
-    found = []
-    for i, j in pairs[: int(random.integers(1, len(places) + 1))]:
-        radius = 0.5 * float(np.linalg.norm(places[i] - places[j])) * random.uniform(0.2, 0.95)
-        found.append(ball(tuple(((places[i] + places[j]) / 2.0).tolist()), radius))
-    return found

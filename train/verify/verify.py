@@ -22,28 +22,18 @@ from ..results import write_csv
 from ..resume import Part, claimed, program
 from ..tasks import WorkerFlags, each
 from .cases import BATCH
-from .claim import Claim, worst
-from .claims import CLAIMS, Seen, blocks_of, look
+from .claim import Claim, Seen, blocks_of, look, worst
+from .claims import CLAIMS
 from .counterexamples import Tally, any_blocks, look_at_any, rows_of, shrink, write
 from .falsification import TEAMS
 
 COLUMNS = (
-    "claim",
-    "trials",
-    "worst_margin",
-    "worst_time_over_bound",
-    "violations",
-    "seconds",
-    "first_violation",
+    *("claim", "trials", "worst_margin", "worst_time_over_bound", "violations"),
+    *("seconds", "first_violation"),
 )
 """Of verify.csv; the margin is a share (of V(0), of the time limit, of 2 max a), and negative
 means violated, rounding aside."""
-_BAR = (
-    TextColumn("{task.description:16}"),
-    BarColumn(),
-    MofNCompleteColumn(),
-    TimeElapsedColumn(),
-)
+_BAR = TextColumn("{task.description:16}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn()
 _MOST_WRITTEN = 20
 """Violations of a search that are made small and written."""
 
@@ -103,96 +93,42 @@ def check_config(config: Config) -> None:
             raise UserError(f"claim {name!r} is unknown; {hint}known are {', '.join(known)}")
 
 
-@dataclass(frozen=True)
-class Row:
-    """What was found about one claim."""
-
-    claim: Claim
-    trials: int
-    margin: float
-    time_over_bound: float
-    """NaN where the claim names no time."""
-    violations: int
-    seconds: float
-    first_violation: str
-    """The command that repeats it; empty without any."""
-
-
-def row_of(claim: Claim, config: Config, seen: Sequence[Seen]) -> Row:
-    """What all blocks of a claim say, in their order."""
-    found = worst([one.finding for one in seen])
-    first = next((one.first for one in seen if one.first is not None), None)
-    return Row(
-        claim=claim,
-        trials=found.trials,
-        margin=found.margin,
-        time_over_bound=found.time_over_bound,
-        violations=found.violations,
-        seconds=sum(one.seconds for one in seen),
-        first_violation="" if first is None else command_for(claim, config, first),
-    )
-
-
-def command_for(claim: Claim, config: Config, batch: int) -> str:
-    """The command line that repeats one batch of one claim."""
-    return (
-        f"rendezvous verify --claims {claim.name} --seed {config.seed} --only-batch {batch} "
-        f"--min-alignment {config.min_alignment}"
-    )
-
-
 def run(config: Config, claims: Sequence[Claim] = CLAIMS, console: Console | None = None) -> int:
-    """Check the claims, print the table, write verify.csv; the exit status.
+    """Check the claims, or what certificates promise; print the table, write verify.csv or any.csv;
+    the exit status.
 
     Raises:
         UserError: for an impossible flag, or a folder that cannot be written to.
     """
     check_config(config)
     console = console or Console(width=None if sys.stdout.isatty() else 120)
-    if config.any:
-        return _run_any(config, console)
     chosen = [claim for claim in claims if not config.claims or claim.name in config.claims]
-    path = config.out / "verify.csv"
+    path = config.out / ("any.csv" if config.any else "verify.csv")
     part = Part(path.with_suffix(".part"), plan_of(config, chosen), "verification")
     with claimed(config.out, ".verify.lock", f"--out {config.out}"):
         part.begin(config.out, fresh=config.fresh)
-        with part.at_work(console):
-            rows = _look_at_all(config, chosen, part, console)
-            write_csv(path, COLUMNS, map(as_plain, rows))
+        with part.at_work(console), Progress(*_BAR, console=console, transient=True) as bars:
+            if config.any:
+                tally = _try_anything(config, part, bars)
+                rows = rows_of(tally)
+                write_csv(path, list(rows[0]) if rows else ["theorem"], rows)
+            else:
+                rows = _look_at_all(config, chosen, part, bars)
+                write_csv(path, COLUMNS, rows)
             part.discard()
-    return _report(rows, path, console)
+    if config.any:
+        return _report_any(config, tally, rows, path, console)
+    return _report(rows, chosen, path, console)
 
 
 def plan_of(config: Config, claims: Sequence[Claim]) -> dict[str, Any]:
     """All that the numbers of a verification depend on, as plain data."""
-    asked = ("trials", "seed", "min_alignment", "only_batch")
+    asked = ("trials", "seed", "min_alignment", "only_batch", "any")
     return {
         **program(),
         **{name: getattr(config, name) for name in asked},
         "claims": [claim.name for claim in claims],
     }
-
-
-def _look_at_all(
-    config: Config, claims: Sequence[Claim], part: Part, console: Console
-) -> list[Row]:
-    """Check what is not finished, under a progress bar for each claim."""
-    batches = config.batches()
-    of_claim = {
-        claim.name: blocks_of(claim, batches, config.seed, config.min_alignment) for claim in claims
-    }
-    blocks = [block for own in of_claim.values() for block in own]
-    seen: dict[str, Seen] = {}
-    with Progress(*_BAR, console=console, transient=True) as progress:
-        total = sum(count for _, count in batches)
-        bars = {name: progress.add_task(name, total=total) for name in of_claim}
-        for block, one in _finish(look, blocks, part, config):
-            seen[block.name] = one
-            progress.advance(bars[block.claim.name], one.finding.trials)
-    return [
-        row_of(claim, config, [seen[block.name] for block in of_claim[claim.name]])
-        for claim in claims
-    ]
 
 
 def _finish(
@@ -211,45 +147,84 @@ def _finish(
             yield left[number], one
 
 
-def _run_any(config: Config, console: Console) -> int:
-    """Play random scenarios, print how often each theorem was granted and checked, write any.csv;
-    the exit status.
-    """
-    path, tally = config.out / "any.csv", Tally()
-    plan = {**program(), "trials": config.trials, "seed": config.seed, "any": True}
-    part = Part(path.with_suffix(".part"), plan, "search")
-    with claimed(config.out, ".verify.lock", f"--out {config.out}"):
-        part.begin(config.out, fresh=config.fresh)
-        with part.at_work(console), Progress(*_BAR, console=console, transient=True) as progress:
-            task = progress.add_task("scenarios", total=config.trials)
-            blocks = any_blocks(config.trials, config.seed)
-            for _, one in _finish(look_at_any, blocks, part, config):
-                tally.join(one)
-                progress.advance(task, one.trials)
-            rows = rows_of(tally)
-            write_csv(path, list(rows[0]) if rows else ["theorem"], rows)
-            part.discard()
-    table = Table(title=f"Certificates of {config.trials} random scenarios, tried")
-    for heading in rows[0] if rows else ["theorem"]:
-        table.add_column(
-            heading.replace("_", " "), justify="left" if heading == "theorem" else "right"
-        )
+# ---- claims --------------------------------------------------------------------------------------
+
+
+def _look_at_all(
+    config: Config, claims: Sequence[Claim], part: Part, progress: Progress
+) -> list[dict[str, Any]]:
+    """Check what is not finished, under a progress bar for each claim; the rows of verify.csv."""
+    batches = config.batches()
+    of_claim = {
+        claim.name: blocks_of(claim, batches, config.seed, config.min_alignment) for claim in claims
+    }
+    blocks = [block for own in of_claim.values() for block in own]
+    seen: dict[str, Seen] = {}
+    total = sum(count for _, count in batches)
+    bars = {name: progress.add_task(name, total=total) for name in of_claim}
+    for block, one in _finish(look, blocks, part, config):
+        seen[block.name] = one
+        progress.advance(bars[block.claim.name], one.finding.trials)
+    return [
+        row_of(claim, config, [seen[block.name] for block in of_claim[claim.name]])
+        for claim in claims
+    ]
+
+
+def row_of(claim: Claim, config: Config, seen: Sequence[Seen]) -> dict[str, Any]:
+    """What all blocks say of a claim, in their order, by COLUMNS."""
+    found = worst([one.finding for one in seen])
+    first = next((one.first for one in seen if one.first is not None), None)
+    repeat = (
+        f"rendezvous verify --claims {claim.name} --seed {config.seed} --only-batch {first} "
+        f"--min-alignment {config.min_alignment}"
+    )
+    return {
+        "claim": claim.name,
+        "trials": found.trials,
+        "worst_margin": found.margin,
+        "worst_time_over_bound": found.time_over_bound,
+        "violations": found.violations,
+        "seconds": round(sum(one.seconds for one in seen), 3),
+        "first_violation": "" if first is None else repeat,
+    }
+
+
+def _report(
+    rows: Sequence[dict[str, Any]], claims: Sequence[Claim], path: Path, console: Console
+) -> int:
+    """Print the table and what is violated; the exit status."""
+    shown = [
+        {
+            "claim": row["claim"],
+            "what is checked": claim.statement,
+            "trials": row["trials"],
+            "worst margin": f"{row['worst_margin'] + 0.0:.2g}",
+            "worst T/bound": row["worst_time_over_bound"],
+            "violations": row["violations"],
+        }
+        for row, claim in zip(rows, claims, strict=True)
+    ]
+    console.print(table_of("What was proved, measured", shown))
+    for row in rows:
+        if row["violations"]:
+            console.print(f"{row['claim']} is violated; to repeat the first time:")
+            console.print(f"  {row['first_violation']}", soft_wrap=True)
+    seconds, total = (sum(row[name] for row in rows) for name in ("seconds", "violations"))
+    console.print(f"{total} violations in {seconds:.0f} s of work; {path}", soft_wrap=True)
+    return int(total > 0)
+
+
+def table_of(title: str, rows: Sequence[dict[str, Any]]) -> Table:
+    """Rows as they are printed, numbers to the right; red where something is violated."""
+    table = Table(title=title)
+    for name, value in rows[0].items() if rows else ():
+        words = isinstance(value, str) and name in ("claim", "what is checked", "theorem")
+        table.add_column(name.replace("_", " "), justify="left" if words else "right")
     for row in rows:
         style = "bold red" if row["violations"] else None
         table.add_row(*[_shown(value) for value in row.values()], style=style)
-    console.print(table)
-    tally.violations.sort(key=lambda found: found[0])
-    for number, trial, played in tally.violations[:_MOST_WRITTEN]:
-        name = f"any-{config.seed}-{number}-{trial.by}"
-        small, played = shrink(trial, played)
-        file = write(config.out, name, small, played)
-        console.print(f"scenario {number}: {played.violation}; {file}", soft_wrap=True)
-    console.print(
-        f"{len(tally.violations)} violations, {tally.steps} steps of {TEAMS} teams in "
-        f"{tally.seconds:.0f} s of work; {path}",
-        soft_wrap=True,
-    )
-    return int(bool(tally.violations))
+    return table
 
 
 def _shown(value: Any) -> str:
@@ -258,47 +233,33 @@ def _shown(value: Any) -> str:
     return str(value)
 
 
-def _report(rows: Sequence[Row], path: Path, console: Console) -> int:
-    """Print the table and what is violated; the exit status."""
-    console.print(table_of(rows))
-    violated = [row for row in rows if row.violations]
-    for row in violated:
-        console.print(f"{row.claim.name} is violated; to repeat the first time:")
-        console.print(f"  {row.first_violation}", soft_wrap=True)
-    seconds = sum(row.seconds for row in rows)
-    total = sum(row.violations for row in rows)
-    console.print(f"{total} violations in {seconds:.0f} s of work; {path}", soft_wrap=True)
-    return int(bool(violated))
+# ---- certificates of random scenarios ------------------------------------------------------------
 
 
-def table_of(rows: Sequence[Row]) -> Table:
-    """The rows as they are printed."""
-    table = Table(title="What was proved, measured")
-    table.add_column("claim")
-    table.add_column("what is checked")
-    for heading in ("trials", "worst margin", "worst T/bound", "violations"):
-        table.add_column(heading, justify="right")
-    for row in rows:
-        table.add_row(
-            row.claim.name,
-            row.claim.statement,
-            str(row.trials),
-            f"{row.margin + 0.0:.2g}",
-            "" if math.isnan(row.time_over_bound) else f"{row.time_over_bound:.3f}",
-            str(row.violations),
-            style="bold red" if row.violations else None,
-        )
-    return table
+def _try_anything(config: Config, part: Part, progress: Progress) -> Tally:
+    """Play what is not finished."""
+    tally, bar = Tally(), progress.add_task("scenarios", total=config.trials)
+    for _, one in _finish(look_at_any, any_blocks(config.trials, config.seed), part, config):
+        tally.join(one)
+        progress.advance(bar, one.trials)
+    tally.violations.sort(key=lambda found: found[0])
+    return tally
 
 
-def as_plain(row: Row) -> dict[str, Any]:
-    """A row as it stands in verify.csv."""
-    return {
-        "claim": row.claim.name,
-        "trials": row.trials,
-        "worst_margin": row.margin,
-        "worst_time_over_bound": row.time_over_bound,
-        "violations": row.violations,
-        "seconds": round(row.seconds, 3),
-        "first_violation": row.first_violation,
-    }
+def _report_any(
+    config: Config, tally: Tally, rows: Sequence[dict[str, Any]], path: Path, console: Console
+) -> int:
+    """Print how often each theorem was granted and checked, make what is violated small and write
+    it; the exit status.
+    """
+    console.print(table_of(f"Certificates of {config.trials} random scenarios, tried", rows))
+    for number, trial, played in tally.violations[:_MOST_WRITTEN]:
+        small, played = shrink(trial, played)
+        file = write(config.out, f"any-{config.seed}-{number}-{trial.by}", small, played)
+        console.print(f"scenario {number}: {played.violation}; {file}", soft_wrap=True)
+    console.print(
+        f"{len(tally.violations)} violations, {tally.steps} steps of {TEAMS} teams in "
+        f"{tally.seconds:.0f} s of work; {path}",
+        soft_wrap=True,
+    )
+    return int(bool(tally.violations))

@@ -7,6 +7,8 @@ from numpy.typing import ArrayLike, NDArray
 
 import rendezvous_env as rv
 
+from .misled import across, unit
+
 Array = NDArray[np.float64]
 _TINY = 1e-12
 
@@ -72,19 +74,18 @@ class Adversary:
         linked = (teams.weights > 0) & active[:, None] & active[:, :, None]
         bearings = offsets / np.maximum(distances, _TINY)[..., None]
         f = np.sum(teams.weights[..., None] * bearings * linked[..., None], axis=2)
-        ahead = f / np.maximum(np.linalg.norm(f, axis=-1, keepdims=True), _TINY)
+        ahead = unit(f)
         there = active[..., None]
         centre = np.sum(places * there, axis=1, keepdims=True) / there.sum(axis=1, keepdims=True)
         farthest = np.where(linked, distances, -1.0).argmax(axis=-1)[..., None, None]
         nearest = np.where(linked, distances, np.inf).argmin(axis=-1)[..., None, None]
         far = np.take_along_axis(bearings, farthest, axis=2)[:, :, 0]
         near = np.take_along_axis(bearings, nearest, axis=2)[:, :, 0]
-        outward = places - centre
-        outward = outward / np.maximum(np.linalg.norm(outward, axis=-1, keepdims=True), _TINY)
+        outward = unit(places - centre)
         anew = self.random.normal(size=places.shape)
         options = (
             -ahead,
-            _across(ahead, self.frozen) * self.side,
+            unit(across(ahead, self.frozen)) * self.side,
             outward,
             -far,
             -near,
@@ -100,9 +101,8 @@ class Adversary:
         rows = self.scenario.observation_layout.split(observations).neighbours
         rows = rows.astype(np.float64)
         seen = np.any(rows, axis=-1)
-        units = rows / np.maximum(np.linalg.norm(rows, axis=-1, keepdims=True), _TINY)
         wishes = np.einsum("bnji,bnj->bni", teams.frames, self._directions(teams))
-        score = np.where(seen, np.einsum("bnkd,bnd->bnk", units, wishes), -np.inf)
+        score = np.where(seen, np.einsum("bnkd,bnd->bnk", unit(rows), wishes), -np.inf)
         # the row that is wanted most, and the others by ever so little
         chosen = (score == score.max(axis=-1, keepdims=True)).astype(float)
         leaning = np.where(seen, np.clip(score, 0.0, 1.0), 0.0)
@@ -131,11 +131,3 @@ class Adversary:
             full = np.concatenate([-np.sign(f[..., :1]), abeam], axis=-1)[..., :size]
         chosen = np.choose(self.kinds[..., None] % 4, (full, held, anew, np.sign(held)))
         return np.asarray(chosen)
-
-
-def _across(ahead: Array, axis: Array) -> Array:
-    """Unit vectors across others: turned by 90° in the plane, ahead × axis in space."""
-    if ahead.shape[-1] == 2:
-        return np.stack([-ahead[..., 1], ahead[..., 0]], axis=-1)
-    aside = np.cross(ahead, axis)
-    return np.asarray(aside / np.maximum(np.linalg.norm(aside, axis=-1, keepdims=True), _TINY))
