@@ -158,7 +158,7 @@ def scenario_fields(draw: st.DrawFn) -> dict[Any, Any]:
         "n_robots": nearly(st.integers(2, 4), 10**9, 10_001, 1),
         "dim": nearly(st.just(dim), 1, 4),
         "robot_model": nearly(st.just(model), "car", ["unicycle"]),
-        "name": nearly(st.just("some"), 5),
+        "name": nearly(st.text(min_size=1, max_size=255).filter(str.isprintable), 5),
         "graph": graphs(n),
         "require_connected": nearly(st.booleans(), 1),
         "merge_radius": nearly(lengths),

@@ -66,15 +66,12 @@ def test_bad_edges(edges, message):
 
 
 @pytest.mark.parametrize("weight", [(0.0, 1.0), (2.0, 1.0), (-1.0, 1.0), (0.5, np.inf), -1.0])
-def test_bad_weight_ranges(weight):
+def test_bad_weight_ranges_and_probabilities(weight):
     with pytest.raises(ValueError, match=r"weight_range \(.*\) must be .*finite.* 0 < low"):
         graphs.path(weight)
-
-
-@pytest.mark.parametrize("probability", [0.0, -0.1, 1.1])
-def test_bad_probabilities(probability):
-    with pytest.raises(ValueError, match=rf"probability {probability} must be in \(0, 1\]"):
-        graphs.erdos_renyi(probability)
+    for probability in (0.0, -0.1, 1.1):
+        with pytest.raises(ValueError, match=rf"probability {probability} must be in \(0, 1\]"):
+            graphs.erdos_renyi(probability)
 
 
 @pytest.mark.parametrize(

@@ -10,17 +10,15 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+import soup
 from conftest import UNEQUAL
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
+from hypothesis import HealthCheck, given, reject, settings
 
 from rendezvous_env import (
     Disc,
-    ObstacleField,
     Polygon,
     RewardWeights,
     Scenario,
-    Sphere,
     TimeStepWarning,
     graphs,
 )
@@ -245,72 +243,19 @@ def test_the_named_scenarios_of_the_issue_exist():
         scenarios.get("swarm-2")
 
 
-positive = st.floats(1e-3, 1e3)
-
-
-@st.composite
-def any_scenario(draw) -> Scenario:
-    n = draw(st.integers(2, 6))
-    model, dim = draw(
-        st.sampled_from(
-            [
-                ("single_integrator", 2),
-                ("single_integrator", 3),
-                ("unicycle", 2),
-                ("nonholonomic_3d", 3),
-            ]
-        )
-    )
-    low = draw(st.floats(0.1, 2.0))
-    weight = (low, low + draw(st.floats(0, 2.0)))
-    weights = draw(st.lists(positive, min_size=n - 1, max_size=n - 1))
-    graph = draw(
-        st.sampled_from(
-            [
-                graphs.complete(weight),
-                graphs.path(),
-                graphs.cycle(weight) if n > 2 else "complete",
-                graphs.star(weight),
-                graphs.random_tree(weight),
-                graphs.erdos_renyi(draw(st.floats(0.01, 1.0)), weight),
-                graphs.from_edges([(i, i + 1, w) for i, w in enumerate(weights)], n),
-            ]
-        )
-    )
-    disc = Disc((draw(positive), -draw(positive)), draw(positive))
-    sphere = Sphere((draw(positive), 0.0, 1.0), draw(positive))
-    field = ObstacleField((1, 3), (0.5, 1.5), draw(positive), 0.2, draw(st.booleans()))
-    solids = [(), field, (disc, TRIANGLE) if dim == 2 else (sphere,)]
-    headings = draw(st.none() | st.just([[0.1 * i] * (dim - 1) for i in range(n)]))
-    return Scenario(
-        name=draw(st.text(min_size=1, max_size=255).filter(str.isprintable)),
-        n_robots=n,
-        dim=dim,
-        robot_model=model,
-        graph=graph,
-        merge_radius=draw(positive),
-        time_step=draw(st.none() | positive),
-        allow_long_step=True,
-        time_limit=draw(positive),
-        max_speed=draw(st.none() | positive),
-        max_turn_rate=draw(st.none() | positive),
-        obstacles=draw(st.sampled_from(solids)),
-        obstacle_slots=draw(st.sampled_from([None, 5])),
-        obstacle_contact=draw(st.sampled_from(["slide", "stop", "ignore"])),
-        neighbour_slots=draw(st.sampled_from([None, 1, n - 1])),
-        spawn_size=draw(positive),
-        start_positions=draw(st.none() | st.just([[-1e5 * (i + 1)] * dim for i in range(n)])),
-        start_headings=None if model == "single_integrator" else headings,
-        local_frames=draw(st.sampled_from(["random", "global"])),
-        on_merge=draw(st.sampled_from(["remove", "follow"])),
-        reward=RewardWeights(*(draw(st.floats(-10, 10)) for _ in range(4))),
-    )
-
-
-@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(any_scenario())
-def test_any_scenario_survives_toml(tmp_path, scenario):
-    assert round_trip(scenario, tmp_path / "any.toml") == scenario
+@settings(
+    max_examples=60,
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.filter_too_much],
+)
+@given(soup.scenario_fields())
+def test_any_scenario_survives_toml(tmp_path, fields):
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", TimeStepWarning)
+        try:
+            scenario = Scenario.from_plain(fields)
+        except ValueError:
+            reject()
+        assert round_trip(scenario, tmp_path / "any.toml") == scenario
 
 
 def test_a_toml_file_without_a_name_names_its_scenario(tmp_path):
