@@ -240,9 +240,3 @@ def why_not_led_together(weights: Any) -> str | None:
         f"{' and '.join(map(str, groups))} each see nobody outside their own group, and so need "
         "not meet (guarantees, section 10); let some robot be reached from all"
     )
-
-
-def least_weight(weights: Any) -> float:
-    """The least weight of an edge, which no D_i of a robot that sees someone falls below, m/s."""
-    positive = sparse(weights).data
-    return float(positive.min()) if len(positive) else 0.0

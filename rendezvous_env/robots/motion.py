@@ -97,11 +97,7 @@ _MOTIONS: dict[type, Motion] = {}
 
 
 def describe(model: type, motion: Motion) -> None:
-    """Say how robots move whose constants are of this type.
-
-    Args:
-        model: a NamedTuple class.
-        motion: its equations.
+    """Say how robots move whose constants are of this type, a NamedTuple class.
 
     Raises:
         ValueError: if something else has been said of this type before, or it is no NamedTuple.

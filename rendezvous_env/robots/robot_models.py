@@ -84,13 +84,9 @@ def try_with(example: Callable[[str, int], Any]) -> None:
 
 
 def register_robot_model(model: RobotModel, *, replace: bool = False) -> None:
-    """Make a robot model known by its name.
+    """Make a robot model known by its name; ``replace`` lets it take the place of another.
 
     Its equations must have been described by ``motion.describe``; a few sampled calls try them.
-
-    Args:
-        model: the model.
-        replace: whether it may take the place of another of that name (in a notebook).
 
     Raises:
         ValueError: if it is no RobotModel, its name is taken or no word, it exists in no space,
@@ -190,11 +186,8 @@ def is_custom(model: RobotModel) -> bool:
 
 
 def constants_of(scenario: Any, early: bool = False) -> Any:
-    """The constants that the equations of a scenario's robot model take.
-
-    Args:
-        scenario: of that model.
-        early: at registration, when a model need not be described yet, nor fit a scenario's step.
+    """The constants that the equations of a scenario's robot model take; ``early`` at registration,
+    when a model need not be described yet, nor fit a scenario's step.
 
     Raises:
         ValueError: if they are not what a step needs, or a few sampled calls of the equations give
@@ -251,11 +244,7 @@ def _called(what: str, function: Any, *arguments: Any) -> Any:
 def _try(
     model: RobotModel, motion: Motion, constants: Any, bounds: tuple[float, ...], dim: int
 ) -> None:
-    """A few calls of all equations, as plain Python.
-
-    Raises:
-        ValueError: naming the equation, what it gave and what it must be.
-    """
+    """A few calls of all equations, as plain Python; the first that is wrong is refused."""
     random, used = np.random.default_rng(0), np.zeros(len(bounds), bool)
     for sample in range(_SAMPLES):
         action = tuple((random.uniform(-1.0, 1.0, len(bounds)) * bounds).tolist())
