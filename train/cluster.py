@@ -124,11 +124,7 @@ def _mode() -> str:
 
 
 def _check_answers(address: str) -> None:
-    """Refuse a machine where nobody listens: Ray itself would ask for many minutes.
-
-    Raises:
-        UserError: naming the address.
-    """
+    """Refuse a machine where nobody listens: Ray itself would ask for many minutes."""
     host, _, port = address.rpartition("://")[2].rpartition(":")
     if not (host and port.isdigit()):
         return  # "auto", or one that Ray refuses at once

@@ -63,8 +63,7 @@ def run(config: Config) -> int:
     """Read, write, compare.
 
     Raises:
-        UserError: for an unknown or scripted policy, a file that cannot be written, a missing
-            extra, or a file that does not do what the policy does.
+        UserError: also for a file that does not do what the policy does.
     """
     weights, settings = _check(config)
     prepare_folder(config.out.parent)
@@ -102,10 +101,8 @@ def _check(config: Config) -> tuple[dict[str, NDArray[np.float32]], PolicySettin
 def _compare(
     path: Path, weights: dict[str, NDArray[np.float32]], settings: PolicySettings, checks: int
 ) -> float:
-    """The largest difference between file and policy, as a share of the largest preference.
-
-    Raises:
-        UserError: if it is more than rounding.
+    """The largest difference between file and policy, as a share of the largest preference; one
+    that is more than rounding is refused.
     """
     random, written, worst = np.random.default_rng(0), OnnxNetwork(path), 0.0
     for first in range(0, checks, _AT_ONCE):

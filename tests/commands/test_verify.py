@@ -35,18 +35,13 @@ def command(tmp_path, *wrong, trials=BATCH, **options):
         return status, list(csv.DictReader(file)), printed.getvalue()
 
 
-def with_law(name, law, **changes):
-    return dataclasses.replace(BY_NAME[name], law=law, **changes)
-
-
 def caught(tmp_path, claim, trials=4 * BATCH):
-    """The row of a claim that must be found violated."""
+    """Share of violations and worst margin of a claim that must be found violated."""
     status, (row,), printed = command(tmp_path, claim, trials=trials)
     assert status == 1
-    assert int(row["violations"]) > 0
     assert row["first_violation"].startswith(f"rendezvous verify --claims {claim.name} --seed 0")
     assert row["first_violation"] in printed
-    return row
+    return int(row["violations"]) / int(row["trials"]), float(row["worst_margin"])
 
 
 # ---- it passes -----------------------------------------------------------------------------------
@@ -67,12 +62,6 @@ def test_nothing_is_violated(tmp_path):
             else (row["worst_time_over_bound"] == "")
         )
     assert [path.name for path in tmp_path.iterdir()] == ["verify.csv"]
-
-
-@pytest.mark.slow
-def test_nothing_is_violated_from_another_seed(tmp_path):
-    status, rows, _ = command(tmp_path, trials=400, seed=99)
-    assert status == 0 and {row["trials"] for row in rows} == {"400"}
 
 
 def test_the_same_seed_finds_the_same(tmp_path):
@@ -133,23 +122,31 @@ def unscaled(case, num_envs, random):
     return policy
 
 
-def without_gate(case, num_envs, random):
-    """Unicycles and 3-D robots that keep h ⟂ f."""
-    scenario = case.scenario
-    kept = adversary(scenario, num_envs, random, kind="orthogonal")
-    return Steered(scenario, num_envs, kept, certified=False)
+def bare(case, num_envs, random):
+    """Headings ⟂ f without the certificate, or the gate of unicycles and 3-D robots."""
+    kept = adversary(case.scenario, num_envs, random, kind="orthogonal")
+    return Steered(case.scenario, num_envs, kept, certified=False)
 
 
-@pytest.mark.parametrize("name", ["theorem-1", "certified-step", "local-scaling"])
-def test_a_flipped_sign_is_caught(tmp_path, name):
-    row = caught(tmp_path, with_law(name, flipped))
-    assert int(row["violations"]) == int(row["trials"])
-    assert float(row["worst_margin"]) < -1e-3
-
-
-@pytest.mark.parametrize("name", ["lemma-1", "theorem-1"])
-def test_weights_that_are_not_symmetric_are_caught(tmp_path, name):
-    assert float(caught(tmp_path, with_law(name, asymmetric))["worst_margin"]) < -1e-5
+@pytest.mark.parametrize(
+    ("name", "law", "bound", "share", "margin"),
+    [
+        ("theorem-1", flipped, None, 1.0, -1e-3),
+        ("certified-step", flipped, None, 1.0, -1e-3),
+        ("local-scaling", flipped, None, 1.0, -1e-3),
+        ("lemma-1", asymmetric, None, 0.0, -1e-5),
+        ("theorem-1", asymmetric, None, 0.0, -1e-5),
+        ("theorem-2", bare, 20.0, 1.0, np.inf),
+        ("gate", bare, 60.0, 0.9, np.inf),
+    ],
+)
+def test_a_wrong_law_is_caught(tmp_path, name, law, bound, share, margin):
+    """A flipped sign, weights that are not symmetric, robots that nothing certifies."""
+    claim = dataclasses.replace(BY_NAME[name], law=law)
+    if bound is not None:
+        claim = dataclasses.replace(claim, bound=lambda case, teams: np.full(teams.num_envs, bound))
+    found, worst = caught(tmp_path, claim, trials=2 * BATCH)
+    assert found >= share and found > 0 and worst < margin
 
 
 def test_a_step_four_times_too_long_without_scaling_is_caught(tmp_path):
@@ -158,24 +155,7 @@ def test_a_step_four_times_too_long_without_scaling_is_caught(tmp_path):
 
     right = dataclasses.replace(BY_NAME["local-scaling"], draw=draw)
     assert command(tmp_path, right, trials=4 * BATCH)[0] == 0
-    row = caught(tmp_path, dataclasses.replace(right, law=unscaled))
-    assert float(row["worst_margin"]) < -1e-3
-
-
-def test_nonholonomic_robots_without_the_gate_are_caught(tmp_path):
-    claim = with_law("gate", without_gate, bound=lambda case, teams: np.full(teams.num_envs, 60.0))
-    row = caught(tmp_path, claim, trials=2 * BATCH)
-    assert int(row["violations"]) > 0.9 * int(row["trials"])
-
-
-def test_headings_without_the_certificate_are_caught(tmp_path):
-    def bare(case, num_envs, random):
-        chosen = adversary(case.scenario, num_envs, random, kind="orthogonal")
-        return Steered(case.scenario, num_envs, chosen, certified=False)
-
-    claim = with_law("theorem-2", bare, bound=lambda case, teams: np.full(teams.num_envs, 20.0))
-    row = caught(tmp_path, claim, trials=2 * BATCH)
-    assert int(row["violations"]) == int(row["trials"])
+    assert caught(tmp_path, dataclasses.replace(right, law=unscaled))[1] < -1e-3
 
 
 def light_link_left(random, batch, least_margin):
@@ -240,7 +220,7 @@ def test_bad_arguments_are_refused_by_name(tmp_path, options, message):
 
 
 def test_a_violation_is_repeated_by_its_batch(tmp_path):
-    wrong = with_law("lemma-1", asymmetric)
+    wrong = dataclasses.replace(BY_NAME["lemma-1"], law=asymmetric)
     _, (row,), _ = command(tmp_path, wrong, trials=5 * BATCH)
     number = int(row["first_violation"].split("--only-batch ")[1].split()[0])
     _, (again,), _ = command(tmp_path, wrong, only_batch=number)
@@ -266,7 +246,8 @@ def test_the_command_line(tmp_path, capsys, monkeypatch):
     assert [(row["claim"], row["trials"]) for row in rows] == [("lemma-1", "3"), ("bound-A", "3")]
     assert main(["verify", "--trials", "0", "--out", str(tmp_path)]) == 2
     assert "--trials is 0" in capsys.readouterr().err
-    wrong = tuple(with_law(claim.name, flipped) for claim in CLAIMS if isinstance(claim, Claim))
+    claims = [claim for claim in CLAIMS if isinstance(claim, Claim)]
+    wrong = tuple(dataclasses.replace(claim, law=flipped) for claim in claims)
     monkeypatch.setattr(run, "__defaults__", (wrong, None))
     assert main([*flags[:3], "--claims", "theorem-1", *flags[-2:]]) == 1
     assert "rendezvous verify --claims theorem-1 --seed 0" in capsys.readouterr().out.replace(

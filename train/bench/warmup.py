@@ -5,21 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated
 
-import numpy as np
 from rich.console import Console
 from rich.progress import track
 from tyro.conf import arg
 
-import rendezvous_env as rv
 from rendezvous_env import baselines
-from rendezvous_env.scenario.scenario import Scenario
 from rendezvous_env.scenario.scenarios import names
-from rendezvous_env.trajectory import begin
 
+from ..compare.playing import TOGETHER, make_ready
+from ..compare.settings import Job
 from ..policies import resolve_scenario
-
-_TOGETHER = 8
-"""Teams of a batch: from five on they are computed side by side, by other code than a few."""
 
 
 @dataclass(frozen=True)
@@ -31,20 +26,14 @@ class Config:
 
 
 def run(config: Config) -> None:
-    """Step every scenario once, one team and many, and ask every policy that fits it."""
+    """Play every policy that fits a scenario for two steps, with one team and with many.
+
+    Raises:
+        UserError: for an unknown scenario or a bad file.
+    """
     scenarios = [resolve_scenario(name) for name in config.scenarios or names()]
     for scenario in track(scenarios, "compiling", console=Console(stderr=True)):
-        for teams in (1, _TOGETHER):
-            _use(scenario, teams)
+        for name in baselines.names(scenario):
+            for teams in (1, TOGETHER):  # from five on other code computes them side by side
+                make_ready(Job(scenario, name), teams)
     print(f"{len(scenarios)} scenarios are ready")
-
-
-def _use(scenario: Scenario, teams: int) -> None:
-    simulator = rv.Simulator(scenario, teams)
-    observations = simulator.reset(0)
-    for name in baselines.names(scenario):
-        policy = baselines.make(name, scenario)
-        begin(policy, simulator)
-        actions = policy(observations, simulator.time)
-        simulator.step(np.asarray(actions, dtype=np.float32))
-        observations = simulator.reset(0)

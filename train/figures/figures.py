@@ -79,11 +79,7 @@ def _base(name: str) -> str:
 
 @styled
 def success_figure(rows: Sequence[Mapping[str, Any]]) -> Figure:
-    """Success and clean success of every policy, one panel for each scenario.
-
-    Args:
-        rows: of results.csv.
-    """
+    """Success and clean success of every policy in rows of results.csv, a panel a scenario."""
 
     def draw(axes: Axes, panel: Sequence[Mapping[str, Any]]) -> None:
         _intervals(axes, panel, "success", "success", above=True, factor=100.0)
@@ -104,27 +100,17 @@ def success_figure(rows: Sequence[Mapping[str, Any]]) -> Figure:
 
 @styled
 def time_figure(rows: Sequence[Mapping[str, Any]]) -> Figure:
-    """Median rendezvous times of the policies that meet, one panel for each scenario.
-
-    Args:
-        rows: of results.csv.
-    """
+    """Median rendezvous times of the policies that meet, likewise."""
 
     def draw(axes: Axes, panel: Sequence[Mapping[str, Any]]) -> None:
         met = [row for row in panel if row["success"] > 0.5]
         _intervals(axes, met, "median_time", "time")
         for row in panel:
             if row not in met:
-                note = axes.text(
-                    0.02,
-                    row["place"],
-                    "more than half time out",
-                    transform=axes.get_yaxis_transform(),
-                    va="center",
-                    fontsize=SMALL - 1,
-                    color="0.4",
-                )
-                note.set_in_layout(False)  # in a panel of time-outs alone it would take all room
+                style: Any = {"va": "center", "fontsize": SMALL - 1, "color": "0.4"}
+                # in the layout it would take all room of a panel of time-outs alone
+                style |= {"transform": axes.get_yaxis_transform(), "in_layout": False}
+                axes.text(0.02, row["place"], "more than half time out", **style)
         latest = [np.fmax(row["time_high"], row["median_time"]) for row in met]
         axes.set_xlim(0, 1.15 * max(latest, default=1.0))
 
@@ -149,17 +135,13 @@ def _panels(rows: Sequence[Mapping[str, Any]], draw: Any, label: str) -> Figure:
         for place, row in enumerate(panel):
             row["place"] = place
         draw(axes, panel)
-        axes.set_title(f"{name}, one start" if _is_single(panel[0]) else name)
+        axes.set_title(f"{name}, one start" if panel[0].get("episodes") == 1 else name)
         axes.set_yticks(range(len(panel)), [row["policy"] for row in panel])
         axes.set_ylim(tallest[number // columns] - 0.5, -0.5)
         axes.tick_params(length=2)
         axes.grid(axis="x")
     figure.supxlabel(label, fontsize=8)
     return figure
-
-
-def _is_single(row: Mapping[str, Any]) -> bool:
-    return row.get("episodes") == 1
 
 
 def _intervals(
@@ -176,7 +158,7 @@ def _intervals(
     """
     shift = 0.17 if interval == "clean" else -0.17 if above else 0.0
     for row in rows:
-        centre, low, high = (factor * float(row[key]) for key in (value, *_ends(interval)))
+        ((centre,), (low,), (high,)) = factor * columns_of([row], value, interval)
         if math.isnan(centre):
             continue
         axes.errorbar(
@@ -191,10 +173,6 @@ def _intervals(
             markeredgewidth=0.8,
             clip_on=False,
         )
-
-
-def _ends(interval: str) -> tuple[str, str]:
-    return f"{interval}_low", f"{interval}_high"
 
 
 # ---- against one quantity -----------------------------------------------------------------------
@@ -296,18 +274,14 @@ def policy_line(
 
 def columns_of(rows: Sequence[Mapping[str, Any]], value: str, interval: str) -> NDArray[Any]:
     """Values and the ends of their intervals, (3, N), of rows of results.csv."""
-    names = (value, *_ends(interval))
+    names = (value, f"{interval}_low", f"{interval}_high")
     return np.array([[row[name] for row in rows] for name in names], dtype=float)
 
 
 _UNITS = {
-    "range": "m",
-    "field_of_view": "rad",
-    "noise": "rad",
-    "bias": "rad",
-    "error": "rad",
+    "range": "m", "field_of_view": "rad", "noise": "rad", "bias": "rad", "error": "rad",
     "delay": "steps",
-}
+}  # fmt: skip
 
 
 @styled

@@ -33,12 +33,7 @@ _LATE = 0.7
 
 @styled
 def trajectories_figure(scenario: Scenario, recordings: Mapping[str, Recording]) -> Figure:
-    """What every policy does on the same start, one panel for each.
-
-    Args:
-        scenario: two-dimensional.
-        recordings: by policy.
-    """
+    """What every policy does on the same start of a scenario in the plane, a panel each."""
     columns = min(4, len(recordings))
     rows = math.ceil(len(recordings) / columns)
     width = COLUMN if columns < 3 else PAGE
@@ -175,12 +170,7 @@ def _name_robots(axes: Axes, recording: Mapping[str, NDArray[Any]]) -> None:
 
 
 def draw_lyapunov(axes: Axes, recording: Mapping[str, NDArray[Any]]) -> None:
-    """V(t) of one team, the part with the merges enlarged.
-
-    Args:
-        axes: to draw in.
-        recording: times, lyapunov, lyapunov_before_merge and lyapunov_after_merge, each (T,).
-    """
+    """V(t) of one team, the part with the merges enlarged."""
     times, before = recording["times"], recording["lyapunov_before_merge"]
     merges = np.flatnonzero(~np.isnan(before))
     _plot_lyapunov(axes, recording, merges)
@@ -215,13 +205,6 @@ def _plot_lyapunov(
             stretch[-1] = before[last]
         if last > first:
             axes.plot(times[first : last + 1], stretch, color=BLUE)
-    axes.vlines(
-        times[merges],
-        after[merges],
-        before[merges],
-        VERMILLION,
-        (0, (2, 1)),
-        linewidth=1.4,
-        label="jump at a merge",
-    )
+    style: Any = {"linestyles": (0, (2, 1)), "linewidth": 1.4, "label": "jump at a merge"}
+    axes.vlines(times[merges], after[merges], before[merges], VERMILLION, **style)
     axes.grid()

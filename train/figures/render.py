@@ -144,14 +144,8 @@ def _pictures(
     observations: NDArray[np.float32],
     pace: tuple[float, float],
 ) -> Iterator[Frame]:
-    """Pictures at equal times of the first state, the states between, and at length of the last.
-
-    Args:
-        renderer: of the simulator.
-        simulator: freshly reset.
-        policy: what moves the robots.
-        observations: of the start.
-        pace: simulated seconds from picture to picture, and pictures a second.
+    """Pictures at equal times of the first state, the states between, and at length of the last;
+    pace is simulated seconds from picture to picture, and pictures a second.
     """
     interval, fps = pace
     shown = 0
@@ -189,24 +183,13 @@ def video_rate(path: Path, fps: int) -> float:
 
 
 def _check_video(path: Path) -> None:
-    """Refuse a video for which a library is missing, before any work is spent on it.
-
-    Raises:
-        UserError: saying what to install.
-    """
+    """Refuse a video for which a library is missing, before any work is spent on it."""
     _library("PIL.Image" if _ending(path) == ".gif" else "imageio_ffmpeg")
     _library("pygame")
 
 
 def write_video(path: Path, ending: str, frames: Frames, fps: float) -> None:
-    """Write a video.
-
-    Args:
-        path: of the file.
-        ending: one of VIDEOS, what kind of video.
-        frames: (height, width, 3) each, of equal and even size.
-        fps: as ``video_rate`` gives it.
-    """
+    """Write a video of one of VIDEOS; frames are (height, width, 3), of equal and even size."""
     {".gif": _write_gif, ".mp4": _write_mp4}[ending](path, frames, fps)
 
 

@@ -229,19 +229,11 @@ class Config:
         return self.plain_scenario().replace(reward=rewards)
 
     def plain_scenario(self) -> Scenario:
-        """The scenario as it is named, with what --set says.
-
-        Raises:
-            UserError: saying what would be right.
-        """
+        """The scenario as it is named, with what --set says."""
         return resolve_scenario(self.scenario, self.set)
 
     def sensing_ranges(self) -> SensingRanges:
-        """From what the sensors of the teams are drawn; false if they are the scenario's.
-
-        Raises:
-            ValueError: naming the field of a range that no sensor can have.
-        """
+        """From what the sensors of the teams are drawn; false if they are the scenario's."""
         return SensingRanges(**{k.removeprefix("sensing_"): getattr(self, k) for k in _SENSING})
 
     def stage(self, step: int) -> int:
