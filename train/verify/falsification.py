@@ -300,9 +300,8 @@ def climb(trial: Trial) -> tuple[Trial, Played]:
             break
         found = play(trial, starts=starts)
         if found.violation is not None:
-            team = found.violation.team
-            own = trial.scenario.replace(start_positions=starts[team])
-            return replace(trial, scenario=own, seed=trial.seed + team), found
+            own = trial.scenario.replace(start_positions=starts[found.violation.team])
+            return replace(trial, scenario=own), found
         if number in found.closeness:
             parents += zip(found.closeness[number].tolist(), starts, strict=True)
             parents = sorted(parents, key=lambda one: -one[0])[:_PARENTS]
