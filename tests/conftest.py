@@ -76,6 +76,12 @@ def law_of(scenario: Scenario) -> baselines.Policy:
     return baselines.make(LAWS[scenario.robot_model], scenario)
 
 
+def actions_shape(simulator: Simulator) -> tuple[int, int, int]:
+    """(B, n, a) of a simulator's actions."""
+    scenario = simulator.scenario
+    return simulator.num_envs, scenario.n_robots, scenario.action_size
+
+
 @pytest.fixture(params=list(MODELS))
 def kind(request: pytest.FixtureRequest) -> str:
     """Each of the MODELS."""

@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import actions_shape
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from numba.core.event import install_recorder
@@ -126,7 +127,7 @@ def assert_finite(*arrays: Any) -> None:
 
 def play(simulator: Simulator, steps: int, seed: int = 0) -> None:
     """Steps under wild actions, of which every number must be finite."""
-    random, shape = np.random.default_rng(seed), simulator._acted
+    random, shape = np.random.default_rng(seed), actions_shape(simulator)
     largest = np.finfo(np.float32).max
     for k in range(steps):
         scale = (0.0, 1.0, largest)[k % 3]

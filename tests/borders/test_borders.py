@@ -6,7 +6,7 @@ import re
 
 import numpy as np
 import pytest
-from conftest import five
+from conftest import actions_shape, five
 from soup import HUGE, refusal
 
 import rendezvous_env as rv
@@ -53,12 +53,12 @@ def test_an_outcome_of_other_teams_is_refused(other):
     sim = Simulator(five("single_integrator-2d"), TEAMS)
     for each in (sim, other):
         each.reset(0)
-    outcome = other.step(np.zeros(other._acted))
+    outcome = other.step(np.zeros(actions_shape(other)))
     before = sim.get_state()
     with pytest.raises(ValueError, match=r"outcome: .+ a step of these"):
         sim.restart(np.ones(TEAMS, bool), outcome)
     assert same(before, sim.get_state())
-    own = sim.step(np.zeros(sim._acted))
+    own = sim.step(np.zeros(actions_shape(sim)))
     own.observations.flags.writeable = False
     with pytest.raises(ValueError, match="can be written to"):
         sim.restart(np.ones(TEAMS, bool), own)
@@ -166,7 +166,7 @@ def test_carried_headings_of_other_robots_are_refused():
 def test_alignments_refuse_a_step_of_other_robots(kind):
     sim = Simulator(five(kind), 2)
     seen = sim.reset(0)
-    actions = np.zeros(sim._acted, np.float32)
+    actions = np.zeros(actions_shape(sim), np.float32)
     step = Step(np.ones(2, bool), seen, actions, sim.lyapunov(), sim.step(actions))
     assert alignments(sim.scenario, step).shape == (2, 5)
     for wrong in (

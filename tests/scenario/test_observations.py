@@ -66,7 +66,7 @@ def test_merged_away_robots_are_not_seen_and_see_nothing(kind):
     assert sim.active[0].tolist() == [True, False, True, True, True]
     assert not seen[1].any()  # gravity included
     assert not seen[0, 0].any() and not seen[[2, 3, 4], 1].any()
-    # robot 2 was tied to 1 with 1.3 and is now tied to 0, whose row it sees instead
+    # robot 2 had an edge to 1 of weight 1.3 and now has it to 0, whose row it sees instead
     assert np.linalg.norm(seen[2, 0]) == pytest.approx(1.3, rel=1e-6)
     assert np.linalg.norm(seen[0, 1]) == pytest.approx(1.3, rel=1e-6)
 
