@@ -5,6 +5,7 @@ from __future__ import annotations
 import statistics
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from math import isfinite
 from typing import Any
 
 from benchmarl.environments import TaskClass
@@ -157,16 +158,10 @@ class HeldOut(Callback):
         experiment = self.experiment
         period = experiment.test_env.seconds_per_step
         times, clean = zip(*(_meeting(each, period) for each in rollouts), strict=True)
-        met = sum(time < float("inf") for time in times) / len(times)
-        found = Evaluation(
-            experiment.total_frames, met, sum(clean) / len(times), statistics.median(times)
-        )
+        met, cleanly = (sum(which) / len(times) for which in (map(isfinite, times), clean))
+        found = Evaluation(experiment.total_frames, met, cleanly, statistics.median(times))
         self.evaluations.append(found)
-        told = {
-            "eval/met": found.met,
-            "eval/clean": found.clean,
-            "eval/median_time": found.median_time,
-        }
+        told = {f"eval/{key}": getattr(found, key) for key in ("met", "clean", "median_time")}
         experiment.logger.log(told, step=experiment.n_iters_performed)
         experiment.test_env.set_seed(self.seed)
 

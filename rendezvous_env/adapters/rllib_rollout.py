@@ -42,12 +42,8 @@ class Rollout:
     def add(
         self, slots: NDArray[np.int64], chosen: dict[str, NDArray[Any]], actions: NDArray[Any]
     ) -> SlotStep:
-        """Take a step.
-
-        Args:
-            slots: (k,), whose robots act.
-            chosen: columns of theirs, (k, ...) each.
-            actions: what they do, (k, ...), in the teams' units.
+        """Take a step of the robots in these slots (k,), with columns and actions of theirs, in the
+        teams' units, (k, ...) each.
         """
         total = len(self.observations)
         columns = {name: _spread(values, slots, total) for name, values in chosen.items()}
@@ -58,10 +54,8 @@ class Rollout:
         return step
 
     def cut(self, *, only_ended: bool = False) -> Iterator[SingleAgentEpisode]:
-        """What has been collected, as episodes and parts of them; collecting goes on from here.
-
-        Args:
-            only_ended: leave out episodes that have not ended yet.
+        """What has been collected, as episodes and, unless only those that have ended are asked
+        for, parts of them; collecting goes on from here.
         """
         steps = [step for _, _, step in self._steps]
         seen = np.stack([before for before, _, _ in self._steps] + [self.observations])

@@ -202,11 +202,7 @@ def last_moments(
 
 
 def team_options(options: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Options of all teams, stacked, from those of each.
-
-    Raises:
-        ValueError: if teams are given different kinds of options, or different obstacles.
-    """
+    """Options of all teams, stacked, from those of each; kinds and obstacles must be the same."""
     first = options[0]
     for other in options[1:]:
         same_obstacles = other.get("obstacles") == first.get("obstacles")

@@ -57,11 +57,7 @@ def alive_in(teams: Mapping[str, NDArray[Any]], on_merge: str) -> list[str]:
 def check_state(
     state: Mapping[str, Any], simulator: Simulator
 ) -> tuple[dict[str, NDArray[Any]], list[str]]:
-    """The simulator's part of a state of a team by name, and who is alive in it.
-
-    Raises:
-        ValueError: naming what does not fit.
-    """
+    """The simulator's part of a state of a team by name, checked, and who is alive in it."""
     check_keys(state, ("agents", "simulator"))
     teams = simulator.check_state(state["simulator"])
     alive, given = alive_in(teams, simulator.scenario.on_merge), state["agents"]
@@ -97,12 +93,7 @@ def check_robots(actions: Any, alive: Sequence[str], merged_into: NDArray[np.int
 def table_of(
     actions: Mapping[str, Any], alive: Sequence[str], simulator: Simulator
 ) -> NDArray[np.float32]:
-    """Actions by name as (1, n, a) float32; zero for robots that are gone.
-
-    Raises:
-        KeyError: for a missing, unknown or merged-away robot.
-        ValueError: for an action of the wrong shape, or one that is not finite.
-    """
+    """Actions by name as (1, n, a) float32, refused by name; zero for robots that are gone."""
     n, size = simulator.scenario.n_robots, simulator.scenario.action_size
     try:
         listed = np.array([actions[name] for name in alive])

@@ -29,25 +29,14 @@ _Constructor = TypeVar("_Constructor", bound=Callable[..., None])
 
 
 def check_period(decision_period: int) -> int:
-    """A decision period that is a positive whole number.
-
-    Raises:
-        ValueError: if it is not.
-    """
+    """A decision period that is a positive whole number."""
     return whole("decision_period", decision_period, 1, MOST_HELD_STEPS)
 
 
 def check_not_guaranteed(env: Any, wrapper: str, layers: type, guarantees: type) -> None:
-    """Refuse to put one guarantee upon another.
+    """Refuse to put one guarantee upon another, naming both.
 
-    Args:
-        env: what is to be wrapped.
-        wrapper: the name of the class that wraps it.
-        layers: the class of all wrappers of this world.
-        guarantees: the class of those with a guarantee.
-
-    Raises:
-        TypeError: naming both.
+    ``layers`` is the class of all wrappers of this world, ``guarantees`` that of our own.
     """
     while isinstance(env, layers):
         if isinstance(env, guarantees):
@@ -61,12 +50,7 @@ def check_not_guaranteed(env: Any, wrapper: str, layers: type, guarantees: type)
 def make_filter(
     safety_filter: AnyFilter, simulator: Simulator, settings: Mapping[str, Any]
 ) -> SafetyFilter:
-    """The filter of these teams.
-
-    Raises:
-        TypeError: for a setting that it does not know, with the nearest one.
-        ValueError: for an unknown name, or a filter of other teams.
-    """
+    """The filter of these teams; refused are one of other teams, and what nobody knows by name."""
     scenario, num_envs = simulator.scenario, simulator.num_envs
     if isinstance(safety_filter, SafetyFilter):
         size = (safety_filter.scenario, len(safety_filter.held))
@@ -106,11 +90,7 @@ class HoldsFilter:
         self._begun = False
 
     def _check_begun(self) -> None:
-        """Refuse a step before a reset: the filter has seen nothing then.
-
-        Raises:
-            RuntimeError: naming the wrapper.
-        """
+        """Refuse a step before a reset: the filter has seen nothing then."""
         if not self._begun:
             raise RuntimeError(
                 f"call reset() of {type(self).__name__} before step(); an environment that was "

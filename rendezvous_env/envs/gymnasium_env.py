@@ -137,15 +137,8 @@ def _autoreset_mode(given: AutoresetMode | str) -> AutoresetMode:
 def make_heading_vec(
     scenario: ScenarioLike = "fig3", num_envs: int = 1, **arguments: Any
 ) -> HeadingVectorWrapper:
-    """Many teams that choose heading vectors: ``make_vec`` in the vector HeadingVectorWrapper.
-
-    Args:
-        scenario: as in ``make_vec``.
-        num_envs: B.
-        **arguments: of ``make_vec`` and of the wrapper; ``max_turn_rate`` is the wrapper's.
-
-    Raises:
-        TypeError, ValueError: as ``make_vec`` and the wrapper.
+    """Many teams that choose heading vectors: ``make_vec`` in the vector HeadingVectorWrapper, with
+    the arguments and errors of both; ``max_turn_rate`` is the wrapper's.
     """
     of_wrapper, of_teams = sorted_overrides(make_vec, HeadingVectorWrapper, arguments)
     return HeadingVectorWrapper(make_vec(scenario, num_envs, **of_teams), **of_wrapper)

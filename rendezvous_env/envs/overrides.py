@@ -19,9 +19,6 @@ def check_overrides(factory: Callable[..., Any], given: Mapping[str, Any]) -> No
     """Refuse a word that is no field of the scenario but looks like an argument of the factory.
 
     What looks like neither, the scenario refuses, with its own nearest field.
-
-    Raises:
-        UnknownFieldError: a TypeError and ValueError, naming the word and the argument.
     """
     own, unknown = arguments_of(factory)[:-1], [key for key in given if key not in _FIELDS]
     known = [*own, *sorted(_FIELDS)]
@@ -36,10 +33,7 @@ def sorted_overrides(
     fields of the scenario.
 
     ``max_turn_rate`` is both: it is the wrapper's, which turns no faster than the scenario allows.
-
-    Raises:
-        UnknownFieldError: a TypeError and ValueError, naming a word that is neither, and the known
-            one that is most like it.
+    A word that is neither is refused with the known one that is most like it.
     """
     of_wrapper = arguments_of(wrapper)[1:] if wrapper is not None else []
     known = [*of_wrapper, *arguments_of(factory)[:-1], *sorted(_FIELDS)]

@@ -40,8 +40,7 @@ class RendezvousParallelEnv(
     ``n`` robots move in the plane or in space. Each one sees in which direction its neighbours and
     the edges of near obstacles lie, in its own frame, and never how far. Neighbours that come
     within ``merge_radius`` become one robot; when one is left, the team has met. After Zhao and
-    Zheng,
-    *Flexible Bearing-Only Rendezvous Control of Mobile Robots* (2017).
+    Zheng, *Flexible Bearing-Only Rendezvous Control of Mobile Robots* (2017).
 
     ## Agents
 
@@ -77,12 +76,11 @@ class RendezvousParallelEnv(
 
     K is the most neighbours that a robot can have in an episode, merges included: 2 on a path or
     cycle, n − 1 in general, where each other robot has its own row; with fewer the neighbours that
-    are there stand first. A smaller ``neighbour_slots`` may be given. With ``flatten`` the rows
-    stand one after another, ``Box(rows·d,)``.
-    In 2-D an obstacle's rows are its counter-clockwise and clockwise edge; in 3-D the rays of its
-    cone at 8 azimuths. ``scenario.observation_layout`` names the rows. Frames are a random fixed
-    rotation for each single and double integrator, the body frame (x = heading, y = left) for the
-    other models.
+    are there stand first. A smaller ``neighbour_slots`` may be given. In 2-D an obstacle's rows are
+    its counter-clockwise and clockwise edge; in 3-D the rays of its cone at 8 azimuths. Frames are
+    a random fixed rotation for each single and double integrator, the body frame (x = heading,
+    y = left) for the other models. ``scenario.observation_layout`` names the rows; with ``flatten``
+    they stand one after another, ``Box(rows·d,)``.
 
     ## Reward
 
@@ -90,16 +88,10 @@ class RendezvousParallelEnv(
     minus ``time_penalty``·τ/time limit, minus ``collision_penalty`` for each robot in contact,
     minus ``clearance_penalty``·max(0, 1 − clearance/``obstacle_range``) for each robot (its weight
     is 0 unless given), plus ``rendezvous_bonus`` when all have met. With the default weights an
-    episode earns at most 2. On a graph that stays as it is, V rises by at most 2 v_max τ A in a
-    step, A = Σ_ij a_ij, since no robot is faster, and by 2 r D̄ at a merge (theory 5). So with the
-    weights w₁ … w₄ in the order above, without ``clearance_penalty``,
-
-    * a step with m merges, of N in an episode, earns at least
-      −w₁ (2 v_max τ A + 2 r D̄ m)/V_0 − w₂/N − w₃ n;
-    * an episode of at most N steps at least −w₁ (2 v_max τ N A + 2 r D̄ (n − 1))/V_0 − w₂ − w₃ n N.
-
-    Under ``HeadingVectorWrapper`` V rises at merges only while nobody touches an obstacle: the
-    terms of v_max and w₃ are 0.
+    episode earns at most 2. On a graph that stays as it is, with A = Σ_ij a_ij, the weights w₁, w₂,
+    w₃ in the order above and no ``clearance_penalty``, a step with m merges, of N in an episode,
+    earns at least −w₁ (2 v_max τ A + 2 r D̄ m)/V_0 − w₂/N − w₃ n (theory 5). Under
+    ``HeadingVectorWrapper`` and without contacts the terms of v_max and w₃ are 0.
 
     ## Start
 
@@ -137,9 +129,8 @@ class RendezvousParallelEnv(
 
     ``render_mode="rgb_array"``: ``render()`` gives a picture (600, 600, 3) uint8; no screen is
     needed. ``"human"``: a window that follows every step in real time; space pauses, the right
-    arrow or s makes one step, escape or q closes it and the episode goes on unseen.
-    ``drawing.renderer.Renderer`` says what is drawn. Both need the extra ``render``; without a mode
-    nothing is kept and nothing is loaded. ``metadata["render_fps"]`` is 1/τ: real time.
+    arrow or s makes one step, escape or q closes it and the episode goes on unseen. Both need the
+    extra ``render``. ``metadata["render_fps"]`` is 1/τ: real time.
 
     ## Version history
 

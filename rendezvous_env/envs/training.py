@@ -114,24 +114,20 @@ def training_env(
     policy: they see and do what the guarantee's wrapper says (for "tank" with the budget of the
     shipped policy and ``observe_level``), and a choice is held as long, 0.6 s.
 
-    Args:
-        scenario: a Scenario, the name of one (``scenarios.names()``) or the path of a TOML file.
-        num_envs: B, number of teams.
-        guarantee: "heading" (theorem C), "tank" (D), "gains" (G), "links" (R), the name of a filter
-            of one's own (``register_filter``), or None: bare actions. Where the certificate does
-            not cover the scenario the logger "rendezvous_env" says so, once.
-        learning_preset: see above; False leaves the plain wrapper and the scenario's reward.
-        flatten: whether tables of observations are (B, n, rows·d), row by row, or (B, n, rows, d).
-            What ``Features`` shows is flat.
-        discrete: whether robots choose among the angles of the shipped policy.
-        render_mode: "human" for a window, "rgb_array" for pictures, None for neither.
-        autoreset_mode: when a team that has ended begins anew; see ``RendezvousVectorEnv``.
-        num_threads: most threads a step may use; None is one for each core.
-        max_cycles: time limit in base steps, instead of the scenario's.
-        touch_penalty: what a robot pays at its first touch in an episode; None is 1 with the
-            preset, else 0.
-        **overrides: arguments of the guarantee's wrapper, and fields of the scenario. ``reward``,
-            here or in the scenario, holds against the preset's.
+    | argument | |
+    |---|---|
+    | scenario | a Scenario, the name of one (``scenarios.names()``) or the path of a TOML file |
+    | num_envs | B, number of teams |
+    | guarantee | "heading" (theorem C), "tank" (D), "gains" (G), "links" (R), the name of a |
+    | | filter of one's own (``register_filter``), or None: bare actions. Where the certificate |
+    | | does not cover the scenario the logger "rendezvous_env" says so, once |
+    | learning_preset | see above; False leaves the plain wrapper and the scenario's reward |
+    | flatten | whether tables are (B, n, rows·d); what ``Features`` shows is flat |
+    | discrete | whether robots choose among the angles of the shipped policy |
+    | render_mode, autoreset_mode, num_threads, max_cycles | as ``make_vec`` |
+    | touch_penalty | of a robot's first touch in an episode; None is 1 with the preset, else 0 |
+    | further ones | arguments of the guarantee's wrapper, and fields of the scenario; ``reward``, |
+    | | here or in the scenario, holds against the preset's |
 
     Raises:
         TypeError: for an unknown argument or field, with the nearest known one.

@@ -151,10 +151,7 @@ class RendezvousVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
         observations, rewards, terminations, truncations, infos = self.tell(outcome)
         if not simulator.all_running:
             ended = terminations | truncations
-            infos |= masked({"summary": summary_of(infos, ended)}, ended)
-            if mode is AutoresetMode.SAME_STEP:
-                infos |= masked(final_of(observations, ended, infos), ended)
-                del infos["summary"], infos["_summary"]
+            if tell_ends(observations, ended, infos, mode):
                 self.begin_anew(ended, infos)
         return observations, rewards, terminations, truncations, infos
 
@@ -248,18 +245,23 @@ def step_info(simulator: Simulator, outcome: StepOutput) -> Info:
     }
 
 
-def final_of(seen: NDArray[np.float32], ended: NDArray[np.bool_], infos: Info) -> Info:
-    """How these teams ended and what they saw last, in Gymnasium's form."""
+def tell_ends(
+    seen: NDArray[np.float32], ended: NDArray[np.bool_], infos: Info, mode: AutoresetMode
+) -> bool:
+    """Add to infos how these teams ended, in Gymnasium's form: ``summary``, and if they begin anew
+    at once what they saw last and were told in ``final_obs`` and ``final_info``; whether they do.
+    """
+    summary = masked({key: infos[key].copy() for key in STANDING}, ended)
+    if mode is not AutoresetMode.SAME_STEP:
+        infos |= masked({"summary": summary}, ended)
+        return False
     final_obs = np.full(len(ended), None, dtype=object)
     for team in np.flatnonzero(ended).tolist():
         final_obs[team] = seen[team].copy()
     kept = {key: value.copy() for key, value in infos.items() if key[0] != "_"}
-    return {"final_obs": final_obs, "final_info": masked(kept, ended)}
-
-
-def summary_of(infos: Info, ended: NDArray[np.bool_]) -> Info:
-    """How the episodes of these teams went, of ``step_info``, as copies."""
-    return masked({key: infos[key].copy() for key in STANDING}, ended)
+    final_info = masked(kept | {"summary": summary}, ended)
+    infos |= masked({"final_obs": final_obs, "final_info": final_info}, ended)
+    return True
 
 
 def of_all(infos: Info, num_envs: int) -> Info:

@@ -23,7 +23,7 @@ from .guarantee import (
     check_not_guaranteed,
 )
 from .spaces import as_told, choice_box, filtered_observation_box, of_all_teams, team_box
-from .vector_env import Info, RendezvousVectorEnv, Transition, final_of, masked, of_all, summary_of
+from .vector_env import Info, RendezvousVectorEnv, Transition, masked, of_all, tell_ends
 
 __all__ = [
     "EnergyTankWrapper",
@@ -126,10 +126,7 @@ class GuaranteeWrapper(HoldsFilter, gymnasium.vector.VectorWrapper):
         seen = self._see(None)
         if not ended.any():
             return seen, rewards, terminations, truncations, infos
-        infos |= masked({"summary": summary_of(infos, ended)}, ended)
-        if mode is AutoresetMode.SAME_STEP:
-            infos |= masked(final_of(seen, ended, infos), ended)
-            del infos["summary"], infos["_summary"]
+        if tell_ends(seen, ended, infos, mode):
             self._begin_anew(ended, infos)
             seen[ended] = self._see(ended)[ended]
         return seen, rewards, terminations, truncations, infos
@@ -194,11 +191,8 @@ class GuaranteeWrapper(HoldsFilter, gymnasium.vector.VectorWrapper):
 
 
 def _base_of(env: Any, wrapper: str) -> RendezvousVectorEnv:
-    """The environment of ours that is wrapped.
-
-    Raises:
-        TypeError: for another kind of environment, or one that stands under a guarantee already, or
-            under a wrapper that changes what robots see or do.
+    """The environment of ours that is wrapped, refused under a guarantee or a wrapper that changes
+    what robots see or do.
     """
     layers = gymnasium.vector.VectorWrapper
     ours = isinstance(env, gymnasium.vector.VectorEnv) and env.unwrapped

@@ -165,11 +165,7 @@ class GuaranteeWrapper(HoldsFilter, SpacesByName[Box], BaseParallelWrapper):
 
 
 def _base_of(env: Any, wrapper: str) -> RendezvousParallelEnv:
-    """The environment of ours that is wrapped.
-
-    Raises:
-        TypeError: for another kind of environment, or one that stands under a guarantee already.
-    """
+    """The environment of ours that is wrapped, refused under a guarantee already."""
     if isinstance(env, ParallelEnv) and isinstance(env.unwrapped, RendezvousParallelEnv):
         check_not_guaranteed(env, wrapper, BaseParallelWrapper, GuaranteeWrapper)
         return env.unwrapped

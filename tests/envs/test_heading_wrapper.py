@@ -19,11 +19,8 @@ def make(kind="single_integrator-2d", *, changes=None, spawn_size=4.0, time_limi
 
 def rotation(dim, seed):
     matrix, _ = np.linalg.qr(np.random.default_rng(seed).normal(size=(dim, dim)))
-    return matrix * np.sign(np.linalg.det(matrix)) if dim == 3 else _proper(matrix)
-
-
-def _proper(matrix):
-    return matrix if np.linalg.det(matrix) > 0 else matrix[:, ::-1]
+    matrix[:, 0] *= np.linalg.det(matrix)  # 1 or −1
+    return matrix
 
 
 # ---- law (4) from the observation's own rows -----------------------------------------------------

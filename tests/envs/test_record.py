@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from conftest import five, law_of
 
-from rendezvous_env import Scenario, rollout
+from rendezvous_env import Scenario, rollout, trajectory
 
 DUO = Scenario(n_robots=2, time_limit=2.0)
 
@@ -22,13 +22,13 @@ def test_observations_and_actions_only_on_request():
     steps = len(plain.times) - 1
     assert whole.observations.shape == (steps + 1, 3, 2, *DUO.observation_layout.shape)
     assert whole.actions.shape == (steps, 3, 2, 2) and whole.actions.dtype == np.float32
-    for trajectory in (whole, both):
-        np.testing.assert_array_equal(trajectory.positions, plain.positions)
-        np.testing.assert_array_equal(trajectory.rewards, plain.rewards)
-        np.testing.assert_array_equal(trajectory.actions, whole.actions)
+    for kept in (whole, both):
+        np.testing.assert_array_equal(kept.positions, plain.positions)
+        np.testing.assert_array_equal(kept.rewards, plain.rewards)
+        np.testing.assert_array_equal(kept.actions, whole.actions)
         for k in range(steps):
-            chosen = policy(trajectory.observations[k], plain.times[k])
-            np.testing.assert_array_equal(chosen, trajectory.actions[k])
+            chosen = policy(kept.observations[k], plain.times[k])
+            np.testing.assert_array_equal(chosen, kept.actions[k])
     assert list(rollout(DUO, policy, record="actions").recorded) == ["actions"]
 
 
@@ -39,8 +39,6 @@ def test_what_cannot_be_recorded_is_refused(record):
 
 
 def test_a_large_recording_is_announced(monkeypatch):
-    from rendezvous_env import trajectory
-
     monkeypatch.setattr(trajectory, "_MUCH", 1e4)
     with pytest.warns(UserWarning, match=r"may keep 0.0 GB, 0.00\d+ MB a step for up to 20 steps"):
         rollout(DUO, law_of(DUO), num_envs=64)
@@ -57,25 +55,18 @@ def stop_at_once(observations, time):
     raise RuntimeError("enough")
 
 
-def test_the_size_announced_is_the_size_kept():
+def test_the_size_announced_is_the_size_kept(monkeypatch):
     scenario = five("unicycle", time_limit=1.0)
-    from rendezvous_env import trajectory
-
     found = rollout(scenario, law_of(scenario), num_envs=4, record="all")
     kept = sum(
         array.nbytes
         for name, array in (vars(found) | dict(found.recorded)).items()
         if isinstance(array, np.ndarray) and name not in ("times", "obstacles")
     )
-    said = []
-    trajectory_much, trajectory._MUCH = trajectory._MUCH, 0.0
-    try:
-        with pytest.warns(UserWarning) as caught:
-            rollout(scenario, law_of(scenario), num_envs=4, record="all")
-        said = [str(w.message) for w in caught]
-    finally:
-        trajectory._MUCH = trajectory_much
-    a_step = float(said[0].split(" MB a step")[0].split()[-1]) * 1e6
+    monkeypatch.setattr(trajectory, "_MUCH", 0.0)
+    with pytest.warns(UserWarning) as caught:
+        rollout(scenario, law_of(scenario), num_envs=4, record="all")
+    a_step = float(str(caught[0].message).split(" MB a step")[0].split()[-1]) * 1e6
     assert a_step * (scenario.max_steps + 1) == pytest.approx(kept, rel=0.02)
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
 
@@ -9,11 +11,13 @@ torch = pytest.importorskip("torch")
 pytest.importorskip("torchrl.envs")
 
 from gymnasium.vector import AutoresetMode
+from gymnasium.wrappers.vector import TransformReward
 from tensordict import TensorDict
 from torchrl.envs.utils import check_env_specs
 
 from rendezvous_env.adapters.torchrl import GROUP, RendezvousEnv
 from rendezvous_env.vector import training_env
+from train.bench import bench
 
 SHORT = {"guarantee": None, "learning_preset": False, "time_limit": 0.6}
 ACTION, ACTIVE, SEEN = (GROUP, "action"), (GROUP, "active"), (GROUP, "observation")
@@ -156,3 +160,46 @@ def test_actions_of_other_kinds_are_refused_by_name():
         env.step(now.clone().set(ACTION, bad))
     wishes = torch.zeros(env.full_action_spec[ACTION].shape, requires_grad=True)
     assert not env.step(now.clone().set(ACTION, wishes * 2))["next", SEEN].requires_grad
+
+
+# ---- wrappers that change rewards, and the bench -------------------------------------------------
+
+
+def more(teams):
+    return TransformReward(teams, lambda rewards: rewards + 5.0)
+
+
+@pytest.mark.parametrize("return_state", [False, True])
+def test_a_wrapper_of_the_teams_changes_the_rewards_of_robots(return_state):
+    found = []
+    for options in ({}, {"wrap": more}):
+        env = RendezvousEnv("clutter-4", 3, seed=0, return_state=return_state, **options)
+        env.set_seed(0)
+        data = env.reset()
+        data[GROUP, "action"] = env.action_spec[GROUP, "action"].zero()
+        found.append(env.step(data)["next", GROUP, "reward"].numpy())
+    np.testing.assert_allclose(found[1] - found[0], 5.0, rtol=1e-5)
+    assert found[0].shape == (3, 4, 1)
+
+
+def test_a_task_of_benchmarl_hands_the_wrapper_on():
+    pytest.importorskip("benchmarl")
+    from rendezvous_env.adapters.benchmarl import RendezvousTask
+
+    env = RendezvousTask("clutter-4", {"wrap": more}).get_env_fun(2, True, 0, "cpu")()
+    data = env.reset()
+    data[GROUP, "action"] = env.action_spec[GROUP, "action"].zero()
+    assert (env.step(data)["next", GROUP, "reward"] > 3.0).all()
+
+
+def test_torchrl_is_timed_over_what_it_adapts(tmp_path):
+    path = tmp_path / "bench.json"
+    small = {"robots": (3,), "num_envs": 16, "num_threads": 1, "repeats": 1, "seconds": 0.01}
+    bench.run(bench.Config(json=path, only=("adapters",), **small))
+    written = json.loads(path.read_text())
+    rows = {row["name"]: row for row in written["rows"]}
+    for ours in ("make_vec", "training_env"):
+        assert rows[ours]["ratio"] is None
+        assert rows[f"TorchRL over {ours}"]["against"] == ours
+        assert rows[f"TorchRL over {ours}"]["ratio"] > 0
+    assert "torchrl" in written["versions"]
