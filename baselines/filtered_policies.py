@@ -203,8 +203,7 @@ class TankPolicy(FilteredPolicy):
             ``frame="net_bearing"``, ``observe_level=False``, ``bearing_error=0.0``.
 
     Raises:
-        TypeError: for another setting.
-        ValueError: naming the argument, its value and what would be right.
+        TypeError, ValueError: as ``HeadingPolicy``.
     """
 
     def __init__(

@@ -48,15 +48,8 @@ class RealTimePolicy(Policy, Protocol):
     def after(
         self, elapsed: float, observations: NDArray[Any], time: ArrayLike
     ) -> NDArray[np.float32]:
-        """Actions as a call gives them, where the call before was not τ ago.
-
-        Args:
-            elapsed: s since the call before, positive; of no account in the first one.
-            observations: as ``Policy``.
-            time: as ``Policy``.
-
-        Returns:
-            Actions, to be held for τ at most.
+        """Actions as a call gives them, to be held for τ at most, where the call before was so many
+        s ago: positive, of no account in the first one.
         """
         ...
 
@@ -172,13 +165,13 @@ class RememberingPolicy(TeamPolicy):
 
 KINDS = {
     "law": "laws, most of them of the paper",
-    "field": "laws of others",
+    "field": "laws from the literature",
     "rule": "rules for obstacles",
     "tank": "rules under an energy tank",
-    "own": "policies entered from outside",
+    "own": "policies of users",
     "learned": "learned policies",
-    "privileged": "references that know the map and all positions",
-    "blind": "policies that see nothing",
+    "privileged": "oracle baselines, which know the map and all positions",
+    "blind": "blind baselines, which see nothing",
 }
 """What policies there are, in the order in which lists and tables show them."""
 

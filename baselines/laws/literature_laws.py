@@ -1,4 +1,4 @@
-"""Laws of others for robots that can move in any direction, from bearings alone."""
+"""Laws from the literature for robots that can move in any direction, from bearings alone."""
 
 from __future__ import annotations
 

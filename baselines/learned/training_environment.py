@@ -40,12 +40,8 @@ class GlobalState(Protocol):
     def states(
         self, simulator: Simulator, towards: NDArray[Any], levels: NDArray[np.float64]
     ) -> NDArray[np.float32]:
-        """Those of B teams, (B, n, size).
-
-        Args:
-            simulator: of the teams.
-            towards: f_i in the robots' own frames, (B, n, 2), of any length; zero is local x.
-            levels: A/(r D̄) of the tanks, (B, n).
+        """Those of B teams, (B, n, size), from f_i in the robots' own frames, (B, n, 2), of any
+        length, zero being local x, and the levels A/(r D̄) of their tanks, (B, n).
         """
         ...
 
@@ -56,7 +52,7 @@ def observation_box(size: int) -> Box:
 
 
 class FeatureVectorEnv(GuaranteeWrapper):
-    """Teams whose robots choose by what ``Features`` shows them, and head where ``Guide`` says.
+    """Teams whose robots choose by what they are shown, see ``GuidedTeams``.
 
     Actions are choices (B, n), each held for ``decision_period`` base steps, in each of which the
     guide aims anew. Observations are (B, n, layout.size), the last ones of an episode included. The

@@ -1,1 +1,1 @@
-"""Blind and oracle references, which stand below and above every law."""
+"""Blind and oracle baselines, which stand below and above every law."""

@@ -1,4 +1,4 @@
-"""Policies that see nothing: what any other must do better than."""
+"""Blind baselines: what any policy that sees must do better than."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Privileged references of the field: laws that need relative positions.
+"""Oracle baselines of the literature: laws that need relative positions.
 
 They show what the distances would be worth that bearings lack.
 """

@@ -1,7 +1,7 @@
-"""A privileged reference: it knows the map and where everybody is, and plans.
+"""An oracle baseline: it knows the map and where everybody is, and plans.
 
-What it passes cleanly says which starts are possible at all, and how fast: the ceiling for policies
-that see bearings alone.
+What it passes cleanly says which starts are possible at all, and how fast: an upper bound for
+policies that see bearings alone.
 """
 
 from __future__ import annotations

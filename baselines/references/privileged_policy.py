@@ -1,4 +1,4 @@
-"""What privileged references share: they watch a simulator and read positions."""
+"""What oracle baselines share: they watch a simulator and read positions."""
 
 from __future__ import annotations
 

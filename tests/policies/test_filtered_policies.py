@@ -1,8 +1,5 @@
 """Functions of what robots see as policies: they do and keep what the wrappers do and keep."""
 
-import copy
-import pickle
-
 import numpy as np
 import pytest
 
@@ -96,22 +93,6 @@ def test_theorem_c_holds_whatever_is_chosen():
     assert not rv.rollout(scenario.replace(time_limit=30.0), bare, num_envs=5).success.any()
 
 
-def test_teams_of_a_mask_begin_anew_and_the_others_keep_what_they_chose():
-    choose = Sideways(2)
-    policy = HeadingPolicy(CLUTTER, choose, decision_period=5)
-    simulator = rv.Simulator(CLUTTER, 2)
-    first, later = simulator.reset(3), []
-    for _ in range(3):
-        later.append(simulator.step(policy(simulator.observe(), 0.0)).observations)
-    whole = copy.deepcopy(policy)
-    policy.reset(np.array([True, False]))
-    mixed = np.stack([first[0], later[-1][1]])
-    one = HeadingPolicy(CLUTTER, choose, decision_period=5)
-    actions = policy(mixed, 0.0)
-    np.testing.assert_array_equal(actions[0], one(first[:1], 0.0)[0])
-    np.testing.assert_array_equal(actions[1], whole(later[-1], 0.0)[1])
-
-
 def test_the_memory_of_what_chooses_is_forgotten_too():
     class Counts(Sideways):
         def reset(self, mask):
@@ -137,19 +118,6 @@ def test_a_robot_that_ticks_twice_as_often_decides_as_often():
     assert choose.asked == 1
     robot.act(bearings, dt=tau / 2)
     assert choose.asked == 2 and policy._filter.headings[0, 0] @ first > 0.0
-
-
-@pytest.mark.parametrize("make", [HeadingPolicy, TankPolicy])
-def test_it_can_be_taken_elsewhere(make):
-    policy, simulator = make(CLUTTER, Sideways(2), decision_period=3), rv.Simulator(CLUTTER, 2)
-    seen = simulator.reset(0)
-    for _ in range(4):
-        seen = simulator.step(policy(seen, 0.0)).observations
-    other = pickle.loads(pickle.dumps(policy))
-    for _ in range(6):
-        actions = policy(seen, 0.0)
-        np.testing.assert_array_equal(other(seen, 0.0), actions)
-        seen = simulator.step(actions).observations
 
 
 @pytest.mark.parametrize(

@@ -196,27 +196,6 @@ def test_overlap_joins_through_others_in_space():
     assert abs(heading[2]) > 0.2
 
 
-@pytest.mark.parametrize("dim", [2, 3])
-@pytest.mark.parametrize(
-    "rule", [tangent_heading, tangent_blocking_heading, tangent_joined_heading]
-)
-def test_rules_take_any_batch_float32_and_zero(rule, dim):
-    random = np.random.default_rng(0)
-    points = random.normal(size=(2, 3, 4, 5, 2 if dim == 2 else 8, dim)).astype(np.float32)
-    points /= np.linalg.norm(points, axis=-1, keepdims=True)
-    points[..., 2, :, :] = 0
-    f = random.normal(size=(2, 3, 4, dim))
-    f[1, 1, 1] = 0
-    headings = rule(f, points)
-    assert headings.shape == f.shape
-    np.testing.assert_allclose(np.linalg.norm(headings, axis=-1), 1, atol=1e-12)
-    np.testing.assert_array_equal(rule(f[1, 2, 3], points[1, 2, 3]), headings[1, 2, 3])
-    nothing = rule(f, np.zeros_like(points))
-    np.testing.assert_array_equal(nothing[1, 1, 1], np.eye(dim)[0])
-    length = np.linalg.norm(f[0], axis=-1, keepdims=True)
-    np.testing.assert_allclose(nothing[0], f[0] / length, atol=1e-15)
-
-
 CLUTTER = Scenario(n_robots=4, obstacle_slots=6, time_step=0.05, allow_long_step=True)
 RULES = ("tangent", "tangent-blocking", "tangent-joined")
 
@@ -280,31 +259,3 @@ def test_certified_forms_take_a_heading_as_a_line():
     for _ in range(3):
         policy(view, 0.0)
     np.testing.assert_allclose(policy.headings, np.tile(polar(-15 * DEGREE), (4, 1)), atol=1e-6)
-
-
-def test_certified_forms_remember_and_forget():
-    random = np.random.default_rng(8)
-    first, second = team_view(random, (3,)), team_view(random, (3,))
-    fresh = baselines.make("tangent-certified", CLUTTER)
-    expected_fresh = fresh(second, 0.0)
-    policy = baselines.make("tangent-certified", CLUTTER)
-    policy(first, 0.0)
-    expected_remembering = policy(second, 0.05)
-    assert not np.array_equal(expected_remembering, expected_fresh)
-    policy.reset()
-    policy(first, 0.0)
-    policy.reset(np.array([False, True, False]))
-    mixed = policy(second, 0.05)
-    np.testing.assert_array_equal(mixed[1], expected_fresh[1])
-    np.testing.assert_array_equal(mixed[[0, 2]], expected_remembering[[0, 2]])
-    assert policy(second[0], 0.0).shape == (4, 2)  # other leading axes: other teams
-    np.testing.assert_array_equal(policy.headings, fresh_headings(second[0]))
-    policy.reset(np.array(True))
-    np.testing.assert_array_equal(policy.headings, np.zeros((4, 2)))
-    baselines.make("tangent-certified", CLUTTER).reset(np.array([True]))  # before the first call
-
-
-def fresh_headings(observations):
-    policy = baselines.make("tangent-certified", CLUTTER)
-    policy(observations, 0.0)
-    return policy.headings

@@ -149,16 +149,12 @@ def test_the_nearest_is_pursued():
     np.testing.assert_allclose(velocities[:4], wanted, atol=1e-6)
 
 
-@pytest.mark.parametrize("name", NAMES)
-class TestTheyWatch:
-    def test_without_they_refuse_to_act(self, name):
-        policy = baselines.make(name, TEAM)
-        with pytest.raises(RuntimeError, match=rf"{name} reads positions: call its watch"):
-            policy(np.zeros((5, *TEAM.observation_layout.shape), np.float32), 0.0)
-
-    def test_other_teams_are_refused(self, name):
-        policy = baselines.make(name, TEAM)
-        with pytest.raises(ValueError, match="must be a Simulator of 5 single integrators in 2-D"):
-            policy.watch(rv.Simulator(SPACE))
-        with pytest.raises(ValueError, match="does not fit unicycle robots"):
-            baselines.make(name, rv.Scenario(robot_model="unicycle"))
+@pytest.mark.parametrize("name", [*NAMES, "privileged-planner"])
+def test_without_teams_to_watch_they_refuse_to_act(name):
+    policy = baselines.make(name, TEAM)
+    policy.reset()
+    with pytest.raises(RuntimeError, match=rf"{name} reads positions: call its watch"):
+        policy(np.zeros((5, *TEAM.observation_layout.shape), np.float32), 0.0)
+    for watched in (None, "clutter-8", rv.Simulator(SPACE), rv.Simulator(TEAM.replace(n_robots=4))):
+        with pytest.raises(ValueError, match="be a Simulator of 5 single integrators in 2-D"):
+            policy.watch(watched)

@@ -104,23 +104,6 @@ class TestTime:
             turned = np.arctan2(after[1], after[0]) - np.arctan2(before[1], before[0])
             assert turned == pytest.approx(dt, abs=1e-5)
 
-    def test_choices_come_by_the_clock(self, monkeypatch):
-        robot, random, made = RobotPolicy(CLUTTER), np.random.default_rng(0), []
-        decision_time = robot.policy.settings.decision_time
-        chooser = robot.policy._chooser
-        choose = chooser.choose
-
-        def watched(*seen):
-            made.append(robot.time)
-            return choose(*seen)
-
-        monkeypatch.setattr(chooser, "choose", watched)
-        while robot.time < 20.0:
-            robot.act(unit(0, 40), dt=random.uniform(0.004, 0.05))
-        gaps = np.diff(made)
-        assert gaps.mean() == pytest.approx(decision_time, rel=0.03)
-        assert np.abs(gaps - decision_time).max() < 0.05
-
     def test_the_network_is_shown_rates_not_differences(self):
         """Edges that turn at 1 rad/s do so however often the robot looks."""
         rates = []
@@ -142,14 +125,6 @@ class TestTime:
             obstacles = guided.perception.layout.split(shown[0][0, 0]).obstacles
             rates.append(obstacles[obstacles.any(axis=-1)][0, 4:])
         np.testing.assert_allclose(rates, 1.0, atol=1e-4)
-
-    def test_reset_begins_anew(self):
-        robot = RobotPolicy(CLUTTER, "tangent-joined-certified", max_turn_rate=1.0)
-        fresh = robot.act(unit(50))
-        robot.act(unit(0), dt=1.0)
-        robot.reset()
-        np.testing.assert_array_equal(robot.act(unit(50)), fresh)
-        assert robot.time == 0.0
 
     def test_a_step_cut_short_earns_in_proportion(self):
         tank = RobotPolicy(CLUTTER, "learned-tank").policy

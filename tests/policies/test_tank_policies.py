@@ -31,18 +31,6 @@ def made(scenario=CLUTTER, **options):
     return baselines.make("tank-joined", scenario, **options)
 
 
-def seen(scenario=CLUTTER, num_envs=3, steps=10):
-    """Observations along an episode, (steps, B, n, rows, d)."""
-    simulator = Simulator(scenario, num_envs)
-    observations = [simulator.reset(4)]
-    law = baselines.make("bearing-only", scenario)
-    for step in run(simulator, law, observations[0]):
-        observations.append(step.outcome.observations)
-        if len(observations) == steps:
-            break
-    return np.array(observations)
-
-
 def play(policy, scenario, num_envs=1):
     simulator = Simulator(scenario, num_envs)
     for _ in run(simulator, policy, simulator.reset(0)):
@@ -127,48 +115,6 @@ def test_a_robot_whose_tank_would_not_last_rests():
     assert not moved[-20:].any() and policy.levels[0] > 0
 
 
-def test_a_batch_is_its_teams_one_by_one():
-    observations = seen()
-    batch, alone = made(budget=1.0), [made(budget=1.0) for _ in range(3)]
-    for row in observations:
-        together = batch(row, 0.0)
-        for team, policy in enumerate(alone):
-            np.testing.assert_array_equal(policy(row[team], 0.0), together[team])
-            np.testing.assert_array_equal(policy.levels, batch.levels[team])
-
-
-def test_reset_forgets_the_masked_teams_only():
-    observations = seen()
-    policy, other = made(), made()
-    for row in observations:
-        policy(row, 0.0)
-        other(row, 0.0)
-    before = policy.levels
-    policy.reset(np.array([False, True, False]))
-    assert (policy.levels[1] == 50.0).all() and (before[1] != 50.0).all()
-    np.testing.assert_array_equal(policy.levels[[0, 2]], before[[0, 2]])
-    kept, fresh = other(observations[-1], 0.0), made()(observations[-1], 0.0)
-    found = policy(observations[-1], 0.0)
-    np.testing.assert_array_equal(found[[0, 2]], kept[[0, 2]])
-    np.testing.assert_array_equal(found[1], fresh[1])
-    policy.reset()
-    assert policy.levels.size == 0
-    with pytest.raises(ValueError, match="mask"):
-        other.reset(np.array([True, False]))
-    made().reset(np.array([True]))  # nothing to forget yet
-
-
-def test_positions_are_nothing_to_it():
-    """The same sights from elsewhere, and turned: the same motions, turned."""
-    angle = 1.1
-    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-    plain, turned = made(), made()
-    for row in seen():
-        expected = plain(row, 0.0) @ turn.T
-        found = turned((row @ turn.T).astype(np.float32), 7.0)
-        np.testing.assert_allclose(found, expected, atol=2e-4)
-
-
 @pytest.mark.parametrize(
     ("options", "message"),
     [
@@ -184,17 +130,3 @@ def test_positions_are_nothing_to_it():
 def test_options_are_checked(options, message):
     with pytest.raises(ValueError, match=message):
         made(**options)
-
-
-def test_it_promises_no_margin_of_its_own():
-    """Theorem C's bound is not the tank's."""
-    from train.policies import promised_margin
-
-    assert promised_margin("tank-joined", made()) is None
-
-
-def test_it_fits_points_among_obstacles_in_the_plane():
-    assert "tank-joined" in baselines.names(CLUTTER)
-    for name in ("clutter-3d", "fig3", "unicycle-6", "swarm-20"):
-        fits = "tangent-joined-tuned" in baselines.names(rv.scenarios.get(name))
-        assert ("tank-joined" in baselines.names(rv.scenarios.get(name))) == fits

@@ -89,17 +89,6 @@ def test_a_model_of_whole_teams_is_asked_for_teams():
     assert found.success.any()  # no direction at all is the rule itself
 
 
-def test_it_plays_other_scenarios_and_forgets():
-    policy = TrainedPolicy("clutter-8", lambda seen: np.tile([1.0, 0.0], (len(seen), 1)))
-    seen = rv.Simulator(rv.scenarios.get("clutter-8"), 2).reset(0)
-    first = policy(seen, 0.0)
-    policy(seen, 0.05)
-    policy.reset(np.array([True, True]))
-    np.testing.assert_array_equal(policy(seen, 0.0), first)
-    policy.reset()
-    np.testing.assert_array_equal(policy(seen[0], 0.0), first[0])
-
-
 def test_what_is_no_model_is_refused():
     with pytest.raises(ValueError, match="predict is 3; it must be a function of observations"):
         TrainedPolicy("duo", 3)

@@ -129,21 +129,6 @@ def test_silhouettes_joined_before_f(edges, expected):
     np.testing.assert_allclose(shown.context[0, 0, 16:], expected, atol=1e-6)
 
 
-def test_turning_every_robot_changes_nothing():
-    observations = cluttered()
-    plain = Features(CLUTTER, TEAMS, decision_time=0.2)
-    turned = Features(CLUTTER, TEAMS, decision_time=0.2)
-    angles = np.random.default_rng(0).uniform(-np.pi, np.pi, observations.shape[:2])
-    c, s = np.cos(angles), np.sin(angles)
-    rotations = np.stack([np.stack([c, -s], -1), np.stack([s, c], -1)], -2)
-    for step in (observations, cluttered(44)):
-        a = plain.see(step, NO_HEADINGS)
-        other = np.einsum("bnij,bnkj->bnki", rotations, step).astype(np.float32)
-        b = turned.see(other, NO_HEADINGS)
-        np.testing.assert_allclose(a, b, atol=2e-5)
-    assert np.abs(plain.layout.split(a).obstacles[..., 4:]).max() > 0.01
-
-
 def test_only_teams_of_the_mask_remember():
     observations, later = cluttered(), cluttered(44)
     which = np.arange(TEAMS) % 2 == 0
@@ -158,24 +143,6 @@ def test_only_teams_of_the_mask_remember():
     np.testing.assert_array_equal(rest[~which], whole[~which])
 
 
-def test_memory_is_kept_put_back_and_forgotten():
-    observations, later = cluttered(), cluttered(44)
-    perception = Features(CLUTTER, TEAMS, decision_time=0.2)
-    fresh = perception.see(observations, NO_HEADINGS)
-    state = perception.get_state()
-    second = perception.see(later, NO_HEADINGS)
-    perception.set_state(state)
-    np.testing.assert_array_equal(perception.see(later, NO_HEADINGS), second)
-    perception.forget()
-    np.testing.assert_array_equal(perception.see(observations, NO_HEADINGS), fresh)
-    perception.forget(np.arange(TEAMS) == 1)
-    third = perception.layout.split(perception.see(later, NO_HEADINGS))
-    rates = np.abs(third.obstacles[..., 4:]).reshape(TEAMS, -1).max(axis=1)
-    assert rates[1] == 0 and (np.delete(rates, 1) > 0).any()
-    with pytest.raises(ValueError, match="time must be an array of shape"):
-        perception.set_state({**state, "time": np.zeros(3)})
-
-
 def test_further_obstacle_slots_are_absent():
     observations = cluttered()
     wide = Features(CLUTTER, TEAMS, decision_time=0.2, obstacle_slots=24)
@@ -187,12 +154,6 @@ def test_further_obstacle_slots_are_absent():
     np.testing.assert_array_equal(shown.context, exact.context)
     with pytest.raises(ValueError, match=r"obstacle_slots is 8.*needs 16 or more"):
         Features(CLUTTER, TEAMS, decision_time=0.2, obstacle_slots=8)
-
-
-@pytest.mark.parametrize("name", ["unicycle-6", "uav-6", "cloud-8"])
-def test_robots_that_cannot_be_steered(name):
-    with pytest.raises(ValueError, match="learned policies steer single_integrator robots in 2-D"):
-        Features(scenarios.get(name), 1, decision_time=0.2)
 
 
 def test_memory_runs_in_seconds_not_in_decisions():

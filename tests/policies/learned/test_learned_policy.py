@@ -10,7 +10,7 @@ import baselines
 from baselines.learned import checkpoints, learned_policy
 from baselines.learned.learned_policy import LearnedPolicy
 from baselines.learned.policy_settings import ALL_ROUND, PolicySettings
-from rendezvous_env import Scenario, Simulator, rollout
+from rendezvous_env import Simulator, rollout
 from rendezvous_env.scenario import scenarios
 from train import policies
 from train.checks import UserError
@@ -151,16 +151,6 @@ class TestActions:
                 own = alone[team](observations[team], 0.0)
                 np.testing.assert_allclose(actions[team], own, atol=1e-6)
 
-    def test_leading_axes(self):
-        policy, flat = learned(), learned()
-        observations = next(episode(CLUTTER))
-        table = observations.reshape(2, 3, *observations.shape[1:])
-        actions = policy(table, 0.0)
-        assert actions.shape == (2, 3, CLUTTER.n_robots, 2) and actions.dtype == np.float32
-        np.testing.assert_array_equal(actions.reshape(6, -1, 2), flat(observations, 0.0))
-        with pytest.raises(ValueError, match=r"needs \(\.\.\., 4, 27, 2\)"):
-            policy(observations[:, :2], 0.0)
-
     @pytest.mark.parametrize(
         ("name", "changes"),
         [
@@ -212,11 +202,6 @@ class TestActions:
         assert len(np.unique(rich._guided.choices)) > 1
         assert rich._guided.choices.max() < len(ALL_ROUND)
 
-    def test_time_between_decisions_is_kept_in_other_scenarios(self):
-        periods = {tau: learned(CLUTTER.replace(time_step=tau), decision_time=0.2).decision_period
-                   for tau in (0.05, 0.03, 0.1, 0.5)}  # fmt: skip
-        assert periods == {0.05: 4, 0.03: 7, 0.1: 2, 0.5: 1}
-
 
 class TestFiles:
     def test_what_was_written_acts_the_same(self, tmp_path):
@@ -237,12 +222,6 @@ class TestFiles:
             monkeypatch.setattr(pickle, name, None)
         monkeypatch.setattr(torch, "load", None)
         learned_policy.load(tmp_path, CLUTTER)
-
-    @pytest.mark.parametrize("name", ["uav-6", "unicycle-6", "cloud-8"])
-    def test_other_robots(self, name, tmp_path):
-        write(tmp_path)
-        with pytest.raises(ValueError, match=f"{name}.*learned policies steer single_integrator"):
-            learned_policy.load(tmp_path, scenarios.get(name))
 
     def rewrite(self, place, **changes):
         """A checkpoint that is whole, but says something else of its policy."""
@@ -304,7 +283,3 @@ class TestNames:
         path.write_text(json.dumps(json.loads(path.read_text()) | {"policy": {}}))
         with pytest.raises(UserError, match="was changed"):
             policies.check_names([f"learned:{tmp_path}"])
-
-    def test_two_robots_are_enough(self, tmp_path):
-        write(tmp_path)
-        assert learned_policy.load(tmp_path, Scenario(n_robots=2)).min_alignment == 0.1

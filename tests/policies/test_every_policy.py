@@ -1,0 +1,133 @@
+"""What every policy keeps to: taken elsewhere it goes on, a batch is its teams, and it forgets
+the teams that it is told to.
+"""
+
+import copy
+import pickle
+
+import numpy as np
+import pytest
+
+import baselines
+import rendezvous_env as rv
+from rendezvous_env.trajectory import begin
+
+SCENARIOS = ("clutter-8", "clutter-3d", "unicycle-6", "uav-6", "duo")
+HEAVY = rv.Scenario(n_robots=3, robot_model="double_integrator")
+ROUNDED = ("learned", "learned-tank", "learned-tank-noise")
+"""A network's sums come in another order for other batches."""
+
+
+def choose(observations):
+    """Depends on every row."""
+    return np.tanh(np.cumsum(observations, axis=-2)[..., -1, :])
+
+
+FILTERED = {
+    "heading": lambda scenario: baselines.HeadingPolicy(scenario, choose, decision_period=3),
+    "tank": lambda scenario: baselines.TankPolicy(scenario, choose, decision_period=3),
+    "trained": lambda scenario: baselines.TrainedPolicy(scenario, lambda seen: seen[:, :2]),
+}
+NAMES = [*baselines.names(), *FILTERED]
+SEES = [name for name in NAMES if not name.startswith(("privileged", "random"))]
+
+
+def made(name):
+    """A policy, and a scenario that it fits."""
+    if name in FILTERED:
+        scenario = rv.scenarios.get("clutter-8")
+        return FILTERED[name](scenario), scenario
+    known = map(rv.scenarios.get, SCENARIOS)
+    scenario = next((one for one in known if name in baselines.names(one)), HEAVY)
+    return baselines.make(name, scenario), scenario
+
+
+def sights(policy, scenario, steps=5):
+    """What three teams see along an episode; the policy has seen it too."""
+    simulator = rv.Simulator(scenario, 3)
+    seen = [simulator.reset(5)]
+    for _ in range(steps):
+        seen.append(simulator.step(policy(seen[-1], simulator.time)).observations)
+    return seen
+
+
+def same(name, found, wanted):
+    np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-6 * (name in ROUNDED))
+
+
+@pytest.mark.parametrize("name", [name for name in NAMES if name != "trained"])
+@pytest.mark.parametrize("travel", [lambda pair: pickle.loads(pickle.dumps(pair)), copy.deepcopy])
+def test_it_goes_on_bit_by_bit(name, travel):
+    """With the teams that it steers, which privileged ones read."""
+    policy, scenario = made(name)
+    simulator = rv.Simulator(scenario, 2)
+    simulator.reset(5)
+    begin(policy, simulator)
+    for _ in range(7):
+        simulator.step(policy(simulator.observe(), simulator.time))
+    pairs = [(policy, simulator), travel((policy, simulator))]
+    before = simulator.positions
+    for _ in range(7):
+        here, there = (each(teams.observe(), teams.time) for each, teams in pairs)
+        np.testing.assert_array_equal(here, there)
+        for (_, teams), actions in zip(pairs, (here, there), strict=True):
+            teams.step(actions)
+        np.testing.assert_array_equal(pairs[0][1].positions, pairs[1][1].positions)
+    assert name == "zero" or (simulator.positions != before).any()
+
+
+@pytest.mark.parametrize("name", [name for name in NAMES if name != "random"])
+def test_a_batch_is_its_teams_one_by_one(name):
+    together, scenario = made(name)
+    simulator = rv.Simulator(scenario, 3)
+    seen = simulator.reset(5)
+    begin(together, simulator)
+    alone = [(made(name)[0], rv.Simulator(scenario)) for _ in range(3)]
+    for team, (policy, one) in enumerate(alone):
+        one.reset(5 + team)
+        begin(policy, one)
+    for _ in range(12):
+        actions = together(seen, simulator.time)
+        for team, (policy, one) in enumerate(alone):
+            own = policy(one.observe(), one.time)
+            same(name, actions[team], own[0])
+            one.step(actions[team : team + 1])
+        seen = simulator.step(actions).observations
+
+
+@pytest.mark.parametrize("name", SEES)
+def test_teams_of_a_mask_begin_anew_and_the_others_do_not(name):
+    policy, scenario = made(name)
+    *_, last = sights(policy, scenario)
+    whole, fresh = copy.deepcopy(policy) if name != "trained" else None, made(name)[0]
+    policy.reset(np.array([False, True, False]))
+    found, anew = policy(last, 0.0), fresh(last, 0.0)
+    same(name, found[1], anew[1])
+    if whole is not None:
+        same(name, found[[0, 2]], whole(last, 0.0)[[0, 2]])
+    policy.reset()
+    np.testing.assert_array_equal(policy(last, 0.0), anew)
+    nested = policy(np.stack([last, last]), 0.0)  # other leading axes: other teams
+    assert nested.shape == (2, *anew.shape)
+    same(name, nested[1], anew)
+    single = policy(last[0], 0.0)
+    same(name, single, anew[0])
+    policy.reset(np.array(True))
+    same(name, policy(last[0], 0.0), anew[0])
+
+
+@pytest.mark.parametrize("name", ["tangent-certified", "learned", "tank-joined"])
+def test_what_is_remembered_counts_and_a_wrong_mask_is_refused(name):
+    policy, scenario = made(name)
+    policy.reset(np.array([True]))  # nothing to forget yet
+    first, *_, last = sights(policy, scenario, steps=6)
+    if name == "tank-joined":
+        assert (policy.levels != policy.budget).all()
+        policy.reset(np.array([False, True, False]))
+        assert (policy.levels == policy.budget).all(axis=1).tolist() == [False, True, False]
+    elif name == "tangent-certified":
+        assert not np.array_equal(policy(last, 0.0), made(name)[0](last, 0.0))
+    with pytest.raises(ValueError, match="mask"):
+        policy.reset(np.array([True, False]))
+    with pytest.raises(ValueError, match="observations have shape"):
+        policy(first[:, :1], 0.0)
