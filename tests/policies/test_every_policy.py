@@ -131,3 +131,25 @@ def test_what_is_remembered_counts_and_a_wrong_mask_is_refused(name):
         policy.reset(np.array([True, False]))
     with pytest.raises(ValueError, match="observations have shape"):
         policy(first[:, :1], 0.0)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        name
+        for name in SEES
+        if name != "quantised" and made(name)[1].robot_model == "single_integrator"
+    ],
+)
+def test_turning_the_robots_turns_their_actions(name):
+    """Nothing depends on where a local x axis points; sectors are counted from there."""
+    plain, scenario = made(name)
+    turned, simulator = made(name)[0], rv.Simulator(scenario, 3)
+    c, s = np.cos(1.1), np.sin(1.1)
+    turn = np.array([[c, s], [-s, c]])
+    seen = simulator.reset(4)
+    for _ in range(30):
+        actions = plain(seen, 0.0)
+        found = turned((seen @ turn).astype(np.float32), 0.0)
+        np.testing.assert_allclose(found, actions @ turn, atol=2e-4)
+        seen = simulator.step(actions).observations

@@ -19,14 +19,9 @@ from train.learn.checkpoint import flatten, unflatten
 TEAMS, PERIOD = 5, 3
 SCENARIO = rv.scenarios.get("clutter-12").replace(time_limit=6.0)
 HEADING = PolicySettings(
-    set_width=8,
-    hidden=(16,),
-    clearance=0.1,
-    persistence=0.5,
-    min_alignment=0.1,
-    max_turn_rate=3.0,
+    8, (16,), clearance=0.1, persistence=0.5, min_alignment=0.1, max_turn_rate=3.0,
     decision_time=PERIOD * SCENARIO.tau,
-)
+)  # fmt: skip
 TANK = replace(HEADING, guarantee="tank", budget=0.5, memory="features")
 
 
