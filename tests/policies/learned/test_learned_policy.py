@@ -108,9 +108,7 @@ class TestActions:
             tolerance = 0.0 if changes else 1e-5  # a heading's speed is limited afterwards
             np.testing.assert_allclose(teams._observed, observations, rtol=0.0, atol=tolerance)
         if changes:
-            np.testing.assert_array_equal(
-                teams.guided.steering.levels, policy._guided.steering.levels
-            )
+            np.testing.assert_array_equal(teams.guided.steering.levels, policy.levels)
             assert (teams.guided.steering.levels != 1.2).any()
 
     def test_order_of_neighbours_and_obstacles_does_not_matter(self):
@@ -166,7 +164,7 @@ class TestActions:
             f = CLUTTER.observation_layout.net_bearing(observations)
             away += (np.sum(f * actions, axis=-1) < -0.1).sum()
         assert away > 20 and policy.min_alignment is None
-        assert (policy._guided.steering.levels >= 0.0).all()
+        assert (policy.levels >= 0.0).all()
 
     def test_the_budget_is_in_units_of_the_team(self):
         """So that a network is shown the same full tank in a team of any size."""

@@ -63,8 +63,8 @@ class Plain:
         """Rewards, ends, contacts of a period; teams that end begin anew at its end."""
         rewards, contact = np.zeros(TEAMS), np.zeros((TEAMS, SCENARIO.n_robots), bool)
         for _ in range(PERIOD):
-            raw = aim(self.wrapper._observed, choices, self.wrapper.steering.headings)
-            _, earned, _, _, infos = self.wrapper.step(raw)
+            raw = aim(self.seen, choices, self.wrapper.steering.headings)
+            self.seen, earned, _, _, infos = self.wrapper.step(raw)
             rewards += earned
             contact |= infos["contact"]
         return rewards, self.wrapper.env.simulator.ended, contact
@@ -74,23 +74,23 @@ def test_it_is_the_heading_wrapper_with_guide_and_perception():
     """Episodes end, and what is shown last is what perception shows with the old memory."""
     ours, plain = teams(), Plain(AutoresetMode.DISABLED)
     shown, _ = ours.reset(seed=3)
-    plain.wrapper.reset(seed=3)
+    plain.seen, _ = plain.wrapper.reset(seed=3)
     perception = Features(SCENARIO, TEAMS, decision_time=PERIOD * SCENARIO.tau)
     headings, ended = plain.wrapper.steering, 0
-    np.testing.assert_array_equal(shown, perception.see(plain.wrapper._observed, headings.headings))
+    np.testing.assert_array_equal(shown, perception.see(plain.seen, headings.headings))
     for choices in tape(60):
         shown, rewards, ends, cuts, infos = ours.step(choices)
         other_rewards, over, _ = plain.step(choices)
         np.testing.assert_array_equal(rewards, other_rewards)
         np.testing.assert_array_equal(ends | cuts, over)
-        last = perception.see(plain.wrapper._observed, headings.headings)
+        last = perception.see(plain.seen, headings.headings)
         if over.any():
             ended += over.sum()
             seen = np.stack(infos["final_obs"][over].tolist())
             np.testing.assert_array_equal(seen, last[over])
-            plain.wrapper.reset(options={"reset_mask": over})
+            plain.seen, _ = plain.wrapper.reset(options={"reset_mask": over})
             perception.forget(over)
-            last[over] = perception.see(plain.wrapper._observed, headings.headings, over)[over]
+            last[over] = perception.see(plain.seen, headings.headings, over)[over]
         np.testing.assert_array_equal(shown, last)
     assert ended >= TEAMS
 
