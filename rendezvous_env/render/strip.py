@@ -39,6 +39,7 @@ class Strip:
             area.width - round((_LEFT + _RIGHT) * unit),
             area.height - round((_TOP + _BOTTOM) * unit),
         )
+        self._sheet, self._drawn = pygame.Surface(area[2:], depth=32), 0
         step = nice_step(max(horizon, 1e-6), 6)
         self._begin(step, math.ceil(horizon / step - 1e-9))
 
@@ -65,7 +66,7 @@ class Strip:
         """Empty axes with so many ticks, a step in s apart."""
         self._end, self._drawn = step * ticks, 0
         unit, box = self._unit, self._box
-        sheet = self._sheet = pygame.Surface(self._area[2:], depth=32)
+        sheet = self._sheet
         sheet.fill(ink.WHITE)
         for number, text in ((0.0, "0"), (self._highest, f"{self._highest:.4g}")):
             _, y = self._place(0.0, number)

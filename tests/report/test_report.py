@@ -1,19 +1,16 @@
 """``rendezvous report``: what the page holds, and what it says of folders that are not whole."""
 
 import base64
-import csv
 import gzip
 import json
-import os
 import re
 import shutil
 
 import numpy as np
 import pytest
 
-from rendezvous_env import Scenario, scenarios
+from rendezvous_env import Scenario
 from train import cli, results
-from train.compare import compare
 from train.report import build as report
 from train.report import encoding as report_encoding
 from train.report.input import read
@@ -23,15 +20,6 @@ from train.report.input import read
 def folder(compared, tmp_path):
     """A copy that a test may damage."""
     return shutil.copytree(compared, tmp_path / "out")
-
-
-def refused(folder, capsys):
-    """The one line that the command says; no page is left."""
-    assert cli.main(["report", str(folder)]) == 2
-    said = capsys.readouterr().err
-    assert said.count("\n") == 1 and "Traceback" not in said
-    assert not (folder / "report.html").exists()
-    return said
 
 
 def data_of(text):
@@ -81,8 +69,7 @@ class TestPage:
         assert cli.main(["report", str(folder)]) == 0
         data, _ = data_of((folder / "report.html").read_text(encoding="utf-8"))
         for name, key in (("results.csv", "results"), ("paired.csv", "paired")):
-            with (folder / name).open(newline="") as file:
-                assert data[key] == list(csv.DictReader(file))
+            assert data[key] == results.read_csv(folder / name)
         assert len(data["results"]) == 5
         assert [p.name for p in folder.iterdir() if p.name.startswith(".")] == []
 
@@ -203,14 +190,6 @@ class TestPage:
             (r["scenario"], r["policy"], r["start"]) for r in data["recordings"]
         }
 
-    def test_by_default_three_starts_are_kept_and_of_large_teams_among_obstacles_fewer(self):
-        chosen = compare.Config()
-        kept = {
-            name: chosen.kept(scenarios.get(name)) for name in ("clutter-8", "fig4", "swarm-20")
-        }
-        assert set(kept.values()) == {3}
-        assert chosen.kept(scenarios.get("clutter-16-team-32")) == 1
-
 
 class TestSize:
     def test_what_exceeds_its_share_is_thinned_and_says_so(self, folder, monkeypatch):
@@ -242,202 +221,3 @@ class TestRounding:
         assert report_encoding.rounding(np.array([-3.0, np.nan, 1.0])) == 3.0 / 32767
         assert report_encoding.rounding(np.zeros((2, 2))) == 1.0
         assert report_encoding.rounding(np.full(3, np.nan)) == 1.0
-
-
-class TestRefusals:
-    def test_no_folder(self, tmp_path, capsys):
-        assert "there is no such folder" in refused(tmp_path / "nowhere", capsys)
-
-    def test_not_a_result_folder(self, tmp_path, capsys):
-        assert "holds no run.json" in refused(tmp_path, capsys)
-
-    @pytest.mark.parametrize("name", ["results.csv", "episodes.csv", "paired.csv"])
-    def test_a_table_is_missing(self, name, folder, capsys):
-        (folder / name).unlink()
-        assert f"{name}: missing" in refused(folder, capsys)
-
-    @pytest.mark.parametrize("name", ["results.csv", "episodes.csv"])
-    def test_a_table_is_cut_off(self, name, folder, reseal, capsys):
-        text = (folder / name).read_text()
-        (folder / name).write_text(text[: text.rstrip().rindex("\n") + 20])
-        assert f"{name}: is not of run" in refused(folder, capsys)
-        reseal(folder)
-        assert f"{name}: line" in refused(folder, capsys)
-
-    def test_rows_are_missing(self, folder, reseal, capsys):
-        for name, message in (("results.csv", "not those that run.json"), ("episodes.csv", "3 st")):
-            text = (folder / name).read_text()
-            (folder / name).write_text(text[: text.rstrip().rindex("\n") + 1])
-            reseal(folder)
-            assert message in refused(folder, capsys)
-            (folder / name).write_text(text)
-
-    def test_a_column_is_missing(self, folder, reseal, capsys):
-        path = folder / "results.csv"
-        path.write_text(path.read_text().replace("time_low", "time_lowest"))
-        reseal(folder)
-        assert "has no column 'time_low'" in refused(folder, capsys)
-
-    @pytest.mark.parametrize("name", ["results.csv", "episodes.csv", "paired.csv"])
-    def test_a_table_of_no_bytes(self, name, folder, reseal, capsys):
-        (folder / name).write_text("")
-        assert f"{name}: is not of run" in refused(folder, capsys)
-        reseal(folder)
-        assert f"{name}: has no column 'scenario'" in refused(folder, capsys)
-
-    @pytest.mark.parametrize(
-        ("cell", "message"), [("four", "'four', no number"), ("4.5", "'4.5'; it must be a whole")]
-    )
-    def test_a_count_is_none(self, cell, message, folder, reseal, capsys):
-        path = folder / "results.csv"
-        lines = path.read_text().splitlines()
-        lines[4] = lines[4].replace(",4,", f",{cell},", 1)
-        path.write_text("\n".join(lines))
-        reseal(folder)
-        assert f"line 5: episodes is {message}" in refused(folder, capsys)
-
-    @pytest.mark.parametrize("version", [1, 2, results.FORMAT_VERSION + 1, "new"])
-    def test_another_version(self, version, folder, capsys):
-        run = json.loads((folder / "run.json").read_text())
-        (folder / "run.json").write_text(json.dumps(run | {"format_version": version}))
-        said = refused(folder, capsys)
-        assert f"format_version is {version!r}" in said and str(results.FORMAT_VERSION) in said
-
-    @pytest.mark.parametrize("text", ["", "{", "[]", "null"])
-    def test_run_json_is_not_readable(self, text, folder, capsys):
-        (folder / "run.json").write_text(text)
-        assert "run.json: not readable" in refused(folder, capsys)
-
-    def test_run_json_lacks_something(self, folder, capsys):
-        run = json.loads((folder / "run.json").read_text())
-        del run["seed"]
-        (folder / "run.json").write_text(json.dumps(run))
-        assert "has no 'seed'" in refused(folder, capsys)
-
-    @pytest.mark.parametrize(
-        ("field", "value"),
-        [("seed", "3"), ("policies", {"fig4": "zero"}), ("versions", []), ("command_line", "make")],
-    )
-    def test_a_wrong_type_in_run_json(self, field, value, folder, reseal, capsys):
-        reseal(folder, **{field: value})
-        said = refused(folder, capsys)
-        assert f"run.json: {field} is {value!r}; it must be of type" in said
-
-    def test_run_json_was_changed(self, folder, capsys):
-        path = folder / "run.json"
-        path.write_text(path.read_text().replace('"seed": 3', '"seed": 4'))
-        assert "run.json: its content was changed" in refused(folder, capsys)
-
-    def test_run_json_is_nested_too_deeply(self, folder, capsys):
-        (folder / "run.json").write_text("[" * 100_000)
-        assert "nested too deeply" in refused(folder, capsys)
-
-    @pytest.mark.parametrize("share", [0.0, 0.3, 0.99])
-    def test_trajectories_are_cut_off(self, share, folder, reseal, capsys):
-        path = folder / "trajectories.npz"
-        whole = path.read_bytes()
-        path.write_bytes(whole[: int(share * len(whole))])
-        assert "trajectories.npz: is not of run" in refused(folder, capsys)
-        reseal(folder)
-        assert "trajectories.npz: not readable" in refused(folder, capsys)
-
-    @pytest.mark.parametrize(
-        ("kind", "change", "message"),
-        [
-            ("frames", None, "has no 'frames'"),
-            ("positions", lambda a: a[:, :-1], "positions has shape"),
-            ("times", lambda a: a[:0], "times has shape (0,); it must be (1,)"),
-            ("headings", lambda a: a.astype(str), "headings holds <U32, no numbers"),
-            ("merged_into", lambda a: a + 1, "merged_into[0, 0] is 1; it must be"),
-            ("weights", lambda a: a[:0], "weights has 0 rows; it must have 1"),
-            ("lyapunov", lambda a: a / 0.0, "lyapunov holds a number that is not finite"),
-            ("obstacles", lambda a: a + 0.5, "it must be a row that begins with one of"),
-        ],
-    )
-    @pytest.mark.filterwarnings("ignore:divide by zero", "ignore:invalid value")
-    def test_an_array_is_wrong(self, kind, change, message, folder, reseal, capsys):
-        run = json.loads((folder / "run.json").read_text())["run"]
-        with np.load(folder / "trajectories.npz") as file:
-            arrays = {name: file[name] for name in file.files}
-        name = f"fig4/zero/0/{kind}"
-        changed = arrays.pop(name)
-        if change is not None:
-            arrays[name] = change(changed)
-        results.write_arrays(folder / "trajectories.npz", arrays, run)
-        reseal(folder)
-        said = refused(folder, capsys)
-        assert "trajectories.npz: fig4/zero/0" in said and message in said
-
-    def test_trajectories_of_another_run(self, folder, reseal, capsys):
-        results.write_arrays(folder / "trajectories.npz", {}, "another")
-        reseal(folder)
-        assert "trajectories.npz: not readable (it is of run 'another'" in refused(folder, capsys)
-
-    def test_episodes_that_are_not_those_of_the_results(self, folder, reseal, capsys):
-        path = folder / "episodes.csv"
-        path.write_text(path.read_text().replace("fig4,zero,0,0", "fig4,zero,0,1"))
-        reseal(folder)
-        assert "differ in zero on fig4" in refused(folder, capsys)
-
-    def test_every_file_of_another_comparison_is_named(self, folder, tmp_path, capsys):
-        other = tmp_path / "other"
-        policies = ("bearing-only", "tangent-joined", "nonholonomic-3d", "zero")
-        config = compare.Config(("fig4", "uav-6"), policies, episodes=4, seed=4, keep=2, out=other)
-        assert compare.run(config) == 0
-        content = {path.name: path.read_bytes() for path in folder.iterdir()}
-        changed = [path.name for path in other.iterdir() if path.read_bytes() != content[path.name]]
-        for name in changed:
-            shutil.copyfile(other / name, folder / name)
-            said = refused(folder, capsys)
-            assert "is not of run" in said and (name in said or name == "run.json")
-            (folder / name).write_bytes(content[name])
-        assert len(changed) >= len(content) - 1  # every pair may compare alike
-
-    def test_half_a_copy_is_refused(self, folder, tmp_path, capsys):
-        names = sorted(path.name for path in folder.iterdir())
-        for count in range(len(names)):
-            half = tmp_path / f"half-{count}"
-            half.mkdir()
-            for name in names[:count]:
-                shutil.copyfile(folder / name, half / name)
-            refused(half, capsys)
-
-    def test_a_figure_that_run_json_does_not_name(self, folder, capsys):
-        (folder / "against-robots.png").write_bytes(b"old")
-        (folder / "my-notes.png").write_bytes(b"mine")
-        said = refused(folder, capsys)
-        assert "against-robots.png: is not of run" in said and "remove it" in said
-        (folder / "against-robots.png").unlink()
-        assert cli.main(["report", str(folder)]) == 0
-        assert "my-notes" not in (folder / "report.html").read_text(encoding="utf-8")
-
-    def test_a_picture_is_a_folder(self, folder, capsys):
-        (folder / "success.png").unlink()
-        (folder / "success.png").mkdir()
-        assert "success.png: not readable (Is a directory)" in refused(folder, capsys)
-
-    def test_a_page_that_stood_there_stays(self, folder, monkeypatch):
-        (folder / "report.html").write_text("old")
-
-        def interrupted(found):
-            raise KeyboardInterrupt
-
-        monkeypatch.setattr(report, "page", interrupted)
-        assert cli.main(["report", str(folder)]) == 130
-        assert (folder / "report.html").read_text() == "old"
-
-    @pytest.mark.parametrize("name", ["run.json", "episodes.csv", "success.png"])
-    @pytest.mark.parametrize("kind", ["pipe", "device", "large"])
-    def test_a_file_that_never_ends(self, name, kind, folder, capsys):
-        (folder / name).unlink()
-        if kind == "pipe":
-            os.mkfifo(folder / name)
-        elif kind == "device":
-            (folder / name).symlink_to("/dev/zero")
-        else:
-            with (folder / name).open("wb") as file:
-                file.truncate(2**40)  # takes no room on the disk
-        said = refused(folder, capsys)
-        foreign = kind == "large" and name != "run.json"  # which says how large the others are
-        assert f"{name}: {'is not of run' if foreign else 'not readable'}" in said
-        assert ("bytes, more than" if kind == "large" else "is no regular file") in said

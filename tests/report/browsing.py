@@ -1,0 +1,121 @@
+"""The page of ``rendezvous report`` in headless Chromium: fixtures and what a reader does."""
+
+import os
+import shutil
+from contextlib import contextmanager
+
+import pytest
+
+from train.report import build as report
+from train.report.input import read
+
+CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "chrome"))), None)
+needs_browser = pytest.mark.skipif(
+    CHROMIUM is None and not os.environ.get("CI"),
+    reason="no chromium on this machine; apt-get install chromium",
+)
+
+
+@pytest.fixture(scope="module")
+def browser():
+    from playwright.sync_api import sync_playwright
+
+    assert CHROMIUM, "no chromium on this machine; .ci/run installs it"
+    with sync_playwright() as playwright:
+        flags = ["--no-sandbox"] if os.geteuid() == 0 else []
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=flags)
+        yield browser
+        browser.close()
+
+
+@pytest.fixture(scope="module")
+def address(compared):
+    assert report.run(report.Config(compared)) == 0
+    return (compared / "report.html").as_uri()
+
+
+@contextmanager
+def visited(browser, address):
+    """A page of which nothing moves by itself, as some readers wish; it must not complain."""
+    page = browser.new_page(
+        viewport={"width": 1400, "height": 1000}, color_scheme="light", reduced_motion="reduce"
+    )
+    complaints, requests = [], []
+    page.on("console", lambda message: complaints.append(message.text))
+    page.on("pageerror", lambda error: complaints.append(str(error)))
+    page.on("request", lambda request: requests.append(request.url))
+    page.goto(address)
+    page.wait_for_selector("#player[data-ready]")
+    yield page
+    assert complaints == []
+    assert set(requests) == {address}
+    page.close()
+
+
+@pytest.fixture
+def opened(browser, address):
+    """The page of what ``compared`` holds."""
+    with visited(browser, address) as page:
+        yield page
+
+
+@pytest.fixture
+def recorded(compared):
+    """A function: an array of a start as it was recorded, or found again."""
+    found = read(compared).recordings
+    return lambda name, policy="bearing-only", start=0, scenario="fig4": found[
+        scenario, policy, start
+    ][name]
+
+
+def clock(page):
+    return float(page.text_content("#clock").removesuffix(" s"))
+
+
+def picture(page, pane=0):
+    return page.locator(".world canvas").nth(pane).evaluate("canvas => canvas.toDataURL()")
+
+
+def scrub(page, time):
+    page.locator("#time").evaluate(
+        "(slider, time) => { slider.value = time; slider.dispatchEvent(new Event('input')); }", time
+    )
+
+
+@contextmanager
+def reloaded(page):
+    """Wait until the recordings that were chosen within are shown."""
+    page.locator("#player").evaluate("player => delete player.dataset.ready")
+    yield
+    page.wait_for_selector("#player[data-ready]")
+
+
+def wait_for(page, scenario, policies):
+    """Choose, and wait until both recordings are shown."""
+    with reloaded(page):
+        page.select_option("#scenario", scenario)
+    for pane, policy in enumerate(policies):
+        if chosen(page)[pane] != policy:
+            with reloaded(page):
+                page.locator("select.policy").nth(pane).select_option(policy)
+
+
+def chosen(page):
+    """The policies of both sides."""
+    return [page.locator("select.policy").nth(pane).input_value() for pane in (0, 1)]
+
+
+def shown_rows(page, pane=0):
+    """Name and numbers of each row that the chosen robot sees."""
+    rows = page.locator(".rows").nth(pane).locator("tr").all()
+    cells = [row.locator("td").all_text_contents() for row in rows]
+    return {name: [float(cell.replace("−", "-")) for cell in numbers] for name, *numbers in cells}
+
+
+def wait_until(page, reached):
+    """Wait for something to become true, ten seconds at most."""
+    for _ in range(200):
+        if reached():
+            return
+        page.wait_for_timeout(50)
+    raise AssertionError("it did not happen")

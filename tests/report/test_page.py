@@ -1,0 +1,295 @@
+"""Tables and looks of the page of ``rendezvous report``, and what it says of a sensor that errs."""
+
+import base64
+import io
+import re
+
+import browsing
+import numpy as np
+import pytest
+from browsing import (
+    needs_browser,
+    picture,
+    scrub,
+    shown_rows,
+    visited,
+    wait_for,
+    wait_until,
+)
+from matplotlib.image import imread
+
+import rendezvous_env as rv
+from rendezvous_env.render.scene import shapes
+from train import results
+from train.compare import compare
+from train.report import build as report
+
+pytestmark = needs_browser
+address, browser = browsing.address, browsing.browser  # fixtures, as are the next
+opened, recorded = browsing.opened, browsing.recorded
+
+
+class TestTables:
+    def test_numbers_are_those_of_the_file(self, opened, compared):
+        rows = opened.locator("#results-table tbody tr").all()
+        expected = results.read_csv(compared / "results.csv")
+        assert len(rows) == len(expected)
+        for line, row in zip(rows, expected, strict=True):
+            shown = line.locator("td").evaluate_all(
+                "cells => cells.map(cell => [cell.dataset.column, cell.dataset.value, "
+                "cell.dataset.low, cell.dataset.high, cell.textContent])"
+            )
+            low = {"success": "success", "clean_success": "clean", "median_time": "time"}
+            assert {name for name, *_ in shown} == {
+                name for name in row if not name.endswith(("_low", "_high"))
+            }
+            for name, value, least, most, text in shown:
+                assert value == row[name]
+                if name in low:
+                    assert least == row[f"{low[name]}_low"] and most == row[f"{low[name]}_high"]
+                if name == "clean_success":
+                    numbers = [float(n) for n in re.findall(r"\d+", text)]
+                    percents = [100 * float(cell) for cell in (value, least, most) if cell]
+                    assert numbers == pytest.approx(percents, abs=0.5)
+                if name == "path_length":
+                    assert float(text) == pytest.approx(float(value), abs=0.051)
+
+    def test_a_click_sorts_and_another_turns_round(self, opened, compared):
+        head = opened.locator("#results-table th", has_text="path m")
+        values = [float(row["path_length"]) for row in results.read_csv(compared / "results.csv")]
+
+        def shown():
+            cells = opened.locator("#results-table td[data-column=path_length]")
+            return [float(v) for v in cells.evaluate_all("all => all.map(c => c.dataset.value)")]
+
+        assert shown() == values != sorted(values)
+        head.locator("button").click()
+        assert shown() == sorted(values) and head.get_attribute("aria-sort") == "ascending"
+        head.locator("button").click()
+        assert shown() == sorted(values, reverse=True)
+        assert head.get_attribute("aria-sort") == "descending"
+
+    def test_empty_cells_come_last(self, opened):
+        for _ in range(2):
+            opened.click("#results-table th:has-text('clearance') button")
+            cells = opened.locator("#results-table td[data-column=min_clearance]")
+            last = cells.evaluate_all("all => all.map(c => c.dataset.value)")[-2:]
+            assert last == ["", ""]
+
+    def test_the_first_click_sorts_best_first(self, opened):
+        for title, column, best in (
+            ("met cleanly", "clean_success", max),
+            ("median time", "median_time", min),
+            ("contacts", "contacts", min),
+            ("alignment", "min_alignment", max),
+        ):
+            opened.click(f"#results-table th:has-text('{title}') button")
+            cells = opened.locator(f"#results-table td[data-column={column}]")
+            values = cells.evaluate_all("all => all.map(c => c.dataset.value)")
+            numbers = [float(value) for value in values if value]
+            assert numbers[0] == best(numbers) and len(set(numbers)) > 1
+
+    def test_every_column_is_seen_and_titles_stay(self, opened):
+        table = opened.locator("#results-table").bounding_box()
+        alignment = opened.locator("#results-table th").last
+        assert alignment.text_content() == "alignment"
+        right = alignment.bounding_box()
+        assert right["x"] + right["width"] <= table["x"] + table["width"] + 1 <= 1400
+        bottom = opened.locator("#results-table tr").last
+        bottom.evaluate(
+            "line => scrollTo({ top: line.getBoundingClientRect().top + scrollY - 200,"
+            " behavior: 'instant' })"
+        )
+        head = opened.locator("header").bounding_box()
+        assert head["y"] == 0 and opened.evaluate("scrollY") > 500
+        if opened.locator("#results-table thead").bounding_box()["y"] < 0:
+            assert alignment.bounding_box()["y"] == pytest.approx(head["height"], abs=1)
+
+    def test_the_best_of_each_scenario(self, opened):
+        rows = opened.locator("#best-table tbody tr").all()
+        shown = [row.locator("td").all_text_contents() for row in rows]
+        assert [(cells[0], cells[1]) for cells in shown] == [
+            ("fig4", "tangent-joined"), ("uav-6", "nonholonomic-3d"),
+        ]  # fmt: skip
+
+    def test_a_table_is_saved_as_it_stands(self, opened, compared):
+        opened.select_option("#table-scenario", "uav-6")
+        opened.click("#results-table th:has-text('policy') button")
+        opened.click("#results-table th:has-text('policy') button")
+        with opened.expect_download() as saved:
+            opened.click("button.csv[data-table=results]")
+        assert saved.value.suggested_filename == "results.csv"
+        rows = [r for r in results.read_csv(compared / "results.csv") if r["scenario"] == "uav-6"]
+        assert results.read_csv(saved.value.path()) == sorted(
+            rows, key=lambda row: row["policy"], reverse=True
+        )
+
+
+def test_dark_for_those_who_prefer_it(opened):
+    light = opened.evaluate("getComputedStyle(document.body).backgroundColor"), picture(opened)
+    opened.emulate_media(color_scheme="dark")
+    wait_until(opened, lambda: picture(opened) != light[1])
+    dark = opened.evaluate("getComputedStyle(document.body).backgroundColor")
+    assert light[0] == "rgb(255, 255, 255)" and dark == "rgb(20, 23, 27)"
+
+
+def test_pictures_are_saved(opened, compared):
+    opened.keyboard.press("ArrowRight")
+    with opened.expect_download() as saved:
+        opened.locator("button.png").nth(1).click()
+    assert saved.value.suggested_filename == "fig4-0-tangent-joined-0.05_s.png"
+    pixels = imread(saved.value.path())
+    world = opened.locator(".world canvas").nth(1).bounding_box()
+    assert pixels.shape[0] > world["height"] and pixels.shape[1] > 1.4 * world["width"]
+    assert (np.abs(pixels[..., :3] - np.array([0xE6, 0x9F, 0x00]) / 255).max(-1) < 0.01).any()
+    with opened.expect_download() as saved:
+        opened.click("figure#success button.save")
+    assert saved.value.path().read_bytes() == (compared / "success.png").read_bytes()
+
+
+class TestNarrow:
+    @pytest.fixture
+    def phone(self, opened):
+        opened.set_viewport_size({"width": 390, "height": 844})
+        opened.wait_for_timeout(200)
+        return opened
+
+    def test_one_policy_at_a_time(self, phone):
+        panes = phone.locator(".pane")
+        assert [panes.nth(k).is_visible() for k in (0, 1)] == [False, True]
+        first = phone.locator("#switch button").first
+        assert first.text_content() == "bearing-only"
+        first.click()
+        assert [panes.nth(k).is_visible() for k in (0, 1)] == [True, False]
+        assert first.get_attribute("aria-pressed") == "true"
+        phone.keyboard.press("End")
+        assert phone.locator(".state").first.text_content().startswith("met at")
+        assert imread(io.BytesIO(base64.b64decode(picture(phone).split(",")[1]))).std() > 0.05
+
+    def test_key_numbers_are_on_the_screen(self, phone):
+        for column in ("policy", "clean_success", "median_time"):
+            for cell in phone.locator(f"#results-table td[data-column={column}]").all():
+                box = cell.bounding_box()
+                assert box["x"] >= 0 and box["x"] + box["width"] <= 390
+                assert cell.evaluate("cell => cell.scrollWidth <= cell.clientWidth + 1")
+        assert not phone.locator("#results-table td[data-column=path_length]").first.is_visible()
+        phone.click("#all-columns")
+        assert phone.locator("#results-table td[data-column=path_length]").first.is_visible()
+        assert phone.evaluate("document.documentElement.scrollWidth") <= 390
+
+
+@pytest.mark.parametrize("width", [390, 1400])
+@pytest.mark.parametrize("scenario", ["fig4", "uav-6"])
+def test_no_number_is_cut(width, scenario, opened):
+    opened.set_viewport_size({"width": width, "height": 900})
+    wait_for(opened, scenario, [])
+    opened.keyboard.press("ArrowRight")
+    cut = opened.evaluate(
+        "[...document.querySelectorAll('.rows, .plot p, .state, .outcome, #clock, td, figcaption')]"
+        ".filter(e => e.clientWidth && e.scrollWidth > e.clientWidth + 1).map(e => e.outerHTML)"
+    )
+    assert cut == []
+
+
+def test_the_world_shows_what_is_there(opened, recorded):
+    """Orange obstacles at their place, the robot's own colour at its start."""
+    canvas = opened.locator(".world canvas").first
+    pixels = imread(io.BytesIO(base64.b64decode(picture(opened).split(",")[1])))[..., :3]
+
+    def colour(place, right=0):
+        """At a place in m, so many pixels further to the right."""
+        to_pixels = "(canvas, [x, y]) => [canvas.view.x(x), canvas.view.y(y)]"
+        column, row = canvas.evaluate(to_pixels, place.tolist())
+        return np.rint(255 * pixels[round(row), round(column) + right]).tolist()
+
+    centre = next(one.centre for one in shapes(recorded("obstacles"), 2) if not len(one.vertices))
+    assert colour(centre) == [0xE6, 0x9F, 0x00]
+    assert colour(recorded("positions")[0, 1], right=6) == [0xD5, 0x5E, 0x00]
+
+
+@pytest.fixture(scope="module")
+def erring(tmp_path_factory):
+    """A comparison in which bearings are noisy and now and then missing, beside an exact one."""
+    out = tmp_path_factory.mktemp("blurred")
+    sensor = rv.Sensing(noise=0.3, dropout=0.3)
+    scenario = rv.Scenario(name="blurred", n_robots=4, time_limit=1.0, sensing=sensor)
+    scenario.to_toml(out / "blurred.toml")
+    config = compare.Config(
+        (str(out / "blurred.toml"), "ring-12"), ("bearing-only",), episodes=1, out=out / "out",
+        figures=False,
+    )  # fmt: skip
+    assert compare.run(config) == 0
+    return out / "out"
+
+
+class TestErringSensor:
+    @pytest.fixture
+    def seen_page(self, browser, erring):
+        if not (erring / "report.html").exists():
+            assert report.run(report.Config(erring)) == 0
+        with visited(browser, (erring / "report.html").as_uri()) as page:
+            yield page
+
+    @pytest.fixture
+    def kept(self, erring):
+        """Arrays of the only start."""
+        with np.load(erring / "trajectories.npz") as arrays:
+            yield lambda name, scenario: arrays[f"{scenario}/bearing-only/0/{name}"]
+
+    def test_what_is_true_stands_beside_what_is_seen(self, seen_page, kept):
+        wait_for(seen_page, "blurred", [])
+        positions, frames = kept("positions", "blurred"), kept("frames", "blurred")
+        seen = kept("observations", "blurred")[:, 0]
+        hidden = (seen == 0).all(axis=-1)
+        frame = int(np.flatnonzero(hidden.any(axis=1) & ~hidden.all(axis=1))[0])
+        scrub(seen_page, kept("times", "blurred")[frame])
+        offsets = positions[frame, 1:] - positions[frame, 0]
+        true = offsets @ frames[frame, 0]
+        true /= np.linalg.norm(true, axis=1, keepdims=True)
+        lines = seen_page.locator(".rows tr.true").all()
+        cells = [line.locator("td").all_text_contents() for line in lines]
+        assert [name for name, *_ in cells] == ["truly 1", "truly 2", "truly 3"]
+        numbers = [[float(c.replace("−", "-")) for c in (x, y)] for _, x, y, _ in cells]
+        np.testing.assert_allclose(numbers, true, atol=2e-3)
+        for robot, (*_, off) in enumerate(cells):
+            if hidden[frame, robot]:
+                assert off == "unseen"
+            else:
+                along = seen[frame, robot] @ true[robot] / np.linalg.norm(seen[frame, robot])
+                assert float(off.removesuffix("°")) == pytest.approx(
+                    np.degrees(np.arccos(min(1.0, along))), abs=0.7
+                )
+
+    def test_true_bearings_are_grey_rays(self, seen_page, kept):
+        """Where no arrow lies: towards a robot that this robot does not see."""
+        wait_for(seen_page, "blurred", [])
+        times, hidden = kept("times", "blurred"), kept("observations", "blurred")[:, 0] == 0
+        offsets = kept("positions", "blurred")[:, 1:] - kept("positions", "blurred")[:, :1]
+        frame, robot = np.argwhere(hidden.all(axis=-1))[0]
+        scrub(seen_page, times[frame])
+        x, y = offsets[frame, robot] @ kept("frames", "blurred")[frame, 0]
+        canvas = seen_page.locator(".eye canvas").first
+        data = canvas.evaluate("canvas => canvas.toDataURL()").split(",")[1]
+        pixels = 255 * imread(io.BytesIO(base64.b64decode(data)))[..., :3]
+        middle = np.array(pixels.shape[:2]) / 2
+        radius = middle.min() - 20
+        way = np.linspace(0.25, 0.95, 40)[:, None] * radius * np.array([-y, x]) / np.hypot(x, y)
+        on = np.array(
+            [
+                np.abs(pixels[r - 1 : r + 2, c - 1 : c + 2] - [92, 102, 114]).max(-1).min()
+                for r, c in np.rint(middle + way).astype(int)
+            ]
+        )
+        assert (on < 80).mean() > 0.8
+
+    def test_a_ring_names_the_neighbours_that_are_seen(self, seen_page):
+        wait_for(seen_page, "ring-12", [])
+        assert not seen_page.locator(".rows tr.true").count()
+        assert list(shown_rows(seen_page)) == ["robot 1", "robot 11"]
+        seen_page.click("#robots button:nth-child(5)")
+        assert list(shown_rows(seen_page)) == ["robot 3", "robot 5"]
+
+    def test_a_single_policy_stands_alone(self, seen_page):
+        panes = seen_page.locator(".pane")
+        assert [panes.nth(k).is_visible() for k in (0, 1)] == [True, False]
+        assert seen_page.text_content("#said").count("bearing-only") == 1

@@ -1,0 +1,248 @@
+"""The replay of ``rendezvous report`` in headless Chromium, used as a reader uses it."""
+
+from urllib.parse import parse_qs, urlsplit
+
+import browsing
+import numpy as np
+import pytest
+from browsing import (
+    chosen,
+    clock,
+    needs_browser,
+    picture,
+    reloaded,
+    scrub,
+    shown_rows,
+    wait_for,
+    wait_until,
+)
+
+pytestmark = needs_browser
+address, browser = browsing.address, browsing.browser  # fixtures, as are the next
+opened, recorded = browsing.opened, browsing.recorded
+
+
+class TestReplay:
+    def test_it_opens_where_two_policies_differ_and_says_how(self, opened, recorded):
+        assert opened.input_value("#scenario") == "fig4" and clock(opened) == 0
+        assert chosen(opened) == ["bearing-only", "tangent-joined"]
+        said = opened.text_content("#said")
+        contacts = int(recorded("contacts")[-1].sum())
+        assert f"with {contacts} robot-steps in contact; tangent-joined meets after" in said
+        assert said.endswith("without a contact.")
+
+    def test_play_moves_the_robots_and_ends(self, opened, recorded):
+        before = picture(opened, 0), picture(opened, 1)
+        opened.select_option("#speed", "8")
+        # half a second of play can be over before a slow browser is asked what the button says
+        opened.evaluate(
+            "const button = document.getElementById('play'); window.words = [];"
+            "new MutationObserver(() => window.words.push(button.textContent))"
+            ".observe(button, {childList: true})"
+        )
+        opened.click("#play")
+        wait_until(opened, lambda: opened.evaluate("window.words.at(-1)") == "Play")
+        assert opened.evaluate("[...new Set(window.words)]") == ["Pause", "Play"]
+        times = recorded("times"), recorded("times", "tangent-joined")
+        assert clock(opened) == pytest.approx(max(t[-1] for t in times), abs=0.006)
+        assert picture(opened, 0) != before[0] and picture(opened, 1) != before[1]
+        states = opened.locator(".state").all_text_contents()
+        for state, own in zip(states, times, strict=True):
+            assert state.startswith(f"met at {own[-1]:.2f} s · 1 of 3 robots left")
+
+    def test_pause_stays(self, opened):
+        opened.select_option("#speed", "0.25")  # far from the end, however slow the browser is
+        opened.locator("#speed").blur()
+        opened.keyboard.press("Space")
+        wait_until(opened, lambda: clock(opened) > 0.1)
+        opened.keyboard.press("Space")
+        halted = clock(opened), picture(opened)
+        opened.wait_for_timeout(150)
+        assert (clock(opened), picture(opened)) == halted
+
+    def test_scrubbing_sets_the_time(self, opened, recorded):
+        box = opened.locator("#time").bounding_box()
+        opened.mouse.click(box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"])
+        end = max(recorded("times")[-1], recorded("times", "tangent-joined")[-1])
+        assert clock(opened) == pytest.approx(0.5 * end, abs=0.05)
+        plot = opened.locator(".v .u-over").first.bounding_box()
+        opened.mouse.click(plot["x"] + 0.25 * plot["width"], plot["y"] + 10)
+        assert clock(opened) == pytest.approx(0.25 * end, abs=0.05)
+        head = opened.locator(".v .playhead").nth(1).bounding_box()
+        right = opened.locator(".v .u-over").nth(1).bounding_box()
+        assert head["x"] == pytest.approx(right["x"] + 0.25 * right["width"], abs=2)
+
+    def test_values_at_a_time(self, opened, recorded):
+        times = recorded("times")
+        frame = len(times) // 2
+        scrub(opened, times[frame])
+        assert opened.locator(".v-now").first.text_content() == f"{recorded('lyapunov')[frame]:.1f}"
+        alignment = recorded("alignment")[frame, 0]
+        assert opened.locator(".a-now").first.text_content() == f"robot 0: {alignment:.3f}"
+        contacts = int(recorded("contacts")[frame].sum())
+        assert f"{contacts} robot-steps in contact" in opened.locator(".state").first.text_content()
+
+    def test_between_frames_robots_move_and_what_they_see_stays(self, opened, recorded):
+        times = recorded("times")
+        scrub(opened, times[4])
+        before, rows = picture(opened), shown_rows(opened)
+        scrub(opened, 0.5 * (times[4] + times[5]))
+        assert picture(opened) != before and shown_rows(opened) == rows
+        scrub(opened, times[5])
+        assert shown_rows(opened) != rows
+
+    def test_keys(self, opened, recorded):
+        times = recorded("times")
+        opened.keyboard.press("ArrowRight")
+        assert clock(opened) == pytest.approx(times[1], abs=0.006)
+        opened.keyboard.press("ArrowRight")
+        opened.keyboard.press("ArrowLeft")
+        assert clock(opened) == pytest.approx(times[1], abs=0.006)
+        opened.keyboard.press("End")
+        assert clock(opened) == pytest.approx(times[-1], abs=0.006)
+        opened.keyboard.press("Home")
+        assert clock(opened) == 0
+        opened.keyboard.press("]")
+        assert opened.input_value("#speed") == "2"
+        for _ in range(9):
+            opened.keyboard.press("[")
+        assert opened.input_value("#speed") == "0.1"
+
+    def test_the_focus_is_visible_and_keys_there_mean_what_they_say(self, opened):
+        opened.focus("#to-end")
+        opened.keyboard.press("Tab")
+        assert opened.evaluate("document.activeElement.id") == "time"
+        outline = "getComputedStyle(document.activeElement).outlineStyle"
+        assert opened.evaluate(outline) == "solid"
+        opened.focus("#to-end")
+        opened.keyboard.press("Space")  # presses this button once; does not play
+        assert opened.text_content("#play") == "Play" and clock(opened) > 1
+        opened.focus("#speed")
+        opened.keyboard.press("Home")
+        assert clock(opened) > 1
+
+    def test_every_control_has_a_name(self, opened):
+        bare = opened.evaluate(
+            "[...document.querySelectorAll('button, select, input, canvas[role]')].filter("
+            "e => !(e.textContent.trim() || e.ariaLabel || (e.labels && e.labels.length)))"
+            ".map(e => e.outerHTML)"
+        )
+        assert bare == []
+
+    def test_start_and_policy_are_chosen(self, opened):
+        opened.keyboard.press("End")
+        first = picture(opened, 1)
+        opened.locator("select.policy").nth(1).select_option("zero")
+        outcome = opened.locator(".outcome").nth(1)
+        wait_until(opened, lambda: outcome.text_content().startswith("not met"))
+        opened.keyboard.press("End")
+        assert picture(opened, 1) != first
+        assert opened.locator(".state").nth(1).text_content().startswith("time out at 30.00 s")
+
+    def test_both_sides_never_show_the_same_policy(self, opened):
+        with reloaded(opened):
+            opened.locator("select.policy").nth(0).select_option("tangent-joined")
+        assert chosen(opened) == ["tangent-joined", "bearing-only"]
+
+    def test_it_plays_at_once_for_those_who_do_not_mind(self, browser, address):
+        page = browser.new_page(viewport={"width": 1400, "height": 900})
+        page.goto(address)
+        # both in one look: the end may have come by the second one of a slow browser
+        page.wait_for_function(
+            "parseFloat(document.getElementById('clock').textContent) > 0.1"
+            " && document.getElementById('play').textContent === 'Pause'"
+        )
+        top = page.locator(".world canvas").first.bounding_box()
+        assert top["y"] + top["height"] < 900 and page.locator(".answer").is_visible()
+        page.close()
+
+
+class TestAddress:
+    def test_it_says_what_is_shown(self, opened):
+        opened.keyboard.press("ArrowRight")
+        opened.click("#robots button:nth-child(3)")
+        said = parse_qs(urlsplit(opened.url).fragment)
+        assert said == {
+            "scenario": ["fig4"],
+            "start": ["0"],
+            "policy": ["bearing-only", "tangent-joined"],
+            "robot": ["2"],
+            "t": ["0.05"],
+        }
+
+    def test_it_is_followed(self, opened):
+        with reloaded(opened):
+            opened.goto(
+                f"{opened.url.split('#')[0]}#scenario=uav-6&start=1&policy=zero&robot=4&t=0.5"
+            )
+        assert opened.input_value("#scenario") == "uav-6" and opened.input_value("#start") == "1"
+        assert chosen(opened) == ["zero", "nonholonomic-3d"] and clock(opened) == 0.5
+        assert "What robot 4 sees" in opened.locator(".sight h3").first.text_content()
+
+    @pytest.mark.parametrize("fragment", ["#scenario=nowhere", "#start=7", "#replay", "#t=x"])
+    def test_what_is_not_there_is_passed_over(self, fragment, opened):
+        opened.goto(opened.url.split("#")[0] + fragment)
+        opened.reload()
+        opened.wait_for_selector("#player[data-ready]")
+        assert opened.input_value("#scenario") == "fig4" and clock(opened) == 0
+
+    def test_a_row_leads_to_its_replay(self, opened):
+        row = opened.locator("#results-table tr", has_text="uav-6").filter(has_text="zero")
+        with reloaded(opened):
+            row.locator("td").nth(4).click()
+        assert opened.input_value("#scenario") == "uav-6"
+        assert chosen(opened) == ["zero", "nonholonomic-3d"]
+        wait_until(opened, lambda: opened.evaluate("scrollY") < 400)
+        link = opened.locator("#best-table a").first
+        link.focus()
+        with reloaded(opened):
+            opened.keyboard.press("Enter")
+        assert opened.input_value("#scenario") == "fig4"
+
+
+class TestSight:
+    def click_robot(self, page, robot, place):
+        spot = page.locator(".world canvas").first.evaluate(
+            "(canvas, [x, y]) => [canvas.view.x(x), canvas.view.y(y)]", place
+        )
+        page.locator(".world canvas").first.click(position={"x": spot[0], "y": spot[1]})
+        assert (
+            page.get_attribute(f"#robots button:nth-child({robot + 1})", "aria-pressed") == "true"
+        )
+
+    @pytest.mark.parametrize("robot", [1, 2])
+    def test_a_click_shows_the_recorded_rows(self, robot, opened, recorded):
+        times, observations = recorded("times"), recorded("observations")
+        frame = int(np.flatnonzero(recorded("contacts")[:, robot])[0])
+        scrub(opened, times[frame])
+        before = opened.locator(".eye canvas").first.evaluate("canvas => canvas.toDataURL()")
+        self.click_robot(opened, robot, recorded("positions")[frame, robot].tolist())
+        assert f"What robot {robot} sees" in opened.locator(".sight h3").first.text_content()
+        after = opened.locator(".eye canvas").first.evaluate("canvas => canvas.toDataURL()")
+        assert after != before
+        own = observations[frame, robot]
+        present = own[(own != 0).any(axis=1)]
+        rows = shown_rows(opened)
+        assert len(rows) == len(present) >= 2 + 2  # both neighbours and one silhouette at least
+        np.testing.assert_allclose(list(rows.values()), present, atol=8e-4)
+        others = [other for other in range(3) if other != robot]
+        assert list(rows)[:2] == [f"robot {other}" for other in others]
+
+    def test_in_space_there_are_two_projections_and_gravity(self, opened, recorded):
+        wait_for(opened, "uav-6", ["nonholonomic-3d", "zero"])
+        assert opened.locator(".pane").first.locator(".world canvas").count() == 2
+        labels = opened.locator(".pane").first.locator("canvas[role]").all()
+        planes = [label.get_attribute("aria-label").split(", ")[-1] for label in labels]
+        assert planes == ["x–y plane", "x–z plane"] * 2
+        opened.keyboard.press("ArrowRight")
+        rows = shown_rows(opened)
+        at = recorded("observations", "nonholonomic-3d", 0, "uav-6")[1, 0]
+        np.testing.assert_allclose(rows["gravity"], at[-1], atol=6e-4)
+        assert len(rows) == 5 + 1
+
+    def test_a_robot_that_has_merged_sees_nothing(self, opened, recorded):
+        gone = int(np.flatnonzero(~recorded("active")[-1])[0])
+        opened.click(f"#robots button:nth-child({gone + 1})")
+        assert len(shown_rows(opened)) > 0
+        opened.keyboard.press("End")
+        assert shown_rows(opened) == {}
