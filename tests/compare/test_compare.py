@@ -131,12 +131,6 @@ class TestFiles:
         assert run["policies"]["duo"] == ["bearing-only", "zero"]
         assert run["versions"]["rendezvous-env"] and run["merges_above_bound"] == 0
 
-    def test_figures_show_something(self, folder):
-        from matplotlib.image import imread
-
-        for path in folder.glob("*.png"):
-            assert imread(path)[..., :3].std() > 0.05
-
     def test_paired(self, folder):
         rows = {(r["scenario"], r["policy"]): r for r in results.read_csv(folder / "paired.csv")}
         joined = rows["fig4", "tangent-joined"]

@@ -265,13 +265,6 @@ class TestEpisodes:
         assert extents / extents[0] == pytest.approx(box / box[0])
         assert axes.get_zlabel() == "z / m" and len(axes.collections) == 12
 
-    def test_a_figure_is_written_by_its_ending(self, tmp_path):
-        figure = figures.success_figure([row("duo", "zero", 0.5)])
-        for ending, start in ((".png", b"\x89PNG"), (".pdf", b"%PDF")):
-            style.save(figure, tmp_path / f"a{ending}")
-            assert (tmp_path / f"a{ending}").read_bytes().startswith(start)
-        assert imread(tmp_path / "a.png").std() > 0.05
-
 
 def test_compare_writes_pdf_when_asked_and_draws_sweeps(tmp_path):
     names = ("clutter-4", "clutter-8")

@@ -1,7 +1,6 @@
 """OUT is whole or not there; what was finished is gone on with; one process at a time writes."""
 
 import dataclasses
-import json
 import os
 import shutil
 import subprocess
@@ -11,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from baselines import policy
-from train import cli, results, resume
+from train import cli, resume
 from train.checks import UserError
 from train.compare import compare, out_folder, playing, upper_bound
 from train.compare.out_folder import part_of
@@ -337,11 +336,3 @@ class TestLocks:
         with resume.claimed(tmp_path / "a" / "b", ".lock", "it"):
             (tmp_path / "a" / "kept").write_text("")
         assert [path.name for path in tmp_path.rglob("*")] == ["a", "kept"]
-
-
-def test_run_json_is_sealed(tmp_path):
-    compare.run(config(tmp_path / "out", ceiling=0))
-    run = json.loads((tmp_path / "out" / "run.json").read_text())
-    assert out_folder.is_sealed(run) and not out_folder.is_sealed(run | {"seed": 5})
-    for name, entry in run["files"].items():
-        assert results.entry(tmp_path / "out" / name) == entry

@@ -113,7 +113,10 @@ def play(
     recordings: list[Recording] = []
     for first in range(0, episodes, CHUNK):
         simulator = Simulator(scenario, min(CHUNK, episodes - first))
-        observations = _reset(simulator, seed + first)
+        try:
+            observations = simulator.reset(seed + first)
+        except RuntimeError as error:  # no room for a start
+            raise UserError(f"{scenario.name}: {error}") from error
         kept = range(min(keep, episodes)) if first == 0 else ()
         start, exact = Snapshot(simulator), seen_again(scenario)
         recorders = [Recorder(start, team, observations, exact) for team in kept]
@@ -137,13 +140,6 @@ def counts_contacts(scenario: Scenario) -> bool:
     nor the contrary.
     """
     return not scenario.obstacles or scenario.obstacle_contact != "ignore"
-
-
-def _reset(simulator: Simulator, seed: int) -> NDArray[np.float32]:
-    try:
-        return simulator.reset(seed)
-    except RuntimeError as error:  # no room for a start
-        raise UserError(f"{simulator.scenario.name}: {error}") from error
 
 
 class _Meter:
@@ -199,14 +195,12 @@ def _bounds(
     scenario: Scenario, initial_lyapunov: NDArray[np.float64], margin: float | None
 ) -> NDArray[np.float64]:
     """Proven times in s, NaN where none is proven."""
-    nothing = np.full(initial_lyapunov.shape, np.nan)
-    if margin is None:
-        return nothing
-    found = certificate(scenario, margin)
-    if not np.isfinite(found.time_bound) or found.bearing_error > 0.0:
-        return nothing
-    bounds = time_bound(scenario, initial_lyapunov, min_alignment=margin)
-    return np.where(np.isfinite(bounds), bounds, nothing)
+    bounds = np.full(initial_lyapunov.shape, np.nan)
+    if margin is not None:
+        found = certificate(scenario, margin)
+        if np.isfinite(found.time_bound) and found.bearing_error == 0.0:
+            bounds = time_bound(scenario, initial_lyapunov, min_alignment=margin)
+    return np.where(np.isfinite(bounds), bounds, np.nan)
 
 
 def alignments(scenario: Scenario, step: Step) -> NDArray[np.float64]:
@@ -232,28 +226,20 @@ def alignments(scenario: Scenario, step: Step) -> NDArray[np.float64]:
     acted = (*shape[:2], scenario.action_size)
     actions = check_numbers("actions", step.actions, acted, "(B, n, a)")
     running = check_mask(step.running, shape[0])
+    out = np.full(shape[:2], np.nan)
     least = max(2.0 * scenario.dead_zone, 1e-12)
-    slots, along_x = layout.neighbour_slots, scenario.model.nonholonomic
-    out = np.empty(shape[:2])
-    batch_alignments(observations, actions, running, slots, along_x, least, out)
+    along_x = scenario.model.nonholonomic
+    batch_alignments(observations, actions, running, layout.neighbour_slots, along_x, least, out)
     return out
 
 
 @kernel
 def batch_alignments(
-    observations: Any,
-    actions: Any,
-    running: Any,
-    slots: int,
-    along_x: bool,
-    least: float,
-    out: Any,
+    observations: Any, actions: Any, running: Any, slots: int, along_x: bool, least: float, out: Any
 ) -> None:
-    """Alignments of the robots of running teams, to ``out`` (B, n)."""
-    batch, n = out.shape
-    for b in range(batch):
-        for i in range(n):
-            out[b, i] = np.nan
+    """Alignments of the robots of running teams, to ``out`` (B, n); arguments as ``_alignment``."""
+    for b in range(out.shape[0]):
+        for i in range(out.shape[1]):
             if running[b]:
                 rows = observations[b, i, :slots]
                 out[b, i] = _alignment(rows, actions[b, i], along_x, least)

@@ -19,6 +19,13 @@ _EXACT = "none"
 _FIELDS = tuple(field.name for field in fields(Sensing))
 
 
+def _shown(level: Level) -> str:
+    """A level as text."""
+    if isinstance(level, float | int):
+        return f"{level:.4g}"
+    return _EXACT if level is None else level
+
+
 @dataclass(frozen=True)
 class Sweep:
     """One scenario at some levels of one field of its sensor."""
@@ -35,7 +42,7 @@ class Sweep:
     @property
     def labels(self) -> list[str]:
         """The levels as text."""
-        return [shown(level) for level in self.levels]
+        return [_shown(level) for level in self.levels]
 
     @property
     def name(self) -> str:
@@ -43,8 +50,12 @@ class Sweep:
         return f"levels-{self.base.name}-{self.field.replace('_', '-')}"
 
 
-def parse(words: Sequence[str]) -> dict[str, tuple[Level, ...]]:
-    """Levels by field, of words like ``noise=0,0.1,0.2``.
+def sweeps(scenarios: Sequence[Scenario], words: Sequence[str]) -> list[Sweep]:
+    """Each scenario at each level of each field; the other fields are the scenario's own.
+
+    Args:
+        scenarios: as they were named.
+        words: like ``noise=0,0.1,0.2``.
 
     Raises:
         UserError: naming the word and what would be right.
@@ -55,9 +66,9 @@ def parse(words: Sequence[str]) -> dict[str, tuple[Level, ...]]:
         if name not in _FIELDS:
             near = nearest_word(name, _FIELDS)
             hint = f"did you mean {near!r}? " if near else ""
+            known = ", ".join(_FIELDS)
             raise UserError(
-                f"--sensing {word}: {name!r} is no field of a sensor; {hint}they are "
-                f"{', '.join(_FIELDS)}"
+                f"--sensing {word}: {name!r} is no field of a sensor; {hint}they are {known}"
             )
         levels = tuple(_level(name, text) for text in listed.split(",") if text)
         if len(levels) < 2 or len(set(levels)) < len(levels):
@@ -65,7 +76,11 @@ def parse(words: Sequence[str]) -> dict[str, tuple[Level, ...]]:
         if name in found:
             raise UserError(f"--sensing {word}: {name} is named twice; list its levels once")
         found[name] = levels
-    return found
+    return [
+        Sweep(base, field, levels, tuple(_at(base, field, level) for level in levels))
+        for base in scenarios
+        for field, levels in found.items()
+    ]
 
 
 def _level(field: str, text: str) -> Level:
@@ -80,19 +95,6 @@ def _level(field: str, text: str) -> Level:
     return int(number) if number.is_integer() else number
 
 
-def sweeps(scenarios: Sequence[Scenario], words: Sequence[str]) -> list[Sweep]:
-    """Each scenario at each level of each field; the other fields are the scenario's own.
-
-    Raises:
-        UserError: for a field or a level that cannot be.
-    """
-    return [
-        Sweep(base, field, levels, tuple(_at(base, field, level) for level in levels))
-        for base in scenarios
-        for field, levels in parse(words).items()
-    ]
-
-
 def _at(base: Scenario, field: str, level: Level) -> Scenario:
     """The scenario at a level; the scenario itself where that is its own."""
     try:
@@ -100,17 +102,10 @@ def _at(base: Scenario, field: str, level: Level) -> Scenario:
         sensing = replace(base.sensing, **change)
         if sensing == base.sensing:
             return base
-        name = f"{base.name}-{field.replace('_', '-')}-{shown(level)}"
+        name = f"{base.name}-{field.replace('_', '-')}-{_shown(level)}"
         return base.replace(name=name, sensing=sensing)
     except (ValueError, TypeError) as error:
         raise UserError(f"--sensing {field}={level}: {error}") from error
-
-
-def shown(level: Level) -> str:
-    """A level as text."""
-    if isinstance(level, float | int):
-        return f"{level:.4g}"
-    return _EXACT if level is None else level
 
 
 COLUMNS = ("base", "field", "level", *results.RESULT_COLUMNS)
@@ -119,12 +114,7 @@ of results.csv. A level is empty where the field is that of an exact sensor and 
 
 
 def rows_of(sweep: Sweep, rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """The rows of levels.csv that belong to a sweep.
-
-    Args:
-        sweep: scenario, field and levels.
-        rows: of results.csv.
-    """
+    """The rows of levels.csv that belong to a sweep, of those of results.csv."""
     return [
         {"base": sweep.base.name, "field": sweep.field, "level": level} | row
         for level, scenario in zip(sweep.levels, sweep.scenarios, strict=True)

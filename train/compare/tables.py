@@ -113,10 +113,10 @@ def paired_table(rows: Sequence[Row]) -> Table:
     for heading, own in _by_scenario(rows):
         table.add_row(heading)
         for row in own:
-            names = ("clean_difference", "clean_difference_low", "clean_difference_high")
-            points = _percent(*(row[name] for name in names), style="+z.1f")
+            difference, low, high = (row[f"clean_difference{end}"] for end in ("", "_low", "_high"))
             names = ("probability_of_improvement", "improvement_low", "improvement_high")
             better = _percent(*(row[name] for name in names))
+            points = _percent(difference, low, high, "+z.1f")
             table.add_row(f"  {escape(row['policy'])}", points, better)
     return table
 
