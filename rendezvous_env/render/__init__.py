@@ -1,3 +1,3 @@
-"""How a picture is made; ``rendering.py`` is its door. Only ``camera`` and ``history`` load without
-pygame-ce.
+"""How a picture is made; ``renderer`` is the entry point, and what other renderers share lies in
+``scene`` and ``palette``. Without pygame-ce load these, ``camera`` and ``history``.
 """
