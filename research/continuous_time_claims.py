@@ -15,7 +15,7 @@ from continuous_time_laws import in_cones, in_polygons, misled, now_and_then, wi
 from time_bounds import cone_time, gains_time, led_time, windows_time
 
 from rendezvous_env.safety.theorems.gains import shrinking
-from rendezvous_env.safety.theorems.noise import held_error, largest_error, wrong_bearings_time
+from rendezvous_env.safety.theorems.noise import held_error, largest_error
 from train.verify.cases import BATCH
 from train.verify.claim import Finding
 from train.verify.watch import directions, extents
@@ -158,7 +158,7 @@ def draw_misled(random: Random, batch: int, least_margin: float) -> Trial:
         teams,
         misled(teams, random, gain, error),
         step,
-        wrong_bearings_time(n, teams.dim, teams.size(), gain, total),
+        teams.size() / rate,
         shrinks_by(teams, rate),
     )
 

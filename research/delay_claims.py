@@ -11,7 +11,7 @@ from continuous_time_claims import ContinuousTimeClaim, stays_below
 from continuous_time_laws import Random, followed
 
 from rendezvous_env.graphs.weights import bottleneck_weight, max_degree
-from rendezvous_env.safety.theorems.delay import largest_age, stale_time
+from rendezvous_env.safety.theorems.delay import largest_age
 from train.verify.misled import unit
 
 _KEPT = 8
@@ -86,7 +86,7 @@ def draw_stale(random: Random, batch: int, least_margin: float) -> Trial:
         return f * random.uniform(slowest, 1.0, (*teams.active.shape, 1))
 
     n = teams.active.shape[1]
-    limit = stale_time(n, most, bottleneck_weight=weakest, slowest=slowest)
+    limit = n * most / (4.0 * weakest**2 * slowest)
     return Trial(teams, law, step, limit, stays_below(teams, most))
 
 
@@ -96,9 +96,7 @@ def draw_stale_headings(random: Random, batch: int, least_margin: float) -> Tria
     seen, step = _stale(teams, random, law_4=True)
     most, weakest = _bounds(teams)
     margin = random.uniform(*np.maximum(_MARGINS, least_margin))
-    limit = stale_time(
-        teams.active.shape[1], most, bottleneck_weight=weakest, slowest=margin**2 / 4.0
-    )
+    limit = teams.active.shape[1] * most / (weakest * margin) ** 2
     return Trial(
         teams, _sideways(teams, random, seen, margin), step, limit, stays_below(teams, most)
     )

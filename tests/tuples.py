@@ -42,3 +42,22 @@ def arc(
 def body_frame(d: int, yaw: float, pitch: float) -> np.ndarray:
     """Rotation (d, d) from the body frame to the global one."""
     return np.reshape(body_frame_2d(yaw) if d == 2 else body_frame_3d(yaw, pitch), (d, d))
+
+
+def mean_body_axis(
+    yaw_rate: object, pitch_rate: object, pitch: object, duration: float
+) -> np.ndarray:
+    """Mean of the body axis over an arc, (..., 3), in the body frame at its start: products of
+    cosines as sums, each of which has the mean sinc(x/2) cos(angle half way).
+    """
+    a, b, beta = (np.asarray(x, float) for x in np.broadcast_arrays(yaw_rate, pitch_rate, pitch))
+
+    def mean(rate: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        half = 0.5 * rate * duration
+        size = np.sinc(half / np.pi)
+        return size * np.cos(beta + half), size * np.sin(beta + half)
+
+    (cos_sum, sin_sum), (cos_less, sin_less), (_, up) = mean(b + a), mean(b - a), mean(b)
+    ahead, left = 0.5 * (cos_sum + cos_less), 0.5 * (sin_sum - sin_less)
+    c, s = np.cos(beta), np.sin(beta)
+    return np.stack([c * ahead + s * up, left, c * up - s * ahead], axis=-1)

@@ -9,20 +9,13 @@ from numpy.typing import NDArray
 
 from ..checks import positive, refuse
 from ..compilation import inner_kernel, kernel
-from ..engine.state_checks import check_observations
 from ..engine.threads import each_block
 from ..physics.rows import net_bearing_of
 from ..physics.vectors import combine, dot, load, norm, scaled, store
 from ..robots.single_integrator import speed_scale
 from ..scenario.scenario import Scenario
 from .links import alignment_of
-from .safety_filter import (
-    SafetyFilter,
-    check_goes_anywhere,
-    over_teams,
-    register_filter,
-    teams_of_block,
-)
+from .safety_filter import SafetyFilter, check_goes_anywhere, register_filter, teams_of_block
 
 _NOTHING = 1e-30
 """Weights that add up to less, m/s, are none."""
@@ -38,12 +31,10 @@ class _Constants(NamedTuple):
 
 
 class GainRange(NamedTuple):
-    """Between which limits the gains of each robot add up, m/s."""
+    """c ≤ Σ_j c_ij ≤ C of every robot that sees somebody, m/s; C ≤ r/τ keeps it within the hull."""
 
     least: float
-    """c: Σ_j c_ij of a robot that sees somebody is at least this."""
     most: float
-    """At most r/τ: a robot then stays within the hull of the team for the whole step."""
 
 
 def gain_range(scenario: Scenario, min_gain: Any = None, max_gain: Any = None) -> GainRange:
@@ -51,11 +42,8 @@ def gain_range(scenario: Scenario, min_gain: Any = None, max_gain: Any = None) -
 
     Args:
         scenario: gives the defaults a* and D̄, and r/τ, which no gain exceeds.
-        min_gain: c, m/s; None is a*, or ``max_gain`` or r/τ if that is less.
-        max_gain: m/s; None is D̄, or ``min_gain`` if that is more.
-
-    Returns:
-        Two numbers, m/s.
+        min_gain: c, a number, m/s; None is a*, or ``max_gain`` or r/τ if that is less.
+        max_gain: C, m/s; None is D̄, or ``min_gain`` if that is more.
 
     Raises:
         ValueError: naming the argument that is not positive, too large for the step, or less than
@@ -85,12 +73,9 @@ class Gains(SafetyFilter):
     exceed v_max all gains of the robot are scaled down to that, and stay at least v_max in all.
 
     Args:
-        scenario: whose robots they are.
-        num_envs: B.
+        scenario, num_envs, frame, num_threads: as ``SafetyFilter``.
         min_gain: m/s, see ``gain_range``.
         max_gain: m/s, likewise.
-        frame: of what is observed, "net_bearing" (x along f) or "local".
-        num_threads: most threads that may be used; None is one for each core.
 
     Raises:
         ValueError: naming the argument, its value and what would be right.
@@ -111,13 +96,8 @@ class Gains(SafetyFilter):
         num_threads: int | None = None,
     ) -> None:
         check_goes_anywhere(scenario, "theorem G")
-        super().__init__(
-            scenario,
-            num_envs,
-            action_size=scenario.observation_layout.neighbour_slots,
-            frame=frame,
-            num_threads=num_threads,
-        )
+        size = scenario.observation_layout.neighbour_slots
+        super().__init__(scenario, num_envs, size, frame, num_threads)
         self.range = gain_range(scenario, min_gain, max_gain)
         self._constants = _Constants(
             neighbour_slots=self._sight.neighbour_slots,
@@ -138,12 +118,9 @@ class Gains(SafetyFilter):
 
     def act(self, observations: NDArray[np.float32]) -> NDArray[np.float32]:
         """As ``SafetyFilter.act``."""
-        observations = check_observations(observations, self._seen)
-        shape = (*self._held.shape[:2], self.scenario.dim)
-        actions = np.zeros(shape, dtype=np.float32)
-        fixed = (observations, self._constants, self._held)
-        given = (actions, self.gain, self.alignment, self.lyapunov_rate)
-        over_teams(lambda part: weigh_bearings(part, *fixed, *given), *self._batch)
+        observations, actions = self._taken(observations)
+        told = self.gain, self.alignment, self.lyapunov_rate
+        self._over_teams(_weigh, observations, self._constants, self._held, actions, *told)
         return actions
 
 
@@ -151,20 +128,7 @@ register_filter("gains", Gains)
 
 
 @kernel
-def weigh_bearings(share, observations, constants, held, actions, gain, alignment, lyapunov_rate):
-    """The velocities of the teams that this thread takes, v = Σ_j c_ij g_ij (theorem G).
-
-    Args:
-        share: this thread's part, see ``engine.threads``.
-        observations: (B, n, rows, d), m/s, in the robots' own frames.
-        constants: of the scenario and of the arguments, see ``Gains``.
-        held: w, (B, n, K), without unit.
-        actions: v, (B, n, d) float32, m/s; filled in.
-        gain: Σ_j c_ij, (B, n), m/s; filled in.
-        alignment: |hᵀf|/‖f‖, (B, n), h along v; filled in, NaN where either is zero.
-        lyapunov_rate: −2 f·v, (B, n), m²/s²; filled in.
-    """
-    arguments = observations, constants, held, actions, gain, alignment, lyapunov_rate
+def _weigh(share, arguments):
     each_block(share, _weigh_for_teams, arguments)
 
 
@@ -191,15 +155,10 @@ def _weigh_for_teams(block, arguments):
 
 @kernel
 def weighted_bearings(rows, weights, neighbour_slots):
-    """The sum of weighted gains Σ_j w_j a_ij, and the average Σ_j w_j a_ij g_ij / Σ_j w_j a_ij.
+    """Σ_j w_j a_ij, m/s, and the average Σ_j w_j a_ij g_ij / Σ_j w_j a_ij, a triple without unit.
 
-    Args:
-        rows: of one robot, a_ij g_ij, (rows, d), m/s; zero rows are absent and do not count.
-        weights: w, (K,), cut to [0, 1]; if all that count are zero, all are 1.
-        neighbour_slots: K.
-
-    Returns:
-        A number, m/s, and a triple without unit; both zero where nobody is seen.
+    Of one robot's rows (rows, d), m/s, and weights (K,), cut to [0, 1]: if all that count are zero,
+    all are 1. Absent rows do not count; both are zero where nobody is seen.
     """
     total, towards = _weighted(rows, weights, neighbour_slots, 0.0)
     if total < _NOTHING:

@@ -13,7 +13,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..checks import floats, real, refuse
 from ..compilation import inner_kernel, kernel
-from ..engine.state_checks import check_observations
 from ..engine.threads import each_block
 from ..physics.least_norm import least_along, least_norm_of
 from ..physics.rows import degree_of, net_bearing_of
@@ -32,13 +31,7 @@ from ..physics.vectors import (
 )
 from ..robots.single_integrator import speed_scale
 from ..scenario.scenario import Scenario
-from .safety_filter import (
-    SafetyFilter,
-    check_goes_anywhere,
-    over_teams,
-    register_filter,
-    teams_of_block,
-)
+from .safety_filter import SafetyFilter, check_goes_anywhere, register_filter, teams_of_block
 from .settings import check_bearing_error
 
 
@@ -67,13 +60,12 @@ def least_norm_points(neighbour_rows: ArrayLike) -> NDArray[np.float64]:
         raise ValueError("neighbour_rows must be finite")
     points = np.empty((*rows.shape[:-2], rows.shape[-1]))
     flat = np.ascontiguousarray(rows).reshape(-1, *rows.shape[-2:])
-    least_norm_points_of(flat, points.reshape(-1, rows.shape[-1]))
+    _least_norm_points(flat, points.reshape(-1, rows.shape[-1]))
     return points
 
 
 @kernel
-def least_norm_points_of(rows, out):
-    """``least_norm_points`` for N robots; ``out`` (N, d) is filled in."""
+def _least_norm_points(rows, out):
     for i in range(len(rows)):
         store(least_norm_of(rows[i], rows.shape[1]), out[i])
 
@@ -137,12 +129,9 @@ def project_on_links(wanted, rows, neighbour_slots, radius, error):
 
 @kernel
 def shortened_to_links(velocity, rows, neighbour_slots, radius, error):
-    """A velocity made just short enough for B_i: ‖v‖ ≤ 2 ρ cos ∠(v, g) for all g that may be there.
+    """A velocity, a triple, m/s, made just short enough for B_i: ‖v‖ ≤ 2 ρ cos ∠(v, g) for all g.
 
     Arguments as ``project_on_links``.
-
-    Returns:
-        A triple, m/s.
     """
     speed, direction = split(velocity)
     bearing = worst_bearing(direction, rows, neighbour_slots, error)
@@ -156,14 +145,8 @@ def worst_bearing(direction, rows, neighbour_slots, error):
 
         g cos α − u sin α,   α = min(η, π − ∠(g, v)),   u the part of v across g
 
-    Args:
-        direction: v, a triple, of any unit.
-        rows: of one robot, (rows, d), of any unit.
-        neighbour_slots: K.
-        error: η, rad.
-
-    Returns:
-        A unit triple; zero where nobody is seen.
+    Of v, a triple, and rows of any unit; a unit triple, zero where nobody is seen. Arguments as
+    ``project_on_links``.
     """
     g = least_along(rows, neighbour_slots, direction)
     if error == 0.0 or dot(g, g) == 0.0:
@@ -259,12 +242,9 @@ class LinkKeeping(SafetyFilter):
     bearings g within η of a seen one, ρ = r/(4τ). The first part is in B_i too, so v_i is.
 
     Args:
-        scenario: whose robots they are.
-        num_envs: B.
+        scenario, num_envs, frame, num_threads: as ``SafetyFilter``.
         share: λ, in (0, 1], how much of each velocity is the law's.
         bearing_error: η, rad, the largest angle by which a bearing may be wrong.
-        frame: "net_bearing" (x along f) or "local".
-        num_threads: most threads that may be used; None is one for each core.
 
     Raises:
         ValueError: naming the argument, its value and what would be right, or why the robots of
@@ -286,13 +266,8 @@ class LinkKeeping(SafetyFilter):
         check_goes_anywhere(scenario, "theorem R")
         if reason := asymmetric_sight(scenario):
             raise ValueError(f"scenario: {reason}")
-        super().__init__(
-            scenario,
-            num_envs,
-            action_size=scenario.action_size,
-            frame=frame,
-            num_threads=num_threads,
-        )
+        size = scenario.action_size
+        super().__init__(scenario, num_envs, size, frame, num_threads)
         self._constants = _Constants(
             neighbour_slots=self._sight.neighbour_slots,
             radius=scenario.merge_radius / (4.0 * scenario.tau),
@@ -303,11 +278,9 @@ class LinkKeeping(SafetyFilter):
 
     def act(self, observations: NDArray[np.float32]) -> NDArray[np.float32]:
         """As ``SafetyFilter.act``."""
-        observations = check_observations(observations, self._seen)
-        actions = np.zeros(self._held.shape, dtype=np.float32)
-        fixed = (observations, self._constants, self._held)
-        given = (actions, self.alignment, self.lyapunov_rate)
-        over_teams(lambda part: keep_links(part, *fixed, *given), *self._batch)
+        observations, actions = self._taken(observations)
+        told = self.alignment, self.lyapunov_rate
+        self._over_teams(_keep_links, observations, self._constants, self._held, actions, *told)
         return actions
 
 
@@ -315,13 +288,8 @@ register_filter("links", LinkKeeping)
 
 
 def asymmetric_sight(scenario: Scenario) -> str:
-    """Why a robot may see one that does not see it, or lose sight of one that is near (theorem R).
-
-    Args:
-        scenario: gives the graph and the sensor.
-
-    Returns:
-        Words; empty where sight is symmetric.
+    """Why a robot may see one that does not see it, or lose sight of one that is near, in words;
+    empty where sight is symmetric (theorem R).
     """
     sensing, graph = scenario.sensing, scenario.sensing_graph
     needs = "theorem R needs that both see each other while they are near"
@@ -351,21 +319,7 @@ def check_share(share: Any) -> float:
 
 
 @kernel
-def keep_links(share, observations, constants, held, actions, alignment, lyapunov_rate):
-    """The velocities of the teams that this thread takes (theorem R c and d).
-
-        v = λ s sin(φ − η)₊ q/‖q‖ + (1 − λ) P(wanted),   s = min(d, r/(2τ), v_max)
-
-    Args:
-        share: this thread's part, see ``engine.threads``.
-        observations: (B, n, rows, d), m/s, in the robots' own frames.
-        constants: of the scenario and of the arguments, see ``LinkKeeping``.
-        held: what is wanted, (B, n, d), in units of v_max.
-        actions: v, (B, n, d) float32, m/s; filled in.
-        alignment: |hᵀf|/‖f‖, (B, n), h along v; filled in, NaN where either is zero.
-        lyapunov_rate: −2 f·v, (B, n), m²/s²; filled in.
-    """
-    arguments = observations, constants, held, actions, alignment, lyapunov_rate
+def _keep_links(share, arguments):
     each_block(share, _keep_links_of_teams, arguments)
 
 
@@ -385,13 +339,7 @@ def _keep_links_of_teams(block, arguments):
 
 @kernel
 def link_keeping_velocity(wish, rows, constants):
-    """The velocity of one robot, a triple, m/s (theorem R c and d).
-
-    Args:
-        wish: a triple, in units of v_max; a longer one counts as v_max.
-        rows: of the robot, a_ij g_ij, (rows, d), m/s.
-        constants: of the scenario and of the arguments, see ``LinkKeeping``.
-    """
+    """The velocity of one robot, a triple, m/s, of a wish in units of v_max (theorem R c and d)."""
     slots, radius, error = constants.neighbour_slots, constants.radius, constants.bearing_error
     degree = degree_of(rows, slots)
     if degree == 0.0:

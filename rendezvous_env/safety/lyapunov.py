@@ -17,64 +17,40 @@ Array = NDArray[np.float64]
 
 
 def lyapunov(positions: ArrayLike, weights: ArrayLike) -> Array:
-    """V = Σ_i Σ_j a_ij ‖p_i − p_j‖ (paper, section III), for any leading axes.
+    """V = Σ_i Σ_j a_ij ‖p_i − p_j‖ (paper, section III), (...), m²/s.
 
     Args:
         positions: (..., n, d), m.
         weights: (..., n, n), m/s; leading axes broadcast.
-
-    Returns:
-        (...), m²/s.
     """
-    p, a = _teams(positions, weights)
-    leading = p.shape[:-2]
-    teams = zip(p.reshape(-1, *p.shape[-2:]), a.reshape(-1, *a.shape[-2:]), strict=True)
-    values = [lyapunov_of_links(team, _links(team_weights)) for team, team_weights in teams]
-    return np.array(values).reshape(leading)
+    return _of_teams(lambda p, a: lyapunov_of_links(p, _links(a)), "()", positions, weights)
 
 
 def net_bearings(positions: ArrayLike, weights: ArrayLike) -> Array:
-    """f_i = Σ_j a_ij g_ij of every robot in the global frame.
+    """f_i = Σ_j a_ij g_ij of every robot in the global frame, (..., n, d), m/s.
 
-    Args:
-        positions: (..., n, d), m; neighbours do not coincide.
-        weights: (..., n, n), m/s; leading axes broadcast.
-
-    Returns:
-        (..., n, d), m/s.
+    Arguments as ``lyapunov``; neighbours do not coincide.
     """
-    p, a = _teams(positions, weights)
-    out = np.empty(p.shape)
-    flat = (array.reshape(-1, *array.shape[-2:]) for array in (p, a, out))
-    for team, team_weights, f in zip(*flat, strict=True):
-        net_bearings_of_links(team, _links(team_weights), f)
-    return out
+
+    def of_team(p: Array, a: Array) -> Array:
+        net_bearings_of_links(p, _links(a), out := np.empty(p.shape))
+        return out
+
+    return _of_teams(of_team, "(n,d)", positions, weights)
 
 
 def lyapunov_rate(velocities: ArrayLike, net_bearing: ArrayLike) -> Array:
-    """V̇ = −2 Σ_i f_iᵀ ṗ_i, which is −2 Σ (h_iᵀ f_i)² under law (4).
+    """V̇ = −2 Σ_i f_iᵀ ṗ_i, (...), m²/s², which is −2 Σ (h_iᵀ f_i)² under law (4).
 
-    Args:
-        velocities: ṗ_i, (..., n, d), m/s.
-        net_bearing: f_i, (..., n, d), m/s, in the same frame.
-
-    Returns:
-        (...), m²/s².
+    Both are (..., n, d), m/s, in the same frame.
     """
-    return np.asarray(
-        -2.0 * np.sum(np.asarray(velocities) * np.asarray(net_bearing), axis=(-2, -1))
-    )
+    f, v = np.asarray(net_bearing), np.asarray(velocities)
+    return np.asarray(-2.0 * np.sum(v * f, axis=(-2, -1)))
 
 
 def alignment(net_bearing: ArrayLike, headings: ArrayLike) -> Array:
-    """Alignment |h_iᵀ f_i| / ‖f_i‖ of unit headings with the net bearing; NaN where f_i = 0.
-
-    Args:
-        net_bearing: f_i, (..., d), m/s.
-        headings: h_i, (..., d), unit vectors in the same frame.
-
-    Returns:
-        (...), in [0, 1].
+    """|h_iᵀ f_i| / ‖f_i‖, (...), in [0, 1], of unit headings h_i with f_i, m/s, both (..., d) and
+    in the same frame; NaN where f_i = 0.
     """
     f, h = np.asarray(net_bearing, dtype=np.float64), np.asarray(headings, dtype=np.float64)
     length = np.linalg.norm(f, axis=-1)
@@ -88,14 +64,12 @@ def _links(weights: Array) -> tuple[Any, Any, Any]:
     return first, second, weights[first, second]
 
 
-def _teams(positions: ArrayLike, weights: ArrayLike) -> tuple[Array, Array]:
+def _of_teams(of_team: Any, result: str, positions: ArrayLike, weights: ArrayLike) -> Array:
+    """A function of one team's positions and weights, for any leading axes."""
     p, a = floats("positions", positions), floats("weights", weights)
     if p.ndim < 2 or a.shape[-2:] != (p.shape[-2],) * 2:
         raise ValueError(
             f"positions {p.shape} and weights {a.shape} must be (..., n, d) and (..., n, n)"
         )
-    leading = np.broadcast_shapes(p.shape[:-2], a.shape[:-2])
-    return (
-        np.ascontiguousarray(np.broadcast_to(p, leading + p.shape[-2:])),
-        np.ascontiguousarray(np.broadcast_to(a, leading + a.shape[-2:])),
-    )
+    over = np.vectorize(of_team, otypes=[np.float64], signature=f"(n,d),(n,n)->{result}")
+    return np.asarray(over(np.ascontiguousarray(p), np.ascontiguousarray(a)))

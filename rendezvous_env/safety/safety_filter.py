@@ -35,14 +35,9 @@ _ROBOTS_PER_THREAD = 2048
 
 @kernel(inline="code")
 def teams_of_block(block, num_envs):
-    """The teams of a block k: 32 k ≤ team < min(32 (k + 1), B).
+    """Teams of block k, 32 k ≤ team < min(32 (k + 1), B): the first, the one after the last.
 
-    Args:
-        block: k, an index.
-        num_envs: B.
-
-    Returns:
-        A pair of indices, without unit: of the first one, and of the one after the last.
+    A pair of indices, without unit.
     """
     return block * TEAMS_AT_ONCE, min((block + 1) * TEAMS_AT_ONCE, num_envs)
 
@@ -53,13 +48,8 @@ def over_teams(
     n_robots: int,
     num_threads: int | None,
 ) -> None:
-    """Run a kernel over a batch.
-
-    Args:
-        run_kernel: does the blocks of ``TEAMS_AT_ONCE`` teams that its part gives out.
-        num_envs: B.
-        n_robots: n.
-        num_threads: most threads that may be used; None is one for each core.
+    """Run a kernel over the blocks of a batch, in ``num_threads`` threads or fewer; None is one for
+    each core.
     """
     most = num_envs * n_robots // _ROBOTS_PER_THREAD
     if most > 1:  # to ask how many cores there are takes a while
@@ -74,27 +64,16 @@ _CLEARLY_LONGER = 1.001
 
 
 @kernel
-def look_along_net_bearing(share, observations, constants, visible_rows, frames, seen):
-    """Turn observations into frames with x along f, for the teams that this thread takes.
-
-        row ← Fᵀ row,   F = (f/‖f‖, …)                              (theory 7)
-
-    Where ‖f‖ < δ the last frame is kept.
-
-    Args:
-        share: this thread's part, see ``engine.threads``.
-        observations: (B, n, rows, d) float32, in the robots' own frames; neighbour rows in m/s.
-        constants: the number of neighbour rows, and δ, m/s, see action_filter.py.
-        visible_rows: how many rows, from the first, may give a frame its second axis.
-        frames: F, (B, n, d, d), columns are unit vectors; brought up to date.
-        seen: rows along f, of the shape and units of ``observations``; filled in.
-    """
-    arguments = observations, constants, visible_rows, frames, seen
+def _look_along_net_bearing(share, arguments):
     each_block(share, _look_from_teams, arguments)
 
 
 @inner_kernel(inline="text")
 def _look_from_teams(block, arguments):
+    """Turn observations into frames with x along f: row ← Fᵀ row, F = (f/‖f‖, …) (theory 7).
+
+    Where ‖f‖ < δ the last frame is kept. Only the first ``visible_rows`` give it its second axis.
+    """
     observations, constants, visible_rows, frames, seen = arguments
     first, last = teams_of_block(block, len(observations))
     n, n_rows, d = observations.shape[1:]
@@ -155,21 +134,17 @@ def check_steerable(scenario: Scenario) -> None:
     Raises:
         ValueError: naming the robot model.
     """
-    model = scenario.model
-    if not model.bounded and model.theorem is None:
-        raise ValueError(
-            f"scenario has {model.name} robots, whose action is {model.action}; law (4) steers "
-            "robots whose action is a velocity, or a speed and turn rates, as robot_model "
-            "'single_integrator', 'unicycle' and 'nonholonomic_3d'"
-        )
+    if scenario.model.theorem is None:
+        steered = "a velocity, or a speed and turn rates, as robot_model 'single_integrator',"
+        check_goes_anywhere(scenario, "law (4)", f"{steered} 'unicycle' and 'nonholonomic_3d'")
 
 
-def check_goes_anywhere(scenario: Scenario, theorem: str) -> None:
-    """Refuse robots whose action is not their velocity.
-
-    Args:
-        scenario: whose robots they are.
-        theorem: which needs it, in words.
+def check_goes_anywhere(
+    scenario: Scenario,
+    theorem: str,
+    needed: str = "their velocity, as robot_model 'single_integrator'",
+) -> None:
+    """Refuse robots whose action is not what a theorem needs.
 
     Raises:
         ValueError: naming the robot model.
@@ -178,7 +153,7 @@ def check_goes_anywhere(scenario: Scenario, theorem: str) -> None:
     if not model.bounded:
         raise ValueError(
             f"scenario has {model.name} robots, whose action is {model.action}; {theorem} needs "
-            "robots whose action is their velocity, as robot_model 'single_integrator'"
+            f"robots whose action is {needed}"
         )
 
 
@@ -216,7 +191,6 @@ class SafetyFilter(ABC):
         self,
         scenario: Scenario,
         num_envs: int,
-        *,
         action_size: int,
         frame: str,
         num_threads: int | None,
@@ -264,13 +238,9 @@ class SafetyFilter(ABC):
         self.lyapunov_rate[which] = 0.0
 
     def view(self, observations: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Observations as the policy sees them; brings the frames up to date.
+        """Observations (B, n, rows, d) as the policy sees them; brings the frames up to date.
 
-        Args:
-            observations: (B, n, rows, d), in the robots' own frames.
-
-        Returns:
-            Of the same shape; with x along f where that is asked for, unchanged otherwise.
+        They have x along f where that is asked for, and are as they were otherwise.
 
         Raises:
             ValueError: for observations of another shape or type; nothing has changed then.
@@ -280,10 +250,21 @@ class SafetyFilter(ABC):
             return observations
         seen = np.empty_like(observations)
         first_rows = self.scenario.observation_layout.obstacles.stop
-
-        fixed = (observations, self._sight, first_rows, self._frames, seen)
-        over_teams(lambda part: look_along_net_bearing(part, *fixed), *self._batch)
+        memory = self._frames, seen
+        self._over_teams(_look_along_net_bearing, observations, self._sight, first_rows, *memory)
         return seen
+
+    def _over_teams(self, run_kernel: Any, *arguments: Any) -> None:
+        """Run a kernel of (part, arguments) over all teams."""
+        over_teams(lambda part: run_kernel(part, arguments), *self._batch)
+
+    def _taken(
+        self, observations: NDArray[np.float32]
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Observations, checked, and actions (B, n, a) to be filled in."""
+        observations = check_observations(observations, self._seen)
+        shape = (*self._held.shape[:2], self.scenario.action_size)
+        return observations, np.zeros(shape, dtype=np.float32)
 
     @property
     def held(self) -> NDArray[np.float64]:
@@ -291,10 +272,8 @@ class SafetyFilter(ABC):
         return self._held
 
     def hold(self, raw: ArrayLike) -> None:
-        """Take new choices, fixed in the robots' local frames from now on.
-
-        Args:
-            raw: (B, n, k): vectors (d,) as the policy sees them, or numbers in the body frame.
+        """Take new choices (B, n, k), fixed in the robots' local frames from now on: vectors (d,),
+        as the policy sees them, or numbers in the body frame.
 
         Raises:
             ValueError: for a wrong shape, or naming the robot whose choice is not finite.

@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..checks import floats, number, real, shown
+from ..graphs import Graph
+from ..scenario.scenario import Scenario
 from ..sensors.sensing import Sensing
 
 SMALLEST_MARGIN = 1e-6
@@ -16,11 +18,7 @@ SMALLEST_MARGIN = 1e-6
 
 
 def check_gate_constants(min_alignment: float, dead_zone: float) -> None:
-    """Refuse constants of theorem C's margin unless 10⁻⁶ ≤ ε < 1 and 0 < δ < ∞.
-
-    Args:
-        min_alignment: ε, a number without unit.
-        dead_zone: δ = a*/(2n), a number, m/s.
+    """Refuse numbers of theorem C's margin unless 10⁻⁶ ≤ ε < 1 and 0 < δ < ∞, m/s.
 
     Raises:
         ValueError: naming the constant and its value.
@@ -37,15 +35,7 @@ def check_gate_constants(min_alignment: float, dead_zone: float) -> None:
 def check_vectors(
     name: str, value: ArrayLike, like: NDArray[np.float64] | None = None
 ) -> NDArray[np.float64]:
-    """Finite vectors of the plane or of space as contiguous float64, d = 2 or 3.
-
-    Args:
-        name: what the message calls them.
-        value: the vectors, (..., d), of any unit.
-        like: vectors whose shape they must have, if any.
-
-    Returns:
-        The vectors, (..., d), in the same unit.
+    """Finite vectors (..., d) of any unit as float64, d = 2 or 3, in the shape of others.
 
     Raises:
         ValueError: naming the argument, and its shape or that it is not finite.
@@ -63,9 +53,6 @@ def check_vectors(
 def check_bearing_error(bearing_error: Any) -> float:
     """η, a number, rad, from 0 to π/2 (theorems N1' and R d).
 
-    Args:
-        bearing_error: what was given.
-
     Raises:
         ValueError: saying what was given.
     """
@@ -73,16 +60,9 @@ def check_bearing_error(bearing_error: Any) -> float:
 
 
 def bounded_error(sensing: Sensing, dim: int) -> float:
-    """The most by which a sensor's bearings are wrong, noise and bias aside, which have no most.
+    """The most by which a sensor's bearings are wrong, a number, rad; noise and bias have no most.
 
-        η = error + π/sectors;   in space √((π/S)² + e²) for the sectors, e the most in elevation
-
-    Args:
-        sensing: of a scenario.
-        dim: 2 or 3.
-
-    Returns:
-        η, a number, rad.
+    η = error + π/sectors;   in space √((π/S)² + e²) for the sectors, e the most in elevation
     """
     if sensing.sectors is None:
         return sensing.error
@@ -94,12 +74,32 @@ def bounded_error(sensing: Sensing, dim: int) -> float:
 
 
 def error_chord(bearing_error: float) -> float:
-    """2 sin(η/2): a net bearing is wrong by no more than e_i = 2 sin(η/2) D_i (theorem N1).
-
-    Args:
-        bearing_error: η, rad.
-
-    Returns:
-        e_i/D_i, a number without unit.
-    """
+    """2 sin(η/2), a number without unit: f_i is wrong by e_i = 2 sin(η/2) D_i (theorem N1)."""
     return 2.0 * math.sin(0.5 * bearing_error)
+
+
+def is_complete(graph: Graph, n: int) -> bool:
+    """Whether every robot is always linked to every other, n (n − 1)/2 links (theory 2)."""
+    mutual = graph.fixed and not graph.directed
+    return mutual and graph.most_links(n) == n * (n - 1) // 2
+
+
+def has_one_weight(scenario: Scenario) -> bool:
+    """Whether all links have the same weight, in m/s."""
+    least, largest = scenario.sensing_graph.extreme_weights(scenario.n_robots)
+    return bool(least == largest)
+
+
+def uniform_complete(scenario: Scenario) -> bool:
+    """Whether everyone is linked to everyone with the same weight."""
+    return is_complete(scenario.sensing_graph, scenario.n_robots) and has_one_weight(scenario)
+
+
+def levels_follow_v(scenario: Scenario) -> bool:
+    """Whether tanks shrink with V at merges (theorem D): everyone sees everyone, linked with the
+    same weight, robots whose action is their velocity, no obstacles.
+    """
+    sensing = scenario.sensing
+    sees_all = sensing == Sensing(error=sensing.error, sectors=sensing.sectors)
+    free = scenario.model.bounded and not scenario.obstacles
+    return sees_all and free and uniform_complete(scenario)

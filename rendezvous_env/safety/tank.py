@@ -1,12 +1,12 @@
 """Theorem D: any motion while a robot's energy tank lasts, else law (4), which fills it.
 
 docs/guarantees.md, section 8. Each robot keeps this account alone, from its own bearings. Vectors
-are triples in one frame; a vector of the plane has z = 0 and keeps it.
+are triples in one frame; a vector of the plane has z = 0 and keeps it. A bearing error η may make
+f wrong by e = 2 sin(η/2) D, m/s, which the account then pays for.
 """
 
 from __future__ import annotations
 
-import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,40 +14,39 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..checks import bools, flag, number, refuse
 from ..compilation import inner_kernel, kernel
-from ..engine.state_checks import check_observations
 from ..engine.threads import each_block
 from ..physics.rows import degree_of, net_bearing_of
 from ..physics.vectors import combine, dot, load, norm, scaled, split, store
 from ..robots.single_integrator import speed_scale
 from ..robots.unicycle import clip
 from ..scenario.scenario import Scenario
-from .heading import into_cap, scale_of_step
-from .safety_filter import (
-    SafetyFilter,
-    check_steerable,
-    over_teams,
-    register_filter,
-    teams_of_block,
+from .heading import into_cap, scale_of_step, without_error
+from .safety_filter import SafetyFilter, check_steerable, register_filter, teams_of_block
+from .settings import (
+    check_bearing_error,
+    check_gate_constants,
+    error_chord,
+    levels_follow_v,
 )
-from .settings import check_bearing_error, check_gate_constants, error_chord
-from .turning import gated_rate_2d, gated_rates_3d, mean_axis_2d, mean_axis_3d
+from .turning import (
+    Gate,
+    gate_of,
+    gated_rates,
+    mean_axis,
+    pitch_of,
+    rates_of,
+    send_rates,
+    wished_rates,
+)
 
 
 @kernel
 def descent_scale(strength, degree, merge_radius, duration, speed_limit):
-    """Factor s on f with which a step is sure to let V fall, and no faster than the robot may go.
+    """Factor on f with which a step is sure to let V fall, and no faster than the robot may go.
 
         s = min(1, r/(2 D τ), v_max/‖f‖)                            (theorem D)
 
-    Args:
-        strength: ‖f‖, m/s.
-        degree: D, the summed lengths of the neighbour rows, positive, m/s.
-        merge_radius: r, m.
-        duration: τ, s.
-        speed_limit: v_max, m/s.
-
-    Returns:
-        s, a number in (0, 1], without unit.
+    A number in (0, 1], without unit, of ‖f‖, D > 0 and v_max, m/s, r, m, and τ, s.
     """
     unhurried = speed_limit / max(strength, speed_limit)
     return min(scale_of_step(degree, merge_radius, duration), unhurried)
@@ -55,21 +54,12 @@ def descent_scale(strength, degree, merge_radius, duration, speed_limit):
 
 @kernel
 def certain_descent(net_bearing, degree, displacement, merge_radius, error=0.0):
-    """This robot's part in what V is sure to fall by; negative where V may rise.
+    """This robot's part in what V is sure to fall by, m²/s; negative where V may rise.
 
         2 f·Δ − (2/r) D ‖Δ‖² − 2 e ‖Δ‖                              (theorem D)
 
-    Summed over the robots this bounds V(t) − V(t + τ) while neighbours stay at least r apart.
-
-    Args:
-        net_bearing: f, a triple, m/s.
-        degree: D, m/s.
-        displacement: Δ over the step, a triple, m.
-        merge_radius: r, m.
-        error: e, m/s: f is wrong by no more.
-
-    Returns:
-        A number, m²/s.
+    Summed over the robots this bounds V(t) − V(t + τ) while neighbours stay at least r apart. f and
+    Δ, m, are triples, the others numbers.
     """
     spent = 2.0 / merge_radius * degree * dot(displacement, displacement)
     sure = 2.0 * dot(net_bearing, displacement) - spent
@@ -78,19 +68,9 @@ def certain_descent(net_bearing, degree, displacement, merge_radius, error=0.0):
 
 @kernel
 def promised_descent(strength, scale, min_alignment, duration, error=0.0):
-    """What a robot owes in every step, so that all meet in finite time (theorem D).
+    """What a robot owes in every step, so that all meet in finite time, a number, m²/s (theorem D).
 
-        ε² τ s ‖f‖²,   with errors   τ s max(0, ε ‖f‖ − e)²
-
-    Args:
-        strength: ‖f‖, m/s.
-        scale: s, without unit.
-        min_alignment: ε, without unit.
-        duration: τ, s.
-        error: e, m/s.
-
-    Returns:
-        A number, m²/s.
+    ε² τ s ‖f‖²,   with errors   τ s max(0, ε ‖f‖ − e)²
     """
     if error > 0.0:
         sure = max(min_alignment * strength - error, 0.0)
@@ -100,22 +80,13 @@ def promised_descent(strength, scale, min_alignment, duration, error=0.0):
 
 @kernel
 def descending_velocity(wanted, net_bearing, scale, min_alignment, error=0.0):
-    """Law (4) along the wanted line, which earns at least what is owed.
+    """Law (4) along the wanted line, which earns at least what is owed, a triple, m/s.
 
         v = s h hᵀf,   h the wanted direction projected onto the cap |hᵀf| ≥ ε‖f‖    (theorem D)
         v = s max(0, hᵀf − e) h                                     with errors (theorem N1')
 
-    The direction is f/‖f‖ where nothing is wanted.
-
-    Args:
-        wanted: a triple, of any length and unit.
-        net_bearing: f, a triple, not zero, m/s.
-        scale: s, without unit.
-        min_alignment: ε, without unit.
-        error: e, m/s.
-
-    Returns:
-        v, a triple, m/s.
+    ``wanted`` is a triple of any length, f is not zero; the direction is f/‖f‖ where nothing is
+    wanted.
     """
     (length, h), (_, towards) = split(wanted), split(net_bearing)
     if length == 0.0:
@@ -129,90 +100,74 @@ def descending_velocity(wanted, net_bearing, scale, min_alignment, error=0.0):
     return combine(scale * along, h, 0.0, h)
 
 
+class _Constants(NamedTuple):
+    """What the kernels need to know of the scenario and of the tank's arguments."""
+
+    turns_body: bool
+    neighbour_slots: int
+    gravity_row: int
+    merge_radius: float
+    speed_limit: float
+    error_chord: float
+    gate: Gate
+
+
 @kernel
-def spend_tanks(share, turns_body, observations, constants, held, levels, actions, told):
-    """The actions of the teams that this thread takes, and what is told of them (theorem D).
-
-        carried out if A + G(Δ) ≥ 0,   G(Δ) = 2 f·Δ − (2/r) D ‖Δ‖² − ε² τ s ‖f‖²
-
-    With bearing errors f may be wrong by e = 2 sin(η/2) D: see tank.py for what is charged then.
-
-    Args:
-        share: this thread's part, see ``engine.threads``.
-        turns_body: whether the robots are nonholonomic.
-        observations: (B, n, rows, d), in the robots' own frames; neighbour rows in m/s.
-        constants: of the tank, see ``_Constants``.
-        held: what is wanted, (B, n, k), as shares of the limits.
-        levels: A, (B, n), m²/s.
-        actions: (B, n, a) float32, all zero; filled in, m/s and rad/s.
-        told: deposits G (m²/s), carried_out, alignment |hᵀf|/‖f‖ and lyapunov_rate −2 f·Δ/τ
-            (m²/s²), (B, n) each; filled in.
-    """
-    each_block(
-        share, _spend_teams, (turns_body, observations, constants, held, levels, actions, told)
-    )
+def _spend(share, arguments):
+    each_block(share, _spend_teams, arguments)
 
 
 @inner_kernel(inline="text")
 def _spend_teams(block, arguments):
-    turns_body, observations, constants, held, levels, actions, told = arguments
+    """Actions, carried out where A + G(Δ) ≥ 0, and what is told of them (theorem D)."""
+    observations, constants, held, levels, actions, linked, told = arguments
+    deposits, carried_out, alignment, lyapunov_rate = told
     first, last = teams_of_block(block, len(observations))
     for team in range(first, last):
-        _spend_team(
-            turns_body,
-            observations[team],
-            constants,
-            held[team],
-            levels[team],
-            actions[team],
-            (told[0][team], told[1][team], told[2][team], told[3][team]),
-        )
+        for i in range(observations.shape[1]):
+            deposits[team, i], carried_out[team, i] = 0.0, False
+            alignment[team, i], lyapunov_rate[team, i] = np.nan, 0.0
+            rows, action = observations[team, i], actions[team, i]
+            degree = degree_of(rows, constants.neighbour_slots)
+            linked[team, i] = degree > 0.0
+            if degree == 0.0:
+                continue
+            f = net_bearing_of(rows, constants.neighbour_slots)
+            wish, level = held[team, i], levels[team, i]
+            if constants.turns_body:
+                accepted, deposit, moved = _spend_turning(
+                    rows, f, degree, constants, wish, level, action
+                )
+                ahead = f[0]
+            else:
+                accepted, deposit, moved = _spend_going(f, degree, constants, wish, level, action)
+                length, direction = split(moved)
+                ahead = dot(direction, f) if length > 0.0 else np.nan
+            carried_out[team, i], deposits[team, i] = accepted, deposit
+            if norm(f) > 0.0:
+                alignment[team, i] = abs(ahead) / norm(f)
+            lyapunov_rate[team, i] = -2.0 * dot(f, moved) / constants.gate.duration
+
+
+@kernel
+def _scale(f, degree, constants):
+    radius, duration = constants.merge_radius, constants.gate.duration
+    return descent_scale(norm(f), degree, radius, duration, constants.speed_limit)
 
 
 @inner_kernel(inline="code")
-def _spend_team(turns_body, observations, constants, held, levels, actions, told):
-    deposits, carried_out, alignment, lyapunov_rate = told
-    for i in range(len(observations)):
-        rows = observations[i]
-        f = net_bearing_of(rows, constants.neighbour_slots)
-        degree = degree_of(rows, constants.neighbour_slots)
-        strength, _ = split(f)
-        deposits[i], carried_out[i], alignment[i], lyapunov_rate[i] = 0.0, False, np.nan, 0.0
-        if degree == 0.0:
-            continue
-        if turns_body:
-            carried_out[i], deposits[i], moved = _spend_turning(
-                rows, f, strength, degree, constants, held[i], levels[i], actions[i]
-            )
-            ahead = f[0]
-        else:
-            carried_out[i], deposits[i], moved = _spend_going(
-                f, strength, degree, constants, held[i], levels[i], actions[i]
-            )
-            length, direction = split(moved)
-            ahead = dot(direction, f) if length > 0.0 else np.nan
-        if strength > 0.0:
-            alignment[i] = abs(ahead) / strength
-        lyapunov_rate[i] = -2.0 * dot(f, moved) / constants.duration
-
-
-@inner_kernel(inline="code")
-def _spend_going(f, strength, degree, constants, held, level, action):
+def _spend_going(f, degree, constants, held, level, action):
     """One robot that goes anywhere: whether its wish is carried out, its deposit, displacement."""
-    error = constants.error_chord * degree
-    scale = descent_scale(
-        strength, degree, constants.merge_radius, constants.duration, constants.speed_limit
-    )
-    owed = promised_descent(strength, scale, constants.min_alignment, constants.duration, error)
+    error, margin = constants.error_chord * degree, constants.gate.min_alignment
+    scale = _scale(f, degree, constants)
+    owed = promised_descent(norm(f), scale, margin, constants.gate.duration, error)
     wanted = scaled(load(held), constants.speed_limit)
     _, within = speed_scale(dot(wanted, wanted), constants.speed_limit)
     moved = _go(scaled(wanted, within), constants, action)
     deposit = certain_descent(f, degree, moved, constants.merge_radius, error) - owed
     carried_out = level + deposit >= 0.0
     if not carried_out:
-        moved = _go(
-            descending_velocity(wanted, f, scale, constants.min_alignment, error), constants, action
-        )
+        moved = _go(descending_velocity(wanted, f, scale, margin, error), constants, action)
         deposit = certain_descent(f, degree, moved, constants.merge_radius, error) - owed
     return carried_out, deposit, moved
 
@@ -223,89 +178,45 @@ def _go(velocity, constants, action):
     store(velocity, action)
     sent = load(action)
     _, within = speed_scale(dot(sent, sent), constants.speed_limit)
-    return scaled(sent, constants.duration * within)
+    return scaled(sent, constants.gate.duration * within)
 
 
 @inner_kernel(inline="code")
-def _spend_turning(rows, f, strength, degree, constants, held, level, action):
+def _spend_turning(rows, f, degree, constants, held, level, action):
     """One nonholonomic robot, in its body frame; returns as ``_spend_going``."""
-    pitch, error = 0.0, constants.error_chord * degree
-    if len(held) == 3:
-        gravity = load(rows[constants.gravity_row])
-        pitch = math.atan2(-gravity[0], -gravity[2])
-    action[0] = clip(held[0], 1.0) * constants.speed_limit
-    action[1] = clip(held[1], 1.0) * constants.yaw_limit
-    if len(held) == 3:
-        action[2] = clip(held[2], 1.0) * constants.pitch_limit
-    moved = _drive(_mean_axis(action, pitch, constants), constants, action)
+    gate, error = constants.gate, constants.error_chord * degree
+    pitch = pitch_of(rows, constants.gravity_row, gate)
+    speed, rates = clip(held[0], 1.0) * constants.speed_limit, wished_rates(held[1:], gate)
+    moved = _drive(speed, rates, pitch, constants, action)
     deposit = certain_descent(f, degree, moved, constants.merge_radius, error)
     carried_out = level + deposit >= 0.0
     if not carried_out:
-        _gate(f, pitch, constants, action)
-        mean_axis = _mean_axis(action, pitch, constants)
-        scale = descent_scale(
-            strength, degree, constants.merge_radius, constants.duration, constants.speed_limit
-        )
-        along = dot(mean_axis, f)
-        if error > 0.0:
-            along = math.copysign(max(abs(along) - error, 0.0), along)
-        action[0] = scale * along
-        moved = _drive(mean_axis, constants, action)
+        send_rates(gated_rates(rates_of(action, gate), f, pitch, gate), action, gate)
+        rates = rates_of(action, gate)
+        along = without_error(dot(mean_axis(rates, pitch, gate), f), error)
+        speed = _scale(f, degree, constants) * along
+        moved = _drive(speed, rates, pitch, constants, action)
         deposit = certain_descent(f, degree, moved, constants.merge_radius, error)
     return carried_out, deposit, moved
 
 
-@kernel
-def _gate(f, pitch, constants, action):
-    """Replace turn rates that would let a robot stay orthogonal to f, in place."""
-    yaw_rate = np.float64(action[1])
-    margin, dead_zone = constants.min_alignment, constants.dead_zone
-    if len(action) == 2:
-        action[1] = gated_rate_2d(
-            yaw_rate, f, margin, dead_zone, constants.duration, constants.yaw_limit
-        )
-        return
-    action[1], action[2] = gated_rates_3d(
-        (yaw_rate, np.float64(action[2])),
-        f,
-        pitch,
-        margin,
-        dead_zone,
-        constants.duration,
-        (constants.yaw_limit, constants.pitch_limit),
-    )
-
-
-@kernel
-def _mean_axis(action, pitch, constants):
-    """The mean body axis m over a step with the turn rates of an action, in the body frame."""
-    yaw_rate = clip(np.float64(action[1]), constants.yaw_limit)
-    if len(action) == 2:
-        return mean_axis_2d(yaw_rate, constants.duration)
-    pitch_rate = clip(np.float64(action[2]), constants.pitch_limit)
-    return mean_axis_3d(yaw_rate, pitch_rate, pitch, constants.duration)
-
-
 @inner_kernel(inline="code")
-def _drive(mean_axis, constants, action):
-    """The displacement τ v m (theory 4, arcs) of an action."""
-    speed = clip(np.float64(action[0]), constants.speed_limit)
-    return scaled(mean_axis, constants.duration * speed)
+def _drive(speed, rates, pitch, constants, action):
+    """Send a speed and turn rates; the displacement τ v m (theory 4, arcs), after rounding."""
+    action[0] = speed
+    send_rates(rates, action, constants.gate)
+    m = mean_axis(rates_of(action, constants.gate), pitch, constants.gate)
+    executed = clip(np.float64(action[0]), constants.speed_limit)
+    return scaled(m, constants.gate.duration * executed)
 
 
 @kernel
-def book_deposits(levels, deposits, contact, merged_into, resting):
-    """Bring the levels of B teams up to the end of a step: A ← max(A + G, 0), in place (theorem D).
+def _book(levels, deposits, linked, contact, merged_into, resting, follow_v):
+    """A ← max(A + G, 0), in place (theorem D): a loss that would empty a tank is rounding.
 
     A robot that presses against a wall along f would earn without end: in a step with contact only
-    a loss is booked. A loss that would empty a tank is rounding. A survivor takes all.
-
-    Args:
-        levels: A, (B, n), m²/s.
-        deposits: G, (B, n), m²/s; zero afterwards.
-        contact: (B, n) bool, whether the robot touched an obstacle.
-        merged_into: (B, n), index of the robot that each one is now part of.
-        resting: (B,) bool, teams that the step passed by.
+    a loss is booked. A survivor takes all. Levels that follow V become (m' − 1)/(m − 1) of what
+    they were when m robots become m', as V does at most.
     """
     for team in range(len(levels)):
         for i in range(levels.shape[1]):
@@ -314,31 +225,23 @@ def book_deposits(levels, deposits, contact, merged_into, resting):
             if resting[team] or (contact[team, i] and deposit > 0.0):
                 continue
             levels[team, i] = max(levels[team, i] + deposit, 0.0)
+        before, gone = 0, 0
         for i in range(levels.shape[1]):
             survivor = merged_into[team, i]
+            before += linked[team, i]
             if survivor != i:
+                gone += linked[team, i]
                 levels[team, survivor] += levels[team, i]
                 levels[team, i] = 0.0
+            linked[team, i] = False
+        if follow_v and gone > 0:
+            for i in range(levels.shape[1]):
+                levels[team, i] *= (before - gone - 1) / (before - 1)
 
 
 _LARGEST = float(np.finfo(np.float32).max)
 _FULLEST = 1e60
 """Level that no episode can have, m²/s: sums of such levels are still finite."""
-
-
-class _Constants(NamedTuple):
-    """What the kernels need to know of the scenario and of the tank's arguments."""
-
-    neighbour_slots: int
-    gravity_row: int
-    merge_radius: float
-    duration: float
-    min_alignment: float
-    dead_zone: float
-    speed_limit: float
-    yaw_limit: float
-    pitch_limit: float
-    error_chord: float
 
 
 def unit_of_tanks(scenario: Scenario) -> float:
@@ -364,17 +267,11 @@ class EnergyTank(SafetyFilter):
     a robot that is gone is lost.
 
     Args:
-        scenario: whose robots they are.
-        num_envs: B.
+        scenario, num_envs, frame, num_threads: as ``SafetyFilter``.
         budget: B_i, the level of every robot's tank at the start of an episode, m²/s.
         min_alignment: ε, in (0, 1).
-        frame: "net_bearing" (x along f; single integrators only, the other models keep the body
-            frame) or "local".
         observe_level: whether ``view`` shows one row more, (A/(r D̄), 0, …).
-        bearing_error: η, rad: the account stays right while no bearing is wrong by more. A step is
-            charged 2 e ‖Δ‖ more, e = 2 sin(η/2) D, and owes τ s max(0, ε‖f‖ − e)² in place of its
-            last term. (Section 8 fades ε there; a tank needs no dead zone, and owes more without.)
-        num_threads: most threads that may be used; None is one for each core.
+        bearing_error: η, rad: the account stays right while no bearing is wrong by more.
 
     Raises:
         ValueError: naming the argument, its value and what would be right.
@@ -396,32 +293,24 @@ class EnergyTank(SafetyFilter):
         num_threads: int | None = None,
     ) -> None:
         check_steerable(scenario)
-        super().__init__(
-            scenario,
-            num_envs,
-            action_size=scenario.action_size,
-            frame=frame,
-            num_threads=num_threads,
-        )
+        size = scenario.action_size
+        super().__init__(scenario, num_envs, size, frame, num_threads)
         check_gate_constants(min_alignment, self._sight.dead_zone)
         self.budget = number("budget", budget, 0.0, unit="m²/s")
         self.observes_level = flag("observe_level", observe_level)
-        bounds = [*map(float, scenario.action_bounds), 0.0, 0.0]
         self._constants = _Constants(
+            turns_body=self.turns_body,
             neighbour_slots=self._sight.neighbour_slots,
             gravity_row=scenario.observation_layout.gravity.start,
             merge_radius=scenario.merge_radius,
-            duration=scenario.tau,
-            min_alignment=float(min_alignment),
-            dead_zone=self._sight.dead_zone,
-            speed_limit=bounds[0],
-            yaw_limit=bounds[1],
-            pitch_limit=bounds[2],
+            speed_limit=float(scenario.action_bounds[0]),
             error_chord=error_chord(check_bearing_error(bearing_error)),
+            gate=gate_of(scenario, min_alignment, self._sight.dead_zone),
         )
         team = num_envs, scenario.n_robots
         self._levels = np.full(team, self.budget)
-        self._deposits = np.zeros(team)
+        self._deposits, self._linked = np.zeros(team), np.zeros(team, np.bool_)
+        self._follow_v = levels_follow_v(scenario)
         self.carried_out = np.zeros(team, dtype=np.bool_)
         self._nobody, self._no_team = np.zeros(team, np.bool_), np.zeros(num_envs, np.bool_)
         self._themselves = np.tile(np.arange(scenario.n_robots), (num_envs, 1))
@@ -448,7 +337,7 @@ class EnergyTank(SafetyFilter):
     def _begin(self, which: Any) -> None:
         super()._begin(which)
         self._levels[which] = self.budget
-        self._deposits[which] = 0.0
+        self._deposits[which], self._linked[which] = 0.0, False
         self.carried_out[which] = False
 
     def view(self, observations: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -462,12 +351,10 @@ class EnergyTank(SafetyFilter):
 
     def act(self, observations: NDArray[np.float32]) -> NDArray[np.float32]:
         """As ``SafetyFilter.act``; what the step earns waits for ``book``."""
-        observations = check_observations(observations, self._seen)
-        actions = np.zeros(self._held.shape, dtype=np.float32)
-        fixed = (observations, self._constants, self._held, self._levels, actions)
+        observations, actions = self._taken(observations)
         told = (self._deposits, self.carried_out, self.alignment, self.lyapunov_rate)
-        turns = self.turns_body
-        over_teams(lambda part: spend_tanks(part, turns, *fixed, told), *self._batch)
+        memory = self._held, self._levels, actions, self._linked
+        self._over_teams(_spend, observations, self._constants, *memory, told)
         return actions
 
     def book(
@@ -479,7 +366,8 @@ class EnergyTank(SafetyFilter):
         """Bring the levels up to the end of the step; arguments as ``SafetyFilter.book``.
 
         In a step with contact a robot books min(0, G); who merges hands its tank to the survivor; a
-        step that a merge cuts short books as commanded.
+        step that a merge cuts short books as commanded. Where everyone sees everyone, with equal
+        weights, levels shrink as V does when m robots become m': to (m' − 1)/(m − 1).
         """
         team, survivors = self._levels.shape, self._themselves
         touched, passed = self._nobody, self._no_team
@@ -489,7 +377,8 @@ class EnergyTank(SafetyFilter):
             passed = np.ascontiguousarray(bools("resting", resting, team[:1], "teams"))
         if merged_into is not None:
             survivors = _robots("merged_into", merged_into, team)
-        book_deposits(self._levels, self._deposits, touched, survivors, passed)
+        account = self._levels, self._deposits, self._linked
+        _book(*account, touched, survivors, passed, self._follow_v)
 
     def check_state(self, state: Any) -> dict[str, NDArray[Any]]:
         """As ``SafetyFilter.check_state``; no level is below zero.

@@ -118,7 +118,7 @@ def asymmetric(case, num_envs, random):
 def unscaled(case, num_envs, random):
     """Certified headings whose velocities are not scaled to a long step."""
     policy = laws.certified(case, num_envs, random)
-    policy.steering._constants = policy.steering._constants._replace(long_step=False)
+    policy.steering._constants = policy.steering._constants._replace(speed_scaled=False)
     return policy
 
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from guarantees import constant, draw
 from guarantees import make as make_under
+from tuples import mean_body_axis
 
 from rendezvous_env import HeadingVectorWrapper, Scenario, graphs, parallel_env
 from rendezvous_env.safety.theorems.descent import time_bound
-from rendezvous_env.safety.turning import mean_body_axis_2d, mean_body_axis_3d
 
 
 def make(kind="single_integrator-2d", *, changes=None, spawn_size=4.0, time_limit=8.0, **options):
@@ -76,10 +76,10 @@ def test_speed_is_f_along_the_mean_axis_of_the_turn_executed(kind):
         for name, (v, *rates) in reached[-1].items():
             f = layout.net_bearing(before[name])
             if kind == "unicycle":
-                m = mean_body_axis_2d(rates[0], tau)
+                m = mean_body_axis(rates[0], 0.0, 0.0, tau)[:2]
             else:
                 gravity = before[name][-1].astype(np.float64)
-                m = mean_body_axis_3d(*rates, np.arctan2(-gravity[0], -gravity[2]), tau)
+                m = mean_body_axis(*rates, np.arctan2(-gravity[0], -gravity[2]), tau)
             assert v == pytest.approx(m @ f, abs=1e-6)
             assert infos[name]["lyapunov_rate"] == pytest.approx(-2 * (m @ f) ** 2, abs=1e-6)
             assert infos[name]["alignment"] == pytest.approx(

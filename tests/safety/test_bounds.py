@@ -20,7 +20,12 @@ from rendezvous_env.safety.theorems.constants import (
 )
 from rendezvous_env.safety.theorems.descent import rendezvous_time_lower_bound, time_bound
 from rendezvous_env.safety.theorems.gains import kappa, shrinking, size_bound
-from rendezvous_env.safety.theorems.noise import held_size_bound
+from rendezvous_env.safety.theorems.noise import (
+    held_size_bound,
+    law_time_bound,
+    least_expected_fall,
+    tolerated_error,
+)
 from rendezvous_env.safety.theorems.tank import tank_lyapunov_bound, tank_time_bound
 from rendezvous_env.safety.theorems.turning import pursuit_bound
 
@@ -52,11 +57,6 @@ def test_the_time_bound_by_hand():
     for wrong in (-1.0, math.nan, [1.0, math.inf]):
         with pytest.raises(ValueError, match="initial_lyapunov is"):
             time_bound(team, wrong)
-
-
-def test_a_margin_of_almost_nothing_is_refused():
-    with pytest.raises(ValueError, match="min_alignment is 5e-324"):
-        time_bound(Scenario(n_robots=2), 1.0, min_alignment=5e-324)
 
 
 @pytest.mark.parametrize("n", [2, 3, 5, 40])
@@ -274,6 +274,23 @@ def test_the_tank_by_hand():
             tank_lyapunov_bound(team, 1.0, budget=wrong)
     with pytest.raises(ValueError, match="min_alignment is"):
         tank_time_bound(team, 1.0, min_alignment=0.0)
+
+
+def test_more_sharply_where_degrees_are_known_by_hand():
+    """2c_m in place of 2a*: (m − 1) a on complete graphs of weight a, 2a on cycles."""
+    a, n, eta = 0.7, 6, 0.1
+    team, ring = (Scenario(n_robots=n, graph=g) for g in (graphs.complete(a), graphs.cycle(a)))
+    tank = tank_time_bound(team, 100.0, min_alignment=0.3, budget=2.0)
+    each = (100 + n * 2.0) / (n - 1) + (n - 1) * 0.2 * a
+    assert tank == pytest.approx(each / (2 * 0.3**2 * a**2) + (n - 1) * team.tau)
+    assert tolerated_error(team) == pytest.approx(2 * math.asin(1 / n))
+    assert tolerated_error(ring) == pytest.approx(2 * math.asin(1 / n))
+    assert tolerated_error(team, 0.3) == pytest.approx(2 * math.asin(0.3 / (1.3 * n)))
+    above = 100 + 5 * 0.2 * n * a + 5 * ring.tau * n * (2 * math.sin(eta / 2) * 2 * a) ** 2
+    rates = [4 * c**2 / m * (1 - (m * math.sin(eta / 2)) ** 2) for m, c in ((2, a), (6, 2 * a))]
+    expected = above / min(rates) + 5 * ring.tau
+    assert law_time_bound(ring, 100.0, eta) == pytest.approx(expected)
+    assert least_expected_fall(team, 0.0, 1.0) == pytest.approx(2 * a**2)  # two are left
 
 
 # ---- the lower bound -----------------------------------------------------------------------------

@@ -10,7 +10,6 @@ import pytest
 from conftest import UNEQUAL
 
 from rendezvous_env import Disc, Scenario, Sensing, certificate, graphs
-from rendezvous_env.safety.gains import gain_range
 from rendezvous_env.safety.settings import bounded_error
 from rendezvous_env.safety.theorems.constants import least_degrees
 from rendezvous_env.safety.theorems.gains import kappa, shrinking_to_leader
@@ -72,16 +71,6 @@ def test_equal_gains_bear_errors_and_held_inputs():
         refused = certificate(team, by="gains", min_gain=gain, **options)
         assert not refused.guaranteed and words in refused.theorem
         assert math.isinf(refused.time_bound)
-
-
-def test_gains_in_space():
-    team = Scenario(n_robots=4, dim=3, time_step=0.002)
-    found = certificate(team, by="gains", min_gain=1.0, max_gain=1.0)
-    held = math.asin(2 * team.tau / team.merge_radius)
-    assert found.tolerated_bearing_error == pytest.approx(math.atan(1 / math.sqrt(8)) - held)
-    for error, borne in ((0.30, True), (0.34, False)):
-        wrong = certificate(team, by="gains", min_gain=1.0, max_gain=1.0, bearing_error=error)
-        assert wrong.guaranteed is borne
 
 
 def test_no_gains_beside_walls_or_of_other_robots():
@@ -211,16 +200,6 @@ def test_headings_and_tanks_bear_errors():
         assert "tolerate less than" in refused.theorem
 
 
-def test_no_error_is_no_other_bound():
-    """q = 2ε: theorem D's T, to the last term."""
-    team = Scenario(graph=UNEQUAL, max_speed=1.0)
-    exact, nearly = (
-        certificate(team, 0.5, by="tank", budget=3.0, bearing_error=e).time_bound
-        for e in (0.0, 1e-12)
-    )
-    assert nearly == pytest.approx(exact, rel=1e-9)
-
-
 def test_bounded_errors_of_the_sensor_count():
     sensing = Sensing(error=0.01, sectors=400)
     team = Scenario(sensing=sensing)
@@ -285,9 +264,3 @@ def test_the_rate_with_a_leader():
     assert shrinking_to_leader(2, 2, 3.0) == pytest.approx(6.0)
     assert shrinking_to_leader(4, 2, 1.0) == pytest.approx(2 * 3 * math.sin(math.pi / 6) ** 2)
     assert shrinking_to_leader(3, 3, 1.0) == pytest.approx(math.pi / 2)
-
-
-def test_the_range_of_gains_is_that_of_the_wrapper():
-    assert certificate(EVEN, by="gains", min_gain=2.0).continuous_time_bound == pytest.approx(
-        40 / (2 * gain_range(EVEN, 2.0).least * float(kappa(6)))
-    )

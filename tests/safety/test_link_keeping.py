@@ -123,15 +123,6 @@ def test_weights_order_and_absent_rows_do_not_count(dim):
     np.testing.assert_array_equal(least_norm_points(rows[3, 7]), q[3, 7])
 
 
-def test_turned_bearings_give_the_turned_point():
-    random = np.random.default_rng(3)
-    rows = random.normal(size=(50, 5, 3)) + np.eye(3)[2]
-    turn, _ = np.linalg.qr(random.normal(size=(3, 3)))
-    np.testing.assert_allclose(
-        least_norm_points(rows @ turn), least_norm_points(rows) @ turn, atol=1e-13
-    )
-
-
 @pytest.mark.parametrize("dim", [2, 3])
 def test_the_team_has_at_least_two_in_all(dim):
     """Lemma 2: Σ‖q_i‖ ≥ 2 if everyone sees someone, directed or not."""

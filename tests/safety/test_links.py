@@ -7,10 +7,10 @@ import math
 import numpy as np
 import pytest
 from conftest import UNEQUAL, five
+from filtered_teams import Seen
 from tuples import triple
 
 from rendezvous_env import Scenario, Sensing, Simulator
-from rendezvous_env.engine.memory import RENDEZVOUS, RUNNING
 from rendezvous_env.safety.links import LinkKeeping, project_on_links
 from research.tank_wishes import WISHES, wishes
 
@@ -19,36 +19,26 @@ ROUNDING = 1e-6
 """Of float32 rows and actions, m."""
 
 
-class Links:
-    """What a batch of adversarial episodes showed; lengths in m."""
+class Links(Seen):
+    """Episodes of link-keeping robots; lengths in m."""
 
-    def __init__(self, scenario, *, kind="mixed", seed=0, steps=None, made=LinkKeeping, **options):
-        links = made(scenario, TEAMS, frame="local", **options)
-        simulator = Simulator(scenario, TEAMS)
-        choose = wishes(scenario, TEAMS, np.random.default_rng(seed), kind)
-        reach = scenario.sensing.range or np.inf
-        observations, self.start = simulator.reset(seed), simulator.lyapunov()
-        self.times, self.growth, self.rise = np.full(TEAMS, np.inf), -np.inf, -np.inf
-        self.lost, self.least_degree, step = 0, np.inf, 0
-        while (on := simulator.status == RUNNING).any() and step != steps:
-            before, alone, energy = distances(simulator), simulator.active, simulator.lyapunov()
-            links.hold(choose(observations, step))
-            degree = scenario.observation_layout.degree(observations)
-            self.least_degree = min(self.least_degree, degree[on & alone.any(-1)][alone[on]].min())
-            observations = simulator.step(links.act(observations)).observations
-            calm = on & (alone == simulator.active).all(axis=-1)
-            after = distances(simulator)
-            linked = (simulator.weights > 0) & (before <= reach) & calm[:, None, None]
-            self.growth = max(self.growth, (after - before)[linked].max(initial=-np.inf))
-            self.lost += int(((after > reach) & linked).sum())
-            self.rise = max(self.rise, (simulator.lyapunov() - energy)[calm].max(initial=-np.inf))
-            met = on & (simulator.status == RENDEZVOUS)
-            self.times[met] = simulator.time[met]
-            step += 1
+    def __init__(self, scenario, *, kind="mixed", steps=None, made=LinkKeeping, **options):
+        self.reach, self.layout = scenario.sensing.range or np.inf, scenario.observation_layout
+        self.growth, self.lost, self.least_degree = -np.inf, 0, np.inf
+        choose = wishes(scenario, TEAMS, np.random.default_rng(0), kind)
+        filtered = made(scenario, TEAMS, frame="local", **options)
+        super().__init__(scenario, filtered, choose, steps=steps)
+
+    def watch(self, step):
+        degree, active = self.layout.degree(step.observations), step.before.active
+        self.least_degree = min(self.least_degree, degree[step.on][active[step.on]].min())
+        before, after = (distances(moment.positions) for moment in (step.before, step.after))
+        linked = (step.simulator.weights > 0) & (before <= self.reach) & step.calm[:, None, None]
+        self.growth = max(self.growth, (after - before)[linked].max(initial=-np.inf))
+        self.lost += int(((after > self.reach) & linked).sum())
 
 
-def distances(simulator):
-    p = simulator.positions
+def distances(p):
     return np.linalg.norm(p[:, :, None] - p[:, None], axis=-1)
 
 
@@ -268,10 +258,3 @@ def test_arguments_are_checked(options, message):
 def test_sight_that_is_not_mutual_is_refused(sensing, field):
     with pytest.raises(ValueError, match=rf"scenario: sensing\.{field}; theorem R needs"):
         LinkKeeping(Scenario(sensing=Sensing(range=3.0, **sensing)), 1)
-
-
-@pytest.mark.parametrize("model", ["unicycle", "nonholonomic_3d", "double_integrator"])
-def test_other_robots_are_refused(model):
-    dim = 3 if model == "nonholonomic_3d" else 2
-    with pytest.raises(ValueError, match=f"{model} robots.*theorem R needs"):
-        LinkKeeping(Scenario(robot_model=model, dim=dim), 1)

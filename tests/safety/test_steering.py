@@ -5,20 +5,19 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from conftest import MODELS, UNEQUAL, five
+from tuples import mean_body_axis
 
 import rendezvous_env as rv
-from rendezvous_env import Scenario, Simulator, graphs
+from rendezvous_env import Scenario, Simulator
 from rendezvous_env.engine.memory import RENDEZVOUS
 from rendezvous_env.safety.heading import HeadingFilter
-from rendezvous_env.safety.lyapunov import lyapunov
 from rendezvous_env.safety.theorems.descent import time_bound
-from rendezvous_env.safety.turning import mean_body_axis_2d, mean_body_axis_3d
 from rendezvous_env.trajectory import run
 from train.verify.adversaries import KINDS, Steered, adversary
 
 TEAMS = 48
 ROUNDING = 2.0**-20
-"""Of float32 rows and actions, relative to n D̄² τ (train/claims.py says why)."""
+"""Of float32 rows and actions, relative to n D̄² τ ."""
 
 
 class Watched:
@@ -134,33 +133,6 @@ def test_v_never_rises_in_a_step_without_a_contact_where_robots_slide(name):
     assert watched.rise_in_contact <= bound
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", CLUTTERS)
-@pytest.mark.parametrize("kind", KINDS)
-def test_clutter_at_length(name, kind):
-    for contact in ("stop", "slide"):
-        scenario = CLUTTERS[name].replace(obstacle_contact=contact, time_limit=30.0)
-        watched = Watched(scenario, seed=7, kind=kind, num_envs=96, decision_period=2)
-        assert watched.rise_free <= 0
-        if contact == "stop" and name == "nonholonomic_3d":
-            # v = mᵀf is that of the whole arc; what an obstacle leaves of it has another mean axis
-            way = scenario.tau * scenario.speed_limit
-            assert watched.rise_in_contact <= 0.001 * way * scenario.max_degree
-        elif contact == "stop":
-            assert watched.rise_in_contact <= 0
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("model", list(MODELS))
-@pytest.mark.parametrize(
-    "graph", [graphs.path((0.5, 2.0)), graphs.random_tree((0.5, 2.0)), graphs.erdos_renyi(0.4)]
-)
-def test_larger_teams(model, graph):
-    scenario = Scenario(n_robots=10, graph=graph, spawn_size=4.0, time_limit=500.0, **MODELS[model])
-    watched = Watched(scenario, min_alignment=0.5)
-    assert watched.met.all() and watched.rise_free <= 0 and watched.excess <= 1e-9
-
-
 # ---- arcs ----------------------------------------------------------------------------------------
 
 
@@ -202,10 +174,10 @@ def mean_axes(scenario, actions, observations):
     """m of the turn rates executed, in the body frames, (B, n, d)."""
     rates = actions[..., 1:].astype(np.float64)
     if scenario.dim == 2:
-        return mean_body_axis_2d(rates[..., 0], scenario.tau)
+        return mean_body_axis(rates[..., 0], 0.0, 0.0, scenario.tau)[..., :2]
     gravity = observations[..., -1, :].astype(np.float64)
     pitch = np.arctan2(-gravity[..., 0], -gravity[..., 2])
-    return mean_body_axis_3d(rates[..., 0], rates[..., 1], pitch, scenario.tau)
+    return mean_body_axis(rates[..., 0], rates[..., 1], pitch, scenario.tau)
 
 
 def test_the_axis_at_the_start_of_the_step_would_not_do():
@@ -223,7 +195,7 @@ def test_the_axis_at_the_start_of_the_step_would_not_do():
         simulator = Simulator(scenario)
         f = scenario.observation_layout.net_bearing(simulator.reset(0))[0]
         rate = np.full(2, 20.0)
-        m = mean_body_axis_2d(rate, scenario.tau)
+        m = mean_body_axis(rate, 0.0, 0.0, scenario.tau)[:, :2]
         v = f[:, 0] if law == "h" else np.sum(m * f, axis=-1)
         before = simulator.lyapunov()[0]
         simulator.step(np.stack([v, rate], axis=-1)[None])
@@ -231,49 +203,7 @@ def test_the_axis_at_the_start_of_the_step_would_not_do():
     assert rise["h"] > 1e-3 and rise["m"] < 0
 
 
-# ---- robots alone, batches, memory ---------------------------------------------------------------
-
-
-def test_a_batch_is_its_teams_one_by_one():
-    scenario = five("single_integrator-3d", spawn_size=3.0)
-    together, alone = HeadingFilter(scenario, 6), [HeadingFilter(scenario, 1) for _ in range(6)]
-    observations = Simulator(scenario, 6).reset(2)
-    raw = np.random.default_rng(0).normal(size=(6, 5, 3))
-    seen = together.view(observations)
-    together.hold(raw)
-    actions = together.act(observations)
-    for team, steering in enumerate(alone):
-        own = observations[team : team + 1]
-        np.testing.assert_array_equal(steering.view(own)[0], seen[team])
-        steering.hold(raw[team : team + 1])
-        np.testing.assert_array_equal(steering.act(own)[0], actions[team])
-
-
-def test_forgetting_some_teams_spares_the_others(kind):
-    scenario = five(kind)
-    steering, observations = HeadingFilter(scenario, 3), Simulator(scenario, 3).reset(0)
-    steering.view(observations)
-    steering.hold(np.ones((3, 5, steering.action_size)))
-    steering.act(observations)
-    before = steering.get_state()
-    steering.forget(np.array([False, True, False]))
-    after = steering.get_state()
-    for name, array in before.items():
-        np.testing.assert_array_equal(after[name][[0, 2]], array[[0, 2]])
-    assert not after["headings"][1].any() and not after["held"][1].any()
-    np.testing.assert_array_equal(
-        after["frames"][1], np.broadcast_to(np.eye(scenario.dim), (5, *after["frames"].shape[2:]))
-    )
-
-
-def test_robots_that_see_nobody_stand_still(kind):
-    scenario = five(kind)
-    steering = HeadingFilter(scenario, 2)
-    blind = np.zeros((2, 5, *scenario.observation_layout.shape), np.float32)
-    steering.view(blind)
-    steering.hold(np.ones((2, 5, steering.action_size)))
-    assert not steering.act(blind).any()
-    assert np.isnan(steering.alignment).all() and not steering.lyapunov_rate.any()
+# ---- limits and frames ------------------------------------------------------------------------
 
 
 def test_the_turn_limit_is_the_smaller_one():
@@ -298,22 +228,6 @@ def test_headings_turn_by_at_most_the_limit():
         np.testing.assert_allclose(np.arccos(cosines), k * scenario.tau * 1.0, rtol=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("raw", "message"),
-    [
-        (np.zeros((2, 5, 3)), r"shape \(2, 5, 3\)"),
-        (np.zeros((5, 2)), r"shape \(5, 2\)"),
-        (np.where(np.arange(20).reshape(2, 5, 2) == 13, np.nan, 0.0), "robot_1 in team 1"),
-    ],
-)
-def test_bad_raw_vectors_are_refused_and_not_taken(raw, message):
-    steering = HeadingFilter(five("single_integrator-2d"), 2)
-    steering.hold(np.ones((2, 5, 2)))
-    with pytest.raises(ValueError, match=message):
-        steering.hold(raw)
-    np.testing.assert_array_equal(steering.get_state()["held"], np.ones((2, 5, 2)))
-
-
 @pytest.mark.parametrize("rows", [2, 3])
 def test_in_space_rounding_does_not_choose_the_second_axis(rows):
     """The parts across f of two neighbours are equal and opposite: the first row counts."""
@@ -330,11 +244,3 @@ def test_in_space_rounding_does_not_choose_the_second_axis(rows):
         axis = view if axis is None else axis
         np.testing.assert_allclose(view, axis, atol=1e-6)
     assert axis[0, 1] == pytest.approx(0.8, abs=1e-6)
-
-
-def test_v_at_the_end_is_that_of_the_positions():
-    """The simulator's V, on which all of this stands, is the formula's."""
-    simulator = Simulator(five("single_integrator-2d"), 4)
-    simulator.reset(0)
-    expected = lyapunov(simulator.positions, simulator.weights)
-    np.testing.assert_allclose(simulator.lyapunov(), expected, rtol=1e-12)

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 import sys
 import time
 
@@ -15,7 +16,17 @@ import pytest
 import baselines
 import rendezvous_env as rv
 from rendezvous_env import Scenario, graphs
-from rendezvous_env.safety.turning import gated_turn_rate, mean_body_axis_2d, mean_body_axis_3d
+from rendezvous_env.compilation import kernel
+from rendezvous_env.physics.vectors import add, dot, load, norm, scaled, split
+from rendezvous_env.robots.nonholonomic_3d import body_frame_3d
+from rendezvous_env.safety.turning import (
+    Gate,
+    gate_of,
+    gated_rates,
+    mean_axis,
+    pitch_of,
+    wished_rates,
+)
 
 MODELS = ("nonholonomic_3d", "unicycle")
 WISHES = ("zero", "random", "greedy")
@@ -44,29 +55,20 @@ def candidates(model, side):
     return np.array(list(itertools.product(np.linspace(-1, 1, side), repeat=2)))
 
 
-def greedy(scenario, observations, limits, margin, side):
-    """Of side² turn rates the one with which the robot is slowest once the gate has seen it."""
-    layout, shares = scenario.observation_layout, candidates(scenario.robot_model, side)
-    f = layout.net_bearing(observations).astype(float)[..., None, :]
-    f = np.ascontiguousarray(np.broadcast_to(f, (*f.shape[:2], len(shares), f.shape[-1])))
-    asked = np.broadcast_to(shares * limits, (*f.shape[:-1], shares.shape[1])).copy()
-    options = dict(
-        min_alignment=margin,
-        dead_zone=scenario.dead_zone,
-        duration=scenario.tau,
-        max_rate=limits,
-    )
-    if scenario.dim == 2:
-        rates = gated_turn_rate(asked, f, **options)
-        mean = mean_body_axis_2d(rates[..., 0], scenario.tau)
-    else:
-        gravity = layout.split(observations).gravity
-        pitch = np.arctan2(-gravity[..., 0], -gravity[..., 2]).astype(float)
-        pitch = np.broadcast_to(pitch[..., None], f.shape[:-1]).copy()
-        rates = gated_turn_rate(asked, f, pitch, **options)
-        mean = mean_body_axis_3d(rates[..., 0], rates[..., 1], pitch, scenario.tau)
-    slowest = np.argmin(np.sum(mean * f, axis=-1) ** 2, axis=-1)
-    return shares[slowest]
+@kernel
+def greedy(net_bearings, observations, shares, gate, chosen):
+    """Of all turn rates the one with which a robot is slowest once the gate has seen it."""
+    for team in range(len(chosen)):
+        for i in range(chosen.shape[1]):
+            f, slowest = load(net_bearings[team, i]), np.inf
+            pitch = pitch_of(observations[team, i], observations.shape[2] - 1, gate)
+            for k in range(len(shares)):
+                rates = gated_rates(wished_rates(shares[k], gate), f, pitch, gate)
+                speed = abs(dot(mean_axis(rates, pitch, gate), f))
+                if speed < slowest:
+                    slowest = speed
+                    for angle in range(shares.shape[1]):
+                        chosen[team, i, angle] = shares[k, angle]
 
 
 def stuck_under_the_gate(scenario, wish, teams, steps, seed=0, side=4, margin=MARGIN):
@@ -75,15 +77,15 @@ def stuck_under_the_gate(scenario, wish, teams, steps, seed=0, side=4, margin=MA
     env = rv.vector.HeadingVectorWrapper(venv, min_alignment=margin, max_turn_rate=1e6)
     observations, _ = env.reset(seed=seed)
     random = np.random.default_rng(seed)
-    limits = scenario.action_bounds[1:]
-    shape = (teams, scenario.n_robots, len(limits))
+    shares = candidates(scenario.robot_model, side)
+    gate = gate_of(scenario, margin, scenario.dead_zone)
+    wishes = np.zeros((teams, scenario.n_robots, shares.shape[1]))
     for _ in range(steps):
-        if wish == "zero":
-            wishes = np.zeros(shape)
-        elif wish == "random":
-            wishes = random.uniform(-1, 1, shape)
-        else:
-            wishes = greedy(scenario, observations, limits, margin, side)
+        if wish == "random":
+            wishes = random.uniform(-1, 1, wishes.shape)
+        elif wish == "greedy":
+            f = scenario.observation_layout.net_bearing(observations)
+            greedy(f, observations, shares, gate, wishes)
         observations, *_ = env.step(wishes)
         if not (venv.simulator.status == 0).any():
             break
@@ -114,6 +116,57 @@ def test_the_deadlock_of_the_saturated_law_is_gone():
     """Slowest wishes on a path of four, r = 4 m, ω_max = 0.2 rad/s, ε = 0.3: V stood still."""
     scenario = team("nonholonomic_3d", graphs.path(), 4.0, 0.2)
     assert stuck_under_the_gate(scenario, "greedy", 16, 2500, side=8) == 0
+
+
+@kernel
+def unproductive(starts, turns, gate, waited):
+    """How many steps go by until |mᵀf| ≥ ‖f‖/2 under rates that the gate chooses.
+
+    ``starts`` (N, 5) are yaw, pitch and f; ``turns`` (N, K, 3) is what f is turned by.
+    """
+    for i in range(len(starts)):
+        yaw, pitch, world = starts[i, 0], starts[i, 1], load(starts[i, 2:5])
+        for k in range(turns.shape[1]):
+            r = body_frame_3d(yaw, pitch)
+            x, y, z = (r[0], r[3], r[6]), (r[1], r[4], r[7]), (r[2], r[5], r[8])
+            f = (dot(x, world), dot(y, world), dot(z, world))
+            rates = gated_rates((0.0, 0.0), f, pitch, gate)
+            if abs(dot(mean_axis(rates, pitch, gate), f)) >= 0.5 * norm(f):
+                break
+            waited[i] = k + 1
+            yaw, pitch = yaw + gate.duration * rates[0], pitch + gate.duration * rates[1]
+            world = scaled(split(add(world, norm(f), load(turns[i, k])))[1], norm(f))
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("turned", [0.02, 0.1, 0.3, 0.7, 0.9, 1.5])
+def test_of_k_steps_one_is_productive(dim, turned):
+    """Theorem T: f turns by less than θ in all, as somebody wants, and begins where it is worst."""
+    random, count = np.random.default_rng(0), 4000
+    if dim == 2:
+        turned, drift = min(turned, math.pi / 3), 0.1
+        window = math.ceil(1.25 / turned) + 2
+    else:
+        drift, window = min(1.0, turned**2) / 10, math.ceil(math.pi / (2 * turned)) + 2
+    # in the plane law (8) turns by τ‖f‖ sin φ, of which 0.8 · 10/11 > 0.7 is sure
+    strength = 2.0 if dim == 3 else turned / 0.7 * 10 / 11
+    gate = Gate(dim == 2, 0.999, 1e-6, 1.0, turned, turned)
+    f = random.normal(size=(count, 3))
+    f[: count // 2, :2] *= random.choice([1e-6, 0.1 * turned, turned / 3, 0.4], (count // 2, 1))
+    starts = np.zeros((count, 5))
+    starts[:, 1] = random.uniform(-math.pi, math.pi, count)
+    starts[::2, 1] = random.choice([0.0, math.pi / 2, math.pi], count // 2)
+    starts[::2, 1] += turned * random.uniform(-1, 1, count // 2)
+    if dim == 2:
+        f[:, 2], starts[:, 1] = 0.0, 0.0
+    starts[:, 2:] = strength * f / np.linalg.norm(f, axis=-1, keepdims=True)
+    turns = random.normal(size=(count, window, 3))
+    turns[::3] = turns[::3, :1] * (-1.0) ** np.arange(window)[:, None]  # there and back
+    turns[..., 2] *= dim - 2
+    shares = np.linalg.norm(turns, axis=-1).sum(axis=-1)[:, None, None]
+    waited = np.zeros(count, np.int64)
+    unproductive(starts, 0.98 * drift * turns / shares, gate, waited)
+    assert 0 < waited.max() < window
 
 
 @pytest.mark.slow

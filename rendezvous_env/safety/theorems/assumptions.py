@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from ...scenario.scenario import Scenario
 from ...sensors.sensing import Sensing
+from ..settings import is_complete
 from .constants import (
     DIRECTED,
     PROXIMITY,
     SWITCHING,
     UNDIRECTED,
-    is_complete,
     kind_of_links,
     leaders,
     long_step,
@@ -202,3 +202,7 @@ def within_neighbours(scenario: Scenario, asked: Asked) -> str:
         f"none for law (1) as it stands: in a step of {scenario.tau:.4g} s a robot may go "
         "beyond its neighbours; gains do not"
     )
+
+
+LASTING_LINKS = (undirected, connected, known_bodies, bounded_errors, all_neighbours_seen)
+"""What the theorems about V have in common."""

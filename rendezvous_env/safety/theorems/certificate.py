@@ -87,11 +87,8 @@ class Certificate:
 
     @property
     def promises(self) -> dict[str, float]:
-        """Every number that is promised of the environment as it steps, by what it bounds.
-
-        "time", s: when one robot is left. "lyapunov", m²/s: V at any time. "hull", m: L at any
-        time. "link_growth", m: how much longer than at the start a link ever is.
-        "expected_time", s: the mean of many episodes.
+        """Every number that is promised of the environment as it steps, by what it bounds: time, s;
+        V ("lyapunov"), m²/s, and L ("hull"), m, at any time; "link_growth", m; "expected_time", s.
         """
         found = {
             "time": self.time_bound,
@@ -102,15 +99,8 @@ class Certificate:
         }
         return {name: bound for name, bound in found.items() if math.isfinite(bound)}
 
-    @property
-    def margin(self) -> float:
-        """ε: ``min_alignment``."""
-        return self.min_alignment
-
-    @property
-    def sampled_time_bound(self) -> float:
-        """``time_bound``: s, of sampled data."""
-        return self.time_bound
+    margin = property(lambda self: self.min_alignment, doc="ε: ``min_alignment``.")
+    sampled_time_bound = property(lambda self: self.time_bound, doc="``time_bound``, s.")
 
     @property
     def held_time_bound(self) -> float:

@@ -16,6 +16,7 @@ from ...graphs.weights import closed_groups
 from ...physics.hull_perimeter import size
 from ...scenario.scenario import Scenario
 from ..lyapunov import lyapunov
+from ..settings import has_one_weight, is_complete, uniform_complete
 
 Array = NDArray[np.float64]
 
@@ -26,11 +27,7 @@ UNDIRECTED, DIRECTED, SWITCHING, PROXIMITY = "undirected", "directed", "switchin
 
 
 def kind_of_links(graph: Graph) -> str:
-    """UNDIRECTED, DIRECTED, SWITCHING or PROXIMITY.
-
-    Args:
-        graph: of a scenario.
-    """
+    """UNDIRECTED, DIRECTED, SWITCHING or PROXIMITY."""
     if graph.undirected:
         return UNDIRECTED
     if graph.changes:
@@ -39,17 +36,12 @@ def kind_of_links(graph: Graph) -> str:
 
 
 def leaders(scenario: Scenario) -> list[list[int]]:
-    """Groups of robots that see nobody outside, in the graph of the moment that has most of them.
+    """Groups of robots that see nobody outside, in the graph of the moment that has most of them;
+    arrays of indices without unit.
 
     One group means that some robot can be reached from all at any time (theorem G). If it is the
     whole team everyone always sees someone, whatever merges; a smaller one may become a single
     robot that sees nobody, and waits for the others.
-
-    Args:
-        scenario: gives n and the graph.
-
-    Returns:
-        Arrays of indices of robots without unit, group by group.
     """
     graph: Any = scenario.sensing_graph
     if kind_of_links(graph) in (UNDIRECTED, PROXIMITY):
@@ -70,16 +62,9 @@ def lightest_link(scenario: Scenario) -> float:
 
 
 def least_degrees(scenario: Scenario) -> Array:
-    """The least D_i = Σ_j a_ij that a robot can have with m robots left, for m = 2 … n.
-
-    A complete graph stays complete and a cycle a cycle; elsewhere one link is sure, of at least
-    a* (theory 3).
-
-    Args:
-        scenario: gives n and the graph.
-
-    Returns:
-        c_m, an array (n − 1,), m/s.
+    """c_m, the least D_i = Σ_j a_ij that a robot can have with m robots left, m = 2 … n, an array
+    (n − 1,), m/s: a complete graph stays complete and a cycle a cycle; elsewhere one link is sure,
+    of at least a* (theory 3).
     """
     n, graph = scenario.n_robots, scenario.sensing_graph
     left = np.arange(2.0, n + 1.0)
@@ -91,34 +76,34 @@ def least_degrees(scenario: Scenario) -> Array:
     return np.maximum(links * lightest_link(scenario), scenario.bottleneck_weight)
 
 
+def most_degrees(scenario: Scenario) -> Array:
+    """The most that D_i can be with m robots left, m = 2 … n: min(D̄, (m − 1) max a_ij), an array
+    (n − 1,), m/s (theory 3).
+    """
+    n, heaviest = scenario.n_robots, scenario.sensing_graph.extreme_weights(scenario.n_robots)[1]
+    return np.minimum(scenario.max_degree, np.arange(1.0, n) * heaviest)
+
+
+def least_bearing_square(scenario: Scenario) -> float:
+    """min_m 4 c_m²/m ≤ Σ‖f_i‖² at any time before all have met, a number, (m/s)² (lemma 2)."""
+    left = np.arange(2.0, scenario.n_robots + 1.0)
+    return float((4.0 * least_degrees(scenario) ** 2 / left).min())
+
+
 def degrees_stay_equal(scenario: Scenario) -> bool:
     """Whether all robots that are left always have the same D_i: complete graphs and cycles of one
     weight, directed cycles too.
     """
     n, graph = scenario.n_robots, scenario.sensing_graph
     even = is_complete(graph, n) or graph.kind == "directed_cycle" or _is_cycle(graph, n)
-    return even and _has_one_weight(scenario)
+    return even and has_one_weight(scenario)
 
 
-def uniform_complete(scenario: Scenario) -> bool:
-    """Whether everyone is linked to everyone with the same weight."""
-    return is_complete(scenario.sensing_graph, scenario.n_robots) and _has_one_weight(scenario)
-
-
-def _has_one_weight(scenario: Scenario) -> bool:
-    least, largest = scenario.sensing_graph.extreme_weights(scenario.n_robots)
-    return bool(least == largest)
-
-
-def is_complete(graph: Graph, n: int) -> bool:
-    """Whether every robot is linked to every other in every episode, n (n − 1)/2 links (theory 2).
-
-    Args:
-        graph: of a scenario.
-        n: how many robots.
+def merges_at_midpoints(scenario: Scenario) -> bool:
+    """Whether V/(m − 1) never rises at a merge: complete graphs of one weight, no obstacles, linked
+    robots r or more apart at the start (docs/proofs.md, A to C).
     """
-    mutual = graph.fixed and not graph.directed
-    return mutual and graph.most_links(n) == n * (n - 1) // 2
+    return uniform_complete(scenario) and not scenario.obstacles and starts_apart(scenario)
 
 
 def _is_cycle(graph: Graph, n: int) -> bool:
@@ -139,13 +124,8 @@ def long_step(scenario: Scenario) -> bool:
 
 
 def scale_bound(scenario: Scenario) -> float:
-    """s_min = min(1, r/(2D̄τ), v_max/D̄): no robot is slowed down by more (theorem D).
-
-    Args:
-        scenario: gives D̄, τ, r and v_max.
-
-    Returns:
-        A number in (0, 1], without unit.
+    """s_min = min(1, r/(2D̄τ), v_max/D̄), a number without unit: no robot is slowed down by more
+    (theorem D).
     """
     degree = scenario.max_degree
     held = scenario.merge_radius / (2.0 * degree * scenario.tau)
@@ -156,13 +136,8 @@ def scale_bound(scenario: Scenario) -> float:
 
 
 def merge_rise_allowance(scenario: Scenario) -> float:
-    """(n − 1) r W: no sequence of merges can raise V by more (theory 3 and 5).
-
-    Args:
-        scenario: gives n, r and W = Σ a_ij over its edges.
-
-    Returns:
-        A number, m²/s.
+    """(n − 1) r W, a number, m²/s, W = Σ a_ij over the edges: no sequence of merges can raise V by
+    more (theory 3 and 5).
     """
     n, total = scenario.n_robots, scenario.sensing_graph.weight_sum(scenario.n_robots)
     return (n - 1) * scenario.merge_radius * total
@@ -171,22 +146,15 @@ def merge_rise_allowance(scenario: Scenario) -> float:
 def lyapunov_bound(
     scenario: Scenario, initial_lyapunov: ArrayLike, *, reach: float | None = None
 ) -> Array:
-    """The most that V can be if it never rises between merges: V0⁺ = V(0) + (n − 1) r W (theory 3).
+    """The most that V can be if it never rises between merges, (...), m²/s: V0⁺ = V(0) + (n − 1) r
+    W.
 
     At obstacles robots may merge at one robot's place rather than at the midpoint, where V can rise
     by twice as much (theory 5). Where linked robots start within r of each other, two of them merge
-    at once while others walk on, by r/2 or ``reach``: V rises by 4 W of it at most, once.
-
-    Args:
-        scenario: gives n, r, W, its obstacles and its start.
-        initial_lyapunov: V(0), (...), m²/s.
-        reach: how far a robot can go in a step, m; None is r/2, for certified or scaled velocities.
-
-    Returns:
-        (...), m²/s.
+    at once while others walk on, by r/2 or ``reach``, m: V rises by 4 W of it at most, once.
 
     Raises:
-        ValueError: if a V(0) is not finite or negative.
+        ValueError: if a V(0), m²/s, is not finite or negative.
     """
     places = 2.0 if scenario.obstacles else 1.0
     first = 0.0
@@ -198,15 +166,9 @@ def lyapunov_bound(
 
 
 def largest_lyapunov(scenario: Scenario) -> float:
-    """V(0) of the given start, or an upper bound over all starts that can be drawn.
+    """V(0) of the given start, or an upper bound over all starts that can be drawn, a number, m²/s.
 
-        V ≤ 2 W s √d,   s the side of the spawn area
-
-    Args:
-        scenario: gives the start, or s, d and the largest W = Σ a_ij over the edges.
-
-    Returns:
-        A number, m²/s.
+    V ≤ 2 W s √d,   s the side of the spawn area
     """
     n, graph = scenario.n_robots, scenario.sensing_graph
     if scenario.start_positions is not None:
@@ -241,15 +203,8 @@ def directions(dim: int) -> float:
 
 
 def largest_size(scenario: Scenario) -> float:
-    """L(0) of the given start, or of the worst one in the spawn area (guarantees, section 9).
-
-    L = s L(unit cube), s the side of the spawn area, with all robots at corners.
-
-    Args:
-        scenario: gives the start, or n, d and s.
-
-    Returns:
-        A number, m.
+    """L(0) of the given start, or of the worst one in the spawn area, a number, m (guarantees,
+    section 9): L = s L(unit cube), s the side of the spawn area, with all robots at corners.
     """
     if scenario.start_positions is not None:
         return size(np.array(scenario.start_positions))
@@ -267,16 +222,12 @@ def _largest_size_in_unit_cube(n: int, dim: int) -> float:
 
 
 def hull_growth(scenario: Scenario, radius: float | None = None) -> float:
-    """What L can grow in steps that begin with linked robots within r of each other, a number, m
-    (theorem G).
+    """What L can grow by (theorem G), a number, m, in steps that begin with linked robots closer
+    than r.
 
-    Two of three merge at once and rest, the third walks on by r at most: the hull grows by r in all
-    directions at most. That takes a merge; on a fixed graph it can happen in the first step only,
-    where links change n − 1 times.
-
-    Args:
-        scenario: gives n, d, r, the graph and the start.
-        radius: by what the hull grows in such a step, m; None is r.
+    Two of three merge at once and rest, the third walks on by r at most, or by ``radius``, m: the
+    hull grows by that in all directions at most. That takes a merge; on a fixed graph it can happen
+    in the first step only, where links change n − 1 times.
     """
     grown = directions(scenario.dim) * (scenario.merge_radius if radius is None else radius)
     if kind_of_links(scenario.sensing_graph) in (SWITCHING, PROXIMITY):
@@ -288,16 +239,8 @@ def hull_growth(scenario: Scenario, radius: float | None = None) -> float:
 
 
 def checked(name: str, given: ArrayLike, unit: str) -> Array:
-    """V(0) or L(0) as an array of numbers that a team can have, m²/s or m (theorems A and G):
-    finite, and not negative.
-
-    Args:
-        name: of the argument.
-        given: (...), in that unit.
-        unit: of the numbers.
-
-    Returns:
-        The same, float64.
+    """V(0), m²/s, or L(0), m, as an array (...) of numbers ≥ 0 that a team can have (theorems A,
+    G).
 
     Raises:
         ValueError: if one is not finite or negative.
@@ -309,16 +252,7 @@ def checked(name: str, given: ArrayLike, unit: str) -> Array:
 
 
 def over_rate(above: ArrayLike, rate: ArrayLike) -> Array:
-    """The time that something takes to vanish, infinite for a rate that is not positive, s
-    (theorem A).
-
-    Args:
-        above: what there is, (...), in any unit.
-        rate: the least by which it falls, (...), in that unit per second.
-
-    Returns:
-        (...), s.
-    """
+    """above/rate, (...), s: when something has vanished; infinite for a rate ≤ 0 (theorem A)."""
     below = np.asarray(rate, dtype=np.float64)
     with np.errstate(divide="ignore", over="ignore"):
         return np.where(below > 0.0, above / np.where(below > 0.0, below, 1.0), np.inf)

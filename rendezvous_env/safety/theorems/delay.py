@@ -7,7 +7,7 @@ bearings of merged robots too.
 
 **Promise**, s = min(1, v_max/D̄):
 
-    T ≤ n V_late/(4 s a*²) + (n−1)(k+1) τ,      V ≤ V_late = V0⁺ + (n−1)(2 r W + n r D̄/2),
+    T ≤ V_late max_m m/(4 s c_m²) + (n−1)(k+1) τ,      V ≤ V_late = V0⁺ + (n−1)(2 r W + n r D̄/2),
 
 the second part of V_late for what robots do in the (k+1) τ after each merge, on bearings from
 before it. Where they are fresh after a merge T ≤ n V0⁺/(4 s a*²). Law (4) with a margin that does
@@ -19,47 +19,26 @@ not fade, and ages up to r/(2√3 D̄): n V0⁺/(ε² a*²).
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from ...scenario.scenario import Scenario
 from ...sensors.sensing import Sensing
-from .assumptions import connected, nothing_in_the_way, undirected, velocity_inputs
-from .constants import largest_lyapunov, lyapunov_bound, merge_rise_allowance, over_rate
+from . import assumptions as given
+from .constants import (
+    largest_lyapunov,
+    least_bearing_square,
+    lyapunov_bound,
+    merge_rise_allowance,
+    over_rate,
+)
 from .theorem import Asked, Bounds, Theorem
 
 Array = NDArray[np.float64]
 
 
 def largest_age(max_degree: float, merge_radius: float, *, law_4: bool = False) -> float:
-    """The age that bearings may have, a number, s: r/(2D̄), under law (4) r/(2√3 D̄).
-
-    Args:
-        max_degree: D̄, m/s.
-        merge_radius: r, m.
-        law_4: whether robots move along headings.
-
-    Returns:
-        Δ, s.
-    """
+    """The age that bearings may have, a number, s: r/(2D̄), under law (4) r/(2√3 D̄)."""
     return merge_radius / (2.0 * max_degree) / (np.sqrt(3.0) if law_4 else 1.0)
-
-
-def stale_time(
-    n: int, lyapunov_bound: ArrayLike, *, bottleneck_weight: ArrayLike, slowest: ArrayLike = 1.0
-) -> Array:
-    """T of law (1) with bearings of any age up to r/(2D̄), pair by pair, fresh after merges, s.
-
-    Args:
-        n: number of robots.
-        lyapunov_bound: V0⁺, (...), m²/s.
-        bottleneck_weight: a*, (...), m/s.
-        slowest: s in (0, 1], (...): a robot moves at s_i(t) f̂_i, s ≤ s_i ≤ 1; of law (4) ε²/4.
-
-    Returns:
-        (...), s.
-    """
-    rate = 4.0 * np.asarray(bottleneck_weight) ** 2 * np.asarray(slowest)
-    return over_rate(n * np.asarray(lyapunov_bound), rate)
 
 
 # ---- the theorem ---------------------------------------------------------------------------------
@@ -93,12 +72,8 @@ def bounds(scenario: Scenario, asked: Asked) -> Bounds:
     n, degree, radius = scenario.n_robots, scenario.max_degree, scenario.merge_radius
     most = float(lyapunov_bound(scenario, largest_lyapunov(scenario)))
     most += 2.0 * merge_rise_allowance(scenario) + (n - 1) * n * radius * degree / 2.0
-    time = stale_time(
-        n,
-        most,
-        bottleneck_weight=scenario.bottleneck_weight,
-        slowest=min(1.0, scenario.speed_limit / degree),
-    )
+    slowest = min(1.0, scenario.speed_limit / degree) * least_bearing_square(scenario)
+    time = float(over_rate(most, slowest))
     late = scenario.sensing.delay
     return Bounds(
         words=f"theorem E1: law (1) meets in finite time on bearings that are {late} steps late",
@@ -112,7 +87,14 @@ THEOREMS = (
     Theorem(
         "E1",
         ("law",),
-        (undirected, connected, velocity_inputs, late_alone, nothing_in_the_way, young),
+        (
+            given.undirected,
+            given.connected,
+            given.velocity_inputs,
+            late_alone,
+            given.nothing_in_the_way,
+            young,
+        ),
         bounds,
     ),
 )

@@ -32,27 +32,15 @@ from ...checks import real, refuse
 from ...scenario.scenario import Scenario
 from ..enclosing_ball import smallest_enclosing_ball
 from ..settings import SMALLEST_MARGIN
-from .assumptions import (
-    all_neighbours_seen,
-    bounded_errors,
-    certified_or_scaled,
-    connected,
-    exact_bearings,
-    known_bodies,
-    nothing_in_the_way,
-    undirected,
-    velocity_inputs,
-    walled,
-)
+from . import assumptions as given
 from .constants import (
     checked,
     largest_lyapunov,
-    least_degrees,
+    least_bearing_square,
     long_step,
     lyapunov_bound,
+    merges_at_midpoints,
     over_rate,
-    starts_apart,
-    uniform_complete,
 )
 from .gains import law_held_time
 from .noise import held_size_bound
@@ -68,23 +56,15 @@ def time_bound(
     min_alignment: float = 1.0,
     initial_size: ArrayLike | None = None,
 ) -> Array:
-    """Time by which all robots have met with inputs held over the step, s (theorems A and C).
+    """Time by which all robots have met with inputs held over the step, (...), s (theorems A and
+    C).
 
-    With L(0) and law (1): the bounds of theorems N and D1, if they are less.
-
-    Args:
-        scenario: gives n, r, W, a*, c_m, D̄, τ and v_max, and its graph: weights that a reset is
-            given in its place may lose a bound for complete graphs and cycles.
-        initial_lyapunov: V(0), (...), m²/s.
-        min_alignment: 1 for law (1), the margin ε < 1 for a certified heading.
-        initial_size: L(0), (...), m, as ``Simulator.size`` measures it.
-
-    Returns:
-        (...), s; infinite where nothing is guaranteed.
+    With L(0), m, and law (1): the bounds of theorems N and D1, if they are less. V(0), m²/s, is
+    (...). Of the scenario's own graph: weights that a reset is given in its place may lose a bound
+    for complete graphs and cycles. Infinite where nothing is guaranteed.
 
     Raises:
-        ValueError: if ``min_alignment`` is not in (0, 1], or a V(0) or L(0) is not finite or
-            negative.
+        ValueError: if ``min_alignment`` is not in (0, 1], or V(0) or L(0) not finite or negative.
     """
     check_margin(min_alignment)
     check_scenario(scenario)
@@ -103,13 +83,13 @@ def _by_descent(scenario: Scenario, initial: Array, margin: float) -> Array:
     n, a = scenario.n_robots, scenario.bottleneck_weight
     slowed = max(1.0, 2.0 * scenario.max_degree * scenario.tau / scenario.merge_radius)
     slowed *= max(1.0, scenario.max_degree / scenario.speed_limit)
-    most, left = lyapunov_bound(scenario, initial), np.arange(2, n + 1)
-    slowest = 4.0 * margin**2 * (least_degrees(scenario) ** 2 / left).min()
+    most = lyapunov_bound(scenario, initial)
+    slowest = margin**2 * least_bearing_square(scenario)
     bound = np.minimum(
         over_rate(n * most, 4.0 * margin**2 * a**2 / slowed),
         over_rate(most, slowest / slowed) + (n - 1) * scenario.tau,
     )
-    if uniform_complete(scenario) and not scenario.obstacles and starts_apart(scenario):
+    if merges_at_midpoints(scenario):
         alike = over_rate(initial, 2.0 * (n - 1) * margin**2 * a**2 / slowed)
         bound = np.minimum(bound, alike)
     return np.asarray(bound)
@@ -119,23 +99,14 @@ def covered(scenario: Scenario) -> bool:
     """Whether theorems A and C bound the time: undirected links that last, connected, robots whose
     action is their velocity, nothing in the way.
     """
-    needed = (undirected, connected, velocity_inputs)
+    needed = (given.undirected, given.connected, given.velocity_inputs)
     asked = Asked("law", 1.0, 0.0, None, None, 0.5, 0.0)
-    return not walled(scenario) and not any(holds(scenario, asked) for holds in needed)
+    return not given.walled(scenario) and not any(holds(scenario, asked) for holds in needed)
 
 
 def rendezvous_time_lower_bound(scenario: Scenario, positions: ArrayLike) -> float:
-    """No policy meets sooner: T ≥ (R − (n − 1) r/2)/v_max; (n − 1) r with obstacles (theory 3).
-
-    Args:
-        scenario: gives n, r and v_max.
-        positions: start, (n, d), m.
-
-    Returns:
-        A number, s.
-
-    Raises:
-        ValueError: if a position is not finite, or there is none.
+    """No policy meets sooner from a start (n, d), m: T ≥ (R − (n − 1) r/2)/v_max, a number, s; (n −
+    1) r with obstacles (theory 3).
     """
     _, radius = smallest_enclosing_ball(positions)
     share = 1.0 if scenario.obstacles else 0.5
@@ -144,21 +115,13 @@ def rendezvous_time_lower_bound(scenario: Scenario, positions: ArrayLike) -> flo
 
 
 def check_scenario(scenario: object) -> None:
-    """Refuse anything but a Scenario.
-
-    Raises:
-        ValueError: saying what was given.
-    """
+    """Refuse anything but a Scenario, in a ValueError."""
     if not isinstance(scenario, Scenario):
         refuse("scenario", scenario, "a Scenario; scenarios.resolve() takes names and files")
 
 
 def check_margin(min_alignment: float) -> None:
-    """Refuse a margin ε, a number without unit, unless 10⁻⁶ ≤ ε ≤ 1 (theorem B).
-
-    Raises:
-        ValueError: saying what was given.
-    """
+    """Refuse a margin ε, a number without unit, unless 10⁻⁶ ≤ ε ≤ 1, in a ValueError."""
     if not SMALLEST_MARGIN <= real(min_alignment) <= 1:
         refuse("min_alignment", min_alignment, f"in (0, 1], and at least {SMALLEST_MARGIN:g}")
 
@@ -198,29 +161,44 @@ def heading_bounds(scenario: Scenario, asked: Asked) -> Bounds:
 
 def velocities_keep_to_law(scenario: Scenario, asked: Asked) -> str:
     """The paper's laws for robots that turn, held, can raise V a little; certified ones cannot."""
-    return "" if asked.by == "heading" else velocity_inputs(scenario, asked)
+    return "" if asked.by == "heading" else given.velocity_inputs(scenario, asked)
 
 
-_LINKED = (undirected, connected, known_bodies, bounded_errors, all_neighbours_seen)
 THEOREMS = (
     Theorem(
         "A",
         ("law",),
-        (*_LINKED, velocity_inputs, nothing_in_the_way, certified_or_scaled, exact_bearings),
+        (
+            *given.LASTING_LINKS,
+            given.velocity_inputs,
+            given.nothing_in_the_way,
+            given.certified_or_scaled,
+            given.exact_bearings,
+        ),
         law_bounds,
     ),
     Theorem(
         "V",
         ("law",),
-        (*_LINKED, velocities_keep_to_law, certified_or_scaled, exact_bearings),
+        (
+            *given.LASTING_LINKS,
+            velocities_keep_to_law,
+            given.certified_or_scaled,
+            given.exact_bearings,
+        ),
         lyapunov_bounds,
         rendezvous=False,
     ),
     Theorem(
         "C",
         ("heading",),
-        (*_LINKED, nothing_in_the_way, velocity_inputs, exact_bearings),
+        (
+            *given.LASTING_LINKS,
+            given.nothing_in_the_way,
+            given.velocity_inputs,
+            given.exact_bearings,
+        ),
         heading_bounds,
     ),
-    Theorem("V", ("heading",), _LINKED, lyapunov_bounds, rendezvous=False),
+    Theorem("V", ("heading",), given.LASTING_LINKS, lyapunov_bounds, rendezvous=False),
 )

@@ -24,24 +24,14 @@ somebody (or all but one, the leader). Neighbours nearer than r merge. Law (1) h
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ...scenario.scenario import Scenario
 from ..gains import gain_range
-from .assumptions import (
-    all_neighbours_seen,
-    bounded_errors,
-    connected,
-    exact_bearings,
-    nearest_hides,
-    nothing_in_the_way,
-    on_graphs,
-    one_leader_at_most,
-    somebody_seen,
-    velocity_inputs,
-    within_neighbours,
-)
+from . import assumptions as given
 from .constants import (
     DIRECTED,
     SWITCHING,
@@ -66,15 +56,9 @@ _WIDE = 5.0 * np.pi / 12.0
 
 
 def kappa(n: ArrayLike) -> Array:
-    """κ(n) = min{Σ sin²x_i : Σx_i = π, 0 ≤ x_i ≤ π/2} (proofs, G).
+    """κ(n) = min{Σ sin²x_i : Σx_i = π, 0 ≤ x_i ≤ π/2}, (...), without unit (proofs, G).
 
-        κ(n) = min( n sin²(π/n), 1 + (n − 1) sin²(π/(2(n − 1))) )
-
-    Args:
-        n: number of robots, (...), at least 2.
-
-    Returns:
-        (...), without unit.
+    κ(n) = min( n sin²(π/n), 1 + (n − 1) sin²(π/(2(n − 1))) )
     """
     m = np.asarray(n, dtype=np.float64)
     alike = m * np.sin(np.pi / m) ** 2
@@ -83,19 +67,12 @@ def kappa(n: ArrayLike) -> Array:
 
 
 def shrinking(n: ArrayLike, dim: int, gain: ArrayLike, error: ArrayLike = 0.0) -> Array:
-    """Least −L' of n robots that move with gains Σ_j c_ij ≥ c along their bearings, m/s.
+    """Least −L' of n robots that move with gains Σ_j c_ij ≥ c along their bearings, (...), m/s.
 
         2-D:   2 c κ(n) sin(π/n − η)/sin(π/n)                           (theorem G; N for η > 0)
         3-D:   4π c [cos η/n − sin η √(1 − 2/n)]
 
-    Args:
-        n: robots that are left, (...), at least 2.
-        dim: 2 or 3.
-        gain: c, (...), m/s; with an error all Σ_j c_ij must equal it.
-        error: η, (...), rad, the largest angle by which a bearing is wrong.
-
-    Returns:
-        (...); 0 where the error is too large for any promise.
+    With an error η, rad, all Σ_j c_ij must equal c; 0 where it is too large for any promise.
     """
     m, c, eta = np.asarray(n, dtype=np.float64), np.asarray(gain), np.asarray(error)
     if dim == 2:
@@ -107,17 +84,9 @@ def shrinking(n: ArrayLike, dim: int, gain: ArrayLike, error: ArrayLike = 0.0) -
 
 
 def shrinking_to_leader(n: ArrayLike, dim: int, gain: ArrayLike) -> Array:
-    """Least −L' if one robot may rest and see nobody, the others as in ``shrinking``, m/s.
+    """Least −L' if one robot may rest and see nobody, (...), m/s; otherwise as ``shrinking``.
 
-        2-D:   2 c κ₁(n),   κ₁(n) = (n − 1) sin²(π/(2(n − 1)));      3-D:   π c/(n − 1)
-
-    Args:
-        n: number of robots, (...), at least 2.
-        dim: 2 or 3.
-        gain: c, (...), m/s.
-
-    Returns:
-        (...).
+    2-D:   2 c κ₁(n),   κ₁(n) = (n − 1) sin²(π/(2(n − 1)));      3-D:   π c/(n − 1)
     """
     others, c = np.asarray(n, dtype=np.float64) - 1.0, np.asarray(gain)
     if dim == 2:
@@ -125,57 +94,14 @@ def shrinking_to_leader(n: ArrayLike, dim: int, gain: ArrayLike) -> Array:
     return np.asarray(np.pi * c / others)
 
 
-def held_shrinking(
-    n: ArrayLike,
-    dim: int,
-    gain: ArrayLike,
-    *,
-    most: float,
-    step: float,
-    merge_radius: float,
-    led: bool = False,
-) -> Array:
-    """Least −ΔL/τ in a step without a merge, inputs held, m/s (D1): c s μ k as above.
-
-    Args:
-        n: robots that are left, (...), at least 2.
-        dim: 2 or 3.
-        gain: c, (...), m/s.
-        most: C, m/s: no Σ_j c_ij is more.
-        step: τ, s.
-        merge_radius: r, m.
-        led: whether one robot may rest and see nobody.
-
-    Returns:
-        (...); 0 for τ C ≥ r.
-    """
-    m, c = np.asarray(n, dtype=np.float64), np.asarray(gain)
-    psi = np.pi / m
-    if led:
-        wide = _WIDE if dim == 2 else np.pi * (1.0 - np.cos(_WIDE)) / 2.0
-        psi = wide / (m - 1.0)
-    measure = psi if dim == 2 else 2.0 * np.pi * (1.0 - np.cos(psi / 2.0))
-    spare = max(merge_radius - step * most, 0.0)
-    return np.asarray(c * np.sin(psi / 2.0) * measure * spare / (spare + 2.0 * step * c))
-
-
 # ---- times, of numbers ---------------------------------------------------------------------------
 
 
 def size_bound(scenario: Scenario, initial_size: ArrayLike) -> Array:
-    """Time by which law (1) has brought all robots together in continuous time, s.
+    """Time by which law (1) has brought all robots together in continuous time, (...), s, from
+    L(0), m.
 
         2-D   T ≤ L0 / (2 min_m c_m κ(m)),      3-D   T ≤ max_m m w0 / (2 c_m)
-
-    Args:
-        scenario: gives n, the dimension, the graph and v_max.
-        initial_size: L(0), (...), m.
-
-    Returns:
-        (...), s.
-
-    Raises:
-        ValueError: if a size is not finite or negative.
     """
     left = np.arange(2, scenario.n_robots + 1)
     slowest = shrinking(left, scenario.dim, _law_gains(scenario)[0]).min()
@@ -183,31 +109,23 @@ def size_bound(scenario: Scenario, initial_size: ArrayLike) -> Array:
 
 
 def law_held_time(scenario: Scenario, initial_size: ArrayLike) -> Array:
-    """Time by which law (1) has brought all robots together, inputs held, s (D1).
-
-    Args:
-        scenario: gives n, the dimension, the graph, r, τ, D̄ and v_max.
-        initial_size: L(0), (...), m.
-
-    Returns:
-        (...), s; infinite for τ D̄ ≥ r.
-    """
+    """The same with inputs held, (...), s, from L(0), m (D1); infinite for τ D̄ ≥ r."""
     gains, most = _law_gains(scenario)
     extent = checked("initial_size", initial_size, "m") + hull_growth(scenario)
     return _held_time(scenario, extent, gains, most)
 
 
 def _held_time(scenario: Scenario, extent: ArrayLike, gains: Array, most: float) -> Array:
-    rates = held_shrinking(
-        np.arange(2, scenario.n_robots + 1),
-        scenario.dim,
-        gains,
-        most=most,
-        step=scenario.tau,
-        merge_radius=scenario.merge_radius,
-        led=led(scenario),
-    )
-    return over_rate(extent, rates.min()) + (scenario.n_robots - 1) * scenario.tau
+    """T of D1, s, of gains c_m, (n − 1,), and C, m/s: L0/(c s μ k) + (n − 1) τ as above."""
+    m, step = np.arange(2, scenario.n_robots + 1), scenario.tau
+    psi = np.asarray(np.pi / m, dtype=np.float64)
+    if led(scenario):
+        wide = _WIDE if scenario.dim == 2 else np.pi * (1.0 - math.cos(_WIDE)) / 2.0
+        psi = np.asarray(wide / (m - 1.0), dtype=np.float64)
+    measure = psi if scenario.dim == 2 else 2.0 * np.pi * (1.0 - np.cos(psi / 2.0))
+    spare = max(scenario.merge_radius - step * most, 0.0)
+    rates = gains * np.sin(psi / 2.0) * measure * spare / (spare + 2.0 * step * gains)
+    return over_rate(extent, rates.min()) + (scenario.n_robots - 1) * step
 
 
 # ---- the theorem ---------------------------------------------------------------------------------
@@ -218,7 +136,7 @@ def _law_gains(scenario: Scenario) -> tuple[Array, float]:
     gains, most = least_degrees(scenario), scenario.max_degree
     if kind_of_links(scenario.sensing_graph) != UNDIRECTED:
         gains = np.full(len(gains), scenario.bottleneck_weight)
-    if nearest_hides(scenario):
+    if given.nearest_hides(scenario):
         # behind others all but the nearest may be hidden, and its link may be the lightest
         gains = np.full(len(gains), lightest_link(scenario))
     if scenario.scales_velocity:
@@ -243,7 +161,9 @@ def bounds(scenario: Scenario, asked: Asked) -> Bounds:
     extent = initial + hull_growth(scenario)
     followed = (shrinking_to_leader if one_rests else shrinking)(left, scenario.dim, gains).min()
     who = "law (1)" if asked.by == "law" else "every policy that weighs neighbours"
-    mutual = kind_of_links(scenario.sensing_graph) == UNDIRECTED and not nearest_hides(scenario)
+    mutual = kind_of_links(scenario.sensing_graph) == UNDIRECTED and not given.nearest_hides(
+        scenario
+    )
     first = "theorems 1 and G" if asked.by == "law" and mutual else "theorem G"
     scaled = asked.by == "law" and scenario.scales_velocity
     how = ", with velocities scaled to the step," if scaled else ""
@@ -264,51 +184,29 @@ def hull_bounds(scenario: Scenario, asked: Asked) -> Bounds:
     return Bounds(hull=largest_size(scenario) + hull_growth(scenario))
 
 
-_ANY = on_graphs(UNDIRECTED, DIRECTED, SWITCHING)
-_MOVED = (velocity_inputs, bounded_errors)
+_ON_ANY = (
+    given.on_graphs(UNDIRECTED, DIRECTED, SWITCHING),
+    given.connected,
+    given.one_leader_at_most,
+    given.velocity_inputs,
+    given.bounded_errors,
+    given.somebody_seen,
+    given.nothing_in_the_way,
+)
+_WITHIN = (given.within_neighbours, given.exact_bearings)
+_HULL = (given.velocity_inputs, given.bounded_errors, given.nothing_in_the_way)
 THEOREMS = (
+    Theorem("G", ("law",), (*_ON_ANY, *_WITHIN), bounds),
+    Theorem("G", ("gains",), (*_ON_ANY, given.exact_bearings), bounds),
     Theorem(
-        "G",
-        ("law",),
-        (
-            _ANY,
-            connected,
-            one_leader_at_most,
-            *_MOVED,
-            somebody_seen,
-            nothing_in_the_way,
-            within_neighbours,
-            exact_bearings,
-        ),
-        bounds,
-    ),
-    Theorem(
-        "G",
-        ("gains",),
-        (
-            _ANY,
-            connected,
-            one_leader_at_most,
-            *_MOVED,
-            somebody_seen,
-            nothing_in_the_way,
-            exact_bearings,
-        ),
-        bounds,
-    ),
-    Theorem(
-        "G, the hull",
-        ("gains",),
-        (*_MOVED, nothing_in_the_way, exact_bearings),
-        hull_bounds,
-        rendezvous=False,
+        "G, the hull", ("gains",), (*_HULL, given.exact_bearings), hull_bounds, rendezvous=False
     ),
     Theorem(
         "G, the hull",
         ("law",),
-        (*_MOVED, all_neighbours_seen, nothing_in_the_way, within_neighbours, exact_bearings),
+        (*_HULL, given.all_neighbours_seen, *_WITHIN),
         hull_bounds,
         rendezvous=False,
     ),
 )
-"""Law (1) beyond its neighbours, or gains of a wrapper that keeps τ Σ_j c_ij ≤ r by itself."""
+"""A wrapper of gains keeps τ Σ_j c_ij ≤ r by itself."""

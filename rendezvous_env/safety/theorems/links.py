@@ -31,7 +31,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ...scenario.scenario import Scenario
 from ..links import asymmetric_sight
-from .assumptions import bounded_errors, connected, nothing_in_the_way, on_graphs, velocity_inputs
+from . import assumptions as given
 from .constants import (
     PROXIMITY,
     UNDIRECTED,
@@ -57,20 +57,12 @@ def sighted_lyapunov_bound(
     sight: float,
     merge_radius: float,
 ) -> Array:
-    """The most that V can come to where links appear and go with sight, m²/s.
+    """The most that V can come to where links of weight a, m/s, appear and go with sight, (...),
+    m²/s.
 
         V_tot = V0 + 2aR [n(n−1)/2 − |E0| + (n−1)²] + (n−1) r a n(n−1)/2
 
-    Args:
-        n: number of robots.
-        initial_lyapunov: V0, (...), m²/s.
-        links: |E0|, how many there are at the start, (...).
-        weight: a of every link, m/s.
-        sight: R, m.
-        merge_radius: r, m.
-
-    Returns:
-        (...), m²/s.
+    ``links`` is |E0|, how many there are at the start; lengths are in m.
     """
     pairs = n * (n - 1) / 2.0
     appear = pairs - np.asarray(links) + (n - 1) ** 2
@@ -179,12 +171,12 @@ THEOREMS = (
         "R",
         ("links",),
         (
-            on_graphs(UNDIRECTED, PROXIMITY),
-            connected,
-            velocity_inputs,
-            bounded_errors,
+            given.on_graphs(UNDIRECTED, PROXIMITY),
+            given.connected,
+            given.velocity_inputs,
+            given.bounded_errors,
             sight_is_mutual,
-            nothing_in_the_way,
+            given.nothing_in_the_way,
             starts_linked,
             neighbours_apart,
         ),

@@ -12,17 +12,18 @@ one with a merge it grows by 2 c τ sin(η/2) in every direction at most, which 
 times.
 
 **N1.** Law (1), undirected connected graph, τ ≤ r/(2D̄), nobody slowed down. With e_i = 2
-sin(η/2) D_i and ρ = n D̄ sin(η/2)/a* < 1:
+sin(η/2) D_i, c_m ≤ D_i ≤ D̄_m while m robots are left, and ρ_m = m D̄_m sin(η/2)/c_m < 1:
 
     V(t+τ) ≤ V(t) − τ Σ(‖f_i‖² − e_i²) between merges,
-    T ≤ n (V0⁺ + (n−1) τ Σ e_i²)/(4a*²(1 − ρ²)) + (n−1) τ.
+    T ≤ (V0⁺ + (n−1) τ Σ e_i²) max_m m/(4c_m²(1 − ρ_m²)) + (n−1) τ.
 
 **N1'.** Any policy under headings that are certified against f̂ and go max(0, h·f̂_i − e_i) along
-them: V never rises between merges, and with q = ε(2−β) − 2(1+ε)ρ > 0, β = ½, T ≤ n V0⁺/(a*² q²
-s_min) + (n−1) τ.
+them: V never rises between merges, and T ≤ V0⁺ max_m m/(q_m² s_min) + (n−1) τ if all q_m = 2ε c_m
+− ε β a* m/n − 2 (1+ε) m D̄_m sin(η/2), β = ½, are positive; on a complete graph of one weight, no
+obstacles, also with V(0)/(n−1) and q_m²/(m−1) in place of V0⁺ and q_m².
 
-**E[T].** Noise that is drawn anew for every bearing and step, τ = θ r/(2D̄), γ = exp(−σ²/2), ν =
-n(1−γ²) Σ a_ij²/(4a*²), θ < 2γ/(γ²+ν): E[T] ≤ n (V0⁺ + n(n−1) r θ D̄)/(4a*² [γ(2−θγ) − θν]).
+**E[T].** Noise that is drawn anew for every bearing and step, τ = θ r/(2D̄), γ = exp(−σ²/2): E[T] ≤
+(V0⁺ + n(n−1) r θ D̄)/p if p = min_m 4c_m²/m γ(2−θγ) − θ(1−γ²) Σ a_ij² is positive.
 
 **Proofs.** docs/proofs.md, N to E[T].
 """
@@ -38,17 +39,7 @@ from ...scenario.scenario import Scenario
 from ...sensors.sensing import Sensing
 from ..gains import gain_range
 from ..settings import error_chord
-from .assumptions import (
-    all_neighbours_seen,
-    bounded_errors,
-    certified_or_scaled,
-    connected,
-    nothing_in_the_way,
-    on_graphs,
-    one_leader_at_most,
-    undirected,
-    velocity_inputs,
-)
+from . import assumptions as given
 from .constants import (
     DIRECTED,
     SWITCHING,
@@ -59,10 +50,13 @@ from .constants import (
     hull_growth,
     largest_lyapunov,
     largest_size,
+    least_bearing_square,
     least_degrees,
     led,
     long_step,
     lyapunov_bound,
+    merges_at_midpoints,
+    most_degrees,
     over_rate,
     scale_bound,
 )
@@ -78,16 +72,8 @@ DEAD_ZONE = 0.5
 
 
 def largest_error(n: ArrayLike, dim: int) -> Array:
-    """η below which theorem N promises a rendezvous, rad.
-
-        2-D   η < π/n (sharp),        3-D   tan η < 1/√(n(n − 2)), sufficient
-
-    Args:
-        n: number of robots, (...), at least 2.
-        dim: 2 or 3.
-
-    Returns:
-        (...), rad.
+    """η, rad, below which theorem N promises a rendezvous of n robots, (...): π/n, which is sharp;
+    in space arctan(1/√(n(n − 2))) is enough.
     """
     m = np.asarray(n, dtype=np.float64)
     if dim == 2:
@@ -96,43 +82,19 @@ def largest_error(n: ArrayLike, dim: int) -> Array:
 
 
 def held_error(gain: ArrayLike, duration: ArrayLike, merge_radius: float) -> Array:
-    """The error of a bearing that is held, or late, for a while, rad: asin(2 c (τ + delay)/r).
+    """The error of a bearing that is held, or late, for a while, (...), rad: asin(2 c (τ +
+    delay)/r).
 
-    It adds to the errors of the sensor and of the direction of the motion.
-
-    Args:
-        gain: c, no robot is faster, (...), m/s.
-        duration: τ + delay, (...), s.
-        merge_radius: r, m.
-
-    Returns:
-        (...), rad; π where a neighbour can be passed meanwhile.
+    It adds to other errors, and is π where a neighbour can be passed meanwhile. No robot is faster
+    than ``gain``, c, m/s; ``duration`` is τ + delay, s.
     """
     sine = 2.0 * np.asarray(gain) * np.asarray(duration) / merge_radius
     return np.where(sine < 1.0, np.arcsin(np.minimum(sine, 1.0)), np.pi)
 
 
-def wrong_bearings_time(
-    n: ArrayLike, dim: int, initial_size: ArrayLike, gain: ArrayLike, error: ArrayLike
-) -> Array:
-    """T of theorem N in continuous time, s.
-
-    Args:
-        n: number of robots, (...), at least 2.
-        dim: 2 or 3.
-        initial_size: L0, (...), m.
-        gain: c, (...), m/s.
-        error: η, (...), rad.
-
-    Returns:
-        (...), s; infinite from ``largest_error`` on.
-    """
-    return over_rate(np.asarray(initial_size), shrinking(n, dim, gain, error))
-
-
 def equal_gains(scenario: Scenario, asked: Asked) -> Array | None:
-    """c_m of m = 2 … n robots left, (n − 1,), m/s, if all have that and nobody is slowed down
-    (theorem N).
+    """c_m of m = 2 … n robots left, an array (n − 1,), m/s, if all have that and nobody is slowed
+    down (theorem N).
     """
     if asked.by == "gains":
         least, most = gain_range(scenario, asked.min_gain, asked.max_gain)
@@ -155,17 +117,8 @@ def gains_are_equal(scenario: Scenario, asked: Asked) -> str:
 
 
 def held_size_bound(scenario: Scenario, initial_size: ArrayLike) -> Array:
-    """Time by which law (1) has brought all together, inputs held over the step, s (theorem N).
-
-    Args:
-        scenario: gives n, the dimension, the graph, r, τ and v_max.
-        initial_size: L(0), (...), m.
-
-    Returns:
-        (...), s; infinite where nothing is proven, as where degrees do not stay equal.
-
-    Raises:
-        ValueError: if a size is not finite or negative.
+    """Time, (...), s, by which law (1) has brought all together from L(0), m, inputs held (theorem
+    N); infinite where degrees do not stay equal, or inputs are held for too long.
     """
     initial = checked("initial_size", initial_size, "m")
     gains = equal_gains(scenario, _LAW)
@@ -186,7 +139,7 @@ def _equal_gain_time(scenario: Scenario, size: ArrayLike, gains: Array, error: f
     if error == 0.0:
         late_by = np.where(left == 2, 0.0, late_by)
     initial = np.asarray(size)[..., np.newaxis]
-    times = wrong_bearings_time(left, scenario.dim, initial, gains, error + late_by)
+    times = over_rate(initial, shrinking(left, scenario.dim, gains, error + late_by))
     return np.asarray(times.max(axis=-1) + (scenario.n_robots - 1) * scenario.tau)
 
 
@@ -216,68 +169,41 @@ def equal_gain_bounds(scenario: Scenario, asked: Asked) -> Bounds:
 # ---- N1: law (1) ---------------------------------------------------------------------------------
 
 
-def most_wrong(degree: ArrayLike, error: float) -> Array:
-    """The most by which a net bearing can be wrong, e_i = 2 sin(η/2) D_i (theorem N1), m/s.
+def tolerated_error(
+    scenario: Scenario, margin: float | None = None, dead_zone: float = 0.0
+) -> float:
+    """The largest η, a number, rad, below which N1, or N1' with a margin ε, promises a time.
 
-    Args:
-        degree: D_i = Σ_j a_ij, (...), m/s.
-        error: η, a number, rad: no bearing is off by more.
-
-    Returns:
-        (...), m/s.
+    N1    sin(η/2) < min_m c_m/(m D̄_m)
+    N1'   sin(η/2) < min_m ε (2c_m − β a* m/n)/(2 (1+ε) m D̄_m),      β = ``dead_zone``
     """
-    return np.asarray(error_chord(error) * np.asarray(degree))
-
-
-def error_share(scenario: Scenario, error: float) -> float:
-    """ρ = n D̄ sin(η/2)/a*, what errors take from Σ‖f_i‖ ≥ 2 a*, a number without unit (N1).
-
-    Args:
-        scenario: gives n, D̄ and a*.
-        error: η, rad.
-    """
-    wrong = scenario.n_robots * most_wrong(scenario.max_degree, error)
-    return float(wrong / (2.0 * scenario.bottleneck_weight))
-
-
-def error_of_share(scenario: Scenario, share: ArrayLike) -> float:
-    """The η of a given ρ, 2 asin(ρ a*/(n D̄)), a number, rad (theorem N1): see ``error_share``.
-
-    Args:
-        scenario: gives n, D̄ and a*.
-        share: ρ, without unit, at least 0.
-    """
-    sine = (
-        np.asarray(share) * scenario.bottleneck_weight / (scenario.n_robots * scenario.max_degree)
-    )
-    return float(2.0 * np.arcsin(np.minimum(sine, 1.0)))
+    left, share = np.arange(2.0, scenario.n_robots + 1.0), least_degrees(scenario)
+    if margin is not None:
+        faded = dead_zone * scenario.bottleneck_weight * left / scenario.n_robots
+        share = margin * (2.0 * share - faded) / (2.0 * (1.0 + margin))
+    sine = (share / (left * most_degrees(scenario))).min()
+    return float(2.0 * np.arcsin(min(sine, 1.0)))
 
 
 def law_time_bound(scenario: Scenario, initial_lyapunov: ArrayLike, error: float) -> Array:
-    """T for law (1) as it is, inputs held, s (theorem N1).
-
-    Args:
-        scenario: undirected and connected, with a step that is certified.
-        initial_lyapunov: V(0), (...), m²/s.
-        error: η, rad.
-
-    Returns:
-        (...), s; infinite for ρ ≥ 1, for a long step, or if robots can be slowed down.
+    """T for law (1) as it is, inputs held, (...), s, from V(0), m²/s (theorem N1); infinite for
+    errors that are too large, for a long step, or if robots can be slowed down.
     """
-    n, step = scenario.n_robots, scenario.tau
-    above = lyapunov_bound(scenario, initial_lyapunov)
+    n, step, chord = scenario.n_robots, scenario.tau, error_chord(error)
+    above, left = lyapunov_bound(scenario, initial_lyapunov), np.arange(2.0, n + 1.0)
     if scenario.speed_limit < scenario.max_degree or long_step(scenario):
         return np.full(above.shape, np.inf)
-    lost = (n - 1) * step * n * most_wrong(scenario.max_degree, error) ** 2
-    rate = 4.0 * scenario.bottleneck_weight**2 * (1.0 - error_share(scenario, error) ** 2)
-    return over_rate(n * (above + lost), rate) + (n - 1) * step
+    lost = (n - 1) * step * n * (chord * scenario.max_degree) ** 2
+    feigned = left * (chord * most_degrees(scenario)) ** 2
+    rate = (4.0 * least_degrees(scenario) ** 2 / left - feigned).min()
+    return over_rate(above + lost, rate) + (n - 1) * step
 
 
 def law_bounds(scenario: Scenario, asked: Asked) -> Bounds:
     """Theorem N1."""
     time = float(law_time_bound(scenario, largest_lyapunov(scenario), asked.error))
     usable = scenario.speed_limit >= scenario.max_degree and not long_step(scenario)
-    borne = error_of_share(scenario, 1.0) if usable else 0.0
+    borne = tolerated_error(scenario) if usable else 0.0
     words = (
         f"theorem N1: law (1) meets in finite time although bearings err by {asked.error:.4g} rad"
     )
@@ -292,69 +218,41 @@ def law_bounds(scenario: Scenario, asked: Asked) -> Bounds:
 # ---- N1' and the tank: certified velocities ------------------------------------------------------
 
 
-def certified_share(
-    min_alignment: ArrayLike, rho: ArrayLike, dead_zone: float = DEAD_ZONE
+def certified_time(
+    scenario: Scenario,
+    most: ArrayLike,
+    margin: float,
+    error: float,
+    dead_zone: float = 0.0,
+    *,
+    per_other: bool = False,
 ) -> Array:
-    """Share q = ε (2 − β) − 2 (1 + ε) ρ: Σ_i (h·f̂_i − e_i)₊ ≥ q a* (theorem N1').
+    """T ≤ max_m m V0⁺/(s_min q_m²) + (n−1) τ, (...), s, for velocities that are certified against
+    what is seen; infinite if a q_m is not positive. ``most`` is V0⁺, or what stands for it, m²/s;
+    ``per_other`` what V/(m − 1) does not exceed.
 
-    Args:
-        min_alignment: ε, (...), without unit.
-        rho: ρ of ``error_share``, (...), without unit.
-        dead_zone: β, the dead zone δ in units of a*/n; a tank has none, 0.
-
-    Returns:
-        (...), without unit; nothing is promised unless it is positive.
+        Σ_i (h·f̂_i − e_i)₊ ≥ q_m = 2ε c_m − ε β a* m/n − (1+ε) m 2 sin(η/2) D̄_m
     """
-    epsilon = np.asarray(min_alignment)
-    return np.asarray(epsilon * (2.0 - dead_zone) - 2.0 * (1.0 + epsilon) * np.asarray(rho))
-
-
-def forgiven_share(min_alignment: ArrayLike, dead_zone: float = DEAD_ZONE) -> Array:
-    """The ρ at which q = 0, so that any less is tolerated: ε (2 − β)/(2 (1 + ε)) (theorem N1').
-
-    Args:
-        min_alignment: ε, (...), without unit.
-        dead_zone: β, as ``certified_share``.
-
-    Returns:
-        (...), without unit.
-    """
-    epsilon = np.asarray(min_alignment)
-    return np.asarray(epsilon * (2.0 - dead_zone) / (2.0 * (1.0 + epsilon)))
-
-
-def certified_time(scenario: Scenario, most: ArrayLike, share: ArrayLike) -> Array:
-    """T ≤ n V0⁺/(a*² q² s_min) + (n−1) τ of velocities that are certified against what is seen, s.
-
-    Args:
-        scenario: gives n, a*, τ and s_min.
-        most: V0⁺, or what stands for it, (...), m²/s.
-        share: q of ``certified_share``, (...), without unit.
-
-    Returns:
-        (...), s; infinite for q ≤ 0.
-    """
-    n, q = scenario.n_robots, np.maximum(np.asarray(share), 0.0)
-    rate = (scenario.bottleneck_weight * q) ** 2 * scale_bound(scenario)
-    return over_rate(n * np.asarray(most), rate) + (n - 1) * scenario.tau
+    n, left = scenario.n_robots, np.arange(2.0, scenario.n_robots + 1.0)
+    faded = dead_zone * scenario.bottleneck_weight * left / n
+    wrong = left * error_chord(error) * most_degrees(scenario)
+    q = margin * (2.0 * least_degrees(scenario) - faded) - (1.0 + margin) * wrong
+    rates = np.maximum(q, 0.0) ** 2 / left / (left - 1.0 if per_other else 1.0)
+    return over_rate(most, rates.min() * scale_bound(scenario)) + (n - 1) * scenario.tau
 
 
 def heading_time_bound(
     scenario: Scenario, initial_lyapunov: ArrayLike, error: float, min_alignment: float
 ) -> Array:
-    """T for certified headings that allow for errors, inputs held, s (theorem N1').
-
-    Args:
-        scenario: undirected and connected.
-        initial_lyapunov: V(0), (...), m²/s.
-        error: η, rad.
-        min_alignment: ε.
-
-    Returns:
-        (...), s; infinite for q ≤ 0.
+    """T for certified headings that allow for errors, inputs held, (...), s, from V(0), m²/s
+    (theorem N1'); infinite for errors that are too large.
     """
-    share = certified_share(min_alignment, error_share(scenario, error))
-    return certified_time(scenario, lyapunov_bound(scenario, initial_lyapunov), share)
+    kept = min_alignment, error, DEAD_ZONE
+    bound = certified_time(scenario, lyapunov_bound(scenario, initial_lyapunov), *kept)
+    if merges_at_midpoints(scenario):
+        each = np.asarray(initial_lyapunov) / (scenario.n_robots - 1)
+        bound = np.minimum(bound, certified_time(scenario, each, *kept, per_other=True))
+    return np.asarray(bound)
 
 
 def heading_bounds(scenario: Scenario, asked: Asked) -> Bounds:
@@ -362,7 +260,7 @@ def heading_bounds(scenario: Scenario, asked: Asked) -> Bounds:
     start, margin = largest_lyapunov(scenario), asked.min_alignment
     time = float(heading_time_bound(scenario, start, asked.error, margin))
     scaled = " with velocities scaled to the long step" if long_step(scenario) else ""
-    borne = error_of_share(scenario, forgiven_share(margin))
+    borne = tolerated_error(scenario, margin, DEAD_ZONE)
     words = (
         "theorem N1': every policy under certified headings that allow for errors of "
         f"{asked.error:.4g} rad meets in finite time{scaled}"
@@ -381,52 +279,30 @@ def heading_bounds(scenario: Scenario, asked: Asked) -> Bounds:
 # ---- E[T]: noise without a bound -----------------------------------------------------------------
 
 
-def mean_cosine(noise: ArrayLike) -> Array:
-    """γ = E cos ξ = exp(−σ²/2) of a normally distributed angle ξ.
+def least_expected_fall(scenario: Scenario, noise: float, theta: float) -> float:
+    """The least mean rate at which V falls, a number, (m/s)²; negative where it may rise.
 
-    Args:
-        noise: σ, (...), rad.
-
-    Returns:
-        (...), without unit.
+    min_m 4c_m²/m γ(2 − θγ) − θ(1 − γ²) Σa_ij²,   γ = exp(−σ²/2),   θ = 2D̄τ/r    (theorem E[T])
     """
-    return np.asarray(np.exp(-0.5 * np.asarray(noise) ** 2))
-
-
-def scatter(scenario: Scenario, cosine: ArrayLike) -> Array:
-    """ν = n (1 − γ²) Σ a_ij²/(4 a*²), what noise adds to ‖f‖² as a share of 4 a*²/n.
-
-    Args:
-        scenario: gives n, a* and Σ_i Σ_j a_ij², each link in both directions.
-        cosine: γ of ``mean_cosine``, (...), without unit.
-
-    Returns:
-        (...), without unit.
-    """
-    n, graph = scenario.n_robots, scenario.sensing_graph
-    weights = graph.links(n)[2] * graph.weight_range[1]
-    spread = n * (1.0 - np.asarray(cosine) ** 2) * 2.0 * float(weights @ weights)
-    return np.asarray(spread / (4.0 * scenario.bottleneck_weight**2))
+    gamma, graph = math.exp(-0.5 * noise**2), scenario.sensing_graph
+    weights = graph.links(scenario.n_robots)[2] * graph.weight_range[1]
+    scattered = theta * (1.0 - gamma**2) * 2.0 * float(weights @ weights)
+    return least_bearing_square(scenario) * gamma * (2.0 - theta * gamma) - scattered
 
 
 def expected_time_bound(scenario: Scenario, initial_lyapunov: ArrayLike) -> Array:
-    """E[T] of law (1) under the sensor's noise, s (theorem E[T]).
-
-    Args:
-        scenario: undirected and connected; gives n, r, τ, D̄, a* and σ.
-        initial_lyapunov: V(0), (...), m²/s.
-
-    Returns:
-        (...), s; infinite if the step is too long for this noise, or robots can be slowed down.
+    """E[T] of law (1) under the sensor's noise, (...), s, from V(0), m²/s (theorem E[T]); infinite
+    if the step is too long for this noise, or robots can be slowed down.
     """
     n, degree, radius = scenario.n_robots, scenario.max_degree, scenario.merge_radius
     above = lyapunov_bound(scenario, initial_lyapunov)
     if scenario.speed_limit < degree:
         return np.full(above.shape, np.inf)
-    gamma, theta = mean_cosine(scenario.sensing.noise), 2.0 * degree * scenario.tau / radius
-    share = gamma * (2.0 - theta * gamma) - theta * scatter(scenario, gamma)
-    cut_short = n * (n - 1) * radius * theta * degree
-    return over_rate(n * (above + cut_short), 4.0 * scenario.bottleneck_weight**2 * share)
+    theta = 2.0 * degree * scenario.tau / radius
+    cut_short = (n - 1) * radius * theta * degree * n
+    return over_rate(
+        above + cut_short, least_expected_fall(scenario, scenario.sensing.noise, theta)
+    )
 
 
 def noise_alone(scenario: Scenario, asked: Asked) -> str:
@@ -442,26 +318,42 @@ def noisy_bounds(scenario: Scenario, asked: Asked) -> Bounds:
     return Bounds(expected_time=float(expected_time_bound(scenario, largest_lyapunov(scenario))))
 
 
-_SEEING = (velocity_inputs, bounded_errors, all_neighbours_seen, nothing_in_the_way)
+_SEEING = (
+    given.velocity_inputs,
+    given.bounded_errors,
+    given.all_neighbours_seen,
+    given.nothing_in_the_way,
+)
 THEOREMS = (
     Theorem(
         "N",
         ("law", "gains"),
         (
-            on_graphs(UNDIRECTED, DIRECTED, SWITCHING),
-            connected,
-            one_leader_at_most,
+            given.on_graphs(UNDIRECTED, DIRECTED, SWITCHING),
+            given.connected,
+            given.one_leader_at_most,
             *_SEEING,
             gains_are_equal,
         ),
         equal_gain_bounds,
     ),
-    Theorem("N1", ("law",), (undirected, connected, *_SEEING, certified_or_scaled), law_bounds),
-    Theorem("N1'", ("heading",), (undirected, connected, *_SEEING), heading_bounds),
+    Theorem(
+        "N1",
+        ("law",),
+        (given.undirected, given.connected, *_SEEING, given.certified_or_scaled),
+        law_bounds,
+    ),
+    Theorem("N1'", ("heading",), (given.undirected, given.connected, *_SEEING), heading_bounds),
     Theorem(
         "E[T]",
         ("law",),
-        (undirected, connected, velocity_inputs, noise_alone, nothing_in_the_way),
+        (
+            given.undirected,
+            given.connected,
+            given.velocity_inputs,
+            noise_alone,
+            given.nothing_in_the_way,
+        ),
         noisy_bounds,
         rendezvous=False,
     ),

@@ -11,11 +11,19 @@ term. What is wanted is done while A_i + G_i ≥ 0, else law (4) along the wante
 projected onto the cap of ε.
 
 **Promise.** V + ΣA_i does not rise in a step without merge or contact, so V ≤ V0⁺ + (n−1) r W +
-ΣB_i; and without walls, for robots whose action is their velocity, with q = 2ε − 2(1+ε)ρ > 0,
+ΣB_i; and without walls, for robots whose action is their velocity,
 
-    T ≤ n (V0⁺ + (n−1) r W + ΣB_i)/(a*² q² s_min) + (n−1) τ,      s_min = min(1, r/(2D̄τ), v_max/D̄),
+    T ≤ (V0⁺ + (n−1) r W + ΣB_i) max_m m/(q_m² s_min) + (n−1) τ,
 
-and for exact bearings with max_m m/(4 ε² c_m²) in place of n/(4 ε² a*²), c_m as in theorem C.
+s_min = min(1, r/(2D̄τ), v_max/D̄), q_m = 2ε c_m − 2 (1+ε) m D̄_m sin(η/2) > 0 as in theorem N1'
+with β = 0; 2ε c_m for exact bearings.
+
+Where everyone sees everyone, all weights a, no obstacles, all levels become (m'−1)/(m−1) of what
+they were when m robots become m'. Then (V + ΣA)/(m−1) does not rise but by r a per merge, and
+
+    T ≤ ((V(0) + ΣB_i)/(n−1) + (n−1) r a) max_m m (m−1)/(q_m² s_min) + (n−1) τ,
+
+for exact bearings at most (V(0) + ΣB_i + (n−1)² r a)/(2 (n−1) ε² a² s_min) + (n−1) τ.
 
 **Proof.** docs/proofs.md, D.
 """
@@ -29,25 +37,16 @@ from numpy.typing import ArrayLike, NDArray
 
 from ...checks import real, refuse
 from ...scenario.scenario import Scenario
-from ..settings import check_bearing_error
-from .assumptions import (
-    all_neighbours_seen,
-    bounded_errors,
-    connected,
-    known_bodies,
-    nothing_in_the_way,
-    undirected,
-)
+from ..settings import check_bearing_error, levels_follow_v
+from . import assumptions as given
 from .constants import (
     largest_lyapunov,
-    least_degrees,
     lyapunov_bound,
     merge_rise_allowance,
-    over_rate,
-    scale_bound,
+    merges_at_midpoints,
 )
 from .descent import check_margin, check_scenario, covered
-from .noise import certified_share, certified_time, error_of_share, error_share, forgiven_share
+from .noise import certified_time, tolerated_error
 from .theorem import Asked, Bounds, Theorem, too_wrong
 
 Array = NDArray[np.float64]
@@ -56,20 +55,11 @@ Array = NDArray[np.float64]
 def tank_lyapunov_bound(
     scenario: Scenario, initial_lyapunov: ArrayLike, *, budget: float = 0.0
 ) -> Array:
-    """The most that V can ever be under an energy tank: V0⁺ + (n − 1) r W + ΣB_i.
-
-    With obstacles in motion without a contact.
-
-    Args:
-        scenario: gives n, r, W, and how far a robot can go in a step.
-        initial_lyapunov: V(0), (...), m²/s.
-        budget: B_i that each robot's tank begins with, m²/s, at least 0.
-
-    Returns:
-        (...), m²/s.
+    """The most that V can ever be under an energy tank, (...), m²/s: V0⁺ + (n − 1) r W + ΣB_i; with
+    obstacles in motion without a contact.
 
     Raises:
-        ValueError: if an argument is out of its range.
+        ValueError: if V(0), or B_i, m²/s, is out of its range.
     """
     check_scenario(scenario)
     if not 0 <= real(budget) < np.inf:
@@ -86,17 +76,11 @@ def tank_time_bound(
     budget: float = 0.0,
     bearing_error: float = 0.0,
 ) -> Array:
-    """Time by which all robots have met under an energy tank, whatever is wanted, s (theorem D).
+    """Time by which all robots have met under an energy tank, whatever is wanted, (...), s (theorem
+    D); infinite where nothing is guaranteed.
 
-    Args:
-        scenario: gives n, r, W, a*, c_m, D̄, τ and v_max.
-        initial_lyapunov: V(0), (...), m²/s.
-        min_alignment: ε in (0, 1], the margin of the law that an empty tank falls back to.
-        budget: B_i that each robot's tank begins with, m²/s, at least 0.
-        bearing_error: η, rad, that the tank allows for.
-
-    Returns:
-        (...), s; infinite where nothing is guaranteed.
+    Arguments are V(0), m²/s, ε, which is 1 or less, B_i, m²/s, and η, rad, that the tank allows
+    for.
 
     Raises:
         ValueError: if an argument is out of its range.
@@ -106,13 +90,13 @@ def tank_time_bound(
     most = tank_lyapunov_bound(scenario, initial_lyapunov, budget=budget)
     if not covered(scenario):
         return np.full(most.shape, np.inf)
-    share = certified_share(min_alignment, error_share(scenario, error), 0.0)
-    bound = certified_time(scenario, most, share)
-    if error == 0.0:
-        left = np.arange(2, scenario.n_robots + 1)
-        slowest = 4.0 * min_alignment**2 * (least_degrees(scenario) ** 2 / left).min()
-        exact = over_rate(most, slowest * scale_bound(scenario))
-        bound = np.minimum(bound, exact + (scenario.n_robots - 1) * scenario.tau)
+    bound = certified_time(scenario, most, min_alignment, error)
+    if levels_follow_v(scenario) and merges_at_midpoints(scenario):
+        n, a = scenario.n_robots, scenario.bottleneck_weight
+        each = (np.asarray(initial_lyapunov) + n * real(budget)) / (n - 1)
+        each += (n - 1) * scenario.merge_radius * a
+        alike = certified_time(scenario, each, min_alignment, error, per_other=True)
+        bound = np.minimum(bound, alike)
     return np.asarray(bound)
 
 
@@ -130,7 +114,7 @@ def bounds(scenario: Scenario, asked: Asked) -> Bounds:
     words = "theorem D: whatever is wanted, all robots meet in finite time while a tank keeps count"
     if asked.error > 0:
         words += f" and charges errors of {asked.error:.4g} rad"
-    borne = error_of_share(scenario, forgiven_share(asked.min_alignment, 0.0))
+    borne = tolerated_error(scenario, asked.min_alignment)
     if math.isinf(time):
         words = too_wrong(asked, borne, "a tank of this margin") + "; V stays bounded even so"
     return Bounds(
@@ -157,8 +141,9 @@ def moved_by_velocity(scenario: Scenario, asked: Asked) -> str:
     )
 
 
-_COUNTED = (undirected, connected, known_bodies, bounded_errors, all_neighbours_seen)
 THEOREMS = (
-    Theorem("D", ("tank",), (*_COUNTED, nothing_in_the_way, moved_by_velocity), bounds),
-    Theorem("D, the bound on V", ("tank",), _COUNTED, lyapunov_bounds, rendezvous=False),
+    Theorem(
+        "D", ("tank",), (*given.LASTING_LINKS, given.nothing_in_the_way, moved_by_velocity), bounds
+    ),
+    Theorem("D, the bound on V", ("tank",), given.LASTING_LINKS, lyapunov_bounds, rendezvous=False),
 )

@@ -55,13 +55,7 @@ class Bounds:
 
 
 def too_wrong(asked: Asked, tolerated: float, what: str) -> str:
-    """Why nothing is promised of bearings that are wrong by so much.
-
-    Args:
-        asked: gives η.
-        tolerated: rad.
-        what: tolerates it.
-    """
+    """Why nothing is promised of bearings that are wrong by η: ``what`` tolerates less, rad."""
     return (
         f"none: bearings may err by {asked.error:.4g} rad, and {what} is known to tolerate less "
         f"than {tolerated:.4g} rad here (guarantees 11)"

