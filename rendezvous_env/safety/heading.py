@@ -43,12 +43,7 @@ def flexible_velocity(
 
         ṗᵢ = hᵢ hᵢᵀ fᵢ                                              (Zhao & Zheng, eq. 4)
 
-    Args:
-        net_bearing: fᵢ = Σⱼ aᵢⱼ gᵢⱼ, (..., d), m/s, in the robot's own frame.
-        headings: hᵢ, (..., d), unit vectors in the same frame.
-
-    Returns:
-        Velocities, (..., d), m/s.
+    Of fᵢ = Σⱼ aᵢⱼ gᵢⱼ, (..., d), m/s, and unit vectors hᵢ, (..., d), in the robot's own frame.
     """
     f, h = net_bearing, headings
     return h * np.sum(h * f, axis=-1, keepdims=True)
@@ -59,13 +54,8 @@ def step_scale(row_lengths_sum: Any, merge_radius: float, duration: float) -> An
 
         min(1, r/(2 Dᵢ τ))                                          (theory 4)
 
-    Args:
-        row_lengths_sum: Dᵢ = Σⱼ aᵢⱼ, the summed lengths of the neighbour rows, any shape, m/s.
-        merge_radius: r, m.
-        duration: τ, s.
-
-    Returns:
-        Factors in (0, 1], of the same shape; 1 where Dᵢ = 0.
+    Of Dᵢ = Σⱼ aᵢⱼ, the summed lengths of the neighbour rows, any shape, m/s, r, m, and τ, s. It is
+    in (0, 1], without unit; 1 where Dᵢ = 0.
     """
     return merge_radius / np.maximum(2.0 * duration * row_lengths_sum, merge_radius)
 
