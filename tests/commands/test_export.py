@@ -17,7 +17,7 @@ from baselines.learned.learned_policy import load
 from baselines.learned.numpy_actor import NumpyActor
 from baselines.learned.onnx_network import DIGEST_KEY, SETTINGS_KEY, OnnxNetwork
 from baselines.learned.policy_settings import PolicySettings
-from train import cli, export, policies
+from train import checks, cli, export, policies
 from train.compare import playing
 
 CLUTTER = rv.scenarios.get("clutter-12")
@@ -172,7 +172,7 @@ class TestErrors:
         assert "learned.onnx: is exported already" in capsys.readouterr().err
 
     def test_an_extra_that_is_missing_is_named(self, monkeypatch, capsys):
-        monkeypatch.setattr(export.importlib.util, "find_spec", lambda name: None)
+        monkeypatch.setattr(checks.importlib.util, "find_spec", lambda name: None)
         assert cli.main(["export"]) == 2
         assert "export needs onnx; pip install 'rendezvous-env[export]'" in capsys.readouterr().err
 

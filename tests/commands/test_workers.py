@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from baselines.learned import checkpoints
-from train import interrupts, tasks
+from train import checks, interrupts, tasks
 from train.checks import UserError
 from train.compare import compare, playing
 from train.learn import command
@@ -121,9 +121,9 @@ class TestRefusals:
             verify.check_config(verify.Config(**given))
 
     def test_a_missing_ray(self, monkeypatch):
-        monkeypatch.setattr(tasks.importlib.util, "find_spec", lambda name: None)
+        monkeypatch.setattr(checks.importlib.util, "find_spec", lambda name: None)
         with pytest.raises(
-            UserError, match=r"--backend ray needs Ray; pip install 'rendezvous-env\[ray\]"
+            UserError, match=r"--backend ray needs ray; pip install 'rendezvous-env\[ray\]"
         ):
             Workers(on="ray")
 
