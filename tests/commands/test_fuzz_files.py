@@ -371,6 +371,7 @@ def no_work(monkeypatch):
     monkeypatch.setattr(trainer, "_loop", lambda *given: SimpleNamespace(status=0))
     monkeypatch.setattr(bench, "_compared", lambda *given: iter(()))
     monkeypatch.setattr(bench, "_bytes_per_team", lambda *given: (0, 0))
+    monkeypatch.setattr("train.bench.warmup.make_ready", lambda *given: None)
     monkeypatch.setattr(render, "_write_video", lambda *given: None)
     monkeypatch.setattr(style, "save", lambda *given: None)
     fine = claim.Finding(trials=1, margin=1.0, time_over_bound=0.5, violations=0)
