@@ -179,7 +179,8 @@ def _holds_array(kind: Any) -> bool:
 
 def chosen_by_type(function: Callable[..., Any]) -> Callable[[Callable[..., Any]], Any]:
     """How a plain function is compiled: what this decorates is called with the numba types of its
-    arguments, and returns the function that compiled code runs in its place (numba's ``overload``).
+    arguments, and returns the function that compiled code runs in its place (numba's ``overload``):
+    one of the same argument names, or a kernel with them.
 
     A choice by type is made while compiling: what is not chosen is not compiled.
     """

@@ -19,8 +19,10 @@ import pytest
 from hypothesis import settings
 
 import baselines
+from baselines import policy as policies
 from rendezvous_env import Scenario, Simulator
 from rendezvous_env.engine.memory import RENDEZVOUS
+from rendezvous_env.robots import robot_models
 from rendezvous_env.trajectory import run
 
 settings.register_profile("rendezvous", deadline=None, derandomize=True, print_blob=False)
@@ -86,6 +88,23 @@ def actions_shape(simulator: Simulator) -> tuple[int, int, int]:
 def kind(request: pytest.FixtureRequest) -> str:
     """Each of the MODELS."""
     return str(request.param)
+
+
+def assert_same_state(state: Simulator | dict, other: Simulator | dict) -> None:
+    """Of simulators, or of what they gave as their states: bit for bit."""
+    one, two = (s if isinstance(s, dict) else s.get_state() for s in (state, other))
+    assert one.keys() == two.keys()
+    for name, array in one.items():
+        np.testing.assert_array_equal(array, two[name], err_msg=name)
+
+
+@contextmanager
+def refusing(simulator: Simulator, message: str, error: type[Exception] = ValueError) -> Iterator:
+    """What is done here is refused, and leaves the simulator as it was."""
+    before = simulator.get_state()
+    with pytest.raises(error, match=message):
+        yield
+    assert_same_state(simulator, before)
 
 
 class Run(NamedTuple):
@@ -187,3 +206,14 @@ def reseal():
         out_folder.seal(folder, names, about)
 
     return seal
+
+
+@pytest.fixture
+def registry():
+    """Models and policies that a test registers are gone after it."""
+    registries = robot_models.ROBOT_MODELS, policies._registry
+    known = [registry.copy() for registry in registries]
+    yield
+    for entries, before in zip(registries, known, strict=True):
+        entries.clear()
+        entries.update(before)

@@ -12,7 +12,7 @@ from ..compilation import entry_point
 from ..outcome import StepOutput
 from ..physics.random_streams import ignore_overflow
 from . import threads
-from .memory_layout import MemoryLayout, OutputBuffers, block_scratch, team_scratch
+from .memory_layout import MemoryLayout, OutputBuffers, scratch
 from .preparation import constants, layout, robot, sensor
 from .stages.step import step_blocks
 from .state import State
@@ -38,9 +38,9 @@ class BatchRunner:
         """Threads of a step."""
         self.layout, self.robot = layout(place), robot(place.scenario)
         self._sensor = sensor(state)
-        self.team_scratch = team_scratch(place, self.width)
-        """Working memory for one team, with a leading axis for the threads."""
-        self._scratch = tuple(block_scratch(place, self.width)), tuple(self.team_scratch)
+        self._scratch = [scratch(place) for _ in range(self.width)]
+        self.team_scratch = self._scratch[0][1]
+        """Working memory for one team."""
         self._blocks = np.arange(place.blocks)
         self.buffers = OutputBuffers(place)
         """Where it writes what it gives out."""
@@ -91,17 +91,20 @@ class BatchRunner:
             output.crowded.fill(-1)
         state = self._state
         setup = (self.layout, self._constants, self.robot)
-        changed = (tuple(state.teams), state.links, state.obstacles)
-        fixed = (moves, blocks, setup, self._sensor, changed)
-        written = (tuple(output), self._scratch)
+        fixed = (moves, blocks, setup, self._sensor, state.parts())
+        written, scratch = tuple(output), self._scratch
         if (run := self._run) is None:  # before threads share it: compiling may be interrupted
-            writable = (np.empty_like(actions), *written)
+            writable = (np.empty_like(actions), written, scratch[0])
             run = entry_point(step_blocks, ((0, 0, 0), *fixed, *writable))
             run = self._run = ignore_overflow(run)
         if width == 1:  # as ``share`` would, without the way there
-            run(threads.part_of_all(len(blocks)), *fixed, actions, *written)
+            run(threads.part_of_all(len(blocks)), *fixed, actions, written, scratch[0])
         else:
-            threads.share(lambda part: run(part, *fixed, actions, *written), len(blocks), width)
+            threads.share(
+                lambda part: run(part, *fixed, actions, written, scratch[part[2]]),
+                len(blocks),
+                width,
+            )
 
 
 def _width(place: MemoryLayout, num_threads: int | None) -> int:

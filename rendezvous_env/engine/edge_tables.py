@@ -23,12 +23,8 @@ LinkList = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]
 def empty_links(
     place: MemoryLayout, seeds: NDArray[np.uint64], episodes: NDArray[np.int64]
 ) -> Links:
-    """Links that no reset has touched yet: those of all pairs weigh 0, a list has none.
-
-    Args:
-        place: how the teams lie in memory.
-        seeds: (B,), of the teams; arcs that change are drawn from them.
-        episodes: (B,), their numbers.
+    """Links that no reset has touched yet: those of all pairs weigh 0, a list has none. Seeds and
+    episodes, (B,), are those from which arcs that change are drawn.
     """
     n = place.scenario.n_robots
     if place.one_way:
@@ -86,12 +82,8 @@ def matrices(links: Links, batch: int, n: int) -> NDArray[np.float64]:
 
 
 def as_kept(links: Links, listed: Sequence[LinkList], n: int) -> tuple[NDArray[Any], ...]:
-    """Lists of links in the form in which they are kept, each array with an axis for them.
-
-    Args:
-        links: of the kind in question.
-        listed: robots (E,), (E,) and weights (E,), m/s, at most as many as there is room for.
-        n: number of robots.
+    """Lists of links, at most as many as there is room for, in the form in which links of this kind
+    are kept; each array with an axis for the lists.
     """
     if isinstance(links, EdgeList):
         kept = [np.zeros((len(listed), a.shape[1]), a.dtype) for a in links]

@@ -15,8 +15,8 @@ from ..obstacles.obstacle_set import world_of
 from ..physics.random_streams import ignore_overflow
 from ..scenario.start_options import StartOptions
 from .edge_tables import LinkList, listed
-from .memory import AWAITING_RESET, RUNNING, Layout, Robot, TeamScratch
-from .memory.worlds import empty_worlds
+from .memory import AWAITING_RESET, RUNNING, Layout, Robot
+from .memory.obstacles import room_for_obstacles
 from .memory_layout import drafts
 from .preparation import fixed_links, fixed_obstacles, start_rules
 from .reset.starts import TOO_MANY_LINKS, StartRules, reset_teams
@@ -30,13 +30,12 @@ class Episodes:
         state: of the teams.
         layout: of its memory.
         robot: its model.
-        scratch: working memory for one team, with a leading axis for the threads.
+        scratch: working memory for one team.
     """
 
-    def __init__(self, state: State, layout: Layout, robot: Robot, scratch: TeamScratch) -> None:
+    def __init__(self, state: State, layout: Layout, robot: Robot, scratch: Any) -> None:
         self.seed, self.number = state.seed, state.number
-        self._state, self._layout, self._robot = state, layout, robot
-        self._scratch = tuple(array[0] for array in scratch)
+        self._state, self._layout, self._robot, self._scratch = state, layout, robot, scratch
         scenario = state.scenario
         self._rules = start_rules(scenario)
         links = fixed_links(scenario)
@@ -90,10 +89,10 @@ class Episodes:
             rules,
             (self.seed, self.number),
             (self._layout, self._robot),
-            (tuple(state.teams), state.links, state.obstacles),
+            state.parts(),
             self._scratch,
             tuple(drafts(state.place, len(which))),
-            empty_worlds(state.obstacles, len(which)),
+            room_for_obstacles(state.obstacles, len(which)),
         )
 
     def _no_room(self, team: int, why: int) -> str:

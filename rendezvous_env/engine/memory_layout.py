@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -89,47 +90,50 @@ def empty_past(place: MemoryLayout) -> NDArray[np.float32]:
     return np.zeros((place.batch, delay + 1 if delay else 0, *shape), np.float32)
 
 
-def block_scratch(place: MemoryLayout, threads: int) -> BlockScratch:
-    """Working memory for blocks, with a leading axis for the threads."""
+def scratch(place: MemoryLayout) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
+    """Working memory of one thread: the fields of BlockScratch and of TeamScratch."""
+    return tuple(_block_scratch(place)), tuple(_team_scratch(place))
+
+
+def _block_scratch(place: MemoryLayout) -> BlockScratch:
     scenario, lanes = place.scenario, place.lanes
     n, d, layout = scenario.n_robots, scenario.dim, scenario.observation_layout
     slots = layout.obstacle_slots
     n_rows = place.neighbours + layout.rows - layout.neighbour_slots
-    rows = _zeros(threads, n, n_rows, lanes * d, kind=np.float32)
+    rows = _zeros(n, n_rows, lanes * d, kind=np.float32)
     return BlockScratch(
-        action=_zeros(threads, n, scenario.action_size, lanes),
-        displacement=_zeros(threads, n, d + 1, lanes),
-        tally=_zeros(threads, len(Tally._fields), lanes),
-        took_part=_zeros(threads, lanes, n, kind=np.bool_),
-        pair=_zeros(threads, d + 4, lanes),
+        action=_zeros(n, scenario.action_size, lanes),
+        displacement=_zeros(n, d + 1, lanes),
+        tally=_zeros(len(Tally._fields), lanes),
+        took_part=_zeros(lanes, n, kind=np.bool_),
+        pair=_zeros(d + 4, lanes),
         rows=rows,
-        whole_rows=whole_rows(rows, d).reshape(threads, n * n_rows, -1),
-        centres=_zeros(threads, slots, d, lanes),
-        bounds=np.full((threads, slots, lanes), np.nan),
-        radii=np.full((threads, slots, lanes), np.nan),
-        disc=_zeros(threads, 3, 2, lanes),
+        whole_rows=whole_rows(rows, d).reshape(n * n_rows, -1),
+        centres=_zeros(slots, d, lanes),
+        bounds=np.full((slots, lanes), np.nan),
+        radii=np.full((slots, lanes), np.nan),
+        disc=_zeros(3, 2, lanes),
     )
 
 
-def team_scratch(place: MemoryLayout, threads: int) -> TeamScratch:
-    """Working memory for one team, with a leading axis for the threads."""
+def _team_scratch(place: MemoryLayout) -> TeamScratch:
     scenario, links = place.scenario, place.n_links
     layout = scenario.observation_layout
     n, d = scenario.n_robots, scenario.dim
     return TeamScratch(
-        positions=_zeros(threads, n, d),
-        displacements=_zeros(threads, n, d),
-        here=_zeros(threads, n, d),
-        lengths=_zeros(threads, n),
-        resting=_zeros(threads, n, kind=np.bool_),
-        first=_zeros(threads, links, kind=np.int64),
-        second=_zeros(threads, links, kind=np.int64),
-        weights=_zeros(threads, links),
-        moments=_zeros(threads, links),
-        counts=_zeros(threads, n, kind=np.int64),
-        normals=_zeros(threads, 2 * layout.obstacle_slots, 3),
-        silhouette=_zeros(threads, layout.silhouette_points, d),
-        report=_zeros(threads, 4),
+        positions=_zeros(n, d),
+        displacements=_zeros(n, d),
+        here=_zeros(n, d),
+        lengths=_zeros(n),
+        resting=_zeros(n, kind=np.bool_),
+        first=_zeros(links, kind=np.int64),
+        second=_zeros(links, kind=np.int64),
+        weights=_zeros(links),
+        moments=_zeros(links),
+        counts=_zeros(n, kind=np.int64),
+        normals=_zeros(2 * layout.obstacle_slots, 3),
+        silhouette=_zeros(layout.silhouette_points, d),
+        report=_zeros(4),
     )
 
 
@@ -240,26 +244,16 @@ def check_memory(scenario: Scenario, num_envs: int) -> None:
 
 def available_bytes() -> int:
     """Free memory: what the system calls available, or the limit of our group if that is less."""
-    return min(_system_bytes(), _group_bytes())
-
-
-def _system_bytes() -> int:
-    try:
+    found = 2**40
+    with suppress(AttributeError, OSError, ValueError):
+        found = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    with suppress(OSError, StopIteration, ValueError, IndexError):
         lines = Path("/proc/meminfo").read_text(encoding="ascii").splitlines()
-        return next(int(line.split()[1]) * 1024 for line in lines if "MemAvailable" in line)
-    except (OSError, StopIteration, ValueError, IndexError):
-        pass
-    try:
-        return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    except (AttributeError, OSError, ValueError):
-        return 2**40
-
-
-def _group_bytes() -> int:
-    try:
-        return int(Path("/sys/fs/cgroup/memory.max").read_text(encoding="ascii"))
-    except (OSError, ValueError):
-        return 2**63
+        found = next(int(line.split()[1]) * 1024 for line in lines if "MemAvailable" in line)
+    with suppress(OSError, ValueError):
+        group = Path("/sys/fs/cgroup/memory.max").read_text(encoding="ascii")
+        found = min(found, int(group))
+    return found
 
 
 def _gigabytes(count: int) -> str:

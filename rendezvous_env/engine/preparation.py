@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numpy as np
@@ -16,6 +15,7 @@ from ..physics.random_streams import ignore_overflow
 from ..robots.motion import begin_memory
 from ..robots.robot_models import constants_of
 from ..scenario.scenario import CONTACT_MODES, Scenario
+from ..sensors.imperfections import imperfections_of
 from .memory import Constants, Layout, Robot
 from .memory_layout import MemoryLayout
 from .reset.starts import Spacing, StartRules
@@ -26,7 +26,8 @@ from .state import State
 def layout(place: MemoryLayout) -> Layout:
     """How the numbers of these teams lie in memory."""
     d = place.scenario.dim
-    return Layout(place.width, tuple(range(d)), tuple(range(d * d)))
+    packs = True if place.neighbours != place.scenario.observation_layout.neighbour_slots else None
+    return Layout(place.width, tuple(range(d)), tuple(range(d * d)), packs)
 
 
 def robot(scenario: Scenario) -> Robot:
@@ -40,25 +41,10 @@ def robot(scenario: Scenario) -> Robot:
 
 def sensor(state: State) -> Sensor | None:
     """The sensor of a scenario's robots; None is the exact one."""
-    scenario, place = state.scenario, state.place
-    sensing = scenario.sensing
-    if sensing.built_in_exact:
+    errors = imperfections_of(state.scenario.sensing)
+    if errors is None:
         return None
-    return Sensor(
-        reach=math.inf if sensing.range is None else sensing.range,
-        half_field=0.5 * sensing.field_of_view,
-        noise=sensing.noise,
-        bias=sensing.bias,
-        error=sensing.error,
-        dropout=sensing.dropout,
-        sectors=sensing.sectors or 0,
-        obstacles_hide=sensing.occlusion in ("obstacles", "both"),
-        robots_hide=sensing.occlusion in ("robots", "both"),
-        packed=place.packed,
-        seeds=state.seed,
-        episodes=state.number,
-        past=state.past,
-    )
+    return Sensor(errors, state.place.packed, state.seed, state.number, state.past)
 
 
 def constants(scenario: Scenario, max_steps: int) -> tuple[Any, ...]:

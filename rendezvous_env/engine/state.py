@@ -56,16 +56,16 @@ class State:
         self.lanes = place.lanes
 
     @property
-    def blocks(self) -> int:
-        """Number of blocks."""
-        return len(self.teams.positions)
-
-    @property
     def nbytes(self) -> int:
         """Bytes of the state of all teams."""
         links = link_tables.arrays_of(self.links).values()
         own = (*self.teams, *links, *(self.obstacles or ()), self.past)
         return sum(array.nbytes for array in own)
+
+    def parts(self) -> tuple[Any, ...]:
+        """The fields of BatchState, those of Teams as a tuple."""
+        changes = getattr(self.links, "changes", None)
+        return tuple(self.teams), self.links, changes, self.obstacles
 
     # ---- reading ----------------------------------------------------------------------------
 
@@ -85,12 +85,6 @@ class State:
         """One of STATISTICS of every team, (B,), as a copy."""
         return self.teams.statistics[:, STATISTICS.index(name)].flatten()[: self.batch]
 
-    def put_statistic(self, name: str, values: NDArray[Any]) -> None:
-        """Write one of STATISTICS of every team, (B,)."""
-        team = np.arange(self.batch)
-        table = self.teams.statistics[:, STATISTICS.index(name)]
-        table[team // self.lanes, team % self.lanes] = values
-
     def weights(self) -> NDArray[np.float64]:
         """a_ij, (B, n, n), m/s."""
         return link_tables.matrices(self.links, self.batch, self.scenario.n_robots)
@@ -102,52 +96,44 @@ class State:
             return np.zeros((self.batch, 0, width))
         return obstacle_set.table_of(self.obstacles)
 
+    def _arrays(self) -> tuple[dict[str, NDArray[Any]], dict[str, NDArray[Any]]]:
+        """What of the state lies in blocks, (blocks, …, L), and what by team, (B, …), by name."""
+        teams = self.teams
+        in_blocks: dict[str, NDArray[Any]] = {"positions": teams.positions, "memory": teams.memory}
+        if self.scenario.model.n_angles == 0:
+            in_blocks["frames"] = teams.frames
+        by_team: dict[str, NDArray[Any]] = {"merged_into": teams.merged_into}
+        if self.past.shape[1] > 1:
+            by_team["past"] = self.past
+        links = link_tables.arrays_of(self.links)
+        (in_blocks if isinstance(self.links, DenseEdges) else by_team).update(links)
+        return in_blocks, by_team
+
     def as_dict(self) -> dict[str, NDArray[Any]]:
         """All that is neither constant nor follows from the rest, as copies with leading axis B."""
-        state: dict[str, NDArray[Any]] = {
-            "positions": self.positions().copy(),
-            "memory": self.memory().copy(),
-            "obstacles": self.obstacle_table().copy(),
-            "merged_into": self.teams.merged_into.copy(),
-        }
-        if isinstance(self.links, DenseEdges):
-            state["weights"] = self._by_team(self.links.weights).copy()
-        else:
-            kept_links = link_tables.arrays_of(self.links)
-            state |= {name: array.copy() for name, array in kept_links.items()}
-        if self.past.shape[1] > 1:
-            state["past"] = self.past.copy()
-        if self.scenario.model.n_angles == 0:
-            state["frames"] = self.frames().copy()
+        in_blocks, by_team = self._arrays()
+        state = {name: self._by_team(array).copy() for name, array in in_blocks.items()}
+        state |= {name: array.copy() for name, array in by_team.items()}
         kept = {name: self.statistic(name).astype(kind) for name, kind in KEPT.items()}
-        return state | kept
+        return state | {"obstacles": self.obstacle_table().copy()} | kept
 
     # ---- writing ----------------------------------------------------------------------------
 
     def put(self, state: dict[str, NDArray[Any]]) -> None:
         """Put back what ``as_dict`` gave; unchecked."""
-        for name, value in state.items():
-            if name in KEPT:
-                self.put_statistic(name, value)
-            elif name == "obstacles":
-                if self.obstacles is not None:
-                    for array, numbers in zip(
-                        self.obstacles, obstacle_set.world_of(value), strict=True
-                    ):
-                        array[...] = numbers
-            elif name == "merged_into":
-                self.teams.merged_into[...] = value
-            elif name == "past":
-                self.past[...] = value
-            elif name in ("first", "second", "weights"):
-                if isinstance(self.links, DenseEdges):
-                    self._to_lanes(value, self.links.weights)
-                else:
-                    getattr(self.links, name)[...] = value
-            else:
-                self._to_lanes(value, getattr(self.teams, name))
+        in_blocks, by_team = self._arrays()
+        for name, blocks in in_blocks.items():
+            self._to_lanes(state[name], blocks)
+        for name, array in by_team.items():
+            array[...] = state[name]
+        for name in KEPT:
+            self._put_statistic(name, state[name])
+        if self.obstacles is not None:
+            given = obstacle_set.world_of(state["obstacles"])
+            for array, numbers in zip(self.obstacles, given, strict=True):
+                array[...] = numbers
         active = (self.teams.merged_into == np.arange(self.scenario.n_robots)).sum(axis=1)
-        self.put_statistic("active", active)
+        self._put_statistic("active", active)
 
     def give(
         self,
@@ -156,14 +142,7 @@ class State:
         which: NDArray[np.int64],
         log: list[Overwritten],
     ) -> None:
-        """Write the given part of a start, and keep what was there.
-
-        Args:
-            name: "positions", "memory" or "frames".
-            values: (count or 1, n, numbers).
-            which: (count,), teams.
-            log: what was overwritten is added to it.
-        """
+        """Write the given part of a start, (count or 1, n, numbers), of these teams."""
         index = (which // self.lanes, slice(None), slice(None), which % self.lanes)
         overwrite(getattr(self.teams, name), index, values, log)
 
@@ -190,10 +169,15 @@ class State:
         for array, numbers in zip(self.obstacles, world, strict=True):
             overwrite(array, which, numbers, log)
 
+    def _put_statistic(self, name: str, values: NDArray[Any]) -> None:
+        team = np.arange(self.batch)
+        table = self.teams.statistics[:, STATISTICS.index(name)]
+        table[team // self.lanes, team % self.lanes] = values
+
     def _by_team(self, blocks: NDArray[np.float64]) -> NDArray[np.float64]:
         """Numbers of each team from blocks, (blocks, …, L) → (B, …)."""
         by_team = np.moveaxis(blocks, -1, 1)
-        return by_team.reshape(self.blocks * self.lanes, *by_team.shape[2:])[: self.batch]
+        return by_team.reshape(len(blocks) * self.lanes, *by_team.shape[2:])[: self.batch]
 
     def _to_lanes(self, values: NDArray[np.float64], blocks: NDArray[np.float64]) -> None:
         """Write (B, …) into blocks, (blocks, …, L)."""
@@ -202,13 +186,8 @@ class State:
 
 
 def overwrite(array: NDArray[Any], index: Any, values: ArrayLike, log: list[Overwritten]) -> None:
-    """Write into the state, and keep what was there.
-
-    Args:
-        array: of the state.
-        index: with a list or array of teams in it, so that what it reads is a copy.
-        values: one for all of them, or one for each.
-        log: what was there is added to it.
+    """Write into the state, and add what was there to the log; the index has a list or array of
+    teams in it, so that what it reads is a copy.
     """
     log.append(Overwritten(array, index, array[index]))
     array[index] = values

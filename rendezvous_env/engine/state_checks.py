@@ -8,16 +8,26 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..checks import shown
+from ..checks import bools, shown
 from ..obstacles.obstacle_set import faults
 from ..obstacles.parsing import only_balls
 from ..outcome import StepOutput
 from ..scenario.scenario import Scenario
-from . import edge_checks as link_checks
-from .edge_checks import refuse_first
 from .memory import AWAITING_RESET, RENDEZVOUS
 
 _ROUNDING = 1e-9
+_FINITE = "positions", "memory", "weights", "path_length", "initial_lyapunov", "frames", "past"
+_NOT_NEGATIVE = "weights", "steps", "contacts", "path_length", "initial_lyapunov"
+_MOST = {
+    "positions": 1e36,
+    "memory": 1e36,
+    "weights": 1e13,
+    "path_length": 1e36,
+    "initial_lyapunov": 1e54,
+    "obstacles": 1e9,
+    "past": 1e13,
+}
+"""Absolute values up to which nothing overflows that a step computes."""
 _FLOATS = np.dtype(np.float32), np.dtype(np.float64)
 
 
@@ -102,42 +112,31 @@ def check_teams(scenario: Scenario, state: Mapping[str, NDArray[Any]]) -> None:
     Raises:
         ValueError: naming the entry, its value, and what would be right.
     """
-    check_finite(state, ("positions", "memory", "weights", "path_length", "initial_lyapunov"))
-    for name in ("weights", "steps", "contacts", "path_length", "initial_lyapunov"):
+    check_finite(state, tuple(name for name in _FINITE if name in state))
+    for name in _NOT_NEGATIVE:
         refuse_first(name, state[name] < 0, state[name], "0 or more")
-    for name, most in (
-        ("positions", 1e36),
-        ("memory", 1e36),
-        ("weights", 1e13),
-        ("path_length", 1e36),
-        ("initial_lyapunov", 1e54),
-        ("obstacles", 1e9),
-    ):
-        refuse_first(name, np.abs(state[name]) > most, state[name], f"at most {most:g}")
-    initial = state["initial_lyapunov"]
-    refuse_first(
-        "initial_lyapunov", (initial != 0) & (initial < 1e-30), initial, "0, or 1e-30 or more"
-    )
-    clearance, status = state["min_clearance"], state["status"]
+    for name, most in _MOST.items():
+        if name in state:
+            refuse_first(name, np.abs(state[name]) > most, state[name], f"at most {most:g}")
+    initial, status = state["initial_lyapunov"], state["status"]
+    tiny = (initial != 0) & (initial < 1e-30)
+    refuse_first("initial_lyapunov", tiny, initial, "0, or 1e-30 or more")
+    clearance = state["min_clearance"]
     refuse_first("min_clearance", ~(clearance > -np.inf), clearance, "a length or inf, m")
-    refuse_first(
-        "status", (status < 0) | (status > AWAITING_RESET), status, f"0 to {AWAITING_RESET}"
-    )
+    unknown = (status < 0) | (status > AWAITING_RESET)
+    refuse_first("status", unknown, status, f"0 to {AWAITING_RESET}")
     refuse_first("seed", state["seed"] >= 2**63, state["seed"], "below 2**63")
     refuse_first("episode", state["episode"] < -1, state["episode"], "-1 (none yet) or more")
     if "frames" in state:  # those of teams that have not begun are not drawn yet
-        check_finite(state, ("frames",))
         check_rotations(state, state["episode"] >= 0, _ROUNDING)
-    if "past" in state:
-        check_finite(state, ("past",))
-        refuse_first("past", np.abs(state["past"]) > 1e13, state["past"], "at most 1e+13")
     if scenario.model.keeps_velocity:
         _check_velocities(scenario, state["memory"])
-    link_checks.check_lists(scenario.n_robots, state)
-    link_checks.check_rows(scenario, state)
+    if "first" in state:
+        _check_lists(scenario.n_robots, state)
     _check_merges(state)
-    link_checks.check_nobody_sees_the_merged(state)
-    _check_obstacles(scenario, state["obstacles"])
+    _check_neighbours(scenario, state)
+    for fault, wanted in faults(state["obstacles"], scenario.dim, only_balls(scenario.obstacles)):
+        refuse_first("obstacles", fault, state["obstacles"], wanted)
 
 
 def _check_velocities(scenario: Scenario, memory: NDArray[np.float64]) -> None:
@@ -147,13 +146,24 @@ def _check_velocities(scenario: Scenario, memory: NDArray[np.float64]) -> None:
     refuse_first("memory", too_fast, memory, f"a velocity of at most {limit:g} m/s")
 
 
+def _check_lists(n: int, state: Mapping[str, NDArray[Any]]) -> None:
+    """Links are indices of two robots, the lower one first, sorted, those in use first."""
+    first, second, used = state["first"], state["second"], state["weights"] > 0
+    refuse_first("first", (first < 0) | (first >= n), first, f"from 0 to {n - 1}")
+    refuse_first("second", (second < 0) | (second >= n), second, f"from 0 to {n - 1}")
+    refuse_first("second", used & (second <= first), second, "above the other robot of its link")
+    order = first * n + second
+    ahead = np.concatenate([np.full((len(used), 1), -1), order[:, :-1]], axis=1)
+    refuse_first("first", used & (order <= ahead), first, "in the order of the links, each once")
+    refuse_first("weights", used[:, 1:] & ~used[:, :-1], state["weights"][:, 1:], "0 after a 0")
+
+
 def _check_merges(state: Mapping[str, NDArray[Any]]) -> None:
     """Robots are part of one with a lower index, which is itself."""
     into, status = state["merged_into"], state["status"]
     n = into.shape[1]
-    refuse_first(
-        "merged_into", (into < 0) | (into > np.arange(n)), into, "from 0 to the robot's own"
-    )
+    wrong = (into < 0) | (into > np.arange(n))
+    refuse_first("merged_into", wrong, into, "from 0 to the robot's own")
     survives = np.take_along_axis(into, into, axis=1) == into
     refuse_first("merged_into", ~survives, into, "a robot that has itself not merged")
     one_left = (into != np.arange(n)).sum(axis=1) == n - 1
@@ -161,10 +171,38 @@ def _check_merges(state: Mapping[str, NDArray[Any]]) -> None:
     refuse_first("status", (status == RENDEZVOUS) != one_left, status, what)
 
 
-def _check_obstacles(scenario: Scenario, rows: NDArray[np.float64]) -> None:
-    """Tables, (B, M, width), of ``obstacles.obstacle_set``."""
-    for fault, wanted in faults(rows, scenario.dim, only_balls(scenario.obstacles)):
-        refuse_first("obstacles", fault, rows, wanted)
+def _check_neighbours(scenario: Scenario, state: Mapping[str, NDArray[Any]]) -> None:
+    """No robot has itself or one that has merged away as neighbour, nor more than rows for them."""
+    n, weights = scenario.n_robots, state["weights"]
+    slots, used = scenario.observation_layout.neighbour_slots, weights > 0
+    gone = state["merged_into"] != np.arange(n)
+    if weights.ndim == 3:
+        own = used & np.eye(n, dtype=bool)
+        refuse_first("weights", own, weights, "0: no robot is its own neighbour")
+        counts, of_gone = used.sum(axis=2), gone[:, :, None] | gone[:, None, :]
+    else:
+        ends = (state["first"], state["second"]) if "first" in state else np.triu_indices(n, 1)
+        counts, of_gone = np.zeros(gone.shape, np.int64), np.zeros(used.shape, np.bool_)
+        for robots in ends:
+            robots = np.broadcast_to(robots, used.shape)
+            team, e = np.nonzero(used)
+            np.add.at(counts, (team, robots[team, e]), 1)
+            of_gone |= np.take_along_axis(gone, robots, axis=1)
+    refuse_first("weights", used & of_gone, weights, "0 for pairs with a merged-away robot")
+    if (counts > slots).any():
+        where = tuple(int(k) for k in np.argwhere(counts > slots)[0])
+        raise ValueError(
+            f"state: weights give robot_{where[1]} of team {where[0]} {counts[where]} neighbours; "
+            f"there are rows for neighbour_slots = {slots}"
+        )
+
+
+def refuse_first(name: str, wrong: NDArray[np.bool_], values: NDArray[Any], what: str) -> None:
+    """Name the first wrong place, (team,), (team, robot), (team, slot) or deeper, if any is."""
+    if wrong.any():
+        place = tuple(int(k) for k in np.argwhere(wrong)[0])
+        where = ", ".join(map(str, place))
+        raise ValueError(f"state: {name}[{where}] is {values[place].tolist()}; it must be {what}")
 
 
 def check_output(output: Any, wanted: tuple[tuple[tuple[int, ...], Any], ...]) -> None:
@@ -223,10 +261,4 @@ def check_mask(mask: ArrayLike, num_envs: int) -> NDArray[np.bool_]:
     Raises:
         ValueError: for another shape or type.
     """
-    array = np.asarray(mask)
-    if array.shape != (num_envs,) or array.dtype != np.bool_:
-        raise ValueError(
-            f"mask is {array.dtype} of shape {array.shape}; it must be bool, one for each of "
-            f"{num_envs} teams"
-        )
-    return array
+    return bools("mask", mask, (num_envs,), "teams")

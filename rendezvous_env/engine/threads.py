@@ -30,13 +30,7 @@ def part_of_all(blocks: int) -> Part:
 
 @inner_kernel(inline="text")
 def each_block(part, work, arguments):
-    """Do the blocks of a part: ``work(block, arguments)`` for each.
-
-    Args:
-        part: a Part.
-        work: an unfolded kernel.
-        arguments: a tuple.
-    """
+    """Do the blocks of a part: ``work(block, arguments)``, an unfolded kernel, for each."""
     for block in range(part[0], part[1]):
         work(block, arguments)
 
@@ -166,24 +160,15 @@ def available_cores() -> int:
     affine = (
         len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     )
-    return max(1, int(min(affine, cpu_quota(), _granted())))
-
-
-def _granted() -> float:
-    """What the user's environment grants; inf without a number there."""
     share = os.environ.get("NUMBA_NUM_THREADS", "")
-    return int(share) if share.isdecimal() and int(share) else float("inf")
+    granted = int(share) if share.isdecimal() and int(share) else affine
+    return max(1, int(min(affine, cpu_quota(), granted)))
 
 
 @lru_cache
 def cpu_quota(root: Path = Path("/")) -> float:
-    """Cores' worth of processor time that the control groups of this process grant.
-
-    Args:
-        root: of the file system.
-
-    Returns:
-        The least of all groups that it is in; inf without control groups.
+    """Cores' worth of processor time that the control groups of this process grant, the least of
+    all that it is in; inf without any. ``root`` is that of the file system.
     """
     return min(_quotas(root), default=float("inf"))
 

@@ -40,7 +40,9 @@ def store(vector, out):
 
 @kernel
 def dot(a, b):
-    """Scalar product aᵀb of two triples, a number; unit of a times unit of b."""
+    """Scalar product aᵀb of two pairs or two triples, a number; unit of a times unit of b."""
+    if len(a) == 2:
+        return a[0] * b[0] + a[1] * b[1]
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
@@ -58,9 +60,11 @@ def combine(p, a, q, b):
 
 @kernel
 def add(a, factor, b):
-    """The triple a + factor b of two triples and a number, in the unit of a; a itself, bit for bit,
-    where b is zero.
+    """The pair or triple a + factor b of two of them and a number, in the unit of a; a itself, bit
+    for bit, where b is zero.
     """
+    if len(a) == 2:
+        return a[0] + factor * b[0], a[1] + factor * b[1]
     return a[0] + factor * b[0], a[1] + factor * b[1], a[2] + factor * b[2]
 
 
@@ -120,22 +124,6 @@ def square(v):
     if len(v) == 2:
         return v[0] * v[0] + v[1] * v[1]
     return v[0] * v[0] + v[1] * v[1] + v[2] * v[2]
-
-
-@kernel(inline="code")
-def plus(a, factor, b):
-    """The pair or triple a + factor b of two pairs or triples and a number, in the unit of a."""
-    if len(a) == 2:
-        return a[0] + factor * b[0], a[1] + factor * b[1]
-    return a[0] + factor * b[0], a[1] + factor * b[1], a[2] + factor * b[2]
-
-
-@kernel(inline="code")
-def product(a, b):
-    """Scalar product aᵀb of two pairs or two triples, a number; unit of a times unit of b."""
-    if len(a) == 2:
-        return a[0] * b[0] + a[1] * b[1]
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 @kernel(inline="code")

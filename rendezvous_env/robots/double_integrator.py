@@ -14,7 +14,7 @@ import math
 from typing import NamedTuple
 
 from ..compilation import kernel
-from ..physics.vectors import plus, product, scaled, square, to_global, to_local
+from ..physics.vectors import add, dot, scaled, square, to_global, to_local
 from .motion import FREE, STOPPED, Motion, describe
 from .robot_models import RobotModel, register_robot_model
 from .single_integrator import speed_scale
@@ -45,7 +45,7 @@ def final_velocity(model, action, frame, velocity):
     global one; pairs or triples.
     """
     _, factor = speed_scale(square(action), model.acceleration_limit)
-    pushed = plus(velocity, model.duration * factor, to_global(frame, action))
+    pushed = add(velocity, model.duration * factor, to_global(frame, action))
     _, factor = speed_scale(square(pushed), model.speed_limit)
     return scaled(pushed, factor)
 
@@ -53,9 +53,9 @@ def final_velocity(model, action, frame, velocity):
 @kernel
 def _along(model, action, frame, memory, time):
     """The way v t + ½ a t², with a = (v(τ) − v)/τ."""
-    change = plus(final_velocity(model, action, frame, memory), -1.0, memory)
+    change = add(final_velocity(model, action, frame, memory), -1.0, memory)
     half = 0.5 * time * time / model.duration
-    return plus(scaled(memory, time), half, change)
+    return add(scaled(memory, time), half, change)
 
 
 @kernel
@@ -66,13 +66,13 @@ def mean_speed(before, after):
     [u √(u² + h²) + h² asinh(u/h)] / 2‖c‖ between the ends.
     """
     start, end = math.sqrt(square(before)), math.sqrt(square(after))
-    change = plus(after, -1.0, before)
+    change = add(after, -1.0, before)
     size = math.sqrt(square(change))
     if size <= _NEARLY_STEADY * max(start, end):
-        middle = 0.5 * math.sqrt(square(plus(before, 1.0, after)))
+        middle = 0.5 * math.sqrt(square(add(before, 1.0, after)))
         return (start + 4.0 * middle + end) / 6.0
-    along = product(before, change) / size
-    across = math.sqrt(square(plus(before, -along / size, change)))
+    along = dot(before, change) / size
+    across = math.sqrt(square(add(before, -along / size, change)))
     length = (along + size) * end - along * start
     if across > 0.0:
         turned = math.asinh((along + size) / across) - math.asinh(along / across)
@@ -84,7 +84,7 @@ def mean_speed(before, after):
 def _propose(model, action, frame, memory):
     """The way is a parabola."""
     after = final_velocity(model, action, frame, memory)
-    middle = scaled(plus(memory, 1.0, after), 0.5)
+    middle = scaled(add(memory, 1.0, after), 0.5)
     return scaled(middle, model.duration), model.duration * mean_speed(memory, after)
 
 
@@ -106,10 +106,10 @@ def _remember(model, action, frame, memory, displacement, contact):
         return velocity
     if contact == STOPPED:
         return scaled(velocity, 0.0)
-    way = scaled(plus(memory, 1.0, velocity), 0.5 * model.duration)
-    taken = plus(way, -1.0, displacement)
-    into, size = product(velocity, taken), square(taken)
-    return plus(velocity, -into / size, taken) if into > 0.0 and size > 0.0 else velocity
+    way = scaled(add(memory, 1.0, velocity), 0.5 * model.duration)
+    taken = add(way, -1.0, displacement)
+    into, size = dot(velocity, taken), square(taken)
+    return add(velocity, -into / size, taken) if into > 0.0 and size > 0.0 else velocity
 
 
 @kernel

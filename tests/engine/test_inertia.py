@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import pickle
-
 import numpy as np
 import pytest
 
@@ -38,9 +36,9 @@ def two(dim: int = 2, obstacles: tuple = (), **changes: object) -> Scenario:
     return Scenario(**given | changes)
 
 
-def begin(scenario: Scenario, position, velocity=None, num_envs: int = 1) -> Simulator:
+def begin(scenario: Scenario, position, velocity=None) -> Simulator:
     """Robot 0 at a place with a velocity, robot 1 out of the way."""
-    d, sim = scenario.dim, Simulator(scenario, num_envs, num_threads=1)
+    d, sim = scenario.dim, Simulator(scenario, num_threads=1)
     sim.reset(0, {"positions": [[*position], [50.0] * d]})
     if velocity is not None:
         state = sim.get_state()
@@ -162,57 +160,6 @@ def test_the_survivor_of_a_merge_keeps_its_own_velocity():
     assert sim.active[0].tolist() == [True, False] and out.status[0] == 1
     np.testing.assert_allclose(sim.velocities[0, 0], (1.0, 0.6), atol=1e-9)
     assert (out.observations[0, 1] == 0).all()
-
-
-def test_who_has_merged_or_finished_does_not_drift():
-    scenario = two(n_robots=3, graph="path")
-    sim = Simulator(scenario, 3, num_threads=1)
-    far = [[0.0, 0.0], [0.25, 0.0], [9.0, 0.0]]
-    near = [[0.0, 0.0], [0.25, 0.0], [0.5, 0.0]]
-    sim.reset(0, {"positions": [far, near, far]})
-    state = sim.get_state()
-    state["memory"][:, 0], state["memory"][:, 1] = (1.0, 0.0), (-1.0, 0.0)
-    state["memory"][:, 2] = (-2.0, 0.0)
-    sim.set_state(state)
-    idle = np.zeros((3, 3, 2), np.float32)
-    sim.step(idle)
-    assert sim.ended.tolist() == [False, True, False] and not sim.active[0, 1]
-    raw, kept = sim.get_state()["positions"].copy(), sim.path_length
-    for _ in range(5):
-        sim.step(idle)
-    now = sim.get_state()["positions"]
-    np.testing.assert_array_equal(now[1], raw[1])  # the finished team
-    np.testing.assert_array_equal(now[0, 1], raw[0, 1])  # the one that merged away
-    assert sim.path_length[1] == kept[1]
-    moved = np.linalg.norm(now[0, 0] - raw[0, 0])
-    assert moved == pytest.approx(0.5)  # and the survivor glides on
-
-
-def test_a_restarted_team_is_at_rest_and_passes_its_first_step():
-    scenario = two()
-    sim = begin(scenario, (0.0, 0.0), (1.0, 0.5), num_envs=2)
-    sim.restart(np.array([True, False]))
-    before = sim.get_state()["positions"].copy()
-    push(sim, (6.0, 0.0))
-    np.testing.assert_array_equal(sim.velocities[0], 0.0)
-    np.testing.assert_array_equal(sim.get_state()["positions"][0], before[0])
-    assert sim.velocities[1, 0] == pytest.approx((1.6, 0.5))
-
-
-def test_state_and_pickle_keep_velocities():
-    scenario = two(3, local_frames="random")
-    sim, random = begin(scenario, (0.0, 0.0, 0.0), (1.0, -0.5, 2.0)), np.random.default_rng(2)
-    push(sim, random.uniform(-6, 6, 3))
-    other = Simulator(scenario, num_threads=1)
-    other.reset(9)
-    other.set_state(sim.get_state())
-    twins = [sim, other, pickle.loads(pickle.dumps(sim))]
-    for _ in range(10):
-        action = random.uniform(-6, 6, 3)
-        seen = [push(twin, action).observations for twin in twins]
-        for twin, one in zip(twins[1:], seen[1:], strict=True):
-            np.testing.assert_array_equal(one, seen[0])
-            np.testing.assert_array_equal(twin.velocities, sim.velocities)
 
 
 def test_a_state_in_which_a_robot_is_too_fast_is_refused():

@@ -9,19 +9,7 @@ import numpy as np
 import pytest
 
 import rendezvous_env as rv
-from baselines import policy
 from rendezvous_env.robots import motion, robot_models
-
-
-@pytest.fixture
-def registry():
-    """Models and policies that a test registers are gone after it."""
-    registries = robot_models.ROBOT_MODELS, policy._registry
-    known = [registry.copy() for registry in registries]
-    yield
-    for entries, before in zip(registries, known, strict=True):
-        entries.clear()
-        entries.update(before)
 
 
 class Still(NamedTuple):

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import gc
+import multiprocessing
 import os
 import signal
-import subprocess
-import sys
 import threading
 import time
 import weakref
@@ -14,6 +13,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from conftest import five
 
 import rendezvous_env as rv
 from rendezvous_env import Simulator
@@ -202,23 +202,33 @@ def test_without_compilation_one_thread_does_all(monkeypatch):
     np.testing.assert_array_equal(marked(7, 4), 1.0)
 
 
-@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
-def test_a_forked_child_starts_threads_of_its_own():
-    script = """
-import os
-from rendezvous_env.engine import threads
-seen = []
-threads.share(seen.append, 4, 2)
-child = os.fork()
-threads.share(seen.append, 4, 2)
-if child == 0:
-    os._exit(0 if len(seen) == 4 else 1)
-assert os.waitpid(child, 0)[1] == 0 and len(seen) == 4
-"""
-    subprocess.run([sys.executable, "-W", "ignore", "-c", script], check=True, timeout=60)
-
-
 def test_threads_do_not_keep_the_process_alive_and_are_as_many_as_needed():
     marked(10, 5)
     assert len(threads._workers) >= 5 and all(worker.daemon for worker in threads._workers)
     assert threads.available_cores() >= 1
+
+
+def _step_in_child(sim: Simulator, actions: np.ndarray, pipe) -> None:
+    sim.step(actions)
+    pipe.send(sim.positions)
+    pipe.close()
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
+@pytest.mark.filterwarnings("ignore:This process .* is multi-threaded:DeprecationWarning")
+def test_a_fork_after_a_threaded_step_works(monkeypatch):
+    monkeypatch.setattr(batch_runner, "_WORK_PER_THREAD", 1)
+    sim = Simulator(five("unicycle"), 64, num_threads=2)
+    sim.reset(0)
+    actions = np.ones((64, 5, 2), np.float32)
+    sim.step(actions)
+    context = multiprocessing.get_context("fork")
+    receiver, sender = context.Pipe(duplex=False)
+    child = context.Process(target=_step_in_child, args=(sim, actions, sender))
+    child.start()
+    assert receiver.poll(60), "the forked child hangs"
+    positions = receiver.recv()
+    child.join(20)
+    assert child.exitcode == 0
+    sim.step(actions)
+    np.testing.assert_array_equal(positions, sim.positions)

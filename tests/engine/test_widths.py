@@ -19,6 +19,7 @@ from rendezvous_env import (
     ObstacleField,
     Polygon,
     Scenario,
+    Sensing,
     Simulator,
     Sphere,
     WallField,
@@ -49,9 +50,25 @@ SCENARIOS = {
     "inertia in the plane": Scenario(**INERT, obstacles=SHAPES, **TIGHT),
     "inertia in space": Scenario(**INERT, dim=3, obstacles=SOLIDS, **TIGHT),
     "two rows": Scenario(n_robots=6, graph="cycle", obstacles=SHAPES, **TIGHT),
+    "errors": five(
+        "single_integrator-2d",
+        obstacles=SHAPES,
+        sensing=Sensing(
+            range=6.0,
+            field_of_view=5.0,
+            noise=0.1,
+            bias=0.2,
+            error=0.15,
+            dropout=0.2,
+            delay=3,
+            sectors=720,
+            occlusion="both",
+        ),
+        **TIGHT,
+    ),
     "drawn graphs": Scenario(n_robots=6, graph="random_tree", on_merge="follow", **TIGHT),
 }
-COVERED = ("nothing in the way", "field", "solids", "inertia in space", "drawn graphs")
+COVERED = ("errors", "nothing in the way", "field", "solids", "inertia in space", "drawn graphs")
 """By the others together, but for how they are compiled."""
 MEETS_NOTHING = ("nothing in the way", "drawn graphs")
 KEPT = (
@@ -119,7 +136,7 @@ def test_a_team_among_many_moves_as_it_does_alone(name):
     assert together["contact"].any() == (name not in MEETS_NOTHING)
 
 
-BRIEFLY = {"shapes": 40, "spheres": 40, "unicycles": 12, "flying": 8, "inertia in the plane": 12}
+BRIEFLY = {"shapes": 40, "spheres": 40, "unicycles": 12, "flying": 8, "errors": 12}
 
 
 def save_brief(path: str) -> None:

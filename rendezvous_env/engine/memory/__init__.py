@@ -150,6 +150,8 @@ class Layout(NamedTuple):
     """(0, 1) or (0, 1, 2): loops over it unroll."""
     entries: tuple[int, ...]
     """(0, …, d² − 1), the numbers of a frame."""
+    packs: bool | None
+    """None where every pair has a row of its own in the observation, or rows are packed already."""
 
 
 class Robot(NamedTuple):
@@ -229,6 +231,8 @@ class BatchState(NamedTuple):
     teams: Teams
     links: Any
     """Of a kind of ``edge_kinds``."""
+    changes: Any
+    """How arcs follow the moment, ``edge_kinds.Changes``; None where only merges change links."""
     obstacles: Any
     """ObstacleSet with a leading axis B; None without obstacles."""
 
@@ -336,13 +340,7 @@ class Scratch(NamedTuple):
 
 @inner_kernel(inline="code")
 def read(buffer, lane, parts):
-    """The numbers of one lane, a tuple as long as ``parts``.
-
-    Args:
-        buffer: (numbers, L).
-        lane: which one.
-        parts: 0, 1, …
-    """
+    """The numbers of one lane of a buffer, (numbers, L), as a tuple as long as ``parts``."""
     if len(parts) == 0:
         return ()
     if len(parts) == 1:

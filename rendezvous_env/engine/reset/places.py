@@ -87,13 +87,7 @@ def _apart(i, positions, spacing, links, least_distance):
 
 @inner_kernel
 def _is_joined(positions, reach, places):
-    """Whether links up to a length connect a team.
-
-    Args:
-        positions: (n, d), m.
-        reach: the length, m.
-        places: (n,) int64, working memory.
-    """
+    """Whether links up to a length (m) connect a team; ``places``, (n,), is working memory."""
     if math.isinf(reach):
         return True
     n = positions.shape[0]

@@ -11,14 +11,15 @@ from numpy.typing import NDArray
 
 from ...compilation import inner_kernel, kernel
 from ...graphs.drawn import GraphRules, draw_links
+from ...graphs.edge_kinds import arcs_of
 from ...graphs.edges import copy_links, load_links, store_links
 from ...obstacles.fields import Rules, draw_obstacles, is_possible
 from ...physics.potential import lyapunov_of_links
 from ...physics.random_streams import FRAMES, GRAPH, OBSTACLES, START, draw_rotation, stream_key
 from ...robots.motion import begin_memory, frame_of
 from ..memory import BatchState, Place, Teams, TeamScratch, lane_count, read, statistics_of, write
-from ..memory.changing_edges import begin_links
-from ..memory.worlds import copy_world, world_of
+from ..memory.changing_edges import begin_arcs
+from ..memory.obstacles import copy_obstacles, obstacles_of
 from .places import TRIES_FOR_WAYS, draw_places, stream_of_try
 
 FITS, NO_ROOM, TOO_MANY_LINKS = range(3)
@@ -80,8 +81,7 @@ def reset_teams(indices, status, rules, streams, setup, state, scratch, drafts, 
         rules: StartRules.
         streams: seeds, (B,) uint64, and episodes, (B,).
         setup: layout of the memory and robot.
-        state: the fields of Teams; links of a kind of ``edge_kinds``; an ObstacleSet with a
-            leading axis B, or None.
+        state: the fields of BatchState, those of Teams as a tuple.
         scratch: the fields of TeamScratch, of one thread.
         drafts: the fields of Drafts.
         worlds: room for the obstacles of ``count`` teams, of the type of the obstacles.
@@ -92,7 +92,7 @@ def reset_teams(indices, status, rules, streams, setup, state, scratch, drafts, 
     """
     seeds, episodes = streams
     layout, robot = setup
-    state = BatchState(Teams(*state[0]), state[1], state[2])
+    state = BatchState(Teams(*state[0]), state[1], state[2], state[3])
     scratch, drafts = TeamScratch(*scratch), Drafts(*drafts)
     # there is working memory for one team: starts wait in the drafts until all teams have one
     for k in range(len(indices)):
@@ -105,25 +105,26 @@ def reset_teams(indices, status, rules, streams, setup, state, scratch, drafts, 
         drafted = (drafts.first[k], drafts.second[k], drafts.weights[k])
         copy_links((scratch.first, scratch.second, scratch.weights), drafted, count)
         _read_positions(_place(team, layout), state.teams, positions)
-        copy_world(state.obstacles, team, worlds, k)
+        copy_obstacles(state.obstacles, team, worlds, k)
         listed = (scratch.first[:count], scratch.second[:count], scratch.weights[:count])
-        scene, counts = (listed, world_of(worlds, k)), (drafts.chains, scratch.counts)
+        scene, counts = (listed, obstacles_of(worlds, k)), (drafts.chains, scratch.counts)
         if not _draw_room(keys, rules, rules.field, rules.spacing, scene, positions, counts):
             return team, NO_ROOM
     for k in range(len(indices)):
         team, count = indices[k], drafts.n_links[k]
         drafted = (drafts.first[k], drafts.second[k], drafts.weights[k])
         copy_links(drafted, (scratch.first, scratch.second, scratch.weights), count)
-        copy_world(worlds, k, state.obstacles, team)
+        copy_obstacles(worlds, k, state.obstacles, team)
         place, positions = _place(team, layout), drafts.positions[k]
         _write_start(place, status, count, state, positions, scratch)
         _draw_attitudes(place, rules, (seeds[team], episodes[team]), layout, robot, state.teams)
         key = stream_key(seeds[team], episodes[team], GRAPH)
-        begin_links(team, key, rules, layout, state, positions, scratch)
+        arcs = arcs_of(state.links, team)
+        begin_arcs(team, key, rules, layout, state, positions, scratch, arcs)
     return -1, FITS
 
 
-@inner_kernel
+@inner_kernel(inline="text")
 def _place(team, layout):
     """Where a team is."""
     lanes = lane_count(layout.width)
@@ -149,15 +150,7 @@ def _draw_room(keys, rules, field, spacing, scene, positions, counts):
     """What of one team's start may find no room: obstacles and places; whether it fits.
 
     A start in which some robots are walled in, where the field promises none, is drawn again.
-
-    Args:
-        keys: seed and episode.
-        rules: StartRules.
-        field: of its obstacles, or None.
-        spacing: of its places, or None.
-        scene: its links and its obstacles.
-        positions: (n, d), m.
-        counts: working memory (chains (M, 2), counts (n,)).
+    ``scene`` is links and obstacles, ``counts`` working memory (chains (M, 2), counts (n,)).
     """
     key, world = stream_key(keys[0], keys[1], START), scene[1]
     chains, own = counts
@@ -179,14 +172,14 @@ def _draw_room(keys, rules, field, spacing, scene, positions, counts):
     return draw_places(key, rules, spacing, scene, positions, own)
 
 
-@inner_kernel
+@inner_kernel(inline="text")
 def _read_positions(place, teams, out):
     for i in range(out.shape[0]):
         for k in range(out.shape[1]):
             out[i, k] = teams.positions[place.block, i, k, place.lane]
 
 
-@inner_kernel
+@inner_kernel(inline="text")
 def _write_start(place, status, count, state, positions, scratch):
     """Put a start into the state, and begin the statistics of its episode."""
     block, lane, teams = place.block, place.lane, state.teams
@@ -207,7 +200,7 @@ def _write_start(place, status, count, state, positions, scratch):
     statistics.initial_lyapunov[lane] = initial
 
 
-@inner_kernel
+@inner_kernel(inline="text")
 def _draw_attitudes(place, rules, keys, layout, robot, teams):
     """Frames of robots whose frame is fixed, or what the robot model keeps at the start and the
     frames that go with it.

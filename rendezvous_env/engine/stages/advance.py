@@ -22,7 +22,7 @@ from ..memory import (
     statistics_of,
     tally_of,
 )
-from ..memory.worlds import world_of
+from ..memory.obstacles import obstacles_of
 
 _ROUNDING = 1.0 + 1e-9
 _CLEARANCE = 1e-9  # m; nearer than this to what it could reach, a robot is moved exactly
@@ -132,7 +132,7 @@ def _advance_exactly(place, setup, state, contact, scratch):
         tally.merge_excess[lane] = team.report[3]
 
 
-@inner_kernel
+@inner_kernel(inline="text")
 def _merge_team(place, radius, state, team):
     """Move the team at hand and merge whom that brings together; number of merges."""
     count = load_links(place.block, place.lane, state.links, team)
@@ -144,7 +144,7 @@ def _merge_team(place, radius, state, team):
         (team.first[:count], team.second[:count], team.weights[:count]),
         arcs_of(state.links, place.block),
         state.teams.merged_into[place.team],
-        world_of(state.obstacles, place.team),
+        obstacles_of(state.obstacles, place.team),
         radius,
         (team.moments, team.here, team.resting, team.report),
     )
@@ -158,14 +158,14 @@ def _stay_outside(place, setup, teams, obstacles, contact, scratch):
     """Replace the displacements of the team at hand by those that obstacles leave."""
     if obstacles is not None:
         if setup.constants.contact_mode != IGNORE:
-            team, world = scratch.team, world_of(obstacles, place.team)
+            team, world = scratch.team, obstacles_of(obstacles, place.team)
             for i in range(team.lengths.shape[0]):
                 if teams.merged_into[place.team, i] != i:
                     continue
                 curve = _curve_of(i, place, setup, teams, scratch.block.action[i])
                 point, way = load(team.positions[i]), load(team.displacements[i])
                 mode = setup.constants.contact_mode
-                met, executed = _hindered(point, way, curve, curve[3], world, mode, team.normals)
+                met, executed = _move_among(point, way, curve, curve[3], world, mode, team.normals)
                 for k in range(len(setup.layout.axes)):
                     team.displacements[i, k] = executed[k]
                 if met:
@@ -188,7 +188,7 @@ def _curve_of(i, place, setup, teams, action):
 
 
 @inner_kernel
-def _hindered(point, way, curve, memory, world, mode, normals):
+def _move_among(point, way, curve, memory, world, mode, normals):
     if len(memory) == 0:  # a model that keeps nothing goes straight
         return move_straight(point, way, world, mode, normals)
     model, action, frame, _ = curve

@@ -8,7 +8,7 @@ from ...robots.motion import FREE, SLID, STOPPED, drifts, frame_of, propose, rem
 from ..memory import RUNNING, in_lanes, lane_count, read, statistics_of, write
 
 
-@inner_kernel(inline="code")
+@inner_kernel(inline="text")
 def load_actions(block, teams, actions, action):
     """Copy a block's actions, from (B, n, a) to (n, a, L); those of finished teams and of
     merged-away robots are zero.
@@ -75,15 +75,8 @@ def _propose_robot(layout, robot, now, displacement):
 
 @inner_kernel(inline="code")
 def turn_block(block, setup, memories, teams, contact, scratch):
-    """What the robot models keep, brought up to the end of the step, and the frames with it.
-
-    Args:
-        block: which teams.
-        setup: of the batch.
-        memories: of the robot, by itself: without any nothing is compiled.
-        teams: state.
-        contact: (B, n), whether a robot touched an obstacle.
-        scratch: gives actions and displacements.
+    """What the robot models keep, brought up to the end of the step, and the frames with it;
+    ``memories`` are the robot's, by themselves: without any nothing is compiled.
     """
     if len(memories) > 0:
         layout, robot = setup.layout, setup.robot
@@ -107,7 +100,7 @@ def turn_block(block, setup, memories, teams, contact, scratch):
 
 
 @inner_kernel(inline="code")
-def bring_frames_up(block, setup, memories, teams):
+def update_frames(block, setup, memories, teams):
     """Frames from what the robot models keep; arguments as ``turn_block``."""
     if len(memories) > 0:
         for i in range(teams.frames.shape[1]):

@@ -1,17 +1,15 @@
 """The stage that looks: what the robots of a block see, V, and who is closest."""
 
-from typing import Any
-
 import numpy as np
 
-from ...compilation import chosen_by_type, inner_kernel
+from ...compilation import by_type, inner_kernel
 from ...graphs.edge_kinds import DenseEdges, DirectedEdges, EdgeList
 from ...physics.bearings import observed, sighting
 from ...robots.motion import sense_oneself
 from ..memory import in_lanes, lane_count, pair_of, read, statistics_of, write, write_row
-from ..memory.changing_edges import bring_links_up
+from ..memory.changing_edges import update_links
 from .sense_obstacles import sense_obstacles
-from .sensor_models import err
+from .sense_with_errors import apply_sensor_model
 
 
 @inner_kernel(inline="text")
@@ -22,32 +20,23 @@ def sense_block(block, setup, sensor, moves, state, output, scratch):
     found = pair_of(scratch.block.pair, setup.layout.axes)
     found.half_lyapunov[:] = 0.0
     found.square_closest[:] = np.inf
-    bring_links_up(block.index, setup, moves, state.teams, state.links)
+    update_links(block.index, setup, moves, state, state.changes)
     _sense_neighbours(block.index, setup, state.teams, state.links, output.crowded, scratch)
     square_closest = statistics_of(state.teams, block.index).square_closest
     for lane in range(lane_count(setup.layout.width)):
         square_closest[lane] = found.square_closest[lane]
     sense_obstacles(block, setup, state, state.obstacles, output, scratch)
     _sense_oneself(block, setup, state.teams, scratch.block.rows)
-    _give_out(block, setup.constants, state.links, output, scratch)
-    err(sensor, block, setup, moves, state, output, scratch.team)
+    _give_out(block, setup, state.links, output, scratch, setup.layout.packs)
+    apply_sensor_model(sensor, block, setup, moves, state, output, scratch.team)
 
 
 # ---- neighbours ---------------------------------------------------------------------------------
 
 
-def _sense_neighbours(
-    block: int, setup: Any, teams: Any, links: Any, crowded: Any, scratch: Any
-) -> None:
-    _SENSE[type(links)](block, setup, teams, links, crowded, scratch)
-
-
-@chosen_by_type(_sense_neighbours)
-def _compiled_sense_neighbours(block, setup, teams, links, crowded, scratch):
-    chosen = _SENSE[links.instance_class]
-    return lambda block, setup, teams, links, crowded, scratch: chosen(
-        block, setup, teams, links, crowded, scratch
-    )
+@by_type("links", lambda kind: _SENSE[kind])
+def _sense_neighbours(block, setup, teams, links, crowded, scratch):
+    """Write the neighbour rows of a block, add up V, and find who is closest."""
 
 
 @inner_kernel(inline="code")
@@ -66,15 +55,7 @@ def _sense_pairs(block, setup, teams, links, crowded, scratch):
 
 @inner_kernel(inline="code")
 def _sight(layout, position_i, position_j, gain, found):
-    """``sighting`` of two robots in every lane.
-
-    Args:
-        layout: of the memory.
-        position_i: (d, L), m.
-        position_j: (d, L), m.
-        gain: (L,), a_ij, m/s.
-        found: a Pair: of these two, and of all so far.
-    """
+    """``sighting`` of two robots in every lane, (d, L) each."""
     if not (
         in_lanes(position_i, layout)
         and in_lanes(position_j, layout)
@@ -95,15 +76,7 @@ def _sight(layout, position_i, position_j, gain, found):
 
 @inner_kernel(inline="code")
 def _store_row(layout, vector, factor, frame, row):
-    """Write one row of observations in every lane.
-
-    Args:
-        layout: of the memory.
-        vector: (d, L), of the global frame.
-        factor: (L,).
-        frame: (d², L).
-        row: (L·d,) float32.
-    """
+    """Write factor × vector (d, L) into a row of observations, in the frames (d², L) of robots."""
     if not (in_lanes(vector, layout) and in_lanes(frame, layout)):
         return
     for lane in range(lane_count(layout.width)):
@@ -215,30 +188,17 @@ def _store_oneself(seen, active, row, lane):
 # ---- from lanes to teams ------------------------------------------------------------------------
 
 
-def _give_out(block: Any, constants: Any, links: Any, output: Any, scratch: Any) -> None:
-    """Copy the rows of all lanes into observations."""
-    chosen = _copy_or_pack if isinstance(links, DenseEdges) else _copy_rows
-    chosen(block, constants, links, output, scratch)
-
-
-@chosen_by_type(_give_out)
-def _compiled_give_out(block, constants, links, output, scratch):
-    chosen = _copy_or_pack if links.instance_class is DenseEdges else _copy_rows
-    return lambda block, constants, links, output, scratch: chosen(
-        block, constants, links, output, scratch
-    )
-
-
 @inner_kernel(inline="code")
-def _copy_or_pack(block, constants, links, output, scratch):
-    if scratch.block.rows.shape[1] == constants.rows:
-        _copy_rows(block, constants, links, output, scratch)
+def _give_out(block, setup, links, output, scratch, packs):
+    """Copy the rows of all lanes into observations; which way is known while compiling."""
+    if packs is None:
+        _copy_rows(block, output, scratch)
     else:
-        _pack_rows(block, constants, links, output.crowded, output.observations, scratch)
+        _pack_rows(block, setup.constants, links, output.crowded, output.observations, scratch)
 
 
 @inner_kernel(inline="code")
-def _copy_rows(block, constants, links, output, scratch):
+def _copy_rows(block, output, scratch):
     rows = scratch.block.whole_rows
     n_parts = rows.shape[1] // scratch.block.tally.shape[1]
     observations = output.whole_rows[block.first : block.first + block.count]

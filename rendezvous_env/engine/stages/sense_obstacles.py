@@ -21,7 +21,7 @@ from ...physics.potential import net_bearings_of_arcs, net_bearings_of_links
 from ...physics.vectors import load, local_axis, to_local
 from ...rewards.terms import CLEARANCE_PENALTY
 from ..memory import Place, SeenDisc, in_lanes, lane_count, read, statistics_of, tally_of, write_row
-from ..memory.worlds import world_of
+from ..memory.obstacles import obstacles_of
 
 
 @inner_kernel(inline="code")
@@ -98,14 +98,8 @@ def _see_discs(block, setup, teams, clearance, scratch, axes):
 
 @inner_kernel(inline="code")
 def _see_disc(layout, position, centre, radius, seen):
-    """Bearings of the two edges of a disc in the global frame, zero where it is not seen.
-
-    Args:
-        layout: of the memory.
-        position: (2, L), m.
-        centre: (2, L), m.
-        radius: (L,), m; NaN where there is none.
-        seen: a SeenDisc.
+    """Bearings of the two edges of a disc in the global frame, zero where it is not seen; a radius
+    of NaN is no disc.
     """
     if not (
         in_lanes(position, layout)
@@ -169,7 +163,7 @@ def _see_one_by_one(block, setup, state, obstacles, clearance, scratch):
     d, team, teams = len(setup.layout.axes), scratch.team, state.teams
     for lane in range(block.count):
         place = Place(block.index, lane, block.first + lane)
-        world = world_of(obstacles, place.team)
+        world = obstacles_of(obstacles, place.team)
         if d == 2 and _only_discs(world):
             continue
         for i in range(team.lengths.shape[0]):

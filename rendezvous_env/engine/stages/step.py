@@ -21,7 +21,7 @@ from ..memory import (
 )
 from .advance import advance_block
 from .conclude import conclude_block
-from .propose import bring_frames_up, load_actions, propose_block, turn_block
+from .propose import load_actions, propose_block, turn_block, update_frames
 from .sense import sense_block
 from .sense_obstacles import load_balls
 
@@ -41,28 +41,22 @@ def step_blocks(part, moves, blocks, setup, sensor, state, actions, output, scra
         blocks: indices of the blocks to do.
         setup: layout, constants (the fields of Constants) and robot.
         sensor: one that is not exact, or None.
-        state: the fields of Teams; links of a kind of ``edge_kinds``; an ObstacleSet with a
-            leading axis B, None without obstacles.
+        state: the fields of BatchState, those of Teams as a tuple.
         actions: (B, n, a) finite float32, of all teams.
         output: the fields of StepOutput.
-        scratch: the fields of BlockScratch and of TeamScratch, with a leading axis for the threads.
+        scratch: the fields of BlockScratch and of TeamScratch, of this thread.
     """
     # plain tuples cross the border from Python twice as fast as named ones
-    thread = part[2]
     setup = Setup(setup[0], Constants(*setup[1]), setup[2])
-    state = BatchState(Teams(*state[0]), state[1], state[2])
+    state = BatchState(Teams(*state[0]), state[1], state[2], state[3])
     output = StepOutput(*output)
-    own = Scratch(
-        _block_scratch(BlockScratch(*scratch[0]), thread),
-        _team_scratch(TeamScratch(*scratch[1]), thread),
-    )
-    if not _is_laid_out(setup, state.teams, own.block):
-        return
-    for k in range(part[0], part[1]):
-        _step_block(blocks[k], moves, setup, sensor, state, actions, output, own)
+    scratch = Scratch(BlockScratch(*scratch[0]), TeamScratch(*scratch[1]))
+    if _is_laid_out(setup, state.teams, scratch.block):
+        for k in range(part[0], part[1]):
+            _step_block(blocks[k], moves, setup, sensor, state, actions, output, scratch)
 
 
-@inner_kernel(inline="code")
+@inner_kernel(inline="text")
 def _is_laid_out(setup, teams, scratch):
     """Whether arrays are as long as they must be. They are; behind this question the compiler
     knows it too, see memory.py.
@@ -112,7 +106,7 @@ def _step_block(index, moves, setup, sensor, state, actions, output, scratch):
         advance_block(block, setup, state, output, scratch)
         turn_block(block, setup, robot.memories, teams, output.contact, scratch.block)
     else:
-        bring_frames_up(block, setup, robot.memories, teams)
+        update_frames(block, setup, robot.memories, teams)
     sense_block(block, setup, sensor, moves, state, output, scratch)
     if moves:
         conclude_block(block, setup, teams, output, scratch.block)
@@ -122,44 +116,6 @@ def _step_block(index, moves, setup, sensor, state, actions, output, scratch):
         lyapunov = statistics_of(teams, index).lyapunov
         for lane in range(lanes):
             lyapunov[lane] = 2.0 * found.half_lyapunov[lane]
-
-
-@inner_kernel(inline="text")
-def _block_scratch(threads, thread):
-    """One thread's working memory for a block."""
-    return BlockScratch(
-        threads.action[thread],
-        threads.displacement[thread],
-        threads.tally[thread],
-        threads.took_part[thread],
-        threads.pair[thread],
-        threads.rows[thread],
-        threads.whole_rows[thread],
-        threads.centres[thread],
-        threads.bounds[thread],
-        threads.radii[thread],
-        threads.disc[thread],
-    )
-
-
-@inner_kernel(inline="text")
-def _team_scratch(threads, thread):
-    """One thread's working memory for a team."""
-    return TeamScratch(
-        threads.positions[thread],
-        threads.displacements[thread],
-        threads.here[thread],
-        threads.lengths[thread],
-        threads.resting[thread],
-        threads.first[thread],
-        threads.second[thread],
-        threads.weights[thread],
-        threads.moments[thread],
-        threads.counts[thread],
-        threads.normals[thread],
-        threads.silhouette[thread],
-        threads.report[thread],
-    )
 
 
 @kernel

@@ -1,0 +1,293 @@
+"""Motion among obstacles: properties of very many random contacts."""
+
+import math
+
+import numpy as np
+import pytest
+import scipy.optimize
+import shapely
+from test_contact import MICRON, move_one_curved, move_one_straight
+from tuples import arc, world
+
+from rendezvous_env.obstacles.contact import CONTACT_DEPTH, SLIDE, STOP
+from rendezvous_env.obstacles.disc import Disc, Sphere
+from rendezvous_env.obstacles.polygon import Polygon
+
+N_SCENES, N_STRAIGHT, N_CURVED = 50, 1000, 100
+
+
+def move_all(move_one, worlds, starts, inputs, mode):
+    """Displacements (S, N, d) and contacts (S, N) of starts (S, N, d) in S worlds."""
+    out, contact = np.empty_like(starts), np.empty(starts.shape[:2], dtype=bool)
+    for s, i in np.ndindex(*starts.shape[:2]):
+        out[s, i], contact[s, i] = move_one(starts[s, i], inputs[s, i], worlds[s], mode)
+    return out, contact
+
+
+def free_arcs(inputs, dim):
+    """Free displacements (N, d) for inputs (N, 6)."""
+    return np.array([arc(dim, *row) for row in inputs])
+
+
+def signed_distances(obstacles, points):
+    """Distance (P, M) of points to the surfaces, negative inside, without this project's code."""
+    columns = []
+    for obstacle in obstacles:
+        if isinstance(obstacle, Polygon):
+            shape, at = shapely.Polygon(obstacle.vertices), shapely.points(points)
+            depth = shapely.distance(shape.boundary, at)
+            columns.append(np.where(shapely.contains(shape, at), -depth, depth))
+        else:
+            columns.append(np.linalg.norm(points - obstacle.centre, axis=1) - obstacle.radius)
+    return np.stack(columns, axis=1)
+
+
+def depths(obstacles, points):
+    """How deep inside the deepest obstacle points are, (P,); negative outside of all."""
+    deepest = np.full(len(points), -np.inf)
+    for obstacle in obstacles:
+        if isinstance(obstacle, Polygon):
+            corners, normals = polygon_edges(obstacle)
+            depth = -(points @ normals.T - np.sum(corners * normals, axis=1)).max(axis=1)
+        else:
+            depth = obstacle.radius - np.linalg.norm(points - obstacle.centre, axis=1)
+        deepest = np.maximum(deepest, depth)
+    return deepest
+
+
+def polygon_edges(polygon):
+    """First corners and outward normals of all edges, each (V, 2)."""
+    corners = np.array(polygon.vertices)
+    edges = np.roll(corners, -1, axis=0) - corners
+    return corners, np.c_[edges[:, 1], -edges[:, 0]] / np.linalg.norm(edges, axis=1)[:, None]
+
+
+def goes_deeper(obstacles, starts, ends, depth):
+    """Whether each straight segment goes deeper than ``depth`` into any obstacle, (P,)."""
+    deeper = np.zeros(len(starts), dtype=bool)
+    run = ends - starts
+    for obstacle in obstacles:
+        if isinstance(obstacle, Polygon):
+            core = shapely.Polygon(obstacle.vertices).buffer(-depth, join_style="mitre")
+            shapely.prepare(core)
+            deeper |= shapely.intersects(core, shapely.linestrings(np.stack([starts, ends], 1)))
+        else:
+            o = np.array(obstacle.centre) - starts
+            square = np.maximum(np.sum(run**2, axis=1), 1e-300)
+            nearest = np.clip(np.sum(o * run, axis=1) / square, 0, 1)
+            miss = np.linalg.norm(o - nearest[:, None] * run, axis=1)
+            deeper |= miss < obstacle.radius - depth
+    return deeper
+
+
+def random_scene(rng, dim):
+    """Eight overlapping obstacles: spheres, or discs and polygons."""
+    scene = []
+    for k in range(8):
+        centre, size = rng.uniform(-4, 4, dim), rng.uniform(0.3, 1.5)
+        if dim == 3:
+            scene.append(Sphere(tuple(centre), size))
+        elif k % 2:
+            scene.append(Disc(tuple(centre), size))
+        else:
+            corners = int(rng.integers(3, 7))
+            angles = rng.uniform(0, 7) + 2 * math.pi * np.arange(corners) / corners
+            stretch = size * rng.uniform(0.2, 1, 2)
+            points = centre + stretch * np.c_[np.cos(angles), np.sin(angles)]
+            scene.append(Polygon(tuple(map(tuple, points))))
+    return scene
+
+
+def random_starts(rng, scene, dim, count):
+    """Points outside all obstacles, (count, dim); half of them on a surface, within rounding."""
+    anywhere = rng.uniform(-5, 5, (3 * count, dim))
+    rays = rng.normal(size=(3 * count, dim))
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    on_surface = np.empty_like(anywhere)
+    for k, obstacle in enumerate(scene):
+        here = slice(k, None, len(scene))
+        if isinstance(obstacle, Polygon):
+            boundary = shapely.Polygon(obstacle.vertices).boundary
+            along = rng.uniform(0, boundary.length, len(on_surface[here]))
+            on_surface[here] = shapely.get_coordinates(
+                shapely.line_interpolate_point(boundary, along)
+            )
+        else:
+            on_surface[here] = obstacle.centre + obstacle.radius * rays[here]
+    halves = [
+        points[depths(scene, points) < 1e-13][: count // 2] for points in (anywhere, on_surface)
+    ]
+    return np.concatenate(halves)
+
+
+def many(dim, count):
+    """Scenes, their worlds and starts (S, count, dim)."""
+    rng = np.random.default_rng(dim)
+    scenes = [random_scene(rng, dim) for _ in range(N_SCENES)]
+    worlds = [world(scene, 9) for scene in scenes]
+    starts = np.stack([random_starts(rng, scene, dim, count) for scene in scenes])
+    return rng, scenes, worlds, starts
+
+
+@pytest.fixture(scope="module", params=[2, 3])
+def straight_motions(request):
+    """Random straight motions in both contact modes: 2 · 10⁵ in all."""
+    dim = request.param
+    rng, scenes, worlds, starts = many(dim, N_STRAIGHT)
+    directions = rng.normal(size=starts.shape)
+    directions /= np.linalg.norm(directions, axis=2, keepdims=True)
+    lengths = 10 ** rng.uniform(-3, 1, (*starts.shape[:2], 1))
+    displacements = lengths * directions
+    moved = {
+        mode: move_all(move_one_straight, worlds, starts, displacements, mode)
+        for mode in (SLIDE, STOP)
+    }
+    return scenes, worlds, starts, displacements, moved
+
+
+class TestManyStraightMotions:
+    @pytest.mark.parametrize("mode", [SLIDE, STOP])
+    def test_none_ends_inside(self, straight_motions, mode):
+        scenes, _, starts, _, moved = straight_motions
+        for scene, start, out in zip(scenes, starts, moved[mode][0], strict=True):
+            assert signed_distances(scene, start + out).min() > -1e-12
+
+    def test_contact_is_a_path_deeper_than_a_micron(self, straight_motions):
+        scenes, _, starts, displacements, moved = straight_motions
+        for s, scene in enumerate(scenes):
+            ends = starts[s] + displacements[s]
+            surely = goes_deeper(scene, starts[s], ends, MICRON * 1.001)
+            perhaps = goes_deeper(scene, starts[s], ends, MICRON * 0.999)
+            for _, contact in moved.values():
+                assert np.all(contact[s] >= surely)
+                assert np.all(contact[s] <= perhaps)
+
+    def test_a_robot_that_stops_stops_at_the_first_surface(self, straight_motions):
+        scenes, _, starts, _, moved = straight_motions
+        stopped, contact = moved[STOP]
+        for s, scene in enumerate(scenes):
+            ends = starts[s] + stopped[s]
+            assert not np.any(goes_deeper(scene, starts[s], ends, MICRON * 1.001))
+            distances = signed_distances(scene, ends).min(axis=1)
+            assert np.all(distances[contact[s]] < 1e-12)
+        assert 0.2 < contact.mean() < 0.9
+
+    def test_free_motion_is_exactly_what_was_asked(self, straight_motions):
+        _, _, _, displacements, moved = straight_motions
+        for out, contact in moved.values():
+            free = ~contact
+            exact = np.all(out == displacements, axis=2)
+            assert np.mean(exact[free]) > 0.999  # the rest grazed, and were put on the surface
+            shift = np.linalg.norm(out - displacements, axis=2)
+            assert shift[free].max() < 2e-3
+
+    def test_sliding_follows_the_free_part_of_the_motion(self, straight_motions):
+        """Redo it leg by leg: stop, project with nonnegative least squares, go on."""
+        scenes, worlds, starts, displacements, moved = straight_motions
+        slid, contact = moved[SLIDE]
+        checked = 0
+        for s, scene in enumerate(scenes):
+            for i in np.flatnonzero(contact[s])[:60]:
+                corners = leg_by_leg(scene, worlds[s], starts[s, i], displacements[s, i])
+                np.testing.assert_allclose(corners[-1], starts[s, i] + slid[s, i], atol=1e-6)
+                depth = MICRON * 1.001
+                assert not np.any(goes_deeper(scene, corners[:-1], corners[1:], depth))
+                checked += len(corners) > 3
+        assert checked > 30  # of several legs
+
+
+def leg_by_leg(scene, packed, start, displacement):
+    """Corners (L, d) of the path of a sliding robot."""
+    corners, left, leg = [start], 1.0, displacement
+    for _ in range(16):
+        out, contact = move_one_straight(corners[-1], leg, packed, STOP)
+        corners.append(corners[-1] + out)
+        length = np.linalg.norm(leg)
+        if not contact or length == 0:
+            break
+        left *= 1 - np.linalg.norm(out) / length
+        leg = left * free_part(scene, corners[-1], displacement)
+    return np.array(corners)
+
+
+def free_part(scene, point, velocity):
+    """The direction nearest to the velocity that enters nothing touched: v + Σ λₖ nₖ, λ ≥ 0."""
+    normals = []
+    for obstacle in scene:
+        if isinstance(obstacle, Polygon):
+            if signed_distances([obstacle], point[None])[0, 0] < CONTACT_DEPTH:
+                normals.append(polygon_normal(obstacle, point))
+        elif np.linalg.norm(point - obstacle.centre) - obstacle.radius < CONTACT_DEPTH:
+            normals.append((point - obstacle.centre) / np.linalg.norm(point - obstacle.centre))
+    if not normals:
+        return velocity
+    basis = np.array(normals).T
+    push, _ = scipy.optimize.nnls(basis, -velocity)
+    return velocity + basis @ push
+
+
+def polygon_normal(polygon, point):
+    """Outward normal of the edge whose line is the farthest out at the point."""
+    corners, normals = polygon_edges(polygon)
+    return normals[np.argmax(np.sum((point - corners) * normals, axis=1))]
+
+
+@pytest.fixture(scope="module", params=[2, 3])
+def curved_motions(request):
+    """Random arcs in both contact modes: 2 · 10⁴ in all."""
+    dim = request.param
+    rng, scenes, worlds, starts = many(dim, N_CURVED)
+    shape = starts.shape[:2]
+    inputs = np.zeros((*shape, 6))
+    inputs[..., 0] = rng.choice([-1, 1], shape) * 10 ** rng.uniform(-2, 0.5, shape)
+    inputs[..., 1] = rng.uniform(-math.pi, math.pi, shape)
+    inputs[..., 3] = rng.normal(0, 2, shape)
+    inputs[..., 5] = 10 ** rng.uniform(-2, 0, shape)
+    if dim == 3:
+        inputs[..., 2] = rng.uniform(-1.5, 1.5, shape)
+        inputs[..., 4] = rng.normal(0, 2, shape)
+    moved = {
+        mode: move_all(move_one_curved, worlds, starts, inputs, mode) for mode in (SLIDE, STOP)
+    }
+    return scenes, starts, inputs, moved
+
+
+def sample_arc(start, inputs, count):
+    """Points (count, d) evenly along a free arc, the first at its start."""
+    repeated = np.repeat(inputs[None], count, axis=0)
+    repeated[:, 5] *= np.linspace(0, 1, count)
+    return start + free_arcs(repeated, len(start))
+
+
+class TestManyCurvedMotions:
+    @pytest.mark.parametrize("mode", [SLIDE, STOP])
+    def test_none_ends_inside(self, curved_motions, mode):
+        scenes, starts, _, moved = curved_motions
+        for scene, start, out in zip(scenes, starts, moved[mode][0], strict=True):
+            assert signed_distances(scene, start + out).min() > -1e-12
+
+    def test_free_arcs_are_exact(self, curved_motions):
+        _, starts, inputs, moved = curved_motions
+        free_ends = free_arcs(inputs.reshape(-1, 6), starts.shape[2]).reshape(starts.shape)
+        for out, contact in moved.values():
+            exact = np.all(out == free_ends, axis=2)
+            assert np.mean(exact[~contact]) > 0.999
+
+    def test_contact_and_stop_agree_with_a_dense_sample_of_the_arc(self, curved_motions):
+        scenes, starts, inputs, moved = curved_motions
+        stopped, contact = moved[STOP]
+        for s, scene in enumerate(scenes):
+            for i in range(0, N_CURVED, 5):
+                path = sample_arc(starts[s, i], inputs[s, i], 2001)
+                depth = depths(scene, path)
+                if depth.max() > MICRON * 1.001:
+                    assert contact[s, i]
+                if not contact[s, i]:
+                    continue
+                end = starts[s, i] + stopped[s, i]
+                spacing = abs(inputs[s, i, 0]) * inputs[s, i, 5] / 2000
+                assert depth.max() > 0.7 * MICRON - spacing
+                assert signed_distances(scene, end[None]).min() < 2e-7
+                before = np.argmax(depth > MICRON * 1.001) if depth.max() > MICRON * 1.001 else -1
+                gaps = np.linalg.norm(path[:before] - end, axis=1)
+                assert gaps.min(initial=np.inf) < spacing + 2e-6
