@@ -33,7 +33,7 @@ class BatchRunner:
 
     def __init__(self, state: State, num_threads: int | None, max_steps: int) -> None:
         place, n = state.place, state.place.scenario.n_robots
-        self._state = state
+        self._state, self._parts = state, state.parts()
         self.width = _width(place, num_threads)
         """Threads of a step."""
         self.layout, self.robot = layout(place), robot(place.scenario)
@@ -89,9 +89,8 @@ class BatchRunner:
         """Let up to ``width`` threads step or observe some blocks."""
         if self._may_crowd:
             output.crowded.fill(-1)
-        state = self._state
         setup = (self.layout, self._constants, self.robot)
-        fixed = (moves, blocks, setup, self._sensor, state.parts())
+        fixed = (moves, blocks, setup, self._sensor, self._parts)
         written, scratch = tuple(output), self._scratch
         if (run := self._run) is None:  # before threads share it: compiling may be interrupted
             writable = (np.empty_like(actions), written, scratch[0])

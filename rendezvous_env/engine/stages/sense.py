@@ -1,5 +1,7 @@
 """The stage that looks: what the robots of a block see, V, and who is closest."""
 
+from typing import Any
+
 import numpy as np
 
 from ...compilation import by_type, inner_kernel
@@ -76,7 +78,7 @@ def _sight(layout, position_i, position_j, gain, found):
 
 @inner_kernel(inline="code")
 def _store_row(layout, vector, factor, frame, row):
-    """Write factor × vector (d, L) into a row of observations, in the frames (d², L) of robots."""
+    """Write factor × vector (d, L) into a row of observations, in the robots' frames (d², L)."""
     if not (in_lanes(vector, layout) and in_lanes(frame, layout)):
         return
     for lane in range(lane_count(layout.width)):
@@ -158,7 +160,11 @@ def _look(i, j, gain, block, setup, teams, crowded, scratch):
         crowded[block] = i
 
 
-_SENSE = {DenseEdges: _sense_pairs, EdgeList: _sense_list, DirectedEdges: _sense_arcs}
+_SENSE: dict[type, Any] = {
+    DenseEdges: _sense_pairs,
+    EdgeList: _sense_list,
+    DirectedEdges: _sense_arcs,
+}
 
 
 # ---- oneself ------------------------------------------------------------------------------------
