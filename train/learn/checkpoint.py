@@ -49,7 +49,7 @@ def write(run: Path, step: int, description: Mapping[str, Any], tables: Tables) 
     folder = run / checkpoints.FOLDER
     folder.mkdir(parents=True, exist_ok=True)
     place = folder / f"step-{step:012d}"
-    _write_folder(place, description, tables)
+    write_folder(place, description, tables)
     results.write_json(folder / checkpoints.POINTER, {"checkpoint": place.name})
     _sync(folder)
     for old in sorted(folder.glob("step-*"))[:-KEPT]:
@@ -57,7 +57,7 @@ def write(run: Path, step: int, description: Mapping[str, Any], tables: Tables) 
     return place
 
 
-def _write_folder(place: Path, description: Mapping[str, Any], tables: Tables) -> None:
+def write_folder(place: Path, description: Mapping[str, Any], tables: Tables) -> None:
     """Write one checkpoint under a temporary name and rename it; one that stands there goes."""
     from safetensors.numpy import save
 
