@@ -84,8 +84,10 @@ class TestStuck:
     @pytest.mark.parametrize(
         "body",
         [
-            "while True:\n        try: time.sleep(60)\n        except BaseException: pass",
-            "numba.njit(nogil=True)(spin)(numpy.zeros(1))",
+            "print('at work', flush=True)\n    while True:\n"
+            "        try: time.sleep(60)\n        except BaseException: pass",
+            "work = numba.njit(nogil=True)(spin)\n    work(numpy.ones(1))\n"
+            "    print('at work', flush=True)\n    work(numpy.zeros(1))",
         ],
         ids=["exception-lost", "compiled-code"],
     )
@@ -94,7 +96,7 @@ class TestStuck:
         before = (
             "import time, numba, numpy\n"
             "def spin(x):\n    while x[0] == 0: pass\n"
-            f"def run(*words):\n    print('at work', flush=True)\n    {body}\n"
+            f"def run(*words):\n    {body}\n"
             "c._run = run"
         )
         process = start(["compare"], tmp_path, before)

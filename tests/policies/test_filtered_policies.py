@@ -127,7 +127,7 @@ def test_a_robot_that_ticks_twice_as_often_decides_as_often():
         ({"min_alignment": 2.0}, "min_alignment is 2.0"),
         ({"frame": "mine"}, "frame is 'mine'"),
         ({"decision_period": 0}, "decision_period is 0; it must be a whole number"),
-        ({"scenario": rv.Scenario(robot_model="double_integrator")}, r"law \(4\) steers robots"),
+        ({"scenario": rv.Scenario(robot_model="double_integrator")}, r"law \(4\) needs robots"),
     ],
 )
 def test_what_cannot_be_is_refused_when_it_is_made(options, message):
