@@ -217,3 +217,15 @@ def registry():
     for entries, before in zip(registries, known, strict=True):
         entries.clear()
         entries.update(before)
+
+
+@pytest.fixture(scope="session")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder of a training run that nothing stopped."""
+    from training_runs import config
+
+    from train.learn import ppo
+
+    folder = tmp_path_factory.mktemp("runs") / "whole"
+    assert ppo.run(config(folder)).status == 0
+    return folder
