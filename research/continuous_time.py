@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rendezvous_env.physics.hull_perimeter import size
-from train.verify.misled import unit
-from train.verify.watch import directions
+from train.verify.adversarial_bearings import unit
+from train.verify.monitors import directions
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

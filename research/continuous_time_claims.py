@@ -18,7 +18,7 @@ from rendezvous_env.safety.theorems.gains import shrinking
 from rendezvous_env.safety.theorems.noise import held_error, largest_error
 from train.verify.cases import BATCH
 from train.verify.claim import Finding
-from train.verify.watch import directions, extents
+from train.verify.monitors import directions, extents
 
 _NOW_AND_THEN = 100
 """Calls between two looks at what is slow to measure."""

@@ -6,7 +6,7 @@ import numpy as np
 from adversarial_graphs import Attention
 from continuous_time import Array, Law, Sights, Teams, outward
 
-from train.verify.misled import turned, unit
+from train.verify.adversarial_bearings import turned, unit
 
 Random = np.random.Generator
 

@@ -12,7 +12,7 @@ from continuous_time_laws import Random, followed
 
 from rendezvous_env.graphs.weights import bottleneck_weight, max_degree
 from rendezvous_env.safety.theorems.delay import largest_age
-from train.verify.misled import unit
+from train.verify.adversarial_bearings import unit
 
 _KEPT = 8
 """Moments that are remembered; the oldest admissible one is nearly as old as is allowed."""

@@ -12,8 +12,8 @@ from time_bounds import gains_time, links_time
 from rendezvous_env import Scenario
 from rendezvous_env.safety.links import LinkKeeping, least_norm_points, link_keeping_law
 from rendezvous_env.safety.theorems.links import sighted_lyapunov_bound
+from train.verify.adversarial_bearings import turned, unit
 from train.verify.cases import BATCH
-from train.verify.misled import turned, unit
 
 _SIZES = (2, 3, 4, 5)
 _SIGHT = 1.0

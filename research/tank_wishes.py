@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rendezvous_env import Scenario
-from train.verify.misled import across, unit
+from train.verify.adversarial_bearings import across, unit
 
 Array = NDArray[np.float64]
 Wishes = Callable[[NDArray[Any], int], Array]

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rendezvous_env.compilation import kernel
-from rendezvous_env.physics.rows import degree_of, net_bearing_of
+from rendezvous_env.physics.neighbour_rows import degree_of, net_bearing_of
 from rendezvous_env.safety.heading import scale_of_step
 
 from ..obstacle_rules.merged_silhouettes_2d import TWO_PI, joined_interval_2d

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..compilation import entry_point
-from ..graphs.drawn import CustomFamily
+from ..graphs.random_graphs import CustomFamily
 from ..obstacles.obstacle_set import world_of
 from ..physics.random_streams import ignore_overflow
 from ..scenario.start_options import StartOptions

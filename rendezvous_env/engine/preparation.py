@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..graphs.drawn import graph_rules
+from ..graphs.random_graphs import graph_rules
 from ..obstacles import obstacle_set
 from ..obstacles.fields import Field
 from ..obstacles.obstacle_set import ObstacleSet

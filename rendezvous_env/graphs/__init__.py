@@ -2,9 +2,6 @@
 
 from .directed import directed as directed
 from .directed import directed_cycle as directed_cycle
-from .drawn import erdos_renyi as erdos_renyi
-from .drawn import family as family
-from .drawn import random_tree as random_tree
 from .fixed import complete as complete
 from .fixed import cycle as cycle
 from .fixed import from_edges as from_edges
@@ -15,6 +12,9 @@ from .graph import Graph as Graph
 from .graph import GraphLike as GraphLike
 from .graph import parse as parse
 from .proximity import proximity as proximity
+from .random_graphs import erdos_renyi as erdos_renyi
+from .random_graphs import family as family
+from .random_graphs import random_tree as random_tree
 from .switching import switching as switching
 from .weights import bottleneck_weight as bottleneck_weight
 from .weights import components as components

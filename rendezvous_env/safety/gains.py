@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ..checks import positive, refuse
 from ..compilation import inner_kernel, kernel
 from ..engine.threads import each_block
-from ..physics.rows import net_bearing_of
+from ..physics.neighbour_rows import net_bearing_of
 from ..physics.vectors import combine, dot, load, norm, scaled, store
 from ..robots.single_integrator import speed_scale
 from ..scenario.scenario import Scenario

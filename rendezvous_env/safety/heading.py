@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..checks import flag, positive, real, refuse, shown
 from ..compilation import inner_kernel, kernel
 from ..engine.threads import each_block
-from ..physics.rows import degree_of, net_bearing_of
+from ..physics.neighbour_rows import degree_of, net_bearing_of
 from ..physics.vectors import X_AXIS, combine, dot, load, split, store, without
 from ..scenario.scenario import Scenario
 from .safety_filter import SafetyFilter, check_steerable, register_filter, teams_of_block

@@ -15,7 +15,7 @@ from ..checks import floats, real, refuse
 from ..compilation import inner_kernel, kernel
 from ..engine.threads import each_block
 from ..physics.least_norm import least_along, least_norm_of
-from ..physics.rows import degree_of, net_bearing_of
+from ..physics.neighbour_rows import degree_of, net_bearing_of
 from ..physics.vectors import (
     ORIGIN,
     X_AXIS,

@@ -24,7 +24,7 @@ from ..engine.state_checks import (
 )
 from ..engine.threads import each_block
 from ..limits import MOST_TEAMS
-from ..physics.rows import net_bearing_of
+from ..physics.neighbour_rows import net_bearing_of
 from ..physics.vectors import cross, dot, load, split, store, without
 from ..scenario.scenario import Scenario
 

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..checks import bools, flag, number, refuse
 from ..compilation import inner_kernel, kernel
 from ..engine.threads import each_block
-from ..physics.rows import degree_of, net_bearing_of
+from ..physics.neighbour_rows import degree_of, net_bearing_of
 from ..physics.vectors import combine, dot, load, norm, scaled, split, store
 from ..robots.single_integrator import speed_scale
 from ..robots.unicycle import clip

@@ -112,6 +112,15 @@ class TestItPasses:
         scenario = Scenario(n_robots=5, obstacles=obstacles, spawn_size=12.0, **SLOW)
         assert clean(rv.rollout(scenario, planner(scenario), 3, num_envs=40)).all()
 
+    def test_on_a_ring_too(self):
+        scenario = CLUTTER.replace(graph="cycle", n_robots=6)
+        assert clean(rv.rollout(scenario, planner(scenario), 3, num_envs=10)).all()
+
+    def test_two_robots_meet_as_soon_as_can_be(self):
+        scenario = Scenario(n_robots=2, start_positions=((-2, 0), (2, 0)), **SLOW)
+        found = rv.rollout(scenario, planner(scenario))
+        assert found.rendezvous_time[0] == pytest.approx((4.0 - 0.2) / 2, abs=0.051)
+
     def test_a_merge_beside_a_corner_does_not_stop_the_survivor(self):
         """The midpoint of two robots that go round a corner is nearer to it than they were."""
         trap = rv.scenarios.get("trap")
@@ -146,6 +155,17 @@ class TestItWatches:
             policy(seen[:1], 0.0)
         with pytest.raises(ValueError, match="observations have shape"):
             policy(np.zeros((2, 4, 3, 2)), 0.0)
+
+    def test_one_team_as_pettingzoo_has_it(self):
+        env = rv.parallel_env("trap")
+        policy = planner(env.scenario)
+        observations, infos = env.reset(seed=4)
+        policy.watch(env.unwrapped.simulator)
+        while env.agents:
+            actions = policy({name: observations[name] for name in env.agents}, 0.0)
+            observations, _, _, _, infos = env.step(actions)
+        summary = next(iter(infos.values()))["summary"]
+        assert summary["success"] and summary["contacts"] == 0
 
     def test_the_next_episode_is_planned_anew(self):
         scenario = rv.scenarios.get("rooms")

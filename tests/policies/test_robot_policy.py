@@ -126,6 +126,14 @@ class TestTime:
             rates.append(obstacles[obstacles.any(axis=-1)][0, 4:])
         np.testing.assert_allclose(rates, 1.0, atol=1e-4)
 
+    def test_reset_begins_anew(self):
+        robot = RobotPolicy(CLUTTER, "tangent-joined-certified", max_turn_rate=1.0)
+        fresh = robot.act(unit(50))
+        robot.act(unit(0), dt=1.0)
+        robot.reset()
+        np.testing.assert_array_equal(robot.act(unit(50)), fresh)
+        assert robot.time == 0.0
+
     def test_a_step_cut_short_earns_in_proportion(self):
         tank = RobotPolicy(CLUTTER, "learned-tank").policy
         rows = np.zeros((1, CLUTTER.n_robots, *CLUTTER.observation_layout.shape), np.float32)

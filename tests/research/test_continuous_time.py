@@ -12,8 +12,8 @@ from rendezvous_env import Scenario, Sensing, Simulator
 from rendezvous_env.safety.gains import Gains
 from rendezvous_env.safety.links import least_norm_points, link_keeping_law
 from rendezvous_env.trajectory import run
-from train.verify.misled import turned
-from train.verify.watch import directions, extents
+from train.verify.adversarial_bearings import turned
+from train.verify.monitors import directions, extents
 
 
 def still(teams):

@@ -14,8 +14,8 @@ from claims import CLAIMS, check, main
 from continuous_time import Teams
 from continuous_time_laws import away, followed, into_cone
 
+from train.verify.adversarial_bearings import across, turned, unit
 from train.verify.cases import BATCH
-from train.verify.misled import across, turned, unit
 
 FREE = (*continuous_time_claims.CONTINUOUS_TIME, *delay_claims.DELAY, *link_claims.LINKS)
 BY_NAME = {claim.name: claim for claim in FREE}

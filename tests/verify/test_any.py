@@ -11,8 +11,7 @@ import pytest
 from rich.console import Console
 
 import rendezvous_env as rv
-from train.verify import counterexamples, falsification, verify
-from train.verify import misled as misled_module
+from train.verify import adversarial_bearings, counterexamples, falsification, verify
 from train.verify.counterexamples import repeat, shrink, trials_of, write
 from train.verify.falsification import Trial, ask, climb, play
 from train.verify.random_scenarios import CHOICES, Kind, draw, draw_kind
@@ -153,7 +152,7 @@ def test_bearings_that_are_more_wrong_than_allowed_are_found(by, number, monkeyp
     misled = trial(path, by, bearing_error=off)
     played = play(misled)
     assert played.violation is None and any("η > 0" in name for name in played.granted)
-    monkeypatch.setattr(misled_module, "_ROUNDED", 2.0 / off)
+    monkeypatch.setattr(adversarial_bearings, "_ROUNDED", 2.0 / off)
     assert play(misled).violation.number == number
 
 

@@ -18,9 +18,9 @@ from rendezvous_env import Scenario
 from rendezvous_env.safety.heading import HeadingFilter, flexible_velocity
 from rendezvous_env.trajectory import Policy
 
+from .adversarial_bearings import across, unit
 from .cases import Case
 from .claim import Law
-from .misled import across, unit
 
 Array = NDArray[np.float64]
 Adversary = Callable[[NDArray[Any], ArrayLike], Array]

@@ -16,8 +16,8 @@ import numpy as np
 import rendezvous_env as rv
 
 from .falsification import TEAMS, Played, Trial, climb, play
+from .monitors import NUMBERS
 from .random_scenarios import CHOICES, draw, draw_kind
-from .watch import NUMBERS
 
 TRIALS = 50
 """Of a block: they are of one kind and share compiled code."""

@@ -19,9 +19,9 @@ from rendezvous_env import vector
 from rendezvous_env.safety.theorems.certificate import THEOREMS
 from rendezvous_env.safety.theorems.theorem import Asked
 
-from .misled import Misled
-from .watch import BOUNDS, NUMBERS, REPEATED, Watch
-from .wishes import Adversary
+from .adversarial_actions import Adversary
+from .adversarial_bearings import Misled
+from .monitors import BOUNDS, NUMBERS, REPEATED, Watch
 
 Array = NDArray[np.float64]
 

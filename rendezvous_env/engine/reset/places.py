@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from ...compilation import inner_kernel, kernel
-from ...graphs.drawn import is_linked, join
+from ...graphs.random_graphs import is_linked, join
 from ...obstacles.obstacle_set import clear_of_obstacles
 from ...physics.potential import distance_squared
 from ...physics.random_streams import mix, uniform

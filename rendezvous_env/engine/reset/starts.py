@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...compilation import inner_kernel, kernel
-from ...graphs.drawn import GraphRules, draw_links
 from ...graphs.edge_kinds import arcs_of
 from ...graphs.edges import copy_links, load_links, store_links
+from ...graphs.random_graphs import GraphRules, draw_links
 from ...obstacles.fields import Rules, draw_obstacles, is_possible
 from ...physics.potential import lyapunov_of_links
 from ...physics.random_streams import FRAMES, GRAPH, OBSTACLES, START, draw_rotation, stream_key

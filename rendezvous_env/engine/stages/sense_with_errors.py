@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 from ...compilation import inner_kernel
 from ...graphs.edge_kinds import arcs_of
 from ...graphs.edges import load_links
-from ...physics.outward import outward_directions
 from ...physics.random_streams import SENSING, stream_key
 from ...physics.vectors import square
+from ...physics.worst_bias import outward_directions
 from ...sensors.imperfections import Imperfections, neighbour_seen, point_seen
 from ...sensors.line_of_sight import is_seen
 from ...sensors.sensor_equations import DRAWS, step_key

@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 
 import rendezvous_env as rv
 
-from .misled import across, unit
+from .adversarial_bearings import across, unit
 
 Array = NDArray[np.float64]
 _TINY = 1e-12
