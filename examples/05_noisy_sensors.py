@@ -1,4 +1,4 @@
-"""What policies are worth when sensors err: clean success on the same starts, sensor by sensor.
+"""What policies are worth when sensors err: collision-free success, sensor by sensor.
 
 A policy is a name, learned:PATH, or a shipped one with another clearance of its guide, in rad, as
 learned@0.4: the same weights, used otherwise.
@@ -59,7 +59,7 @@ def row(name, label, policy, given):
 
 @style.styled
 def draw(rows, path):
-    """Clean success over noise, a panel for each scenario, with 95 % intervals."""
+    """Collision-free success over noise, a panel for each scenario, with 95 % intervals."""
     names = list(dict.fromkeys(row["scenario"] for row in rows))
     figure = style.new_figure(style.COLUMN * len(names), 3.0)
     panels = figure.subplots(1, len(names), sharey=True, squeeze=False)[0]

@@ -180,7 +180,7 @@ def integrate(trial: Trial) -> tuple[Array, Array]:
 
 
 def outward(teams: Teams, sights: Sights) -> Array:
-    """Unit vectors (B, n, d) along ∂L/∂p_i, exact in the plane and nearly so in space; away from
+    """Unit vectors (B, n, d) along ∂L/∂p_i, exact in the plane and nearly so in 3-D; away from
     the centroid for robots inside the hull.
     """
     there = teams.active[..., None]

@@ -138,7 +138,7 @@ def mean_reward(scenario: Scenario, name: str, episodes: int, seed: int) -> tupl
 
 
 def _huettenrauch(config: Config) -> Iterator[Sequence[str]]:
-    yield "scenario", "law", "clean success", "median time, s", "mean reward"
+    yield "scenario", "law", "collision-free success", "median time, s", "mean reward"
     for name in ("huettenrauch-20", "huettenrauch-20-sight-40"):
         scenario = scenarios.get(name)
         for law in _laws(scenario):

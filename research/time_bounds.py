@@ -1,7 +1,7 @@
 """Times of teams that no scenario of the environment asks for, as functions of numbers.
 
 **C4.** Law (4) with headings in the cone of what is seen, h_i ∈ cone{g_ij} and h·f ≥ ε‖f‖, on any
-graph on which all see somebody: the hull is nested, T ≤ n² L0/(16 ε d_min), in space n² w0/(4 ε
+graph on which all see somebody: the hull is nested, T ≤ n² L0/(16 ε d_min), in 3-D n² w0/(4 ε
 d_min), d_min the least Σ_j a_ij. (Law (4) without the cone lets teams on switching graphs grow
 without end for ε < 0.277.)
 

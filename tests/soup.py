@@ -86,12 +86,13 @@ def any_table(*shape: int) -> st.SearchStrategy:
     )
 
 
-def in_numpy(value: Any) -> Any:
-    """Numbers and flags of a value as NumPy's own, where these hold them."""
-    if isinstance(value, dict):
-        return {key: in_numpy(entry) for key, entry in value.items()}
-    if isinstance(value, list):
-        return [in_numpy(entry) for entry in value]
+def in_numpy(value: Any, depth: int = 9) -> Any:
+    """Numbers and flags of a value as NumPy's own, where these hold them; lists that are too deep,
+    or hold themselves, stay as they are there."""
+    if isinstance(value, dict) and depth:
+        return {key: in_numpy(entry, depth - 1) for key, entry in value.items()}
+    if isinstance(value, list) and depth:
+        return [in_numpy(entry, depth - 1) for entry in value]
     if type(value) is bool:
         return np.bool_(value)
     if type(value) is int and abs(value) < 2**63:

@@ -170,7 +170,7 @@ def test_the_tutorial_runs_and_shows_what_it_says(tmp_path):
         )
 
     assert pictures(new) == pictures(kept) == 2
-    assert "tangent-joined met cleanly 9" in said(new) and "report.html" in said(new)
+    assert "tangent-joined collision-free 9" in said(new) and "report.html" in said(new)
     for name in (
         "shy",
         "bearing-only",

@@ -83,7 +83,7 @@ def _fits(policy: str, fitting: Mapping[str, Sequence[str]]) -> str:
 
 def describe(scenario: Scenario) -> str:
     """What a scenario is, in a line that follows from its fields; single integrators go unsaid."""
-    where = "in the plane" if scenario.dim == 2 else "in space"
+    where = "in the plane" if scenario.dim == 2 else "in 3-D"
     parts = [f"{scenario.n_robots} robots {where}"]
     if scenario.robot_model != "single_integrator":
         parts.append(scenario.robot_model.replace("_", " "))

@@ -35,7 +35,7 @@ from .checks import UserError
 _LEARNED = "learned"
 _AT_PATH = f"{_LEARNED}:"
 _BEST = ("learned-tank", "tank-joined", "learned", "tangent-joined-tuned", "tangent-joined")
-"""Policies for obstacles; the sooner, the more starts are met cleanly (README, Results)."""
+"""Policies for obstacles; the sooner, the more collision-free (README, Results)."""
 _ON_REQUEST = ("blind", "privileged")
 """Kinds of policies that are compared where they are named."""
 _WHERE_SENSORS_ERR = ("learned-tank-noise",)

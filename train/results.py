@@ -52,11 +52,11 @@ PAIRED = {
     "scenario": "name of the scenario",
     "policy": "name of the policy",
     "against": "the policy that it is compared with, start by start",
-    "clean_difference": "difference of the fractions of clean success, policy minus against",
+    "clean_difference": "collision-free success of the policy minus that of against, fractions",
     "clean_difference_low": f"lower end {_INTERVAL} (bootstrap)",
     "clean_difference_high": "upper end of it",
-    "probability_of_improvement": "chance of doing better on a start: meeting cleanly, and sooner; "
-    "a tie counts half",
+    "probability_of_improvement": "chance of doing better on a start, without a collision "
+    "and sooner; a tie counts half",
     "improvement_low": f"lower end {_INTERVAL} (bootstrap)",
     "improvement_high": "upper end of it",
 }

@@ -123,7 +123,7 @@ def nearest_pursuit_law(bearings: NDArray[Any], *, speed: float) -> Array:
 
         ṗᵢ = v gᵢⱼ,   j the one of least |i − j| that is seen            (theorem G, guarantees 10)
 
-    Bearings do not tell who is nearest in space. All meet within L0/(2vκ(n)) in continuous time on
+    Bearings do not tell who is nearest in 3-D. All meet within L0/(2vκ(n)) in continuous time on
     any graph, while everybody sees somebody.
 
     Args:

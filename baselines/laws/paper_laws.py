@@ -218,7 +218,7 @@ def _link_keeping(scenario: Scenario) -> Policy:
 
 # The paper's laws are in continuous time. Held over a step, a turn rate may swing the body past the
 # net bearing and back in the next step, for ever; so no turn goes farther than to f (our departure:
-# it is felt where ‖f‖τ > 1, and in space near β = ±π/2 too).
+# it is felt where ‖f‖τ > 1, and in 3-D near β = ±π/2 too).
 
 
 def _no_farther(rate: Array, angle: Array, duration: float) -> Array:
@@ -267,7 +267,7 @@ def _nonholonomic_3d_actions(
     "nonholonomic-3d", fits=lambda scenario: scenario.robot_model == "nonholonomic_3d", kind="law"
 )
 def _nonholonomic_3d(scenario: Scenario) -> Policy:
-    """Laws (12) and (17) of nonholonomic robots in space."""
+    """Laws (12) and (17) of nonholonomic robots in 3-D."""
     return LawPolicy(scenario, partial(_nonholonomic_3d_actions, duration=scenario.tau))
 
 

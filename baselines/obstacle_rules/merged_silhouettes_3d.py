@@ -1,4 +1,4 @@
-"""The joined rule in space: cones that overlap are one obstacle."""
+"""The joined rule in 3-D: cones that overlap are one obstacle."""
 
 import math
 

@@ -1,7 +1,7 @@
 """Headings at the edges of obstacles: the rules, as kernels over robots.
 
 Silhouette points of an obstacle are S unit vectors in the robot's own frame: the counter-clockwise
-and the clockwise edge in the plane, eight boundary rays of a cone in space. An obstacle whose first
+and the clockwise edge in the plane, eight boundary rays of a cone in 3-D. An obstacle whose first
 point is exactly zero is not seen. All kernels take net bearings (N, d) float64 and silhouettes
 (N, M, S, d) of any float type, and write unit headings (N, d); a robot without a net bearing heads
 along its x axis. Overlapping silhouettes are joined in ``merged_silhouettes_2d`` and ``_3d``.
@@ -56,7 +56,7 @@ def unit(point):
 
 @kernel
 def opposite(points):
-    """Two points across the silhouette: both edges in the plane, rays 0 and 4 in space."""
+    """Two points across the silhouette: both edges in the plane, rays 0 and 4 in 3-D."""
     return unit(points[0]), unit(points[points.shape[0] // 2])
 
 

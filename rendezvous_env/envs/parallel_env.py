@@ -37,7 +37,7 @@ class RendezvousParallelEnv(
 
     ## Description
 
-    ``n`` robots move in the plane or in space. Each one sees in which direction its neighbours and
+    ``n`` robots move in the plane or in 3-D. Each one sees in which direction its neighbours and
     the edges of near obstacles lie, in its own frame, and never how far. Neighbours that come
     within ``merge_radius`` become one robot; when one is left, the team has met. After Zhao and
     Zheng, *Flexible Bearing-Only Rendezvous Control of Mobile Robots* (2017).

@@ -50,7 +50,7 @@ _MOST_BEADS = 99
 
 @dataclass(frozen=True)
 class Capsule:
-    """All points within a radius of a segment, in the plane or in space: a wall with round ends, a
+    """All points within a radius of a segment, in the plane or in 3-D: a wall with round ends, a
     fallen trunk.
     """
 

@@ -59,7 +59,7 @@ class Disc(_Round):
 
 @dataclass(frozen=True)
 class Sphere(_Round):
-    """A round obstacle in space."""
+    """A round obstacle in 3-D."""
 
     dim = 3
 

@@ -21,7 +21,7 @@ _TRIES_PER_OBSTACLE = 1000
 
 @dataclass(frozen=True)
 class ObstacleField:
-    """Discs (in the plane) or spheres (in space), drawn anew for every episode."""
+    """Discs (in the plane) or spheres (in 3-D), drawn anew for every episode."""
 
     count: int | tuple[int, int]
     """How many; a pair is an inclusive range to draw from."""
@@ -35,7 +35,7 @@ class ObstacleField:
     """Whether obstacles may overlap."""
     passage: float = 0.0
     """Every robot can reach every other through gaps at least this wide, m: a start where some are
-    walled in is drawn again. 0, and always in space: that is not looked at."""
+    walled in is drawn again. 0, and always in 3-D: that is not looked at."""
 
     def __post_init__(self) -> None:
         low, high = _check_count(self.count)

@@ -127,7 +127,7 @@ def _edges(world, m, point):
 
 @_asked("cone")
 def _cone(world, m, point, axes, out):
-    """Boundary rays into ``out``, seen in space."""
+    """Boundary rays into ``out``, seen in 3-D."""
 
 
 @kernel

@@ -38,7 +38,7 @@ NEARLY_ZERO = 1e-9
 _AZIMUTHS = 0.25 * math.pi * np.arange(8)
 COS_AZIMUTH = tuple(np.cos(_AZIMUTHS).tolist())
 SIN_AZIMUTH = tuple(np.sin(_AZIMUTHS).tolist())
-"""Of the eight azimuths at which the cone of an obstacle in space is seen, k · 45°."""
+"""Of the eight azimuths at which the cone of an obstacle in 3-D is seen, k · 45°."""
 
 
 class Packed(NamedTuple):
@@ -77,7 +77,7 @@ class Outline(NamedTuple):
 
 
 class Ball(NamedTuple):
-    """A ball in space, as pictures draw it."""
+    """A ball in 3-D, as pictures draw it."""
 
     centre: NDArray[np.float64]
     """(3,), m."""
@@ -118,7 +118,7 @@ class ShapeKind(NamedTuple):
     outline: Callable[[NDArray[np.float64], int], Outline] | None = None
     """(row, corners) → picture in the plane."""
     balls: Callable[[NDArray[np.float64]], list[Ball]] | None = None
-    """row → picture in space."""
+    """row → picture in 3-D."""
 
 
 def one_normal(surface: Callable[..., Any]) -> Any:

@@ -2,7 +2,7 @@
 
     L = ∫_{|u|=1} max_i u·p_i du
 
-In the plane L is the perimeter of the convex hull, in space 2π times its mean width.
+In the plane L is the perimeter of the convex hull, in 3-D 2π times its mean width.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ share."""
 def size(points: Array) -> float:
     """L = ∫_{|u|=1} max_i u·p_i du of points; 0 for a single place (guarantees, section 9).
 
-    A segment is a polygon with two sides, a flat polygon in space has the mean width P/4, so
+    A segment is a polygon with two sides, a flat polygon in 3-D has the mean width P/4, so
     L = (π/2) P with P its perimeter.
 
     Args:

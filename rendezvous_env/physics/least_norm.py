@@ -78,7 +78,7 @@ def _turn(a, b):
 
 @kernel
 def _least_in_space(rows, neighbour_slots):
-    """``least_norm_of`` in space: the nearest point of a triangle of bearings, exchanged for a
+    """``least_norm_of`` in 3-D: the nearest point of a triangle of bearings, exchanged for a
     nearer one while some bearing g lies on this side of it, q·g < ‖q‖² (Gilbert, Johnson and
     Keerthi, 1988).
     """

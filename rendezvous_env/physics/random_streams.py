@@ -77,7 +77,7 @@ def uniform(key, counter):
 def draw_rotation(key, first_counter, axes):
     """A uniformly distributed rotation matrix, from at most three numbers of a stream.
 
-    In the plane by an angle 2πu; in space of a uniform unit quaternion (Shoemake, 1992).
+    In the plane by an angle 2πu; in 3-D of a uniform unit quaternion (Shoemake, 1992).
 
     Args:
         key: of the stream, uint64.

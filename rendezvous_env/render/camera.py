@@ -15,7 +15,7 @@ from .scene import Bools, Floats, outermost
 _AZIMUTH, _ELEVATION = math.radians(-62.0), math.radians(24.0)
 """From where space is seen."""
 _DISTANCE = 2.6
-"""Of the eye from the middle of a scene in space, in diagonals of its bounding box."""
+"""Of the eye from the middle of a scene in 3-D, in diagonals of its bounding box."""
 _LEAST_SHARE = 0.02
 """Of its largest extent that a scene has in every axis, so that a row of robots has a view too."""
 

@@ -167,7 +167,7 @@ class TeamPicture:
     # ---- what moves ---------------------------------------------------------------------------
 
     def _draw_stems(self, canvas: pygame.Surface, moment: Moment, pixels: Floats) -> None:
-        """A plumb line from each robot to the ground, which tells where it is in space."""
+        """A plumb line from each robot to the ground, which tells where it is in 3-D."""
         feet = self._on_ground(moment.positions[:, :2])
         for i in np.flatnonzero(moment.active).tolist():
             shade = ink.tint(robot_colour(i), 0.6)

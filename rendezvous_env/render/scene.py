@@ -16,7 +16,7 @@ Bools = NDArray[np.bool_]
 
 
 def shapes(obstacles: Floats, dim: int) -> list[Outline]:
-    """Discs and outlines of the plane; in space balls, which have no vertices.
+    """Discs and outlines of the plane; in 3-D balls, which have no vertices.
 
     Args:
         obstacles: (M, width), a table of ``obstacles.obstacle_set``.

@@ -52,7 +52,7 @@ def arc_3d(speed, yaw, pitch, yaw_rate, pitch_rate, duration):
 
 @kernel
 def body_frame_3d(yaw, pitch):
-    """R = R_z(α) R_y(−β), row by row, from the body frame of a robot in space to the global one;
+    """R = R_z(α) R_y(−β), row by row, from the body frame of a robot in 3-D to the global one;
     yaw α and pitch β in rad.
 
     The body frame has x = heading h of eq. (9), y = horizontal left, z = up-ish.

@@ -2,7 +2,7 @@
 
     ẋ = v cos θ,  ẏ = v sin θ,  θ̇ = ω
 
-Angles are in radians; the heading θ is the yaw of robots in space.
+Angles are in radians; the heading θ is the yaw of robots in 3-D.
 """
 
 import math

@@ -62,7 +62,7 @@ def check_bearing_error(bearing_error: Any) -> float:
 def bounded_error(sensing: Sensing, dim: int) -> float:
     """The most by which a sensor's bearings are wrong, a number, rad; noise and bias have no most.
 
-    η = error + π/sectors;   in space √((π/S)² + e²) for the sectors, e the most in elevation
+    η = error + π/sectors;   in 3-D √((π/S)² + e²) for the sectors, e the most in elevation
     """
     if sensing.sectors is None:
         return sensing.error

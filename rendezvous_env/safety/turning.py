@@ -70,7 +70,7 @@ def gated_rates(requested, net_bearing, pitch, gate):
     otherwise they are free (theory 3, the gate):
 
     * in the plane by law (8), ω = f_y, clipped and at most |∠(h, f)|/τ;
-    * in space by ``rates_onto_line``. Law (17) itself flips from step to step near β = ±π/2, where
+    * in 3-D by ``rates_onto_line``. Law (17) itself flips from step to step near β = ±π/2, where
       its yaw rate is saturated, and a robot may then stay across f for ever.
 
     Args:

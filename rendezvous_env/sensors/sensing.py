@@ -61,7 +61,7 @@ class Sensing:
     obstacle is seen while one of its silhouette points is in it."""
     noise: float = 0.0
     """Standard deviation of the angle by which each bearing is turned, drawn anew for every ordered
-    pair and step, rad; in space about a random axis perpendicular to the bearing."""
+    pair and step, rad; in 3-D about a random axis perpendicular to the bearing."""
     bias: float = 0.0
     """The same, drawn once for every ordered pair and episode."""
     error: float = 0.0
@@ -72,7 +72,7 @@ class Sensing:
     delay: int = 0
     """Steps by which what is seen is late; until then what is seen first is held."""
     sectors: int | None = None
-    """Bearings are rounded to so many directions from the x axis on, in space in yaw and, as far as
+    """Bearings are rounded to so many directions from the x axis on, in 3-D in yaw and, as far as
     ± π/2, in elevation; None does not round."""
     occlusion: str = "none"
     """What hides neighbours that are behind it: none, obstacles, robots (as discs or spheres of

@@ -23,7 +23,7 @@ _NEARLY_PARALLEL = 1e-9
 
 @kernel(inline="code")
 def turned(row, angle, axis):
-    """A row turned by an angle: in the plane counter-clockwise, in space about the part of an axis
+    """A row turned by an angle: in the plane counter-clockwise, in 3-D about the part of an axis
     that is perpendicular to it.
 
         R(α) g,   or   cos α g + sin α (e × g),  e ∥ axis − (axis·g) g
@@ -58,7 +58,7 @@ def turned_towards(row, angle, target):
     Args:
         row: a pair or triple.
         angle: rad; in the plane one of the two senses is chosen, counter-clockwise if they are
-            equally good, in space the plane of row and target.
+            equally good, in 3-D the plane of row and target.
         target: a pair or triple.
     """
     if len(row) == 2:

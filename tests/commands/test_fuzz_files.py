@@ -378,7 +378,7 @@ def no_work(monkeypatch):
     monkeypatch.setattr(verify, "look", lambda block: verify.Seen(fine, 0.0, None))
 
 
-@cases(150, 2000)
+@cases(150, 500)
 def test_command_lines(count, no_work, tmp_path, capsys, monkeypatch):
     work = tmp_path / "work"
     work.mkdir()

@@ -73,7 +73,7 @@ class TestWhatDoesNotApply:
         figure = figures.success_figure([alone])
         axes = figure.axes[0]
         assert axes.get_title() == "fig3, one start"
-        [success] = axes.containers  # and none of clean success
+        [success] = axes.containers  # and none of collision-free success
         assert success.lines[0].get_xdata() == [100.0]
         [bars] = success.lines[2]
         assert np.ptp(bars.get_segments()[0][:, 0]) == 0

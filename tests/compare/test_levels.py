@@ -87,4 +87,4 @@ def test_the_tables_stand_for_the_matrix(tmp_path, capsys):
     config = compare.Config(("duo",), ("bearing-only",), 3, sensing=("noise=0,0.2",), out=tmp_path)
     assert compare.run(config) == 0
     said = capsys.readouterr().out
-    assert "duo: noise, 3 starts" in said and "100, " in said and "met cleanly, %  " not in said
+    assert "duo: noise, 3 starts" in said and "100, " in said and "collision-free, %  " not in said

@@ -78,14 +78,14 @@ class TestAnswer:
             + [played(s, "tangent-joined", b, 6.0) for s, _, b in cells]
         )
         assert ranking.answer(found) == (
-            "tangent-joined leads in clean success: best, or not told from the best, in 3 of 3 "
-            "scenarios, alone in 1; then tangent, in 2."
+            "tangent-joined leads in collision-free success: best, or tied with the best, "
+            "in 3 of 3 scenarios, alone in 1; then tangent, in 2."
         )
 
     def test_many_are_level(self):
         names = ("tangent", "bearing-only", "zero", "random", "tangent-joined")
         found = ranking.rank([played("fig4", name, 1.0) for name in names])
-        assert ranking.answer(found).startswith("5 policies are level in clean success")
+        assert ranking.answer(found).startswith("5 policies are tied in collision-free success")
 
     def test_nothing_to_win(self):
         assert "Nothing to win" in ranking.answer(ranking.rank([played("duo", "zero", 0.0)]))
@@ -100,7 +100,7 @@ class TestMatrix:
         text = shown(ranking.rank([played(s, n, 0.5) for s in self.NAMES for n in names]), width)
         lines = text.splitlines()
         assert max(map(len, lines)) <= width and "…" not in text
-        parts = sum(line.startswith("met cleanly") or "met cleanly" in line for line in lines)
+        parts = sum("collision-free, %" in line for line in lines)
         assert sum(line.startswith("tangent-blocking-certified ") for line in lines) == parts > 1
         assert text.count(" 50") == 3 * len(self.NAMES)
 
@@ -172,7 +172,8 @@ def said(tmp_path_factory):
 class TestCommand:
     def test_the_answer_comes_before_the_tables(self, said):
         text, summary = said
-        places = [text.index(part) for part in (summary["answer"][:30], "met cleanly", "Against")]
+        parts = (summary["answer"][:30], "collision-free, %", "Against")
+        places = [text.index(part) for part in parts]
         assert places == sorted(places) and summary["answer"].startswith("tangent-joined leads")
         assert "T/bound" not in text  # that takes --details
 

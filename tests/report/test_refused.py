@@ -15,7 +15,7 @@ from train.report import build as report
 @pytest.fixture
 def folder(compared, tmp_path):
     """A copy that a test may damage."""
-    return shutil.copytree(compared, tmp_path / "out")
+    return shutil.copytree(compared, tmp_path / "out", ignore=shutil.ignore_patterns("report.html"))
 
 
 @pytest.fixture

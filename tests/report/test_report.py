@@ -19,7 +19,7 @@ from train.report.input import read
 @pytest.fixture
 def folder(compared, tmp_path):
     """A copy that a test may damage."""
-    return shutil.copytree(compared, tmp_path / "out")
+    return shutil.copytree(compared, tmp_path / "out", ignore=shutil.ignore_patterns("report.html"))
 
 
 def data_of(text):

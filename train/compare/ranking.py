@@ -21,14 +21,14 @@ _MOST_NAMED = 4
 
 @dataclass(frozen=True)
 class Ranking:
-    """Clean success of the policies on one scenario."""
+    """Collision-free success of the policies on one scenario."""
 
     scenario: str
     """Its name."""
     starts: int
     """How many each policy was played on."""
     share: dict[str, float]
-    """Clean success of every policy, from 0 to 1; NaN where contacts do not count."""
+    """Collision-free success of every policy, from 0 to 1; NaN where contacts do not count."""
     best: str | None
     """The best of those that know no map, None where nothing of its kind can be said."""
     tied: tuple[str, ...]
@@ -80,17 +80,17 @@ def answer(rankings: Sequence[Ranking]) -> str:
     """Who wins, in one sentence."""
     contests = [ranking for ranking in rankings if ranking.is_contest]
     if not contests:
-        return "Nothing to win: no scenario has two policies whose clean success can be compared."
+        return "Nothing to win: no scenario has two policies that can meet without a collision."
     tops, alone = _counts(contests)
     order = leaders(rankings)
     leader = order[0]
     level = [name for name in order if (tops[name], alone[name]) == (tops[leader], alone[leader])]
-    where = f"best, or not told from the best, in {_of(tops[leader], len(contests))}"
+    where = f"best, or tied with the best, in {_of(tops[leader], len(contests))}"
     if len(level) > 1:
-        return f"{_listed(level)} are level in clean success: {where}."
+        return f"{_listed(level)} are tied in collision-free success: {where}."
     by_itself = f", alone in {alone[leader]}" if alone[leader] and len(contests) > 1 else ""
     then = f"; then {order[1]}, in {tops[order[1]]}" if len(order) > 1 else ""
-    return f"{leader} leads in clean success: {where}{by_itself}{then}."
+    return f"{leader} leads in collision-free success: {where}{by_itself}{then}."
 
 
 def leaders(rankings: Sequence[Ranking]) -> list[str]:

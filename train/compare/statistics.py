@@ -86,8 +86,8 @@ def censored_median(
 def summarise(scenario: str, policy: str, episodes: Episodes, limit: float) -> dict[str, Any]:
     """One row of results.csv; ``results.RESULTS`` says what each column is.
 
-    NaN where it does not apply: intervals of a single start, clean success where robots pass
-    through obstacles.
+    NaN where it does not apply: intervals of a single start, collision-free success where
+    robots pass through obstacles.
 
     Args:
         scenario: its name.
@@ -135,8 +135,8 @@ def best_policy(played: Mapping[str, Episodes]) -> str:
 
 
 def clean_difference(own: Episodes, other: Episodes) -> tuple[float, Interval]:
-    """Difference of the fractions of clean success on the same starts, and its 95 % bootstrap
-    interval over starts; NaN where contacts do not count.
+    """Difference of the fractions of collision-free success on the same starts, and its 95 %
+    bootstrap interval over starts; NaN where contacts do not count.
     """
     difference = own.clean.astype(float) - other.clean
     return float(difference.mean()), bootstrap_interval((difference,), np.mean)
@@ -147,8 +147,9 @@ def compare_pairs(
 ) -> list[dict[str, Any]]:
     """Rows of paired.csv: every policy against the reference on the same starts.
 
-    clean_difference is that of the fractions of clean success, probability_of_improvement that of
-    doing better on a start: meeting cleanly and sooner; a tie counts half, and two failures tie.
+    clean_difference is that of the fractions of collision-free success, probability_of_improvement
+    that of doing better on a start: meeting without a collision and sooner; a tie counts half, and
+    two failures tie.
     Both have a 95 % bootstrap interval over starts.
 
     Args:

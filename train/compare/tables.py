@@ -107,8 +107,8 @@ def paired_table(rows: Sequence[Row]) -> Table:
     table = _empty(
         *("policy", "points", "better %"),
         title=f"Against {escape(rows[0]['against'])} on the same starts",
-        caption="points: of clean success; better: meeting cleanly and sooner on a start, a tie "
-        "counts half; [95 % bootstrap intervals]",
+        caption="points: of collision-free success; better: without a collision and sooner, "
+        "a tie counts half; [95 % bootstrap intervals]",
     )
     for heading, own in _by_scenario(rows):
         table.add_row(heading)
@@ -153,7 +153,7 @@ def show_matrix(rankings: Sequence[Ranking], console: Console) -> None:
 
 def _table(rankings: Sequence[Ranking]) -> Table:
     table = Table(box=None, header_style="bold", pad_edge=False, padding=(0, _BETWEEN, 0, 0))
-    table.add_column("met cleanly, %", overflow="fold")
+    table.add_column("collision-free, %", overflow="fold")
     for ranking in rankings:
         name = textwrap.fill(ranking.scenario, _HEADING)
         table.add_column(Text(name), justify="right", vertical="bottom", min_width=5)
@@ -200,11 +200,11 @@ def _notes(rankings: Sequence[Ranking]) -> Iterator[str]:
 
 
 def show_sweeps(sweeps: Sequence[Sweep], rows: Sequence[dict[str, Any]], console: Console) -> None:
-    """Print a table for each sweep: clean success and median time of each policy and level."""
+    """A table for each sweep: collision-free success and median time of each policy."""
     for sweep in sweeps:
         own, limit = rows_of(sweep, rows), sweep.base.max_steps * sweep.base.tau
         title = f"{sweep.base.name}: {sweep.field}, {own[0]['episodes']} starts"
-        console.print(f"[bold]{escape(title)}[/bold]; met cleanly %, median s")
+        console.print(f"[bold]{escape(title)}[/bold]; collision-free %, median s")
         table = _empty("policy", *sweep.labels)
         for policy in dict.fromkeys(row["policy"] for row in own):
             levels = (row for row in own if row["policy"] == policy)

@@ -1,4 +1,4 @@
-"""Figures of ``compare``: success, times, and clean success against clutter and team size.
+"""Figures of ``compare``: success, times, and collision-free success against clutter and team size.
 
 The drawing library is imported when a figure is made.
 """
@@ -79,7 +79,7 @@ def _base(name: str) -> str:
 
 @styled
 def success_figure(rows: Sequence[Mapping[str, Any]]) -> Figure:
-    """Success and clean success of every policy in rows of results.csv, a panel a scenario."""
+    """Success, with and without collisions, of every policy in results.csv, a panel a scenario."""
 
     def draw(axes: Axes, panel: Sequence[Mapping[str, Any]]) -> None:
         _intervals(axes, panel, "success", "success", above=True, factor=100.0)
@@ -213,7 +213,7 @@ def _number(scenario: Scenario, quantity: str) -> int | None:
 def sweep_figure(
     rows: Sequence[Mapping[str, Any]], group: Sequence[Scenario], quantity: str
 ) -> Figure:
-    """Clean success of every policy against the number of obstacles or of robots.
+    """Collision-free success of every policy against the number of obstacles or of robots.
 
     Args:
         rows: of results.csv.
@@ -243,7 +243,7 @@ def sweep_figure(
     count = _number(example, "obstacles")
     clutter = f"{count} obstacles" if count else "the same obstacles"
     fixed = f"{example.n_robots} robots" if quantity == "obstacles" else clutter
-    axes.set_title(f"Teams that meet cleanly: {fixed}, 95 % intervals")
+    axes.set_title(f"Collision-free: {fixed}, 95 % intervals")
     figure.legend(loc="outside lower center", ncols=LEGEND_COLUMNS)
     return figure
 

@@ -1,4 +1,4 @@
-"""Figures of single episodes: paths among obstacles, in the plane and in space, and V(t)."""
+"""Figures of single episodes: paths among obstacles, in the plane and in 3-D, and V(t)."""
 
 from __future__ import annotations
 
@@ -68,9 +68,9 @@ def draw_paths(axes: Any, recording: Mapping[str, NDArray[Any]], scenario: Scena
     headings, of robots that have one.
 
     Args:
-        axes: to draw in; of three dimensions for robots in space.
+        axes: to draw in; of three dimensions for robots in 3-D.
         recording: positions (T, n, d), m; active (T, n); headings (T, n, k), rad; obstacles.
-        scenario: in the plane or in space.
+        scenario: in the plane or in 3-D.
     """
     positions, active = recording["positions"], recording["active"]
     flat = scenario.dim == 2
@@ -123,7 +123,7 @@ def team_figure(scenario: Scenario, recording: Mapping[str, NDArray[Any]], polic
     """One episode as in figures 3 and 4 of the paper: (a) paths, (b) V(t) with its jumps at merges.
 
     Args:
-        scenario: in the plane or in space.
+        scenario: in the plane or in 3-D.
         recording: one team with every step kept: times, positions, headings, active, obstacles,
             lyapunov, and lyapunov_before_merge and lyapunov_after_merge of the step to each frame.
         policy: for the title.

@@ -46,8 +46,8 @@ class Config:
     """Draw a figure of the paper: (a) the paths, (b) V(t) with its jumps at merges.
 
     The paper prints no coordinates; start positions and obstacles are our own choice. Or draw
-    what a tank's margin and budget buy: clean success and the time bound. Or make the table of
-    certified times over those that random teams take.
+    what a tank's margin and budget buy: collision-free success and the time bound. Or make the
+    table of certified times over those that random teams take.
     """
 
     figure: Positional[Literal["fig3", "fig4", "tank", "bounds"]]
@@ -209,7 +209,7 @@ def measure_tanks(episodes: int, seed: int) -> Iterator[dict[str, Any]]:
 
 @styled
 def tank_tradeoff_figure(rows: Sequence[dict[str, Any]]) -> Figure:
-    """Clean success and the bound against ε, one line for each budget.
+    """Collision-free success and the bound against ε, one line for each budget.
 
     Args:
         rows: as ``measure_tanks`` gives them.

@@ -142,8 +142,8 @@ class Result:
 
 
 def score(rows: tuple[Row, ...]) -> float:
-    """Mean clean success over the scenarios of an evaluation, 0–1; plain success where robots pass
-    through obstacles.
+    """Mean collision-free success over the scenarios of an evaluation, 0–1; plain success where
+    robots pass through obstacles.
     """
     shares = ((row["clean_success"], row["success"]) for row in rows)
     return fmean(success if math.isnan(clean) else clean for clean, success in shares)

@@ -18,8 +18,8 @@ _CAPTIONS = {
     "none touched an obstacle. Lines: 95 % intervals.",
     "times": "Median time until all robots met, with its 95 % interval; time-outs count as later "
     "than the limit.",
-    "against-obstacles": "How clean success falls as obstacles become more. Bars: 95 % intervals.",
-    "against-robots": "Clean success of teams of different size among the same number of "
+    "against-obstacles": "Collision-free success as obstacles become more. Bars: 95 % intervals.",
+    "against-robots": "Collision-free success of teams of different size among the same number of "
     "obstacles. Bars: 95 % intervals.",
 }
 

@@ -92,7 +92,7 @@ def turned(bearings: Array, towards: Array, error: Array | float) -> Array:
 
 
 def across(ahead: Array, axis: Array) -> Array:
-    """Vectors across others, (..., d): turned by 90° in the plane, ahead × axis in space."""
+    """Vectors across others, (..., d): turned by 90° in the plane, ahead × axis in 3-D."""
     if ahead.shape[-1] == 2:
         return np.stack([-ahead[..., 1], ahead[..., 0]], axis=-1)
     return np.cross(ahead, axis)

@@ -171,7 +171,7 @@ def extents(places: Array, active: Mask, along: Array) -> Array:
 
 
 def directions(dim: int, count: int = 48) -> Array:
-    """Unit vectors all round, (M, d); in space on a spiral."""
+    """Unit vectors all round, (M, d); in 3-D on a spiral."""
     k = np.arange(count) + 0.5
     if dim == 2:
         return np.stack([np.cos(2 * np.pi * k / count), np.sin(2 * np.pi * k / count)], axis=-1)

@@ -159,7 +159,7 @@ def _compiled_see_others(block, setup, state, obstacles, clearance, scratch):
 
 @inner_kernel
 def _see_one_by_one(block, setup, state, obstacles, clearance, scratch):
-    """Polygons and capsules of the plane, and everything in space."""
+    """Polygons and capsules of the plane, and everything in 3-D."""
     d, team, teams = len(setup.layout.axes), scratch.team, state.teams
     for lane in range(block.count):
         place = Place(block.index, lane, block.first + lane)

@@ -196,7 +196,7 @@ def starts_apart(scenario: Scenario) -> bool:
 
 
 def directions(dim: int) -> float:
-    """The measure of all unit vectors: 2π in the plane, 4π in space; a hull that grows by ρ in all
+    """The measure of all unit vectors: 2π in the plane, 4π in 3-D; a hull that grows by ρ in all
     directions has an L larger by so much times ρ (guarantees, section 9).
     """
     return 2.0 * math.pi * (dim - 1)

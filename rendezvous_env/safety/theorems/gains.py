@@ -7,13 +7,13 @@ somebody (or all but one, the leader). Neighbours nearer than r merge. Law (1) h
 
 **Promise**, L0 = L(0) the size of the team at the start (``Simulator.size``):
 
-* in continuous time T ≤ L0/(2 c κ(n)), in space n w0/(2c), w0 = L0/2π; with a leader κ₁, 2(n−1)
+* in continuous time T ≤ L0/(2 c κ(n)), in 3-D n w0/(2c), w0 = L0/2π; with a leader κ₁, 2(n−1)
   w0/c;
-* inputs held over τ with τ Σ_j c_ij ≤ τ C < r, in the plane and in space (D1):
+* inputs held over τ with τ Σ_j c_ij ≤ τ C < r, in the plane and in 3-D (D1):
 
       T ≤ L0 / (c s μ k) + (n − 1) τ,      s = sin(ψ/2),   k = (r − τC)/(r − τC + 2τc),
-      ψ = π/n,  with a leader 5π/(12 (n−1)),  in space π (1 − cos 5π/12)/(2 (n−1)),
-      μ = ψ,  in space 2π (1 − cos(ψ/2));
+      ψ = π/n,  with a leader 5π/(12 (n−1)),  in 3-D π (1 − cos 5π/12)/(2 (n−1)),
+      μ = ψ,  in 3-D 2π (1 − cos(ψ/2));
 
 * for τ C ≤ r the hull of the team does not grow in a step that begins with linked robots r or
   more apart, which is every step but the first of given starts and those in which links change.

@@ -1,10 +1,10 @@
 """Theorems N, N1, N1' and E[T]: bearings that are wrong, by a bounded angle or at random.
 
 **N.** All Σ_j c_ij are equal to c, of every robot left, and every bearing is within η < π/n of
-the true one, in space tan η < 1/√(n(n−2)). On any graph on which all see somebody, in continuous
+the true one, in 3-D tan η < 1/√(n(n−2)). On any graph on which all see somebody, in continuous
 time,
 
-    T ≤ L0 sin(π/n)/(2 c κ(n) sin(π/n − η)),      in space  w0/(2c [cos η/n − sin η √(1 − 2/n)]).
+    T ≤ L0 sin(π/n)/(2 c κ(n) sin(π/n − η)),      in 3-D  w0/(2c [cos η/n − sin η √(1 − 2/n)]).
 
 Inputs that are held count as errors: η_m = η + asin(2 c_m τ/r), T ≤ L0 / min_m shrinking(m, c_m,
 η_m) + (n−1) τ. With η > 0 the hull is not nested: L decreases in steps without a merge, and in
@@ -73,7 +73,7 @@ DEAD_ZONE = 0.5
 
 def largest_error(n: ArrayLike, dim: int) -> Array:
     """η, rad, below which theorem N promises a rendezvous of n robots, (...): π/n, which is sharp;
-    in space arctan(1/√(n(n − 2))) is enough.
+    in 3-D arctan(1/√(n(n − 2))) is enough.
     """
     m = np.asarray(n, dtype=np.float64)
     if dim == 2:

@@ -6,7 +6,7 @@ the step, whatever turn rates are wished for. With ω the turn limit, or the wra
 less (3 rad/s here), F = min_m 2c_m/m, s_min as in theorem D and
 
     p = min(ωτ, 0.7 τF, π/3),  K = ⌈1.25/p⌉ + 2,  θ = 1/10,
-    in space  p = min(ωτ, π/2),  K = ⌈π/(2p)⌉ + 2,  θ = min(1, p²)/10,
+    in 3-D  p = min(ωτ, π/2),  K = ⌈π/(2p)⌉ + 2,  θ = min(1, p²)/10,
     q = min( τ s_min ε²F²/5,  θ²F²r²/(2.5 D̄²Kτ) ),
 
 V falls by q in every K steps without a merge: T ≤ Kτ (V0⁺/q + n). It is very loose.
@@ -15,7 +15,7 @@ V falls by q in every K steps without a merge: T ≤ Kτ (V0⁺/q + n). It is ve
 
 **E2.** A fixed graph, directed or not, on which everybody always sees somebody. Each robot pursues
 one that it sees until a merge: it turns towards it at ω_max and drives at c < ω_max r/2, only while
-it points at it. In continuous time T ≤ L0/(2 c κ(n)) + n π/(ω_max − 2c/r), in space n w0/(2c) in
+it points at it. In continuous time T ≤ L0/(2 c κ(n)) + n π/(ω_max − 2c/r), in 3-D n w0/(2c) in
 the first term. Where links change a target may go out of sight at any time; a leader that rests
 brings nobody together: there nothing is promised. No wrapper keeps it; policy ``pursuit`` does.
 

@@ -11,7 +11,7 @@ class Pane {
     this.part(".png").addEventListener("click", () => this.save());
   }
 
-  /** Canvases for one projection in the plane, two in space. */
+  /** Canvases for one projection in the plane, two in 3-D. */
   lay(dim, policy) {
     this.root.classList.toggle("space", dim === 3);
     this.axes = dim === 2 ? [[0, 1]] : [[0, 1], [0, 2]];

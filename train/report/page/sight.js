@@ -126,7 +126,7 @@ function drawTruth(pen, [x, y], cx, cy) {
   line(pen, cx, cy, x, y);
 }
 
-/** In the plane the angle between both edges; in space the outline of the boundary rays. */
+/** In the plane the angle between both edges; in 3-D the outline of the boundary rays. */
 function drawSilhouette(pen, points, at, cx, cy, radius) {
   const ends = points.map(({ vector }) => at(vector, 1));
   pen.fillStyle = pen.strokeStyle = colour("obstacle");

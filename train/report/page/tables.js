@@ -25,7 +25,7 @@ function seconds(cell, row) {
 
 // best: which end of a column is the better one, 1 the largest, -1 the least; words begin with a.
 // key: shown on a narrow screen too.
-const CLEAN = { title: "met cleanly %", value: "clean_success", range: ["clean_low", "clean_high"],
+const CLEAN = { title: "collision-free %", value: "clean_success", range: ["clean_low", "clean_high"],
   show: percent, bar: true, best: 1, key: true };
 const TIME = { title: "median time s", value: "median_time", range: ["time_low", "time_high"],
   show: seconds, best: -1, key: true };
