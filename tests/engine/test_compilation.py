@@ -91,7 +91,7 @@ def call(folder: Path, **environment: str) -> tuple[float, int, int]:
 
 
 def python(script: str, folder: Path, **environment: str) -> subprocess.CompletedProcess[str]:
-    """A fresh process that finds the packages in the folder, and ours."""
+    """A fresh process that finds the packages in the folder, and ours, and no kernel of others."""
     path = f"{folder}{os.pathsep}{ROOT}"
     return subprocess.run(
         [sys.executable, "-c", script],
@@ -99,7 +99,7 @@ def python(script: str, folder: Path, **environment: str) -> subprocess.Complete
         capture_output=True,
         text=True,
         cwd=folder,
-        env={**os.environ, "PYTHONPATH": path, **environment},
+        env={**os.environ, "PYTHONPATH": path, "NUMBA_CACHE_DIR": str(folder), **environment},
         timeout=200,
     )
 
