@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from rendezvous_env import compilation
+from rendezvous_env import compilation, kernel_cache
 from train import cli
 
 
@@ -24,7 +24,8 @@ def test_an_unknown_scenario_is_the_users_mistake(capsys):
 
 @pytest.mark.skipif(not compilation.compiled(), reason="nothing is compiled")
 @pytest.mark.parametrize(("seconds", "said"), [(2.5, 1), (1.5, 0)])
-def test_long_compilation_is_announced_once(seconds, said, monkeypatch, capsys):
+def test_long_compilation_is_announced_once(seconds, said, monkeypatch, capsys, tmp_path):
+    monkeypatch.setattr(kernel_cache, "_folder", lambda: tmp_path)  # else it may be found there
     clock = iter(range(100))
     monkeypatch.setattr(compilation, "_said", [])
     monkeypatch.setattr(compilation.time, "monotonic", lambda: seconds * next(clock))
