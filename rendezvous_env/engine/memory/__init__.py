@@ -314,7 +314,7 @@ class TeamScratch(NamedTuple):
     resting: NDArray[np.bool_]
     """(n,)."""
     first: NDArray[np.int64]
-    """(E,), its links, see ``link_kinds.EdgeList``."""
+    """(E,), its links, see ``edge_kinds.EdgeList``."""
     second: NDArray[np.int64]
     """(E,)."""
     weights: NDArray[np.float64]
