@@ -13,8 +13,10 @@ WITH_KERNELS := $(addprefix tests/,borders engine physics policies safety scenar
 # what other people's learners need besides; each is tested in an environment of its own
 LEARNERS := $(patsubst tests/adapters/%/requirements.txt,%,$(wildcard tests/adapters/*/requirements.txt))
 
-.PHONY: compare install test test-slow test-floors test-adapters lint docs clean $(LEARNERS:%=test-adapter-%)
-.SECONDARY: $(LEARNERS:%=.venv-adapters/%/installed)
+PYTHONS := $(foreach minor,12 13 14,$(if $(shell python3.$(minor) -c 0 2>&1 || echo no),,python3.$(minor)))
+
+.PHONY: compare install test test-slow test-floors test-pythons test-adapters lint docs clean $(LEARNERS:%=test-adapter-%)
+.SECONDARY: $(PYTHONS:%=.venv-%/installed) $(LEARNERS:%=.venv-adapters/%/installed)
 .DEFAULT_GOAL := compare
 
 compare: .venv/run
@@ -34,6 +36,11 @@ test-slow: .venv/installed
 test-floors: .venv-floors/installed
 	.venv-floors/bin/python -m pytest -q -n 2 --dist loadfile tests/envs tests/adapters tests/scenario
 
+# the newer Pythons, those of them that this machine has
+test-pythons: $(PYTHONS:%=.venv-%/installed)
+	for python in $(PYTHONS); do .venv-$$python/bin/python -m pytest -q -n 2 --dist loadfile \
+		tests/envs tests/engine tests/policies tests/scenario || exit 1; done
+
 # TorchRL with BenchMARL, and whoever else has a folder in tests/adapters; slow tests too
 test-adapters: $(LEARNERS:%=test-adapter-%)
 
@@ -46,7 +53,7 @@ lint: .venv/installed
 	$(BIN)/mypy
 
 docs: .venv/installed
-	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python docs/building/build.py
 	@echo "out/site/index.html; with search: $(BIN)/python -m http.server -d out/site"
 
 .venv/run: pyproject.toml constraints.txt
@@ -67,6 +74,12 @@ docs: .venv/installed
 		--requirement constraints-floors.txt --editable '.[train,render,analysis,dev]'
 	touch $@
 
+.venv-python3.%/installed: pyproject.toml constraints.txt
+	test -x $(@D)/bin/python || python3.$* -m venv $(@D)
+	$(@D)/bin/pip install --quiet --constraint constraints.txt torch==2.13.0
+	$(@D)/bin/pip install --quiet --constraint constraints.txt --editable '.[train,render,analysis,export,dev]'
+	touch $@
+
 # It stands on .venv and adds only what that lacks, torch among what it need not add. A learner's
 # pins hold against ours; what pip cannot be told in a file, its script install does.
 .venv-adapters/%/installed: tests/adapters/%/requirements.txt .venv/installed
@@ -80,5 +93,5 @@ docs: .venv/installed
 	touch $@
 
 clean:
-	rm -rf .venv .venv-adapters .venv-floors out build *.egg-info
+	rm -rf .venv .venv-adapters .venv-floors .venv-python3.* out build *.egg-info
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -235,6 +235,11 @@ def on_request(name: str) -> bool:
     return _registry[name].on_request
 
 
+def builder_of(name: str) -> Callable[..., Policy]:
+    """What makes a policy of a scenario."""
+    return _registry[name].build
+
+
 def about(name: str) -> str:
     """What a policy is, the first line of its builder's docstring; empty without one."""
     return (inspect.getdoc(_registry[name].build) or "").partition("\n")[0].rstrip(".")

@@ -28,39 +28,21 @@ _OPPOSITE = 1e-6
 """Edges are opposite below this sine of the angle between them."""
 
 
-class RobotPolicy:
-    """One robot that ticks in its own time, and knows nothing but its own bearings.
-
-    Where every tick comes one time step after the last one, it does what a robot of a batch does.
-    The scenario tells what team this is: how many, which gains, how close is met. Its ``time_step``
-    is the longest that a velocity may be held; see to it that the next tick, or a watchdog that
-    stops the robot, comes by then (docs/robot.md).
+class OneRobot:
+    """One robot's policy, called with what it has measured since its last tick.
 
     Args:
-        scenario: whose robot this is; a Scenario, the name of one or a TOML file. Single
-            integrators or unicycles in the plane.
-        policy: a name of ``baselines.names(scenario)`` of the kinds law, rule or learned; the path
-            of a run, of a checkpoint or of an exported network; or a policy.
-        options: of a policy that is named.
-
-    Raises:
-        ValueError: naming the argument, its value and what would be right.
+        scenario: whose robot this is.
+        policy: of a team of as many robots, of which this one is the first.
+        gain: a_ij of each neighbour where none are given, m/s.
     """
 
-    def __init__(
-        self, scenario: ScenarioLike, policy: str | Path | Policy = "learned", **options: Any
-    ) -> None:
-        self.scenario = resolve(scenario)
-        if self.scenario.dim != 2 or self.scenario.robot_model not in _MODELS:
-            raise ValueError(
-                f"scenario {self.scenario.name!r} has {self.scenario.robot_model} robots in "
-                f"{self.scenario.dim}-D; a RobotPolicy steers {' and '.join(_MODELS)} robots in 2-D"
-            )
-        self.policy = _made(policy, self.scenario, options)
-        layout = self.scenario.observation_layout
-        self._sight = RobotSight(layout, self.scenario.max_degree)
+    def __init__(self, scenario: Scenario, policy: Policy, gain: float = 1.0) -> None:
+        self.scenario, self.policy = scenario, policy
+        layout = scenario.observation_layout
+        self._sight = RobotSight(layout, scenario.max_degree, gain)
         self._time = -1.0  # before the first tick
-        self._team = np.zeros((1, self.scenario.n_robots, *layout.shape), dtype=np.float32)
+        self._team = np.zeros((1, scenario.n_robots, *layout.shape), dtype=np.float32)
         self.reset()
 
     @property
@@ -72,8 +54,8 @@ class RobotPolicy:
         self,
         bearings: ArrayLike,
         obstacles: ArrayLike = (),
-        *,
         dt: float | None = None,
+        *,
         weights: ArrayLike | None = None,
     ) -> NDArray[np.float32]:
         """What to do until the next tick.
@@ -86,7 +68,8 @@ class RobotPolicy:
                 frame, obstacles and edges in any order. Each silhouette is narrower than π.
             dt: s since the tick before; None is the scenario's time step. Of no account in the
                 first tick.
-            weights: gains a_ij of the neighbours, (k,), m/s; None is 1 for all.
+            weights: gains a_ij of the neighbours, (k,), m/s; None is what all links of the
+                scenario weigh, or 1 where they differ.
 
         Returns:
             The velocity, (2,), m/s, in the same frame; of a unicycle (v, ω), m/s and rad/s. Zeros
@@ -110,6 +93,52 @@ class RobotPolicy:
         self.policy.reset()
 
 
+class RobotPolicy(OneRobot):
+    """One robot that ticks in its own time, and knows nothing but its own bearings.
+
+    Where every tick comes one time step after the last one, it does what a robot of a batch does.
+    The scenario tells what team this is: how many, which gains, how close is met. Its ``time_step``
+    is the longest that a velocity may be held; see to it that the next tick, or a watchdog that
+    stops the robot, comes by then (docs/robot.md).
+
+    Args:
+        scenario: whose robot this is; a Scenario, the name of one or a TOML file. Single
+            integrators or unicycles in the plane.
+        policy: a name of ``baselines.names(scenario)`` of the kinds law, rule or learned; the path
+            of a run, of a checkpoint or of an exported network; or a policy.
+        options: of a policy that is named.
+
+    Raises:
+        ValueError: naming the argument, its value and what would be right.
+    """
+
+    def __init__(
+        self, scenario: ScenarioLike, policy: str | Path | Policy = "learned", **options: Any
+    ) -> None:
+        scenario = resolve(scenario)
+        check_planar(scenario)
+        super().__init__(scenario, _made(policy, scenario, options), common_gain(scenario))
+
+
+def common_gain(scenario: Scenario) -> float:
+    """What every link weighs, m/s; 1 where they differ."""
+    least, most = scenario.sensing_graph.extreme_weights(scenario.n_robots)
+    return float(least) if least == most else 1.0
+
+
+def check_planar(scenario: Scenario) -> None:
+    """Refuse robots that are neither single integrators nor unicycles in the plane.
+
+    Raises:
+        ValueError: naming the robot model.
+    """
+    if scenario.dim != 2 or scenario.robot_model not in _MODELS:
+        raise ValueError(
+            f"scenario {scenario.name!r} has {scenario.robot_model} robots in {scenario.dim}-D; "
+            f"a RobotPolicy steers {' and '.join(_MODELS)} robots in 2-D"
+        )
+
+
 def _made(policy: Any, scenario: Scenario, options: dict[str, Any]) -> Policy:
     """The policy that is meant."""
     if isinstance(policy, Path):
@@ -124,12 +153,21 @@ def _made(policy: Any, scenario: Scenario, options: dict[str, Any]) -> Policy:
         made: Policy = policy
         return made
     found = registry.make(policy, scenario, **options)
+    check_kind(policy)
+    return found
+
+
+def check_kind(policy: str) -> None:
+    """Refuse the name of a policy that one robot alone cannot run.
+
+    Raises:
+        ValueError: saying of which kind it is.
+    """
     if (kind := registry.kind_of(policy)) not in _KINDS:
         raise ValueError(
             f"policy {policy!r} is one of the {registry.KINDS[kind]}, which count calls, tell "
             "robots apart or see nothing; a RobotPolicy takes laws, rules and learned policies"
         )
-    return found
 
 
 # ---- what it measures ---------------------------------------------------------------------------
@@ -145,10 +183,11 @@ class RobotSight:
     Args:
         layout: of the observation, in the plane.
         max_degree: D̄, the most that all gains may come to, m/s: time steps are made for it.
+        gain: of each neighbour where none are given, m/s.
     """
 
-    def __init__(self, layout: ObservationLayout, max_degree: float) -> None:
-        self._layout, self._max_degree = layout, max_degree
+    def __init__(self, layout: ObservationLayout, max_degree: float, gain: float = 1.0) -> None:
+        self._layout, self._max_degree, self._gain = layout, max_degree, gain
         self._edges = np.zeros((layout.obstacle_slots, 2, 2))
         self._unseen = np.zeros(layout.obstacle_slots)
         self.forget()
@@ -168,7 +207,8 @@ class RobotSight:
         layout = self._layout
         seen = _unit_vectors("bearings", bearings, (2,), layout.neighbour_slots, "neighbours")
         edges = _unit_vectors("obstacles", obstacles, (2, 2), layout.obstacle_slots, "obstacles")
-        gains = _gains(weights, len(seen), self._max_degree)
+        usual = np.full(len(seen), self._gain)
+        gains = _gains(usual if weights is None else weights, len(seen), self._max_degree)
         rows = np.zeros(layout.shape, dtype=np.float32)
         rows[: len(seen)] = gains[:, np.newaxis] * seen
         silhouettes = rows[layout.obstacles].reshape(-1, 2, 2)
@@ -184,13 +224,50 @@ class RobotSight:
         """A slot for each obstacle (m, 2, 2), the same as at the last tick for those seen then."""
         if not len(edges):
             return np.zeros(0, dtype=np.int64)
-        from scipy.optimize import linear_sum_assignment  # takes long to import
-
         along = np.einsum("mid,sid->msi", edges, self._edges)
         turned = np.arccos(np.clip(along, -1.0, 1.0)).sum(axis=-1)
         vacant = _AWAY + 1e-3 / (1.0 + self._unseen)  # the longer, the sooner taken
         cost = np.where(self._unseen == 0.0, turned, vacant)
-        return np.asarray(linear_sum_assignment(cost)[1])
+        return least_cost_slots(cost)
+
+
+def least_cost_slots(cost: NDArray[np.float64]) -> NDArray[np.int64]:
+    """A slot for each obstacle, none twice, so that all costs together are least.
+
+    Shortest augmenting paths (Jonker & Volgenant 1987), for few rows: SciPy's solver of the same
+    problem is not on every robot.
+
+    Args:
+        cost: (m, s), m ≤ s, of obstacle m in slot s, finite.
+
+    Returns:
+        Slots, (m,).
+    """
+    nearest = cost.argmin(axis=1)
+    if len(set(nearest.tolist())) == len(cost):
+        return nearest
+    row_price, slot_price = np.zeros(len(cost)), np.zeros(cost.shape[1])
+    owner = np.full(cost.shape[1], -1)
+    for row in range(len(cost)):
+        slack, came_from = np.full(cost.shape[1], np.inf), np.full(cost.shape[1], -1)
+        is_open, last, k = np.ones(cost.shape[1], dtype=bool), row, -1
+        while last >= 0:  # until a slot is reached that nobody has
+            reduced = cost[last] - row_price[last] - slot_price
+            better = is_open & (reduced < slack)
+            slack[better], came_from[better] = reduced[better], k
+            step = slack[is_open].min()
+            ends = is_open & (slack <= step)
+            k = int((ends & (owner < 0)).argmax() if (owner[ends] < 0).any() else ends.argmax())
+            row_price[[row, *owner[~is_open]]] += step
+            slot_price[~is_open] -= step
+            slack[is_open] -= step
+            is_open[k], last = False, owner[k]
+        while k >= 0:
+            before = came_from[k]
+            owner[k], k = (row if before < 0 else owner[before]), before
+    slots = np.empty(len(cost), dtype=np.int64)
+    slots[owner[owner >= 0]] = np.flatnonzero(owner >= 0)
+    return slots
 
 
 def _unit_vectors(
@@ -216,9 +293,9 @@ def _unit_vectors(
     return vectors
 
 
-def _gains(weights: ArrayLike | None, count: int, most: float) -> NDArray[np.float64]:
+def _gains(weights: ArrayLike, count: int, most: float) -> NDArray[np.float64]:
     """Weights (count,), m/s, that come to no more than ``most``."""
-    gains = np.ones(count) if weights is None else floats("weights", weights)
+    gains = floats("weights", weights)
     if gains.shape != (count,):
         raise ValueError(
             f"weights have shape {gains.shape}; they must be ({count},), one for each bearing"

@@ -197,6 +197,18 @@ def check_distinct(field: str, positions: NDArray[np.float64], weights: Any) -> 
         )
 
 
+def check_apart(field: str, positions: NDArray[np.float64], least: float) -> None:
+    """Refuse robots that stand nearer to each other than a length, m: their bodies overlap."""
+    offsets = positions[:, np.newaxis] - positions
+    distances = np.linalg.norm(offsets, axis=-1) + np.diag(np.full(len(positions), np.inf))
+    if distances.min() < least:
+        i, j = divmod(int(distances.argmin()), len(positions))
+        raise ValueError(
+            f"{field}: robot_{i} and robot_{j} stand {distances[i, j]:.4g} m apart; it must be at "
+            f"least {least:g} m, two body_radius"
+        )
+
+
 def _unreadable(value: Any) -> str:
     """What keeps NumPy from reading a tensor, and what to do; nothing for anything else."""
     if not all(hasattr(value, name) for name in ("detach", "requires_grad", "device", "dtype")):

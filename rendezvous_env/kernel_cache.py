@@ -32,7 +32,7 @@ from numba.core.compiler import CompileResult
 
 _CONFIG: Any = numba.config
 _PACKAGE = Path(__file__).parent
-_WITHOUT_KERNELS = {"adapters", "envs", "render"}
+_WITHOUT_KERNELS = {"adapters", "envs", "render", "theorems"}
 """Folders that nothing compiled is made from; they stand above all that is."""
 _LIBRARIES = {"numba", "numpy", *sys.stdlib_module_names}
 _DIGEST_SIZE = 32

@@ -12,7 +12,7 @@ from pettingzoo.utils.env import AECEnv
 from .envs.agents import OneAfterAnother
 from .envs.overrides import check_overrides
 from .envs.parallel_env import RendezvousParallelEnv
-from .scenario.scenarios import ScenarioLike, resolve
+from .scenario.scenarios import ScenarioLike, resolve, with_versions
 
 __all__ = ["RendezvousParallelEnv", "env", "parallel_env", "raw_env"]
 
@@ -69,13 +69,18 @@ def env(
 
 
 def register() -> None:
-    """Register ``rendezvous/rendezvous-v0`` in PettingZoo, once."""
+    """Register ``rendezvous/rendezvous-v0`` and every named scenario, such as
+    ``rendezvous/clutter-16-v1``, in PettingZoo, once.
+    """
     try:
         from pettingzoo.env_registry import registration
     except ImportError:  # PettingZoo before 1.27 has no registry
         return
-    name = "rendezvous/rendezvous-v0"
-    if name not in registration.parallel_registry:
-        registration.register("parallel", name, entry_point=f"{__name__}:parallel_env")
-    if name not in registration.aec_registry:
-        registration.register("aec", name, entry_point=f"{__name__}:env")
+    ids: dict[str, dict[str, str]] = {"rendezvous/rendezvous-v0": {}}
+    ids |= {versioned: {"scenario": name} for name, versioned in with_versions().items()}
+    for name, given in ids.items():
+        if name not in registration.parallel_registry:
+            make = f"{__name__}:parallel_env"
+            registration.register("parallel", name, entry_point=make, kwargs=given)
+        if name not in registration.aec_registry:
+            registration.register("aec", name, entry_point=f"{__name__}:env", kwargs=given)

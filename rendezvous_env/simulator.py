@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .checks import bools, floats, shown, whole
-from .engine.batch_runner import BatchRunner
+from .engine.batch_runner import BatchRunner, Driven, Pilot
 from .engine.episodes import Episodes
 from .engine.memory import RENDEZVOUS, RUNNING
 from .engine.memory_layout import MemoryLayout, check_memory
@@ -18,6 +18,7 @@ from .engine.state import State
 from .engine.state_checks import check_entries, check_output, check_teams
 from .limits import MOST_STEPS, MOST_TEAMS
 from .outcome import ELAPSED, LYAPUNOV, StepOutput
+from .rewards.costs import costs_of, no_costs
 from .rewards.custom_terms import RewardStep, add_custom_terms
 from .robots.robot_models import constants_of, is_custom
 from .scenario.scenarios import ScenarioLike, resolve
@@ -66,7 +67,9 @@ class Simulator(TeamReadings):
         self._episodes = Episodes(self._state, runner.layout, runner.robot, runner.team_scratch)
         self._given_out = tuple((a.shape, a.dtype) for a in runner.buffers.new())
         self._all_running = self._none_rests()
-        self._custom = bool(scenario.reward.custom or scenario.sensing.custom)
+        self._custom = bool(scenario.reward.custom or scenario.sensing.custom or scenario.costs)
+        self.costs = no_costs(scenario.costs, self._acted[:2])
+        """Of the last step, (B, n) each, by key of infos; without keys if the scenario has none."""
         self._own_model = is_custom(scenario.model)
         self._ready = False
 
@@ -171,6 +174,29 @@ class Simulator(TeamReadings):
         self._refuse_crowds(output)
         return output
 
+    @property
+    def can_drive(self) -> bool:
+        """Whether nothing of a user's own wants to hear of every step, and no robot can come to
+        have more neighbours than rows.
+        """
+        slots = self.scenario.observation_layout.neighbour_slots
+        return not (self._custom or self._own_model or slots < self.scenario.n_robots - 1)
+
+    def drive(self, pilot: Pilot, observations: NDArray[np.float32], count: int) -> Driven:
+        """Advance every running team by ``count`` steps, as ``step`` under the pilot's actions,
+        which are not checked. Only where it ``can_drive``.
+
+        Args:
+            pilot: what makes actions of what is seen, see there.
+            observations: (B, n, rows, d), of the teams as they are.
+            count: of steps, 1 or more.
+        """
+        resting = self.status != RUNNING
+        self._all_running = False  # not known, should an interrupt leave from here
+        driven = self._runner.drive(pilot, observations, resting, count)
+        self._all_running = not np.count_nonzero(driven.output.status)
+        return driven
+
     def _refuse_leaps(self, before: NDArray[np.float64]) -> None:
         """Contact and merging rest on the speed limit, which a custom model may not keep."""
         scenario = self.scenario
@@ -191,7 +217,15 @@ class Simulator(TeamReadings):
     def _custom_step(self, actions: NDArray[np.float32]) -> StepOutput:
         """A step with reward terms and imperfections of a user's own."""
         before, took_part, running = self.positions, self.active, self.status == RUNNING
+        lyapunov, start = self.lyapunov(), self.initial_lyapunov
+        moving = self.scenario.sensing_graph.kind == "proximity"
+        linked = self.weights > 0.0 if moving else None
         output = self._runner.step(actions)
+        rise = np.maximum(output.lyapunov_before_merge - lyapunov, 0.0)
+        lost = np.zeros(took_part.shape, dtype=np.int64)
+        if linked is not None:
+            both = output.active[:, :, None] & output.active[:, None, :]
+            lost = (linked & both & ~(self.weights > 0.0)).sum(axis=2)
         step = RewardStep(
             scenario=self.scenario,
             actions=actions,
@@ -203,7 +237,11 @@ class Simulator(TeamReadings):
             clearance=output.clearance,
             time=output.scores[ELAPSED],
             met=running & (output.status == RENDEZVOUS),
+            rise=np.divide(rise, start, out=np.zeros_like(rise), where=start > 0.0),
+            links_lost=lost,
         )
+        if self.scenario.costs:
+            self.costs = costs_of(self.scenario.costs, step, running)
         add_custom_terms(step, running, output.rewards, output.robot_rewards)
         self._sense_custom(output, np.arange(self.num_envs))
         return output

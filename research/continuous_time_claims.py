@@ -7,6 +7,7 @@ from __future__ import annotations
 import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from adversarial_graphs import draw_polygons, draw_teams
@@ -100,30 +101,15 @@ def _gains(random: Random) -> tuple[float, float]:
     return least, _STRONGEST * least
 
 
-def draw_gains(random: Random, batch: int, least_margin: float) -> Trial:
-    """Any gains."""
+def draw_gains(random: Random, batch: int, least_margin: float, led: bool = False) -> Trial:
+    """Any gains, or all but of one robot, which rests."""
     teams, gains = draw_teams(random, batch), _gains(random)
-    n = teams.active.shape[1]
-    return Trial(
-        teams,
-        with_gains(teams, random, gains),
-        _FINE * teams.merge_radius / (2.0 * gains[1]),
-        gains_time(n, teams.dim, teams.size(), gains[0]),
-        hull_is_nested(teams),
+    limit = (led_time if led else gains_time)(
+        teams.active.shape[1], teams.dim, teams.size(), gains[0]
     )
-
-
-def draw_led(random: Random, batch: int, least_margin: float) -> Trial:
-    """Any gains, but one robot rests."""
-    teams, gains = draw_teams(random, batch), _gains(random)
-    n = teams.active.shape[1]
-    return Trial(
-        teams,
-        with_gains(teams, random, gains, led=True),
-        _FINE * teams.merge_radius / (2.0 * gains[1]),
-        led_time(n, teams.dim, teams.size(), gains[0]),
-        hull_is_nested(teams),
-    )
+    step = _FINE * teams.merge_radius / (2.0 * gains[1])
+    law = with_gains(teams, random, gains, led=led)
+    return Trial(teams, law, step, limit, hull_is_nested(teams))
 
 
 def draw_windows(random: Random, batch: int, least_margin: float) -> Trial:
@@ -200,7 +186,7 @@ CONTINUOUS_TIME = (
     ContinuousTimeClaim(
         "gains-leader",
         "the same where one robot rests: T ≤ L0/(2cκ₁(n)), 3-D 2(n−1)w0/c",
-        draw_led,
+        partial(draw_gains, led=True),
     ),
     ContinuousTimeClaim(
         "gains-windows",

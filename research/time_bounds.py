@@ -26,22 +26,14 @@ Array = NDArray[np.float64]
 
 
 def gains_time(n: int, dim: int, initial_size: ArrayLike, gain: ArrayLike) -> Array:
-    """T for any gains c_ij ≥ 0 with Σ_j c_ij ≥ c, whoever sees whom, in continuous time, s.
-
-    Args:
-        n: number of robots, at least 2.
-        dim: 2 or 3.
-        initial_size: L0, (...), m.
-        gain: c, (...), m/s.
-
-    Returns:
-        (...), s.
+    """T for any gains c_ij ≥ 0 with Σ_j c_ij ≥ c, m/s, whoever sees whom, in continuous time,
+    (...), s, from L0, (...), m.
     """
     return np.asarray(np.asarray(initial_size) / shrinking(n, dim, gain))
 
 
 def led_time(n: int, dim: int, initial_size: ArrayLike, gain: ArrayLike) -> Array:
-    """The same where one robot, a leader, may rest and see nobody, s; arguments as there."""
+    """The same where one robot, a leader, may rest and see nobody, s."""
     return np.asarray(np.asarray(initial_size) / shrinking_to_leader(n, dim, gain))
 
 
@@ -53,28 +45,12 @@ def links_time(
     step: float,
     share: float = 1.0,
     error: ArrayLike = 0.0,
-    slowest: float | None = None,
 ) -> Array:
-    """T under link-keeping with limited sight, inputs held over τ, s.
-
-    With a long step or a slow robot the law's part is shorter, lies in the same set, and V still
-    falls by λ d s ‖q‖² or more.
-
-    Args:
-        n: number of robots, at least 2.
-        lyapunov_bound: V_tot of ``sighted_lyapunov_bound``, (...), m²/s.
-        least_degree: d, m/s.
-        step: τ, s.
-        share: λ in (0, 1], without unit.
-        error: η, (...), rad.
-        slowest: s, m/s; None is d, for τ ≤ r/(2D̄) and no limit of speed.
-
-    Returns:
-        (...), s; infinite from η = π/(2n) on.
+    """T under link-keeping with limited sight, inputs held over τ ≤ r/(2D̄), no limit of speed,
+    (...), s; infinite from η = π/(2n) on. Of V_tot, m²/s, d, m/s, τ, s, λ in (0, 1], and η, rad.
     """
     left = np.maximum(1.0 - 2.0 * n * np.asarray(error) / np.pi, 0.0)
-    speed = least_degree if slowest is None else slowest
-    rate = 4.0 * share * least_degree * speed * left**2
+    rate = 4.0 * share * least_degree**2 * left**2
     return over_rate(n * np.asarray(lyapunov_bound), rate) + (n - 1) * step
 
 
@@ -88,19 +64,8 @@ def windows_time(
     least_duration: float,
     merge_radius: float,
 ) -> Array:
-    """T in the plane where each robot sees somebody in every window of time, s.
-
-    Args:
-        n: number of robots, at least 2.
-        initial_size: L0, (...), m.
-        least_gain: c, m/s.
-        most_gain: C, m/s.
-        window: T_w, s.
-        least_duration: τ_d, s.
-        merge_radius: r, m.
-
-    Returns:
-        (...), s.
+    """T in the plane where each robot sees somebody in every window of time, (...), s: of L0,
+    (...), m, c and C, m/s, T_w and τ_d, s, and r, m.
     """
     s = np.sin(np.pi / (2.0 * n))
     lasting = min(least_duration, merge_radius * s / (4.0 * most_gain))
@@ -111,17 +76,8 @@ def windows_time(
 def cone_time(
     n: int, dim: int, initial_size: ArrayLike, least_degree: ArrayLike, min_alignment: ArrayLike
 ) -> Array:
-    """T of law (4) with headings in the cone of what is seen, s (C4).
-
-    Args:
-        n: number of robots, at least 2.
-        dim: 2 or 3.
-        initial_size: L0, (...), m.
-        least_degree: d_min, (...), m/s.
-        min_alignment: ε in (0, 1], (...), without unit.
-
-    Returns:
-        (...), s.
+    """T of law (4) with headings in the cone of what is seen, (...), s (C4): of L0, m, d_min, m/s,
+    and ε in (0, 1].
     """
     factor = 16.0 if dim == 2 else 8.0 * np.pi
     rate = factor * np.asarray(min_alignment) * np.asarray(least_degree)

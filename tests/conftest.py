@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import sys
+import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
@@ -33,6 +34,18 @@ with suppress(ImportError, AttributeError):
     from hypothesis.internal.conjecture import providers
 
     providers._get_local_constants = lambda: providers._local_constants
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """What libraries leave in the folder for temporary files goes when the run ends."""
+    if hasattr(config, "workerinput"):
+        return  # a worker has its controller's
+    ours = tempfile.TemporaryDirectory(prefix="rv-", ignore_cleanup_errors=True)
+    # pytest's own folders stay where they were: those of failures are kept
+    os.environ.setdefault("PYTEST_DEBUG_TEMPROOT", tempfile.gettempdir())
+    os.environ["TMPDIR"], tempfile.tempdir = ours.name, None
+    config.add_cleanup(ours.cleanup)
+
 
 ROOT = Path(__file__).parent.parent
 MODELS = {

@@ -163,6 +163,8 @@ def scenario_fields(draw: st.DrawFn) -> dict[Any, Any]:
         "graph": graphs(n),
         "require_connected": nearly(st.booleans(), 1),
         "merge_radius": nearly(lengths),
+        "body_radius": nearly(lengths | st.none()),
+        "meeting": nearly(st.sampled_from(["merge", "pack"]), "park"),
         "time_step": nearly(lengths | st.none()),
         "allow_long_step": nearly(st.booleans(), "yes"),
         "time_limit": nearly(lengths),

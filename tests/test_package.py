@@ -25,6 +25,7 @@ HEAVY = {"torch", "stable_baselines3", "tensorboard"}
 LAZY = {
     "torch", "stable_baselines3", "matplotlib", "pygame", "shapely", "PIL", "tyro", "networkx",
     "pandas", "xarray", "safetensors", "typeguard", "minari", "onnx", "onnxruntime",
+    "mujoco", "irsim", "rclpy",
 }  # fmt: skip
 MODULES = sorted(
     path.relative_to(ROOT).with_suffix("").as_posix().replace("/", ".").removesuffix(".__init__")
@@ -43,7 +44,7 @@ ROOMS = (
     {"engine.memory"},
     {"engine.reset", "engine.stages"},
     {"engine"},
-    {"simulator", "team_readings", "trajectory", "trajectory_formats"},
+    {"simulator", "team_readings", "trajectory", "trajectory_formats", "first_starts"},
     {"safety"},
     {"safety.theorems"},
     {"render"},

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import re
+import tomllib
 from importlib import import_module
 from typing import Any
 
@@ -196,7 +197,29 @@ def test_links_hold_in_the_site(pages, link, expected):
     assert pages.for_site(f"x {link} y") == f"x {expected} y"
 
 
+def test_versions_that_are_tested_are_those_of_the_files():
+    files = (
+        *ROOT.glob("constraints*.txt"),
+        *(ROOT / "tests/adapters").glob("*/requirements.txt"),
+    )
+    pins = {line for file in files for line in file.read_text(encoding="utf-8").split()}
+    page = (ROOT / "docs/install.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| ([a-z0-9, -]+)(?: \(.*?\))? \| ([\d., ]+)", page, re.MULTILINE)
+    told = [
+        f"{name}=={version}"
+        for names, versions in rows
+        for name, version in zip(names.split(", "), versions.strip(" ,").split(", "), strict=True)
+    ]
+    assert len(told) >= 9
+    unpinned = {pin.replace("[rllib]", "").replace("[tune]", "") for pin in pins}
+    assert [pin for pin in told if pin not in unpinned] == []
+
+
 def test_who_is_cited_and_which_version():
     text = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
     assert re.search(rf"^version: {re.escape(rv.__version__)}$", text, re.MULTILINE)
     assert "Flexible Bearing-Only Rendezvous Control of Mobile Robots" in text
+    assert re.search(r"^authors:\n  - name: \S", text, re.MULTILINE)
+    assert re.search(r"^date-released: 20\d\d-", text, re.MULTILINE)
+    with open(ROOT / "pyproject.toml", "rb") as file:
+        assert "Bearing-Only" in tomllib.load(file)["project"]["urls"]["Paper"]

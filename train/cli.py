@@ -26,9 +26,10 @@ from .checks import UserError, flag
 COMMANDS = {
     "compare": ("compare.compare", "compare policies on the same starts: table, files, figures"),
     "train": ("learn.command", "PPO learns headings that keep the guarantee; stop it, resume it"),
+    "leaderboard": ("leaderboard.command", "algorithms × fields × seeds, and what is proven"),
     "list": ("listing", "the scenarios or the policies, a line for each"),
     "report": ("report.build", "an HTML page of what compare found, with an interactive replay"),
-    "export": ("export", "a learned policy's network as an ONNX file, for robots"),
+    "export": ("export", "a policy for robots: one Python file, or its network as ONNX"),
     "bench": ("bench.bench", "how fast the environments are on this machine"),
     "render": ("figures.render", "one episode as a video (gif, mp4) or a figure (png, pdf)"),
     "reproduce": ("figures.reproduce", "draw figure 3 or 4 of the paper for our start positions"),

@@ -1,4 +1,4 @@
-"""``rendezvous export``: a learned policy's network as an ONNX file, for robots."""
+"""``rendezvous export``: a policy for robots, as one Python file or its network as an ONNX file."""
 
 from __future__ import annotations
 
@@ -31,9 +31,10 @@ from rendezvous_env.baselines.learned.onnx_network import (
     digest_of,
 )
 from rendezvous_env.baselines.learned.policy_settings import PolicySettings
+from rendezvous_env.baselines.robot_policy import RobotPolicy
 from rich.console import Console
 
-from . import policies
+from . import policies, standalone
 from .checks import UserError, check_installed
 from .results import atomic, prepare_folder
 
@@ -44,17 +45,27 @@ _AT_ONCE = 512
 _CLOSE = 1e-4
 """Share of the largest preference by which the file may differ: sums are in another order."""
 
-EXAMPLES = ("--policy learned --out out/policy.onnx", "--policy learned:runs/heading")
+EXAMPLES = (
+    "--policy learned --out out/policy.onnx",
+    "--policy learned-tank --standalone robot.py --scenario clutter-8",
+)
 
 
 @dataclass(frozen=True)
 class Config:
-    """Write the network of a learned policy as an ONNX file, and check it against the policy."""
+    """Write the network of a learned policy as an ONNX file, or a policy as one Python file that
+    needs NumPy alone, and check it against the policy.
+    """
 
     policy: str = "learned"
-    """The name of a shipped policy, or learned:PATH of a run or a checkpoint."""
+    """The name of a shipped policy, or learned:PATH of a run or a checkpoint; with --standalone
+    also of a law or a rule."""
     out: Path = Path("out/policy.onnx")
-    """The file to write."""
+    """The ONNX file to write."""
+    standalone: Path | None = None
+    """The Python file to write, instead of an ONNX file."""
+    scenario: str = "clutter-8"
+    """Whose robot the Python file is for: the name of a scenario or a TOML file."""
     checks: int = 10_000
     """On how many random inputs the file is compared with the policy before it takes its place."""
 
@@ -65,6 +76,8 @@ def run(config: Config) -> int:
     Raises:
         UserError: also for a file that does not do what the policy does.
     """
+    if config.standalone is not None:
+        return _run_standalone(config, config.standalone)
     weights, settings = _check(config)
     prepare_folder(config.out.parent)
     with atomic(config.out) as temporary:
@@ -78,24 +91,64 @@ def run(config: Config) -> int:
     return 0
 
 
+def _run_standalone(config: Config, path: Path) -> int:
+    """The same for one Python file."""
+    if path.suffix != ".py":
+        raise UserError(f"--standalone {path}: unknown ending; it must be .py")
+    _check_count(config.checks)
+    policies.check_names([config.policy])
+    scenario = policies.resolve_scenario(config.scenario)
+    folder, network = policies.learned_path(config.policy), None
+    if folder is not None:
+        network = _network_in(folder, config.policy)
+    prepare_folder(path.parent)
+    with atomic(path) as temporary:
+        try:
+            text = standalone.text_of(config.policy, scenario, network)
+        except ValueError as error:
+            raise UserError(f"--policy {config.policy}: {error}") from error
+        temporary.write_text(text, encoding="utf-8")
+        robot = RobotPolicy(scenario, policies.make(config.policy, scenario))
+        apart = standalone.compare(temporary, robot, config.checks)
+        if not apart <= standalone.CLOSE:
+            raise UserError(
+                f"the file differs from the policy by {apart:.1e} m/s, more than "
+                f"{standalone.CLOSE:g}; nothing was written"
+            )
+    Console().print(
+        f"{path}: {config.policy} for {scenario.name}, {len(text) / 1e3:.0f} kB, needs NumPy; on "
+        f"{config.checks} drawn ticks it differs by {apart:.1e} m/s at most"
+    )
+    return 0
+
+
+def _check_count(checks: int) -> None:
+    if not 1 <= checks <= _MOST_CHECKS:
+        raise UserError(f"--checks is {checks}; it must be from 1 to {_MOST_CHECKS}")
+
+
+def _network_in(path: Path, name: str) -> tuple[dict[str, NDArray[np.float32]], PolicySettings]:
+    """Weights and settings of a policy that is not exported yet."""
+    if path.suffix == SUFFIX:
+        raise UserError(f"--policy {name}: is exported already")
+    about, tables = checkpoints.read(checkpoints.find(path), ["network"])
+    return tables["network"], PolicySettings.from_plain(about["policy"])
+
+
 def _check(config: Config) -> tuple[dict[str, NDArray[np.float32]], PolicySettings]:
     """Weights and settings, once everything is known to be right."""
     if config.out.suffix != SUFFIX:
         raise UserError(f"--out {config.out}: unknown ending; it must be {SUFFIX}")
-    if not 1 <= config.checks <= _MOST_CHECKS:
-        raise UserError(f"--checks is {config.checks}; it must be from 1 to {_MOST_CHECKS}")
+    _check_count(config.checks)
     check_installed("export", "export", "onnx", "onnxruntime")
     policies.check_names([config.policy])
     path = policies.learned_path(config.policy)
     if path is None:
         raise UserError(
-            f"--policy {config.policy}: is scripted and has no network; baselines.RobotPolicy runs "
-            "it as it is"
+            f"--policy {config.policy}: is scripted and has no network; --standalone robot.py "
+            "writes it as it is"
         )
-    if path.suffix == SUFFIX:
-        raise UserError(f"--policy {config.policy}: is exported already")
-    about, tables = checkpoints.read(checkpoints.find(path), ["network"])
-    return tables["network"], PolicySettings.from_plain(about["policy"])
+    return _network_in(path, config.policy)
 
 
 def _compare(

@@ -1,9 +1,10 @@
-"""``rendezvous list``: the scenarios and the policies, a line for each."""
+"""``rendezvous list``: the scenarios and the policies, a line for each; who fits where."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from string import ascii_uppercase
 from typing import Literal
 
 from rendezvous_env.baselines.policy import KINDS
@@ -37,17 +38,18 @@ def run(config: Config) -> int:
     console = Console()
     for title, rows in _scenarios() if config.what == "scenarios" else _policies():
         table = Table.grid(padding=(0, 2, 0, 0))
-        table.add_column(no_wrap=True)
-        for name, about in rows:
-            table.add_row(escape(name), escape(about))
+        for _ in rows[0][:-1]:
+            table.add_column(no_wrap=True)
+        for row in rows:
+            table.add_row(*map(escape, row))
         if title:
             console.print(f"\n[bold]{title}[/bold]")
         console.print(table)
     return 0
 
 
-Group = tuple[str, list[tuple[str, str]]]
-"""A title, and lines of a name and what it is."""
+Group = tuple[str, list[tuple[str, ...]]]
+"""A title, and lines of a name, what is short about it, and what it is."""
 
 
 def _scenarios() -> Iterator[Group]:
@@ -55,27 +57,41 @@ def _scenarios() -> Iterator[Group]:
 
 
 def _policies() -> Iterator[Group]:
-    """Every policy, by kinds, in the order of ``compare``."""
+    """Every policy, by kinds, in the order of ``compare``, with a matrix of who fits where."""
     fitting = {name: policies.names(scenarios.get(name)) for name in scenarios.names()}
+    columns = columns_of(fitting)
     for kind, title in KINDS.items():
         rows = [
-            (name, f"{policies.about(name)}. {_fits(name, fitting)}.".removeprefix(". "))
+            (name, _marks(name, columns, fitting), policies.about(name))
             for name in baselines.names()
             if policies.kind_of(name) == kind
         ]
         if rows:
-            yield title, rows
+            yield title, [("", " ".join(columns), ""), *rows]
+    yield (
+        "scenarios that the same policies fit",
+        [(letter, ", ".join(own)) for letter, own in columns.items()],
+    )
 
 
-def _fits(policy: str, fitting: Mapping[str, Sequence[str]]) -> str:
-    """Which scenarios a policy fits, or which not, whichever is shorter."""
-    own = [scenario for scenario, names in fitting.items() if policy in names]
-    others = [scenario for scenario in fitting if scenario not in own]
-    if not others:
-        return "Fits all scenarios"
-    if len(others) < len(own):
-        return f"Fits all but {', '.join(others)}"
-    return f"Fits {', '.join(own) or 'none of the named scenarios'}"
+def columns_of(fitting: Mapping[str, Sequence[str]]) -> dict[str, list[str]]:
+    """Scenarios by letter, those together that the same policies fit, the largest group first.
+
+    Args:
+        fitting: names of the policies that fit, by scenario.
+    """
+    groups: dict[frozenset[str], list[str]] = {}
+    for scenario, names in fitting.items():
+        groups.setdefault(frozenset(names), []).append(scenario)
+    ordered = sorted(groups.values(), key=len, reverse=True)
+    return dict(zip(ascii_uppercase, ordered, strict=False))
+
+
+def _marks(
+    policy: str, columns: Mapping[str, Sequence[str]], fitting: Mapping[str, Sequence[str]]
+) -> str:
+    """A row of the matrix: a mark where it fits."""
+    return " ".join("●" if policy in fitting[own[0]] else "·" for own in columns.values())
 
 
 # ---- a scenario in words ------------------------------------------------------------------------

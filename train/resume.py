@@ -13,12 +13,12 @@ import os
 import pickle
 import shutil
 import socket
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager, suppress
 from datetime import UTC, datetime
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from filelock import FileLock, Timeout
 from rendezvous_env.baselines.learned import plain_data
@@ -32,6 +32,7 @@ from . import results
 from .checks import UserError
 
 PLAN = "plan.json"
+Task = TypeVar("Task", bound=Any)
 _DIGEST = hashlib.sha256().digest_size
 
 
@@ -164,6 +165,32 @@ class Part:
         own, content = content[:_DIGEST], content[_DIGEST:]
         # nothing is unpickled but what this very plan has written
         return pickle.loads(content) if own == self._digest(content) else None
+
+    def finish(
+        self,
+        tasks: Sequence[Task],
+        do: Callable[[list[Task]], Generator[tuple[int, Any], None, None]],
+    ) -> Iterator[tuple[Task, Any, bool]]:
+        """What all tasks give, each kept: first those that are finished, then others as they end.
+
+        Args:
+            tasks: each with a name of its own.
+            do: those that are left, in an order that it may change → number of one and what it
+                gave, such as ``tasks.each``.
+
+        Yields:
+            A task, what it gave, and whether it was done now.
+        """
+        left = []
+        for task in tasks:
+            if (kept := self.load(task.name)) is None:
+                left.append(task)
+            else:
+                yield task, kept, False
+        with closing(do(left)) as results:
+            for number, result in results:
+                self.save(left[number].name, result)
+                yield left[number], result, True
 
     def discard(self) -> None:
         """Remove the folder; the plan goes last, so that a kill leaves what can be resumed."""

@@ -7,19 +7,18 @@ that reads them does not notice how the world is turned.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from rendezvous_env.engine.state_checks import (
-    check_entries,
-    check_finite,
+    Remembering,
     check_mask,
     check_numbers,
     check_observations,
 )
+from rendezvous_env.safety.safety_filter import over_teams
 from rendezvous_env.scenario.scenario import Scenario
 
 from ..policy import in_the_plane
@@ -29,15 +28,14 @@ from .feature_kernels import (
     OBSTACLE_COLUMNS,
     Constants,
     Memory,
-    law_velocities,
     show,
 )
-from .wall_memory import WallMemory
+from .wall_memory import no_walls
 
 VERSION = 2
 """Of what the columns mean; a network trained with another one cannot read the tables."""
-BLOCKED = slice(16, 18)
-"""Of the context: whether the joined silhouettes leave nothing free, whether any is seen."""
+_WEIGHT = 8
+"""A robot that is shown something counts as so many that a filter steers."""
 LEVEL_COLUMNS = 1
 """After the context, with a tank: log(1 + A/(r D̄)). With a memory of walls WALL_COLUMNS follow."""
 
@@ -102,7 +100,7 @@ def check_readable(scenario: Scenario) -> None:
         )
 
 
-class Features:
+class Features(Remembering):
     """Shows B teams of n robots to a network, once for each decision.
 
     Args:
@@ -111,6 +109,7 @@ class Features:
         decision_time: s between two decisions of a team, where nothing else is said.
         obstacle_slots: M, at least the scenario's; further rows are absent. None is the scenario's.
         tank_columns: 0, LEVEL_COLUMNS, or LEVEL_COLUMNS + WALL_COLUMNS with a memory of walls.
+        num_threads: most threads that may be used; None is one for each core.
 
     Raises:
         ValueError: for robots that it cannot show, or too few obstacle slots.
@@ -124,6 +123,7 @@ class Features:
         decision_time: float,
         obstacle_slots: int | None = None,
         tank_columns: int = 0,
+        num_threads: int | None = None,
     ) -> None:
         check_readable(scenario)
         rows = scenario.observation_layout
@@ -143,17 +143,19 @@ class Features:
             speed_limit=float(scenario.speed_limit),
         )
         robots = num_envs, scenario.n_robots
-        self._memory = Memory(
+        self._kept = Memory(
             edges=np.zeros((*robots, rows.obstacle_slots, 2, 2)),
             towards=np.zeros((*robots, 2)),
             averages=np.zeros((*robots, 4, 2)),
             time=np.zeros(robots),
         )
-        self._walls = WallMemory(*robots) if tank_columns > LEVEL_COLUMNS else None
-        self._remembered: dict[str, NDArray[np.float64]] = self._memory._asdict()
-        if self._walls is not None:
-            walls = self._walls.arrays.items()
-            self._remembered |= {f"wall_{name}": array for name, array in walls}
+        self._walls = no_walls(*robots) if tank_columns > LEVEL_COLUMNS else None
+        self._num_threads = num_threads
+
+    @property
+    def _memory(self) -> dict[str, NDArray[np.float64]]:
+        walls = {} if self._walls is None else self._walls._asdict()
+        return self._kept._asdict() | {f"wall_{name}": array for name, array in walls.items()}
 
     def see(
         self,
@@ -181,67 +183,51 @@ class Features:
         Raises:
             ValueError: for arrays of another shape or type; nothing has changed then.
         """
-        robots = self._memory.time.shape
+        robots = self._kept.time.shape
+        shown = np.zeros((*robots, self.layout.size), dtype=np.float32)
+        self.see_into(shown, observations, headings, which, velocities, levels, elapsed)
+        return shown
+
+    def see_into(
+        self,
+        shown: NDArray[np.float32],
+        observations: NDArray[np.float32],
+        headings: NDArray[np.float64],
+        which: NDArray[np.bool_] | None = None,
+        velocities: NDArray[np.float64] | None = None,
+        levels: NDArray[np.float64] | None = None,
+        elapsed: NDArray[np.float64] | None = None,
+    ) -> None:
+        """As ``see``, into rows (B, n, layout.size) of teams whose memory moves on; others stay."""
+        robots = self._kept.time.shape
         observations = check_observations(observations, (*robots, *self._rows.shape))
         headings = check_numbers("headings", headings, (*robots, 2), "(B, n, 2)")
         teams = np.arange(len(observations))
         if which is not None:
             teams = np.flatnonzero(check_mask(which, len(observations)))
-        if velocities is None:
-            velocities = np.empty_like(headings)
-            law_velocities(observations, headings, self._constants, velocities)
+        if velocities is not None:
+            velocities = np.ascontiguousarray(velocities)
         times = np.full(robots[0], self._decision_time)
         if elapsed is not None:
             times[:] = check_numbers("elapsed", elapsed, robots[:1], "(B,)")
-        shown = np.zeros((*robots, self.layout.size), dtype=np.float32)
-        moving = headings, np.ascontiguousarray(velocities)
-        show(teams, times, observations, *moving, self._constants, self._memory, shown)
-        if levels is None:
-            return shown
-        context = self.layout.split(shown).context
-        alive, more = np.asarray(shown.any(axis=-1)), [np.log1p(levels)]
-        if self._walls is not None:
-            blocked = np.asarray(context[..., BLOCKED].any(axis=-1))
-            f = self._rows.net_bearing(observations)
-            more += self._walls.see(alive, times, blocked, more[0], f, headings, velocities)
-        context[..., CONTEXT_COLUMNS:] = np.stack(more, axis=-1) * alive[..., np.newaxis]
-        return shown
+        slots = self._rows.obstacle_slots
+        over_teams(
+            lambda part: show(
+                part,
+                (teams, times),
+                observations,
+                (headings, velocities),
+                self._constants,
+                (self._kept, np.empty((slots, 2))),
+                (levels, self._walls),
+                shown,
+            ),
+            len(teams),
+            _WEIGHT * robots[1],
+            self._num_threads,
+        )
 
     def note(self, angles: NDArray[np.float64]) -> None:
         """Remember the angles (B, n) that were chosen, rad."""
         if self._walls is not None:
-            self._walls.arrays["angle"][...] = angles
-
-    def forget(self, mask: NDArray[np.bool_] | None = None) -> None:
-        """Forget what all teams saw, or those of a mask (B,).
-
-        Raises:
-            ValueError: for a bad mask; nothing has changed then.
-        """
-        which = slice(None) if mask is None else check_mask(mask, len(self._memory.time))
-        for array in self._remembered.values():
-            array[which] = 0.0
-
-    def get_state(self) -> dict[str, NDArray[np.float64]]:
-        """The memory, as copies."""
-        return {name: array.copy() for name, array in self._remembered.items()}
-
-    def set_state(self, state: Mapping[str, ArrayLike]) -> None:
-        """Put back what ``get_state`` took out.
-
-        Raises:
-            ValueError: naming what does not fit, see ``check_state``; nothing has changed then.
-        """
-        checked = self.check_state(state)
-        for name, array in self._remembered.items():
-            array[...] = checked[name]
-
-    def check_state(self, state: Any) -> dict[str, NDArray[Any]]:
-        """The arrays of a state that ``set_state`` would put back.
-
-        Raises:
-            ValueError: naming an entry that is missing, of another shape or not finite.
-        """
-        checked = check_entries(self._remembered, state)
-        check_finite(checked, tuple(checked))
-        return checked
+            self._walls.angle[...] = angles

@@ -4,18 +4,23 @@ its guarantee; the same in training and in use.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rendezvous_env.checks import floats, refuse
-from rendezvous_env.engine.state_checks import check_numbers
-from rendezvous_env.safety.heading import HeadingFilter, step_scale
+from rendezvous_env.compilation import kernel
+from rendezvous_env.engine.state_checks import check_observations
+from rendezvous_env.engine.threads import Part
+from rendezvous_env.physics.neighbour_rows import net_bearing_of
+from rendezvous_env.physics.vectors import X_AXIS, load, norm, scaled, split, store
+from rendezvous_env.safety.heading import HeadingFilter, scale_of_step
+from rendezvous_env.safety.safety_filter import over_teams
 from rendezvous_env.safety.tank import EnergyTank, unit_of_tanks
 from rendezvous_env.scenario.scenario import Scenario
 
-from ..obstacle_rules.obstacle_avoidance import tangent_joined_heading
+from ..obstacle_rules.merged_silhouettes_2d import joined_heading_2d
 from .features import Features
 from .policy_settings import PolicySettings
 
@@ -45,11 +50,16 @@ class HeadingTankFilter(EnergyTank):
         self._headings = np.zeros((num_envs, scenario.n_robots, scenario.dim))
         self._velocities = np.zeros_like(self._headings)
         self._booked = np.zeros(self._headings.shape[:2])
+        nobody, on_their_own = (
+            self._booked > 0.0,
+            np.tile(np.arange(scenario.n_robots), (num_envs, 1)),
+        )
+        self._alone = nobody, on_their_own, np.zeros(num_envs, np.bool_)
 
     @property
-    def headings(self) -> NDArray[np.float64]:
+    def carried(self) -> NDArray[np.float64]:
         """h_i last wanted, (B, n, d), in the robots' own frames; zero where there is none yet."""
-        return self._headings.copy()
+        return self._headings
 
     @property
     def velocities(self) -> NDArray[np.float64]:
@@ -65,10 +75,6 @@ class HeadingTankFilter(EnergyTank):
         self._headings[which] = self._velocities[which] = 0.0
         self._booked[which] = 0.0
 
-    def hold(self, raw: ArrayLike) -> None:
-        """Take headings (B, n, d), unit vectors in the robots' own frames."""
-        self._headings[...] = check_numbers("headings", raw, self._headings.shape, "(B, n, d)")
-
     def settle(self, share: float) -> None:
         """Correct what the last step booked: it lasted only a share of τ.
 
@@ -82,23 +88,61 @@ class HeadingTankFilter(EnergyTank):
         self._levels[...] = np.maximum(corrected, 0.0)
         self._booked[...] = 0.0
 
-    def act(
-        self, observations: NDArray[np.float32], elapsed: float | None = None
-    ) -> NDArray[np.float32]:
-        """As ``EnergyTank.act``; the step is booked at once, as one that lasts τ. How much time
+    def act_of(
+        self,
+        teams: Part,
+        observations: NDArray[np.float32],
+        actions: NDArray[np.float32],
+        elapsed: float | None = None,
+    ) -> None:
+        """As ``EnergyTank.act_of``; the step is booked at once, as one that lasts τ. How much time
         has elapsed is of no concern to headings that turn as they like.
         """
-        scenario, layout = self.scenario, self.scenario.observation_layout
-        strength = np.linalg.norm(layout.net_bearing(observations), axis=-1)
-        degree = layout.degree(observations)
-        law_speed = step_scale(degree, scenario.merge_radius, scenario.tau) * strength
-        share = _WITHIN * np.minimum(law_speed / scenario.speed_limit, 1.0)
-        super().hold(share[..., np.newaxis] * self._headings)
-        actions = super().act(observations)
-        self._booked[...] = self._deposits
-        self.book()
-        self._velocities[...] = actions
-        return actions
+        _wish(teams, observations, self._constants, self._headings, self._held)
+        super().act_of(teams, observations, actions)
+        mine = slice(*teams[:2])
+        self._booked[mine] = self._deposits[mine]
+        self.book_of(teams, *self._alone)
+        self._velocities[mine] = actions[mine]
+
+
+@kernel
+def _wish(teams, observations, constants, headings, held):
+    """The velocities of a HeadingTankFilter, in units of v_max, along headings (B, n, d)."""
+    K, duration = constants.neighbour_slots, constants.gate.duration
+    for team in range(teams[0], teams[1]):
+        for i in range(observations.shape[1]):
+            rows = observations[team, i]
+            degree, strength = 0.0, norm(net_bearing_of(rows, K))
+            for k in range(K):  # each length in float32, as ``ObservationLayout.degree`` has it
+                degree += np.float64(np.sqrt(rows[k, 0] * rows[k, 0] + rows[k, 1] * rows[k, 1]))
+            law_speed = scale_of_step(degree, constants.merge_radius, duration) * strength
+            share = _WITHIN * min(law_speed / constants.speed_limit, 1.0)
+            store(scaled(load(headings[team, i]), share), held[team, i])
+
+
+@kernel
+def _aim(teams, observations, directions, rule, headings, raw, intervals):
+    """Where the joined rule leads robots if f is turned by directions (B, n, 2): raw (B, n, 2)."""
+    K, M = rule.neighbour_slots, intervals.shape[0]
+    for team in range(teams[0], teams[1]):
+        for i in range(observations.shape[1]):
+            rows, turned = observations[team, i], directions[team, i]
+            f, (c, s) = net_bearing_of(rows, K), (turned[0], turned[1])
+            length, aside = split((c * f[0] - s * f[1], s * f[0] + c * f[1], 0.0))
+            towards = aside if length > 0.0 else X_AXIS
+            silhouettes = rows[K : K + 2 * M].reshape((M, 2, 2))
+            carried, how = load(headings[team, i]), (rule.clearance, rule.persistence)
+            store(joined_heading_2d(towards, silhouettes, carried, how, intervals), raw[team, i])
+
+
+class _Rule(NamedTuple):
+    """What the kernel needs to know of the joined rule."""
+
+    neighbour_slots: int
+    clearance: float
+    """rad."""
+    persistence: float
 
 
 class GuidedTeams:
@@ -122,6 +166,9 @@ class GuidedTeams:
         ValueError: for robots that ``Features`` cannot show.
     """
 
+    keeps_ledger = False
+    """Tanks book what they commanded, as in use, where nobody tells."""
+
     def __init__(
         self,
         settings: PolicySettings,
@@ -137,9 +184,17 @@ class GuidedTeams:
             decision_time=settings.decision_period(scenario) * scenario.tau,
             obstacle_slots=obstacle_slots,
             tank_columns=settings.layout(0, 0).tank_columns,
+            num_threads=num_threads,
         )
-        self._rule = {"clearance": settings.clearance, "persistence": settings.persistence}
-        self._layout = scenario.observation_layout
+        layout = scenario.observation_layout
+        self._rule = _Rule(
+            layout.neighbour_slots, float(settings.clearance), float(settings.persistence)
+        )
+        self._seen, self._obstacle_slots = (
+            (num_envs, scenario.n_robots, *layout.shape),
+            layout.obstacle_slots,
+        )
+        self._batch = num_envs, scenario.n_robots, num_threads
         common: dict[str, Any] = {
             "min_alignment": settings.min_alignment,
             "num_threads": num_threads,
@@ -165,20 +220,18 @@ class GuidedTeams:
 
     def show(
         self,
+        shown: NDArray[np.float32],
         observations: NDArray[np.float32],
         which: NDArray[np.bool_] | None = None,
         elapsed: NDArray[np.float64] | None = None,
     ) -> NDArray[np.float32]:
-        """What the robots are shown before they choose; arguments as ``Features.see``."""
-        headings, tank = self.steering.headings, self.tank
-        return self.perception.see(
-            observations,
-            headings,
-            which,
-            velocities=None if tank is None else tank.velocities,
-            levels=None if tank is None else tank.normalised_levels,
-            elapsed=elapsed,
-        )
+        """What the robots are shown before they choose; arguments as ``Features.see_into``."""
+        carried, tank = self.steering.carried, self.tank
+        velocities = None if tank is None else tank.velocities
+        levels = None if tank is None else tank.normalised_levels
+        seen = observations, carried, which, velocities, levels, elapsed
+        self.perception.see_into(shown, *seen)
+        return shown
 
     def choose(self, choices: ArrayLike) -> None:
         """Take choices (B, n), held until the next ones.
@@ -233,13 +286,26 @@ class GuidedTeams:
         Returns:
             (B, n, 2), m/s.
         """
-        f = self._layout.net_bearing(observations).astype(np.float64)
-        c, s = self._directions[..., 0], self._directions[..., 1]
-        aside = np.stack((c * f[..., 0] - s * f[..., 1], s * f[..., 0] + c * f[..., 1]), axis=-1)
-        silhouettes, before = self._layout.split(observations).obstacles, self.steering.headings
-        raw = tangent_joined_heading(aside, silhouettes, carried=before, **self._rule)
-        self.steering.hold(raw)
-        return self.steering.act(observations, elapsed)
+        observations = check_observations(observations, self._seen)
+        actions = np.zeros(self._directions.shape, np.float32)
+        over_teams(lambda teams: self.act_of(teams, observations, actions, elapsed), *self._batch)
+        return actions
+
+    def act_of(
+        self,
+        teams: Part,
+        observations: NDArray[np.float32],
+        actions: NDArray[np.float32],
+        elapsed: float | None = None,
+    ) -> None:
+        """As ``act``, of the teams from the first of a part to the one before its second."""
+        carried, intervals = self.steering.carried, np.empty((self._obstacle_slots, 2))
+        raw = self.steering.held if self.tank is None else carried
+        _aim(teams, observations, self._directions, self._rule, carried, raw, intervals)
+        self.steering.act_of(teams, observations, actions, elapsed)
+
+    def book_of(self, teams: Part, contact: Any, merged_into: Any, resting: Any) -> None:
+        """Nothing, see ``keeps_ledger``."""
 
     def forget(self, which: NDArray[np.bool_] | None = None) -> None:
         """Forget headings and what was seen, of all teams or of those of a mask (B,)."""

@@ -59,7 +59,8 @@ class GuidedPolicy(DecidingPolicy):
 
     def _decide(self, teams: NDArray[np.float32], due: NDArray[np.bool_]) -> None:
         steps = np.where(np.isinf(self._steps), self.decision_period, self._steps)
-        self._choose(self._guided.show(teams, due, steps * self.scenario.tau), due)
+        shown = np.zeros((*teams.shape[:2], self._guided.perception.layout.size), np.float32)
+        self._choose(self._guided.show(shown, teams, due, steps * self.scenario.tau), due)
 
     def _act(self, teams: NDArray[np.float32], elapsed: float) -> NDArray[np.float32]:
         return within_limits(self._guided.act(teams, elapsed).astype(np.float64), self.scenario)

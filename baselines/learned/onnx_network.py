@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-import warnings
 from pathlib import Path
 from typing import Any
 
@@ -36,6 +35,18 @@ def _without_digest(found: re.Match[bytes]) -> bytes:
     return found[0].replace(found[1], NO_DIGEST.encode())
 
 
+def _check_digest(path: Path, content: bytes) -> None:
+    """Refuse a file that is not as it was written, before anybody reads what it says."""
+    digest = _DIGEST.search(content)
+    if digest is None:
+        raise CheckpointError(
+            f"{path}: holds no digest: it was changed, or `rendezvous export` of this version did "
+            "not write it"
+        )
+    if digest[1].decode() != digest_of(content):
+        raise CheckpointError(f"{path}: its content was changed: the digest in it does not fit")
+
+
 class OnnxNetwork(Network):
     """A network that onnxruntime runs; its numbers of slots are whatever it is shown.
 
@@ -43,10 +54,8 @@ class OnnxNetwork(Network):
         path: of a file that ``rendezvous export`` wrote.
 
     Raises:
-        CheckpointError: if it cannot be read, was changed or does not belong to this version,
-            naming the file.
-
-    A file without a digest, of a version before this one, is taken with a warning.
+        CheckpointError: if it cannot be read, was changed, holds no digest or does not belong to
+            this version, naming the file.
     """
 
     def __init__(self, path: Path) -> None:
@@ -54,6 +63,7 @@ class OnnxNetwork(Network):
             content = path.read_bytes()
         except OSError as error:
             raise CheckpointError(f"{path}: cannot be read: {error.strerror}") from error
+        _check_digest(path, content)
         self._session = _session(path, content)
         found = self._session.get_modelmeta().custom_metadata_map.get(SETTINGS_KEY)
         if found is None:
@@ -64,15 +74,6 @@ class OnnxNetwork(Network):
             self.settings = PolicySettings.from_plain(json.loads(found))
         except (TypeError, ValueError) as error:
             raise CheckpointError(f"{path}: is no policy of this version: {error}") from error
-        digest = _DIGEST.search(content)
-        if digest is None:
-            warnings.warn(
-                f"{path}: holds no digest, so nobody can tell whether it was changed; "
-                "`rendezvous export` writes one",
-                stacklevel=2,
-            )
-        elif digest[1].decode() != digest_of(content):
-            raise CheckpointError(f"{path}: its content was changed: the digest in it does not fit")
         self._layout = self.settings.layout(0, 0)
 
     def fit(self, layout: FeatureLayout) -> None:

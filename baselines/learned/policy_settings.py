@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import MISSING, asdict, dataclass, fields
-from typing import Any, Literal, get_type_hints
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from rendezvous_env.scenario.scenario import Scenario
 
 from .features import LEVEL_COLUMNS, VERSION, FeatureLayout
-from .plain_data import check_types
+from .plain_data import check_field_types, check_types
 from .wall_memory import WALL_COLUMNS
 
 ANGLES = np.array([0.0, 0.3, -0.3, 0.6, -0.6, 1.0, -1.0, 1.4, -1.4])
@@ -66,7 +66,7 @@ class PolicySettings:
 
     def __post_init__(self) -> None:
         """Refuse what no network and no heading can have."""
-        check_types(vars(self), get_type_hints(type(self)))
+        check_field_types(self)
         for name, (least, most) in _RANGES.items():
             if not least <= getattr(self, name) <= most:
                 raise ValueError(

@@ -11,6 +11,7 @@ from gymnasium.spaces import Box, MultiDiscrete
 from numpy.typing import ArrayLike, NDArray
 
 from rendezvous_env.checks import number, refuse, whole
+from rendezvous_env.engine.batch_runner import Pilot
 from rendezvous_env.engine.state_checks import check_entries, check_keys
 from rendezvous_env.envs.spaces import team_box
 from rendezvous_env.envs.training import FirstContacts
@@ -127,17 +128,21 @@ class FeatureVectorEnv(GuaranteeWrapper):
         else:
             self.guided.head(actions)
 
+    @property
+    def _pilot(self) -> Pilot | None:
+        return self.guided
+
     def _act(self) -> NDArray[np.float32]:
         return self.guided.act(self._observed)
 
     def _see(self, which: NDArray[np.bool_] | None) -> NDArray[np.float32]:
-        shown = self.guided.show(self._observed, which)
+        size = self.layout.size
+        self.guided.show(self._shown[..., :size], self._observed, which)
         if self.global_state is not None:
-            shown = np.concatenate((shown, self._state_of_teams()), axis=-1)
-        if which is not None:  # of the others nothing new has been seen
-            shown = np.where(which[:, None, None], shown, self._shown)
-        self._shown = shown
-        return shown.copy()
+            state = self._state_of_teams()
+            told = slice(None) if which is None else which
+            self._shown[told, :, size:] = state[told]
+        return self._shown.copy() if which is None else self._shown
 
     def _state_of_teams(self) -> NDArray[np.float32]:
         """The global state as each robot would see it, (B, n, global_state.size)."""
@@ -157,7 +162,7 @@ class FeatureVectorEnv(GuaranteeWrapper):
         """Begin anew, as ``GuaranteeWrapper.reset``; teams that do have touched nothing."""
         shown, infos = super().reset(seed=seed, options=options)
         self._touches.forget(as_options(options).get("reset_mask"))
-        return shown, infos
+        return shown.copy(), infos
 
     def _forget(self, which: NDArray[np.bool_] | None) -> None:
         self.guided.forget(which)

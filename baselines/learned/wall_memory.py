@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import math
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
+
+from rendezvous_env.compilation import kernel
 
 Array = NDArray[np.float64]
 WALL_COLUMNS = 12
@@ -18,96 +23,80 @@ _FRESH, _SLOW = 8.0, 30.0
 """Units of the time at a wall, s."""
 
 
-class WallMemory:
-    """The walls of B teams of n robots; all memory is in ``arrays``, (B, n, ...) each."""
+class Walls(NamedTuple):
+    """What the robots of B teams remember of walls, (B, n, ...) each."""
 
-    def __init__(self, num_envs: int, n_robots: int) -> None:
-        since, clear, level, turned, wound, angle = np.zeros((6, num_envs, n_robots))
-        self.arrays: dict[str, Array] = {
-            "since": since,  # s at the wall; 0 at none
-            "clear": clear,  # s for which nothing was before f
-            "level": level,  # log(1 + A/(r D̄)) when it was met
-            "turned": turned,  # by how much f has turned since, rad
-            "wound": wound,  # and the heading
-            "angle": angle,  # last chosen, rad
-            "towards": np.zeros((num_envs, n_robots, 2)),  # f/‖f‖; zero before the first decision
-            "heading": np.zeros((num_envs, n_robots, 2)),
-            "averages": np.zeros((num_envs, n_robots, 2, 2)),  # of velocity and direction of f
-        }
-
-    def see(
-        self,
-        alive: NDArray[np.bool_],
-        elapsed: Array,
-        blocked: NDArray[np.bool_],
-        level: Array,
-        net_bearing: Array,
-        headings: Array,
-        velocities: Array,
-    ) -> list[Array]:
-        """Bring the memory of the robots that are ``alive`` up to date.
-
-        Args:
-            alive: (B, n), who is shown anything.
-            elapsed: (B,), s since the decision before.
-            blocked: (B, n), whether silhouettes are before f.
-            level: log(1 + A/(r D̄)), (B, n).
-            net_bearing: f, (B, n, 2), m/s.
-            headings: (B, n, 2).
-            velocities: (B, n, 2), m/s.
-
-        Returns:
-            WALL_COLUMNS columns (B, n), vectors with x along f.
-        """
-        old, time = self.arrays, elapsed[:, np.newaxis]
-        strength = np.linalg.norm(net_bearing, axis=-1, keepdims=True)
-        seen = strength > 0.0
-        towards = np.where(seen, net_bearing / np.where(seen, strength, 1.0), 0.0)
-        clear = np.where(blocked, 0.0, old["clear"] + time)
-        stays = (old["since"] > 0.0) & (clear <= _LEFT)
-        meets = blocked & ~stays
-        known = np.asarray(old["towards"].any(axis=-1))[..., np.newaxis, np.newaxis]
-        begun = np.where(known, old["averages"], np.stack([0.0 * towards, towards], axis=-2))
-        kept = np.exp(-elapsed / _LONG)[:, np.newaxis, np.newaxis, np.newaxis]
-        turned = old["turned"] + _turn(old["towards"], towards)
-        wound = old["wound"] + _turn(old["heading"], headings)
-        new = {
-            "since": np.where(stays, old["since"] + time, np.where(meets, time, 0.0)),
-            "clear": clear,
-            "level": np.where(stays, old["level"], np.where(meets, level, 0.0)),
-            "turned": np.where(stays, turned, 0.0),
-            "wound": np.where(stays, wound, 0.0),
-            "towards": towards,
-            "heading": headings,
-            "averages": kept * begun + (1.0 - kept) * np.stack([velocities, towards], axis=-2),
-        }
-        for name, values in new.items():
-            old[name][alive] = values[alive]
-        return self._columns(towards)
-
-    def _columns(self, towards: Array) -> list[Array]:
-        mine = self.arrays
-        at = mine["since"] > 0.0
-        across = np.stack([-towards[..., 1], towards[..., 0]], axis=-1)
-        return [
-            at.astype(np.float64),
-            mine["level"],
-            mine["since"] / _SLOW,
-            np.where(at, np.exp(-mine["since"] / _FRESH), 0.0),
-            mine["turned"] / np.pi,
-            mine["wound"] / np.pi,
-            np.cos(mine["angle"]),
-            np.sin(mine["angle"]),
-            *(
-                np.sum(mine["averages"][..., k, :] * axis, -1)
-                for k in (0, 1)
-                for axis in (towards, across)
-            ),
-        ]
+    since: Array
+    """s at the wall; 0 at none."""
+    clear: Array
+    """s for which nothing was before f."""
+    level: Array
+    """log(1 + A/(r D̄)) when it was met."""
+    turned: Array
+    """By how much f has turned since, rad."""
+    wound: Array
+    """And the heading."""
+    angle: Array
+    """Last chosen, rad."""
+    towards: Array
+    """(B, n, 2), f/‖f‖; zero before the first decision."""
+    heading: Array
+    averages: Array
+    """(B, n, 2, 2), of velocity and direction of f."""
 
 
-def _turn(before: Array, now: Array) -> Array:
+def no_walls(num_envs: int, n_robots: int) -> Walls:
+    """Of robots that have met none."""
+    robots = num_envs, n_robots
+    shapes = [robots] * 6 + [(*robots, 2)] * 2 + [(*robots, 2, 2)]
+    return Walls._make(np.zeros(shape) for shape in shapes)
+
+
+@kernel
+def show_wall(robot, towards, moving, elapsed, seen, walls, out):
+    """Bring the memory of one robot up to date, and write WALL_COLUMNS numbers.
+
+    Args:
+        robot: its team and its index.
+        towards: f/‖f‖, or any direction where there is no f.
+        moving: its heading and its velocity, m/s.
+        elapsed: since the decision before, s.
+        seen: whether silhouettes are before f, and log(1 + A/(r D̄)).
+        walls: Walls.
+        out: see above.
+    """
+    (heading, velocity), (blocked, level) = moving, seen
+    before, last, averages = walls.towards[robot], walls.heading[robot], walls.averages[robot]
+    walls.clear[robot] = 0.0 if blocked else walls.clear[robot] + elapsed
+    if walls.since[robot] > 0.0 and walls.clear[robot] <= _LEFT:
+        walls.since[robot] += elapsed
+        walls.turned[robot] += _turn(before, towards)
+        walls.wound[robot] += _turn(last, heading)
+    else:
+        walls.since[robot] = elapsed if blocked else 0.0
+        walls.level[robot] = level if blocked else 0.0
+        walls.turned[robot] = walls.wound[robot] = 0.0
+    known, kept = before[0] != 0.0 or before[1] != 0.0, math.exp(-elapsed / _LONG)
+    for axis in range(2):
+        if not known:
+            averages[0, axis], averages[1, axis] = 0.0, towards[axis]
+        averages[0, axis] = kept * averages[0, axis] + (1.0 - kept) * velocity[axis]
+        averages[1, axis] = kept * averages[1, axis] + (1.0 - kept) * towards[axis]
+        before[axis], last[axis] = towards[axis], heading[axis]
+    since = walls.since[robot]
+    out[0], out[1], out[2] = 1.0 if since > 0.0 else 0.0, walls.level[robot], since / _SLOW
+    out[3] = math.exp(-since / _FRESH) if since > 0.0 else 0.0
+    out[4], out[5] = walls.turned[robot] / math.pi, walls.wound[robot] / math.pi
+    out[6], out[7] = math.cos(walls.angle[robot]), math.sin(walls.angle[robot])
+    for k in range(2):
+        x, y = averages[k, 0], averages[k, 1]
+        out[8 + 2 * k] = x * towards[0] + y * towards[1]
+        out[9 + 2 * k] = y * towards[0] - x * towards[1]
+
+
+@kernel
+def _turn(before, now):
     """From one vector to another, rad counter-clockwise in (−π, π]; 0 where one is zero."""
-    across = before[..., 0] * now[..., 1] - before[..., 1] * now[..., 0]
-    turn: Array = np.arctan2(across, np.sum(before * now, axis=-1))
-    return turn
+    across = before[0] * now[1] - before[1] * now[0]
+    ahead = 0.0 + before[0] * now[0] + before[1] * now[1]  # 0.0: never −0.0, half a turn
+    return math.atan2(across, ahead)

@@ -5,12 +5,13 @@ import math
 import numpy as np
 
 from rendezvous_env.compilation import kernel
-from rendezvous_env.physics.vectors import dot, load
+from rendezvous_env.physics.vectors import dot, load, store
 
 from .silhouettes import STRAIGHT_AHEAD, direction_of, is_seen
 
 TWO_PI = 2.0 * math.pi
 _ROUNDING = 1e-12
+_A_LITTLE_LESS = 1.0 - 1e-9
 _FAR = 100.0
 """rad; sums of the angles in here stay below it."""
 
@@ -37,14 +38,57 @@ def joined_headings_2d(net_bearing, silhouettes, clearance, carried, persistence
     intervals = np.empty((silhouettes.shape[1], 2))
     for i in range(out.shape[0]):
         towards, before = direction_of(net_bearing[i]), load(carried[i])
-        kept, weight = 0.0, 0.0
-        if before[0] != 0.0 or before[1] != 0.0:
-            kept, weight = math.atan2(_cross(towards, before), dot(towards, before)), persistence
-        joined = joined_interval_2d(towards, silhouettes[i], intervals)
-        turn = _turn_to_free(joined, clearance, kept, weight)
-        c, s = math.cos(turn), math.sin(turn)
-        out[i, 0] = c * towards[0] - s * towards[1]
-        out[i, 1] = s * towards[0] + c * towards[1]
+        rule = clearance, persistence
+        store(joined_heading_2d(towards, silhouettes[i], before, rule, intervals), out[i])
+
+
+@kernel
+def joined_heading_2d(towards, silhouettes, carried, rule, intervals):
+    """``joined_headings_2d`` of one robot.
+
+    Args:
+        towards: f/‖f‖, a triple.
+        silhouettes: (M, 2, 2).
+        carried: its heading of the step before, a triple; zero = none yet.
+        rule: clearance and persistence.
+        intervals: (M, 2), working memory.
+
+    Returns:
+        The heading, a triple.
+    """
+    clearance, persistence = rule
+    if _is_clear(towards, silhouettes, clearance):
+        return towards
+    kept, weight = 0.0, 0.0
+    if carried[0] != 0.0 or carried[1] != 0.0:
+        kept, weight = math.atan2(_cross(towards, carried), dot(towards, carried)), persistence
+    joined = joined_interval_2d(towards, silhouettes, intervals)
+    turn = _turn_to_free(joined, clearance, kept, weight)
+    c, s = math.cos(turn), math.sin(turn)
+    return c * towards[0] - s * towards[1], s * towards[0] + c * towards[1], 0.0
+
+
+@kernel
+def _is_clear(towards, silhouettes, clearance):
+    """Whether each silhouette by itself is surely farther from a direction than the clearance, as
+    for most robots in most steps; found without an angle. Silhouettes joined are so then, too.
+    """
+    if clearance >= 0.5 * math.pi:
+        return False
+    least = math.cos(clearance) ** 2 * _A_LITTLE_LESS
+    for m in range(silhouettes.shape[0]):
+        if not is_seen(silhouettes[m]):
+            continue
+        last, first = load(silhouettes[m, 0]), load(silhouettes[m, 1])
+        if _cross(first, last) <= 0.0:  # half of all directions or more, or a point
+            return False
+        if _cross(first, towards) >= 0.0 and _cross(towards, last) >= 0.0:
+            return False
+        for edge in (first, last):
+            ahead = dot(towards, edge)
+            if ahead > 0.0 and ahead * ahead >= least * dot(edge, edge):
+                return False
+    return True
 
 
 @kernel

@@ -54,6 +54,16 @@ REFERENCE = {
     "equations": ("Equations", ("rendezvous_env/physics",)),
 }
 """Pages of the reference: a title, and the folders of the modules on it."""
+RENAMED = {
+    "README.md": "overview.md",
+    "CHANGELOG.md": "changelog.md",
+    "CONTRIBUTING.md": "contributing.md",
+    "decisions": "decisions/README.md",
+    "docs": "overview.md",
+    "examples": "examples.md",
+    "tutorial.ipynb": "tutorial.md",
+}
+"""What the site calls files and folders that pages of docs/ link to."""
 FIRST = (
     "parallel_env", "make_vec", "training_env", "rollout", "Scenario", "scenarios", "certificate",
     "make", "TrainedPolicy",
@@ -208,9 +218,6 @@ def for_site(text: str) -> str:
 
     def moved(match: re.Match[str]) -> str:
         target = match[1].removeprefix("../").removeprefix("docs/").rstrip("/")
-        renamed = {"README.md": "overview.md", "examples": "examples.md", "docs": "overview.md"}
-        renamed |= {"CHANGELOG.md": "changelog.md", "CONTRIBUTING.md": "contributing.md"}
-        renamed |= {"decisions": "decisions/README.md", "tutorial.ipynb": "tutorial.md"}
-        return f"]({renamed.get(target, target)}{match[2]})"
+        return f"]({RENAMED.get(target, target)}{match[2]})"
 
     return re.sub(r"\]\((?!https?:|#|mailto:)([^)#\s]+)([^)]*)\)", moved, text)

@@ -86,8 +86,12 @@ class RendezvousTask(TaskClass):
         sees = env.full_observation_spec_unbatched[GROUP, "observation"].clone()
         return _of_group(env, observation=sees)
 
-    def info_spec(self, env: EnvBase) -> None:
-        """None: what else is told stands in the reward and in who is active."""
+    def info_spec(self, env: EnvBase) -> Composite | None:
+        """What a step costs the robots, with ``Scenario.costs``; else what is told stands in the
+        reward and in who is active.
+        """
+        spec = env.full_observation_spec_unbatched[GROUP]
+        return _of_group(env, info=spec["info"].clone()) if "info" in spec.keys() else None
 
     def state_spec(self, env: EnvBase) -> Composite | None:
         """The global state, if the config asks for it."""

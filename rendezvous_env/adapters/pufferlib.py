@@ -15,6 +15,7 @@ from ..vector import training_env
 from .slots import RobotSlots
 
 _Flags = NDArray[np.bool_]
+_COUNTED = ("return", "length", "cost")
 Buffers = tuple[NDArray[np.float32], NDArray[np.float32], _Flags, _Flags, list[dict[str, Any]]]
 """Observations, rewards, terminals, truncations and infos."""
 
@@ -53,7 +54,8 @@ class RobotPufferEnv(pufferlib.PufferEnv):
     only the former, and values a time limit by the first observation of the next episode.
 
     Infos hold, in the step in which teams end, one dict for each of them: ``episode_return`` (sum
-    of team rewards), ``episode_length`` (steps) and the summary of its episode.
+    of team rewards), ``episode_length`` (steps) and the summary of its episode. With
+    ``Scenario.costs`` also ``episode_cost``, and ``costs`` holds those of the last step, (agents,).
 
     Args:
         teams: a vector environment of teams with SAME_STEP autoreset whose scenario has
@@ -81,6 +83,7 @@ class RobotPufferEnv(pufferlib.PufferEnv):
         self.num_agents = self.slots.active.size
         self.single_observation_space = self.slots.single_observation_space
         self.single_action_space = self.slots.single_action_space
+        self.costs: dict[str, NDArray[np.float64]] = {}
         super().__init__(buf)
 
     def reset(self, seed: int | None = None) -> tuple[NDArray[np.float32], list[dict[str, Any]]]:
@@ -99,13 +102,13 @@ class RobotPufferEnv(pufferlib.PufferEnv):
             ValueError: for actions of the wrong shape, or that are not finite, naming the robot.
         """
         step = self.slots.step(np.asarray(actions))
-        n = self.slots.n_robots
+        n, self.costs = self.slots.n_robots, step.costs
         self.observations[:], self.rewards[:] = step.observations, step.rewards
         self.terminals[:] = np.repeat(step.met, n) if step.finished else False
         self.truncations[:] = np.repeat(step.late, n) if step.finished else False
         self.masks[:] = self.slots.active.reshape(-1)
         infos = [
-            {f"episode_{key}" if key in ("return", "length") else key: told[key] for key in told}
+            {f"episode_{key}" if key in _COUNTED else key: told[key] for key in told}
             for told in step.finished.values()
         ]
         return self.observations, self.rewards, self.terminals, self.truncations, infos

@@ -60,6 +60,7 @@ class Rollout:
         steps = [step for _, _, step in self._steps]
         seen = np.stack([before for before, _, _ in self._steps] + [self.observations])
         rewards = np.stack([step.rewards for step in steps])
+        costs = {key: np.stack([step.costs[key] for step in steps]) for key in steps[0].costs}
         acted, ended = (np.stack([getattr(s, name) for s in steps]) for name in ("acted", "ended"))
         met = np.repeat(np.stack([step.met for step in steps]), self._robots.n_robots, axis=1)
         columns = {
@@ -81,6 +82,7 @@ class Rollout:
                         slot,
                         np.concatenate([seen[part, slot], last[None]]),
                         rewards[part, slot],
+                        {key: values[part, slot] for key, values in costs.items()},
                         {name: values[part, slot] for name, values in columns.items()},
                         terminated=bool(over and met[end, slot]),
                         truncated=bool(over and not met[end, slot]),
@@ -95,17 +97,23 @@ class Rollout:
         slot: int,
         observations: NDArray[np.float32],
         rewards: NDArray[np.float32],
+        costs: dict[str, NDArray[np.float64]],
         columns: dict[str, NDArray[Any]],
         **ends: bool,
     ) -> SingleAgentEpisode:
-        """A stretch of one robot's life, with one observation more than rewards."""
+        """A stretch of one robot's life, with one observation more than rewards; what a step cost
+        stands in the info of what was seen after it.
+        """
         actions = columns.pop(Columns.ACTIONS)
         spaces = self._robots.single_observation_space, self._robots.single_action_space
         return SingleAgentEpisode(
             self._ids[slot],
             observations=InfiniteLookbackBuffer(observations),
             observation_space=spaces[0],
-            infos=[{}] * len(observations),
+            infos=[
+                {},
+                *({key: costs[key][t].item() for key in costs} for t in range(len(rewards))),
+            ],
             actions=InfiniteLookbackBuffer(actions),
             action_space=spaces[1],
             rewards=InfiniteLookbackBuffer(rewards),

@@ -42,6 +42,9 @@ class RobotVecEnv(VecEnv):
     zeros until its team begins anew; ``acted`` leaves these slots out, and so does
     ``RobotRolloutBuffer``.
 
+    With ``Scenario.costs`` the info of every slot has ``cost`` and ``cost_NAME``, and ``costs`` has
+    them as arrays (slots,); those of an episode, summed over its robots, stand in ``episode``.
+
     When a team's episode ends, the info of one of its slots carries the statistics: ``episode``
     with "r" (sum of team rewards), "l" (steps), "t" (s since the start of this object) and the
     summary, and ``is_success``. The slots of a team take turns, from the last one on, and say that
@@ -66,6 +69,8 @@ class RobotVecEnv(VecEnv):
     survivors: NDArray[np.int64]
     bootstrap_observations: NDArray[np.float32]
     """Of the last step, as in ``SlotStep``."""
+    costs: dict[str, NDArray[np.float64]]
+    """Of the last step, (slots,) each, by key of infos; empty without any."""
     tell_bootstraps = True
     """Whether infos carry ``terminal_observation`` and ``TimeLimit.truncated``."""
 
@@ -96,6 +101,7 @@ class RobotVecEnv(VecEnv):
     def _forget_step(self) -> None:
         self.acted = self.slots.active.reshape(-1).copy()
         self.ended = np.zeros(self.acted.size, dtype=np.bool_)
+        self.costs = {}
         self.bootstrapped = self.survivors = np.empty(0, dtype=np.int64)
         seen = self.slots.single_observation_space.shape or ()
         self.bootstrap_observations = np.empty((0, *seen), dtype=np.float32)
@@ -115,7 +121,7 @@ class RobotVecEnv(VecEnv):
     def step_wait(self) -> VecEnvStepReturn:
         """Advance every team; observations, rewards, dones and infos of the slots."""
         step = self.slots.step(self._actions)
-        self.acted, self.ended = step.acted, step.ended
+        self.acted, self.ended, self.costs = step.acted, step.ended, step.costs
         self.bootstrapped, self.survivors = step.bootstrapped, step.survivors
         self.bootstrap_observations = step.bootstrap_observations
         return step.observations, step.rewards, step.ended.copy(), self._infos(step)
@@ -123,6 +129,9 @@ class RobotVecEnv(VecEnv):
     def _infos(self, step: SlotStep) -> list[dict[str, Any]]:
         n = self.n_robots
         told: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        for key, costs in step.costs.items():
+            for info, cost in zip(told, costs.tolist(), strict=True):
+                info[key] = cost
         for team, episode in step.finished.items():
             told[team * n + n - 1 - self._told[team] % n] |= self._statistics(episode)
             self._told[team] += 1

@@ -46,7 +46,10 @@ class SlotStep(NamedTuple):
     late: NDArray[np.bool_]
     """(B,), teams whose episode ended at the time limit."""
     finished: dict[int, dict[str, Any]]
-    """Of each team that is over: "return" (sum of team rewards), "length" (steps) and STANDING."""
+    """Of each team that is over: "return" (sum of team rewards), "length" (steps), STANDING, and
+    with ``Scenario.costs`` "cost", the sum over its robots."""
+    costs: dict[str, NDArray[np.float64]]
+    """(slots,) each, what the step cost the robots, by key of infos; empty without any."""
 
 
 class RobotSlots:
@@ -79,7 +82,7 @@ class RobotSlots:
         self.num_teams, self.n_robots = teams.num_envs, int(spaces[0].shape[0])
         self._acting: tuple[int, ...] = (teams.num_envs, *spaces[1].shape)
         self.active = np.zeros((self.num_teams, self.n_robots), dtype=np.bool_)
-        self._returns = np.zeros(self.num_teams)
+        self._returns, self._costs = np.zeros(self.num_teams), np.zeros(self.num_teams)
         self._lengths = np.zeros(self.num_teams, dtype=np.int64)
 
     @cached_property
@@ -100,13 +103,13 @@ class RobotSlots:
         """Begin a new episode in all teams, with their arguments; observations (slots, ...)."""
         observations, infos = self.teams.reset(seed=seeds, options=options)
         self.active = infos["active"].copy()
-        self._returns[:], self._lengths[:] = 0.0, 0
+        self._returns[:], self._lengths[:], self._costs[:] = 0.0, 0, 0.0
         return self.by_slot(observations)
 
     def begin(self, which: NDArray[np.bool_]) -> None:
         """Take note that these teams, (B,), have begun a new episode by other means."""
         self.active[which] = True
-        self._returns[which], self._lengths[which] = 0.0, 0
+        self._returns[which], self._lengths[which], self._costs[which] = 0.0, 0, 0.0
 
     def step(self, actions: NDArray[Any]) -> SlotStep:
         """Advance every team with actions (slots, a), or (slots,) where they are discrete.
@@ -129,6 +132,9 @@ class RobotSlots:
         self.active = infos["active"].copy()
         self._returns += rewards
         self._lengths += 1
+        costs = {key: infos[key].reshape(-1) for key in self.simulator.costs}
+        if costs:
+            self._costs += infos["cost"].sum(axis=1)
         return SlotStep(
             observations=self.by_slot(observations),
             rewards=robot_rewards.astype(np.float32).reshape(-1),
@@ -141,6 +147,7 @@ class RobotSlots:
             met=met,
             late=late,
             finished=self._finish(over, infos),
+            costs=costs,
         )
 
     def _finish(self, over: NDArray[np.bool_], infos: Mapping[str, Any]) -> dict[int, Any]:
@@ -151,8 +158,10 @@ class RobotSlots:
         for team in np.flatnonzero(over).tolist():
             summary = {key: infos["final_info"][key][team].item() for key in STANDING}
             count = {"return": float(self._returns[team]), "length": int(self._lengths[team])}
+            if self.simulator.costs:
+                count["cost"] = float(self._costs[team])
             told[team] = count | summary
-        self._returns[over], self._lengths[over] = 0.0, 0
+        self._returns[over], self._lengths[over], self._costs[over] = 0.0, 0, 0.0
         return told
 
     def by_slot(self, observations: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -161,7 +170,8 @@ class RobotSlots:
 
     @property
     def _memory(self) -> dict[str, NDArray[Any]]:
-        return {"active": self.active, "returns": self._returns, "lengths": self._lengths}
+        memory = {"active": self.active, "returns": self._returns, "lengths": self._lengths}
+        return memory | {"costs": self._costs} if self.simulator.costs else memory
 
     def get_state(self) -> dict[str, Any]:
         """The running episodes, as copies: nested arrays."""

@@ -38,6 +38,7 @@ class RendezvousEnv(EnvBase):
     | ("robots", "action") | (B, n, a) float32 | (B, n) int64 with ``discrete=True`` |
     | ("robots", "active") | (B, n, 1) bool | the robot still exists on its own |
     | ("robots", "reward") | (B, n, 1) float32 | after a step |
+    | ("robots", "info", "cost") | (B, n, 1) float32 | with ``Scenario.costs``; "cost_NAME", too |
     | "contacts" | (B, 1) int64 | with obstacles so far, one for each robot and base step |
     | "state" | (B, size) float32 | privileged; with ``return_state=True`` |
     | "terminated" | (B, 1) bool | all robots have met |
@@ -88,6 +89,7 @@ class RendezvousEnv(EnvBase):
         self._gives_state = return_state
         self._make_specs()
         self._begun = np.zeros(num_envs, dtype=np.bool_)
+        self._costs = self.simulator.costs
         self._set_seed(seed)
 
     @property
@@ -125,6 +127,9 @@ class RendezvousEnv(EnvBase):
 
         self.action_spec = of_group(action=acts)
         self.observation_spec = of_group(observation=sees, active=active)
+        if keys := list(self.simulator.costs):
+            told = {key: Unbounded(one) for key in keys}
+            self.observation_spec[GROUP, "info"] = Composite(told, shape=robots)
         self.observation_spec["contacts"] = Unbounded(done.shape, dtype=torch.int64)
         if self._gives_state:
             state = self.teams.unwrapped.single_state_space
@@ -152,6 +157,7 @@ class RendezvousEnv(EnvBase):
         if options or any(seed is not None for seed in seeds) or not self._begun[which].all():
             self._begin(which, seeds, options or {})
         self._begun &= ~which
+        self._costs = {key: np.where(which[:, None], 0.0, was) for key, was in self._costs.items()}
         status = self.simulator.status
         return self._given(*self._start, status == RENDEZVOUS, status == TIME_OUT)
 
@@ -168,12 +174,14 @@ class RendezvousEnv(EnvBase):
         for team in np.flatnonzero(which).tolist():
             self._seeds[team] = None
         self._start = observations, infos["active"], infos["contacts"]
+        self._costs = {key: infos[key] for key in self.simulator.costs}
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         actions = tensordict.get((GROUP, "action")).detach().cpu().numpy()
         acted = self._start[1]
         observations, rewards, met, cut, infos = self._wrapped.step(actions)
         robot_rewards = self._shaping.robot_rewards(rewards, infos, acted)
+        self._costs = {key: infos[key] for key in self.simulator.costs}
         last = self._start = observations, infos["active"], infos["contacts"]
         if not self._gives_state:
             self._begun = met | cut
@@ -192,9 +200,12 @@ class RendezvousEnv(EnvBase):
         **scalars: NDArray[Any],
     ) -> TensorDict:
         """What a step or a reset gives out, over the same memory."""
-        robots = {"observation": torch.from_numpy(observations)}
+        robots: dict[str, Any] = {"observation": torch.from_numpy(observations)}
         for key, values in {"active": active, **scalars}.items():
             robots[key] = torch.from_numpy(values[..., None])
+        if costs := {key: values.astype(np.float32) for key, values in self._costs.items()}:
+            told = {key: torch.from_numpy(values[..., None]) for key, values in costs.items()}
+            robots["info"] = TensorDict(told, batch_size=active.shape, device=self.device)
         given: dict[str, Any] = {
             GROUP: TensorDict(robots, batch_size=active.shape, device=self.device)
         }

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,7 @@ from ..compilation import entry_point
 from ..outcome import StepOutput
 from ..physics.random_streams import ignore_overflow
 from . import threads
+from .memory import RUNNING
 from .memory_layout import MemoryLayout, OutputBuffers, scratch
 from .preparation import constants, layout, robot, sensor
 from .stages.step import step_blocks
@@ -20,6 +21,38 @@ from .state import State
 _WORK_PER_THREAD = 32768
 """Rows computed below which another thread costs more than it saves: some 70 µs, as long as a
 sleeping thread takes to wake."""
+
+
+class Pilot(Protocol):
+    """What makes actions of what is seen, for some teams at a time: safety filters do."""
+
+    keeps_ledger: bool
+    """Whether it wants to learn how a step went."""
+
+    def act_of(
+        self, teams: threads.Part, observations: NDArray[np.float32], actions: NDArray[np.float32]
+    ) -> None:
+        """Write the actions of teams from the first of a part to the one before its second."""
+        ...
+
+    def book_of(self, teams: threads.Part, contact: Any, merged_into: Any, resting: Any) -> None:
+        """Learn how their step went: who touched an obstacle, (B, n), and is now part of whom,
+        (B, n), and which teams it passed by, (B,).
+        """
+        ...
+
+
+class Driven(NamedTuple):
+    """What some steps in a row give out."""
+
+    output: StepOutput
+    """Of the last one."""
+    rewards: NDArray[np.float64]
+    """(B,), of all of them."""
+    robot_rewards: NDArray[np.float64]
+    """(B, n), likewise."""
+    contact: NDArray[np.bool_]
+    """(B, n), whether the robot touched an obstacle in any of them."""
 
 
 class BatchRunner:
@@ -33,7 +66,7 @@ class BatchRunner:
 
     def __init__(self, state: State, num_threads: int | None, max_steps: int) -> None:
         place, n = state.place, state.place.scenario.n_robots
-        self._state, self._parts = state, state.parts()
+        self._state, self._parts, self._threads = state, state.parts(), num_threads
         self.width = _width(place, num_threads)
         """Threads of a step."""
         self.layout, self.robot = layout(place), robot(place.scenario)
@@ -67,6 +100,45 @@ class BatchRunner:
         self._last = output
         return output
 
+    def drive(
+        self, pilot: Pilot, seen: NDArray[np.float32], resting: NDArray[np.bool_], count: int
+    ) -> Driven:
+        """Advance all teams by some steps; each thread leads its own through all of them.
+
+        Args:
+            pilot: what makes actions of what is seen.
+            seen: (B, n, rows, d), now.
+            resting: (B,), teams that pass the first step by.
+            count: of steps.
+        """
+        teams, output, actions = self._state.teams, self.buffers.new(), self._no_actions.copy()
+        batch, n = actions.shape[:2]
+        driven = Driven(output, np.zeros(batch), np.zeros((batch, n)), np.zeros((batch, n), bool))
+        run, lanes, resting = self._ready(actions, output), self._state.lanes, resting.copy()
+        width = _width(self._state.place, self._threads, count)
+        while len(self._scratch) < width:
+            self._scratch.append(scratch(self._state.place))
+        fixed, written = self._fixed(True, self._blocks), tuple(output)
+
+        def lead(part: threads.Part) -> None:
+            mine = part[0] * lanes, min(part[1] * lanes, batch), part[2]
+            rows, now = slice(*mine[:2]), seen
+            for _ in range(count):
+                output.contact[rows] = False
+                pilot.act_of(mine, now, actions)
+                run(part, *fixed, actions, written, self._scratch[part[2]])
+                if pilot.keeps_ledger:
+                    pilot.book_of(mine, output.contact, teams.merged_into, resting)
+                np.not_equal(output.status[rows], RUNNING, out=resting[rows])
+                driven.rewards[rows] += output.rewards[rows]
+                driven.robot_rewards[rows] += output.robot_rewards[rows]
+                driven.contact[rows] |= output.contact[rows]
+                now = output.observations
+
+        threads.share(lead, len(self._blocks), width)
+        self._last = output
+        return driven
+
     def observe(self) -> StepOutput:
         """All teams as they are."""
         output = self.buffers.new()
@@ -87,15 +159,8 @@ class BatchRunner:
         width: int,
     ) -> None:
         """Let up to ``width`` threads step or observe some blocks."""
-        if self._may_crowd:
-            output.crowded.fill(-1)
-        setup = (self.layout, self._constants, self.robot)
-        fixed = (moves, blocks, setup, self._sensor, self._parts)
+        run, fixed = self._ready(actions, output), self._fixed(moves, blocks)
         written, scratch = tuple(output), self._scratch
-        if (run := self._run) is None:  # before threads share it: compiling may be interrupted
-            writable = (np.empty_like(actions), written, scratch[0])
-            run = entry_point(step_blocks, ((0, 0, 0), *fixed, *writable))
-            run = self._run = ignore_overflow(run)
         if width == 1:  # as ``share`` would, without the way there
             run(threads.part_of_all(len(blocks)), *fixed, actions, written, scratch[0])
         else:
@@ -105,10 +170,26 @@ class BatchRunner:
                 width,
             )
 
+    def _fixed(self, moves: bool, blocks: NDArray[np.int64]) -> tuple[Any, ...]:
+        """Arguments of the kernel that are the same for all threads."""
+        setup = (self.layout, self._constants, self.robot)
+        return moves, blocks, setup, self._sensor, self._parts
 
-def _width(place: MemoryLayout, num_threads: int | None) -> int:
-    """As many threads as have so much work, in rows, each."""
+    def _ready(self, actions: NDArray[np.float32], output: StepOutput) -> Callable[..., Any]:
+        """The kernel, compiled before threads share it: compiling may be interrupted."""
+        if self._may_crowd:
+            output.crowded.fill(-1)
+        if (run := self._run) is None:
+            writable = (np.empty_like(actions), tuple(output), self._scratch[0])
+            fixed = self._fixed(False, self._blocks)
+            run = entry_point(step_blocks, ((0, 0, 0), *fixed, *writable))
+            run = self._run = ignore_overflow(run)
+        return run
+
+
+def _width(place: MemoryLayout, num_threads: int | None, steps: int = 1) -> int:
+    """As many threads as have so much work, in rows, each in so many steps."""
     n, layout = place.scenario.n_robots, place.scenario.observation_layout
     rows = n * (place.neighbours + 1 + layout.rows - layout.neighbour_slots)
     most = threads.most_threads(num_threads)
-    return max(1, min(most, place.batch * rows // _WORK_PER_THREAD, place.blocks))
+    return max(1, min(most, steps * place.batch * rows // _WORK_PER_THREAD, place.blocks))

@@ -113,6 +113,8 @@ def _block_scratch(place: MemoryLayout) -> BlockScratch:
         bounds=np.full((slots, lanes), np.nan),
         radii=np.full((slots, lanes), np.nan),
         disc=_zeros(3, 2, lanes),
+        keys=_zeros(2, lanes, kind=np.uint64),
+        words=_zeros(3, 4, lanes, kind=np.uint32),
     )
 
 

@@ -12,14 +12,14 @@ from ..obstacles import obstacle_set
 from ..obstacles.fields import Field
 from ..obstacles.obstacle_set import ObstacleSet
 from ..physics.random_streams import ignore_overflow
-from ..robots.motion import begin_memory
+from ..robots.motion import init_memory
 from ..robots.robot_models import constants_of
 from ..scenario.scenario import CONTACT_MODES, Scenario
 from ..sensors.imperfections import imperfections_of
 from .memory import Constants, Layout, Robot
 from .memory_layout import MemoryLayout
 from .reset.starts import Spacing, StartRules
-from .stages.sense_with_errors import Sensor
+from .stages.sense_one_by_one import Sensor
 from .state import State
 
 
@@ -41,10 +41,20 @@ def robot(scenario: Scenario) -> Robot:
 
 def sensor(state: State) -> Sensor | None:
     """The sensor of a scenario's robots; None is the exact one."""
-    errors = imperfections_of(state.scenario.sensing)
+    errors, place = imperfections_of(state.scenario.sensing), state.place
     if errors is None:
         return None
-    return Sensor(errors, state.place.packed, state.seed, state.number, state.past)
+    return Sensor(
+        errors=errors,
+        listed=place.packed
+        and place.neighbours == state.scenario.observation_layout.neighbour_slots,
+        packed=place.packed,
+        in_lanes=errors.over_lanes,
+        singly=errors.one_by_one,
+        seeds=state.seed,
+        episodes=state.number,
+        past=state.past,
+    )
 
 
 def constants(scenario: Scenario, max_steps: int) -> tuple[Any, ...]:
@@ -60,6 +70,8 @@ def constants(scenario: Scenario, max_steps: int) -> tuple[Any, ...]:
         rows=scenario.observation_layout.rows,
         reward_weights=scenario.reward.built_in,
         all_earn=scenario.on_merge == "follow",
+        body_radius=float(scenario.body_radius or 0.5 * scenario.merge_radius),
+        packs=scenario.meeting == "pack",
     )
     return tuple(found)
 
@@ -76,7 +88,7 @@ def start_rules(scenario: Scenario) -> StartRules:
         draw_weights=True,
         draw_obstacles=is_field,
         spawn_size=float(scenario.spawn_size),
-        least_distance=2.0 * scenario.merge_radius,
+        least_distance=(1.0 if scenario.meeting == "pack" else 2.0) * scenario.merge_radius,
         keep_out=float(field.keep_out) if isinstance(field, Field) else 0.0,
         graph=graph_rules(scenario.sensing_graph, scenario.n_robots),
         factors=_factors(scenario),
@@ -117,7 +129,7 @@ def begins_alike(scenario: Scenario) -> bool:
     given = 0 if scenario.start_headings is None else model.n_angles
     if model.memory_size(scenario.dim) == given:
         return True
-    begin = ignore_overflow(begin_memory)
+    begin = ignore_overflow(init_memory)
     one, other = (begin(constants_of(scenario), np.uint64(key), 0) for key in (1, 2))
     return bool(one[given:] == other[given:])
 

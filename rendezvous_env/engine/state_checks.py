@@ -87,6 +87,53 @@ def check_finite(state: Mapping[str, NDArray[Any]], names: tuple[str, ...]) -> N
         refuse_first(name, ~np.isfinite(state[name]), state[name], "finite")
 
 
+class Remembering:
+    """What remembers something of B teams from step to step, in ``_memory``."""
+
+    @property
+    def _memory(self) -> dict[str, NDArray[np.float64]]:
+        """The arrays (B, ...) by name, not copied."""
+        raise NotImplementedError
+
+    def _begin(self, which: Any) -> None:
+        """Remember of these teams, a mask or a slice, what is known before an episode."""
+        for array in self._memory.values():
+            array[which] = 0.0
+
+    def forget(self, mask: NDArray[np.bool_] | None = None) -> None:
+        """Forget everything about all teams, or about those of a mask (B,).
+
+        Raises:
+            ValueError: for a bad mask; nothing has changed then.
+        """
+        teams = len(next(iter(self._memory.values())))
+        self._begin(slice(None) if mask is None else check_mask(mask, teams))
+
+    def get_state(self) -> dict[str, NDArray[np.float64]]:
+        """The memory, as copies."""
+        return {name: array.copy() for name, array in self._memory.items()}
+
+    def set_state(self, state: Mapping[str, ArrayLike]) -> None:
+        """Put back what ``get_state`` took out.
+
+        Raises:
+            ValueError: naming what does not fit, see ``check_state``; nothing has changed then.
+        """
+        checked = self.check_state(state)
+        for name, array in self._memory.items():
+            array[...] = checked[name]
+
+    def check_state(self, state: Any) -> dict[str, NDArray[Any]]:
+        """The arrays of a state that ``set_state`` would put back.
+
+        Raises:
+            ValueError: naming an entry that is missing, of another shape or not finite.
+        """
+        checked = check_entries(self._memory, state)
+        check_finite(checked, tuple(checked))
+        return checked
+
+
 def check_rotations(state: Mapping[str, NDArray[Any]], teams: Any, tolerance: float) -> None:
     """Refuse frames (B, n, d, d) or (B, n, d·d) of these teams that are no rotations.
 
@@ -133,7 +180,7 @@ def check_teams(scenario: Scenario, state: Mapping[str, NDArray[Any]]) -> None:
         _check_velocities(scenario, state["memory"])
     if "first" in state:
         _check_lists(scenario.n_robots, state)
-    _check_merges(state)
+    _check_merges(state, scenario.meeting == "pack")
     _check_neighbours(scenario, state)
     for fault, wanted in faults(state["obstacles"], scenario.dim, only_balls(scenario.obstacles)):
         refuse_first("obstacles", fault, state["obstacles"], wanted)
@@ -158,10 +205,13 @@ def _check_lists(n: int, state: Mapping[str, NDArray[Any]]) -> None:
     refuse_first("weights", used[:, 1:] & ~used[:, :-1], state["weights"][:, 1:], "0 after a 0")
 
 
-def _check_merges(state: Mapping[str, NDArray[Any]]) -> None:
-    """Robots are part of one with a lower index, which is itself."""
+def _check_merges(state: Mapping[str, NDArray[Any]], packs: bool) -> None:
+    """Robots are part of one with a lower index, which is itself; bodies stay on their own."""
     into, status = state["merged_into"], state["status"]
     n = into.shape[1]
+    if packs:
+        refuse_first("merged_into", into != np.arange(n), into, "the robot's own index")
+        return
     wrong = (into < 0) | (into > np.arange(n))
     refuse_first("merged_into", wrong, into, "from 0 to the robot's own")
     survives = np.take_along_axis(into, into, axis=1) == into

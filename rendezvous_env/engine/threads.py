@@ -16,7 +16,7 @@ from pathlib import Path, PurePosixPath
 from queue import SimpleQueue
 from typing import Any
 
-from ..compilation import compiled, inner_kernel
+from ..compilation import compiled
 
 Part = tuple[int, int, int]
 """One thread's part of a kernel's work: its first block, the one after its last, and which of the
@@ -26,13 +26,6 @@ threads it is, from 0 on."""
 def part_of_all(blocks: int) -> Part:
     """The part of a thread that does all blocks alone."""
     return 0, blocks, 0
-
-
-@inner_kernel(inline="text")
-def each_block(part, work, arguments):
-    """Do the blocks of a part: ``work(block, arguments)``, an unfolded kernel, for each."""
-    for block in range(part[0], part[1]):
-        work(block, arguments)
 
 
 def share(run_kernel: Callable[[Part], Any], blocks: int, most: int) -> None:

@@ -125,6 +125,7 @@ def _explain(actions: Any, alive: Sequence[str], simulator: Simulator) -> None:
 def infos_of_start(names: Sequence[str], simulator: Simulator) -> Infos:
     """What the robots are told at the start of an episode."""
     clearances, standing = simulator.clearance[0].tolist(), simulator.standing_of_first()
+    standing |= dict.fromkeys(simulator.costs, 0.0)
     return {
         name: {"merged_into": i, "contact": False, "clearance": clearances[i], **standing}
         for i, name in enumerate(names)
@@ -150,6 +151,9 @@ def tell(
     for name, survivor, contact, clearance in zip(names, into, contacts, clearances, strict=True):
         infos[name] = info = standing.copy()  # and then item by item: half as long as in one piece
         info["merged_into"], info["contact"], info["clearance"] = survivor, contact, clearance
+    for key, (costs,) in ((key, table.tolist()) for key, table in simulator.costs.items()):
+        for info, cost in zip(infos.values(), costs, strict=True):
+            info[key] = cost
     if len(alive) < len(names):
         seen = {name: seen[name] for name in alive}
         infos = {name: infos[name] for name in alive}

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..checks import choice, floats
 from ..render.renderer import RENDER_MODES
 from ..scenario.scenario import Scenario
-from ..scenario.scenarios import ScenarioLike, resolve
+from ..scenario.scenarios import ScenarioLike, resolve, with_versions
 from ..scenario.start_options import seeds_of_teams
 from ..simulator import Simulator
 from .one_team import OneOfTeams
@@ -161,16 +161,22 @@ def env_from_plain(scenario: Mapping[str, Any], render_mode: str | None = None) 
 
 
 def register() -> None:
-    """Register ``rendezvous/Rendezvous-v0`` and, with certified headings,
-    ``rendezvous/RendezvousHeading-v0`` in Gymnasium, once; time is ours, so without
+    """Register ``rendezvous/Rendezvous-v0``, with certified headings
+    ``rendezvous/RendezvousHeading-v0``, and every named scenario, such as
+    ``rendezvous/clutter-16-v1``, in Gymnasium, once; time is ours, so without
     ``max_episode_steps``.
     """
     module = __name__
-    for name, one, many in (
-        ("rendezvous/Rendezvous-v0", "make_env", "make_vec"),
-        ("rendezvous/RendezvousHeading-v0", "make_heading_env", "make_heading_vec"),
-    ):
+    ids: list[tuple[str, str, dict[str, str]]] = [
+        ("rendezvous/Rendezvous-v0", "", {}),
+        ("rendezvous/RendezvousHeading-v0", "heading_", {}),
+        *((versioned, "", {"scenario": name}) for name, versioned in with_versions().items()),
+    ]
+    for name, kind, given in ids:
         if name not in gymnasium.registry:
             gymnasium.register(
-                name, entry_point=f"{module}:{one}", vector_entry_point=f"{module}:{many}"
+                name,
+                entry_point=f"{module}:make_{kind}env",
+                vector_entry_point=f"{module}:make_{kind}vec",
+                kwargs=given,
             )

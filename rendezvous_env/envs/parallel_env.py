@@ -119,6 +119,7 @@ class RendezvousParallelEnv(
     | contacts | of the team so far, one for each robot and step |
     | path_length | way of all robots of the team together so far, m |
     | lyapunov | V, m²/s |
+    | cost, cost_NAME | with ``Scenario.costs``: what the step cost this robot |
 
     After the last step also ``summary``: the last five once more.
 

@@ -68,6 +68,7 @@ class TrainingParallelEnv(
     | clearance | m to the nearest obstacle, inf without any |
     | success, time, contacts, path_length, lyapunov | of the team, as in ``rendezvous_v0`` |
     | alignment, lyapunov_rate, … | what the wrapper of the guarantee tells |
+    | cost, cost_NAME | with ``Scenario.costs``: what it cost since the last decision |
 
     Args:
         teams: one team that does not begin anew by itself.

@@ -12,9 +12,11 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from numpy.typing import NDArray
 
 from ..checks import flag
+from ..engine.batch_runner import Driven, Pilot
 from ..engine.memory import RENDEZVOUS, TIME_OUT
 from ..outcome import StepOutput
 from ..render.renderer import Renderer, render_metadata
+from ..rewards.costs import no_costs
 from ..scenario.start_options import as_options
 from ..simulator import Simulator
 from ..team_readings import STANDING
@@ -65,6 +67,7 @@ class RendezvousVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
     | path_length | (B,) float64 | way of all robots together so far, m |
     | lyapunov | (B,) float64 | V, m²/s |
     | summary | dict of (B,) | after an episode: the last five once more |
+    | cost, cost_NAME | (B, n) float64 | with ``Scenario.costs``: their sum, and each of them |
 
     A team that has ended, by ``autoreset_mode``:
 
@@ -147,8 +150,8 @@ class RendezvousVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
         if mode is AutoresetMode.NEXT_STEP and not simulator.all_running:
             actions = simulator.check_actions(actions)  # before anybody begins anew
             simulator.restart(simulator.ended)
-        outcome = self.advance(actions)
-        observations, rewards, terminations, truncations, infos = self.tell(outcome)
+        self.advance(actions)
+        observations, rewards, terminations, truncations, infos = self.tell()
         if not simulator.all_running:
             ended = terminations | truncations
             if tell_ends(observations, ended, infos, mode):
@@ -161,8 +164,21 @@ class RendezvousVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
         self.renderer.see(outcome.contact)
         return outcome
 
-    def tell(self, outcome: StepOutput) -> Transition:
+    @property
+    def can_drive(self) -> bool:
+        """Whether nobody watches every step, see ``Simulator.can_drive``."""
+        return self.render_mode is None and self.simulator.can_drive
+
+    def drive(self, pilot: Pilot, observations: NDArray[np.float32], count: int) -> Driven:
+        """As ``advance``, ``count`` times; arguments as ``Simulator.drive``."""
+        driven = self.simulator.drive(pilot, observations, count)
+        self._outcome = driven.output
+        return driven
+
+    def tell(self) -> Transition:
         """What ``step`` returns of the last step while no team begins anew, without ``summary``."""
+        outcome = self._outcome
+        assert outcome is not None  # there has been a step
         observations = as_told(outcome.observations, self.flatten)
         infos = of_all(step_info(self.simulator, outcome), self.num_envs)
         if self.simulator.all_running:  # as after most steps
@@ -225,24 +241,29 @@ class RendezvousVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
 def start_info(simulator: Simulator) -> Info:
     """Infos of all teams at the start of an episode, without masks."""
     active = simulator.active
-    return simulator.standing() | {
-        "robot_rewards": np.zeros(active.shape),
-        "active": active,
-        "merged_into": simulator.merged_into,
-        "contact": np.zeros(active.shape, dtype=np.bool_),
-        "clearance": simulator.clearance,
-    }
+    return (
+        simulator.standing()
+        | no_costs(simulator.scenario.costs, active.shape)
+        | {
+            "robot_rewards": np.zeros(active.shape),
+            "active": active,
+            "merged_into": simulator.merged_into,
+            "contact": np.zeros(active.shape, dtype=np.bool_),
+            "clearance": simulator.clearance,
+        }
+    )
 
 
 def step_info(simulator: Simulator, outcome: StepOutput) -> Info:
     """Infos of all teams after a step, without masks."""
-    return simulator.standing(outcome) | {
+    told = simulator.standing(outcome) | {
         "robot_rewards": outcome.robot_rewards,
         "active": outcome.active,
         "merged_into": simulator.merged_into,
         "contact": outcome.contact,
         "clearance": outcome.clearance,
     }
+    return told | simulator.costs if simulator.costs else told
 
 
 def tell_ends(

@@ -11,7 +11,10 @@ from gymnasium.spaces import Space
 from gymnasium.vector import AutoresetMode, VectorActionWrapper, VectorObservationWrapper
 from numpy.typing import ArrayLike, NDArray
 
+from ..engine.batch_runner import Pilot
 from ..engine.memory import RUNNING
+from ..rewards.costs import no_costs
+from ..safety.safety_filter import KernelFilter
 from ..scenario.start_options import as_options
 from .guarantee import (
     AnyFilter,
@@ -131,39 +134,61 @@ class GuaranteeWrapper(HoldsFilter, gymnasium.vector.VectorWrapper):
             seen[ended] = self._see(ended)[ended]
         return seen, rewards, terminations, truncations, infos
 
-    def _drive(
-        self,
-    ) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], Info]:
+    @property
+    def _pilot(self) -> Pilot | None:
+        """What leads threads through base steps; None where each step is Python's."""
+        made = self.filter
+        return made if isinstance(made, KernelFilter) and made.leads else None
+
+    def _drive(self) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], Info]:
         """Base steps under the held choices, in which no team begins anew: summed rewards, how the
         teams are after them, and infos.
         """
+        base, pilot = self._base, self._pilot
+        alone = type(self.env) is RendezvousVectorEnv  # nobody between hears of base steps
+        if alone and pilot is not None and base.can_drive:
+            driven = base.drive(pilot, self._observed, self.decision_period)
+            self._observed = driven.output.observations
+            costs: Info = {}
+            rewards, robot_rewards, contact = driven[1:]
+        else:
+            rewards, robot_rewards, contact, costs, ends = self._drive_by_steps()
+        if alone:
+            _, _, *ends = base.tell()
+        terminations, truncations, infos = ends
+        infos.pop("summary", None)
+        infos.pop("_summary", None)
+        infos |= {"robot_rewards": robot_rewards, "contact": contact, **costs}
+        told = {key: values.copy() for key, values in self.filter.told.items()}
+        infos |= of_all(told, self.num_envs)
+        return rewards, terminations, truncations, infos
+
+    def _drive_by_steps(self) -> tuple[Any, Any, Any, Info, Any]:
+        """The same one by one: rewards, robot rewards, contacts, costs, how the last step ended."""
         base, simulator, shape = self._base, self._base.simulator, self._observed.shape
         rewards, robot_rewards = np.zeros(self.num_envs), np.zeros(shape[:2])
-        contact = np.zeros(shape[:2], dtype=np.bool_)
-        nobody_between = type(self.env) is RendezvousVectorEnv  # who wants to hear of base steps
+        contact, ends = np.zeros(shape[:2], dtype=np.bool_), list[Any]()
+        costs = no_costs(base.scenario.costs, shape[:2])
         for _ in range(self.decision_period):
             resting = None if simulator.all_running else simulator.status != RUNNING
-            if nobody_between:
+            if type(self.env) is RendezvousVectorEnv:
                 outcome = base.advance(self._act())
                 seen, earned = outcome.observations, outcome.rewards
                 robots_earned, touched = outcome.robot_rewards, outcome.contact
+                cost: Info = simulator.costs
             else:
-                seen, earned, terminations, truncations, infos = self.env.step(self._act())
-                robots_earned, touched = infos["robot_rewards"], infos["contact"]
+                seen, earned, *ends = self.env.step(self._act())
+                cost = ends[2]
+                robots_earned, touched = cost["robot_rewards"], cost["contact"]
             self._observed = seen.reshape(shape)
             if self.filter.keeps_ledger:
                 self.filter.book(touched, simulator.merged_into, resting)
             rewards += earned
             robot_rewards += robots_earned
             contact |= touched
-        if nobody_between:
-            _, _, terminations, truncations, infos = base.tell(outcome)
-        infos.pop("summary", None)
-        infos.pop("_summary", None)
-        infos["robot_rewards"], infos["contact"] = robot_rewards, contact
-        told = {key: values.copy() for key, values in self.filter.told.items()}
-        infos |= of_all(told, self.num_envs)
-        return rewards, terminations, truncations, infos
+            for key, total in costs.items():
+                total += cost[key]
+        return rewards, robot_rewards, contact, costs, ends
 
     def _begin_anew(self, which: NDArray[np.bool_], infos: Info) -> None:
         """Next episodes of these teams; what the robots see and what is told of them follows."""

@@ -119,6 +119,7 @@ class GuaranteeWrapper(HoldsFilter, SpacesByName[Box], BaseParallelWrapper):
         terminations: dict[str, bool] = {}
         truncations: dict[str, bool] = {}
         infos: Infos = {}
+        costs = {name: dict.fromkeys(self._base.simulator.costs, 0.0) for name in self.agents}
         for _ in range(self.decision_period):
             actions = self.filter.act(self._observed)[0]
             table = {name: actions[self._base.index(name)] for name in self.agents}
@@ -128,6 +129,9 @@ class GuaranteeWrapper(HoldsFilter, SpacesByName[Box], BaseParallelWrapper):
             self._tell(told)
             for name in told:
                 rewards[name] += earned[name]
+                for key in costs[name]:
+                    costs[name][key] += told[name][key]
+                told[name].update(costs[name])
             infos |= told
             terminations |= ended
             truncations |= cut
@@ -226,8 +230,8 @@ class EnergyTankWrapper(TankSettings, GuaranteeWrapper):
 
     ``Box(−1, 1, (d,))``, the wanted velocity in units of v_max, in the frame that is observed; a
     longer one is scaled to v_max. For other robot models the base action in units of its bounds.
-    For nonholonomic robots the ledger has no term ε², and there is no time bound; with an empty
-    tank they drive with v = s mᵀf and turn through the gate of theory 3.
+    For nonholonomic robots the energy budget has no term ε², and there is no time bound; with an
+    empty tank they drive with v = s mᵀf and turn through the gate of theory 3.
 
     ## Observation space
 

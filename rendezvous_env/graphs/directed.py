@@ -35,7 +35,7 @@ class DirectedGraph(Graph, kinds=("directed", "directed_cycle")):
         """Why robots of this graph need not meet, in words; None if a globally reachable one makes
         them (guarantees, section 10).
         """
-        return matrices.why_not_led_together(self.sparse_weights(n))
+        return matrices.why_not_led_together(self.closed_groups(n))
 
 
 def directed(arcs: Any, n_robots: int | None = None) -> Graph:

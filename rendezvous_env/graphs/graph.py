@@ -155,7 +155,11 @@ class Graph:
 
     def components(self, n: int) -> list[list[int]]:
         """Connected components as lists of robot indices; a family only draws connected graphs."""
-        return matrices.components(self.sparse_weights(n))
+        return [list(piece) for piece in _components(self, n)]
+
+    def closed_groups(self, n: int) -> list[list[int]]:
+        """Groups of robots who see nobody outside, see ``weights.closed_groups``."""
+        return [list(group) for group in _closed_groups(self, n)]
 
     def why_not_joined(self, n: int) -> str | None:
         """Why robots of this graph can never all meet, in words; None if they can (theorem 1)."""
@@ -260,6 +264,16 @@ class Graph:
 @lru_cache(maxsize=64)
 def _numbers(graph: Graph, n: int) -> GraphNumbers:
     return graph.numbers(n)
+
+
+@lru_cache(maxsize=8)  # as long as the team: of the last ones a certificate asks again and again
+def _components(graph: Graph, n: int) -> list[list[int]]:
+    return matrices.components(graph.sparse_weights(n))
+
+
+@lru_cache(maxsize=8)
+def _closed_groups(graph: Graph, n: int) -> list[list[int]]:
+    return matrices.closed_groups(graph.sparse_weights(n))
 
 
 def check_keys(plain: Mapping[Any, Any], known: Sequence[str]) -> None:

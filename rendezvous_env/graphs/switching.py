@@ -90,7 +90,7 @@ class SwitchingGraph(Graph, kinds=("switching",)):
 
     def why_not_joined(self, n: int) -> str | None:
         """Why the graphs of the list together need not make all meet, in words; or None."""
-        return matrices.why_not_led_together(self.base_weights(n))
+        return matrices.why_not_led_together(self.closed_groups(n))
 
     def numbers(self, n: int) -> GraphNumbers:
         """The worst of the list, whoever has merged: merges in one graph gather the neighbours of

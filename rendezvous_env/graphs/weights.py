@@ -231,9 +231,12 @@ def closed_groups(weights: Any) -> list[list[int]]:
     return [groups[label] for label in range(count) if label not in left]
 
 
-def why_not_led_together(weights: Any) -> str | None:
-    """Why no robot is globally reachable, in words; None if one is (guarantees, section 10)."""
-    groups = closed_groups(weights)
+def why_not_led_together(groups: list[list[int]]) -> str | None:
+    """Why no robot is globally reachable, in words; None if one is (guarantees, section 10).
+
+    Args:
+        groups: those of ``closed_groups``.
+    """
     if len(groups) == 1:
         return None
     return (

@@ -15,7 +15,7 @@ import numpy as np
 
 from ..compilation import kernel
 from ..physics.vectors import ORIGIN, add, cross, dot, load, norm, store, subtract, triple
-from ..robots.motion import along, bend, closes
+from ..robots.motion import chord_error_bound, closes, displacement_at
 from .obstacle_set import distance_to, entry, normals, surface, within
 
 SLIDE, STOP, IGNORE = range(3)
@@ -176,11 +176,11 @@ def _first_contact_on_curve(point, curve, world):
     1 µm; inf if there is no contact, and if the chords run out, the time that was proved clear.
 
     The curve is followed chord by chord. A chord that clears all obstacles made fatter by what the
-    curve may be away from it (``motion.bend``) proves its piece clear; if it does not, the next one
-    is half as long.
+    curve may be away from it (``motion.chord_error_bound``) proves its piece clear; if it does not,
+    the next one is half as long.
     """
     model, action, _, memory = curve
-    bent = bend(model, action, memory)
+    bent = chord_error_bound(model, action, memory)
     duration = min(model.duration, closes(model, action, memory))
     here, time, piece = point, 0.0, duration
     work = 1
@@ -207,7 +207,7 @@ def _first_contact_on_curve(point, curve, world):
 def place_on(curve, start, time):
     """Where a robot is on its curve after so many s, m, three numbers."""
     model, action, frame, memory = curve
-    return add(start, 1.0, triple(along(model, action, frame, memory, time)))
+    return add(start, 1.0, triple(displacement_at(model, action, frame, memory, time)))
 
 
 # ---- what obstacles touched leave free of a velocity: T(p) --------------------------------------

@@ -59,8 +59,19 @@ def stream_key(seed, episode, purpose):
 
 
 @kernel
+def word_of(key, counter):
+    """Word of a stream at an index: mix(key + (k + 1) γ), uint64, uniform, without unit.
+
+    Args:
+        key: of the stream, uint64.
+        counter: k, an index from 0 on.
+    """
+    return mix(key + np.uint64(counter + 1) * _INCREMENT)
+
+
+@kernel
 def uniform(key, counter):
-    """Number of a stream at an index, uniform in [0, 1): the upper 53 bits of mix(key + (k + 1) γ).
+    """Number of a stream at an index, uniform in [0, 1): the upper 53 bits of its word.
 
     Args:
         key: of the stream, uint64.
@@ -69,8 +80,7 @@ def uniform(key, counter):
     Returns:
         A number without unit.
     """
-    word = mix(key + np.uint64(counter + 1) * _INCREMENT)
-    return np.float64(word >> _SHIFT_11) * _TO_UNIT_INTERVAL
+    return np.float64(word_of(key, counter) >> _SHIFT_11) * _TO_UNIT_INTERVAL
 
 
 @kernel

@@ -13,6 +13,7 @@ from ..compilation import kernel
 
 X_AXIS = (1.0, 0.0, 0.0)
 ORIGIN = (0.0, 0.0, 0.0)
+_MANY, _FEW = 2.0**600, 2.0**-600
 
 
 @kernel
@@ -38,7 +39,7 @@ def store(vector, out):
         out[2] = vector[2]
 
 
-@kernel
+@kernel(inline="code")
 def dot(a, b):
     """Scalar product aᵀb of two pairs or two triples, a number; unit of a times unit of b."""
     if len(a) == 2:
@@ -52,7 +53,7 @@ def cross(a, b):
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
-@kernel
+@kernel(inline="code")
 def combine(p, a, q, b):
     """The triple p a + q b of numbers p, q and triples a, b; unit of p times unit of a."""
     return p * a[0] + q * b[0], p * a[1] + q * b[1], p * a[2] + q * b[2]
@@ -74,33 +75,28 @@ def subtract(a, b):
     return a[0] - b[0], a[1] - b[1], a[2] - b[2]
 
 
-@kernel
+@kernel(inline="code")
 def norm(a):
     """Length ‖a‖ = √(aᵀa) of a triple, a number in the unit of a."""
     return math.sqrt(dot(a, a))
 
 
-@kernel
+@kernel(inline="code")
 def split(a):
     """Length ‖a‖ and unit vector a/‖a‖ of a triple: a number in the unit of a, and a triple.
 
     (0, zero) for the zero vector. Safe for any finite numbers, of which the squares may overflow or
-    vanish.
+    vanish. Powers of two change no digit, and choices in place of branches leave loops SIMD.
     """
-    square = dot(a, a)
-    if 1e-200 < square < 1e200:
-        length = math.sqrt(square)
-        inverse = 1.0 / length
-        return length, (a[0] * inverse, a[1] * inverse, a[2] * inverse)
     largest = max(abs(a[0]), abs(a[1]), abs(a[2]))
-    if largest == 0.0:
-        return 0.0, (0.0, 0.0, 0.0)
-    b = (a[0] / largest, a[1] / largest, a[2] / largest)
+    tiny, huge = largest < 1e-100, largest > 1e100
+    b = scaled(a, _MANY if tiny else _FEW if huge else 1.0)
     length = math.sqrt(dot(b, b))
-    return largest * length, (b[0] / length, b[1] / length, b[2] / length)
+    inverse = 1.0 / length if length > 0.0 else 0.0
+    return length * (_FEW if tiny else _MANY if huge else 1.0), scaled(b, inverse)
 
 
-@kernel
+@kernel(inline="code")
 def without(a, h):
     """The part a − (hᵀa) h of a triple across a unit triple h, a triple in the unit of a.
 

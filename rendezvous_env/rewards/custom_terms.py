@@ -34,10 +34,16 @@ class RewardStep(NamedTuple):
     """(B,), s since the start of the episode."""
     met: NDArray[np.bool_]
     """(B,), whether the step brought the rendezvous."""
+    rise: NDArray[np.float64]
+    """(B,), by how much V rose before any merge, as a share of V at the start; never below 0."""
+    links_lost: NDArray[np.int64]
+    """(B, n), links of each robot that were lost other than by merging; 0 but on proximity
+    graphs."""
 
 
 Term = Callable[[RewardStep], Any]
-_TERMS = Registry("reward term", "rv.reward_term")
+TERMS = Registry("reward term", "rv.reward_term")
+"""By name."""
 
 
 def reward_term(name: str, term: Term | None = None) -> Any:
@@ -55,7 +61,7 @@ def reward_term(name: str, term: Term | None = None) -> Any:
     Raises:
         ValueError: for what is no name or cannot be called.
     """
-    return _TERMS.add(name, term)
+    return TERMS.add(name, term)
 
 
 def as_custom(field: str, value: Any) -> tuple[tuple[str, float], ...]:
@@ -69,7 +75,7 @@ def as_custom(field: str, value: Any) -> tuple[tuple[str, float], ...]:
     except (TypeError, ValueError):
         refuse(field, value, "a mapping of names to weights")
     for name in pairs:
-        _TERMS.check(field, name)
+        TERMS.check(field, name)
     return tuple(sorted((name, number(f"{field}.{name}", pairs[name])) for name in pairs))
 
 
@@ -94,14 +100,29 @@ def add_custom_terms(
     earning = running[:, None] & (took_part | (step.scenario.on_merge == "follow"))
     custom: Mapping[str, float] = dict(step.scenario.reward.custom)
     for name, weight in custom.items():
-        earned = floats(f"reward term {name!r}", _TERMS[name](step))
-        if earned.shape not in (rewards.shape, robot_rewards.shape):
-            shapes = f"{rewards.shape} or {robot_rewards.shape}"
-            raise ValueError(f"reward term {name!r} has shape {earned.shape}; it must be {shapes}")
-        each = earned[:, None] if earned.ndim == 1 else earned
-        each = weight * np.broadcast_to(each, robot_rewards.shape)
-        if not np.isfinite(each[earning]).all():
-            raise ValueError(f"reward term {name!r} gave a number that is not finite")
-        robot_rewards += np.where(earning, each, 0.0)
+        earned = floats(f"reward term {name!r}", TERMS[name](step))
+        each = weight * of_step(f"reward term {name!r}", earned, earning)
+        robot_rewards += each
         team = np.where(took_part, each, 0.0).sum(axis=1) / took_part.sum(axis=1)
         rewards += np.where(running, weight * earned if earned.ndim == 1 else team, 0.0)
+
+
+def of_step(what: str, given: Any, counts: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """What a term gave, (B,) or (B, n), for each robot, (B, n); 0 where it does not count.
+
+    Args:
+        what: the term, for messages.
+        given: by the term.
+        counts: (B, n), robots to which it applies.
+
+    Raises:
+        ValueError: for another shape, or a number that is not finite where it counts.
+    """
+    earned = floats(what, given)
+    if earned.shape not in (counts.shape[:1], counts.shape):
+        shapes = f"{counts.shape[:1]} or {counts.shape}"
+        raise ValueError(f"{what} has shape {earned.shape}; it must be {shapes}")
+    each = np.broadcast_to(earned[:, None] if earned.ndim == 1 else earned, counts.shape)
+    if not np.isfinite(each[counts]).all():
+        raise ValueError(f"{what} gave a number that is not finite")
+    return np.where(counts, each, 0.0)

@@ -51,7 +51,7 @@ def final_velocity(model, action, frame, velocity):
 
 
 @kernel
-def _along(model, action, frame, memory, time):
+def _displacement_at(model, action, frame, memory, time):
     """The way v t + ½ a t², with a = (v(τ) − v)/τ."""
     change = add(final_velocity(model, action, frame, memory), -1.0, memory)
     half = 0.5 * time * time / model.duration
@@ -89,7 +89,7 @@ def _propose(model, action, frame, memory):
 
 
 @kernel
-def _bend(model, action, memory):
+def _chord_error_bound(model, action, memory):
     """a_max/8: a parabola is at most that far from its chord, per square of the time. The speed
     limit, a projection onto a ball, only lessens the change of velocity.
     """
@@ -97,7 +97,7 @@ def _bend(model, action, memory):
 
 
 @kernel
-def _remember(model, action, frame, memory, displacement, contact):
+def _update(model, action, frame, memory, displacement, contact):
     """The final velocity, after a contact without its part along what the obstacle took of the way;
     that is what went into the obstacle.
     """
@@ -119,7 +119,7 @@ def _own_velocity(model, frame, memory):
 
 
 @kernel
-def _begin_at_rest(model, key, counter):
+def _init_at_rest(model, key, counter):
     return model.rest
 
 
@@ -127,11 +127,11 @@ describe(
     DoubleIntegrator,
     Motion(
         propose=_propose,
-        along=_along,
-        bend=_bend,
-        remember=_remember,
+        displacement_at=_displacement_at,
+        chord_error_bound=_chord_error_bound,
+        update=_update,
         sense=_own_velocity,
-        begin=_begin_at_rest,
+        init=_init_at_rest,
     ),
 )
 register_robot_model(

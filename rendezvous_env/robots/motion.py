@@ -7,12 +7,14 @@ the functions by that type while it is compiled; nothing is looked up in a step.
 Everywhere ``action`` is the robot's action in its own frame, a tuple of numbers as it was given;
 ``frame`` its rotation to the global frame, row by row; ``memory`` what the model keeps from step to
 step (angles, a velocity), a tuple that may be empty. A model applies its own limits to the action.
-A model that keeps nothing moves straight: neither ``along`` nor ``bend`` is asked then.
+A model that keeps nothing moves straight: neither ``displacement_at`` nor ``chord_error_bound``
+is asked then.
 """
 
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -58,24 +60,20 @@ def _never(model, action, memory):
 
 
 @kernel
-def _begin_with_nothing(model, key, counter):
+def _start_with_nothing(model, key, counter):
     return ()
 
 
-class Motion(NamedTuple):
-    """The equations of one robot model; what is left out is that of a robot that moves straight at
-    an even speed, keeps nothing, has a fixed frame and senses nothing of itself.
-    """
-
+class _Equations(NamedTuple):
     propose: Callable[..., Any]
     """(model, action, frame, memory) → displacement in the global frame over the step, m, a pair or
     triple, and the length of the way, m; as if nothing were in it."""
-    along: Callable[..., Any] = _evenly
+    displacement_at: Callable[..., Any] = _evenly
     """(model, action, frame, memory, time) → displacement after so much of the step, m."""
-    bend: Callable[..., Any] = _straight
+    chord_error_bound: Callable[..., Any] = _straight
     """(model, action, memory) → β, m/s²: in a time h the way is never farther than β h² from its
     chord; 0 for straight ways."""
-    remember: Callable[..., Any] = _as_before
+    update: Callable[..., Any] = _as_before
     """(model, action, frame, memory, displacement, contact) → memory after the step, from the
     displacement executed, m, and FREE, SLID or STOPPED."""
     frame: Callable[..., Any] = _fixed
@@ -83,7 +81,7 @@ class Motion(NamedTuple):
     sense: Callable[..., Any] = _nothing
     """(model, frame, memory) → what the robot observes of itself in its own frame, a pair or
     triple, or () for nothing."""
-    begin: Callable[..., Any] = _begin_with_nothing
+    init: Callable[..., Any] = _start_with_nothing
     """(model, key, counter) → memory at the start of an episode, drawn from at most three numbers
     of the stream ``key`` from ``counter`` on."""
     closes: Callable[..., Any] = _never
@@ -91,6 +89,30 @@ class Motion(NamedTuple):
     on as it did then, s; inf if it never does. Contacts are looked for no longer than that."""
     drifts: bool = True
     """Whether a robot may move while its action is zero; False saves a look at every robot."""
+
+
+_RENAMED = {
+    "along": "displacement_at",
+    "bend": "chord_error_bound",
+    "remember": "update",
+    "begin": "init",
+}
+"""Names of equations in version 0.2, and what they are called now."""
+
+
+class Motion(_Equations):
+    """The equations of one robot model; what is left out is that of a robot that moves straight at
+    an even speed, keeps nothing, has a fixed frame and senses nothing of itself.
+    """
+
+    __slots__ = ()
+
+    def __new__(cls, *equations: Any, **named: Any) -> Motion:
+        """Equations in order or by name; their names in version 0.2 are taken with a warning."""
+        for old in _RENAMED.keys() & named.keys():
+            warnings.warn(f"{old} is called {_RENAMED[old]} now", DeprecationWarning, stacklevel=2)
+            named[_RENAMED[old]] = named.pop(old)
+        return super().__new__(cls, *equations, **named)
 
 
 _MOTIONS: dict[type, Motion] = {}
@@ -159,13 +181,13 @@ def propose(model, action, frame, memory):
     """
 
 
-@_equation("along")
-def along(model, action, frame, memory, time):
+@_equation("displacement_at")
+def displacement_at(model, action, frame, memory, time):
     """∫₀ᵗ ṗ dt: displacement after ``time`` t, s, a pair or triple, m, in the global frame."""
 
 
-@_equation("bend")
-def bend(model, action, memory):
+@_equation("chord_error_bound")
+def chord_error_bound(model, action, memory):
     """β, m/s², with ‖p(t) − chord‖ ≤ β h² within any time h of the step; 0 for straight ways."""
 
 
@@ -174,8 +196,8 @@ def closes(model, action, memory):
     """T, s, with p(t + T) = p(t) while the action is held; inf if there is none."""
 
 
-@_equation("remember")
-def remember(model, action, frame, memory, displacement, contact):
+@_equation("update")
+def update_memory(model, action, frame, memory, displacement, contact):
     """What a model keeps after a step: angles, α(t + τ) = α(t) + ω τ, rad, or a velocity, m/s; from
     the displacement executed, m, in the global frame, and FREE, SLID or STOPPED.
     """
@@ -187,14 +209,14 @@ def frame_of(model, frame, memory):
 
 
 @_equation("sense")
-def sense_oneself(model, frame, memory):
+def proprioception(model, frame, memory):
     """What a robot observes of itself in its own frame: Rᵀv, m/s, or the direction of gravity; a
     pair or triple, or () for nothing.
     """
 
 
-@_equation("begin")
-def begin_memory(model, key, counter):
+@_equation("init")
+def init_memory(model, key, counter):
     """What a model keeps at the start of an episode, a tuple of numbers, rad or m/s, drawn from at
     most three uniform numbers u of a stream.
 

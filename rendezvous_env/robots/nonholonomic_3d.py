@@ -65,11 +65,11 @@ def body_frame_3d(yaw, pitch):
 @kernel
 def _propose(model, action, frame, memory):
     way = abs(clip(action[0], model.speed_limit)) * model.duration
-    return _along(model, action, frame, memory, model.duration), way
+    return _displacement_at(model, action, frame, memory, model.duration), way
 
 
 @kernel
-def _along(model, action, frame, memory, time):
+def _displacement_at(model, action, frame, memory, time):
     return arc_3d(
         clip(action[0], model.speed_limit),
         memory[0],
@@ -81,7 +81,7 @@ def _along(model, action, frame, memory, time):
 
 
 @kernel
-def _bend(model, action, memory):
+def _chord_error_bound(model, action, memory):
     yaw_rate = clip(action[1], model.yaw_limit)
     pitch_rate = clip(action[2], model.pitch_limit)
     turn_rate = math.sqrt(yaw_rate * yaw_rate + pitch_rate * pitch_rate)
@@ -89,7 +89,7 @@ def _bend(model, action, memory):
 
 
 @kernel
-def _remember(model, action, frame, memory, displacement, contact):
+def _update(model, action, frame, memory, displacement, contact):
     yaw_rate = clip(action[1], model.yaw_limit)
     pitch_rate = clip(action[2], model.pitch_limit)
     return memory[0] + yaw_rate * model.duration, memory[1] + pitch_rate * model.duration
@@ -107,7 +107,7 @@ def _gravity(model, frame, memory):
 
 
 @kernel
-def _begin(model, key, counter):
+def _init(model, key, counter):
     """Pitch within 45° of the horizontal."""
     yaw = math.pi * (2.0 * uniform(key, counter) - 1.0)
     return yaw, _LARGEST_START_PITCH * (2.0 * uniform(key, counter + 1) - 1.0)
@@ -117,12 +117,12 @@ describe(
     Nonholonomic3D,
     Motion(
         propose=_propose,
-        along=_along,
-        bend=_bend,
-        remember=_remember,
+        displacement_at=_displacement_at,
+        chord_error_bound=_chord_error_bound,
+        update=_update,
         frame=_frame,
         sense=_gravity,
-        begin=_begin,
+        init=_init,
         drifts=False,
     ),
 )

@@ -285,8 +285,8 @@ def _tried(
             f"{wanted}"
         )
 
-    memory = asked("begin", np.uint64(seed), 0)
-    numbers("begin", memory, size)
+    memory = asked("init", np.uint64(seed), 0)
+    numbers("init", memory, size)
     turn = 0.5 * seed
     c, s = math.cos(turn), math.sin(turn)
     frame: Any = (c, -s, s, c) if dim == 2 else (c, -s, 0.0, s, c, 0.0, 0.0, 0.0, 1.0)
@@ -305,18 +305,18 @@ def _tried(
     if far > limit * tau + slack:
         _refuse("propose", proposed, f"a displacement of speed_limit times {tau:g} s at most")
     for contact, moved in ((FREE, proposed[0]), (STOPPED, (0.0,) * dim)):
-        after = asked("remember", action, frame, memory, moved, contact)
-        numbers("remember", after, size)
+        after = asked("update", action, frame, memory, moved, contact)
+        numbers("update", after, size)
     if size:
         _check_curve(asked, numbers, _refuse, (action, frame, memory), displacement, tau)
     seen = asked("sense", frame, memory)
     numbers("sense", seen, dim if model.senses else 0)
     looks = np.zeros(len(action), bool)
-    remembered = asked("remember", action, frame, memory, proposed[0], FREE)
+    remembered = asked("update", action, frame, memory, proposed[0], FREE)
     for k in range(len(action)):
         other = (*action[:k], 0.5 * action[k], *action[k + 1 :])
         changed = asked("propose", other, frame, memory)
-        kept = asked("remember", other, frame, memory, proposed[0], FREE)
+        kept = asked("update", other, frame, memory, proposed[0], FREE)
         looks[k] = changed != proposed or kept != remembered
     return looks
 
@@ -324,23 +324,31 @@ def _tried(
 def _check_curve(
     asked: Any, numbers: Any, refuse: Any, given: Any, displacement: Any, tau: float
 ) -> None:
-    """``along`` ends where ``propose`` does, and strays from its chord by β τ² at most."""
+    """``displacement_at`` ends where ``propose`` does, its chord within β τ² of it."""
     action, _, memory = given
     dim = len(displacement)
-    bent = real(asked("bend", action, memory))
+    bent = real(asked("chord_error_bound", action, memory))
     if not 0.0 <= bent < math.inf:
-        refuse("bend", bent, "a finite number, 0 or more")
+        refuse("chord_error_bound", bent, "a finite number, 0 or more")
     closes = asked("closes", action, memory)
     if not real(closes) > 0.0:
         refuse("closes", closes, "a positive number, inf for never")
     slack = 1e-6 * (1.0 + float(np.linalg.norm(displacement)))
     for share in (0.0, 0.3, 0.5, 1.0):
-        found = asked("along", *given, share * tau)
-        aside = np.linalg.norm(numbers("along", found, dim) - share * displacement)
+        found = asked("displacement_at", *given, share * tau)
+        aside = np.linalg.norm(numbers("displacement_at", found, dim) - share * displacement)
         if share in (0.0, 1.0) and aside > slack:
-            refuse("along", found, f"{share:g} of what propose gives after {share:g} of the step")
+            refuse(
+                "displacement_at",
+                found,
+                f"{share:g} of what propose gives after {share:g} of the step",
+            )
         if aside > bent * tau * tau * (1.0 + 1e-6) + slack:
-            refuse("bend", bent, f"as large as the way is bent, {aside / tau**2:g} m/s² or more")
+            refuse(
+                "chord_error_bound",
+                bent,
+                f"as large as the way is bent, {aside / tau**2:g} m/s² or more",
+            )
 
 
 def _finite(found: tuple[Any, ...]) -> bool:

@@ -79,13 +79,13 @@ def _propose(model, action, frame, memory):
 
 
 @kernel
-def _along(model, action, frame, memory, time):
+def _displacement_at(model, action, frame, memory, time):
     speed = clip(action[0], model.speed_limit)
     return arc_2d(speed, memory[0], clip(action[1], model.turn_limit), time)
 
 
 @kernel
-def _bend(model, action, memory):
+def _chord_error_bound(model, action, memory):
     """|v| Ω/8, Ω the turn rate of the axis: the sagitta of a circular arc."""
     return abs(clip(action[0], model.speed_limit) * clip(action[1], model.turn_limit)) / 8.0
 
@@ -98,7 +98,7 @@ def _closes(model, action, memory):
 
 
 @kernel
-def _remember(model, action, frame, memory, displacement, contact):
+def _update(model, action, frame, memory, displacement, contact):
     return (memory[0] + clip(action[1], model.turn_limit) * model.duration,)
 
 
@@ -108,7 +108,7 @@ def _frame(model, frame, memory):
 
 
 @kernel
-def _begin(model, key, counter):
+def _init(model, key, counter):
     return (math.pi * (2.0 * uniform(key, counter) - 1.0),)
 
 
@@ -116,11 +116,11 @@ describe(
     Unicycle,
     Motion(
         propose=_propose,
-        along=_along,
-        bend=_bend,
-        remember=_remember,
+        displacement_at=_displacement_at,
+        chord_error_bound=_chord_error_bound,
+        update=_update,
         frame=_frame,
-        begin=_begin,
+        init=_init,
         closes=_closes,
         drifts=False,
     ),

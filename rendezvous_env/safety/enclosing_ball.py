@@ -17,16 +17,8 @@ Array = NDArray[np.float64]
 def smallest_enclosing_ball(points: ArrayLike) -> tuple[Array, float]:
     """The smallest ball that holds all points: min_c max_k ‖p_k − c‖.
 
-    Welzl's algorithm (1991) with move-to-front, on at most d + 1 points at a time.
-
-    Args:
-        points: p, (N, d), N ≥ 1, m.
-
-    Returns:
-        Centre c, (d,), m, and radius, m.
-
-    Raises:
-        ValueError: if there is no point or one is not finite.
+    Centre c, (d,), m, and radius, m, of points (N, d), N ≥ 1, m, by Welzl's algorithm (1991) with
+    move-to-front, on at most d + 1 points at a time. ValueError for no point, or one not finite.
     """
     p = floats("points", points)
     if p.ndim != 2 or p.size == 0 or not (np.abs(p) <= LARGEST).all():

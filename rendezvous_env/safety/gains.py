@@ -8,14 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..checks import positive, refuse
-from ..compilation import inner_kernel, kernel
-from ..engine.threads import each_block
+from ..compilation import kernel
+from ..engine.threads import Part
 from ..physics.neighbour_rows import net_bearing_of
 from ..physics.vectors import combine, dot, load, norm, scaled, store
 from ..robots.single_integrator import speed_scale
 from ..scenario.scenario import Scenario
 from .links import alignment_of
-from .safety_filter import SafetyFilter, check_goes_anywhere, register_filter, teams_of_block
+from .safety_filter import KernelFilter, check_goes_anywhere, register_filter
 
 _NOTHING = 1e-30
 """Weights that add up to less, m/s, are none."""
@@ -64,7 +64,7 @@ def gain_range(scenario: Scenario, min_gain: Any = None, max_gain: Any = None) -
     return GainRange(least, most)
 
 
-class Gains(SafetyFilter):
+class Gains(KernelFilter):
     """Held weights and frames of the robots of B teams (theorem G).
 
         v_i = Σ_j c_ij g_ij,   c_ij ∝ w_j a_ij,   min_gain ≤ Σ_j c_ij ≤ max_gain
@@ -116,27 +116,25 @@ class Gains(SafetyFilter):
         super()._begin(which)
         self.gain[which] = 0.0
 
-    def act(self, observations: NDArray[np.float32]) -> NDArray[np.float32]:
-        """As ``SafetyFilter.act``."""
-        observations, actions = self._taken(observations)
+    def act_of(
+        self,
+        teams: Part,
+        observations: NDArray[np.float32],
+        actions: NDArray[np.float32],
+        elapsed: float | None = None,
+    ) -> None:
+        """As ``KernelFilter.act_of``."""
         told = self.gain, self.alignment, self.lyapunov_rate
-        self._over_teams(_weigh, observations, self._constants, self._held, actions, *told)
-        return actions
+        _weigh(teams, (observations, self._constants, self._held, actions, *told))
 
 
 register_filter("gains", Gains)
 
 
 @kernel
-def _weigh(share, arguments):
-    each_block(share, _weigh_for_teams, arguments)
-
-
-@inner_kernel(inline="text")
-def _weigh_for_teams(block, arguments):
+def _weigh(teams, arguments):
     observations, constants, held, actions, gain, alignment, lyapunov_rate = arguments
-    first, last = teams_of_block(block, len(observations))
-    for team in range(first, last):
+    for team in range(teams[0], teams[1]):
         for i in range(observations.shape[1]):
             rows = observations[team, i]
             total, towards = weighted_bearings(rows, held[team, i], constants.neighbour_slots)

@@ -13,11 +13,24 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..checks import flag, positive, real, refuse, shown
 from ..compilation import inner_kernel, kernel
-from ..engine.threads import each_block
+from ..engine.threads import Part
 from ..physics.neighbour_rows import degree_of, net_bearing_of
-from ..physics.vectors import X_AXIS, combine, dot, load, split, store, without
+from ..physics.vectors import X_AXIS, combine, dot, load, scaled, split, store, without
 from ..scenario.scenario import Scenario
-from .safety_filter import SafetyFilter, check_steerable, register_filter, teams_of_block
+from .robot_lanes import (
+    LANES,
+    give_out,
+    lanes_of,
+    look,
+    new_lanes,
+    of_robots,
+    put,
+    take_in,
+    tell,
+    triple_of,
+    weigh,
+)
+from .safety_filter import KernelFilter, check_steerable, register_filter
 from .settings import check_bearing_error, check_gate_constants, check_vectors, error_chord
 from .turning import (
     Gate,
@@ -60,7 +73,7 @@ def step_scale(row_lengths_sum: Any, merge_radius: float, duration: float) -> An
     return merge_radius / np.maximum(2.0 * duration * row_lengths_sum, merge_radius)
 
 
-scale_of_step = kernel(step_scale)
+scale_of_step = kernel(step_scale, inline="code")
 """``step_scale`` of a number, for kernels."""
 
 
@@ -142,7 +155,7 @@ def certify(raw, net_bearing, previous, min_alignment, dead_zone, max_turn, out)
         store(certify_one(q, f, h, min_alignment, dead_zone, limit), out[i])
 
 
-@kernel
+@kernel(inline="code")
 def certify_one(raw, net_bearing, previous, min_alignment, dead_zone, limit):
     """``certified_heading`` of one robot, hᵀf ≥ ε_i ‖f‖ (C), of triples; their units as there.
 
@@ -158,7 +171,7 @@ def certify_one(raw, net_bearing, previous, min_alignment, dead_zone, limit):
     return into_cap(_turn(carried, aim, towards, limit), towards, margin, towards)
 
 
-@kernel
+@kernel(inline="code")
 def _carry(previous, towards, margin):
     """The previous heading as a line: its end that looks along f, projected onto the cap."""
     length, heading = split(previous)
@@ -169,7 +182,7 @@ def _carry(previous, towards, margin):
     return into_cap(heading, towards, margin, towards)
 
 
-@kernel
+@kernel(inline="code")
 def into_cap(direction, towards, margin, otherwise):
     """Nearest unit vector h with h·u ≥ ε: ε u + √(1 − ε²) w, w the part across u.
 
@@ -184,7 +197,7 @@ def into_cap(direction, towards, margin, otherwise):
     return combine(margin, towards, math.sqrt(1.0 - margin * margin), across)
 
 
-@kernel
+@kernel(inline="code")
 def _turn(carried, aim, towards, limit):
     """From carried towards aim along the great circle by at most the angle γ of ``turn_limit``.
 
@@ -196,25 +209,31 @@ def _turn(carried, aim, towards, limit):
     gap = combine(1.0, aim, -1.0, carried)
     if dot(gap, gap) <= square_chord:
         return aim
-    size, tangent = split(without(aim, carried))
-    if size < _NEARLY_ANTIPODAL and dot(aim, carried) < 0.0:
-        size, tangent = split(without(towards, carried))
-        if size < _NEARLY_ANTIPODAL:
-            tangent = _any_perpendicular(carried)
-    return combine(cos_limit, carried, sin_limit, tangent)
+    across = without(aim, carried)
+    if _vanishes(across) and dot(aim, carried) < 0.0:
+        across = without(towards, carried)
+        if _vanishes(across):
+            across = _any_perpendicular(carried)
+    return combine(cos_limit, carried, sin_limit, split(across)[1])
 
 
-@kernel
+@kernel(inline="code")
+def _vanishes(across):
+    """Whether the part of one unit triple across another says nothing about its direction."""
+    return dot(across, across) < _NEARLY_ANTIPODAL * _NEARLY_ANTIPODAL
+
+
+@kernel(inline="code")
 def _any_perpendicular(h):
-    """A unit vector across h: counter-clockwise in the xy plane; along x if h is vertical."""
-    size, perpendicular = split((-h[1], h[0], 0.0))
-    return perpendicular if size > _NEARLY_ANTIPODAL else split(without(X_AXIS, h))[1]
+    """A triple across h: counter-clockwise in the xy plane; along x if h is vertical."""
+    level = (-h[1], h[0], 0.0)
+    return without(X_AXIS, h) if _vanishes(level) else level
 
 
-@kernel
+@kernel(inline="code")
 def without_error(along, error):
     """What is sure of hᵀf, m/s, if f is wrong by e: sgn(hᵀf) max(0, |hᵀf| − e), a number (N1')."""
-    return math.copysign(max(abs(along) - error, 0.0), along) if error > 0.0 else along
+    return max(along - error, 0.0) + min(along + error, 0.0)
 
 
 class _Constants(NamedTuple):
@@ -233,55 +252,60 @@ class _Constants(NamedTuple):
 
 
 @kernel
-def _steer(share, arguments):
-    each_block(share, _steer_teams, arguments)
-
-
-@inner_kernel(inline="text")
-def _steer_teams(block, arguments):
-    """Law (4) with the certified heading, for velocities.
+def _steer(robots, constants, arrays, work):
+    """Law (4) with the certified heading, for the velocities of robots from one index to another.
 
     v = min(1, r/(2Dτ)) h hᵀ f                                  (eq. 4, theorem C, theory 4)
     v = min(1, r/(2Dτ)) max(0, hᵀf − e) h,   e = 2 sin(η/2) D   with bearing errors (N1')
     """
-    observations, constants, held, headings, actions, alignment, lyapunov_rate = arguments
-    first, last = teams_of_block(block, len(observations))
-    limit, gate = turn_limit(constants.max_turn), constants.gate
-    for team in range(first, last):
-        for i in range(observations.shape[1]):
-            f = net_bearing_of(observations[team, i], constants.neighbour_slots)
-            degree = degree_of(observations[team, i], constants.neighbour_slots)
-            raw, previous, scale = load(held[team, i]), load(headings[team, i]), 1.0
-            if constants.certified:
-                h = certify_one(raw, f, previous, gate.min_alignment, gate.dead_zone, limit)
-            else:
-                _, h = split(raw)
-            if constants.speed_scaled:
-                scale = scale_of_step(degree, constants.merge_radius, gate.duration)
-            along = dot(h, f)
-            sure = without_error(along, constants.error_chord * degree)
-            store(h, headings[team, i])
-            store(combine(sure * scale, h, 0.0, h), actions[team, i])
-            strength, _ = split(f)
-            alignment[team, i] = abs(along) / strength if strength > 0.0 else np.nan
-            lyapunov_rate[team, i] = -2.0 * along * sure
+    observations, held, headings, actions, alignment, lyapunov_rate = arrays
+    lanes = lanes_of(work)
+    for first in range(robots[0], robots[1], LANES):
+        stop = min(first + LANES, robots[1])
+        look(observations, first, stop, constants.neighbour_slots, lanes.f)
+        if constants.speed_scaled or constants.error_chord > 0.0:
+            weigh(observations, first, stop, constants.neighbour_slots, lanes.degree)
+        take_in(held, first, stop, lanes.choice)
+        take_in(headings, first, stop, lanes.heading)
+        _steer_lanes(constants, work)
+        give_out(lanes.heading, first, stop, headings)
+        give_out(lanes.sent, first, stop, actions)
+        tell(lanes.alignment, first, stop, alignment)
+        tell(lanes.lyapunov_rate, first, stop, lyapunov_rate)
+
+
+@inner_kernel(inline="code")
+def _steer_lanes(constants, work):
+    if work.shape[1] != LANES:  # it is; so the compiler knows how far apart rows are
+        return
+    lanes, gate, limit = lanes_of(work), constants.gate, turn_limit(constants.max_turn)
+    for lane in range(LANES):
+        f, degree = triple_of(lanes.f, lane), lanes.degree[lane]
+        raw, previous, scale = triple_of(lanes.choice, lane), triple_of(lanes.heading, lane), 1.0
+        if constants.certified:
+            h = certify_one(raw, f, previous, gate.min_alignment, gate.dead_zone, limit)
+        else:
+            _, h = split(raw)
+        if constants.speed_scaled:
+            scale = scale_of_step(degree, constants.merge_radius, gate.duration)
+        along = dot(h, f)
+        sure = without_error(along, constants.error_chord * degree)
+        put(h, lanes.heading, lane)
+        put(scaled(h, sure * scale), lanes.sent, lane)
+        strength, _ = split(f)
+        lanes.alignment[lane] = abs(along) / strength if strength > 0.0 else np.nan
+        lanes.lyapunov_rate[lane] = -2.0 * along * sure
 
 
 @kernel
-def _turn_bodies(share, arguments):
-    each_block(share, _turn_bodies_of_teams, arguments)
-
-
-@inner_kernel(inline="text")
-def _turn_bodies_of_teams(block, arguments):
+def _turn_bodies(teams, arguments):
     """Gated turn rates, and the speed v = s mᵀf for the mean body axis m (theory 4, arcs).
 
     With bearing errors it is less by e, so that V falls whatever f is.
     """
     observations, constants, held, actions, alignment, lyapunov_rate = arguments
-    first, last = teams_of_block(block, len(observations))
     gate = constants.gate
-    for team in range(first, last):
+    for team in range(teams[0], teams[1]):
         for i in range(observations.shape[1]):
             rows, action = observations[team, i], actions[team, i]
             alignment[team, i], lyapunov_rate[team, i] = np.nan, 0.0
@@ -306,7 +330,7 @@ def _turn_bodies_of_teams(block, arguments):
             lyapunov_rate[team, i] = -2.0 * along * sure
 
 
-class HeadingFilter(SafetyFilter):
+class HeadingFilter(KernelFilter):
     """Headings, frames and held raw vectors of the robots of B teams.
 
     Args:
@@ -366,6 +390,11 @@ class HeadingFilter(SafetyFilter):
         return self._headings.copy()
 
     @property
+    def carried(self) -> NDArray[np.float64]:
+        """The same, not copied."""
+        return self._headings
+
+    @property
     def _memory(self) -> dict[str, NDArray[np.float64]]:
         return {"headings": self._headings, **super()._memory}
 
@@ -373,26 +402,23 @@ class HeadingFilter(SafetyFilter):
         super()._begin(which)
         self._headings[which] = 0.0
 
-    def act(
-        self, observations: NDArray[np.float32], elapsed: float | None = None
-    ) -> NDArray[np.float32]:
-        """As ``SafetyFilter.act``.
-
-        Args:
-            observations: (B, n, rows, d), in the robots' own frames.
-            elapsed: s since the actions before, in which a heading may have turned; None is τ.
-                Bodies turn for τ from now on, whatever it is.
-        """
-        observations, actions = self._taken(observations)
-        constants, told = self._constants, (actions, self.alignment, self.lyapunov_rate)
+    def act_of(
+        self,
+        teams: Part,
+        observations: NDArray[np.float32],
+        actions: NDArray[np.float32],
+        elapsed: float | None = None,
+    ) -> None:
+        """As ``KernelFilter.act_of``."""
+        constants, told = self._constants, (self.alignment, self.lyapunov_rate)
         if elapsed is not None:
             constants = constants._replace(max_turn=self._heading_rate * elapsed)
         if self.turns_body:
-            self._over_teams(_turn_bodies, observations, constants, self._held, *told)
+            _turn_bodies(teams, (observations, constants, self._held, actions, *told))
         else:
-            memory = self._held, self._headings
-            self._over_teams(_steer, observations, constants, *memory, *told)
-        return actions
+            memory = self._held, self._headings, actions, *told
+            robots, arrays = of_robots(teams, observations, *memory)
+            _steer(robots, constants, arrays, new_lanes())
 
 
 register_filter("heading", HeadingFilter)

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..checks import floats, real, refuse
 from ..compilation import inner_kernel, kernel
-from ..engine.threads import each_block
+from ..engine.threads import Part
 from ..physics.least_norm import least_along, least_norm_of
 from ..physics.neighbour_rows import degree_of, net_bearing_of
 from ..physics.vectors import (
@@ -31,22 +31,18 @@ from ..physics.vectors import (
 )
 from ..robots.single_integrator import speed_scale
 from ..scenario.scenario import Scenario
-from .safety_filter import SafetyFilter, check_goes_anywhere, register_filter, teams_of_block
+from .safety_filter import KernelFilter, check_goes_anywhere, register_filter
 from .settings import check_bearing_error
 
 
 def least_norm_points(neighbour_rows: ArrayLike) -> NDArray[np.float64]:
-    """q_i, the point of least norm of the averages of a robot's bearings (guarantees, lemma 2).
+    """q_i, (..., d), without unit, the point of least norm of the averages of a robot's bearings
+    (guarantees, lemma 2).
 
         q_i = argmin ‖q‖,   q ∈ conv{g_ij : j seen}
 
-    All bearings lie along it, q_i·g_ij ≥ ‖q_i‖², and it is zero where neighbours are all round.
-
-    Args:
-        neighbour_rows: a_ij g_ij, (..., K, d), m/s; zero rows are absent, lengths do not count.
-
-    Returns:
-        (..., d), without unit, ‖q_i‖ ≤ 1; zero where nobody is seen.
+    All bearings lie along it, q_i·g_ij ≥ ‖q_i‖², and it is zero where neighbours are all round, or
+    nobody is seen. Of rows a_ij g_ij, (..., K, d), m/s, zero ones are absent, lengths do not count.
 
     Raises:
         ValueError: for another shape, or rows that are not finite.
@@ -73,18 +69,11 @@ def _least_norm_points(rows, out):
 def link_keeping_law(
     least_norm_point: NDArray[np.float64], degree: Any, *, merge_radius: float, duration: float
 ) -> NDArray[np.float64]:
-    """Velocity that lengthens no link, held over the step too.
+    """Velocities, (..., d), m/s, that lengthen no link, held over the step, τ, s, too.
 
         v_i = min(d_i, r/τ) q_i                                     (theorem R b)
 
-    Args:
-        least_norm_point: q_i, (..., d), without unit, in the robot's own frame.
-        degree: d_i = Σ_j a_ij, (...), m/s.
-        merge_radius: r, m.
-        duration: τ, s.
-
-    Returns:
-        Velocities, (..., d), m/s.
+    Of q_i, (..., d), without unit, in the robot's own frame, d_i = Σ_j a_ij, (...), m/s, and r, m.
     """
     speed = np.minimum(degree, merge_radius / duration)
     return least_norm_point * np.asarray(speed)[..., np.newaxis]
@@ -233,7 +222,7 @@ class _Constants(NamedTuple):
     bearing_error: float
 
 
-class LinkKeeping(SafetyFilter):
+class LinkKeeping(KernelFilter):
     """Held wishes and frames of the robots of B teams that lose no link (theorem R).
 
         v_i = λ min(d_i, r/(2τ), v_max) sin(φ_i − η)₊ q_i/‖q_i‖ + (1 − λ) P(wanted)
@@ -276,12 +265,16 @@ class LinkKeeping(SafetyFilter):
             bearing_error=check_bearing_error(bearing_error),
         )
 
-    def act(self, observations: NDArray[np.float32]) -> NDArray[np.float32]:
-        """As ``SafetyFilter.act``."""
-        observations, actions = self._taken(observations)
+    def act_of(
+        self,
+        teams: Part,
+        observations: NDArray[np.float32],
+        actions: NDArray[np.float32],
+        elapsed: float | None = None,
+    ) -> None:
+        """As ``KernelFilter.act_of``."""
         told = self.alignment, self.lyapunov_rate
-        self._over_teams(_keep_links, observations, self._constants, self._held, actions, *told)
-        return actions
+        _keep_links(teams, (observations, self._constants, self._held, actions, *told))
 
 
 register_filter("links", LinkKeeping)
@@ -308,26 +301,16 @@ def asymmetric_sight(scenario: Scenario) -> str:
 
 
 def check_share(share: Any) -> float:
-    """λ, a number without unit, in (0, 1] (theorem R c).
-
-    Raises:
-        ValueError: saying what was given.
-    """
+    """λ, a number without unit, if it is in (0, 1], else a ValueError (theorem R c)."""
     if not 0.0 < real(share) <= 1.0:
         refuse("share", share, "in (0, 1]")
     return real(share)
 
 
 @kernel
-def _keep_links(share, arguments):
-    each_block(share, _keep_links_of_teams, arguments)
-
-
-@inner_kernel(inline="text")
-def _keep_links_of_teams(block, arguments):
+def _keep_links(teams, arguments):
     observations, constants, held, actions, alignment, lyapunov_rate = arguments
-    first, last = teams_of_block(block, len(observations))
-    for team in range(first, last):
+    for team in range(teams[0], teams[1]):
         for i in range(observations.shape[1]):
             rows = observations[team, i]
             velocity = link_keeping_velocity(load(held[team, i]), rows, constants)

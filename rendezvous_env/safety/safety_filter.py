@@ -6,56 +6,23 @@ Everything here comes from the robots' own observations: no position, no global 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..checks import choice, floats, refuse, shown, whole
+from ..checks import bools, choice, floats, refuse, shown, whole
 from ..compilation import inner_kernel, kernel
 from ..engine import threads
-from ..engine.state_checks import (
-    check_entries,
-    check_finite,
-    check_mask,
-    check_observations,
-    check_rotations,
-)
-from ..engine.threads import each_block
+from ..engine.state_checks import Remembering, check_observations, check_rotations
 from ..limits import MOST_TEAMS
 from ..physics.neighbour_rows import net_bearing_of
 from ..physics.vectors import cross, dot, load, split, store, without
 from ..scenario.scenario import Scenario
 
-TEAMS_AT_ONCE = 32
-"""That a thread takes at a time."""
-_ROBOTS_PER_THREAD = 2048
-
-
-@kernel(inline="code")
-def teams_of_block(block, num_envs):
-    """Teams of block k, 32 k ≤ team < min(32 (k + 1), B): the first, the one after the last.
-
-    A pair of indices, without unit.
-    """
-    return block * TEAMS_AT_ONCE, min((block + 1) * TEAMS_AT_ONCE, num_envs)
-
-
-def over_teams(
-    run_kernel: Callable[[threads.Part], None],
-    num_envs: int,
-    n_robots: int,
-    num_threads: int | None,
-) -> None:
-    """Run a kernel over the blocks of a batch, in ``num_threads`` threads or fewer; None is one for
-    each core.
-    """
-    most = num_envs * n_robots // _ROBOTS_PER_THREAD
-    if most > 1:  # to ask how many cores there are takes a while
-        most = min(most, threads.most_threads(num_threads))
-    threads.share(run_kernel, -(-num_envs // TEAMS_AT_ONCE), max(1, most))
-
+_ROBOTS_PER_THREAD = 4096
+_LARGEST_FLOAT32 = float(np.finfo(np.float32).max)
 
 _NEARLY_ALONG = 1e-6
 """A row whose part across f is shorter than this cannot give a frame its second axis, m/s."""
@@ -63,21 +30,33 @@ _CLEARLY_LONGER = 1.001
 """Rounding must not choose among equal rows: two neighbours' parts across f always are."""
 
 
+def over_teams(
+    work: Callable[[threads.Part], None], num_envs: int, n_robots: int, num_threads: int | None
+) -> None:
+    """Let up to ``num_threads`` threads do the teams of a batch; None is one for each core."""
+    most = num_envs * n_robots // _ROBOTS_PER_THREAD
+    if most > 1:  # to ask how many cores there are takes a while
+        most = min(most, threads.most_threads(num_threads))
+    threads.share(work, num_envs, max(1, most))
+
+
 @kernel
-def _look_along_net_bearing(share, arguments):
-    each_block(share, _look_from_teams, arguments)
-
-
-@inner_kernel(inline="text")
-def _look_from_teams(block, arguments):
+def _look_along_net_bearing(teams, arguments):
     """Turn observations into frames with x along f: row ← Fᵀ row, F = (f/‖f‖, …) (theory 7).
 
     Where ‖f‖ < δ the last frame is kept. Only the first ``visible_rows`` give it its second axis.
     """
+    if arguments[0].shape[3] == 2:  # the same; behind this question the compiler leaves out z
+        _look_from(teams, arguments)
+    else:
+        _look_from(teams, arguments)
+
+
+@inner_kernel(inline="code")
+def _look_from(teams, arguments):
     observations, constants, visible_rows, frames, seen = arguments
-    first, last = teams_of_block(block, len(observations))
     n, n_rows, d = observations.shape[1:]
-    for team in range(first, last):
+    for team in range(teams[0], teams[1]):
         for i in range(n):
             rows, frame = observations[team, i], frames[team, i]
             f = net_bearing_of(rows, constants.neighbour_slots)
@@ -115,8 +94,33 @@ def _aim_frame(towards, rows, visible_rows, frame):
     store(cross(towards, across), frame[:, 2])
 
 
+@kernel
+def _hold(given, turns, frames, held):
+    """Hold choices, turned from the frames that robots look along: h = F q.
+
+    Returns:
+        The first robot of all teams whose choice is not finite in float32, none is held then; −1.
+    """
+    n, size = held.shape[1:]
+    for team in range(len(held)):
+        for i in range(n):
+            for k in range(size):
+                if not abs(given[team, i, k]) <= _LARGEST_FLOAT32:
+                    return team * n + i
+    for team in range(len(held)):
+        for i in range(n):
+            for k in range(size):
+                if turns:
+                    total = 0.0
+                    for m in range(size):
+                        total += frames[team, i, k, m] * given[team, i, m]
+                    held[team, i, k] = total
+                else:
+                    held[team, i, k] = given[team, i, k]
+    return -1
+
+
 FRAMES = ("net_bearing", "local")
-_LARGEST_FLOAT32 = float(np.finfo(np.float32).max)
 _ROUNDING = 1e-6
 """So far from a rotation may a frame be that was put back."""
 
@@ -157,7 +161,7 @@ def check_goes_anywhere(
         )
 
 
-class SafetyFilter(ABC):
+class SafetyFilter(Remembering, ABC):
     """What the policies of B teams chose, held, and what the robots do because of it.
 
     A subclass says what that is (``act``) and what more is remembered (``_memory``). Its
@@ -207,6 +211,7 @@ class SafetyFilter(ABC):
         self._sight = _Sight(layout.neighbour_slots, float(dead_zone))
         self._batch = num_envs, n, num_threads
         self._seen = (num_envs, n, *layout.shape)
+        self._acted = (num_envs, n, scenario.action_size)
         self._frames = np.tile(np.eye(d), (num_envs, n, 1, 1))
         self._held = np.zeros((num_envs, n, action_size))
         self.alignment = np.full((num_envs, n), np.nan)
@@ -221,14 +226,6 @@ class SafetyFilter(ABC):
     def _memory(self) -> dict[str, NDArray[np.float64]]:
         """What is remembered from step to step; not copied."""
         return {"frames": self._frames, "held": self._held}
-
-    def forget(self, mask: NDArray[np.bool_] | None = None) -> None:
-        """Forget everything about all teams, or about those of a mask (B,).
-
-        Raises:
-            ValueError: for a bad mask; nothing has changed then.
-        """
-        self._begin(slice(None) if mask is None else check_mask(mask, len(self._held)))
 
     def _begin(self, which: Any) -> None:
         """Remember of these teams what is known before an episode."""
@@ -250,21 +247,9 @@ class SafetyFilter(ABC):
             return observations
         seen = np.empty_like(observations)
         first_rows = self.scenario.observation_layout.obstacles.stop
-        memory = self._frames, seen
-        self._over_teams(_look_along_net_bearing, observations, self._sight, first_rows, *memory)
+        arguments = observations, self._sight, first_rows, self._frames, seen
+        over_teams(lambda teams: _look_along_net_bearing(teams, arguments), *self._batch)
         return seen
-
-    def _over_teams(self, run_kernel: Any, *arguments: Any) -> None:
-        """Run a kernel of (part, arguments) over all teams."""
-        over_teams(lambda part: run_kernel(part, arguments), *self._batch)
-
-    def _taken(
-        self, observations: NDArray[np.float32]
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Observations, checked, and actions (B, n, a) to be filled in."""
-        observations = check_observations(observations, self._seen)
-        shape = (*self._held.shape[:2], self.scenario.action_size)
-        return observations, np.zeros(shape, dtype=np.float32)
 
     @property
     def held(self) -> NDArray[np.float64]:
@@ -278,20 +263,20 @@ class SafetyFilter(ABC):
         Raises:
             ValueError: for a wrong shape, or naming the robot whose choice is not finite.
         """
-        vectors = floats("actions", raw)
-        if vectors.shape != self._held.shape:
+        given: Any = raw if getattr(raw, "dtype", None) == np.float32 else floats("actions", raw)
+        if given.shape != self._held.shape:
             raise ValueError(
-                f"actions have shape {vectors.shape}; they must be (B, n, k) = {self._held.shape}"
+                f"actions have shape {given.shape}; they must be (B, n, k) = {self._held.shape}"
             )
-        if not (finite := np.abs(vectors) <= _LARGEST_FLOAT32).all():
-            team, robot, _ = (int(k) for k in np.argwhere(~finite)[0])
+        turns = self.along_net_bearing and self.chooses_vectors
+        wrong = _hold(np.ascontiguousarray(given), turns, self._frames, self._held)
+        if wrong >= 0:
+            team, robot = divmod(wrong, self._held.shape[1])
             raise ValueError(
                 f"action of robot_{robot} in team {team} is "
-                f"{shown(vectors[team, robot].tolist())}; it must be finite, in float32"
+                f"{shown(floats('actions', raw)[team, robot].tolist())}; it must be finite, in "
+                "float32"
             )
-        if self.along_net_bearing and self.chooses_vectors:
-            vectors = np.einsum("bnij,bnj->bni", self._frames, vectors)
-        self._held[...] = vectors
 
     @abstractmethod
     def act(self, observations: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -307,7 +292,7 @@ class SafetyFilter(ABC):
             ValueError: for observations of another shape or type; nothing has changed then.
         """
 
-    def book(  # noqa: B027 - most keep no ledger
+    def book(
         self,
         contact: ArrayLike | None = None,
         merged_into: ArrayLike | None = None,
@@ -326,31 +311,86 @@ class SafetyFilter(ABC):
                 then.
         """
 
-    def get_state(self) -> dict[str, NDArray[np.float64]]:
-        """The memory, as copies."""
-        return {name: array.copy() for name, array in self._memory.items()}
-
-    def set_state(self, state: Mapping[str, ArrayLike]) -> None:
-        """Put back what ``get_state`` took out.
-
-        Raises:
-            ValueError: naming what does not fit, see ``check_state``; nothing has changed then.
-        """
-        checked = self.check_state(state)
-        for name, array in self._memory.items():
-            array[...] = checked[name]
-
     def check_state(self, state: Any) -> dict[str, NDArray[Any]]:
-        """The arrays of a state that ``set_state`` would put back.
+        """As ``Remembering.check_state``; frames are rotations.
 
         Raises:
-            ValueError: naming an entry that is missing, of another shape or not finite, or a frame
-                that is no rotation.
+            ValueError: naming what does not fit.
         """
-        checked = check_entries(self._memory, state)
-        check_finite(checked, tuple(checked))
+        checked = super().check_state(state)
         check_rotations(checked, np.ones(len(self._held), np.bool_), _ROUNDING)
         return checked
+
+
+class KernelFilter(SafetyFilter):
+    """A filter whose kernels do some teams at a time, so that a thread can lead its teams through
+    many steps without waiting for the others (``Simulator.drive``).
+    """
+
+    def act(
+        self, observations: NDArray[np.float32], elapsed: float | None = None
+    ) -> NDArray[np.float32]:
+        """As ``SafetyFilter.act``.
+
+        Args:
+            observations: (B, n, rows, d), in the robots' own frames.
+            elapsed: s since the actions before, in which a heading may have turned; None is τ.
+                Bodies turn for τ from now on, whatever it is.
+        """
+        observations = check_observations(observations, self._seen)
+        actions = np.zeros(self._acted, dtype=np.float32)
+        over_teams(lambda teams: self.act_of(teams, observations, actions, elapsed), *self._batch)
+        return actions
+
+    @abstractmethod
+    def act_of(
+        self,
+        teams: threads.Part,
+        observations: NDArray[np.float32],
+        actions: NDArray[np.float32],
+        elapsed: float | None = None,
+    ) -> None:
+        """Write the actions of some teams, from the first to the one before the second."""
+
+    def book(
+        self,
+        contact: ArrayLike | None = None,
+        merged_into: ArrayLike | None = None,
+        resting: ArrayLike | None = None,
+    ) -> None:
+        """As ``SafetyFilter.book``."""
+        team = self._held.shape[:2]
+        touched, passed = np.zeros(team, np.bool_), np.zeros(team[0], np.bool_)
+        if contact is not None:
+            touched = np.ascontiguousarray(bools("contact", contact, team, "robots"))
+        if resting is not None:
+            passed = np.ascontiguousarray(bools("resting", resting, team[:1], "teams"))
+        if merged_into is None:
+            merged_into = np.tile(np.arange(team[1]), (team[0], 1))
+        self.book_of((0, *team), touched, _robots("merged_into", merged_into, team), passed)
+
+    def book_of(self, teams: threads.Part, contact: Any, merged_into: Any, resting: Any) -> None:
+        """As ``book``, of some teams and unchecked."""
+
+    @property
+    def leads(self) -> bool:
+        """Whether no subclass does more in ``act`` and ``book`` than what is said by teams."""
+        own = type(self)
+        return own.act is KernelFilter.act and own.book is KernelFilter.book
+
+
+def _robots(name: str, value: Any, team: tuple[int, ...]) -> NDArray[np.int64]:
+    """Indices (B, n) of robots that there are.
+
+    Raises:
+        ValueError: for another shape or type, or an index out of range.
+    """
+    robots = np.asarray(value)
+    if robots.shape != team or robots.dtype.kind not in "iu":
+        refuse(name, value, f"whole numbers of shape (B, n) = {team}")
+    if robots.min() < 0 or robots.max() >= team[1]:
+        refuse(name, value, f"indices of robots, from 0 to {team[1] - 1}")
+    return np.ascontiguousarray(robots, dtype=np.int64)
 
 
 FILTERS: dict[str, type[SafetyFilter]] = {}

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..checks import floats, number, real, shown
+from ..checks import floats, number, real, refuse
 from ..graphs import Graph
 from ..scenario.scenario import Scenario
 from ..sensors.sensing import Sensing
@@ -18,27 +18,18 @@ SMALLEST_MARGIN = 1e-6
 
 
 def check_gate_constants(min_alignment: float, dead_zone: float) -> None:
-    """Refuse numbers of theorem C's margin unless 10⁻⁶ ≤ ε < 1 and 0 < δ < ∞, m/s.
-
-    Raises:
-        ValueError: naming the constant and its value.
-    """
+    """Refuse numbers of theorem C's margin unless 10⁻⁶ ≤ ε < 1, 0 < δ < ∞, m/s: a ValueError."""
     if not SMALLEST_MARGIN <= real(min_alignment) < 1:
-        raise ValueError(
-            f"min_alignment is {shown(min_alignment)}; it must be at least {SMALLEST_MARGIN:g} and "
-            "less than 1"
-        )
+        refuse("min_alignment", min_alignment, f"at least {SMALLEST_MARGIN:g} and less than 1")
     if not 0 < real(dead_zone) < math.inf:
-        raise ValueError(f"dead_zone is {shown(dead_zone)}; it must be positive and finite (m/s)")
+        refuse("dead_zone", dead_zone, "positive and finite (m/s)")
 
 
 def check_vectors(
     name: str, value: ArrayLike, like: NDArray[np.float64] | None = None
 ) -> NDArray[np.float64]:
-    """Finite vectors (..., d) of any unit as float64, d = 2 or 3, in the shape of others.
-
-    Raises:
-        ValueError: naming the argument, and its shape or that it is not finite.
+    """Finite vectors (..., d) of any unit as float64, d = 2 or 3, in the shape of others; a
+    ValueError names the argument, and its shape or that it is not finite.
     """
     vectors = floats(name, value)
     if like is not None and vectors.shape != like.shape:
@@ -51,11 +42,7 @@ def check_vectors(
 
 
 def check_bearing_error(bearing_error: Any) -> float:
-    """η, a number, rad, from 0 to π/2 (theorems N1' and R d).
-
-    Raises:
-        ValueError: saying what was given.
-    """
+    """η, a number, rad, if it is from 0 to π/2, else a ValueError (theorems N1' and R d)."""
     return number("bearing_error", bearing_error, 0.0, math.pi / 2.0, "rad")
 
 

@@ -10,18 +10,31 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from ..checks import bools, flag, number, refuse
+from ..checks import flag, number
 from ..compilation import inner_kernel, kernel
-from ..engine.threads import each_block
+from ..engine.threads import Part
 from ..physics.neighbour_rows import degree_of, net_bearing_of
-from ..physics.vectors import combine, dot, load, norm, scaled, split, store
+from ..physics.vectors import dot, norm, scaled, split
 from ..robots.single_integrator import speed_scale
 from ..robots.unicycle import clip
 from ..scenario.scenario import Scenario
 from .heading import into_cap, scale_of_step, without_error
-from .safety_filter import SafetyFilter, check_steerable, register_filter, teams_of_block
+from .robot_lanes import (
+    LANES,
+    give_out,
+    lanes_of,
+    look,
+    new_lanes,
+    of_robots,
+    put,
+    take_in,
+    tell,
+    triple_of,
+    weigh,
+)
+from .safety_filter import KernelFilter, check_steerable, register_filter
 from .settings import (
     check_bearing_error,
     check_gate_constants,
@@ -40,7 +53,7 @@ from .turning import (
 )
 
 
-@kernel
+@kernel(inline="code")
 def descent_scale(strength, degree, merge_radius, duration, speed_limit):
     """Factor on f with which a step is sure to let V fall, and no faster than the robot may go.
 
@@ -52,7 +65,7 @@ def descent_scale(strength, degree, merge_radius, duration, speed_limit):
     return min(scale_of_step(degree, merge_radius, duration), unhurried)
 
 
-@kernel
+@kernel(inline="code")
 def certain_descent(net_bearing, degree, displacement, merge_radius, error=0.0):
     """This robot's part in what V is sure to fall by, m²/s; negative where V may rise.
 
@@ -66,7 +79,7 @@ def certain_descent(net_bearing, degree, displacement, merge_radius, error=0.0):
     return sure - 2.0 * error * norm(displacement) if error > 0.0 else sure
 
 
-@kernel
+@kernel(inline="code")
 def promised_descent(strength, scale, min_alignment, duration, error=0.0):
     """What a robot owes in every step, so that all meet in finite time, a number, m²/s (theorem D).
 
@@ -78,7 +91,7 @@ def promised_descent(strength, scale, min_alignment, duration, error=0.0):
     return min_alignment * min_alignment * duration * scale * strength * strength
 
 
-@kernel
+@kernel(inline="code")
 def descending_velocity(wanted, net_bearing, scale, min_alignment, error=0.0):
     """Law (4) along the wanted line, which earns at least what is owed, a triple, m/s.
 
@@ -89,21 +102,16 @@ def descending_velocity(wanted, net_bearing, scale, min_alignment, error=0.0):
     wanted.
     """
     (length, h), (_, towards) = split(wanted), split(net_bearing)
-    if length == 0.0:
-        h = towards
-    elif dot(h, towards) < 0.0:  # h and −h are the same line
-        h = combine(-1.0, h, 0.0, h)
+    h = h if length > 0.0 else towards
+    h = scaled(h, -1.0 if dot(h, towards) < 0.0 else 1.0)  # h and −h are the same line
     h = into_cap(h, towards, min_alignment, towards)
     along = dot(h, net_bearing)
-    if error > 0.0:
-        along = max(along - error, 0.0)
-    return combine(scale * along, h, 0.0, h)
+    return scaled(h, scale * (max(along - error, 0.0) if error > 0.0 else along))
 
 
 class _Constants(NamedTuple):
     """What the kernels need to know of the scenario and of the tank's arguments."""
 
-    turns_body: bool
     neighbour_slots: int
     gravity_row: int
     merge_radius: float
@@ -113,17 +121,86 @@ class _Constants(NamedTuple):
 
 
 @kernel
-def _spend(share, arguments):
-    each_block(share, _spend_teams, arguments)
+def _spend(robots, constants, arrays, work):
+    """Actions of robots from one index to another, carried out where A + G(Δ) ≥ 0, and what is told
+    of them (theorem D).
+    """
+    observations, held, levels, actions, linked, deposits, carried_out = arrays[:7]
+    alignment, lyapunov_rate = arrays[7:]
+    lanes = lanes_of(work)
+    for first in range(robots[0], robots[1], LANES):
+        stop = min(first + LANES, robots[1])
+        look(observations, first, stop, constants.neighbour_slots, lanes.f)
+        weigh(observations, first, stop, constants.neighbour_slots, lanes.degree)
+        take_in(held, first, stop, lanes.choice)
+        for i in range(first, stop):
+            lanes.level[i - first] = levels[i]
+        _spend_lanes(constants, work)
+        give_out(lanes.sent, first, stop, actions)
+        for i in range(first, stop):
+            linked[i] = lanes.degree[i - first] > 0.0
+            carried_out[i] = lanes.accepted[i - first] > 0.0
+        tell(lanes.deposit, first, stop, deposits)
+        tell(lanes.alignment, first, stop, alignment)
+        tell(lanes.lyapunov_rate, first, stop, lyapunov_rate)
 
 
-@inner_kernel(inline="text")
-def _spend_teams(block, arguments):
-    """Actions, carried out where A + G(Δ) ≥ 0, and what is told of them (theorem D)."""
+@inner_kernel(inline="code")
+def _spend_lanes(constants, work):
+    """Robots that go anywhere; those that see nobody rest, and owe nothing."""
+    if work.shape[1] != LANES:  # it is; so the compiler knows how far apart rows are
+        return
+    lanes, margin, duration = lanes_of(work), constants.gate.min_alignment, constants.gate.duration
+    radius, limit = constants.merge_radius, constants.speed_limit
+    for lane in range(LANES):
+        f, degree = triple_of(lanes.f, lane), lanes.degree[lane]
+        error, strength = constants.error_chord * degree, norm(f)
+        scale = descent_scale(strength, degree, radius, duration, limit)
+        owed = promised_descent(strength, scale, margin, duration, error)
+        wish = scaled(triple_of(lanes.choice, lane), limit)
+        _, within = speed_scale(dot(wish, wish), limit)
+        sent, moved = _sent(scaled(wish, within), limit, duration)
+        deposit = certain_descent(f, degree, moved, radius, error) - owed
+        accepted = lanes.level[lane] + deposit >= 0.0
+        law = descending_velocity(wish, f, scale, margin, error)
+        law_sent, law_moved = _sent(law, limit, duration)
+        law_deposit = certain_descent(f, degree, law_moved, radius, error) - owed
+        sees = degree > 0.0
+        sent, moved = _either(accepted, sent, law_sent), _either(accepted, moved, law_moved)
+        put(scaled(sent, 1.0 if sees else 0.0), lanes.sent, lane)
+        lanes.deposit[lane] = (deposit if accepted else law_deposit) if sees else 0.0
+        lanes.accepted[lane] = 1.0 if accepted & sees else 0.0
+        length, direction = split(moved)
+        told = sees & (strength > 0.0) & (length > 0.0)
+        lanes.alignment[lane] = abs(dot(direction, f)) / strength if told else np.nan
+        lanes.lyapunov_rate[lane] = -2.0 * dot(f, moved) / duration if sees else 0.0
+
+
+@inner_kernel(inline="code")
+def _either(first, one, other):
+    """One triple or the other, without a branch."""
+    return (
+        one[0] if first else other[0],
+        one[1] if first else other[1],
+        one[2] if first else other[2],
+    )
+
+
+@inner_kernel(inline="code")
+def _sent(velocity, limit, duration):
+    """A velocity as it is sent, rounded to float32, and its displacement as it is executed."""
+    x, y, z = np.float32(velocity[0]), np.float32(velocity[1]), np.float32(velocity[2])
+    sent = np.float64(x), np.float64(y), np.float64(z)
+    _, within = speed_scale(dot(sent, sent), limit)
+    return sent, scaled(sent, duration * within)
+
+
+@kernel
+def _spend_bodies(teams, arguments):
+    """As ``_spend``, for nonholonomic robots."""
     observations, constants, held, levels, actions, linked, told = arguments
     deposits, carried_out, alignment, lyapunov_rate = told
-    first, last = teams_of_block(block, len(observations))
-    for team in range(first, last):
+    for team in range(teams[0], teams[1]):
         for i in range(observations.shape[1]):
             deposits[team, i], carried_out[team, i] = 0.0, False
             alignment[team, i], lyapunov_rate[team, i] = np.nan, 0.0
@@ -133,19 +210,12 @@ def _spend_teams(block, arguments):
             if degree == 0.0:
                 continue
             f = net_bearing_of(rows, constants.neighbour_slots)
-            wish, level = held[team, i], levels[team, i]
-            if constants.turns_body:
-                accepted, deposit, moved = _spend_turning(
-                    rows, f, degree, constants, wish, level, action
-                )
-                ahead = f[0]
-            else:
-                accepted, deposit, moved = _spend_going(f, degree, constants, wish, level, action)
-                length, direction = split(moved)
-                ahead = dot(direction, f) if length > 0.0 else np.nan
+            accepted, deposit, moved = _spend_turning(
+                rows, f, degree, constants, held[team, i], levels[team, i], action
+            )
             carried_out[team, i], deposits[team, i] = accepted, deposit
             if norm(f) > 0.0:
-                alignment[team, i] = abs(ahead) / norm(f)
+                alignment[team, i] = abs(f[0]) / norm(f)
             lyapunov_rate[team, i] = -2.0 * dot(f, moved) / constants.gate.duration
 
 
@@ -156,34 +226,10 @@ def _scale(f, degree, constants):
 
 
 @inner_kernel(inline="code")
-def _spend_going(f, degree, constants, held, level, action):
-    """One robot that goes anywhere: whether its wish is carried out, its deposit, displacement."""
-    error, margin = constants.error_chord * degree, constants.gate.min_alignment
-    scale = _scale(f, degree, constants)
-    owed = promised_descent(norm(f), scale, margin, constants.gate.duration, error)
-    wanted = scaled(load(held), constants.speed_limit)
-    _, within = speed_scale(dot(wanted, wanted), constants.speed_limit)
-    moved = _go(scaled(wanted, within), constants, action)
-    deposit = certain_descent(f, degree, moved, constants.merge_radius, error) - owed
-    carried_out = level + deposit >= 0.0
-    if not carried_out:
-        moved = _go(descending_velocity(wanted, f, scale, margin, error), constants, action)
-        deposit = certain_descent(f, degree, moved, constants.merge_radius, error) - owed
-    return carried_out, deposit, moved
-
-
-@inner_kernel(inline="code")
-def _go(velocity, constants, action):
-    """Send a velocity; its displacement as it will be executed, after rounding to float32."""
-    store(velocity, action)
-    sent = load(action)
-    _, within = speed_scale(dot(sent, sent), constants.speed_limit)
-    return scaled(sent, constants.gate.duration * within)
-
-
-@inner_kernel(inline="code")
 def _spend_turning(rows, f, degree, constants, held, level, action):
-    """One nonholonomic robot, in its body frame; returns as ``_spend_going``."""
+    """One nonholonomic robot, in its body frame: whether its wish is carried out, its deposit, its
+    displacement.
+    """
     gate, error = constants.gate, constants.error_chord * degree
     pitch = pitch_of(rows, constants.gravity_row, gate)
     speed, rates = clip(held[0], 1.0) * constants.speed_limit, wished_rates(held[1:], gate)
@@ -211,14 +257,14 @@ def _drive(speed, rates, pitch, constants, action):
 
 
 @kernel
-def _book(levels, deposits, linked, contact, merged_into, resting, follow_v):
+def _book(teams, levels, deposits, linked, contact, merged_into, resting, follow_v):
     """A ← max(A + G, 0), in place (theorem D): a loss that would empty a tank is rounding.
 
     A robot that presses against a wall along f would earn without end: in a step with contact only
     a loss is booked. A survivor takes all. Levels that follow V become (m' − 1)/(m − 1) of what
     they were when m robots become m', as V does at most.
     """
-    for team in range(len(levels)):
+    for team in range(teams[0], teams[1]):
         for i in range(levels.shape[1]):
             deposit = deposits[team, i]
             deposits[team, i] = 0.0
@@ -251,7 +297,7 @@ def unit_of_tanks(scenario: Scenario) -> float:
     return float(scenario.merge_radius * scenario.max_degree) or 1.0
 
 
-class EnergyTank(SafetyFilter):
+class EnergyTank(KernelFilter):
     """Energy tanks, frames and held wishes of the robots of B teams (theorem D).
 
         A ← A + G(Δ),   G(Δ) = 2 f·Δ − (2/r) D ‖Δ‖² − ε² τ s ‖f‖²              (guarantees 8)
@@ -299,7 +345,6 @@ class EnergyTank(SafetyFilter):
         self.budget = number("budget", budget, 0.0, unit="m²/s")
         self.observes_level = flag("observe_level", observe_level)
         self._constants = _Constants(
-            turns_body=self.turns_body,
             neighbour_slots=self._sight.neighbour_slots,
             gravity_row=scenario.observation_layout.gravity.start,
             merge_radius=scenario.merge_radius,
@@ -312,8 +357,6 @@ class EnergyTank(SafetyFilter):
         self._deposits, self._linked = np.zeros(team), np.zeros(team, np.bool_)
         self._follow_v = levels_follow_v(scenario)
         self.carried_out = np.zeros(team, dtype=np.bool_)
-        self._nobody, self._no_team = np.zeros(team, np.bool_), np.zeros(num_envs, np.bool_)
-        self._themselves = np.tile(np.arange(scenario.n_robots), (num_envs, 1))
 
     @property
     def levels(self) -> NDArray[np.float64]:
@@ -349,36 +392,31 @@ class EnergyTank(SafetyFilter):
         level[..., 0, 0] = np.minimum(self.normalised_levels, _LARGEST)
         return np.concatenate([seen, level], axis=-2)
 
-    def act(self, observations: NDArray[np.float32]) -> NDArray[np.float32]:
-        """As ``SafetyFilter.act``; what the step earns waits for ``book``."""
-        observations, actions = self._taken(observations)
+    def act_of(
+        self,
+        teams: Part,
+        observations: NDArray[np.float32],
+        actions: NDArray[np.float32],
+        elapsed: float | None = None,
+    ) -> None:
+        """As ``KernelFilter.act_of``; what the step earns waits for ``book``."""
         told = (self._deposits, self.carried_out, self.alignment, self.lyapunov_rate)
         memory = self._held, self._levels, actions, self._linked
-        self._over_teams(_spend, observations, self._constants, *memory, told)
-        return actions
+        if self.turns_body:
+            _spend_bodies(teams, (observations, self._constants, *memory, told))
+        else:
+            robots, arrays = of_robots(teams, observations, *memory, *told)
+            _spend(robots, self._constants, arrays, new_lanes())
 
-    def book(
-        self,
-        contact: ArrayLike | None = None,
-        merged_into: ArrayLike | None = None,
-        resting: ArrayLike | None = None,
-    ) -> None:
-        """Bring the levels up to the end of the step; arguments as ``SafetyFilter.book``.
+    def book_of(self, teams: Part, contact: Any, merged_into: Any, resting: Any) -> None:
+        """Bring the levels of some teams up to the end of the step, as ``KernelFilter.book_of``.
 
         In a step with contact a robot books min(0, G); who merges hands its tank to the survivor; a
         step that a merge cuts short books as commanded. Where everyone sees everyone, with equal
         weights, levels shrink as V does when m robots become m': to (m' − 1)/(m − 1).
         """
-        team, survivors = self._levels.shape, self._themselves
-        touched, passed = self._nobody, self._no_team
-        if contact is not None:
-            touched = np.ascontiguousarray(bools("contact", contact, team, "robots"))
-        if resting is not None:
-            passed = np.ascontiguousarray(bools("resting", resting, team[:1], "teams"))
-        if merged_into is not None:
-            survivors = _robots("merged_into", merged_into, team)
         account = self._levels, self._deposits, self._linked
-        _book(*account, touched, survivors, passed, self._follow_v)
+        _book(teams, *account, contact, merged_into, resting, self._follow_v)
 
     def check_state(self, state: Any) -> dict[str, NDArray[Any]]:
         """As ``SafetyFilter.check_state``; no level is below zero.
@@ -397,17 +435,3 @@ class EnergyTank(SafetyFilter):
 
 
 register_filter("tank", EnergyTank)
-
-
-def _robots(name: str, value: Any, team: tuple[int, ...]) -> NDArray[np.int64]:
-    """Indices (B, n) of robots that there are.
-
-    Raises:
-        ValueError: for another shape or type, or an index out of range.
-    """
-    robots = np.asarray(value)
-    if robots.shape != team or robots.dtype.kind not in "iu":
-        refuse(name, value, f"whole numbers of shape (B, n) = {team}")
-    if robots.min() < 0 or robots.max() >= team[1]:
-        refuse(name, value, f"indices of robots, from 0 to {team[1] - 1}")
-    return np.ascontiguousarray(robots, dtype=np.int64)

@@ -22,14 +22,9 @@ SMALLEST_COSINE = 1e-9
 
 
 def yaw_rate_law(left: Any, pitch: Any) -> Any:
-    """Yaw rate of law (17): α̇ = f_y / cos β, huge but finite at β = ±π/2.
+    """Yaw rate of law (17), any shape, rad/s, huge but finite at β = ±π/2: α̇ = f_y / cos β.
 
-    Args:
-        left: f_y, the net bearing's part along the body's left, any shape, m/s.
-        pitch: β, of the same shape, rad.
-
-    Returns:
-        α̇, of the same shape, rad/s: the law's gain is 1 rad/m.
+    f_y, m/s, is the net bearing's part along the body's left; the law's gain is 1 rad/m.
     """
     cos_pitch = np.cos(pitch)
     return left / np.copysign(np.maximum(np.abs(cos_pitch), SMALLEST_COSINE), cos_pitch)
@@ -65,9 +60,8 @@ def gate_of(
 def gated_rates(requested, net_bearing, pitch, gate):
     """Turn rates with which a nonholonomic robot cannot stay orthogonal to its net bearing.
 
-    While ‖f‖ > δ and |hᵀf| < ε‖f‖, or the requested (clipped) rates would give |mᵀf| < ε‖f‖/2 over
-    the step, they are replaced by some that turn towards f and, held over the step, never past it;
-    otherwise they are free (theory 3, the gate):
+    They are free while they keep the margin (``keeps_margin``); otherwise they are replaced by some
+    that turn towards f and, held over the step, never past it (theory 3, the gate):
 
     * in the plane by law (8), ω = f_y, clipped and at most |∠(h, f)|/τ;
     * in 3-D by ``rates_onto_line``. Law (17) itself flips from step to step near β = ±π/2, where

@@ -23,10 +23,12 @@ from ..obstacles import obstacle_set
 from ..obstacles import parsing as obstacles
 from ..obstacles.fields import Field
 from ..obstacles.parsing import Obstacles
+from ..rewards.costs import as_costs
 from ..rewards.terms import RewardWeights
 from ..robots.robot_models import ROBOT_MODELS, RobotModel, try_with
 from ..sensors.sensing import Sensing
 from . import scenario_files
+from .bodies import MEETINGS, check_bodies
 from .observation_layout import ObservationLayout
 
 CONTACT_MODES = ("slide", "stop", "ignore")
@@ -71,6 +73,8 @@ _CHECKS: dict[str, Callable[[str, Any], Any]] = {
     "robot_model": lambda field, value: checks.choice(field, value, ROBOT_MODELS),
     "require_connected": checks.flag,
     "merge_radius": _LENGTH,
+    "body_radius": _LENGTH,
+    "meeting": partial(checks.choice, choices=MEETINGS),
     "time_step": partial(checks.positive, unit="s"),
     "allow_long_step": checks.flag,
     "time_limit": partial(checks.positive, unit="s"),
@@ -84,6 +88,7 @@ _CHECKS: dict[str, Callable[[str, Any], Any]] = {
     "on_merge": partial(checks.choice, choices=("remove", "follow")),
     "sensing": _check_sensing,
     "reward": _check_reward,
+    "costs": as_costs,
 }
 """Of the fields that can be checked by themselves."""
 
@@ -121,6 +126,12 @@ class Scenario:
     graph starts are drawn connected."""
     merge_radius: float = 0.2
     """r in m: neighbours that come this close become one robot."""
+    body_radius: float | None = None
+    """Of the disc or sphere that a robot is, m, at most r/2; everyone has to see everyone then.
+    None is a point, which hides others as a disc of r/2 where ``sensing`` lets robots hide."""
+    meeting: str = "merge"
+    """merge, or pack: bodies stop where they would touch, and have met when they lie in one cluster
+    in which each is within r of two others. In the plane, without obstacles."""
     time_step: float | None = None
     """τ in s; None is the certified step r/(2D̄), with which V cannot rise between merges."""
     allow_long_step: bool = False
@@ -158,6 +169,9 @@ class Scenario:
     """What the robots' sensors get wrong; by default nothing."""
     reward: RewardWeights = dataclasses.field(default_factory=RewardWeights)
     """Weights of the reward terms."""
+    costs: tuple[str, ...] = ()
+    """What is told beside rewards for learners with constraints: "contact", "rise", "link_lost", or
+    registered reward terms; see ``rewards.costs``."""
 
     def __post_init__(self) -> None:
         """Convert and check every field; see the class for what is raised."""
@@ -168,6 +182,7 @@ class Scenario:
             checks.refuse("robot_model", self.robot_model, wanted)
         self._check_graph()
         self._check_obstacles()
+        check_bodies(self)
         self._check_starts()
         self._check_time_step()
 
@@ -314,8 +329,10 @@ class Scenario:
         for key in ("start_positions", "start_headings"):
             if plain[key] is not None:
                 plain[key] = [list(row) for row in plain[key]]
-        if not plain["obstacles"]:
-            del plain["obstacles"]
+        plain["costs"] = list(self.costs)
+        for key in ("obstacles", "costs"):
+            if not plain[key]:
+                del plain[key]
         return {key: value for key, value in plain.items() if value is not None}
 
     def to_toml(self, path: str | os.PathLike[str]) -> None:
@@ -358,6 +375,8 @@ class Scenario:
         if self.start_positions is not None:
             positions = np.array(self.start_positions)
             checks.check_distinct("start_positions", positions, self.sensing_graph.sparse_weights)
+            if self.body_radius is not None:
+                checks.check_apart("start_positions", positions, 2.0 * self.body_radius)
             if not isinstance(self.obstacles, Field) and self.obstacle_contact != "ignore":
                 obstacle_set.check_outside("start_positions", positions, self.obstacles)
 

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import math
 import os
+import re
 from collections.abc import Callable
-from functools import partial
+from functools import cache, partial
+from pathlib import Path
 from typing import Any
 
 from .. import graphs
@@ -122,6 +125,23 @@ def _rssdoa() -> dict[str, Any]:
     }
 
 
+def _robotarium(robots: int) -> dict[str, Any]:
+    """The Robotarium's arena of 3.2 m × 2 m and its robots, which count as colliding below 0.135 m:
+    discs of 0.15 m that pack, with gains that never ask for more than 0.2 m/s.
+    """
+    return {
+        "n_robots": robots,
+        "graph": graphs.complete(0.2 / (robots - 1)),
+        "merge_radius": 0.17,
+        "body_radius": 0.075,
+        "meeting": "pack",
+        "time_step": 0.033,
+        "time_limit": 60.0,
+        "max_speed": 0.2,
+        "spawn_size": 1.8,
+    }
+
+
 _FIELDS: dict[str, Callable[[], dict[str, Any]]] = {
     "fig3": partial(_figure, "ignore"),
     "fig4": partial(_figure, "slide"),
@@ -173,6 +193,7 @@ _FIELDS: dict[str, Callable[[], dict[str, Any]]] = {
     },
     "pursuit-6": lambda: {"n_robots": 6, "graph": graphs.directed_cycle(), "time_limit": 60.0},
     "rssdoa-15": _rssdoa,
+    **{f"robotarium-{robots}": partial(_robotarium, robots) for robots in (4, 10, 20)},
     "huettenrauch-20": _huettenrauch,
     "huettenrauch-20-sight-40": partial(_huettenrauch, 40.0),
 }
@@ -184,14 +205,63 @@ def names() -> list[str]:
     return list(_FIELDS)
 
 
-def get(name: str) -> Scenario:
-    """The scenario of that name.
+NAMESPACE = "rendezvous"
+"""Of versioned names, in Gymnasium and PettingZoo too."""
+
+
+@cache
+def digests() -> dict[str, str]:
+    """Of every scenario by its name and version: ``first_starts.digest`` of its first starts.
+
+    A scenario's version is the number of its entry here. What changes the digest raises it.
+    """
+    path = Path(__file__).with_name("digests.json")
+    return dict(json.loads(path.read_text(encoding="utf-8")))
+
+
+def with_versions() -> dict[str, str]:
+    """The versioned name of every scenario that has one, by its plain name."""
+    return {entry.rpartition("-v")[0]: f"{NAMESPACE}/{entry}" for entry in digests()}
+
+
+def versioned(name: str) -> str:
+    """The name with which results are quoted, such as "rendezvous/clutter-16-v1".
 
     Raises:
-        ValueError: for an unknown name, with the nearest known one.
+        ValueError: for the name of no scenario.
     """
+    known = with_versions()
+    if name not in known:
+        entry = "; a new one needs an entry in scenario/digests.json" if name in _FIELDS else ""
+        refuse("name", name, f"one of {', '.join(known)}{entry}")
+    return known[name]
+
+
+def _without_version(name: str) -> str:
+    """The plain name of a versioned one; others as they are."""
+    plain, version = name.removeprefix(f"{NAMESPACE}/"), ""
+    if (found := re.fullmatch(r"(.+)-v(\d+)", plain)) and found[1] in _FIELDS:
+        plain, version = found[1], found[0]
+    elif plain != name and plain not in _FIELDS:
+        return name
+    if version and f"{NAMESPACE}/{version}" != versioned(plain):
+        raise ValueError(
+            f"scenario {shown(name)} is of another version; here it is {versioned(plain)}, and "
+            "results of different versions do not compare"
+        )
+    return plain
+
+
+def get(name: str) -> Scenario:
+    """The scenario of that name, with or without namespace and version ("rendezvous/duo-v1").
+
+    Raises:
+        ValueError: for an unknown name, with the nearest known one, or a version that this is not.
+    """
+    name = _without_version(name) if isinstance(name, str) else name
     if not isinstance(name, str) or name not in _FIELDS:
-        near = nearest_word(name, _FIELDS)
+        plain = re.sub(rf"^{NAMESPACE}/|-v\d+$", "", name) if isinstance(name, str) else name
+        near = nearest_word(plain, _FIELDS)
         hint = f"did you mean {near!r}? " if near else ""
         raise ValueError(f"scenario {shown(name)} is unknown; {hint}known are {', '.join(_FIELDS)}")
     return Scenario(name=name, **_FIELDS[name]())

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ..checks import Registry, refuse
 from ..compilation import kernel
 from ..physics.random_streams import SENSING, mix, stream_key, uniform
-from .sensor_equations import step_key
+from .chance import step_key
 
 
 class Seen:

@@ -1,7 +1,8 @@
-"""What a sensor makes of one exact row: whether it is there, how far it is turned, how rounded.
+"""What a sensor gets wrong, and what that makes of one row at a time.
 
-An imperfection is a setting in ``sensing.py`` and, all else, here: a constant of ``Imperfections``,
-its value in ``imperfections_of``, and its equation in ``neighbour_seen`` or ``point_seen``.
+An imperfection is a setting in ``sensing.py`` and, here, a constant of ``Imperfections`` and its
+value in ``imperfections_of``. What a robot makes of one neighbour is in ``neighbour_seen``; range,
+view and chance, that are over lanes, in ``engine/stages/sense_by_chance.py``.
 """
 
 from __future__ import annotations
@@ -10,11 +11,10 @@ import math
 from typing import NamedTuple
 
 from ..compilation import inner_kernel
-from ..physics.random_streams import uniform
 from ..physics.vectors import ORIGIN, load, subtract, to_local
-from .line_of_sight import is_hidden_by_obstacles, is_hidden_by_robot, is_seen
+from .line_of_sight import is_hidden_by_obstacles, is_hidden_by_robot
 from .sensing import Sensing
-from .sensor_equations import DRAWS, gaussian, in_sectors, random_axis, turned, turned_towards
+from .sensor_equations import in_sectors, turned_towards
 
 
 class Imperfections(NamedTuple):
@@ -32,6 +32,17 @@ class Imperfections(NamedTuple):
     """0 leaves bearings as they are."""
     obstacles_hide: bool
     robots_hide: bool
+
+    @property
+    def over_lanes(self) -> bool:
+        """Whether range, field of view or chance change the rows of neighbours."""
+        limited = math.isfinite(self.reach) or self.half_field < math.pi
+        return limited or max(self.noise, self.bias, self.dropout) > 0.0
+
+    @property
+    def one_by_one(self) -> bool:
+        """Whether anything else does, that looks at one team at a time."""
+        return self.obstacles_hide or self.robots_hide or self.error > 0.0 or self.sectors > 0
 
 
 def imperfections_of(sensing: Sensing) -> Imperfections | None:
@@ -52,49 +63,26 @@ def imperfections_of(sensing: Sensing) -> Imperfections | None:
 
 
 @inner_kernel(inline="code")  # to hand all its arguments over would take longer than what it does
-def neighbour_seen(pair, row, frame, sensor, keys, places, scene):
-    """What robot i makes of the exact row of its neighbour j; zero if it does not see it.
+def neighbour_seen(pair, row, frame, sensor, places, scene):
+    """What robot i makes of the row of its neighbour j, in sight and turned by chance; zero if
+    something hides it.
 
     Args:
         pair: i and j.
-        row: a_ij g_ij in the frame of robot i, a pair or triple, m/s.
+        row: about a_ij g_ij in the frame of robot i, a pair or triple, m/s; zero if it is missing.
         frame: of robot i, row by row.
         sensor: Imperfections.
-        keys: of the team's stream of sensing: of the episode, and of the step.
         places: positions (n, d), m, and where each robot raises the hull's perimeter most (n, d).
         scene: obstacles of the team, who is part of whom (n,), radius of robots that hide, m.
     """
     (i, j), (positions, outward) = pair, places
-    counter = (i * positions.shape[0] + j) * DRAWS
     offset = subtract(load(positions[j]), load(positions[i]))
-    if (
-        not is_seen(to_local(frame, _like(row, offset)), sensor.reach, sensor.half_field)
-        or (sensor.dropout > 0.0 and uniform(keys[1], counter + 4) < sensor.dropout)
-        or (
-            (sensor.obstacles_hide or sensor.robots_hide)
-            and _is_hidden(pair, offset, sensor, scene[0], scene[1], scene[2], positions)
-        )
+    if (sensor.obstacles_hide or sensor.robots_hide) and _is_hidden(
+        pair, offset, sensor, scene[0], scene[1], scene[2], positions
     ):
         return _like(row, ORIGIN)
-    row = _turned_by_chance(row, keys, counter, sensor)
     if sensor.error > 0.0:
         row = turned_towards(row, sensor.error, to_local(frame, _like(row, load(outward[i]))))
-    if sensor.sectors > 0:
-        row = in_sectors(row, sensor.sectors)
-    return row
-
-
-@inner_kernel(inline="code")
-def point_seen(row, sensor, keys, counter):
-    """What a robot makes of a silhouette point that is in its field of view.
-
-    Args:
-        row: its bearing in the robot's frame, a pair or triple; zero if the point is absent.
-        sensor: Imperfections.
-        keys: as ``neighbour_seen``.
-        counter: index of the first of this point's DRAWS numbers of the stream.
-    """
-    row = _turned_by_chance(row, keys, counter, sensor)
     if sensor.sectors > 0:
         row = in_sectors(row, sensor.sectors)
     return row
@@ -114,26 +102,6 @@ def _is_hidden(pair, offset, sensor, obstacles, merged_into, radius, positions):
                 if is_hidden_by_robot(offset, other, radius):
                     return True
     return False
-
-
-@inner_kernel(inline="code")
-def _turned_by_chance(row, keys, counter, sensor):
-    """A row turned by its bias of the episode and by its noise of the step."""
-    if sensor.bias > 0.0:
-        angle = sensor.bias * gaussian(keys[0], counter)
-        row = turned(row, angle, _axis(row, keys[0], counter + 2))
-    if sensor.noise > 0.0:
-        angle = sensor.noise * gaussian(keys[1], counter)
-        row = turned(row, angle, _axis(row, keys[1], counter + 2))
-    return row
-
-
-@inner_kernel(inline="code")
-def _axis(row, key, counter):
-    """About which a row is turned; the plane has but one."""
-    if len(row) == 2:
-        return ORIGIN
-    return random_axis(key, counter)
 
 
 @inner_kernel(inline="code")

@@ -1,4 +1,4 @@
-"""How a sensor turns the bearings of what it sees: by chance, by an adversary, into sectors.
+"""How a sensor turns the bearings of what it sees: by an adversary, into sectors.
 
 Rows are a_ij g_ij or unit bearings in the robot's own frame, pairs of the plane or triples of
 space; what turns them keeps their length.
@@ -6,15 +6,9 @@ space; what turns them keeps their length.
 
 import math
 
-import numpy as np
-
 from ..compilation import kernel
-from ..physics.random_streams import mix, uniform
 from ..physics.vectors import X_AXIS, combine, cross, dot, norm, square
 
-DRAWS = 5
-"""Numbers of a stream for one ordered pair: an angle (2), an axis (2), and whether it is missed."""
-_STEP = np.uint64(0xD1B54A32D192ED03)
 _NEARLY_PARALLEL = 1e-9
 """Sine of an angle between two directions below which they span no plane worth the name."""
 
@@ -89,30 +83,3 @@ def in_sectors(row, sectors):
     pitch = width * min(max(steps, -highest), highest)
     level = length * math.cos(pitch)
     return level * math.cos(yaw), level * math.sin(yaw), length * math.sin(pitch)
-
-
-# ---- chance -------------------------------------------------------------------------------------
-
-
-@kernel
-def step_key(key, step):
-    """Key of the part of a stream that belongs to one step of the episode; uint64."""
-    return mix(key ^ (np.uint64(step + 1) * _STEP))
-
-
-@kernel
-def gaussian(key, counter):
-    """A standard normal number from two of a stream (Box and Muller, 1958)."""
-    radius = math.sqrt(-2.0 * math.log(1.0 - uniform(key, counter)))
-    return radius * math.cos(2.0 * math.pi * uniform(key, counter + 1))
-
-
-@kernel
-def random_axis(key, counter):
-    """A direction uniform on the sphere, a triple, from two numbers of a stream.
-
-    Its part perpendicular to any bearing is uniform about that bearing.
-    """
-    height, turn = 2.0 * uniform(key, counter) - 1.0, 2.0 * math.pi * uniform(key, counter + 1)
-    level = math.sqrt((1.0 - height) * (1.0 + height))
-    return level * math.cos(turn), level * math.sin(turn), height

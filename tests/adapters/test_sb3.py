@@ -296,3 +296,27 @@ def test_options_and_slots_that_there_are_not_are_refused():
         with pytest.raises(ValueError, match="indices is"):
             env.env_method("set_max_steps", 9, indices=indices)
     assert env.get_attr("max_steps") != [9] * 6
+
+
+def test_every_slot_is_told_what_a_step_cost():
+    """In infos and as arrays, those of the vector environment; episodes add them up."""
+    scenario = rv.scenarios.get("clutter-16").replace(costs=("contact", "rise"), time_limit=1.0)
+    robots, teams = make_robots(scenario, 3), rv.make_vec(scenario, 3, autoreset_mode="SameStep")
+    robots.seed(4), robots.reset(), teams.reset(seed=4)
+    total, ended, random = np.zeros(3), 0, np.random.default_rng(0)
+    for _ in range(45):
+        actions = random.uniform(-1, 1, (12, 2)).astype(np.float32)
+        *_, infos = robots.step(actions)
+        told = teams.step(actions.reshape(3, 4, 2))[4]
+        for key in ("cost", "cost_contact", "cost_rise"):
+            np.testing.assert_array_equal([info[key] for info in infos], told[key].ravel())
+            np.testing.assert_array_equal(robots.costs[key], told[key].ravel())
+        total += told["cost"].sum(axis=1)
+        for slot, info in enumerate(infos):
+            if "episode" in info:
+                np.testing.assert_allclose(info["episode"]["cost"], total[slot // 4])
+                total[slot // 4], ended = 0.0, ended + 1
+        robots.set_state(robots.get_state())
+    assert ended == 6 and make_robots("duo", 1).get_state().keys() == {
+        "teams", "active", "returns", "lengths",
+    }  # fmt: skip

@@ -101,7 +101,7 @@ def test_robot_models_of_ones_own(effort, registry):
 
     known = robot_models.ROBOT_MODELS.copy()
 
-    def check(way, length, kept, bend, bounds, name, n_angles):
+    def check(way, length, kept, bent, bounds, name, n_angles):
         class Fuzzed(NamedTuple):
             duration: float
             speed_limit: float
@@ -112,12 +112,12 @@ def test_robot_models_of_ones_own(effort, registry):
 
         motion = rv.Motion(
             propose=propose,
-            along=lambda model, action, frame, memory, time: tuple(
+            displacement_at=lambda model, action, frame, memory, time: tuple(
                 part * time / model.duration for part in propose(model, action, frame, memory)[0]
             ),
-            bend=lambda *_: bend,
-            remember=lambda *_: kept,
-            begin=lambda *_: kept,
+            chord_error_bound=lambda *_: bent,
+            update=lambda *_: kept,
+            init=lambda *_: kept,
         )
         rv.describe_motion(Fuzzed, motion)
         model = rv.RobotModel(

@@ -47,6 +47,7 @@ def test_all_rows_are_measured_and_written(tmp_path):
     compared = [
         ("batched", "Simulator"), ("wrapped", "EnergyTankWrapper"), ("sensing", "noise"),
         ("heading-ppo", "end to end"), ("adapters", "stable-baselines3 over make_vec"),
+        ("training", "training_env, clutter-8, heading"),
     ]  # fmt: skip
     assert all(ratios[name] > 0 for name in compared)
     assert ratios["obstacles", "Simulator"] is None

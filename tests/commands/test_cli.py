@@ -15,6 +15,7 @@ import baselines
 from baselines import policy
 from rendezvous_env.scenario import scenarios
 from train import cli, results
+from train.listing import columns_of
 
 SCRIPT = Path(sys.executable).with_name("rendezvous")
 
@@ -194,10 +195,16 @@ class TestList:
 
     def test_every_policy_has_its_line_and_its_scenarios(self, capsys):
         said = self.lines("policies", capsys)
+        fitting = {name: baselines.names(scenarios.get(name)) for name in scenarios.names()}
+        columns = columns_of(fitting)
+        assert sorted(name for own in columns.values() for name in own) == sorted(fitting)
         for name in baselines.names():
-            assert f"{name} {policy.about(name).split(':')[0]}" in said and policy.about(name)
-        assert "Fits unicycle-6, fov-8, " in said and "random Actions drawn" in said
-        assert "law (1) would go, with friction; not of the paper. Fits none of" in said
+            marks = ["●" if name in fitting[own[0]] else "·" for own in columns.values()]
+            about = policy.about(name).split(":")[0]
+            assert f"{name} {' '.join(marks)} {about}" in said and about
+        for letter, own in columns.items():
+            assert f"{letter} {', '.join(own)}" in said
+            assert len({tuple(fitting[scenario]) for scenario in own}) == 1
         assert said.index("tangent ") < said.index("privileged-planner ") < said.index("zero ")
 
     def test_what_else_there_is(self):

@@ -1,6 +1,8 @@
 """``rendezvous export``: the file does what the policy does, for any number of rows."""
 
 import json
+import re
+import shutil
 import sys
 
 import numpy as np
@@ -11,7 +13,7 @@ import pytest
 import baselines
 import rendezvous_env as rv
 from baselines import RobotPolicy
-from baselines.learned import checkpoints, shipped
+from baselines.learned import checkpoints, onnx_network, shipped
 from baselines.learned.features import NEIGHBOUR_COLUMNS, OBSTACLE_COLUMNS
 from baselines.learned.learned_policy import load
 from baselines.learned.numpy_actor import NumpyActor
@@ -64,6 +66,14 @@ def drawn_weights(settings):
     for name, inputs, outputs in layers:
         shapes |= {f"{name}.weight": (outputs, inputs), f"{name}.bias": (outputs,)}
     return {name: 0.5 * random.normal(size=shape) for name, shape in shapes.items()}
+
+
+def signed(content):
+    """A file with a digest that fits, whatever else is in it."""
+    if onnx_network._DIGEST.search(content) is None:
+        content += b'sha256\x12\x42"' + b"0" * 64 + b'"'
+    fits = onnx_network.digest_of(content).encode()
+    return onnx_network._DIGEST.sub(lambda found: found[0].replace(found[1], fits), content)
 
 
 class TestNetwork:
@@ -193,38 +203,59 @@ class TestErrors:
     def test_a_damaged_file_drives_no_robot(self, exported, altered, tmp_path):
         content = (exported / "learned.onnx").read_bytes()
         path, random = tmp_path / "x.onnx", np.random.default_rng(altered)
-        for _ in range(20):
+        for _ in range(40):
             damaged = bytearray(content)
             for place in random.integers(0, len(content), altered):
                 damaged[place] ^= 1 << int(random.integers(8))
             path.write_bytes(damaged)
-            with pytest.raises(checkpoints.CheckpointError, match=r"x\.onnx: "):
+            with pytest.raises(checkpoints.CheckpointError, match=r"x\.onnx: .*digest"):
                 RobotPolicy(CLUTTER, path)
 
-    def test_a_file_without_a_digest_is_taken_with_a_warning(self, exported, tmp_path):
+    def test_not_a_byte_of_the_digest_and_its_name_may_change(self, exported, tmp_path):
+        """Without its name it would not be found, and nothing compared."""
+        content, path = (exported / "learned.onnx").read_bytes(), tmp_path / "x.onnx"
+        found = onnx_network._DIGEST.search(content)
+        for place in range(found.start() - 2, found.end()):
+            path.write_bytes(content[:place] + bytes([content[place] ^ 1]) + content[place + 1 :])
+            with pytest.raises(checkpoints.CheckpointError, match=r"x\.onnx: .*digest"):
+                RobotPolicy(CLUTTER, path)
+
+    def test_a_file_without_a_digest_is_refused(self, exported, tmp_path):
         model, path = onnx.load(exported / "learned.onnx"), tmp_path / "old.onnx"
         keys = [entry.key for entry in model.metadata_props]
         del model.metadata_props[keys.index(DIGEST_KEY)]
         onnx.save(model, path)
-        with pytest.warns(UserWarning, match=r"old\.onnx: holds no digest"):
+        with pytest.raises(checkpoints.CheckpointError, match=r"old\.onnx: holds no digest"):
             RobotPolicy(CLUTTER, path)
+
+    @pytest.mark.parametrize("name", ["network.safetensors", "checkpoint.json"])
+    def test_damaged_weights_drive_no_robot(self, name, tmp_path):
+        folder, random = tmp_path / "pretrained", np.random.default_rng(0)
+        shutil.copytree(shipped.folder("learned"), folder)
+        content = (folder / name).read_bytes()
+        for place in random.integers(0, len(content), 40):
+            damaged = bytearray(content)
+            damaged[place] ^= 1 << int(random.integers(8))
+            (folder / name).write_bytes(damaged)
+            with pytest.raises(checkpoints.CheckpointError, match=re.escape(name)):
+                RobotPolicy(CLUTTER, folder)
 
     def test_files_that_are_no_policy_are_named(self, exported, tmp_path):
         path = tmp_path / "x.onnx"
         with pytest.raises(checkpoints.CheckpointError, match=r"x\.onnx: cannot be read"):
             load(path, CLUTTER)
-        path.write_bytes(b"nothing of the kind")
+        path.write_bytes(signed(b"nothing of the kind"))
         with pytest.raises(checkpoints.CheckpointError, match=r"x\.onnx: is no ONNX model"):
             load(path, CLUTTER)
         model = onnx.load(exported / "learned.onnx")
         place = [entry.key for entry in model.metadata_props].index(SETTINGS_KEY)
         plain = json.loads(model.metadata_props[place].value)
         model.metadata_props[place].value = json.dumps(plain | {"perception": 1})
-        onnx.save(model, path)
+        path.write_bytes(signed(model.SerializeToString()))
         with pytest.raises(checkpoints.CheckpointError, match=r"x\.onnx: .*perception is 1"):
             load(path, CLUTTER)
         del model.metadata_props[place]
-        onnx.save(model, path)
+        path.write_bytes(signed(model.SerializeToString()))
         with pytest.raises(
             checkpoints.CheckpointError, match=r"metadata has no 'rendezvous_policy'"
         ):

@@ -8,6 +8,7 @@ import dataclasses
 import json
 import shutil
 import warnings
+from collections import defaultdict
 from collections.abc import Callable
 from contextlib import suppress
 from importlib import import_module
@@ -364,8 +365,9 @@ def no_work(monkeypatch):
     """Commands stop where their settings have been accepted and work would begin."""
     from train.bench import bench
     from train.figures import render, style
+    from train.leaderboard import command as leaderboard
     from train.learn import trainer
-    from train.verify import claim, verify
+    from train.verify import claim, counterexamples, verify
 
     monkeypatch.setattr(compare, "_run", lambda *given: 0)
     monkeypatch.setattr(trainer, "_loop", lambda *given: SimpleNamespace(status=0))
@@ -376,6 +378,10 @@ def no_work(monkeypatch):
     monkeypatch.setattr(style, "save", lambda *given: None)
     fine = claim.Finding(trials=1, margin=1.0, time_over_bound=0.5, violations=0)
     monkeypatch.setattr(verify, "look", lambda block: verify.Seen(fine, 0.0, None))
+    nothing = counterexamples.Tally()
+    monkeypatch.setattr(verify, "look_at_any", lambda block: nothing)
+    monkeypatch.setattr(leaderboard, "play_all", lambda *given: (defaultdict(dict), 0.0))
+    monkeypatch.setattr(leaderboard, "write", lambda *given: None)
 
 
 @cases(150, 500)
@@ -397,4 +403,6 @@ def test_command_lines(count, no_work, tmp_path, capsys, monkeypatch):
         if said_by(words, work, capsys) == 0:
             accepted.add(words[0])
 
-    assert accepted >= {"compare", "train", "verify", "render", "bench", "reproduce"}
+    assert accepted >= {
+        "compare", "train", "verify", "render", "bench", "reproduce", "leaderboard"
+    }  # fmt: skip

@@ -187,6 +187,13 @@ class TestPrint:
         assert figure.get_figwidth() == style.COLUMN
         assert_readable(figure)
 
+    def test_a_single_panel_fits_a_column_and_is_readable(self):
+        policies = ["bearing-only", "tangent-joined-certified", "learned", "privileged-planner"]
+        rows = [row("clutter-8", policy, 0.5) for policy in policies]
+        for figure in (figures.success_figure(rows), figures.time_figure(rows)):
+            assert figure.get_figwidth() == style.COLUMN
+            assert_readable(figure)
+
     def test_panels_fit_a_page_and_are_readable(self):
         policies = ["bearing-only", "tangent-joined-certified", "learned", "privileged-planner"]
         rows = [row(f"clutter-{k}", policy, 0.5) for k in (4, 8, 12, 16) for policy in policies]

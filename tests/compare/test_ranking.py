@@ -1,4 +1,4 @@
-"""The answer of ``compare``: who wins, who is not told from the winner, and how it is shown."""
+"""The answer of ``compare``: who wins, who is tied with the winner, and how it is shown."""
 
 import io
 import json

@@ -283,8 +283,8 @@ def all_kernels():
     found = {}
     for package in (rendezvous_env, baselines, train):
         for module in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
-            if ".adapters." in module.name:  # needs a learning library each, and has no kernels
-                continue
+            if {"adapters", "pixels"} & {*module.name.split(".")}:
+                continue  # without kernels, and each needs a library of its own
             for function in vars(importlib.import_module(module.name)).values():
                 if hasattr(function, "py_func"):
                     found[f"{function.__module__}.{function.__qualname__}"] = function

@@ -37,8 +37,8 @@ def test_what_is_wrong_with_a_model_is_said(registry):
     with pytest.raises(ValueError, match="are a Still; describe_motion must have said"):
         rv.Simulator(rv.Scenario(robot_model="still"))
     hover = motion._MOTIONS[type(rv.Scenario().model.constants(rv.Scenario()))]
-    with pytest.raises(TypeError, match="bend of a Still is 3; it must be a function"):
-        rv.describe_motion(Still, hover._replace(bend=3))
+    with pytest.raises(TypeError, match="chord_error_bound of a Still is 3; it must be a function"):
+        rv.describe_motion(Still, hover._replace(chord_error_bound=3))
     with pytest.raises(ValueError, match="must be a NamedTuple class"):
         rv.describe_motion(dict, hover)
     rv.describe_motion(Still, hover)
@@ -78,8 +78,11 @@ def test_a_model_needs_to_say_how_it_moves_and_no_more(registry):
 
 KEEPS = {"n_angles": 1, "n_kept": lambda dim: 1}
 TURNS = {
-    "begin": lambda model, key, counter: (0.5,),
-    "along": lambda model, action, frame, memory, time: (time * action[0], time * action[1]),
+    "init": lambda model, key, counter: (0.5,),
+    "displacement_at": lambda model, action, frame, memory, time: (
+        time * action[0],
+        time * action[1],
+    ),
 }
 BAD_EQUATIONS = {
     "NaN": ({"propose": lambda *_: ((math.nan, 0.0), 1.0)}, {}, "propose .* 2 finite numbers"),
@@ -98,22 +101,30 @@ BAD_EQUATIONS = {
     "raises": ({"propose": lambda *_: [][0]}, {}, "propose of .* fails: IndexError"),
     "wants other arguments": ({"propose": lambda: 0}, {}, "propose of .* fails: TypeError"),
     "a frame that is none": ({"frame": lambda *_: (2.0, 0.0, 0.0, 2.0)}, {}, "a rotation"),
-    "forgets": ({**TURNS, "remember": lambda *_: ()}, KEEPS, "remember .* 1 finite"),
-    "keeps NaN": ({**TURNS, "remember": lambda *_: (math.nan,)}, KEEPS, "remember .* 1 finite"),
-    "begins with nothing": ({}, KEEPS, "begin .* 1 finite"),
-    "goes elsewhere": ({**TURNS, "along": lambda *_: (9.0, 9.0)}, KEEPS, "along .* of what"),
-    "negative bend": ({**TURNS, "bend": lambda *_: -1.0}, KEEPS, "bend .* 0 or more"),
+    "forgets": ({**TURNS, "update": lambda *_: ()}, KEEPS, "update .* 1 finite"),
+    "keeps NaN": ({**TURNS, "update": lambda *_: (math.nan,)}, KEEPS, "update .* 1 finite"),
+    "begins with nothing": ({}, KEEPS, "init .* 1 finite"),
+    "goes elsewhere": (
+        {**TURNS, "displacement_at": lambda *_: (9.0, 9.0)},
+        KEEPS,
+        "displacement_at .* of what",
+    ),
+    "negative bend": (
+        {**TURNS, "chord_error_bound": lambda *_: -1.0},
+        KEEPS,
+        "chord_error_bound .* 0 or more",
+    ),
     "comes back before it goes": ({**TURNS, "closes": lambda *_: 0.0}, KEEPS, "closes .* positive"),
     "more bent than it says": (
         {
             **TURNS,
-            "along": lambda model, action, frame, memory, time: (
+            "displacement_at": lambda model, action, frame, memory, time: (
                 time * action[0] + time * (model.duration - time) * 9.0,
                 time * action[1],
             ),
         },
         KEEPS,
-        "bend .* as large as the way is bent",
+        "chord_error_bound .* as large as the way is bent",
     ),
     "senses what it does not say": ({"sense": lambda *_: (1.0, 0.0)}, {}, "sense .* 0 finite"),
     "senses nothing after all": ({}, {"senses": "velocity"}, "sense .* 2 finite"),
@@ -195,3 +206,11 @@ def test_the_packages_own_models_answer_the_same_questions(name):
         constants = model.constants(scenario)
         motion_of = motion.motion_of(type(constants))
         robot_models._try(model, motion_of, constants, tuple(model.bounds(scenario)), dim)
+
+
+def test_old_names_of_equations_are_taken_with_a_warning():
+    with pytest.warns(DeprecationWarning, match="bend is called chord_error_bound now"):
+        old = rv.Motion(propose=math.hypot, bend=math.sin)
+    assert old == rv.Motion(propose=math.hypot, chord_error_bound=math.sin)
+    with pytest.raises(TypeError, match="turns"):
+        rv.Motion(propose=math.hypot, turns=math.sin)

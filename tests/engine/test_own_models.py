@@ -72,7 +72,7 @@ def clip(value, limit):
 
 
 @rv.kernel
-def along(model, action, frame, memory, time):
+def displacement_at(model, action, frame, memory, time):
     """∫ s(t) exp(i(θ + ωt)) dt with s(t) = v + (s₀ − v) exp(−t/T)."""
     v, w = clip(action[0], model.speed_limit), clip(action[1], model.turn_limit)
     heading = cmath.exp(1j * memory[0])
@@ -86,16 +86,16 @@ def along(model, action, frame, memory, time):
 @rv.kernel
 def propose(model, action, frame, memory):
     fastest = max(abs(memory[1]), abs(clip(action[0], model.speed_limit)))
-    return along(model, action, frame, memory, model.duration), fastest * model.duration
+    return displacement_at(model, action, frame, memory, model.duration), fastest * model.duration
 
 
 @rv.kernel
-def bend(model, action, memory):
+def chord_error_bound(model, action, memory):
     return model.speed_limit * (model.turn_limit + 2.0 / model.lag) / 8.0
 
 
 @rv.kernel
-def remember(model, action, frame, memory, displacement, contact):
+def update(model, action, frame, memory, displacement, contact):
     v, w = clip(action[0], model.speed_limit), clip(action[1], model.turn_limit)
     speed = v + (memory[1] - v) * math.exp(-model.duration / model.lag)
     return memory[0] + w * model.duration, 0.0 if contact else speed
@@ -113,11 +113,14 @@ def own_speed(model, frame, memory):
 
 
 @rv.kernel
-def begin(model, key, counter):
+def init(model, key, counter):
     return 0.25, 0.0
 
 
-rv.describe_motion(Sluggish, rv.Motion(propose, along, bend, remember, body, own_speed, begin))
+motion = rv.Motion(
+    propose, displacement_at, chord_error_bound, update, body, own_speed, init
+)
+rv.describe_motion(Sluggish, motion)
 rv.register_robot_model(
     rv.RobotModel(
         "sluggish",

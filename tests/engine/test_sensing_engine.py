@@ -95,17 +95,48 @@ def act(sim: rv.Simulator, step: int):
 # ---- noise and bias -----------------------------------------------------------------------------
 
 
-def test_noise_is_gaussian_and_drawn_anew_for_every_pair_and_step():
-    sim = simulator(sensing(PLANE, noise=0.2), batch=40)
+@pytest.mark.parametrize("sigma", [0.05, 0.3])
+def test_noise_is_gaussian_and_drawn_anew_for_every_pair_and_step(sigma):
+    """σ on both sides of where a turn takes a shorter way; 10⁶ bearings of 500 teams that rest."""
+    sim = simulator(sensing(PLANE, noise=sigma), batch=500)
     true, found = true_rows(sim), []
-    for _ in range(3):
+    others = ~np.eye(5, dtype=bool)
+    for step in range(100):
         rows = by_robot(neighbours(sim))
-        assert np.linalg.norm(rows, axis=-1) == pytest.approx(sim.weights, rel=1e-6)
-        others = ~np.eye(5, dtype=bool)
-        found.append((turns(rows, true) / 0.2)[:, others].ravel())
+        if step == 0:
+            assert np.linalg.norm(rows, axis=-1) == pytest.approx(sim.weights, rel=1e-6)
+        found.append((turns(rows, true) / sigma)[:, others])
         rest(sim)
-    assert stats.kstest(np.concatenate(found), "norm").pvalue > 0.01
-    assert np.abs(np.corrcoef(found)[np.triu_indices(3, 1)]).max() < 0.12
+    z = np.stack(found).reshape(100, 500, 5, 4)  # step, team, robot, whom it sees
+    assert stats.kstest(z.ravel(), "norm").pvalue > 0.01
+    assert z.mean() == pytest.approx(0.0, abs=3.5e-3)
+    assert np.mean(z**2) == pytest.approx(1.0, abs=3.5 * math.sqrt(2e-6))
+    assert np.mean(z**4) == pytest.approx(3.0, abs=3.5 * math.sqrt(96e-6))
+    beyond = int((np.abs(z) > 4.0).sum())
+    assert stats.binomtest(beyond, z.size, 2 * stats.norm.sf(4.0)).pvalue > 0.01
+    to_and_from = z[:, :, 0, 0], z[:, :, 1, 0]  # robots 0 and 1 of each other
+    pairs = {
+        "steps": (z[1:], z[:-1]),
+        "seeds": (z[:, 1:], z[:, :-1]),
+        "robots": (z[:, :, 1:], z[:, :, :-1]),
+        "rows": (z[..., 1:], z[..., :-1]),
+        "both ways": to_and_from,
+    }
+    for name, (one, other) in pairs.items():
+        assert abs(np.mean(one * other)) < 3.5 / math.sqrt(one.size), name
+        squares = (one**2 - 1) * (other**2 - 1)
+        assert abs(np.mean(squares)) < 7.0 / math.sqrt(one.size), name
+
+
+def test_noise_of_a_pair_is_the_same_on_any_graph():
+    turned = {}
+    for graph in ("complete", "cycle", rv.graphs.directed_cycle()):
+        sim = simulator(sensing(rv.Scenario(n_robots=6, graph=graph), noise=0.2))
+        rows, p = neighbours(sim)[0, 0], sim.positions[0]
+        true = (p[1] - p[0]) / np.linalg.norm(p[1] - p[0]) @ sim.frames[0, 0]
+        turned[str(graph)] = turns(rows[0], true)
+    assert len(turned) == 3 and turned["complete"] != 0.0
+    assert list(turned.values()) == pytest.approx([turned["complete"]] * 3, abs=1e-6)
 
 
 def test_bias_is_gaussian_and_belongs_to_pair_and_episode():

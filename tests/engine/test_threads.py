@@ -17,7 +17,7 @@ from conftest import five
 
 import rendezvous_env as rv
 from rendezvous_env import Simulator
-from rendezvous_env.compilation import inner_kernel, kernel
+from rendezvous_env.compilation import kernel
 from rendezvous_env.engine import batch_runner, threads
 from rendezvous_env.safety import safety_filter as teams
 from rendezvous_env.vector import HeadingVectorWrapper
@@ -26,16 +26,11 @@ from rendezvous_env.vector import HeadingVectorWrapper
 @kernel
 def mark(part, marks, work):
     """Count how often each block is taken; ``work`` makes it take its time."""
-    threads.each_block(part, _mark_block, (marks, work))
-
-
-@inner_kernel(inline="text")
-def _mark_block(block, arguments):
-    marks, work = arguments
-    waste = 1.0
-    for _ in range(work):
-        waste = np.sqrt(waste + 1.0)
-    marks[block] += 1.0 + 0.0 * waste
+    for block in range(part[0], part[1]):
+        waste = 1.0
+        for _ in range(work):
+            waste = np.sqrt(waste + 1.0)
+        marks[block] += 1.0 + 0.0 * waste
 
 
 def marked(blocks, most, work=0):

@@ -5,9 +5,11 @@ import pytest
 import torch
 from torch import nn
 
+from baselines.learned import checkpoints, shipped
 from baselines.learned.features import CONTEXT_COLUMNS, FeatureLayout
 from baselines.learned.numpy_actor import NumpyActor
 from baselines.learned.policy_settings import CHOICES, PolicySettings
+from train.learn import networks, sets
 from train.learn.networks import make_network
 
 K, M = 4, 6
@@ -139,3 +141,54 @@ def test_numpy_chooses_as_torch(tank):
     del weights["action_net.bias"]
     with pytest.raises(ValueError, match=r"weights have no 'action_net\.bias'"):
         NumpyActor(weights, settings, layout)
+
+
+def judged(made, seen):
+    """What an update asks of a network, and the gradients of all of it."""
+    found = made.judged(seen)
+    loss = (found[0].softmax(dim=-1).square().sum(dim=-1) + found[1][:, 0].square()).sum()
+    return [*(told.detach() for told in found), *torch.autograd.grad(loss, made.parameters())]
+
+
+@pytest.mark.parametrize("name", shipped.NAMES)
+def test_kernels_pool_as_torch_does(name, monkeypatch):
+    """Outputs and gradients of the shipped weights; equal rows share those of the largest."""
+    place = checkpoints.find(shipped.folder(name))
+    about, tables = checkpoints.read(place, ["network"])
+    settings = PolicySettings.from_plain(about["policy"])
+    layout = settings.layout(K, M)
+    made = make_network(
+        layout, len(settings.angles), set_width=settings.set_width, hidden=settings.hidden
+    )
+    weights = {k: torch.from_numpy(v) for k, v in tables["network"].items()}
+    made.load_state_dict(weights, strict=False)
+    assert made.state_dict().keys() & weights.keys() >= {"action_net.weight"}
+    neighbours, obstacles, _ = shown(robots=700)
+    neighbours[1, 1] = neighbours[1, 0] = [0.6, 0.8, 1.0]
+    neighbours[2] = obstacles[2] = 0.0
+    context = np.random.default_rng(4).normal(size=(700, layout.context_columns))
+    parts = (neighbours, obstacles, context)
+    flat = np.concatenate([part.reshape(700, -1) for part in parts], axis=1)
+    seen = torch.as_tensor(flat.astype(np.float32))
+    ours = judged(made, seen)
+    monkeypatch.setattr(networks, "pooled", sets.pooled_anywhere)
+    expected = judged(made, seen)
+    for one, other in zip(ours, expected, strict=True):
+        torch.testing.assert_close(one, other, rtol=1e-5, atol=1e-5 * float(other.abs().max()))
+    assert min(float(other.abs().max()) for other in expected) > 0.0
+
+
+def test_what_is_said_of_choices_is_what_torch_says():
+    made, parts = network(), shown()
+    flat = np.concatenate([part.reshape(len(part), -1) for part in parts], axis=1)
+    seen = torch.as_tensor(flat.astype(np.float32))
+    with torch.no_grad():
+        expected = made.get_distribution(seen).distribution
+        choices, values, log_prob = made(seen.repeat(400, 1))
+        torch.testing.assert_close(log_prob, expected.log_prob(choices.view(400, -1)).flatten())
+        torch.testing.assert_close(values, made.predict_values(seen).repeat(400, 1))
+        assert torch.equal(made(seen, deterministic=True)[0], expected.probs.argmax(dim=-1))
+    shares = torch.nn.functional.one_hot(choices.view(400, -1), CHOICES).double().mean(dim=0)
+    error = (expected.probs * (1 - expected.probs) / 400).sqrt()
+    assert ((shares - expected.probs).abs() <= 5 * error + 2 / 400).all()
+    assert ((shares - expected.probs) / error.clamp(min=0.01)).square().mean() < 1.5

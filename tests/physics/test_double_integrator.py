@@ -62,7 +62,7 @@ def test_against_an_integrator_of_its_own(action, velocity, share):
         rtol=1e-10,
         atol=1e-12,
     )
-    along = motion.along(model, action, frame, velocity, time)
+    along = motion.displacement_at(model, action, frame, velocity, time)
     np.testing.assert_allclose(along, exact.y[:3, 0], atol=1e-9)
     way, length = motion.propose(model, action, frame, velocity)
     np.testing.assert_allclose(way, exact.y[:3, -1], atol=1e-9)
@@ -97,10 +97,10 @@ def test_a_piece_of_the_way_is_as_near_to_its_chord_as_bend_says(action, velocit
     velocity = within(velocity, V_MAX)
     end = start + share * (1 - start)
     times = TAU * np.linspace(start, end, 41)
-    path = np.array([motion.along(MODEL, action, GLOBAL, velocity, t) for t in times])
+    path = np.array([motion.displacement_at(MODEL, action, GLOBAL, velocity, t) for t in times])
     shares = np.linspace(0, 1, 41)[:, None]
     gap = np.linalg.norm(path - (path[0] + shares * (path[-1] - path[0])), axis=1).max()
-    allowed = motion.bend(MODEL, action, velocity) * (TAU * (end - start)) ** 2
+    allowed = motion.chord_error_bound(MODEL, action, velocity) * (TAU * (end - start)) ** 2
     assert gap <= allowed * (1 + 1e-9) + 1e-12
 
 
@@ -113,16 +113,16 @@ def test_a_contact_takes_what_goes_into_the_wall_and_nothing_else(action, veloci
     into = -min(0.0, float(np.dot(way, normal)))
     assume((1 - kept) * into > 1e-6)
     executed = tuple(np.array(way) + (1 - kept) * into * normal)
-    free = np.array(motion.remember(MODEL, action, GLOBAL, velocity, way, motion.FREE))
+    free = np.array(motion.update_memory(MODEL, action, GLOBAL, velocity, way, motion.FREE))
     np.testing.assert_array_equal(free, final_velocity(MODEL, action, GLOBAL, velocity))
-    slid = np.array(motion.remember(MODEL, action, GLOBAL, velocity, executed, motion.SLID))
+    slid = np.array(motion.update_memory(MODEL, action, GLOBAL, velocity, executed, motion.SLID))
     np.testing.assert_allclose(slid, free - min(0.0, free @ normal) * normal, atol=1e-7)
     assert np.linalg.norm(slid) <= np.linalg.norm(free) * (1 + 1e-12)
-    stopped = motion.remember(MODEL, action, GLOBAL, velocity, executed, motion.STOPPED)
+    stopped = motion.update_memory(MODEL, action, GLOBAL, velocity, executed, motion.STOPPED)
     assert np.array_equal(np.abs(stopped), (0.0, 0.0))
 
 
 def test_it_starts_at_rest_and_observes_its_velocity_in_its_own_frame():
-    assert motion.begin_memory(MODEL, np.uint64(1), 0) == (0.0, 0.0)
+    assert motion.init_memory(MODEL, np.uint64(1), 0) == (0.0, 0.0)
     quarter = (0.0, -1.0, 1.0, 0.0)
-    assert motion.sense_oneself(MODEL, quarter, (0.0, 1.5)) == (1.5, 0.0)
+    assert motion.proprioception(MODEL, quarter, (0.0, 1.5)) == (1.5, 0.0)

@@ -6,20 +6,15 @@ import math
 
 import numpy as np
 import pytest
-from scipy import stats
 from shapely.geometry import LineString, Point, Polygon
 from tuples import triple, world
 
 import rendezvous_env as rv
 from rendezvous_env.physics.hull_perimeter import size
-from rendezvous_env.physics.random_streams import SENSING, stream_key
 from rendezvous_env.physics.worst_bias import outward_directions
 from rendezvous_env.sensors.line_of_sight import is_hidden_by_obstacles, is_hidden_by_robot, is_seen
 from rendezvous_env.sensors.sensor_equations import (
-    gaussian,
     in_sectors,
-    random_axis,
-    step_key,
     turned,
     turned_towards,
 )
@@ -272,28 +267,3 @@ def test_merged_robots_do_not_count():
     positions = np.array([[0.0, 0.0], [4.0, 0.0], [0.0, 3.0], [9.0, 9.0]])
     found = outward(positions, np.array([0, 1, 2, 0]))
     assert found[:3] == pytest.approx(outward(positions[:3])) and not found[3].any()
-
-
-# ---- chance -------------------------------------------------------------------------------------
-
-KEY = np.uint64(stream_key(3, 1, SENSING))
-
-
-def test_gaussian_numbers_are_standard_normal():
-    numbers = [gaussian(KEY, 2 * k) for k in range(4000)]
-    assert stats.kstest(numbers, "norm").pvalue > 0.01
-
-
-def test_a_random_axis_is_uniform_on_the_sphere():
-    axes = np.array([random_axis(KEY, 2 * k) for k in range(4000)])
-    assert np.linalg.norm(axes, axis=-1) == pytest.approx(1.0)
-    for column in axes.T:
-        assert stats.kstest(column, "uniform", args=(-1, 2)).pvalue > 0.01
-
-
-def test_every_step_has_numbers_of_its_own():
-    keys = {int(np.uint64(step_key(KEY, step))) for step in (0, 1, 2, 10**15)} | {int(KEY)}
-    assert len(keys) == 5
-    rows = [[gaussian(np.uint64(step_key(KEY, t)), 5 * k) for k in range(500)] for t in range(4)]
-    correlations = np.corrcoef(rows)[np.triu_indices(4, 1)]
-    assert np.abs(correlations).max() < 0.2

@@ -19,6 +19,7 @@ from rendezvous_env import Scenario, graphs
 from rendezvous_env.compilation import kernel
 from rendezvous_env.physics.vectors import add, dot, load, norm, scaled, split
 from rendezvous_env.robots.nonholonomic_3d import body_frame_3d
+from rendezvous_env.safety.theorems.turning import gated_window, turning_window
 from rendezvous_env.safety.turning import (
     Gate,
     gate_of,
@@ -71,8 +72,8 @@ def greedy(net_bearings, observations, shares, gate, chosen):
                         chosen[team, i, angle] = shares[k, angle]
 
 
-def stuck_under_the_gate(scenario, wish, teams, steps, seed=0, side=4, margin=MARGIN):
-    """How many teams have not met after so many steps."""
+def under_the_gate(scenario, wish, teams, steps, seed=0, side=4, margin=MARGIN):
+    """The teams at their start and after each of so many steps, or until all have met."""
     venv = rv.make_vec(scenario, num_envs=teams, autoreset_mode="Disabled", num_threads=1)
     env = rv.vector.HeadingVectorWrapper(venv, min_alignment=margin, max_turn_rate=1e6)
     observations, _ = env.reset(seed=seed)
@@ -80,6 +81,7 @@ def stuck_under_the_gate(scenario, wish, teams, steps, seed=0, side=4, margin=MA
     shares = candidates(scenario.robot_model, side)
     gate = gate_of(scenario, margin, scenario.dead_zone)
     wishes = np.zeros((teams, scenario.n_robots, shares.shape[1]))
+    yield venv.simulator
     for _ in range(steps):
         if wish == "random":
             wishes = random.uniform(-1, 1, wishes.shape)
@@ -87,9 +89,15 @@ def stuck_under_the_gate(scenario, wish, teams, steps, seed=0, side=4, margin=MA
             f = scenario.observation_layout.net_bearing(observations)
             greedy(f, observations, shares, gate, wishes)
         observations, *_ = env.step(wishes)
+        yield venv.simulator
         if not (venv.simulator.status == 0).any():
             break
-    return int(np.sum(venv.simulator.status == 0))
+
+
+def stuck_under_the_gate(*how, **options):
+    """How many teams have not met after so many steps."""
+    *_, teams = under_the_gate(*how, **options)
+    return int(np.sum(teams.status == 0))
 
 
 def stuck_under_the_law(scenario, teams, steps, seed=0):
@@ -143,11 +151,8 @@ def unproductive(starts, turns, gate, waited):
 def test_of_k_steps_one_is_productive(dim, turned):
     """Theorem T: f turns by less than θ in all, as somebody wants, and begins where it is worst."""
     random, count = np.random.default_rng(0), 4000
-    if dim == 2:
-        turned, drift = min(turned, math.pi / 3), 0.1
-        window = math.ceil(1.25 / turned) + 2
-    else:
-        drift, window = min(1.0, turned**2) / 10, math.ceil(math.pi / (2 * turned)) + 2
+    turned = min(turned, math.pi / 3) if dim == 2 else turned
+    window, drift = turning_window(dim, turned)
     # in the plane law (8) turns by τ‖f‖ sin φ, of which 0.8 · 10/11 > 0.7 is sure
     strength = 2.0 if dim == 3 else turned / 0.7 * 10 / 11
     gate = Gate(dim == 2, 0.999, 1e-6, 1.0, turned, turned)
@@ -167,6 +172,23 @@ def test_of_k_steps_one_is_productive(dim, turned):
     waited = np.zeros(count, np.int64)
     unproductive(starts, 0.98 * drift * turns / shares, gate, waited)
     assert 0 < waited.max() < window
+
+
+@pytest.mark.parametrize("turn_rate", [0.2, 10.0])
+@pytest.mark.parametrize("wish", WISHES)
+@pytest.mark.parametrize("model", MODELS)
+def test_v_falls_by_q_in_every_window(model, wish, turn_rate):
+    """Theorem T's K and q, in the environment, whatever is wished for."""
+    scenario = team(model, graphs.path(), 4.0, turn_rate)
+    window, least = gated_window(scenario, MARGIN)
+    seen = [
+        (teams.lyapunov(), teams.active.sum(axis=-1))
+        for teams in under_the_gate(scenario, wish, 16, 400)
+    ]
+    v, left = (np.array(each) for each in zip(*seen, strict=True))
+    calm = (left[window:] == left[:-window]) & (left[window:] > 1)
+    assert calm.sum() > 100 and 3 <= window <= 10
+    assert (v[:-window] - v[window:])[calm].min() >= least > 1e-9
 
 
 @pytest.mark.slow

@@ -12,7 +12,7 @@ from train.compare.settings import DEFAULT_SCENARIOS
 
 FIELD = (
     "noisy-8", "fov-8", "occluded-8", "range-12", "switching-8", "pursuit-6", "rssdoa-15",
-    "huettenrauch-20", "huettenrauch-20-sight-40",
+    "huettenrauch-20", "huettenrauch-20-sight-40", "robotarium-4", "robotarium-10", "robotarium-20",
 )  # fmt: skip
 
 
@@ -28,6 +28,15 @@ def test_the_numbers_of_huettenrauch_and_others():
         assert scenario.max_steps == 1024 and scenario.tau == 0.1
         assert scenario.action_bounds.tolist() == [10.0, math.pi]
         assert scenario.spawn_size == 0.9 * 100 and scenario.sensing.range == sight
+
+
+@pytest.mark.parametrize("n", [4, 10, 20])
+def test_the_numbers_of_the_robotarium(n):
+    scenario = scenarios.get(f"robotarium-{n}")
+    assert (scenario.n_robots, scenario.tau, scenario.speed_limit) == (n, 0.033, 0.2)
+    assert scenario.spawn_size < 2.0 and 2 * scenario.body_radius > 0.135
+    assert scenario.max_degree == pytest.approx(0.2) and scenario.merge_radius == 0.17
+    assert scenario.tau < scenario.certified_step
 
 
 def test_the_numbers_of_rssdoa():

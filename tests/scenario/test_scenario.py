@@ -88,7 +88,7 @@ REFUSED = [
     ({"n_robot": 3}, r"no field 'n_robot'; did you mean 'n_robots'"),
     ({"zzz": 3}, r"no field 'zzz'; known are name, n_robots, dim"),
     ({"noise": 0.1}, r"no field 'noise'; known are name, n_robots, dim"),
-    ({"radius": 0.1}, r"no field 'radius'; did you mean 'merge_radius'"),
+    ({"radius": 0.1}, r"no field 'radius'; did you mean 'body_radius'"),
     ({"merge": 0.1}, r"no field 'merge'; did you mean 'on_merge'"),
 ]  # fmt: skip
 

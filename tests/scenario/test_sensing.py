@@ -37,6 +37,21 @@ def test_the_fields_and_defaults_of_the_design():
     assert rv.Sensing().exact and rv.Scenario().sensing == rv.Sensing()
 
 
+def test_the_camera_is_a_sensor_like_any_other():
+    """Its numbers are those of docs/worlds.md, and what is hidden has no row."""
+    camera = rv.Sensing.camera()
+    assert camera.occlusion == "both" and not camera.exact
+    assert math.degrees(camera.noise) == pytest.approx(0.43, abs=0.01)
+    assert rv.Sensing.from_plain(camera.to_plain()) == camera == rv.Sensing.camera()
+    discs = (rv.Disc(centre=(0.0, 0.0), radius=0.5),)
+    places = ((-2.0, 0.0), (2.0, 0.0), (0.0, 3.0))
+    scenario = rv.Scenario(n_robots=3, start_positions=places, obstacles=discs, sensing=camera)
+    seen = rv.Simulator(scenario, 100).reset(0)
+    shares = scenario.observation_layout.split(seen).neighbours.any(-1).mean(0).sum(-1)
+    assert shares[:2] == pytest.approx(1.0, abs=0.1) and shares[2] == pytest.approx(2.0, abs=0.2)
+    assert not rv.certificate(scenario).guaranteed
+
+
 @pytest.mark.parametrize("field", UNLIKE)
 def test_each_field_makes_another_sensor(field):
     one = rv.Sensing(**{field: UNLIKE[field]})

@@ -26,10 +26,11 @@ from ..results import provenance, write_json
 from . import cases, learners
 from .cases import Case, Running, Size, spread_out
 
-GROUPS = ("one-team", "batched", "obstacles", "wrapped", "sensing", "adapters", "heading-ppo")
+GROUPS = tuple("one-team batched obstacles wrapped training sensing adapters heading-ppo".split())
 _PEERS = ("stable-baselines3", "torch", "mpe2", "torchrl", "pufferlib-core")
 _TOLD = ("group", "name", "n_robots", "num_envs", "unit", "against")
 _MOST_BEARINGS = 2**31
+_TAUGHT = (("clutter-8", "heading"), ("clutter-24", "tank"))
 
 EXAMPLES = ("", "--only batched wrapped --robots 8 --json out/bench.json")
 
@@ -41,8 +42,8 @@ class Config:
     json: Path | None = None
     """A file for the numbers, beside the table."""
     only: tuple[str, ...] = ()
-    """The groups of rows to measure: one-team, batched, obstacles, wrapped, sensing, adapters,
-    heading-ppo. Without it all are."""
+    """The groups of rows to measure: one-team, batched, obstacles, wrapped, training, sensing,
+    adapters, heading-ppo. Without it all are."""
     robots: tuple[int, ...] = (3, 8, 32)
     """The sizes of teams."""
     num_envs: int = 1024
@@ -118,6 +119,7 @@ def _compared(config: Config) -> Iterator[list[Case]]:
         "batched": (cases.batched("batched", team, size) for team in teams),
         "obstacles": (make("obstacles", discs, size) for make in (cases.one_team, cases.batched)),
         "wrapped": (cases.wrapped(n, size) for n in robots),
+        "training": (cases.training(*taught, size) for taught in _TAUGHT),
         "sensing": (cases.sensing(n, own) for n in robots for own in (None, size)),
         "adapters": learners.adapters(robots, size),
         "heading-ppo": [learners.heading_ppo(size)] if installed("stable_baselines3") else [],

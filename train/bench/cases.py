@@ -14,7 +14,7 @@ from gymnasium.spaces import MultiDiscrete
 from numba import njit
 
 import rendezvous_env as rv
-from rendezvous_env.vector import EnergyTankWrapper, HeadingVectorWrapper
+from rendezvous_env.vector import EnergyTankWrapper, HeadingVectorWrapper, training_env
 
 from ..checks import installed
 
@@ -51,7 +51,7 @@ class Case:
     per_step: int
     """What one step counts as, in ``unit``."""
     unit: str
-    """"team steps", "robot steps", "robot ticks" or "samples"."""
+    """"team steps", "robot steps", "decisions" of teams, or "samples"."""
     build: Callable[[], Running]
     against: str = ""
     """How the name of the case begins, of the same group and size, that this is divided by."""
@@ -112,7 +112,7 @@ def batched(group: str, scenario: rv.Scenario, size: Size) -> list[Case]:
 
 
 def wrapped(n: int, size: Size) -> list[Case]:
-    """Steps of many teams under random choices, beside the certified heading's."""
+    """Steps of many teams under random choices and a guarantee, beside those under none."""
     # robots that are steered go towards each other, unlike those of random actions
     scenario = spread_out(n, spawn_size=1e6 * n)
 
@@ -120,12 +120,27 @@ def wrapped(n: int, size: Size) -> list[Case]:
         return stepping(wrap(rv.make_vec(scenario, size.num_envs, num_threads=size.num_threads)))
 
     own = ("wrapped", n, size.num_envs, size.num_envs, "team steps")
-    heading = "HeadingVectorWrapper"
-    return [
-        Case("make_vec", *own, partial(build, lambda env: env)),
-        Case(heading, *own, partial(build, HeadingVectorWrapper)),
-        Case("EnergyTankWrapper", *own, partial(build, EnergyTankWrapper), heading),
+    return [Case("make_vec", *own, partial(build, lambda env: env))] + [
+        Case(wrap.__name__, *own, partial(build, wrap), "make_vec")
+        for wrap in (HeadingVectorWrapper, EnergyTankWrapper)
     ]
+
+
+def training(name: str, guarantee: str, size: Size) -> list[Case]:
+    """Decisions where robots learn, beside the physics of their base steps alone."""
+
+    def build(learning: bool) -> Running:
+        options: dict[str, Any] = {"guarantee": guarantee, "num_threads": size.num_threads}
+        env: Any = training_env(name, size.num_envs, **options)
+        if learning:
+            return Running(stepping(env).step)
+        step, steps = simulator_of(env.scenario, size).step, range(env.env.decision_period)
+        return Running(lambda: [step() for _ in steps])
+
+    n, teams = rv.scenarios.get(name).n_robots, size.num_envs
+    own, learns = ("training", n, teams, teams, "decisions"), f"training_env, {name}, {guarantee}"
+    alone = Case("base steps", *own, partial(build, False))
+    return [alone, Case(learns, *own, partial(build, True), alone.name)]
 
 
 def sensing(n: int, size: Size | None) -> list[Case]:

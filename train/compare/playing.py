@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import time
-from collections.abc import Callable, Sequence
-from contextlib import closing, suppress
+from collections.abc import Callable, Generator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache, partial
 from itertools import chain
@@ -22,7 +22,7 @@ from rendezvous_env.scenario.scenario import Scenario
 from .. import policies
 from ..recording import Recording
 from ..resume import Part, program
-from ..tasks import each
+from ..tasks import WorkerFlags, each
 from . import statistics
 from .evaluation import Episodes, play
 from .settings import Config, Job
@@ -193,27 +193,25 @@ def joined(job: Job, cells: Sequence[Cell]) -> Played:
 
 
 def play_all(
-    tasks: Sequence[Task], config: Config, part: Part, console: Console
+    tasks: Sequence[Task], config: WorkerFlags, part: Part, console: Console
 ) -> tuple[dict[str, Any], float]:
     """Do all tasks that are not finished, under a progress bar.
 
     Returns:
         What came of the tasks, by their names; and how long workers made kernels ready, s, each.
     """
-    found = {task.name: part.load(task.name) for task in tasks}
-    left = _one_of_each_first([task for task in tasks if found[task.name] is None])
-    ready, long = 0.0, len(left) >= _MANY
-    results = each(_do, left, config.workers, lambda task: task.stays, long=long)
+
+    def do(left: list[Task]) -> Generator[tuple[int, Any], None, None]:
+        left[:] = _one_of_each_first(left)
+        return each(_do, left, config.workers, lambda task: task.stays, long=len(left) >= _MANY)
+
+    found, ready = {}, 0.0
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
-    progress = Progress(*columns, TimeElapsedColumn(), console=console)
-    with progress, closing(results):
-        total, missing = (sum(task.count for task in some) for some in (tasks, left))
-        bar = progress.add_task("playing", total=total, completed=total - missing)
-        for number, result in results:
-            task = left[number]
-            part.save(task.name, result)
+    with Progress(*columns, TimeElapsedColumn(), console=console) as progress:
+        bar = progress.add_task("playing", total=sum(task.count for task in tasks))
+        for task, result, now in part.finish(tasks, do):
             found[task.name] = result
-            ready += result.ready if isinstance(result, Cell) else 0.0
+            ready += result.ready if now and isinstance(result, Cell) else 0.0
             progress.update(bar, advance=task.count, description=task.label.ljust(40))
         progress.update(bar, description="played".ljust(40))
     return found, ready / config.workers.count

@@ -94,7 +94,7 @@ def answer(rankings: Sequence[Ranking]) -> str:
 
 
 def leaders(rankings: Sequence[Ranking]) -> list[str]:
-    """Policies that are best of a scenario or not told from it, those of most scenarios first."""
+    """Policies that are best of a scenario or tied with it, those of most scenarios first."""
     tops, alone = _counts([ranking for ranking in rankings if ranking.is_contest])
     return sorted(tops, key=lambda name: (-tops[name], -alone[name]))
 

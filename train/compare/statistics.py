@@ -176,3 +176,63 @@ def compare_pairs(
             }
         )
     return rows
+
+
+# ---- runs of learners: seeds × fields (Agarwal et al. 2021; Gorsane et al. 2022) -----------------
+
+
+def interquartile_mean(scores: NDArray[np.float64]) -> float:
+    """Mean of the middle half of all runs.
+
+    Args:
+        scores: (S, F), of S seeds on F fields.
+    """
+    from scipy.stats import trim_mean
+
+    return float(trim_mean(scores, 0.25, axis=None))
+
+
+def stratified_interval(
+    samples: tuple[NDArray[np.float64], ...], statistic: Callable[..., float]
+) -> Interval:
+    """Percentile bootstrap interval over seeds, drawn for each field by itself; the same for the
+    same samples. Where every sample has a single seed there is none.
+
+    Args:
+        samples: (S, F) each, drawn independently of one another.
+        statistic: of such samples.
+    """
+    if all(len(one) == 1 for one in samples):
+        return _NONE
+    rng = np.random.default_rng(0)
+
+    def drawn(scores: NDArray[np.float64]) -> NDArray[np.float64]:
+        chosen: NDArray[np.float64] = np.take_along_axis(
+            scores, rng.integers(len(scores), size=scores.shape), axis=0
+        )
+        return chosen
+
+    found = [statistic(*(drawn(one) for one in samples)) for _ in range(RESAMPLES)]
+    tail = 50.0 * (1.0 - CONFIDENCE)
+    low, high = np.percentile(found, [tail, 100.0 - tail])
+    return float(low), float(high)
+
+
+def probability_of_improvement(own: NDArray[np.float64], other: NDArray[np.float64]) -> float:
+    """Chance that a run of one does better than one of another on the same field, fields alike; a
+    tie counts half.
+
+    Args:
+        own: (S, F), more is better.
+        other: (S', F).
+    """
+    above = (own[:, None] > other) + 0.5 * (own[:, None] == other)
+    return float(above.mean(axis=(0, 1)).mean())
+
+
+def performance_profile(
+    scores: NDArray[np.float64], levels: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Share of runs, fields alike, that reach each level: (L,) of scores (S, F) and levels (L,)."""
+    reached: NDArray[np.float64] = (scores[..., None] >= levels).mean(axis=(0, 1))
+    return reached

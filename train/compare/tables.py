@@ -186,7 +186,7 @@ def _notes(rankings: Sequence[Ranking]) -> Iterator[str]:
     """What the marks mean that are there."""
     if any(ranking.is_contest for ranking in rankings):
         yield (
-            f"{BEST} best of a scenario (among equals the soonest); {TIED} not told from it: the "
+            f"{BEST} best of a scenario (among equals the soonest); {TIED} tied with it: the "
             "95 % bootstrap interval of the difference on the same starts holds 0"
         )
     if references := dict.fromkeys(name for ranking in rankings for name in ranking.references):

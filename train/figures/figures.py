@@ -94,7 +94,9 @@ def success_figure(rows: Sequence[Mapping[str, Any]]) -> Figure:
         axes.plot([], [], "o", color=GREY, label="and none touched an obstacle")[0],
         axes.plot([], [], "-", color=GREY, label="95 % interval")[0],
     ]
-    figure.legend(handles=handles, loc="outside upper center", ncols=3)
+    across = 1 if figure.get_figwidth() == COLUMN else len(handles)
+    figure.set_figheight(figure.get_figheight() + LINE * (len(handles) // across - 1))
+    figure.legend(handles=handles, loc="outside upper center", ncols=across)
     return figure
 
 

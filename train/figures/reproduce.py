@@ -1,5 +1,6 @@
 """``rendezvous reproduce``: figures 3 and 4 of the paper for our start positions, what the margin
-and the budget of an energy tank buy, and how far bounds lie above what teams take.
+and the budget of an energy tank buy, how far bounds lie above what teams take, and policies that
+see with cameras.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from rendezvous_env.scenario import scenarios
 from rendezvous_env.trajectory import Trajectory, rollout
 
 from .. import policies, results
-from ..checks import UserError, check_least, check_most
+from ..checks import UserError, check_installed, check_least, check_most
 from . import bounds, path_figures, style
 from .figures import BLUE, VERMILLION
 from .style import PAGE, new_figure, styled
@@ -38,7 +39,13 @@ BUDGETS = (0.0, 20.0)
 """m²/s."""
 _TANK_COLOURS = (BLUE, VERMILLION)
 
-EXAMPLES = ("fig3", "fig4 --policy learned", "tank --episodes 1000", "bounds")
+EXAMPLES = (
+    "fig3",
+    "fig4 --policy learned",
+    "tank --episodes 1000",
+    "bounds",
+    "pixels --episodes 50",
+)
 
 
 @dataclass(frozen=True)
@@ -47,23 +54,25 @@ class Config:
 
     The paper prints no coordinates; start positions and obstacles are our own choice. Or draw
     what a tank's margin and budget buy: collision-free success and the time bound. Or make the
-    table of certified times over those that random teams take.
+    table of certified times over those that random teams take. Or let policies drive from the
+    pictures of cameras.
     """
 
-    figure: Positional[Literal["fig3", "fig4", "tank", "bounds"]]
+    figure: Positional[Literal["fig3", "fig4", "tank", "bounds", "pixels"]]
     """What to draw. fig3: law (1), obstacles ignored. fig4: law (4) with headings round the
     obstacles. tank: tank-joined among 24 discs with other margins and budgets. bounds: a table of
-    times, random choices under every guarantee."""
+    times, random choices under every guarantee. pixels: success from pictures alone beside
+    what Sensing.camera() predicts."""
     policy: str | None = None
     """Another policy than the figure's own, which is bearing-only or tangent-joined; for fig3 and
-    fig4 alone."""
+    fig4, and for pixels, which shows four."""
     out: Path = Path("out/reproduce")
     """The folder for the picture and its data; it is made if there is none."""
     seed: int = 0
     """The seed of the robots' local frames, which do not change what is drawn; of tank's first
     start."""
     episodes: int = 256
-    """How many starts each point of tank has, and each row of bounds."""
+    """How many starts each point of tank has, each row of bounds and each policy of pixels."""
     page: Path | None = None
     """A Markdown page in which the table of bounds takes the place of the one with its head."""
 
@@ -76,6 +85,8 @@ def run(config: Config) -> int:
     """
     check_least(config, seed=0, episodes=1)
     check_most(config, seed=2**63 - 1, episodes=10**6)
+    if config.figure == "pixels":
+        return _pixels(config)
     if config.policy is not None and config.figure not in _LAWS:
         shown = TANK_POLICY if config.figure == "tank" else "random choices"
         raise UserError(f"--policy is {config.policy}; {config.figure} shows {shown} alone")
@@ -165,6 +176,28 @@ def _bounds(config: Config) -> int:
     if config.page is not None:
         bounds.write_into(config.page, table)
     console.print("\n".join(table), soft_wrap=True)
+    console.print(f"data: {path}")
+    return 0
+
+
+def _pixels(config: Config) -> int:
+    """Play, print, and write pixels.csv."""
+    check_installed("reproduce pixels", "mujoco", "mujoco")
+    from ..pixels import pixels
+
+    path, console = results.prepare_folder(config.out) / "pixels.csv", Console()
+    policies.check_names([config.policy] if config.policy else [])
+    rows = []
+    for name in [config.policy] if config.policy else pixels.POLICIES:
+        with console.status(f"{name} looks; the first use on a machine compiles …"):
+            rows.append(row := pixels.compare(name, config.episodes, config.seed))
+        console.print(
+            f"{name}: {row['clean']:.1%} [{row['low']:.1%}, {row['high']:.1%}] without a contact "
+            f"from pixels, {row['predicted']:.1%} by Sensing.camera(), {row['exact']:.1%} exact; "
+            f"{row['steps_per_core_second']:.0f} steps in a second of a core",
+            soft_wrap=True,
+        )
+    results.write_csv(path, list(rows[0]), rows)
     console.print(f"data: {path}")
     return 0
 

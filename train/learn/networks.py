@@ -7,6 +7,7 @@ can measure, and for training only: no policy that is served is shown any of it.
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -27,6 +28,8 @@ from torch import Tensor, nn
 
 from rendezvous_env.obstacles.shape import CENTRE, RADIUS
 from rendezvous_env.simulator import Simulator
+
+from .sets import pooled
 
 _SMALL = 0.1
 """Share of the usual weights with which the choice begins."""
@@ -58,25 +61,19 @@ class SetFeatures(BaseFeaturesExtractor):
 
 def row_network(columns: int, width: int) -> nn.Sequential:
     """Reads one row. Ends in a ReLU: no feature is below the zeros of an empty set."""
-    return nn.Sequential(nn.Linear(columns, width), nn.ReLU(), nn.Linear(width, width), nn.ReLU())
-
-
-def pooled(network: nn.Sequential, rows: Tensor) -> tuple[Tensor, Tensor]:
-    """Mean and largest feature over the rows that are present, (N, width) each."""
-    present = rows.any(dim=-1)
-    owner = present.nonzero()[:, 0]
-    features = network(rows[present])
-    empty = features.new_zeros(len(rows), features.shape[-1])
-    count = present.sum(dim=-1, keepdim=True).clamp(min=1)
-    largest = empty.scatter_reduce(0, owner[:, None].expand_as(features), features, "amax")
-    return empty.index_add(0, owner, features) / count, largest
+    return nn.Sequential(
+        nn.Linear(columns, width),
+        nn.ReLU(inplace=True),
+        nn.Linear(width, width),
+        nn.ReLU(inplace=True),
+    )
 
 
 class HeadingNetwork(ActorCriticPolicy):
     """Actor and critic over ``SetFeatures``; the action is one of the choices of ``guide``.
 
-    At first choice 0, the analytic rule, is by far the likeliest whatever is seen, so that training
-    begins near the rule.
+    At first choice 0, the analytic rule, is by far the most probable whatever is seen, so that
+    training begins near the rule.
 
     Args:
         prior: how much likelier than any other, as a logarithm.
@@ -90,6 +87,29 @@ class HeadingNetwork(ActorCriticPolicy):
             choice.bias.zero_()
             choice.bias[0] = prior
 
+    def forward(self, obs: Tensor, deterministic: bool = False) -> tuple[Tensor, Tensor, Tensor]:
+        """Choices (N,), values (N, 1) and log-probabilities (N,) of N robots."""
+        return self._chosen(self.extract_features(obs), deterministic)
+
+    def _chosen(self, features: Any, deterministic: bool) -> tuple[Tensor, Tensor, Tensor]:
+        preferences, values = self._judged(features)
+        log_probs = preferences.T.log_softmax(dim=0)  # sums over choices are sums of vectors
+        if deterministic:
+            choices = log_probs.argmax(dim=0)
+        else:  # the first choice up to which the chances pass a number between 0 and 1
+            passed = log_probs.exp().cumsum(dim=0)
+            drawn = torch.rand(len(values), device=values.device) * passed[-1]
+            choices = (passed[:-1] <= drawn).sum(dim=0)
+        return choices, values, log_probs.gather(0, choices[None])[0]
+
+    def judged(self, obs: Any) -> tuple[Tensor, Tensor]:
+        """Preferences (N, choices) and values (N, 1) of N robots."""
+        return self._judged(self.extract_features(obs))
+
+    def _judged(self, features: Any) -> tuple[Tensor, Tensor]:
+        latent_pi, latent_vf = self.mlp_extractor(features)
+        return self.action_net(latent_pi), self.value_net(latent_vf)
+
 
 def network_settings(
     layout: FeatureLayout, *, set_width: int, hidden: tuple[int, ...], prior: float = 0.0
@@ -99,7 +119,8 @@ def network_settings(
         "features_extractor_class": SetFeatures,
         "features_extractor_kwargs": {"layout": layout, "width": set_width},
         "net_arch": {"pi": list(hidden), "vf": list(hidden)},
-        "activation_fn": nn.ReLU,
+        "activation_fn": partial(nn.ReLU, inplace=True),
+        "optimizer_kwargs": {"eps": 1e-5, "fused": True},  # one pass over all weights
         "prior": prior,
     }
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Mapping
+from collections.abc import Mapping
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -19,7 +19,7 @@ from rendezvous_env.adapters.sb3 import RobotVecEnv
 
 from . import networks
 from .networks import GlobalFeatures, HeadingNetwork, SplitNetwork
-from .rollout_buffer import RobotPPO, RobotRolloutBuffer
+from .rollout_buffer import HeadingPPO, RobotRolloutBuffer
 from .settings import Config
 
 
@@ -72,10 +72,7 @@ class RecurrentNetwork(SplitNetwork):
         """Choices, values and log-probabilities of all slots; their memory moves on."""
         features = self._features(obs)
         self.hidden = self._next(features, self._alive(obs), self.hidden)
-        latent_pi, latent_vf = self.mlp_extractor(torch.cat((self.hidden, features), dim=-1))
-        distribution = self._get_action_dist_from_latent(latent_pi)
-        actions = distribution.get_actions(deterministic=deterministic)
-        return actions, self.value_net(latent_vf), distribution.log_prob(actions)
+        return self._chosen(torch.cat((self.hidden, features), dim=-1), deterministic)
 
     def predict_values(  # type: ignore[override]  # with what robots remember
         self, obs: Tensor, hidden: Tensor | None = None
@@ -98,6 +95,12 @@ class RecurrentNetwork(SplitNetwork):
         self, obs: Sequences, actions: Tensor
     ) -> tuple[Tensor, Tensor, Tensor | None]:
         """Values, log-probabilities and entropies of the samples that are kept."""
+        preferences, values = self.judged(obs)
+        chances = torch.distributions.Categorical(logits=preferences)
+        return values, chances.log_prob(actions), chances.entropy()
+
+    def judged(self, obs: Sequences) -> tuple[Tensor, Tensor]:
+        """Preferences and values of the samples that are kept."""
         features = self._features(obs.observations.flatten(0, 1)).unflatten(0, obs.kept.shape)
         alive, hidden, remembered = self._alive(obs.observations), obs.hidden, []
         for t in range(len(features)):
@@ -105,9 +108,7 @@ class RecurrentNetwork(SplitNetwork):
             hidden = self._next(features[t], alive[t], hidden)
             remembered.append(hidden)
         both = torch.cat((torch.stack(remembered), features), dim=-1)[obs.kept]
-        latent_pi, latent_vf = self.mlp_extractor(both)
-        distribution = self._get_action_dist_from_latent(latent_pi)
-        return self.value_net(latent_vf), distribution.log_prob(actions), distribution.entropy()
+        return self._judged(both)
 
     def _features(self, obs: Tensor) -> Tensor:
         features = self.extract_features(obs)
@@ -129,9 +130,6 @@ class RecurrentNetwork(SplitNetwork):
         return torch.cat((self._next(features, self._alive(obs), before), features), dim=-1)
 
 
-_SAMPLES = ("actions", "values", "log_probs", "advantages", "returns")
-
-
 class SequenceBuffer(RobotRolloutBuffer):
     """A rollout buffer that gives out the whole rollouts of some slots at a time.
 
@@ -140,6 +138,8 @@ class SequenceBuffer(RobotRolloutBuffer):
     memory.
     """
 
+    tables = ("mask", "episode_starts", *RobotRolloutBuffer.tables)
+    part_size = 4096
     _policy: RecurrentNetwork
     _hidden: torch.Tensor
     """What every slot remembered before the rollout, (slots, units)."""
@@ -158,35 +158,22 @@ class SequenceBuffer(RobotRolloutBuffer):
     def _value_of(self, seen: torch.Tensor, robots: RobotVecEnv) -> torch.Tensor:
         return self._policy.predict_values(seen, self._policy.hidden[robots.survivors])
 
-    def get(self, batch_size: int | None = None) -> Generator[RolloutBufferSamples, None, None]:
-        """The slots in random order, in batches of nearly equal size near ``batch_size`` steps."""
-        if not self.generator_ready:
-            self._tables = {name: getattr(self, name).copy() for name in _SAMPLES}
-            for name in ("values", "returns"):  # what is told of the fit is told of samples
-                setattr(self, name, getattr(self, name)[self.mask])
-            self.generator_ready = True
-        order = np.random.permutation(np.flatnonzero(self.mask.any(axis=0)))
-        steps = self.buffer_size * len(order)
-        batches = 1 if batch_size is None else max(1, round(steps / batch_size))
-        for slots in np.array_split(order, min(batches, len(order))):
-            yield self._of_slots(slots)
+    def _laid_out(self, table: Tensor) -> Tensor:
+        return table
 
-    def _of_slots(self, slots: NDArray[np.int64]) -> RolloutBufferSamples:
-        kept = self.mask[:, slots]
-        sequences = Sequences(
-            observations=self.to_torch(self.observations[:, slots]),
-            starts=self.to_torch(self.episode_starts[:, slots]),
-            hidden=self._hidden[slots],
-            kept=self.to_torch(kept),
-        )
-        actions, *numbers = (
-            self.to_torch(table[:, slots][kept]) for table in self._tables.values()
-        )
-        return RolloutBufferSamples(sequences, actions, *numbers)  # type: ignore[arg-type]
+    def _samples_of(self) -> tuple[NDArray[np.int64], int]:
+        return np.flatnonzero(self.mask.any(axis=0)), self.buffer_size
+
+    def samples(self, which: Tensor) -> RolloutBufferSamples:
+        """The whole rollouts of these slots."""
+        chosen = (table.index_select(1, which) for table in self._found.values())
+        kept, starts, observations, *numbers = chosen
+        sequences = Sequences(observations, starts, self._hidden[which], kept)
+        return RolloutBufferSamples(sequences, *(table[kept] for table in numbers))  # type: ignore[arg-type]
 
 
-class RecurrentRobotPPO(RobotPPO):
-    """``RobotPPO`` with a ``RecurrentNetwork``, whose memory of running episodes is its state."""
+class RecurrentRobotPPO(HeadingPPO):
+    """``HeadingPPO`` with a ``RecurrentNetwork``, whose memory of running episodes is its state."""
 
     buffer_class: ClassVar[type[RobotRolloutBuffer]] = SequenceBuffer
     policy: RecurrentNetwork
@@ -196,7 +183,7 @@ class RecurrentRobotPPO(RobotPPO):
         self.policy.begin(self.n_envs)
 
     def collect_rollouts(self, env: VecEnv, *how: Any, **more: Any) -> bool:
-        """As ``RobotPPO``; slots whose episodes begin with the rollout remember nothing."""
+        """As ``HeadingPPO``; slots whose episodes begin with the rollout remember nothing."""
         self.policy.forget(torch.as_tensor(self._last_episode_starts, device=self.device))
         return super().collect_rollouts(env, *how, **more)
 
@@ -219,9 +206,9 @@ class RecurrentRobotPPO(RobotPPO):
 # ---- which of them a configuration asks for ------------------------------------------------------
 
 
-def learner_of(config: Config) -> type[RobotPPO]:
+def learner_of(config: Config) -> type[HeadingPPO]:
     """The algorithm."""
-    return RecurrentRobotPPO if config.memory == "recurrent" else RobotPPO
+    return RecurrentRobotPPO if config.memory == "recurrent" else HeadingPPO
 
 
 def network_of(config: Config, teams: FeatureVectorEnv) -> type[ActorCriticPolicy]:

@@ -1,10 +1,19 @@
-"""PPO over robots that may be gone: an explicit mask, and one value estimate for all time-outs."""
+"""PPO over robots that may be gone: an explicit mask, and one value estimate for all time-outs.
+
+The update for networks that choose has its loss in one pass and sums its gradient over parts of a
+batch, which fit the processor's cache. Threads compute whole parts: none waits for another within
+an operation, and the sum does not depend on how many there are.
+"""
 
 from __future__ import annotations
 
+import math
 import warnings
-from collections.abc import Generator, Mapping
-from typing import Any, ClassVar
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from functools import partial
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import torch
@@ -13,11 +22,19 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.buffers import RolloutBuffer
 from stable_baselines3.common.policies import ActorCriticPolicy
 from stable_baselines3.common.type_aliases import RolloutBufferSamples
+from stable_baselines3.common.utils import explained_variance
 from stable_baselines3.common.vec_env import VecEnv, VecNormalize
+from torch import Tensor
 
 from rendezvous_env.adapters.sb3 import RobotVecEnv
+from rendezvous_env.compilation import kernel
+
+from .networks import HeadingNetwork
 
 _SAMPLES = ("observations", "actions", "values", "log_probs", "advantages", "returns")
+_STEP = ("observations", "actions", "rewards", "episode_starts", "values", "log_probs")
+_MEASURED = ("policy_gradient_loss", "value_loss", "entropy_loss", "approx_kl", "clip_fraction")
+"""Of a batch, as stable-baselines3 calls them."""
 
 
 class RobotRolloutBuffer(RolloutBuffer):
@@ -29,6 +46,10 @@ class RobotRolloutBuffer(RolloutBuffer):
 
     mask: NDArray[np.bool_]
     """(steps, slots), whose robot took part in the step."""
+    tables: ClassVar[tuple[str, ...]] = _SAMPLES
+    """Of which samples are made, in the order of ``RolloutBufferSamples``."""
+    part_size = 1024
+    """Steps whose gradient is computed at once."""
     _robots: RobotVecEnv | None = None
     _policy: ActorCriticPolicy
 
@@ -37,16 +58,24 @@ class RobotRolloutBuffer(RolloutBuffer):
         self._robots, self._policy = robots, policy
 
     def reset(self) -> None:
-        """Empty the buffer."""
-        super().reset()
-        self.mask = np.ones((self.buffer_size, self.n_envs), dtype=np.bool_)
+        """Empty the buffer; its tables stay where they are."""
+        if not hasattr(self, "mask"):
+            super().reset()
+            self.mask = np.ones((self.buffer_size, self.n_envs), dtype=np.bool_)
+        self.mask[...], self.pos, self.full = True, 0, False
 
-    def add(self, obs: Any, action: Any, reward: NDArray[np.float32], *more: Any) -> None:
+    def add(self, *step: Any) -> None:
         """Add the step that the robots have just done; arguments as in stable-baselines3."""
+        given = dict(zip(_STEP, step, strict=True))
         if self._robots is not None:
             self.mask[self.pos] = self._robots.acted
-            reward = reward + self.gamma * self._values_of_cut_off(self._robots)
-        super().add(obs, action, reward, *more)
+            given["rewards"] = step[2] + self.gamma * self._values_of_cut_off(self._robots)
+        for name, numbers in given.items():
+            rows = getattr(self, name)[self.pos]
+            known = numbers.cpu().numpy() if isinstance(numbers, Tensor) else numbers
+            rows[...] = known.reshape(rows.shape)
+        self.pos += 1
+        self.full = self.pos == self.buffer_size
 
     def _values_of_cut_off(self, robots: RobotVecEnv) -> NDArray[np.float32]:
         """V(o) of the slots that the last step cut off, 0 of the others, (slots,)."""
@@ -58,21 +87,50 @@ class RobotRolloutBuffer(RolloutBuffer):
             values[robots.bootstrapped] = estimates.flatten().cpu().numpy()
         return values
 
-    def _value_of(self, seen: torch.Tensor, robots: RobotVecEnv) -> torch.Tensor:
+    def _value_of(self, seen: Tensor, robots: RobotVecEnv) -> Tensor:
         """Values (k, 1) of what the slots in ``robots.bootstrapped`` saw last, (k, size)."""
         return self._policy.predict_values(seen)
 
-    def get(self, batch_size: int | None = None) -> Generator[RolloutBufferSamples, None, None]:
+    # ---- samples ------------------------------------------------------------------------------
+
+    def begin(self, normalise: bool = False) -> None:
+        """Make tensors of what was collected; ``normalise`` its advantages, over all samples."""
+        found = {name: torch.as_tensor(getattr(self, name)) for name in self.tables}
+        if normalise:
+            every = found["advantages"][torch.as_tensor(self.mask)]
+            found["advantages"] = (found["advantages"] - every.mean()) / (every.std() + 1e-8)
+        self._found = {name: self._laid_out(t).to(self.device) for name, t in found.items()}
+
+    def _laid_out(self, table: Tensor) -> Tensor:
+        return table.flatten(0, 1)
+
+    def _samples_of(self) -> tuple[NDArray[np.int64], int]:
+        """Numbers of all samples, and of how many steps each is."""
+        return np.flatnonzero(self.mask), 1
+
+    def batches(self, batch_size: int | None = None) -> Iterator[tuple[Tensor, ...]]:
+        """Numbers of samples in random order: batches of nearly equal size near ``batch_size``
+        steps, each in its parts.
+        """
+        samples, length = self._samples_of()
+        order = torch.as_tensor(np.random.permutation(samples))
+        steps = length * len(order)
+        batches = 1 if batch_size is None else round(steps / batch_size)
+        for batch in order.tensor_split(min(max(1, batches), len(order))):
+            on_cpu = self.device.type == "cpu"
+            parts = round(length * len(batch) / self.part_size) if on_cpu else 1
+            yield batch.to(self.device).tensor_split(min(max(1, parts), len(batch)))
+
+    def samples(self, which: Tensor) -> RolloutBufferSamples:
+        """Those with these numbers, once the buffer has begun."""
+        rows = (table.index_select(0, which) for table in self._found.values())
+        return RolloutBufferSamples(*rows)
+
+    def get(self, batch_size: int | None = None) -> Iterator[RolloutBufferSamples]:  # type: ignore[override]
         """The samples in random order, in batches of nearly equal size near ``batch_size``."""
-        if not self.generator_ready:
-            kept = self.swap_and_flatten(self.mask).reshape(-1)
-            for name in _SAMPLES:
-                setattr(self, name, self.swap_and_flatten(getattr(self, name))[kept])
-            self.generator_ready = True
-        order = np.random.permutation(len(self.returns))
-        batches = 1 if batch_size is None else max(1, round(len(order) / batch_size))
-        for indices in np.array_split(order, batches):
-            yield self._get_samples(indices)
+        self.begin()
+        for parts in self.batches(batch_size):
+            yield self.samples(torch.cat(parts))
 
 
 class RobotPPO(PPO):
@@ -118,3 +176,135 @@ class RobotPPO(PPO):
             return super().collect_rollouts(env, *how, **more)
         finally:
             robots.tell_bootstraps = True
+
+    def _update_info_buffer(self, infos: Any, dones: Any = None) -> None:
+        told = [slot for slot, info in enumerate(infos) if info]  # few are
+        super()._update_info_buffer([infos[slot] for slot in told], dones[told])
+
+
+# ---- networks that choose -----------------------------------------------------------------------
+
+
+class HeadingPPO(RobotPPO):
+    """``RobotPPO`` for a ``HeadingNetwork``. Advantages are normalised over an update, not over
+    each batch; target_kl and clip_range_vf are not for it.
+    """
+
+    policy: HeadingNetwork
+
+    def train(self) -> None:
+        """Learn from what was collected, as PPO does."""
+        policy, buffer = self.policy, self.rollout_buffer
+        self._update_learning_rate(policy.optimizer)
+        clip: float = self.clip_range(self._current_progress_remaining)  # type: ignore[operator]
+        rule, told = Rule(clip, self.vf_coef, self.ent_coef), []
+        buffer.begin(self.normalize_advantage)
+        with side_by_side(self.device) as each:
+            for _ in range(self.n_epochs):
+                batches = buffer.batches(self.batch_size)
+                told += [self._descend(parts, rule, each) for parts in batches]
+                self._n_updates += 1
+        for name, number in zip(_MEASURED, np.mean(told, axis=0).tolist(), strict=True):
+            self.logger.record(f"train/{name}", number)
+        fitted = (table[buffer.mask] for table in (buffer.values, buffer.returns))
+        self.logger.record("train/explained_variance", explained_variance(*fitted))
+
+    def _descend(
+        self, parts: Sequence[Tensor], rule: Rule, each: Callable[..., Any]
+    ) -> NDArray[np.float64]:
+        """A step of the optimiser; means over the batch, as ``_MEASURED``."""
+        weights = list(self.policy.parameters())
+        (total, sums), *others = each(partial(self._gradient, weights, rule), parts)
+        for gradient, more in others:
+            torch._foreach_add_(total, gradient)
+            sums += more
+        count, *measured = sums
+        torch._foreach_div_(total, float(count))
+        for weight, gradient in zip(weights, total, strict=True):
+            weight.grad = gradient
+        torch.nn.utils.clip_grad_norm_(weights, self.max_grad_norm)
+        self.policy.optimizer.step()
+        return np.array(measured) / count
+
+    def _gradient(
+        self, weights: Sequence[Tensor], rule: Rule, which: Tensor
+    ) -> tuple[list[Tensor], NDArray[np.float64]]:
+        """Gradient of the sum of the loss over some samples; their number, and sums over them."""
+        samples = self.rollout_buffer.samples(which)
+        judged = self.policy.judged(samples.observations)
+        slopes, sums = slopes_of(judged, samples, rule)
+        return list(torch.autograd.grad(judged, weights, slopes)), sums
+
+
+@contextmanager
+def side_by_side(device: torch.device) -> Iterator[Callable[..., Iterator[Any]]]:
+    """``map``, on as many threads as torch would take for one operation."""
+    threads = torch.get_num_threads()
+    if device.type != "cpu" or threads == 1:
+        yield map
+        return
+    torch.set_num_threads(1)
+    try:
+        with ThreadPoolExecutor(threads) as pool:
+            yield pool.map
+    finally:
+        torch.set_num_threads(threads)
+
+
+class Rule(NamedTuple):
+    """What the loss is made of."""
+
+    clip_range: float
+    value_weight: float
+    entropy_weight: float
+
+
+def slopes_of(
+    judged: Sequence[Tensor], samples: RolloutBufferSamples, rule: Rule
+) -> tuple[list[Tensor], NDArray[np.float64]]:
+    """Gradients of the summed loss by preferences (N, choices) and values (N, 1); N and sums."""
+    slopes = [torch.empty(tensor.shape) for tensor in judged]
+    sums = np.zeros(1 + len(_MEASURED))
+    given = [tensor.detach().cpu().contiguous().numpy() for tensor in (*judged, *samples[1:])]
+    _slopes(*given[:2], tuple(given[2:]), rule, *(slope.numpy() for slope in slopes), sums)
+    return [slope.to(judged[0].device) for slope in slopes], sums
+
+
+@kernel
+def _slopes(preferences, values, samples, rule, by_preference, by_value, sums):
+    """Slopes of the loss of N samples, with r the ratio of probabilities and A the advantage.
+
+    loss = c_v (v − R)² − min(r A, clip(r) A) − c_e H,   H = −Σ p log p
+    """
+    actions, _, old_log_probs, advantages, returns = samples
+    one = np.float32(1.0)
+    for i in range(len(values)):
+        likeliest = preferences[i, 0]
+        for j in range(1, preferences.shape[1]):
+            likeliest = max(likeliest, preferences[i, j])
+        total = np.float32(0.0)
+        for j in range(preferences.shape[1]):
+            by_preference[i, j] = math.exp(preferences[i, j] - likeliest)
+            total += by_preference[i, j]
+        log_total, entropy = likeliest + math.log(total), np.float32(0.0)
+        for j in range(preferences.shape[1]):
+            by_preference[i, j] /= total
+            entropy -= by_preference[i, j] * (preferences[i, j] - log_total)
+        chosen, advantage = int(actions[i, 0]), advantages[i]
+        log_ratio = preferences[i, chosen] - log_total - old_log_probs[i]
+        ratio = math.exp(log_ratio)
+        clipped = min(max(ratio, one - rule.clip_range), one + rule.clip_range)
+        gain = min(ratio * advantage, clipped * advantage)
+        slope = 0.0 if (ratio - clipped) * advantage > 0.0 else -ratio * advantage
+        for j in range(preferences.shape[1]):
+            p, log_p = by_preference[i, j], preferences[i, j] - log_total
+            by_preference[i, j] = p * (rule.entropy_weight * (log_p + entropy) - slope)
+        by_preference[i, chosen] += slope
+        error = values[i, 0] - returns[i]
+        by_value[i, 0] = 2.0 * rule.value_weight * error
+        sums[0] += 1.0
+        sums[1] -= gain
+        sums[2] += error * error
+        sums[3] -= entropy
+        sums[4] += ratio - one - log_ratio
+        sums[5] += abs(ratio - one) > rule.clip_range

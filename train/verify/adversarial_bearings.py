@@ -30,20 +30,17 @@ class Misled(gymnasium.vector.VectorWrapper):
         env: a vector environment.
         scenario: its own.
         error: η, rad.
-        random: draws the kinds.
+        seed: team b draws from seed + b, so that it errs alone as it does among others.
     """
 
-    def __init__(
-        self, env: Any, scenario: Scenario, error: float, random: np.random.Generator
-    ) -> None:
+    def __init__(self, env: Any, scenario: Scenario, error: float, seed: int) -> None:
         super().__init__(env)
         self._rows, self._error = scenario.observation_layout.neighbours, error * _ROUNDED
-        self._random, self._step = random, 0
-        size = (env.num_envs, scenario.n_robots, 1, 1)
-        self._kinds = random.integers(len(KINDS), size=size)
-        alike = random.random(env.num_envs) < 0.5
-        self._kinds[alike] = self._kinds[alike, :1]
-        self._axis = random.normal(size=(*size[:2], 1, 3))
+        self._step, n = 0, scenario.n_robots
+        self._randoms = [np.random.default_rng([seed + b, 3]) for b in range(env.num_envs)]
+        kinds = [r.integers(len(KINDS), size=n if r.random() < 0.5 else 1) for r in self._randoms]
+        self._kinds = np.array([np.resize(own, (n, 1, 1)) for own in kinds])
+        self._axis = np.array([r.normal(size=(n, 1, 3)) for r in self._randoms])
 
     def reset(self, **asked: Any) -> tuple[Any, dict[str, Any]]:
         """As the environment."""
@@ -71,7 +68,7 @@ class Misled(gymnasium.vector.VectorWrapper):
         side = across(unit(rows), np.broadcast_to(self._axis, (*rows.shape[:-1], 3)))
         outward = -np.broadcast_to(unit(rows).sum(axis=-2, keepdims=True), rows.shape)
         there = -1.0 if self._step // _SWITCHING % 2 else 1.0
-        anyhow = self._random.normal(size=rows.shape)
+        anyhow = np.array([random.normal(size=rows.shape[1:]) for random in self._randoms])
         return np.asarray(np.choose(self._kinds, (against, side, anyhow, there * side, outward)))
 
 

@@ -34,12 +34,7 @@ _TINY = 1e-12
 class Steered:
     """An adversary under ``HeadingFilter``, as a policy: base observations in, base actions out.
 
-    Args:
-        scenario: whose robots are steered.
-        num_envs: B.
-        adversary: chooses the raw vectors.
-        decision_period: steps for which each raw vector is held.
-        **options: of ``HeadingFilter``.
+    It chooses anew every ``decision_period`` steps; ``options`` are of ``HeadingFilter``.
     """
 
     def __init__(
@@ -75,30 +70,20 @@ def adversary(
     max_turn_rate: float = 3.0,
     kind: str | None = None,
 ) -> Adversary:
-    """Raw vectors of all KINDS, or of one, for single integrators; turn rates for other models.
-
-    Args:
-        scenario: whose robots are misled.
-        num_envs: B.
-        random: draws the kinds and whatever they need.
-        max_turn_rate: that of the steering, rad/s: the unit of raw turn rates.
-        kind: one of KINDS for all robots; None mixes them.
+    """Raw vectors of all KINDS, or of one, for single integrators; turn rates for other models, in
+    units of ``max_turn_rate``, rad/s, or of the scenario's limits where those are less.
     """
-    kinds = _draw_kinds(num_envs, scenario.n_robots, random, kind)
+    size = num_envs, scenario.n_robots
+    if kind is None:
+        kinds = random.integers(len(KINDS), size=size)
+        alike = random.random(num_envs) < 0.5
+        kinds[alike] = kinds[alike, :1]
+    else:
+        kinds = np.full(size, KINDS.index(kind))
     if scenario.model.nonholonomic:
-        return _turn_rates(scenario, kinds, random, max_turn_rate)
+        limits = np.minimum(max_turn_rate, scenario.action_bounds[1:])
+        return _turn_rates(scenario, kinds, random, limits)
     return _directions(scenario, kinds, random)
-
-
-def _draw_kinds(
-    num_envs: int, n: int, random: np.random.Generator, kind: str | None
-) -> NDArray[np.int64]:
-    if kind is not None:
-        return np.full((num_envs, n), KINDS.index(kind))
-    kinds = random.integers(len(KINDS), size=(num_envs, n))
-    alike = random.random(num_envs) < 0.5
-    kinds[alike] = kinds[alike, :1]
-    return kinds
 
 
 def _directions(
@@ -111,24 +96,20 @@ def _directions(
     rate, phase = random.uniform(-_FASTEST_SPIN, _FASTEST_SPIN, kinds.shape), random.normal(size=1)
 
     def choose(seen: NDArray[Any], time: ArrayLike) -> Array:
-        f = layout.net_bearing(seen)
         angle = (rate * np.asarray(time)[..., None] + phase)[..., None]
         spinning = np.cos(angle) * frozen + np.sin(angle) * other
-        options = (random.normal(size=size), frozen, side * across(f, other), spinning)
+        aside = side * across(layout.net_bearing(seen), other)
+        options = random.normal(size=size), frozen, aside, spinning
         return np.asarray(np.choose(kinds[..., None], options))
 
     return choose
 
 
 def _turn_rates(
-    scenario: Scenario,
-    kinds: NDArray[np.int64],
-    random: np.random.Generator,
-    max_turn_rate: float,
+    scenario: Scenario, kinds: NDArray[np.int64], random: np.random.Generator, limits: Array
 ) -> Adversary:
     """random: anew each time; frozen; orthogonal: whatever keeps h ⟂ f; spinning: to and fro."""
     layout, size = scenario.observation_layout, (*kinds.shape, scenario.model.n_angles)
-    limits = np.minimum(max_turn_rate, scenario.action_bounds[1:])
     frozen = random.uniform(-1.0, 1.0, size)
     frozen[random.random(kinds.shape) < 0.3] = 0.0
     rate, phase = random.uniform(0, _FASTEST_SPIN, size), random.uniform(-np.pi, np.pi, size)
@@ -137,25 +118,19 @@ def _turn_rates(
         f, gravity = layout.net_bearing(seen), layout.split(seen).gravity
         turn = orthogonal_rates(f, None if gravity is None else pitch_of(gravity), scenario.tau)
         spinning = np.sin(rate * np.asarray(time)[..., None, None] + phase)
-        anew = random.uniform(-1.0, 1.0, size)
-        chosen = np.choose(kinds[..., None], (anew, frozen, turn / limits, spinning))
-        return np.clip(chosen, -1.0, 1.0)
+        options = random.uniform(-1.0, 1.0, size), frozen, turn / limits, spinning
+        return np.clip(np.choose(kinds[..., None], options), -1.0, 1.0)
 
     return choose
 
 
 def orthogonal_rates(f: Array, pitch: Array | None, duration: float) -> Array:
-    """Turn rates that bring the heading h = x to h ⟂ f within a step, and keep it there.
+    """Turn rates (..., d − 1), rad/s, that bring the heading h = x to h ⟂ f within a step, and keep
+    it there.
 
         ω = −(f_x/τ) P_h f / ‖P_h f‖²,   the yaw rate divided by cos β
 
-    Args:
-        f: (..., d), m/s, in the body frame.
-        pitch: β, (...), rad; None in the plane.
-        duration: τ, s.
-
-    Returns:
-        (..., d − 1), rad/s.
+    f, (..., d), m/s, is in the body frame; the pitch β, (...), rad, is None in the plane.
     """
     side = f[..., 1:]
     square = np.sum(side**2, axis=-1, keepdims=True)

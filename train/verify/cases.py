@@ -67,25 +67,15 @@ def draw_case(
         local_frames=str(random.choice(["random", "random", "global"])),
         **fields,
     )
-    scenario = _with_limits(scenario, random, step_factors, speed_limits)
-    options = {"positions": _on_a_line(scenario, random)} if random.random() < 0.25 else {}
-    return Case(scenario, float(random.uniform(least_margin, max(least_margin, 0.9))), options)
-
-
-def _with_limits(
-    scenario: Scenario,
-    random: np.random.Generator,
-    step_factors: tuple[float, float],
-    speed_limits: bool,
-) -> Scenario:
-    """A step longer than certified, and a speed limit for every third single integrator."""
     changes: dict[str, Any] = {}
     if step_factors != (1.0, 1.0):
         step = random.uniform(*step_factors) * scenario.certified_step
         changes |= {"time_step": step, "allow_long_step": True}
     if speed_limits and not scenario.model.nonholonomic and random.random() < 1 / 3:
         changes["max_speed"] = random.uniform(0.5, 1.0) * scenario.max_degree
-    return scenario.replace(**changes)
+    scenario = scenario.replace(**changes)
+    options = {"positions": _on_a_line(scenario, random)} if random.random() < 0.25 else {}
+    return Case(scenario, float(random.uniform(least_margin, max(least_margin, 0.9))), options)
 
 
 def _on_a_line(scenario: Scenario, random: np.random.Generator) -> Array:
@@ -105,27 +95,24 @@ def draw_unlimited(random: np.random.Generator, batch: int, least_margin: float)
 
 def draw_unicycles(random: np.random.Generator, batch: int, least_margin: float) -> Case:
     """Unicycles, with any limit on their turn rate."""
-    return _draw_turning(random, batch, least_margin, "unicycle", 2)
+    turn = float(random.uniform(1.0, 6.0))
+    return draw_case(
+        random, batch, least_margin, dims=(2,), robot_model="unicycle", max_turn_rate=turn
+    )
 
 
 def draw_3d(random: np.random.Generator, batch: int, least_margin: float) -> Case:
     """3-D nonholonomic robots, with any limit on their turn rates."""
-    return _draw_turning(random, batch, least_margin, "nonholonomic_3d", 3)
+    turn = float(random.uniform(1.0, 6.0))
+    return draw_case(
+        random, batch, least_margin, dims=(3,), robot_model="nonholonomic_3d", max_turn_rate=turn
+    )
 
 
 def draw_nonholonomic(random: np.random.Generator, batch: int, least_margin: float) -> Case:
     """Either of the two."""
     draw = draw_unicycles if random.random() < 0.5 else draw_3d
     return draw(random, batch, least_margin)
-
-
-def _draw_turning(
-    random: np.random.Generator, batch: int, least_margin: float, model: str, dim: int
-) -> Case:
-    turn = float(random.uniform(1.0, 6.0))
-    return draw_case(
-        random, batch, least_margin, dims=(dim,), robot_model=model, max_turn_rate=turn
-    )
 
 
 def draw_long_steps(random: np.random.Generator, batch: int, least_margin: float) -> Case:

@@ -51,6 +51,7 @@ class Record:
 Verdict = tuple[Array, Mask]
 """Margin of each team (negative is bad, rounding aside), and whether the claim held."""
 Draw = Callable[[np.random.Generator, int, float], Case]
+"""(random numbers, number of the batch, smallest ε) → what its teams share."""
 Law = Callable[[Case, int, np.random.Generator], Policy]
 """(case, B, random numbers) → policy."""
 Bound = Callable[[Case, Simulator], Array]
@@ -72,7 +73,6 @@ class Claim:
     judges: tuple[Judge, ...]
     """The first one's margin is reported; a team that fails any violates the claim."""
     promise: Promise
-    """What V must fall in each step."""
     timed: bool = False
     """Whether ``bound`` is a theorem's, so that T/bound is worth reporting."""
 
@@ -99,29 +99,32 @@ def worst(findings: Sequence[Finding]) -> Finding:
     )
 
 
+# ---- what V must fall in a step ------------------------------------------------------------------
+
+
 def no_rise(scenario: Scenario, step: Step) -> Array:
     """V does not rise."""
     return np.zeros(len(step.running))
 
 
-def by_law_1(scenario: Scenario, step: Step) -> Array:
-    """V falls by τ Σ f_iᵀu_i with u_i = f_i, within the speed limit (theory 4), m²/s."""
-    f = scenario.observation_layout.net_bearing(step.observations)
-    return scenario.tau * np.sum(f * _limited(f, scenario), axis=(-2, -1))
-
-
 def as_chosen(scenario: Scenario, step: Step) -> Array:
-    """V falls by τ Σ f_iᵀu_i with what the law chose, at least 0 (theory 4), m²/s."""
+    """V falls by τ Σ f_iᵀu_i with what the law chose, within the speed limit, and by 0 at least
+    (theory 4), m²/s.
+    """
+    u = step.actions.astype(np.float64)
+    speed = np.linalg.norm(u, axis=-1, keepdims=True)
+    u *= scenario.speed_limit / np.maximum(speed, scenario.speed_limit)
     f = scenario.observation_layout.net_bearing(step.observations)
-    u = _limited(step.actions.astype(np.float64), scenario)
     return scenario.tau * np.maximum(np.sum(f * u, axis=(-2, -1)), 0.0)
 
 
-def _limited(velocities: Array, scenario: Scenario) -> Array:
-    """Velocities (..., d) scaled to the speed limit, m/s."""
-    speed = np.linalg.norm(velocities, axis=-1, keepdims=True)
-    return velocities * (scenario.speed_limit / np.maximum(speed, scenario.speed_limit))
+def by_law_1(scenario: Scenario, step: Step) -> Array:
+    """The same with u_i = f_i, whatever was chosen."""
+    f = scenario.observation_layout.net_bearing(step.observations)
+    return as_chosen(scenario, step._replace(actions=f))
 
+
+# ---- judges --------------------------------------------------------------------------------------
 
 _FLOAT64 = 1e-12
 _FLOAT32 = 2.0**-20
@@ -134,17 +137,13 @@ def falls(record: Record) -> Verdict:
 
 def meets(record: Record) -> Verdict:
     """All have met by the time limit; the margin is the share of it that is left."""
-    margin = 1.0 - record.times / record.limit
-    return margin, record.times <= record.limit
+    return 1.0 - record.times / record.limit, record.times <= record.limit
 
 
 def stays_apart(record: Record) -> Verdict:
     """No team of a disconnected graph meets: the margin is robots left less pieces."""
-    scenario = record.case.scenario
-    pieces = len(scenario.sensing_graph.components(scenario.n_robots))
-    return (record.left - pieces).astype(np.float64), (record.left == pieces) & np.isinf(
-        record.times
-    )
+    more = record.left - _pieces(record.case.scenario)
+    return more.astype(np.float64), (more == 0) & np.isinf(record.times)
 
 
 def merges_within_bound(record: Record) -> Verdict:
@@ -164,9 +163,15 @@ def rounding(scenario: Scenario, lyapunov: Array) -> Array:
     again, in up to three components; V changes by 2 f_iᵀδu_i τ ≤ 2 D̄ · 2√3 · 2⁻²⁴ D̄ τ < 2⁻²¹ D̄²τ
     for each robot. Arcs have angles in float32 too, which doubles it.
     """
-    return (
-        _FLOAT64 * lyapunov + _FLOAT32 * scenario.n_robots * scenario.max_degree**2 * scenario.tau
-    )
+    sent = _FLOAT32 * scenario.n_robots * scenario.max_degree**2 * scenario.tau
+    return _FLOAT64 * lyapunov + sent
+
+
+def _pieces(scenario: Scenario) -> int:
+    return len(scenario.sensing_graph.components(scenario.n_robots))
+
+
+# ---- a batch -------------------------------------------------------------------------------------
 
 
 def measure(claim: Claim, case: Case, policy: Policy, seed: int) -> Record:
@@ -180,26 +185,25 @@ def measure(claim: Claim, case: Case, policy: Policy, seed: int) -> Record:
     limit = claim.bound(case, simulator)
     # one step more: a bound falls within a step
     simulator.set_max_steps(math.ceil(float(limit.max()) / scenario.tau) + 1)
-    heaviest = simulator.weights.max(axis=(-2, -1))
+    endless = np.full(BATCH, np.inf)
     record = Record(
         case=case,
         start=simulator.lyapunov(),
         limit=limit,
-        times=np.full(BATCH, np.inf),
-        slack=np.full(BATCH, np.inf),
+        times=endless.copy(),
+        slack=endless.copy(),
         fell=np.ones(BATCH, dtype=np.bool_),
-        excess=np.full(BATCH, -np.inf),
+        excess=-endless,
         left=np.zeros(BATCH, dtype=np.int64),
         total=np.zeros(BATCH),
     )
-    pieces = len(scenario.sensing_graph.components(scenario.n_robots))
+    heaviest, pieces = simulator.weights.max(axis=(-2, -1)), _pieces(scenario)
     for number, step in enumerate(steps_of(simulator, policy, observations)):
         if number == 0:
             record.total = np.linalg.norm(step.actions, axis=-1).sum(axis=-1) / (2 * heaviest)
         _note(record, step, simulator, claim.promise)
         undecided = (simulator.active.sum(axis=-1) > pieces) & ~simulator.ended
-        waited_for = record.fell | (falls not in claim.judges)
-        if not (undecided & waited_for).any():
+        if not (undecided & (record.fell | (falls not in claim.judges))).any():
             break
     record.left = simulator.active.sum(axis=-1)
     return record
@@ -211,38 +215,29 @@ def _note(record: Record, step: Step, simulator: Simulator, promise: Promise) ->
     calm = out.lyapunov_after_merge == out.lyapunov_before_merge
     promised = np.where(calm, promise(record.case.scenario, step), 0.0)
     slack = step.lyapunov - out.lyapunov_before_merge - promised
-    error = rounding(record.case.scenario, step.lyapunov)
     record.slack[on] = np.minimum(record.slack, slack / record.start)[on]
-    record.fell &= ~on | (slack >= -error)
+    record.fell &= ~on | (slack >= -rounding(record.case.scenario, step.lyapunov))
     record.excess[on] = np.maximum(record.excess, out.merge_excess / record.start)[on]
     met = on & (out.status == RENDEZVOUS)
     record.times[met] = simulator.time[met]
 
 
-# ---- tasks ---------------------------------------------------------------------------------------
-
-
 def check(claim: Claim, seed: int, batch: int, trials: int, least_margin: float) -> Finding:
-    """Run one batch of a claim; the same arguments give the same finding.
-
-    Args:
-        claim: what to check.
-        seed: of the whole run.
-        batch: number of the batch.
-        trials: how many of its BATCH teams to count.
-        least_margin: smallest ε to draw.
+    """Run one batch of a claim, by its number, with margins ε of ``least_margin`` or more, and
+    count ``trials`` of its teams; the same arguments give the same finding.
     """
     random = np.random.default_rng([seed, zlib.crc32(claim.name.encode()), batch])
     case = claim.draw(random, batch, least_margin)
     policy = claim.law(case, BATCH, random)
-    start_seed = int(random.integers(2**40))
-    record = measure(claim, case, policy, start_seed)
+    record = measure(claim, case, policy, int(random.integers(2**40)))
     verdicts = [judge(record) for judge in claim.judges]
     held = np.logical_and.reduce([ok for _, ok in verdicts])[:trials]
     ratio = np.max((record.times / record.limit)[:trials]) if claim.timed else math.nan
     margin = float(np.min(verdicts[0][0][:trials]))
     return Finding(len(held), margin, float(ratio), int(np.sum(~held)))
 
+
+# ---- tasks ---------------------------------------------------------------------------------------
 
 _MOST = 256
 """Tasks of a claim."""
@@ -278,20 +273,13 @@ def blocks_of(
 ) -> list[Block]:
     """The batches of a claim, cut into tasks."""
     size = math.ceil(len(batches) / _MOST)
-    return [
-        Block(claim, tuple(batches[k : k + size]), seed, min_alignment)
-        for k in range(0, len(batches), size)
-    ]
+    cuts = range(0, len(batches), size)
+    return [Block(claim, tuple(batches[k : k + size]), seed, min_alignment) for k in cuts]
 
 
 def look(block: Block) -> Seen:
     """Check the batches of a block."""
-    began = time.perf_counter()
-    findings = [
-        check(block.claim, block.seed, batch, trials, block.min_alignment)
-        for batch, trials in block.batches
-    ]
-    numbers = (batch for batch, _ in block.batches)
-    violated = zip(numbers, findings, strict=True)
-    first = next((batch for batch, finding in violated if finding.violations), None)
-    return Seen(worst(findings), time.perf_counter() - began, first)
+    began, claim = time.perf_counter(), block.claim
+    found = {k: check(claim, block.seed, k, n, block.min_alignment) for k, n in block.batches}
+    first = next((k for k, finding in found.items() if finding.violations), None)
+    return Seen(worst(list(found.values())), time.perf_counter() - began, first)

@@ -42,13 +42,8 @@ def bound_a(case: Case, teams: Simulator) -> Array:
     return time_bound(case.scenario, teams.lyapunov())
 
 
-def bound_b(case: Case, teams: Simulator) -> Array:
-    """Of theorem B, s."""
-    return time_bound(case.scenario, teams.lyapunov()) / case.margin**2
-
-
 def bound_c(case: Case, teams: Simulator) -> Array:
-    """Of theorem C, s."""
+    """Of theorems B and C, s."""
     return time_bound(case.scenario, teams.lyapunov(), min_alignment=case.margin)
 
 
@@ -102,7 +97,7 @@ CLAIMS: tuple[Claim, ...] = (
     Claim(
         "bound-B",
         "headings at a fixed angle to f: T ≤ B",
-        *(draw_case, at_fixed_angle, bound_b, (meets, falls), as_chosen, True),
+        *(draw_case, at_fixed_angle, bound_c, (meets, falls), as_chosen, True),
     ),
     Claim(
         "bound-C",
@@ -117,7 +112,7 @@ CLAIMS: tuple[Claim, ...] = (
     Claim(
         "certified-step",
         "τ = r/(2D̄), law (4): V falls by τ Σ(hᵀf)² in every step",
-        *(draw_case, at_fixed_angle, bound_b, (falls,), as_chosen),
+        *(draw_case, at_fixed_angle, bound_c, (falls,), as_chosen),
     ),
     Claim(
         "local-scaling",

@@ -7,6 +7,7 @@ import json
 import time
 from collections import Counter
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -23,6 +24,8 @@ TRIALS = 50
 """Of a block: they are of one kind and share compiled code."""
 _CLIMBING = 0.15
 """Share of trials whose starts are bettered."""
+_HOW = ("by", "arguments", "frame", "period", "seed")
+"""What of a trial is written besides its scenario."""
 _KINDS = 10**9
 """Where the random streams of kinds begin, beyond those of trials."""
 
@@ -48,32 +51,28 @@ class Tally:
     trials: int = 0
     seconds: float = 0.0
     steps: int = 0
-    granted: Counter[str] = field(default_factory=Counter)
-    """How often each theorem was."""
-    checked: Counter[tuple[str, str]] = field(default_factory=Counter)
-    """How often each of its NUMBERS was."""
+    counts: Counter[tuple[str, str]] = field(default_factory=Counter)
+    """How often each theorem was "granted", and each of its NUMBERS checked."""
     ratio: dict[str, float] = field(default_factory=dict)
     """The worst T/bound of each."""
     violations: list[tuple[int, Trial, Played]] = field(default_factory=list)
     """Number of the trial, the trial as it was drawn, and what came of it."""
 
-    def add(self, played: Played) -> None:
+    def add(self, number: int, trial: Trial, played: Played) -> None:
         """Count one trial."""
         self.steps += played.steps
         for name, checked in played.granted.items():
-            self.granted[name] += 1
-            self.checked.update((name, number) for number in checked)
+            self.counts.update((name, what) for what in ("granted", *checked))
             if "time" in checked and not np.isnan(played.time_over_bound):
                 self.ratio[name] = max(self.ratio.get(name, 0.0), played.time_over_bound)
+        if played.violation is not None:
+            self.violations.append((number, trial, played))
 
     def join(self, other: Tally) -> None:
         """Take in what others say."""
-        self.trials += other.trials
-        self.seconds += other.seconds
-        self.steps += other.steps
-        self.granted.update(other.granted)
-        self.checked.update(other.checked)
-        self.violations += other.violations
+        for name in ("trials", "seconds", "steps", "violations"):
+            setattr(self, name, getattr(self, name) + getattr(other, name))
+        self.counts.update(other.counts)
         for name, ratio in other.ratio.items():
             self.ratio[name] = max(self.ratio.get(name, 0.0), ratio)
 
@@ -89,10 +88,7 @@ def look_at_any(block: AnyBlock) -> Tally:
     began, tally = time.perf_counter(), Tally(trials=block.trials)
     for number in range(block.number * TRIALS, block.number * TRIALS + block.trials):
         for drawn in trials_of(block.seed, number):
-            trial, played = climb(drawn)
-            tally.add(played)
-            if played.violation is not None:
-                tally.violations.append((number, trial, played))
+            tally.add(number, *climb(drawn))
     tally.seconds = time.perf_counter() - began
     return tally
 
@@ -139,51 +135,39 @@ def shrink(trial: Trial, played: Played) -> tuple[Trial, Played]:
 
 def _simpler(trial: Trial, played: Played) -> Iterator[Trial]:
     """The trial with one thing less, the largest things first."""
-    scenario, plain = trial.scenario, rv.Scenario()
-    changes: list[dict[str, Any]] = []
-    if scenario.obstacles:
-        changes.append({"obstacles": ()})
-    changes += [
-        {name: getattr(plain, name)}
-        for name in ("max_speed", "time_step", "max_turn_rate", "obstacle_contact", "on_merge")
+    scenario, plain, exact = trial.scenario, rv.Scenario(), rv.Sensing()
+    given = scenario.obstacles if isinstance(scenario.obstacles, tuple) else ()
+    fields = ("max_speed", "time_step", "max_turn_rate", "obstacle_contact", "on_merge")
+    flaws = [one.name for one in dataclasses.fields(exact)]
+    changes: list[dict[str, Any]] = [
+        {"obstacles": ()},
+        *[{name: getattr(plain, name)} for name in fields],
+        {"local_frames": "global"},
+        *[{"sensing": replace(scenario.sensing, **{n: getattr(exact, n)})} for n in flaws],
+        *[{"obstacles": given[:k] + given[k + 1 :]} for k in range(len(given))],
+        *_fewer_robots(scenario),
     ]
-    changes.append({"local_frames": "global"})
-    exact = rv.Sensing()
-    for name in [f.name for f in dataclasses.fields(exact)]:
-        changes.append({"sensing": replace(scenario.sensing, **{name: getattr(exact, name)})})
-    if isinstance(scenario.obstacles, tuple):
-        for k in range(len(scenario.obstacles)):
-            changes.append({"obstacles": scenario.obstacles[:k] + scenario.obstacles[k + 1 :]})
-    changes += _fewer_robots(scenario)
     for change in changes:
-        if all(getattr(scenario, name) == value for name, value in change.items()):
-            continue
-        try:
-            yield replace(trial, scenario=scenario.replace(**change))
-        except ValueError:
-            continue
+        if any(getattr(scenario, name) != value for name, value in change.items()):
+            with suppress(ValueError):
+                yield replace(trial, scenario=scenario.replace(**change))
     if trial.period > 1 or trial.frame != "local":
         yield replace(trial, period=1, frame="local")
 
 
 def _fewer_robots(scenario: rv.Scenario) -> Iterator[dict[str, Any]]:
     n, graph = scenario.n_robots, scenario.sensing_graph
-    if n == 2:
-        return
-    for robot in range(n):
+    for robot in range(n if n > 2 else 0):
         left = [k for k in range(n) if k != robot]
-        change: dict[str, Any] = {"n_robots": n - 1}
-        for name in ("start_positions", "start_headings"):
-            if (table := getattr(scenario, name)) is not None:
-                change[name] = tuple(table[k] for k in left)
-        if graph.kind in ("edges", "directed"):
-            weights = graph.base_weights(n)[np.ix_(left, left)]
-            made = rv.graphs.directed if graph.kind == "directed" else rv.graphs.from_matrix
-            try:
-                change["graph"] = made(weights)
-            except ValueError:
-                continue
-        yield change
+        tables = {name: getattr(scenario, name) for name in ("start_positions", "start_headings")}
+        change: dict[str, Any] = {
+            name: tuple(table[k] for k in left) for name, table in tables.items() if table
+        }
+        with suppress(ValueError):  # nobody left to see
+            if graph.kind in ("edges", "directed"):
+                made = rv.graphs.directed if graph.kind == "directed" else rv.graphs.from_matrix
+                change["graph"] = made(graph.base_weights(n)[np.ix_(left, left)])
+            yield {"n_robots": n - 1, **change}
 
 
 # ---- files -------------------------------------------------------------------------------------
@@ -205,16 +189,9 @@ def write(folder: Path, name: str, trial: Trial, played: Played) -> Path:
     folder.mkdir(parents=True, exist_ok=True)
     trial.scenario.replace(name=name).to_toml(folder / f"{name}.toml")
     how = {
-        "by": trial.by,
-        "arguments": trial.arguments,
-        "frame": trial.frame,
-        "period": trial.period,
-        "seed": trial.seed,
+        **{name: getattr(trial, name) for name in _HOW},
         "teams": TEAMS if choices is None else 1,
-        "number": violation.number,
-        "found": violation.found,
-        "promised": violation.promised,
-        "step": violation.step,
+        **{name: getattr(violation, name) for name in ("number", "found", "promised", "step")},
         "certificate": violation.words,
         "choices": choices,
     }
@@ -225,8 +202,7 @@ def write(folder: Path, name: str, trial: Trial, played: Played) -> Path:
 def repeat(path: Path) -> Played:
     """Play a violation again from the files of ``write``."""
     how = json.loads(path.with_suffix(".json").read_text(encoding="utf-8"))
-    asked = {name: how[name] for name in ("by", "arguments", "frame", "period", "seed")}
-    trial = Trial(scenario=rv.Scenario.from_toml(path), **asked)
+    trial = Trial(rv.Scenario.from_toml(path), **{name: how[name] for name in _HOW})
     choices = None if how["choices"] is None else np.array(how["choices"])
     return play(trial, teams=how["teams"], choices=choices)
 
@@ -243,10 +219,9 @@ def rows_of(tally: Tally) -> list[dict[str, Any]]:
     return [
         {
             "theorem": name,
-            "granted": count,
-            **{number: tally.checked[name, number] for number in NUMBERS},
+            **{what: tally.counts[name, what] for what in ("granted", *NUMBERS)},
             "worst_time_over_bound": tally.ratio.get(name, float("nan")),
             "violations": broken[name],
         }
-        for name, count in sorted(tally.granted.items())
+        for name in sorted({name for name, _ in tally.counts})
     ]

@@ -5,9 +5,12 @@ Everything goes through what any user has: ``certificate``, the vector environme
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,32 +19,22 @@ from numpy.typing import NDArray
 import baselines
 import rendezvous_env as rv
 from rendezvous_env import vector
-from rendezvous_env.safety.theorems.certificate import THEOREMS
+from rendezvous_env.safety.theorems.certificate import ask as theorems_of
 from rendezvous_env.safety.theorems.theorem import Asked
 
 from .adversarial_actions import Adversary
 from .adversarial_bearings import Misled
-from .monitors import BOUNDS, NUMBERS, REPEATED, Watch
+from .monitors import BOUNDS, NUMBERS, REPEATED, Moment, Watch
 
 Array = NDArray[np.float64]
+Policy = Callable[[Any, Moment], Any]
 
 TEAMS = 12
 """Teams of one trial: one start or seeds side by side, adversaries of their own."""
 MOST_STEPS = 400
 """Steps for which a time bound is waited for."""
-FEW_STEPS = 60
-"""Steps of trials whose time bound is out of reach."""
-_STEPWISE = {
-    "V": "descent",
-    "D": "ledger",
-    "D, the bound on V": "ledger",
-    "G": "nested",
-    "G, the hull": "nested",
-    "R": "links",
-}
-"""What theorems promise of every step, by one of NUMBERS."""
-_ON_ERRORS = ("N", "N1", "N1'", "D", "R")
-"""Theorems that are counted apart where bearings err."""
+FEW_STEPS = 8, 80
+"""Least and most steps of trials whose time bound is out of reach, most of them short."""
 _LAWS = {"unicycle": "unicycle", "nonholonomic_3d": "nonholonomic-3d"}
 _WRAPPERS: dict[str, Callable[..., Any]] = {
     "heading": vector.HeadingVectorWrapper,
@@ -122,28 +115,18 @@ def ask(scenario: rv.Scenario, by: str, arguments: Mapping[str, float]) -> Promi
         found = rv.certificate(scenario, by=by, **arguments)
     except ValueError:
         return Promised({}, {}, 0.0, "")
-    asked = Asked(
-        by,
-        found.min_alignment,
-        arguments.get("budget", 0.0),
-        arguments.get("min_gain"),
-        arguments.get("max_gain"),
-        arguments.get("share", 0.5),
-        found.bearing_error,
-    )
+    given: dict[str, Any] = {key: arguments[key] for key in Asked._fields if key in arguments}
+    asked = Asked(by=by, error=found.bearing_error, **given)
     theorems, limits = {}, dict(found.promises)
-    for theorem in THEOREMS:
-        if by not in theorem.by or theorem.unmet(scenario, asked)[1]:
-            continue
-        bounds = theorem.bounds(scenario, asked)
+    for theorem, bounds in theorems_of(scenario, asked)[0]:
         own = [name for name in BOUNDS if getattr(bounds, name) < math.inf and name in limits]
-        if theorem.name in _STEPWISE:
-            own.append(_STEPWISE[theorem.name])
+        if theorem.every_step:
+            own.append(theorem.every_step)
             limits[own[-1]] = 0.0
         if own:
-            wrong = ", η > 0" * (found.bearing_error > 0 and theorem.name in _ON_ERRORS)
-            beside = ", obstacles" * (theorem.name == "R" and bool(scenario.obstacles))
-            theorems[f"{by}: {theorem.name}{wrong}{beside}"] = tuple(own)
+            where = ", in 3-D" * (scenario.dim == 3) + ", η > 0" * (found.bearing_error > 0)
+            where += ", obstacles" * (theorem.name == "R" and bool(scenario.obstacles))
+            theorems[f"{by}: {theorem.name}{where}"] = tuple(own)
     return Promised(limits, theorems, found.bearing_error, found.theorem)
 
 
@@ -152,7 +135,7 @@ def play(
     *,
     teams: int = TEAMS,
     choices: Array | None = None,
-    starts: Sequence[Array] | None = None,
+    among: Sequence[rv.Scenario] = (),
 ) -> Played:
     """Ask for the certificate, play, and hold every number against what happens.
 
@@ -160,105 +143,102 @@ def play(
         trial: what is played.
         teams: how many teams, side by side.
         choices: (steps, n, k) of one team, instead of adversaries.
-        starts: (n, d) of each team, m, instead of the scenario's, with certificates of their own.
+        among: the scenario from other starts, which take turns among the teams, with
+            certificates of their own.
 
     Returns:
         What was granted and checked, and the first violation.
     """
-    scenarios = [trial.scenario]
-    if starts is not None:
-        scenarios = [trial.scenario.replace(start_positions=start) for start in starts]
-    promised = [ask(scenario, trial.by, trial.arguments) for scenario in scenarios]
+    promised = [ask(one, trial.by, trial.arguments) for one in among or (trial.scenario,)]
     if not any(one.limits for one in promised):
         return Played()
-    if "expected_time" in promised[0].limits and teams == TEAMS and starts is None:
+    if "expected_time" in promised[0].limits and teams == TEAMS and not among:
         teams = REPEATED
     try:
-        run = _Run(trial, promised, teams if starts is None else len(starts), choices, starts)
+        wrapped, start, policy = _begin(trial, promised[0].bearing_error, teams, among)
     except (ValueError, RuntimeError):  # no room for a start, or a wrapper that refuses robots
         return Played()
-    return run.to_end()
+    return _to_end(trial, promised, wrapped, start, policy, choices)
 
 
-class _Run:
-    """A trial that runs."""
-
-    def __init__(
-        self,
-        trial: Trial,
-        promised: Sequence[Promised],
-        teams: int,
-        choices: Array | None,
-        starts: Sequence[Array] | None,
-    ) -> None:
-        scenario = trial.scenario
-        self.promised, self.given = promised, choices
-        limits = {
-            name: np.array([one.limits.get(name, math.inf) for one in promised])
-            for name in NUMBERS
-            if any(name in one.limits for one in promised)
-        }
-        times = [limits[name].min() for name in ("time", "expected_time") if name in limits]
-        reach = math.ceil(min([*times, 1e9]) / (scenario.tau * trial.period)) + 1
-        self.most = reach if reach <= MOST_STEPS else FEW_STEPS
-        if choices is not None:
-            self.most = max(len(choices), 1)
-        env = rv.make_vec(
-            scenario,
-            num_envs=teams,
-            autoreset_mode="Disabled",
-            num_threads=1,
-            max_cycles=trial.period * self.most + 1,
+def _begin(
+    trial: Trial, bearing_error: float, count: int, among: Sequence[rv.Scenario]
+) -> tuple[Any, Any, Policy]:
+    """So many teams under what keeps the guarantee, what they see first, and who chooses."""
+    scenario, arguments = trial.scenario, dict[str, Any](trial.arguments)
+    env = _teams_of(scenario, count)
+    error = arguments.pop("bearing_error", 0.0)
+    arguments |= {"frame": trial.frame, "decision_period": trial.period}
+    if trial.by != "gains":
+        arguments["bearing_error"] = bearing_error
+    # what the sensor itself does not do
+    seen = Misled(env, scenario, error, trial.seed) if error > scenario.sensing.error else env
+    wrapped = guarded(seen, trial.by, arguments)
+    options = None
+    if among:
+        places = np.array([one.start_positions for one in among])
+        options = {"positions": places[np.arange(count) % len(among)]}
+    start = wrapped.reset(seed=trial.seed, options=options)[0]
+    if trial.by != "law":
+        return (
+            wrapped,
+            start,
+            Adversary(scenario, count, trial.by, np.random.default_rng([trial.seed, 1])),
         )
-        arguments: dict[str, Any] = dict(trial.arguments)
-        error = arguments.pop("bearing_error", 0.0)
-        arguments |= {"frame": trial.frame, "decision_period": trial.period}
-        if trial.by != "gains":
-            arguments["bearing_error"] = promised[0].bearing_error
-        random = np.random.default_rng([trial.seed, 1])
-        # what the sensor itself does not do
-        seen = Misled(env, scenario, error, random) if error > scenario.sensing.error else env
-        self.wrapped = guarded(seen, trial.by, arguments)
-        options = None if starts is None else {"positions": np.array(starts)}
-        self.observations, _ = self.wrapped.reset(seed=trial.seed, options=options)
-        self.teams = env.simulator
-        self.policy: Callable[[], Any]
-        if trial.by == "law":
-            law = baselines.make(_LAWS.get(scenario.robot_model, "bearing-only"), scenario)
-            self.policy = lambda: law(self.observations, self.teams.time)
-        else:
-            adversary = Adversary(scenario, teams, trial.by, random)
-            self.policy = lambda: adversary(self.observations, self.teams)
-        self.watch = Watch(self.teams, limits, trial.period, trial.arguments.get("budget", 0.0))
+    law = baselines.make(_LAWS.get(scenario.robot_model, "bearing-only"), scenario)
+    return wrapped, start, lambda seen, now: law(seen, now.time)
 
-    def to_end(self) -> Played:
-        """Step until all have met, or the bound is reached, or something is violated."""
-        kept: list[Any] = []
-        watch, wrong = self.watch, None
-        while wrong is None and len(kept) < self.most and not self.teams.ended.all():
-            if self.given is None:
-                chosen = np.asarray(self.policy(), dtype=np.float32)
-            else:
-                chosen = self.given[None, len(kept)].astype(np.float32)
-            kept.append(chosen)
-            self.observations, *_, infos = self.wrapped.step(chosen)
-            wrong = watch.look(infos)
-        wrong = wrong or watch.look_at_mean()
-        checked = watch.checked()
-        theorems = {name: own for one in self.promised for name, own in one.theorems.items()}
-        violation = None
-        if wrong is not None:
-            number, team, found, limit = wrong
-            words = self.promised[team % len(self.promised)].words
-            own = np.array(kept)[:, team]
-            violation = Violation(number, team, len(kept), found, limit, words, own)
-        return Played(
-            {name: tuple(n for n in own if n in checked) for name, own in theorems.items()},
-            len(kept),
-            watch.time_over_bound,
-            violation,
-            watch.closeness,
-        )
+
+@lru_cache(maxsize=2)
+def _teams_of(scenario: rv.Scenario, count: int) -> Any:
+    """Teams that are reset for each choice and start."""
+    return rv.make_vec(scenario, num_envs=count, autoreset_mode="Disabled", num_threads=1)
+
+
+def _to_end(
+    trial: Trial,
+    promised: Sequence[Promised],
+    wrapped: Any,
+    observations: Any,
+    policy: Policy,
+    choices: Array | None,
+) -> Played:
+    """Step until all have met, or the bound is reached, or something is violated."""
+    teams, per_step = wrapped.unwrapped.simulator, trial.scenario.tau * trial.period
+    limits = {
+        name: np.resize([one.limits.get(name, math.inf) for one in promised], teams.num_envs)
+        for name in NUMBERS
+        if any(name in one.limits for one in promised)
+    }
+    times = [limits[name].min() for name in ("time", "expected_time") if name in limits]
+    reach = math.ceil(min([*times, 1e9]) / per_step) + 1
+    most = reach
+    if reach > MOST_STEPS:
+        random = np.random.default_rng([trial.seed, 4])
+        most = round(math.exp(random.uniform(*np.log(FEW_STEPS))))
+    if choices is not None:
+        most = max(len(choices), 1)
+    teams.set_max_steps(trial.period * most + 1)
+    budget, climbing = trial.arguments.get("budget", 0.0), trial.generations > 0
+    watch = Watch(teams, limits, trial.period, budget, climbing)
+    kept: list[Any] = []
+    wrong = None
+    while wrong is None and len(kept) < most and not teams.ended.all():
+        chosen = policy(observations, watch.now) if choices is None else choices[None, len(kept)]
+        kept.append(np.asarray(chosen, dtype=np.float32))
+        observations, *_, infos = wrapped.step(kept[-1])
+        wrong = watch.look(infos)
+    checked, violation = watch.checked(), None
+    if wrong := wrong or watch.look_at_mean():
+        number, team, found, limit = wrong
+        words, own = promised[team % len(promised)].words, np.array(kept)[:, team]
+        violation = Violation(number, team, len(kept), found, limit, words, own)
+    granted = {
+        name: tuple(number for number in own if number in checked)
+        for one in promised
+        for name, own in one.theorems.items()
+    }
+    return Played(granted, len(kept), watch.time_over_bound, violation, watch.closeness)
 
 
 def guarded(env: Any, by: str, arguments: Mapping[str, Any]) -> Any:
@@ -268,7 +248,8 @@ def guarded(env: Any, by: str, arguments: Mapping[str, Any]) -> Any:
 
 # ---- an optimiser over starts --------------------------------------------------------------------
 
-_PARENTS = 3
+_STARTS, _PARENTS = 6, 3
+"""Starts of a generation, and those that it is made from."""
 _STRIDES = (1e-3, 3.0)
 """By how much a start is changed, in units of r."""
 
@@ -283,43 +264,43 @@ def climb(trial: Trial) -> tuple[Trial, Played]:
     played = play(trial)
     if played.violation is not None or not played.granted or not trial.generations:
         return trial, played
-    random, radius = np.random.default_rng([trial.seed, 2]), trial.scenario.merge_radius
+    random = np.random.default_rng([trial.seed, 2])
     number = str(random.choice(list(played.closeness)))
     parents = [(-math.inf, start) for start in _own_starts(trial)]
     for _ in range(trial.generations):
         starts: list[Array] = []
-        for k in range(4 * TEAMS):
-            stride = radius * math.exp(random.uniform(*np.log(_STRIDES)))
-            place = parents[k % len(parents)][1]
-            moved = np.arange(len(place)) == random.integers(len(place))  # one robot, or all
-            moved |= random.random() < 0.5
-            start = place + stride * random.normal(size=place.shape) * moved[:, None]
-            if _possible(trial.scenario, start) and len(starts) < TEAMS:
+        among: list[rv.Scenario] = []
+        for k in range(4 * _STARTS):
+            start = _moved(random, parents[k % len(parents)][1], trial.scenario.merge_radius)
+            with suppress(ValueError):  # not a start
+                among.append(trial.scenario.replace(start_positions=start))
                 starts.append(start)
-        if not starts:
+            if len(among) == _STARTS:
+                break
+        if not among:
             break
-        found = play(trial, starts=starts)
+        found = play(trial, among=among)
         if found.violation is not None:
-            own = trial.scenario.replace(start_positions=starts[found.violation.team])
-            return replace(trial, scenario=own), found
+            return replace(trial, scenario=among[found.violation.team % len(among)]), found
         if number in found.closeness:
-            parents += zip(found.closeness[number].tolist(), starts, strict=True)
+            near = found.closeness[number].tolist()
+            parents += zip(near, itertools.cycle(starts), strict=False)
             parents = sorted(parents, key=lambda one: -one[0])[:_PARENTS]
     return trial, played
 
 
+def _moved(random: np.random.Generator, place: Array, radius: float) -> Array:
+    """A start from which one robot has been moved, or all."""
+    stride = radius * math.exp(random.uniform(*np.log(_STRIDES)))
+    which = np.arange(len(place)) == random.integers(len(place))
+    which |= random.random() < 0.5
+    return np.asarray(place + stride * random.normal(size=place.shape) * which[:, None])
+
+
 def _own_starts(trial: Trial) -> list[Array]:
-    """The scenario's start, or some that it draws."""
+    """The scenario's start, or some of those that have just been played."""
     if trial.scenario.start_positions is not None:
         return [np.array(trial.scenario.start_positions)]
-    drawn = rv.Simulator(trial.scenario, _PARENTS, num_threads=1)
+    drawn = _teams_of(trial.scenario, TEAMS).simulator
     drawn.reset(trial.seed)
-    return list(drawn.positions)
-
-
-def _possible(scenario: rv.Scenario, start: Array) -> bool:
-    try:
-        scenario.replace(start_positions=start)
-    except ValueError:
-        return False
-    return True
+    return list(drawn.positions[:_PARENTS])

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import closing
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -131,22 +130,6 @@ def plan_of(config: Config, claims: Sequence[Claim]) -> dict[str, Any]:
     }
 
 
-def _finish(
-    work: Callable[[Any], Any], blocks: Sequence[Any], part: Part, config: Config
-) -> Iterator[tuple[Any, Any]]:
-    """What all blocks say: first those that are finished, then the others as they end."""
-    left = []
-    for block in blocks:
-        if (kept := part.load(block.name)) is None:
-            left.append(block)
-        else:
-            yield block, kept
-    with closing(each(work, left, config.workers)) as found:
-        for number, one in found:
-            part.save(left[number].name, one)
-            yield left[number], one
-
-
 # ---- claims --------------------------------------------------------------------------------------
 
 
@@ -154,19 +137,16 @@ def _look_at_all(
     config: Config, claims: Sequence[Claim], part: Part, progress: Progress
 ) -> list[dict[str, Any]]:
     """Check what is not finished, under a progress bar for each claim; the rows of verify.csv."""
-    batches = config.batches()
-    of_claim = {
-        claim.name: blocks_of(claim, batches, config.seed, config.min_alignment) for claim in claims
-    }
-    blocks = [block for own in of_claim.values() for block in own]
-    seen: dict[str, Seen] = {}
+    batches, asked = config.batches(), (config.seed, config.min_alignment)
     total = sum(count for _, count in batches)
-    bars = {name: progress.add_task(name, total=total) for name in of_claim}
-    for block, one in _finish(look, blocks, part, config):
+    bars = {claim.name: progress.add_task(claim.name, total=total) for claim in claims}
+    blocks = [block for claim in claims for block in blocks_of(claim, batches, *asked)]
+    seen: dict[str, Seen] = {}
+    for block, one, _ in part.finish(blocks, lambda left: each(look, left, config.workers)):
         seen[block.name] = one
         progress.advance(bars[block.claim.name], one.finding.trials)
     return [
-        row_of(claim, config, [seen[block.name] for block in of_claim[claim.name]])
+        row_of(claim, config, [seen[block.name] for block in blocks if block.claim is claim])
         for claim in claims
     ]
 
@@ -223,14 +203,9 @@ def table_of(title: str, rows: Sequence[dict[str, Any]]) -> Table:
         table.add_column(name.replace("_", " "), justify="left" if words else "right")
     for row in rows:
         style = "bold red" if row["violations"] else None
-        table.add_row(*[_shown(value) for value in row.values()], style=style)
+        shown = [f"{v:.3f}" if isinstance(v, float) else str(v) for v in row.values()]
+        table.add_row(*["" if one == "nan" else one for one in shown], style=style)
     return table
-
-
-def _shown(value: Any) -> str:
-    if isinstance(value, float):
-        return "" if math.isnan(value) else f"{value:.3f}"
-    return str(value)
 
 
 # ---- certificates of random scenarios ------------------------------------------------------------
@@ -239,7 +214,8 @@ def _shown(value: Any) -> str:
 def _try_anything(config: Config, part: Part, progress: Progress) -> Tally:
     """Play what is not finished."""
     tally, bar = Tally(), progress.add_task("scenarios", total=config.trials)
-    for _, one in _finish(look_at_any, any_blocks(config.trials, config.seed), part, config):
+    blocks = any_blocks(config.trials, config.seed)
+    for _, one, _ in part.finish(blocks, lambda left: each(look_at_any, left, config.workers)):
         tally.join(one)
         progress.advance(bar, one.trials)
     tally.violations.sort(key=lambda found: found[0])

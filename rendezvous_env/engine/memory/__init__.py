@@ -22,9 +22,9 @@ from ...compilation import chosen_by_type, inner_kernel
 RUNNING, RENDEZVOUS, TIME_OUT, AWAITING_RESET = range(4)
 """Status of a team. AWAITING_RESET: reset in this very step, in which it does not move."""
 
-FREE, MOVED, MERGED = 0.0, 1.0, 2.0
+FREE, MOVED, MERGED, PACKED = 0.0, 1.0, 2.0, 3.0
 """Whether anything could meet in the team in this step: nothing; something, so that it was moved by
-exact geometry; robots have merged."""
+exact geometry; robots have merged; all bodies lie in one packed cluster."""
 
 
 class Statistics(NamedTuple):
@@ -68,7 +68,7 @@ class Tally(NamedTuple):
     """What happens to the teams of a block in a step, (L,) each."""
 
     proximity: NDArray[np.float64]
-    """FREE, MOVED or MERGED."""
+    """FREE, MOVED, MERGED or PACKED."""
     way: NDArray[np.float64]
     """Of all robots together, m."""
     touches: NDArray[np.float64]
@@ -181,6 +181,10 @@ class Constants(NamedTuple):
     reward_weights: tuple[float, ...]
     all_earn: bool
     """Whether merged-away robots earn the team reward, too."""
+    body_radius: float
+    """Of the discs in which robots stand in one another's sight, and way, m."""
+    packs: bool
+    """Whether bodies stop where they would touch, instead of merging."""
 
 
 class Setup(NamedTuple):
@@ -263,6 +267,10 @@ class BlockScratch(NamedTuple):
     """(M, L), radii of discs in the plane, m; NaN is none."""
     disc: NDArray[np.float64]
     """(3, 2, L), what one robot sees of one disc, see SeenDisc."""
+    keys: NDArray[np.uint64]
+    """(2, L), of the streams of sensing: of the episode, and of the step."""
+    words: NDArray[np.uint32]
+    """(3, 4, L), what is drawn for two rows, see ``sense_by_chance``."""
 
 
 class Pair(NamedTuple):

@@ -16,7 +16,7 @@ from ...graphs.random_graphs import GraphRules, draw_links
 from ...obstacles.fields import Rules, draw_obstacles, is_possible
 from ...physics.potential import lyapunov_of_links
 from ...physics.random_streams import FRAMES, GRAPH, OBSTACLES, START, draw_rotation, stream_key
-from ...robots.motion import begin_memory, frame_of
+from ...robots.motion import frame_of, init_memory
 from ..memory import BatchState, Place, Teams, TeamScratch, lane_count, read, statistics_of, write
 from ..memory.changing_edges import begin_arcs
 from ..memory.obstacles import copy_obstacles, obstacles_of
@@ -212,6 +212,6 @@ def _draw_attitudes(place, rules, keys, layout, robot, teams):
         if rules.draw_frames:
             write(draw_rotation(key, 3 * i, layout.axes), frames, lane)
         if rules.draw_memory:
-            write(begin_memory(robot.model, key, 3 * i), memory, lane)
+            write(init_memory(robot.model, key, 3 * i), memory, lane)
         kept = read(memory, lane, robot.memories)
         write(frame_of(robot.model, read(frames, lane, layout.entries), kept), frames, lane)

@@ -1,19 +1,23 @@
-"""The second stage: carry displacements out, with contacts and merges.
+"""The second stage: carry displacements out, with contacts and merges, or bodies that touch.
 
 Most teams only add. Those in which something can meet in this step, two neighbours or a robot and
 an obstacle, are moved one by one by exact geometry.
 """
+
+import math
 
 from ...compilation import inner_kernel
 from ...graphs.edge_kinds import arcs_of
 from ...graphs.edges import load_links, store_links
 from ...graphs.merging import merge_swept
 from ...obstacles.contact import IGNORE, move_curved, move_straight
+from ...physics.packing import is_packed, move_apart
 from ...physics.vectors import load, norm
 from ..memory import (
     FREE,
     MERGED,
     MOVED,
+    PACKED,
     RUNNING,
     Place,
     in_lanes,
@@ -68,6 +72,8 @@ def _mark_near(block, setup, teams, obstacles, lanes):
     tally, statistics = tally_of(lanes.tally), statistics_of(teams, block.index)
     reach = constants.speed_limit * constants.duration * _ROUNDING
     square_reach = (constants.merge_radius * _ROUNDING + 2.0 * reach) ** 2
+    if constants.packs:  # bodies touch whether or not they are neighbours
+        square_reach = math.inf
     for lane in range(lane_count(layout.width)):
         # as of the last observation, which is of the places where this step begins
         near = statistics.square_closest[lane] < square_reach
@@ -117,7 +123,11 @@ def _advance_exactly(place, setup, state, contact, scratch):
         for k in range(d):
             # what obstacles left, uncut by merges: it is what the robot model learns of the step
             lanes.displacement[i, k, lane] = team.displacements[i, k]
-    merges = _merge_team(place, setup.constants.merge_radius, state, team)
+    merges = 0
+    if not setup.constants.packs:
+        merges = _merge_team(place, setup.constants.merge_radius, state, team)
+    elif _pack_team(setup.constants, team):
+        tally_of(lanes.tally).proximity[lane] = PACKED
     for i in range(team.lengths.shape[0]):
         lanes.displacement[i, d, lane] = team.lengths[i]
         for k in range(d):
@@ -130,6 +140,14 @@ def _advance_exactly(place, setup, state, contact, scratch):
         tally.lyapunov_after_merge[lane] = team.report[1]
         tally.merge_rise[lane] = team.report[2]
         tally.merge_excess[lane] = team.report[3]
+
+
+@inner_kernel
+def _pack_team(constants, team):
+    """Move the team at hand as discs that do not overlap; whether all are one packed cluster."""
+    work, size = (team.here, team.moments), 2.0 * constants.body_radius
+    move_apart(team.positions, team.displacements, team.lengths, size, work)
+    return is_packed(team.positions, constants.merge_radius, (team.counts, team.resting))
 
 
 @inner_kernel(inline="text")

@@ -6,6 +6,7 @@ from ...rewards.terms import team_reward
 from ..memory import (
     AWAITING_RESET,
     MERGED,
+    PACKED,
     RENDEZVOUS,
     RUNNING,
     SCORED,
@@ -51,7 +52,8 @@ def _conclude(setup, half_lyapunov, tally, statistics):
         initial = statistics.initial_lyapunov[lane]
         touches, running = tally.touches[lane], status == _RUNNING
         steps = statistics.steps[lane] + (1.0 if running else 0.0)
-        met = running & (statistics.active[lane] == 1.0)
+        packed = tally.proximity[lane] == PACKED
+        met = running & ((statistics.active[lane] == 1.0) | packed)
         over = running & (steps >= constants.max_steps)
         # where edges come and go there may be none at the start
         progress = (before - now) / initial if initial > 0.0 else 0.0

@@ -4,7 +4,7 @@ what robot models make of what has come of it.
 
 from ...compilation import inner_kernel
 from ...obstacles.contact import STOP
-from ...robots.motion import FREE, SLID, STOPPED, drifts, frame_of, propose, remember
+from ...robots.motion import FREE, SLID, STOPPED, drifts, frame_of, propose, update_memory
 from ..memory import RUNNING, in_lanes, lane_count, read, statistics_of, write
 
 
@@ -87,7 +87,7 @@ def turn_block(block, setup, memories, teams, contact, scratch):
             for lane in range(block.count):
                 if statistics.status[lane] == RUNNING:
                     frame = read(frames, lane, layout.entries)
-                    after = remember(
+                    after = update_memory(
                         robot.model,
                         read(scratch.action[i], lane, robot.inputs),
                         frame,

@@ -7,11 +7,12 @@ import numpy as np
 from ...compilation import by_type, inner_kernel
 from ...graphs.edge_kinds import DenseEdges, DirectedEdges, EdgeList
 from ...physics.bearings import observed, sighting
-from ...robots.motion import sense_oneself
+from ...robots.motion import proprioception
 from ..memory import in_lanes, lane_count, pair_of, read, statistics_of, write, write_row
 from ..memory.changing_edges import update_links
+from .sense_by_chance import sense_by_chance
 from .sense_obstacles import sense_obstacles
-from .sense_with_errors import apply_sensor_model
+from .sense_one_by_one import sense_one_by_one
 
 
 @inner_kernel(inline="text")
@@ -28,9 +29,10 @@ def sense_block(block, setup, sensor, moves, state, output, scratch):
     for lane in range(lane_count(setup.layout.width)):
         square_closest[lane] = found.square_closest[lane]
     sense_obstacles(block, setup, state, state.obstacles, output, scratch)
-    _sense_oneself(block, setup, state.teams, scratch.block.rows)
+    _proprioception(block, setup, state.teams, scratch.block.rows)
+    sense_by_chance(sensor, block, setup, moves, state, scratch)
     _give_out(block, setup, state.links, output, scratch, setup.layout.packs)
-    apply_sensor_model(sensor, block, setup, moves, state, output, scratch.team)
+    sense_one_by_one(sensor, block, setup, moves, state, output, scratch.team)
 
 
 # ---- neighbours ---------------------------------------------------------------------------------
@@ -171,11 +173,11 @@ _SENSE: dict[type, Any] = {
 
 
 @inner_kernel(inline="code")
-def _sense_oneself(block, setup, teams, rows):
+def _proprioception(block, setup, teams, rows):
     """The last row of models that sense something of themselves; zero for robots that are gone."""
     for i in range(rows.shape[0]):
         for lane in range(block.count):
-            seen = sense_oneself(
+            seen = proprioception(
                 setup.robot.model,
                 read(teams.frames[block.index, i], lane, setup.layout.entries),
                 read(teams.memory[block.index, i], lane, setup.robot.memories),

@@ -90,6 +90,9 @@ def _is_laid_out(setup, teams, scratch):
         and scratch.disc.shape[0] == 3
         and scratch.disc.shape[1] == 2
         and scratch.disc.shape[2] == lanes
+        and scratch.keys.shape[1] == lanes
+        and scratch.words.shape[1] == 4
+        and scratch.words.shape[2] == lanes
     )
 
 

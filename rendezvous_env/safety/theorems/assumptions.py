@@ -5,16 +5,10 @@ from __future__ import annotations
 from ...scenario.scenario import Scenario
 from ...sensors.sensing import Sensing
 from ..settings import is_complete
-from .constants import (
-    DIRECTED,
-    PROXIMITY,
-    SWITCHING,
-    UNDIRECTED,
-    kind_of_links,
-    leaders,
-    long_step,
-)
+from .constants import DIRECTED, PROXIMITY, SWITCHING, UNDIRECTED, kind_of_links, leaders, long_step
 from .theorem import Asked, Assumption
+
+# ---- the graph -----------------------------------------------------------------------------------
 
 _WHY_NOT = {
     DIRECTED: "V counts links both ways, and here a robot need not be seen by whom it sees",
@@ -24,8 +18,6 @@ _WHY_NOT = {
     ),
     PROXIMITY: "robots that are moved by it may lose sight of each other for ever",
 }
-
-# ---- the graph -----------------------------------------------------------------------------------
 
 
 def on_graphs(*kinds: str) -> Assumption:
@@ -46,6 +38,8 @@ def on_graphs(*kinds: str) -> Assumption:
 
 undirected = on_graphs(UNDIRECTED)
 """Links are mutual and last but for merges."""
+without_range = on_graphs(UNDIRECTED, DIRECTED, SWITCHING)
+"""Links do not end with distance."""
 
 
 def connected(scenario: Scenario, asked: Asked) -> str:
@@ -70,15 +64,26 @@ def one_leader_at_most(scenario: Scenario, asked: Asked) -> str:
 # ---- robots and obstacles ------------------------------------------------------------------------
 
 
+def known_bodies(scenario: Scenario, asked: Asked) -> str:
+    """A robot's action is its velocity, or the paper has a theorem on its model."""
+    model = scenario.model
+    if model.bounded or model.theorem is not None:
+        return ""
+    return (
+        f"none: no theorem covers {model.name} robots, whose action ({model.action}) is not "
+        "their velocity; V may rise at any time"
+    )
+
+
 def velocity_inputs(scenario: Scenario, asked: Asked) -> str:
     """A robot's action is its velocity."""
     model = scenario.model
-    if model.bounded:
-        return ""
-    if model.theorem is None:
+    if model.bounded or model.theorem is None:
+        return known_bodies(scenario, asked)
+    if asked.by == "tank":
         return (
-            f"none: no theorem covers {model.name} robots, whose action ({model.action}) is not "
-            "their velocity; V may rise at any time"
+            f"none: no time by which {model.name} robots meet under a tank is proven; "
+            "theorem D still keeps V bounded"
         )
     return (
         f"none: theorems G and R are for robots whose action is their velocity, and that of "
@@ -86,21 +91,17 @@ def velocity_inputs(scenario: Scenario, asked: Asked) -> str:
     )
 
 
-def known_bodies(scenario: Scenario, asked: Asked) -> str:
-    """A robot's action is its velocity, or the paper has a theorem on its model."""
-    known = scenario.model.bounded or scenario.model.theorem is not None
-    return "" if known else velocity_inputs(scenario, asked)
-
-
-def walled(scenario: Scenario) -> bool:
-    """Whether there are obstacles that robots cannot pass through."""
-    return bool(scenario.obstacles) and scenario.obstacle_contact != "ignore"
+def robots_turn(scenario: Scenario, asked: Asked) -> str:
+    """The robot model is one of the paper's that turn."""
+    return "none: theorems 3 and 4 are for robots that turn" if scenario.model.bounded else ""
 
 
 def nothing_in_the_way(scenario: Scenario, asked: Asked) -> str:
     """No obstacles, or such as robots pass through."""
-    if not walled(scenario):
+    if not scenario.obstacles or scenario.obstacle_contact == "ignore":
         return ""
+    if asked.by == "links":
+        return "none: obstacles turn robots aside, and links beside them may grow longer"
     rest = {
         "law": "",
         "heading": (
@@ -112,8 +113,6 @@ def nothing_in_the_way(scenario: Scenario, asked: Asked) -> str:
         ),
         "gains": "; nothing is proven of gains beside them",
     }
-    if asked.by == "links":
-        return "none: obstacles turn robots aside, and links beside them may grow longer"
     return f"none: obstacles can hold a robot back for ever (theory 6){rest[asked.by]}"
 
 
@@ -126,12 +125,11 @@ def bounded_errors(scenario: Scenario, asked: Asked) -> str:
     if sensing.custom:
         return f"none: no theorem knows what a custom sensor sees ({sensing.departures()})"
     if sensing.noise or sensing.bias:
-        words = (
+        expected = asked.by == "law" and not sensing.bias
+        return (
             "none: the theorems hold for exact bearings, or errors up to a bound, and this "
             f"sensor's have none ({sensing.departures()})"
-        )
-        expected = asked.by == "law" and not sensing.bias
-        return words + "; see expected_time_bound for what noise leaves of law (1)" * expected
+        ) + "; see expected_time_bound for what noise leaves of law (1)" * expected
     if sensing.delay:
         return (
             "none: this theorem holds for bearings of the moment, and this sensor's are late "
@@ -143,8 +141,7 @@ def bounded_errors(scenario: Scenario, asked: Asked) -> str:
 def all_neighbours_seen(scenario: Scenario, asked: Asked) -> str:
     """No row of a neighbour is ever missing."""
     sensing = scenario.sensing
-    seeing_all = Sensing(error=sensing.error, sectors=sensing.sectors)
-    if sensing == seeing_all:
+    if sensing == Sensing(error=sensing.error, sectors=sensing.sectors):
         return ""
     never = " The hull of the team does not grow." * (asked.by == "gains")
     return (
@@ -171,6 +168,9 @@ def exact_bearings(scenario: Scenario, asked: Asked) -> str:
     """Bearings are not wrong."""
     if asked.error == 0.0:
         return ""
+    if not scenario.model.bounded:
+        stays = "; V still never rises between merges" * (asked.by == "heading")
+        return f"none: theorems T, 3 and 4 are for exact bearings{stays}"
     return (
         f"none: bearings may err by {asked.error:.4g} rad, and this theorem is for exact ones: "
         "theorem N needs gains that add up to the same for all robots, all of whom see one"
@@ -192,11 +192,11 @@ def certified_or_scaled(scenario: Scenario, asked: Asked) -> str:
 
 
 def within_neighbours(scenario: Scenario, asked: Asked) -> str:
-    """τ D̄ ≤ r: no robot can go beyond its neighbours in a step. A speed limit is no help: where
-    bearings nearly cancel it cuts nothing off Σ_j c_ij.
+    """τ D̄ ≤ r: no robot can go beyond its neighbours in a step, as gains keep it themselves. A
+    speed limit is no help: where bearings nearly cancel it cuts nothing off Σ_j c_ij.
     """
     beyond = scenario.max_degree * scenario.tau > scenario.merge_radius * (1 + 1e-12)
-    if not beyond or scenario.scales_velocity:
+    if asked.by == "gains" or not beyond or scenario.scales_velocity:
         return ""
     return (
         f"none for law (1) as it stands: in a step of {scenario.tau:.4g} s a robot may go "
@@ -204,5 +204,11 @@ def within_neighbours(scenario: Scenario, asked: Asked) -> str:
     )
 
 
+# ---- what several theorems assume ----------------------------------------------------------------
+
 LASTING_LINKS = (undirected, connected, known_bodies, bounded_errors, all_neighbours_seen)
-"""What the theorems about V have in common."""
+"""The theorems about V."""
+UNHINDERED = (*LASTING_LINKS, nothing_in_the_way, velocity_inputs)
+"""Those of them that promise a time."""
+TURNING = (*LASTING_LINKS, nothing_in_the_way, robots_turn, exact_bearings)
+"""Those of robots that turn."""

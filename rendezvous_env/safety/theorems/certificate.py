@@ -15,20 +15,11 @@ from ..gains import gain_range
 from ..links import check_share
 from ..settings import bounded_error, check_bearing_error
 from . import delay, descent, gains, links, noise, tank, turning
-from .descent import check_margin
-from .theorem import CHOICES, Asked, Bounds, Theorem
+from .theorem import CHOICES, LAW, Asked, Bounds, Theorem
 
-THEOREMS: tuple[Theorem, ...] = (
-    *gains.THEOREMS,
-    *descent.THEOREMS,
-    *turning.THEOREMS,
-    *tank.THEOREMS,
-    *links.THEOREMS,
-    *noise.THEOREMS,
-    *delay.THEOREMS,
-)
+_ROOMS = gains, descent, turning, tank, links, noise, delay
+THEOREMS: tuple[Theorem, ...] = tuple(one for room in _ROOMS for one in room.THEOREMS)
 """All that certificates ask, in turn; the first that promises a rendezvous gives the words."""
-_DEFAULT_SHARE = 0.5
 _APPLIES = 1000
 """More than any theorem has assumptions."""
 _UNDER = {
@@ -38,6 +29,14 @@ _UNDER = {
     "gains": "gains",
     "links": "link-keeping",
 }
+
+
+def _renamed(old: str, new: str) -> Any:
+    def read(found: Certificate) -> Any:
+        warnings.warn(f"Certificate.{old} is called {new} now", DeprecationWarning, stacklevel=2)
+        return getattr(found, new)
+
+    return property(read, doc=f"Deprecated: ``{new}``.")
 
 
 @dataclass(frozen=True)
@@ -90,41 +89,27 @@ class Certificate:
         """Every number that is promised of the environment as it steps, by what it bounds: time, s;
         V ("lyapunov"), m²/s, and L ("hull"), m, at any time; "link_growth", m; "expected_time", s.
         """
-        found = {
-            "time": self.time_bound,
-            "lyapunov": self.lyapunov_bound,
-            "hull": self.hull_bound,
-            "link_growth": self.link_growth_bound,
-            "expected_time": self.expected_time_bound,
-        }
+        names = "time", "lyapunov", "hull", "link_growth", "expected_time"
+        found = {name: getattr(self, f"{name}_bound") for name in names}
         return {name: bound for name, bound in found.items() if math.isfinite(bound)}
 
     margin = property(lambda self: self.min_alignment, doc="ε: ``min_alignment``.")
     sampled_time_bound = property(lambda self: self.time_bound, doc="``time_bound``, s.")
 
-    @property
-    def held_time_bound(self) -> float:
-        """Deprecated: ``time_bound``."""
-        return _renamed("held_time_bound", "time_bound", self.time_bound)
-
-    @property
-    def bearing_error_borne(self) -> float:
-        """Deprecated: ``tolerated_bearing_error``."""
-        name = "tolerated_bearing_error"
-        return _renamed("bearing_error_borne", name, self.tolerated_bearing_error)
-
-    @property
-    def continuous_time(self) -> bool:
-        """Deprecated: ``continuous_time_only``."""
-        return _renamed("continuous_time", "continuous_time_only", self.continuous_time_only)
+    held_time_bound = _renamed("held_time_bound", "time_bound")
+    bearing_error_borne = _renamed("bearing_error_borne", "tolerated_bearing_error")
+    continuous_time = _renamed("continuous_time", "continuous_time_only")
 
     def __str__(self) -> str:
         """What is promised, by when, and how that compares with the episode's limit."""
         what = f"{self.scenario} under {_UNDER[self.by]}: {self.theorem}"
-        units = {"lyapunov": ("V", "m²/s"), "hull": ("L", "m"), "link_growth": ("a link", "m")}
+        units = {
+            "lyapunov": ("V never exceeds", "m²/s"),
+            "hull": ("L never exceeds", "m"),
+            "link_growth": ("a link never grows by more than", "m"),
+        }
         kept = [
-            f"{units[name][0]} never {'grows by more than' if name == 'link_growth' else 'exceeds'}"
-            f" {bound:.4g} {units[name][1]}"
+            f"{units[name][0]} {bound:.4g} {units[name][1]}"
             for name, bound in self.promises.items()
             if name in units
         ]
@@ -135,12 +120,9 @@ class Certificate:
     def _by_when(self) -> str:
         if not self.guaranteed:
             return "No rendezvous is guaranteed."
-        limit = self.time_limit
+        limit, followed = self.time_limit, self.continuous_time_bound
         if math.isinf(self.time_bound):
-            bound = f"bound {self.continuous_time_bound:.4g} s" * math.isfinite(
-                self.continuous_time_bound
-            )
-            known = bound or "without a bound"
+            known = "without a bound" if math.isinf(followed) else f"bound {followed:.4g} s"
             return f"Proven in continuous time only, {known}: of held inputs nothing is said."
         if self.time_bound <= limit:
             return f"Bound {self.time_bound:.4g} s, within the limit of {limit:.4g} s."
@@ -148,11 +130,6 @@ class Certificate:
             f"Bound {self.time_bound:.4g} s, limit {limit:.4g} s: the guarantee says nothing about "
             "when this episode ends."
         )
-
-
-def _renamed(old: str, new: str, value: Any) -> Any:
-    warnings.warn(f"Certificate.{old} is called {new} now", DeprecationWarning, stacklevel=3)
-    return value
 
 
 def certificate(
@@ -163,7 +140,7 @@ def certificate(
     budget: float = 0.0,
     min_gain: float | None = None,
     max_gain: float | None = None,
-    share: float = _DEFAULT_SHARE,
+    share: float = LAW.share,
     bearing_error: float = 0.0,
 ) -> Certificate:
     """What is guaranteed for a scenario under law (1), or whatever a policy does under a wrapper.
@@ -191,17 +168,21 @@ def certificate(
         ValueError: naming the argument that is out of its range, or does not go with ``by``.
     """
     scenario = resolve(scenario)
-    error = max(check_bearing_error(bearing_error), bounded_error(scenario.sensing, scenario.dim))
-    chosen = _checked(min_alignment, by, budget)
-    check_share(share)
-    _check_goes_with(chosen, min_gain=min_gain, max_gain=max_gain, share=share)
-    if chosen == "gains":
-        gain_range(scenario, min_gain, max_gain)
-    asked = Asked(chosen, real(min_alignment), real(budget), min_gain, max_gain, real(share), error)
-    found, words = _ask(scenario, asked)
+    asked = _checked(
+        scenario,
+        min_alignment,
+        by,
+        {"budget": budget, "min_gain": min_gain, "max_gain": max_gain, "share": share},
+        max(check_bearing_error(bearing_error), bounded_error(scenario.sensing, scenario.dim)),
+    )
+    applies, words = ask(scenario, asked)
+    found = [bounds for _, bounds in applies]
     promised = [bounds for bounds in found if bounds.meets]
-    time = min((bounds.time for bounds in promised), default=math.inf)
-    followed = min((bounds.continuous_time for bounds in promised), default=math.inf)
+
+    def least(name: str, bounds: list[Bounds]) -> float:
+        return min((getattr(one, name) for one in bounds), default=math.inf)
+
+    time = least("time", promised)
     return Certificate(
         min_alignment=asked.min_alignment,
         dead_zone=scenario.dead_zone,
@@ -210,23 +191,23 @@ def certificate(
         time_bound=time,
         guaranteed=bool(promised),
         theorem=words,
-        by=chosen,
-        continuous_time_bound=followed,
+        by=asked.by,
+        continuous_time_bound=least("continuous_time", promised),
         continuous_time_only=bool(promised) and math.isinf(time),
-        bearing_error=error,
-        tolerated_bearing_error=max((b.tolerated_bearing_error for b in found), default=0.0),
-        lyapunov_bound=min((b.lyapunov for b in found), default=math.inf),
-        hull_bound=min((b.hull for b in found), default=math.inf),
-        link_growth_bound=min((b.link_growth for b in found), default=math.inf),
-        expected_time_bound=min((b.expected_time for b in found), default=math.inf),
+        lyapunov_bound=least("lyapunov", found),
+        hull_bound=least("hull", found),
+        link_growth_bound=least("link_growth", found),
+        bearing_error=asked.error,
+        tolerated_bearing_error=max((one.tolerated_bearing_error for one in found), default=0.0),
+        expected_time_bound=least("expected_time", found),
         scenario=scenario.name,
         time_limit=scenario.time_limit,
     )
 
 
-def _ask(scenario: Scenario, asked: Asked) -> tuple[list[Bounds], str]:
-    """What all theorems that apply promise; and the words of the first that promises a rendezvous,
-    or what the one that comes nearest lacks.
+def ask(scenario: Scenario, asked: Asked) -> tuple[list[tuple[Theorem, Bounds]], str]:
+    """All theorems that apply and what they promise; and the words of the first that promises a
+    rendezvous, or what the one that comes nearest lacks.
     """
     found, nearest, lacking = [], -1, ""
     for theorem in THEOREMS:
@@ -234,17 +215,20 @@ def _ask(scenario: Scenario, asked: Asked) -> tuple[list[Bounds], str]:
             continue
         met, words = theorem.unmet(scenario, asked)
         if not words:
-            found.append(bounds := theorem.bounds(scenario, asked))
+            bounds = theorem.bounds(scenario, asked)
+            found.append((theorem, bounds))
             met, words = _APPLIES, bounds.words if asked.error and not bounds.meets else ""
         if words and theorem.rendezvous and met > nearest:
             nearest, lacking = met, words
-    promised = next((bounds.words for bounds in found if bounds.meets), "")
+    promised = next((bounds.words for _, bounds in found if bounds.meets), "")
     return found, promised or lacking
 
 
-def _checked(min_alignment: float, by: Any, budget: float) -> str:
-    """What keeps the guarantee, if the arguments go together."""
-    check_margin(min_alignment)
+def _checked(
+    scenario: Scenario, min_alignment: float, by: Any, given: dict[str, Any], error: float
+) -> Asked:
+    """What is asked, if the arguments go together."""
+    descent.check_margin(min_alignment)
     if by is None:
         by = "law" if min_alignment == 1 else "heading"
     choice("by", by, CHOICES)
@@ -252,17 +236,14 @@ def _checked(min_alignment: float, by: Any, budget: float) -> str:
         refuse("min_alignment", min_alignment, f'exactly 1 with by="{by}"')
     if by == "heading" and min_alignment == 1:
         refuse("min_alignment", min_alignment, 'less than 1 with by="heading"')
-    if by != "tank" and real(budget) != 0:
-        refuse("budget", budget, f'0 with by="{by}": only a tank has one')
-    return str(by)
-
-
-def _check_goes_with(
-    by: str, *, min_gain: float | None, max_gain: float | None, share: float
-) -> None:
-    """Refuse numbers of another wrapper."""
-    for name, value in (("min_gain", min_gain), ("max_gain", max_gain)):
-        if by != "gains" and value is not None:
-            refuse(name, value, f'None with by="{by}": only gains have one')
-    if by != "links" and share != _DEFAULT_SHARE:
-        refuse("share", share, f'{_DEFAULT_SHARE} with by="{by}": only links have one')
+    if by != "tank" and real(given["budget"]) != 0:
+        refuse("budget", given["budget"], f'0 with by="{by}": only a tank has one')
+    check_share(given["share"])
+    for name, value in given.items():
+        usual, only = getattr(LAW, name), "links" if name == "share" else "gains"
+        if name != "budget" and by != only and value != usual:
+            refuse(name, value, f'{usual} with by="{by}": only {only} have one')
+    if by == "gains":
+        gain_range(scenario, given["min_gain"], given["max_gain"])
+    given |= {"budget": real(given["budget"]), "share": real(given["share"])}
+    return Asked(by=by, min_alignment=real(min_alignment), **given, error=error)

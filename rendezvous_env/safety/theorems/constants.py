@@ -12,7 +12,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from ...checks import floats, refuse
 from ...graphs import Graph
-from ...graphs.weights import closed_groups
 from ...physics.hull_perimeter import size
 from ...scenario.scenario import Scenario
 from ..lyapunov import lyapunov
@@ -28,31 +27,27 @@ UNDIRECTED, DIRECTED, SWITCHING, PROXIMITY = "undirected", "directed", "switchin
 
 def kind_of_links(graph: Graph) -> str:
     """UNDIRECTED, DIRECTED, SWITCHING or PROXIMITY."""
-    if graph.undirected:
-        return UNDIRECTED
-    if graph.changes:
-        return PROXIMITY if graph.kind == "proximity" else SWITCHING
-    return DIRECTED
+    if graph.undirected or not graph.changes:
+        return UNDIRECTED if graph.undirected else DIRECTED
+    return PROXIMITY if graph.kind == "proximity" else SWITCHING
 
 
 def leaders(scenario: Scenario) -> list[list[int]]:
     """Groups of robots that see nobody outside, in the graph of the moment that has most of them;
-    arrays of indices without unit.
-
-    One group means that some robot can be reached from all at any time (theorem G). If it is the
-    whole team everyone always sees someone, whatever merges; a smaller one may become a single
-    robot that sees nobody, and waits for the others.
+    arrays of indices without unit. One group: some robot can be reached from all at any time
+    (theorem G).
     """
     graph: Any = scenario.sensing_graph
-    if kind_of_links(graph) in (UNDIRECTED, PROXIMITY):
+    kind = kind_of_links(graph)
+    if kind in (UNDIRECTED, PROXIMITY):
         return graph.components(scenario.n_robots)
-    moments = graph.graphs if kind_of_links(graph) == SWITCHING else (graph,)
-    groups = [closed_groups(moment.sparse_weights(scenario.n_robots)) for moment in moments]
+    moments = graph.graphs if kind == SWITCHING else (graph,)
+    groups = [moment.closed_groups(scenario.n_robots) for moment in moments]
     return max(groups, key=lambda found: (len(found), -len(found[0])))
 
 
 def led(scenario: Scenario) -> bool:
-    """Whether a robot may rest and see nobody (theorem G)."""
+    """Whether a robot may rest and see nobody: one group of leaders, and not all (theorem G)."""
     return len(leaders(scenario)[0]) < scenario.n_robots
 
 
@@ -61,33 +56,33 @@ def lightest_link(scenario: Scenario) -> float:
     return scenario.sensing_graph.extreme_weights(scenario.n_robots)[0]
 
 
+def robots_left(scenario: Scenario) -> Array:
+    """Robots left, m = 2 … n, an array (n − 1,) without unit: c_m and D̄_m stand in its order."""
+    return np.arange(2.0, scenario.n_robots + 1.0)
+
+
 def least_degrees(scenario: Scenario) -> Array:
-    """c_m, the least D_i = Σ_j a_ij that a robot can have with m robots left, m = 2 … n, an array
-    (n − 1,), m/s: a complete graph stays complete and a cycle a cycle; elsewhere one link is sure,
-    of at least a* (theory 3).
+    """c_m, the least D_i = Σ_j a_ij that a robot can have, an array (n − 1,), m/s: a complete graph
+    stays complete and a cycle a cycle; elsewhere one link is sure, of at least a* (theory 3).
     """
-    n, graph = scenario.n_robots, scenario.sensing_graph
-    left = np.arange(2.0, n + 1.0)
+    n, graph, others = scenario.n_robots, scenario.sensing_graph, robots_left(scenario) - 1.0
     links = np.ones(n - 1)
     if is_complete(graph, n):
-        links = left - 1.0
+        links = others
     elif _is_cycle(graph, n):
-        links = np.minimum(left - 1.0, 2.0)
+        links = np.minimum(others, 2.0)
     return np.maximum(links * lightest_link(scenario), scenario.bottleneck_weight)
 
 
 def most_degrees(scenario: Scenario) -> Array:
-    """The most that D_i can be with m robots left, m = 2 … n: min(D̄, (m − 1) max a_ij), an array
-    (n − 1,), m/s (theory 3).
-    """
-    n, heaviest = scenario.n_robots, scenario.sensing_graph.extreme_weights(scenario.n_robots)[1]
-    return np.minimum(scenario.max_degree, np.arange(1.0, n) * heaviest)
+    """The most that D_i can be: min(D̄, (m − 1) max a_ij), an array (n − 1,), m/s (theory 3)."""
+    heaviest = scenario.sensing_graph.extreme_weights(scenario.n_robots)[1]
+    return np.minimum(scenario.max_degree, (robots_left(scenario) - 1.0) * heaviest)
 
 
 def least_bearing_square(scenario: Scenario) -> float:
     """min_m 4 c_m²/m ≤ Σ‖f_i‖² at any time before all have met, a number, (m/s)² (lemma 2)."""
-    left = np.arange(2.0, scenario.n_robots + 1.0)
-    return float((4.0 * least_degrees(scenario) ** 2 / left).min())
+    return float((4.0 * least_degrees(scenario) ** 2 / robots_left(scenario)).min())
 
 
 def degrees_stay_equal(scenario: Scenario) -> bool:
@@ -95,7 +90,7 @@ def degrees_stay_equal(scenario: Scenario) -> bool:
     weight, directed cycles too.
     """
     n, graph = scenario.n_robots, scenario.sensing_graph
-    even = is_complete(graph, n) or graph.kind == "directed_cycle" or _is_cycle(graph, n)
+    even = graph.kind == "directed_cycle" or is_complete(graph, n) or _is_cycle(graph, n)
     return even and has_one_weight(scenario)
 
 
@@ -124,51 +119,41 @@ def long_step(scenario: Scenario) -> bool:
 
 
 def scale_bound(scenario: Scenario) -> float:
-    """s_min = min(1, r/(2D̄τ), v_max/D̄), a number without unit: no robot is slowed down by more
-    (theorem D).
-    """
-    degree = scenario.max_degree
-    held = scenario.merge_radius / (2.0 * degree * scenario.tau)
-    return min(1.0, held, scenario.speed_limit / degree)
+    """s_min = min(1, r/(2D̄τ), v_max/D̄), a number without unit, by which robots slow down."""
+    held = scenario.merge_radius / (2.0 * scenario.max_degree * scenario.tau)
+    return min(1.0, held, scenario.speed_limit / scenario.max_degree)
 
 
 # ---- what V can come to --------------------------------------------------------------------------
 
 
 def merge_rise_allowance(scenario: Scenario) -> float:
-    """(n − 1) r W, a number, m²/s, W = Σ a_ij over the edges: no sequence of merges can raise V by
-    more (theory 3 and 5).
-    """
-    n, total = scenario.n_robots, scenario.sensing_graph.weight_sum(scenario.n_robots)
-    return (n - 1) * scenario.merge_radius * total
+    """(n − 1) r W, a number, m²/s, W = Σ a_ij over the edges: merges raise V by no more."""
+    total = scenario.sensing_graph.weight_sum(scenario.n_robots)
+    return (scenario.n_robots - 1) * scenario.merge_radius * total
 
 
 def lyapunov_bound(
     scenario: Scenario, initial_lyapunov: ArrayLike, *, reach: float | None = None
 ) -> Array:
-    """The most that V can be if it never rises between merges, (...), m²/s: V0⁺ = V(0) + (n − 1) r
-    W.
+    """V0⁺ = V(0) + (n − 1) r W, (...), m²/s: the most that V can be if it never rises between
+    merges; at obstacles, where they may be at one robot's place, it can by twice as much (theory
+    5). A V(0) that is not finite or negative is refused.
 
-    At obstacles robots may merge at one robot's place rather than at the midpoint, where V can rise
-    by twice as much (theory 5). Where linked robots start within r of each other, two of them merge
-    at once while others walk on, by r/2 or ``reach``, m: V rises by 4 W of it at most, once.
-
-    Raises:
-        ValueError: if a V(0), m²/s, is not finite or negative.
+    Where linked robots start within r of each other, two of them merge at once while others walk
+    on, by r/2 or ``reach``, m: V rises by 4 W of it at most, once.
     """
-    places = 2.0 if scenario.obstacles else 1.0
-    first = 0.0
-    if not starts_apart(scenario):
-        total = scenario.sensing_graph.weight_sum(scenario.n_robots)
-        first = 4.0 * total * (scenario.merge_radius / 2.0 if reach is None else reach)
-    found = checked("initial_lyapunov", initial_lyapunov, "m²/s")
-    return found + places * merge_rise_allowance(scenario) + first
+    rises = (2.0 if scenario.obstacles else 1.0) * merge_rise_allowance(scenario)
+    most = checked("initial_lyapunov", initial_lyapunov, "m²/s") + rises
+    if starts_apart(scenario):
+        return most
+    total = scenario.sensing_graph.weight_sum(scenario.n_robots)
+    return most + 4.0 * total * (scenario.merge_radius / 2.0 if reach is None else reach)
 
 
 def largest_lyapunov(scenario: Scenario) -> float:
-    """V(0) of the given start, or an upper bound over all starts that can be drawn, a number, m²/s.
-
-    V ≤ 2 W s √d,   s the side of the spawn area
+    """V(0) of the given start, or what all that can be drawn are below, a number, m²/s: V ≤
+    2 W s √d, s the side of the spawn area.
     """
     n, graph = scenario.n_robots, scenario.sensing_graph
     if scenario.start_positions is not None:
@@ -196,8 +181,8 @@ def starts_apart(scenario: Scenario) -> bool:
 
 
 def directions(dim: int) -> float:
-    """The measure of all unit vectors: 2π in the plane, 4π in 3-D; a hull that grows by ρ in all
-    directions has an L larger by so much times ρ (guarantees, section 9).
+    """The measure of all unit vectors, a number without unit, 2π, in 3-D 4π: by so much times ρ L
+    grows if the hull does by ρ in all directions (guarantees, section 9).
     """
     return 2.0 * math.pi * (dim - 1)
 
@@ -213,23 +198,17 @@ def largest_size(scenario: Scenario) -> float:
 
 @cache
 def _largest_size_in_unit_cube(n: int, dim: int) -> float:
-    """L is convex in every p_i, so it is largest with all robots at corners, and no set of corners
-    is larger than the sets that hold it.
-    """
+    # L is convex in every p_i, and no set of corners is larger than the sets that hold it
     corners = np.array(list(itertools.product((0.0, 1.0), repeat=dim)))
     sets = itertools.combinations(corners, min(n, len(corners)))
     return max(size(np.array(places)) for places in sets)
 
 
-def hull_growth(scenario: Scenario, radius: float | None = None) -> float:
-    """What L can grow by (theorem G), a number, m, in steps that begin with linked robots closer
-    than r.
-
-    Two of three merge at once and rest, the third walks on by r at most, or by ``radius``, m: the
-    hull grows by that in all directions at most. That takes a merge; on a fixed graph it can happen
-    in the first step only, where links change n − 1 times.
+def hull_growth(scenario: Scenario) -> float:
+    """What L can grow by, a number, m, in steps that begin with linked robots closer than r: by r
+    in all directions, once for a given start, n − 1 times where links change (theorem D1).
     """
-    grown = directions(scenario.dim) * (scenario.merge_radius if radius is None else radius)
+    grown = directions(scenario.dim) * scenario.merge_radius
     if kind_of_links(scenario.sensing_graph) in (SWITCHING, PROXIMITY):
         return (scenario.n_robots - 1) * grown
     return 0.0 if starts_apart(scenario) else grown
@@ -238,13 +217,14 @@ def hull_growth(scenario: Scenario, radius: float | None = None) -> float:
 # ---- numbers that are given ----------------------------------------------------------------------
 
 
-def checked(name: str, given: ArrayLike, unit: str) -> Array:
-    """V(0), m²/s, or L(0), m, as an array (...) of numbers ≥ 0 that a team can have (theorems A,
-    G).
+def check_scenario(scenario: object) -> None:
+    """Refuse anything but a Scenario, in a ValueError."""
+    if not isinstance(scenario, Scenario):
+        refuse("scenario", scenario, "a Scenario; scenarios.resolve() takes names and files")
 
-    Raises:
-        ValueError: if one is not finite or negative.
-    """
+
+def checked(name: str, given: ArrayLike, unit: str) -> Array:
+    """V(0), m²/s, or L(0), m, as an array (...) of numbers ≥ 0; others in a ValueError."""
     initial = floats(name, given)
     if not (np.isfinite(initial) & (initial >= 0)).all():
         refuse(name, given, f"finite and at least 0 {unit}")
@@ -256,3 +236,11 @@ def over_rate(above: ArrayLike, rate: ArrayLike) -> Array:
     below = np.asarray(rate, dtype=np.float64)
     with np.errstate(divide="ignore", over="ignore"):
         return np.where(below > 0.0, above / np.where(below > 0.0, below, 1.0), np.inf)
+
+
+def held_time(scenario: Scenario, most: ArrayLike, rates: ArrayLike) -> Array:
+    """T ≤ most/min_m rate_m + (n − 1) τ, (...), s: what falls by a rate (n − 1,) in every step
+    without a merge has vanished, and all robots have met (theorems A, D, G); infinite for a rate ≤
+    0. ``most`` is of V, m²/s, or of L, m.
+    """
+    return over_rate(most, np.min(rates)) + (scenario.n_robots - 1) * scenario.tau

@@ -7,11 +7,10 @@ bearings of merged robots too.
 
 **Promise**, s = min(1, v_max/D̄):
 
-    T ≤ V_late max_m m/(4 s c_m²) + (n−1)(k+1) τ,      V ≤ V_late = V0⁺ + (n−1)(2 r W + n r D̄/2),
+    T ≤ V_late max_m m/(4 s c_m²) + (n−1)(k+1) τ,      V ≤ V_late = V0⁺ + (n−1)(2 r W + n r D̄/2).
 
-the second part of V_late for what robots do in the (k+1) τ after each merge, on bearings from
-before it. Where they are fresh after a merge T ≤ n V0⁺/(4 s a*²). Law (4) with a margin that does
-not fade, and ages up to r/(2√3 D̄): n V0⁺/(ε² a*²).
+Where bearings are fresh after a merge T ≤ n V0⁺/(4 s a*²); under law (4) with a margin that does
+not fade, and ages up to r/(2√3 D̄), n V0⁺/(ε² a*²).
 
 **Proof.** docs/proofs.md, E1.
 """
@@ -19,29 +18,17 @@ not fade, and ages up to r/(2√3 D̄): n V0⁺/(ε² a*²).
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ...scenario.scenario import Scenario
 from ...sensors.sensing import Sensing
 from . import assumptions as given
-from .constants import (
-    largest_lyapunov,
-    least_bearing_square,
-    lyapunov_bound,
-    merge_rise_allowance,
-    over_rate,
-)
+from . import constants as known
 from .theorem import Asked, Bounds, Theorem
-
-Array = NDArray[np.float64]
 
 
 def largest_age(max_degree: float, merge_radius: float, *, law_4: bool = False) -> float:
     """The age that bearings may have, a number, s: r/(2D̄), under law (4) r/(2√3 D̄)."""
     return merge_radius / (2.0 * max_degree) / (np.sqrt(3.0) if law_4 else 1.0)
-
-
-# ---- the theorem ---------------------------------------------------------------------------------
 
 
 def late_alone(scenario: Scenario, asked: Asked) -> str:
@@ -69,32 +56,19 @@ def young(scenario: Scenario, asked: Asked) -> str:
 
 def bounds(scenario: Scenario, asked: Asked) -> Bounds:
     """The time and V."""
-    n, degree, radius = scenario.n_robots, scenario.max_degree, scenario.merge_radius
-    most = float(lyapunov_bound(scenario, largest_lyapunov(scenario)))
-    most += 2.0 * merge_rise_allowance(scenario) + (n - 1) * n * radius * degree / 2.0
-    slowest = min(1.0, scenario.speed_limit / degree) * least_bearing_square(scenario)
-    time = float(over_rate(most, slowest))
-    late = scenario.sensing.delay
+    n, degree, late = scenario.n_robots, scenario.max_degree, scenario.sensing.delay
+    meanwhile = (n - 1) * n * scenario.merge_radius * degree / 2.0
+    most = float(known.lyapunov_bound(scenario, known.largest_lyapunov(scenario)))
+    most += 2.0 * known.merge_rise_allowance(scenario) + meanwhile
+    slowest = min(1.0, scenario.speed_limit / degree) * known.least_bearing_square(scenario)
     return Bounds(
         words=f"theorem E1: law (1) meets in finite time on bearings that are {late} steps late",
         meets=True,
-        time=float(time + (n - 1) * (late + 1) * scenario.tau),
+        time=float(known.over_rate(most, slowest) + (n - 1) * (late + 1) * scenario.tau),
         lyapunov=most,
     )
 
 
-THEOREMS = (
-    Theorem(
-        "E1",
-        ("law",),
-        (
-            given.undirected,
-            given.connected,
-            given.velocity_inputs,
-            late_alone,
-            given.nothing_in_the_way,
-            young,
-        ),
-        bounds,
-    ),
-)
+_TEAM = given.undirected, given.connected, given.velocity_inputs
+_LATE = late_alone, given.nothing_in_the_way, young
+THEOREMS = (Theorem("E1", ("law",), (*_TEAM, *_LATE), bounds),)

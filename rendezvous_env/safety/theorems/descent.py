@@ -11,12 +11,9 @@ by
     T ≤ σ n V0⁺/(4 ε² a*²)      and      T ≤ σ V0⁺ max_m m/(4 ε² c_m²) + (n−1) τ,
 
 σ = max(1, 2D̄τ/r) max(1, D̄/v_max), c_m ≥ a* the least D_i while m robots are left; on a complete
-graph of one weight a, no obstacles, T ≤ σ V(0)/(2 (n−1) ε² a²). The first two robots and rest of
-a bound without (n−1) τ are paid for by what V still is at the last merge. In continuous time half
-of that suffices.
-
-Beside obstacles V alone is bounded, in motion without a contact and twice the rise per merge.
-Of robots that turn V alone is bounded here, under headings; turning.py has the rest.
+graph of one weight a, no obstacles, T ≤ σ V(0)/(2 (n−1) ε² a²). In continuous time half of that
+suffices. Beside obstacles V alone is bounded, in motion without a contact and twice the rise per
+merge; likewise, under headings, V of robots that turn, of which turning.py has the rest.
 
 **Proof.** docs/proofs.md, A to C.
 """
@@ -33,64 +30,36 @@ from ...scenario.scenario import Scenario
 from ..enclosing_ball import smallest_enclosing_ball
 from ..settings import SMALLEST_MARGIN
 from . import assumptions as given
-from .constants import (
-    checked,
-    largest_lyapunov,
-    least_bearing_square,
-    long_step,
-    lyapunov_bound,
-    merges_at_midpoints,
-    over_rate,
-)
-from .gains import law_held_time
-from .noise import held_size_bound
-from .theorem import Asked, Bounds, Theorem
+from . import constants as known
+from .theorem import LAW, Asked, Bounds, Theorem
 
 Array = NDArray[np.float64]
 
 
 def time_bound(
-    scenario: Scenario,
-    initial_lyapunov: ArrayLike,
-    *,
-    min_alignment: float = 1.0,
-    initial_size: ArrayLike | None = None,
+    scenario: Scenario, initial_lyapunov: ArrayLike, *, min_alignment: float = 1.0
 ) -> Array:
-    """Time by which all robots have met with inputs held over the step, (...), s (theorems A and
-    C).
+    """Time by which all robots have met with inputs held over the step, (...), s, from V(0), (...),
+    m²/s (theorems A and C); infinite where nothing is guaranteed.
 
-    With L(0), m, and law (1): the bounds of theorems N and D1, if they are less. V(0), m²/s, is
-    (...). Of the scenario's own graph: weights that a reset is given in its place may lose a bound
-    for complete graphs and cycles. Infinite where nothing is guaranteed.
-
-    Raises:
-        ValueError: if ``min_alignment`` is not in (0, 1], or V(0) or L(0) not finite or negative.
+    Of the scenario's own graph: weights that a reset is given in its place may lose a bound for
+    complete graphs and cycles. ValueError for an ε that is not in (0, 1], or a V(0) that is none.
     """
     check_margin(min_alignment)
-    check_scenario(scenario)
-    initial = checked("initial_lyapunov", initial_lyapunov, "m²/s")
+    known.check_scenario(scenario)
+    initial = known.checked("initial_lyapunov", initial_lyapunov, "m²/s")
     if not covered(scenario):
         return np.full(initial.shape, np.inf)
-    bound = _by_descent(scenario, initial, min_alignment)
-    if initial_size is not None and min_alignment == 1:
-        bound = np.minimum(bound, held_size_bound(scenario, initial_size))
-        bound = np.minimum(bound, law_held_time(scenario, initial_size))
-    return np.asarray(bound)
-
-
-def _by_descent(scenario: Scenario, initial: Array, margin: float) -> Array:
-    """Theorems A and C with the factors of theory 4, s."""
     n, a = scenario.n_robots, scenario.bottleneck_weight
     slowed = max(1.0, 2.0 * scenario.max_degree * scenario.tau / scenario.merge_radius)
     slowed *= max(1.0, scenario.max_degree / scenario.speed_limit)
-    most = lyapunov_bound(scenario, initial)
-    slowest = margin**2 * least_bearing_square(scenario)
+    most, square = known.lyapunov_bound(scenario, initial), min_alignment**2
     bound = np.minimum(
-        over_rate(n * most, 4.0 * margin**2 * a**2 / slowed),
-        over_rate(most, slowest / slowed) + (n - 1) * scenario.tau,
+        known.over_rate(n * most, 4.0 * square * a**2 / slowed),
+        known.held_time(scenario, most, square * known.least_bearing_square(scenario) / slowed),
     )
-    if merges_at_midpoints(scenario):
-        alike = over_rate(initial, 2.0 * (n - 1) * margin**2 * a**2 / slowed)
+    if known.merges_at_midpoints(scenario):
+        alike = known.over_rate(initial, 2.0 * (n - 1) * square * a**2 / slowed)
         bound = np.minimum(bound, alike)
     return np.asarray(bound)
 
@@ -99,9 +68,8 @@ def covered(scenario: Scenario) -> bool:
     """Whether theorems A and C bound the time: undirected links that last, connected, robots whose
     action is their velocity, nothing in the way.
     """
-    needed = (given.undirected, given.connected, given.velocity_inputs)
-    asked = Asked("law", 1.0, 0.0, None, None, 0.5, 0.0)
-    return not given.walled(scenario) and not any(holds(scenario, asked) for holds in needed)
+    needed = given.undirected, given.connected, given.velocity_inputs, given.nothing_in_the_way
+    return not any(holds(scenario, LAW) for holds in needed)
 
 
 def rendezvous_time_lower_bound(scenario: Scenario, positions: ArrayLike) -> float:
@@ -109,15 +77,8 @@ def rendezvous_time_lower_bound(scenario: Scenario, positions: ArrayLike) -> flo
     1) r with obstacles (theory 3).
     """
     _, radius = smallest_enclosing_ball(positions)
-    share = 1.0 if scenario.obstacles else 0.5
-    reach = (scenario.n_robots - 1) * scenario.merge_radius * share
+    reach = (scenario.n_robots - 1) * scenario.merge_radius * (1.0 if scenario.obstacles else 0.5)
     return max(0.0, radius - reach) / scenario.speed_limit
-
-
-def check_scenario(scenario: object) -> None:
-    """Refuse anything but a Scenario, in a ValueError."""
-    if not isinstance(scenario, Scenario):
-        refuse("scenario", scenario, "a Scenario; scenarios.resolve() takes names and files")
 
 
 def check_margin(min_alignment: float) -> None:
@@ -131,74 +92,32 @@ def check_margin(min_alignment: float) -> None:
 
 def lyapunov_bounds(scenario: Scenario, asked: Asked) -> Bounds:
     """V never rises between merges, for any inputs that keep to law (1), a heading or a gate."""
-    return Bounds(lyapunov=float(lyapunov_bound(scenario, largest_lyapunov(scenario))))
+    most = known.lyapunov_bound(scenario, known.largest_lyapunov(scenario))
+    return Bounds(lyapunov=float(most))
 
 
-def law_bounds(scenario: Scenario, asked: Asked) -> Bounds:
-    """Theorem A."""
-    words = "theorem 1: law (1) meets in finite time"
-    if long_step(scenario):
-        words += (
+def time_bounds(scenario: Scenario, asked: Asked) -> Bounds:
+    """Theorems A and C."""
+    long = known.long_step(scenario)
+    if asked.by == "law":
+        words = "theorem 1: law (1) meets in finite time" + long * (
             ", with velocities scaled by r/(2 D_i τ) where that is below 1, as the policy "
             "bearing-only does here (theory 4)"
         )
-    time = float(time_bound(scenario, largest_lyapunov(scenario)))
+    else:
+        words = "theorems 2 and C: every policy under certified headings meets in finite time"
+        words += " with velocities scaled to the long step" * long
+    start = known.largest_lyapunov(scenario)
+    time = float(time_bound(scenario, start, min_alignment=asked.min_alignment))
     return replace(lyapunov_bounds(scenario, asked), words=words, meets=True, time=time)
 
 
-def heading_bounds(scenario: Scenario, asked: Asked) -> Bounds:
-    """Theorem C."""
-    scaled = " with velocities scaled to the long step" if long_step(scenario) else ""
-    start = largest_lyapunov(scenario)
-    return Bounds(
-        words=(
-            f"theorems 2 and C: every policy under certified headings meets in finite time{scaled}"
-        ),
-        meets=True,
-        time=float(time_bound(scenario, start, min_alignment=asked.min_alignment)),
-    )
-
-
-def velocities_keep_to_law(scenario: Scenario, asked: Asked) -> str:
-    """The paper's laws for robots that turn, held, can raise V a little; certified ones cannot."""
-    return "" if asked.by == "heading" else given.velocity_inputs(scenario, asked)
-
-
+# The paper's laws for robots that turn, held, can raise V a little; certified ones cannot.
+_HELD = given.certified_or_scaled, given.exact_bearings
+_LAW_V = *given.LASTING_LINKS, given.velocity_inputs, *_HELD
 THEOREMS = (
-    Theorem(
-        "A",
-        ("law",),
-        (
-            *given.LASTING_LINKS,
-            given.velocity_inputs,
-            given.nothing_in_the_way,
-            given.certified_or_scaled,
-            given.exact_bearings,
-        ),
-        law_bounds,
-    ),
-    Theorem(
-        "V",
-        ("law",),
-        (
-            *given.LASTING_LINKS,
-            velocities_keep_to_law,
-            given.certified_or_scaled,
-            given.exact_bearings,
-        ),
-        lyapunov_bounds,
-        rendezvous=False,
-    ),
-    Theorem(
-        "C",
-        ("heading",),
-        (
-            *given.LASTING_LINKS,
-            given.nothing_in_the_way,
-            given.velocity_inputs,
-            given.exact_bearings,
-        ),
-        heading_bounds,
-    ),
-    Theorem("V", ("heading",), given.LASTING_LINKS, lyapunov_bounds, rendezvous=False),
+    Theorem("A", ("law",), (*given.UNHINDERED, *_HELD), time_bounds),
+    Theorem("V", ("law",), _LAW_V, lyapunov_bounds, False, "descent"),
+    Theorem("C", ("heading",), (*given.UNHINDERED, given.exact_bearings), time_bounds),
+    Theorem("V", ("heading",), given.LASTING_LINKS, lyapunov_bounds, False, "descent"),
 )

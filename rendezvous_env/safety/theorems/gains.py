@@ -32,20 +32,8 @@ from numpy.typing import ArrayLike, NDArray
 from ...scenario.scenario import Scenario
 from ..gains import gain_range
 from . import assumptions as given
-from .constants import (
-    DIRECTED,
-    SWITCHING,
-    UNDIRECTED,
-    checked,
-    hull_growth,
-    kind_of_links,
-    largest_size,
-    least_degrees,
-    led,
-    lightest_link,
-    over_rate,
-)
-from .theorem import Asked, Bounds, Theorem
+from . import constants as known
+from .theorem import LAW, Asked, Bounds, Theorem
 
 Array = NDArray[np.float64]
 
@@ -61,9 +49,8 @@ def kappa(n: ArrayLike) -> Array:
     κ(n) = min( n sin²(π/n), 1 + (n − 1) sin²(π/(2(n − 1))) )
     """
     m = np.asarray(n, dtype=np.float64)
-    alike = m * np.sin(np.pi / m) ** 2
     one_flat = 1.0 + (m - 1.0) * np.sin(np.pi / (2.0 * (m - 1.0))) ** 2
-    return np.asarray(np.minimum(alike, one_flat))
+    return np.asarray(np.minimum(m * np.sin(np.pi / m) ** 2, one_flat))
 
 
 def shrinking(n: ArrayLike, dim: int, gain: ArrayLike, error: ArrayLike = 0.0) -> Array:
@@ -76,8 +63,7 @@ def shrinking(n: ArrayLike, dim: int, gain: ArrayLike, error: ArrayLike = 0.0) -
     """
     m, c, eta = np.asarray(n, dtype=np.float64), np.asarray(gain), np.asarray(error)
     if dim == 2:
-        share = np.sin(np.pi / m - eta) / np.sin(np.pi / m)
-        rate = 2.0 * c * kappa(m) * share
+        rate = 2.0 * c * kappa(m) * (np.sin(np.pi / m - eta) / np.sin(np.pi / m))
     else:
         rate = 4.0 * np.pi * c * (np.cos(eta) / m - np.sin(eta) * np.sqrt(1.0 - 2.0 / m))
     return np.where(eta < np.pi / m, np.maximum(rate, 0.0), 0.0)
@@ -94,119 +80,91 @@ def shrinking_to_leader(n: ArrayLike, dim: int, gain: ArrayLike) -> Array:
     return np.asarray(np.pi * c / others)
 
 
-# ---- times, of numbers ---------------------------------------------------------------------------
+# ---- times, from any start; of law (1) if nothing else is asked ----------------------------------
 
 
-def size_bound(scenario: Scenario, initial_size: ArrayLike) -> Array:
-    """Time by which law (1) has brought all robots together in continuous time, (...), s, from
-    L(0), m.
+def size_bound(scenario: Scenario, initial_size: ArrayLike, asked: Asked = LAW) -> Array:
+    """Time by which all robots have come together in continuous time, (...), s, from L(0), m.
 
-        2-D   T ≤ L0 / (2 min_m c_m κ(m)),      3-D   T ≤ max_m m w0 / (2 c_m)
+    2-D   T ≤ L0 / (2 min_m c_m κ(m)),      3-D   T ≤ max_m m w0 / (2 c_m);      a leader's κ₁
     """
-    left = np.arange(2, scenario.n_robots + 1)
-    slowest = shrinking(left, scenario.dim, _law_gains(scenario)[0]).min()
-    return checked("initial_size", initial_size, "m") / slowest
+    rate = shrinking_to_leader if known.led(scenario) else shrinking
+    rates = rate(known.robots_left(scenario), scenario.dim, _gains(scenario, asked)[0])
+    return known.over_rate(known.checked("initial_size", initial_size, "m"), rates.min())
 
 
-def law_held_time(scenario: Scenario, initial_size: ArrayLike) -> Array:
-    """The same with inputs held, (...), s, from L(0), m (D1); infinite for τ D̄ ≥ r."""
-    gains, most = _law_gains(scenario)
-    extent = checked("initial_size", initial_size, "m") + hull_growth(scenario)
-    return _held_time(scenario, extent, gains, most)
-
-
-def _held_time(scenario: Scenario, extent: ArrayLike, gains: Array, most: float) -> Array:
-    """T of D1, s, of gains c_m, (n − 1,), and C, m/s: L0/(c s μ k) + (n − 1) τ as above."""
-    m, step = np.arange(2, scenario.n_robots + 1), scenario.tau
-    psi = np.asarray(np.pi / m, dtype=np.float64)
-    if led(scenario):
-        wide = _WIDE if scenario.dim == 2 else np.pi * (1.0 - math.cos(_WIDE)) / 2.0
-        psi = np.asarray(wide / (m - 1.0), dtype=np.float64)
+def held_gain_time(scenario: Scenario, initial_size: ArrayLike, asked: Asked = LAW) -> Array:
+    """The same with inputs held, (...), s, from L(0), m: L0/(c s μ k) + (n − 1) τ as above (D1);
+    infinite for τ C ≥ r.
+    """
+    extent = known.checked("initial_size", initial_size, "m") + known.hull_growth(scenario)
+    (gains, most), step, m = _gains(scenario, asked), scenario.tau, known.robots_left(scenario)
+    psi = np.pi / m
+    if known.led(scenario):
+        psi = (_WIDE if scenario.dim == 2 else np.pi * (1.0 - math.cos(_WIDE)) / 2.0) / (m - 1.0)
     measure = psi if scenario.dim == 2 else 2.0 * np.pi * (1.0 - np.cos(psi / 2.0))
     spare = max(scenario.merge_radius - step * most, 0.0)
     rates = gains * np.sin(psi / 2.0) * measure * spare / (spare + 2.0 * step * gains)
-    return over_rate(extent, rates.min()) + (scenario.n_robots - 1) * step
+    return known.held_time(scenario, extent, rates)
 
 
-# ---- the theorem ---------------------------------------------------------------------------------
-
-
-def _law_gains(scenario: Scenario) -> tuple[Array, float]:
-    """c_m, (n − 1,), and C of law (1), m/s: a_ij, scaled where it scales velocities (theory 4)."""
-    gains, most = least_degrees(scenario), scenario.max_degree
-    if kind_of_links(scenario.sensing_graph) != UNDIRECTED:
-        gains = np.full(len(gains), scenario.bottleneck_weight)
+def _gains(scenario: Scenario, asked: Asked) -> tuple[Array, float]:
+    """c_m, (n − 1,), and C, m/s: of law (1) a_ij, scaled where it scales velocities (theory 4)."""
+    gains = np.ones(scenario.n_robots - 1)
+    if asked.by == "gains":
+        least, most = gain_range(scenario, asked.min_gain, asked.max_gain)
+        return gains * min(least, scenario.speed_limit), most
+    most = scenario.max_degree
     if given.nearest_hides(scenario):
         # behind others all but the nearest may be hidden, and its link may be the lightest
-        gains = np.full(len(gains), lightest_link(scenario))
+        gains *= known.lightest_link(scenario)
+    elif known.kind_of_links(scenario.sensing_graph) == known.UNDIRECTED:
+        gains = known.least_degrees(scenario)
+    else:
+        gains *= scenario.bottleneck_weight
     if scenario.scales_velocity:
         slow = scenario.merge_radius / (2.0 * scenario.tau)
         gains, most = np.minimum(gains, slow), min(most, slow)
     return np.minimum(gains, scenario.speed_limit), most
 
 
-def _gains(scenario: Scenario, asked: Asked) -> tuple[Array, float]:
-    """c_m, (n − 1,), and C, m/s."""
-    if asked.by == "law":
-        return _law_gains(scenario)
-    least, most = gain_range(scenario, asked.min_gain, asked.max_gain)
-    return np.full(scenario.n_robots - 1, min(least, scenario.speed_limit)), most
-
-
-def bounds(scenario: Scenario, asked: Asked) -> Bounds:
-    """Both times and L."""
-    gains, most = _gains(scenario, asked)
-    left, one_rests = np.arange(2, scenario.n_robots + 1), led(scenario)
-    initial = largest_size(scenario)
-    extent = initial + hull_growth(scenario)
-    followed = (shrinking_to_leader if one_rests else shrinking)(left, scenario.dim, gains).min()
-    who = "law (1)" if asked.by == "law" else "every policy that weighs neighbours"
-    mutual = kind_of_links(scenario.sensing_graph) == UNDIRECTED and not given.nearest_hides(
-        scenario
-    )
-    first = "theorems 1 and G" if asked.by == "law" and mutual else "theorem G"
-    scaled = asked.by == "law" and scenario.scales_velocity
-    how = ", with velocities scaled to the step," if scaled else ""
-    return Bounds(
-        words=(
-            f"{first}: {who}{how} meets in finite time, and the hull does not grow while linked "
-            "robots are r or more apart"
-        ),
-        meets=True,
-        time=float(_held_time(scenario, extent, gains, most)),
-        continuous_time=float(over_rate(initial, followed)),
-        hull=extent,
-    )
+# ---- the theorem ---------------------------------------------------------------------------------
 
 
 def hull_bounds(scenario: Scenario, asked: Asked) -> Bounds:
     """L alone, where nobody need be seen."""
-    return Bounds(hull=largest_size(scenario) + hull_growth(scenario))
+    return Bounds(hull=known.largest_size(scenario) + known.hull_growth(scenario))
 
 
-_ON_ANY = (
-    given.on_graphs(UNDIRECTED, DIRECTED, SWITCHING),
-    given.connected,
-    given.one_leader_at_most,
-    given.velocity_inputs,
-    given.bounded_errors,
-    given.somebody_seen,
-    given.nothing_in_the_way,
+def bounds(scenario: Scenario, asked: Asked) -> Bounds:
+    """Both times and L."""
+    initial = known.largest_size(scenario)
+    who, first = "every policy that weighs neighbours", "theorem G"
+    if asked.by == "law":
+        mutual = known.kind_of_links(scenario.sensing_graph) == known.UNDIRECTED
+        first = "theorems 1 and G" if mutual and not given.nearest_hides(scenario) else first
+        who = "law (1)" + ", with velocities scaled to the step," * scenario.scales_velocity
+    return Bounds(
+        words=(
+            f"{first}: {who} meets in finite time, and the hull does not grow while linked "
+            "robots are r or more apart"
+        ),
+        meets=True,
+        time=float(held_gain_time(scenario, initial, asked)),
+        continuous_time=float(size_bound(scenario, initial, asked)),
+        hull=hull_bounds(scenario, asked).hull,
+    )
+
+
+_HULL = given.velocity_inputs, given.bounded_errors, given.nothing_in_the_way
+_WITHIN = given.within_neighbours, given.exact_bearings
+_SEEN = (
+    *(given.without_range, given.connected, given.one_leader_at_most, given.velocity_inputs),
+    *(given.bounded_errors, given.somebody_seen, given.nothing_in_the_way, *_WITHIN),
 )
-_WITHIN = (given.within_neighbours, given.exact_bearings)
-_HULL = (given.velocity_inputs, given.bounded_errors, given.nothing_in_the_way)
+_LAW_HULL = *_HULL, given.all_neighbours_seen, *_WITHIN
 THEOREMS = (
-    Theorem("G", ("law",), (*_ON_ANY, *_WITHIN), bounds),
-    Theorem("G", ("gains",), (*_ON_ANY, given.exact_bearings), bounds),
-    Theorem(
-        "G, the hull", ("gains",), (*_HULL, given.exact_bearings), hull_bounds, rendezvous=False
-    ),
-    Theorem(
-        "G, the hull",
-        ("law",),
-        (*_HULL, given.all_neighbours_seen, *_WITHIN),
-        hull_bounds,
-        rendezvous=False,
-    ),
+    Theorem("G", ("law", "gains"), _SEEN, bounds, every_step="nested"),
+    Theorem("G, the hull", ("gains",), (*_HULL, *_WITHIN), hull_bounds, False, "nested"),
+    Theorem("G, the hull", ("law",), _LAW_HULL, hull_bounds, False, "nested"),
 )
-"""A wrapper of gains keeps τ Σ_j c_ij ≤ r by itself."""

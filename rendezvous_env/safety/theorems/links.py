@@ -32,18 +32,8 @@ from numpy.typing import ArrayLike, NDArray
 from ...scenario.scenario import Scenario
 from ..links import asymmetric_sight
 from . import assumptions as given
-from .constants import (
-    PROXIMITY,
-    UNDIRECTED,
-    kind_of_links,
-    largest_lyapunov,
-    least_degrees,
-    lightest_link,
-    lyapunov_bound,
-    over_rate,
-    starts_apart,
-)
-from .theorem import Asked, Bounds, Theorem, too_wrong
+from . import constants as known
+from .theorem import Asked, Bounds, Theorem, bounds_with_errors
 
 Array = NDArray[np.float64]
 
@@ -70,7 +60,7 @@ def sighted_lyapunov_bound(
     return np.asarray(np.asarray(initial_lyapunov) + 2.0 * weight * sight * appear + merges)
 
 
-# ---- the theorem ---------------------------------------------------------------------------------
+# ---- what it assumes besides ---------------------------------------------------------------------
 
 
 def sight_is_mutual(scenario: Scenario, asked: Asked) -> str:
@@ -81,7 +71,7 @@ def sight_is_mutual(scenario: Scenario, asked: Asked) -> str:
 
 def neighbours_apart(scenario: Scenario, asked: Asked) -> str:
     """Linked robots start r or more apart."""
-    if starts_apart(scenario):
+    if known.starts_apart(scenario):
         return ""
     return (
         "none: linked robots start closer than r: two of them merge at once while others walk on, "
@@ -91,15 +81,15 @@ def neighbours_apart(scenario: Scenario, asked: Asked) -> str:
 
 def starts_linked(scenario: Scenario, asked: Asked) -> str:
     """Links that no n − 1 merges make longer than the range connect every start."""
-    reach = scenario.sensing.range
-    if reach is None:
+    if scenario.sensing.range is None:
         return ""
-    longest = reach - merge_growth(scenario)
+    longest = scenario.sensing.range - merge_growth(scenario)
     if scenario.start_positions is not None:
         linked = _linked_within(scenario, longest)
     else:
-        drawn = kind_of_links(scenario.sensing_graph) == PROXIMITY and scenario.require_connected
-        linked = drawn and not scenario.obstacles  # they are drawn for merges at midpoints
+        near = known.kind_of_links(scenario.sensing_graph) == known.PROXIMITY
+        # drawn starts are connected for merges at midpoints
+        linked = near and scenario.require_connected and not scenario.obstacles
         linked = linked or scenario.spawn_size * math.sqrt(scenario.dim) <= longest
     if linked:
         return ""
@@ -113,8 +103,7 @@ def merge_growth(scenario: Scenario) -> float:
     """(n − 1) r/2, a number, m (theorem R), by which merges at midpoints lengthen a link; in
     an obstacle a merge is at one robot's place, and lengthens it by r.
     """
-    share = 1.0 if scenario.obstacles else 0.5
-    return (scenario.n_robots - 1) * scenario.merge_radius * share
+    return (scenario.n_robots - 1) * scenario.merge_radius * (1.0 if scenario.obstacles else 0.5)
 
 
 def _linked_within(scenario: Scenario, longest: float) -> bool:
@@ -129,57 +118,39 @@ def _linked_within(scenario: Scenario, longest: float) -> bool:
     return int(connected_components(links)[0]) == 1
 
 
+# ---- the theorem ---------------------------------------------------------------------------------
+
+
 def bounds(scenario: Scenario, asked: Asked) -> Bounds:
     """The time, V where it counts who is in sight only, and links."""
     n, reach, radius = scenario.n_robots, scenario.sensing.range, scenario.merge_radius
-    left = np.arange(2, n + 1)
     if reach is None:
-        most = float(lyapunov_bound(scenario, largest_lyapunov(scenario)))
-        degrees = least_degrees(scenario)
+        most = float(known.lyapunov_bound(scenario, known.largest_lyapunov(scenario)))
+        degrees = known.least_degrees(scenario)
     else:
         merges = radius * (2.0 if scenario.obstacles else 1.0)
         heaviest = scenario.sensing_graph.extreme_weights(n)[1]
-        most = float(
-            sighted_lyapunov_bound(
-                n, 0.0, links=0, weight=heaviest, sight=reach, merge_radius=merges
-            )
-        )
-        degrees = np.full(n - 1, lightest_link(scenario))
+        seen = {"links": 0, "weight": heaviest, "sight": reach, "merge_radius": merges}
+        most = float(sighted_lyapunov_bound(n, 0.0, **seen))
+        degrees = np.full(n - 1, known.lightest_link(scenario))
     speeds = np.minimum(degrees, min(scenario.speed_limit, radius / (2.0 * scenario.tau)))
+    left = known.robots_left(scenario)
     sure = np.maximum(1.0 - 2.0 * left * asked.error / np.pi, 0.0)
     rates = 4.0 * asked.share * degrees * speeds * sure**2 / left
-    time = float(over_rate(most, rates.min()) + (n - 1) * scenario.tau)
-    borne = math.pi / (2.0 * n)
-    words = (
-        "theorem R: whatever is wanted, no link grows longer, and all robots meet in finite time"
-    )
-    if math.isinf(time):
-        words = too_wrong(asked, borne, "theorem R") + "; no link grows longer even so"
-    counted = reach is None or kind_of_links(scenario.sensing_graph) == PROXIMITY
-    return Bounds(
-        words=words,
-        meets=math.isfinite(time),
-        time=time,
+    counted = reach is None or known.kind_of_links(scenario.sensing_graph) == known.PROXIMITY
+    return bounds_with_errors(
+        asked,
+        known.held_time(scenario, most, rates),
+        math.pi / (2.0 * n),
+        "theorem R: whatever is wanted, no link grows longer, and all robots meet in finite time",
+        "theorem R",
+        "; no link grows longer even so",
         lyapunov=most if counted else math.inf,
         link_growth=merge_growth(scenario),
-        tolerated_bearing_error=borne,
     )
 
 
-THEOREMS = (
-    Theorem(
-        "R",
-        ("links",),
-        (
-            given.on_graphs(UNDIRECTED, PROXIMITY),
-            given.connected,
-            given.velocity_inputs,
-            given.bounded_errors,
-            sight_is_mutual,
-            given.nothing_in_the_way,
-            starts_linked,
-            neighbours_apart,
-        ),
-        bounds,
-    ),
-)
+_SIGHT = sight_is_mutual, given.nothing_in_the_way, starts_linked, neighbours_apart
+_TEAM = given.connected, given.velocity_inputs, given.bounded_errors
+_GRAPHS = given.on_graphs(known.UNDIRECTED, known.PROXIMITY)
+THEOREMS = (Theorem("R", ("links",), (_GRAPHS, *_TEAM, *_SIGHT), bounds, every_step="links"),)

@@ -40,28 +40,9 @@ from ...sensors.sensing import Sensing
 from ..gains import gain_range
 from ..settings import error_chord
 from . import assumptions as given
-from .constants import (
-    DIRECTED,
-    SWITCHING,
-    UNDIRECTED,
-    checked,
-    degrees_stay_equal,
-    directions,
-    hull_growth,
-    largest_lyapunov,
-    largest_size,
-    least_bearing_square,
-    least_degrees,
-    led,
-    long_step,
-    lyapunov_bound,
-    merges_at_midpoints,
-    most_degrees,
-    over_rate,
-    scale_bound,
-)
+from . import constants as known
 from .gains import shrinking
-from .theorem import Asked, Bounds, Theorem, too_wrong
+from .theorem import LAW, Asked, Bounds, Theorem, bounds_with_errors
 
 Array = NDArray[np.float64]
 
@@ -76,39 +57,36 @@ def largest_error(n: ArrayLike, dim: int) -> Array:
     in 3-D arctan(1/√(n(n − 2))) is enough.
     """
     m = np.asarray(n, dtype=np.float64)
-    if dim == 2:
-        return np.asarray(np.pi / m)
-    return np.arctan2(1.0, np.sqrt(m * (m - 2.0)))
+    return np.asarray(np.pi / m if dim == 2 else np.arctan2(1.0, np.sqrt(m * (m - 2.0))))
 
 
 def held_error(gain: ArrayLike, duration: ArrayLike, merge_radius: float) -> Array:
     """The error of a bearing that is held, or late, for a while, (...), rad: asin(2 c (τ +
-    delay)/r).
+    delay)/r), π where a neighbour can be passed meanwhile.
 
-    It adds to other errors, and is π where a neighbour can be passed meanwhile. No robot is faster
-    than ``gain``, c, m/s; ``duration`` is τ + delay, s.
+    It adds to other errors. No robot is faster than ``gain``, c, m/s; ``duration`` is τ + delay, s.
     """
     sine = 2.0 * np.asarray(gain) * np.asarray(duration) / merge_radius
     return np.where(sine < 1.0, np.arcsin(np.minimum(sine, 1.0)), np.pi)
 
 
 def equal_gains(scenario: Scenario, asked: Asked) -> Array | None:
-    """c_m of m = 2 … n robots left, an array (n − 1,), m/s, if all have that and nobody is slowed
-    down (theorem N).
+    """c_m, an array (n − 1,), m/s, if all robots left have that and nobody is slowed down (theorem
+    N).
     """
     if asked.by == "gains":
         least, most = gain_range(scenario, asked.min_gain, asked.max_gain)
-        if not least == most <= scenario.speed_limit:
-            return None
-        return np.full(scenario.n_robots - 1, least)
-    gains = least_degrees(scenario)
-    even = degrees_stay_equal(scenario) and not (long_step(scenario) and scenario.scales_velocity)
+        even = least == most <= scenario.speed_limit
+        return np.full(scenario.n_robots - 1, least) if even else None
+    gains = known.least_degrees(scenario)
+    scaled = known.long_step(scenario) and scenario.scales_velocity
+    even = known.degrees_stay_equal(scenario) and not scaled
     return gains if even and scenario.speed_limit >= gains.max(initial=0.0) else None
 
 
 def gains_are_equal(scenario: Scenario, asked: Asked) -> str:
     """All robots that are left have the same Σ_j c_ij at any time, and all of them see somebody."""
-    if equal_gains(scenario, asked) is not None and not led(scenario):
+    if equal_gains(scenario, asked) is not None and not known.led(scenario):
         return ""
     return (
         f"none: bearings may err by {asked.error:.4g} rad; theorem N needs gains that add up to "
@@ -116,31 +94,21 @@ def gains_are_equal(scenario: Scenario, asked: Asked) -> str:
     )
 
 
-def held_size_bound(scenario: Scenario, initial_size: ArrayLike) -> Array:
-    """Time, (...), s, by which law (1) has brought all together from L(0), m, inputs held (theorem
-    N); infinite where degrees do not stay equal, or inputs are held for too long.
+def held_size_bound(scenario: Scenario, initial_size: ArrayLike, asked: Asked = LAW) -> Array:
+    """Time, (...), s, by which all have come together from L(0), m, inputs held (theorem N);
+    infinite where gains, those of law (1) if nothing else is asked, do not stay equal, or errors
+    and what is held are too much.
     """
-    initial = checked("initial_size", initial_size, "m")
-    gains = equal_gains(scenario, _LAW)
+    initial = known.checked("initial_size", initial_size, "m")
+    gains = equal_gains(scenario, asked)
     if gains is None:
         return np.full(initial.shape, np.inf)
-    return _equal_gain_time(scenario, initial, gains, 0.0)
-
-
-_LAW = Asked("law", 1.0, 0.0, None, None, 0.5, 0.0)
-
-
-def _equal_gain_time(scenario: Scenario, size: ArrayLike, gains: Array, error: float) -> Array:
-    """T of theorem N with held inputs, s; infinite where an η_m is too large. Two robots whose
-    bearings are right are never wrong about each other: they move on one line.
-    """
-    left = np.arange(2.0, scenario.n_robots + 1.0)
+    left = known.robots_left(scenario)
     late_by = held_error(gains, scenario.tau, scenario.merge_radius)
-    if error == 0.0:
+    if asked.error == 0.0:  # two robots whose bearings are right move on one line
         late_by = np.where(left == 2, 0.0, late_by)
-    initial = np.asarray(size)[..., np.newaxis]
-    times = over_rate(initial, shrinking(left, scenario.dim, gains, error + late_by))
-    return np.asarray(times.max(axis=-1) + (scenario.n_robots - 1) * scenario.tau)
+    rates = shrinking(left, scenario.dim, gains, asked.error + late_by)
+    return known.held_time(scenario, initial, rates)
 
 
 def equal_gain_bounds(scenario: Scenario, asked: Asked) -> Bounds:
@@ -149,21 +117,15 @@ def equal_gain_bounds(scenario: Scenario, asked: Asked) -> Bounds:
     assert gains is not None  # an assumption
     n, dim, error = scenario.n_robots, scenario.dim, asked.error
     strayed = 2.0 * gains.max() * scenario.tau * math.sin(error / 2.0)
-    extent = largest_size(scenario) + hull_growth(scenario)
-    extent += (n - 1) * directions(dim) * strayed
-    time = float(_equal_gain_time(scenario, extent, gains, error))
+    extent = known.largest_size(scenario) + known.hull_growth(scenario)
+    extent += (n - 1) * known.directions(dim) * strayed
+    time = float(held_size_bound(scenario, extent, asked))
     late_by = held_error(gains, scenario.tau, scenario.merge_radius)
-    borne = float((largest_error(np.arange(2.0, n + 1.0), dim) - late_by).min())
-    borne = max(0.0, borne)
+    borne = float((largest_error(known.robots_left(scenario), dim) - late_by).min())
     who = "law (1)" if asked.by == "law" else "every policy that weighs neighbours"
     words = f"theorem N: {who} meets in finite time although bearings err by {error:.4g} rad"
-    return Bounds(
-        words=words if math.isfinite(time) else too_wrong(asked, borne, who),
-        meets=math.isfinite(time),
-        time=time,
-        hull=extent if math.isfinite(time) else math.inf,
-        tolerated_bearing_error=borne,
-    )
+    hull = extent if math.isfinite(time) else math.inf
+    return bounds_with_errors(asked, time, max(0.0, borne), words, who, hull=hull)
 
 
 # ---- N1: law (1) ---------------------------------------------------------------------------------
@@ -177,11 +139,11 @@ def tolerated_error(
     N1    sin(η/2) < min_m c_m/(m D̄_m)
     N1'   sin(η/2) < min_m ε (2c_m − β a* m/n)/(2 (1+ε) m D̄_m),      β = ``dead_zone``
     """
-    left, share = np.arange(2.0, scenario.n_robots + 1.0), least_degrees(scenario)
+    left, share = known.robots_left(scenario), known.least_degrees(scenario)
     if margin is not None:
         faded = dead_zone * scenario.bottleneck_weight * left / scenario.n_robots
         share = margin * (2.0 * share - faded) / (2.0 * (1.0 + margin))
-    sine = (share / (left * most_degrees(scenario))).min()
+    sine = (share / (left * known.most_degrees(scenario))).min()
     return float(2.0 * np.arcsin(min(sine, 1.0)))
 
 
@@ -189,30 +151,29 @@ def law_time_bound(scenario: Scenario, initial_lyapunov: ArrayLike, error: float
     """T for law (1) as it is, inputs held, (...), s, from V(0), m²/s (theorem N1); infinite for
     errors that are too large, for a long step, or if robots can be slowed down.
     """
-    n, step, chord = scenario.n_robots, scenario.tau, error_chord(error)
-    above, left = lyapunov_bound(scenario, initial_lyapunov), np.arange(2.0, n + 1.0)
-    if scenario.speed_limit < scenario.max_degree or long_step(scenario):
+    n, chord = scenario.n_robots, error_chord(error)
+    above, left = known.lyapunov_bound(scenario, initial_lyapunov), known.robots_left(scenario)
+    if not _as_it_is(scenario):
         return np.full(above.shape, np.inf)
-    lost = (n - 1) * step * n * (chord * scenario.max_degree) ** 2
-    feigned = left * (chord * most_degrees(scenario)) ** 2
-    rate = (4.0 * least_degrees(scenario) ** 2 / left - feigned).min()
-    return over_rate(above + lost, rate) + (n - 1) * step
+    lost = (n - 1) * scenario.tau * n * (chord * scenario.max_degree) ** 2
+    feigned = left * (chord * known.most_degrees(scenario)) ** 2
+    rates = 4.0 * known.least_degrees(scenario) ** 2 / left - feigned
+    return known.held_time(scenario, above + lost, rates)
+
+
+def _as_it_is(scenario: Scenario) -> bool:
+    """Whether nobody is slowed down under law (1), and the step is certified."""
+    return scenario.speed_limit >= scenario.max_degree and not known.long_step(scenario)
 
 
 def law_bounds(scenario: Scenario, asked: Asked) -> Bounds:
     """Theorem N1."""
-    time = float(law_time_bound(scenario, largest_lyapunov(scenario), asked.error))
-    usable = scenario.speed_limit >= scenario.max_degree and not long_step(scenario)
-    borne = tolerated_error(scenario) if usable else 0.0
+    time = law_time_bound(scenario, known.largest_lyapunov(scenario), asked.error)
+    borne = tolerated_error(scenario) if _as_it_is(scenario) else 0.0
     words = (
         f"theorem N1: law (1) meets in finite time although bearings err by {asked.error:.4g} rad"
     )
-    return Bounds(
-        words=words if math.isfinite(time) else too_wrong(asked, borne, "law (1)"),
-        meets=math.isfinite(time),
-        time=time,
-        tolerated_bearing_error=borne,
-    )
+    return bounds_with_errors(asked, time, borne, words, "law (1)")
 
 
 # ---- N1' and the tank: certified velocities ------------------------------------------------------
@@ -225,54 +186,40 @@ def certified_time(
     error: float,
     dead_zone: float = 0.0,
     *,
-    per_other: bool = False,
+    each: ArrayLike | None = None,
 ) -> Array:
     """T ≤ max_m m V0⁺/(s_min q_m²) + (n−1) τ, (...), s, for velocities that are certified against
     what is seen; infinite if a q_m is not positive. ``most`` is V0⁺, or what stands for it, m²/s;
-    ``per_other`` what V/(m − 1) does not exceed.
+    ``each`` what V/(m − 1) does not exceed, if that is known.
 
         Σ_i (h·f̂_i − e_i)₊ ≥ q_m = 2ε c_m − ε β a* m/n − (1+ε) m 2 sin(η/2) D̄_m
     """
-    n, left = scenario.n_robots, np.arange(2.0, scenario.n_robots + 1.0)
-    faded = dead_zone * scenario.bottleneck_weight * left / n
-    wrong = left * error_chord(error) * most_degrees(scenario)
-    q = margin * (2.0 * least_degrees(scenario) - faded) - (1.0 + margin) * wrong
-    rates = np.maximum(q, 0.0) ** 2 / left / (left - 1.0 if per_other else 1.0)
-    return over_rate(most, rates.min() * scale_bound(scenario)) + (n - 1) * scenario.tau
-
-
-def heading_time_bound(
-    scenario: Scenario, initial_lyapunov: ArrayLike, error: float, min_alignment: float
-) -> Array:
-    """T for certified headings that allow for errors, inputs held, (...), s, from V(0), m²/s
-    (theorem N1'); infinite for errors that are too large.
-    """
-    kept = min_alignment, error, DEAD_ZONE
-    bound = certified_time(scenario, lyapunov_bound(scenario, initial_lyapunov), *kept)
-    if merges_at_midpoints(scenario):
-        each = np.asarray(initial_lyapunov) / (scenario.n_robots - 1)
-        bound = np.minimum(bound, certified_time(scenario, each, *kept, per_other=True))
-    return np.asarray(bound)
+    left = known.robots_left(scenario)
+    faded = dead_zone * scenario.bottleneck_weight * left / scenario.n_robots
+    wrong = left * error_chord(error) * known.most_degrees(scenario)
+    q = margin * (2.0 * known.least_degrees(scenario) - faded) - (1.0 + margin) * wrong
+    rates, slowest = np.maximum(q, 0.0) ** 2 / left, known.scale_bound(scenario)
+    time = known.held_time(scenario, most, rates * slowest)
+    if each is None:
+        return time
+    alike = known.held_time(scenario, each, rates / (left - 1.0) * slowest)
+    return np.asarray(np.minimum(time, alike))
 
 
 def heading_bounds(scenario: Scenario, asked: Asked) -> Bounds:
     """Theorem N1'."""
-    start, margin = largest_lyapunov(scenario), asked.min_alignment
-    time = float(heading_time_bound(scenario, start, asked.error, margin))
-    scaled = " with velocities scaled to the long step" if long_step(scenario) else ""
-    borne = tolerated_error(scenario, margin, DEAD_ZONE)
-    words = (
+    start, margin = known.largest_lyapunov(scenario), asked.min_alignment
+    most = known.lyapunov_bound(scenario, start)
+    each = start / (scenario.n_robots - 1) if known.merges_at_midpoints(scenario) else None
+    scaled = " with velocities scaled to the long step" * known.long_step(scenario)
+    return bounds_with_errors(
+        asked,
+        certified_time(scenario, most, margin, asked.error, DEAD_ZONE, each=each),
+        tolerated_error(scenario, margin, DEAD_ZONE),
         "theorem N1': every policy under certified headings that allow for errors of "
-        f"{asked.error:.4g} rad meets in finite time{scaled}"
-    )
-    if math.isinf(time):
-        words = too_wrong(asked, borne, "a heading of this margin")
-        words += "; V still never rises between merges"
-    return Bounds(
-        words=words,
-        meets=math.isfinite(time),
-        time=time,
-        tolerated_bearing_error=borne,
+        f"{asked.error:.4g} rad meets in finite time{scaled}",
+        "a heading of this margin",
+        "; V still never rises between merges",
     )
 
 
@@ -287,22 +234,7 @@ def least_expected_fall(scenario: Scenario, noise: float, theta: float) -> float
     gamma, graph = math.exp(-0.5 * noise**2), scenario.sensing_graph
     weights = graph.links(scenario.n_robots)[2] * graph.weight_range[1]
     scattered = theta * (1.0 - gamma**2) * 2.0 * float(weights @ weights)
-    return least_bearing_square(scenario) * gamma * (2.0 - theta * gamma) - scattered
-
-
-def expected_time_bound(scenario: Scenario, initial_lyapunov: ArrayLike) -> Array:
-    """E[T] of law (1) under the sensor's noise, (...), s, from V(0), m²/s (theorem E[T]); infinite
-    if the step is too long for this noise, or robots can be slowed down.
-    """
-    n, degree, radius = scenario.n_robots, scenario.max_degree, scenario.merge_radius
-    above = lyapunov_bound(scenario, initial_lyapunov)
-    if scenario.speed_limit < degree:
-        return np.full(above.shape, np.inf)
-    theta = 2.0 * degree * scenario.tau / radius
-    cut_short = (n - 1) * radius * theta * degree * n
-    return over_rate(
-        above + cut_short, least_expected_fall(scenario, scenario.sensing.noise, theta)
-    )
+    return known.least_bearing_square(scenario) * gamma * (2.0 - theta * gamma) - scattered
 
 
 def noise_alone(scenario: Scenario, asked: Asked) -> str:
@@ -314,47 +246,26 @@ def noise_alone(scenario: Scenario, asked: Asked) -> str:
 
 
 def noisy_bounds(scenario: Scenario, asked: Asked) -> Bounds:
-    """The mean time; in a single episode nothing is sure."""
-    return Bounds(expected_time=float(expected_time_bound(scenario, largest_lyapunov(scenario))))
+    """The mean time, infinite if the step is too long for this noise, or robots can be slowed down;
+    in a single episode nothing is sure.
+    """
+    n, degree = scenario.n_robots, scenario.max_degree
+    if scenario.speed_limit < degree:
+        return Bounds()
+    theta = 2.0 * degree * scenario.tau / scenario.merge_radius
+    above = known.lyapunov_bound(scenario, known.largest_lyapunov(scenario))
+    above += (n - 1) * scenario.merge_radius * theta * degree * n  # cut short by merges
+    fall = least_expected_fall(scenario, scenario.sensing.noise, theta)
+    return Bounds(expected_time=float(known.over_rate(above, fall)))
 
 
-_SEEING = (
-    given.velocity_inputs,
-    given.bounded_errors,
-    given.all_neighbours_seen,
-    given.nothing_in_the_way,
-)
+_SEEN = given.bounded_errors, given.all_neighbours_seen, given.nothing_in_the_way
+_ANY = given.without_range, given.connected, given.one_leader_at_most, given.velocity_inputs
+_TEAM = given.undirected, given.connected, given.velocity_inputs
+_NOISY = noise_alone, given.nothing_in_the_way
 THEOREMS = (
-    Theorem(
-        "N",
-        ("law", "gains"),
-        (
-            given.on_graphs(UNDIRECTED, DIRECTED, SWITCHING),
-            given.connected,
-            given.one_leader_at_most,
-            *_SEEING,
-            gains_are_equal,
-        ),
-        equal_gain_bounds,
-    ),
-    Theorem(
-        "N1",
-        ("law",),
-        (given.undirected, given.connected, *_SEEING, given.certified_or_scaled),
-        law_bounds,
-    ),
-    Theorem("N1'", ("heading",), (given.undirected, given.connected, *_SEEING), heading_bounds),
-    Theorem(
-        "E[T]",
-        ("law",),
-        (
-            given.undirected,
-            given.connected,
-            given.velocity_inputs,
-            noise_alone,
-            given.nothing_in_the_way,
-        ),
-        noisy_bounds,
-        rendezvous=False,
-    ),
+    Theorem("N", ("law", "gains"), (*_ANY, *_SEEN, gains_are_equal), equal_gain_bounds),
+    Theorem("N1", ("law",), (*_TEAM, *_SEEN, given.certified_or_scaled), law_bounds),
+    Theorem("N1'", ("heading",), (*_TEAM, *_SEEN), heading_bounds),
+    Theorem("E[T]", ("law",), (*_TEAM, *_NOISY), noisy_bounds, rendezvous=False),
 )

@@ -1,4 +1,4 @@
-"""Theorem D: the energy tank, any motion at all while each robot's own ledger lasts.
+"""Theorem D: the energy tank, any motion at all while each robot's own energy budget lasts.
 
 **Assumptions.** Fixed, undirected, connected graph, bearings of all neighbours, wrong by η at
 most. Robot i is displaced by Δ_i in a step. With s_i = min(1, r/(2 D_i τ), v_max/‖f_i‖) its tank
@@ -30,8 +30,6 @@ for exact bearings at most (V(0) + ΣB_i + (n−1)² r a)/(2 (n−1) ε² a² s_
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -39,15 +37,10 @@ from ...checks import real, refuse
 from ...scenario.scenario import Scenario
 from ..settings import check_bearing_error, levels_follow_v
 from . import assumptions as given
-from .constants import (
-    largest_lyapunov,
-    lyapunov_bound,
-    merge_rise_allowance,
-    merges_at_midpoints,
-)
-from .descent import check_margin, check_scenario, covered
+from . import constants as known
+from .descent import check_margin, covered
 from .noise import certified_time, tolerated_error
-from .theorem import Asked, Bounds, Theorem, too_wrong
+from .theorem import Asked, Bounds, Theorem, bounds_with_errors
 
 Array = NDArray[np.float64]
 
@@ -56,16 +49,14 @@ def tank_lyapunov_bound(
     scenario: Scenario, initial_lyapunov: ArrayLike, *, budget: float = 0.0
 ) -> Array:
     """The most that V can ever be under an energy tank, (...), m²/s: V0⁺ + (n − 1) r W + ΣB_i; with
-    obstacles in motion without a contact.
-
-    Raises:
-        ValueError: if V(0), or B_i, m²/s, is out of its range.
+    obstacles in motion without a contact. V(0) or B_i, m²/s, out of range are a ValueError.
     """
-    check_scenario(scenario)
+    known.check_scenario(scenario)
     if not 0 <= real(budget) < np.inf:
         refuse("budget", budget, "finite and at least 0 m²/s")
-    above = lyapunov_bound(scenario, initial_lyapunov, reach=scenario.speed_limit * scenario.tau)
-    return above + merge_rise_allowance(scenario) + scenario.n_robots * real(budget)
+    reach = scenario.speed_limit * scenario.tau
+    above = known.lyapunov_bound(scenario, initial_lyapunov, reach=reach)
+    return above + known.merge_rise_allowance(scenario) + scenario.n_robots * real(budget)
 
 
 def tank_time_bound(
@@ -77,73 +68,46 @@ def tank_time_bound(
     bearing_error: float = 0.0,
 ) -> Array:
     """Time by which all robots have met under an energy tank, whatever is wanted, (...), s (theorem
-    D); infinite where nothing is guaranteed.
-
-    Arguments are V(0), m²/s, ε, which is 1 or less, B_i, m²/s, and η, rad, that the tank allows
-    for.
-
-    Raises:
-        ValueError: if an argument is out of its range.
+    D), of V(0), m²/s, ε ≤ 1, B_i, m²/s, and η, rad, that the tank allows for; infinite where
+    nothing is guaranteed. What is out of its range is a ValueError.
     """
     check_margin(min_alignment)
     error = check_bearing_error(bearing_error)
     most = tank_lyapunov_bound(scenario, initial_lyapunov, budget=budget)
     if not covered(scenario):
         return np.full(most.shape, np.inf)
-    bound = certified_time(scenario, most, min_alignment, error)
-    if levels_follow_v(scenario) and merges_at_midpoints(scenario):
+    each = None
+    if levels_follow_v(scenario) and known.merges_at_midpoints(scenario):
         n, a = scenario.n_robots, scenario.bottleneck_weight
         each = (np.asarray(initial_lyapunov) + n * real(budget)) / (n - 1)
         each += (n - 1) * scenario.merge_radius * a
-        alike = certified_time(scenario, each, min_alignment, error, per_other=True)
-        bound = np.minimum(bound, alike)
-    return np.asarray(bound)
+    return certified_time(scenario, most, min_alignment, error, each=each)
 
 
 def bounds(scenario: Scenario, asked: Asked) -> Bounds:
-    """The time and V."""
-    time = float(
-        tank_time_bound(
-            scenario,
-            largest_lyapunov(scenario),
-            min_alignment=asked.min_alignment,
-            budget=asked.budget,
-            bearing_error=asked.error,
-        )
-    )
-    words = "theorem D: whatever is wanted, all robots meet in finite time while a tank keeps count"
-    if asked.error > 0:
-        words += f" and charges errors of {asked.error:.4g} rad"
-    borne = tolerated_error(scenario, asked.min_alignment)
-    if math.isinf(time):
-        words = too_wrong(asked, borne, "a tank of this margin") + "; V stays bounded even so"
-    return Bounds(
-        words=words,
-        meets=math.isfinite(time),
-        time=time,
-        tolerated_bearing_error=borne,
+    """The time."""
+    margin, error, start = asked.min_alignment, asked.error, known.largest_lyapunov(scenario)
+    options = {"min_alignment": margin, "budget": asked.budget, "bearing_error": error}
+    charged = f" and charges errors of {error:.4g} rad" * (error > 0)
+    return bounds_with_errors(
+        asked,
+        tank_time_bound(scenario, start, **options),
+        tolerated_error(scenario, margin),
+        "theorem D: whatever is wanted, all robots meet in finite time while a tank keeps count"
+        + charged,
+        "a tank of this margin",
+        "; V stays bounded even so",
     )
 
 
 def lyapunov_bounds(scenario: Scenario, asked: Asked) -> Bounds:
     """V alone: with walls, and for robots that turn."""
-    most = tank_lyapunov_bound(scenario, largest_lyapunov(scenario), budget=asked.budget)
+    most = tank_lyapunov_bound(scenario, known.largest_lyapunov(scenario), budget=asked.budget)
     return Bounds(lyapunov=float(most))
 
 
-def moved_by_velocity(scenario: Scenario, asked: Asked) -> str:
-    """A robot's action is its velocity."""
-    if scenario.model.bounded:
-        return ""
-    return (
-        f"none: no time by which {scenario.model.name} robots meet under a tank is proven; "
-        "theorem D still keeps V bounded"
-    )
-
-
+_BOUND_ON_V = "D, the bound on V"
 THEOREMS = (
-    Theorem(
-        "D", ("tank",), (*given.LASTING_LINKS, given.nothing_in_the_way, moved_by_velocity), bounds
-    ),
-    Theorem("D, the bound on V", ("tank",), given.LASTING_LINKS, lyapunov_bounds, rendezvous=False),
+    Theorem("D", ("tank",), given.UNHINDERED, bounds, every_step="ledger"),
+    Theorem(_BOUND_ON_V, ("tank",), given.LASTING_LINKS, lyapunov_bounds, False, "ledger"),
 )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from ...scenario.scenario import Scenario
 
@@ -17,17 +17,21 @@ negative, or velocities that lengthen no link."""
 class Asked(NamedTuple):
     """The arguments of a certificate besides the scenario."""
 
-    by: str
-    min_alignment: float
+    by: str = "law"
+    min_alignment: float = 1.0
     """ε, without unit."""
-    budget: float
+    budget: float = 0.0
     """B_i, m²/s."""
-    min_gain: float | None
-    max_gain: float | None
-    share: float
+    min_gain: float | None = None
+    max_gain: float | None = None
+    share: float = 0.5
     """λ, without unit."""
-    error: float
+    error: float = 0.0
     """η, rad, the larger of the argument and of the scenario's sensor."""
+
+
+LAW = Asked()
+"""Law (1) on exact bearings."""
 
 
 @dataclass(frozen=True)
@@ -54,12 +58,19 @@ class Bounds:
     """η, rad: any less leaves a finite time."""
 
 
-def too_wrong(asked: Asked, tolerated: float, what: str) -> str:
-    """Why nothing is promised of bearings that are wrong by η: ``what`` tolerates less, rad."""
-    return (
-        f"none: bearings may err by {asked.error:.4g} rad, and {what} is known to tolerate less "
-        f"than {tolerated:.4g} rad here (guarantees 11)"
-    )
+def bounds_with_errors(
+    asked: Asked, time: Any, borne: float, words: str, who: str, even_so: str = "", **others: float
+) -> Bounds:
+    """A rendezvous, if its time, s, is finite; else why errors of η are too large for one: ``who``
+    bears less than ``borne``, rad. ``others`` are numbers that hold all the same (guarantees 11).
+    """
+    meets = math.isfinite(time)
+    if not meets:
+        words = (
+            f"none: bearings may err by {asked.error:.4g} rad, and {who} is known to tolerate less "
+            f"than {borne:.4g} rad here (guarantees 11){even_so}"
+        )
+    return Bounds(words, meets, float(time), tolerated_bearing_error=borne, **others)
 
 
 Assumption = Callable[[Scenario, Asked], str]
@@ -80,11 +91,20 @@ class Theorem:
     """Its promise for a scenario that meets them all."""
     rendezvous: bool = True
     """Whether it can promise one, and not only that something stays bounded."""
+    every_step: str = ""
+    """What it promises of every step without a merge or a contact: that V does not rise
+    ("descent"), nor V + ΣA ("ledger"), the hull ("nested", while linked robots are r or more
+    apart), any link ("links"); empty where there is no such promise."""
 
     def unmet(self, scenario: Scenario, asked: Asked) -> tuple[int, str]:
         """How many assumptions hold before the first that fails, and that one in words; the words
         are empty if the theorem applies.
         """
+        if scenario.meeting == "pack":
+            return 0, (
+                "none: theorems end with one robot left, and with meeting='pack' none merges; "
+                "bodies do not overlap, whatever the policy"
+            )
         for met, holds in enumerate(self.assumptions):
             if words := holds(scenario, asked):
                 return met, words

@@ -3,7 +3,7 @@
 **T.** Fixed, undirected, connected graph, exact bearings of all neighbours, nothing in the way;
 unicycles or 3-D nonholonomic robots under the gate of ``HeadingVectorWrapper``, inputs held over
 the step, whatever turn rates are wished for. With ω the turn limit, or the wrapper's if that is
-less (3 rad/s here), F = min_m 2c_m/m, s_min as in theorem D and
+less (3 rad/s here, so a wrapper must be given no less), F = min_m 2c_m/m, s_min as in theorem D and
 
     p = min(ωτ, 0.7 τF, π/3),  K = ⌈1.25/p⌉ + 2,  θ = 1/10,
     in 3-D  p = min(ωτ, π/2),  K = ⌈π/(2p)⌉ + 2,  θ = min(1, p²)/10,
@@ -16,8 +16,8 @@ V falls by q in every K steps without a merge: T ≤ Kτ (V0⁺/q + n). It is ve
 **E2.** A fixed graph, directed or not, on which everybody always sees somebody. Each robot pursues
 one that it sees until a merge: it turns towards it at ω_max and drives at c < ω_max r/2, only while
 it points at it. In continuous time T ≤ L0/(2 c κ(n)) + n π/(ω_max − 2c/r), in 3-D n w0/(2c) in
-the first term. Where links change a target may go out of sight at any time; a leader that rests
-brings nobody together: there nothing is promised. No wrapper keeps it; policy ``pursuit`` does.
+the first term. Where links change, or a leader rests, nothing is promised. No wrapper keeps it;
+policy ``pursuit`` does.
 
 **Proof.** docs/proofs.md, T and E2.
 """
@@ -32,18 +32,7 @@ from numpy.typing import ArrayLike, NDArray
 from ...checks import refuse
 from ...scenario.scenario import Scenario
 from . import assumptions as given
-from .constants import (
-    DIRECTED,
-    UNDIRECTED,
-    checked,
-    kind_of_links,
-    largest_lyapunov,
-    leaders,
-    least_degrees,
-    lyapunov_bound,
-    over_rate,
-    scale_bound,
-)
+from . import constants as known
 from .gains import shrinking
 from .theorem import Asked, Bounds, Theorem
 
@@ -55,27 +44,18 @@ _WRAPPER_TURN_RATE = 3.0
 # ---- E2 ------------------------------------------------------------------------------------------
 
 
-def everybody_always_sees_somebody(scenario: Scenario) -> bool:
-    """Whether a fixed graph is connected, and no group of its robots sees nobody outside."""
-    lasting = kind_of_links(scenario.sensing_graph) in (UNDIRECTED, DIRECTED)
-    return lasting and [len(group) for group in leaders(scenario)] == [scenario.n_robots]
-
-
 def pursuit_bound(scenario: Scenario, initial_size: ArrayLike, speed: float) -> Array:
     """Time by which pursuers of speed c, m/s, with a turn limit have met, (...), s, from L(0), m
-    (theorem E2).
-
-    Infinite on graphs that switch, go with distance, or have a leader.
-
-    Raises:
-        ValueError: for a speed at which a target can run out of sight, or a size that is none.
+    (theorem E2); infinite on graphs that switch, go with distance, or have a leader. ValueError for
+    a speed at which a target can run out of sight, or a size that is none.
     """
     n, fastest = scenario.n_robots, scenario.turn_limit * scenario.merge_radius / 2.0
     if not 0 < speed < fastest:
         refuse("speed", speed, f"positive and less than ω_max r/2 = {fastest:.6g} m/s")
     spare = scenario.turn_limit - 2.0 * speed / scenario.merge_radius
-    driving = checked("initial_size", initial_size, "m") / shrinking(n, scenario.dim, speed)
-    if not everybody_always_sees_somebody(scenario):
+    driving = known.checked("initial_size", initial_size, "m") / shrinking(n, scenario.dim, speed)
+    lasting = known.kind_of_links(scenario.sensing_graph) in (known.UNDIRECTED, known.DIRECTED)
+    if not lasting or [len(group) for group in known.leaders(scenario)] != [n]:
         return np.full(driving.shape, np.inf)
     return np.asarray(driving + n * math.pi / spare)
 
@@ -83,40 +63,41 @@ def pursuit_bound(scenario: Scenario, initial_size: ArrayLike, speed: float) -> 
 # ---- T, 3 and 4 ----------------------------------------------------------------------------------
 
 
+def turning_window(dim: int, turned: float) -> tuple[int, float]:
+    """K, a number of steps, and θ, rad: of K steps in each of which a robot may turn by p =
+    ``turned``, rad, one is productive if f turns by less than θ in all (theorem T).
+    """
+    if dim == 2:
+        return math.ceil(1.25 / turned) + 2, 0.1
+    return math.ceil(math.pi / (2.0 * turned)) + 2, min(1.0, turned**2) / 10.0
+
+
 def gated_window(scenario: Scenario, min_alignment: float) -> tuple[int, float]:
     """K, a number of steps, and q, m²/s: V falls by q in K steps without a merge (theorem T)."""
-    step, left = scenario.tau, np.arange(2.0, scenario.n_robots + 1.0)
-    least = float((2.0 * least_degrees(scenario) / left).min())
+    step, r = scenario.tau, scenario.merge_radius
+    least = float((2.0 * known.least_degrees(scenario) / known.robots_left(scenario)).min())
     turned = min(scenario.turn_limit, _WRAPPER_TURN_RATE) * step
-    if scenario.dim == 2:
-        turned = min(turned, 0.7 * step * least, math.pi / 3.0)
-        count, drift = math.ceil(1.25 / turned) + 2, 0.1
-    else:
-        turned = min(turned, math.pi / 2.0)
-        count, drift = math.ceil(math.pi / (2.0 * turned)) + 2, min(1.0, turned**2) / 10.0
-    strayed = (drift * least * scenario.merge_radius / scenario.max_degree) ** 2
-    aligned = step * scale_bound(scenario) * (min_alignment * least) ** 2 / 5.0
-    return count, min(aligned, strayed / (2.5 * count * step))
-
-
-def gated_time(scenario: Scenario, initial_lyapunov: ArrayLike, min_alignment: float) -> Array:
-    """Time by which robots under the gate have met, whatever is wished for, (...), s, from V(0),
-    m²/s (theorem T).
-    """
-    count, fall = gated_window(scenario, min_alignment)
-    windows = over_rate(lyapunov_bound(scenario, initial_lyapunov), fall) + scenario.n_robots
-    return np.asarray(count * scenario.tau * windows)
+    most = (0.7 * step * least, math.pi / 3.0) if scenario.dim == 2 else (math.pi / 2.0,)
+    count, drift = turning_window(scenario.dim, min(turned, *most))
+    strayed = (drift * least * r / scenario.max_degree) ** 2 / (2.5 * count * step)
+    aligned = step * known.scale_bound(scenario) * (min_alignment * least) ** 2 / 5.0
+    return count, min(aligned, strayed)
 
 
 def gate_bounds(scenario: Scenario, asked: Asked) -> Bounds:
     """Theorem T."""
+    count, fall = gated_window(scenario, asked.min_alignment)
+    most = known.lyapunov_bound(scenario, known.largest_lyapunov(scenario))
+    windows = known.over_rate(most, fall) + scenario.n_robots
+    turning = min(scenario.turn_limit, _WRAPPER_TURN_RATE)
     return Bounds(
         words=(
             "theorem T: under the gate robots that turn meet in finite time, whatever turn rates "
-            "are wished for; the bound is very loose"
+            f"are asked for; the bound is very loose and needs a wrapper that allows {turning:g} "
+            "rad/s"
         ),
         meets=True,
-        time=float(gated_time(scenario, largest_lyapunov(scenario), asked.min_alignment)),
+        time=float(count * scenario.tau * windows),
     )
 
 
@@ -126,21 +107,7 @@ def law_bounds(scenario: Scenario, asked: Asked) -> Bounds:
     return Bounds(words=f"{own}: the paper's law meets in continuous time; no bound", meets=True)
 
 
-def robots_turn(scenario: Scenario, asked: Asked) -> str:
-    """The robot model is one of the paper's that turn."""
-    return "none: theorems 3 and 4 are for robots that turn" if scenario.model.bounded else ""
-
-
-def exact_for_bodies(scenario: Scenario, asked: Asked) -> str:
-    """Bearings are not wrong."""
-    if asked.error == 0.0:
-        return ""
-    stays = "; V still never rises between merges" * (asked.by == "heading")
-    return f"none: theorems T, 3 and 4 are for exact bearings{stays}"
-
-
-_BODIES = (*given.LASTING_LINKS, given.nothing_in_the_way, robots_turn, exact_for_bodies)
 THEOREMS = (
-    Theorem("T", ("heading",), _BODIES, gate_bounds),
-    Theorem("3 and 4", ("law",), _BODIES, law_bounds),
+    Theorem("T", ("heading",), given.TURNING, gate_bounds),
+    Theorem("3 and 4", ("law",), given.TURNING, law_bounds),
 )

@@ -103,6 +103,17 @@ def test_native_vectorisation_with_a_guarantee_and_angles():
     assert env.slots.simulator.time.min() > 0.0 and (env.observations != before).any()
 
 
+def test_costs_are_arrays_and_sums_of_episodes():
+    env = make(SCENARIO, TEAMS, costs=("rise",), **BARE)
+    env.reset(SEED)
+    paid, told = 0.0, 0.0
+    for actions in actions_of(60, TEAMS * ROBOTS):
+        *_, infos = env.step(actions)
+        paid += env.costs["cost"].sum()
+        told += sum(info["episode_cost"] for info in infos)
+    assert env.costs["cost_rise"].shape == (TEAMS * ROBOTS,) and 0 < told <= paid
+
+
 def test_seeds_and_what_is_refused():
     seeded, other = make(SCENARIO, 2, seed=7, **BARE), make(SCENARIO, 2, **BARE)
     first = seeded.reset()[0].copy()

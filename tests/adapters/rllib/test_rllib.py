@@ -204,6 +204,21 @@ def test_the_example_learns():
     assert float(clean_after) > float(clean) + 20
 
 
+def test_infos_hold_what_the_step_before_them_cost():
+    scenario = SCENARIO.replace(costs=("rise",))
+    robots = RobotSlots(rv.make_vec(scenario, TEAMS, autoreset_mode="SameStep"))
+    rollout, paid = Rollout(robots, robots.reset(SEED)), 0.0
+    for actions in np.random.default_rng(0).uniform(-1, 1, (9, TEAMS * ROBOTS, 2)):
+        slots = np.flatnonzero(robots.active)
+        chosen = {Columns.ACTIONS: actions[slots].astype(np.float32)}
+        paid += rollout.add(slots, chosen, chosen[Columns.ACTIONS]).costs["cost"].sum()
+    episodes = list(rollout.cut())
+    assert all(len(one.get_infos()) == len(one.get_rewards()) + 1 for one in episodes)
+    assert all(one.get_infos()[0] == {} for one in episodes) and paid > 0
+    told = sum(info["cost_rise"] for one in episodes for info in one.get_infos()[1:])
+    np.testing.assert_allclose(told, paid)
+
+
 def test_what_is_refused(local_ray):
     with pytest.raises(ValueError, match="env_to_module_connector is given"):
         small().env_runners(env_to_module_connector=lambda *_: []).build_algo()

@@ -203,3 +203,35 @@ def test_torchrl_is_timed_over_what_it_adapts(tmp_path):
         assert rows[f"TorchRL over {ours}"]["against"] == ours
         assert rows[f"TorchRL over {ours}"]["ratio"] > 0
     assert "torchrl" in written["versions"]
+
+
+@pytest.mark.parametrize("return_state", [False, True])
+def test_costs_stand_beside_what_robots_see(return_state):
+    """Those of the vector environment; a team that begins anew has paid nothing."""
+    costs = {"costs": ("contact", "rise"), "guarantee": None, "time_limit": 0.6}
+    env = RendezvousEnv("clutter-16", 3, seed=1, return_state=return_state, **costs)
+    check_env_specs(env)
+    env.set_seed(1)
+    data, tape = drive(env, 24)
+    teams = training_env("clutter-16", 3, **costs)
+    teams.reset(seed=1)
+    for t, actions in enumerate(tape):
+        told = teams.step(actions)[4]
+        for key in ("cost", "cost_contact", "cost_rise"):
+            found = data["next", GROUP, "info", key][:, t, :, 0].numpy()
+            np.testing.assert_array_equal(found, told[key].astype(np.float32))
+    assert (data["next", GROUP, "info", "cost"] > 0).any()
+    assert not data[GROUP, "info", "cost"][:, 12].any()  # the first of the second episodes
+
+
+def test_a_task_of_benchmarl_knows_of_costs():
+    pytest.importorskip("benchmarl")
+    from rendezvous_env.adapters.benchmarl import RendezvousTask
+
+    costly, free = (RendezvousTask("clutter-4", {"costs": costs}) for costs in (("rise",), ()))
+    shown = costly.info_spec(costly.get_env_fun(2, True, 0, "cpu")())
+    assert set(shown.keys(True, True)) == {
+        (GROUP, "info", "cost"),
+        (GROUP, "info", "cost_rise"),
+    }
+    assert free.info_spec(free.get_env_fun(2, True, 0, "cpu")()) is None

@@ -64,7 +64,7 @@ const BEST_COLUMNS = [
   { ...POLICY, title: "best" },
   CLEAN,
   TIME,
-  { title: "not told from it", value: "tied", word: true, wraps: true },
+  { title: "tied with it", value: "tied", word: true, wraps: true },
 ];
 
 /**
@@ -197,7 +197,7 @@ function showTables() {
   });
 }
 
-/** The row of the best policy of each scenario, with those that are not told from it. */
+/** The row of the best policy of each scenario, with those that are tied with it. */
 function bestRows() {
   return DATA.rankings.filter(({ top }) => top.length).map(({ scenario, top: [best, ...tied] }) => ({
     ...DATA.results.find((row) => row.scenario === scenario && row.policy === best),

@@ -1,0 +1,76 @@
+"""Build the site: ``python docs/building/build.py [mkdocs|zensical]``.
+
+Pages that are made from the code, and those of docs/ with links that hold in the site, are written
+to out/docs; a generator makes out/site of them; then equations are drawn in its pages. So any
+generator that reads mkdocs.yml will do, and none of them has to be told of ours.
+"""
+
+from __future__ import annotations
+
+import html
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pages
+from latex2mathml.converter import convert
+
+GENERATORS = {
+    "mkdocs": ("mkdocs", "build", "--strict", "--quiet"),
+    "zensical": ("zensical", "build", "--clean", "--strict", "--config-file", "mkdocs.yml"),
+}
+NOT_PAGES = ("building", "__pycache__", "tutorial.ipynb")
+EQUATION = re.compile(r'<(div|span) class="arithmatex">\\[\[(](.*?)\\[\])]</\1>', re.DOTALL)
+
+
+def write_pages(folder: Path) -> None:
+    """Write everything that a generator reads."""
+    shutil.rmtree(folder, ignore_errors=True)
+    shutil.copytree(pages.ROOT / "docs", folder, ignore=shutil.ignore_patterns(*NOT_PAGES))
+    (folder / "README.md").rename(folder / "overview.md")
+    shutil.copy(pages.ROOT / "README.md", folder / "index.md")
+    for name in ("CHANGELOG.md", "CONTRIBUTING.md", "CITATION.cff"):
+        shutil.copy(pages.ROOT / name, folder / pages.RENAMED.get(name, name))
+    made = {"data": pages.data(), "commands": pages.commands(), "examples": pages.examples()}
+    made |= {"reference/index": pages.public()}
+    made |= {f"reference/{name}": text for name, text in pages.reference()}
+    made["tutorial"], pictures = pages.notebook(pages.ROOT / "docs/tutorial.ipynb")
+    for name, picture in pictures.items():
+        (folder / name).write_bytes(picture)
+    (folder / "reference").mkdir()
+    for name, text in made.items():
+        (folder / f"{name}.md").write_text(text, encoding="utf-8")
+    for page in folder.rglob("*.md"):
+        text = page.read_text(encoding="utf-8")
+        within = page.parent != folder
+        text = pages.without_links_to_code(text) if within else pages.for_site(text)
+        page.write_text(text, encoding="utf-8")
+
+
+def draw_equations(site: Path) -> None:
+    """Make MathML of the equations in the pages of a site."""
+
+    def drawn(match: re.Match[str]) -> str:
+        display = "block" if match[1] == "div" else "inline"
+        return str(convert(html.unescape(match[2]), display=display))
+
+    for page in site.rglob("*.html"):
+        text = page.read_text(encoding="utf-8")
+        if "arithmatex" in text:
+            page.write_text(EQUATION.sub(drawn, text), encoding="utf-8")
+
+
+def main() -> None:
+    """Build out/site, or the site in the folder SITE_DIR."""
+    os.chdir(pages.ROOT)
+    _, generator = (*sys.argv, "mkdocs")[:2]
+    write_pages(Path("out/docs"))
+    subprocess.run([sys.executable, "-m", *GENERATORS[generator]], check=True)
+    draw_equations(Path(os.environ.get("SITE_DIR", "out/site")))
+
+
+if __name__ == "__main__":
+    main()

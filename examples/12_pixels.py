@@ -1,0 +1,119 @@
+"""Robots that see with cameras: a film, and what the detector gets wrong.
+
+MuJoCo draws four pictures of 64 × 64 pixels for every robot; coloured blobs and dark stretches in
+them are all that its policy gets. pip install 'rendezvous-env[mujoco]'
+"""
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from train.pixels import pixels
+
+EVERY, PAUSE = 3, 1500  # steps from picture to picture of the film, and ms at its end
+QUARTERS = (1, 0, 3, 2)  # cameras from left to right, as who turns to the right would see them
+
+
+class Looks:
+    """Compares what the detector found with where the others are, look by look."""
+
+    def __init__(self):
+        self.errors, self.hidden = [], []  # rad, NaN where nothing was found
+
+    def __call__(self, simulator, eyes, pictures, seen):
+        """A step of the team."""
+        places, alive = simulator.positions[0], np.flatnonzero(simulator.active[0])
+        for robot in alive:
+            found = dict(zip(seen[robot].colours, seen[robot].bearings, strict=True))
+            for other in alive[alive != robot]:
+                x, y = places[other] - places[robot]
+                wrong = found.get(other, np.nan) - (np.arctan2(y, x) - eyes.yaw(robot))
+                self.errors.append(abs((wrong + np.pi) % (2 * np.pi) - np.pi))
+                between = [k for k in alive if k not in (robot, other)]
+                self.hidden.append(hidden(simulator, robot, other, between))
+
+    def summary(self):
+        """Quantiles of the error, degrees, and shares of looks without a bearing."""
+        errors, hidden = np.degrees(self.errors), np.array(self.hidden)
+        missed, found = np.isnan(errors), errors[~np.isnan(errors)]
+        return {
+            "looks": len(errors),
+            "median": np.median(found),
+            "p99": np.quantile(found, 0.99),
+            "worst": found.max(),
+            "rms": np.sqrt((found**2).mean()),
+            "missed": missed.mean(),
+            "missed_in_sight": missed[~hidden].mean(),
+            "found_though_hidden": (~missed[hidden]).mean(),
+        }
+
+
+def hidden(simulator, robot, other, between):
+    """Whether a disc, or the lamp of a robot between, stands on the straight way to another."""
+    places, discs = simulator.positions[0], simulator.obstacles[0]
+    way = places[other] - places[robot]
+    length = np.linalg.norm(way)
+    centres = np.concatenate([discs[:, 3:5], places[between]]) - places[robot]
+    radii = np.append(discs[:, 2], [simulator.scenario.merge_radius / 2] * len(between))
+    along = np.clip(centres @ way / length, 0, length)
+    apart = np.linalg.norm(centres - along[:, None] * way / length, axis=1)
+    return ((apart < radii) & (along < length)).any()
+
+
+class Film:
+    """The place from above, and what each robot sees: marks are bearings, red ones of edges."""
+
+    def __init__(self):
+        self.pictures, self.steps = [], 0
+
+    def __call__(self, simulator, eyes, pictures, seen):
+        """A step of the team."""
+        if self.steps % EVERY == 0:
+            side = np.concatenate([strip(*one) for one in zip(pictures, seen, strict=True)])
+            above = eyes.from_above()
+            margin = np.full((len(side) - len(above), above.shape[1], 3), 255, np.uint8)
+            self.pictures.append(np.hstack([np.concatenate([above, margin]), side]))
+        self.steps += 1
+
+    def write(self, path, step):
+        """Write a GIF in real time, of steps that last so many s."""
+        first, *others = [Image.fromarray(picture).quantize(48) for picture in self.pictures]
+        lasts = [round(1000 * EVERY * step)] * len(others) + [PAUSE]
+        first.save(path, save_all=True, append_images=others, duration=lasts, loop=0)
+
+
+def strip(pictures, found):
+    """All pictures of one robot side by side, with marks, and a white line below."""
+    out = np.concatenate([pictures[k] for k in QUARTERS], axis=1)
+    if found is not None:
+        out[:8, [column(angle) for angle in found.bearings]] = 0
+        out[-8:, [column(angle) for angle in found.edges.ravel()]] = (200, 0, 0)
+    return np.concatenate([out, np.full((17, out.shape[1], 3), 255, np.uint8)])
+
+
+def column(angle):
+    """Where a direction stands in a strip."""
+    k = round(angle / (np.pi / 2))
+    across = 32 * (1 - np.tan(angle - k * np.pi / 2))
+    return 64 * QUARTERS.index(k % 4) + int(np.clip(across, 0, 63))
+
+
+parser = argparse.ArgumentParser(description=__doc__)
+parser.add_argument("--policy", default="learned")
+parser.add_argument("--episodes", type=int, default=10)
+parser.add_argument("--seed", type=int, default=3)
+parser.add_argument("--film", type=Path, default=None, help="a GIF of the first episode")
+given = parser.parse_args()
+
+looks = Looks()
+seeds = range(given.seed, given.seed + given.episodes)
+found = list(pixels.play(given.policy, seeds, looks))
+print(f"{sum(one.clean for one in found)} of {len(found)} teams met without a contact")
+for name, value in looks.summary().items():
+    print(f"{name}: {value:.3g}")
+if given.film is not None:
+    film = Film()
+    list(pixels.play(given.policy, seeds[:1], film))
+    film.write(given.film, pixels.SCENARIO.tau)

@@ -1,0 +1,46 @@
+"""What the first starts of a scenario are, as a digest by which results can be told to compare."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+
+import numpy as np
+
+from .scenario.scenario import Scenario
+from .scenario.scenarios import ScenarioLike, resolve
+from .simulator import Simulator
+
+STARTS = 1000
+"""As many as a digest is made of: those of the seeds 0 to 999."""
+_DECIMALS = 9
+"""That count; the last bits of a cosine are the machine's."""
+_NOT_OF_THE_FIELD = ("name", "reward", "costs")
+
+
+def digest(scenario: ScenarioLike) -> str:
+    """SHA-256 over what a scenario differs in from the default, and over its first 1,000 initial
+    conditions: positions, headings, frames, weights and obstacles, to 1e-9.
+
+    What only learners are told, rewards and costs, does not count.
+
+    Args:
+        scenario: a Scenario, the name of one or the path of a TOML file.
+
+    Raises:
+        RuntimeError: if no room was found for a start.
+    """
+    scenario = resolve(scenario)
+    usual = Scenario().to_plain()
+    fields = {
+        key: value
+        for key, value in scenario.to_plain().items()
+        if key not in _NOT_OF_THE_FIELD and usual.get(key) != value
+    }
+    found = hashlib.sha256(json.dumps(fields, sort_keys=True).encode())
+    simulator = Simulator(scenario, STARTS, num_threads=1)
+    simulator.reset(0)
+    for name in ("positions", "headings", "frames", "weights", "obstacles"):
+        rounded = np.round(getattr(simulator, name), _DECIMALS) + 0.0  # no minus sign on a zero
+        found.update(f"{name} {rounded.shape} ".encode() + rounded.astype("<f8").tobytes())
+    return found.hexdigest()

@@ -1,0 +1,49 @@
+"""The point of an intersection of half-planes that is nearest to another: who may go how far where.
+
+Each half-plane holds the origin, so there is always such a point.
+"""
+
+import math
+
+from ..compilation import kernel
+
+_PARALLEL = 1e-12
+"""Sine below which two borders do not cross."""
+
+
+@kernel
+def nearest_within(wanted, normals, rooms, count):
+    """The pair x nearest to a wanted one with n_kᵀx ≤ c_k for all k (Seidel 1991, one by one).
+
+        min ‖x − w‖²   subject to   n_kᵀ x ≤ c_k,   c_k ≥ 0
+
+    While x fits, nothing is to be done; else the nearest point lies on the border that it violates,
+    within what the borders before leave of that.
+
+    Args:
+        wanted: w, a pair, of any unit.
+        normals: n_k, (≥ count, 2), unit vectors.
+        rooms: c_k, (≥ count,), 0 or more, in the unit of w.
+        count: how many there are.
+
+    Returns:
+        x, a pair; the origin where rounding leaves nothing else.
+    """
+    x, y = wanted
+    for j in range(count):
+        a, b, room = normals[j, 0], normals[j, 1], rooms[j]
+        if a * x + b * y <= room:
+            continue
+        low, high = -math.inf, math.inf
+        for k in range(j):
+            along = normals[k, 1] * a - normals[k, 0] * b
+            left = rooms[k] - room * (normals[k, 0] * a + normals[k, 1] * b)
+            if along > _PARALLEL:
+                high = min(high, left / along)
+            elif along < -_PARALLEL:
+                low = max(low, left / along)
+        if low > high:
+            return 0.0, 0.0
+        t = min(max(wanted[1] * a - wanted[0] * b, low), high)
+        x, y = room * a - t * b, room * b + t * a
+    return x, y

@@ -1,0 +1,84 @@
+"""Discs that stop where they would touch, and whether they lie in one packed cluster.
+
+One team at a time, in the plane; the counterpart of merging for robots with bodies.
+"""
+
+import math
+
+from ..compilation import inner_kernel, kernel
+from .half_planes import nearest_within
+
+_SHORT_OF_TOUCHING = 1.0 - 1e-9
+"""Share of the room that is used, so that rounding lets no two discs overlap."""
+_TOUCHED = 2
+"""Others that a disc of a packed cluster touches: one that touches a single one can still roll."""
+
+
+@kernel
+def move_apart(positions, displacements, lengths, size, work):
+    """Move discs by their displacements, cut so that none overlap at any time of the motion.
+
+        min ‖x_i − Δ_i‖²   subject to   x_i·g_ij ≤ (‖p_j − p_i‖ − D)/2   for all j
+
+    Each takes at most its half of every gap (buffered Voronoi cells, Zhou et al. 2017), so what one
+    does hangs on nobody else's displacement, and nobody is pushed.
+
+    Args:
+        positions: (n, 2), m; the start of the motion on entry, its end on return.
+        displacements: (n, 2), m, straight; those that were executed on return.
+        lengths: (n,) of the ways, m; written where a displacement is cut.
+        size: D, m, of all discs.
+        work: working memory (normals (n, 2), rooms (≥ n − 1,)).
+    """
+    normals, rooms = work
+    for i in range(len(lengths)):
+        wanted = displacements[i, 0], displacements[i, 1]
+        reach, count = math.hypot(wanted[0], wanted[1]), 0
+        for j in range(len(lengths)):
+            across = positions[j, 0] - positions[i, 0]
+            up = positions[j, 1] - positions[i, 1]
+            distance = math.hypot(across, up)
+            room = max(0.5 * (distance - size), 0.0) * _SHORT_OF_TOUCHING
+            if j != i and room < reach and distance > 0.0:
+                normals[count, 0], normals[count, 1] = across / distance, up / distance
+                rooms[count] = room
+                count += 1
+        if count > 0:
+            x, y = nearest_within(wanted, normals, rooms, count)
+            displacements[i, 0], displacements[i, 1] = x, y
+            lengths[i] = math.hypot(x, y)
+    for i in range(len(lengths)):
+        for k in range(2):
+            positions[i, k] += displacements[i, k]
+
+
+@kernel
+def is_packed(positions, radius, work):
+    """Whether all discs hang together, and each touches two others, in a team of two the other one.
+
+    Args:
+        positions: (n, 2), m, of their centres.
+        radius: r, m: two with ‖p_i − p_j‖ ≤ r count as touching.
+        work: working memory (order (n,) whole numbers, reached (n,) bool).
+    """
+    order, reached = work
+    n, done, found = len(positions), 0, 1
+    reached[:] = False
+    order[0], reached[0] = 0, True
+    while done < found:
+        i, touched = order[done], 0
+        for j in range(n):
+            if j != i and _apart(positions, i, j) <= radius:
+                touched += 1
+                if not reached[j]:
+                    order[found], reached[j] = j, True
+                    found += 1
+        if touched < min(_TOUCHED, n - 1):
+            return False
+        done += 1
+    return found == n
+
+
+@inner_kernel
+def _apart(positions, i, j):
+    return math.hypot(positions[j, 0] - positions[i, 0], positions[j, 1] - positions[i, 1])

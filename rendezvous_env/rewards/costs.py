@@ -1,0 +1,76 @@
+"""Costs of a step, robot by robot: what a learner is to keep below a limit, apart from its reward.
+
+Safety-Gymnasium's convention: a step has costs beside rewards, each robot its own; ``cost`` is
+their sum and ``cost_NAME`` each of them, as its converters to Gymnasium put them into infos.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..checks import nearest_word, refuse, shown
+from .custom_terms import TERMS, RewardStep, of_step
+
+COSTS: dict[str, Callable[[RewardStep], Any]] = {
+    "contact": lambda step: step.contact,
+    "rise": lambda step: step.rise,
+    "link_lost": lambda step: step.links_lost,
+}
+"""Of a robot in a step: whether it touched an obstacle; by how much V of its team rose before any
+merge, as a share of V at the start; how many of its links were lost other than by merging."""
+
+Costs = dict[str, NDArray[np.float64]]
+"""By key of infos, (B, n) each."""
+
+
+def as_costs(field: str, value: Any) -> tuple[str, ...]:
+    """Names of costs, from one name or several.
+
+    Raises:
+        ValueError: for an unknown name, with the nearest known one, or one that is named twice.
+    """
+    names = (value,) if isinstance(value, str) else value
+    if not isinstance(names, tuple | list):
+        refuse(field, value, f"names out of {', '.join(COSTS)}")
+    for name in names:
+        if not isinstance(name, str) or not (name in COSTS or name in TERMS):
+            near = nearest_word(name, [*COSTS, *TERMS])
+            hint = f"did you mean {near!r}? " if near else ""
+            raise ValueError(
+                f"{field}: {shown(name)} is unknown; {hint}known are {', '.join(COSTS)}, and what "
+                "rv.reward_term has registered"
+            )
+    if len(set(names)) < len(names):
+        refuse(field, value, "each name once")
+    return tuple(names)
+
+
+def no_costs(names: tuple[str, ...], shape: tuple[int, int]) -> Costs:
+    """What nobody has done yet costs, nothing; without names there are no keys."""
+    keys = [f"cost_{name}" for name in names]
+    return {key: np.zeros(shape) for key in (["cost", *keys] if names else [])}
+
+
+def costs_of(names: tuple[str, ...], step: RewardStep, running: NDArray[np.bool_]) -> Costs:
+    """What a step cost each robot; robots that are gone and teams that rest pay nothing.
+
+    Args:
+        names: of the costs.
+        step: what happened.
+        running: (B,), teams that were in an episode.
+
+    Raises:
+        ValueError: naming a term that gave what is no number for each team or robot.
+    """
+    paying = running[:, None] & step.took_part
+    costs = no_costs(names, paying.shape)
+    for name in names:
+        term = COSTS.get(name) or TERMS[name]
+        each = of_step(f"cost {name!r}", term(step), paying)
+        costs[f"cost_{name}"] = each
+        costs["cost"] += each
+    return costs

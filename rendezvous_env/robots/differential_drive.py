@@ -1,0 +1,180 @@
+"""A machine under a policy: from a wanted velocity to the wheels of a differential drive.
+
+Plain Python, for one robot. Bearings and wanted velocities are those of the point P at a distance l
+ahead of the axle, which can go any way, though the axle cannot. With a velocity (x, y) of P in the
+body frame, x ahead, y to the left,
+
+    v = x,   ω = y/l                                          (speed and turn rate of the body)
+    w = (2v ∓ L ω)/(2R)                                       (left and right wheel, rad/s)
+
+of wheels of radius R, L apart. They are limited together:
+
+    w ← w min(1, W/max|w|)                                    (speed)
+    w ← w₋ + (w − w₋) min(1, A dt/max|w − w₋|)                (acceleration, from w₋ before)
+
+The first keeps the direction in which P goes, as x : y = v : l ω. The second brings both wheels to
+what is wanted at the same time.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..checks import floats, positive, real, refuse
+from ..physics.half_planes import nearest_within
+
+Pair = tuple[float, float]
+_BELOW = 1.0 - 1e-9
+"""Share of a wheel's speed that is used: whoever works it out from v and ω finds no more."""
+
+
+class Machine(NamedTuple):
+    """What a differential drive is made of and can do; by default a robot of the Robotarium."""
+
+    wheel_radius: float = 0.016
+    """R, m."""
+    base_length: float = 0.11
+    """L, m, from wheel to wheel."""
+    lead: float = 0.025
+    """l, m, from the axle ahead to P."""
+    wheel_speed: float = 12.5
+    """W, rad/s."""
+    wheel_acceleration: float = math.inf
+    """A, rad/s²."""
+    timeout: float = 0.2
+    """s; who has been told nothing new for so long stops."""
+
+
+def body_rates(velocity: Sequence[float], yaw: float, lead: float) -> Pair:
+    """Speed and turn rate (v, ω), m/s and rad/s, with which P has a velocity.
+
+        v = x cos θ + y sin θ,   ω = (y cos θ − x sin θ)/l
+
+    Args:
+        velocity: (x, y), m/s, in a frame in which the body has the yaw.
+        yaw: θ, rad; 0 for a velocity in the body frame.
+        lead: l, m.
+    """
+    x, y = float(velocity[0]), float(velocity[1])
+    c, s = math.cos(yaw), math.sin(yaw)
+    return c * x + s * y, (c * y - s * x) / lead
+
+
+def wheel_speeds(rates: Pair, machine: Machine) -> Pair:
+    """Left and right wheel (2v ∓ Lω)/(2R), rad/s, of a speed and a turn rate."""
+    v, turn = rates[0], 0.5 * machine.base_length * rates[1]
+    return (v - turn) / machine.wheel_radius, (v + turn) / machine.wheel_radius
+
+
+def rates_of_wheels(wheels: Pair, machine: Machine) -> Pair:
+    """Undo ``wheel_speeds``: v = R (w_r + w_l)/2 and ω = R (w_r − w_l)/L, m/s and rad/s."""
+    left, right = wheels
+    radius, base = machine.wheel_radius, machine.base_length
+    return 0.5 * radius * (left + right), radius * (right - left) / base
+
+
+def within_speed(wheels: Pair, most: float) -> Pair:
+    """Both wheels slowed down together: w min(1, W/max|w|), rad/s."""
+    largest = max(abs(wheels[0]), abs(wheels[1]))
+    factor = most * _BELOW / largest if largest > most else 1.0
+    return wheels[0] * factor, wheels[1] * factor
+
+
+def within_reach(wheels: Pair, before: Pair, most: float) -> Pair:
+    """As far towards w as both come: w₋ + (w − w₋) min(1, M/max|w − w₋|), rad/s."""
+    left, right = wheels[0] - before[0], wheels[1] - before[1]
+    largest = max(abs(left), abs(right))
+    if largest <= most:
+        return wheels
+    return before[0] + left * most / largest, before[1] + right * most / largest
+
+
+def keep_apart(velocity: Sequence[float], near: ArrayLike, rooms: ArrayLike = 0.0) -> Pair:
+    """The velocity nearest to a wanted one that approaches nothing near by more than is left.
+
+        min ‖x − v‖²   subject to   x·g_k ≤ c_k                    (buffered Voronoi cells)
+
+    Robots that obey with 0 come no nearer while they go, though each knows no more than in which
+    direction the others are that are near. With c_k = (d_k − D)/(2 dt), of a distance d_k that is
+    known, they come as near as D, and no nearer (Zhou et al. 2017).
+
+    Args:
+        velocity: v, (x, y), m/s.
+        near: g_k, (k, 2), unit vectors to what is near, in the frame of the velocity.
+        rooms: c_k, (k,) or one for all, m/s; less than 0 is 0.
+
+    Raises:
+        ValueError: naming the argument of another shape, or that is not finite.
+    """
+    normals = floats("near", near).reshape(-1, 2)
+    most = np.maximum(np.broadcast_to(floats("rooms", rooms), len(normals)), 0.0)
+    for name, values in (("velocity", floats("velocity", velocity)), ("near", normals)):
+        if not np.isfinite(values).all():
+            refuse(name, values.tolist(), "finite")
+    wanted = float(velocity[0]), float(velocity[1])
+    x, y = nearest_within(wanted, normals, most, len(normals))
+    return float(x), float(y)
+
+
+class DifferentialDrive:
+    """The wheels of one robot, from tick to tick.
+
+    Args:
+        machine: what it can do.
+
+    Raises:
+        ValueError: naming the field of the machine, its value and what would be right.
+    """
+
+    def __init__(self, machine: Machine = Machine()) -> None:  # noqa: B008 - immutable
+        for name, value in machine._asdict().items():
+            if not (name == "wheel_acceleration" and value == math.inf):
+                positive(name, value)
+        self.machine = machine
+        self.reset()
+
+    def reset(self) -> None:
+        """It stands, and has been told nothing."""
+        self.wheels: Pair = (0.0, 0.0)
+        """Last commanded, left and right, rad/s."""
+        self._wanted: Pair = (0.0, 0.0)
+        self._age = 0.0
+
+    def command(self, velocity: Sequence[float], yaw: float, dt: float) -> Pair:
+        """Speed and turn rate (v, ω), m/s and rad/s, for a velocity of P that is new.
+
+        Args:
+            velocity: (x, y), m/s, as ``act`` of a policy gives it.
+            yaw: θ of the body in the frame of the velocity, rad; 0 for the body frame.
+            dt: since the command before, s.
+
+        Raises:
+            ValueError: naming the argument, its value and what would be right; nothing has changed
+                then.
+        """
+        if len(velocity) != 2 or not all(math.isfinite(real(part)) for part in velocity):
+            refuse("velocity", list(velocity), "two finite numbers (m/s)")
+        if not math.isfinite(real(yaw)):
+            refuse("yaw", yaw, "a finite number (rad)")
+        positive("dt", dt, "s")
+        rates = body_rates(velocity, yaw, self.machine.lead)
+        wheels = wheel_speeds(rates, self.machine)
+        self._wanted, self._age = within_speed(wheels, self.machine.wheel_speed), 0.0
+        return self._go(dt)
+
+    def hold(self, dt: float) -> Pair:
+        """As ``command``, with nothing new: on as before, and from ``timeout`` on to rest."""
+        self._age += positive("dt", dt, "s")
+        if self._age >= self.machine.timeout:
+            self._wanted = (0.0, 0.0)
+        return self._go(dt)
+
+    def _go(self, dt: float) -> Pair:
+        most = self.machine.wheel_acceleration * dt
+        self.wheels = within_reach(self._wanted, self.wheels, most)
+        return rates_of_wheels(self.wheels, self.machine)

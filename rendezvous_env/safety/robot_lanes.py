@@ -1,0 +1,130 @@
+"""Robots side by side: what filters work out of their rows becomes SIMD in the lanes of a buffer.
+
+A filter's kernel takes LANES robots at a time: rows are summed and memory is copied into lanes, one
+loop over them does the arithmetic, with choices in place of branches, and what has come of it is
+copied out. All lanes are computed, those of no robot too, by the same code: so what becomes of a
+robot does not hang on how many others there are.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..compilation import compiled, inner_kernel
+from ..engine.threads import Part
+from ..physics.neighbour_rows import degree_of, net_bearing_of
+
+LANES = 32 if compiled() else 1
+"""Robots that are worked on at a time."""
+_ROWS = 18
+Numbers = NDArray[np.float64]
+
+
+class Lanes(NamedTuple):
+    """Robots in lanes: vectors (3, LANES), z = 0 in the plane, and numbers (LANES,)."""
+
+    f: Numbers
+    """Net bearings, m/s."""
+    choice: Numbers
+    """That is held."""
+    heading: Numbers
+    sent: Numbers
+    """Velocities of actions, m/s."""
+    degree: Numbers
+    """D, m/s."""
+    level: Numbers
+    """A, m²/s."""
+    deposit: Numbers
+    """G, m²/s."""
+    accepted: Numbers
+    """Whether the choice is carried out, 1 or 0."""
+    alignment: Numbers
+    lyapunov_rate: Numbers
+
+
+def new_lanes() -> Numbers:
+    """Working memory for ``lanes_of``, (rows, LANES)."""
+    return np.zeros((_ROWS, LANES))
+
+
+def of_robots(teams: Part, *arrays: NDArray[Any]) -> tuple[tuple[int, int], tuple[Any, ...]]:
+    """Teams as robots, b·n + i for robot i of team b: which ones, and arrays (B, n, ...), any unit,
+    as (B·n, ...), without a copy.
+    """
+    n = arrays[0].shape[1]
+    return (teams[0] * n, teams[1] * n), tuple(a.reshape(-1, *a.shape[2:]) for a in arrays)
+
+
+@inner_kernel(inline="text")
+def lanes_of(work):
+    """The Lanes whose rows these are."""
+    return Lanes(
+        work[0:3],
+        work[3:6],
+        work[6:9],
+        work[9:12],
+        work[12],
+        work[13],
+        work[14],
+        work[15],
+        work[16],
+        work[17],
+    )
+
+
+@inner_kernel(inline="code")
+def take_in(values, first, stop, lanes):
+    """Copy vectors (N, d), any unit, of robots first ≤ i < stop into lanes (3, LANES)."""
+    for lane in range(min(LANES, stop - first)):
+        for k in range(values.shape[1]):
+            lanes[k, lane] = values[first + lane, k]
+
+
+@inner_kernel(inline="code")
+def give_out(lanes, first, stop, values):
+    """Copy vectors, any unit, from lanes (3, LANES) to robots first ≤ i < stop, (N, d)."""
+    for lane in range(min(LANES, stop - first)):
+        for k in range(values.shape[1]):
+            values[first + lane, k] = lanes[k, lane]
+
+
+@inner_kernel(inline="code")
+def tell(lanes, first, stop, values):
+    """Copy numbers, any unit, from lanes (LANES,) to robots first ≤ i < stop, (N,)."""
+    for lane in range(min(LANES, stop - first)):
+        values[first + lane] = lanes[lane]
+
+
+@inner_kernel(inline="code")
+def triple_of(lanes, lane):
+    """The vector v = (x, y, z) of one lane, a triple of any unit."""
+    return lanes[0, lane], lanes[1, lane], lanes[2, lane]
+
+
+@inner_kernel(inline="code")
+def put(vector, lanes, lane):
+    """Write a triple v = (x, y, z) of any unit to one lane."""
+    lanes[0, lane], lanes[1, lane], lanes[2, lane] = vector
+
+
+@inner_kernel(inline="code")
+def look(observations, first, stop, neighbour_slots, f):
+    """f_i = Σ_j a_ij g_ij, m/s, of robots first ≤ i < stop, from rows (N, rows, d), into lanes."""
+    if observations.shape[2] == 2:  # the same; behind this question the compiler leaves out z
+        for lane in range(min(LANES, stop - first)):
+            put(net_bearing_of(observations[first + lane], neighbour_slots), f, lane)
+    else:
+        for lane in range(min(LANES, stop - first)):
+            put(net_bearing_of(observations[first + lane], neighbour_slots), f, lane)
+
+
+@inner_kernel(inline="code")
+def weigh(observations, first, stop, neighbour_slots, degree):
+    """D_i = Σ_j a_ij, m/s, of robots into lanes; arguments as ``look``."""
+    if observations.shape[2] == 2:
+        for lane in range(min(LANES, stop - first)):
+            degree[lane] = degree_of(observations[first + lane], neighbour_slots)
+    else:
+        for lane in range(min(LANES, stop - first)):
+            degree[lane] = degree_of(observations[first + lane], neighbour_slots)

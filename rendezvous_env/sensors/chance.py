@@ -1,0 +1,168 @@
+"""Turns of bearings by chance, in float32 as what is seen is, without a branch: over the lanes of
+many teams they become SIMD.
+
+Each comes from a word of 32 bits. Nothing here is left to a library, so that one team, many, and
+plain Python get the same bits.
+"""
+
+import math
+
+import numpy as np
+
+from ..compilation import kernel
+from ..physics.random_streams import mix
+from ..physics.vectors import combine, square
+
+_STEP = np.uint64(0xD1B54A32D192ED03)
+
+_HALF, _ONE, _TWO = np.float32(0.5), np.float32(1.0), np.float32(2.0)
+_ONE_BIT = np.uint32(1)
+_PER_MAGNITUDE = np.float32(2.0**-31)
+_TURN_PER_WORD = np.float32(2.0 * math.pi * 2.0**-32)
+
+_MANTISSA = np.int32(23)
+_TWO_THIRDS = np.int32(0x3F2AAAAB)
+"""The bits of 2/3, from which on a mantissa m ∈ [2/3, 4/3) is counted."""
+_LOG_2 = np.float32(math.log(2.0))
+_LOG = tuple(
+    np.float32(factor)
+    for factor in (
+        0.9999989912342966, -0.5000382460121644, 0.3334500819861033, -0.24795877235834773,
+        0.19661320093766646, -0.1970276719897473, 0.17820187987880562,
+    )
+)  # fmt: skip
+"""Of log(1 + f)/f, in ascending powers of f ∈ [−1/3, 1/3]: to 2.2·10⁻⁷ of the logarithm."""
+
+_UPPER = tuple(
+    np.float32(factor)
+    for factor in (
+        1.2533142806544626, 0.452894784668922, 0.089987094324385, 0.011902153349247773,
+        0.001002491338762828, 2.9212625387046752e-05,
+    )
+)  # fmt: skip
+_LOWER = tuple(
+    np.float32(factor)
+    for factor in (
+        1.0, 0.0995612165585267, 0.032691129366930895, 0.0022913411154914425,
+        0.00016975306862813063, 1.003840129258438e-06,
+    )
+)  # fmt: skip
+"""Of Φ⁻¹((1 + x)/2)/x, in ascending powers of w = −log(1 − x²) ∈ [0, 21.5]: a rational of least
+largest relative error, 1.2·10⁻⁷."""
+
+_ROUNDS = np.float32(1.5 * 2.0**23)
+"""A float32 so large that to add it leaves the nearest whole number, in its last bits."""
+_QUARTERS = np.float32(2.0 / math.pi)
+_QUARTER = (np.float32(1.5703125), np.float32(0.5 * math.pi - 1.5703125))
+"""π/2 as a short number, of which multiples are exact, and the rest."""
+_SMALL = np.float32(0.123)
+"""rad: 6.34 times as much is still below π/4."""
+_SINE = tuple(np.float32(c) for c in (-1.6666654611e-1, 8.3321608736e-3, -1.9515295891e-4))
+_COSINE = tuple(
+    np.float32(c) for c in (4.166664568298827e-2, -1.388731625493765e-3, 2.443315711809948e-5)
+)
+
+
+@kernel
+def step_key(key, step):
+    """Key of the part of a stream that belongs to one step of the episode; uint64."""
+    return mix(key ^ (np.uint64(step + 1) * _STEP))
+
+
+@kernel(inline="code")
+def gaussian(word):
+    """A standard normal number, float32: the inverse of the distribution function at a word.
+
+        z = Φ⁻¹((1 + x)/2) = ± |x| R(w),   w = −log(1 − x²)   (the variable of Giles, 2010)
+
+    Its lowest bit is the sign, the others are |x|, so that |z| ≤ 6.34 with 1,200 values beyond 5.
+
+    Args:
+        word: uint32, uniform.
+    """
+    y = (np.float32(np.int32(word >> _ONE_BIT)) + _HALF) * _PER_MAGNITUDE  # 1 − |x|
+    v = y * (_TWO - y)  # 1 − x², as precise in the tails
+    bits = np.float32(v).view(np.int32)
+    exponent = np.int32(np.int32(bits - _TWO_THIRDS) >> _MANTISSA)
+    f = np.int32(bits - np.int32(exponent << _MANTISSA)).view(np.float32) - _ONE
+    w = -(f * _polynomial(_LOG, f)) - np.float32(exponent) * _LOG_2
+    z = (_ONE - y) * (_polynomial(_UPPER, w) / _polynomial(_LOWER, w))
+    return -z if word & _ONE_BIT else z
+
+
+@kernel(inline="code")
+def _polynomial(factors, x):
+    """A polynomial by Horner's rule; of 3, 6 or 7 factors in ascending powers."""
+    if len(factors) == 3:
+        return (factors[2] * x + factors[1]) * x + factors[0]
+    high = (factors[5] * x + factors[4]) * x + factors[3]
+    if len(factors) == 7:
+        high = ((factors[6] * x + factors[5]) * x + factors[4]) * x + factors[3]
+    return ((high * x + factors[2]) * x + factors[1]) * x + factors[0]
+
+
+@kernel(inline="code")
+def cosine_and_sine(angle, small):
+    """The pair (cos α, sin α), to 10⁻⁷, of a float32 angle of at most some thousand rad.
+
+    From those of its distance to the nearest multiple of π/2 (coefficients of Cephes, Moshier),
+    which is the angle itself if it is ``small``, at most π/4; the numbers are the same.
+    """
+    if small:
+        return _near_zero(angle)
+    shifted = angle * _QUARTERS + _ROUNDS
+    quarter, count = np.float32(shifted).view(np.int32), shifted - _ROUNDS
+    cosine, sine = _near_zero((angle - count * _QUARTER[0]) - count * _QUARTER[1])
+    swapped = (quarter & 1) != 0
+    c, s = (sine if swapped else cosine), (cosine if swapped else sine)
+    return (-c if (quarter + 1) & 2 else c), (-s if quarter & 2 else s)
+
+
+@kernel(inline="code")
+def _near_zero(angle):
+    square = angle * angle
+    sine = angle + angle * (square * _polynomial(_SINE, square))
+    return _ONE - _HALF * square + square * square * _polynomial(_COSINE, square), sine
+
+
+@kernel(inline="code")
+def is_small(deviation):
+    """Whether no angle of this standard deviation, rad, is beyond π/4."""
+    return deviation <= _SMALL
+
+
+@kernel(inline="code")
+def turned_by_chance(row, deviation, small, word, other):
+    """A row turned by an angle α ~ N(0, deviation²): in the plane counter-clockwise, in space
+    towards a direction that is uniform about it. It keeps its length, and zero stays zero.
+
+        R(α) g,   or   cos α g + sin α ‖g‖ t,   t = cos φ b + sin φ c,   b, c, g orthogonal
+
+    Args:
+        row: float32, a pair or triple.
+        deviation: rad, float32.
+        small: whether that ``is_small``, if it shall save the time for larger angles.
+        word: uint32, of which α is made.
+        other: uint32, of which φ is; not used in the plane.
+    """
+    c, s = cosine_and_sine(deviation * gaussian(word), small)
+    if len(row) == 2:
+        return c * row[0] - s * row[1], s * row[0] + c * row[1]
+    return combine(
+        c, row, s, _across(row, np.float32(np.uint32(other).view(np.int32)) * _TURN_PER_WORD)
+    )
+
+
+@kernel(inline="code")
+def _across(row, turn):
+    """A triple across a row and as long, at an angle about it.
+
+    From a basis without a branch (after Duff et al., "Building an orthonormal basis, revisited",
+    2017).
+    """
+    (x, y, z), (c, s) = row, cosine_and_sine(turn, False)
+    length = np.float32(math.sqrt(square(row)))
+    sign, height = _ONE if z >= 0 else -_ONE, abs(z) + length
+    level = c * sign * x + s * y
+    share = level / (height if height > 0 else _ONE)
+    return c * length - sign * x * share, sign * (s * length - y * share), -level

@@ -1,0 +1,153 @@
+"""Robots that see with cameras: what the detector finds, what it throws away, and who meets."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from importlib import util
+
+import numpy as np
+import pytest
+from conftest import ROOT
+
+if util.find_spec("mujoco") is None:
+    pytest.skip("needs MuJoCo", allow_module_level=True)
+try:
+    from train.pixels import eyes as drawing  # chooses how MuJoCo draws before it is imported
+    from train.pixels import pixels
+    from train.pixels.detector import Detector, stretches
+
+    drawing.mujoco.GLContext(64, 64).free()
+except Exception as error:
+    pytest.skip(f"no EGL to draw with (libegl1, libgl1-mesa-dri): {error}", allow_module_level=True)
+
+import rendezvous_env as rv
+from train import results
+
+DETECTOR = Detector(np.array(drawing.LAMPS[:4]), drawing.HEIGHT, 2.0)
+
+
+def sight(positions, discs=()):
+    """What each robot of a team that stands there finds, in the world's frame."""
+    far_away = rv.Disc(centre=(200.0, 0.0), radius=1.0)  # one kind of team, compiled once
+    scenario = pixels.SCENARIO.replace(
+        n_robots=len(positions), start_positions=positions, obstacles=(*discs, far_away)
+    )
+    simulator = rv.Simulator(scenario)
+    simulator.reset(0)
+    eyes = drawing.Eyes(simulator)
+    try:
+        eyes.place()
+        pictures = eyes.look()
+        found = [DETECTOR.find(mine) for mine in pictures]
+        return [
+            (
+                {
+                    c: turned(b + eyes.yaw(i))
+                    for c, b in zip(one.colours, one.bearings, strict=True)
+                },
+                turned(one.edges + eyes.yaw(i)),
+            )
+            for i, one in enumerate(found)
+        ]
+    finally:
+        eyes.close()
+
+
+def turned(angles):
+    """Degrees from −180 to 180."""
+    return (np.degrees(angles) + 180.0) % 360.0 - 180.0
+
+
+def test_lamps_all_around_are_found():
+    """Near and far, across the seams of pictures, whichever way the cameras look."""
+    places = ((0.0, 0.0), (2.0, 2.0), (-0.7, 0.0), (1.0, -6.0))
+    (seen, edges), *_ = sight(places)
+    expected = {1: 45.0, 2: 180.0, 3: np.degrees(np.arctan2(-6.0, 1.0))}
+    assert sorted(seen) == [1, 2, 3] and len(edges) == 0
+    for lamp, angle in expected.items():
+        assert abs(turned(np.radians(seen[lamp] - angle))) < 1.0, lamp
+
+
+def test_edges_of_a_near_disc_are_found_and_a_far_one_is_left_out():
+    near = rv.Disc(centre=(2.0, 0.0), radius=1.0)
+    far = rv.Disc(centre=(-4.0, 0.0), radius=1.0)
+    (seen, edges), (other, theirs) = sight(((0.0, 0.0), (0.0, 5.0)), (near, far))
+    assert edges == pytest.approx(np.array([[30.0, -30.0]]), abs=2.0)
+    assert len(theirs) == 0 and list(seen) == [1] and list(other) == [0]
+
+
+def test_a_disc_in_front_of_a_farther_one_ends_where_it_ends():
+    discs = (rv.Disc(centre=(1.2, 0.0), radius=0.5), rv.Disc(centre=(4.0, 1.5), radius=1.2))
+    (_, edges), _ = sight(((0.0, 0.0), (0.0, -5.0)), discs)
+    half = np.degrees(np.arcsin(0.5 / 1.2))
+    assert edges == pytest.approx(np.array([[half, -half]]), abs=2.0)
+
+
+@pytest.mark.parametrize(("reach", "found"), [(0.0, False), (0.3, True)])
+def test_a_lamp_that_is_cut_is_thrown_away(reach, found):
+    """The edge of a disc passes through the middle of a lamp, or beside it."""
+    disc = rv.Disc(centre=(1.0, 0.5 + reach), radius=0.5)
+    (seen, _), _ = sight(((0.0, 0.0), (2.0, 0.0)), (disc,))
+    assert (1 in seen) == found
+
+
+def test_stretches_go_on_where_the_ring_closes():
+    there = np.array([True, False, True, True, False, True])
+    assert [list(run) for run in stretches(there)] == [[2, 3], [5, 0]]
+    assert [list(run) for run in stretches(np.ones(3, bool))] == [[0, 1, 2]]
+    assert stretches(np.zeros(3, bool)) == []
+
+
+def test_robots_that_see_nobody_go_where_they_saw_somebody_then_seek():
+    scenario = pixels.SCENARIO.replace(obstacles=(), obstacle_slots=None)
+    seen = np.zeros((1, *(4, *scenario.observation_layout.shape)), np.float32)
+    seen[0, 0, 0] = 0.0, 1.0
+    policy = pixels.make("bearing-only", scenario)
+    first = policy(seen, 0.0)[0]
+    nobody = np.zeros_like(seen)
+    assert policy(nobody, 0.05)[0, 0] == pytest.approx(first[0])
+    assert first[1] == pytest.approx([1.0, 0.0])  # never saw anybody: it seeks at once
+    ways = {tuple(policy(nobody, 0.1)[0, 0].round(3).tolist()) for _ in range(300)}
+    assert len(ways) >= 3 and (0.0, 1.0) in ways
+    policy.reset()
+    assert policy(nobody, 0.0)[0, 0] == pytest.approx([1.0, 0.0])
+
+
+def test_a_crowd_has_no_lamps():
+    simulator = rv.Simulator(pixels.SCENARIO.replace(n_robots=7, time_step=0.02))
+    simulator.reset(0)
+    with pytest.raises(ValueError, match="n_robots is 7; lamps have 6 colours"):
+        drawing.Eyes(simulator)
+
+
+def run(*words):
+    """What a program of ours says."""
+    done = subprocess.run(
+        [sys.executable, *words], capture_output=True, text=True, timeout=600, cwd=ROOT, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+@pytest.mark.slow
+def test_teams_meet_by_pixels_alone(tmp_path):
+    film = tmp_path / "film.gif"
+    words = ["--policy", "tangent-joined-tuned", "--episodes", "4", "--film", str(film)]
+    said = run("examples/12_pixels.py", *words)
+    assert said.startswith("4 of 4 teams met without a contact\n")
+    found = {name: float(value) for name, value in re.findall(r"^(\w+): (\S+)$", said, re.M)}
+    assert found["median"] < 0.5 < found["worst"] and 0.05 < found["missed"] < 0.8
+    assert found["missed_in_sight"] < 0.1 and found["found_though_hidden"] < 0.1
+    assert film.read_bytes()[:6] == b"GIF89a"
+
+
+@pytest.mark.slow
+def test_the_command_compares_pixels_with_the_preset(tmp_path):
+    words = ["pixels", "--policy", "tangent-joined-tuned", "--episodes", "2", "--seed", "3"]
+    said = run("-m", "train.cli", "reproduce", *words, "--out", str(tmp_path))
+    assert "100.0% by Sensing.camera()" in said
+    (row,) = results.read_csv(tmp_path / "pixels.csv")
+    assert [row[name] for name in ("clean", "predicted", "exact")] == ["1.0"] * 3
+    assert float(row["steps_per_core_second"]) > 10

@@ -1,0 +1,40 @@
+"""One robot's process: the node of docs/robot.md as it stands there, with a watch at its ticks.
+
+python one_robot.py WRITTEN --ros-args -r __ns:=/robot0
+"""
+
+import json
+import re
+import sys
+import time
+from pathlib import Path
+
+ROOT = Path(__file__).parents[3]
+
+
+def node_of():
+    """The names of the node's program."""
+    text = (ROOT / "docs/robot.md").read_text(encoding="utf-8")
+    (code,) = re.findall(r"```python\n(# rendezvous_node\.py\n.*?)```", text, flags=re.DOTALL)
+    names = {"__name__": "rendezvous_node"}
+    exec(compile(code, "rendezvous_node.py", "exec"), names)
+    return names
+
+
+def main(written):
+    names, ticks = node_of(), []
+    tick = names["RendezvousNode"].tick
+
+    def timed(self):
+        """A tick, and what it took: s by the clock on the wall, and s of this process's work."""
+        began, worked = time.perf_counter(), time.process_time()
+        tick(self)
+        ticks.append((time.perf_counter() - began, time.process_time() - worked))
+
+    names["RendezvousNode"].tick = timed
+    names["main"]()
+    written.write_text(json.dumps(ticks), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))

@@ -1,0 +1,224 @@
+"""``rendezvous export --standalone``: one file, NumPy alone, the same robot."""
+
+import ast
+import json
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import baselines
+import rendezvous_env as rv
+from baselines import RobotPolicy
+from rendezvous_env.trajectory import run
+from train import cli, standalone
+from train.standalone.bundle import Bundle, Name
+
+POLICIES = ["learned", "learned-tank", "tangent-joined-tuned", "tangent-joined", "bearing-only"]
+CLUTTER = rv.scenarios.get("clutter-12")
+
+
+@pytest.fixture(scope="module")
+def exported(tmp_path_factory):
+    """path(policy, scenario) of a file, written once."""
+    folder, written = tmp_path_factory.mktemp("standalone"), {}
+
+    def path(policy, scenario="clutter-12"):
+        file = folder / f"{policy}-{scenario}.py"
+        if file not in written:
+            words = ["export", "--policy", policy, "--standalone", str(file)]
+            assert cli.main([*words, "--scenario", scenario, "--checks", "150"]) == 0
+            written[file] = True
+        return file
+
+    return path
+
+
+def act_along(robots, others, scenario, policy, seed, steps):
+    """The largest difference between two robots that are shown what a team of a batch sees."""
+    simulator, batch, worst, moved = rv.Simulator(scenario), baselines.make(policy, scenario), 0, 0
+    layout = scenario.observation_layout
+    for count, step in enumerate(run(simulator, batch, simulator.reset(seed))):
+        if count == steps:
+            break
+        seen = layout.split(step.observations[0].astype(float))
+        for i, pair in enumerate(zip(robots, others, strict=True)):
+            rows = seen.neighbours[i][seen.neighbours[i].any(axis=-1)]
+            weights = np.linalg.norm(rows, axis=-1)
+            edges = seen.obstacles[i][seen.obstacles[i].any(axis=(1, 2))]
+            seen_now = rows / weights[:, None], edges, scenario.tau
+            one, other = (robot.act(*seen_now, weights=weights) for robot in pair)
+            worst, moved = max(worst, np.abs(one - other).max()), moved + np.hypot(*one)
+    assert count > 30 and moved > 1.0
+    return worst
+
+
+class TestAgreement:
+    @pytest.mark.parametrize("policy", POLICIES)
+    def test_it_does_what_the_policy_does(self, exported, policy):
+        file = standalone.load(exported(policy))
+        robots = [RobotPolicy(CLUTTER, policy) for _ in range(CLUTTER.n_robots)]
+        others = [file.RobotPolicy() for _ in range(CLUTTER.n_robots)]
+        assert act_along(robots, others, CLUTTER, policy, 3, 120) < 1e-5
+
+    @pytest.mark.slow
+    @pytest.mark.parametrize("policy", POLICIES)
+    @pytest.mark.parametrize("name", ["clutter-8", "trap", "random-10", "robotarium-10"])
+    def test_whole_episodes(self, exported, policy, name):
+        scenario = rv.scenarios.get(name)
+        if policy.startswith("tangent") and not scenario.obstacles:
+            policy = "learned"
+        file = standalone.load(exported(policy, name))
+        for seed in (1, 2):
+            robots = [RobotPolicy(scenario, policy) for _ in range(scenario.n_robots)]
+            others = [file.RobotPolicy() for _ in range(scenario.n_robots)]
+            assert act_along(robots, others, scenario, policy, seed, 10_000) < 1e-5
+
+    def test_reset_begins_anew_and_bad_measurements_are_named(self, exported):
+        file = standalone.load(exported("learned-tank"))
+        robot, seen = file.RobotPolicy(), [[1.0, 0.0], [0.0, 1.0]]
+        first = robot.act(seen)
+        robot.act(seen, dt=0.3)
+        robot.reset()
+        np.testing.assert_array_equal(robot.act(seen), first)
+        with pytest.raises(ValueError, match=r"bearings\[0\] is \[2\.0, 0\.0\]; .* a unit vector"):
+            robot.act([[2.0, 0.0]])
+
+    def test_a_difference_is_refused(self, monkeypatch, tmp_path, capsys):
+        written = standalone._learned
+
+        def wrong(weights, settings):
+            bias = weights["action_net.bias"] + 50.0 * np.arange(len(settings.angles))
+            return written({**weights, "action_net.bias": bias}, settings)
+
+        monkeypatch.setattr(standalone, "_learned", wrong)
+        path = tmp_path / "robot.py"
+        assert cli.main(["export", "--standalone", str(path), "--checks", "60"]) == 2
+        assert "the file differs from the policy by" in capsys.readouterr().err
+        assert not list(tmp_path.iterdir())
+
+
+ALONE = """
+import json, sys
+sys.path.append(sys.argv[1])
+for name in ("numba", "scipy", "rendezvous_env", "gymnasium"):
+    try:
+        __import__(name)
+    except ImportError:
+        continue
+    raise SystemExit(name + " is there")
+sys.path.append(sys.argv[2])
+import robot
+one = robot.RobotPolicy()
+acted = [one.act(*seen, dt=dt, weights=weights).tolist()
+         for *seen, dt, weights in json.loads(sys.argv[3])]
+print(json.dumps(acted))
+"""
+
+
+def test_it_runs_where_numpy_is_all_there_is(exported, tmp_path):
+    """An isolated interpreter without site-packages, and a folder with nothing but NumPy."""
+    library, here = Path(np.__file__).parents[1], tmp_path / "library"
+    here.mkdir()
+    for name in ("numpy", "numpy.libs"):
+        if (library / name).exists():
+            (here / name).symlink_to(library / name)
+    (tmp_path / "robot.py").write_bytes(exported("learned-tank").read_bytes())
+    ticks = [
+        [np.asarray(part).tolist() for part in tick] for tick in standalone.drawn_ticks(CLUTTER, 40)
+    ]
+    words = [sys.executable, "-I", "-S", "-B", "-c", ALONE]
+    words += [str(here), str(tmp_path), json.dumps(ticks)]
+    done = subprocess.run(words, capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 0, done.stderr
+    own = RobotPolicy(CLUTTER, "learned-tank")
+    wanted = [own.act(*tick[:3], weights=tick[3]) for tick in ticks]
+    np.testing.assert_allclose(json.loads(done.stdout), wanted, atol=1e-5)
+    assert np.abs(wanted).max() > 0.3
+
+
+@pytest.mark.parametrize("policy", POLICIES)
+def test_it_imports_nothing_but_numpy(exported, policy):
+    tree = ast.parse(exported(policy).read_text(encoding="utf-8"))
+    found = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            found |= {alias.name.partition(".")[0] for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            found.add(node.module.partition(".")[0])
+    assert found - sys.stdlib_module_names == {"numpy"}
+
+
+def test_a_tick_takes_less_than_a_millisecond(exported):
+    robot, times = standalone.load(exported("learned-tank")).RobotPolicy(), []
+    for bearings, obstacles, dt, weights in standalone.drawn_ticks(CLUTTER, 400):
+        began = time.perf_counter()
+        robot.act(bearings, obstacles, dt, weights=weights)
+        times.append(time.perf_counter() - began)
+    assert np.median(times) < 1e-3
+
+
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
+def test_a_changed_file_drives_no_robot(exported, tmp_path, seed):
+    """Any byte: of weights, equations, words, and of the line that looks for changes."""
+    content, path = exported("learned-tank").read_bytes(), tmp_path / "robot.py"
+    random, last = np.random.default_rng(seed), content.rstrip(b"\n").rfind(b"\n") + 1
+    places = [*random.integers(0, len(content), 6 + 30 * seed), last, len(content) - 2]
+    places += random.integers(last, len(content), 2 + 30 * seed).tolist()
+    for place in places:
+        damaged = bytearray(content)
+        damaged[place] ^= 1 << int(random.integers(8)) if place != last else 0x6A  # "#"
+        path.write_bytes(damaged)
+        with pytest.raises(Exception, match=r"."):
+            standalone.load(path).RobotPolicy()
+    place = content.index(b"WEIGHTS = ") + 5000
+    path.write_bytes(content[:place] + b"B" + content[place + 1 :])
+    assert content[place : place + 1] != b"B"
+    with pytest.raises(ValueError, match=r"robot\.py: its content was changed: the digest"):
+        standalone.load(path)
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--standalone", "robot.txt"], "--standalone robot.txt: unknown ending; it must be .py"),
+        (["--standalone", "x.py", "--checks", "0"], "--checks is 0; it must be from 1"),
+        (
+            ["--standalone", "x.py", "--policy", "tank-joined"],
+            "is one of the rules under an energy",
+        ),
+        (["--standalone", "x.py", "--policy", "learnt"], "did you mean 'learned'?"),
+        (["--standalone", "x.py", "--scenario", "cluter-8"], "did you mean 'clutter-8'?"),
+        (["--standalone", "x.py", "--scenario", "cloud-8"], "3-D; a RobotPolicy steers"),
+    ],
+)
+def test_what_cannot_be_written_is_said_in_a_line(words, message, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(["export", *words]) == 2
+    assert message in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
+class TestBundle:
+    def test_words_that_two_modules_use_are_told_apart(self):
+        roots = [
+            Name("rendezvous_env.safety.heading", "_turn"),
+            Name("baselines.learned.wall_memory", "_turn"),
+        ]
+        place: dict = {}
+        future = "from __future__ import annotations\n"
+        exec(future + Bundle(roots, standalone._STAND_INS).text(), place)
+        ahead, left = np.array([1.0, 0.0]), np.array([0.0, 1.0])
+        turns = [
+            place[name] for name in ("_turn", "wall_memory_turn", "heading_turn") if name in place
+        ]
+        assert len(turns) == 2 and "certified" not in place
+        by_vectors = place.get("wall_memory_turn", place["_turn"])
+        assert by_vectors(ahead, left) == pytest.approx(np.pi / 2)
+
+    def test_what_uses_a_module_as_such_is_refused(self):
+        with pytest.raises(ValueError, match=r"resolve_scenario uses the module rendezvous"):
+            Bundle([Name("train.policies", "resolve_scenario")], {}).text()

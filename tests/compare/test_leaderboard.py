@@ -1,0 +1,215 @@
+"""Algorithms × fields × seeds: statistics by hand, cells that repeat, the filter's promise."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from conftest import ROOT
+
+import rendezvous_env as rv
+from rendezvous_env import scenarios
+from train import cli
+from train.checks import UserError
+from train.compare import statistics
+from train.leaderboard import command, registry, settings, tables
+from train.leaderboard.algorithms.ppo_cbf import Barrier, kept_out
+from train.leaderboard.playing import Player, play
+from train.leaderboard.teams import COSTS, teams_to_learn_in
+
+SMALL = settings.Config(
+    algorithms=("bearing-only", "ppo-heading"), fields=("clutter-8",), seeds=(0, 1), decisions=64,
+    starts=8, jobs=1,
+)  # fmt: skip
+
+
+class TestStatistics:
+    def test_an_interquartile_mean_leaves_a_quarter_out_at_each_end(self):
+        scores = np.array([[0.0, 0.5], [0.6, 100.0]])
+        assert statistics.interquartile_mean(scores) == pytest.approx(0.55)
+
+    def test_an_interval_is_drawn_field_by_field(self):
+        # fields that differ and seeds that do not: a draw across fields would spread
+        alike = np.array([[0.0, 1.0], [0.0, 1.0]])
+        mean = lambda scores: float(scores.mean())  # noqa: E731
+        assert statistics.stratified_interval((alike,), mean) == (0.5, 0.5)
+        apart = np.array([[0.0, 0.0], [1.0, 1.0]])
+        assert statistics.stratified_interval((apart,), mean) == (0.0, 1.0)
+        assert np.isnan(statistics.stratified_interval((apart[:1],), mean)).all()
+
+    def test_the_chance_of_improvement_counts_pairs(self):
+        own, other = np.array([[1.0, 0.0], [2.0, 0.0]]), np.array([[1.0, 5.0], [0.0, 5.0]])
+        # field 0: 1 of (1,1) ½, (1,0) 1, (2,1) 1, (2,0) 1; field 1: none
+        assert statistics.probability_of_improvement(own, other) == (3.5 / 4 + 0.0) / 2
+        assert statistics.probability_of_improvement(own, own) == pytest.approx(0.5, abs=0.01)
+
+    def test_a_profile_is_the_share_of_runs_that_reach_a_level(self):
+        scores, levels = np.array([[0.2, 0.4], [0.6, 0.8]]), np.array([0.0, 0.5, 0.8, 0.9])
+        np.testing.assert_array_equal(
+            statistics.performance_profile(scores, levels), [1.0, 0.5, 0.25, 0.0]
+        )
+
+
+class TestBarrier:
+    def test_nobody_is_sent_more_than_half_way_to_a_disc(self):
+        random = np.random.default_rng(0)
+        u = random.normal(size=(500, 2))
+        turned = random.uniform(0, 2 * np.pi, (500, 3))
+        away = np.stack((np.cos(turned), np.sin(turned)), axis=-1)
+        least = -random.uniform(0.0, 1.0, (500, 3))
+        v = kept_out(u, away, least)
+        assert ((away * v[:, None]).sum(axis=-1) >= least - 1e-12).all()
+        assert (np.linalg.norm(v, axis=-1) <= np.linalg.norm(u, axis=-1) + 1e-12).all()
+
+    def test_one_constraint_is_the_projection(self):
+        v = kept_out(np.array([[1.0, -2.0]]), np.array([[[0.0, 1.0]]]), np.array([[-0.5]]))
+        np.testing.assert_allclose(v, [[1.0, -0.5]])
+
+    def test_robots_that_want_into_a_disc_do_not_touch_it(self):
+        field = rv.scenarios.get("clutter-16").replace(costs=("contact",), time_limit=20.0)
+        paid = []
+        for wrap in (lambda teams: teams, Barrier):
+            teams = wrap(rv.make_vec(field, 16, autoreset_mode="disabled", n_robots=2))
+            teams.reset(seed=0)
+            random = np.random.default_rng(1)
+            wanted = random.uniform(-1, 1, teams.action_space.shape).astype(np.float32)
+            paid.append(sum(teams.step(wanted)[4]["cost"].sum() for _ in range(150)))
+        assert paid[0] > 20 and paid[1] == 0
+
+
+def test_without_safety_every_wish_is_carried_out_and_with_it_v_never_rises():
+    field, risen = scenarios.get("clutter-16"), {}
+    for safety in ("none", "heading"):
+        teams = teams_to_learn_in(field, 6, safety=safety, anew=False)
+        # the choice farthest aside of f
+        act = lambda seen, time, n=teams.single_action_space.nvec[0] - 1: np.full(seen.shape[:2], n)  # noqa: E731
+        found = play(Player(teams, act))
+        risen[safety] = sum(found["risen"])
+        assert sum(found["steps"]) > 1000 and len(found["clean"]) == 6
+    assert risen["heading"] == 0 and risen["none"] > 1000
+
+
+@pytest.fixture(scope="module")
+def board(tmp_path_factory):
+    pytest.importorskip("stable_baselines3")
+    out = tmp_path_factory.mktemp("board") / "out"
+    assert command.run(replace(SMALL, out=out)) == 0
+    return out
+
+
+def test_a_board_has_a_card_for_each_cell_and_its_tables(board):
+    cards = command.read_cards(board)
+    assert [(card["algorithm"], card["seed"]) for card in cards] == [
+        ("bearing-only", 0), ("ppo-heading", 0), ("ppo-heading", 1),
+    ]  # fmt: skip
+    for card in cards:
+        assert card["field"] == "rendezvous/clutter-8-v1" and len(card["results"]["clean"]) == 8
+        assert card["digest"] == scenarios.digests()["clutter-8-v1"] and "numpy" in card["versions"]
+    assert cards[0]["decisions"] == 0 and cards[1]["decisions"] == 64
+    assert cards[1]["results"] != cards[2]["results"]
+    rows = {row["algorithm"]: row for row in command.results.read_csv(board / "leaderboard.csv")}
+    law = cards[0]["results"]
+    assert float(rows["bearing-only"]["clean"]) == np.mean(law["clean"])
+    assert float(rows["bearing-only"]["touches"]) == pytest.approx(
+        1000 * sum(law["touches"]) / sum(law["steps"])
+    )
+    assert rows["ppo-heading"]["risen"] == "0.0" and rows["bearing-only"]["clean_low"] == ""
+    assert {path.name for path in board.iterdir()} == {
+        "cells", "leaderboard.csv", "improvement.csv", "price.png", "profiles.png", "README.md",
+    }  # fmt: skip
+    assert not board.with_name("out.part").exists()
+
+
+def test_the_law_is_played_as_compare_plays_it(board):
+    """The same starts and policy give the same times, by another loop."""
+    from train.compare.evaluation import play as play_compared
+    from train.learn.settings import EVALUATION_SEEDS
+    from train.policies import make
+
+    scenario = scenarios.get("clutter-8")
+    played, _ = play_compared(
+        scenario, lambda: make("bearing-only", scenario), margin=1.0, episodes=8,
+        seed=EVALUATION_SEEDS,
+    )  # fmt: skip
+    law = command.read_cards(board)[0]["results"]
+    assert law["success"] == played.success.astype(int).tolist()
+    assert law["clean"] == played.clean.astype(int).tolist()
+    np.testing.assert_allclose(law["time"], played.time, atol=1e-6)
+    assert law["touches"] == played.contacts.tolist()
+
+
+def test_a_card_is_repeated_bit_by_bit_or_said_to_differ(board, capsys):
+    card = board / "cells" / "ppo-heading" / "clutter-8-v1-seed-1.json"
+    assert command.run(replace(SMALL, repeat=card)) == 0
+    changed = json.loads(card.read_text())
+    changed["results"]["time"][0] += 1.0
+    other = board.with_name("other.json")
+    other.write_text(json.dumps(changed))
+    assert command.run(replace(SMALL, repeat=other)) == 1
+    assert "results differ" in capsys.readouterr().err
+    other.write_text("{}")
+    with pytest.raises(UserError, match="no results card"):
+        command.run(replace(SMALL, repeat=other))
+
+
+def test_what_is_done_is_not_done_again(board, tmp_path, monkeypatch):
+    done = []
+    monkeypatch.setattr(command, "card_of", lambda place: done.append(place) or {"place": place})
+    monkeypatch.setattr(command, "write", lambda out, cards, console: 1 / 0)
+    config = replace(SMALL, out=tmp_path / "out")
+    for _ in range(2):
+        with pytest.raises(ZeroDivisionError):
+            command.run(config)
+    assert len(done) == 3
+
+
+def test_what_is_refused(monkeypatch):
+    for changes, said in (
+        ({"algorithms": ("ppo-hedding",)}, "algorithm 'ppo-hedding' is unknown; known are"),
+        ({"fields": ("clutter-8-v2",)}, "of another version"),
+        ({"fields": ("uav-6",), "algorithms": ("ppo-tank",)}, "none of these algorithms fits"),
+        ({"seeds": (1, 1)}, "named twice"),
+        ({"starts": 0}, "--starts is 0"),
+    ):
+        with pytest.raises(UserError, match=said):
+            settings.plan(replace(SMALL, **changes))
+    barred = replace(SMALL, algorithms=("ppo-cbf",), fields=("clutter-8", "rooms"), seeds=())
+    assert {place.field for place in settings.plan(barred)} == {"clutter-8-v1"}  # discs alone
+
+
+def test_every_file_is_an_algorithm_that_says_what_it_is():
+    assert {
+        "ppo-none",
+        "ppo-penalty",
+        "ppo-lagrangian",
+        "ppo-cbf",
+        "ppo-heading",
+        "ppo-tank",
+    } <= set(registry.known())
+    for one in registry.known().values():
+        assert one.guarantee in ("none", "heading", "tank") and one.about and one.given
+    assert registry.known()["ppo-cbf"].given != "bearings"
+    assert "leaderboard" in cli.COMMANDS and set(COSTS) >= {"contact", "rise"}
+    assert tables.COLUMNS.keys() >= {"guarantee", "clean", "touches", "risen"}
+
+
+def test_the_results_in_the_repository_are_of_these_fields_and_give_these_tables(tmp_path):
+    out = ROOT / "results" / "leaderboard" / "smoke"
+    cards = command.read_cards(out)
+    asked = settings.plan(settings.Config(tier="smoke"))
+    done = {(c["algorithm"], c["field"].partition("/")[2], c["seed"]) for c in cards}
+    assert {(place.algorithm, place.field, place.seed) for place in asked} == done
+    assert {c["digest"] for c in cards} == {
+        scenarios.digests()[name] for name in ("clutter-8-v1", "clutter-16-v1")
+    }
+    rows = tables.rows_of(cards)
+    command.results.write_csv(tmp_path / "rows.csv", tuple(tables.COLUMNS), rows)
+    kept = command.results.read_csv(out / "leaderboard.csv")
+    for one, other in zip(command.results.read_csv(tmp_path / "rows.csv"), kept, strict=True):
+        assert one["algorithm"] == other["algorithm"]
+        assert float(one["clean"]) == pytest.approx(float(other["clean"]))
+    page = (ROOT / "docs" / "leaderboard.md").read_text(encoding="utf-8")
+    table = [line for line in tables.markdown(rows, cards).splitlines() if line.startswith("|")]
+    assert all(line in page for line in table)
+    certified = [c["results"]["risen"] for c in cards if c["guarantee"] == "heading"]
+    assert sum(map(sum, certified)) == 0

@@ -1,0 +1,168 @@
+"""Robots with bodies: they stop where they would touch, and have met in one packed cluster."""
+
+import itertools
+
+import numpy as np
+import pytest
+
+import baselines
+import rendezvous_env as rv
+from rendezvous_env.engine.memory import RENDEZVOUS, RUNNING
+from rendezvous_env.physics.packing import is_packed, move_apart
+
+FOUR = rv.scenarios.get("robotarium-4")
+
+
+def distances(positions):
+    pairs = np.triu_indices(positions.shape[-2], 1)
+    return np.linalg.norm(positions[..., pairs[0], :] - positions[..., pairs[1], :], axis=-1)
+
+
+def packed(places, radius=1.05):
+    places = np.array(places, float)
+    work = np.zeros(len(places), np.int64), np.zeros(len(places), np.bool_)
+    return is_packed(places, radius, work)
+
+
+class TestMoving:
+    def test_two_that_meet_each_take_half_of_the_gap(self):
+        places, ways = np.array([[0.0, 0.0], [1.0, 0.0]]), np.array([[0.5, 0.1], [-0.5, 0.2]])
+        lengths = np.linalg.norm(ways, axis=1)
+        move_apart(places, ways, lengths, 0.6, (np.zeros((2, 2)), np.zeros(1)))
+        np.testing.assert_allclose(ways, [[0.2, 0.1], [-0.2, 0.2]], atol=1e-8)
+        np.testing.assert_allclose(places, [[0.2, 0.1], [0.8, 0.2]], atol=1e-8)
+        np.testing.assert_allclose(lengths, np.hypot([0.2, 0.2], [0.1, 0.2]), atol=1e-8)
+
+    def test_whoever_is_far_goes_as_it_likes(self):
+        places, ways = np.array([[0.0, 0.0], [1.0, 0.0]]), np.array([[0.1, 0.3], [-0.1, 0.0]])
+        before, wanted = places.copy(), ways.copy()
+        move_apart(places, ways, np.zeros(2), 0.6, (np.zeros((2, 2)), np.zeros(1)))
+        np.testing.assert_array_equal(places, before + wanted)
+
+    @pytest.mark.parametrize("n", [2, 5, 20])
+    def test_no_two_overlap_whatever_they_want(self, n):
+        """Not on the way either: the least distance of two straight ways in one step."""
+        random, size = np.random.default_rng(n), 0.3
+        places = 0.35 * np.array(list(itertools.product(range(5), range(4))), float)[:n]
+        for _ in range(200):
+            before, ways = places.copy(), random.normal(0.0, 0.2, (n, 2)) - 0.1 * places
+            move_apart(places, ways, np.zeros(n), size, (np.zeros((n, 2)), np.zeros(n)))
+            for share in (0.25, 0.5, 0.75, 1.0):
+                assert distances(before + share * ways).min() >= size * (1.0 - 1e-12)
+
+
+@pytest.mark.parametrize(
+    ("places", "is_so"),
+    [
+        ([(0, 0), (1, 0)], True),
+        ([(0, 0), (1.2, 0)], False),
+        ([(0, 0), (1, 0), (2, 0)], False),  # the ends touch a single one
+        ([(0, 0), (1, 0), (0.5, 0.87)], True),
+        ([(0, 0), (1, 0), (0, 1), (1, 1)], True),
+        ([(0, 0), (1, 0), (0.5, 0.87), (9, 0), (10, 0), (9.5, 0.87)], False),  # two clusters
+    ],
+)
+def test_what_is_packed(places, is_so):
+    assert packed(places) is is_so
+
+
+class TestEpisodes:
+    @pytest.mark.parametrize("n", [4, 10])
+    def test_all_meet_and_none_merges_or_overlaps(self, n):
+        scenario = rv.scenarios.get(f"robotarium-{n}")
+        simulator, law = (
+            rv.Simulator(scenario, num_envs=40),
+            baselines.make("bearing-only", scenario),
+        )
+        observations = simulator.reset(0)
+        assert distances(simulator.positions).min() > scenario.merge_radius
+        while (simulator.status == RUNNING).any():
+            before = simulator.positions.copy()
+            output = simulator.step(law(observations, 0.0))
+            observations = output.observations
+            assert distances(simulator.positions).min() >= 0.15 - 1e-9
+            moved = np.linalg.norm(simulator.positions - before, axis=-1)
+            assert moved.max() <= 0.2 * 0.033 + 1e-9
+        assert (simulator.status == RENDEZVOUS).all() and output.active.all()
+        apart = distances(simulator.positions)
+        assert apart.min() <= scenario.merge_radius
+        assert apart.max() < {4: 0.31, 10: 0.9}[n]
+
+    def test_a_batch_is_its_teams(self):
+        simulator, law = rv.Simulator(FOUR, num_envs=35), baselines.make("bearing-only", FOUR)
+        singles = [rv.Simulator(FOUR) for _ in range(3)]
+        seen = simulator.reset(list(range(35)))
+        each = [single.reset(k) for k, single in enumerate(singles)]
+        for _ in range(250):
+            seen = simulator.step(law(seen, 0.0)).observations
+            each = [s.step(law(o, 0.0)).observations for s, o in zip(singles, each, strict=True)]
+        for k, single in enumerate(singles):
+            np.testing.assert_array_equal(simulator.positions[k], single.positions[0])
+
+    def test_a_running_episode_is_taken_out_and_put_back(self):
+        simulator, law = rv.Simulator(FOUR), baselines.make("bearing-only", FOUR)
+        seen = simulator.reset(1)
+        while simulator.status[0] == RUNNING:
+            seen = simulator.step(law(seen, 0.0)).observations
+        other = rv.Simulator(FOUR)
+        other.reset(2)
+        other.set_state(simulator.get_state())
+        assert other.status[0] == RENDEZVOUS
+
+    def test_bodies_hide_one_another(self):
+        """In a row of three the outer two do not see each other past a body of 0.1 m."""
+        row = ((-1.0, 0.05), (0.0, 0.0), (1.0, 0.05))
+        scenario = rv.Scenario(
+            n_robots=3, start_positions=row, merge_radius=0.2, local_frames="global",
+            sensing=rv.Sensing(occlusion="robots"),
+        )  # fmt: skip
+        for radius, hidden in ((0.1, True), (0.04, False)):
+            seen = rv.Simulator(scenario.replace(body_radius=radius)).reset(0)
+            assert (not seen[0, 0, 1].any()) == hidden
+
+
+class TestScenario:
+    @pytest.mark.parametrize(
+        ("fields", "message"),
+        [
+            ({"body_radius": 0.2}, r"body_radius is 0\.2; it must be at most half the merge_rad"),
+            ({"body_radius": -1.0}, "body_radius is -1.0; it must be a positive"),
+            ({"meeting": "pack"}, "body_radius is None; it must be given with meeting='pack'"),
+            ({"meeting": "park", "body_radius": 0.1}, "meeting is 'park'; it must be one of"),
+            ({"body_radius": 0.1, "graph": "cycle"}, "graph must be complete with a body_radius"),
+            ({"body_radius": 0.1, "meeting": "pack", "dim": 3}, "robots in 3-D: bodies pack as"),
+            (
+                {"body_radius": 0.1, "meeting": "pack", "robot_model": "unicycle"},
+                "meeting is 'pack'; it must be 'merge' for unicycle robots in 2-D: bodies",
+            ),
+            (
+                {"body_radius": 0.1, "meeting": "pack", "obstacles": (rv.Disc((9.0, 9.0), 1.0),)},
+                "among obstacles: bodies pack",
+            ),
+            (
+                {"body_radius": 0.1, "start_positions": [(i / 10, 0.0) for i in range(5)]},
+                r"robot_\d and robot_\d stand 0\.1 m apart; it must be at least 0\.2 m",
+            ),
+        ],
+    )
+    def test_what_cannot_be_is_named(self, fields, message):
+        with pytest.raises(ValueError, match=message):
+            rv.Scenario(**fields)
+
+    def test_a_file_keeps_it(self, tmp_path):
+        FOUR.to_toml(tmp_path / "four.toml")
+        assert rv.Scenario.from_toml(tmp_path / "four.toml").replace(name=FOUR.name) == FOUR
+
+    @pytest.mark.parametrize(
+        "asked", [{"by": "law"}, {"min_alignment": 0.1}, {"by": "tank"}, {"by": "gains"}]
+    )
+    def test_nothing_is_promised_of_bodies_that_pack(self, asked):
+        found = rv.certificate(FOUR, **asked)
+        assert not found.guaranteed and not found.promises
+        assert "none merges; bodies do not overlap" in found.theorem
+
+    def test_bodies_that_dock_lose_no_promise(self):
+        docking = rv.Scenario(n_robots=4, body_radius=0.1)
+        points = rv.certificate(rv.Scenario(n_robots=4))
+        assert rv.certificate(docking).time_bound == points.time_bound
+        assert rv.certificate(docking).guaranteed

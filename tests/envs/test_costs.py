@@ -1,0 +1,173 @@
+"""Costs beside rewards: known numbers, and the same ones in every face."""
+
+import pickle
+
+import numpy as np
+import pytest
+
+import baselines
+import rendezvous_env as rv
+from rendezvous_env import graphs
+from rendezvous_env.envs.gymnasium_env import make_env
+from rendezvous_env.rewards.costs import COSTS
+from rendezvous_env.vector import EnergyTankWrapper, HeadingVectorWrapper, training_env
+
+ALL = tuple(COSTS)
+APART = np.array([[[-1.0, 0.0], [1.0, 0.0]]], np.float32)
+"""Away from each other, at 1 m/s."""
+
+
+def pair(**fields):
+    """Two robots, 2 m apart, whose frames are the world's."""
+    starts = ((-1.0, 0.0), (1.0, 0.0))
+    given = {"n_robots": 2, "start_positions": starts, "local_frames": "global", "time_step": 0.05}
+    return rv.Scenario(**{**given, "max_speed": 1.0, "costs": ALL, **fields})
+
+
+def test_v_that_rises_costs_its_share_of_v_at_the_start():
+    env = rv.make_vec(pair(), 1)
+    _, infos = env.reset(seed=0)
+    assert not infos["cost"].any()
+    for _ in range(3):  # ΔV = 2 a · 2 v τ of V₀ = 2 a · 2 m
+        infos = env.step(APART)[4]
+        np.testing.assert_allclose(infos["cost_rise"], [[0.05, 0.05]], rtol=1e-9)
+        np.testing.assert_array_equal(infos["cost"], infos["cost_rise"])
+    assert not env.step(-APART)[4]["cost"].any()
+
+
+def test_a_touch_costs_the_robot_one():
+    wall = rv.Disc((-2.0, 0.0), 0.92)  # 8 cm behind robot 0
+    env = rv.make_vec(pair(obstacles=wall, costs=("contact",)), 1)
+    env.reset(seed=0)
+    told = [env.step(APART)[4] for _ in range(3)]
+    np.testing.assert_array_equal([one["cost"][0] for one in told], [[0, 0], [1, 0], [1, 0]])
+    np.testing.assert_array_equal([one["cost"] for one in told], [one["contact"] for one in told])
+
+
+def test_a_link_that_is_left_behind_costs_both_its_ends():
+    sight = {"graph": graphs.proximity(), "sensing": rv.Sensing(range=2.15)}
+    env = rv.make_vec(pair(**sight, require_connected=False, costs="link_lost"), 1)
+    env.reset(seed=0)
+    lost = [env.step(APART)[4]["cost"][0].tolist() for _ in range(4)]
+    assert lost == [[0, 0], [1, 1], [0, 0], [0, 0]]  # at 2.2 m
+    env.reset(seed=0)
+    met = [env.step(-APART) for _ in range(18)]  # a merge is no loss
+    assert met[-1][2].all() and not any(one[4]["cost"].any() for one in met)
+
+
+def test_every_face_tells_the_same():
+    """The parallel and the AEC form, one agent, and a team among others in a vector environment."""
+    scenario = rv.scenarios.get("fig4").replace(costs=ALL, on_merge="follow")
+    law, random = baselines.make("bearing-only", scenario), np.random.default_rng(0)
+    teams = rv.make_vec(scenario, 3, autoreset_mode="disabled")
+    one, parallel, aec = (
+        make_env(scenario),
+        rv.parallel_env(scenario),
+        rv.rendezvous_v0.env(scenario),
+    )
+    teams.reset(seed=6), one.reset(seed=7), parallel.reset(seed=7), aec.reset(seed=7)
+    paid = dict.fromkeys(ALL, 0.0)
+    for _ in range(60):  # law (1), which touches the obstacles there, and some steps astray
+        action = law(teams.simulator.observe(), 0.0)[1] + random.normal(size=(3, 2))
+        action = action.astype(np.float32)
+        if not parallel.agents:
+            break
+        infos = teams.step(np.stack([action] * 3))[4]
+        single = one.step(action)[4]
+        named = parallel.step(dict(zip(parallel.agents, action, strict=True)))[4]
+        for row in action:
+            aec.step(row)
+        for key in ("cost", *(f"cost_{name}" for name in ALL)):
+            own = infos[key][1]
+            np.testing.assert_array_equal(single[key], own)
+            assert [info[key] for info in named.values()] == own.tolist()
+            assert [aec.infos[name][key] for name in aec.agents] == own.tolist()
+        paid = {name: paid[name] + infos[f"cost_{name}"].sum() for name in ALL}
+        np.testing.assert_allclose(sum(infos[f"cost_{name}"] for name in ALL), infos["cost"])
+    assert paid["contact"] > 10 and paid["rise"] > 0.1 and paid["link_lost"] == 0
+
+
+@pytest.mark.parametrize("wrapper", [HeadingVectorWrapper, EnergyTankWrapper])
+def test_a_decision_costs_what_its_base_steps_cost(wrapper):
+    """In arrays and by name, where teams begin anew on the way and where they do not."""
+    scenario = rv.scenarios.get("clutter-16").replace(costs=ALL, on_merge="follow", time_limit=15)
+    arguments = {"decision_period": 7, "frame": "local", "min_alignment": 0.1}
+    held = wrapper(rv.make_vec(scenario, 1, autoreset_mode="same_step"), **arguments)
+    single = {**arguments, "decision_period": 1}
+    alone = wrapper(rv.make_vec(scenario, 1, autoreset_mode="disabled"), **single)
+    named = getattr(rv, wrapper.__name__)(rv.parallel_env(scenario), **arguments)
+    held.reset(seed=3), alone.reset(seed=3), named.reset(seed=3)
+    random, paid = np.random.default_rng(0), 0.0
+    for _ in range(30):
+        action = random.uniform(-1, 1, (1, 4, 2)).astype(np.float32)
+        *_, told = held.step(action)
+        steps = [alone.step(action)[4]["cost"] for _ in range(7)]
+        by_name = named.step(dict(zip(named.agents, action[0], strict=True)))[4]
+        np.testing.assert_allclose(told["cost"], sum(steps), atol=1e-15)
+        np.testing.assert_allclose([info["cost"] for info in by_name.values()], told["cost"][0])
+        paid += told["cost"].sum()
+    assert paid > 0
+
+
+def test_the_ends_of_episodes_keep_their_costs():
+    teams = training_env("clutter-16", 8, guarantee=None, costs=ALL, time_limit=0.5)
+    teams.reset(seed=0)
+    for _ in range(10):
+        infos = teams.step(np.ones(teams.action_space.shape, np.float32))[4]
+    np.testing.assert_array_equal(infos["final_info"]["cost"], infos["cost"])
+    one = rv.training_env("clutter-16", costs=ALL)
+    one.reset(seed=0)
+    told = one.step({name: np.zeros(2, np.float32) for name in one.agents})[4]
+    assert all({"cost", *(f"cost_{name}" for name in ALL)} <= set(info) for info in told.values())
+
+
+def test_teams_that_rest_and_robots_that_are_gone_pay_nothing():
+    rv.reward_term("always", lambda step: np.ones(step.contact.shape))
+    env = rv.make_vec(pair(costs="always"), 1)  # the next step after the end begins anew
+    env.reset(seed=0)
+    told = [env.step(-APART)[4]["cost"][0].tolist() for _ in range(19)]
+    assert told == [[1, 1]] * 18 + [[0, 0]]
+    many = rv.make_vec("clutter-8", 16, costs="always", autoreset_mode="disabled", n_robots=3)
+    many.reset(seed=0)
+    law = baselines.make("bearing-only", many.scenario)
+    for _ in range(200):
+        running, active = ~many.simulator.ended, many.simulator.active
+        infos = many.step(law(many.simulator.observe(), 0.0))[4]
+        np.testing.assert_array_equal(infos["cost"], running[:, None] & active)
+    assert not active.all()
+
+
+def test_without_names_there_are_no_keys_and_the_same_numbers():
+    bare, told = (rv.make_vec("clutter-8", 4, costs=names) for names in ((), ALL))
+    bare.reset(seed=0), told.reset(seed=0)
+    action = np.full(bare.action_space.shape, 0.5, np.float32)
+    for _ in range(50):
+        (*first, infos), (*second, more) = bare.step(action), told.step(action)
+        for one, other in zip(first, second, strict=True):
+            np.testing.assert_array_equal(one, other)
+    assert not any("cost" in key for key in infos)
+    assert {key.lstrip("_") for key in set(more) - set(infos)} == {
+        "cost",
+        *(f"cost_{name}" for name in ALL),
+    }
+
+
+def test_costs_are_part_of_the_scenario(tmp_path):
+    scenario = pair(costs=["contact", "rise"])
+    scenario.to_toml(tmp_path / "pair.toml")
+    assert rv.Scenario.from_toml(tmp_path / "pair.toml") == scenario
+    assert scenario.costs == ("contact", "rise") and "costs" not in pair(costs=()).to_plain()
+    env = pickle.loads(pickle.dumps(rv.make_vec(scenario, 1)))
+    assert set(env.simulator.costs) == {"cost", "cost_contact", "cost_rise"}
+    for wrong, said in (
+        ("contacts", "did you mean 'contact'"),
+        (7, "costs is 7; it must be names"),
+        (("rise", "rise"), "each name once"),
+    ):
+        with pytest.raises(ValueError, match=said):
+            pair(costs=wrong)
+    rv.reward_term("crooked", lambda step: np.ones(3))
+    env = rv.make_vec(pair(costs="crooked"), 1)
+    env.reset(seed=0)
+    with pytest.raises(ValueError, match=r"cost 'crooked' has shape \(3,\); it must be \(1,\)"):
+        env.step(APART)

@@ -1,0 +1,117 @@
+"""An update is that of stable-baselines3, however it is shared out."""
+
+import copy
+
+import numpy as np
+import pytest
+import torch
+from gymnasium.vector import AutoresetMode
+from stable_baselines3 import PPO
+from stable_baselines3.common.type_aliases import RolloutBufferSamples
+
+import rendezvous_env as rv
+from baselines.learned.training_environment import FeatureVectorEnv
+from rendezvous_env.adapters.sb3 import RobotVecEnv
+from train.learn.recurrent import learner_of, network_of, network_settings
+from train.learn.rollout_buffer import Rule, slopes_of
+from train.learn.settings import Config
+
+TEAMS, STEPS = 16, 40
+
+
+@pytest.fixture
+def threads():
+    before = torch.get_num_threads()
+    yield torch.set_num_threads
+    torch.set_num_threads(before)
+
+
+def collected(memory, batch_size=10**6):
+    """A model after it has filled its buffer, before it learns from that."""
+    config = Config(
+        guarantee="tank", budget=2.0, memory=memory, critic="global", set_width=8, hidden=(16,)
+    )
+    scenario = rv.scenarios.get("clutter-12").replace(time_limit=3.0)
+    venv = rv.make_vec(scenario, TEAMS, autoreset_mode=AutoresetMode.SAME_STEP)
+    robots = RobotVecEnv(FeatureVectorEnv(venv, config.policy_settings()))
+    model = learner_of(config)(
+        network_of(config, robots.teams),
+        robots,
+        n_steps=STEPS,
+        batch_size=batch_size,
+        n_epochs=3,
+        ent_coef=0.01,
+        learning_rate=3e-3,
+        clip_range=0.02,
+        seed=5,
+        policy_kwargs=network_settings(config, robots.teams),
+    )
+    _, callback = model._setup_learn(STEPS * model.n_envs)
+    model.collect_rollouts(model.env, callback, model.rollout_buffer, STEPS)
+    assert not model.rollout_buffer.mask.all()
+    return model
+
+
+def after(model, train):
+    """Weights and what was told of an update, done to a copy."""
+    model.rollout_buffer.part_size = 300  # several parts to a batch
+    own = copy.copy(model)
+    own.policy = copy.deepcopy(model.policy)
+    own.policy.optimizer = type(model.policy.optimizer)(own.policy.parameters(), eps=1e-5)
+    np.random.seed(0)
+    train(own)
+    told = {k: v for k, v in own.logger.name_to_value.items() if k.startswith("train/")}
+    return {k: v.detach() for k, v in own.policy.named_parameters()}, told
+
+
+@pytest.mark.parametrize("memory", ["none", "recurrent"])
+def test_it_is_that_of_stable_baselines3(memory):
+    """One batch, over which both normalise advantages; three steps down."""
+    model = collected(memory)
+    ours, told = after(model, type(model).train)
+    theirs, expected = after(model, PPO.train)
+    moved = 0.0
+    for name, weight in model.policy.named_parameters():
+        torch.testing.assert_close(ours[name], theirs[name], rtol=0, atol=1e-5)
+        moved = max(moved, float((ours[name] - weight.detach()).abs().max()))
+    assert moved > 5e-3
+    for name in ("policy_gradient_loss", "value_loss", "entropy_loss", "clip_fraction"):
+        assert told[f"train/{name}"] == pytest.approx(expected[f"train/{name}"], abs=1e-4), name
+    assert expected["train/clip_fraction"] > 0
+
+
+@pytest.mark.parametrize("memory", ["none", "recurrent"])
+def test_threads_share_it_without_a_trace(memory, threads):
+    model = collected(memory, batch_size=600)
+    found = []
+    for number in (1, 2, 3):
+        threads(number)
+        found.append(after(model, type(model).train))
+        assert torch.get_num_threads() == number
+    for weights, told in found[1:]:
+        assert told == found[0][1]
+        for name, weight in weights.items():
+            assert torch.equal(weight, found[0][0][name]), name
+
+
+def test_slopes_are_those_of_the_loss():
+    """Ratios on both sides of the clip range, advantages of both signs."""
+    torch.manual_seed(0)
+    preferences, values = torch.randn(500, 9, requires_grad=True), torch.randn(500, 1)
+    values.requires_grad_(True)
+    actions, told = torch.randint(0, 9, (500, 1)), torch.randn(3, 500)
+    log_probs = preferences.log_softmax(dim=-1)
+    of_choice = log_probs.gather(-1, actions)[:, 0]
+    old = (of_choice + 0.3 * told[0]).detach()
+    ratio, (advantages, returns) = (of_choice - old).exp(), told[1:]
+    gain = torch.min(advantages * ratio, advantages * ratio.clamp(0.8, 1.2)).sum()
+    entropy = -(log_probs.exp() * log_probs).sum()
+    error = (values[:, 0] - returns).square().sum()
+    (0.5 * error - gain - 0.01 * entropy).backward()
+    samples = RolloutBufferSamples(torch.zeros(1), actions, values, old, advantages, returns)
+    slopes, sums = slopes_of((preferences, values), samples, Rule(0.2, 0.5, 0.01))
+    torch.testing.assert_close(slopes, [preferences.grad, values.grad], atol=1e-5, rtol=1e-5)
+    clipped = int(((ratio - 1).abs() > 0.2).sum())
+    divergence = (ratio - 1 - ratio.log()).sum()
+    expected = [500.0, *(float(x.detach()) for x in (-gain, error, -entropy, divergence)), clipped]
+    assert sums == pytest.approx(expected, rel=1e-4) and 100 < clipped < 400

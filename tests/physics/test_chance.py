@@ -1,0 +1,224 @@
+"""Turns by chance: the inverse of the normal distribution, small rotations, and the words they are
+made of, on some 10⁷ numbers.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy import special, stats
+
+from rendezvous_env.compilation import kernel
+from rendezvous_env.physics.random_streams import SENSING, stream_key, word_of
+from rendezvous_env.sensors.chance import (
+    cosine_and_sine,
+    gaussian,
+    is_small,
+    step_key,
+    turned_by_chance,
+)
+
+SEED, EPISODE = 3, 1
+
+
+@kernel
+def fill_words(seed, step, out):
+    """Words of the streams of seeds from one on, (teams, counters)."""
+    for team in range(out.shape[0]):
+        key = step_key(stream_key(seed + team, EPISODE, SENSING), step)
+        for counter in range(out.shape[1]):
+            out[team, counter] = word_of(key, counter)
+
+
+@kernel
+def fill_gaussians(words, out):
+    for k in range(words.shape[0]):
+        out[k] = gaussian(words[k])
+
+
+@kernel
+def fill_rotations(angles, small, cosines, sines):
+    for k in range(angles.shape[0]):
+        cosines[k], sines[k] = cosine_and_sine(angles[k], small)
+
+
+@kernel
+def fill_turned(rows, deviation, small, words, others, out):
+    for k in range(rows.shape[0]):
+        row = rows[k, 0], rows[k, 1], rows[k, 2]
+        out[k, 0], out[k, 1], out[k, 2] = turned_by_chance(
+            row, deviation, small, words[k], others[k]
+        )
+
+
+def words_of(teams: int, counters: int, step: int = 0, seed: int = SEED) -> np.ndarray:
+    """Words of a step, (teams, counters), uint64."""
+    fill_words(seed, step, words := np.empty((teams, counters), np.uint64))
+    return words
+
+
+def gaussians(words: np.ndarray) -> np.ndarray:
+    """As many numbers as there are words of 32 bits, float64."""
+    fill_gaussians(words.reshape(-1), numbers := np.empty(words.size, np.float32))
+    return numbers.astype(np.float64).reshape(words.shape)
+
+
+def halves(words: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    return (words >> np.uint64(32)).astype(np.uint32), words.astype(np.uint32)
+
+
+def rotations(angles: np.ndarray, small: bool) -> np.ndarray:
+    """cos and sin, (2, …), float32."""
+    fill_rotations(angles, small, *(found := np.empty((2, len(angles)), np.float32)))
+    return found
+
+
+def uniformity(*numbers: np.ndarray, bins: int) -> float:
+    """p-value of a chi-square test that normal numbers fill bins of equal probability alike, those
+    of two lists together if there are two.
+    """
+    place = 0
+    for each in numbers:
+        place = place * bins + (special.ndtr(each.ravel()) * bins).astype(np.int32)
+    counts = np.bincount(place)
+    assert len(counts) == bins ** len(numbers)
+    return float(stats.chisquare(counts).pvalue)
+
+
+class TestOneNumber:
+    def test_it_is_the_inverse_of_the_distribution_function(self):
+        most = 2**31 - 1
+        magnitudes = np.concatenate(
+            [np.linspace(0, most, 10**6), np.geomspace(1, most, 10**6), [0, most]]
+        ).astype(np.int64)
+        expected = -special.ndtri((magnitudes + 0.5) * 2.0**-32)
+        found = gaussians((magnitudes << 1).astype(np.uint32))
+        assert np.abs(found - expected).max() < 2.5e-6
+        far = expected > 0.1
+        assert np.abs(found / expected - 1)[far].max() < 1e-6
+        assert np.abs(found - expected)[~far].max() < 1e-7
+        assert (gaussians((magnitudes << 1 | 1).astype(np.uint32)) == -found).all()
+        assert 6.3 < found.max() < 6.34
+
+    def test_plain_python_gives_the_same_bits(self):
+        words = words_of(1, 300).astype(np.uint32)[0]
+        plain = getattr(gaussian, "py_func", gaussian)
+        numbers = [plain(word) for word in words[:100]]
+        assert {type(number) for number in numbers} == {np.float32}
+        assert numbers == gaussians(words[:100]).tolist()
+
+
+class TestOneTurn:
+    def test_cosine_and_sine(self):
+        angles = np.linspace(-2 * math.pi * 6.4, 2 * math.pi * 6.4, 10**6).astype(np.float32)
+        exact = np.array([np.cos(angles, dtype=float), np.sin(angles, dtype=float)])
+        assert np.abs(rotations(angles, small=False) - exact).max() < 1.5e-7
+        near = angles[np.abs(angles) <= math.pi / 4]
+        assert (rotations(near, small=True) == rotations(near, small=False)).all()
+
+    def test_small_is_what_the_short_way_bears(self):
+        largest = gaussians(np.zeros(1, np.uint32))[0]
+        deviations = np.linspace(0.0, 0.2, 1000).astype(np.float32)
+        small = np.array([is_small(deviation) for deviation in deviations])
+        assert (largest * deviations[small] < math.pi / 4).all()
+        assert small[deviations <= 0.12].all()
+
+    @pytest.mark.parametrize("deviation", [0.05, 0.8])
+    def test_in_space_all_directions_across_are_alike(self, deviation):
+        count = 400_000
+        rows = np.random.default_rng(0).normal(size=(count, 3)).astype(np.float32)
+        rows[:10], rows[10:20, :2], rows[20:30] = 0.0, 0.0, 1e-9
+        words, others = halves(words_of(1, count)[0])
+        found, deviation = np.empty_like(rows), np.float32(deviation)
+        fill_turned(rows, deviation, is_small(deviation), words, others, found)
+        assert not found[:10].any()
+        true, seen = rows[10:].astype(float), found[10:].astype(float)
+        lengths = np.linalg.norm(true, axis=1)
+        np.testing.assert_allclose(np.linalg.norm(seen, axis=1), lengths, rtol=1e-6)
+        angles = np.abs(deviation * gaussians(words[10:]))
+        along = (true * seen).sum(axis=1) / lengths**2
+        np.testing.assert_allclose(along, np.cos(angles), atol=1e-6)
+        # the turn about the row, counted from the part of x across it
+        across = np.cross(true, [1.0, 0.0, 0.0])
+        turn = np.arctan2((seen * across).sum(axis=1) * lengths, -seen @ [1, 0, 0] * lengths**2
+                          + along * lengths**2 * true[:, 0])  # fmt: skip
+        turn = turn[np.abs(np.sin(angles)) > 1e-3]
+        assert stats.kstest(turn, stats.uniform(-math.pi, 2 * math.pi).cdf).pvalue > 0.01
+
+
+@pytest.fixture(scope="module")
+def words():
+    return words_of(2000, 4000)
+
+
+@pytest.fixture(scope="module", params=[0, 1], ids=["upper", "lower"])
+def numbers(words, request):
+    return gaussians(halves(words)[request.param])
+
+
+class TestManyNumbers:
+    """Those of 2,000 teams in one step, 8·10⁶ of each half, and of a few in many."""
+
+    def test_moments(self, numbers):
+        # of the mean of z, z² … z⁶, by their standard deviations
+        count, powers = numbers.size, np.ones_like(numbers)
+        for power, mean, variance in (
+            (1, 0, 1), (2, 1, 2), (3, 0, 15), (4, 3, 96), (5, 0, 945), (6, 15, 10170),
+        ):  # fmt: skip
+            powers *= numbers
+            assert abs(powers.mean() - mean) < 3.5 * math.sqrt(variance / count), power
+
+    def test_tails_to_five_deviations(self, numbers):
+        for least in (3.0, 4.0, 4.5, 5.0):
+            for beyond in (numbers > least, numbers < -least):
+                count, chance = int(beyond.sum()), float(special.ndtr(-least))
+                assert stats.binomtest(count, numbers.size, chance).pvalue > 0.005, least
+        assert np.abs(numbers).max() > 5.0
+
+    def test_bins_of_equal_probability_fill_alike(self, numbers):
+        assert uniformity(numbers, bins=4096) > 0.005
+
+    def test_all_bits_are_balanced(self, words):
+        flat = words[:300].reshape(-1)
+        for bit in range(64):
+            ones = int(((flat >> np.uint64(bit)) & np.uint64(1)).sum())
+            assert stats.binomtest(ones, flat.size, 0.5).pvalue > 1e-4, bit
+
+    @pytest.mark.parametrize("apart", [1, 2, 3, 7, 56])
+    def test_words_that_follow_each_other_share_no_bits(self, words, apart):
+        """Half of the bits differ, by any count as binomial as it ought to be."""
+        for differ in (words[:, apart:] ^ words[:, :-apart], words[apart:] ^ words[:-apart]):
+            counts = np.bincount(np.bitwise_count(differ).ravel(), minlength=65)[16:49]
+            expected = stats.binom(64, 0.5).pmf(np.arange(16, 49))
+            expected *= counts.sum() / expected.sum()
+            assert stats.chisquare(counts, expected).pvalue > 0.002
+
+    def test_counters_sides_and_seeds_are_independent(self, words):
+        upper, lower = (gaussians(half) for half in halves(words[:300]))
+        pairs = {
+            "sides": (upper, lower),
+            "counters": (upper[:, 1:], upper[:, :-1]),
+            "couples": (upper[:, 3:], upper[:, :-3]),
+            "a side and the next counter": (upper[:, 1:], lower[:, :-1]),
+            "seeds": (upper[1:], upper[:-1]),
+        }
+        for name, (one, other) in pairs.items():
+            assert abs(np.mean(one * other)) < 3.5 / math.sqrt(one.size), name
+            squares = (one * one - 1) * (other * other - 1)  # each of variance 2
+            assert abs(np.mean(squares)) < 7.0 / math.sqrt(one.size), name
+            assert uniformity(one, other, bins=32) > 0.005, name
+
+    def test_steps_are_independent(self):
+        found = gaussians(np.stack([halves(words_of(20, 500, t))[0] for t in range(200)]))
+        for apart in (1, 2, 10):
+            one, other = found[apart:], found[:-apart]
+            assert abs(np.mean(one * other)) < 3.5 / math.sqrt(one.size)
+            assert uniformity(one, other, bins=32) > 0.005
+        assert uniformity(found[:, :, 0], bins=64) > 0.005
+
+    def test_every_step_has_a_key_of_its_own(self):
+        key = np.uint64(stream_key(SEED, EPISODE, SENSING))
+        keys = {int(np.uint64(step_key(key, step))) for step in (0, 1, 2, 10**15)}
+        assert len(keys | {int(key)}) == 5

@@ -1,0 +1,147 @@
+"""A machine under a policy: wheels of a differential drive, and velocities that keep apart."""
+
+import itertools
+
+import numpy as np
+import pytest
+
+from rendezvous_env.robots.differential_drive import (
+    DifferentialDrive,
+    Machine,
+    body_rates,
+    keep_apart,
+    rates_of_wheels,
+    wheel_speeds,
+    within_reach,
+)
+
+PIONEER = Machine(0.1, 0.4, 0.2, 8.0, 20.0, 0.3)
+
+
+def test_the_point_ahead_goes_where_it_is_wanted():
+    """A body that turns by ω and drives by v carries P with v (c, s) + l ω (−s, c)."""
+    for x, y, yaw in itertools.product((-0.3, 0.2), (-0.1, 0.4), (0.0, 1.0, 3.0, -2.0)):
+        v, omega = body_rates((x, y), yaw, 0.07)
+        c, s = np.cos(yaw), np.sin(yaw)
+        moved = v * np.array([c, s]) + 0.07 * omega * np.array([-s, c])
+        np.testing.assert_allclose(moved, [x, y], atol=1e-12)
+
+
+def test_wheels_by_hand():
+    """L = 0.4 m, R = 0.1 m: at 0.5 m/s and 1 rad/s the rims go 0.3 and 0.7 m/s."""
+    assert wheel_speeds((0.5, 1.0), PIONEER) == pytest.approx((3.0, 7.0))
+    assert rates_of_wheels((3.0, 7.0), PIONEER) == pytest.approx((0.5, 1.0))
+
+
+def test_fast_wheels_are_slowed_down_together_and_the_direction_is_kept():
+    free = PIONEER._replace(wheel_acceleration=np.inf)
+    drive = DifferentialDrive(free)
+    v, omega = drive.command((3.0, 1.0), 0.0, 0.05)
+    assert 8.0 > max(np.abs(wheel_speeds((v, omega), free))) == pytest.approx(8.0)
+    assert omega * free.lead / v == pytest.approx(1.0 / 3.0)
+
+
+def test_both_wheels_reach_what_is_wanted_at_the_same_time():
+    assert within_reach((4.0, 8.0), (0.0, 0.0), 2.0) == pytest.approx((1.0, 2.0))
+    drive, wheels = DifferentialDrive(PIONEER), []
+    for _ in range(10):
+        drive.command((0.5, 0.2), 0.0, 0.05)
+        wheels.append(drive.wheels)
+    steps = np.diff([(0.0, 0.0), *wheels], axis=0)
+    assert np.abs(steps).max() <= 20.0 * 0.05 + 1e-12
+    shares = np.array(wheels) / wheels[-1]
+    np.testing.assert_allclose(shares[:, 0], shares[:, 1])
+    assert wheels[-1] == pytest.approx(wheel_speeds(body_rates((0.5, 0.2), 0.0, 0.2), PIONEER))
+
+
+def test_who_is_told_nothing_holds_on_and_then_brakes():
+    drive = DifferentialDrive(PIONEER)
+    for _ in range(20):
+        moving = drive.command((0.5, 0.0), 0.0, 0.05)
+    assert [drive.hold(0.1), drive.hold(0.1)] == [moving, moving]
+    after = [drive.hold(0.1)[0] for _ in range(4)]
+    assert after == pytest.approx([0.3, 0.1, 0.0, 0.0])
+    assert drive.command((0.5, 0.0), 0.0, 0.1)[0] == pytest.approx(0.2)
+
+
+@pytest.mark.parametrize(
+    ("machine", "message"),
+    [
+        (Machine(wheel_radius=0.0), r"wheel_radius is 0\.0; it must be a positive"),
+        (Machine(lead=-0.1), r"lead is -0\.1; it must be a positive"),
+        (Machine(wheel_speed=np.inf), "wheel_speed is inf; it must be a positive"),
+    ],
+)
+def test_machines_that_cannot_be_are_named(machine, message):
+    with pytest.raises(ValueError, match=message):
+        DifferentialDrive(machine)
+
+
+@pytest.mark.parametrize(
+    ("told", "message"),
+    [
+        (((np.nan, 0.0), 0.0, 0.1), r"velocity is \[nan, 0\.0\]; it must be two finite numbers"),
+        (((1.0,), 0.0, 0.1), r"velocity is \[1\.0\]; it must be two finite numbers"),
+        (((1.0, 0.0), np.inf, 0.1), "yaw is inf; it must be a finite number"),
+        (((1.0, 0.0), 0.0, 0.0), r"dt is 0\.0; it must be a positive"),
+    ],
+)
+def test_commands_that_cannot_be_change_nothing(told, message):
+    drive = DifferentialDrive(PIONEER)
+    before = drive.command((0.1, 0.0), 0.0, 1.0)
+    with pytest.raises(ValueError, match=message):
+        drive.command(*told)
+    assert drive.hold(0.01) == before
+
+
+class TestKeepApart:
+    def test_by_hand(self):
+        assert keep_apart((1.0, 2.0), []) == (1.0, 2.0)
+        assert keep_apart((1.0, 2.0), [(1.0, 0.0)]) == pytest.approx((0.0, 2.0))
+        assert keep_apart((1.0, 2.0), [(1.0, 0.0)], 0.4) == pytest.approx((0.4, 2.0))
+        assert keep_apart((1.0, 2.0), [(1.0, 0.0), (0.0, 1.0)], (0.4, -1.0)) == pytest.approx(
+            (0.4, 0.0)
+        )
+        all_round = [(1, 0), (0, 1), (-1, 0), (0, -1)]
+        assert keep_apart((1.0, 2.0), all_round) == pytest.approx((0.0, 0.0))
+
+    def test_it_is_the_nearest_that_fits(self):
+        """Against all that could be: the wish, its feet on the borders, and where borders cross."""
+        random = np.random.default_rng(0)
+        for _ in range(300):
+            angles = random.uniform(-np.pi, np.pi, random.integers(1, 8))
+            g = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+            c, w = random.uniform(0.0, 0.5, len(g)), random.normal(size=2)
+            feet = w - (g @ w - c)[:, None] * g
+            pairs = [list(pair) for pair in itertools.combinations(range(len(g)), 2)]
+            corners = [np.linalg.solve(g[pair], c[pair]) for pair in pairs]
+            fitting = [x for x in (w, *feet, *corners) if (g @ x <= c + 1e-9).all()]
+            best = min(fitting, key=lambda x, w=w: np.sum((x - w) ** 2))
+            np.testing.assert_allclose(keep_apart(w, g, c), best, atol=1e-9)
+
+    def test_discs_never_overlap(self):
+        """All go for the middle, each with half of every gap."""
+        random, size = np.random.default_rng(1), 0.2
+        grid = np.stack(np.meshgrid(np.arange(5), np.arange(4)), axis=-1).reshape(-1, 2)
+        places = 0.5 * grid + random.uniform(-0.1, 0.1, (20, 2))
+        for _ in range(300):
+            offsets = places[None] - places[:, None]
+            distances = np.linalg.norm(offsets, axis=-1) + np.eye(20)
+            steps = np.empty_like(places)
+            for i in range(20):
+                others = np.arange(20) != i
+                near = offsets[i, others] / distances[i, others, None]
+                rooms = 0.5 * (distances[i, others] - size)
+                steps[i] = keep_apart(-0.05 * places[i], near, rooms)
+            places += steps
+            assert (
+                np.linalg.norm(places[None] - places[:, None], axis=-1)[
+                    ~np.eye(20, dtype=bool)
+                ].min()
+                > size - 1e-9
+            )
+        assert np.linalg.norm(places, axis=-1).max() < 1.2  # from 2.5 m
+
+    def test_what_is_not_finite_is_named(self):
+        with pytest.raises(ValueError, match=r"near is \[\[nan, 0\.0\]\]; it must be finite"):
+            keep_apart((1.0, 0.0), [(np.nan, 0.0)])

@@ -1,0 +1,1 @@
+"""Algorithms × fields × seeds: who meets, who touches, what a guarantee costs."""

@@ -1,0 +1,1 @@
+"""A file for each algorithm; ``registry.Algorithm`` says what it must have."""

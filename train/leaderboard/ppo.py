@@ -1,0 +1,101 @@
+"""PPO with one network for all ways of being safe: parameters shared, every robot a sample."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rendezvous_env.baselines.learned.features import can_steer
+
+from rendezvous_env.scenario.scenario import Scenario
+
+from ..learn.settings import TRAINING_SEEDS
+from .playing import Player
+from .registry import Algorithm, Budget
+from .teams import Paid, teams_to_learn_in
+
+SETTINGS: dict[str, Any] = {
+    "n_steps": 16, "batch_size": 1024, "n_epochs": 5, "learning_rate": 1e-3, "gamma": 0.99,
+    "gae_lambda": 0.95, "ent_coef": 0.003, "policy_kwargs": {"net_arch": [64, 64]},
+}  # fmt: skip
+"""Of stable-baselines3's PPO, the same for all."""
+_RATE, _MOST = 2.0, 20.0
+"""Step of the multiplier for each touch above the limit, and where it ends."""
+
+
+def learn(
+    field: Scenario,
+    seed: int,
+    budget: Budget,
+    *,
+    limit: float | None = None,
+    **safety: Any,
+) -> tuple[Callable[[int], Player], dict[str, Any]]:
+    """Train; see ``Algorithm.learn``.
+
+    Args:
+        field: the scenario.
+        seed: of weights, exploration and starts.
+        budget: how much.
+        limit: touches of a team's episode, mean, that a Lagrangian learner is to stay below; its
+            multiplier moves after every rollout. None is no Lagrangian.
+        **safety: of ``teams_to_learn_in``.
+    """
+    import torch
+
+    from rendezvous_env.adapters.sb3 import RobotVecEnv
+
+    from ..learn.rollout_buffer import RobotPPO
+
+    torch.set_num_threads(1)  # a run repeats bit by bit, and does not wait for other cores
+    paid = Paid(teams_to_learn_in(field, budget.num_teams, anew=True, **safety))
+    robots = RobotVecEnv(paid)
+    robots.seed(TRAINING_SEEDS + 2**32 * seed)
+    rule = _multiplier(paid, robots, limit) if limit is not None else None
+    model = RobotPPO("MlpPolicy", robots, seed=seed, device="cpu", **SETTINGS)
+    model.learn(budget.decisions, callback=rule)
+    told = {key: value for key, value in safety.items() if not callable(value)}
+    settings = {**SETTINGS, **told, "limit": limit, "num_teams": budget.num_teams}
+    if limit is not None:
+        settings["multiplier_at_the_end"] = paid.multiplier
+    settings["wrap"] = getattr(safety.get("wrap"), "__name__", None)
+
+    def choose(seen: NDArray[np.float32], time: NDArray[np.float64]) -> NDArray[np.int64]:
+        actions, _ = model.predict(seen.reshape(-1, seen.shape[-1]), deterministic=True)
+        chosen: NDArray[np.int64] = actions.reshape(seen.shape[:2])
+        return chosen
+
+    return (lambda n: Player(teams_to_learn_in(field, n, anew=False, **safety), choose)), settings
+
+
+def _multiplier(paid: Paid, robots: Any, limit: float) -> Any:
+    """What moves λ ← max(0, λ + η (J − limit)) after each rollout, J the touches of its steps for
+    each team and episode of mean length.
+    """
+    from stable_baselines3.common.callbacks import BaseCallback
+
+    class Multiplier(BaseCallback):
+        touches, ended = 0.0, 0
+
+        def _on_step(self) -> bool:
+            self.touches += float(robots.costs["cost_contact"].sum())
+            self.ended += sum("episode" in info for info in self.locals["infos"])
+            return True
+
+        def _on_rollout_end(self) -> None:
+            if self.ended:
+                excess = self.touches / self.ended - limit
+                moved = paid.multiplier + _RATE * excess / SETTINGS["n_steps"]
+                paid.multiplier = float(np.clip(moved, 0.0, _MOST))
+                self.touches, self.ended = 0.0, 0
+
+    return Multiplier()
+
+
+def algorithm(about: str, word: str, guarantee: Any, *, given: str = "bearings", **how: Any) -> Any:
+    """An ``Algorithm`` that is this PPO; ``how`` goes to ``learn``."""
+    fits = how.pop("fits", can_steer)
+    return Algorithm(about, word, guarantee, given, partial(learn, **how), fits)

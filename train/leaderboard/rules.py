@@ -1,0 +1,40 @@
+"""Laws and rules that learn nothing, as algorithms."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any, Literal
+
+from gymnasium.vector import AutoresetMode
+
+import rendezvous_env as rv
+from rendezvous_env import baselines
+from rendezvous_env.scenario.scenario import Scenario
+
+from .. import policies
+from .playing import Player
+from .registry import Algorithm, Budget
+from .teams import COSTS
+
+
+def _player(name: str, field: Scenario, num_envs: int) -> Player:
+    scenario = field.replace(costs=COSTS)
+    teams = rv.make_vec(scenario, num_envs, AutoresetMode.DISABLED, num_threads=1)
+    return Player(teams, baselines.make(name, scenario))
+
+
+def _made(name: str, field: Scenario, seed: int, budget: Budget) -> Any:
+    return partial(_player, name, field), {"policy": name}
+
+
+def rule(name: str, word: str, guarantee: Literal["none", "heading", "tank"]) -> Algorithm:
+    """The policy of that name, as ``compare`` plays it."""
+    return Algorithm(
+        about=policies.about(name).rstrip("."),
+        safety=word,
+        guarantee=guarantee,
+        given="bearings",
+        learn=partial(_made, name),
+        fits=lambda field: name in policies.names(field),
+        learns=False,
+    )

@@ -1,0 +1,215 @@
+"""From cards to tables and figures: interquartile means with intervals, profiles, the price of a
+guarantee.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.table import Table
+
+from ..compare import statistics
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+COLUMNS = {
+    "algorithm": "its name",
+    "safety": "its way of being safe",
+    "guarantee": "what is proven of it: none, heading (theorem C), tank (theorem D)",
+    "given": "what it reads",
+    "runs": "seeds times fields",
+    "clean": "collision-free success: interquartile mean over runs of the share of held-out starts",
+    "clean_low": "lower end of the 95 % interval, a bootstrap over seeds stratified by fields",
+    "clean_high": "upper end of it",
+    "time": "interquartile mean over runs of the mean time of rendezvous, s; late is the limit",
+    "time_low": "lower end of its interval",
+    "time_high": "upper end of it",
+    "robot_steps": "of all runs together",
+    "touches": "robot steps with a contact, in a thousand",
+    "risen": "robot steps in which V rose between merges, nobody of the team in contact, in a "
+    "thousand: what theorem C rules out",
+    "rise": "how far V rose in an episode, mean of the sum, per cent of V at the start",
+}
+"""Of leaderboard.csv."""
+IMPROVEMENT = ("algorithm", "against", "probability", "low", "high")
+"""Columns of improvement.csv: chance that a run has more collision-free success."""
+WIDTH = 150
+"""Of the table, letters."""
+_LEVELS = np.linspace(0.0, 1.0, 101)
+Card = Mapping[str, Any]
+
+
+def _own(cards: Sequence[Card]) -> dict[str, list[Card]]:
+    """Cards by algorithm."""
+    found: dict[str, list[Card]] = {}
+    for card in cards:
+        found.setdefault(card["algorithm"], []).append(card)
+    return found
+
+
+def scores_of(cards: Sequence[Card], name: str) -> NDArray[np.float64]:
+    """Mean over starts of "clean" or "time", (S, F), of the cards of one algorithm.
+
+    Raises:
+        ValueError: if its fields have other numbers of seeds.
+    """
+    fields: dict[str, list[float]] = {}
+    for card in cards:
+        fields.setdefault(card["field"], []).append(float(np.mean(card["results"][name])))
+    return np.array(list(fields.values())).T
+
+
+def rows_of(cards: Sequence[Card]) -> list[dict[str, Any]]:
+    """Rows of leaderboard.csv, the best in collision-free success first."""
+    rows = []
+    for name, own in _own(cards).items():
+        row = {key: own[0][key] for key in ("safety", "guarantee", "given")}
+        row = {"algorithm": name, **row, "runs": len(own)}
+        for key in ("clean", "time"):
+            scores = scores_of(own, key)
+            low, high = statistics.stratified_interval((scores,), statistics.interquartile_mean)
+            row[key] = statistics.interquartile_mean(scores)
+            row |= {f"{key}_low": low, f"{key}_high": high}
+        count = {key: sum(sum(card["results"][key]) for card in own) for key in _COUNTED}
+        row["robot_steps"] = count["steps"]
+        row |= {key: 1000.0 * count[key] / count["steps"] for key in ("touches", "risen")}
+        row["rise"] = 100.0 * float(np.mean([np.mean(card["results"]["rise"]) for card in own]))
+        rows.append(row)
+    return sorted(rows, key=lambda row: (-row["clean"], row["time"]))
+
+
+_COUNTED = ("steps", "touches", "risen")
+
+
+def improvements(cards: Sequence[Card]) -> list[dict[str, Any]]:
+    """Rows of improvement.csv, each pair of algorithms once on the fields that both have."""
+    own, rows = _own(cards), []
+    names = list(own)
+    for i, name in enumerate(names):
+        for other in names[i + 1 :]:
+            both = {c["field"] for c in own[name]} & {c["field"] for c in own[other]}
+            pair = tuple(
+                scores_of([c for c in own[one] if c["field"] in both], "clean")
+                for one in (name, other)
+            )
+            if not both:
+                continue
+            chance = statistics.probability_of_improvement
+            low, high = statistics.stratified_interval(pair, chance)
+            rows.append(
+                dict(zip(IMPROVEMENT, (name, other, chance(*pair), low, high), strict=True))
+            )
+    return rows
+
+
+# ---- what is shown ------------------------------------------------------------------------------
+
+
+def _cells(row: Mapping[str, Any]) -> list[str]:
+    """A row as people read it."""
+
+    def with_interval(key: str, form: str, unit: float = 1.0) -> str:
+        value, low, high = (row[k] * unit for k in (key, f"{key}_low", f"{key}_high"))
+        ends = "" if np.isnan(low) else f" ({low:{form}} to {high:{form}})"
+        return f"{value:{form}}{ends}"
+
+    return [
+        row["algorithm"],
+        row["safety"],
+        row["guarantee"],
+        row["given"],
+        with_interval("clean", ".1f", 100.0),
+        with_interval("time", ".1f"),
+        f"{row['touches']:.3g}",
+        "0" if row["risen"] == 0 else f"{row['risen']:.3g}",
+        f"{row['rise']:.2g}",
+        f"{row['robot_steps'] / 1e6:.2f}",
+    ]
+
+
+_HEADS = (
+    "algorithm", "safety", "guarantee", "reads", "collision-free, %", "time, s",
+    "touches, ‰", "V rose, ‰", "rise, % of V₀", "robot steps, 10⁶",
+)  # fmt: skip
+
+
+def text(rows: Sequence[Mapping[str, Any]]) -> Table:
+    """The table for a terminal."""
+    table = Table(box=None)
+    for head in _HEADS:
+        table.add_column(head)
+    for row in rows:
+        table.add_row(*_cells(row))
+    return table
+
+
+def markdown(rows: Sequence[Mapping[str, Any]], cards: Sequence[Card]) -> str:
+    """The page of the folder: the table, what it counts, how to do a cell again."""
+    seeds = len({card["seed"] for card in cards})
+    fields = ", ".join(sorted({card["field"] for card in cards}))
+    most = max(card["decisions"] for card in cards)
+    lines = [" | ".join(_HEADS), " | ".join("---" for _ in _HEADS)]
+    lines += [" | ".join(_cells(row)) for row in rows]
+    told = "\n".join(f"| {line} |" for line in lines)
+    minutes = sum(card["learning_s"] + card["playing_s"] for card in cards) / 60.0
+    return (
+        f"# Leaderboard\n\n{fields}; {seeds} seeds; {most:,} decisions of robots for each learner; "
+        f"{cards[0]['starts']} held-out starts a run; {minutes:.0f} minutes in all, "
+        "run after run.\n\n"
+        f"{told}\n\nInterquartile means over runs with 95 % intervals, a bootstrap over seeds "
+        "stratified by fields; what learns nothing is one run a field. V rose: robot steps "
+        "in which V rose between merges with nobody of the team in contact, which theorem C rules "
+        "out.\n\n"
+        "`cells/` has a card for each run: settings, versions, digest of the field and the numbers "
+        "of every start. `rendezvous leaderboard --repeat CARD` does it again.\n"
+    )
+
+
+def draw(out: Path, cards: Sequence[Card], rows: Sequence[Mapping[str, Any]]) -> None:
+    """price.png and profiles.png."""
+    from ..figures import style
+
+    style.save(style.styled(_price)(rows), out / "price.png")
+    style.save(style.styled(_profiles)(cards), out / "profiles.png")
+
+
+def _price(rows: Sequence[Mapping[str, Any]]) -> Figure:
+    """Collision-free success and time, each against how often V rose."""
+    from ..figures import style
+
+    figure = style.new_figure(style.PAGE, 2.7)
+    marks = {"none": "o", "heading": "s", "tank": "D"}
+    panels = (("clean", 100.0, "collision-free success, %"), ("time", 1.0, "time, s"))
+    for panel, (key, unit, label) in zip(figure.subplots(1, 2), panels, strict=True):
+        for k, row in enumerate(rows):
+            ends = [abs(unit * (row[f"{key}_{end}"] - row[key])) for end in ("low", "high")]
+            bars = None if np.isnan(ends).any() else [[ends[0]], [ends[1]]]
+            said = f"{row['algorithm']} ({row['guarantee']})"
+            mark = {"fmt": marks[row["guarantee"]], "color": f"C{k}", "capsize": 2}
+            panel.errorbar(0.1 * row["risen"], unit * row[key], bars, label=said, **mark)
+        panel.axvline(0.0, color="0.8", zorder=0)
+        panel.set_xlabel("steps in which V rose, %")
+        panel.set_ylabel(label)
+    figure.legend(*panel.get_legend_handles_labels(), loc="outside right center")
+    return figure
+
+
+def _profiles(cards: Sequence[Card]) -> Figure:
+    """Share of runs that reach each level of collision-free success."""
+    from ..figures import style
+
+    figure = style.new_figure(style.PAGE, 2.9)
+    panel = figure.subplots()
+    for k, (name, own) in enumerate(_own(cards).items()):
+        profile = statistics.performance_profile(scores_of(own, "clean"), _LEVELS)
+        dashes = ("-", "--", ":")[k % 3]
+        panel.step(100.0 * _LEVELS, profile, where="post", label=name, linestyle=dashes)
+    panel.set_xlabel("collision-free success, %")
+    panel.set_ylabel("share of runs that reach it")
+    figure.legend(*panel.get_legend_handles_labels(), loc="outside right center")
+    return figure

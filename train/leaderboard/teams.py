@@ -1,0 +1,91 @@
+"""Teams that learners are compared in: all see, decide and are paid alike, under another safety."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
+from numpy.typing import NDArray
+from rendezvous_env.baselines.learned.training_environment import ShippedPreset
+
+import rendezvous_env as rv
+from rendezvous_env.envs.training import TrainingTeams
+from rendezvous_env.rewards.custom_terms import RewardStep, reward_term
+from rendezvous_env.safety.tank import unit_of_tanks
+from rendezvous_env.scenario.scenario import Scenario
+
+BOTTOMLESS = 1e6
+"""Level of a tank, r D̄, that no episode drains: every wish is carried out, nothing is promised."""
+_ROUNDING = 1e-12
+COSTS = ("contact", "rise", "leaderboard_risen", "leaderboard_steps")
+"""What is counted of every robot: touches, by how much V rose, steps in which it did, steps."""
+
+
+def _risen(step: RewardStep) -> NDArray[np.bool_]:
+    """(B,), whether V rose between merges in a step in which nobody of the team touched anything:
+    what theorem C rules out.
+    """
+    risen: NDArray[np.bool_] = (step.rise > _ROUNDING) & ~step.contact.any(axis=1)
+    return risen
+
+
+def _steps(step: RewardStep) -> NDArray[np.float64]:
+    return np.ones(step.contact.shape)
+
+
+reward_term("leaderboard_risen", _risen)
+reward_term("leaderboard_steps", _steps)
+
+
+def teams_to_learn_in(
+    field: Scenario,
+    num_envs: int,
+    *,
+    safety: str,
+    anew: bool,
+    touch_penalty: float | None = None,
+    wrap: Callable[[Any], Any] = lambda teams: teams,
+) -> TrainingTeams:
+    """B teams that see, decide (an angle every 0.6 s) and are paid as the shipped policies.
+
+    Args:
+        field: single integrators in the plane.
+        num_envs: B.
+        safety: "heading" (theorem C), "tank" (D, with the shipped budget), or "none": the same
+            perception and choices over a tank that is never empty.
+        anew: whether teams begin anew in the step in which they end; else they rest.
+        touch_penalty: None is that of the shipped policies.
+        wrap: what stands between the robots and what is decided, as a filter of actions.
+    """
+    preset, guarantee = ShippedPreset(), "heading" if safety == "heading" else "tank"
+    reward, price = preset.earnings(guarantee)
+    scenario = field.replace(on_merge="follow", reward=reward, costs=COSTS)
+    mode = AutoresetMode.SAME_STEP if anew else AutoresetMode.DISABLED
+    base = wrap(rv.make_vec(scenario, num_envs, mode, num_threads=1))
+    bottomless = {"budget": BOTTOMLESS * unit_of_tanks(scenario)}
+    chosen = preset.wrap(base, guarantee, True, bottomless if safety == "none" else {})
+    return TrainingTeams(chosen, price if touch_penalty is None else touch_penalty)
+
+
+class Between(VectorWrapper):
+    """Stands between robots and what decides for them; a subclass changes ``step``."""
+
+    def __init__(self, env: VectorEnv[Any, Any, Any]) -> None:
+        super().__init__(env)
+        base: Any = env.unwrapped
+        self.scenario: Scenario = base.scenario
+        self.simulator: rv.Simulator = base.simulator
+
+
+class Paid(VectorWrapper):
+    """Robots pay λ for each touch of the cost channel: the reward of a Lagrangian learner."""
+
+    multiplier = 0.0
+
+    def step(self, actions: Any) -> Any:
+        """As the teams, less what touches cost."""
+        seen, _, ends, cuts, infos = self.env.step(actions)
+        infos["robot_rewards"] = infos["robot_rewards"] - self.multiplier * infos["cost_contact"]
+        return seen, infos["robot_rewards"].mean(axis=1), ends, cuts, infos

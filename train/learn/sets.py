@@ -1,0 +1,124 @@
+"""Sets of rows on the processor: those that are there, gathered, pooled, and their gradients.
+
+Tensors of libraries ask for a pass over memory for every operation, and for as many rows as there
+are slots; of the 24 obstacles of a field a robot sees two or three.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from rendezvous_env.compilation import kernel
+
+
+def pooled(network: nn.Module, rows: Tensor) -> tuple[Tensor, Tensor]:
+    """Mean and largest feature over the rows (N, slots, columns) that are there, (N, width) each.
+
+    Absent rows are zero. Of an empty set both are zero, and no feature may be below that.
+    """
+    if rows.device.type != "cpu":
+        return pooled_anywhere(network, rows)
+    there = rows.new_empty(rows.shape[0] * rows.shape[1], rows.shape[2])
+    counts = np.empty(len(rows), dtype=np.int64)
+    found = gather(rows.detach().numpy(), there.numpy(), counts)
+    mean, largest = _Pool.apply(network(there[:found]), counts)
+    return mean, largest
+
+
+def pooled_anywhere(network: nn.Module, rows: Tensor) -> tuple[Tensor, Tensor]:
+    """The same in torch alone, on any device."""
+    present = rows.any(dim=-1)
+    owner = present.nonzero()[:, 0]
+    features = network(rows[present])
+    empty = features.new_zeros(len(rows), features.shape[-1])
+    count = present.sum(dim=-1, keepdim=True).clamp(min=1)
+    largest = empty.scatter_reduce(0, owner[:, None].expand_as(features), features, "amax")
+    return empty.index_add(0, owner, features) / count, largest
+
+
+class _Pool(torch.autograd.Function):
+    """Mean and largest over the rows of each robot, which lie one after the other."""
+
+    @staticmethod
+    def forward(context: Any, features: Tensor, counts: Any) -> tuple[Tensor, Tensor]:
+        mean = features.new_empty(len(counts), features.shape[1])
+        largest = torch.empty_like(mean)
+        pool(features.detach().numpy(), counts, mean.numpy(), largest.numpy())
+        context.save_for_backward(features, largest)
+        context.counts = counts
+        return mean, largest
+
+    @staticmethod
+    def backward(context: Any, *given: Tensor) -> tuple[Tensor, None]:
+        features, largest = context.saved_tensors
+        gradient = torch.empty_like(features)
+        known = (tensor.detach().numpy() for tensor in (features, largest))
+        wanted = (tensor.contiguous().numpy() for tensor in given)
+        equals = np.empty(features.shape[1], dtype=np.float32)
+        spread(*known, context.counts, *wanted, equals, gradient.numpy())
+        return gradient, None
+
+
+@kernel
+def gather(rows, there, counts):
+    """Write the rows that are not zero one after the other, and how many each robot has; their
+    number.
+    """
+    found = 0
+    for i in range(rows.shape[0]):
+        before = found
+        for m in range(rows.shape[1]):
+            present = False
+            for k in range(rows.shape[2]):
+                present = present or rows[i, m, k] != 0.0
+            if present:
+                for k in range(rows.shape[2]):
+                    there[found, k] = rows[i, m, k]
+                found += 1
+        counts[i] = found - before
+    return found
+
+
+@kernel
+def pool(features, counts, mean, largest):
+    """Mean and largest of each robot's features, (N, width) each; zero without any."""
+    first = 0
+    for i in range(len(counts)):
+        mean[i] = 0.0
+        largest[i] = 0.0
+        for row in range(first, first + counts[i]):
+            for j in range(features.shape[1]):
+                value = features[row, j]
+                mean[i, j] += value
+                largest[i, j] = value if value > largest[i, j] else largest[i, j]
+        first += counts[i]
+        share = np.float32(1.0) / np.float32(max(counts[i], 1))
+        for j in range(features.shape[1]):
+            mean[i, j] *= share
+
+
+@kernel
+def spread(features, largest, counts, of_mean, of_largest, equals, gradient):
+    """Gradients of the features from those of their means and largest, which equal ones share;
+    ``equals`` (width,) is overwritten.
+    """
+    width = features.shape[1]
+    first = 0
+    for i in range(len(counts)):
+        stop = first + counts[i]
+        share = np.float32(1.0) / np.float32(max(counts[i], 1))
+        equals[:] = 0.0
+        for row in range(first, stop):
+            for j in range(width):
+                equals[j] += np.float32(features[row, j] == largest[i, j])
+        for j in range(width):
+            equals[j] = of_largest[i, j] / max(equals[j], np.float32(1.0))
+        for row in range(first, stop):
+            for j in range(width):
+                more = equals[j] if features[row, j] == largest[i, j] else np.float32(0.0)
+                gradient[row, j] = of_mean[i, j] * share + more
+        first = stop

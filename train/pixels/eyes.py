@@ -1,0 +1,187 @@
+"""What four cameras on every robot see: a team of ours, drawn by MuJoCo.
+
+The simulator moves the robots. MuJoCo knows where they are, and nothing of it leaves this file but
+pictures. A robot is a lamp of radius r/2 on a thin pole; obstacles are dark and higher than lamps.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rendezvous_env.simulator import Simulator
+
+os.environ.setdefault("MUJOCO_GL", "egl")  # draws without a screen
+os.environ.setdefault("LP_NUM_THREADS", "1")  # pictures are too small to be shared out
+
+import mujoco
+
+SIZE, CAMERAS = 64, 4
+"""Pixels along an edge of a picture, and pictures, a quarter turn each, of a look around."""
+HEIGHT = 0.5
+"""Of the cameras and the middles of the lamps above the floor, m."""
+LAMPS = ((230, 20, 20), (20, 200, 20), (30, 60, 240), (230, 200, 0), (210, 30, 210), (0, 200, 210))
+"""Colours of the robots, and so the most robots that a team may have."""
+_GONE = (0.0, 0.0, -50.0)
+_OVERHEAD = "overhead"
+_COLUMNS = slice(2, 5)  # of the simulator's table of discs: radius and centre
+
+
+class Eyes:
+    """The cameras of one team, and one above it.
+
+    Args:
+        simulator: a team of single integrators among discs in the plane; it is the first of them
+            that is drawn.
+        film_size: edge of a picture from above, pixels.
+
+    Raises:
+        ValueError: for more robots than there are colours of lamps.
+    """
+
+    def __init__(self, simulator: Simulator, film_size: int = 320) -> None:
+        scenario = simulator.scenario
+        if scenario.n_robots > len(LAMPS):
+            raise ValueError(f"n_robots is {scenario.n_robots}; lamps have {len(LAMPS)} colours")
+        self._simulator, self._film_size = simulator, film_size
+        self._discs = simulator.obstacles.shape[1]
+        self._model = mujoco.MjModel.from_xml_string(_world(scenario, self._discs, film_size))
+        self._data = mujoco.MjData(self._model)
+        edge = max(SIZE * CAMERAS, film_size)
+        self._context = mujoco.GLContext(edge, edge)
+        self._context.make_current()
+        self._drawn = mujoco.MjrContext(self._model, mujoco.mjtFontScale.mjFONTSCALE_50)
+        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._drawn)
+        self._scene = mujoco.MjvScene(self._model, 100)
+        for costly in ("SHADOW", "REFLECTION", "SKYBOX", "HAZE"):
+            self._scene.flags[getattr(mujoco.mjtRndFlag, f"mjRND_{costly}")] = 0
+
+    def place(self) -> None:
+        """Put everything where it is now."""
+        simulator, model, data = self._simulator, self._model, self._data
+        for m, (radius, x, y) in enumerate(simulator.obstacles[0, :, _COLUMNS]):
+            model.geom(f"disc{m}").size[0] = max(radius, 1e-3)
+            model.geom(f"disc{m}").pos[:2] = (x, y) if radius > 0.0 else _GONE[:2]
+        for i, (x, y) in enumerate(simulator.positions[0]):
+            turn = 0.5 * self.yaw(i)
+            data.mocap_pos[i] = (x, y, 0.0) if simulator.active[0, i] else _GONE
+            data.mocap_quat[i] = (math.cos(turn), 0.0, 0.0, math.sin(turn))
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_camlight(model, data)
+        mujoco.mjv_updateScene(
+            model, data, mujoco.MjvOption(), None, self._camera(_OVERHEAD),
+            mujoco.mjtCatBit.mjCAT_ALL, self._scene,
+        )  # fmt: skip
+
+    def yaw(self, robot: int) -> float:
+        """How far a robot's frame is turned against the world's, rad."""
+        x, y = self._simulator.frames[0, robot][:, 0]  # its x axis
+        return math.atan2(y, x)
+
+    def look(self) -> NDArray[np.uint8]:
+        """Pictures of all robots after ``place``, (n, cameras, rows, columns, 3).
+
+        Camera k looks in the direction k π/2 of the robot's own frame; those of robots that have
+        merged away are black.
+        """
+        n = self._model.nmocap
+        out = np.zeros((n, CAMERAS, SIZE, SIZE, 3), np.uint8)
+        strip = np.empty((SIZE, SIZE * CAMERAS, 3), np.uint8)
+        for i in np.flatnonzero(self._simulator.active[0]):
+            for k in range(CAMERAS):
+                mujoco.mjv_updateCamera(
+                    self._model, self._data, self._camera(f"eye{i}_{k}"), self._scene
+                )
+                self._draw(mujoco.MjrRect(SIZE * k, 0, SIZE, SIZE))
+            self._read(strip)
+            out[i] = strip.reshape(SIZE, CAMERAS, SIZE, 3).swapaxes(0, 1)
+        return out
+
+    def from_above(self) -> NDArray[np.uint8]:
+        """The whole place after ``place``, (edge, edge, 3)."""
+        out = np.empty((self._film_size, self._film_size, 3), np.uint8)
+        camera = self._camera(_OVERHEAD)
+        mujoco.mjv_updateCamera(self._model, self._data, camera, self._scene)
+        self._draw(mujoco.MjrRect(0, 0, self._film_size, self._film_size))
+        self._read(out)
+        return out
+
+    def close(self) -> None:
+        """Give back what the pictures took."""
+        self._drawn.free()
+        self._context.free()
+
+    def _draw(self, where: mujoco.MjrRect) -> None:
+        mujoco.mjr_render(where, self._scene, self._drawn)
+
+    def _read(self, out: NDArray[np.uint8]) -> None:
+        """What was drawn, the upper row first."""
+        mujoco.mjr_readPixels(
+            out, None, mujoco.MjrRect(0, 0, out.shape[1], out.shape[0]), self._drawn
+        )
+        out[:] = out[::-1].copy()
+
+    def _camera(self, name: str) -> mujoco.MjvCamera:
+        camera = mujoco.MjvCamera()
+        camera.type = mujoco.mjtCamera.mjCAMERA_FIXED
+        camera.fixedcamid = self._model.camera(name).id
+        return camera
+
+
+def _world(scenario: Any, discs: int, film_size: int) -> str:
+    """The world in MuJoCo's words: robots that are placed, their cameras, obstacles, a floor."""
+    edge, lamp = max(SIZE * CAMERAS, film_size), 0.5 * scenario.merge_radius
+    half = 0.65 * scenario.spawn_size
+    cameras = [
+        f'<camera name="eye{k}" pos="0 0 {HEIGHT}" fovy="90" xyaxes="{s} {-c} 0 0 0 1"/>'
+        for k, (c, s) in enumerate(((1, 0), (0, 1), (-1, 0), (0, -1)))
+    ]
+    robots = "".join(
+        f'<body name="robot{i}" mocap="true">'
+        f'<geom type="sphere" size="{lamp}" pos="0 0 {HEIGHT}" material="lamp{i}"/>'
+        f'<geom type="cylinder" size="0.02 {0.5 * (HEIGHT - lamp)}"'
+        f' pos="0 0 {0.5 * (HEIGHT - lamp)}" material="pole"/>'
+        + "".join(camera.replace("eye", f"eye{i}_") for camera in cameras)
+        + "</body>"
+        for i in range(scenario.n_robots)
+    )
+    lamps = "".join(
+        f'<material name="lamp{i}" emission="1" rgba="{r / 255} {g / 255} {b / 255} 1"/>'
+        for i, (r, g, b) in enumerate(LAMPS)
+    )
+    obstacles = "".join(
+        f'<geom name="disc{m}" type="cylinder" size="1 0.6" pos="0 0 0.6" material="disc"/>'
+        for m in range(discs)
+    )
+    walls = "".join(
+        f'<geom type="box" size="{half if y else 0.1} {half if x else 0.1} {half}"'
+        f' pos="{x * half} {y * half} {half}" material="wall"/>'
+        for x, y in ((1, 0), (-1, 0), (0, 1), (0, -1))
+    )
+    return f"""
+    <mujoco>
+      <statistic extent="1" center="0 0 0"/>
+      <visual>
+        <global offwidth="{edge}" offheight="{edge}"/>
+        <quality offsamples="0" shadowsize="0" numslices="24" numstacks="12"/>
+        <map znear="0.01" zfar="200"/>
+        <headlight ambient="0.7 0.7 0.7" diffuse="0.2 0.2 0.2" specular="0 0 0"/>
+      </visual>
+      <asset>
+        {lamps}
+        <material name="pole" rgba="0.85 0.85 0.85 1"/>
+        <material name="disc" rgba="0.22 0.22 0.26 1"/>
+        <material name="wall" rgba="1 1 1 1"/>
+        <material name="floor" rgba="0.8 0.8 0.78 1"/>
+      </asset>
+      <worldbody>
+        <geom type="box" size="{half} {half} 0.1" pos="0 0 -0.1" material="floor"/>
+        {walls}
+        <camera name="{_OVERHEAD}" pos="0 0 {2 * half}" fovy="53"/>
+        {robots}{obstacles}
+      </worldbody>
+    </mujoco>"""

@@ -1,0 +1,72 @@
+"""Robots that see nobody: where obstacles hide the others, policies must remember, and search."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from rendezvous_env.baselines.policy import Policy
+
+from rendezvous_env.scenario.scenario import Scenario
+
+from .. import policies
+
+_PATIENCE, _LEG = 6.0, 3.0
+"""s for which a robot that sees nobody goes on as if it saw what it saw last, and s for which it
+then goes one way in search of the others, and another one."""
+_TURN = np.pi * (3.0 - np.sqrt(5.0))
+"""rad between those ways: the golden angle leads it all around, and never far away."""
+
+
+class LastSeen:
+    """A policy whose robots go where they saw the others last when all are hidden, and seek them.
+
+    Law (1) and all that follow it rest when they see nobody; two that are left on both sides of an
+    obstacle would rest for ever.
+
+    Args:
+        policy: what drives.
+        scenario: whose observations it gets.
+    """
+
+    def __init__(self, policy: Policy, scenario: Scenario) -> None:
+        self._policy, self._layout = policy, scenario.observation_layout
+        self._patience, self._leg = round(_PATIENCE / scenario.tau), round(_LEG / scenario.tau)
+        self._rows: NDArray[np.float32] | None = None
+        self._since = np.zeros(0, int)
+        self.reset()
+
+    def __call__(self, observations: NDArray[Any], time: ArrayLike) -> NDArray[np.float32]:
+        """Actions, see ``Policy``."""
+        shown = np.array(observations)
+        rows = self._layout.split(shown).neighbours
+        if self._rows is None or self._rows.shape != rows.shape:
+            self._rows = np.zeros_like(rows)
+            self._since = np.full(rows.shape[:-2], self._patience)
+        nobody = np.asarray(~rows.any(axis=(-2, -1)))
+        self._since = np.where(nobody, self._since + 1, 0)
+        self._rows = np.where(nobody[..., None, None], self._rows, rows)
+        rows[...] = self._rows
+        seeking = self._since > self._patience
+        rows[seeking] = 0.0
+        rows[seeking, 0] = unit(_TURN * ((self._since - self._patience) // self._leg)[seeking])
+        return self._policy(shown, time)
+
+    def reset(self, mask: NDArray[np.bool_] | None = None) -> None:
+        """Forget what some teams saw, or all."""
+        self._policy.reset(mask)
+        if mask is None:
+            self._rows = None
+        elif self._rows is not None:
+            self._since[mask] = self._patience
+
+
+def make(name: str, scenario: Scenario) -> Policy:
+    """A policy of that name that remembers where it saw somebody last."""
+    return LastSeen(policies.make(name, scenario), scenario)
+
+
+def unit(angles: ArrayLike) -> NDArray[np.float64]:
+    """Unit vectors (..., 2) of angles (...), rad."""
+    return np.stack([np.cos(angles), np.sin(angles)], axis=-1)

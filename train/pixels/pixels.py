@@ -1,0 +1,154 @@
+"""``rendezvous reproduce pixels``: policies that see nothing but pictures."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rendezvous_env.baselines.robot_policy import RobotSight
+
+from rendezvous_env.engine.memory import RENDEZVOUS
+from rendezvous_env.obstacles.fields import ObstacleField
+from rendezvous_env.scenario.scenario import Scenario
+from rendezvous_env.sensors.sensing import Sensing
+from rendezvous_env.simulator import Simulator
+
+from ..compare import evaluation
+from ..compare.statistics import fraction_interval
+from .detector import Detector, Found
+from .eyes import HEIGHT, LAMPS, Eyes
+from .last_seen import make, unit
+
+SCENARIO = Scenario(
+    name="pixels",
+    n_robots=4,
+    merge_radius=0.4,
+    max_speed=1.0,
+    time_step=0.05,
+    time_limit=60.0,
+    spawn_size=10.0,
+    obstacles=ObstacleField(8, (0.4, 1.0), region=8.0, keep_out=0.25),
+    obstacle_slots=24,
+)
+"""``clutter-8`` at half its size, with robots as large as its lamps: 0.4 m."""
+POLICIES = ("bearing-only", "tangent-joined-tuned", "learned", "learned-tank")
+
+Watcher = Callable[[Simulator, Eyes, NDArray[np.uint8], list[Found | None]], None]
+"""Shown every step before robots move: the team, its eyes, all pictures, what was found in them."""
+
+
+@dataclass(frozen=True)
+class Episode:
+    """How one start ended."""
+
+    met: bool
+    clean: bool
+    time: float
+    """Simulated, s."""
+    steps: int
+    work: float
+    """That it took a core to draw, look, decide and move, s."""
+
+
+def play(policy: str, seeds: range, watch: Watcher | None = None) -> Iterator[Episode]:
+    """Play starts from pixels alone.
+
+    Args:
+        policy: the name of a law, a rule or a learned policy.
+        seeds: of the starts.
+        watch: looks on.
+    """
+    simulator = Simulator(SCENARIO)
+    simulator.reset(seeds[0])
+    eyes = Eyes(simulator)
+    team = _Team(policy)
+    try:
+        for seed in seeds:
+            simulator.reset(seed)
+            team.reset()
+            began, steps = time.process_time(), 0
+            while not simulator.ended[0]:
+                _step(simulator, eyes, team, watch)
+                steps += 1
+            met = bool(simulator.status[0] == RENDEZVOUS)
+            yield Episode(
+                met=met,
+                clean=bool(met and simulator.contacts[0] == 0),
+                time=float(simulator.time[0]),
+                steps=steps,
+                work=time.process_time() - began,
+            )
+    finally:
+        eyes.close()
+
+
+class _Team:
+    """Detectors and a policy: pictures in, velocities out."""
+
+    def __init__(self, policy: str) -> None:
+        self._layout, n = SCENARIO.observation_layout, SCENARIO.n_robots
+        self._sights = [RobotSight(self._layout, SCENARIO.max_degree) for _ in range(n)]
+        self._detector = Detector(np.array(LAMPS[:n]), HEIGHT, SCENARIO.obstacle_range)
+        self._policy = make(policy, SCENARIO)
+
+    def reset(self) -> None:
+        self._policy.reset()
+        for sight in self._sights:
+            sight.forget()
+
+    def see(self, pictures: NDArray[np.uint8], active: NDArray[np.bool_]) -> list[Found | None]:
+        """What the detector finds, robot by robot; None for those that have merged away."""
+        return [
+            self._detector.find(mine) if there else None
+            for mine, there in zip(pictures, active, strict=True)
+        ]
+
+    def act(self, seen: list[Found | None], time: float) -> NDArray[np.float32]:
+        """Velocities (1, n, 2) in the robots' own frames, m/s."""
+        rows = np.zeros((1, len(seen), *self._layout.shape), np.float32)
+        for i, found in enumerate(seen):
+            if found is not None:
+                edges = found.edges[: self._layout.obstacle_slots]
+                rows[0, i] = self._sights[i].rows(unit(found.bearings), unit(edges), None)
+        return self._policy(rows, time)
+
+
+def _step(simulator: Simulator, eyes: Eyes, team: _Team, watch: Watcher | None) -> None:
+    """Draw, look, decide, move."""
+    eyes.place()
+    pictures = eyes.look()
+    seen = team.see(pictures, simulator.active[0])
+    if watch is not None:
+        watch(simulator, eyes, pictures, seen)
+    simulator.step(team.act(seen, float(simulator.time[0])))
+
+
+def compare(policy: str, episodes: int, seed: int) -> dict[str, Any]:
+    """Success from pixels beside that with exact sensors and with ``Sensing.camera()``."""
+    found = list(play(policy, range(seed, seed + episodes)))
+    clean = np.array([one.clean for one in found])
+    low, high = fraction_interval(clean)
+    return {
+        "policy": policy,
+        "episodes": episodes,
+        "clean": float(clean.mean()),
+        "low": low,
+        "high": high,
+        "met": float(np.mean([one.met for one in found])),
+        "time": float(np.median([one.time for one in found])),
+        "predicted": _simulated(policy, episodes, seed, Sensing.camera()),
+        "exact": _simulated(policy, episodes, seed, Sensing()),
+        "steps_per_core_second": sum(one.steps for one in found) / sum(one.work for one in found),
+    }
+
+
+def _simulated(policy: str, episodes: int, seed: int, sensing: Sensing) -> float:
+    """Collision-free success on the same starts, without pictures."""
+    scenario = SCENARIO.replace(sensing=sensing)
+    starts = {"episodes": episodes, "seed": seed}
+    found, _ = evaluation.play(scenario, lambda: make(policy, scenario), margin=None, **starts)
+    return float(found.clean.mean())

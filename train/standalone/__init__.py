@@ -1,0 +1,271 @@
+"""A policy as one Python file that needs NumPy alone: ``rendezvous export --standalone``."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import pprint
+import sys
+import textwrap
+from collections.abc import Iterator, Mapping
+from importlib import util
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rendezvous_env.baselines import policy as registry
+from rendezvous_env.baselines.learned.policy_settings import PolicySettings
+from rendezvous_env.baselines.robot_policy import (
+    RobotPolicy,
+    check_kind,
+    check_planar,
+    common_gain,
+)
+
+from rendezvous_env import __version__
+from rendezvous_env.scenario.scenario import Scenario
+
+from .bundle import PROJECT, Bundle, Name
+
+CLOSE = 1e-5
+"""m/s by which a file may differ from the policy that it was made of."""
+_ACTOR = ("features_extractor.", "mlp_extractor.policy_net.", "action_net.", "memory.")
+_STAND_INS = {
+    Name("rendezvous_env.compilation", "kernel"): '''
+def kernel(function, inline="never"):
+    """Nothing is compiled here."""
+    return function
+''',
+    Name("rendezvous_env.safety.robot_lanes", "LANES"): "\nLANES = 1\n",
+    Name("rendezvous_env.safety.safety_filter", "over_teams"): '''
+def over_teams(run_kernel, num_envs, n_robots, num_threads):
+    """One team, one thread."""
+    run_kernel((0, 1, 0))
+''',
+    Name("rendezvous_env.safety.settings", "levels_follow_v"): '''
+def levels_follow_v(scenario):
+    """Tanks shrink with V where a merge is told; nobody tells a robot alone."""
+    return False
+''',
+    Name("baselines.learned.plain_data", "check_types"): '''
+def check_types(values, hints):
+    """Types were checked when this file was written."""
+''',
+    Name("baselines.learned.plain_data", "check_field_types"): '''
+def check_field_types(made):
+    """As ``check_types``."""
+''',
+}
+_ROOTS = (
+    Name("baselines.robot_policy", "OneRobot"),
+    Name("rendezvous_env.scenario.observation_layout", "ObservationLayout"),
+    Name("rendezvous_env.robots.differential_drive", "DifferentialDrive"),
+    Name("rendezvous_env.robots.differential_drive", "keep_apart"),
+)
+_NUMBERS = (
+    "name", "dim", "robot_model", "merge_radius", "tau", "certified_step", "dead_zone",
+    "max_degree", "speed_limit", "max_turn_rate", "scales_velocity", "action_size",
+)  # fmt: skip
+"""Of a scenario, that policies of one robot ask for."""
+
+_HEAD = '''"""The policy {policy} for a robot of the scenario {scenario}: bearings in, velocity out.
+
+    robot = RobotPolicy()
+    velocity = robot.act(bearings, obstacles, dt=0.03)     # as rendezvous_env's RobotPolicy.act
+    drive = DifferentialDrive()
+    v, omega = drive.command(velocity, yaw, dt=0.03)
+
+It needs NumPy and nothing else. `rendezvous export --standalone` of rendezvous-env {version} wrote
+it, of the functions of that package, word for word; whoever wants to change them does so there. It
+refuses to be imported once a byte of it has changed: its last line sees to that.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+from types import SimpleNamespace
+'''
+_TEAM = '''
+
+# ---- the team ---------------------------------------------------------------------------------
+
+TEAM = SimpleNamespace(
+    n_robots=1,  # that are steered from here; the numbers below are those of the whole team
+    observation_layout=ObservationLayout({layout}),
+    action_bounds=np.array({bounds}),
+    model=SimpleNamespace(**{model}),
+    **{numbers},
+)
+
+
+class RobotPolicy(OneRobot):
+    """One robot with its policy, see ``OneRobot.act``; ``reset`` makes it forget everything."""
+
+    def __init__(self):
+        policy = {make}
+        super().__init__(TEAM, policy if IS_UNCHANGED else None, {gain!r})
+'''
+_LEARNED = '''
+SETTINGS = {settings}
+SHAPES = {shapes}
+
+
+def weights_of(shapes, text):
+    """The arrays (float32, little-endian, one after another) of a text, by name."""
+    numbers, arrays, first = np.frombuffer(base64.b64decode(text), "<f4"), {{}}, 0
+    for name, shape in shapes.items():
+        size = int(np.prod(shape))
+        arrays[name] = numbers[first : first + size].reshape(shape)
+        first += size
+    return arrays
+
+
+WEIGHTS = """
+{weights}
+"""
+
+
+def learned_policy():
+    """The network with its weights, and what stands around it."""
+    settings = PolicySettings.from_plain(SETTINGS)
+    return LearnedPolicy(TEAM, weights_of(SHAPES, WEIGHTS), settings)
+'''
+_LAST = '''
+
+def check_unchanged(path, digest):
+    """True; but a file of which anything above its last line is not as it was written is refused.
+
+    Raises:
+        ValueError: naming the file.
+    """
+    with open(path, "rb") as file:
+        lines = file.read().replace(b"\\r\\n", b"\\n").splitlines(keepends=True)
+    if hashlib.sha256(b"".join(lines[:-1])).hexdigest() != digest:
+        raise ValueError(f"{path}: its content was changed: the digest in it does not fit")
+    return True
+
+
+'''
+
+
+def text_of(
+    policy: str,
+    scenario: Scenario,
+    network: tuple[Mapping[str, NDArray[Any]], PolicySettings] | None,
+) -> str:
+    """The file of a policy.
+
+    Args:
+        policy: its name; of a rule or law that of the registry.
+        scenario: whose robot it is for.
+        network: weights and settings of a learned policy.
+
+    Raises:
+        ValueError: for robots or a policy that ``RobotPolicy`` does not take either.
+    """
+    check_planar(scenario)
+    stand_ins, roots, extra = dict(_STAND_INS), list(_ROOTS), ""
+    if network is None:
+        registry.make(policy, scenario)
+        check_kind(policy)
+        build = registry.builder_of(policy)
+        if build.__module__.partition(".")[0] not in PROJECT:
+            raise ValueError(f"policy {policy!r} stands in {build.__module__}, not in this project")
+        roots.append(Name(build.__module__, build.__name__))
+        make = f"{build.__name__}(TEAM)"
+    else:
+        weights, settings = network
+        roots.append(Name("baselines.learned.learned_policy", "LearnedPolicy"))
+        roots.append(Name("baselines.learned.policy_settings", "PolicySettings"))
+        make = (
+            "LearnedPolicy(TEAM, weights_of(SHAPES, WEIGHTS), PolicySettings.from_plain(SETTINGS))"
+        )
+        extra = _learned(weights, settings)
+    bundle = Bundle(roots, stand_ins).text()
+    head = _HEAD.format(policy=repr(policy), scenario=repr(scenario.name), version=__version__)
+    content = head + bundle + extra + _team(scenario, make) + _LAST
+    digest = hashlib.sha256(content.encode()).hexdigest()
+    return f'{content}IS_UNCHANGED = check_unchanged(__file__, "{digest}")\n'
+
+
+def _team(scenario: Scenario, make: str) -> str:
+    layout = scenario.observation_layout
+    numbers = {name: getattr(scenario, name) for name in _NUMBERS}
+    about = ("name", "nonholonomic", "bounded", "theorem", "action")
+    model = {name: getattr(scenario.model, name) for name in about}
+    return _TEAM.format(
+        layout=", ".join(f"{key}={value}" for key, value in vars(layout).items()),
+        bounds=scenario.action_bounds.tolist(),
+        model=_written(model),
+        numbers=_written(numbers),
+        make=make,
+        gain=common_gain(scenario),
+    )
+
+
+def _learned(weights: Mapping[str, NDArray[Any]], settings: PolicySettings) -> str:
+    actor = {name: array for name, array in weights.items() if name.startswith(_ACTOR)}
+    numbers = np.concatenate([array.astype("<f4").ravel() for array in actor.values()])
+    text = base64.b64encode(numbers.tobytes()).decode()
+    return _LEARNED.format(
+        settings=_written(settings.to_plain()),
+        shapes=_written({name: array.shape for name, array in actor.items()}),
+        weights="\n".join(textwrap.wrap(text, 100)),
+    )
+
+
+def _written(plain: Any) -> str:
+    """Plain data as Python writes it; numbers that are read back are the same."""
+    return pprint.pformat(plain, width=96, sort_dicts=False)
+
+
+# ---- whether it does what the policy does -------------------------------------------------------
+
+
+def load(path: Path) -> Any:
+    """A file as a module of its own, read anew, which leaves nothing behind."""
+    spec = util.spec_from_file_location(f"_robot_{path.stem.strip('.')}", path)
+    assert spec is not None and spec.loader is not None
+    module = util.module_from_spec(spec)
+    cached, sys.dont_write_bytecode = sys.dont_write_bytecode, True
+    sys.modules[spec.name] = module  # where dataclasses look
+    try:
+        spec.loader.exec_module(module)
+    finally:
+        del sys.modules[spec.name]
+        sys.dont_write_bytecode = cached
+    return module
+
+
+def compare(path: Path, robot: RobotPolicy, ticks: int) -> float:
+    """By how much, m/s, what a file commands differs from a policy, at most, in drawn ticks."""
+    written, worst = load(path).RobotPolicy(), 0.0
+    for bearings, obstacles, dt, weights in drawn_ticks(robot.scenario, ticks):
+        wanted = robot.act(bearings, obstacles, dt, weights=weights)
+        found = written.act(bearings, obstacles, dt, weights=weights)
+        worst = max(worst, float(np.abs(found - wanted).max()))
+    return worst
+
+
+def drawn_ticks(scenario: Scenario, ticks: int) -> Iterator[tuple[Any, ...]]:
+    """Arguments of ``act`` as a robot could measure them that goes among things that move; from
+    time to time all is elsewhere.
+    """
+    random, layout = np.random.default_rng(0), scenario.observation_layout
+    for tick in range(ticks):
+        if tick % 100 == 0:
+            bearings = random.uniform(-np.pi, np.pi, random.integers(layout.neighbour_slots + 1))
+            middles = random.uniform(-np.pi, np.pi, random.integers(layout.obstacle_slots + 1))
+            widths = random.uniform(0.05, 1.0, len(middles))
+            weights = np.full(len(bearings), scenario.max_degree / max(1, layout.neighbour_slots))
+        bearings = bearings + random.normal(0.0, 0.02, len(bearings))
+        middles = middles + random.normal(0.0, 0.02, len(middles))
+        edges = np.stack([middles + widths, middles - widths], axis=-1)
+        dt = scenario.tau * random.uniform(0.3, 1.0)
+        yield _units(bearings), _units(edges), dt, weights
+
+
+def _units(angles: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.stack([np.cos(angles), np.sin(angles)], axis=-1)
