@@ -147,11 +147,13 @@ class TestReplay:
     def test_it_plays_at_once_for_those_who_do_not_mind(self, browser, address):
         page = browser.new_page(viewport={"width": 1400, "height": 900})
         page.goto(address)
-        # both in one look: the end may have come by the second one of a slow browser
-        page.wait_for_function(
-            "parseFloat(document.getElementById('clock').textContent) > 0.1"
+        # both in one look: the end may have come by the second one of a slow browser. And a look
+        # from outside: the page's own policy forbids what waits within it (wait_for_function)
+        playing = (
+            "() => parseFloat(document.getElementById('clock').textContent) > 0.1"
             " && document.getElementById('play').textContent === 'Pause'"
         )
+        wait_until(page, lambda: page.evaluate(playing))
         top = page.locator(".world canvas").first.bounding_box()
         assert top["y"] + top["height"] < 900 and page.locator(".answer").is_visible()
         page.close()
