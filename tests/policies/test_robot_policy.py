@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 from conftest import LAWS
+from scipy.optimize import linear_sum_assignment
 
 import baselines
 import rendezvous_env as rv
 from baselines import RobotPolicy
-from baselines.robot_policy import RobotSight
+from baselines.robot_policy import RobotSight, least_cost_slots
 from rendezvous_env.engine.memory import RENDEZVOUS, RUNNING
 from rendezvous_env.trajectory import run
 
@@ -217,3 +218,16 @@ def test_what_it_cannot_steer_is_refused():
         RobotPolicy(CLUTTER, "learnt")
     with pytest.raises(ValueError, match="policy is 3; it must be a name, a Path"):
         RobotPolicy(CLUTTER, 3)
+
+
+def test_slots_cost_as_little_as_scipys():
+    random = np.random.default_rng(0)
+    for _ in range(2000):
+        m = random.integers(1, 7)
+        shape = m, random.integers(m, 9)
+        cost = random.choice(
+            [random.normal(size=shape), random.integers(0, 4, shape).astype(float)]
+        )
+        slots = least_cost_slots(cost)
+        assert len(set(slots)) == m
+        assert cost[range(m), slots].sum() == pytest.approx(cost[linear_sum_assignment(cost)].sum())
