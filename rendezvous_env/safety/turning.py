@@ -19,6 +19,8 @@ from ..scenario.scenario import Scenario
 
 SMALLEST_COSINE = 1e-9
 """Law (17) takes |cos β| for no less than this: its rate is then far over any limit."""
+TINY = 1e-300
+"""rad/s; a limit of 0 counts as this."""
 
 
 def yaw_rate_law(left: Any, pitch: Any) -> Any:
@@ -97,14 +99,57 @@ def rates_onto_line(net_bearing, pitch, gate):
 
     Arguments as ``gated_rates``; a pair, rad/s.
     """
-    c, s = math.cos(pitch), math.sin(pitch)
-    ahead, left = c * net_bearing[0] - s * net_bearing[2], net_bearing[1]
-    up = s * net_bearing[0] + c * net_bearing[2]
+    ahead, left, up = _levelled(net_bearing, pitch)
     side = -1.0 if ahead < 0.0 else 1.0
     yaw = math.atan2(side * left, side * ahead)
     rise = math.atan2(side * up, math.hypot(ahead, left)) - pitch
     rise -= math.pi * round(rise / math.pi)
     return clip(yaw / gate.duration, gate.yaw_limit), clip(rise / gate.duration, gate.pitch_limit)
+
+
+@kernel
+def _levelled(vector, pitch):
+    """A triple of the body frame in the frame of the same yaw that is level."""
+    c, s = math.cos(pitch), math.sin(pitch)
+    return c * vector[0] - s * vector[2], vector[1], s * vector[0] + c * vector[2]
+
+
+@kernel
+def rates_towards(wanted, pitch, gate):
+    """Turn rates that bring the body axis h to a direction: in this step if their limits allow it,
+    and never past it.
+
+        ω = ψ/τ;   in 3-D   (ω_α, ω_β) = (ψ, β* − β)/τ,   scaled together to their limits
+
+    (ψ, β*) are the yaw and pitch after which h points there: of the two ways over which they can be
+    reached, upright or upside down, the one that takes less time.
+
+    Args:
+        wanted: a triple of any length but 0, in the body frame.
+        pitch: β, a number, rad; 0 in the plane.
+        gate: a Gate.
+
+    Returns:
+        A pair, rad/s.
+    """
+    if gate.planar:
+        yaw = math.atan2(wanted[1], wanted[0])
+        return clip(yaw / gate.duration, gate.yaw_limit), 0.0
+    ahead, left, up = _levelled(wanted, pitch)
+    yaw, target = math.atan2(left, ahead), math.atan2(up, math.hypot(ahead, left))
+    upright = _in_one_go(yaw, target - pitch, gate)
+    over = _in_one_go(yaw - math.copysign(math.pi, yaw), math.pi - target - pitch, gate)
+    yaw_rate, pitch_rate, steps = upright if upright[2] <= over[2] else over
+    return yaw_rate / max(steps, 1.0), pitch_rate / max(steps, 1.0)
+
+
+@kernel
+def _in_one_go(yaw, rise, gate):
+    """Turn rates that make two turns within one step, rad/s, and how many steps they take."""
+    rise -= 2.0 * math.pi * round(rise / (2.0 * math.pi))
+    yaw_rate, pitch_rate = yaw / gate.duration, rise / gate.duration
+    yaw_limit, pitch_limit = max(gate.yaw_limit, TINY), max(gate.pitch_limit, TINY)
+    return yaw_rate, pitch_rate, max(abs(yaw_rate) / yaw_limit, abs(pitch_rate) / pitch_limit)
 
 
 @kernel
