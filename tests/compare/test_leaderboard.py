@@ -147,9 +147,12 @@ def test_a_card_is_repeated_bit_by_bit_or_said_to_differ(board, capsys):
     other.write_text(json.dumps(changed))
     assert command.run(replace(SMALL, repeat=other)) == 1
     assert "results differ" in capsys.readouterr().err
-    other.write_text("{}")
+    for text in ("{}", "[1]", "no card"):
+        other.write_text(text)
+        with pytest.raises(UserError, match=r"other\.json: no results card"):
+            command.run(replace(SMALL, repeat=other))
     with pytest.raises(UserError, match="no results card"):
-        command.run(replace(SMALL, repeat=other))
+        command.run(replace(SMALL, repeat=other.with_name("nobody.json")))
 
 
 def test_what_is_done_is_not_done_again(board, tmp_path, monkeypatch):

@@ -57,6 +57,10 @@ class TestRanking:
         [found] = ranking.rank([played("fig4", name, hit) for name, hit in names.items()])
         assert found.top == ("tangent", "tangent-joined")
 
+    def test_a_name_is_not_cut_within_a_word(self):
+        rankings = ranking.rank([played("robotarium-4", "tangent", 0.5)])
+        assert "robotarium" in shown(rankings, 80)
+
     def test_who_knows_the_map_does_not_compete(self):
         [found] = ranking.rank(
             [played("fig4", "privileged-planner", 1.0), played("fig4", "tangent", 0.4)]

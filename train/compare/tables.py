@@ -134,8 +134,9 @@ def ceiling_table(rows: Sequence[Row]) -> Table:
     return table
 
 
-_HEADING = 9
-"""Characters of a line in which a scenario's name stands; longer names take more lines."""
+_HEADING, _LONGEST_WORD = 9, 14
+"""Characters of a line in which a scenario's name stands, at least, and at most for a long word in
+it; longer names take more lines."""
 _BETWEEN = 2
 BEST, TIED = "*", "="
 
@@ -144,18 +145,20 @@ def show_matrix(rankings: Sequence[Ranking], console: Console) -> None:
     """Print the matrix, in as many parts as the console is too narrow for, and its marks."""
     names = max(len(name) for ranking in rankings for name in ranking.share)
     room = console.width - min(names, console.width // 2)
-    columns = max(1, room // (_HEADING + _BETWEEN))
+    words = (len(word) + 1 for ranking in rankings for word in ranking.scenario.split("-"))
+    heading = min(max(_HEADING, *words), _LONGEST_WORD)
+    columns = max(1, room // (heading + _BETWEEN))
     for first in range(0, len(rankings), columns):
-        console.print(_table(rankings[first : first + columns]))
+        console.print(_table(rankings[first : first + columns], heading))
     for note in _notes(rankings):
         console.print(note)
 
 
-def _table(rankings: Sequence[Ranking]) -> Table:
+def _table(rankings: Sequence[Ranking], heading: int) -> Table:
     table = Table(box=None, header_style="bold", pad_edge=False, padding=(0, _BETWEEN, 0, 0))
     table.add_column("collision-free, %", overflow="fold")
     for ranking in rankings:
-        name = textwrap.fill(ranking.scenario, _HEADING)
+        name = textwrap.fill(ranking.scenario, heading)
         table.add_column(Text(name), justify="right", vertical="bottom", min_width=5)
     shown = dict.fromkeys(name for ranking in rankings for name in ranking.share)
     table.add_row("starts", *(Text(str(ranking.starts)) for ranking in rankings), style="dim")

@@ -11,6 +11,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from rendezvous_env.baselines.learned.plain_data import read_json
 from rich.console import Console
 
 from rendezvous_env.scenario import scenarios
@@ -123,12 +124,12 @@ def read_cards(out: Path) -> list[Card]:
 
 
 def _repeat(path: Path, console: Console) -> int:
-    card = read(path)
     try:
+        card = dict(read_json(path))
         words = card["field"].partition("/")[2], card["seed"], card["decisions"], card["starts"]
         place = Place(card["algorithm"], *words)
         scenarios.get(place.field)
-    except (KeyError, TypeError, AttributeError, ValueError) as error:
+    except (OSError, KeyError, TypeError, AttributeError, ValueError) as error:
         raise UserError(f"--repeat {path}: no results card of this version ({error})") from error
     place = place if place.decisions else replace_decisions(place)
     again = card_of(place)
