@@ -16,7 +16,7 @@ from rendezvous_env.engine.threads import Part
 from rendezvous_env.physics.neighbour_rows import net_bearing_of
 from rendezvous_env.physics.vectors import X_AXIS, load, norm, scaled, split, store
 from rendezvous_env.safety.heading import HeadingFilter, scale_of_step
-from rendezvous_env.safety.safety_filter import over_teams
+from rendezvous_env.safety.safety_filter import Float32, over_teams
 from rendezvous_env.safety.tank import EnergyTank, unit_of_tanks
 from rendezvous_env.scenario.scenario import Scenario
 
@@ -89,11 +89,7 @@ class HeadingTankFilter(EnergyTank):
         self._booked[...] = 0.0
 
     def act_of(
-        self,
-        teams: Part,
-        observations: NDArray[np.float32],
-        actions: NDArray[np.float32],
-        elapsed: float | None = None,
+        self, teams: Part, observations: Float32, actions: Float32, elapsed: float | None = None
     ) -> None:
         """As ``EnergyTank.act_of``; the step is booked at once, as one that lasts τ. How much time
         has elapsed is of no concern to headings that turn as they like.
@@ -109,14 +105,14 @@ class HeadingTankFilter(EnergyTank):
 @kernel
 def _wish(teams, observations, constants, headings, held):
     """The velocities of a HeadingTankFilter, in units of v_max, along headings (B, n, d)."""
-    K, duration = constants.neighbour_slots, constants.gate.duration
+    robot, K = constants.robot, constants.robot.neighbour_slots
     for team in range(teams[0], teams[1]):
         for i in range(observations.shape[1]):
             rows = observations[team, i]
             degree, strength = 0.0, norm(net_bearing_of(rows, K))
             for k in range(K):  # each length in float32, as ``ObservationLayout.degree`` has it
                 degree += np.float64(np.sqrt(rows[k, 0] * rows[k, 0] + rows[k, 1] * rows[k, 1]))
-            law_speed = scale_of_step(degree, constants.merge_radius, duration) * strength
+            law_speed = scale_of_step(degree, robot.merge_radius, robot.gate.duration) * strength
             share = _WITHIN * min(law_speed / constants.speed_limit, 1.0)
             store(scaled(load(headings[team, i]), share), held[team, i])
 
@@ -220,11 +216,11 @@ class GuidedTeams:
 
     def show(
         self,
-        shown: NDArray[np.float32],
-        observations: NDArray[np.float32],
+        shown: Float32,
+        observations: Float32,
         which: NDArray[np.bool_] | None = None,
         elapsed: NDArray[np.float64] | None = None,
-    ) -> NDArray[np.float32]:
+    ) -> Float32:
         """What the robots are shown before they choose; arguments as ``Features.see_into``."""
         carried, tank = self.steering.carried, self.tank
         velocities = None if tank is None else tank.velocities
@@ -274,9 +270,7 @@ class GuidedTeams:
         self._directions = turned
         self.perception.note(np.arctan2(turned[..., 1], turned[..., 0]))
 
-    def act(
-        self, observations: NDArray[np.float32], elapsed: float | None = None
-    ) -> NDArray[np.float32]:
+    def act(self, observations: Float32, elapsed: float | None = None) -> Float32:
         """Velocities of the robots.
 
         Args:
@@ -292,11 +286,7 @@ class GuidedTeams:
         return actions
 
     def act_of(
-        self,
-        teams: Part,
-        observations: NDArray[np.float32],
-        actions: NDArray[np.float32],
-        elapsed: float | None = None,
+        self, teams: Part, observations: Float32, actions: Float32, elapsed: float | None = None
     ) -> None:
         """As ``act``, of the teams from the first of a part to the one before its second."""
         carried, intervals = self.steering.carried, np.empty((self._obstacle_slots, 2))

@@ -19,6 +19,7 @@ from ..safety.gains import Gains
 from ..safety.heading import HeadingFilter
 from ..safety.links import LinkKeeping
 from ..safety.safety_filter import FILTERS, SafetyFilter
+from ..safety.settings import MAX_TURN_RATE
 from ..safety.tank import EnergyTank
 from ..simulator import Simulator
 from .overrides import arguments_of
@@ -166,7 +167,7 @@ class HeadingSettings(_MadeOfSettings):
         self,
         env: Any,
         min_alignment: float = 0.1,
-        max_turn_rate: float = 3.0,
+        max_turn_rate: float = MAX_TURN_RATE,
         frame: str = "net_bearing",
         decision_period: int = 1,
         certified: bool = True,

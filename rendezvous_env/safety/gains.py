@@ -15,7 +15,7 @@ from ..physics.vectors import combine, dot, load, norm, scaled, store
 from ..robots.single_integrator import speed_scale
 from ..scenario.scenario import Scenario
 from .links import alignment_of
-from .safety_filter import KernelFilter, check_goes_anywhere, register_filter
+from .safety_filter import Float32, KernelFilter, check_goes_anywhere, register_filter
 
 _NOTHING = 1e-30
 """Weights that add up to less, m/s, are none."""
@@ -117,11 +117,7 @@ class Gains(KernelFilter):
         self.gain[which] = 0.0
 
     def act_of(
-        self,
-        teams: Part,
-        observations: NDArray[np.float32],
-        actions: NDArray[np.float32],
-        elapsed: float | None = None,
+        self, teams: Part, observations: Float32, actions: Float32, elapsed: float | None = None
     ) -> None:
         """As ``KernelFilter.act_of``."""
         told = self.gain, self.alignment, self.lyapunov_rate

@@ -17,31 +17,10 @@ from ..engine.threads import Part
 from ..physics.neighbour_rows import degree_of, net_bearing_of
 from ..physics.vectors import X_AXIS, combine, dot, load, scaled, split, store, without
 from ..scenario.scenario import Scenario
-from .robot_lanes import (
-    LANES,
-    give_out,
-    lanes_of,
-    look,
-    new_lanes,
-    of_robots,
-    put,
-    take_in,
-    tell,
-    triple_of,
-    weigh,
-)
-from .safety_filter import KernelFilter, check_steerable, register_filter
-from .settings import check_bearing_error, check_gate_constants, check_vectors, error_chord
-from .turning import (
-    Gate,
-    gate_of,
-    gated_rates,
-    mean_axis,
-    pitch_of,
-    rates_of,
-    send_rates,
-    wished_rates,
-)
+from .robot_lanes import LANES, give_out, in_lanes, lanes_of, put, report, see, take_in, triple_of
+from .safety_filter import Float32, KernelFilter, check_steerable, register_filter
+from .settings import MAX_TURN_RATE, check_gate_constants, check_vectors
+from .turning import Robot, gated_rates, pitch_of, robot_of, turn, wished_rates
 
 NO_CAP = -2.0
 """A margin that every heading keeps."""
@@ -239,16 +218,12 @@ def without_error(along, error):
 class _Constants(NamedTuple):
     """What the kernels need to know of the scenario and of the filter's arguments."""
 
-    neighbour_slots: int
-    gravity_row: int
-    merge_radius: float
+    robot: Robot
     speed_scaled: bool
     """Whether velocities are scaled to the step."""
     certified: bool
     max_turn: float
     """Of a heading, rad."""
-    error_chord: float
-    gate: Gate
 
 
 @kernel
@@ -259,26 +234,23 @@ def _steer(robots, constants, arrays, work):
     v = min(1, r/(2Dτ)) max(0, hᵀf − e) h,   e = 2 sin(η/2) D   with bearing errors (N1')
     """
     observations, held, headings, actions, alignment, lyapunov_rate = arrays
-    lanes = lanes_of(work)
+    lanes, robot = lanes_of(work), constants.robot
+    weighs = constants.speed_scaled or robot.error_chord > 0.0
     for first in range(robots[0], robots[1], LANES):
         stop = min(first + LANES, robots[1])
-        look(observations, first, stop, constants.neighbour_slots, lanes.f)
-        if constants.speed_scaled or constants.error_chord > 0.0:
-            weigh(observations, first, stop, constants.neighbour_slots, lanes.degree)
-        take_in(held, first, stop, lanes.choice)
+        see(observations, held, first, stop, robot, weighs, lanes)
         take_in(headings, first, stop, lanes.heading)
         _steer_lanes(constants, work)
         give_out(lanes.heading, first, stop, headings)
-        give_out(lanes.sent, first, stop, actions)
-        tell(lanes.alignment, first, stop, alignment)
-        tell(lanes.lyapunov_rate, first, stop, lyapunov_rate)
+        report(lanes, first, stop, actions, alignment, lyapunov_rate)
 
 
 @inner_kernel(inline="code")
 def _steer_lanes(constants, work):
     if work.shape[1] != LANES:  # it is; so the compiler knows how far apart rows are
         return
-    lanes, gate, limit = lanes_of(work), constants.gate, turn_limit(constants.max_turn)
+    lanes, robot, limit = lanes_of(work), constants.robot, turn_limit(constants.max_turn)
+    gate = robot.gate
     for lane in range(LANES):
         f, degree = triple_of(lanes.f, lane), lanes.degree[lane]
         raw, previous, scale = triple_of(lanes.choice, lane), triple_of(lanes.heading, lane), 1.0
@@ -287,9 +259,9 @@ def _steer_lanes(constants, work):
         else:
             _, h = split(raw)
         if constants.speed_scaled:
-            scale = scale_of_step(degree, constants.merge_radius, gate.duration)
+            scale = scale_of_step(degree, robot.merge_radius, gate.duration)
         along = dot(h, f)
-        sure = without_error(along, constants.error_chord * degree)
+        sure = without_error(along, robot.error_chord * degree)
         put(h, lanes.heading, lane)
         put(scaled(h, sure * scale), lanes.sent, lane)
         strength, _ = split(f)
@@ -304,25 +276,24 @@ def _turn_bodies(teams, arguments):
     With bearing errors it is less by e, so that V falls whatever f is.
     """
     observations, constants, held, actions, alignment, lyapunov_rate = arguments
-    gate = constants.gate
+    robot, gate = constants.robot, constants.robot.gate
     for team in range(teams[0], teams[1]):
         for i in range(observations.shape[1]):
             rows, action = observations[team, i], actions[team, i]
             alignment[team, i], lyapunov_rate[team, i] = np.nan, 0.0
-            degree = degree_of(rows, constants.neighbour_slots)
+            degree = degree_of(rows, robot.neighbour_slots)
             if degree == 0.0:
                 continue
-            f = net_bearing_of(rows, constants.neighbour_slots)
-            pitch = pitch_of(rows, constants.gravity_row, gate)
+            f = net_bearing_of(rows, robot.neighbour_slots)
+            pitch = pitch_of(rows, robot.gravity_row, gate)
             rates = wished_rates(held[team, i], gate)
             if constants.certified:
                 rates = gated_rates(rates, f, pitch, gate)
-            send_rates(rates, action, gate)
-            along = dot(mean_axis(rates_of(action, gate), pitch, gate), f)
-            sure = without_error(along, constants.error_chord * degree)
+            along = dot(turn(rates, pitch, action, gate), f)
+            sure = without_error(along, robot.error_chord * degree)
             scale = 1.0
             if constants.speed_scaled:
-                scale = scale_of_step(degree, constants.merge_radius, gate.duration)
+                scale = scale_of_step(degree, robot.merge_radius, gate.duration)
             action[0] = scale * sure
             strength, _ = split(f)
             if strength > 0.0:
@@ -353,7 +324,7 @@ class HeadingFilter(KernelFilter):
         num_envs: int,
         *,
         min_alignment: float = 0.1,
-        max_turn_rate: float = 3.0,
+        max_turn_rate: float = MAX_TURN_RATE,
         frame: str = "net_bearing",
         certified: bool = True,
         bearing_error: float = 0.0,
@@ -363,24 +334,21 @@ class HeadingFilter(KernelFilter):
         check_steerable(scenario)
         size = scenario.model.n_angles if turns_body else scenario.dim
         super().__init__(scenario, num_envs, size, frame, num_threads)
-        check_gate_constants(min_alignment, self._sight.dead_zone)
         max_turn_rate = positive("max_turn_rate", max_turn_rate, "rad/s")
+        robot = robot_of(
+            scenario, self._sight.dead_zone, min_alignment, bearing_error, max_turn_rate
+        )
         flag("certified", certified)
-        bearing_error = check_bearing_error(bearing_error)
-        if bearing_error > 0.0 and not certified:
+        if robot.error_chord > 0.0 and not certified:
             refuse("bearing_error", bearing_error, "0 with certified=False: nothing is promised")
         given = scenario.max_turn_rate
         self._heading_rate = max_turn_rate if given is None else min(max_turn_rate, given)
         long_step = scenario.tau > scenario.certified_step
         self._constants = _Constants(
-            neighbour_slots=self._sight.neighbour_slots,
-            gravity_row=scenario.observation_layout.gravity.start,
-            merge_radius=scenario.merge_radius,
+            robot,
             speed_scaled=bool(certified and (turns_body or long_step)),
             certified=bool(certified),
             max_turn=self._heading_rate * scenario.tau,
-            error_chord=error_chord(bearing_error),
-            gate=gate_of(scenario, min_alignment, self._sight.dead_zone, max_turn_rate),
         )
         self._headings = np.zeros((num_envs, scenario.n_robots, scenario.dim))
 
@@ -403,11 +371,7 @@ class HeadingFilter(KernelFilter):
         self._headings[which] = 0.0
 
     def act_of(
-        self,
-        teams: Part,
-        observations: NDArray[np.float32],
-        actions: NDArray[np.float32],
-        elapsed: float | None = None,
+        self, teams: Part, observations: Float32, actions: Float32, elapsed: float | None = None
     ) -> None:
         """As ``KernelFilter.act_of``."""
         constants, told = self._constants, (self.alignment, self.lyapunov_rate)
@@ -416,9 +380,8 @@ class HeadingFilter(KernelFilter):
         if self.turns_body:
             _turn_bodies(teams, (observations, constants, self._held, actions, *told))
         else:
-            memory = self._held, self._headings, actions, *told
-            robots, arrays = of_robots(teams, observations, *memory)
-            _steer(robots, constants, arrays, new_lanes())
+            memory = self._held, self._headings
+            in_lanes(_steer, teams, constants, observations, *memory, actions, *told)
 
 
 register_filter("heading", HeadingFilter)

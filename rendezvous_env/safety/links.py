@@ -31,7 +31,7 @@ from ..physics.vectors import (
 )
 from ..robots.single_integrator import speed_scale
 from ..scenario.scenario import Scenario
-from .safety_filter import KernelFilter, check_goes_anywhere, register_filter
+from .safety_filter import Float32, KernelFilter, check_goes_anywhere, register_filter
 from .settings import check_bearing_error
 
 
@@ -266,11 +266,7 @@ class LinkKeeping(KernelFilter):
         )
 
     def act_of(
-        self,
-        teams: Part,
-        observations: NDArray[np.float32],
-        actions: NDArray[np.float32],
-        elapsed: float | None = None,
+        self, teams: Part, observations: Float32, actions: Float32, elapsed: float | None = None
     ) -> None:
         """As ``KernelFilter.act_of``."""
         told = self.alignment, self.lyapunov_rate

@@ -43,17 +43,13 @@ class Lanes(NamedTuple):
     lyapunov_rate: Numbers
 
 
-def new_lanes() -> Numbers:
-    """Working memory for ``lanes_of``, (rows, LANES)."""
-    return np.zeros((_ROWS, LANES))
-
-
-def of_robots(teams: Part, *arrays: NDArray[Any]) -> tuple[tuple[int, int], tuple[Any, ...]]:
-    """Teams as robots, b·n + i for robot i of team b: which ones, and arrays (B, n, ...), any unit,
-    as (B·n, ...), without a copy.
+def in_lanes(kernel: Any, teams: Part, constants: Any, *arrays: NDArray[Any]) -> None:
+    """Run a kernel over the robots of some teams, b·n + i for robot i of team b: it is given which
+    ones, constants, arrays (B, n, ...), any unit, as (B·n, ...), and memory for ``lanes_of``.
     """
     n = arrays[0].shape[1]
-    return (teams[0] * n, teams[1] * n), tuple(a.reshape(-1, *a.shape[2:]) for a in arrays)
+    robots = tuple(a.reshape(-1, *a.shape[2:]) for a in arrays)  # not copied
+    kernel((teams[0] * n, teams[1] * n), constants, robots, np.zeros((_ROWS, LANES)))
 
 
 @inner_kernel(inline="text")
@@ -109,22 +105,28 @@ def put(vector, lanes, lane):
 
 
 @inner_kernel(inline="code")
-def look(observations, first, stop, neighbour_slots, f):
-    """f_i = Σ_j a_ij g_ij, m/s, of robots first ≤ i < stop, from rows (N, rows, d), into lanes."""
+def see(observations, held, first, stop, robot, weighs, lanes):
+    """Take in what robots first ≤ i < stop hold, (N, k), and see in rows (N, rows, d), m/s: f_i =
+    Σ_j a_ij g_ij, and D_i = Σ_j a_ij if ``weighs``. ``robot`` is a Robot.
+    """
     if observations.shape[2] == 2:  # the same; behind this question the compiler leaves out z
-        for lane in range(min(LANES, stop - first)):
-            put(net_bearing_of(observations[first + lane], neighbour_slots), f, lane)
+        _see_rows(observations, first, stop, robot.neighbour_slots, weighs, lanes)
     else:
-        for lane in range(min(LANES, stop - first)):
-            put(net_bearing_of(observations[first + lane], neighbour_slots), f, lane)
+        _see_rows(observations, first, stop, robot.neighbour_slots, weighs, lanes)
+    take_in(held, first, stop, lanes.choice)
 
 
 @inner_kernel(inline="code")
-def weigh(observations, first, stop, neighbour_slots, degree):
-    """D_i = Σ_j a_ij, m/s, of robots into lanes; arguments as ``look``."""
-    if observations.shape[2] == 2:
-        for lane in range(min(LANES, stop - first)):
-            degree[lane] = degree_of(observations[first + lane], neighbour_slots)
-    else:
-        for lane in range(min(LANES, stop - first)):
-            degree[lane] = degree_of(observations[first + lane], neighbour_slots)
+def _see_rows(observations, first, stop, neighbour_slots, weighs, lanes):
+    for lane in range(min(LANES, stop - first)):
+        put(net_bearing_of(observations[first + lane], neighbour_slots), lanes.f, lane)
+    for lane in range(min(LANES, stop - first) if weighs else 0):
+        lanes.degree[lane] = degree_of(observations[first + lane], neighbour_slots)
+
+
+@inner_kernel(inline="code")
+def report(lanes, first, stop, actions, alignment, lyapunov_rate):
+    """Give out the actions, m/s, of robots first ≤ i < stop and what is told of them (theory 2)."""
+    give_out(lanes.sent, first, stop, actions)
+    tell(lanes.alignment, first, stop, alignment)
+    tell(lanes.lyapunov_rate, first, stop, lyapunov_rate)

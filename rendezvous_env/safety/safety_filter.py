@@ -7,27 +7,22 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..checks import bools, choice, floats, refuse, shown, whole
-from ..compilation import inner_kernel, kernel
+from ..compilation import kernel
 from ..engine import threads
 from ..engine.state_checks import Remembering, check_observations, check_rotations
 from ..limits import MOST_TEAMS
-from ..physics.neighbour_rows import net_bearing_of
-from ..physics.vectors import cross, dot, load, split, store, without
 from ..scenario.scenario import Scenario
+from .frames import FRAMES, Sight, look_along_net_bearing
 
+Float32 = NDArray[np.float32]
 _ROBOTS_PER_THREAD = 4096
 _LARGEST_FLOAT32 = float(np.finfo(np.float32).max)
-
-_NEARLY_ALONG = 1e-6
-"""A row whose part across f is shorter than this cannot give a frame its second axis, m/s."""
-_CLEARLY_LONGER = 1.001
-"""Rounding must not choose among equal rows: two neighbours' parts across f always are."""
 
 
 def over_teams(
@@ -38,60 +33,6 @@ def over_teams(
     if most > 1:  # to ask how many cores there are takes a while
         most = min(most, threads.most_threads(num_threads))
     threads.share(work, num_envs, max(1, most))
-
-
-@kernel
-def _look_along_net_bearing(teams, arguments):
-    """Turn observations into frames with x along f: row ← Fᵀ row, F = (f/‖f‖, …) (theory 7).
-
-    Where ‖f‖ < δ the last frame is kept. Only the first ``visible_rows`` give it its second axis.
-    """
-    if arguments[0].shape[3] == 2:  # the same; behind this question the compiler leaves out z
-        _look_from(teams, arguments)
-    else:
-        _look_from(teams, arguments)
-
-
-@inner_kernel(inline="code")
-def _look_from(teams, arguments):
-    observations, constants, visible_rows, frames, seen = arguments
-    n, n_rows, d = observations.shape[1:]
-    for team in range(teams[0], teams[1]):
-        for i in range(n):
-            rows, frame = observations[team, i], frames[team, i]
-            f = net_bearing_of(rows, constants.neighbour_slots)
-            strength, towards = split(f)
-            if strength >= constants.dead_zone:
-                _aim_frame(towards, rows, visible_rows, frame)
-            x, y, z = load(frame[:, 0]), load(frame[:, 1]), load(frame[:, d - 1])  # d = 2: no z
-            for row in range(n_rows):
-                v = load(rows[row])
-                along = (0.0 + dot(x, v), 0.0 + dot(y, v), 0.0 + dot(z, v))  # 0.0: never −0.0
-                store(along, seen[team, i, row])
-
-
-@inner_kernel(inline="code")
-def _aim_frame(towards, rows, visible_rows, frame):
-    """A right-handed frame with x = ``towards``; columns are its axes in the local frame.
-
-    In the plane this is unique. In space y is the part across x of the row for which that part is
-    longest, the first one of equals, or of the first local axis that is not along x.
-    """
-    store(towards, frame[:, 0])
-    if frame.shape[0] == 2:
-        frame[0, 1], frame[1, 1] = -towards[1], towards[0]
-        return
-    longest, across = _NEARLY_ALONG, (0.0, 0.0, 0.0)
-    for k in range(visible_rows):
-        part = without(load(rows[k]), towards)
-        length, direction = split(part)
-        if length > _CLEARLY_LONGER * longest + _NEARLY_ALONG:
-            longest, across = length, direction
-    if longest == _NEARLY_ALONG:
-        axis = (1.0, 0.0, 0.0) if abs(towards[0]) < 0.9 else (0.0, 1.0, 0.0)
-        _, across = split(without(axis, towards))
-    store(across, frame[:, 1])
-    store(cross(towards, across), frame[:, 2])
 
 
 @kernel
@@ -120,16 +61,8 @@ def _hold(given, turns, frames, held):
     return -1
 
 
-FRAMES = ("net_bearing", "local")
 _ROUNDING = 1e-6
 """So far from a rotation may a frame be that was put back."""
-
-
-class _Sight(NamedTuple):
-    """What looking along f takes to know."""
-
-    neighbour_slots: int
-    dead_zone: float
 
 
 def check_steerable(scenario: Scenario) -> None:
@@ -208,7 +141,7 @@ class SafetyFilter(Remembering, ABC):
         self.turns_body = scenario.model.nonholonomic
         self.along_net_bearing = frame == "net_bearing" and not self.turns_body
         self.action_size = action_size
-        self._sight = _Sight(layout.neighbour_slots, float(dead_zone))
+        self._sight = Sight(layout.neighbour_slots, float(dead_zone))
         self._batch = num_envs, n, num_threads
         self._seen = (num_envs, n, *layout.shape)
         self._acted = (num_envs, n, scenario.action_size)
@@ -234,7 +167,7 @@ class SafetyFilter(Remembering, ABC):
         self.alignment[which] = np.nan
         self.lyapunov_rate[which] = 0.0
 
-    def view(self, observations: NDArray[np.float32]) -> NDArray[np.float32]:
+    def view(self, observations: Float32) -> Float32:
         """Observations (B, n, rows, d) as the policy sees them; brings the frames up to date.
 
         They have x along f where that is asked for, and are as they were otherwise.
@@ -248,7 +181,7 @@ class SafetyFilter(Remembering, ABC):
         seen = np.empty_like(observations)
         first_rows = self.scenario.observation_layout.obstacles.stop
         arguments = observations, self._sight, first_rows, self._frames, seen
-        over_teams(lambda teams: _look_along_net_bearing(teams, arguments), *self._batch)
+        over_teams(lambda teams: look_along_net_bearing(teams, arguments), *self._batch)
         return seen
 
     @property
@@ -279,7 +212,7 @@ class SafetyFilter(Remembering, ABC):
             )
 
     @abstractmethod
-    def act(self, observations: NDArray[np.float32]) -> NDArray[np.float32]:
+    def act(self, observations: Float32) -> Float32:
         """Actions for the base environment; sets what is ``told``.
 
         Args:
@@ -327,9 +260,7 @@ class KernelFilter(SafetyFilter):
     many steps without waiting for the others (``Simulator.drive``).
     """
 
-    def act(
-        self, observations: NDArray[np.float32], elapsed: float | None = None
-    ) -> NDArray[np.float32]:
+    def act(self, observations: Float32, elapsed: float | None = None) -> Float32:
         """As ``SafetyFilter.act``.
 
         Args:
@@ -346,8 +277,8 @@ class KernelFilter(SafetyFilter):
     def act_of(
         self,
         teams: threads.Part,
-        observations: NDArray[np.float32],
-        actions: NDArray[np.float32],
+        observations: Float32,
+        actions: Float32,
         elapsed: float | None = None,
     ) -> None:
         """Write the actions of some teams, from the first to the one before the second."""

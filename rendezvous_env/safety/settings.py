@@ -16,6 +16,9 @@ from ..sensors.sensing import Sensing
 SMALLEST_MARGIN = 1e-6
 """Margin ε below which nothing is promised: times grow with 1/ε², and soon overflow."""
 
+MAX_TURN_RATE = 3.0
+"""Of headings and of bodies under certified headings that are given no other, rad/s."""
+
 
 def check_gate_constants(min_alignment: float, dead_zone: float) -> None:
     """Refuse numbers of theorem C's margin unless 10⁻⁶ ≤ ε < 1, 0 < δ < ∞, m/s: a ValueError."""

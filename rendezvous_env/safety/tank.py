@@ -21,36 +21,10 @@ from ..robots.single_integrator import speed_scale
 from ..robots.unicycle import clip
 from ..scenario.scenario import Scenario
 from .heading import into_cap, scale_of_step, without_error
-from .robot_lanes import (
-    LANES,
-    give_out,
-    lanes_of,
-    look,
-    new_lanes,
-    of_robots,
-    put,
-    take_in,
-    tell,
-    triple_of,
-    weigh,
-)
-from .safety_filter import KernelFilter, check_steerable, register_filter
-from .settings import (
-    check_bearing_error,
-    check_gate_constants,
-    error_chord,
-    levels_follow_v,
-)
-from .turning import (
-    Gate,
-    gate_of,
-    gated_rates,
-    mean_axis,
-    pitch_of,
-    rates_of,
-    send_rates,
-    wished_rates,
-)
+from .robot_lanes import LANES, in_lanes, lanes_of, put, report, see, tell, triple_of
+from .safety_filter import Float32, KernelFilter, check_steerable, register_filter
+from .settings import levels_follow_v
+from .turning import Robot, gated_rates, pitch_of, rates_of, robot_of, turn, wished_rates
 
 
 @kernel(inline="code")
@@ -112,12 +86,8 @@ def descending_velocity(wanted, net_bearing, scale, min_alignment, error=0.0):
 class _Constants(NamedTuple):
     """What the kernels need to know of the scenario and of the tank's arguments."""
 
-    neighbour_slots: int
-    gravity_row: int
-    merge_radius: float
+    robot: Robot
     speed_limit: float
-    error_chord: float
-    gate: Gate
 
 
 @kernel
@@ -130,19 +100,15 @@ def _spend(robots, constants, arrays, work):
     lanes = lanes_of(work)
     for first in range(robots[0], robots[1], LANES):
         stop = min(first + LANES, robots[1])
-        look(observations, first, stop, constants.neighbour_slots, lanes.f)
-        weigh(observations, first, stop, constants.neighbour_slots, lanes.degree)
-        take_in(held, first, stop, lanes.choice)
+        see(observations, held, first, stop, constants.robot, True, lanes)
         for i in range(first, stop):
             lanes.level[i - first] = levels[i]
         _spend_lanes(constants, work)
-        give_out(lanes.sent, first, stop, actions)
         for i in range(first, stop):
             linked[i] = lanes.degree[i - first] > 0.0
             carried_out[i] = lanes.accepted[i - first] > 0.0
         tell(lanes.deposit, first, stop, deposits)
-        tell(lanes.alignment, first, stop, alignment)
-        tell(lanes.lyapunov_rate, first, stop, lyapunov_rate)
+        report(lanes, first, stop, actions, alignment, lyapunov_rate)
 
 
 @inner_kernel(inline="code")
@@ -150,11 +116,11 @@ def _spend_lanes(constants, work):
     """Robots that go anywhere; those that see nobody rest, and owe nothing."""
     if work.shape[1] != LANES:  # it is; so the compiler knows how far apart rows are
         return
-    lanes, margin, duration = lanes_of(work), constants.gate.min_alignment, constants.gate.duration
-    radius, limit = constants.merge_radius, constants.speed_limit
+    lanes, robot, limit = lanes_of(work), constants.robot, constants.speed_limit
+    radius, margin, duration = robot.merge_radius, robot.gate.min_alignment, robot.gate.duration
     for lane in range(LANES):
         f, degree = triple_of(lanes.f, lane), lanes.degree[lane]
-        error, strength = constants.error_chord * degree, norm(f)
+        error, strength = robot.error_chord * degree, norm(f)
         scale = descent_scale(strength, degree, radius, duration, limit)
         owed = promised_descent(strength, scale, margin, duration, error)
         wish = scaled(triple_of(lanes.choice, lane), limit)
@@ -200,29 +166,24 @@ def _spend_bodies(teams, arguments):
     """As ``_spend``, for nonholonomic robots."""
     observations, constants, held, levels, actions, linked, told = arguments
     deposits, carried_out, alignment, lyapunov_rate = told
+    robot = constants.robot
     for team in range(teams[0], teams[1]):
         for i in range(observations.shape[1]):
             deposits[team, i], carried_out[team, i] = 0.0, False
             alignment[team, i], lyapunov_rate[team, i] = np.nan, 0.0
             rows, action = observations[team, i], actions[team, i]
-            degree = degree_of(rows, constants.neighbour_slots)
+            degree = degree_of(rows, robot.neighbour_slots)
             linked[team, i] = degree > 0.0
             if degree == 0.0:
                 continue
-            f = net_bearing_of(rows, constants.neighbour_slots)
+            f = net_bearing_of(rows, robot.neighbour_slots)
             accepted, deposit, moved = _spend_turning(
                 rows, f, degree, constants, held[team, i], levels[team, i], action
             )
             carried_out[team, i], deposits[team, i] = accepted, deposit
             if norm(f) > 0.0:
                 alignment[team, i] = abs(f[0]) / norm(f)
-            lyapunov_rate[team, i] = -2.0 * dot(f, moved) / constants.gate.duration
-
-
-@kernel
-def _scale(f, degree, constants):
-    radius, duration = constants.merge_radius, constants.gate.duration
-    return descent_scale(norm(f), degree, radius, duration, constants.speed_limit)
+            lyapunov_rate[team, i] = -2.0 * dot(f, moved) / robot.gate.duration
 
 
 @inner_kernel(inline="code")
@@ -230,30 +191,27 @@ def _spend_turning(rows, f, degree, constants, held, level, action):
     """One nonholonomic robot, in its body frame: whether its wish is carried out, its deposit, its
     displacement.
     """
-    gate, error = constants.gate, constants.error_chord * degree
-    pitch = pitch_of(rows, constants.gravity_row, gate)
-    speed, rates = clip(held[0], 1.0) * constants.speed_limit, wished_rates(held[1:], gate)
-    moved = _drive(speed, rates, pitch, constants, action)
-    deposit = certain_descent(f, degree, moved, constants.merge_radius, error)
+    robot, limit, gate = constants.robot, constants.speed_limit, constants.robot.gate
+    radius, error = robot.merge_radius, robot.error_chord * degree
+    pitch = pitch_of(rows, robot.gravity_row, gate)
+    action[0] = clip(held[0], 1.0) * limit
+    m = turn(wished_rates(held[1:], gate), pitch, action, gate)
+    moved = _driven(m, action, limit, gate)
+    deposit = certain_descent(f, degree, moved, radius, error)
     carried_out = level + deposit >= 0.0
     if not carried_out:
-        send_rates(gated_rates(rates_of(action, gate), f, pitch, gate), action, gate)
-        rates = rates_of(action, gate)
-        along = without_error(dot(mean_axis(rates, pitch, gate), f), error)
-        speed = _scale(f, degree, constants) * along
-        moved = _drive(speed, rates, pitch, constants, action)
-        deposit = certain_descent(f, degree, moved, constants.merge_radius, error)
+        m = turn(gated_rates(rates_of(action, gate), f, pitch, gate), pitch, action, gate)
+        scale = descent_scale(norm(f), degree, radius, gate.duration, limit)
+        action[0] = scale * without_error(dot(m, f), error)
+        moved = _driven(m, action, limit, gate)
+        deposit = certain_descent(f, degree, moved, radius, error)
     return carried_out, deposit, moved
 
 
 @inner_kernel(inline="code")
-def _drive(speed, rates, pitch, constants, action):
-    """Send a speed and turn rates; the displacement τ v m (theory 4, arcs), after rounding."""
-    action[0] = speed
-    send_rates(rates, action, constants.gate)
-    m = mean_axis(rates_of(action, constants.gate), pitch, constants.gate)
-    executed = clip(np.float64(action[0]), constants.speed_limit)
-    return scaled(m, constants.gate.duration * executed)
+def _driven(m, action, limit, gate):
+    """The displacement τ v m of an action's speed, after rounding (theory 4, arcs)."""
+    return scaled(m, gate.duration * clip(np.float64(action[0]), limit))
 
 
 @kernel
@@ -341,17 +299,10 @@ class EnergyTank(KernelFilter):
         check_steerable(scenario)
         size = scenario.action_size
         super().__init__(scenario, num_envs, size, frame, num_threads)
-        check_gate_constants(min_alignment, self._sight.dead_zone)
+        robot = robot_of(scenario, self._sight.dead_zone, min_alignment, bearing_error)
         self.budget = number("budget", budget, 0.0, unit="m²/s")
         self.observes_level = flag("observe_level", observe_level)
-        self._constants = _Constants(
-            neighbour_slots=self._sight.neighbour_slots,
-            gravity_row=scenario.observation_layout.gravity.start,
-            merge_radius=scenario.merge_radius,
-            speed_limit=float(scenario.action_bounds[0]),
-            error_chord=error_chord(check_bearing_error(bearing_error)),
-            gate=gate_of(scenario, min_alignment, self._sight.dead_zone),
-        )
+        self._constants = _Constants(robot, float(scenario.action_bounds[0]))
         team = num_envs, scenario.n_robots
         self._levels = np.full(team, self.budget)
         self._deposits, self._linked = np.zeros(team), np.zeros(team, np.bool_)
@@ -393,11 +344,7 @@ class EnergyTank(KernelFilter):
         return np.concatenate([seen, level], axis=-2)
 
     def act_of(
-        self,
-        teams: Part,
-        observations: NDArray[np.float32],
-        actions: NDArray[np.float32],
-        elapsed: float | None = None,
+        self, teams: Part, observations: Float32, actions: Float32, elapsed: float | None = None
     ) -> None:
         """As ``KernelFilter.act_of``; what the step earns waits for ``book``."""
         told = (self._deposits, self.carried_out, self.alignment, self.lyapunov_rate)
@@ -405,8 +352,7 @@ class EnergyTank(KernelFilter):
         if self.turns_body:
             _spend_bodies(teams, (observations, self._constants, *memory, told))
         else:
-            robots, arrays = of_robots(teams, observations, *memory, *told)
-            _spend(robots, self._constants, arrays, new_lanes())
+            in_lanes(_spend, teams, self._constants, observations, *memory, *told)
 
     def book_of(self, teams: Part, contact: Any, merged_into: Any, resting: Any) -> None:
         """Bring the levels of some teams up to the end of the step, as ``KernelFilter.book_of``.

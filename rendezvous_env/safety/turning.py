@@ -16,6 +16,7 @@ from ..physics.vectors import dot, load
 from ..robots.nonholonomic_3d import arc_3d
 from ..robots.unicycle import clip, mean_cos_sin
 from ..scenario.scenario import Scenario
+from .settings import check_bearing_error, check_gate_constants, error_chord
 
 SMALLEST_COSINE = 1e-9
 """Law (17) takes |cos β| for no less than this: its rate is then far over any limit."""
@@ -56,6 +57,40 @@ def gate_of(
     yaw, pitch, *_ = [*limits, 0.0, 0.0]
     planar = scenario.dim == 2
     return Gate(planar, float(min_alignment), dead_zone, scenario.tau, yaw, pitch)
+
+
+class Robot(NamedTuple):
+    """What kernels know of a robot under law (4) or an energy tank."""
+
+    neighbour_slots: int
+    gravity_row: int
+    merge_radius: float
+    error_chord: float
+    """2 sin(η/2), without unit: f is wrong by so much of D."""
+    gate: Gate
+
+
+def robot_of(
+    scenario: Scenario,
+    dead_zone: float,
+    min_alignment: Any,
+    bearing_error: Any,
+    most: float = math.inf,
+) -> Robot:
+    """A scenario's robots with a margin ε and bearing errors η, rad; else as ``gate_of``.
+
+    Raises:
+        ValueError: naming the margin or the error, and what would be right.
+    """
+    check_gate_constants(min_alignment, dead_zone)
+    layout = scenario.observation_layout
+    return Robot(
+        neighbour_slots=layout.neighbour_slots,
+        gravity_row=layout.gravity.start,
+        merge_radius=scenario.merge_radius,
+        error_chord=error_chord(check_bearing_error(bearing_error)),
+        gate=gate_of(scenario, min_alignment, dead_zone, most),
+    )
 
 
 @kernel
@@ -212,8 +247,11 @@ def wished_rates(shares, gate):
 
 
 @kernel
-def send_rates(rates, action, gate):
-    """Write a pair of turn rates, rad/s, after the speed of an action (theory 3)."""
+def turn(rates, pitch, action, gate):
+    """Write a pair of turn rates, rad/s, after the speed of an action; the mean axis m of the step,
+    a triple without unit, as they are after rounding (theory 3 and 4).
+    """
     action[1] = rates[0]
     if not gate.planar:
         action[2] = rates[1]
+    return mean_axis(rates_of(action, gate), pitch, gate)

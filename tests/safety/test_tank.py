@@ -96,7 +96,8 @@ class ForgetsTheSquare(EnergyTank):
 
     def __init__(self, *args, **options):
         super().__init__(*args, **options)
-        self._constants = self._constants._replace(merge_radius=1e9)
+        robot = self._constants.robot._replace(merge_radius=1e9)
+        self._constants = self._constants._replace(robot=robot)
 
 
 class BooksWhatWasWished(EnergyTank):

@@ -1,6 +1,6 @@
 """One scenario, one certificate: adversaries play, and every number that it gives is checked.
 
-Everything goes through what any user has: ``certificate``, the vector environment and its wrappers.
+Everything goes through what any user has: certificates, the vector environment and its wrappers.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 import baselines
 import rendezvous_env as rv
 from rendezvous_env import vector
+from rendezvous_env.safety.theorems.certificate import answer, question
 from rendezvous_env.safety.theorems.certificate import ask as theorems_of
-from rendezvous_env.safety.theorems.theorem import Asked
 
 from .adversarial_actions import Adversary
 from .adversarial_bearings import Misled
@@ -111,23 +111,24 @@ class Promised(NamedTuple):
 
 def ask(scenario: rv.Scenario, by: str, arguments: Mapping[str, float]) -> Promised:
     """What is promised; nothing if the arguments are refused."""
+    given = dict(arguments)
+    error = given.pop("bearing_error", 0.0)
     try:
-        found = rv.certificate(scenario, by=by, **arguments)
+        asked = question(scenario, by, given, error)
     except ValueError:
         return Promised({}, {}, 0.0, "")
-    given: dict[str, Any] = {key: arguments[key] for key in Asked._fields if key in arguments}
-    asked = Asked(by=by, error=found.bearing_error, **given)
-    theorems, limits = {}, dict(found.promises)
-    for theorem, bounds in theorems_of(scenario, asked)[0]:
+    applies, words = theorems_of(scenario, asked)
+    theorems, limits = {}, answer(scenario, asked, applies, words).promises
+    for theorem, bounds in applies:
         own = [name for name in BOUNDS if getattr(bounds, name) < math.inf and name in limits]
         if theorem.every_step:
             own.append(theorem.every_step)
             limits[own[-1]] = 0.0
         if own:
-            where = ", in 3-D" * (scenario.dim == 3) + ", η > 0" * (found.bearing_error > 0)
+            where = ", in 3-D" * (scenario.dim == 3) + ", η > 0" * (asked.error > 0)
             where += ", obstacles" * (theorem.name == "R" and bool(scenario.obstacles))
             theorems[f"{by}: {theorem.name}{where}"] = tuple(own)
-    return Promised(limits, theorems, found.bearing_error, found.theorem)
+    return Promised(limits, theorems, asked.error, words)
 
 
 def play(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 import warnings
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -168,14 +169,35 @@ def certificate(
         ValueError: naming the argument that is out of its range, or does not go with ``by``.
     """
     scenario = resolve(scenario)
-    asked = _checked(
-        scenario,
-        min_alignment,
-        by,
-        {"budget": budget, "min_gain": min_gain, "max_gain": max_gain, "share": share},
-        max(check_bearing_error(bearing_error), bounded_error(scenario.sensing, scenario.dim)),
-    )
-    applies, words = ask(scenario, asked)
+    given = {"min_alignment": min_alignment, "budget": budget, "share": share}
+    given |= {"min_gain": min_gain, "max_gain": max_gain}
+    asked = question(scenario, by, given, bearing_error)
+    return answer(scenario, asked, *ask(scenario, asked))
+
+
+def ask(scenario: Scenario, asked: Asked) -> tuple[list[tuple[Theorem, Bounds]], str]:
+    """All theorems that apply and what they promise; and the words of the first that promises a
+    rendezvous, or what the one that comes nearest lacks.
+    """
+    found, nearest, lacking = [], -1, ""
+    for theorem in THEOREMS:
+        if asked.by not in theorem.by:
+            continue
+        met, words = theorem.unmet(scenario, asked)
+        if not words:
+            bounds = theorem.bounds(scenario, asked)
+            found.append((theorem, bounds))
+            met, words = _APPLIES, bounds.words if asked.error and not bounds.meets else ""
+        if words and theorem.rendezvous and met > nearest:
+            nearest, lacking = met, words
+    promised = next((bounds.words for _, bounds in found if bounds.meets), "")
+    return found, promised or lacking
+
+
+def answer(
+    scenario: Scenario, asked: Asked, applies: list[tuple[Theorem, Bounds]], words: str
+) -> Certificate:
+    """The certificate that ``ask`` amounts to: of all that is promised the best."""
     found = [bounds for _, bounds in applies]
     promised = [bounds for bounds in found if bounds.meets]
 
@@ -205,45 +227,29 @@ def certificate(
     )
 
 
-def ask(scenario: Scenario, asked: Asked) -> tuple[list[tuple[Theorem, Bounds]], str]:
-    """All theorems that apply and what they promise; and the words of the first that promises a
-    rendezvous, or what the one that comes nearest lacks.
+def question(scenario: Scenario, by: Any, given: Mapping[str, Any], bearing_error: Any) -> Asked:
+    """What is asked, if the arguments of ``certificate`` go together; those that are not given are
+    LAW's.
     """
-    found, nearest, lacking = [], -1, ""
-    for theorem in THEOREMS:
-        if asked.by not in theorem.by:
-            continue
-        met, words = theorem.unmet(scenario, asked)
-        if not words:
-            bounds = theorem.bounds(scenario, asked)
-            found.append((theorem, bounds))
-            met, words = _APPLIES, bounds.words if asked.error and not bounds.meets else ""
-        if words and theorem.rendezvous and met > nearest:
-            nearest, lacking = met, words
-    promised = next((bounds.words for _, bounds in found if bounds.meets), "")
-    return found, promised or lacking
-
-
-def _checked(
-    scenario: Scenario, min_alignment: float, by: Any, given: dict[str, Any], error: float
-) -> Asked:
-    """What is asked, if the arguments go together."""
-    descent.check_margin(min_alignment)
+    margin = given.get("min_alignment", LAW.min_alignment)
+    descent.check_margin(margin)
     if by is None:
-        by = "law" if min_alignment == 1 else "heading"
+        by = "law" if margin == 1 else "heading"
     choice("by", by, CHOICES)
-    if by in ("law", "gains", "links") and min_alignment != 1:
-        refuse("min_alignment", min_alignment, f'exactly 1 with by="{by}"')
-    if by == "heading" and min_alignment == 1:
-        refuse("min_alignment", min_alignment, 'less than 1 with by="heading"')
-    if by != "tank" and real(given["budget"]) != 0:
-        refuse("budget", given["budget"], f'0 with by="{by}": only a tank has one')
-    check_share(given["share"])
-    for name, value in given.items():
-        usual, only = getattr(LAW, name), "links" if name == "share" else "gains"
-        if name != "budget" and by != only and value != usual:
+    if by in ("law", "gains", "links") and margin != 1:
+        refuse("min_alignment", margin, f'exactly 1 with by="{by}"')
+    if by == "heading" and margin == 1:
+        refuse("min_alignment", margin, 'less than 1 with by="heading"')
+    asked = LAW._replace(by=by, **given)
+    if by != "tank" and real(asked.budget) != 0:
+        refuse("budget", asked.budget, f'0 with by="{by}": only a tank has one')
+    check_share(asked.share)
+    for name, only in (("min_gain", "gains"), ("max_gain", "gains"), ("share", "links")):
+        value, usual = getattr(asked, name), getattr(LAW, name)
+        if by != only and value != usual:
             refuse(name, value, f'{usual} with by="{by}": only {only} have one')
     if by == "gains":
-        gain_range(scenario, given["min_gain"], given["max_gain"])
-    given |= {"budget": real(given["budget"]), "share": real(given["share"])}
-    return Asked(by=by, min_alignment=real(min_alignment), **given, error=error)
+        gain_range(scenario, asked.min_gain, asked.max_gain)
+    error = max(check_bearing_error(bearing_error), bounded_error(scenario.sensing, scenario.dim))
+    numbers = {name: real(getattr(asked, name)) for name in ("min_alignment", "budget", "share")}
+    return asked._replace(error=error, **numbers)

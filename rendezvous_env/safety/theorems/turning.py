@@ -31,15 +31,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from ...checks import refuse
 from ...scenario.scenario import Scenario
+from ..settings import MAX_TURN_RATE
 from . import assumptions as given
 from . import constants as known
 from .gains import shrinking
 from .theorem import Asked, Bounds, Theorem
 
 Array = NDArray[np.float64]
-
-_WRAPPER_TURN_RATE = 3.0
-"""Of the wrapper, if it is given no other, rad/s."""
 
 # ---- E2 ------------------------------------------------------------------------------------------
 
@@ -76,7 +74,7 @@ def gated_window(scenario: Scenario, min_alignment: float) -> tuple[int, float]:
     """K, a number of steps, and q, m²/s: V falls by q in K steps without a merge (theorem T)."""
     step, r = scenario.tau, scenario.merge_radius
     least = float((2.0 * known.least_degrees(scenario) / known.robots_left(scenario)).min())
-    turned = min(scenario.turn_limit, _WRAPPER_TURN_RATE) * step
+    turned = min(scenario.turn_limit, MAX_TURN_RATE) * step
     most = (0.7 * step * least, math.pi / 3.0) if scenario.dim == 2 else (math.pi / 2.0,)
     count, drift = turning_window(scenario.dim, min(turned, *most))
     strayed = (drift * least * r / scenario.max_degree) ** 2 / (2.5 * count * step)
@@ -89,7 +87,7 @@ def gate_bounds(scenario: Scenario, asked: Asked) -> Bounds:
     count, fall = gated_window(scenario, asked.min_alignment)
     most = known.lyapunov_bound(scenario, known.largest_lyapunov(scenario))
     windows = known.over_rate(most, fall) + scenario.n_robots
-    turning = min(scenario.turn_limit, _WRAPPER_TURN_RATE)
+    turning = min(scenario.turn_limit, MAX_TURN_RATE)
     return Bounds(
         words=(
             "theorem T: under the gate robots that turn meet in finite time, whatever turn rates "

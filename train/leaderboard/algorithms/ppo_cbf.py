@@ -17,39 +17,38 @@ import numpy as np
 from numpy.typing import NDArray
 from rendezvous_env.baselines.learned.features import can_steer
 
+from rendezvous_env.compilation import kernel
 from rendezvous_env.obstacles.disc import BALL
 from rendezvous_env.obstacles.fields import ObstacleField
 from rendezvous_env.obstacles.shape import CENTRE, KIND, RADIUS
+from rendezvous_env.physics.half_planes import nearest_within
 from rendezvous_env.scenario.scenario import Scenario
 
 from ..ppo import algorithm
 from ..teams import Between
 
-_NEAREST, _SWEEPS = 3, 8
+_NEAREST = 3
 
 
 def kept_out(
     wanted: NDArray[np.float64], away: NDArray[np.float64], least: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """The QP in the plane: Hildreth's sweeps over its few constraints, then a share of what is left
-    so that all hold; v = 0 always does.
+    """The QP in the plane; v = 0 always fits.
 
     Args:
-        wanted: u, (..., 2).
-        away: n, (..., K, 2), unit vectors.
-        least: −α d, (..., K), never positive.
+        wanted: u, (N, 2).
+        away: n, (N, K, 2), unit vectors.
+        least: −α d, (N, K), never positive.
     """
-    v, duals = wanted.copy(), np.zeros(least.shape)
-    for _ in range(_SWEEPS):
-        for k in range(least.shape[-1]):
-            normal = away[..., k, :]
-            step = np.maximum(-duals[..., k], least[..., k] - (normal * v).sum(axis=-1))
-            duals[..., k] += step
-            v += step[..., None] * normal
-    towards = -(away * v[..., None, :]).sum(axis=-1)
-    share = np.where(towards > -least, -least / np.maximum(towards, 1e-12), 1.0)
-    shares: NDArray[np.float64] = v * share.min(axis=-1)[..., None]
-    return shares
+    _keep_out(wanted, -away, -least, kept := np.empty(wanted.shape))
+    return kept
+
+
+@kernel
+def _keep_out(wanted: Any, towards: Any, rooms: Any, kept: Any) -> None:
+    for i in range(len(wanted)):
+        u = wanted[i, 0], wanted[i, 1]
+        kept[i, 0], kept[i, 1] = nearest_within(u, towards[i], rooms[i], rooms.shape[1])
 
 
 class Barrier(Between):
