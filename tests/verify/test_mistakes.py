@@ -1,0 +1,78 @@
+"""Mistakes that certificates once made, put back one at a time: ``verify --any`` finds each in a
+scenario as it draws them.
+
+A search over some thousand numbers found those below; if what is drawn changes they are others.
+"""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import pytest
+
+from rendezvous_env.safety.theorems import assumptions, certificate, constants, gains, links
+from train.verify.counterexamples import trials_of
+from train.verify.falsification import climb
+from train.verify.random_scenarios import CHOICES
+
+
+def exchange(monkeypatch, before, after):
+    """Give every theorem that has these bounds, or this assumption, others."""
+    changed = tuple(
+        replace(
+            theorem,
+            bounds=after if theorem.bounds is before else theorem.bounds,
+            assumptions=tuple(after if one is before else one for one in theorem.assumptions),
+        )
+        for theorem in certificate.THEOREMS
+    )
+    assert changed != certificate.THEOREMS
+    monkeypatch.setattr(certificate, "THEOREMS", changed)
+
+
+def merges_at_midpoints(monkeypatch):
+    """Theorem R: as if a merge in an obstacle, too, were at the midpoint."""
+    monkeypatch.setattr(
+        links, "merge_growth", lambda team: (team.n_robots - 1) * team.merge_radius / 2
+    )
+
+
+def the_nearest_has_a_heavy_link(monkeypatch):
+    """Theorem G of robots that hide each other: a* for the lightest link, and the time of
+    continuous inputs.
+    """
+    bounds = gains.bounds
+
+    def followed(scenario, asked):
+        found = bounds(scenario, asked)
+        return replace(found, time=found.continuous_time)
+
+    exchange(monkeypatch, bounds, followed)
+    light = {"lightest_link": lambda scenario: scenario.bottleneck_weight}
+    monkeypatch.setattr(gains, "known", SimpleNamespace(**{**vars(constants), **light}))
+
+
+def a_speed_limit_bounds_gains(monkeypatch):
+    """Theorem G of law (1): min(D̄, v_max) τ ≤ r for D̄ τ ≤ r."""
+    within = assumptions.within_neighbours
+
+    def slow(scenario, asked):
+        fastest = min(scenario.max_degree, scenario.speed_limit)
+        return "" if fastest * scenario.tau <= scenario.merge_radius else within(scenario, asked)
+
+    exchange(monkeypatch, within, slow)
+
+
+@pytest.mark.parametrize(
+    ("mistake", "by", "number", "broken"),
+    [
+        (merges_at_midpoints, "links", 80582, "link_growth"),
+        (the_nearest_has_a_heavy_link, "law", 4673, "time"),
+        (a_speed_limit_bounds_gains, "law", 1108, "nested"),
+    ],
+)
+def test_a_mistake_that_is_put_back_is_found(mistake, by, number, broken, monkeypatch):
+    drawn = trials_of(0, number)[CHOICES.index(by)]
+    assert climb(drawn)[1].violation is None
+    mistake(monkeypatch)
+    found = climb(drawn)[1].violation
+    assert found.number == broken and found.found > found.promised
