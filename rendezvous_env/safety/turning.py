@@ -247,11 +247,17 @@ def wished_rates(shares, gate):
 
 
 @kernel
-def turn(rates, pitch, action, gate):
-    """Write a pair of turn rates, rad/s, after the speed of an action; the mean axis m of the step,
-    a triple without unit, as they are after rounding (theory 3 and 4).
-    """
+def send_rates(rates, action, gate):
+    """Write a pair of turn rates, rad/s, after the speed of an action (theory 3)."""
     action[1] = rates[0]
     if not gate.planar:
         action[2] = rates[1]
+
+
+@kernel
+def turn(rates, pitch, action, gate):
+    """``send_rates``; the mean axis m of a step with them as they are after rounding, a triple
+    without unit (theory 4, arcs).
+    """
+    send_rates(rates, action, gate)
     return mean_axis(rates_of(action, gate), pitch, gate)
