@@ -169,7 +169,7 @@ def certificate(
         ValueError: naming the argument that is out of its range, or does not go with ``by``.
     """
     scenario = resolve(scenario)
-    given = {"min_alignment": min_alignment, "budget": budget, "share": share}
+    given: dict[str, Any] = {"min_alignment": min_alignment, "budget": budget, "share": share}
     given |= {"min_gain": min_gain, "max_gain": max_gain}
     asked = question(scenario, by, given, bearing_error)
     return answer(scenario, asked, *ask(scenario, asked))
@@ -251,5 +251,6 @@ def question(scenario: Scenario, by: Any, given: Mapping[str, Any], bearing_erro
     if by == "gains":
         gain_range(scenario, asked.min_gain, asked.max_gain)
     error = max(check_bearing_error(bearing_error), bounded_error(scenario.sensing, scenario.dim))
-    numbers = {name: real(getattr(asked, name)) for name in ("min_alignment", "budget", "share")}
-    return asked._replace(error=error, **numbers)
+    return asked._replace(
+        min_alignment=real(margin), budget=real(asked.budget), share=real(asked.share), error=error
+    )
