@@ -13,7 +13,17 @@ from numpy.typing import ArrayLike, NDArray
 
 from rendezvous_env.checks import between, number, positive
 from rendezvous_env.compilation import kernel
-from rendezvous_env.physics.vectors import combine, dot, load, split, store
+from rendezvous_env.physics.vectors import (
+    ORIGIN,
+    X_AXIS,
+    combine,
+    cross,
+    dot,
+    load,
+    norm,
+    split,
+    store,
+)
 from rendezvous_env.safety.tank import (
     EnergyTank,
     certain_descent,
@@ -21,9 +31,10 @@ from rendezvous_env.safety.tank import (
     promised_descent,
 )
 
-from ..policy import Policy, RememberingPolicy, among_obstacles_in_the_plane, register
+from ..policy import Policy, RememberingPolicy, among_obstacles, register
 from .merged_silhouettes_2d import TWO_PI, joined_interval_2d
 from .obstacle_avoidance import Array, check_clearance
+from .planes_in_space import kept_azimuth, widened_rays
 
 if TYPE_CHECKING:
     from rendezvous_env.scenario.scenario import Scenario
@@ -33,6 +44,10 @@ MEMORY = 6
 """Numbers in a robot's memory: the side on which it passes what blocks f (1 counter-clockwise, −1
 clockwise, 0 nothing blocks f); its heading; ∫ f·v dt since it met the wall, m²/s; over ‖f‖ how far
 that may fall before it turns back, m; whether its tank was too low for the step before."""
+HEADING, ASIDE = MEMORY, MEMORY + 3
+MEMORY_IN_SPACE = MEMORY + 6
+"""In space that heading is counted in a plane that holds f; its heading in its own frame follows,
+and the unit vector across f of that plane."""
 
 _JUMP = 1.5
 """rad; an edge so far from the heading is another wall's."""
@@ -50,7 +65,7 @@ class Settings(NamedTuple):
     """What wall followers share."""
 
     clearance: float
-    """Angle by which to stay clear of an edge, rad."""
+    """Angle by which to stay clear of an edge, rad; in space within the plane, and across it."""
     patience: float
     """How far back a first try may lead, m; each turn doubles it."""
     min_alignment: float
@@ -67,10 +82,11 @@ class Settings(NamedTuple):
 class TankJoinedPolicy(RememberingPolicy):
     """The joined rule under an energy tank: round walls, away from f too while the tank lasts.
 
-    What blocks f is passed on one side, along the wall, until f is free. The robot turns back when
-    it has lost more than ``patience``‖f‖ of its own work ∫ f·v dt since it met the wall, twice as
-    much after each turn, or when its tank is low; so it tries both sides ever farther. Where the
-    tank would not last it rests instead of pressing against a wall.
+    What blocks f is passed on one side, along the wall, until f is free; in space at one azimuth,
+    the one with least to turn (``planes_in_space``). The robot turns back when it has lost more
+    than ``patience``‖f‖ of its own work ∫ f·v dt since it met the wall, twice as much after each
+    turn, or when its tank is low; so it tries both sides ever farther, in space then those across
+    them. Where the tank would not last it rests instead of pressing against a wall.
 
     It books what it commanded, knows neither contacts nor steps that a merge cut short, and what an
     absorbed robot had left is lost.
@@ -94,7 +110,7 @@ class TankJoinedPolicy(RememberingPolicy):
         positive("patience", self.patience, "m")
         scenario = self.scenario
         self._settings = Settings(
-            clearance=float(self.clearance),
+            clearance=float(self.clearance) / (scenario.dim - 1),
             patience=float(self.patience),
             min_alignment=float(self.margin),
             merge_radius=float(scenario.merge_radius),
@@ -107,7 +123,8 @@ class TankJoinedPolicy(RememberingPolicy):
         self._tank = EnergyTank(
             scenario, teams, budget=self.budget, min_alignment=margin, frame="local"
         )
-        self._memory = np.zeros((teams, scenario.n_robots, MEMORY))
+        size = MEMORY if scenario.dim == 2 else MEMORY_IN_SPACE
+        self._memory = np.zeros((teams, scenario.n_robots, size))
         self._memory[..., PATIENCE] = self.patience
 
     def _forget(self, which: NDArray[np.bool_]) -> None:
@@ -119,15 +136,16 @@ class TankJoinedPolicy(RememberingPolicy):
         """Velocities (..., n, d); see ``Policy``."""
         seen, layout = self._teams_of(observations), self.scenario.observation_layout
         f, robots = layout.net_bearing(seen), seen.shape[0] * seen.shape[1]
+        follow = wall_following_velocities if layout.dim == 2 else wall_following_velocities_3d
         silhouettes = np.ascontiguousarray(layout.split(seen).obstacles)
-        desired = np.zeros((robots, 2))
-        wall_following_velocities(
-            f.reshape(robots, 2),
+        desired = np.zeros((robots, layout.dim))
+        follow(
+            f.reshape(robots, layout.dim),
             layout.degree(seen).reshape(robots),
             silhouettes.reshape(robots, *silhouettes.shape[2:]),
             self._tank.levels.reshape(robots),
             self._settings,
-            self._memory.reshape(robots, MEMORY),
+            self._memory.reshape(robots, self._memory.shape[-1]),
             desired,
         )
         self._tank.hold(desired.reshape(f.shape) / self.scenario.speed_limit)
@@ -142,7 +160,7 @@ class TankJoinedPolicy(RememberingPolicy):
         return np.zeros(0) if self._leading is None else self._as_given(self._tank.levels)
 
 
-@register("tank-joined", fits=among_obstacles_in_the_plane, kind="tank")
+@register("tank-joined", fits=among_obstacles, kind="tank")
 def _tank_joined(
     scenario: Scenario,
     budget: float = TankJoinedPolicy.budget,
@@ -185,8 +203,40 @@ def wall_following_velocities(net_bearing, degrees, silhouettes, levels, setting
         free, turn = _turn(towards, strength, short, silhouettes[i], settings, memory[i], intervals)
         heading = _turned(towards, turn)
         memory[i, HEADING_X], memory[i, HEADING_Y] = heading[0], heading[1]
-        velocity = _affordable(f, degrees[i], levels[i], heading, free, settings, memory[i])
-        store(velocity, out[i])
+        account, plane = (degrees[i], levels[i]), (towards, _left_of(towards))
+        store(_affordable(f, plane, account, heading, free, settings, memory[i]), out[i])
+
+
+@kernel(allocates=True)
+def wall_following_velocities_3d(net_bearing, degrees, silhouettes, levels, settings, memory, out):
+    """As ``wall_following_velocities``, in a plane of space: of (N, 3), silhouettes (N, M, 8, 3),
+    memory (N, MEMORY_IN_SPACE).
+    """
+    slots = silhouettes.shape[1]
+    rays, cut, intervals = np.empty((slots, 8, 3)), np.empty((slots, 2, 2)), np.empty((slots, 2))
+    for i in range(out.shape[0]):
+        f = load(net_bearing[i])
+        strength, towards = split(f)
+        memory[i, SHORT], short = 0.0, memory[i, SHORT] > 0.0
+        if strength == 0.0:
+            out[i, :] = 0.0
+            continue
+        seen = widened_rays(silhouettes[i], settings.clearance, rays)
+        views, held = (rays[:seen], cut[:seen], intervals[:seen]), memory[i, SIDE]
+        before = load(memory[i, ASIDE:])
+        aside, kept = kept_azimuth(towards, before, held != 0.0, settings.clearance, views)
+        if held != 0.0 and not kept:
+            memory[i, SIDE] = held = 1.0
+        heading = load(memory[i, HEADING:ASIDE])
+        memory[i, HEADING_X], memory[i, HEADING_Y] = dot(heading, towards), dot(heading, aside)
+        free, turn = _turn(X_AXIS, strength, short, views[1], settings, memory[i], views[2])
+        heading = combine(math.cos(turn), towards, math.sin(turn), aside)
+        account, plane = (degrees[i], levels[i]), (towards, aside)
+        store(_affordable(f, plane, account, heading, free, settings, memory[i]), out[i])
+        if held < 0.0 < memory[i, SIDE]:  # both azimuths of the plane have been tried
+            aside = cross(towards, aside)
+        store(heading, memory[i, HEADING:ASIDE])
+        store(aside if memory[i, SIDE] != 0.0 else ORIGIN, memory[i, ASIDE:])
 
 
 @kernel
@@ -248,9 +298,11 @@ def _edge(joined, side):
 
 
 @kernel
-def _affordable(f, degree, level, heading, free, settings, memory):
-    """The velocity along a heading, or rest where the tank would not last."""
-    strength, towards = split(f)
+def _affordable(f, plane, account, heading, free, settings, memory):
+    """The velocity along a heading, or rest where the tank would not last; ``plane`` is f/‖f‖ and a
+    unit vector across it, ``account`` D, m/s, and A, m²/s.
+    """
+    (towards, aside), (degree, level), strength = plane, account, norm(f)
     r, duration = settings.merge_radius, settings.duration
     scale = descent_scale(strength, degree, r, duration, settings.speed_limit)
     speed = scale * strength
@@ -264,24 +316,27 @@ def _affordable(f, degree, level, heading, free, settings, memory):
     if level >= owed:
         return 0.0, 0.0, 0.0
     # law (4) will drive it: then as little as can be, and away from the wall
-    across = towards[0] * heading[1] - towards[1] * heading[0]
-    turn = math.copysign(math.acos(settings.min_alignment), across)
-    return combine(speed, _turned(towards, turn), 0.0, heading)
+    turn = math.copysign(math.acos(settings.min_alignment), dot(aside, heading))
+    return combine(speed * math.cos(turn), towards, speed * math.sin(turn), aside)
 
 
 @kernel
 def _kept_angle(towards, memory):
     """Angle from f to the heading of the step before, rad; 0 if there is none."""
     before = memory[HEADING_X], memory[HEADING_Y], 0.0
-    across = towards[0] * before[1] - towards[1] * before[0]
-    return math.atan2(across, dot(towards, before))
+    return math.atan2(dot(_left_of(towards), before), dot(towards, before))
+
+
+@kernel
+def _left_of(direction):
+    """A direction of the plane a quarter turn on, as a triple."""
+    return -direction[1], direction[0], 0.0
 
 
 @kernel
 def _turned(direction, angle):
     """A direction of the plane turned counter-clockwise, as a triple."""
-    c, s = math.cos(angle), math.sin(angle)
-    return c * direction[0] - s * direction[1], s * direction[0] + c * direction[1], 0.0
+    return combine(math.cos(angle), direction, math.sin(angle), _left_of(direction))
 
 
 @kernel

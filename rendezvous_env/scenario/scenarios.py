@@ -13,7 +13,7 @@ from typing import Any
 
 from .. import graphs
 from ..checks import nearest_word, refuse, shown
-from ..obstacles.disc import Disc
+from ..obstacles.disc import Disc, Sphere
 from ..obstacles.fields import ObstacleField
 from ..obstacles.polygon import Polygon
 from ..obstacles.walls import WallField
@@ -60,6 +60,37 @@ def _walls(
     """Walls longer than the team is wide: most ways round them raise V, which law (4) may not."""
     walls = WallField(layout, size, opening, thickness=0.5, region=2.0, keep_out=0.5)
     return {"obstacles": walls, "spawn_size": spawn_size, **_AMONG_OBSTACLES}
+
+
+def _in_space(spheres: int, robot_model: str = "single_integrator") -> dict[str, Any]:
+    return {
+        "n_robots": 4,
+        "dim": 3,
+        "robot_model": robot_model,
+        "obstacles": ObstacleField(spheres, (0.8, 2.0), region=10.0, keep_out=0.5),
+        "spawn_size": 14.0,
+        **_AMONG_OBSTACLES,
+    }
+
+
+def _walled_space(side: int, spawn_size: float, **features: Any) -> dict[str, Any]:
+    walls = _beads(side, **features)
+    return {**_in_space(0), "obstacles": walls, "spawn_size": spawn_size}
+
+
+def _beads(side: int, rim: int = 0, window: bool = False) -> tuple[Sphere, ...]:
+    """A square slab of spheres that leave no gap, so many along each side; with a rim, which makes
+    a bowl of it, or without the one in its middle. Eight rays show a sphere as it is, and a long
+    bar not.
+    """
+    places = range(-(side // 2), side // 2 + 1)
+    return tuple(
+        Sphere(centre=(1.1 * x, 1.1 * y, 1.1 * z), radius=0.8)
+        for x in range(rim + 1)
+        for y in places
+        for z in places
+        if (max(abs(y), abs(z)) == side // 2 if x else not window or (y, z) != (0, 0))
+    )
 
 
 def _wall() -> dict[str, Any]:
@@ -163,13 +194,13 @@ _FIELDS: dict[str, Callable[[], dict[str, Any]]] = {
     "trap": partial(_walls, "trap", (7.0, 10.0), (5.0, 8.0), 12.0),
     "corridor": partial(_walls, "corridor", (16.0, 20.0), (2.0, 4.0), 12.0),
     "rooms": partial(_walls, "rooms", (10.0, 14.0), (0.8, 1.2), 14.0),
-    "clutter-3d": lambda: {
-        "n_robots": 4,
-        "dim": 3,
-        "obstacles": ObstacleField(12, (0.8, 2.0), region=10.0, keep_out=0.5),
-        "spawn_size": 14.0,
-        **_AMONG_OBSTACLES,
-    },
+    "clutter-3d": partial(_in_space, 12),
+    "clutter-3d-32": partial(_in_space, 32),
+    "clutter-3d-96": partial(_in_space, 96),
+    "slab-3d": partial(_walled_space, 7, 8.0),
+    "bowl-3d": partial(_walled_space, 5, 8.0, rim=3),
+    "window-3d": partial(_walled_space, 9, 10.0, window=True),
+    "uav-clutter-16": lambda: {**_in_space(16, "nonholonomic_3d"), "max_turn_rate": 1.0},
     "rotating-paths": _rotating_paths,
     "wall": _wall,
     "noisy-8": lambda: {"n_robots": 8, "sensing": Sensing(noise=0.3, dropout=0.1)},

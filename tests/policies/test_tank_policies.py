@@ -38,9 +38,11 @@ def play(policy, scenario, num_envs=1):
     return simulator
 
 
-@pytest.mark.parametrize("budget", [0.0, 5.0])
-def test_v_and_the_ledger_fall_together_where_nothing_is_touched(budget):
-    scenario = rv.scenarios.get("clutter-24").replace(time_limit=20.0)
+@pytest.mark.parametrize(
+    ("name", "budget"), [("clutter-24", 0.0), ("clutter-24", 5.0), ("slab-3d", 5.0)]
+)
+def test_v_and_the_ledger_fall_together_where_nothing_is_touched(name, budget):
+    scenario = rv.scenarios.get(name).replace(time_limit=20.0)
     policy, simulator = made(scenario, budget=budget), Simulator(scenario, 32)
     observations, calm_steps, away = simulator.reset(0), 0, 0
     policy.reset()

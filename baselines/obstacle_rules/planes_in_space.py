@@ -1,0 +1,132 @@
+"""Obstacles of space in a plane that holds f, where they are intervals of angles.
+
+A robot that passes an obstacle keeps to an azimuth about f, and so to a plane. The cones under
+which obstacles are seen, widened by a clearance, cut it in silhouettes of the plane, and what is to
+be done about those is known.
+"""
+
+import math
+
+from rendezvous_env.compilation import kernel
+from rendezvous_env.obstacles.shape import azimuth_axes
+from rendezvous_env.physics.vectors import (
+    ORIGIN,
+    X_AXIS,
+    combine,
+    cross,
+    dot,
+    load,
+    split,
+    store,
+    without,
+)
+
+from .merged_silhouettes_2d import TWO_PI, joined_interval_2d
+from .silhouettes import is_seen
+
+_WIDEST = 0.5 * math.pi - 0.01
+"""rad; no cone is widened beyond."""
+_PLANES = 8
+"""Planes through f that are looked at, each with two azimuths."""
+
+
+@kernel
+def widened_rays(silhouettes, clearance, out):
+    """The boundary rays of the obstacles that are seen, each turned outwards.
+
+    Args:
+        silhouettes: (M, 8, 3) of one robot.
+        clearance: by how much they are turned, rad.
+        out: (M, 8, 3); those that are seen stand first.
+
+    Returns:
+        How many are seen.
+    """
+    count = 0
+    for m in range(silhouettes.shape[0]):
+        if not is_seen(silhouettes[m]):
+            continue
+        total = ORIGIN
+        for s in range(8):
+            total = combine(1.0, total, 1.0, load(silhouettes[m, s]))
+        middle = split(total)[1]
+        for s in range(8):
+            ray = split(load(silhouettes[m, s]))[1]
+            angle = math.acos(min(max(dot(ray, middle), -1.0), 1.0))
+            angle = max(angle, min(angle + clearance, _WIDEST))
+            outward = split(without(ray, middle))[1]
+            store(combine(math.cos(angle), middle, math.sin(angle), outward), out[count, s])
+        count += 1
+    return count
+
+
+@kernel
+def kept_azimuth(towards, before, keeps, clearance, views):
+    """The azimuth about f at which a robot passes what blocks f: that of the step before if it
+    keeps to one and its plane is not closed all round, else the one with least to turn.
+
+    Args:
+        towards: f/‖f‖, a triple.
+        before: unit vector across f of the step before, a triple; zero = none yet.
+        keeps: whether it keeps to that.
+        clearance: rad.
+        views: ``widened_rays``, (K, 8, 3); then working memory: what the plane cuts of them,
+            (K, 2, 2), which is left as it is in the plane that is taken, and (K, 2).
+
+    Returns:
+        A unit triple across f, and whether it was kept.
+    """
+    rays, cut, intervals = views
+    seen = load(rays[0, 0]) if rays.shape[0] > 0 else X_AXIS
+    aside, _ = azimuth_axes(towards, before, seen, X_AXIS)
+    if keeps:
+        _cut_by(towards, aside, rays, cut)
+        low, high, _, _ = joined_interval_2d(X_AXIS, cut, intervals)
+        if high - low < TWO_PI:
+            return aside, True
+    aside = _best_azimuth(towards, aside, clearance, views)
+    _cut_by(towards, aside, rays, cut)
+    return aside, False
+
+
+@kernel
+def _best_azimuth(towards, first, clearance, views):
+    """The unit vector across f at whose azimuth a free direction is nearest to f; the first one
+    where nothing is free.
+    """
+    rays, cut, intervals = views
+    best, least, second = first, math.inf, cross(towards, first)
+    for k in range(_PLANES):
+        angle = k * math.pi / _PLANES
+        aside = combine(math.cos(angle), first, math.sin(angle), second)
+        _cut_by(towards, aside, rays, cut)
+        low, high, _, _ = joined_interval_2d(X_AXIS, cut, intervals)
+        if low >= clearance or high <= -clearance:
+            return aside
+        if high - low < TWO_PI and min(high, -low) < least:
+            best, least = aside, min(high, -low)
+            if high > -low:
+                best = combine(-1.0, aside, 0.0, aside)
+    return best
+
+
+@kernel
+def _cut_by(towards, aside, rays, out):
+    """Where a plane cuts the cones, as silhouettes of the plane: (K, 2, 2), x along f, y aside.
+
+    Between two boundary rays on either side of the plane the cone is taken to be flat.
+    """
+    normal = cross(towards, aside)
+    for m in range(rays.shape[0]):
+        out[m, :, :] = 0.0
+        found = 0
+        for s in range(8):
+            here, there = load(rays[m, s]), load(rays[m, (s + 1) % 8])
+            above, below = dot(normal, here), dot(normal, there)
+            if (above >= 0.0) != (below >= 0.0) and found < 2:
+                point = combine(abs(below), here, abs(above), there)
+                out[m, found, 0], out[m, found, 1] = dot(point, towards), dot(point, aside)
+                found += 1
+        if out[m, 1, 0] * out[m, 0, 1] < out[m, 1, 1] * out[m, 0, 0]:
+            for k in range(2):
+                out[m, 0, k], out[m, 1, k] = out[m, 1, k], out[m, 0, k]

@@ -1,0 +1,112 @@
+"""Cones of space as intervals of a plane, and the tank rule that goes by them."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+import baselines
+import rendezvous_env as rv
+from baselines.obstacle_rules.planes_in_space import kept_azimuth, widened_rays
+from rendezvous_env import Simulator
+from rendezvous_env.engine.memory import RENDEZVOUS
+from rendezvous_env.trajectory import run
+
+X, Y, Z = np.eye(3)
+SLAB = rv.scenarios.get("slab-3d")
+
+
+def cone(centre, half_angle):
+    """Eight boundary rays of a round cone."""
+    centre = np.asarray(centre) / np.linalg.norm(centre)
+    across = np.cross(centre, Z if abs(centre[2]) < 0.9 else X)
+    across /= np.linalg.norm(across)
+    rest = np.cross(centre, across)
+    around = np.arange(8)[:, None] * math.pi / 4
+    aside = np.cos(around) * across + np.sin(around) * rest
+    return math.cos(half_angle) * centre + math.sin(half_angle) * aside
+
+
+def azimuth(cones, before=(0.0, 0.0, 0.0), keeps=False, clearance=0.0):
+    """The azimuth about the x axis, whether it was kept, and what its plane cuts of the cones."""
+    silhouettes = np.array(cones)
+    rays, cut = np.zeros_like(silhouettes), np.zeros((len(cones), 2, 2))
+    seen = widened_rays(silhouettes, clearance, rays)
+    views = rays[:seen], cut[:seen], np.zeros((seen, 2))
+    aside, kept = kept_azimuth((1.0, 0.0, 0.0), tuple(before), keeps, clearance, views)
+    return np.array(aside), kept, cut[:seen]
+
+
+def angles(cut):
+    return np.arctan2(cut[..., 1], cut[..., 0])
+
+
+def test_a_plane_through_its_centre_cuts_a_cone_at_its_half_angle():
+    _, kept, cut = azimuth([cone(X, 0.4)], before=Y, keeps=True)
+    assert kept
+    # between rays the cone is taken to be flat: half angles from atan(tan 0.4 cos 22.5°) to 0.4
+    assert angles(cut)[0, 0] == pytest.approx(0.39, abs=0.02)
+    assert angles(cut)[0, 1] == pytest.approx(-0.39, abs=0.02)
+    widened = azimuth([cone(X, 0.4)], before=Y, keeps=True, clearance=0.1)[2]
+    assert angles(widened)[0, 0] == pytest.approx(0.49, abs=0.02)
+
+
+def test_a_plane_beside_its_centre_cuts_less_of_it_and_one_beyond_it_nothing():
+    """cos ψ = cos θ / cos δ at the elevation δ of the centre above the plane."""
+    seen = cone((math.cos(0.3), 0.0, math.sin(0.3)), 0.4)
+    cut = azimuth([seen], before=Y, keeps=True)[2]
+    expected = math.acos(math.cos(0.4) / math.cos(0.3))
+    assert angles(cut)[0] == pytest.approx([expected, -expected], abs=0.04)
+    beyond = cone((math.cos(0.5), 0.0, math.sin(0.5)), 0.4)
+    assert not azimuth([beyond], before=Y, keeps=True)[2].any()
+
+
+def test_the_azimuth_is_the_one_with_least_to_turn():
+    """A cone whose nearest edge lies along y, and one that closes that way."""
+    seen = cone((math.cos(0.3), -math.sin(0.3), 0.0), 0.4)
+    aside, kept, _ = azimuth([seen], before=Z)
+    assert not kept and aside @ Y > 0.9
+    beside = cone((math.cos(0.6), math.sin(0.6), 0.0), 0.55)
+    closed, _, _ = azimuth([seen, beside], before=Z)
+    assert abs(closed @ Y) < 0.8
+
+
+def test_a_kept_plane_that_is_closed_all_round_is_left():
+    ring = [cone((math.cos(a), math.sin(a), 0.0), 0.7) for a in np.arange(6) * math.pi / 3]
+    aside, kept, _ = azimuth(ring, before=Y, keeps=True)
+    assert not kept and abs(aside @ Z) > 0.7
+
+
+def test_a_slab_is_rounded_by_the_tank_and_not_by_a_heading():
+    met = {}
+    for name in ("tangent-joined", "tank-joined"):
+        simulator = Simulator(SLAB, 24)
+        for _ in run(simulator, baselines.make(name, SLAB), simulator.reset(0)):
+            pass
+        met[name] = np.mean((simulator.status == RENDEZVOUS) & (simulator.contacts == 0))
+    assert met["tangent-joined"] < 0.5 and met["tank-joined"] > 0.9
+
+
+def test_a_batch_is_its_teams_one_by_one():
+    scenario = SLAB.replace(time_limit=6.0)
+    many = rv.rollout(scenario, baselines.make("tank-joined", scenario), seed=3, num_envs=4)
+    for k in range(4):
+        one = rv.rollout(scenario, baselines.make("tank-joined", scenario), seed=3 + k)
+        steps = len(one.positions)
+        np.testing.assert_array_equal(one.positions[:, 0], many.positions[:steps, k])
+
+
+def test_a_turned_frame_turns_what_is_wanted():
+    scenario = SLAB.replace(time_limit=3.0)
+    rng, simulator = np.random.default_rng(0), Simulator(scenario, 8)
+    rotation = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    rotation *= np.sign(np.linalg.det(rotation))
+    straight, turned = (baselines.make("tank-joined", scenario) for _ in range(2))
+    observations = simulator.reset(0)
+    for _ in range(10):
+        actions = straight(observations, 0.0)
+        seen = np.float32(observations @ rotation.T)
+        np.testing.assert_allclose(turned(seen, 0.0), actions @ rotation.T, atol=2e-4)
+        observations = simulator.step(actions).observations
