@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from conftest import UNEQUAL
 
 import baselines
 from rendezvous_env import Capsule, Disc, Polygon, Scenario, Simulator, Sphere
@@ -172,7 +173,7 @@ def test_a_state_in_which_a_robot_is_too_fast_is_refused():
 
 @pytest.mark.parametrize("dim", [2, 3])
 def test_teams_meet_under_the_damped_law(dim):
-    scenario = Scenario(n_robots=5, dim=dim, robot_model="double_integrator", graph="cycle")
+    scenario = Scenario(n_robots=5, dim=dim, robot_model="double_integrator", graph=UNEQUAL)
     policy, sim = baselines.make("damped", scenario), Simulator(scenario, 64)
     seen = sim.reset(0)
     energies, one_by_one = [], np.ones(64, bool)

@@ -177,25 +177,28 @@ def test_fields_that_say_nothing_are_refused_at_registration(registry, case):
     }
 
 
-@pytest.mark.parametrize("way", [math.nan, 50.0])
-def test_a_leap_that_no_question_found_is_told_in_the_step(registry, way):
+def test_a_leap_that_no_question_found_is_told_in_the_step(registry):
     @rv.kernel
     def propose(model, action, frame, memory):
         if 0.3 < action[0] < 0.3001:
-            return (way, 0.0), 50.0
+            return (math.nan, 0.0), 50.0
+        if 0.2 < action[0] < 0.2001:
+            return (50.0, 0.0), 50.0
         step = model.duration * action[0], model.duration * action[1]
         return step, math.hypot(*step)
 
     walker(registry, {"propose": propose})
-    teams = rv.Simulator(rv.Scenario(robot_model="walker", n_robots=3), 2)
-    teams.reset(seed=0)
-    actions = np.zeros((2, 3, 2), np.float32)
-    teams.step(actions)
-    actions[1, 2, 0] = 0.30005
-    with pytest.raises(RuntimeError, match=r"'walker' moved robot 2 of environment 1 by .* m in a"):
+    for leap in (0.30005, 0.20005):
+        teams = rv.Simulator(rv.Scenario(robot_model="walker", n_robots=3), 2)
+        teams.reset(seed=0)
+        actions = np.zeros((2, 3, 2), np.float32)
         teams.step(actions)
-    with pytest.raises(RuntimeError, match="reset"):
-        teams.step(actions)
+        actions[1, 2, 0] = leap
+        told = r"'walker' moved robot 2 of environment 1 by .* m in a"
+        with pytest.raises(RuntimeError, match=told):
+            teams.step(actions)
+        with pytest.raises(RuntimeError, match="reset"):
+            teams.step(actions)
 
 
 @pytest.mark.parametrize("name", ["unicycle", "nonholonomic_3d", "double_integrator"])

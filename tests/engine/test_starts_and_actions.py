@@ -39,9 +39,9 @@ def test_one_start_for_all_teams_and_yaw_without_an_axis():
 
 def test_given_parts_leave_the_draws_of_the_others_as_they_were(kind):
     scenario = five(kind, graph=graphs.random_tree((0.5, 2.0)))
-    drawn, given = Simulator(scenario, 4), Simulator(scenario, 4)
+    drawn, given = Simulator(scenario, 32), Simulator(scenario, 32)
     drawn.reset(3)
-    given.reset(3, {"positions": STARTS[scenario.dim][:4]})
+    given.reset(3, {"positions": STARTS[scenario.dim]})
     np.testing.assert_array_equal(given.frames, drawn.frames)
     np.testing.assert_array_equal(given.weights, drawn.weights)
 
