@@ -8,10 +8,14 @@ SITE := import sysconfig; print(sysconfig.get_path('purelib'))
 export OMP_WAIT_POLICY := PASSIVE
 
 # what calls each kernel from nearby; the other tests reach the same ones through more layers
-WITH_KERNELS := $(addprefix tests/,borders engine physics policies safety scenario test_paper.py)
+WITH_KERNELS := $(addprefix tests/,borders engine physics policies safety \
+	$(patsubst %,scenario/test_%.py,from_outside obstacles walls))
 
 # what other people's learners need besides; each is tested in an environment of its own
 LEARNERS := $(patsubst tests/adapters/%/requirements.txt,%,$(wildcard tests/adapters/*/requirements.txt))
+
+# two workers, each of which takes a whole file; tests/conftest.py says in which order
+BY_TWO := -n 2 --dist loadfile --no-loadscope-reorder
 
 PYTHONS := $(foreach minor,12 13 14,$(if $(shell python3.$(minor) -c 0 2>&1 || echo no),,python3.$(minor)))
 
@@ -25,20 +29,21 @@ compare: .venv/run
 install: .venv/installed
 
 test: lint
-	$(BIN)/python -m pytest -q -n 2 --dist loadfile
+	$(BIN)/python -m pytest -q $(BY_TWO)
 
 test-slow: .venv/installed
-	$(BIN)/python -m pytest -q -m slow -n 2 --dist loadfile
-	NUMBA_BOUNDSCHECK=1 $(BIN)/python -m pytest -q -n 2 --dist loadfile $(WITH_KERNELS)
-	$(MAKE) test-adapters
+	$(BIN)/python -m pytest -q -m slow $(BY_TWO)
+	NUMBA_BOUNDSCHECK=1 NUMBA_OPT=1 $(BIN)/python -m pytest -q $(BY_TWO) $(WITH_KERNELS)
+	$(MAKE) test-adapter-ros  # goes by the clock, so alone
+	$(MAKE) --jobs=2 --output-sync=target $(filter-out %-ros,$(LEARNERS:%=test-adapter-%))
 
 # the oldest Gymnasium and PettingZoo that are supported, in an environment of their own
 test-floors: .venv-floors/installed
-	.venv-floors/bin/python -m pytest -q -n 2 --dist loadfile tests/envs tests/adapters tests/scenario
+	.venv-floors/bin/python -m pytest -q $(BY_TWO) tests/envs tests/adapters tests/scenario
 
 # the newer Pythons, those of them that this machine has
 test-pythons: $(PYTHONS:%=.venv-%/installed)
-	for python in $(PYTHONS); do .venv-$$python/bin/python -m pytest -q -n 2 --dist loadfile \
+	for python in $(PYTHONS); do .venv-$$python/bin/python -m pytest -q $(BY_TWO) \
 		tests/envs tests/engine tests/policies tests/scenario || exit 1; done
 
 # TorchRL with BenchMARL, and whoever else has a folder in tests/adapters; slow tests too
@@ -80,15 +85,16 @@ docs: .venv/installed
 	$(@D)/bin/pip install --quiet --constraint constraints.txt --editable '.[train,render,analysis,export,dev]'
 	touch $@
 
-# It stands on .venv and adds only what that lacks, torch among what it need not add. A learner's
+# It stands on .venv, whose pip serves, and adds only what that lacks, not torch. A learner's
 # pins hold against ours; what pip cannot be told in a file, its script install does.
 .venv-adapters/%/installed: tests/adapters/%/requirements.txt .venv/installed
-	test -x .venv-adapters/$*/bin/python || $(PYTHON) -m venv .venv-adapters/$*
+	test -x .venv-adapters/$*/bin/python || $(PYTHON) -m venv --without-pip .venv-adapters/$*
 	echo "import site; site.addsitedir('$$($(BIN)/python -c "$(SITE)")')" \
 		> "$$(.venv-adapters/$*/bin/python -c "$(SITE)")/beneath.pth"
 	sed --regexp-extended 's/[^A-Za-z0-9_.-].*/==/; s/^/^/' $< | grep -v --file - constraints.txt \
 		> .venv-adapters/$*/constraints.txt
-	.venv-adapters/$*/bin/pip install --quiet --constraint .venv-adapters/$*/constraints.txt --requirement $<
+	.venv-adapters/$*/bin/python -m pip install --quiet \
+		--constraint .venv-adapters/$*/constraints.txt --requirement $<
 	test ! -x tests/adapters/$*/install || tests/adapters/$*/install .venv-adapters/$*/bin
 	touch $@
 

@@ -6,6 +6,7 @@ import json
 import os
 import sys
 import tempfile
+from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
@@ -45,6 +46,26 @@ def pytest_configure(config: pytest.Config) -> None:
     os.environ.setdefault("PYTEST_DEBUG_TEMPROOT", tempfile.gettempdir())
     os.environ["TMPDIR"], tempfile.tempdir = ours.name, None
     config.add_cleanup(ours.cleanup)
+
+
+LONG = (
+    "test_guarantee_wrappers", "test_paper", "test_sensing_engine", "test_docs", "test_widths",
+    "test_examples", "test_package", "test_installed", "test_fuzz_files", "test_resuming",
+)  # fmt: skip
+"""Files that take longest, in the order in which two workers are given them: the first two have
+hardly a kernel in common, which both would compile.
+"""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Long files first, then those of many tests: no worker is left with a long one at the end."""
+    tests = Counter(item.path for item in items)
+
+    def rank(item: pytest.Item) -> tuple[int, int]:
+        name = item.path.stem
+        return LONG.index(name) if name in LONG else len(LONG), -tests[item.path]
+
+    items.sort(key=rank)
 
 
 ROOT = Path(__file__).parent.parent

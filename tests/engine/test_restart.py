@@ -26,9 +26,9 @@ def scenario(request) -> Scenario:
     )
 
 
-def halfway(scenario: Scenario, batch: int = TEAMS) -> tuple[Simulator, np.ndarray]:
+def halfway(scenario: Scenario) -> tuple[Simulator, np.ndarray]:
     """Teams that move, in some of which robots have merged."""
-    sim = Simulator(scenario, batch)
+    sim = Simulator(scenario, TEAMS)
     observations = sim.reset(0)
     while sim.steps.max() < 10 or sim.active.all():
         observations = sim.step(towards_neighbours(scenario, observations)).observations
@@ -64,9 +64,9 @@ def test_both_ways_to_restart_show_the_same_start_and_leave_the_others_alone(sce
 
 def test_a_team_that_has_ended_rests(scenario):
     """Whatever it is told, and with whatever velocity it ended."""
-    sim, _ = halfway(scenario, 3)
+    sim, _ = halfway(scenario)
     sim.set_max_steps(int(sim.steps.max()) + 1)
-    actions = np.ones((3, 5, scenario.action_size))
+    actions = np.ones((TEAMS, 5, scenario.action_size))
     last = sim.step(actions)
     assert set(sim.status.tolist()) <= {1, TIME_OUT} and (sim.status == TIME_OUT).any()
     before = sim.get_state()
@@ -79,7 +79,7 @@ def test_a_team_that_has_ended_rests(scenario):
 
 def test_the_way_is_that_of_the_robots_that_are_left(scenario):
     """A robot that has merged away adds nothing, though it may have been moving."""
-    sim, observations = halfway(scenario, 3)
+    sim, observations = halfway(scenario)
     assert not sim.active.all()
     for _ in range(20):
         before, length, there = sim.positions, sim.path_length, sim.active

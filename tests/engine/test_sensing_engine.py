@@ -127,8 +127,8 @@ def test_noise_is_gaussian_and_drawn_anew_for_every_pair_and_step(sigma):
 
 
 def test_noise_of_a_pair_is_the_same_on_any_graph():
-    turned = {}
-    for graph in ("complete", "cycle", rv.graphs.directed_cycle()):
+    turned, one_way = {}, rv.graphs.directed_cycle()
+    for graph in ("complete", "cycle", rv.graphs.switching([one_way, "path"], 1.0)):
         sim = simulator(sensing(rv.Scenario(n_robots=6, graph=graph), noise=0.2))
         rows, p = neighbours(sim)[0, 0], sim.positions[0]
         true = (p[1] - p[0]) / np.linalg.norm(p[1] - p[0]) @ sim.frames[0, 0]
@@ -359,7 +359,9 @@ def episode(scenario: rv.Scenario, batch: int, seed: int, **options) -> np.ndarr
     return np.stack([sim.observe(), *(act(sim, step).observations for step in range(12))])
 
 
-@pytest.mark.parametrize("scenario", [PLANE, WALLED, SPACE, RING], ids=["a", "b", "c", "d"])
+@pytest.mark.parametrize(
+    "scenario", [PLANE, WALLED, SPACE, pytest.param(RING, marks=pytest.mark.slow)], ids=[*"abcd"]
+)
 def test_a_team_among_many_sees_what_it_sees_alone(scenario):
     erring, batch = scenario.replace(sensing=WORST), 37
     together = episode(erring, batch, 3, num_threads=2)

@@ -44,7 +44,7 @@ SCENARIOS = {
     "web with 40 rows": WEB.replace(neighbour_slots=40),
     "ring in space": RING.replace(dim=3),
     "ring among discs": RING.replace(
-        obstacles=[rv.Disc((1.0, 1.0), 0.8), rv.Disc((-3.0, 0.0), 1.0)]
+        obstacles=[rv.Disc((1.0, 1.0), 0.8), rv.Disc((-3.0, 0.0), 1.0)], neighbour_slots=59
     ),
     "unicycles": RING.replace(robot_model="unicycle"),
     "drawn weights": RING.replace(graph=graphs.path((0.5, 2.0))),

@@ -68,7 +68,10 @@ SCENARIOS = {
     ),
     "drawn graphs": Scenario(n_robots=6, graph="random_tree", on_merge="follow", **TIGHT),
 }
-COVERED = ("errors", "nothing in the way", "field", "solids", "inertia in space", "drawn graphs")
+COVERED = (
+    "errors", "nothing in the way", "field", "solids", "inertia in the plane", "inertia in space",
+    "drawn graphs",
+)  # fmt: skip
 """By the others together, but for how they are compiled."""
 MEETS_NOTHING = ("nothing in the way", "drawn graphs")
 KEPT = (

@@ -113,7 +113,7 @@ class TestItPasses:
         assert clean(rv.rollout(scenario, planner(scenario), 3, num_envs=40)).all()
 
     def test_on_a_ring_too(self):
-        scenario = CLUTTER.replace(graph="cycle", n_robots=6)
+        scenario = CLUTTER.replace(graph="cycle", n_robots=6, neighbour_slots=5)
         assert clean(rv.rollout(scenario, planner(scenario), 3, num_envs=10)).all()
 
     def test_two_robots_meet_as_soon_as_can_be(self):
