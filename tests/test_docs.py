@@ -14,7 +14,6 @@ import tyro
 
 import rendezvous_env as rv
 from baselines import policy
-from rendezvous_env.robots import robot_models
 from train.cli import COMMANDS
 
 ROOT = Path(__file__).parent.parent
@@ -36,22 +35,17 @@ def with_blocks(language: str, pages: list[Path] = PAGES) -> list[object]:
 
 
 @pytest.fixture
-def own_registry(monkeypatch, tmp_path):
+def own_modules(monkeypatch, tmp_path, registry):
     """What a page registers, or imports from its own folder, is gone after it."""
-    registries = policy._registry, robot_models.ROBOT_MODELS
-    before = [entries.copy() for entries in registries]
     monkeypatch.syspath_prepend(tmp_path)
     yield
-    for entries, known in zip(registries, before, strict=True):
-        entries.clear()
-        entries.update(known)
     for name, module in list(sys.modules.items()):
         if Path(getattr(module, "__file__", None) or "/").parent == tmp_path:
             del sys.modules[name]
 
 
 @pytest.mark.parametrize("page", with_blocks("python", PAGES[1:]))
-def test_every_python_block_runs(page, tmp_path, monkeypatch, own_registry):
+def test_every_python_block_runs(page, tmp_path, monkeypatch, own_modules):
     """One page is one program, in a folder of its own; README.md has a test of its own.
 
     A block that begins with the name of a file is that file.

@@ -83,14 +83,6 @@ def test_obstacles(effort):
     )
 
 
-@pytest.fixture
-def registry():
-    known = robot_models.ROBOT_MODELS.copy()
-    yield
-    robot_models.ROBOT_MODELS.clear()
-    robot_models.ROBOT_MODELS.update(known)
-
-
 def pairs(value):
     return st.tuples(value, value)
 

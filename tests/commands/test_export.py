@@ -154,10 +154,11 @@ class TestPolicy:
     def test_a_comparison_knows_the_file_by_its_content(self, exported, tmp_path):
         copy = tmp_path / "copy.onnx"
         copy.write_bytes((exported / "learned.onnx").read_bytes())
-        one, two = playing._weights(f"learned:{exported / 'learned.onnx'}"), f"learned:{copy}"
-        assert playing._weights(two) == one
+        weights, two = playing._weights, f"learned:{copy}"
+        one = weights(f"learned:{exported / 'learned.onnx'}")
+        assert weights(two) == one
         copy.write_bytes((exported / "learned-tank.onnx").read_bytes())
-        assert playing._weights(two) != one
+        assert weights(two) != one
 
 
 class TestErrors:

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import pytest
 
-from baselines import policy
 from train import cli, resume
 from train.checks import UserError
 from train.compare import compare, out_folder, playing, upper_bound
@@ -145,12 +144,11 @@ class TestGoingOn:
         second = playing.plan_of(jobs, config(tmp_path))
         assert resume.run_id(first) != resume.run_id(second)
 
-    def test_another_law_of_the_same_name_is_another_comparison(self, tmp_path, monkeypatch):
-        registry = policy._registry
+    def test_another_law_of_the_same_name_is_another_comparison(self, tmp_path, registry):
         jobs = compare.plan(config(tmp_path, scenarios=("duo",), policies=("zero",)))
         first = playing.plan_of(jobs, config(tmp_path))
         mine = registry["zero"]._replace(build=lambda scenario: None)
-        monkeypatch.setitem(registry, "zero", mine)
+        registry["zero"] = mine
         assert resume.run_id(first) != resume.run_id(playing.plan_of(jobs, config(tmp_path)))
 
     def test_a_part_folder_of_someone_else_stays(self, tmp_path):

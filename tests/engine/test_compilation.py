@@ -213,10 +213,11 @@ def test_a_cache_that_cannot_be_written_to_gives_one_warning(tmp_path, chosen):
 
 def test_a_temporary_folder_of_somebody_else_is_not_trusted(tmp_path, monkeypatch):
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    own = kernel_cache._temporary().parent
-    assert own.parent == tmp_path and own == kernel_cache._temporary().parent
+    temporary = kernel_cache._temporary
+    own = temporary().parent
+    assert own.parent == tmp_path and own == temporary().parent
     own.chmod(0o777)
-    other = kernel_cache._temporary().parent
+    other = temporary().parent
     assert other != own and other.parent == tmp_path and not other.stat().st_mode & 0o77
 
 

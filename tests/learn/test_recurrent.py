@@ -181,7 +181,8 @@ def test_memory_makes_a_difference(collected):
     seen = seen[seen.any(dim=-1)]
     hidden = torch.randn(len(seen), UNITS)
     arrays = {name: value.numpy() for name, value in made.policy.state_dict().items()}
-    ours = NumpyActor(arrays, SETTINGS, made.get_env().teams.layout)
+    layout = made.get_env().teams.layout
+    ours = NumpyActor(arrays, SETTINGS, layout)
     with torch.no_grad():
         expected = [
             made.policy.get_distribution(seen, before).distribution.logits.numpy()
@@ -195,9 +196,9 @@ def test_memory_makes_a_difference(collected):
     assert np.abs(found[0] - found[1]).max() > 0.01
     assert not np.array_equal(after, hidden.numpy())
     with pytest.raises(ValueError, match=r"weights have no 'memory\.weight_ih'"):
-        NumpyActor({k: v for k, v in arrays.items() if "memory" not in k}, SETTINGS, ours._layout)
+        NumpyActor({k: v for k, v in arrays.items() if "memory" not in k}, SETTINGS, layout)
     with pytest.raises(ValueError, match=r"size mismatch: memory\.weight_ih"):
-        NumpyActor(arrays, replace(SETTINGS, memory_units=UNITS + 1), ours._layout)
+        NumpyActor(arrays, replace(SETTINGS, memory_units=UNITS + 1), layout)
 
 
 def test_memory_put_back_must_fit(collected):
