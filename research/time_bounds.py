@@ -1,4 +1,4 @@
-"""Times of teams that no scenario of the environment asks for, as functions of numbers.
+"""Times that no certificate gives: of teams that no scenario asks for, of pursuit, of any policy.
 
 **C4.** Law (4) with headings in the cone of what is seen, h_i ∈ cone{g_ij} and h·f ≥ ε‖f‖, on any
 graph on which all see somebody: the hull is nested, T ≤ n² L0/(16 ε d_min), in 3-D n² w0/(4 ε
@@ -11,15 +11,28 @@ is not enough —
 
     T ≤ T_w (n + L0/ΔL),      ΔL = (π/n)(c/3) s min(τ_d, r s/(4C)),      s = sin(π/(2n)).
 
-**Proof.** docs/proofs.md, C4 and windows.
+**E2.** A fixed graph, directed or not, on which everybody always sees somebody. Each robot pursues
+one that it sees until a merge: it turns towards it at ω_max and drives at c < ω_max r/2, only while
+it points at it. In continuous time T ≤ L0/(2 c κ(n)) + n π/(ω_max − 2c/r), in 3-D n w0/(2c) in
+the first term. Where links change, or a leader rests, nothing is promised. No wrapper keeps it;
+policy ``pursuit`` does.
+
+**Lower bound** (theory 3). No policy meets sooner than its robots can go to one place.
+
+**Proof.** docs/proofs.md, C4, windows and E2.
 """
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rendezvous_env.safety.theorems.constants import over_rate
+from baselines.references.enclosing_ball import smallest_enclosing_ball
+from rendezvous_env import Scenario
+from rendezvous_env.checks import refuse
+from rendezvous_env.safety.theorems import constants as known
 from rendezvous_env.safety.theorems.gains import shrinking, shrinking_to_leader
 
 Array = NDArray[np.float64]
@@ -51,7 +64,7 @@ def links_time(
     """
     left = np.maximum(1.0 - 2.0 * n * np.asarray(error) / np.pi, 0.0)
     rate = 4.0 * share * least_degree**2 * left**2
-    return over_rate(n * np.asarray(lyapunov_bound), rate) + (n - 1) * step
+    return known.over_rate(n * np.asarray(lyapunov_bound), rate) + (n - 1) * step
 
 
 def windows_time(
@@ -82,3 +95,28 @@ def cone_time(
     factor = 16.0 if dim == 2 else 8.0 * np.pi
     rate = factor * np.asarray(min_alignment) * np.asarray(least_degree)
     return np.asarray(n**2 * np.asarray(initial_size) / rate)
+
+
+def pursuit_bound(scenario: Scenario, initial_size: ArrayLike, speed: float) -> Array:
+    """Time by which pursuers of speed c, m/s, with a turn limit have met, (...), s, from L(0), m
+    (theorem E2); infinite on graphs that switch, go with distance, or have a leader. ValueError for
+    a speed at which a target can run out of sight, or a size that is none.
+    """
+    n, fastest = scenario.n_robots, scenario.turn_limit * scenario.merge_radius / 2.0
+    if not 0 < speed < fastest:
+        refuse("speed", speed, f"positive and less than ω_max r/2 = {fastest:.6g} m/s")
+    spare = scenario.turn_limit - 2.0 * speed / scenario.merge_radius
+    driving = known.checked("initial_size", initial_size, "m") / shrinking(n, scenario.dim, speed)
+    lasting = known.kind_of_links(scenario.sensing_graph) in (known.UNDIRECTED, known.DIRECTED)
+    if not lasting or [len(group) for group in known.leaders(scenario)] != [n]:
+        return np.full(driving.shape, np.inf)
+    return np.asarray(driving + n * math.pi / spare)
+
+
+def rendezvous_time_lower_bound(scenario: Scenario, positions: ArrayLike) -> float:
+    """No policy meets sooner from a start (n, d), m: T ≥ (R − (n − 1) r/2)/v_max, a number, s; (n −
+    1) r with obstacles (theory 3).
+    """
+    _, radius = smallest_enclosing_ball(positions)
+    reach = (scenario.n_robots - 1) * scenario.merge_radius * (1.0 if scenario.obstacles else 0.5)
+    return max(0.0, radius - reach) / scenario.speed_limit

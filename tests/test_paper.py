@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 
 from rendezvous_env import Scenario, certificate, graphs
 from rendezvous_env.safety.lyapunov import lyapunov, lyapunov_rate, net_bearings
-from rendezvous_env.safety.theorems.descent import rendezvous_time_lower_bound, time_bound
+from rendezvous_env.safety.theorems.descent import time_bound
+from research.time_bounds import rendezvous_time_lower_bound
 
 ROUNDING = 1e-9
 FAMILIES = {

@@ -7,13 +7,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from rendezvous_env.safety.enclosing_ball import smallest_enclosing_ball
 from rendezvous_env.scenario.scenario import Scenario
 from rendezvous_env.simulator import Simulator
 
 from ..laws.literature_laws import unit_mean_law
 from ..laws.neighbour_order import chosen_rows
 from ..policy import is_single_integrator, register
+from .enclosing_ball import smallest_enclosing_ball
 from .privileged_policy import Array, Mask, PrivilegedPolicy, within_a_step
 
 

@@ -7,8 +7,8 @@ import pytest
 
 import baselines
 import rendezvous_env as rv
+from baselines.references.enclosing_ball import smallest_enclosing_ball
 from baselines.references.privileged_laws import circumcentres, farthest_steps
-from rendezvous_env.safety.enclosing_ball import smallest_enclosing_ball
 
 TEAM = rv.Scenario(n_robots=5, max_speed=1.0, time_step=0.05, allow_long_step=True, time_limit=60.0)
 SPACE = TEAM.replace(dim=3)

@@ -9,8 +9,8 @@ import baselines
 import rendezvous_env as rv
 from baselines.laws.pursuit import Pursuit, yaw_and_pitch
 from rendezvous_env import Scenario, Simulator
-from rendezvous_env.safety.theorems.turning import pursuit_bound
 from rendezvous_env.trajectory import run
+from research.time_bounds import pursuit_bound
 
 CARS = Scenario(
     n_robots=4, robot_model="unicycle", max_turn_rate=4.0, max_speed=0.3, time_step=0.0125,

@@ -18,7 +18,7 @@ from rendezvous_env.safety.theorems.constants import (
     lyapunov_bound,
     merge_rise_allowance,
 )
-from rendezvous_env.safety.theorems.descent import rendezvous_time_lower_bound, time_bound
+from rendezvous_env.safety.theorems.descent import time_bound
 from rendezvous_env.safety.theorems.gains import kappa, shrinking, size_bound
 from rendezvous_env.safety.theorems.noise import (
     held_size_bound,
@@ -27,7 +27,7 @@ from rendezvous_env.safety.theorems.noise import (
     tolerated_error,
 )
 from rendezvous_env.safety.theorems.tank import tank_lyapunov_bound, tank_time_bound
-from rendezvous_env.safety.theorems.turning import pursuit_bound
+from research.time_bounds import pursuit_bound, rendezvous_time_lower_bound
 
 ALLOWANCE = 4 * 0.2 * 6.5
 """(n − 1) r W of UNEQUAL, whose a* is 0.9 and D̄ 6.5."""

@@ -12,7 +12,7 @@ from rendezvous_env import Disc, Scenario, Sensing, Simulator, certificate, grap
 from rendezvous_env.safety.gains import Gains
 from rendezvous_env.safety.links import LinkKeeping
 from rendezvous_env.safety.settings import check_gate_constants
-from rendezvous_env.safety.theorems.turning import pursuit_bound
+from research.time_bounds import pursuit_bound
 
 
 def unit(degrees):

@@ -11,8 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import minimize
 
+from baselines.references.enclosing_ball import smallest_enclosing_ball
 from rendezvous_env import Simulator
-from rendezvous_env.safety.enclosing_ball import smallest_enclosing_ball
 from rendezvous_env.safety.lyapunov import alignment, lyapunov, lyapunov_rate, net_bearings
 
 PLACES = np.array([[0.0, 0.0], [3.0, 4.0], [3.0, 0.0]])

@@ -10,8 +10,10 @@ from numpy.typing import ArrayLike, NDArray
 
 import rendezvous_env as rv
 from rendezvous_env.compilation import inner_kernel, kernel
+from rendezvous_env.safety.settings import MAX_TURN_RATE
 
 from .adversarial_bearings import unit
+from .adversaries import orthogonal_rates
 from .monitors import Moment
 
 Array = NDArray[np.float64]
@@ -103,11 +105,10 @@ class Adversary:
         if size < 1:
             return np.zeros((*self.size, 1))
         held, anew = self.blind[..., :size], self.random.uniform(-1, 1, (*self.size, size))
-        side = f[..., 1:]
-        square = np.sum(side**2, axis=-1, keepdims=True)
-        abeam = -side * f[..., :1] / (scenario.tau * (square + _TINY))
-        limits = np.minimum(3.0, scenario.action_bounds[1:])
-        abeam = np.clip(abeam / limits, -1.0, 1.0) if len(limits) == side.shape[-1] else anew
+        limits = np.minimum(MAX_TURN_RATE, scenario.action_bounds[1:])
+        abeam = anew
+        if scenario.model.nonholonomic:
+            abeam = np.clip(orthogonal_rates(f, None, scenario.tau) / limits, -1.0, 1.0)
         full = abeam
         if self.by != "heading":
             full = np.concatenate([-np.sign(f[..., :1]), abeam], axis=-1)[..., :size]

@@ -16,6 +16,7 @@ import baselines
 from baselines.laws.paper_laws import pitch_of
 from rendezvous_env import Scenario
 from rendezvous_env.safety.heading import HeadingFilter, flexible_velocity
+from rendezvous_env.safety.settings import MAX_TURN_RATE
 from rendezvous_env.trajectory import Policy
 
 from .adversarial_bearings import across, unit
@@ -67,7 +68,7 @@ def adversary(
     num_envs: int,
     random: np.random.Generator,
     *,
-    max_turn_rate: float = 3.0,
+    max_turn_rate: float = MAX_TURN_RATE,
     kind: str | None = None,
 ) -> Adversary:
     """Raw vectors of all KINDS, or of one, for single integrators; turn rates for other models, in

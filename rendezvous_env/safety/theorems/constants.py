@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from functools import cache
+from functools import cache, lru_cache
 from typing import Any
 
 import numpy as np
@@ -21,6 +21,8 @@ Array = NDArray[np.float64]
 
 UNDIRECTED, DIRECTED, SWITCHING, PROXIMITY = "undirected", "directed", "switching", "proximity"
 """Links that last but for merges, mutual or one-way; that take turns; that end with distance."""
+of_the_last = lru_cache(maxsize=8)
+"""Several theorems ask the same of a scenario, one after the other."""
 
 # ---- the graph -----------------------------------------------------------------------------------
 
@@ -151,6 +153,7 @@ def lyapunov_bound(
     return most + 4.0 * total * (scenario.merge_radius / 2.0 if reach is None else reach)
 
 
+@of_the_last
 def largest_lyapunov(scenario: Scenario) -> float:
     """V(0) of the given start, or what all that can be drawn are below, a number, m²/s: V ≤
     2 W s √d, s the side of the spawn area.
@@ -162,6 +165,7 @@ def largest_lyapunov(scenario: Scenario) -> float:
     return 2.0 * graph.weight_sum(n) * scenario.spawn_size * math.sqrt(scenario.dim)
 
 
+@of_the_last
 def starts_apart(scenario: Scenario) -> bool:
     """Whether linked robots start r or more apart, as all that are drawn do (theory 5)."""
     if scenario.start_positions is None:
@@ -187,6 +191,7 @@ def directions(dim: int) -> float:
     return 2.0 * math.pi * (dim - 1)
 
 
+@of_the_last
 def largest_size(scenario: Scenario) -> float:
     """L(0) of the given start, or of the worst one in the spawn area, a number, m (guarantees,
     section 9): L = s L(unit cube), s the side of the spawn area, with all robots at corners.

@@ -27,7 +27,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from ...checks import real, refuse
 from ...scenario.scenario import Scenario
-from ..enclosing_ball import smallest_enclosing_ball
 from ..settings import SMALLEST_MARGIN
 from . import assumptions as given
 from . import constants as known
@@ -70,15 +69,6 @@ def covered(scenario: Scenario) -> bool:
     """
     needed = given.undirected, given.connected, given.velocity_inputs, given.nothing_in_the_way
     return not any(holds(scenario, LAW) for holds in needed)
-
-
-def rendezvous_time_lower_bound(scenario: Scenario, positions: ArrayLike) -> float:
-    """No policy meets sooner from a start (n, d), m: T ≥ (R − (n − 1) r/2)/v_max, a number, s; (n −
-    1) r with obstacles (theory 3).
-    """
-    _, radius = smallest_enclosing_ball(positions)
-    reach = (scenario.n_robots - 1) * scenario.merge_radius * (1.0 if scenario.obstacles else 0.5)
-    return max(0.0, radius - reach) / scenario.speed_limit
 
 
 def check_margin(min_alignment: float) -> None:

@@ -1,4 +1,4 @@
-"""Theorems T, 3 and 4, and E2: robots that turn at a limited rate.
+"""Theorems T, 3 and 4: robots that turn at a limited rate.
 
 **T.** Fixed, undirected, connected graph, exact bearings of all neighbours, nothing in the way;
 unicycles or 3-D nonholonomic robots under the gate of ``HeadingVectorWrapper``, inputs held over
@@ -13,52 +13,18 @@ V falls by q in every K steps without a merge: T ≤ Kτ (V0⁺/q + n). It is ve
 
 **3 and 4.** The paper's laws (7)(8) and (12)(17) meet in continuous time, by no known time.
 
-**E2.** A fixed graph, directed or not, on which everybody always sees somebody. Each robot pursues
-one that it sees until a merge: it turns towards it at ω_max and drives at c < ω_max r/2, only while
-it points at it. In continuous time T ≤ L0/(2 c κ(n)) + n π/(ω_max − 2c/r), in 3-D n w0/(2c) in
-the first term. Where links change, or a leader rests, nothing is promised. No wrapper keeps it;
-policy ``pursuit`` does.
-
-**Proof.** docs/proofs.md, T and E2.
+**Proof.** docs/proofs.md, T.
 """
 
 from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
-
-from ...checks import refuse
 from ...scenario.scenario import Scenario
 from ..settings import MAX_TURN_RATE
 from . import assumptions as given
 from . import constants as known
-from .gains import shrinking
 from .theorem import Asked, Bounds, Theorem
-
-Array = NDArray[np.float64]
-
-# ---- E2 ------------------------------------------------------------------------------------------
-
-
-def pursuit_bound(scenario: Scenario, initial_size: ArrayLike, speed: float) -> Array:
-    """Time by which pursuers of speed c, m/s, with a turn limit have met, (...), s, from L(0), m
-    (theorem E2); infinite on graphs that switch, go with distance, or have a leader. ValueError for
-    a speed at which a target can run out of sight, or a size that is none.
-    """
-    n, fastest = scenario.n_robots, scenario.turn_limit * scenario.merge_radius / 2.0
-    if not 0 < speed < fastest:
-        refuse("speed", speed, f"positive and less than ω_max r/2 = {fastest:.6g} m/s")
-    spare = scenario.turn_limit - 2.0 * speed / scenario.merge_radius
-    driving = known.checked("initial_size", initial_size, "m") / shrinking(n, scenario.dim, speed)
-    lasting = known.kind_of_links(scenario.sensing_graph) in (known.UNDIRECTED, known.DIRECTED)
-    if not lasting or [len(group) for group in known.leaders(scenario)] != [n]:
-        return np.full(driving.shape, np.inf)
-    return np.asarray(driving + n * math.pi / spare)
-
-
-# ---- T, 3 and 4 ----------------------------------------------------------------------------------
 
 
 def turning_window(dim: int, turned: float) -> tuple[int, float]:

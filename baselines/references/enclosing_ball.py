@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..checks import floats
-from ..limits import LARGEST
+from rendezvous_env.checks import floats
+from rendezvous_env.limits import LARGEST
 
 Array = NDArray[np.float64]
 
