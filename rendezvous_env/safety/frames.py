@@ -24,9 +24,8 @@ class Sight(NamedTuple):
 
 @kernel
 def look_along_net_bearing(teams, arguments):
-    """Turn observations into frames with x along f: row ← Fᵀ row, F = (f/‖f‖, …) (theory 7).
-
-    Where ‖f‖ < δ the last frame is kept. Only the first ``visible_rows`` give it its second axis.
+    """Turn observations (B, n, rows, d), m/s, into frames with x along f: row ← Fᵀ row, F = (f/‖f‖,
+    …) (theory 7). Where ‖f‖ < δ the last frame is kept; the first ``visible_rows`` give it y.
     """
     if arguments[0].shape[3] == 2:  # the same; behind this question the compiler leaves out z
         _look_from(teams, arguments)

@@ -77,7 +77,8 @@ def robot_of(
     bearing_error: Any,
     most: float = math.inf,
 ) -> Robot:
-    """A scenario's robots with a margin ε and bearing errors η, rad; else as ``gate_of``.
+    """A scenario's robots with a margin ε and bearing errors η, numbers, rad (theorem N1'); else as
+    ``gate_of``.
 
     Raises:
         ValueError: naming the margin or the error, and what would be right.

@@ -228,8 +228,8 @@ def answer(
 
 
 def question(scenario: Scenario, by: Any, given: Mapping[str, Any], bearing_error: Any) -> Asked:
-    """What is asked, if the arguments of ``certificate`` go together; those that are not given are
-    LAW's.
+    """What is asked, if the arguments of ``certificate`` go together; of its numbers those that are
+    not given are LAW's (theorem A), and η is a number, rad.
     """
     margin = given.get("min_alignment", LAW.min_alignment)
     descent.check_margin(margin)
