@@ -126,7 +126,7 @@ def _see_rows(observations, first, stop, neighbour_slots, weighs, lanes):
 
 @inner_kernel(inline="code")
 def report(lanes, first, stop, actions, alignment, lyapunov_rate):
-    """Give out velocities (N, d), m/s, |hᵀf|/‖f‖ and −2 (hᵀf)², (N,), of robots first ≤ i < stop."""
+    """Give out velocities (N, d), m/s, and |hᵀf|/‖f‖ and −2 (hᵀf)², (N,), of first ≤ i < stop."""
     give_out(lanes.sent, first, stop, actions)
     tell(lanes.alignment, first, stop, alignment)
     tell(lanes.lyapunov_rate, first, stop, lyapunov_rate)
