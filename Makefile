@@ -19,7 +19,7 @@ BY_TWO := -n 2 --dist loadfile --no-loadscope-reorder
 
 PYTHONS := $(foreach minor,12 13 14,$(if $(shell python3.$(minor) -c 0 2>&1 || echo no),,python3.$(minor)))
 
-.PHONY: compare install test test-slow test-floors test-pythons test-adapters lint docs clean $(LEARNERS:%=test-adapter-%)
+.PHONY: compare install test fast test-slow test-floors test-pythons test-adapters lint style types docs clean $(LEARNERS:%=test-adapter-%)
 .SECONDARY: $(PYTHONS:%=.venv-%/installed) $(LEARNERS:%=.venv-adapters/%/installed)
 .DEFAULT_GOAL := compare
 
@@ -28,7 +28,10 @@ compare: .venv/run
 
 install: .venv/installed
 
-test: lint
+test: .venv/installed
+	$(MAKE) --jobs=2 types fast
+
+fast: style
 	$(BIN)/python -m pytest -q $(BY_TWO)
 
 test-slow: .venv/installed
@@ -52,9 +55,13 @@ test-adapters: $(LEARNERS:%=test-adapter-%)
 $(LEARNERS:%=test-adapter-%): test-adapter-%: .venv-adapters/%/installed
 	.venv-adapters/$*/bin/python -m pytest -q -m 'slow or not slow' tests/adapters/$*
 
-lint: .venv/installed
+lint: style types
+
+style: .venv/installed
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+
+types: .venv/installed
 	$(BIN)/mypy
 
 docs: .venv/installed
