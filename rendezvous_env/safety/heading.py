@@ -17,7 +17,7 @@ from ..engine.threads import Part
 from ..physics.neighbour_rows import degree_of, net_bearing_of
 from ..physics.vectors import X_AXIS, combine, dot, load, scaled, split, store, without
 from ..scenario.scenario import Scenario
-from .robot_lanes import LANES, give_out, in_lanes, lanes_of, put, report, see, take_in, triple_of
+from .robot_lanes import LANES, give_out, in_lanes, lanes_of, put, read, report, take_in, triple_of
 from .safety_filter import Float32, KernelFilter, check_steerable, register_filter
 from .settings import MAX_TURN_RATE, check_gate_constants, check_vectors
 from .turning import Robot, gated_rates, pitch_of, robot_of, turn, wished_rates
@@ -238,7 +238,7 @@ def _steer(robots, constants, arrays, work):
     weighs = constants.speed_scaled or robot.error_chord > 0.0
     for first in range(robots[0], robots[1], LANES):
         stop = min(first + LANES, robots[1])
-        see(observations, held, first, stop, robot, weighs, lanes)
+        read(observations, held, first, stop, robot, weighs, lanes)
         take_in(headings, first, stop, lanes.heading)
         _steer_lanes(constants, work)
         give_out(lanes.heading, first, stop, headings)

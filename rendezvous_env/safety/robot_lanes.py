@@ -105,19 +105,19 @@ def put(vector, lanes, lane):
 
 
 @inner_kernel(inline="code")
-def see(observations, held, first, stop, robot, weighs, lanes):
-    """Take in what robots first ≤ i < stop hold, (N, k), and see in rows (N, rows, d), m/s: f_i =
+def read(observations, held, first, stop, robot, weighs, lanes):
+    """Read what robots first ≤ i < stop hold, (N, k), and see in rows (N, rows, d), m/s: f_i =
     Σ_j a_ij g_ij, and D_i = Σ_j a_ij if ``weighs``. ``robot`` is a Robot.
     """
     if observations.shape[2] == 2:  # the same; behind this question the compiler leaves out z
-        _see_rows(observations, first, stop, robot.neighbour_slots, weighs, lanes)
+        _read_rows(observations, first, stop, robot.neighbour_slots, weighs, lanes)
     else:
-        _see_rows(observations, first, stop, robot.neighbour_slots, weighs, lanes)
+        _read_rows(observations, first, stop, robot.neighbour_slots, weighs, lanes)
     take_in(held, first, stop, lanes.choice)
 
 
 @inner_kernel(inline="code")
-def _see_rows(observations, first, stop, neighbour_slots, weighs, lanes):
+def _read_rows(observations, first, stop, neighbour_slots, weighs, lanes):
     for lane in range(min(LANES, stop - first)):
         put(net_bearing_of(observations[first + lane], neighbour_slots), lanes.f, lane)
     for lane in range(min(LANES, stop - first) if weighs else 0):

@@ -21,7 +21,7 @@ from ..robots.single_integrator import speed_scale
 from ..robots.unicycle import clip
 from ..scenario.scenario import Scenario
 from .heading import into_cap, scale_of_step, without_error
-from .robot_lanes import LANES, in_lanes, lanes_of, put, report, see, tell, triple_of
+from .robot_lanes import LANES, in_lanes, lanes_of, put, read, report, tell, triple_of
 from .safety_filter import Float32, KernelFilter, check_steerable, register_filter
 from .settings import levels_follow_v
 from .turning import Robot, gated_rates, pitch_of, rates_of, robot_of, turn, wished_rates
@@ -100,7 +100,7 @@ def _spend(robots, constants, arrays, work):
     lanes = lanes_of(work)
     for first in range(robots[0], robots[1], LANES):
         stop = min(first + LANES, robots[1])
-        see(observations, held, first, stop, constants.robot, True, lanes)
+        read(observations, held, first, stop, constants.robot, True, lanes)
         for i in range(first, stop):
             lanes.level[i - first] = levels[i]
         _spend_lanes(constants, work)
