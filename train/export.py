@@ -79,7 +79,7 @@ def run(config: Config) -> int:
     if config.standalone is not None:
         return _run_standalone(config, config.standalone)
     weights, settings = _check(config)
-    prepare_folder(config.out.parent)
+    prepare_folder(config.out.parent, f"--out {config.out}")
     with atomic(config.out) as temporary:
         temporary.write_bytes(model_of(weights, settings).SerializeToString())
         apart = _compare(temporary, weights, settings, config.checks)
@@ -93,15 +93,21 @@ def run(config: Config) -> int:
 
 def _run_standalone(config: Config, path: Path) -> int:
     """The same for one Python file."""
-    if path.suffix != ".py":
-        raise UserError(f"--standalone {path}: unknown ending; it must be .py")
+    _check_target("--standalone", path, ".py")
+    if path.exists() and not standalone.is_written(path):
+        raise UserError(f"--standalone {path}: is there already, and not of this command's making")
     _check_count(config.checks)
+    if policies.is_user_policy(config.policy):
+        raise UserError(
+            f"--policy {config.policy}: is a function of your own; it must be a law, a rule or a "
+            "learned policy of this project"
+        )
     policies.check_names([config.policy])
     scenario = policies.resolve_scenario(config.scenario)
     folder, network = policies.learned_path(config.policy), None
     if folder is not None:
         network = _network_in(folder, config.policy)
-    prepare_folder(path.parent)
+    prepare_folder(path.parent, f"--standalone {path}")
     with atomic(path) as temporary:
         try:
             text = standalone.text_of(config.policy, scenario, network)
@@ -122,6 +128,13 @@ def _run_standalone(config: Config, path: Path) -> int:
     return 0
 
 
+def _check_target(flag: str, path: Path, ending: str) -> None:
+    if path.suffix != ending:
+        raise UserError(f"{flag} {path}: unknown ending; it must be {ending}")
+    if path.is_dir():
+        raise UserError(f"{flag} {path}: is a folder; it must be a file")
+
+
 def _check_count(checks: int) -> None:
     if not 1 <= checks <= _MOST_CHECKS:
         raise UserError(f"--checks is {checks}; it must be from 1 to {_MOST_CHECKS}")
@@ -137,8 +150,7 @@ def _network_in(path: Path, name: str) -> tuple[dict[str, NDArray[np.float32]], 
 
 def _check(config: Config) -> tuple[dict[str, NDArray[np.float32]], PolicySettings]:
     """Weights and settings, once everything is known to be right."""
-    if config.out.suffix != SUFFIX:
-        raise UserError(f"--out {config.out}: unknown ending; it must be {SUFFIX}")
+    _check_target("--out", config.out, SUFFIX)
     _check_count(config.checks)
     check_installed("export", "export", "onnx", "onnxruntime")
     policies.check_names([config.policy])
@@ -220,10 +232,40 @@ def model_of(weights: Mapping[str, NDArray[Any]], settings: PolicySettings) -> A
     """
     from onnx import checker, helper
 
-    width, units, choices = settings.set_width, settings.units, len(settings.angles)
+    graph, units = _Graph(), settings.units
     context = settings.layout(0, 0).context_columns
+    _connect(graph, weights, settings, context)
+    shapes: dict[str, list[int | str]] = {
+        "neighbours": ["robots", "neighbour_slots", NEIGHBOUR_COLUMNS],
+        "obstacles": ["robots", "obstacle_slots", OBSTACLE_COLUMNS],
+        "context": ["robots", context],
+    }
+    results: dict[str, list[int | str]] = {"preferences": ["robots", len(settings.angles)]}
+    if units:
+        shapes["hidden"] = results["hidden_next"] = ["robots", units]
+    made = helper.make_model(
+        helper.make_graph(
+            graph.nodes,
+            "rendezvous_policy",
+            [graph.value(*entry) for entry in shapes.items()],
+            [graph.value(*entry) for entry in results.items()],
+            graph.constants,
+        ),
+        opset_imports=[helper.make_opsetid("", _OPSET)],
+        ir_version=_IR_VERSION,
+        producer_name="rendezvous-env",
+        doc_string="Which heading to take. Guide and guarantee follow: see baselines.RobotPolicy.",
+    )
+    checker.check_model(made, full_check=True)
+    return _signed(made, settings)
+
+
+def _connect(
+    graph: _Graph, weights: Mapping[str, NDArray[Any]], settings: PolicySettings, context: int
+) -> None:
+    """All layers, from the inputs to "preferences" and "hidden_next"."""
+    width, units, choices = settings.set_width, settings.units, len(settings.angles)
     features = 4 * width + context
-    graph = _Graph()
     pooled: list[str] = []
     for rows, net, columns in (
         ("neighbours", "neighbour_net", NEIGHBOUR_COLUMNS),
@@ -240,34 +282,18 @@ def model_of(weights: Mapping[str, NDArray[Any]], settings: PolicySettings) -> A
         seen = graph.add("Relu", [graph.linear(seen, layer)])
     last = linear_layer(weights, "action_net.weight", "action_net.bias", sizes[-1], choices)
     graph.add("Identity", [graph.linear(seen, last)], name="preferences")
-    shapes: dict[str, list[int | str]] = {
-        "neighbours": ["robots", "neighbour_slots", NEIGHBOUR_COLUMNS],
-        "obstacles": ["robots", "obstacle_slots", OBSTACLE_COLUMNS],
-        "context": ["robots", context],
-    }
-    results: dict[str, list[int | str]] = {"preferences": ["robots", choices]}
-    if units:
-        shapes["hidden"] = results["hidden_next"] = ["robots", units]
-    made = helper.make_model(
-        helper.make_graph(
-            graph.nodes,
-            "rendezvous_policy",
-            [graph.value(*entry) for entry in shapes.items()],
-            [graph.value(*entry) for entry in results.items()],
-            graph.constants,
-        ),
-        opset_imports=[helper.make_opsetid("", _OPSET)],
-        ir_version=_IR_VERSION,
-        producer_name="rendezvous-env",
-        doc_string="Which heading to take. Guide and guarantee follow: see baselines.RobotPolicy.",
-    )
+
+
+def _signed(made: Any, settings: PolicySettings) -> Any:
+    """The model with its metadata: settings, angles, and the digest of everything."""
+    from onnx import helper
+
     about = {
         SETTINGS_KEY: json.dumps(settings.to_plain()),
         "angles": json.dumps(settings.angles.tolist()),
         DIGEST_KEY: json.dumps(NO_DIGEST),
     }
     helper.set_model_props(made, about)
-    checker.check_model(made, full_check=True)
     about[DIGEST_KEY] = json.dumps(digest_of(made.SerializeToString()))
     helper.set_model_props(made, about)
     return made

@@ -193,13 +193,37 @@ def test_a_changed_file_drives_no_robot(exported, tmp_path, seed):
         (["--standalone", "x.py", "--policy", "learnt"], "did you mean 'learned'?"),
         (["--standalone", "x.py", "--scenario", "cluter-8"], "did you mean 'clutter-8'?"),
         (["--standalone", "x.py", "--scenario", "cloud-8"], "3-D; a RobotPolicy steers"),
+        (["--standalone", "x.py", "--policy", "os:getcwd"], "os:getcwd: is a function of your own"),
+        (["--standalone", "folder.py"], "--standalone folder.py: is a folder; it must be a file"),
+        (["--standalone", "own.py"], "--standalone own.py: is there already, and not of this"),
+        (["--standalone", "own.py/x.py"], "--standalone own.py/x.py: cannot write there: "),
     ],
 )
 def test_what_cannot_be_written_is_said_in_a_line(words, message, capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
+    (tmp_path / "folder.py").mkdir()
+    (tmp_path / "own.py").write_text("print('mine')")
     assert cli.main(["export", *words]) == 2
     assert message in capsys.readouterr().err
-    assert not list(tmp_path.iterdir())
+    assert sorted(path.name for path in tmp_path.rglob("*")) == ["folder.py", "own.py"]
+    assert (tmp_path / "own.py").read_text() == "print('mine')"
+
+
+def test_a_file_of_an_older_version_is_written_anew(exported, tmp_path):
+    path = tmp_path / "robot.py"
+    path.write_bytes(exported("bearing-only").read_bytes().replace(b"rendezvous-env ", b"old "))
+    words = ["--policy", "tangent-joined", "--standalone", str(path), "--checks", "20"]
+    assert cli.main(["export", *words]) == 0
+    assert path.read_text(encoding="utf-8").startswith('"""The policy \'tangent-joined\'')
+
+
+@pytest.mark.parametrize("policy", ["learned", "learned-tank"])
+def test_what_turns_bodies_stays_away(exported, policy):
+    """Robots whose bodies turn, and space, which no robot of such a file has."""
+    tree = ast.parse(exported(policy).read_text(encoding="utf-8"))
+    defined = {node.name for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)}
+    assert not defined & {"arc_3d", "gated_rates", "rates_onto_line", "_spend_turning", "_drive"}
+    assert "_steer" in defined
 
 
 class TestBundle:

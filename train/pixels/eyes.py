@@ -29,6 +29,28 @@ LAMPS = ((230, 20, 20), (20, 200, 20), (30, 60, 240), (230, 200, 0), (210, 30, 2
 _GONE = (0.0, 0.0, -50.0)
 _OVERHEAD = "overhead"
 _COLUMNS = slice(2, 5)  # of the simulator's table of discs: radius and centre
+_WORLD = f"""
+<mujoco>
+  <statistic extent="1" center="0 0 0"/>
+  <visual>
+    <global offwidth="{{edge}}" offheight="{{edge}}"/>
+    <quality offsamples="0" shadowsize="0" numslices="24" numstacks="12"/>
+    <map znear="0.01" zfar="200"/>
+    <headlight ambient="0.7 0.7 0.7" diffuse="0.2 0.2 0.2" specular="0 0 0"/>
+  </visual>
+  <asset>
+    {{lamps}}
+    <material name="pole" rgba="0.85 0.85 0.85 1"/>
+    <material name="disc" rgba="0.22 0.22 0.26 1"/>
+    <material name="wall" rgba="1 1 1 1"/>
+    <material name="floor" rgba="0.8 0.8 0.78 1"/>
+  </asset>
+  <worldbody>
+    <geom type="box" size="{{half}} {{half}} 0.1" pos="0 0 -0.1" material="floor"/>
+    <camera name="{_OVERHEAD}" pos="0 0 {{above}}" fovy="53"/>
+    {{bodies}}
+  </worldbody>
+</mujoco>"""
 
 
 class Eyes:
@@ -134,54 +156,40 @@ class Eyes:
 
 def _world(scenario: Any, discs: int, film_size: int) -> str:
     """The world in MuJoCo's words: robots that are placed, their cameras, obstacles, a floor."""
-    edge, lamp = max(SIZE * CAMERAS, film_size), 0.5 * scenario.merge_radius
-    half = 0.65 * scenario.spawn_size
-    cameras = [
-        f'<camera name="eye{k}" pos="0 0 {HEIGHT}" fovy="90" xyaxes="{s} {-c} 0 0 0 1"/>'
-        for k, (c, s) in enumerate(((1, 0), (0, 1), (-1, 0), (0, -1)))
-    ]
-    robots = "".join(
-        f'<body name="robot{i}" mocap="true">'
-        f'<geom type="sphere" size="{lamp}" pos="0 0 {HEIGHT}" material="lamp{i}"/>'
-        f'<geom type="cylinder" size="0.02 {0.5 * (HEIGHT - lamp)}"'
-        f' pos="0 0 {0.5 * (HEIGHT - lamp)}" material="pole"/>'
-        + "".join(camera.replace("eye", f"eye{i}_") for camera in cameras)
-        + "</body>"
-        for i in range(scenario.n_robots)
-    )
+    half = scenario.spawn_size  # farther off than robots go that seek each other
     lamps = "".join(
         f'<material name="lamp{i}" emission="1" rgba="{r / 255} {g / 255} {b / 255} 1"/>'
         for i, (r, g, b) in enumerate(LAMPS)
-    )
-    obstacles = "".join(
-        f'<geom name="disc{m}" type="cylinder" size="1 0.6" pos="0 0 0.6" material="disc"/>'
-        for m in range(discs)
     )
     walls = "".join(
         f'<geom type="box" size="{half if y else 0.1} {half if x else 0.1} {half}"'
         f' pos="{x * half} {y * half} {half}" material="wall"/>'
         for x, y in ((1, 0), (-1, 0), (0, 1), (0, -1))
     )
-    return f"""
-    <mujoco>
-      <statistic extent="1" center="0 0 0"/>
-      <visual>
-        <global offwidth="{edge}" offheight="{edge}"/>
-        <quality offsamples="0" shadowsize="0" numslices="24" numstacks="12"/>
-        <map znear="0.01" zfar="200"/>
-        <headlight ambient="0.7 0.7 0.7" diffuse="0.2 0.2 0.2" specular="0 0 0"/>
-      </visual>
-      <asset>
-        {lamps}
-        <material name="pole" rgba="0.85 0.85 0.85 1"/>
-        <material name="disc" rgba="0.22 0.22 0.26 1"/>
-        <material name="wall" rgba="1 1 1 1"/>
-        <material name="floor" rgba="0.8 0.8 0.78 1"/>
-      </asset>
-      <worldbody>
-        <geom type="box" size="{half} {half} 0.1" pos="0 0 -0.1" material="floor"/>
-        {walls}
-        <camera name="{_OVERHEAD}" pos="0 0 {2 * half}" fovy="53"/>
-        {robots}{obstacles}
-      </worldbody>
-    </mujoco>"""
+    robots = "".join(_robot(i, 0.5 * scenario.merge_radius) for i in range(scenario.n_robots))
+    obstacles = "".join(
+        f'<geom name="disc{m}" type="cylinder" size="1 0.6" pos="0 0 0.6" material="disc"/>'
+        for m in range(discs)
+    )
+    return _WORLD.format(
+        edge=max(SIZE * CAMERAS, film_size),
+        half=half,
+        above=1.3 * half,
+        lamps=lamps,
+        bodies=walls + robots + obstacles,
+    )
+
+
+def _robot(number: int, radius: float) -> str:
+    """A lamp of this radius, m, on its pole, with cameras that are numbered counter-clockwise."""
+    pole = 0.5 * (HEIGHT - radius)
+    cameras = "".join(
+        f'<camera name="eye{number}_{k}" pos="0 0 {HEIGHT}" fovy="90" xyaxes="{s} {-c} 0 0 0 1"/>'
+        for k, (c, s) in enumerate(((1, 0), (0, 1), (-1, 0), (0, -1)))
+    )
+    return (
+        f'<body name="robot{number}" mocap="true">'
+        f'<geom type="sphere" size="{radius}" pos="0 0 {HEIGHT}" material="lamp{number}"/>'
+        f'<geom type="cylinder" size="0.02 {pole}" pos="0 0 {pole}" material="pole"/>'
+        f"{cameras}</body>"
+    )

@@ -12,11 +12,10 @@ from rendezvous_env.scenario.scenario import Scenario
 
 from .. import policies
 
-_PATIENCE, _LEG = 6.0, 3.0
-"""s for which a robot that sees nobody goes on as if it saw what it saw last, and s for which it
-then goes one way in search of the others, and another one."""
+_PATIENCE = 6.0
+"""s for which a robot that sees nobody goes on as if it saw what it saw last; then it seeks."""
 _TURN = np.pi * (3.0 - np.sqrt(5.0))
-"""rad between those ways: the golden angle leads it all around, and never far away."""
+"""rad between the ways in which it seeks: the golden angle leads it all around."""
 
 
 class LastSeen:
@@ -32,7 +31,7 @@ class LastSeen:
 
     def __init__(self, policy: Policy, scenario: Scenario) -> None:
         self._policy, self._layout = policy, scenario.observation_layout
-        self._patience, self._leg = round(_PATIENCE / scenario.tau), round(_LEG / scenario.tau)
+        self._tau, self._patience = scenario.tau, round(_PATIENCE / scenario.tau)
         self._rows: NDArray[np.float32] | None = None
         self._since = np.zeros(0, int)
         self.reset()
@@ -50,7 +49,9 @@ class LastSeen:
         rows[...] = self._rows
         seeking = self._since > self._patience
         rows[seeking] = 0.0
-        rows[seeking, 0] = unit(_TURN * ((self._since - self._patience) // self._leg)[seeking])
+        sought = self._tau * (self._since - self._patience)[seeking]  # s
+        # ways of 3, 5, 7, … s: in those of equal length two robots circle, each in its own place
+        rows[seeking, 0] = unit(_TURN * (np.floor(np.sqrt(1.0 + sought)) - 1.0))
         return self._policy(shown, time)
 
     def reset(self, mask: NDArray[np.bool_] | None = None) -> None:

@@ -57,6 +57,12 @@ def check_field_types(made):
     """As ``check_types``."""
 ''',
 }
+for _module, _word in (("heading", "_turn_bodies"), ("tank", "_spend_bodies")):
+    _STAND_INS[Name(f"rendezvous_env.safety.{_module}", _word)] = f'''
+def {_word}(teams, arguments):
+    """Filters here steer robots that go any way."""
+    raise NotImplementedError
+'''
 _ROOTS = (
     Name("baselines.robot_policy", "OneRobot"),
     Name("rendezvous_env.scenario.observation_layout", "ObservationLayout"),
@@ -69,6 +75,7 @@ _NUMBERS = (
 )  # fmt: skip
 """Of a scenario, that policies of one robot ask for."""
 
+_MADE_BY = "rendezvous export --standalone"
 _HEAD = '''"""The policy {policy} for a robot of the scenario {scenario}: bearings in, velocity out.
 
     robot = RobotPolicy()
@@ -76,7 +83,7 @@ _HEAD = '''"""The policy {policy} for a robot of the scenario {scenario}: bearin
     drive = DifferentialDrive()
     v, omega = drive.command(velocity, yaw, dt=0.03)
 
-It needs NumPy and nothing else. `rendezvous export --standalone` of rendezvous-env {version} wrote
+It needs NumPy and nothing else. `{made_by}` of rendezvous-env {version} wrote
 it, of the functions of that package, word for word; whoever wants to change them does so there. It
 refuses to be imported once a byte of it has changed: its last line sees to that.
 """
@@ -179,12 +186,11 @@ def text_of(
         weights, settings = network
         roots.append(Name("baselines.learned.learned_policy", "LearnedPolicy"))
         roots.append(Name("baselines.learned.policy_settings", "PolicySettings"))
-        make = (
-            "LearnedPolicy(TEAM, weights_of(SHAPES, WEIGHTS), PolicySettings.from_plain(SETTINGS))"
-        )
+        make = "learned_policy()"
         extra = _learned(weights, settings)
     bundle = Bundle(roots, stand_ins).text()
-    head = _HEAD.format(policy=repr(policy), scenario=repr(scenario.name), version=__version__)
+    about = {"policy": repr(policy), "scenario": repr(scenario.name), "version": __version__}
+    head = _HEAD.format(made_by=_MADE_BY, **about)
     content = head + bundle + extra + _team(scenario, make) + _LAST
     digest = hashlib.sha256(content.encode()).hexdigest()
     return f'{content}IS_UNCHANGED = check_unchanged(__file__, "{digest}")\n'
@@ -219,6 +225,12 @@ def _learned(weights: Mapping[str, NDArray[Any]], settings: PolicySettings) -> s
 def _written(plain: Any) -> str:
     """Plain data as Python writes it; numbers that are read back are the same."""
     return pprint.pformat(plain, width=96, sort_dicts=False)
+
+
+def is_written(path: Path) -> bool:
+    """Whether what stands there is such a file, of whatever version, and may be written anew."""
+    with path.open("rb") as file:
+        return _MADE_BY.encode() in file.read(len(_HEAD) + 200)
 
 
 # ---- whether it does what the policy does -------------------------------------------------------

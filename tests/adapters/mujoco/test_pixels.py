@@ -6,6 +6,7 @@ import re
 import subprocess
 import sys
 from importlib import util
+from itertools import groupby
 
 import numpy as np
 import pytest
@@ -109,8 +110,10 @@ def test_robots_that_see_nobody_go_where_they_saw_somebody_then_seek():
     nobody = np.zeros_like(seen)
     assert policy(nobody, 0.05)[0, 0] == pytest.approx(first[0])
     assert first[1] == pytest.approx([1.0, 0.0])  # never saw anybody: it seeks at once
-    ways = {tuple(policy(nobody, 0.1)[0, 0].round(3).tolist()) for _ in range(300)}
-    assert len(ways) >= 3 and (0.0, 1.0) in ways
+    ways = [tuple(policy(nobody, 0.1)[0, 0].round(3).tolist()) for _ in range(1000)]
+    lasted = [len(list(same)) * scenario.tau for _, same in groupby(ways)]
+    assert ways[0] == (0.0, 1.0) and len(set(ways)) == len(lasted)
+    assert lasted[:5] == pytest.approx([5.95, 3.0, 5.0, 7.0, 9.0], abs=0.051)
     policy.reset()
     assert policy(nobody, 0.0)[0, 0] == pytest.approx([1.0, 0.0])
 

@@ -1,6 +1,6 @@
 """Four robots and a world, a process each: runs, counted.
 
-    python team.py [RUNS]
+    python team.py [RUNS] [differential_drive]
 
 prints how many met, how many met without a contact, and what a tick took.
 """
@@ -19,8 +19,10 @@ ROOT = HERE.parents[2]
 SECONDS = 90.0  # for a run; what takes longer hangs
 
 
-def run(seed, folder):
+def run(seed, folder, *parameters):
     """One run: how it ended, and the ticks of all robots, (wall, work) in s.
+
+    Parameters are those of the node that are true.
 
     Raises:
         subprocess.TimeoutExpired: for a process that hangs.
@@ -35,9 +37,10 @@ def run(seed, folder):
     environment = os.environ | apart
     files = [folder / f"robot{i}.json" for i in range(4)]
     node = [sys.executable, HERE / "one_robot.py"]
+    given = [word for name in parameters for word in ("-p", f"{name}:=true")]
     robots = [
         subprocess.Popen(
-            [*node, files[i], "--ros-args", "-r", f"__ns:=/robot{i}"],
+            [*node, files[i], "--ros-args", "-r", f"__ns:=/robot{i}", *given],
             env=environment,
             # where a shell runs this in the background, nobody hears a Ctrl-C
             preexec_fn=partial(signal.signal, signal.SIGINT, signal.SIG_DFL),
@@ -69,12 +72,12 @@ def percentile(values, share):
     return sorted(values)[min(int(share * len(values)), len(values) - 1)]
 
 
-def main(runs):
+def main(runs, *parameters):
     found, ticks, hangs = [], [], 0
     for seed in range(runs):
         with TemporaryDirectory() as folder:
             try:
-                ended, took = run(seed, Path(folder))
+                ended, took = run(seed, Path(folder), *parameters)
             except subprocess.TimeoutExpired:
                 hangs += 1
                 continue
@@ -91,4 +94,4 @@ def main(runs):
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]) if len(sys.argv) > 1 else 20)
+    main(int(sys.argv[1]) if len(sys.argv) > 1 else 20, *sys.argv[2:])

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from importlib import util
+from itertools import pairwise
 
+import numpy as np
 import pytest
 
 # of what ROS 2 reads its messages with
@@ -20,13 +22,13 @@ TICK = 5e-3
 
 
 @pytest.fixture
-def node(monkeypatch):
-    """A node that hears what it is told, and what it publishes."""
+def node(monkeypatch, request):
+    """A node that hears what it is told, and what it publishes; its parameters may be given."""
     import rclpy
 
     monkeypatch.setenv("ROS_DOMAIN_ID", "101")
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "OFF")
-    with rclpy.init(args=[]):
+    with rclpy.init(args=getattr(request, "param", [])):
         made, sent = node_of()["RendezvousNode"](), []
         made.commands.publish = sent.append
         yield made, sent
@@ -49,12 +51,47 @@ def test_who_sees_nothing_rests(node):
     assert sent[1].linear.y / sent[1].linear.x == pytest.approx(0.5463, abs=1e-3)  # tan 0.5
 
 
+ON_WHEELS = ["--ros-args", "-p", "differential_drive:=true"]
+
+
+@pytest.mark.parametrize("node", [ON_WHEELS], indirect=True)
+def test_wheels_turn_towards_what_is_seen_and_stop_when_nothing_is(node):
+    from rclpy.duration import Duration
+    from std_msgs.msg import Float64MultiArray
+
+    made, sent = node
+    machine, wheels = made.drive.machine, []
+    most = machine.wheel_acceleration * machine.timeout  # by which wheels change in a tick
+    made.tick()
+    for late in (0.0, 1.0):  # the first tick, and one after which wheels turn as they should
+        made.on_bearings(Float64MultiArray(data=[0.5]))
+        if late:
+            made.ticked_at = made.get_clock().now() - Duration(seconds=late)
+        made.tick()
+        wheels.append(made.drive.wheels)
+    assert max(wheels[0]) == pytest.approx(most) and max(wheels[1]) > 2 * most
+    made.seen_at = made.get_clock().now() - Duration(seconds=1.0)
+    for _ in range(20):
+        made.tick()
+        wheels.append(made.drive.wheels)
+    assert all(
+        max(after) == pytest.approx(max(max(before) - most, 0.0))
+        for before, after in pairwise(wheels[1:])
+    )
+    going, turning = sent[2].linear.x, machine.lead * sent[2].angular.z
+    assert turning / going == pytest.approx(np.tan(0.5), abs=1e-3)
+    assert np.hypot(going, turning) == pytest.approx(0.5, abs=1e-3)
+    for one in (sent[0], sent[-1]):
+        assert (one.linear.x, one.linear.y, one.angular.z) == (0.0, 0.0, 0.0)
+
+
 @pytest.mark.slow
-def test_four_nodes_meet_among_obstacles(tmp_path):
+@pytest.mark.parametrize("parameters", [(), ("differential_drive",)])
+def test_four_nodes_meet_among_obstacles(tmp_path, parameters):
     ticks = []
     for seed in (0, 1):
         (folder := tmp_path / str(seed)).mkdir()
-        ended, took = run(seed, folder)  # a process that hangs is an error
+        ended, took = run(seed, folder, *parameters)  # a process that hangs is an error
         assert ended["begun"] and ended["met"] and ended["contacts"] == 0
         ticks += took
     assert len(ticks) > 300

@@ -3,7 +3,8 @@
     python world.py SEED SECONDS
 
 It runs by the clock on the wall, and prints how the run ended as JSON. Which way a robot's body
-points is its own affair: it turns on the spot at random, and the node has to undo that.
+points is its own affair: it turns on the spot at random, and the node has to undo that. Bearings
+are those from LEAD ahead of the axle, about which a base on wheels turns.
 """
 
 import json
@@ -25,6 +26,7 @@ from rendezvous_env.obstacles.fields import ObstacleField
 
 STEP = 0.01  # s
 LATE = 0.2  # s: without a command for so long a base stands still
+LEAD = 0.1  # m
 SCENARIO = rv.Scenario(
     name="hall",
     n_robots=4,
@@ -47,7 +49,7 @@ class World(Node):
         self.rows = self.simulator.reset(seed)
         self.random = np.random.default_rng(seed)
         self.yaws = self.random.uniform(-3.0, 3.0, 4)
-        self.commands, self.heard_at = np.zeros((4, 2)), np.full(4, -math.inf)
+        self.commands, self.heard_at = np.zeros((4, 3)), np.full(4, -math.inf)
         self.sent = [
             {
                 "imu": self.create_publisher(Imu, f"/robot{i}/imu", 1),
@@ -65,7 +67,7 @@ class World(Node):
         self.create_timer(STEP, self.go_on)
 
     def on_command(self, robot, said):
-        self.commands[robot] = said.linear.x, said.linear.y
+        self.commands[robot] = said.linear.x, said.linear.y, said.angular.z
         self.heard_at[robot] = time.monotonic()
 
     def go_on(self):
@@ -82,10 +84,11 @@ class World(Node):
 
     def step(self, now):
         c, s = np.cos(self.yaws), np.sin(self.yaws)
-        x, y = np.where(now - self.heard_at < LATE, self.commands.T, 0.0)
+        x, y, turn = np.where(now - self.heard_at < LATE, self.commands.T, 0.0)
+        y = y + LEAD * turn
         velocities = np.stack([c * x - s * y, s * x + c * y], axis=-1)[np.newaxis]
         self.rows = self.simulator.step(velocities.astype(np.float32)).observations
-        self.yaws += self.random.normal(0.0, 0.01, 4)
+        self.yaws += STEP * turn + self.random.normal(0.0, 0.01, 4)
 
     def tell(self):
         for i in np.flatnonzero(self.simulator.active[0]).tolist():
