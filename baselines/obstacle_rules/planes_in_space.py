@@ -24,6 +24,7 @@ from rendezvous_env.physics.vectors import (
 from .merged_silhouettes_2d import TWO_PI, joined_interval_2d
 from .silhouettes import is_seen
 
+_Y_AXIS = (0.0, 1.0, 0.0)
 _WIDEST = 0.5 * math.pi - 0.01
 """rad; no cone is widened beyond."""
 _PLANES = 8
@@ -77,8 +78,9 @@ def kept_azimuth(towards, before, keeps, clearance, views):
         A unit triple across f, and whether it was kept.
     """
     rays, cut, intervals = views
-    seen = load(rays[0, 0]) if rays.shape[0] > 0 else X_AXIS
-    aside, _ = azimuth_axes(towards, before, seen, X_AXIS)
+    if before == ORIGIN and rays.shape[0] > 0:
+        before = load(rays[0, 0])
+    aside, _ = azimuth_axes(towards, before, X_AXIS, _Y_AXIS)
     if keeps:
         _cut_by(towards, aside, rays, cut)
         low, high, _, _ = joined_interval_2d(X_AXIS, cut, intervals)

@@ -79,6 +79,12 @@ def test_a_kept_plane_that_is_closed_all_round_is_left():
     assert not kept and abs(aside @ Z) > 0.7
 
 
+def test_along_its_x_axis_there_is_an_azimuth_too():
+    for cones in ([], [np.broadcast_to(X, (8, 3))]):
+        aside, _, _ = azimuth(np.array(cones).reshape(-1, 8, 3))
+        assert abs(aside @ X) < 1e-12 and np.linalg.norm(aside) == pytest.approx(1.0)
+
+
 def test_a_slab_is_rounded_by_the_tank_and_not_by_a_heading():
     met = {}
     for name in ("tangent-joined", "tank-joined"):
