@@ -77,7 +77,7 @@ def test_the_readme_names_every_command_and_scenarios_that_there_are():
     assert set(re.findall(r"`rendezvous (\w+)", text)) == set(COMMANDS)
     shown = set(re.findall(r'"((?:fig|swarm-|ring-|clutter-)\w+)"', text))
     assert shown and shown <= set(rv.scenarios.names())
-    assert (ROOT / "docs/images/fig4.png").stat().st_size > 10_000
+    assert (ROOT / "docs/images/guarantee-price.png").stat().st_size > 10_000
 
 
 @pytest.mark.parametrize("page", with_blocks("bash"))

@@ -17,6 +17,9 @@ from typing import Any
 import numpy as np
 from rendezvous_env.baselines.learned import plain_data
 
+from rendezvous_env.scenario import scenarios
+from rendezvous_env.scenario.scenario import Scenario
+
 from .checks import UserError
 
 FORMAT_VERSION = 5
@@ -182,6 +185,17 @@ def write_json(path: Path, content: Mapping[str, Any]) -> None:
     """Write plain data, indented."""
     with atomic(path) as temporary:
         temporary.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+
+
+def versioned(scenario: Scenario) -> dict[str, str]:
+    """Versioned name and digest of the first starts ("field", "digest"), by which others can tell
+    that they have the same; nothing for a scenario that is none of the named ones.
+    """
+    name = scenario.name
+    if name not in scenarios.with_versions() or scenario != scenarios.get(name):
+        return {}
+    field = scenarios.versioned(name)
+    return {"field": field, "digest": scenarios.digests()[field.partition("/")[2]]}
 
 
 def provenance(packages: Sequence[str] = ()) -> dict[str, Any]:

@@ -130,6 +130,12 @@ class TestFiles:
         assert Scenario.from_plain(run["scenarios"]["fig4"]) == scenarios.get("fig4")
         assert run["policies"]["duo"] == ["bearing-only", "zero"]
         assert run["versions"]["rendezvous-env"] and run["merges_above_bound"] == 0
+        digests = scenarios.digests()
+        assert run["versioned"] == {
+            name: {"field": f"rendezvous/{name}-v1", "digest": digests[f"{name}-v1"]}
+            for name in ("duo", "fig4")
+        }
+        assert results.versioned(scenarios.get("duo").replace(time_limit=2.0)) == {}
 
     def test_paired(self, folder):
         rows = {(r["scenario"], r["policy"]): r for r in results.read_csv(folder / "paired.csv")}

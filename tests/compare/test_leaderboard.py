@@ -1,6 +1,8 @@
 """Algorithms × fields × seeds: statistics by hand, cells that repeat, the filter's promise."""
 
 import json
+import shutil
+from collections import defaultdict
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +14,7 @@ from rendezvous_env import scenarios
 from train import cli
 from train.checks import UserError
 from train.compare import statistics
+from train.leaderboard import cards as cards_of
 from train.leaderboard import command, registry, settings, tables
 from train.leaderboard.algorithms.ppo_cbf import Barrier, kept_out
 from train.leaderboard.playing import Player, play
@@ -77,16 +80,17 @@ class TestBarrier:
         assert paid[0] > 20 and paid[1] == 0
 
 
-def test_without_safety_every_wish_is_carried_out_and_with_it_v_never_rises():
-    field, risen = scenarios.get("clutter-16"), {}
-    for safety in ("none", "heading"):
+def test_headings_never_raise_v_the_rule_touches_nothing_and_without_both_robots_touch():
+    field, risen, touches = scenarios.get("clutter-16"), {}, {}
+    for safety in ("none", "rule", "heading"):
         teams = teams_to_learn_in(field, 6, safety=safety, anew=False)
         # the choice farthest aside of f
         act = lambda seen, time, n=teams.single_action_space.nvec[0] - 1: np.full(seen.shape[:2], n)  # noqa: E731
         found = play(Player(teams, act))
-        risen[safety] = sum(found["risen"])
+        risen[safety], touches[safety] = sum(found["risen"]), sum(found["touches"])
         assert sum(found["steps"]) > 1000 and len(found["clean"]) == 6
-    assert risen["heading"] == 0 and risen["none"] > 1000
+    assert risen["heading"] == 0 and risen["rule"] > 1000
+    assert touches["rule"] == 0 < touches["none"]
 
 
 @pytest.fixture(scope="module")
@@ -98,7 +102,7 @@ def board(tmp_path_factory):
 
 
 def test_a_board_has_a_card_for_each_cell_and_its_tables(board):
-    cards = command.read_cards(board)
+    cards = cards_of.read_cards(board)
     assert [(card["algorithm"], card["seed"]) for card in cards] == [
         ("bearing-only", 0), ("ppo-heading", 0), ("ppo-heading", 1),
     ]  # fmt: skip
@@ -131,7 +135,7 @@ def test_the_law_is_played_as_compare_plays_it(board):
         scenario, lambda: make("bearing-only", scenario), margin=1.0, episodes=8,
         seed=EVALUATION_SEEDS,
     )  # fmt: skip
-    law = command.read_cards(board)[0]["results"]
+    law = cards_of.read_cards(board)[0]["results"]
     assert law["success"] == played.success.astype(int).tolist()
     assert law["clean"] == played.clean.astype(int).tolist()
     np.testing.assert_allclose(law["time"], played.time, atol=1e-6)
@@ -146,7 +150,12 @@ def test_a_card_is_repeated_bit_by_bit_or_said_to_differ(board, capsys):
     other = board.with_name("other.json")
     other.write_text(json.dumps(changed))
     assert command.run(replace(SMALL, repeat=other)) == 1
-    assert "results differ" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "results differ" in said and "within the 95 % interval of the difference" in said
+    changed["results"]["clean"] = [0] * 8
+    other.write_text(json.dumps(changed))
+    assert command.run(replace(SMALL, repeat=other)) == 1
+    assert "outside the 95 % interval" in capsys.readouterr().err
     for text in ("{}", "[1]", "no card"):
         other.write_text(text)
         with pytest.raises(UserError, match=r"other\.json: no results card"):
@@ -164,6 +173,41 @@ def test_what_is_done_is_not_done_again(board, tmp_path, monkeypatch):
         with pytest.raises(ZeroDivisionError):
             command.run(config)
     assert len(done) == 3
+
+
+def test_cells_are_added_to_those_of_a_folder(board, tmp_path, monkeypatch, capsys):
+    done, out = [], tmp_path / "out"
+    shutil.copytree(board, out)
+    card_of = command.card_of
+    monkeypatch.setattr(command, "card_of", lambda place: done.append(place) or card_of(place))
+    more = replace(SMALL, algorithms=("tank-joined", "bearing-only"), out=out)
+    assert command.run(more) == 0
+    assert [place.name for place in done] == ["tank-joined/clutter-8-v1-seed-0"]
+    names = [row["algorithm"] for row in command.results.read_csv(out / "leaderboard.csv")]
+    assert sorted(names) == ["bearing-only", "ppo-heading", "tank-joined"]
+    for card in (board / "cells").glob("*/*.json"):
+        assert (out / card.relative_to(board)).read_bytes() == card.read_bytes()
+    capsys.readouterr()
+    for changes in ({"decisions": 65, "algorithms": ("ppo-heading",)}, {"starts": 9}):
+        with pytest.raises(UserError, match="do not stand in one table"):
+            command.run(replace(more, **changes))
+    path = out / "cells" / "tank-joined" / "clutter-8-v1-seed-0.json"
+    path.write_text(path.read_text().replace(scenarios.digests()["clutter-8-v1"], "0" * 64))
+    with pytest.raises(UserError, match="digest of other starts"):
+        command.run(more)
+
+
+def test_what_is_not_installed_is_left_out_or_said(monkeypatch, capsys, tmp_path):
+    """None of it where all names are meant; asked for by name it is an error."""
+    monkeypatch.setattr(registry.Algorithm, "missing", property(lambda own: list(own.packages)))
+    named = {place.algorithm for place in settings.plan(settings.Config())}
+    assert named == {"bearing-only", "tangent-joined-tuned", "tank-joined"}
+    with pytest.raises(UserError, match=r"'qmix-none' needs torch, torchrl, tensordict, benchmarl"):
+        settings.plan(settings.Config(algorithms=("qmix-none",)))
+    monkeypatch.setattr(command, "play_all", lambda *given: (defaultdict(dict), 0.0))
+    monkeypatch.setattr(command, "write", lambda *given: None)
+    assert command.run(settings.Config(out=tmp_path / "out")) == 0
+    assert "left out without benchmarl, stable-baselines3" in capsys.readouterr().out
 
 
 def test_what_is_refused(monkeypatch):
@@ -196,9 +240,10 @@ def test_every_file_is_an_algorithm_that_says_what_it_is():
     assert tables.COLUMNS.keys() >= {"guarantee", "clean", "touches", "risen"}
 
 
-def test_the_results_in_the_repository_are_of_these_fields_and_give_these_tables(tmp_path):
+def test_the_results_in_the_repository_give_these_tables(tmp_path, monkeypatch):
     out = ROOT / "results" / "leaderboard" / "smoke"
-    cards = command.read_cards(out)
+    cards = cards_of.read_cards(out)
+    monkeypatch.setattr(registry.Algorithm, "missing", [])
     asked = settings.plan(settings.Config(tier="smoke"))
     done = {(c["algorithm"], c["field"].partition("/")[2], c["seed"]) for c in cards}
     assert {(place.algorithm, place.field, place.seed) for place in asked} == done

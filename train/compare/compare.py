@@ -219,6 +219,7 @@ def description(config: Config, found: Found, timing: dict[str, float]) -> dict[
         "keep": max(min(config.kept(one), config.starts(one)) for one in starts),
         "starts": {scenario.name: count for scenario, count in starts.items()},
         "scenarios": {scenario.name: scenario.to_plain() for scenario in starts},
+        "versioned": {scenario.name: results.versioned(scenario) for scenario in starts},
         "policies": {name: list(own) for name, own in by_scenario(found.played).items()},
         "merges_above_bound": found.excess,
         "timing": timing,

@@ -22,6 +22,7 @@ SETTINGS: dict[str, Any] = {
     "gae_lambda": 0.95, "ent_coef": 0.003, "policy_kwargs": {"net_arch": [64, 64]},
 }  # fmt: skip
 """Of stable-baselines3's PPO, the same for all."""
+PACKAGES = ("torch", "stable-baselines3")
 _RATE, _MOST = 2.0, 20.0
 """Step of the multiplier for each touch above the limit, and where it ends."""
 
@@ -98,4 +99,5 @@ def _multiplier(paid: Paid, robots: Any, limit: float) -> Any:
 def algorithm(about: str, word: str, guarantee: Any, *, given: str = "bearings", **how: Any) -> Any:
     """An ``Algorithm`` that is this PPO; ``how`` goes to ``learn``."""
     fits = how.pop("fits", can_steer)
-    return Algorithm(about, word, guarantee, given, partial(learn, **how), fits)
+    learned = partial(learn, **how)
+    return Algorithm(about, word, guarantee, given, learned, fits, packages=PACKAGES)

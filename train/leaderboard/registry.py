@@ -7,6 +7,7 @@ import pkgutil
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
+from importlib.metadata import Distribution
 from typing import Any, Literal
 
 from rendezvous_env.scenario.scenario import Scenario
@@ -29,8 +30,8 @@ class Budget:
 class Algorithm:
     """One row of the leaderboard.
 
-    A new one is a file in ``train/leaderboard/algorithms`` that ends with ``ALGORITHM``; its name
-    is that of the file, with hyphens.
+    A new one is a file in ``train/leaderboard/algorithms`` that ends with ``ALGORITHM``, named as
+    the file, with hyphens; or with ``ALGORITHMS``, by name, of one learner under two guarantees.
     """
 
     about: str
@@ -48,26 +49,37 @@ class Algorithm:
     """Whether it can be had on a field."""
     learns: bool = True
     """Whether its seed and budget matter; else one seed is played."""
+    packages: tuple[str, ...] = ()
+    """Distributions that it learns with; their versions stand in its cards."""
+
+    @property
+    def missing(self) -> list[str]:
+        """Those of its packages that are not installed."""
+        return [name for name in self.packages if not any(Distribution.discover(name=name))]
 
 
 @cache
 def known() -> dict[str, Algorithm]:
     """All algorithms by name."""
-    found = {}
+    found: dict[str, Algorithm] = {}
     algorithms = importlib.import_module(f"{__package__}.algorithms")  # which import this file
     for module in pkgutil.iter_modules(algorithms.__path__):
-        loaded = importlib.import_module(f"{algorithms.__name__}.{module.name}")
-        if (own := getattr(loaded, "ALGORITHM", None)) is not None:
-            found[module.name.replace("_", "-")] = own
-    return found
+        loaded: Any = importlib.import_module(f"{algorithms.__name__}.{module.name}")
+        one = {module.name.replace("_", "-"): getattr(loaded, "ALGORITHM", None)}
+        found |= getattr(loaded, "ALGORITHMS", one)
+    return {name: found[name] for name in sorted(found)}
 
 
 def find(name: str) -> Algorithm:
     """The algorithm of a name.
 
     Raises:
-        UserError: for an unknown one.
+        UserError: for an unknown one, or one that needs what is not installed.
     """
     if name not in known():
         raise UserError(f"algorithm {name!r} is unknown; known are {', '.join(known())}")
+    if missing := known()[name].missing:
+        raise UserError(
+            f"algorithm {name!r} needs {', '.join(missing)}; pip install {' '.join(missing)}"
+        )
     return known()[name]

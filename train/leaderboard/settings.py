@@ -8,8 +8,7 @@ from typing import Annotated, Literal, NamedTuple
 
 from tyro.conf import arg
 
-from rendezvous_env.scenario import scenarios
-
+from .. import results
 from ..checks import UserError, check_least
 from ..policies import resolve_scenario
 from ..tasks import WorkerFlags
@@ -30,7 +29,7 @@ class Protocol(NamedTuple):
 _FIELDS = ("clutter-8", "clutter-16", "clutter-24", "corridor", "rooms", "noisy-8")
 TIERS: dict[Tier, Protocol] = {
     "smoke": Protocol(_FIELDS[:2], 3, 2**14, 50),
-    "mini": Protocol(_FIELDS, 10, 2**18, 200),
+    "mini": Protocol(_FIELDS, 5, 2**16, 200),
     "full": Protocol(_FIELDS, 10, 10_000_000, 1000),
 }
 """Decisions of single robots, and held-out starts, of each cell."""
@@ -49,7 +48,8 @@ class Config(WorkerFlags):
     tier: Tier = "smoke"
     """How much: smoke (minutes), mini (hours on two cores), full (a cluster)."""
     algorithms: tuple[str, ...] = ()
-    """Names of algorithms, which are files in train/leaderboard/algorithms; without any all."""
+    """Names of algorithms, which are files in train/leaderboard/algorithms; without any all whose
+    libraries are installed."""
     fields: Annotated[tuple[str, ...], arg(aliases=("--scenarios",))] = ()
     """Other fields than the tier's: named scenarios, with or without version."""
     seeds: tuple[int, ...] = ()
@@ -62,8 +62,8 @@ class Config(WorkerFlags):
     """A results card: its cell is done again, and compared with it bit by bit; status 1 if it
     differs. The other flags but for those of workers are those of the card."""
     out: Path = Path("out/leaderboard")
-    """The folder for cards, tables and figures. What is finished lies in OUT.part until all is, and
-    the same command resumes it."""
+    """The folder for cards, tables and figures. Cells that it has are kept, others added. What is
+    finished lies in OUT.part until all is, and the same command resumes it."""
     fresh: Annotated[bool, arg(name="overwrite")] = False
     """Throws away what another command has left unfinished in OUT.part."""
 
@@ -76,6 +76,7 @@ class Place(NamedTuple):
     """With version, without namespace."""
     seed: int
     decisions: int
+    """0 of what does not learn."""
     starts: int
 
     @property
@@ -87,7 +88,8 @@ class Place(NamedTuple):
     def command(self) -> str:
         """What does this cell alone."""
         words = {"algorithms": self.algorithm, "fields": self.field, "seeds": self.seed}
-        words |= {"decisions": self.decisions, "starts": self.starts}
+        words |= {"decisions": self.decisions} if self.decisions else {}
+        words |= {"starts": self.starts}
         return "rendezvous leaderboard " + " ".join(f"--{k} {v}" for k, v in words.items())
 
 
@@ -99,7 +101,8 @@ def plan(config: Config) -> list[Place]:
     """
     check_least(config, seeds=0, decisions=1, starts=1)
     tier = TIERS[config.tier]
-    names = config.algorithms or tuple(registry.known())
+    able = (name for name, one in registry.known().items() if not one.missing)
+    names = config.algorithms or tuple(able)
     decisions, starts = config.decisions or tier.decisions, config.starts or tier.starts
     seeds = config.seeds or tuple(range(tier.seeds))
     places = []
@@ -107,12 +110,12 @@ def plan(config: Config) -> list[Place]:
         algorithm = registry.find(name)
         for given in config.fields or tier.fields:
             scenario = resolve_scenario(given)
-            if scenario.name not in scenarios.names() or scenario != scenarios.get(scenario.name):
+            if not (named := results.versioned(scenario)):
                 raise UserError(f"--fields {given}: only named scenarios have versions")
-            field = scenarios.versioned(scenario.name).partition("/")[2]
+            field = named["field"].partition("/")[2]
             if algorithm.fits(scenario):
-                own = seeds if algorithm.learns else seeds[:1]
-                places += [Place(name, field, seed, decisions, starts) for seed in own]
+                own, much = (seeds, decisions) if algorithm.learns else (seeds[:1], 0)
+                places += [Place(name, field, seed, much, starts) for seed in own]
     if not places:
         raise UserError("none of these algorithms fits any of these fields")
     if len(set(places)) < len(places):

@@ -38,7 +38,7 @@ COLUMNS = {
 """Of leaderboard.csv."""
 IMPROVEMENT = ("algorithm", "against", "probability", "low", "high")
 """Columns of improvement.csv: chance that a run has more collision-free success."""
-WIDTH = 150
+WIDTH = 175
 """Of the table, letters."""
 _LEVELS = np.linspace(0.0, 1.0, 101)
 Card = Mapping[str, Any]
@@ -53,15 +53,15 @@ def _own(cards: Sequence[Card]) -> dict[str, list[Card]]:
 
 
 def scores_of(cards: Sequence[Card], name: str) -> NDArray[np.float64]:
-    """Mean over starts of "clean" or "time", (S, F), of the cards of one algorithm.
-
-    Raises:
-        ValueError: if its fields have other numbers of seeds.
+    """Mean over starts of "clean" or "time", (S, F), of the cards of one algorithm, with the seeds
+    that all its fields have.
     """
-    fields: dict[str, list[float]] = {}
+    fields: dict[str, dict[int, float]] = {}
     for card in cards:
-        fields.setdefault(card["field"], []).append(float(np.mean(card["results"][name])))
-    return np.array(list(fields.values())).T
+        found = float(np.mean(card["results"][name]))
+        fields.setdefault(card["field"], {})[card["seed"]] = found
+    seeds = sorted(set.intersection(*map(set, fields.values())))
+    return np.array([[own[seed] for own in fields.values()] for seed in seeds])
 
 
 def rows_of(cards: Sequence[Card]) -> list[dict[str, Any]]:
@@ -170,6 +170,13 @@ def markdown(rows: Sequence[Mapping[str, Any]], cards: Sequence[Card]) -> str:
     )
 
 
+def _colour(number: int) -> tuple[float, ...]:
+    """Of an algorithm by its place; those from the eleventh on are lighter."""
+    from matplotlib import colormaps
+
+    return tuple(colormaps["tab20"](2 * (number % 10) + (number // 10) % 2))
+
+
 def draw(out: Path, cards: Sequence[Card], rows: Sequence[Mapping[str, Any]]) -> None:
     """price.png and profiles.png."""
     from ..figures import style
@@ -182,7 +189,7 @@ def _price(rows: Sequence[Mapping[str, Any]]) -> Figure:
     """Collision-free success and time, each against how often V rose."""
     from ..figures import style
 
-    figure = style.new_figure(style.PAGE, 2.7)
+    figure = style.new_figure(style.PAGE, 3.2)
     marks = {"none": "o", "heading": "s", "tank": "D"}
     panels = (("clean", 100.0, "collision-free success, %"), ("time", 1.0, "time, s"))
     for panel, (key, unit, label) in zip(figure.subplots(1, 2), panels, strict=True):
@@ -190,7 +197,7 @@ def _price(rows: Sequence[Mapping[str, Any]]) -> Figure:
             ends = [abs(unit * (row[f"{key}_{end}"] - row[key])) for end in ("low", "high")]
             bars = None if np.isnan(ends).any() else [[ends[0]], [ends[1]]]
             said = f"{row['algorithm']} ({row['guarantee']})"
-            mark = {"fmt": marks[row["guarantee"]], "color": f"C{k}", "capsize": 2}
+            mark = {"fmt": marks[row["guarantee"]], "color": _colour(k), "capsize": 2}
             panel.errorbar(0.1 * row["risen"], unit * row[key], bars, label=said, **mark)
         panel.axvline(0.0, color="0.8", zorder=0)
         panel.set_xlabel("steps in which V rose, %")
@@ -203,12 +210,13 @@ def _profiles(cards: Sequence[Card]) -> Figure:
     """Share of runs that reach each level of collision-free success."""
     from ..figures import style
 
-    figure = style.new_figure(style.PAGE, 2.9)
+    figure = style.new_figure(style.PAGE, 3.2)
     panel = figure.subplots()
     for k, (name, own) in enumerate(_own(cards).items()):
         profile = statistics.performance_profile(scores_of(own, "clean"), _LEVELS)
         dashes = ("-", "--", ":")[k % 3]
-        panel.step(100.0 * _LEVELS, profile, where="post", label=name, linestyle=dashes)
+        look: dict[str, Any] = {"linestyle": dashes, "color": _colour(k)}
+        panel.step(100.0 * _LEVELS, profile, where="post", label=name, **look)
     panel.set_xlabel("collision-free success, %")
     panel.set_ylabel("share of runs that reach it")
     figure.legend(*panel.get_legend_handles_labels(), loc="outside right center")

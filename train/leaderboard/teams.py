@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
 from numpy.typing import NDArray
-from rendezvous_env.baselines.learned.training_environment import ShippedPreset
+from rendezvous_env.baselines.learned.training_environment import FeatureVectorEnv, ShippedPreset
 
 import rendezvous_env as rv
 from rendezvous_env.envs.training import TrainingTeams
@@ -39,6 +39,32 @@ reward_term("leaderboard_risen", _risen)
 reward_term("leaderboard_steps", _steps)
 
 
+def guarded(field: Scenario, safety: str) -> dict[str, Any]:
+    """What makes teams safe in this way, as arguments of ``vector.training_env``; without a
+    guarantee it is a tank that is never empty.
+    """
+    if safety in ("heading", "tank"):
+        return {"guarantee": safety}
+    return {"guarantee": "tank", "budget": BOTTOMLESS * unit_of_tanks(field)}
+
+
+class Unled(FeatureVectorEnv):
+    """Robots go where they choose: no rule leads them round the obstacles that they see."""
+
+    _pilot = None
+
+    def _act(self) -> NDArray[np.float32]:
+        seen, base = self._observed.copy(), self._base
+        seen[..., base.scenario.observation_layout.obstacles, :] = 0.0
+        return self.guided.act(seen)
+
+
+def unled(teams: TrainingTeams) -> TrainingTeams:
+    """The same teams without the rule under their choices."""
+    led: Any = teams.env
+    return TrainingTeams(Unled(led.env, led.settings), teams.touch_penalty)
+
+
 def teams_to_learn_in(
     field: Scenario,
     num_envs: int,
@@ -53,20 +79,21 @@ def teams_to_learn_in(
     Args:
         field: single integrators in the plane.
         num_envs: B.
-        safety: "heading" (theorem C), "tank" (D, with the shipped budget), or "none": the same
-            perception and choices over a tank that is never empty.
+        safety: "heading" (theorem C), "tank" (D, with the shipped budget), "rule": the same over
+            a tank that is never empty, or "none": without the rule, too.
         anew: whether teams begin anew in the step in which they end; else they rest.
         touch_penalty: None is that of the shipped policies.
         wrap: what stands between the robots and what is decided, as a filter of actions.
     """
-    preset, guarantee = ShippedPreset(), "heading" if safety == "heading" else "tank"
+    preset, how = ShippedPreset(), guarded(field, safety)
+    guarantee = how.pop("guarantee")
     reward, price = preset.earnings(guarantee)
     scenario = field.replace(on_merge="follow", reward=reward, costs=COSTS)
     mode = AutoresetMode.SAME_STEP if anew else AutoresetMode.DISABLED
     base = wrap(rv.make_vec(scenario, num_envs, mode, num_threads=1))
-    bottomless = {"budget": BOTTOMLESS * unit_of_tanks(scenario)}
-    chosen = preset.wrap(base, guarantee, True, bottomless if safety == "none" else {})
-    return TrainingTeams(chosen, price if touch_penalty is None else touch_penalty)
+    chosen = preset.wrap(base, guarantee, True, how)
+    teams = TrainingTeams(chosen, price if touch_penalty is None else touch_penalty)
+    return unled(teams) if safety == "none" else teams
 
 
 class Between(VectorWrapper):

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import base64
-import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
-from importlib.resources import files
 from pathlib import Path
 from string import Template
 from typing import Any
@@ -24,12 +21,15 @@ from ..compare.ranking import Ranking, answer, leaders
 from ..figures.figures import ROBOT_COLOURS
 from ..recording import MAX_FRAMES
 from ..results import atomic
+from . import board
 from .encoding import Encoded, encode_all, rounding
 from .input import Comparison, read
-from .words import caption, counts, rankings
+from .skeleton import figures, part, terms, whole
+from .words import counts, rankings
 
-_PAGE = files("train.report") / "page"
-_SCRIPTS = ("data", "choice", "save", "world", "sight", "plots", "tables", "pane", "replay")
+_SCRIPTS = (
+    "data", "choice", "save", "world", "sight", "plots", "tables", "results", "pane", "replay",
+)  # fmt: skip
 _OUTCOME = (
     "success",
     "clean",
@@ -42,18 +42,19 @@ _OUTCOME = (
 """Columns of episodes.csv that are shown beside a replay."""
 _NOTHING_KEPT = "No start was kept (compare ran with --keep 0), so there is nothing to replay."
 
-EXAMPLES = ("out/compare",)
+EXAMPLES = ("out/compare", "results/leaderboard/smoke")
 
 
 @dataclass(frozen=True)
 class Config:
-    """Make OUT/report.html of the results in OUT: tables, figures and an interactive replay.
+    """Make OUT/report.html of the results in OUT: tables, figures and an interactive replay; of a
+    leaderboard's folder a page of its tables, figures and cards.
 
     The page needs nothing but itself: no network, no server.
     """
 
     folder: Positional[Path] = Path("out/compare")
-    """The folder that rendezvous compare --out wrote."""
+    """The folder that rendezvous compare or leaderboard --out wrote."""
 
 
 def run(config: Config) -> int:
@@ -63,18 +64,20 @@ def run(config: Config) -> int:
         UserError: if the folder is missing, half written, of another format version, or not
             writable.
     """
-    found = read(config.folder)
-    path = config.folder / "report.html"
-    console = Console()
+    path, console, note = config.folder / "report.html", Console(), ""
     with console.status("writing the page …"):
-        text = page(found)
+        if board.is_one(config.folder):
+            text = board.page(config.folder)
+        else:
+            found = read(config.folder)
+            text, note = page(found), "" if found.recordings else f"note: {_NOTHING_KEPT}"
     try:
         with atomic(path) as temporary:
             temporary.write_text(text, encoding="utf-8")
     except OSError as error:
         raise UserError(f"{path}: cannot write there: {error.strerror}") from error
-    if not found.recordings:
-        console.print(f"note: {_NOTHING_KEPT}")
+    if note:
+        console.print(note)
     console.print(f"{path} ({path.stat().st_size / 1e6:.1f} MB)", soft_wrap=True)
     return 0
 
@@ -83,32 +86,27 @@ def page(found: Comparison) -> str:
     """The whole page."""
     encoded = encode_all(list(found.recordings.values()))
     ranked = rankings(found)
-    return Template(_part("page.html")).substitute(
-        title=escape(f"Rendezvous: {', '.join(found.scenarios)}"),
+    sections = Template(part("compared.html")).substitute(
         answer=escape(answer(ranked)),
         counts=escape(counts(found)),
-        css=_part("page.css"),
-        uplot_css=_part("uPlot.min.css"),
-        uplot_js=_part("uPlot.iife.min.js"),
-        js='(() => {\n"use strict";\n' + "\n".join(_part(f"{s}.js") for s in _SCRIPTS) + "})();",
-        replay=_part("replay.html") if encoded else f'<p class="note">{_NOTHING_KEPT}</p>',
-        figures="\n".join(_figures(found)),
+        replay=part("replay.html") if encoded else f'<p class="note">{_NOTHING_KEPT}</p>',
+        figures=figures(found.figures),
         about=_about(found, encoded),
-        recordings="\n".join(
-            f'<script id="recording-{number}" type="application/gzip">{one.text}</script>'
-            for number, one in enumerate(encoded)
-        ),
-        data=_json(_data(found, ranked, encoded)),
     )
-
-
-def _part(name: str) -> str:
-    return (_PAGE / name).read_text(encoding="utf-8")
-
-
-def _json(data: Any) -> str:
-    """JSON that cannot end the script element it stands in."""
-    return json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
+    recordings = "\n".join(
+        f'<script id="recording-{number}" type="application/gzip">{one.text}</script>'
+        for number, one in enumerate(encoded)
+    )
+    return whole(
+        f"Rendezvous: {', '.join(found.scenarios)}",
+        ("Replay", "Results", "Figures", "About"),
+        sections,
+        _data(found, ranked, encoded),
+        _SCRIPTS,
+        css=part("uPlot.min.css"),
+        js=part("uPlot.iife.min.js"),
+        recordings=recordings,
+    )
 
 
 # ---- data ---------------------------------------------------------------------------------------
@@ -178,20 +176,6 @@ def _scenario(scenario: Scenario) -> dict[str, Any]:
 # ---- words --------------------------------------------------------------------------------------
 
 
-def _figures(found: Comparison) -> Iterator[str]:
-    for path in found.figures:
-        source = base64.b64encode(path.read_bytes()).decode("ascii")
-        name, said = escape(path.name), escape(caption(path.stem))
-        yield (
-            f'<figure id="{escape(path.stem)}"><img loading="lazy" alt="{said}" '
-            f'src="data:image/png;base64,{source}"><figcaption>{said} <button type="button" '
-            f'class="save" data-name="{name}" aria-label="Save {name}">PNG</button></figcaption>'
-            "</figure>"
-        )
-    if not found.figures:
-        yield '<p class="note">The folder has no figures; compare draws them by default.</p>'
-
-
 def _about(found: Comparison, encoded: Sequence[Encoded]) -> str:
     run = found.run
     lines = {
@@ -203,8 +187,7 @@ def _about(found: Comparison, encoded: Sequence[Encoded]) -> str:
         "of each cell stands in its data-value, data-low and data-high",
         "Replay": _precision(found, encoded),
     }
-    items = (f"<dt>{escape(name)}</dt><dd>{escape(line)}</dd>" for name, line in lines.items())
-    return f"<dl>{''.join(items)}</dl>"
+    return terms(lines)
 
 
 def _precision(found: Comparison, encoded: Sequence[Encoded]) -> str:

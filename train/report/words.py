@@ -21,6 +21,8 @@ _CAPTIONS = {
     "against-obstacles": "Collision-free success as obstacles become more. Bars: 95 % intervals.",
     "against-robots": "Collision-free success of teams of different size among the same number of "
     "obstacles. Bars: 95 % intervals.",
+    "price": "Collision-free success and time, each against the share of steps in which V rose.",
+    "profiles": "The share of runs that reach each level of collision-free success.",
 }
 
 

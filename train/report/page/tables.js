@@ -1,4 +1,4 @@
-// Sortable tables of results.csv and paired.csv; every cell carries the text of the file.
+// Sortable tables; every cell carries the text of the file that it is from.
 
 const MINUS = (text) => text.replace("-", "−");
 
@@ -18,54 +18,8 @@ function percent(cell, row) {
   return fixed(cell, Number(row.episodes ?? 100) >= 400 ? 1 : 0, 100);
 }
 
-function seconds(cell, row) {
-  const limit = DATA.scenarios[row.scenario].limit;
-  return Number(cell) >= limit - 1e-9 ? `> ${short(String(limit))}` : fixed(cell, 2);
-}
-
-// best: which end of a column is the better one, 1 the largest, -1 the least; words begin with a.
-// key: shown on a narrow screen too.
-const CLEAN = { title: "collision-free %", value: "clean_success", range: ["clean_low", "clean_high"],
-  show: percent, bar: true, best: 1, key: true };
-const TIME = { title: "median time s", value: "median_time", range: ["time_low", "time_high"],
-  show: seconds, best: -1, key: true };
-const SCENARIO = { title: "scenario", value: "scenario", word: true };
-const POLICY = { title: "policy", value: "policy", word: true, link: true, key: true };
-
-const RESULT_COLUMNS = [
-  SCENARIO,
-  POLICY,
-  { title: "starts", value: "episodes", show: (cell) => cell, best: 1 },
-  { title: "met %", value: "success", range: ["success_low", "success_high"], show: percent,
-    best: 1 },
-  CLEAN,
-  TIME,
-  { title: "time/bound", value: "time_over_bound", show: short, best: -1 },
-  { title: "path m", value: "path_length", show: (cell) => fixed(cell, 1), best: -1 },
-  { title: "contacts", value: "contacts", show: (cell) => fixed(cell, 1), best: -1 },
-  { title: "clearance m", value: "min_clearance", show: (cell) => fixed(cell, 2), best: 1 },
-  { title: "V rise m²/s", value: "max_rise_between_merges", best: -1,
-    show: (cell) => (Number(cell) <= 1e-9 ? "none" : short(cell)) },
-  { title: "alignment", value: "min_alignment", show: (cell) => fixed(cell, 2), best: 1 },
-];
-
-const PAIRED_COLUMNS = [
-  SCENARIO,
-  POLICY,
-  { title: "against", value: "against", word: true },
-  { title: "difference, clean %", value: "clean_difference", best: 1, key: true,
-    range: ["clean_difference_low", "clean_difference_high"], show: percent },
-  { title: "better on a start, %", value: "probability_of_improvement", best: 1, key: true,
-    range: ["improvement_low", "improvement_high"], show: percent, bar: true },
-];
-
-const BEST_COLUMNS = [
-  SCENARIO,
-  { ...POLICY, title: "best" },
-  CLEAN,
-  TIME,
-  { title: "tied with it", value: "tied", word: true, wraps: true },
-];
+// Columns: best says which end is the better one, 1 the largest, -1 the least; words begin with a.
+// key: shown on a narrow screen too. link: of a row, an element that leads somewhere, or null.
 
 /**
  * Fill a table; show(scenario) of what is returned shows one scenario, or all for "", and rows()
@@ -138,7 +92,7 @@ function tableCell(column, row) {
   box.dataset.value = cell;
   if (column.link) {
     box.dataset.scenario = row.scenario;
-    box.append(replayLink(row) ?? cell);
+    box.append(column.link(row) ?? cell);
   } else if (column.word) box.textContent = cell;
   else box.append(make("span", { textContent: column.show(cell, row) }));
   if (!column.range) return box;
@@ -149,17 +103,6 @@ function tableCell(column, row) {
   box.append(make("span", { className: "range", textContent: `[${ends}]` }));
   if (column.bar) box.append(bar(Number(cell), Number(low), Number(high)));
   return box;
-}
-
-/** A policy's name that leads to its replay, if a start of it was kept. */
-function replayLink({ scenario, policy }) {
-  if (!kept((one) => one.scenario === scenario && one.policy === policy).length) return null;
-  const link = make("a", {
-    href: fragmentOf({ scenario, policies: [policy] }), textContent: policy,
-    title: `Replay ${policy} on ${scenario}`,
-  });
-  link.addEventListener("click", () => find("replay").scrollIntoView());
-  return link;
 }
 
 /** An interval between 0 and 1 as a picture. */
@@ -174,15 +117,10 @@ function bar(value, low, high) {
   return box;
 }
 
-function showTables() {
-  const table = (name, columns, rows) => sortableTable(find(`${name}-table`), columns, rows);
-  const tables = {
-    results: table("results", RESULT_COLUMNS, DATA.results),
-    paired: table("paired", PAIRED_COLUMNS, DATA.paired),
-  };
-  table("best", BEST_COLUMNS, bestRows());
+/** What stands above tables, by name: which scenario to show, CSV, all columns on a narrow screen. */
+function controls(tables, scenarios) {
   const choice = find("table-scenario");
-  for (const name of Object.keys(DATA.scenarios))
+  for (const name of scenarios)
     choice.append(make("option", { value: name, textContent: name }));
   choice.addEventListener("change", () =>
     Object.values(tables).forEach(({ show }) => show(choice.value)));
@@ -196,13 +134,3 @@ function showTables() {
     target.setAttribute("aria-pressed", all);
   });
 }
-
-/** The row of the best policy of each scenario, with those that are tied with it. */
-function bestRows() {
-  return DATA.rankings.filter(({ top }) => top.length).map(({ scenario, top: [best, ...tied] }) => ({
-    ...DATA.results.find((row) => row.scenario === scenario && row.policy === best),
-    tied: tied.join(", "),
-  }));
-}
-
-showTables();

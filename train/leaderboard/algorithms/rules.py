@@ -1,4 +1,4 @@
-"""Laws and rules that learn nothing, as algorithms."""
+"""Laws and rules, which learn nothing."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ import rendezvous_env as rv
 from rendezvous_env import baselines
 from rendezvous_env.scenario.scenario import Scenario
 
-from .. import policies
-from .playing import Player
-from .registry import Algorithm, Budget
-from .teams import COSTS
+from ... import policies
+from ..playing import Player
+from ..registry import Algorithm, Budget
+from ..teams import COSTS
 
 
 def _player(name: str, field: Scenario, num_envs: int) -> Player:
@@ -27,7 +27,7 @@ def _made(name: str, field: Scenario, seed: int, budget: Budget) -> Any:
     return partial(_player, name, field), {"policy": name}
 
 
-def rule(name: str, word: str, guarantee: Literal["none", "heading", "tank"]) -> Algorithm:
+def _rule(name: str, word: str, guarantee: Literal["none", "heading", "tank"]) -> Algorithm:
     """The policy of that name, as ``compare`` plays it."""
     return Algorithm(
         about=policies.about(name).rstrip("."),
@@ -38,3 +38,10 @@ def rule(name: str, word: str, guarantee: Literal["none", "heading", "tank"]) ->
         fits=lambda field: name in policies.names(field),
         learns=False,
     )
+
+
+ALGORITHMS = {
+    "bearing-only": _rule("bearing-only", "law (1)", "heading"),
+    "tangent-joined-tuned": _rule("tangent-joined-tuned", "rule", "heading"),
+    "tank-joined": _rule("tank-joined", "rule", "tank"),
+}

@@ -1,5 +1,0 @@
-"""The analytic policy tangent-joined-tuned."""
-
-from ..rules import rule
-
-ALGORITHM = rule("tangent-joined-tuned", "rule", "heading")

@@ -1,0 +1,88 @@
+"""Results cards: what came of a cell, and all that it takes to do it again."""
+
+from __future__ import annotations
+
+import json
+import time
+from pathlib import Path
+from typing import Any
+
+from rendezvous_env.baselines.learned import plain_data
+
+from rendezvous_env.scenario import scenarios
+
+from .. import results
+from ..checks import UserError
+from . import registry
+from .playing import play
+from .settings import Place
+
+Card = dict[str, Any]
+
+
+def card_of(place: Place) -> Card:
+    """Do a cell: all that it takes to do it again, and the raw numbers of every start."""
+    algorithm, scenario = registry.find(place.algorithm), scenarios.get(place.field)
+    began = time.perf_counter()
+    player, settings = algorithm.learn(scenario, place.seed, registry.Budget(place.decisions))
+    learned = time.perf_counter()
+    found = play(player(place.starts))
+    return {
+        "algorithm": place.algorithm,
+        "about": algorithm.about,
+        "safety": algorithm.safety,
+        "guarantee": algorithm.guarantee,
+        "given": algorithm.given,
+        **results.versioned(scenario),
+        "seed": place.seed,
+        "decisions": place.decisions,
+        "starts": place.starts,
+        "settings": settings,
+        "command": place.command,
+        "versions": results.provenance(algorithm.packages)["versions"],
+        "learning_s": round(learned - began, 1),
+        "playing_s": round(time.perf_counter() - learned, 1),
+        "results": found,
+    }
+
+
+def write_card(folder: Path, card: Card) -> None:
+    """Write a card where ``read_cards`` finds it, a line for each entry."""
+    path = folder / "cells" / f"{place_of(card).name}.json"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    lines = (f"{json.dumps(key)}: {json.dumps(value)}" for key, value in card.items())
+    with results.atomic(path) as temporary:
+        temporary.write_text("{\n" + ",\n".join(lines) + "\n}\n", encoding="utf-8")
+
+
+def read_cards(out: Path) -> list[Card]:
+    """The cells of a folder that ``write_card`` wrote to, by algorithm, field and seed.
+
+    Raises:
+        UserError: as ``read_card``.
+    """
+    return sorted(map(read_card, (out / "cells").glob("*/*.json")), key=place_of)
+
+
+def read_card(path: Path) -> Card:
+    """A card that belongs to the fields of this version.
+
+    Raises:
+        UserError: naming the path, if it is none.
+    """
+    try:
+        card = dict(plain_data.read_json(path))
+        field = results.versioned(scenarios.get(place_of(card).field))
+        if field["digest"] != card["digest"]:
+            raise ValueError("digest of other starts")
+        if len(card["results"]["clean"]) != card["starts"]:
+            raise ValueError("other number of starts")
+    except (OSError, KeyError, TypeError, AttributeError, ValueError) as error:
+        raise UserError(f"{path}: no results card of this version ({error})") from error
+    return card
+
+
+def place_of(card: Card) -> Place:
+    """The cell that a card is of."""
+    field = card["field"].partition("/")[2]
+    return Place(card["algorithm"], field, card["seed"], card["decisions"], card["starts"])

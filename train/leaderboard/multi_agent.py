@@ -1,0 +1,128 @@
+"""BenchMARL's learners in the teams of ``ppo``, with a network of the same size and budget."""
+
+from __future__ import annotations
+
+import io
+import logging
+import tempfile
+from collections.abc import Callable
+from contextlib import redirect_stderr
+from dataclasses import asdict
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rendezvous_env.baselines.learned.features import can_steer
+
+from rendezvous_env.scenario.scenario import Scenario
+
+from .playing import Player
+from .registry import Algorithm, Budget
+from .teams import guarded, teams_to_learn_in, unled
+
+PACKAGES = ("torch", "torchrl", "tensordict", "benchmarl")
+STEPS = {"on": 16, "off": 4}
+"""Decisions of a team between updates, on and off policy."""
+_EXPERIMENT: dict[str, Any] = {
+    "prefer_continuous_actions": False, "gamma": 0.99, "lr": 1e-3, "evaluation": False,
+    "evaluation_episodes": 1, "render": False, "loggers": [], "create_json": False,
+    "on_policy_n_minibatch_iters": 5, "off_policy_n_optimizer_steps": 40,
+    "off_policy_train_batch_size": 128, "off_policy_memory_size": 100_000,
+}  # fmt: skip
+"""Of BenchMARL's ExperimentConfig: as ``ppo.SETTINGS``, and off policy its own ratio of learning to
+playing, 1,000 batches of 128 for 6,000 decisions of a team."""
+
+
+def learn(
+    field: Scenario, seed: int, budget: Budget, *, name: str, safety: str, **settings: Any
+) -> tuple[Callable[[int], Player], dict[str, Any]]:
+    """Train; see ``Algorithm.learn``.
+
+    Args:
+        field: the scenario.
+        seed: of weights, exploration and starts.
+        budget: how much.
+        name: of the algorithm in BenchMARL, such as "Mappo".
+        safety: of ``teams_to_learn_in``; a first touch costs nothing under "none".
+        **settings: of the algorithm's config, other than BenchMARL's.
+    """
+    import torch
+    from benchmarl import algorithms
+    from benchmarl.experiment import Experiment
+    from benchmarl.models import MlpConfig
+    from tensordict import TensorDict
+    from torchrl.envs.utils import ExplorationType, set_exploration_type
+
+    logging.getLogger("torchrl").setLevel(logging.WARNING)
+    torch.set_num_threads(1)  # a run repeats bit by bit, and does not wait for other cores
+    algorithm = getattr(algorithms, f"{name}Config").get_from_yaml()
+    vars(algorithm).update(settings)
+    network = MlpConfig.get_from_yaml()
+    network.num_cells = [64, 64]
+    with tempfile.TemporaryDirectory() as folder, redirect_stderr(io.StringIO()):
+        config = _experiment(field.n_robots, budget, algorithm.on_policy(), Path(folder))
+        apart = seed * 2**10  # seeds of teams follow on that of their experiment
+        run = Experiment(_task(field, safety), algorithm, network, apart, config)
+        run.run()
+
+    def choose(seen: NDArray[np.float32], time: NDArray[np.float64]) -> NDArray[np.int64]:
+        robots = TensorDict({"observation": torch.from_numpy(seen)}, seen.shape[:2])
+        with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
+            told = run.policy(TensorDict({"robots": robots}, seen.shape[:1]))
+        chosen: NDArray[np.int64] = told["robots", "action"].numpy()
+        return chosen
+
+    told = asdict(config) | {"save_folder": None, "net_arch": network.num_cells}
+    told |= {"algorithm": name, **asdict(algorithm), "num_teams": budget.num_teams}
+    how = {"safety": safety, "anew": False, **_price(safety)}
+    return (lambda n: Player(teams_to_learn_in(field, n, **how), choose)), told
+
+
+def _task(field: Scenario, safety: str) -> Any:
+    """The teams that ``teams_to_learn_in`` makes, as a task of BenchMARL."""
+    from rendezvous_env.adapters.benchmarl import RendezvousTask
+
+    config = {"scenario": field, "num_threads": 1, **guarded(field, safety)}
+    wrap = {"wrap": unled} if safety == "none" else {}
+    return RendezvousTask(field.name, config | _price(safety) | wrap)
+
+
+def _price(safety: str) -> dict[str, Any]:
+    return {"touch_penalty": 0.0} if safety == "none" else {}
+
+
+def _experiment(n_robots: int, budget: Budget, on_policy: bool, folder: Path) -> Any:
+    """BenchMARL's settings; it counts decisions of teams, the leaderboard those of robots."""
+    from benchmarl.experiment import ExperimentConfig
+
+    config = ExperimentConfig.get_from_yaml()
+    frames = budget.num_teams * STEPS["on" if on_policy else "off"]
+    kind = "on_policy" if on_policy else "off_policy"
+    vars(config).update(
+        _EXPERIMENT,
+        save_folder=folder,
+        max_n_frames=None,
+        max_n_iters=-(-budget.decisions // (n_robots * frames)),
+        exploration_anneal_frames=max(1, budget.decisions // (2 * n_robots)),
+        on_policy_minibatch_size=max(1, 1024 // n_robots),
+        **{f"{kind}_collected_frames_per_batch": frames},
+        **{f"{kind}_n_envs_per_worker": budget.num_teams},
+    )
+    return config
+
+
+def family(key: str, about: str, **settings: Any) -> dict[str, Algorithm]:
+    """BenchMARL's algorithm of that name in capitals, without safety and under headings."""
+    how = {"name": key.capitalize(), **settings}
+    return {
+        f"{key}-none": Algorithm(
+            f"{about} on the team's reward alone", "none", "none", "bearings",
+            partial(learn, safety="none", **how), can_steer, packages=PACKAGES,
+        ),
+        f"{key}-heading": Algorithm(
+            f"{about} under certified headings; a first touch costs 1", "heading", "heading",
+            "bearings", partial(learn, safety="heading", **how), can_steer, packages=PACKAGES,
+        ),
+    }  # fmt: skip
