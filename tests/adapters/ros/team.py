@@ -6,6 +6,7 @@ prints how many met, how many met without a contact, and what a tick took.
 """
 
 import json
+import math
 import os
 import signal
 import subprocess
@@ -68,8 +69,8 @@ def run(seed, folder, *parameters):
 
 
 def percentile(values, share):
-    """The value below which this share lies."""
-    return sorted(values)[min(int(share * len(values)), len(values) - 1)]
+    """The value below which this share lies; NaN of none, where every run hung."""
+    return sorted(values)[min(int(share * len(values)), len(values) - 1)] if values else math.nan
 
 
 def main(runs, *parameters):
