@@ -93,10 +93,10 @@ class Steering:
 
 
 @kernel
-def inputs_towards(wanted, pitch, gate):
+def inputs_towards(wanted, pitch, gate, aligned=ALIGNED):
     """Speed and turn rates with which a nonholonomic robot follows a wanted velocity w.
 
-        v = max(0, mᵀw) where ∠(h, w) ≤ 0.5 rad, else 0;   the rates turn h towards w
+        v = max(0, mᵀw) where ∠(h, w) ≤ ``aligned``, else 0;   the rates turn h towards w
 
     m is the mean of the body axis h over the step, so that the displacement τ v m is the best that
     these rates allow. With w = 0 it rests.
@@ -105,6 +105,7 @@ def inputs_towards(wanted, pitch, gate):
         wanted: w, a triple, m/s, in the body frame.
         pitch: β, rad; 0 in the plane.
         gate: a Gate.
+        aligned: rad.
 
     Returns:
         v, m/s, and a pair, rad/s.
@@ -113,7 +114,7 @@ def inputs_towards(wanted, pitch, gate):
     if length == 0.0:
         return 0.0, (0.0, 0.0)
     rates = rates_towards(wanted, pitch, gate)
-    if wanted[0] < math.cos(ALIGNED) * length:
+    if wanted[0] < math.cos(aligned) * length:
         return 0.0, rates
     return max(dot(mean_axis(rates, pitch, gate), wanted), 0.0), rates
 

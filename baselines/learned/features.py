@@ -83,20 +83,21 @@ class FeatureLayout(NamedTuple):
         )
 
 
-can_steer = in_the_plane
-"""Of a scenario: whether a learned policy can steer its robots, single integrators in the plane."""
+def can_steer(scenario: Scenario) -> bool:
+    """Whether a learned policy can steer robots: single integrators or unicycles in the plane."""
+    return scenario.robot_model == "unicycle" or in_the_plane(scenario)
 
 
 def check_readable(scenario: Scenario) -> None:
     """Refuse robots that a learned policy cannot steer.
 
     Raises:
-        ValueError: unless they are single integrators in the plane.
+        ValueError: unless they are single integrators or unicycles in the plane.
     """
     if not can_steer(scenario):
         raise ValueError(
             f"scenario {scenario.name!r} has {scenario.robot_model} robots in {scenario.dim}-D; "
-            "learned policies steer single_integrator robots in 2-D"
+            "learned policies steer single_integrator and unicycle robots in 2-D"
         )
 
 

@@ -4,6 +4,7 @@ its guarantee; the same in training and in use.
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,6 +22,7 @@ from rendezvous_env.safety.tank import EnergyTank, unit_of_tanks
 from rendezvous_env.scenario.scenario import Scenario
 
 from ..obstacle_rules.merged_silhouettes_2d import joined_heading_2d
+from ..steady_frames import SteadyFrames
 from .features import Features
 from .policy_settings import PolicySettings
 
@@ -29,13 +31,9 @@ _WITHIN = 1.0 - 1e-6
 and what is sent is what the budget has booked."""
 
 
-class HeadingTankFilter(EnergyTank):
-    """Robots want to go along their headings as fast as law (1) goes along f (theorem D).
-
-        Δ = τ min(v_max, s ‖f‖) h,   s = min(1, r/(2 D τ))
-
-    The budget is that of a robot which knows of no contact and no merge: every step books as it was
-    commanded. So it is the same in training and in use, where nobody tells.
+class CommandedTank(EnergyTank):
+    """Energy tanks of robots which know of no contact and no merge: every step books as it was
+    commanded. So they are the same in training and in use, where nobody tells.
 
     Args:
         scenario: whose robots they are.
@@ -47,14 +45,63 @@ class HeadingTankFilter(EnergyTank):
 
     def __init__(self, scenario: Scenario, num_envs: int, **arguments: Any) -> None:
         super().__init__(scenario, num_envs, frame="local", **arguments)
-        self._headings = np.zeros((num_envs, scenario.n_robots, scenario.dim))
-        self._velocities = np.zeros_like(self._headings)
-        self._booked = np.zeros(self._headings.shape[:2])
+        self._booked = np.zeros((num_envs, scenario.n_robots))
         nobody, on_their_own = (
             self._booked > 0.0,
             np.tile(np.arange(scenario.n_robots), (num_envs, 1)),
         )
         self._alone = nobody, on_their_own, np.zeros(num_envs, np.bool_)
+
+    def _begin(self, which: Any) -> None:
+        super()._begin(which)
+        self._booked[which] = 0.0
+
+    def settle(self, share: float, bends: Any = 0.0) -> None:
+        """Correct what the last step booked: it lasted only a share of τ.
+
+        On a straight line G is concave in time and 0 at first: in a share σ ≤ 1 of a step a robot
+        has earned at least σ G, which is what stays booked; on an arc, which is off its chord by
+        σ (1 − σ) |v ω| τ²/2 at most, σ G − σ (1 − σ) D̄ |v ω| τ². A longer step is none that was
+        meant; it books G. What a tank cannot pay is let off.
+
+        Args:
+            share: σ, of the step before.
+            bends: |v ω| τ² of arcs, (B, n), m, each less than 2 rad long.
+        """
+        left = 1.0 - min(share, 1.0)
+        lost = left * self._booked + left * (1.0 - left) * self.scenario.max_degree * bends
+        self._levels[...] = np.maximum(self._levels - lost, 0.0)
+        self._booked[...] = 0.0
+
+    def act_of(
+        self,
+        teams: Part,
+        observations: NDArray[np.float32],
+        actions: NDArray[np.float32],
+        elapsed: float | None = None,
+    ) -> None:
+        """As ``EnergyTank.act_of``; the step is booked at once, as one that lasts τ. How much time
+        has elapsed is of no concern to robots that turn as they like.
+        """
+        super().act_of(teams, observations, actions)
+        mine = slice(*teams[:2])
+        self._booked[mine] = self._deposits[mine]
+        self.book_of(teams, *self._alone)
+
+
+class HeadingTankFilter(CommandedTank):
+    """Robots want to go along their headings as fast as law (1) goes along f (theorem D).
+
+        Δ = τ min(v_max, s ‖f‖) h,   s = min(1, r/(2 D τ))
+
+    Args:
+        arguments: of ``CommandedTank``.
+    """
+
+    def __init__(self, scenario: Scenario, num_envs: int, **arguments: Any) -> None:
+        super().__init__(scenario, num_envs, **arguments)
+        self._headings = np.zeros((num_envs, scenario.n_robots, scenario.dim))
+        self._velocities = np.zeros_like(self._headings)
 
     @property
     def carried(self) -> NDArray[np.float64]:
@@ -73,32 +120,14 @@ class HeadingTankFilter(EnergyTank):
     def _begin(self, which: Any) -> None:
         super()._begin(which)
         self._headings[which] = self._velocities[which] = 0.0
-        self._booked[which] = 0.0
-
-    def settle(self, share: float) -> None:
-        """Correct what the last step booked: it lasted only a share of τ.
-
-        G is concave in time and 0 at first: in a share σ ≤ 1 of a step a robot has earned at least
-        σ G, which is what stays booked. A longer step is none that was meant; it books G.
-
-        Args:
-            share: σ, of the step before.
-        """
-        corrected = self._levels + (min(share, 1.0) - 1.0) * self._booked
-        self._levels[...] = np.maximum(corrected, 0.0)
-        self._booked[...] = 0.0
 
     def act_of(
         self, teams: Part, observations: Float32, actions: Float32, elapsed: float | None = None
     ) -> None:
-        """As ``EnergyTank.act_of``; the step is booked at once, as one that lasts τ. How much time
-        has elapsed is of no concern to headings that turn as they like.
-        """
+        """As ``CommandedTank.act_of``."""
         _wish(teams, observations, self._constants, self._headings, self._held)
         super().act_of(teams, observations, actions)
         mine = slice(*teams[:2])
-        self._booked[mine] = self._deposits[mine]
-        self.book_of(teams, *self._alone)
         self._velocities[mine] = actions[mine]
 
 
@@ -147,9 +176,10 @@ class GuidedTeams:
 
         show → (a network chooses) → choose, or head → act:  raw = joined rule(R(φ) f)
 
-    The raw vector becomes a certified heading, or with tanks any heading that they pay for. What is
-    shown moves the memory on, so it is asked for once in each decision; ``act`` follows what is
-    seen in every step.
+    The raw vector becomes a certified heading, or with tanks any heading that they pay for;
+    unicycles turn there as their gate or their tank allows, and remember in ``SteadyFrames``.
+    What is shown moves the memory on, so it is asked for once in each decision; ``act`` follows
+    what is seen in every step.
 
     Args:
         settings: of the policy.
@@ -195,15 +225,21 @@ class GuidedTeams:
             "min_alignment": settings.min_alignment,
             "num_threads": num_threads,
         }
-        self.steering: HeadingFilter | HeadingTankFilter
-        self.tank: HeadingTankFilter | None = None
-        if settings.guarantee == "heading":
-            turning: dict[str, Any] = {"max_turn_rate": settings.max_turn_rate, "frame": "local"}
-            self.steering = HeadingFilter(scenario, num_envs, **turning, **common)
+        self.steering: HeadingFilter | CommandedTank
+        self.tank: CommandedTank | None = None
+        self.bodies: SteadyFrames | None = None
+        turning, certified = scenario.model.nonholonomic, settings.guarantee == "heading"
+        if turning:
+            most = settings.max_turn_rate if certified else math.inf
+            # within the clearance of a free direction a body is before nothing
+            self.bodies = SteadyFrames(scenario, num_envs, settings.clearance, most)
+        if certified:
+            common |= {"max_turn_rate": settings.max_turn_rate, "frame": "local"}
+            self.steering = HeadingFilter(scenario, num_envs, **common)
         else:
-            budget = settings.budget * unit_of_tanks(scenario)
-            self.tank = HeadingTankFilter(scenario, num_envs, budget=budget, **common)
-            self.steering = self.tank
+            common["budget"] = settings.budget * unit_of_tanks(scenario)
+            make_tank = CommandedTank if turning else HeadingTankFilter
+            self.tank = self.steering = make_tank(scenario, num_envs, **common)
         self.angles = settings.angles
         self._turns = np.stack((np.cos(self.angles), np.sin(self.angles)), axis=-1)
         self.choices = np.zeros((num_envs, scenario.n_robots), dtype=np.int64)
@@ -211,8 +247,17 @@ class GuidedTeams:
 
     def settle(self, share: float) -> None:
         """Take note that the step before lasted so much of τ."""
+        bends = 0.0 if self.bodies is None else self.bodies.settle(share)
         if self.tank is not None:
-            self.tank.settle(share)
+            self.tank.settle(share, bends)
+
+    @property
+    def _moving(self) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
+        """Headings carried, and velocities where they are not law (4)'s."""
+        if self.bodies is not None:
+            return self.bodies.headings, self.bodies.velocities
+        velocities: NDArray[np.float64] | None = getattr(self.steering, "velocities", None)
+        return self.steering.carried, velocities
 
     def show(
         self,
@@ -222,9 +267,10 @@ class GuidedTeams:
         elapsed: NDArray[np.float64] | None = None,
     ) -> Float32:
         """What the robots are shown before they choose; arguments as ``Features.see_into``."""
-        carried, tank = self.steering.carried, self.tank
-        velocities = None if tank is None else tank.velocities
-        levels = None if tank is None else tank.normalised_levels
+        carried, velocities = self._moving
+        levels = None if self.tank is None else self.tank.normalised_levels
+        if self.bodies is not None:
+            observations = self.bodies.seen(check_observations(observations, self._seen))
         seen = observations, carried, which, velocities, levels, elapsed
         self.perception.see_into(shown, *seen)
         return shown
@@ -271,14 +317,14 @@ class GuidedTeams:
         self.perception.note(np.arctan2(turned[..., 1], turned[..., 0]))
 
     def act(self, observations: Float32, elapsed: float | None = None) -> Float32:
-        """Velocities of the robots.
+        """Velocities of the robots, or (v, ω) of unicycles.
 
         Args:
             observations: (B, n, rows, 2), in the local frames.
-            elapsed: s since the velocities before, in which headings turned; None is τ.
+            elapsed: s since the actions before, in which headings turned; None is τ.
 
         Returns:
-            (B, n, 2), m/s.
+            (B, n, 2), m/s, or m/s and rad/s.
         """
         observations = check_observations(observations, self._seen)
         actions = np.zeros(self._directions.shape, np.float32)
@@ -289,9 +335,16 @@ class GuidedTeams:
         self, teams: Part, observations: Float32, actions: Float32, elapsed: float | None = None
     ) -> None:
         """As ``act``, of the teams from the first of a part to the one before its second."""
-        carried, intervals = self.steering.carried, np.empty((self._obstacle_slots, 2))
+        carried, intervals = self._moving[0], np.empty((self._obstacle_slots, 2))
+        aim, bodies = (self._directions, self._rule), self.bodies
+        if bodies is not None:
+            _aim(teams, bodies.seen(observations, teams), *aim, carried, carried, intervals)
+            bodies.follow(teams, observations, self.steering.held)
+            self.steering.act_of(teams, observations, actions, elapsed)
+            bodies.turn(teams, actions)
+            return
         raw = self.steering.held if self.tank is None else carried
-        _aim(teams, observations, self._directions, self._rule, carried, raw, intervals)
+        _aim(teams, observations, *aim, carried, raw, intervals)
         self.steering.act_of(teams, observations, actions, elapsed)
 
     def book_of(self, teams: Part, contact: Any, merged_into: Any, resting: Any) -> None:
@@ -299,5 +352,6 @@ class GuidedTeams:
 
     def forget(self, which: NDArray[np.bool_] | None = None) -> None:
         """Forget headings and what was seen, of all teams or of those of a mask (B,)."""
-        self.steering.forget(which)
-        self.perception.forget(which)
+        for memory in (self.steering, self.perception, self.bodies):
+            if memory is not None:
+                memory.forget(which)

@@ -90,7 +90,8 @@ class LearnedPolicy(GuidedPolicy):
     ) -> None:
         check_readable(scenario)
         super().__init__(scenario, settings)
-        self.min_alignment = settings.promised_margin
+        turns = scenario.model.nonholonomic  # its body may stand across f when it starts
+        self.min_alignment = None if turns else settings.promised_margin
         if isinstance(weights, Network):
             self._chooser = weights
         else:

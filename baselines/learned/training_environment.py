@@ -173,6 +173,8 @@ class FeatureVectorEnv(GuaranteeWrapper):
             "perception": self.guided.perception.get_state(),
             "touched": self._touches.touched.copy(),
         }
+        if self.guided.bodies is not None:
+            memory["bodies"] = self.guided.bodies.get_state()
         return super().get_state() | memory
 
     def set_state(self, state: Mapping[str, Any]) -> None:
@@ -181,10 +183,14 @@ class FeatureVectorEnv(GuaranteeWrapper):
         Raises:
             ValueError: naming what does not fit; nothing has changed then.
         """
-        check_keys(state, ("perception",))
+        bodies = self.guided.bodies
+        check_keys(state, ("perception",) if bodies is None else ("perception", "bodies"))
         touched = check_entries({"touched": self._touches.touched}, state)["touched"]
         memory = self.guided.perception.check_state(state["perception"])
+        turned = {} if bodies is None else bodies.check_state(state["bodies"])
         super().set_state(state)
+        if bodies is not None:
+            bodies.set_state(turned)
         self.guided.perception.set_state(memory)
         self._touches.touched[...] = touched
 

@@ -66,8 +66,8 @@ class Config:
     """Train a policy; the team keeps its guarantee whatever the network says."""
 
     scenario: Annotated[str, arg(aliases=("--scenarios",))] = "clutter-24"
-    """The name of a scenario, or the path of a TOML file; its robots are single integrators in
-    2-D."""
+    """The name of a scenario, or the path of a TOML file; its robots are single integrators or
+    unicycles in 2-D."""
     curriculum: tuple[int, ...] = ()
     """The most obstacles of an episode, in stages of equal length. Without it they are the
     scenario's."""
@@ -342,7 +342,7 @@ def _check_scenarios(config: Config) -> None:
     if not can_steer(base):
         raise UserError(
             f"--scenario {config.scenario}: has {base.robot_model} robots in {base.dim}-D; "
-            "train teaches single_integrator robots in 2-D. For a learner of your own "
+            "train teaches single_integrator and unicycle robots in 2-D. For a learner of your own "
             "rendezvous_env.training_env(scenario) makes these, with the same guarantees"
         )
     if (samples := config.samples_per_update) > _MOST_SAMPLES:

@@ -379,7 +379,7 @@ def held_out(
     episodes, _ = play(
         scenario,
         lambda: LearnedPolicy(scenario, weights, settings),
-        margin=settings.promised_margin,
+        margin=None if scenario.model.nonholonomic else settings.promised_margin,
         episodes=starts,
         seed=EVALUATION_SEEDS,
     )
