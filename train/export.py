@@ -65,7 +65,8 @@ class Config:
     standalone: Path | None = None
     """The Python file to write, instead of an ONNX file."""
     scenario: str = "clutter-8"
-    """Whose robot the Python file is for: the name of a scenario or a TOML file."""
+    """Whose robot it is for: the name of a scenario or a TOML file. An ONNX file is for all robots
+    of that model."""
     checks: int = 10_000
     """On how many random inputs the file is compared with the policy before it takes its place."""
 
@@ -104,7 +105,7 @@ def _run_standalone(config: Config, path: Path) -> int:
         )
     policies.check_names([config.policy])
     scenario = policies.resolve_scenario(config.scenario)
-    folder, network = policies.learned_path(config.policy), None
+    folder, network = policies.learned_path(config.policy, scenario), None
     if folder is not None:
         network = _network_in(folder, config.policy)
     prepare_folder(path.parent, f"--standalone {path}")
@@ -154,7 +155,7 @@ def _check(config: Config) -> tuple[dict[str, NDArray[np.float32]], PolicySettin
     _check_count(config.checks)
     check_installed("export", "export", "onnx", "onnxruntime")
     policies.check_names([config.policy])
-    path = policies.learned_path(config.policy)
+    path = policies.learned_path(config.policy, policies.resolve_scenario(config.scenario))
     if path is None:
         raise UserError(
             f"--policy {config.policy}: is scripted and has no network; --standalone robot.py "

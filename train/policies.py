@@ -74,10 +74,12 @@ def make(name: str, scenario: Scenario) -> Policy:
     return baselines.make(name, scenario)
 
 
-def learned_path(name: str) -> Path | None:
-    """Folder of a learned policy; None for the name of a scripted one."""
+def learned_path(name: str, scenario: Scenario | None = None) -> Path | None:
+    """Folder of a learned policy for the robots of a scenario, single integrators if there is none;
+    None for the name of a scripted one.
+    """
     if name in shipped.NAMES:
-        return shipped.folder(name)
+        return shipped.folder(name, scenario)
     return Path(name.removeprefix(_AT_PATH)) if name.startswith(_AT_PATH) else None
 
 

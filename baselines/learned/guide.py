@@ -256,8 +256,8 @@ class GuidedTeams:
         """Headings carried, and velocities where they are not law (4)'s."""
         if self.bodies is not None:
             return self.bodies.headings, self.bodies.velocities
-        velocities: NDArray[np.float64] | None = getattr(self.steering, "velocities", None)
-        return self.steering.carried, velocities
+        steering: Any = self.steering
+        return steering.carried, getattr(steering, "velocities", None)
 
     def show(
         self,

@@ -23,23 +23,28 @@ _FOLDERS = {
     "learned-tank-noise": "pretrained_tank_noise",
 }
 NAMES = tuple(_FOLDERS)
+_OF_UNICYCLES = {"learned-tank": "pretrained_tank_unicycle"}
+"""Weights trained on with unicycles; those of the others were trained with points alone."""
 
 
-def folder(name: str) -> Path:
+def folder(name: str, scenario: Scenario | None = None) -> Path:
     """Where weights, settings and curves of a shipped policy lie.
 
     Args:
         name: one of NAMES.
+        scenario: whose robots it is to steer; None is single integrators.
 
     Raises:
         KeyError: for another name.
     """
-    return Path(__file__).with_name(_FOLDERS[name])
+    turns = scenario is not None and scenario.robot_model == "unicycle"
+    own = _OF_UNICYCLES if turns else {}
+    return Path(__file__).with_name(own.get(name, _FOLDERS[name]))
 
 
 def _register(name: str, about: str) -> None:
     def build(scenario: Scenario) -> Policy:
-        return load(folder(name), scenario)
+        return load(folder(name, scenario), scenario)
 
     build.__doc__ = about
     register(name, fits=can_steer, kind="learned")(build)

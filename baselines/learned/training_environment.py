@@ -60,7 +60,7 @@ class FeatureVectorEnv(GuaranteeWrapper):
     first touch of an obstacle costs the robot ``touch_penalty``, and no other robot of its team.
 
     Args:
-        env: teams of single integrators in the plane, in any autoreset mode.
+        env: teams of single integrators or unicycles in the plane, in any autoreset mode.
         settings: of the policy that is trained.
         touch_penalty: taken from ``robot_rewards``, once in an episode.
         obstacle_slots: of ``Features``.
@@ -230,7 +230,7 @@ class ShippedPreset:
         """The teams that see and do what the shipped policy does.
 
         Args:
-            env: teams of single integrators in the plane.
+            env: teams of single integrators or unicycles in the plane.
             guarantee: "heading" or "tank".
             discrete: as ``FeatureVectorEnv``.
             arguments: of the guarantee's wrapper: min_alignment, decision_period (steps), and

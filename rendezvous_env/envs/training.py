@@ -99,8 +99,8 @@ def training_env(
 
     With ``learning_preset`` teams earn what the shipped policies were trained with: the reward of
     ``baselines.learned.shipped``, and the first touch of an obstacle costs the robot 1. Single
-    integrators in the plane under "heading" or "tank" also see and do what the shipped policy
-    does, and decide as often (every 0.6 s):
+    integrators and unicycles in the plane under "heading" or "tank" also see and do what the
+    shipped policy does, and decide as often (every 0.6 s):
 
     | | |
     |---|---|
@@ -198,8 +198,8 @@ def _check_form(shown: bool, flatten: bool, discrete: bool) -> None:
         refuse(
             "discrete",
             discrete,
-            "False: the shipped policy's choices are for single integrators in the plane with "
-            "learning_preset True and guarantee 'heading' or 'tank'",
+            "False: the shipped policy's choices are for single integrators and unicycles in the "
+            "plane with learning_preset True and guarantee 'heading' or 'tank'",
         )
 
 

@@ -219,7 +219,7 @@ def test_overrides_reach_the_wrapper_the_preset_and_the_scenario():
         ({"frame": "local"}, ValueError, "frame is 'local'.*learning_preset=False"),
         ({"learning_preset": 1}, ValueError, "learning_preset is 1"),
         ({"touch_penalty": "no"}, ValueError, "touch_penalty is 'no'"),
-        ({"scenario": "uav-6", "discrete": True}, ValueError, "single integrators in the plane"),
+        ({"scenario": "uav-6", "discrete": True}, ValueError, "unicycles in the plane"),
     ],
 )
 def test_what_cannot_be_is_refused(arguments, error, message):

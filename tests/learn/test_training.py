@@ -212,8 +212,8 @@ class TestSettings:
         ("words", "message"),
         [
             (["--scenario", "clutter-5"], "did you mean 'clutter-"),
-            (["--scenario", "uav-6"], "train teaches single_integrator robots in 2-D"),
-            (["--eval-scenarios", "unicycle-6"], "learned policies steer"),
+            (["--scenario", "uav-6"], "train teaches single_integrator and unicycle robots in 2-D"),
+            (["--eval-scenarios", "uav-6"], "learned policies steer"),
             (["--scenario", "fig4", "--curriculum", "3"], "fig4 draws no obstacles"),
             (["--curriculum", "-1"], "--curriculum is -1; it must be 0 or more"),
             (["--num-teams", "0"], "--num-teams is 0; it must be 1 or more"),

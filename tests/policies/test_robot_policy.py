@@ -13,6 +13,7 @@ from rendezvous_env.engine.memory import RENDEZVOUS, RUNNING
 from rendezvous_env.trajectory import run
 
 CLUTTER = rv.scenarios.get("clutter-12")
+TURNING = CLUTTER.replace(robot_model="unicycle", max_turn_rate=1.5)
 ALL_ALONG = 500
 """Steps that are enough of an episode."""
 
@@ -40,20 +41,28 @@ def measured(rows, layout, random):
 
 
 @pytest.mark.parametrize(
-    "name",
-    ["bearing-only", "tangent-joined", "tangent-joined-tuned", "learned", "learned-tank"],
+    ("name", "scenario"),
+    [
+        ("bearing-only", CLUTTER),
+        ("tangent-joined", CLUTTER),
+        ("tangent-joined-tuned", CLUTTER),
+        ("learned", CLUTTER),
+        ("learned-tank", CLUTTER),
+        ("learned-tank", TURNING),
+    ],
 )
-def test_it_does_what_a_robot_of_a_batch_does(name):
+def test_it_does_what_a_robot_of_a_batch_does(name, scenario):
     """Bit for bit but for sums in another order."""
-    simulator, random = rv.Simulator(CLUTTER), np.random.default_rng(0)
-    robots = [RobotPolicy(CLUTTER, name) for _ in range(CLUTTER.n_robots)]
-    batch, moved = baselines.make(name, CLUTTER), 0
+    simulator, random = rv.Simulator(scenario), np.random.default_rng(0)
+    robots = [RobotPolicy(scenario, name) for _ in range(scenario.n_robots)]
+    batch, moved = baselines.make(name, scenario), 0
     for count, step in enumerate(run(simulator, batch, simulator.reset(3))):
         if count == ALL_ALONG:
             break
         for i, robot in enumerate(robots):
             rows = step.observations[0, i]
-            action = robot.act(**measured(rows, CLUTTER.observation_layout, random), dt=CLUTTER.tau)
+            seen = measured(rows, scenario.observation_layout, random)
+            action = robot.act(**seen, dt=scenario.tau)
             np.testing.assert_allclose(action, step.actions[0, i], atol=2e-6)
             moved += np.hypot(*action) > 0.1
     assert count > 100 and moved > 200

@@ -86,18 +86,24 @@ def plan_of(jobs: Sequence[Job], config: Config) -> dict[str, Any]:
         "policies": [
             [job.policy for job in jobs if job.scenario == scenario] for scenario in scenarios
         ],
-        "weights": {name: _weights(name) for name in sorted({job.policy for job in jobs})},
+        "weights": {
+            name: _weights(name, [job.scenario for job in jobs if job.policy == name])
+            for name in sorted({job.policy for job in jobs})
+        },
     }
 
 
-def _weights(policy: str) -> str | None:
-    """Digest of a learned policy's checkpoint, or of the file that holds a policy: an exported
-    network, or the source of a scripted one. None for one that was typed in.
+def _weights(policy: str, scenarios: Sequence[Scenario]) -> str | None:
+    """Digests of a learned policy's checkpoints, one for each robot model that has its own, or of
+    the file that holds a policy: an exported network, or the source of a scripted one. None for one
+    that was typed in.
     """
-    learned = policies.learned_path(policy)
-    if learned is not None and not learned.is_file():
-        return str(checkpoints.describe(checkpoints.find(learned))["sha256"])
-    path = learned or policies.source_file(policy)
+    places = {policies.learned_path(policy, scenario) for scenario in scenarios}
+    learned = sorted(place for place in places if place is not None)
+    if learned and not learned[0].is_file():
+        found = [checkpoints.describe(checkpoints.find(place))["sha256"] for place in learned]
+        return " ".join(map(str, found))
+    path = learned[0] if learned else policies.source_file(policy)
     return None if path is None else hashlib.sha256(path.read_bytes()).hexdigest()
 
 

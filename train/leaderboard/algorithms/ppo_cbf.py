@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from rendezvous_env.baselines.learned.features import can_steer
+from rendezvous_env.baselines.policy import in_the_plane
 
 from rendezvous_env.compilation import kernel
 from rendezvous_env.obstacles.disc import BALL
@@ -78,7 +78,7 @@ class Barrier(Between):
 
 
 def _fits(field: Scenario) -> bool:
-    return can_steer(field) and isinstance(field.obstacles, ObstacleField)
+    return in_the_plane(field) and isinstance(field.obstacles, ObstacleField)
 
 
 ALGORITHM = algorithm(
