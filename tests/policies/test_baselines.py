@@ -99,7 +99,7 @@ def test_names_are_those_that_fit():
     plane = {"bearing-only", *field, *NAMES, *everywhere, *privileged}
     assert set(baselines.names(POINT)) == plane
     cars = {"unicycle", "unicycle-cosine", "pursuit", "windshield"}
-    assert set(baselines.names(UNICYCLE)) == {*cars, *everywhere}
+    assert set(baselines.names(UNICYCLE)) == {*cars, *NAMES, *everywhere}
     assert set(baselines.names(SPACE)) == {"nonholonomic-3d", "pursuit", *everywhere}
     flat = {"smallest-sector", "quantised", "privileged-planner", *NAMES}
     assert set(baselines.names(POINT.replace(dim=3))) == plane - flat
@@ -169,7 +169,7 @@ def test_names_are_in_the_order_of_their_kinds():
     kinds = [policy.kind_of(name) for name in baselines.names()]
     assert kinds == sorted(kinds, key=list(policy.KINDS).index)
     assert baselines.names(UNICYCLE) == [
-        "unicycle", "unicycle-cosine", "pursuit", "windshield", "random", "zero"
+        "unicycle", "unicycle-cosine", "pursuit", "windshield", *NAMES, "random", "zero"
     ]  # fmt: skip
 
 

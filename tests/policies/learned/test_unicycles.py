@@ -200,5 +200,5 @@ def test_a_robot_that_ticks_sooner_turns_its_memory_by_what_it_turned():
         ahead = guided.bodies.seen(robot._team)[0, 0, 0]  # after the step that was commanded
         turned += float(action[1]) * CLUTTER.tau / 4
         whole = float(action[1]) * CLUTTER.tau
-        assert np.arctan2(ahead[1], ahead[0]) == pytest.approx(2.0 + 0.75 * whole, abs=1e-6)
+        assert np.arctan2(ahead[1], ahead[0]) == pytest.approx(2.0 + whole, abs=1e-6)
     assert turned == pytest.approx(1.5 * 10 * CLUTTER.tau / 4)
