@@ -226,6 +226,11 @@ def test_what_turns_bodies_stays_away(exported, policy):
     assert "_steer" in defined
 
 
+def test_a_robot_that_turns_has_what_turns_it(exported):
+    """The command compares the file with the policy on drawn ticks."""
+    assert "def gated_rates" in exported("learned-tank", "unicycle-6").read_text(encoding="utf-8")
+
+
 class TestBundle:
     def test_words_that_two_modules_use_are_told_apart(self):
         roots = [

@@ -57,12 +57,14 @@ def check_field_types(made):
     """As ``check_types``."""
 ''',
 }
-for _module, _word in (("heading", "_turn_bodies"), ("tank", "_spend_bodies")):
-    _STAND_INS[Name(f"rendezvous_env.safety.{_module}", _word)] = f'''
-def {_word}(teams, arguments):
+_WITHOUT_BODIES = {
+    Name(f"rendezvous_env.safety.{module}", word): f'''
+def {word}(teams, arguments):
     """Filters here steer robots that go any way."""
     raise NotImplementedError
 '''
+    for module, word in (("heading", "_turn_bodies"), ("tank", "_spend_bodies"))
+}
 _ROOTS = (
     Name("baselines.robot_policy", "OneRobot"),
     Name("rendezvous_env.scenario.observation_layout", "ObservationLayout"),
@@ -173,7 +175,8 @@ def text_of(
         ValueError: for robots or a policy that ``RobotPolicy`` does not take either.
     """
     check_planar(scenario)
-    stand_ins, roots, extra = dict(_STAND_INS), list(_ROOTS), ""
+    turns = scenario.model.nonholonomic
+    stand_ins, roots, extra = _STAND_INS | ({} if turns else _WITHOUT_BODIES), list(_ROOTS), ""
     if network is None:
         registry.make(policy, scenario)
         check_kind(policy)
