@@ -17,6 +17,7 @@ from rendezvous_env.compilation import kernel
 from rendezvous_env.physics.vectors import dot, load, norm, scaled, store, to_global, to_local
 from rendezvous_env.robots.nonholonomic_3d import body_frame_3d
 from rendezvous_env.safety.turning import (
+    Gate,
     gate_of,
     mean_axis,
     pitch_of,
@@ -31,12 +32,12 @@ if TYPE_CHECKING:
 ALIGNED = 0.5
 """rad; a robot that turns drives within this angle of where it is to go, and else turns on the
 spot."""
-_MODELS = ("single_integrator", "unicycle", "nonholonomic_3d")
+_TURNING = ("unicycle", "nonholonomic_3d")
 
 
 def can_steer(scenario: Scenario) -> bool:
     """Whether ``Steering`` knows a scenario's robots."""
-    return scenario.robot_model in _MODELS
+    return scenario.robot_model in ("single_integrator", *_TURNING)
 
 
 class Steering:
@@ -51,7 +52,7 @@ class Steering:
 
     def __init__(self, scenario: Scenario) -> None:
         self._scenario = scenario
-        self.turns = scenario.model.nonholonomic
+        self.turns = scenario.robot_model in _TURNING
         """Whether the frame turns with the robot."""
         self.gate = gate_of(scenario, 0.0, 0.0) if self.turns else None
         """Step and turn limits for the kernels here; None for a single integrator."""
@@ -70,22 +71,34 @@ class Steering:
         return self._over_robots(_mean_velocities, actions, observations, self._scenario.dim)
 
     def turned(
-        self, vectors: NDArray[Any], actions: NDArray[Any], observations: NDArray[Any]
+        self,
+        vectors: NDArray[Any],
+        actions: NDArray[Any],
+        observations: NDArray[Any],
+        elapsed: float | None = None,
     ) -> NDArray[np.float64]:
-        """Vectors (..., d) as they are in the frames after a step with actions (..., a)."""
-        if not self.turns:
+        """Vectors (..., d) as they are in the frames after so many s, a step if it is None, with
+        actions (..., a).
+        """
+        if self.gate is None:
             return np.asarray(vectors, dtype=np.float64)
+        gate = self.gate if elapsed is None else self.gate._replace(duration=elapsed)
         both = np.concatenate([vectors, actions], axis=-1)
-        return self._over_robots(_turn_back, both, observations, self._scenario.dim)
+        return self._over_robots(_turn_back, both, observations, self._scenario.dim, gate)
 
     def _over_robots(
-        self, function: Any, values: NDArray[Any], observations: NDArray[Any], size: int
+        self,
+        function: Any,
+        values: NDArray[Any],
+        observations: NDArray[Any],
+        size: int,
+        gate: Gate | None = None,
     ) -> NDArray[np.float64]:
         leading = values.shape[:-1]
         given = np.ascontiguousarray(values, np.float64).reshape(-1, values.shape[-1])
         rows = np.ascontiguousarray(observations)
         out = np.zeros((len(given), size))
-        function(given, rows.reshape(-1, *rows.shape[-2:]), self._gravity, self.gate, out)
+        function(given, rows.reshape(-1, *rows.shape[-2:]), self._gravity, gate or self.gate, out)
         return out.reshape(*leading, size)
 
 

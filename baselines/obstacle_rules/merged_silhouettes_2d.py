@@ -57,7 +57,7 @@ def joined_heading_2d(towards, silhouettes, carried, rule, intervals):
         The heading, a triple.
     """
     clearance, persistence = rule
-    if _is_clear(towards, silhouettes, clearance):
+    if is_clear(towards, silhouettes, clearance):
         return towards
     kept, weight = 0.0, 0.0
     if carried[0] != 0.0 or carried[1] != 0.0:
@@ -69,9 +69,14 @@ def joined_heading_2d(towards, silhouettes, carried, rule, intervals):
 
 
 @kernel
-def _is_clear(towards, silhouettes, clearance):
+def is_clear(towards, silhouettes, clearance):
     """Whether each silhouette by itself is surely farther from a direction than the clearance, as
     for most robots in most steps; found without an angle. Silhouettes joined are so then, too.
+
+    Args:
+        towards: a unit vector, as a triple.
+        silhouettes: (M, 2, 2) of one robot.
+        clearance: rad.
     """
     if clearance >= 0.5 * math.pi:
         return False

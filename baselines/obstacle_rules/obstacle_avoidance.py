@@ -24,13 +24,13 @@ from ..policy import (
     RememberingPolicy,
     TeamPolicy,
     among_obstacles,
-    among_obstacles_in_the_plane,
     register,
-    within_limits,
 )
+from ..steering import Steering
 from .merged_silhouettes_2d import joined_headings_2d
 from .merged_silhouettes_3d import joined_headings_3d
 from .silhouettes import tangent_headings
+from .turning_robots import in_the_plane_or_turning, steered
 
 if TYPE_CHECKING:
     from rendezvous_env.scenario.scenario import Scenario
@@ -136,7 +136,7 @@ def check_clearance(clearance: Any) -> None:
 
 @dataclass(frozen=True)
 class BareHeadingPolicy(TeamPolicy):
-    """A heading rule with law (4): ṗᵢ = hᵢ hᵢᵀ fᵢ."""
+    """A heading rule with law (4), ṗᵢ = hᵢ hᵢᵀ fᵢ, which a unicycle follows as it can."""
 
     scenario: Scenario
     """Whose robots it steers."""
@@ -144,10 +144,11 @@ class BareHeadingPolicy(TeamPolicy):
     """Where they head."""
 
     def act(self, observations: NDArray[Any], time: ArrayLike) -> NDArray[np.float32]:
-        """Velocities (..., n, d); see ``Policy``."""
+        """Actions (..., n, a); see ``Policy``."""
         layout = self.scenario.observation_layout
         f, seen = layout.net_bearing(observations), layout.split(observations)
-        return within_limits(flexible_velocity(f, self.rule(f, seen.obstacles)), self.scenario)
+        velocity = flexible_velocity(f, self.rule(f, seen.obstacles))
+        return steered(Steering(self.scenario), velocity, observations, self.scenario)
 
 
 @dataclass
@@ -156,7 +157,8 @@ class CertifiedHeadingPolicy(RememberingPolicy):
 
         vᵢ = min(1, r/(2 Dᵢ τ)) hᵢ hᵢᵀ fᵢ                             (theory 3 and 4)
 
-    The rule means a line, so its heading is flipped to the side of f before it is certified.
+    The rule means a line, so its heading is flipped to the side of f before it is certified. What a
+    unicycle remembers turns with its frame; it lags behind its heading, and no theorem covers it.
     """
 
     scenario: Scenario
@@ -171,15 +173,18 @@ class CertifiedHeadingPolicy(RememberingPolicy):
     def __post_init__(self) -> None:
         between("min_alignment", self.min_alignment, 0, 1)
         positive("max_turn_rate", self.max_turn_rate, "rad/s")
+        self._steering = Steering(self.scenario)
 
     def _start(self, teams: int) -> None:
-        self._previous: Array = np.zeros((teams, self.scenario.n_robots, self.scenario.dim))
+        team = teams, self.scenario.n_robots
+        self._previous: Array = np.zeros((*team, self.scenario.dim))
+        self._sent = np.zeros((*team, self.scenario.action_size), np.float32)
 
     def _forget(self, which: NDArray[np.bool_]) -> None:
-        self._previous[which] = 0.0
+        self._previous[which], self._sent[which] = 0.0, 0.0
 
     def act(self, observations: NDArray[Any], time: ArrayLike) -> NDArray[np.float32]:
-        """Velocities (..., n, d); see ``Policy``."""
+        """Actions (..., n, a); see ``Policy``."""
         return self.after(self.scenario.tau, observations, time)
 
     def after(
@@ -189,6 +194,7 @@ class CertifiedHeadingPolicy(RememberingPolicy):
         scenario, layout = self.scenario, self.scenario.observation_layout
         seen = self._teams_of(observations)
         f = layout.net_bearing(seen)
+        self._previous = self._steering.turned(self._previous, self._sent, seen, elapsed)
         h = self._previous = certified_heading(
             self._aim(f, layout.split(seen).obstacles),
             f,
@@ -199,7 +205,8 @@ class CertifiedHeadingPolicy(RememberingPolicy):
         )
         scale = step_scale(layout.degree(seen), scenario.merge_radius, scenario.tau)
         velocity = scale[..., np.newaxis] * flexible_velocity(f, h)
-        return self._as_given(within_limits(velocity, scenario))
+        self._sent = steered(self._steering, velocity, seen, scenario)
+        return self._as_given(self._sent)
 
     def _aim(self, f: Array, silhouettes: NDArray[Any]) -> Array:
         """Raw vectors (..., d) that are to be certified."""
@@ -256,7 +263,11 @@ def _tangent_blocking(scenario: Scenario) -> Policy:
     return BareHeadingPolicy(scenario, tangent_blocking_heading)
 
 
-@register("tangent-joined", fits=among_obstacles, kind="rule")
+def _fits(scenario: Scenario) -> bool:
+    return among_obstacles(scenario) or in_the_plane_or_turning(scenario)
+
+
+@register("tangent-joined", fits=_fits, kind="rule")
 def _tangent_joined(scenario: Scenario, clearance: float = 0.05) -> Policy:
     """The same, with silhouettes that overlap taken for one."""
     return BareHeadingPolicy(scenario, _joined_with(clearance))
@@ -290,7 +301,7 @@ def _tangent_joined_certified(
     return CertifiedHeadingPolicy(scenario, rule, min_alignment, max_turn_rate)
 
 
-@register("tangent-joined-tuned", fits=among_obstacles_in_the_plane, kind="rule")
+@register("tangent-joined-tuned", fits=in_the_plane_or_turning, kind="rule")
 def _tangent_joined_tuned(
     scenario: Scenario,
     clearance: float = 0.2,

@@ -21,6 +21,7 @@ from rendezvous_env.physics.vectors import (
     dot,
     load,
     norm,
+    scaled,
     split,
     store,
 )
@@ -30,11 +31,14 @@ from rendezvous_env.safety.tank import (
     descent_scale,
     promised_descent,
 )
+from rendezvous_env.safety.turning import Gate, gate_of, mean_axis
 
 from ..policy import Policy, RememberingPolicy, among_obstacles, register
+from ..steering import ALIGNED, Steering, inputs_towards
 from .merged_silhouettes_2d import TWO_PI, joined_interval_2d
 from .obstacle_avoidance import Array, check_clearance
 from .planes_in_space import kept_azimuth, widened_rays
+from .turning_robots import axis_is_clear, in_the_plane_or_turning
 
 if TYPE_CHECKING:
     from rendezvous_env.scenario.scenario import Scenario
@@ -57,6 +61,11 @@ _BEHIND_EDGE = 0.9
 """Of the clearance: how far beside the heading the wall is felt for."""
 _LARGEST_PATIENCE = 1e3
 """m."""
+_TOIL = 0.15
+"""Share of ‖f‖ times its way that a unicycle counts as lost: two that go round one thing on the same
+side, ever opposite, would else never turn back."""
+_ROUNDING = 1e-6
+"""m²/s; what a tank must have left, as actions are sent in float32."""
 _REST_TIME = 30.0
 """For so long must the tank last at rest after any step that costs something, s."""
 
@@ -76,6 +85,10 @@ class Settings(NamedTuple):
     """τ, s."""
     speed_limit: float
     """v_max, m/s."""
+    turns: bool
+    """Whether robots are unicycles."""
+    gate: Gate
+    """Step and turn limit of a unicycle."""
 
 
 @dataclass
@@ -87,6 +100,10 @@ class TankJoinedPolicy(RememberingPolicy):
     than ``patience``‖f‖ of its own work ∫ f·v dt since it met the wall, twice as much after each
     turn, or when its tank is low; so it tries both sides ever farther, in space then those across
     them. Where the tank would not last it rests instead of pressing against a wall.
+
+    A unicycle turns into that direction, drives where its axis points past all silhouettes, and
+    does not change its mind while it turns on the spot. Some of its way counts as lost, so that two
+    do not go round one thing for ever. Its tank owes nothing: it may always rest.
 
     It books what it commanded, knows neither contacts nor steps that a merge cut short, and what an
     absorbed robot had left is lost.
@@ -109,13 +126,17 @@ class TankJoinedPolicy(RememberingPolicy):
         check_clearance(self.clearance)
         positive("patience", self.patience, "m")
         scenario = self.scenario
+        steering = self._steering = Steering(scenario)
+        self._unit = np.array(scenario.action_bounds if steering.turns else scenario.speed_limit)
         self._settings = Settings(
             clearance=float(self.clearance) / (scenario.dim - 1),
             patience=float(self.patience),
-            min_alignment=float(self.margin),
+            min_alignment=0.0 if steering.turns else float(self.margin),  # guarantees 8
             merge_radius=float(scenario.merge_radius),
             duration=float(scenario.tau),
             speed_limit=float(scenario.speed_limit),
+            turns=steering.turns,
+            gate=gate_of(scenario, 0.0, 0.0),
         )
 
     def _start(self, teams: int) -> None:
@@ -133,7 +154,7 @@ class TankJoinedPolicy(RememberingPolicy):
         self._memory[which, :, PATIENCE] = self.patience
 
     def act(self, observations: NDArray[Any], time: ArrayLike) -> NDArray[np.float32]:
-        """Velocities (..., n, d); see ``Policy``."""
+        """Actions (..., n, a); see ``Policy``."""
         seen, layout = self._teams_of(observations), self.scenario.observation_layout
         f, robots = layout.net_bearing(seen), seen.shape[0] * seen.shape[1]
         follow = wall_following_velocities if layout.dim == 2 else wall_following_velocities_3d
@@ -148,10 +169,16 @@ class TankJoinedPolicy(RememberingPolicy):
             self._memory.reshape(robots, self._memory.shape[-1]),
             desired,
         )
-        self._tank.hold(desired.reshape(f.shape) / self.scenario.speed_limit)
+        self._tank.hold(desired.reshape(f.shape) / self._unit)
         actions = self._tank.act(seen)
         self._tank.book()
-        self._memory[..., WORK] += self.scenario.tau * np.sum(f * actions, axis=-1)
+        velocities = self._steering.velocities(actions, seen)
+        self._memory[..., WORK] += self.scenario.tau * np.sum(f * velocities, axis=-1)
+        if self._steering.turns:
+            toil = np.linalg.norm(f, axis=-1) * np.linalg.norm(velocities, axis=-1)
+            self._memory[..., WORK] -= _TOIL * self.scenario.tau * toil
+            heading = self._memory[..., HEADING_X : HEADING_Y + 1]
+            heading[:] = self._steering.turned(heading, actions, seen)
         return self._as_given(actions)
 
     @property
@@ -160,7 +187,11 @@ class TankJoinedPolicy(RememberingPolicy):
         return np.zeros(0) if self._leading is None else self._as_given(self._tank.levels)
 
 
-@register("tank-joined", fits=among_obstacles, kind="tank")
+def _fits(scenario: Scenario) -> bool:
+    return among_obstacles(scenario) or in_the_plane_or_turning(scenario)
+
+
+@register("tank-joined", fits=_fits, kind="tank")
 def _tank_joined(
     scenario: Scenario,
     budget: float = TankJoinedPolicy.budget,
@@ -177,7 +208,8 @@ def _tank_joined(
 
 @kernel(allocates=True)
 def wall_following_velocities(net_bearing, degrees, silhouettes, levels, settings, memory, out):
-    """Desired velocities: along f where nothing blocks it, else along the wall.
+    """Desired velocities: along f where nothing blocks it, else along the wall; of unicycles the
+    speeds and turn rates with which they follow them.
 
         vᵢ = sᵢ ‖fᵢ‖ hᵢ                                                            (guarantees 8)
 
@@ -190,20 +222,24 @@ def wall_following_velocities(net_bearing, degrees, silhouettes, levels, setting
         levels: Aᵢ, (N,), m²/s.
         settings: a Settings.
         memory: (N, MEMORY), changed.
-        out: (N, 2), m/s.
+        out: (N, 2), m/s; or m/s and rad/s.
     """
     intervals = np.empty((silhouettes.shape[1], 2))
     for i in range(out.shape[0]):
         f = load(net_bearing[i])
         strength, towards = split(f)
-        memory[i, SHORT], short = 0.0, memory[i, SHORT] > 0.0
+        spent = _is_spent(strength, memory[i]) and not (settings.turns and _looks_aside(memory[i]))
+        memory[i, SHORT] = 0.0
         if strength == 0.0:
             out[i, :] = 0.0
             continue
-        free, turn = _turn(towards, strength, short, silhouettes[i], settings, memory[i], intervals)
+        free, turn = _turn(towards, spent, silhouettes[i], settings, memory[i], intervals)
         heading = _turned(towards, turn)
         memory[i, HEADING_X], memory[i, HEADING_Y] = heading[0], heading[1]
         account, plane = (degrees[i], levels[i]), (towards, _left_of(towards))
+        if settings.turns:
+            store(_inputs(f, account, heading, free, silhouettes[i], settings, memory[i]), out[i])
+            continue
         store(_affordable(f, plane, account, heading, free, settings, memory[i]), out[i])
 
 
@@ -217,7 +253,8 @@ def wall_following_velocities_3d(net_bearing, degrees, silhouettes, levels, sett
     for i in range(out.shape[0]):
         f = load(net_bearing[i])
         strength, towards = split(f)
-        memory[i, SHORT], short = 0.0, memory[i, SHORT] > 0.0
+        spent = _is_spent(strength, memory[i])
+        memory[i, SHORT] = 0.0
         if strength == 0.0:
             out[i, :] = 0.0
             continue
@@ -229,7 +266,7 @@ def wall_following_velocities_3d(net_bearing, degrees, silhouettes, levels, sett
             memory[i, SIDE] = held = 1.0
         heading = load(memory[i, HEADING:ASIDE])
         memory[i, HEADING_X], memory[i, HEADING_Y] = dot(heading, towards), dot(heading, aside)
-        free, turn = _turn(X_AXIS, strength, short, views[1], settings, memory[i], views[2])
+        free, turn = _turn(X_AXIS, spent, views[1], settings, memory[i], views[2])
         heading = combine(math.cos(turn), towards, math.sin(turn), aside)
         account, plane = (degrees[i], levels[i]), (towards, aside)
         store(_affordable(f, plane, account, heading, free, settings, memory[i]), out[i])
@@ -240,7 +277,13 @@ def wall_following_velocities_3d(net_bearing, degrees, silhouettes, levels, sett
 
 
 @kernel
-def _turn(towards, strength, short, silhouettes, settings, memory, intervals):
+def _is_spent(strength, memory):
+    """Whether a robot turns back: its tank was too low, or it has lost too much of its work."""
+    return memory[SHORT] > 0.0 or memory[WORK] < -memory[PATIENCE] * strength
+
+
+@kernel
+def _turn(towards, spent, silhouettes, settings, memory, intervals):
     """Whether any direction is free, and the angle from f to the heading, rad."""
     joined = joined_interval_2d(towards, silhouettes, intervals)
     low, high = joined[0], joined[1]
@@ -254,7 +297,7 @@ def _turn(towards, strength, short, silhouettes, settings, memory, intervals):
         return True, 0.0
     kept = _kept_angle(towards, memory)
     held = memory[SIDE]
-    _choose_side(joined, strength, short, memory)
+    _choose_side(joined, spent, memory)
     side = memory[SIDE]
     edge, gap = _edge(joined, side)
     if held == side and abs(_wrapped(edge - kept)) > _JUMP:
@@ -263,12 +306,12 @@ def _turn(towards, strength, short, silhouettes, settings, memory, intervals):
 
 
 @kernel
-def _choose_side(joined, strength, short, memory):
+def _choose_side(joined, spent, memory):
     """Take the nearer edge at first; the other side once work or tank are spent."""
     if memory[SIDE] == 0.0:
         memory[SIDE] = 1.0 if abs(joined[1]) <= abs(joined[0]) else -1.0
         memory[WORK] = 0.0
-    elif short or memory[WORK] < -memory[PATIENCE] * strength:
+    elif spent:
         memory[SIDE] = -memory[SIDE]
         memory[PATIENCE] = min(2.0 * memory[PATIENCE], _LARGEST_PATIENCE)
 
@@ -318,6 +361,29 @@ def _affordable(f, plane, account, heading, free, settings, memory):
     # law (4) will drive it: then as little as can be, and away from the wall
     turn = math.copysign(math.acos(settings.min_alignment), dot(aside, heading))
     return combine(speed * math.cos(turn), towards, speed * math.sin(turn), aside)
+
+
+@kernel
+def _looks_aside(memory):
+    """Whether a unicycle has still to turn on the spot."""
+    return abs(math.atan2(memory[HEADING_Y], memory[HEADING_X])) > ALIGNED
+
+
+@kernel
+def _inputs(f, account, heading, free, silhouettes, settings, memory):
+    """Speed and turn rate of a unicycle that is to go along a heading: it drives where its axis is
+    clear and its tank lasts. ``account`` as for ``_affordable``.
+    """
+    (degree, level), strength = account, norm(f)
+    r, duration = settings.merge_radius, settings.duration
+    speed = strength * descent_scale(strength, degree, r, duration, settings.speed_limit)
+    speed, rates = inputs_towards(scaled(heading, speed), 0.0, settings.gate)
+    moved = scaled(mean_axis(rates, 0.0, settings.gate), speed * duration)
+    if not free or level + certain_descent(f, degree, moved, r) < _ROUNDING:
+        memory[SHORT] = 1.0 if speed > 0.0 else 0.0
+        return 0.0, rates[0], 0.0
+    clear = axis_is_clear(rates, silhouettes, settings.gate)
+    return speed if clear else 0.0, rates[0], 0.0
 
 
 @kernel

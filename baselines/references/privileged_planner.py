@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from rendezvous_env.simulator import Simulator
 
-from ..policy import in_the_plane, register
+from ..policy import register
+from ..steering import can_steer
 from .privileged_policy import Mask, PrivilegedPolicy, within_a_step
 from .roadmap import Array, Roadmap, WaysTo
 
@@ -85,7 +86,7 @@ def plan(table: Array, positions: Array) -> WaysTo:
     return WaysTo(found[0], found[1].place)
 
 
-@register(NAME, in_the_plane, kind="privileged")
+@register(NAME, lambda scenario: can_steer(scenario) and scenario.dim == 2, kind="privileged")
 class PrivilegedPlanner(PrivilegedPolicy):
     """Shortest ways on the map to where the last robot arrives first.
 
@@ -94,7 +95,7 @@ class PrivilegedPlanner(PrivilegedPolicy):
     centimetres from obstacles where it can, and its V may rise.
 
     Args:
-        scenario: single integrators in the plane.
+        scenario: single integrators or unicycles; these turn on the spot.
     """
 
     name = NAME

@@ -11,23 +11,27 @@ from numpy.typing import ArrayLike, NDArray
 from rendezvous_env.checks import bools, refuse
 from rendezvous_env.simulator import Simulator
 
-from ..policy import TeamPolicy, is_single_integrator, within_limits
+from ..policy import TeamPolicy, within_limits
+from ..steering import Steering
 
 if TYPE_CHECKING:
     from rendezvous_env.scenario.scenario import Scenario
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+_ASIDE = 1e-3
+"""Tangent of the angle from its way within which a robot that turns drives: its way is kept."""
 
 
 class PrivilegedPolicy(TeamPolicy):
-    """A policy of single integrators that reads where they are."""
+    """A policy that reads where robots are; those that turn do so on the spot."""
 
     name: str
     """What the registry calls it."""
 
     def __init__(self, scenario: Scenario) -> None:
         self.scenario = scenario
+        self._steering = Steering(scenario)
         self._simulator: Simulator | None = None
         self._fresh: NDArray[np.bool_] = np.zeros(0, np.bool_)
         self._steps: NDArray[np.int64] = np.zeros(0, np.int64)
@@ -42,11 +46,12 @@ class PrivilegedPolicy(TeamPolicy):
             ValueError: if it is no simulator of such robots.
         """
         n, d = self.scenario.n_robots, self.scenario.dim
-        wanted = f"a Simulator of {n} single integrators in {d}-D"
+        model = self.scenario.robot_model
+        wanted = f"a Simulator of {n} {model.replace('_', ' ')}s in {d}-D"
         if not isinstance(simulator, Simulator):
             refuse("simulator", simulator, wanted)
         scenario = simulator.scenario
-        if not is_single_integrator(scenario) or (scenario.n_robots, scenario.dim) != (n, d):
+        if (scenario.robot_model, scenario.n_robots, scenario.dim) != (model, n, d):
             refuse("simulator", scenario, wanted)
         self._simulator, self._steps = simulator, simulator.steps
         self.reset()
@@ -62,7 +67,7 @@ class PrivilegedPolicy(TeamPolicy):
             self._fresh = self._fresh | bools("mask", mask, (batch,), "teams")
 
     def act(self, observations: NDArray[Any], time: ArrayLike) -> NDArray[np.float32]:
-        """Velocities (..., n, d), of the teams that it watches; see ``Policy``.
+        """Actions (..., n, a), of the teams that it watches; see ``Policy``.
 
         Raises:
             RuntimeError: if it watches none.
@@ -87,7 +92,12 @@ class PrivilegedPolicy(TeamPolicy):
         wanted = np.where(active[..., np.newaxis], wanted, 0.0)
         # frames lead from local to global, their transpose leads back
         own = np.sum(simulator.frames * wanted[..., np.newaxis], axis=-2)
-        return within_limits(own, self.scenario).reshape(*seen.shape[:-2], self.scenario.dim)
+        actions = self._steering.actions(own, seen.reshape(*own.shape[:-1], *seen.shape[-2:]))
+        if self._steering.turns:
+            aside = np.linalg.norm(own[..., 1:], axis=-1) > _ASIDE * own[..., 0]
+            actions[..., 0] = np.where(aside, 0.0, actions[..., 0])
+        limited = within_limits(actions, self.scenario)
+        return limited.reshape(*seen.shape[:-2], self.scenario.action_size)
 
     @abstractmethod
     def _velocities(self, simulator: Simulator, active: Mask, begun: Mask) -> Array:

@@ -62,6 +62,10 @@ def _walls(
     return {"obstacles": walls, "spawn_size": spawn_size, **_AMONG_OBSTACLES}
 
 
+_corridor = partial(_walls, "corridor", (16.0, 20.0), (2.0, 4.0), 12.0)
+_rooms = partial(_walls, "rooms", (10.0, 14.0), (0.8, 1.2), 14.0)
+
+
 def _in_space(spheres: int, robot_model: str = "single_integrator") -> dict[str, Any]:
     return {
         "n_robots": 4,
@@ -91,6 +95,14 @@ def _beads(side: int, rim: int = 0, window: bool = False) -> tuple[Sphere, ...]:
         for z in places
         if (max(abs(y), abs(z)) == side // 2 if x else not window or (y, z) != (0, 0))
     )
+
+
+def _turning(fields: dict[str, Any], turn_rate: float, time_limit: float = 90.0) -> dict[str, Any]:
+    """The same for unicycles of so many rad/s, which at 1 m/s turn within a circle of 1/ω m, and
+    need longer.
+    """
+    turns = {"robot_model": "unicycle", "max_turn_rate": turn_rate, "time_limit": time_limit}
+    return {**fields, **turns}
 
 
 def _wall() -> dict[str, Any]:
@@ -192,8 +204,8 @@ _FIELDS: dict[str, Callable[[], dict[str, Any]]] = {
     **{f"clutter-16-team-{robots}": partial(_clutter, 16, robots) for robots in (3, 8, 16, 32)},
     "clutter-32": partial(_clutter, 32, passage=0.2),
     "trap": partial(_walls, "trap", (7.0, 10.0), (5.0, 8.0), 12.0),
-    "corridor": partial(_walls, "corridor", (16.0, 20.0), (2.0, 4.0), 12.0),
-    "rooms": partial(_walls, "rooms", (10.0, 14.0), (0.8, 1.2), 14.0),
+    "corridor": _corridor,
+    "rooms": _rooms,
     "clutter-3d": partial(_in_space, 12),
     "clutter-3d-32": partial(_in_space, 32),
     "clutter-3d-96": partial(_in_space, 96),
@@ -201,6 +213,11 @@ _FIELDS: dict[str, Callable[[], dict[str, Any]]] = {
     "bowl-3d": partial(_walled_space, 5, 8.0, rim=3),
     "window-3d": partial(_walled_space, 9, 10.0, window=True),
     "uav-clutter-16": lambda: {**_in_space(16, "nonholonomic_3d"), "max_turn_rate": 1.0},
+    **{f"unicycle-clutter-{n}": lambda n=n: _turning(_clutter(n), 3.0) for n in (8, 16, 24)},
+    "unicycle-clutter-24-slow": lambda: _turning(_clutter(24), 1.0),
+    "unicycle-clutter-24-slower": lambda: _turning(_clutter(24), 0.5),
+    "unicycle-corridor": lambda: _turning(_corridor(), 1.0, 120.0),
+    "unicycle-rooms": lambda: _turning(_rooms(), 1.0),
     "rotating-paths": _rotating_paths,
     "wall": _wall,
     "noisy-8": lambda: {"n_robots": 8, "sensing": Sensing(noise=0.3, dropout=0.1)},

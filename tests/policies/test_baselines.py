@@ -99,7 +99,8 @@ def test_names_are_those_that_fit():
     plane = {"bearing-only", *field, *NAMES, *everywhere, *privileged}
     assert set(baselines.names(POINT)) == plane
     cars = {"unicycle", "unicycle-cosine", "pursuit", "windshield"}
-    assert set(baselines.names(UNICYCLE)) == {*cars, *NAMES, *everywhere}
+    cars |= {*NAMES, "privileged-planner"}
+    assert set(baselines.names(UNICYCLE)) == {*cars, *everywhere}
     assert set(baselines.names(SPACE)) == {"nonholonomic-3d", "pursuit", *everywhere}
     flat = {"smallest-sector", "quantised", "privileged-planner", *NAMES}
     assert set(baselines.names(POINT.replace(dim=3))) == plane - flat
@@ -107,6 +108,9 @@ def test_names_are_those_that_fit():
     certified = {f"{rule}-certified" for rule in rules}
     tuned = {"tangent-joined-tuned", "tank-joined"}
     assert set(baselines.names(CLUTTER)) == {*plane, *rules, *certified, *tuned}
+    among_discs = {"tangent-joined", *tuned}
+    turning = rv.scenarios.get("unicycle-clutter-8")
+    assert set(baselines.names(turning)) == {*cars, *everywhere, *among_discs}
     assert set(baselines.names(HEAVY)) == {"damped", *everywhere}
     assert len(baselines.names()) == 31
 

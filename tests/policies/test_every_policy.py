@@ -28,7 +28,12 @@ FILTERED = {
     "tank": lambda scenario: baselines.TankPolicy(scenario, choose, decision_period=3),
     "trained": lambda scenario: baselines.TrainedPolicy(scenario, lambda seen: seen[:, :2]),
 }
-NAMES = [*baselines.names(), *FILTERED]
+TURNING = "unicycle-clutter-8"
+ALSO_TURNING = [
+    f"{name} {TURNING}"
+    for name in ("tangent-joined", "tangent-joined-tuned", "tank-joined", "privileged-planner")
+]
+NAMES = [*baselines.names(), *FILTERED, *ALSO_TURNING]
 SEES = [name for name in NAMES if not name.startswith(("privileged", "random"))]
 
 
@@ -37,6 +42,9 @@ def made(name):
     if name in FILTERED:
         scenario = rv.scenarios.get("clutter-8")
         return FILTERED[name](scenario), scenario
+    if name in ALSO_TURNING:
+        scenario = rv.scenarios.get(TURNING)
+        return baselines.make(name.split()[0], scenario), scenario
     known = map(rv.scenarios.get, SCENARIOS)
     scenario = next((one for one in known if name in baselines.names(one)), HEAVY)
     return baselines.make(name, scenario), scenario

@@ -68,14 +68,24 @@ def test_it_does_what_a_robot_of_a_batch_does(name, scenario):
     assert count > 100 and moved > 200
 
 
-@pytest.mark.parametrize("name", ["unicycle", "unicycle-cosine"])
-def test_a_unicycle_gets_its_turn_rate_too(name):
-    scenario = rv.scenarios.get("unicycle-6")
+@pytest.mark.parametrize(
+    ("name", "field"),
+    [
+        ("unicycle", "unicycle-6"),
+        ("unicycle-cosine", "unicycle-6"),
+        ("tangent-joined", "unicycle-clutter-8"),
+        ("tangent-joined-tuned", "unicycle-clutter-24-slow"),
+    ],
+)
+def test_a_unicycle_gets_its_turn_rate_too(name, field):
+    scenario = rv.scenarios.get(field)
     simulator, random = rv.Simulator(scenario), np.random.default_rng(0)
     robot, batch = RobotPolicy(scenario, name), baselines.make(name, scenario)
     for _, step in zip(range(100), run(simulator, batch, simulator.reset(1)), strict=False):
         told = measured(step.observations[0, 2], scenario.observation_layout, random)
         np.testing.assert_allclose(robot.act(**told), step.actions[0, 2], atol=2e-6)
+        if not step.active[0, 2]:
+            return
     assert robot.time == pytest.approx(99 * scenario.tau)
 
 
