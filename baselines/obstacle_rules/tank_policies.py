@@ -62,7 +62,7 @@ _BEHIND_EDGE = 0.9
 _LARGEST_PATIENCE = 1e3
 """m."""
 _TOIL = 0.15
-"""Share of ‖f‖ times its way that a unicycle counts as lost: two that go round one thing on the same
+"""Share of ‖f‖ times its way that a unicycle counts as lost: two that go round one thing on one
 side, ever opposite, would else never turn back."""
 _ROUNDING = 1e-6
 """m²/s; what a tank must have left, as actions are sent in float32."""
