@@ -97,11 +97,11 @@ def _beads(side: int, rim: int = 0, window: bool = False) -> tuple[Sphere, ...]:
     )
 
 
-def _turning(fields: dict[str, Any], turn_rate: float, time_limit: float = 90.0) -> dict[str, Any]:
+def _turning(fields: dict[str, Any], turn_rate: float) -> dict[str, Any]:
     """The same for unicycles of so many rad/s, which at 1 m/s turn within a circle of 1/ω m, and
     need longer.
     """
-    turns = {"robot_model": "unicycle", "max_turn_rate": turn_rate, "time_limit": time_limit}
+    turns = {"robot_model": "unicycle", "max_turn_rate": turn_rate, "time_limit": 120.0}
     return {**fields, **turns}
 
 
@@ -216,7 +216,7 @@ _FIELDS: dict[str, Callable[[], dict[str, Any]]] = {
     **{f"unicycle-clutter-{n}": lambda n=n: _turning(_clutter(n), 3.0) for n in (8, 16, 24)},
     "unicycle-clutter-24-slow": lambda: _turning(_clutter(24), 1.0),
     "unicycle-clutter-24-slower": lambda: _turning(_clutter(24), 0.5),
-    "unicycle-corridor": lambda: _turning(_corridor(), 1.0, 120.0),
+    "unicycle-corridor": lambda: _turning(_corridor(), 1.0),
     "unicycle-rooms": lambda: _turning(_rooms(), 1.0),
     "rotating-paths": _rotating_paths,
     "wall": _wall,
