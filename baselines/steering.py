@@ -58,6 +58,15 @@ class Steering:
         """Step and turn limits for the kernels here; None for a single integrator."""
         self._gravity = scenario.observation_layout.gravity.start
 
+    def pitches(self, observations: NDArray[Any]) -> NDArray[np.float64]:
+        """β of robots that see (..., rows, d), (...), rad; 0 in the plane and of points."""
+        rows, leading = np.ascontiguousarray(observations), observations.shape[:-2]
+        out = np.zeros(leading)
+        if self.turns:
+            flat = rows.reshape(-1, *rows.shape[-2:])
+            _pitches_of(flat, self._gravity, self.gate, out.reshape(-1))
+        return out
+
     def actions(self, wanted: NDArray[Any], observations: NDArray[Any]) -> NDArray[np.float64]:
         """Actions (..., a) that follow velocities (..., d), m/s; see ``inputs_towards``."""
         if not self.turns:
@@ -109,7 +118,7 @@ class Steering:
 def inputs_towards(wanted, pitch, gate, aligned=ALIGNED):
     """Speed and turn rates with which a nonholonomic robot follows a wanted velocity w.
 
-        v = max(0, mᵀw) where ∠(h, w) ≤ ``aligned``, else 0;   the rates turn h towards w
+        v = max(0, mᵀw) where ∠(h, w) ≤ φ, else 0;   the rates turn h towards w
 
     m is the mean of the body axis h over the step, so that the displacement τ v m is the best that
     these rates allow. With w = 0 it rests.
@@ -118,7 +127,7 @@ def inputs_towards(wanted, pitch, gate, aligned=ALIGNED):
         wanted: w, a triple, m/s, in the body frame.
         pitch: β, rad; 0 in the plane.
         gate: a Gate.
-        aligned: rad.
+        aligned: φ, rad.
 
     Returns:
         v, m/s, and a pair, rad/s.
@@ -147,6 +156,12 @@ def turned_back(vector, rates, pitch, gate):
     yaw, rise = rates[0] * gate.duration, rates[1] * gate.duration
     before, after = body_frame_3d(0.0, pitch), body_frame_3d(yaw, pitch + rise)
     return to_local(after, to_global(before, vector))
+
+
+@kernel
+def _pitches_of(observations, gravity_row, gate, out):
+    for i in range(out.shape[0]):
+        out[i] = pitch_of(observations[i], gravity_row, gate)
 
 
 @kernel

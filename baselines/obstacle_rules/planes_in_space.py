@@ -113,6 +113,20 @@ def _best_azimuth(towards, first, clearance, views):
 
 
 @kernel
+def lies_outside(direction, rays):
+    """Whether a direction, a triple, lies outside all cones, (K, 8, 3)."""
+    for m in range(rays.shape[0]):
+        left, ahead = 0, 0.0
+        for s in range(8):
+            here, there = load(rays[m, s]), load(rays[m, (s + 1) % 8])
+            left += 1 if dot(direction, cross(here, there)) >= 0.0 else 0
+            ahead += dot(direction, here)
+        if (left == 0 or left == 8) and ahead > 0.0:
+            return False
+    return True
+
+
+@kernel
 def _cut_by(towards, aside, rays, out):
     """Where a plane cuts the cones, as silhouettes of the plane: (K, 2, 2), x along f, y aside.
 

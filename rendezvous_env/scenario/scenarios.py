@@ -212,7 +212,7 @@ _FIELDS: dict[str, Callable[[], dict[str, Any]]] = {
     "slab-3d": partial(_walled_space, 7, 8.0),
     "bowl-3d": partial(_walled_space, 5, 8.0, rim=3),
     "window-3d": partial(_walled_space, 9, 10.0, window=True),
-    "uav-clutter-16": lambda: {**_in_space(16, "nonholonomic_3d"), "max_turn_rate": 1.0},
+    "uav-clutter-16": lambda: {**_in_space(16, "nonholonomic_3d"), "max_turn_rate": 0.1},
     **{f"unicycle-clutter-{n}": lambda n=n: _turning(_clutter(n), 3.0) for n in (8, 16, 24)},
     "unicycle-clutter-24-slow": lambda: _turning(_clutter(24), 1.0),
     "unicycle-clutter-24-slower": lambda: _turning(_clutter(24), 0.5),
