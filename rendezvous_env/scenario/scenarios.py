@@ -97,12 +97,12 @@ def _beads(side: int, rim: int = 0, window: bool = False) -> tuple[Sphere, ...]:
     )
 
 
-def _turning(fields: dict[str, Any], turn_rate: float) -> dict[str, Any]:
+def _turning(field: Callable[[], dict[str, Any]], turn_rate: float) -> dict[str, Any]:
     """The same for unicycles of so many rad/s, which at 1 m/s turn within a circle of 1/ω m, and
     need longer.
     """
     turns = {"robot_model": "unicycle", "max_turn_rate": turn_rate, "time_limit": 120.0}
-    return {**fields, **turns}
+    return {**field(), **turns}
 
 
 def _wall() -> dict[str, Any]:
@@ -213,11 +213,11 @@ _FIELDS: dict[str, Callable[[], dict[str, Any]]] = {
     "bowl-3d": partial(_walled_space, 5, 8.0, rim=3),
     "window-3d": partial(_walled_space, 9, 10.0, window=True),
     "uav-clutter-16": lambda: {**_in_space(16, "nonholonomic_3d"), "max_turn_rate": 0.1},
-    **{f"unicycle-clutter-{n}": lambda n=n: _turning(_clutter(n), 3.0) for n in (8, 16, 24)},
-    "unicycle-clutter-24-slow": lambda: _turning(_clutter(24), 1.0),
-    "unicycle-clutter-24-slower": lambda: _turning(_clutter(24), 0.5),
-    "unicycle-corridor": lambda: _turning(_corridor(), 1.0),
-    "unicycle-rooms": lambda: _turning(_rooms(), 1.0),
+    **{f"unicycle-clutter-{n}": partial(_turning, partial(_clutter, n), 3.0) for n in (8, 16, 24)},
+    "unicycle-clutter-24-slow": partial(_turning, partial(_clutter, 24), 1.0),
+    "unicycle-clutter-24-slower": partial(_turning, partial(_clutter, 24), 0.5),
+    "unicycle-corridor": partial(_turning, _corridor, 1.0),
+    "unicycle-rooms": partial(_turning, _rooms, 1.0),
     "rotating-paths": _rotating_paths,
     "wall": _wall,
     "noisy-8": lambda: {"n_robots": 8, "sensing": Sensing(noise=0.3, dropout=0.1)},
