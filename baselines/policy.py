@@ -215,10 +215,10 @@ def register(
     return enter
 
 
-def names(scenario: Scenario | None = None) -> list[str]:
+def names(scenario: ScenarioLike | None = None) -> list[str]:
     """Names of the policies that fit a scenario, or of all of them, in the order of KINDS."""
-    kinds = list(KINDS)
-    fitting = [n for n, entry in _registry.items() if scenario is None or entry.fits(scenario)]
+    kinds, resolved = list(KINDS), None if scenario is None else resolve(scenario)
+    fitting = [n for n, entry in _registry.items() if resolved is None or entry.fits(resolved)]
     return sorted(fitting, key=lambda name: kinds.index(_registry[name].kind))
 
 

@@ -173,8 +173,10 @@ def test_names_are_in_the_order_of_their_kinds():
     kinds = [policy.kind_of(name) for name in baselines.names()]
     assert kinds == sorted(kinds, key=list(policy.KINDS).index)
     assert baselines.names(UNICYCLE) == [
-        "unicycle", "unicycle-cosine", "pursuit", "windshield", *NAMES, "random", "zero"
+        "unicycle", "unicycle-cosine", "pursuit", "windshield", *NAMES, "privileged-planner",
+        "random", "zero",
     ]  # fmt: skip
+    assert baselines.names("uav-6") == baselines.names(rv.scenarios.get("uav-6"))
 
 
 def test_another_kind_is_refused_and_nothing_is_entered():
