@@ -52,7 +52,7 @@ def check_bearing_error(bearing_error: Any) -> float:
 def bounded_error(sensing: Sensing, dim: int) -> float:
     """The most by which a sensor's bearings are wrong, a number, rad; noise and bias have no most.
 
-    η = error + π/sectors;   in 3-D √((π/S)² + e²) for the sectors, e the most in elevation
+    η = error + π/sectors ≤ π;   in 3-D √((π/S)² + e²) for the sectors, e the most in elevation
     """
     if sensing.sectors is None:
         return sensing.error
@@ -60,7 +60,7 @@ def bounded_error(sensing: Sensing, dim: int) -> float:
     if dim == 3:
         highest = math.floor(sensing.sectors / 4.0 + 1e-9) * 2.0 * rounded
         rounded = math.hypot(rounded, max(rounded, math.pi / 2.0 - highest))
-    return sensing.error + rounded
+    return min(sensing.error + rounded, math.pi)
 
 
 def error_chord(bearing_error: float) -> float:

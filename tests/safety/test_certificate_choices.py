@@ -13,6 +13,7 @@ from rendezvous_env import Disc, Scenario, Sensing, certificate, graphs
 from rendezvous_env.safety.settings import bounded_error
 from rendezvous_env.safety.theorems.constants import least_degrees
 from rendezvous_env.safety.theorems.gains import kappa, shrinking_to_leader
+from rendezvous_env.safety.theorems.theorem import CHOICES
 from rendezvous_env.sensors.sensor_equations import in_sectors
 
 WALL = (Disc((0.0, 0.0), 1.0),)
@@ -263,3 +264,16 @@ def test_the_rate_with_a_leader():
     assert shrinking_to_leader(2, 2, 3.0) == pytest.approx(6.0)
     assert shrinking_to_leader(4, 2, 1.0) == pytest.approx(2 * 3 * math.sin(math.pi / 6) ** 2)
     assert shrinking_to_leader(3, 3, 1.0) == pytest.approx(math.pi / 2)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("by", CHOICES)
+@pytest.mark.parametrize(
+    ("sensing", "error"), [(Sensing(error=1.8), 1.8), (Sensing(sectors=2, error=3.0), math.pi)]
+)
+def test_sensors_that_err_by_more_than_a_right_angle(sensing, error, by, dim):
+    """No angle is above π, although errors and sectors add up to more."""
+    team = Scenario(n_robots=4, dim=dim, sensing=sensing)
+    found = certificate(team, 0.3 if by in ("heading", "tank") else 1.0, by=by)
+    assert not found.guaranteed and math.isinf(found.time_bound)
+    assert found.bearing_error == pytest.approx(error)

@@ -30,6 +30,8 @@ for exact bearings at most (V(0) + ΣB_i + (n−1)² r a)/(2 (n−1) ε² a² s_
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -87,7 +89,9 @@ def tank_time_bound(
 def bounds(scenario: Scenario, asked: Asked) -> Bounds:
     """The time."""
     margin, error, start = asked.min_alignment, asked.error, known.largest_lyapunov(scenario)
-    options = {"min_alignment": margin, "budget": asked.budget, "bearing_error": error}
+    # from π/2 on, which is the most a tank can be told, there is no time
+    borne = min(error, math.pi / 2.0)
+    options = {"min_alignment": margin, "budget": asked.budget, "bearing_error": borne}
     charged = f" and charges errors of {error:.4g} rad" * (error > 0)
     return bounds_with_errors(
         asked,
