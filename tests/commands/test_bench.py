@@ -46,7 +46,8 @@ def test_all_rows_are_measured_and_written(tmp_path):
     ratios = {(row["group"], row["name"]): row["ratio"] for row in rows}
     compared = [
         ("batched", "Simulator"), ("wrapped", "EnergyTankWrapper"), ("sensing", "noise"),
-        ("heading-ppo", "end to end"), ("adapters", "stable-baselines3 over make_vec"),
+        ("heading-ppo", "end to end"), ("heading-ppo", "free environment"),
+        ("adapters", "stable-baselines3 over make_vec"),
         ("training", "training_env, clutter-8, heading"),
     ]  # fmt: skip
     assert all(ratios[name] > 0 for name in compared)

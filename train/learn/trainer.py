@@ -42,7 +42,7 @@ _DOES_NOT_FIT = (
 """What another run's arrays raise where they are put."""
 _LEAST_RATE = 0.05
 """Share of the learning rate that is left at the end."""
-_SAME_NAME = (
+SAME_NAME = (
     "n_steps", "batch_size", "gamma", "gae_lambda", "clip_range", "ent_coef", "seed", "device",
 )  # fmt: skip
 """Settings that PPO has under the same name."""
@@ -72,7 +72,7 @@ class Trainer:
             learning_rate=lambda _: self._learning_rate(),
             n_epochs=config.epochs,
             stats_window_size=10**6,
-            **{name: getattr(config, name) for name in _SAME_NAME},
+            **{name: getattr(config, name) for name in SAME_NAME},
             policy_kwargs=network_settings(config, self.robots.teams),
         )
         self.model.set_logger(Logger(None, []))
