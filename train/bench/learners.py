@@ -113,6 +113,7 @@ def heading_ppo(size: Size) -> list[Case]:
         model = trainer.model
         if not ours:
             alike = {name: getattr(config, name) for name in SAME_NAME}
+            alike["batch_size"] = min(config.batch_size, samples)
             model = PPO("MlpPolicy", model.env, n_epochs=config.epochs, **alike)
         options = {"log_interval": None, "reset_num_timesteps": False}
         return Running(partial(model.learn, samples, **options))
