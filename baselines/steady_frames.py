@@ -63,12 +63,12 @@ class SteadyFrames(Remembering):
         }
 
     def seen(
-        self, observations: NDArray[np.float32], teams: Part | None = None
+        self, observations: NDArray[np.float32], teams: NDArray[np.intp]
     ) -> NDArray[np.float32]:
-        """Observations (B, n, rows, 2) in these frames, until the next call; only those of some
-        teams are brought up to date if there are any said.
+        """Observations (B, n, rows, 2) in these frames, until the next call; only those of
+        some teams are brought up to date.
         """
-        _turn_rows(teams or (0, *self._seen.shape[:2]), observations, self._angles, self._seen)
+        _turn_rows(teams, observations, self._angles, self._seen)
         return self._seen
 
     def follow(
@@ -98,7 +98,7 @@ class SteadyFrames(Remembering):
 
 @kernel
 def _turn_rows(teams, observations, angles, seen):
-    for team in range(teams[0], teams[1]):
+    for team in teams:
         for i in range(observations.shape[1]):
             c, s = math.cos(angles[team, i]), math.sin(angles[team, i])
             rows, turned = observations[team, i], seen[team, i]
@@ -108,15 +108,19 @@ def _turn_rows(teams, observations, angles, seen):
 
 
 @kernel
+def law_speed(rows, neighbour_slots, merge_radius, duration):
+    """Of law (1) in a step of τ, min(1, r/(2 D τ)) ‖f‖, of a robot that sees these rows, m/s."""
+    scale = scale_of_step(degree_of(rows, neighbour_slots), merge_radius, duration)
+    return norm(net_bearing_of(rows, neighbour_slots)) * scale
+
+
+@kernel
 def _follow(teams, observations, neighbour_slots, arguments, held):
     angles, headings, (merge_radius, speed_limit), (gate, aligned) = arguments
     for team in range(teams[0], teams[1]):
         for i in range(observations.shape[1]):
             rows, wish = observations[team, i], held[team, i]
-            strength = norm(net_bearing_of(rows, neighbour_slots))
-            degree = degree_of(rows, neighbour_slots)
-            speed = strength * scale_of_step(degree, merge_radius, gate.duration)
-            speed = min(speed, speed_limit)
+            speed = min(law_speed(rows, neighbour_slots, merge_radius, gate.duration), speed_limit)
             c, s = math.cos(angles[team, i]), math.sin(angles[team, i])
             x, y, _ = scaled(load(headings[team, i]), speed)
             wanted = c * x + s * y, c * y - s * x, 0.0

@@ -32,6 +32,11 @@ if TYPE_CHECKING:
 ALIGNED = 0.5
 """rad; a robot that turns drives within this angle of where it is to go, and else turns on the
 spot."""
+ALIGNED_IN_SPACE = 1.0
+"""rad; pitch turns slowly, and who drives only where its axis is clear meets nothing meanwhile."""
+WITHIN = 1.0 - 1e-6
+"""Share of the speed limit that is used: after rounding to float32 no action is above the limit,
+and what is sent is what the budget has booked."""
 _TURNING = ("unicycle", "nonholonomic_3d")
 
 

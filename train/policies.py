@@ -20,8 +20,8 @@ from typing import Any
 import numpy as np
 from rendezvous_env.baselines import policy as registry
 from rendezvous_env.baselines.learned import learned_policy, shipped
-from rendezvous_env.baselines.learned.features import can_steer
 from rendezvous_env.baselines.policy import file_of
+from rendezvous_env.baselines.steering import can_steer
 
 from rendezvous_env import baselines
 from rendezvous_env.checks import nearest_word, shown

@@ -7,6 +7,7 @@ that reads them does not notice how the world is turned.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,7 +22,7 @@ from rendezvous_env.engine.state_checks import (
 from rendezvous_env.safety.safety_filter import over_teams
 from rendezvous_env.scenario.scenario import Scenario
 
-from ..policy import in_the_plane
+from ..steering import can_steer
 from .feature_kernels import (
     CONTEXT_COLUMNS,
     NEIGHBOUR_COLUMNS,
@@ -83,21 +84,16 @@ class FeatureLayout(NamedTuple):
         )
 
 
-def can_steer(scenario: Scenario) -> bool:
-    """Whether a learned policy can steer robots: single integrators or unicycles in the plane."""
-    return scenario.robot_model == "unicycle" or in_the_plane(scenario)
-
-
 def check_readable(scenario: Scenario) -> None:
     """Refuse robots that a learned policy cannot steer.
 
     Raises:
-        ValueError: unless they are single integrators or unicycles in the plane.
+        ValueError: unless they are single integrators, unicycles or nonholonomic robots of space.
     """
     if not can_steer(scenario):
         raise ValueError(
-            f"scenario {scenario.name!r} has {scenario.robot_model} robots in {scenario.dim}-D; "
-            "learned policies steer single_integrator and unicycle robots in 2-D"
+            f"scenario {scenario.name!r} has {scenario.robot_model} robots; learned policies steer "
+            "single_integrator, unicycle and nonholonomic_3d"
         )
 
 
@@ -105,7 +101,7 @@ class Features(Remembering):
     """Shows B teams of n robots to a network, once for each decision.
 
     Args:
-        scenario: whose robots see.
+        scenario: whose robots see; those of space see planes (``SteadyPlanes``).
         num_envs: B.
         decision_time: s between two decisions of a team, where nothing else is said.
         obstacle_slots: M, at least the scenario's; further rows are absent. None is the scenario's.
@@ -127,7 +123,7 @@ class Features(Remembering):
         num_threads: int | None = None,
     ) -> None:
         check_readable(scenario)
-        rows = scenario.observation_layout
+        rows = replace(scenario.observation_layout, dim=2, senses_gravity=False)
         slots = rows.obstacle_slots if obstacle_slots is None else obstacle_slots
         if slots < rows.obstacle_slots:
             raise ValueError(

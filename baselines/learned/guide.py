@@ -23,12 +23,10 @@ from rendezvous_env.scenario.scenario import Scenario
 
 from ..obstacle_rules.merged_silhouettes_2d import joined_heading_2d
 from ..steady_frames import SteadyFrames
+from ..steady_planes import SteadyPlanes
+from ..steering import WITHIN
 from .features import Features
 from .policy_settings import PolicySettings
-
-_WITHIN = 1.0 - 1e-6
-"""Share of the speed limit that is used: after rounding to float32 no action is above the limit,
-and what is sent is what the budget has booked."""
 
 
 class CommandedTank(EnergyTank):
@@ -142,7 +140,7 @@ def _wish(teams, observations, constants, headings, held):
             for k in range(K):  # each length in float32, as ``ObservationLayout.degree`` has it
                 degree += np.float64(np.sqrt(rows[k, 0] * rows[k, 0] + rows[k, 1] * rows[k, 1]))
             law_speed = scale_of_step(degree, robot.merge_radius, robot.gate.duration) * strength
-            share = _WITHIN * min(law_speed / constants.speed_limit, 1.0)
+            share = WITHIN * min(law_speed / constants.speed_limit, 1.0)
             store(scaled(load(headings[team, i]), share), held[team, i])
 
 
@@ -177,7 +175,8 @@ class GuidedTeams:
         show → (a network chooses) → choose, or head → act:  raw = joined rule(R(φ) f)
 
     The raw vector becomes a certified heading, or with tanks any heading that they pay for;
-    unicycles turn there as their gate or their tank allows, and remember in ``SteadyFrames``.
+    unicycles turn there as their gate or their tank allows, and remember in ``SteadyFrames``; in
+    space all that happens in a plane (``SteadyPlanes``).
     What is shown moves the memory on, so it is asked for once in each decision; ``act`` follows
     what is seen in every step.
 
@@ -221,16 +220,19 @@ class GuidedTeams:
             layout.obstacle_slots,
         )
         self._batch = num_envs, scenario.n_robots, num_threads
+        self._action_size = scenario.action_size
         common: dict[str, Any] = {
             "min_alignment": settings.min_alignment,
             "num_threads": num_threads,
         }
         self.steering: HeadingFilter | CommandedTank
         self.tank: CommandedTank | None = None
-        self.bodies: SteadyFrames | None = None
+        self.bodies: SteadyFrames | SteadyPlanes | None = None
         turning, certified = scenario.model.nonholonomic, settings.guarantee == "heading"
-        if turning:
-            most = settings.max_turn_rate if certified else math.inf
+        most = settings.max_turn_rate if certified else math.inf
+        if scenario.dim == 3:
+            self.bodies = SteadyPlanes(scenario, num_envs, 0.5 * settings.clearance, most)
+        elif turning:
             # within the clearance of a free direction a body is before nothing
             self.bodies = SteadyFrames(scenario, num_envs, settings.clearance, most)
         if certified:
@@ -238,7 +240,7 @@ class GuidedTeams:
             self.steering = HeadingFilter(scenario, num_envs, **common)
         else:
             common["budget"] = settings.budget * unit_of_tanks(scenario)
-            make_tank = CommandedTank if turning else HeadingTankFilter
+            make_tank = HeadingTankFilter if self.bodies is None else CommandedTank
             self.tank = self.steering = make_tank(scenario, num_envs, **common)
         self.angles = settings.angles
         self._turns = np.stack((np.cos(self.angles), np.sin(self.angles)), axis=-1)
@@ -270,7 +272,8 @@ class GuidedTeams:
         carried, velocities = self._moving
         levels = None if self.tank is None else self.tank.normalised_levels
         if self.bodies is not None:
-            observations = self.bodies.seen(check_observations(observations, self._seen))
+            teams = np.arange(self._batch[0]) if which is None else np.flatnonzero(which)
+            observations = self.bodies.seen(check_observations(observations, self._seen), teams)
         seen = observations, carried, which, velocities, levels, elapsed
         self.perception.see_into(shown, *seen)
         return shown
@@ -317,17 +320,17 @@ class GuidedTeams:
         self.perception.note(np.arctan2(turned[..., 1], turned[..., 0]))
 
     def act(self, observations: Float32, elapsed: float | None = None) -> Float32:
-        """Velocities of the robots, or (v, ω) of unicycles.
+        """Velocities of the robots, or (v, ω) of nonholonomic ones.
 
         Args:
-            observations: (B, n, rows, 2), in the local frames.
+            observations: (B, n, rows, d), in the local frames.
             elapsed: s since the actions before, in which headings turned; None is τ.
 
         Returns:
-            (B, n, 2), m/s, or m/s and rad/s.
+            (B, n, a), m/s, or m/s and rad/s.
         """
         observations = check_observations(observations, self._seen)
-        actions = np.zeros(self._directions.shape, np.float32)
+        actions = np.zeros((*self._seen[:2], self._action_size), np.float32)
         over_teams(lambda teams: self.act_of(teams, observations, actions, elapsed), *self._batch)
         return actions
 
@@ -338,7 +341,14 @@ class GuidedTeams:
         carried, intervals = self._moving[0], np.empty((self._obstacle_slots, 2))
         aim, bodies = (self._directions, self._rule), self.bodies
         if bodies is not None:
-            _aim(teams, bodies.seen(observations, teams), *aim, carried, carried, intervals)
+            _aim(
+                teams,
+                bodies.seen(observations, np.arange(*teams[:2])),
+                *aim,
+                carried,
+                carried,
+                intervals,
+            )
             bodies.follow(teams, observations, self.steering.held)
             self.steering.act_of(teams, observations, actions, elapsed)
             bodies.turn(teams, actions)

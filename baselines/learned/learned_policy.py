@@ -68,10 +68,10 @@ class GuidedPolicy(DecidingPolicy):
 
 class LearnedPolicy(GuidedPolicy):
     """A network's greedy choice, made safe: theorem C, or D, holds whatever the weights; of
-    unicycles theorem T, or that V + ΣA does not rise.
+    robots that turn theorem T, or that V + ΣA does not rise.
 
-    It chooses every ``decision_time``. Teams of any size and any number of obstacles; single
-    integrators or unicycles in the plane. The memory has the leading axes of the observations;
+    It chooses every ``decision_time``. Teams of any size and any number of obstacles, of any
+    robots but double integrators. The memory has the leading axes of the observations;
     other leading axes are other teams, and start anew.
 
     Args:

@@ -11,9 +11,9 @@ from typing import NamedTuple
 from rendezvous_env.rewards.terms import RewardWeights
 from rendezvous_env.scenario.scenario import Scenario
 
-from ..policy import Policy, register
+from ..policy import Policy, in_the_plane, register
+from ..steering import can_steer
 from .checkpoints import describe
-from .features import can_steer
 from .learned_policy import load
 from .policy_settings import PolicySettings
 
@@ -23,8 +23,9 @@ _FOLDERS = {
     "learned-tank-noise": "pretrained_tank_noise",
 }
 NAMES = tuple(_FOLDERS)
-_OF_UNICYCLES = {"learned-tank": "pretrained_tank_unicycle"}
-"""Weights trained on with unicycles; those of the others were trained with points alone."""
+_OF_OTHERS = {"learned-tank": "pretrained_tank_unicycle"}
+"""Weights trained on with unicycles and larger tanks, for all but points of the plane. Those of the
+others were trained with such points alone, and none in space."""
 
 
 def folder(name: str, scenario: Scenario | None = None) -> Path:
@@ -32,13 +33,12 @@ def folder(name: str, scenario: Scenario | None = None) -> Path:
 
     Args:
         name: one of NAMES.
-        scenario: whose robots it is to steer; None is single integrators.
+        scenario: whose robots it is to steer; None is single integrators in the plane.
 
     Raises:
         KeyError: for another name.
     """
-    turns = scenario is not None and scenario.robot_model == "unicycle"
-    own = _OF_UNICYCLES if turns else {}
+    own = {} if scenario is None or in_the_plane(scenario) else _OF_OTHERS
     return Path(__file__).with_name(own.get(name, _FOLDERS[name]))
 
 

@@ -24,7 +24,8 @@ from rendezvous_env.scenario.scenario import Scenario
 from rendezvous_env.scenario.start_options import as_options
 from rendezvous_env.simulator import Simulator
 
-from .features import FeatureLayout, can_steer
+from ..steering import can_steer
+from .features import FeatureLayout
 from .guide import GuidedTeams
 from .policy_settings import PolicySettings
 from .shipped import POLICIES, preset
@@ -60,7 +61,7 @@ class FeatureVectorEnv(GuaranteeWrapper):
     first touch of an obstacle costs the robot ``touch_penalty``, and no other robot of its team.
 
     Args:
-        env: teams of single integrators or unicycles in the plane, in any autoreset mode.
+        env: teams of any robots but double integrators, in any autoreset mode.
         settings: of the policy that is trained.
         touch_penalty: taken from ``robot_rewards``, once in an episode.
         obstacle_slots: of ``Features``.
@@ -230,7 +231,7 @@ class ShippedPreset:
         """The teams that see and do what the shipped policy does.
 
         Args:
-            env: teams of single integrators or unicycles in the plane.
+            env: teams of any robots but double integrators.
             guarantee: "heading" or "tank".
             discrete: as ``FeatureVectorEnv``.
             arguments: of the guarantee's wrapper: min_alignment, decision_period (steps), and

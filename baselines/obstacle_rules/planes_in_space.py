@@ -82,12 +82,12 @@ def kept_azimuth(towards, before, keeps, clearance, views):
         before = load(rays[0, 0])
     aside, _ = azimuth_axes(towards, before, X_AXIS, _Y_AXIS)
     if keeps:
-        _cut_by(towards, aside, rays, cut)
+        cut_by(towards, aside, rays, cut)
         low, high, _, _ = joined_interval_2d(X_AXIS, cut, intervals)
         if high - low < TWO_PI:
             return aside, True
     aside = _best_azimuth(towards, aside, clearance, views)
-    _cut_by(towards, aside, rays, cut)
+    cut_by(towards, aside, rays, cut)
     return aside, False
 
 
@@ -101,7 +101,7 @@ def _best_azimuth(towards, first, clearance, views):
     for k in range(_PLANES):
         angle = k * math.pi / _PLANES
         aside = combine(math.cos(angle), first, math.sin(angle), second)
-        _cut_by(towards, aside, rays, cut)
+        cut_by(towards, aside, rays, cut)
         low, high, _, _ = joined_interval_2d(X_AXIS, cut, intervals)
         if low >= clearance or high <= -clearance:
             return aside
@@ -127,7 +127,7 @@ def lies_outside(direction, rays):
 
 
 @kernel
-def _cut_by(towards, aside, rays, out):
+def cut_by(towards, aside, rays, out):
     """Where a plane cuts the cones, as silhouettes of the plane: (K, 2, 2), x along f, y aside.
 
     Between two boundary rays on either side of the plane the cone is taken to be flat.

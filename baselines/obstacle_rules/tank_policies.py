@@ -15,7 +15,7 @@ from rendezvous_env.safety.tank import EnergyTank
 from rendezvous_env.safety.turning import gate_of
 
 from ..policy import Policy, RememberingPolicy, register
-from ..steering import ALIGNED, Steering, can_steer
+from ..steering import ALIGNED, ALIGNED_IN_SPACE, Steering, can_steer
 from .obstacle_avoidance import Array, check_clearance
 from .wall_following import (
     HEADING,
@@ -36,8 +36,6 @@ if TYPE_CHECKING:
 _TOIL = 0.15
 """Share of ‖f‖ times its way that a robot that turns counts as lost: two that go round one thing on
 one side, ever opposite, would else never turn back."""
-_ALIGNED_IN_SPACE = 1.0
-"""rad; pitch turns slowly, and who drives only where its axis is clear meets nothing meanwhile."""
 
 
 @dataclass
@@ -86,7 +84,7 @@ class TankJoinedPolicy(RememberingPolicy):
             speed_limit=float(scenario.speed_limit),
             turns=steering.turns,
             gate=gate_of(scenario, 0.0, 0.0),
-            aligned=ALIGNED if scenario.dim == 2 else _ALIGNED_IN_SPACE,
+            aligned=ALIGNED if scenario.dim == 2 else ALIGNED_IN_SPACE,
         )
 
     def _start(self, teams: int) -> None:

@@ -98,9 +98,9 @@ def training_env(
     an early meeting would look like a loss. Infos have the same keys in every step.
 
     With ``learning_preset`` teams earn what the shipped policies were trained with: the reward of
-    ``baselines.learned.shipped``, and the first touch of an obstacle costs the robot 1. Single
-    integrators and unicycles in the plane under "heading" or "tank" also see and do what the
-    shipped policy does, and decide as often (every 0.6 s):
+    ``baselines.learned.shipped``, and the first touch of an obstacle costs the robot 1. All robots
+    but double integrators under "heading" or "tank" also see and do what the shipped policy does,
+    in space in a plane that holds f, and decide as often (every 0.6 s):
 
     | | |
     |---|---|
@@ -198,8 +198,8 @@ def _check_form(shown: bool, flatten: bool, discrete: bool) -> None:
         refuse(
             "discrete",
             discrete,
-            "False: the shipped policy's choices are for single integrators and unicycles in the "
-            "plane with learning_preset True and guarantee 'heading' or 'tank'",
+            "False: the shipped policy's choices are for robots but double integrators with "
+            "learning_preset True and guarantee 'heading' or 'tank'",
         )
 
 

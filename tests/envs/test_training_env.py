@@ -19,6 +19,7 @@ with warnings.catch_warnings():  # PettingZoo's suites load environments that it
     warnings.simplefilter("ignore", DeprecationWarning)
     from pettingzoo.test import parallel_api_test, parallel_seed_test
 
+HEAVY = rv.Scenario(robot_model="double_integrator")
 SCENARIO = rv.scenarios.get("clutter-8").replace(time_limit=6.0)
 FORMS = {
     "preset": {},
@@ -173,14 +174,28 @@ def test_a_first_touch_is_paid_for_once_in_every_autoreset_mode():
 
 
 def test_robots_without_a_shipped_policy_see_and_do_what_the_wrapper_says():
-    uav = rv.training_env("uav-6")
-    plain = rv.training_env("uav-6", learning_preset=False)
-    assert uav.observation_space("robot_0") == plain.observation_space("robot_0")
-    assert uav.teams.env.decision_period == round(0.6 / uav.scenario.tau)
+    links = rv.training_env("cloud-8", guarantee="links")
+    plain = rv.training_env("cloud-8", guarantee="links", learning_preset=False)
+    assert links.observation_space("robot_0") == plain.observation_space("robot_0")
+    assert links.teams.env.decision_period == round(0.6 / links.scenario.tau)
     assert plain.teams.env.decision_period == 1 and plain.teams.touch_penalty == 0.0
-    assert uav.teams.touch_penalty == 1.0 and uav.scenario.reward != plain.scenario.reward
-    tank = rv.training_env("cloud-8", guarantee="tank")
-    assert tank.teams.env.tank.get_state()["levels"].min() > 0
+    assert links.teams.touch_penalty == 1.0 and links.scenario.reward != plain.scenario.reward
+
+
+@pytest.mark.parametrize("name", ["cloud-8", "uav-clutter-16"])
+@pytest.mark.parametrize("guarantee", ["heading", "tank"])
+def test_robots_of_space_see_a_plane_and_choose_in_it(name, guarantee):
+    env = rv.training_env(name, guarantee=guarantee, max_cycles=30)
+    choices = rv.training_env(name, guarantee=guarantee, discrete=True)
+    assert choices.action_space("robot_0").n == (9 if guarantee == "heading" else 14)
+    shown, _ = env.reset(seed=0)
+    while env.agents:
+        shown, *_ = env.step({name: [-1.0, 0.5] for name in env.agents})
+        parts = env.teams.layout.split(np.stack(list(shown.values())))
+        ahead = (parts.neighbours[..., 2] * parts.neighbours[..., 0]).sum(axis=-1)
+        aside = (parts.neighbours[..., 2] * parts.neighbours[..., 1]).sum(axis=-1)
+        np.testing.assert_allclose(np.minimum(ahead, 2.0), parts.context[:, 1], atol=1e-5)
+        np.testing.assert_allclose(aside, 0.0, atol=1e-5)
 
 
 # ---- arguments ----------------------------------------------------------------------------------
@@ -219,7 +234,7 @@ def test_overrides_reach_the_wrapper_the_preset_and_the_scenario():
         ({"frame": "local"}, ValueError, "frame is 'local'.*learning_preset=False"),
         ({"learning_preset": 1}, ValueError, "learning_preset is 1"),
         ({"touch_penalty": "no"}, ValueError, "touch_penalty is 'no'"),
-        ({"scenario": "uav-6", "discrete": True}, ValueError, "unicycles in the plane"),
+        ({"scenario": HEAVY, "guarantee": None, "discrete": True}, ValueError, "discrete is True"),
     ],
 )
 def test_what_cannot_be_is_refused(arguments, error, message):

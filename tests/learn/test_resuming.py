@@ -47,9 +47,18 @@ class TestResume:
         assert f"at step {3 * UPDATE:,}" in said and f"step-{3 * UPDATE:012d}" in said
         assert_same_run(whole, folder)
 
-    def test_unicycles_go_on_as_if_nothing_had_been(self, tmp_path):
-        turning = {"set": ("robot_model=unicycle", "max_turn_rate=2.0"), "eval_every": 0}
-        tanks = turning | {"guarantee": "tank", "memory": "features", "total_steps": 4 * UPDATE}
+    @pytest.mark.parametrize(
+        "robots",
+        [
+            {"set": ("robot_model=unicycle", "max_turn_rate=2.0")},
+            {"scenario": "clutter-3d"},
+            {"scenario": "uav-clutter-16"},
+        ],
+        ids=["unicycle", "space", "nonholonomic"],
+    )
+    def test_other_robots_go_on_as_if_nothing_had_been(self, tmp_path, robots):
+        tanks = robots | {"guarantee": "tank", "memory": "features", "total_steps": 4 * UPDATE}
+        tanks |= {"eval_every": 0}
         assert ppo.run(config(tmp_path / "whole", **tanks)).status == 0
         assert stopped_after(config(tmp_path / "run", **tanks), 2) == 128 + signal.SIGTERM
         resumed(tmp_path / "run")

@@ -12,6 +12,7 @@ from training_runs import UPDATE, assert_same_run, config, flags, network, resum
 from baselines.learned import checkpoints, learned_policy
 from baselines.learned.policy_settings import CHOICES
 from rendezvous_env.scenario import scenarios
+from rendezvous_env.scenario.scenario import Scenario
 from train import checks, cli, results
 from train.checks import UserError
 from train.learn import checkpoint, ppo, rollout_buffer, trainer
@@ -212,8 +213,11 @@ class TestSettings:
         ("words", "message"),
         [
             (["--scenario", "clutter-5"], "did you mean 'clutter-"),
-            (["--scenario", "uav-6"], "train teaches single_integrator and unicycle robots in 2-D"),
-            (["--eval-scenarios", "uav-6"], "learned policies steer"),
+            (
+                ["--set", "robot_model=double_integrator"],
+                "train teaches single_integrator, unicycle",
+            ),
+            (["--scenario", "clutter-3d", "--critic", "global"], "the global state is written for"),
             (["--scenario", "fig4", "--curriculum", "3"], "fig4 draws no obstacles"),
             (["--curriculum", "-1"], "--curriculum is -1; it must be 0 or more"),
             (["--num-teams", "0"], "--num-teams is 0; it must be 1 or more"),
@@ -233,6 +237,12 @@ class TestSettings:
         assert cli.main(["train", *flags(tmp_path / "out"), *words]) == 2
         said = capsys.readouterr().err
         assert message in said and said.count("\n") == 1 and "Traceback" not in said
+
+    def test_evaluation_with_robots_that_are_not_taught(self, tmp_path, capsys):
+        Scenario(robot_model="double_integrator").to_toml(tmp_path / "heavy.toml")
+        words = ["--eval-scenarios", str(tmp_path / "heavy.toml")]
+        assert cli.main(["train", *flags(tmp_path / "out"), *words]) == 2
+        assert "learned policies steer" in capsys.readouterr().err
 
     def test_no_extra(self, tmp_path, capsys, monkeypatch):
         monkeypatch.setattr(checks.importlib.util, "find_spec", lambda name: None)

@@ -14,13 +14,12 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from rendezvous_env.baselines.learned.features import can_steer
 
 from rendezvous_env.scenario.scenario import Scenario
 
 from .playing import Player
 from .registry import Algorithm, Budget
-from .teams import guarded, teams_to_learn_in, unled
+from .teams import can_learn, guarded, teams_to_learn_in, unled
 
 PACKAGES = ("torch", "torchrl", "tensordict", "benchmarl")
 STEPS = {"on": 16, "off": 4}
@@ -119,10 +118,10 @@ def family(key: str, about: str, **settings: Any) -> dict[str, Algorithm]:
     return {
         f"{key}-none": Algorithm(
             f"{about} on the team's reward alone", "none", "none", "bearings",
-            partial(learn, safety="none", **how), can_steer, packages=PACKAGES,
+            partial(learn, safety="none", **how), can_learn, packages=PACKAGES,
         ),
         f"{key}-heading": Algorithm(
             f"{about} under certified headings; a first touch costs 1", "heading", "heading",
-            "bearings", partial(learn, safety="heading", **how), can_steer, packages=PACKAGES,
+            "bearings", partial(learn, safety="heading", **how), can_learn, packages=PACKAGES,
         ),
     }  # fmt: skip

@@ -8,14 +8,13 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from rendezvous_env.baselines.learned.features import can_steer
 
 from rendezvous_env.scenario.scenario import Scenario
 
 from ..learn.settings import TRAINING_SEEDS
 from .playing import Player
 from .registry import Algorithm, Budget
-from .teams import Paid, teams_to_learn_in
+from .teams import Paid, can_learn, teams_to_learn_in
 
 SETTINGS: dict[str, Any] = {
     "n_steps": 16, "batch_size": 1024, "n_epochs": 5, "learning_rate": 1e-3, "gamma": 0.99,
@@ -98,6 +97,6 @@ def _multiplier(paid: Paid, robots: Any, limit: float) -> Any:
 
 def algorithm(about: str, word: str, guarantee: Any, *, given: str = "bearings", **how: Any) -> Any:
     """An ``Algorithm`` that is this PPO; ``how`` goes to ``learn``."""
-    fits = how.pop("fits", can_steer)
+    fits = how.pop("fits", can_learn)
     learned = partial(learn, **how)
     return Algorithm(about, word, guarantee, given, learned, fits, packages=PACKAGES)

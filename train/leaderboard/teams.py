@@ -9,6 +9,7 @@ import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
 from numpy.typing import NDArray
 from rendezvous_env.baselines.learned.training_environment import FeatureVectorEnv, ShippedPreset
+from rendezvous_env.baselines.steering import can_steer
 
 import rendezvous_env as rv
 from rendezvous_env.envs.training import TrainingTeams
@@ -37,6 +38,11 @@ def _steps(step: RewardStep) -> NDArray[np.float64]:
 
 reward_term("leaderboard_risen", _risen)
 reward_term("leaderboard_steps", _steps)
+
+
+def can_learn(field: Scenario) -> bool:
+    """Whether the learners here are for a field: one of the plane."""
+    return field.dim == 2 and can_steer(field)
 
 
 def guarded(field: Scenario, safety: str) -> dict[str, Any]:

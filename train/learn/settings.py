@@ -7,9 +7,10 @@ from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args, get_type_hints
 
-from rendezvous_env.baselines.learned.features import can_steer, check_readable
+from rendezvous_env.baselines.learned.features import check_readable
 from rendezvous_env.baselines.learned.plain_data import check_types, read_json
 from rendezvous_env.baselines.learned.policy_settings import PolicySettings, memory_of
+from rendezvous_env.baselines.steering import can_steer
 from tyro.conf import arg
 
 from rendezvous_env.obstacles.fields import ObstacleField
@@ -66,8 +67,8 @@ class Config:
     """Train a policy; the team keeps its guarantee whatever the network says."""
 
     scenario: Annotated[str, arg(aliases=("--scenarios",))] = "clutter-24"
-    """The name of a scenario, or the path of a TOML file; its robots are single integrators or
-    unicycles in 2-D."""
+    """The name of a scenario, or the path of a TOML file; its robots are anything but double
+    integrators."""
     curriculum: tuple[int, ...] = ()
     """The most obstacles of an episode, in stages of equal length. Without it they are the
     scenario's."""
@@ -341,9 +342,14 @@ def _check_scenarios(config: Config) -> None:
     base = config.base_scenario()
     if not can_steer(base):
         raise UserError(
-            f"--scenario {config.scenario}: has {base.robot_model} robots in {base.dim}-D; "
-            "train teaches single_integrator and unicycle robots in 2-D. For a learner of your own "
+            f"--scenario {config.scenario}: has {base.robot_model} robots; train teaches "
+            "single_integrator, unicycle and nonholonomic_3d. For a learner of your own "
             "rendezvous_env.training_env(scenario) makes these, with the same guarantees"
+        )
+    if config.critic == "global" and base.dim == 3:
+        raise UserError(
+            f"--critic is global; --scenario {config.scenario} is in space, and the global state "
+            "is written for the plane alone"
         )
     if (samples := config.samples_per_update) > _MOST_SAMPLES:
         raise UserError(

@@ -56,6 +56,10 @@ def check_types(values, hints):
 def check_field_types(made):
     """As ``check_types``."""
 ''',
+    Name("baselines.steady_planes", "SteadyPlanes"): '''
+class SteadyPlanes:
+    """A file is for robots of the plane."""
+''',
 }
 _WITHOUT_BODIES = {
     Name(f"rendezvous_env.safety.{module}", word): f'''

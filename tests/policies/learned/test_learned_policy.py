@@ -10,7 +10,7 @@ import baselines
 from baselines.learned import checkpoints, learned_policy
 from baselines.learned.learned_policy import LearnedPolicy
 from baselines.learned.policy_settings import ALL_ROUND, PolicySettings
-from rendezvous_env import Simulator, rollout
+from rendezvous_env import Scenario, Simulator, rollout
 from rendezvous_env.scenario import scenarios
 from train import policies
 from train.checks import UserError
@@ -22,6 +22,7 @@ SETTINGS = PolicySettings(
     decision_time=0.05,
 )  # fmt: skip
 TANK = {"guarantee": "tank", "budget": 2.0, "memory": "features"}
+HEAVY = Scenario(robot_model="double_integrator")
 CLUTTER = scenarios.get("clutter-12").replace(time_limit=10.0)
 
 
@@ -252,7 +253,7 @@ class TestNames:
         name = f"learned:{tmp_path}"
         policies.check_names([name, "bearing-only"])
         assert policies.fitting(CLUTTER, [name]) == [name]
-        assert policies.fitting(scenarios.get("uav-6"), [name, "random"]) == ["random"]
+        assert policies.fitting(HEAVY, [name, "random"]) == ["random"]
         made = policies.make(name, CLUTTER)
         assert policies.promised_margin(name, made) == 0.1
 

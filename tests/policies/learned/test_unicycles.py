@@ -49,7 +49,7 @@ def test_what_is_seen_does_not_turn_with_the_body():
     seen, random = simulator.reset(5), np.random.default_rng(0)
     start, teams = simulator.frames.copy(), (0, 3, 0)
     for _ in range(190):
-        steady = frames.seen(seen)
+        steady = frames.seen(seen, np.arange(3))
         globally = np.einsum("bnij,bnkj->bnki", simulator.frames, seen)
         from_start = np.einsum("bnji,bnkj->bnki", start, globally)
         np.testing.assert_allclose(steady, from_start, atol=2e-6)
@@ -197,7 +197,9 @@ def test_a_robot_that_ticks_sooner_turns_its_memory_by_what_it_turned():
         angle = 2.0 - turned
         action = robot.act([[np.cos(angle), np.sin(angle)]], dt=CLUTTER.tau / 4)
         guided = robot.policy._guided
-        ahead = guided.bodies.seen(robot._team)[0, 0, 0]  # after the step that was commanded
+        ahead = guided.bodies.seen(robot._team, np.arange(1))[
+            0, 0, 0
+        ]  # after the step that was commanded
         turned += float(action[1]) * CLUTTER.tau / 4
         whole = float(action[1]) * CLUTTER.tau
         assert np.arctan2(ahead[1], ahead[0]) == pytest.approx(2.0 + whole, abs=1e-6)
