@@ -344,7 +344,7 @@ def _check_scenarios(config: Config) -> None:
         raise UserError(
             f"--scenario {config.scenario}: has {base.robot_model} robots; train teaches "
             "single_integrator, unicycle and nonholonomic_3d. For a learner of your own "
-            "rendezvous_env.training_env(scenario) makes these, with the same guarantees"
+            "rendezvous_env.training_env(scenario, guarantee=None) makes these"
         )
     if config.critic == "global" and base.dim == 3:
         raise UserError(
