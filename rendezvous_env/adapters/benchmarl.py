@@ -24,7 +24,7 @@ class RendezvousTask(TaskClass):
 
         Experiment(RendezvousTask("clutter-8", {"guarantee": "tank"}), MappoConfig..., ...)
 
-    Continuous actions (MAPPO, IPPO, MASAC) and, in the plane, discrete ones (QMIX, VDN): choices of
+    Continuous actions (MAPPO, IPPO, MASAC) and discrete ones (QMIX, VDN): choices of
     a direction, see ``vector.training_env``. With "return_state" centralised critics are given the
     global state instead of all observations.
 

@@ -109,7 +109,9 @@ def test_an_evaluation_tells_who_met_and_when(tmp_path):
 
 def test_a_task_asks_the_scenario_what_it_can_do():
     assert RendezvousTask("clutter-8").supports_discrete_actions()
-    flying = RendezvousTask("anything", {"scenario": rv.scenarios.get("uav-6")})
+    assert RendezvousTask("uav-6").supports_discrete_actions()
+    bare = {"scenario": rv.scenarios.get("uav-6"), "learning_preset": False}
+    flying = RendezvousTask("anything", bare)
     assert not flying.supports_discrete_actions() and flying.supports_continuous_actions()
     env = flying.get_env_fun(3, True, 0, "cpu")()
     check_env_specs(env)
