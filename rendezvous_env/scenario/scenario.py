@@ -131,7 +131,8 @@ class Scenario:
     None is a point, which hides others as a disc of r/2 where ``sensing`` lets robots hide."""
     meeting: str = "merge"
     """merge, or pack: bodies stop where they would touch, and have met when they lie in one cluster
-    in which each is within r of two others. In the plane, without obstacles."""
+    in which each is within r of two others; whom they touch they do not see, unless they touch all.
+    In the plane, without obstacles."""
     time_step: float | None = None
     """τ in s; None is the certified step r/(2D̄), with which V cannot rise between merges."""
     allow_long_step: bool = False

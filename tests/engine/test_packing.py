@@ -99,6 +99,22 @@ class TestEpisodes:
         for k, single in enumerate(singles):
             np.testing.assert_array_equal(simulator.positions[k], single.positions[0])
 
+    @pytest.mark.parametrize("batch", [1, 6])  # a team alone, and lanes side by side
+    def test_whoever_touches_somebody_looks_at_the_others(self, batch):
+        """Robot 0 touches 1, which touches 0 and 2; robot 3 is alone: who sees whom, by row."""
+        places = ((0.0, 0.0), (0.155, 0.0), (0.31, 0.0), (0.0, 1.0))
+        scenario = FOUR.replace(start_positions=places, local_frames="global")
+        seen = rv.Simulator(scenario, num_envs=batch).reset(0)
+        expected = [[0, 1, 1], [0, 0, 1], [1, 0, 1], [1, 1, 1]]
+        np.testing.assert_array_equal(seen.any(axis=-1), [expected] * batch)
+        np.testing.assert_allclose(seen[0, 0, 1:], np.array([(1, 0), (0, 1)]) / 15, rtol=1e-6)
+
+    def test_whoever_touches_all_looks_at_all(self):
+        three = FOUR.replace(n_robots=3, graph="complete", local_frames="global")
+        row = three.replace(start_positions=((0.0, 0.0), (0.155, 0.0), (0.31, 0.0)))
+        seen = rv.Simulator(row).reset(0)[0].any(axis=-1)
+        np.testing.assert_array_equal(seen, [[False, True], [True, True], [True, False]])
+
     def test_a_running_episode_is_taken_out_and_put_back(self):
         simulator, law = rv.Simulator(FOUR), baselines.make("bearing-only", FOUR)
         seen = simulator.reset(1)

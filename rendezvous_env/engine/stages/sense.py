@@ -1,5 +1,6 @@
 """The stage that looks: what the robots of a block see, V, and who is closest."""
 
+import math
 from typing import Any
 
 import numpy as np
@@ -25,6 +26,8 @@ def sense_block(block, setup, sensor, moves, state, output, scratch):
     found.square_closest[:] = np.inf
     update_links(block.index, setup, moves, state, state.changes)
     _sense_neighbours(block.index, setup, state.teams, state.links, output.crowded, scratch)
+    if setup.constants.packs:
+        _leave_out_docked(block, setup, state.teams.positions[block.index], scratch.block.rows)
     square_closest = statistics_of(state.teams, block.index).square_closest
     for lane in range(lane_count(setup.layout.width)):
         square_closest[lane] = found.square_closest[lane]
@@ -167,6 +170,30 @@ _SENSE: dict[type, Any] = {
     EdgeList: _sense_list,
     DirectedEdges: _sense_arcs,
 }
+
+
+@inner_kernel
+def _leave_out_docked(block, setup, positions, rows):
+    """Zero the rows of those whom a body touches, as a link is gone with a merge; who touches all
+    others keeps their rows, or it would have nothing to go by.
+    """
+    n, constants = positions.shape[0], setup.constants
+    # halfway into r: bodies held at the edge of r would count as met now and then, not all at once
+    docked = constants.body_radius + 0.5 * constants.merge_radius
+    for lane in range(block.count):
+        for i in range(n):
+            touched = 0
+            for j in range(n):
+                touched += j != i and _apart(positions, i, j, lane) <= docked
+            for j in range(n):
+                if touched < n - 1 and j != i and _apart(positions, i, j, lane) <= docked:
+                    rows[i, j - (j > i), 2 * lane : 2 * lane + 2] = 0.0
+
+
+@inner_kernel
+def _apart(positions, i, j, lane):
+    x = positions[j, 0, lane] - positions[i, 0, lane]
+    return math.hypot(x, positions[j, 1, lane] - positions[i, 1, lane])
 
 
 # ---- oneself ------------------------------------------------------------------------------------
