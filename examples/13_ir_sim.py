@@ -19,7 +19,7 @@ with contextlib.redirect_stdout(io.StringIO()):  # it looks for screens
 
 import rendezvous_env as rv
 from baselines import RobotPolicy
-from rendezvous_env.robots.differential_drive import DifferentialDrive, Machine
+from rendezvous_env.robots.differential_drive import DifferentialDrive, Machine, keep_apart
 from train.pixels.last_seen import make, unit
 
 RADIUS, LEAD, BEAMS, SIGHT = 0.2, 0.1, 720, 12.0  # m: body, lidar ahead of the axle; of the lidar
@@ -84,9 +84,11 @@ def middle_of_robot(points):
 
 
 def look(scan):
-    """Bearings of robots (k,), and edges (m, 2) of obstacles with room for the body, rad."""
+    """Bearings of robots (k,), edges (m, 2) of obstacles with room for the body, beams (l,) to what
+    is too near to go on at full speed, all in rad; how fast the lidar may go along those, m/s.
+    """
     ranges, angles = scan["ranges"], np.linspace(-math.pi, math.pi, BEAMS)
-    bearings, edges = [], []
+    bearings, edges, fronts = [], [], [np.zeros(0, int)]
     for part in clusters(np.asarray(ranges)):
         hits = ranges[part]
         middle = middle_of_robot(hits[:, np.newaxis] * unit(angles[part]))
@@ -97,7 +99,11 @@ def look(scan):
             left, right = (around + room).max(), (around - room).min()
             half, ahead = min((left - right) / 2, 0.49 * math.pi), (left + right) / 2
             edges.append((ahead + half, ahead - half))
-    return np.array(bearings), np.array(edges).reshape(-1, 2)
+            fronts.append(part)
+    rooms = (ranges - ROOM) / SCENARIO.time_step
+    front = np.concatenate(fronts)
+    front = front[rooms[front] < SCENARIO.max_speed]
+    return np.array(bearings), np.array(edges).reshape(-1, 2), angles[front], rooms[front]
 
 
 def close(robots):
@@ -137,10 +143,12 @@ def play(policy, seed, folder):
         actions = []
         for robot in robots:
             yaw = float(robot.state[2, 0])
-            bearings, edges = look(robot.get_lidar_scan())
+            bearings, edges, front, rooms = look(robot.get_lidar_scan())
             bearings = bearings[: SCENARIO.n_robots - 1]
             velocity = minds[robot.id].act(unit(bearings + yaw), unit(edges + yaw))
-            actions.append(np.c_[drives[robot.id].command(velocity.tolist(), yaw, 0.1)])
+            # where no direction is free laws push on: in our world along the surface
+            velocity = keep_apart(velocity.tolist(), unit(front + yaw), rooms)
+            actions.append(np.c_[drives[robot.id].command(velocity, yaw, SCENARIO.time_step)])
         env.step(actions)
         touched |= any(robot.collision for robot in robots)
     met, seconds = len(robots) == 1, env.time
