@@ -35,9 +35,14 @@ def _rule(name: str, word: str, guarantee: Literal["none", "heading", "tank"]) -
         guarantee=guarantee,
         given="bearings",
         learn=partial(_made, name),
-        fits=lambda field: name in policies.names(field),
+        fits=lambda field: name in policies.names(field) and _keeps(guarantee, field),
         learns=False,
     )
+
+
+def _keeps(guarantee: str, field: Scenario) -> bool:
+    """Whether a rule keeps V from rising: those that steer unicycles go by no gate."""
+    return guarantee != "heading" or not field.model.nonholonomic
 
 
 ALGORITHMS = {
