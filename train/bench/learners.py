@@ -94,6 +94,8 @@ def heading_ppo(size: Size) -> list[Case]:
     """What ``rendezvous train`` does, beside the same on robots that cost nothing, and that beside
     stable-baselines3's own PPO and network with the same settings.
     """
+    from stable_baselines3.common.logger import Logger
+
     from ..learn.settings import Config
 
     n = 4
@@ -121,6 +123,7 @@ def heading_ppo(size: Size) -> list[Case]:
         )
 
     def learning(model: Any) -> Running:
+        model.set_logger(Logger(None, []))
         options = {"log_interval": None, "reset_num_timesteps": False}
         return Running(partial(model.learn, samples, **options))
 
