@@ -9,6 +9,8 @@ import sys
 import time
 from pathlib import Path
 
+from numba.core.event import install_recorder
+
 ROOT = Path(__file__).parents[3]
 
 
@@ -26,10 +28,14 @@ def main(written):
     tick = names["RendezvousNode"].tick
 
     def timed(self):
-        """A tick, and what it took: s by the clock on the wall, and s of this process's work."""
-        began, worked = time.perf_counter(), time.process_time()
-        tick(self)
-        ticks.append((time.perf_counter() - began, time.process_time() - worked))
+        """A tick, and what it took: s by the clock on the wall, s of this process's work, and
+        how often a kernel was compiled or read.
+        """
+        with install_recorder("numba:compiler_lock") as compiled:
+            began, worked = time.perf_counter(), time.process_time()
+            tick(self)
+            ended, work = time.perf_counter() - began, time.process_time() - worked
+        ticks.append((ended, work, len(compiled.buffer)))
 
     names["RendezvousNode"].tick = timed
     names["main"]()

@@ -15,18 +15,22 @@ from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from world import READY
+
 HERE = Path(__file__).parent
 ROOT = HERE.parents[2]
-SECONDS = 90.0  # for a run; what takes longer hangs
+SECONDS = 90.0  # for a run, from when all robots are there
+LIMIT = 2 * READY + SECONDS  # of a world's process, which may compile for as long as robots do
 
 
 def run(seed, folder, *parameters):
-    """One run: how it ended, and the ticks of all robots, (wall, work) in s.
+    """One run: how it ended, and the ticks of all robots, (wall, work) in s and kernels compiled.
 
     Parameters are those of the node that are true.
 
     Raises:
-        subprocess.TimeoutExpired: for a process that hangs.
+        subprocess.TimeoutExpired: for a process that hangs; it says where.
+        subprocess.CalledProcessError: for one that ends otherwise than it should.
     """
     apart = {
         "ROS_DOMAIN_ID": str(1 + os.getpid() % 100),
@@ -37,35 +41,37 @@ def run(seed, folder, *parameters):
     }
     environment = os.environ | apart
     files = [folder / f"robot{i}.json" for i in range(4)]
-    node = [sys.executable, HERE / "one_robot.py"]
+    python = [sys.executable, "-X", "faulthandler"]
     given = [word for name in parameters for word in ("-p", f"{name}:=true")]
-    robots = [
-        subprocess.Popen(
-            [*node, files[i], "--ros-args", "-r", f"__ns:=/robot{i}", *given],
-            env=environment,
-            # where a shell runs this in the background, nobody hears a Ctrl-C
-            preexec_fn=partial(signal.signal, signal.SIGINT, signal.SIG_DFL),
-        )
-        for i in range(4)
-    ]
+    started = []
+
+    def start(*command, **options):
+        started.append(subprocess.Popen([*map(str, command)], env=environment, **options))
+        return started[-1]
+
     try:
-        done = subprocess.run(
-            [sys.executable, HERE / "world.py", str(seed), str(SECONDS)],
-            env=environment,
-            capture_output=True,
-            text=True,
-            timeout=SECONDS + 60.0,
-            check=True,
-        )
+        robots = [
+            start(
+                *(*python, HERE / "one_robot.py", files[i]),
+                *("--ros-args", "-r", f"__ns:=/robot{i}", *given),
+                # where a shell runs this in the background, nobody hears a Ctrl-C
+                preexec_fn=partial(signal.signal, signal.SIGINT, signal.SIG_DFL),
+            )
+            for i in range(4)
+        ]
+        world = start(*python, HERE / "world.py", seed, SECONDS, stdout=subprocess.PIPE, text=True)
+        said, _ = world.communicate(timeout=LIMIT)
         for robot in robots:
             robot.send_signal(signal.SIGINT)
-        assert [robot.wait(timeout=30.0) for robot in robots] == [0] * 4
+        for process in started:
+            if code := process.wait(timeout=30.0):
+                raise subprocess.CalledProcessError(code, process.args)
     finally:
-        for robot in robots:
-            robot.kill()
-            robot.wait()
+        for process in started:
+            process.send_signal(signal.SIGABRT)  # who hangs says where; who has ended, nothing
+            process.wait()
     ticks = [tick for file in files for tick in json.loads(file.read_text(encoding="utf-8"))]
-    return json.loads(done.stdout.splitlines()[-1]), ticks
+    return json.loads(said.splitlines()[-1]), ticks
 
 
 def percentile(values, share):
@@ -79,8 +85,9 @@ def main(runs, *parameters):
         with TemporaryDirectory() as folder:
             try:
                 ended, took = run(seed, Path(folder), *parameters)
-            except subprocess.TimeoutExpired:
-                hangs += 1
+            except subprocess.SubprocessError as error:
+                hangs += isinstance(error, subprocess.TimeoutExpired)
+                print(seed, error, flush=True)
                 continue
         found.append(ended)
         ticks += took

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import ctypes
+import signal
 from importlib import util
 from itertools import pairwise
 
@@ -22,12 +24,16 @@ TICK = 5e-3
 
 
 @pytest.fixture
-def node(monkeypatch, request):
+def alone(monkeypatch):
+    monkeypatch.setenv("ROS_DOMAIN_ID", "101")
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "OFF")
+
+
+@pytest.fixture
+def node(alone, request):
     """A node that hears what it is told, and what it publishes; its parameters may be given."""
     import rclpy
 
-    monkeypatch.setenv("ROS_DOMAIN_ID", "101")
-    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "OFF")
     with rclpy.init(args=getattr(request, "param", [])):
         made, sent = node_of()["RendezvousNode"](), []
         made.commands.publish = sent.append
@@ -35,16 +41,24 @@ def node(monkeypatch, request):
         made.destroy_node()
 
 
-def test_who_sees_nothing_rests(node):
-    from rclpy.duration import Duration
+def look(made, bearings, edges=()):
+    """Tell a node, whose body points along x, all that it waits for."""
+    from sensor_msgs.msg import Imu
     from std_msgs.msg import Float64MultiArray
 
+    made.on_imu(Imu())
+    made.on_bearings(Float64MultiArray(data=bearings))
+    made.on_edges(Float64MultiArray(data=edges))
+
+
+@pytest.mark.parametrize("topic", ["imu", "bearings", "edges"])
+def test_who_has_not_heard_a_topic_rests(node, topic):
     made, sent = node
     made.tick()
-    made.on_bearings(Float64MultiArray(data=[0.5]))
+    look(made, [0.5])
     made.tick()
-    assert made.robot.time == 0.0
-    made.seen_at = made.get_clock().now() - Duration(seconds=1.0)
+    assert made.robot.time == 0.0  # its first tick; what was compiled with is forgotten
+    made.heard_at[topic] -= 1.0
     made.tick()
     speeds = [(one.linear.x**2 + one.linear.y**2) ** 0.5 for one in sent]
     assert speeds == [0.0, pytest.approx(0.5, abs=1e-3), 0.0]
@@ -56,21 +70,18 @@ ON_WHEELS = ["--ros-args", "-p", "differential_drive:=true"]
 
 @pytest.mark.parametrize("node", [ON_WHEELS], indirect=True)
 def test_wheels_turn_towards_what_is_seen_and_stop_when_nothing_is(node):
-    from rclpy.duration import Duration
-    from std_msgs.msg import Float64MultiArray
-
     made, sent = node
     machine, wheels = made.drive.machine, []
     most = machine.wheel_acceleration * machine.timeout  # by which wheels change in a tick
     made.tick()
     for late in (0.0, 1.0):  # the first tick, and one after which wheels turn as they should
-        made.on_bearings(Float64MultiArray(data=[0.5]))
+        look(made, [0.5])
         if late:
-            made.ticked_at = made.get_clock().now() - Duration(seconds=late)
+            made.ticked_at -= late
         made.tick()
         wheels.append(made.drive.wheels)
     assert max(wheels[0]) == pytest.approx(most) and max(wheels[1]) > 2 * most
-    made.seen_at = made.get_clock().now() - Duration(seconds=1.0)
+    made.heard_at["edges"] -= 1.0
     for _ in range(20):
         made.tick()
         wheels.append(made.drive.wheels)
@@ -85,14 +96,40 @@ def test_wheels_turn_towards_what_is_seen_and_stop_when_nothing_is(node):
         assert (one.linear.x, one.linear.y, one.angular.z) == (0.0, 0.0, 0.0)
 
 
+@pytest.fixture
+def handlers():
+    """Of signals, as they were before."""
+    kept = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    yield
+    for number, handler in kept.items():
+        signal.signal(number, handler)
+
+
+def test_a_ctrl_c_that_raises_nothing_ends_the_node(alone, handlers):
+    names, ticks = node_of(), []
+
+    @ctypes.CFUNCTYPE(None)  # as kernels call back: what is raised within is printed and lost
+    def interrupted():
+        signal.raise_signal(signal.SIGINT)
+
+    def tick(self):
+        assert not ticks, "the node goes on"
+        ticks.append(interrupted())
+
+    names["RendezvousNode"].tick = tick
+    names["main"]()
+    assert len(ticks) == 1
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("parameters", [(), ("differential_drive",)])
 def test_four_nodes_meet_among_obstacles(tmp_path, parameters):
     ticks = []
-    for seed in (0, 1):
+    for seed in (0, 3):
         (folder := tmp_path / str(seed)).mkdir()
         ended, took = run(seed, folder, *parameters)  # a process that hangs is an error
-        assert ended["begun"] and ended["met"] and ended["contacts"] == 0
+        assert not ended["missing"] and ended["met"] and ended["contacts"] == 0
         ticks += took
     assert len(ticks) > 300
-    assert percentile([work for _, work in ticks], 0.99) < TICK
+    assert not any(kernels for *_, kernels in ticks)  # all are there before the node is
+    assert percentile([work for _, work, _ in ticks], 0.99) < TICK

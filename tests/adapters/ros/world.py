@@ -2,7 +2,8 @@
 
     python world.py SEED SECONDS
 
-It runs by the clock on the wall, and prints how the run ended as JSON. Which way a robot's body
+It runs by the clock on the wall, and prints how the run ended as JSON; if not all topics have two
+ends by READY, it says which. Which way a robot's body
 points is its own affair: it turns on the spot at random, and the node has to undo that. Bearings
 are those from LEAD ahead of the axle, about which a base on wheels turns.
 """
@@ -15,6 +16,8 @@ import time
 import numpy as np
 import rclpy
 from geometry_msgs.msg import Twist
+from rclpy.clock import Clock, ClockType
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Imu
@@ -25,7 +28,8 @@ from rendezvous_env.engine.memory import RENDEZVOUS
 from rendezvous_env.obstacles.fields import ObstacleField
 
 STEP = 0.01  # s
-LATE = 0.2  # s: without a command for so long a base stands still
+LATE = 0.05  # s: without a command for so long a base stands still
+READY = 300.0  # s that robots may take to be there, since they may have to compile
 LEAD = 0.1  # m
 SCENARIO = rv.Scenario(
     name="hall",
@@ -43,9 +47,12 @@ SCENARIO = rv.Scenario(
 class World(Node):
     """Simulator in, angles out."""
 
-    def __init__(self, seed):
+    def __init__(self, seed, seconds):
         super().__init__("world")
+        self.seconds = seconds
         self.simulator = rv.Simulator(SCENARIO)
+        self.simulator.reset(seed)
+        self.simulator.step(np.zeros((1, 4, 2), np.float32))  # compiles, if it must
         self.rows = self.simulator.reset(seed)
         self.random = np.random.default_rng(seed)
         self.yaws = self.random.uniform(-3.0, 3.0, 4)
@@ -63,20 +70,26 @@ class World(Node):
             self.create_subscription(
                 Twist, f"/robot{i}/cmd_vel", lambda said, i=i: self.on_command(i, said), newest
             )
-        self.began = None
-        self.create_timer(STEP, self.go_on)
+        self.began, self.until = None, time.monotonic() + READY
+        self.create_timer(STEP, self.go_on, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def on_command(self, robot, said):
         self.commands[robot] = said.linear.x, said.linear.y, said.angular.z
         self.heard_at[robot] = time.monotonic()
+
+    def missing(self):
+        """Topics of which one end has not been found yet."""
+        told = [one for sent in self.sent for one in sent.values()]
+        unheard = [one.topic_name for one in told if not one.get_subscription_count()]
+        return unheard + [f"/robot{i}/cmd_vel" for i in np.flatnonzero(np.isinf(self.heard_at))]
 
     def go_on(self):
         """Steps as time has passed; it begins once all robots are there."""
         now = time.monotonic()
         if self.began is None:
             self.tell()
-            if np.isfinite(self.heard_at).all():
-                self.began = now
+            if not self.missing():
+                self.began, self.until = now, now + self.seconds
             return
         while self.simulator.time[0] < now - self.began and not self.simulator.ended[0]:
             self.step(now)
@@ -108,20 +121,19 @@ def _angles(vectors, yaw):
 
 
 def main(seed, seconds):
-    rclpy.init(args=[])
-    world, until = World(seed), time.monotonic() + seconds
-    while time.monotonic() < until and not world.simulator.ended[0]:
-        rclpy.spin_once(world, timeout_sec=0.1)
-    simulator = world.simulator
-    found = {
-        "begun": world.began is not None,
-        "met": bool(simulator.status[0] == RENDEZVOUS),
-        "contacts": int(simulator.contacts[0]),
-        "time": float(simulator.time[0]),
-    }
-    world.destroy_node()
-    rclpy.shutdown()
-    print(json.dumps(found), flush=True)
+    with rclpy.init(args=[]):
+        world, executor = World(seed, seconds), SingleThreadedExecutor()
+        executor.add_node(world)
+        simulator = world.simulator
+        while time.monotonic() < world.until and not simulator.ended[0]:
+            executor.spin_once(timeout_sec=0.1)
+        found = {
+            "missing": world.missing(),
+            "met": bool(simulator.status[0] == RENDEZVOUS),
+            "contacts": int(simulator.contacts[0]),
+            "time": round(float(simulator.time[0]), 2),
+        }
+        print(json.dumps(found), flush=True)
 
 
 if __name__ == "__main__":
