@@ -8,24 +8,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rendezvous_env.checks import floats, positive, refuse, shown
-from rendezvous_env.scenario.observation_layout import ObservationLayout
+from rendezvous_env.checks import positive, shown
 from rendezvous_env.scenario.scenario import Scenario
 from rendezvous_env.scenario.scenarios import ScenarioLike, resolve
 
 from . import policy as registry
 from .policy import Policy, RealTimePolicy
+from .robot_sight import RobotSight
+from .steering import can_steer
 
 _KINDS = ("law", "rule", "learned")
 """Kinds whose policies ask neither which robot is which nor how often they were called."""
-_MODELS = ("single_integrator", "unicycle")
-_ROUNDING = 1e-3
-"""So far from 1 may the length of a unit vector be: directions come rounded, too."""
-_AWAY = 1.0
-"""By how much both edges of an obstacle together turn between ticks, rad, before it is taken for
-another one."""
-_OPPOSITE = 1e-6
-"""Edges are opposite below this sine of the angle between them."""
 
 
 class OneRobot:
@@ -57,30 +50,34 @@ class OneRobot:
         dt: float | None = None,
         *,
         weights: ArrayLike | None = None,
+        gravity: ArrayLike | None = None,
     ) -> NDArray[np.float32]:
         """What to do until the next tick.
 
         Args:
-            bearings: unit vectors to the neighbours that are seen now, (k, 2), in any order, in the
+            bearings: unit vectors to the neighbours that are seen now, (k, d), in any order, in the
                 robot's own frame: one that does not turn, for a single integrator; the body's, for
-                a unicycle.
+                robots that turn.
             obstacles: both edges of each obstacle that is near, (m, 2, 2), unit vectors in the same
-                frame, obstacles and edges in any order. Each silhouette is narrower than π.
+                frame, obstacles and edges in any order; in space eight boundary rays of its cone,
+                (m, 8, 3), every 45° about its middle, one after another, either way round. Each
+                silhouette is narrower than π.
             dt: s since the tick before; None is the scenario's time step. Of no account in the
                 first tick.
             weights: gains a_ij of the neighbours, (k,), m/s; None is what all links of the
                 scenario weigh, or 1 where they differ.
+            gravity: its unit direction in the same frame, (3,), of a nonholonomic robot of space.
 
         Returns:
-            The velocity, (2,), m/s, in the same frame; of a unicycle (v, ω), m/s and rad/s. Zeros
-            if no neighbour is seen.
+            The velocity, (d,), m/s, in the same frame; of a unicycle (v, ω), of a nonholonomic
+            robot of space (v, ω_α, ω_β), m/s and rad/s. Zeros if no neighbour is seen.
 
         Raises:
             ValueError: naming the argument, its value and what would be right; nothing has changed
                 then.
         """
         elapsed = self.scenario.tau if dt is None else positive("dt", dt, "s")
-        self._team[0, 0] = self._sight.rows(bearings, obstacles, weights)
+        self._team[0, 0] = self._sight.rows(bearings, obstacles, weights, gravity)
         self._time = self._time + elapsed if self._time >= 0.0 else 0.0
         if isinstance(self.policy, RealTimePolicy):
             return self.policy.after(elapsed, self._team, self._time)[0, 0]
@@ -102,8 +99,8 @@ class RobotPolicy(OneRobot):
     stops the robot, comes by then (docs/robot.md).
 
     Args:
-        scenario: whose robot this is; a Scenario, the name of one or a TOML file. Single
-            integrators or unicycles in the plane.
+        scenario: whose robot this is; a Scenario, the name of one or a TOML file. Any robots but
+            double integrators.
         policy: a name of ``baselines.names(scenario)`` of the kinds law, rule or learned; the path
             of a run, of a checkpoint or of an exported network; or a policy.
         options: of a policy that is named.
@@ -116,7 +113,7 @@ class RobotPolicy(OneRobot):
         self, scenario: ScenarioLike, policy: str | Path | Policy = "learned", **options: Any
     ) -> None:
         scenario = resolve(scenario)
-        check_planar(scenario)
+        check_steerable(scenario)
         super().__init__(scenario, _made(policy, scenario, options), common_gain(scenario))
 
 
@@ -126,16 +123,16 @@ def common_gain(scenario: Scenario) -> float:
     return float(least) if least == most else 1.0
 
 
-def check_planar(scenario: Scenario) -> None:
-    """Refuse robots that are neither single integrators nor unicycles in the plane.
+def check_steerable(scenario: Scenario) -> None:
+    """Refuse robots that are no single integrators and do not turn.
 
     Raises:
         ValueError: naming the robot model.
     """
-    if scenario.dim != 2 or scenario.robot_model not in _MODELS:
+    if not can_steer(scenario):
         raise ValueError(
-            f"scenario {scenario.name!r} has {scenario.robot_model} robots in {scenario.dim}-D; "
-            f"a RobotPolicy steers {' and '.join(_MODELS)} robots in 2-D"
+            f"scenario {scenario.name!r} has {scenario.robot_model} robots; a RobotPolicy steers "
+            "single_integrator, unicycle and nonholonomic_3d"
         )
 
 
@@ -168,150 +165,3 @@ def check_kind(policy: str) -> None:
             f"policy {policy!r} is one of the {registry.KINDS[kind]}, which count calls, tell "
             "robots apart or see nothing; a RobotPolicy takes laws, rules and learned policies"
         )
-
-
-# ---- what it measures ---------------------------------------------------------------------------
-
-
-class RobotSight:
-    """Orders what a robot measures in the plane, and knows obstacles again from tick to tick.
-
-    Neighbours need no names: policies add up their rows or pool them. Obstacles keep their slots,
-    because how fast an edge turns is a measurement, too: what is seen now is matched to what was
-    seen at the last tick so that all edges together turn least.
-
-    Args:
-        layout: of the observation, in the plane.
-        max_degree: D̄, the most that all gains may come to, m/s: time steps are made for it.
-        gain: of each neighbour where none are given, m/s.
-    """
-
-    def __init__(self, layout: ObservationLayout, max_degree: float, gain: float = 1.0) -> None:
-        self._layout, self._max_degree, self._gain = layout, max_degree, gain
-        self._edges = np.zeros((layout.obstacle_slots, 2, 2))
-        self._unseen = np.zeros(layout.obstacle_slots)
-        self.forget()
-
-    def forget(self) -> None:
-        """Forget which obstacle stood in which slot."""
-        self._unseen[:] = np.inf
-
-    def rows(
-        self, bearings: ArrayLike, obstacles: ArrayLike, weights: ArrayLike | None
-    ) -> NDArray[np.float32]:
-        """The observation of the robot, (rows, 2); arguments and refusals as ``RobotPolicy.act``.
-
-        A silhouette is narrower than π, which tells its counter-clockwise edge; of two opposite
-        edges that is the first.
-        """
-        layout = self._layout
-        seen = _unit_vectors("bearings", bearings, (2,), layout.neighbour_slots, "neighbours")
-        edges = _unit_vectors("obstacles", obstacles, (2, 2), layout.obstacle_slots, "obstacles")
-        usual = np.full(len(seen), self._gain)
-        gains = _gains(usual if weights is None else weights, len(seen), self._max_degree)
-        rows = np.zeros(layout.shape, dtype=np.float32)
-        rows[: len(seen)] = gains[:, np.newaxis] * seen
-        silhouettes = rows[layout.obstacles].reshape(-1, 2, 2)
-        ordered = _counter_clockwise_first(edges)
-        slots = self._slots_of(ordered)
-        silhouettes[slots] = ordered
-        self._unseen += 1.0
-        self._unseen[slots] = 0.0
-        self._edges[slots] = ordered
-        return rows
-
-    def _slots_of(self, edges: NDArray[np.float64]) -> NDArray[np.int64]:
-        """A slot for each obstacle (m, 2, 2), the same as at the last tick for those seen then."""
-        if not len(edges):
-            return np.zeros(0, dtype=np.int64)
-        along = np.einsum("mid,sid->msi", edges, self._edges)
-        turned = np.arccos(np.clip(along, -1.0, 1.0)).sum(axis=-1)
-        vacant = _AWAY + 1e-3 / (1.0 + self._unseen)  # the longer, the sooner taken
-        cost = np.where(self._unseen == 0.0, turned, vacant)
-        return least_cost_slots(cost)
-
-
-def least_cost_slots(cost: NDArray[np.float64]) -> NDArray[np.int64]:
-    """A slot for each obstacle, none twice, so that all costs together are least.
-
-    Shortest augmenting paths (Jonker & Volgenant 1987), for few rows: SciPy's solver of the same
-    problem is not on every robot.
-
-    Args:
-        cost: (m, s), m ≤ s, of obstacle m in slot s, finite.
-
-    Returns:
-        Slots, (m,).
-    """
-    nearest = cost.argmin(axis=1)
-    if len(set(nearest.tolist())) == len(cost):
-        return nearest
-    row_price, slot_price = np.zeros(len(cost)), np.zeros(cost.shape[1])
-    owner = np.full(cost.shape[1], -1)
-    for row in range(len(cost)):
-        slack, came_from = np.full(cost.shape[1], np.inf), np.full(cost.shape[1], -1)
-        is_open, last, k = np.ones(cost.shape[1], dtype=bool), row, -1
-        while last >= 0:  # until a slot is reached that nobody has
-            reduced = cost[last] - row_price[last] - slot_price
-            better = is_open & (reduced < slack)
-            slack[better], came_from[better] = reduced[better], k
-            step = slack[is_open].min()
-            ends = is_open & (slack <= step)
-            k = int((ends & (owner < 0)).argmax() if (owner[ends] < 0).any() else ends.argmax())
-            row_price[[row, *owner[~is_open]]] += step
-            slot_price[~is_open] -= step
-            slack[is_open] -= step
-            is_open[k], last = False, owner[k]
-        while k >= 0:
-            before = came_from[k]
-            owner[k], k = (row if before < 0 else owner[before]), before
-    slots = np.empty(len(cost), dtype=np.int64)
-    slots[owner[owner >= 0]] = np.flatnonzero(owner >= 0)
-    return slots
-
-
-def _unit_vectors(
-    name: str, value: ArrayLike, shape: tuple[int, ...], most: int, what: str
-) -> NDArray[np.float64]:
-    """Some (k, *shape) unit vectors, k ≤ most."""
-    vectors = floats(name, value)
-    if vectors.size == 0:
-        return np.zeros((0, *shape))
-    if vectors.shape[1:] != shape:
-        axes = ", ".join(map(str, shape))
-        raise ValueError(f"{name} have shape {vectors.shape}; they must be (…, {axes})")
-    if len(vectors) > most:
-        raise ValueError(
-            f"{name} are of {len(vectors)} {what}; this scenario has room for {most}: see its "
-            f"{'neighbour_slots' if name == 'bearings' else 'obstacle_slots'}"
-        )
-    lengths = np.linalg.norm(vectors, axis=-1)
-    wrong = ~(np.abs(lengths - 1.0) <= _ROUNDING)  # true of NaN, too
-    for index in np.argwhere(wrong):
-        place = tuple(index.tolist())
-        refuse(f"{name}{list(place)}", vectors[place].tolist(), "a unit vector")
-    return vectors
-
-
-def _gains(weights: ArrayLike, count: int, most: float) -> NDArray[np.float64]:
-    """Weights (count,), m/s, that come to no more than ``most``."""
-    gains = floats("weights", weights)
-    if gains.shape != (count,):
-        raise ValueError(
-            f"weights have shape {gains.shape}; they must be ({count},), one for each bearing"
-        )
-    for index in np.flatnonzero(~((gains > 0.0) & np.isfinite(gains))):
-        refuse(f"weights[{index}]", float(gains[index]), "positive and finite (m/s)")
-    if (total := float(gains.sum())) > (1.0 + _ROUNDING) * most:
-        raise ValueError(
-            f"weights sum to {total:g} m/s; this scenario's come to D̄ = {most:g} m/s at most. "
-            "Where they are not 1, give them"
-        )
-    return gains
-
-
-def _counter_clockwise_first(edges: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Pairs of edges (m, 2, 2), the counter-clockwise one first."""
-    first, second = edges[:, 0], edges[:, 1]
-    across = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]
-    return np.where(across[:, np.newaxis, np.newaxis] > _OPPOSITE, edges[:, ::-1], edges)

@@ -221,13 +221,15 @@ def _write(rows, plane, silhouettes, cut, out):
     K = out.shape[0] - 2 * M
     for k in range(K):
         out[k, 0], out[k, 1] = _in_plane(load(rows[k]), plane)
+    out[K:] = 0.0
     for m in range(M):
-        there = is_seen(silhouettes[m])
+        if not is_seen(silhouettes[m]):
+            continue
         for s in range(2):
-            edge = load(cut[count, s]) if there else ORIGIN
-            x, y = _turned(scaled(split(edge)[1], 1.0 if edge != ORIGIN else 0.0), plane[2])
-            out[K + 2 * m + s, 0], out[K + 2 * m + s, 1] = x, y
-        count += 1 if there else 0
+            length, edge = split(load(cut[count, s]))
+            if length > 0.0:
+                out[K + 2 * m + s, 0], out[K + 2 * m + s, 1] = _turned(edge, plane[2])
+        count += 1
 
 
 @kernel

@@ -7,7 +7,6 @@ robots ever came, and how wide the team is, when it counts as met and once nothi
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -15,10 +14,8 @@ from numpy.typing import NDArray
 
 import baselines
 import rendezvous_env as rv
-from baselines.references.privileged_laws import consensus_law
 from rendezvous_env import graphs
 from rendezvous_env.engine.memory import RENDEZVOUS, RUNNING
-from rendezvous_env.physics.packing import move_apart
 
 Array = NDArray[np.float64]
 ON = 25.0
@@ -60,8 +57,7 @@ def play(scenario: rv.Scenario, policy: str, seeds: int) -> Played:
         observations = simulator.step(actions).observations
         apart = distances(simulator.positions)
         closest = min(closest, float(apart.min()))
-    met_at = simulator.positions[:COMPARED].copy()
-    rest, nearest = go_on(met_at, scenario, _VELOCITIES[policy])
+    rest, nearest = go_on(simulator.positions[:COMPARED], scenario, policy)
     return Played(
         met=int((simulator.status == RENDEZVOUS).sum()),
         closest=min(closest, nearest),
@@ -71,23 +67,22 @@ def play(scenario: rv.Scenario, policy: str, seeds: int) -> Played:
     )
 
 
-def go_on(
-    positions: Array, scenario: rv.Scenario, velocities: Callable[[Array, float], Array]
-) -> tuple[Array, float]:
+def go_on(positions: Array, scenario: rv.Scenario, policy: str) -> tuple[Array, float]:
     """Where teams (B, n, 2), m, lie at rest, and the least distance on the way: their episodes end
-    when they count as met, robots do not.
+    when they count as met, robots do not, so each step begins an episode.
     """
-    n, size, closest = scenario.n_robots, 2.0 * float(scenario.body_radius or 0.0), np.inf
-    lengths, work = np.zeros(n), (np.zeros((n, 2)), np.zeros(n))
-    moving = np.arange(len(positions))
+    simulator = rv.Simulator(scenario, num_envs=len(positions))
+    chosen, closest = baselines.make(policy, scenario), np.inf
+    if watch := getattr(chosen, "watch", None):
+        watch(simulator)
     for _ in range(round(ON / scenario.tau)):
-        ways = scenario.tau * velocities(positions[moving], 0.5 * (size + scenario.merge_radius))
-        for team, way in zip(moving, ways, strict=True):
-            move_apart(positions[team], way, lengths, size, work)
-        moving = moving[np.abs(ways).max(axis=(1, 2)) > STILL]
-        if not len(moving):
+        before = positions.copy()
+        seen = simulator.reset(0, {"positions": before})
+        simulator.step(chosen(seen, simulator.steps * scenario.tau))
+        positions = simulator.positions
+        closest = min(closest, float(distances(positions).min()))
+        if np.abs(positions - before).max() <= STILL:
             break
-        closest = min(closest, float(distances(positions[moving]).min()))
     return positions, closest
 
 
@@ -95,33 +90,6 @@ def distances(positions: Array) -> Array:
     """Of all pairs of robots, (B, pairs), m."""
     first, second = np.triu_indices(positions.shape[1], 1)
     return np.linalg.norm(positions[:, first] - positions[:, second], axis=-1)
-
-
-def bearing_only(positions: Array, docked: float) -> Array:
-    """Law (1) of robots that do not look at those nearer than ``docked``, m, unless that is all: as
-    in the engine, (B, n, 2), m/s.
-    """
-    ways, weights = _ways(positions)
-    apart = np.linalg.norm(ways, axis=-1)
-    near = (apart <= docked) & (weights > 0.0)
-    near &= near.sum(axis=-1, keepdims=True) < positions.shape[1] - 1
-    factors = np.where(near, 0.0, weights) / np.where(apart > 0.0, apart, 1.0)
-    return np.asarray(np.sum(factors[..., np.newaxis] * ways, axis=-2))
-
-
-def consensus(positions: Array, docked: float) -> Array:
-    """Consensus, which sees whom it touches, (B, n, 2), m/s."""
-    return consensus_law(*_ways(positions))
-
-
-def _ways(positions: Array) -> tuple[Array, Array]:
-    """p_j − p_i, (B, n, n, 2), m, and a_ij, (n, n), m/s."""
-    n = positions.shape[1]
-    weights = (np.ones((n, n)) - np.eye(n)) * 0.2 / (n - 1)
-    return positions[:, np.newaxis] - positions[:, :, np.newaxis], weights
-
-
-_VELOCITIES = {"bearing-only": bearing_only, "privileged-consensus": consensus}
 
 
 def main(seeds: int) -> None:

@@ -43,10 +43,10 @@ def jaxmarl(n: int, num_envs: int) -> Running:
     env = make("MPE_simple_spread_v3", num_agents=n, num_landmarks=n)
 
     def one(state: Any, key: Any) -> tuple[Any, Any]:
-        acting, stepping = jax.random.split(key)
+        acting, moving = jax.random.split(key)
         keys = dict(zip(env.agents, jax.random.split(acting, n), strict=True))
         chosen = {name: env.action_space(name).sample(keys[name]) for name in env.agents}
-        seen, state, reward, *_ = env.step(stepping, state, chosen)
+        seen, state, reward, *_ = env.step(moving, state, chosen)
         return state, (seen[env.agents[0]].sum(), reward[env.agents[0]])
 
     @jax.jit

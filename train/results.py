@@ -12,6 +12,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from importlib import metadata
 from pathlib import Path
+from tempfile import TemporaryFile
 from typing import Any
 
 import numpy as np
@@ -106,11 +107,10 @@ def prepare_folder(folder: Path, flag: str | None = None) -> Path:
     Raises:
         UserError: if it cannot be made or written to.
     """
-    probe = folder / f".writable.{os.getpid()}"
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        probe.touch()
-        probe.unlink()
+        with TemporaryFile(dir=folder):  # on Linux without a name: a kill leaves nothing behind
+            pass
     except OSError as error:
         asked = flag or f"--out {folder}"
         raise UserError(f"{asked}: cannot write there: {error.strerror}") from error

@@ -341,14 +341,8 @@ class GuidedTeams:
         carried, intervals = self._moving[0], np.empty((self._obstacle_slots, 2))
         aim, bodies = (self._directions, self._rule), self.bodies
         if bodies is not None:
-            _aim(
-                teams,
-                bodies.seen(observations, np.arange(*teams[:2])),
-                *aim,
-                carried,
-                carried,
-                intervals,
-            )
+            there = bodies.seen(observations, np.arange(*teams[:2]))
+            _aim(teams, there, *aim, carried, carried, intervals)
             bodies.follow(teams, observations, self.steering.held)
             self.steering.act_of(teams, observations, actions, elapsed)
             bodies.turn(teams, actions)

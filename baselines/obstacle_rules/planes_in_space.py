@@ -135,14 +135,15 @@ def cut_by(towards, aside, rays, out):
     normal = cross(towards, aside)
     for m in range(rays.shape[0]):
         out[m, :, :] = 0.0
-        found = 0
+        found, above = 0, dot(normal, load(rays[m, 0]))
         for s in range(8):
-            here, there = load(rays[m, s]), load(rays[m, (s + 1) % 8])
-            above, below = dot(normal, here), dot(normal, there)
+            after = (s + 1) % 8
+            below = dot(normal, load(rays[m, after]))
             if (above >= 0.0) != (below >= 0.0) and found < 2:
-                point = combine(abs(below), here, abs(above), there)
+                point = combine(abs(below), load(rays[m, s]), abs(above), load(rays[m, after]))
                 out[m, found, 0], out[m, found, 1] = dot(point, towards), dot(point, aside)
                 found += 1
+            above = below
         if out[m, 1, 0] * out[m, 0, 1] < out[m, 1, 1] * out[m, 0, 0]:
             for k in range(2):
                 out[m, 0, k], out[m, 1, k] = out[m, 1, k], out[m, 0, k]

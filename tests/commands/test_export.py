@@ -20,7 +20,7 @@ from baselines.learned.learned_policy import load
 from baselines.learned.numpy_actor import NumpyActor
 from baselines.learned.onnx_network import DIGEST_KEY, SETTINGS_KEY, OnnxNetwork
 from baselines.learned.policy_settings import PolicySettings
-from train import checks, cli, export, policies
+from train import checks, cli, export, policies, standalone
 from train.compare import playing
 
 CLUTTER = rv.scenarios.get("clutter-12")
@@ -151,6 +151,20 @@ class TestPolicy:
             np.testing.assert_allclose(
                 robot.act(seen, edges, dt=dt), own.act(seen, edges, dt=dt), atol=1e-6
             )
+
+    @pytest.mark.parametrize("field", ["clutter-3d-32", "uav-clutter-16"])
+    def test_in_space_the_network_is_all_there_is_to_a_file(self, field, tmp_path):
+        """Planes, features and tanks stand around it there as well."""
+        path, scenario = tmp_path / "tank.onnx", rv.scenarios.get(field).replace(time_limit=8.0)
+        words = ["export", "--policy", "learned-tank", "--out", str(path), "--checks", "100"]
+        assert cli.main([*words, "--scenario", field]) == 0
+        own = rv.rollout(scenario, baselines.make("learned-tank", scenario), seed=4, num_envs=3)
+        other = rv.rollout(scenario, policies.make(f"learned:{path}", scenario), seed=4, num_envs=3)
+        np.testing.assert_allclose(other.positions, own.positions, atol=1e-4)
+        assert np.ptp(own.positions, axis=0).max() > 1.0
+        robot, same = RobotPolicy(scenario, path), RobotPolicy(scenario, "learned-tank")
+        for *seen, told in standalone.drawn_ticks(scenario, 40):
+            np.testing.assert_allclose(robot.act(*seen, **told), same.act(*seen, **told), atol=1e-6)
 
     def test_a_comparison_knows_the_file_by_its_content(self, exported, tmp_path):
         copy = tmp_path / "copy.onnx"

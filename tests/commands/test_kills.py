@@ -35,11 +35,12 @@ def server(tmp_path):
 
 
 def live(server, words, seconds):
-    """Run a command for so long and kill it; its exit status."""
+    """Run a command for so long and kill it, unless that is None; its exit status."""
     process = server.start(words)
-    time.sleep(seconds)
-    with suppress(ProcessLookupError):  # it has ended by itself
-        os.kill(process, signal.SIGKILL)
+    if seconds is not None:
+        time.sleep(seconds)
+        with suppress(ProcessLookupError):  # it has ended by itself
+            os.kill(process, signal.SIGKILL)
     return server.status()
 
 
@@ -73,7 +74,9 @@ def test_compare(server, tmp_path, capsys):
     out, moments = tmp_path / "out", random.Random(0)
     kills, found, runs, seed = 0, {"old": 0, "new": 0, "none": 0}, 0, 0
     while kills < KILLS:
-        status = live(server, comparison(out, seed), moments.uniform(0.0, 0.8 * took))
+        due = runs < kills // 16  # some come to their end, however busy the machine is
+        moment = None if due else moments.uniform(0.0, 0.8 * took)
+        status = live(server, comparison(out, seed), moment)
         assert status in (0, -signal.SIGKILL)
         kills += status != 0
         if out.exists():
@@ -89,7 +92,7 @@ def test_compare(server, tmp_path, capsys):
     server.start(comparison(out, seed))
     assert server.status() == 0 and files(out) == whole[seed]
     left = {path.name for path in tmp_path.iterdir()} - {"warm", "whole-0", "whole-1", "log"}
-    assert left == {"out"} and runs >= 5
+    assert left == {"out"}
     with capsys.disabled():
         print(f"\ncompare: {kills} kills of {KILLS}, {runs} runs to the end, left: {found}")
 

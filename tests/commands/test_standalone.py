@@ -19,6 +19,7 @@ from train.standalone.bundle import Bundle, Name
 
 POLICIES = ["learned", "learned-tank", "tangent-joined-tuned", "tangent-joined", "bearing-only"]
 CLUTTER = rv.scenarios.get("clutter-12")
+SPACE = ["clutter-3d-32", "window-3d", "uav-clutter-16"]
 
 
 @pytest.fixture(scope="module")
@@ -47,11 +48,15 @@ def act_along(robots, others, scenario, policy, seed, steps):
         seen = layout.split(step.observations[0].astype(float))
         for i, pair in enumerate(zip(robots, others, strict=True)):
             rows = seen.neighbours[i][seen.neighbours[i].any(axis=-1)]
-            weights = np.linalg.norm(rows, axis=-1)
+            told = {"weights": np.linalg.norm(rows, axis=-1)}
             edges = seen.obstacles[i][seen.obstacles[i].any(axis=(1, 2))]
-            seen_now = rows / weights[:, None], edges, scenario.tau
-            one, other = (robot.act(*seen_now, weights=weights) for robot in pair)
-            worst, moved = max(worst, np.abs(one - other).max()), moved + np.hypot(*one)
+            seen_now = rows / told["weights"][:, None], edges, scenario.tau
+            if seen.gravity is not None:
+                if not seen.gravity[i].any():  # it has merged
+                    continue
+                told["gravity"] = seen.gravity[i]
+            one, other = (robot.act(*seen_now, **told) for robot in pair)
+            worst, moved = max(worst, np.abs(one - other).max()), moved + np.linalg.norm(one)
     assert count > 30 and moved > 1.0
     return worst
 
@@ -63,6 +68,16 @@ class TestAgreement:
         robots = [RobotPolicy(CLUTTER, policy) for _ in range(CLUTTER.n_robots)]
         others = [file.RobotPolicy() for _ in range(CLUTTER.n_robots)]
         assert act_along(robots, others, CLUTTER, policy, 3, 120) < 1e-5
+
+    @pytest.mark.parametrize("name", SPACE)
+    def test_whole_episodes_in_space(self, exported, name):
+        scenario = rv.scenarios.get(name)
+        file = standalone.load(exported("learned-tank", name))
+        robots = [RobotPolicy(scenario, "learned-tank") for _ in range(scenario.n_robots)]
+        others = [file.RobotPolicy() for _ in range(scenario.n_robots)]
+        assert act_along(robots, others, scenario, "learned-tank", 4, 10_000) < 1e-5
+        assert "SteadyFrames:\n" in exported("learned-tank", name).read_text(encoding="utf-8")
+        assert not hasattr(file, "DifferentialDrive") and "drive" not in file.__doc__
 
     @pytest.mark.slow
     @pytest.mark.parametrize("policy", POLICIES)
@@ -113,8 +128,7 @@ for name in ("numba", "scipy", "rendezvous_env", "gymnasium"):
 sys.path.append(sys.argv[2])
 import robot
 one = robot.RobotPolicy()
-acted = [one.act(*seen, dt=dt, weights=weights).tolist()
-         for *seen, dt, weights in json.loads(sys.argv[3])]
+acted = [one.act(*seen, **told).tolist() for *seen, told in json.loads(sys.argv[3])]
 print(json.dumps(acted))
 """
 
@@ -128,14 +142,15 @@ def test_it_runs_where_numpy_is_all_there_is(exported, tmp_path):
             (here / name).symlink_to(library / name)
     (tmp_path / "robot.py").write_bytes(exported("learned-tank").read_bytes())
     ticks = [
-        [np.asarray(part).tolist() for part in tick] for tick in standalone.drawn_ticks(CLUTTER, 40)
+        [np.asarray(part).tolist() for part in seen] + [{"weights": told["weights"].tolist()}]
+        for *seen, told in standalone.drawn_ticks(CLUTTER, 40)
     ]
     words = [sys.executable, "-I", "-S", "-B", "-c", ALONE]
     words += [str(here), str(tmp_path), json.dumps(ticks)]
     done = subprocess.run(words, capture_output=True, text=True, timeout=60, check=False)
     assert done.returncode == 0, done.stderr
     own = RobotPolicy(CLUTTER, "learned-tank")
-    wanted = [own.act(*tick[:3], weights=tick[3]) for tick in ticks]
+    wanted = [own.act(*seen, **told) for *seen, told in ticks]
     np.testing.assert_allclose(json.loads(done.stdout), wanted, atol=1e-5)
     assert np.abs(wanted).max() > 0.3
 
@@ -154,9 +169,9 @@ def test_it_imports_nothing_but_numpy(exported, policy):
 
 def test_a_tick_takes_less_than_a_millisecond(exported):
     robot, times = standalone.load(exported("learned-tank")).RobotPolicy(), []
-    for bearings, obstacles, dt, weights in standalone.drawn_ticks(CLUTTER, 400):
+    for *seen, told in standalone.drawn_ticks(CLUTTER, 400):
         began = time.perf_counter()
-        robot.act(bearings, obstacles, dt, weights=weights)
+        robot.act(*seen, **told)
         times.append(time.perf_counter() - began)
     assert np.median(times) < 1e-3
 
@@ -192,7 +207,7 @@ def test_a_changed_file_drives_no_robot(exported, tmp_path, seed):
         ),
         (["--standalone", "x.py", "--policy", "learnt"], "did you mean 'learned'?"),
         (["--standalone", "x.py", "--scenario", "cluter-8"], "did you mean 'clutter-8'?"),
-        (["--standalone", "x.py", "--scenario", "cloud-8"], "3-D; a RobotPolicy steers"),
+        (["--standalone", "x.py", "--scenario", "double.toml"], "a RobotPolicy steers single"),
         (["--standalone", "x.py", "--policy", "os:getcwd"], "os:getcwd: is a function of your own"),
         (["--standalone", "folder.py"], "--standalone folder.py: is a folder; it must be a file"),
         (["--standalone", "own.py"], "--standalone own.py: is there already, and not of this"),
@@ -203,9 +218,11 @@ def test_what_cannot_be_written_is_said_in_a_line(words, message, capsys, tmp_pa
     monkeypatch.chdir(tmp_path)
     (tmp_path / "folder.py").mkdir()
     (tmp_path / "own.py").write_text("print('mine')")
+    (tmp_path / "double.toml").write_text('robot_model = "double_integrator"')
     assert cli.main(["export", *words]) == 2
     assert message in capsys.readouterr().err
-    assert sorted(path.name for path in tmp_path.rglob("*")) == ["folder.py", "own.py"]
+    names = ["double.toml", "folder.py", "own.py"]
+    assert sorted(path.name for path in tmp_path.rglob("*")) == names
     assert (tmp_path / "own.py").read_text() == "print('mine')"
 
 

@@ -8,7 +8,7 @@ from scipy.optimize import linear_sum_assignment
 import baselines
 import rendezvous_env as rv
 from baselines import RobotPolicy
-from baselines.robot_policy import RobotSight, least_cost_slots
+from baselines.robot_sight import RobotSight, least_cost_slots
 from rendezvous_env.engine.memory import RENDEZVOUS, RUNNING
 from rendezvous_env.trajectory import run
 
@@ -66,6 +66,38 @@ def test_it_does_what_a_robot_of_a_batch_does(name, scenario):
             np.testing.assert_allclose(action, step.actions[0, i], atol=2e-6)
             moved += np.hypot(*action) > 0.1
     assert count > 100 and moved > 200
+
+
+@pytest.mark.parametrize(
+    ("name", "field"),
+    [
+        ("learned-tank", "clutter-3d-32"),
+        ("learned-tank", "window-3d"),
+        ("learned-tank", "uav-clutter-16"),
+        ("learned", "clutter-3d-32"),
+        ("tangent-joined", "clutter-3d-32"),
+        ("nonholonomic-3d", "uav-6"),
+    ],
+)
+def test_in_space_it_does_so_bit_for_bit(name, field):
+    """In whole episodes; obstacles come in any order, their rays from anywhere on, either way."""
+    scenario, random = rv.scenarios.get(field), np.random.default_rng(0)
+    simulator, layout = rv.Simulator(scenario), scenario.observation_layout
+    robots = [RobotPolicy(scenario, name) for _ in range(scenario.n_robots)]
+    moved, passed = 0, 0
+    for step in run(simulator, baselines.make(name, scenario), simulator.reset(3)):
+        for i in np.flatnonzero(step.observations[0].any(axis=(1, 2))):
+            seen = layout.split(step.observations[0, i])
+            rays = seen.obstacles[seen.obstacles.any(axis=(1, 2))]
+            rays = [np.roll(cone, random.integers(8), axis=0) for cone in random.permutation(rays)]
+            rays = [cone[:: random.choice([-1, 1])] for cone in rays]
+            bearings = seen.neighbours[seen.neighbours.any(axis=-1)]
+            gravity = {} if seen.gravity is None else {"gravity": seen.gravity}
+            action = robots[i].act(bearings, rays, scenario.tau, **gravity)
+            np.testing.assert_array_equal(action, step.actions[0, i])
+            moved, passed = moved + (np.linalg.norm(action) > 0.1), passed + (len(rays) > 1)
+    assert simulator.status[0] == RENDEZVOUS and moved > 200
+    assert passed > 100 or not scenario.obstacles or (name == "learned-tank" and passed > 3)
 
 
 @pytest.mark.parametrize(
@@ -229,9 +261,25 @@ def test_bad_measurements_are_named_and_change_nothing(change, message):
     assert robot.time == other.time == pytest.approx(0.2)
 
 
+@pytest.mark.parametrize(
+    ("field", "change", "message"),
+    [
+        ("uav-6", {}, "gravity is None; it must be its direction in the body frame, a unit"),
+        ("uav-6", {"gravity": [0, 0, -2.0]}, r"gravity is \[0, 0, -2.0\]; .* a unit vector \(3,\)"),
+        ("uav-6", {"gravity": [0, -1.0]}, r"gravity is \[0, -1.0\]; .* a unit vector \(3,\)"),
+        ("cloud-8", {"gravity": [0, 0, -1.0]}, "gravity is .*; it must be left out"),
+        ("clutter-3d", {"obstacles": [unit(0, 1)]}, r"obstacles have shape .* \(…, 8, 3\)"),
+        ("clutter-3d", {"bearings": unit(0)}, r"bearings have shape \(1, 2\); .* \(…, 3\)"),
+    ],
+)  # fmt: skip
+def test_bad_measurements_in_space_are_named(field, change, message):
+    with pytest.raises(ValueError, match=message):
+        RobotPolicy(field, baselines.names(field)[0]).act(**{"bearings": [[1, 0, 0]], **change})
+
+
 def test_what_it_cannot_steer_is_refused():
-    with pytest.raises(ValueError, match=r"3-D; a RobotPolicy steers"):
-        RobotPolicy("cloud-8", LAWS["single_integrator"])
+    with pytest.raises(ValueError, match=r"has double_integrator robots; a RobotPolicy steers"):
+        RobotPolicy(rv.Scenario(robot_model="double_integrator"), LAWS["single_integrator"])
     with pytest.raises(ValueError, match=r"'tank-joined' is one of the rules under an energy tank"):
         RobotPolicy(CLUTTER, "tank-joined")
     with pytest.raises(ValueError, match=r"policy 'learnt' is unknown.*did you mean 'learned'"):

@@ -89,39 +89,48 @@ _LEARNERS: dict[str, tuple[str, Callable[..., Running]]] = {
 
 # ---- PPO ----------------------------------------------------------------------------------------
 
-_THEIRS = "MlpPolicy"
-
 
 def heading_ppo(size: Size) -> list[Case]:
     """What ``rendezvous train`` does, beside the same on robots that cost nothing, and that beside
     stable-baselines3's own PPO and network with the same settings.
     """
+    from stable_baselines3.common.logger import Logger
+
     from ..learn.settings import Config
 
     n = 4
     config = Config(num_teams=size.num_envs // n, num_threads=size.num_threads)
     samples = config.samples_per_update
 
-    def build(free: bool, *, ours: bool = True) -> Running:
-        from stable_baselines3 import PPO
-
-        from ..learn.trainer import SAME_NAME, Trainer
+    def build(free: bool) -> Running:
+        from ..learn.trainer import Trainer
 
         trainer = Trainer(config)
         if free:
             trainer.model.set_env(_free(trainer.robots.teams))
-        model = trainer.model
-        if not ours:
-            alike = {name: getattr(config, name) for name in SAME_NAME}
-            alike["batch_size"] = min(config.batch_size, samples)
-            model = PPO("MlpPolicy", model.env, n_epochs=config.epochs, **alike)
+        return learning(trainer.model)
+
+    def build_theirs() -> Running:
+        from stable_baselines3 import PPO
+
+        from ..learn.teams import make_teams
+        from ..learn.trainer import SAME_NAME
+
+        alike = {name: getattr(config, name) for name in SAME_NAME}
+        alike["batch_size"] = min(config.batch_size, samples)
+        return learning(
+            PPO("MlpPolicy", _free(make_teams(config, 0)), n_epochs=config.epochs, **alike)
+        )
+
+    def learning(model: Any) -> Running:
+        model.set_logger(Logger(None, []))
         options = {"log_interval": None, "reset_num_timesteps": False}
         return Running(partial(model.learn, samples, **options))
 
     own = ("heading-ppo", n, config.num_teams, samples, "samples")
     return [
-        Case(_THEIRS, *own, partial(build, True, ours=False)),
-        Case("free environment", *own, partial(build, True), _THEIRS),
+        Case("MlpPolicy", *own, build_theirs),
+        Case("free environment", *own, partial(build, True), "MlpPolicy"),
         Case("end to end", *own, partial(build, False), "free"),
     ]
 

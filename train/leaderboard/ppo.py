@@ -45,6 +45,7 @@ def learn(
         **safety: of ``teams_to_learn_in``.
     """
     import torch
+    from stable_baselines3.common.logger import Logger
 
     from rendezvous_env.adapters.sb3 import RobotVecEnv
 
@@ -56,6 +57,7 @@ def learn(
     robots.seed(TRAINING_SEEDS + 2**32 * seed)
     rule = _multiplier(paid, robots, limit) if limit is not None else None
     model = RobotPPO("MlpPolicy", robots, seed=seed, device="cpu", **SETTINGS)
+    model.set_logger(Logger(None, []))  # else it makes a folder for temporary files
     model.learn(budget.decisions, callback=rule)
     told = {key: value for key, value in safety.items() if not callable(value)}
     settings = {**SETTINGS, **told, "limit": limit, "num_teams": budget.num_teams}

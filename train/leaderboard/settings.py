@@ -27,14 +27,8 @@ class Protocol(NamedTuple):
 
 
 _FIELDS = (
-    "clutter-8",
-    "clutter-16",
-    "clutter-24",
-    "corridor",
-    "rooms",
-    "noisy-8",
-    "unicycle-clutter-16",
-)
+    "clutter-8", "clutter-16", "clutter-24", "corridor", "rooms", "noisy-8", "unicycle-clutter-16",
+)  # fmt: skip
 TIERS: dict[Tier, Protocol] = {
     "smoke": Protocol(_FIELDS[:2], 3, 2**14, 50),
     "mini": Protocol(_FIELDS, 5, 2**16, 200),

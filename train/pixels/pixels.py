@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from rendezvous_env.baselines.robot_policy import RobotSight
+from rendezvous_env.baselines.robot_sight import RobotSight
 
 from rendezvous_env.engine.memory import RENDEZVOUS
 from rendezvous_env.obstacles.fields import ObstacleField

@@ -19,7 +19,7 @@ from rendezvous_env.baselines.learned.policy_settings import PolicySettings
 from rendezvous_env.baselines.robot_policy import (
     RobotPolicy,
     check_kind,
-    check_planar,
+    check_steerable,
     common_gain,
 )
 
@@ -56,10 +56,20 @@ def check_types(values, hints):
 def check_field_types(made):
     """As ``check_types``."""
 ''',
-    Name("baselines.steady_planes", "SteadyPlanes"): '''
+}
+_OF_OTHER_DIMENSIONS = {
+    2: {
+        Name("baselines.steady_planes", "SteadyPlanes"): '''
 class SteadyPlanes:
-    """A file is for robots of the plane."""
-''',
+    """This file is for robots of the plane."""
+'''
+    },
+    3: {
+        Name("baselines.steady_frames", "SteadyFrames"): '''
+class SteadyFrames:
+    """This file is for robots of space."""
+'''
+    },
 }
 _WITHOUT_BODIES = {
     Name(f"rendezvous_env.safety.{module}", word): f'''
@@ -72,6 +82,8 @@ def {word}(teams, arguments):
 _ROOTS = (
     Name("baselines.robot_policy", "OneRobot"),
     Name("rendezvous_env.scenario.observation_layout", "ObservationLayout"),
+)
+_WHEELS = (
     Name("rendezvous_env.robots.differential_drive", "DifferentialDrive"),
     Name("rendezvous_env.robots.differential_drive", "keep_apart"),
 )
@@ -86,9 +98,7 @@ _HEAD = '''"""The policy {policy} for a robot of the scenario {scenario}: bearin
 
     robot = RobotPolicy()
     velocity = robot.act(bearings, obstacles, dt=0.03)     # as rendezvous_env's RobotPolicy.act
-    drive = DifferentialDrive()
-    v, omega = drive.command(velocity, yaw, dt=0.03)
-
+{drive}
 It needs NumPy and nothing else. `{made_by}` of rendezvous-env {version} wrote
 it, of the functions of that package, word for word; whoever wants to change them does so there. It
 refuses to be imported once a byte of it has changed: its last line sees to that.
@@ -100,6 +110,9 @@ import base64
 import hashlib
 from types import SimpleNamespace
 '''
+_DRIVE = """    drive = DifferentialDrive()
+    v, omega = drive.command(velocity, yaw, dt=0.03)
+"""
 _TEAM = '''
 
 # ---- the team ---------------------------------------------------------------------------------
@@ -178,9 +191,12 @@ def text_of(
     Raises:
         ValueError: for robots or a policy that ``RobotPolicy`` does not take either.
     """
-    check_planar(scenario)
-    turns = scenario.model.nonholonomic
-    stand_ins, roots, extra = _STAND_INS | ({} if turns else _WITHOUT_BODIES), list(_ROOTS), ""
+    check_steerable(scenario)
+    stand_ins, roots, extra = _STAND_INS | _OF_OTHER_DIMENSIONS[scenario.dim], list(_ROOTS), ""
+    if scenario.dim == 2:
+        roots += _WHEELS
+    if not scenario.model.nonholonomic:
+        stand_ins |= _WITHOUT_BODIES
     if network is None:
         registry.make(policy, scenario)
         check_kind(policy)
@@ -197,7 +213,7 @@ def text_of(
         extra = _learned(weights, settings)
     bundle = Bundle(roots, stand_ins).text()
     about = {"policy": repr(policy), "scenario": repr(scenario.name), "version": __version__}
-    head = _HEAD.format(made_by=_MADE_BY, **about)
+    head = _HEAD.format(made_by=_MADE_BY, drive=_DRIVE if scenario.dim == 2 else "", **about)
     content = head + bundle + extra + _team(scenario, make) + _LAST
     digest = hashlib.sha256(content.encode()).hexdigest()
     return f'{content}IS_UNCHANGED = check_unchanged(__file__, "{digest}")\n'
@@ -261,30 +277,45 @@ def load(path: Path) -> Any:
 def compare(path: Path, robot: RobotPolicy, ticks: int) -> float:
     """By how much, m/s, what a file commands differs from a policy, at most, in drawn ticks."""
     written, worst = load(path).RobotPolicy(), 0.0
-    for bearings, obstacles, dt, weights in drawn_ticks(robot.scenario, ticks):
-        wanted = robot.act(bearings, obstacles, dt, weights=weights)
-        found = written.act(bearings, obstacles, dt, weights=weights)
+    for bearings, obstacles, dt, told in drawn_ticks(robot.scenario, ticks):
+        wanted = robot.act(bearings, obstacles, dt, **told)
+        found = written.act(bearings, obstacles, dt, **told)
         worst = max(worst, float(np.abs(found - wanted).max()))
     return worst
 
 
 def drawn_ticks(scenario: Scenario, ticks: int) -> Iterator[tuple[Any, ...]]:
-    """Arguments of ``act`` as a robot could measure them that goes among things that move; from
-    time to time all is elsewhere.
+    """Bearings, obstacles, dt, and by name what else ``act`` takes, as a robot could measure them
+    that goes among things that move; from time to time all is elsewhere.
     """
     random, layout = np.random.default_rng(0), scenario.observation_layout
+    most = layout.neighbour_slots, layout.obstacle_slots
     for tick in range(ticks):
         if tick % 100 == 0:
-            bearings = random.uniform(-np.pi, np.pi, random.integers(layout.neighbour_slots + 1))
-            middles = random.uniform(-np.pi, np.pi, random.integers(layout.obstacle_slots + 1))
-            widths = random.uniform(0.05, 1.0, len(middles))
-            weights = np.full(len(bearings), scenario.max_degree / max(1, layout.neighbour_slots))
-        bearings = bearings + random.normal(0.0, 0.02, len(bearings))
-        middles = middles + random.normal(0.0, 0.02, len(middles))
-        edges = np.stack([middles + widths, middles - widths], axis=-1)
+            counts = [random.integers(slots + 1) for slots in most]
+            bearings, middles = (random.normal(size=(count, layout.dim)) for count in counts)
+            widths = random.uniform(0.05, 1.0, (counts[1], 1, 1))
+            told = {"weights": np.full(counts[0], scenario.max_degree / max(1, most[0]))}
+        bearings, middles = (
+            _units(rows + random.normal(0.0, 0.02, rows.shape)) for rows in (bearings, middles)
+        )
+        if layout.senses_gravity:
+            told["gravity"] = _units(np.array([random.normal(0.0, 0.02), 0.0, -1.0]))
         dt = scenario.tau * random.uniform(0.3, 1.0)
-        yield _units(bearings), _units(edges), dt, weights
+        yield bearings, _silhouettes(middles, widths), dt, told
 
 
-def _units(angles: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+def _silhouettes(middles: NDArray[np.float64], widths: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Edges (m, S, d) of round things about directions (m, d), of half so many rad, (m, 1, 1)."""
+    if middles.shape[1] == 2:
+        left = np.stack([-middles[:, 1], middles[:, 0]], axis=-1)
+        rims = np.stack([left, -left], axis=1)
+    else:
+        first = _units(np.cross(middles, np.roll(middles, 1, axis=1)))
+        second, azimuth = np.cross(middles, first), 0.25 * np.pi * np.arange(8)[:, np.newaxis]
+        rims = np.cos(azimuth) * first[:, np.newaxis] + np.sin(azimuth) * second[:, np.newaxis]
+    return np.cos(widths) * middles[:, np.newaxis] + np.sin(widths) * rims
+
+
+def _units(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)

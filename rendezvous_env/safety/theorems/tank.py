@@ -30,8 +30,6 @@ for exact bearings at most (V(0) + ΣB_i + (n−1)² r a)/(2 (n−1) ε² a² s_
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -75,6 +73,13 @@ def tank_time_bound(
     """
     check_margin(min_alignment)
     error = check_bearing_error(bearing_error)
+    return _time_bound(scenario, initial_lyapunov, min_alignment, budget, error)
+
+
+def _time_bound(
+    scenario: Scenario, initial_lyapunov: ArrayLike, margin: float, budget: float, error: float
+) -> Array:
+    """The same, also for a sensor that errs by more than a tank can be told, in [0, π]."""
     most = tank_lyapunov_bound(scenario, initial_lyapunov, budget=budget)
     if not covered(scenario):
         return np.full(most.shape, np.inf)
@@ -83,19 +88,16 @@ def tank_time_bound(
         n, a = scenario.n_robots, scenario.bottleneck_weight
         each = (np.asarray(initial_lyapunov) + n * real(budget)) / (n - 1)
         each += (n - 1) * scenario.merge_radius * a
-    return certified_time(scenario, most, min_alignment, error, each=each)
+    return certified_time(scenario, most, margin, error, each=each)
 
 
 def bounds(scenario: Scenario, asked: Asked) -> Bounds:
     """The time."""
     margin, error, start = asked.min_alignment, asked.error, known.largest_lyapunov(scenario)
-    # from π/2 on, which is the most a tank can be told, there is no time
-    borne = min(error, math.pi / 2.0)
-    options = {"min_alignment": margin, "budget": asked.budget, "bearing_error": borne}
     charged = f" and charges errors of {error:.4g} rad" * (error > 0)
     return bounds_with_errors(
         asked,
-        tank_time_bound(scenario, start, **options),
+        _time_bound(scenario, start, margin, asked.budget, error),
         tolerated_error(scenario, margin),
         "theorem D: whatever is wanted, all robots meet in finite time while a tank keeps count"
         + charged,

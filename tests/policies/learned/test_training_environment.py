@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
+from tanks_that_last import check_v_and_tanks
 
 import rendezvous_env as rv
 from baselines.learned.features import Features
@@ -142,23 +143,8 @@ def test_with_a_tank_robots_go_where_they_choose_as_fast_as_law_one():
 
 @pytest.mark.parametrize("budget", [0.0, 3.0])
 def test_v_and_the_tanks_together_never_rise(budget):
-    """Theorem D under arbitrary choices without obstacles, until the first merge."""
-    free = SCENARIO.replace(obstacles=(), time_step=None, time_limit=60.0)
     settings = replace(TANK, budget=budget / 0.6)  # in units of r D̄
-    guided, simulator = GuidedTeams(settings, free, TEAMS), rv.Simulator(free, TEAMS)
-    observations, random = simulator.reset(4), np.random.default_rng(4)
-    before = simulator.lyapunov() + free.n_robots * budget
-    rises, apart = 0, np.ones(TEAMS, bool)
-    for _ in range(300):
-        guided.choose(random.integers(len(ALL_ROUND), size=guided.choices.shape))
-        v = simulator.lyapunov()
-        observations = simulator.step(guided.act(observations)).observations
-        apart &= (simulator.merged_into == np.arange(free.n_robots)).all(axis=1)
-        rises += int((simulator.lyapunov() > v)[apart].sum())
-        now = simulator.lyapunov() + guided.steering.levels.sum(axis=1)
-        assert (now <= before + 1e-9)[apart].all()
-        assert guided.steering.levels.min() >= 0.0
-        before = now
+    rises, _ = check_v_and_tanks(SCENARIO, settings, teams=TEAMS, level=budget, every=1)
     assert rises > 20  # the freedom is used
 
 

@@ -5,13 +5,14 @@ import pickle
 import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
+from tanks_that_last import check_v_and_tanks
 from tuples import body_frame
 
 import baselines
 import rendezvous_env as rv
 from baselines.learned import checkpoints, shipped
 from baselines.learned.guide import CommandedTank, GuidedTeams
-from baselines.learned.policy_settings import ALL_ROUND, PolicySettings
+from baselines.learned.policy_settings import PolicySettings
 from baselines.learned.training_environment import FeatureVectorEnv
 from baselines.steady_frames import SteadyFrames
 from rendezvous_env.engine.memory import RENDEZVOUS
@@ -81,24 +82,9 @@ def test_robots_turn_to_where_they_choose(settings):
 
 @pytest.mark.parametrize("budget", [0.0, 3.0])
 def test_v_and_the_tanks_together_never_rise(budget):
-    """Under arbitrary choices of robots that turn, until the first merge."""
-    free = CLUTTER.replace(obstacles=(), time_step=None, time_limit=60.0)
-    settings = PolicySettings(**TANK.__dict__ | {"budget": budget / 0.6})
-    guided, simulator = GuidedTeams(settings, free, 8), rv.Simulator(free, 8)
-    seen, random = simulator.reset(4), np.random.default_rng(4)
-    before = simulator.lyapunov() + free.n_robots * budget
-    rises, apart = 0, np.ones(8, bool)
-    for step in range(300):
-        if step % 20 == 0:
-            guided.choose(random.integers(len(ALL_ROUND), size=guided.choices.shape))
-        v = simulator.lyapunov()
-        seen = simulator.step(guided.act(seen)).observations
-        apart &= (simulator.merged_into == np.arange(free.n_robots)).all(axis=1)
-        rises += int((simulator.lyapunov() > v)[apart].sum())
-        now = simulator.lyapunov() + guided.tank.levels.sum(axis=1)
-        assert (now <= before + 1e-9)[apart].all() and guided.tank.levels.min() >= 0.0
-        before = now
-    assert apart.sum() > 4 and (rises > 20 or budget == 0.0)
+    settings = PolicySettings(**TANK.__dict__ | {"budget": budget / 0.6})  # in units of r D̄
+    rises, apart = check_v_and_tanks(CLUTTER, settings, level=budget)
+    assert apart > 4 and (rises > 20 or budget == 0.0)
 
 
 def test_an_arc_that_is_cut_short_books_no_more_than_it_earned():

@@ -1,0 +1,206 @@
+"""What one robot measures, as the rows of an observation: gains, slots, edges in their order."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rendezvous_env.checks import floats, refuse
+from rendezvous_env.scenario.observation_layout import ObservationLayout
+
+_ROUNDING = 1e-3
+"""So far from 1 may the length of a unit vector be: directions come rounded, too."""
+_AWAY = 1.0
+"""By how much both edges of an obstacle together turn between ticks, rad, before it is taken for
+another one."""
+_OPPOSITE = 1e-6
+"""Edges are opposite below this sine of the angle between them."""
+_FLAT = 1e-4
+"""Rays lie in a plane, or all in one direction, below this product of their sum and vector area."""
+
+
+class RobotSight:
+    """Orders what a robot measures, and knows obstacles again from tick to tick.
+
+    Neighbours need no names: policies add up their rows or pool them. Obstacles keep their slots,
+    because how fast an edge turns is a measurement, too: what is seen now is matched to what was
+    seen at the last tick so that all edges together turn least.
+
+    Args:
+        layout: of the observation.
+        max_degree: D̄, the most that all gains may come to, m/s: time steps are made for it.
+        gain: of each neighbour where none are given, m/s.
+    """
+
+    def __init__(self, layout: ObservationLayout, max_degree: float, gain: float = 1.0) -> None:
+        self._layout, self._max_degree, self._gain = layout, max_degree, gain
+        self._marks = np.zeros((layout.obstacle_slots, 2, layout.dim))
+        self._unseen = np.zeros(layout.obstacle_slots)
+        self.forget()
+
+    def forget(self) -> None:
+        """Forget which obstacle stood in which slot."""
+        self._unseen[:] = np.inf
+
+    def rows(
+        self,
+        bearings: ArrayLike,
+        obstacles: ArrayLike,
+        weights: ArrayLike | None,
+        gravity: ArrayLike | None = None,
+    ) -> NDArray[np.float32]:
+        """The observation of the robot, (rows, d); arguments and refusals as ``RobotPolicy.act``.
+
+        A silhouette is narrower than π, which tells its counter-clockwise edge, and which way round
+        rays go; of two opposite edges the first is that one, and rays in a plane go right-handed.
+        """
+        layout = self._layout
+        points = layout.silhouette_points, layout.dim
+        seen = _unit_vectors("bearings", bearings, points[1:], layout.neighbour_slots, "neighbours")
+        edges = _unit_vectors("obstacles", obstacles, points, layout.obstacle_slots, "obstacles")
+        down = _direction_of_gravity(gravity, layout.senses_gravity)
+        usual = np.full(len(seen), self._gain)
+        gains = _gains(usual if weights is None else weights, len(seen), self._max_degree)
+        rows = np.zeros(layout.shape, dtype=np.float32)
+        rows[: len(seen)] = gains[:, np.newaxis] * seen
+        rows[layout.gravity] = down
+        silhouettes = rows[layout.obstacles].reshape(-1, *points)
+        if layout.dim == 2:
+            ordered = marks = _counter_clockwise_first(edges)
+        else:
+            ordered, marks = _round_their_middles(edges, layout.net_bearing(rows))
+        slots = self._slots_of(marks)
+        silhouettes[slots] = ordered
+        self._unseen += 1.0
+        self._unseen[slots] = 0.0
+        self._marks[slots] = marks
+        return rows
+
+    def _slots_of(self, marks: NDArray[np.float64]) -> NDArray[np.int64]:
+        """A slot for each obstacle (m, 2, d), the same as at the last tick for those seen then."""
+        if not len(marks):
+            return np.zeros(0, dtype=np.int64)
+        along = np.einsum("mid,sid->msi", marks, self._marks)
+        turned = np.arccos(np.clip(along, -1.0, 1.0)).sum(axis=-1)
+        vacant = _AWAY + 1e-3 / (1.0 + self._unseen)  # the longer, the sooner taken
+        cost = np.where(self._unseen == 0.0, turned, vacant)
+        return least_cost_slots(cost)
+
+
+def least_cost_slots(cost: NDArray[np.float64]) -> NDArray[np.int64]:
+    """A slot for each obstacle, none twice, so that all costs together are least.
+
+    Shortest augmenting paths (Jonker & Volgenant 1987), for few rows: SciPy's solver of the same
+    problem is not on every robot.
+
+    Args:
+        cost: (m, s), m ≤ s, of obstacle m in slot s, finite.
+
+    Returns:
+        Slots, (m,).
+    """
+    nearest = cost.argmin(axis=1)
+    if len(set(nearest.tolist())) == len(cost):
+        return nearest
+    row_price, slot_price = np.zeros(len(cost)), np.zeros(cost.shape[1])
+    owner = np.full(cost.shape[1], -1)
+    for row in range(len(cost)):
+        slack, came_from = np.full(cost.shape[1], np.inf), np.full(cost.shape[1], -1)
+        is_open, last, k = np.ones(cost.shape[1], dtype=bool), row, -1
+        while last >= 0:  # until a slot is reached that nobody has
+            reduced = cost[last] - row_price[last] - slot_price
+            better = is_open & (reduced < slack)
+            slack[better], came_from[better] = reduced[better], k
+            step = slack[is_open].min()
+            ends = is_open & (slack <= step)
+            k = int((ends & (owner < 0)).argmax() if (owner[ends] < 0).any() else ends.argmax())
+            row_price[[row, *owner[~is_open]]] += step
+            slot_price[~is_open] -= step
+            slack[is_open] -= step
+            is_open[k], last = False, owner[k]
+        while k >= 0:
+            before = came_from[k]
+            owner[k], k = (row if before < 0 else owner[before]), before
+    slots = np.empty(len(cost), dtype=np.int64)
+    slots[owner[owner >= 0]] = np.flatnonzero(owner >= 0)
+    return slots
+
+
+def _unit_vectors(
+    name: str, value: ArrayLike, shape: tuple[int, ...], most: int, what: str
+) -> NDArray[np.float64]:
+    """Some (k, *shape) unit vectors, k ≤ most."""
+    vectors = floats(name, value)
+    if vectors.size == 0:
+        return np.zeros((0, *shape))
+    if vectors.shape[1:] != shape:
+        axes = ", ".join(map(str, shape))
+        raise ValueError(f"{name} have shape {vectors.shape}; they must be (…, {axes})")
+    if len(vectors) > most:
+        raise ValueError(
+            f"{name} are of {len(vectors)} {what}; this scenario has room for {most}: see its "
+            f"{'neighbour_slots' if name == 'bearings' else 'obstacle_slots'}"
+        )
+    lengths = np.linalg.norm(vectors, axis=-1)
+    wrong = ~(np.abs(lengths - 1.0) <= _ROUNDING)  # true of NaN, too
+    for index in np.argwhere(wrong):
+        place = tuple(index.tolist())
+        refuse(f"{name}{list(place)}", vectors[place].tolist(), "a unit vector")
+    return vectors
+
+
+def _direction_of_gravity(gravity: ArrayLike | None, sensed: bool) -> NDArray[np.float64]:
+    """A row of it, (1, 3), or none, (0, 1), of robots that do not sense it."""
+    if not sensed:
+        if gravity is not None:
+            refuse("gravity", gravity, "left out: these robots do not sense it")
+        return np.zeros((0, 1))
+    down = np.zeros(0) if gravity is None else floats("gravity", gravity)
+    if down.shape != (3,) or not abs(np.linalg.norm(down) - 1.0) <= _ROUNDING:
+        refuse("gravity", gravity, "its direction in the body frame, a unit vector (3,)")
+    return down[np.newaxis]
+
+
+def _gains(weights: ArrayLike, count: int, most: float) -> NDArray[np.float64]:
+    """Weights (count,), m/s, that come to no more than ``most``."""
+    gains = floats("weights", weights)
+    if gains.shape != (count,):
+        raise ValueError(
+            f"weights have shape {gains.shape}; they must be ({count},), one for each bearing"
+        )
+    for index in np.flatnonzero(~((gains > 0.0) & np.isfinite(gains))):
+        refuse(f"weights[{index}]", float(gains[index]), "positive and finite (m/s)")
+    if (total := float(gains.sum())) > (1.0 + _ROUNDING) * most:
+        raise ValueError(
+            f"weights sum to {total:g} m/s; this scenario's come to D̄ = {most:g} m/s at most. "
+            "Where they are not 1, give them"
+        )
+    return gains
+
+
+def _counter_clockwise_first(edges: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Pairs of edges (m, 2, 2), the counter-clockwise one first."""
+    first, second = edges[:, 0], edges[:, 1]
+    across = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]
+    return np.where(across[:, np.newaxis, np.newaxis] > _OPPOSITE, edges[:, ::-1], edges)
+
+
+def _round_their_middles(
+    rays: NDArray[np.float64], net_bearing: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Rays of cones (m, 8, 3), right-handed and from the side of f on; and by what cones are known,
+    (m, 2, 3): the middle of each, and (cos α, sin α, 0) of half its width α.
+    """
+    total = rays.sum(axis=1)
+    area = np.cross(rays, np.roll(rays, -1, axis=1)).sum(axis=1)
+    backwards = (np.einsum("md,md->m", area, total) < -_FLAT)[:, np.newaxis]
+    middles = total + np.where(backwards, -area, area)
+    middles /= np.linalg.norm(middles, axis=-1, keepdims=True)
+    rays = np.where(backwards[..., np.newaxis], rays[:, ::-1], rays)
+    across = net_bearing - (middles @ net_bearing)[:, np.newaxis] * middles
+    first = np.einsum("msd,md->ms", rays, across)
+    cosines = np.einsum("msd,md->m", rays, middles) / rays.shape[1]
+    widths = np.stack([cosines, np.sqrt(1.0 - np.minimum(cosines, 1.0) ** 2), 0.0 * cosines], -1)
+    marks = np.stack([middles, widths], axis=1)
+    order = (first.argmax(axis=1)[:, np.newaxis] + np.arange(rays.shape[1])) % rays.shape[1]
+    return np.take_along_axis(rays, order[..., np.newaxis], axis=1), marks
