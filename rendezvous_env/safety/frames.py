@@ -7,6 +7,7 @@ from typing import NamedTuple
 from ..compilation import inner_kernel, kernel
 from ..physics.neighbour_rows import net_bearing_of
 from ..physics.vectors import cross, dot, load, split, store, without
+from .robot_lanes import LANES, lanes_of, read_rows, take_in, triple_of
 
 FRAMES = ("net_bearing", "local")
 _NEARLY_ALONG = 1e-6
@@ -19,49 +20,70 @@ class Sight(NamedTuple):
     """What looking along f takes to know."""
 
     neighbour_slots: int
+    visible_rows: int
+    """So many rows, from the first, may give a frame of space its y."""
     dead_zone: float
 
 
 @kernel
-def look_along_net_bearing(teams, arguments):
-    """Turn observations (B, n, rows, d), m/s, into frames with x along f: row ← Fᵀ row, F = (f/‖f‖,
-    …) (theory 7). Where ‖f‖ < δ the last frame is kept; the first ``visible_rows`` give it y.
+def look_along_net_bearing(robots, constants, arrays, work):
+    """Turn observations (N, rows, d), m/s, into frames with x along f: row ← Fᵀ row, F = (f/‖f‖, …)
+    (theory 7), of robots from one index to another. Where ‖f‖ < δ the last frame is kept.
     """
-    if arguments[0].shape[3] == 2:  # the same; behind this question the compiler leaves out z
-        _look_from(teams, arguments)
-    else:
-        _look_from(teams, arguments)
+    observations, frames, seen = arrays
+    for first in range(robots[0], robots[1], LANES):
+        stop = min(first + LANES, robots[1])
+        if observations.shape[2] == 2:  # behind this question the compiler leaves out z
+            _aim_in_plane(observations, constants, frames, first, stop, work)
+            _turn_rows(observations, frames, first, stop, seen)
+        else:
+            for i in range(first, stop):
+                f = net_bearing_of(observations[i], constants.neighbour_slots)
+                strength, towards = split(f)
+                if strength >= constants.dead_zone:
+                    _aim_in_space(towards, observations[i], constants.visible_rows, frames[i])
+            _turn_rows(observations, frames, first, stop, seen)
 
 
 @inner_kernel(inline="code")
-def _look_from(teams, arguments):
-    observations, constants, visible_rows, frames, seen = arguments
-    n, n_rows, d = observations.shape[1:]
-    for team in range(teams[0], teams[1]):
-        for i in range(n):
-            rows, frame = observations[team, i], frames[team, i]
-            f = net_bearing_of(rows, constants.neighbour_slots)
-            strength, towards = split(f)
-            if strength >= constants.dead_zone:
-                _aim_frame(towards, rows, visible_rows, frame)
-            x, y, z = load(frame[:, 0]), load(frame[:, 1]), load(frame[:, d - 1])  # d = 2: no z
-            for row in range(n_rows):
-                v = load(rows[row])
-                along = (0.0 + dot(x, v), 0.0 + dot(y, v), 0.0 + dot(z, v))  # 0.0: never −0.0
-                store(along, seen[team, i, row])
+def _turn_rows(observations, frames, first, stop, seen):
+    for i in range(first, stop):
+        frame = frames[i]
+        x, y = load(frame[:, 0]), load(frame[:, 1])
+        z = load(frame[:, frame.shape[0] - 1])  # in the plane there is none
+        for row in range(observations.shape[1]):
+            v = load(observations[i, row])
+            along = (0.0 + dot(x, v), 0.0 + dot(y, v), 0.0 + dot(z, v))  # 0.0: never −0.0
+            store(along, seen[i, row])
 
 
 @inner_kernel(inline="code")
-def _aim_frame(towards, rows, visible_rows, frame):
+def _aim_in_plane(observations, constants, frames, first, stop, work):
+    """The only right-handed frames with x along f; columns are axes in the local frame."""
+    if work.shape[1] != LANES:  # it is; so the compiler knows how far apart rows are
+        return
+    lanes = lanes_of(work)
+    read_rows(observations, first, stop, constants.neighbour_slots, False, lanes)
+    take_in(frames[:, :, 0], first, stop, lanes.heading)
+    for lane in range(LANES):
+        strength, towards = split(triple_of(lanes.f, lane))
+        for k in range(2):
+            kept = lanes.heading[k, lane]
+            lanes.heading[k, lane] = towards[k] if strength >= constants.dead_zone else kept
+    for lane in range(stop - first):
+        x, y, _ = triple_of(lanes.heading, lane)
+        frame = frames[first + lane]
+        frame[0, 0], frame[0, 1], frame[1, 0], frame[1, 1] = x, 0.0 - y, y, x
+
+
+@inner_kernel(inline="code")
+def _aim_in_space(towards, rows, visible_rows, frame):
     """A right-handed frame with x = ``towards``; columns are its axes in the local frame.
 
-    In the plane this is unique. In space y is the part across x of the row for which that part is
-    longest, the first one of equals, or of the first local axis that is not along x.
+    y is the part across x of the row for which that part is longest, the first one of equals, or of
+    the first local axis that is not along x.
     """
     store(towards, frame[:, 0])
-    if frame.shape[0] == 2:
-        frame[0, 1], frame[1, 1] = -towards[1], towards[0]
-        return
     longest, across = _NEARLY_ALONG, (0.0, 0.0, 0.0)
     for k in range(visible_rows):
         part = without(load(rows[k]), towards)

@@ -110,14 +110,15 @@ def read(observations, held, first, stop, robot, weighs, lanes):
     Σ_j a_ij g_ij, and D_i = Σ_j a_ij if ``weighs``. ``robot`` is a Robot.
     """
     if observations.shape[2] == 2:  # the same; behind this question the compiler leaves out z
-        _read_rows(observations, first, stop, robot.neighbour_slots, weighs, lanes)
+        read_rows(observations, first, stop, robot.neighbour_slots, weighs, lanes)
     else:
-        _read_rows(observations, first, stop, robot.neighbour_slots, weighs, lanes)
+        read_rows(observations, first, stop, robot.neighbour_slots, weighs, lanes)
     take_in(held, first, stop, lanes.choice)
 
 
 @inner_kernel(inline="code")
-def _read_rows(observations, first, stop, neighbour_slots, weighs, lanes):
+def read_rows(observations, first, stop, neighbour_slots, weighs, lanes):
+    """Of robots first ≤ i < stop, from their rows (N, rows, d), m/s: f_i, and D_i if ``weighs``."""
     for lane in range(min(LANES, stop - first)):
         put(net_bearing_of(observations[first + lane], neighbour_slots), lanes.f, lane)
     for lane in range(min(LANES, stop - first) if weighs else 0):

@@ -17,8 +17,10 @@ from ..compilation import kernel
 from ..engine import threads
 from ..engine.state_checks import Remembering, check_observations, check_rotations
 from ..limits import MOST_TEAMS
+from ..physics.vectors import dot, load
 from ..scenario.scenario import Scenario
 from .frames import FRAMES, Sight, look_along_net_bearing
+from .robot_lanes import in_lanes
 
 Float32 = NDArray[np.float32]
 _ROBOTS_PER_THREAD = 4096
@@ -43,20 +45,18 @@ def _hold(given, turns, frames, held):
         The first robot of all teams whose choice is not finite in float32, none is held then; −1.
     """
     n, size = held.shape[1:]
+    for robot, numbers in enumerate(given.reshape(-1, size)):
+        for k in range(size):
+            if not abs(numbers[k]) <= _LARGEST_FLOAT32:
+                return robot
     for team in range(len(held)):
         for i in range(n):
-            for k in range(size):
-                if not abs(given[team, i, k]) <= _LARGEST_FLOAT32:
-                    return team * n + i
-    for team in range(len(held)):
-        for i in range(n):
-            for k in range(size):
-                if turns:
-                    total = 0.0
-                    for m in range(size):
-                        total += frames[team, i, k, m] * given[team, i, m]
-                    held[team, i, k] = total
-                else:
+            if turns:
+                q = load(given[team, i])
+                for k in range(size):
+                    held[team, i, k] = dot(load(frames[team, i, k]), q)
+            else:
+                for k in range(size):
                     held[team, i, k] = given[team, i, k]
     return -1
 
@@ -141,7 +141,8 @@ class SafetyFilter(Remembering, ABC):
         self.turns_body = scenario.model.nonholonomic
         self.along_net_bearing = frame == "net_bearing" and not self.turns_body
         self.action_size = action_size
-        self._sight = Sight(layout.neighbour_slots, float(dead_zone))
+        rows = layout.neighbour_slots, layout.obstacles.stop
+        self._sight = Sight(*rows, float(dead_zone))
         self._batch = num_envs, n, num_threads
         self._seen = (num_envs, n, *layout.shape)
         self._acted = (num_envs, n, scenario.action_size)
@@ -179,9 +180,9 @@ class SafetyFilter(Remembering, ABC):
         if not self.along_net_bearing:
             return observations
         seen = np.empty_like(observations)
-        first_rows = self.scenario.observation_layout.obstacles.stop
-        arguments = observations, self._sight, first_rows, self._frames, seen
-        over_teams(lambda teams: look_along_net_bearing(teams, arguments), *self._batch)
+        arrays = observations, self._frames, seen
+        look = look_along_net_bearing
+        over_teams(lambda teams: in_lanes(look, teams, self._sight, *arrays), *self._batch)
         return seen
 
     @property
