@@ -185,7 +185,7 @@ class RobotVecEnv(VecEnv):
         return self.slots.get_state()
 
     def set_state(self, state: Mapping[str, Any]) -> None:
-        """As ``RobotSlots.set_state``."""
+        """As ``Simulator.set_state``."""
         self.slots.set_state(state)
         self._forget_step()
 

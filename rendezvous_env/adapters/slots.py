@@ -178,11 +178,7 @@ class RobotSlots:
         return {"teams": self.teams.get_state(), **deepcopy(self._memory)}
 
     def set_state(self, state: Mapping[str, Any]) -> None:
-        """Put back what ``get_state`` took out of robots of the same scenario and batch.
-
-        Raises:
-            ValueError: naming what does not fit; nothing has changed then.
-        """
+        """As ``Simulator.set_state``."""
         check_keys(state, ("teams",))
         checked = check_entries(self._memory, state)
         self.teams.set_state(state["teams"])

@@ -11,7 +11,6 @@ from pettingzoo.utils.conversions import parallel_to_aec_wrapper
 
 from ..checks import check_action, floats, refuse, shown
 from ..engine.memory import RENDEZVOUS, RUNNING, TIME_OUT
-from ..engine.state_checks import check_keys
 from ..outcome import StepOutput
 from ..simulator import Simulator
 
@@ -52,20 +51,6 @@ def alive_in(teams: Mapping[str, NDArray[Any]], on_merge: str) -> list[str]:
     if on_merge == "follow":
         return names
     return [name for i, name in enumerate(names) if into[i] == i]
-
-
-def check_state(
-    state: Mapping[str, Any], simulator: Simulator
-) -> tuple[dict[str, NDArray[Any]], list[str]]:
-    """The simulator's part of a state of a team by name, checked, and who is alive in it."""
-    check_keys(state, ("agents", "simulator"))
-    teams = simulator.check_state(state["simulator"])
-    alive, given = alive_in(teams, simulator.scenario.on_merge), state["agents"]
-    if not isinstance(given, list | tuple) or list(given) != alive:
-        raise ValueError(
-            f"state: agents is {shown(given)}; with this simulator's state it must be {alive}"
-        )
-    return teams, alive
 
 
 def check_robots(actions: Any, alive: Sequence[str], merged_into: NDArray[np.int64]) -> None:

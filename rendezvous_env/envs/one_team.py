@@ -58,9 +58,5 @@ class OneOfTeams(Drawn):
         return state
 
     def set_state(self, state: Mapping[str, Any]) -> None:
-        """Put back an episode that ``get_state`` took out.
-
-        Raises:
-            ValueError: naming what does not fit; nothing has changed then.
-        """
+        """As ``Simulator.set_state``."""
         self.teams.set_state(state)

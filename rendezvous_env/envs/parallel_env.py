@@ -10,7 +10,8 @@ from gymnasium.spaces import Box
 from numpy.typing import NDArray
 from pettingzoo.utils.env import ParallelEnv
 
-from ..checks import flag
+from ..checks import flag, shown
+from ..engine.state_checks import check_keys
 from ..render.renderer import RENDER_MODES, Renderer, render_metadata
 from ..scenario.scenario import Scenario
 from ..simulator import Simulator
@@ -19,8 +20,7 @@ from .agents import (
     Observations,
     SpacesByName,
     StepReturn,
-    check_robots,
-    check_state,
+    alive_in,
     infos_of_start,
     names_of,
     table_of,
@@ -235,10 +235,12 @@ class RendezvousParallelEnv(
         Raises:
             ValueError: naming what does not fit; nothing has changed then.
         """
-        teams, alive = check_state(state, self.simulator)
+        check_keys(state, ("agents", "simulator"))
+        teams = self.simulator.check_state(state["simulator"])
+        alive, given = alive_in(teams, self.scenario.on_merge), state["agents"]
+        if not isinstance(given, list | tuple) or list(given) != alive:
+            raise ValueError(
+                f"state: agents is {shown(given)}; with this simulator's state it must be {alive}"
+            )
         self.simulator.set_state(teams)
         self.agents = alive
-
-    def check_robots(self, actions: Mapping[str, Any]) -> None:
-        """Refuse actions that are not for exactly the robots alive, as ``step`` does."""
-        check_robots(actions, self.agents, self.simulator.merged_into[0])

@@ -29,11 +29,6 @@ def observation_bounds(scenario: Scenario) -> NDArray[np.float32]:
     return np.nextafter(bounds.astype(np.float32), np.float32(np.inf))
 
 
-def action_bounds(scenario: Scenario) -> NDArray[np.float32]:
-    """Symmetric bound on every number of an action, (a,)."""
-    return scenario.action_bounds.astype(np.float32)
-
-
 def as_told(rows: NDArray[np.float32], flatten: bool) -> NDArray[np.float32]:
     """Rows (..., rows, d), or with ``flatten`` (..., rows·d): row by row, a view."""
     return rows.reshape(*rows.shape[:-2], -1) if flatten else rows
@@ -47,7 +42,7 @@ def observation_box(scenario: Scenario, flatten: bool = False) -> Box:
 
 def action_box(scenario: Scenario) -> Box:
     """Space of one robot's actions."""
-    bounds = action_bounds(scenario)
+    bounds = scenario.action_bounds.astype(np.float32)
     return Box(-bounds, bounds, dtype=np.float32)
 
 

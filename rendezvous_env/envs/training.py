@@ -22,7 +22,7 @@ from ..scenario.scenarios import ScenarioLike, resolve
 from ..scenario.start_options import as_options
 from .gymnasium_env import make_vec
 from .overrides import sorted_overrides
-from .vector_env import Info, RendezvousVectorEnv, Transition
+from .vector_env import Info, RendezvousVectorEnv, Transition, leave_out_summary
 from .vector_wrappers import (
     EnergyTankWrapper,
     GainWrapper,
@@ -268,8 +268,8 @@ class TrainingTeams(gymnasium.vector.VectorWrapper):
             rewards = infos["robot_rewards"].mean(axis=1)
         if "final_info" in infos:
             infos["final_info"]["robot_rewards"] = infos["robot_rewards"].copy()
-            _leave_out_summary(infos["final_info"])
-        _leave_out_summary(infos)
+            leave_out_summary(infos["final_info"])
+        leave_out_summary(infos)
         return seen, rewards, ends, cuts, infos
 
     def state(self) -> NDArray[np.float32]:
@@ -281,21 +281,11 @@ class TrainingTeams(gymnasium.vector.VectorWrapper):
         return {"env": self.env.get_state(), "touched": self._touches.touched.copy()}
 
     def set_state(self, state: Mapping[str, Any]) -> None:
-        """Put back what ``get_state`` took out.
-
-        Raises:
-            ValueError: naming what does not fit; nothing has changed then.
-        """
+        """As ``Simulator.set_state``."""
         check_keys(state, ("env", "touched"))
         touched = check_entries({"touched": self._touches.touched}, state)["touched"]
         self.env.set_state(state["env"])
         self._touches.touched[...] = touched
-
-
-def _leave_out_summary(infos: Info) -> None:
-    """It is there at the end only, and its numbers stand among the others."""
-    infos.pop("summary", None)
-    infos.pop("_summary", None)
 
 
 class FirstContacts:

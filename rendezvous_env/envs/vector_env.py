@@ -214,11 +214,7 @@ class RendezvousVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
         return self.simulator.get_state()
 
     def set_state(self, state: Mapping[str, NDArray[Any]]) -> None:
-        """Put back what ``get_state`` took out of an environment of the same scenario and batch.
-
-        Raises:
-            ValueError: naming what does not fit; nothing has changed then.
-        """
+        """As ``Simulator.set_state``."""
         self.simulator.set_state(state)
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
@@ -283,6 +279,12 @@ def tell_ends(
     final_info = masked(kept | {"summary": summary}, ended)
     infos |= masked({"final_obs": final_obs, "final_info": final_info}, ended)
     return True
+
+
+def leave_out_summary(infos: Info) -> None:
+    """It is there at the end only, and its numbers stand among the others."""
+    infos.pop("summary", None)
+    infos.pop("_summary", None)
 
 
 def of_all(infos: Info, num_envs: int) -> Info:

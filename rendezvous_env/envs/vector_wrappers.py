@@ -26,15 +26,15 @@ from .guarantee import (
     check_not_guaranteed,
 )
 from .spaces import as_told, choice_box, filtered_observation_box, of_all_teams, team_box
-from .vector_env import Info, RendezvousVectorEnv, Transition, masked, of_all, tell_ends
-
-__all__ = [
-    "EnergyTankWrapper",
-    "GainWrapper",
-    "GuaranteeWrapper",
-    "HeadingVectorWrapper",
-    "LinkKeepingWrapper",
-]
+from .vector_env import (
+    Info,
+    RendezvousVectorEnv,
+    Transition,
+    leave_out_summary,
+    masked,
+    of_all,
+    tell_ends,
+)
 
 
 class GuaranteeWrapper(HoldsFilter, gymnasium.vector.VectorWrapper):
@@ -156,8 +156,7 @@ class GuaranteeWrapper(HoldsFilter, gymnasium.vector.VectorWrapper):
         if alone:
             _, _, *ends = base.tell()
         terminations, truncations, infos = ends
-        infos.pop("summary", None)
-        infos.pop("_summary", None)
+        leave_out_summary(infos)
         infos |= {"robot_rewards": robot_rewards, "contact": contact, **costs}
         told = {key: values.copy() for key, values in self.filter.told.items()}
         infos |= of_all(told, self.num_envs)

@@ -11,7 +11,7 @@ from pettingzoo.utils.env import ParallelEnv
 from pettingzoo.utils.wrappers import BaseParallelWrapper
 
 from ..checks import check_action
-from .agents import Infos, Observations, SpacesByName, StepReturn
+from .agents import Infos, Observations, SpacesByName, StepReturn, check_robots
 from .guarantee import (
     AnyFilter,
     GainSettings,
@@ -23,14 +23,6 @@ from .guarantee import (
 )
 from .parallel_env import RendezvousParallelEnv
 from .spaces import as_told, choice_box, filtered_observation_box
-
-__all__ = [
-    "EnergyTankWrapper",
-    "GainWrapper",
-    "GuaranteeWrapper",
-    "HeadingVectorWrapper",
-    "LinkKeepingWrapper",
-]
 
 
 class GuaranteeWrapper(HoldsFilter, SpacesByName[Box], BaseParallelWrapper):
@@ -102,7 +94,7 @@ class GuaranteeWrapper(HoldsFilter, SpacesByName[Box], BaseParallelWrapper):
         self._check_begun()
         if not self.agents and isinstance(actions, Mapping) and not actions:
             return {}, {}, {}, {}, {}
-        self._base.check_robots(actions)
+        check_robots(actions, self.agents, self._base.simulator.merged_into[0])
         size = self.filter.action_size
         for name, action in actions.items():
             check_action(name, action, size)
