@@ -6,7 +6,7 @@ import os
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,10 +18,6 @@ from .outcome import StepOutput
 from .scenario.scenario import Scenario
 from .scenario.scenarios import resolve
 from .simulator import Simulator
-
-if TYPE_CHECKING:
-    import pandas
-    import xarray
 
 Policy = Callable[[NDArray[np.float32], NDArray[np.float64]], NDArray[Any]]
 ON_REQUEST = ("observations", "actions")
@@ -126,17 +122,9 @@ class Trajectory:
         rises = self.lyapunov_before_merge - self.lyapunov[:-1]
         return np.max(rises, axis=0, where=self.running, initial=-np.inf)
 
-    def to_dataframe(self) -> pandas.DataFrame:
-        """A row for each moment, team and robot; see ``trajectory_formats.pandas_dataframe``."""
-        return trajectory_formats.pandas_dataframe(vars(self))
-
-    def to_xarray(self) -> xarray.Dataset:
-        """All arrays, their dimensions named; see ``trajectory_formats.xarray_dataset``."""
-        return trajectory_formats.xarray_dataset(vars(self))
-
-    def to_minari(self, name: str, **about: Any) -> Any:
-        """A data set for offline learners, on disk; see ``trajectory_formats.minari_dataset``."""
-        return trajectory_formats.minari_dataset(vars(self), name, **about)
+    to_dataframe = trajectory_formats.pandas_dataframe
+    to_xarray = trajectory_formats.xarray_dataset
+    to_minari = trajectory_formats.minari_dataset
 
 
 class Step(NamedTuple):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -39,11 +38,8 @@ ANGLES = ("yaw", "pitch")
 _RECORDED_FOR_MINARI = ("observations", "actions")
 
 
-def xarray_dataset(trajectory: Mapping[str, Any]) -> xarray.Dataset:
+def xarray_dataset(trajectory: Any) -> xarray.Dataset:
     """An xarray Dataset with the arrays under their own names, shaped as ``DIMENSIONS`` says.
-
-    Args:
-        trajectory: the fields of a Trajectory.
 
     Returns:
         Coordinates ``time`` (T + 1,), s, and ``step_end`` (T,), s, when each step ended; the
@@ -53,7 +49,7 @@ def xarray_dataset(trajectory: Mapping[str, Any]) -> xarray.Dataset:
         ImportError: if xarray is not installed, saying how to get it.
     """
     made_by = library("xarray", "to_xarray")
-    scenario, times, arrays = trajectory["scenario"], trajectory["times"], _arrays(trajectory)
+    scenario, times, arrays = trajectory.scenario, trajectory.times, _arrays(trajectory)
     coordinates: dict[str, Any] = {
         "time": ("time", times, {"units": "s"}),
         "step_end": ("step", times[1:], {"units": "s"}),
@@ -69,11 +65,8 @@ def xarray_dataset(trajectory: Mapping[str, Any]) -> xarray.Dataset:
     return made
 
 
-def pandas_dataframe(trajectory: Mapping[str, Any]) -> pandas.DataFrame:
+def pandas_dataframe(trajectory: Any) -> pandas.DataFrame:
     """A pandas DataFrame with a row for each moment, team and robot.
-
-    Args:
-        trajectory: the fields of a Trajectory.
 
     Returns:
         Index ``env``, ``robot``, ``step`` (0 is the start). Columns: ``time`` s; ``x``, ``y``,
@@ -91,7 +84,7 @@ def pandas_dataframe(trajectory: Mapping[str, Any]) -> pandas.DataFrame:
     reward = np.concatenate([np.full((1, teams), np.nan), arrays["rewards"]])
     contact = np.concatenate([np.zeros((1, *shape[1:]), dtype=bool), arrays["contacts"]])
     columns = {
-        "time": trajectory["times"][:, np.newaxis, np.newaxis],
+        "time": trajectory.times[:, np.newaxis, np.newaxis],
         **{axis: positions[..., k] for k, axis in enumerate(AXES[: positions.shape[-1]])},
         **{angle: headings[..., k] for k, angle in enumerate(ANGLES[: headings.shape[-1]])},
         "active": arrays["active"],
@@ -107,7 +100,7 @@ def pandas_dataframe(trajectory: Mapping[str, Any]) -> pandas.DataFrame:
     return made.sort_index()
 
 
-def minari_dataset(trajectory: Mapping[str, Any], name: str, **about: Any) -> MinariDataset:
+def minari_dataset(trajectory: Any, name: str, **about: Any) -> MinariDataset:
     """Write an episode for each team, as one agent in ``gymnasium_env.RendezvousEnv`` lives it.
 
     Observations (T_b + 1, n, rows, d), actions (T_b, n, a), rewards of the team (T_b,). Terminated:
@@ -116,7 +109,7 @@ def minari_dataset(trajectory: Mapping[str, Any], name: str, **about: Any) -> Mi
     the data set makes an environment of the same scenario.
 
     Args:
-        trajectory: the fields of a Trajectory that kept observations and actions.
+        trajectory: one that kept observations and actions.
         name: of the data set, as Minari writes names: "rendezvous/ring-12-v0".
         about: further arguments of ``minari.create_dataset_from_buffers``, like ``author`` and
             ``algorithm_name``; Minari warns of those that it misses.
@@ -131,14 +124,14 @@ def minari_dataset(trajectory: Mapping[str, Any], name: str, **about: Any) -> Mi
     """
     minari = library("minari", "to_minari")
     library("h5py", "to_minari")
-    recorded = trajectory["recorded"]
+    recorded = trajectory.recorded
     if missing := [part for part in _RECORDED_FOR_MINARI if part not in recorded]:
         raise ValueError(
             f"to_minari() needs {' and '.join(missing)}, which were not kept; ask for them: "
             'rollout(…, record="all")'
         )
     _check_name(minari, name)
-    scenario = trajectory["scenario"]
+    scenario = trajectory.scenario
     spec = environment_spec(scenario)
     about = {
         "description": f"Teams of scenario {scenario.name!r}: bearings seen, actions taken",
@@ -146,7 +139,7 @@ def minari_dataset(trajectory: Mapping[str, Any], name: str, **about: Any) -> Mi
         "eval_env": spec,
         **about,
     }
-    episodes = [_episode(trajectory, team) for team in range(len(trajectory["success"]))]
+    episodes = [_episode(trajectory, team) for team in range(len(trajectory.success))]
     made: MinariDataset = minari.create_dataset_from_buffers(name, episodes, **about)
     return made
 
@@ -162,18 +155,18 @@ def environment_spec(scenario: Scenario) -> EnvSpec:
     )
 
 
-def _episode(trajectory: Mapping[str, Any], team: int) -> Any:
+def _episode(trajectory: Any, team: int) -> Any:
     from minari.data_collector import EpisodeBuffer
 
-    active, recorded = trajectory["active"][:, team], trajectory["recorded"]
+    active, recorded = trajectory.active[:, team], trajectory.recorded
     steps = int((active[:-1].sum(axis=-1) > 1).sum())
     last = np.arange(steps) == steps - 1
-    success = bool(trajectory["success"][team])
+    success = bool(trajectory.success[team])
     return EpisodeBuffer(
         id=team,
         observations=recorded["observations"][: steps + 1, team],
         actions=recorded["actions"][:steps, team],
-        rewards=trajectory["rewards"][:steps, team],
+        rewards=trajectory.rewards[:steps, team],
         terminations=last & success,
         truncations=last & (not success),
         infos={"active": active[: steps + 1]},
@@ -194,10 +187,10 @@ def _check_name(minari: Any, name: str) -> None:
         raise ValueError(f"name is {name!r}; it must be new: there is such a data set already")
 
 
-def _arrays(trajectory: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
+def _arrays(trajectory: Any) -> dict[str, NDArray[Any]]:
     """What is kept of every trajectory, and what was kept on request."""
-    own = {name: array for name, array in trajectory.items() if name in DIMENSIONS}
-    return own | trajectory["recorded"]
+    own = {name: array for name, array in vars(trajectory).items() if name in DIMENSIONS}
+    return own | trajectory.recorded
 
 
 def library(name: str, asked: str) -> Any:
