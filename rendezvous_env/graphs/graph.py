@@ -13,7 +13,7 @@ from typing import Any, ClassVar, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from ..checks import floats, nearest_word, real, shown, whole
+from ..checks import floats, known_fields, nearest_word, real, shown, whole
 from ..limits import MOST_ROBOTS
 from . import weights as matrices
 from .weights import Edges, as_range, check_weights, checked_edges, count_of, read_edges
@@ -251,7 +251,7 @@ class Graph:
             ValueError: for an unknown key or an impossible value.
         """
         known = ("edges", "kind", "n_nodes", "probability", "weight_range")
-        check_keys(plain, known)
+        known_fields(plain, known, "graph", "key")
         fields = {"kind": "complete", **plain}
         fields["weight_range"] = as_range(fields.get("weight_range", 1.0))
         if fields["kind"] == cls.listed:
@@ -274,15 +274,6 @@ def _components(graph: Graph, n: int) -> list[list[int]]:
 @lru_cache(maxsize=8)
 def _closed_groups(graph: Graph, n: int) -> list[list[int]]:
     return matrices.closed_groups(graph.sparse_weights(n))
-
-
-def check_keys(plain: Mapping[Any, Any], known: Sequence[str]) -> None:
-    """Refuse unknown keys of a graph's plain data."""
-    for key in plain:
-        if key not in known:
-            raise ValueError(
-                f"graph: unknown key {shown(key)}; known keys are {', '.join(sorted(known))}"
-            )
 
 
 def class_of(kind: Any) -> type[Graph]:

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import checks
-from ..checks import refuse, shown
+from ..checks import known_fields, refuse, shown
 from . import weights as matrices
-from .graph import Graph, GraphNumbers, LinkArrays, check_keys, parse, step_degree
+from .graph import Graph, GraphNumbers, LinkArrays, parse, step_degree
 
 ORDERS = ("cyclic", "random")
 
@@ -126,7 +126,7 @@ class SwitchingGraph(Graph, kinds=("switching",)):
     @classmethod
     def from_plain(cls, plain: Mapping[str, Any]) -> Graph:
         """A graph from the plain data of ``to_plain``, some keys left out."""
-        check_keys(plain, ("dwell", "graphs", "kind", "order"))
+        known_fields(plain, ("dwell", "graphs", "kind", "order"), "graph", "key")
         return switching(**{"graphs": (), **{k: v for k, v in plain.items() if k != "kind"}})
 
 

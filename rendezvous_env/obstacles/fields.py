@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-from ..checks import is_whole, shown
+from ..checks import flag, is_whole, shown
 from ..compilation import by_type, inner_kernel, kernel
 from ..limits import MOST_OBSTACLES
 from ..physics.random_streams import uniform
@@ -49,11 +49,7 @@ class ObstacleField:
                 f"obstacles: passage {shown(self.passage)} of an ObstacleField must be at most "
                 f"twice keep_out, {2 * self.keep_out:g} m, or a start may lie within a gap"
             )
-        if not isinstance(self.overlap, bool):
-            raise ValueError(
-                f"obstacles: overlap {shown(self.overlap)} of an ObstacleField must be True or "
-                "False"
-            )
+        flag("obstacles: overlap of an ObstacleField", self.overlap)
 
     @property
     def count_range(self) -> tuple[int, int]:

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import MISSING, fields
 from typing import Any
 
-from ..checks import nearest_word, shown
+from ..checks import known_fields, shown
 from . import obstacle_set, shape
 from .disc import Disc, Sphere
 from .fields import Field, ObstacleField
@@ -111,9 +111,7 @@ def _from_plain(plain: Mapping[str, Any], dim: int) -> Obstacle | Field:
     if not isinstance(kind, str) or kind not in _KINDS:
         raise ValueError(f"obstacles: kind {shown(kind)} must be one of {', '.join(_KINDS)}")
     keys = _keys(kind)
-    for key in values:
-        if key not in keys:
-            raise ValueError(_unknown_key(key, kind))
+    known_fields(values, (*keys, "kind"), f"obstacles: a {kind}", "key")
     if missing := [key for key, needed in keys.items() if needed and key not in values]:
         raise ValueError(f"obstacles: a {kind} needs {missing[0]}")
     return _KINDS[kind](**{key: _as_tuples(value) for key, value in values.items()})
@@ -129,13 +127,6 @@ def _kind_of(values: Mapping[str, Any], dim: int) -> str:
     if values.keys() & {"count", "region", "keep_out", "overlap", "passage"}:
         return "field"
     return "disc" if dim == 2 else "sphere"
-
-
-def _unknown_key(key: Any, kind: str) -> str:
-    known = (*_keys(kind), "kind")
-    nearest = nearest_word(key, known)
-    hint = f"did you mean {nearest!r}?" if nearest else f"known keys are {', '.join(known)}"
-    return f"obstacles: unknown key {shown(key)} of a {kind}; {hint}"
 
 
 def _parse_entry(k: int, entry: Any, dim: int) -> Obstacle:

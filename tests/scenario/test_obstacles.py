@@ -63,7 +63,7 @@ class TestValidation:
             (lambda: ObstacleField(2, (0, 1), 9, 1), "radius 0 of a"),
             (lambda: ObstacleField(2, (1, 2), -9, 1), "region -9 .* must be"),
             (lambda: ObstacleField(2, (1, 2), 9, math.nan), "keep_out nan .* must be"),
-            (lambda: ObstacleField(2, (1, 2), 9, 1, "no"), "overlap 'no' .* True or False"),
+            (lambda: ObstacleField(2, (1, 2), 9, 1, "no"), "overlap of .* is 'no'; .* True, False"),
         ],
     )
     def test_refusals_name_the_field_and_what_would_be_right(self, make, message):
@@ -160,15 +160,15 @@ class TestPlainData:
     @pytest.mark.parametrize(
         ("value", "dim", "message"),
         [
-            ([{"center": [0, 0], "radius": 1}], 2, "'center' of a disc; did you mean 'centre'"),
-            ({"count": 3, "radii": [1, 2]}, 2, "'radii' of a field; did you mean 'radius'"),
+            ([{"center": [0, 0], "radius": 1}], 2, "disc has no key 'center'; did .* 'centre'"),
+            ({"count": 3, "radii": [1, 2]}, 2, "field has no key 'radii'; did you mean 'radius'"),
             ([{"kind": "cube"}], 2, "kind 'cube' must be one of disc"),
             ([{"centre": [0, 0]}], 2, "a disc needs radius"),
             ([Sphere((0, 0, 0), 1)], 2, r"obstacles\[0\].*in 2-D use Disc, Polygon or Capsule"),
             ([Disc((0, 0), 1)], 3, r"obstacles\[0\].*in 3-D use Sphere or Capsule"),
             ([TRUNK], 2, r"obstacles\[0\]: .* is 3-D; in 2-D use Disc, Polygon or"),
             ([{"kind": "capsule", "radius": 1}], 2, "a capsule needs ends"),
-            ([{"ends": [[0, 0], [1, 0]], "radus": 1}], 2, "unknown key 'radus'"),
+            ([{"ends": [[0, 0], [1, 0]], "radus": 1}], 2, "capsule has no key 'radus'"),
             ([FIELD], 2, "stands alone"),
             ([Disc((0, 0), 1), 7], 2, r"obstacles\[1\]: 7 must be"),
             ("disc", 2, "'disc' must be a sequence"),

@@ -296,7 +296,7 @@ def test_toml_by_hand(tmp_path):
         ("n_robot = 3", r"scenario has no field 'n_robot'; did you mean 'n_robots'"),
         ("merge_radios = 0.1", r"did you mean 'merge_radius'"),
         ("[reward]\nprogres = 1", r"reward has no field 'progres'; did you mean 'progress'"),
-        ("[graph]\nkind = 'path'\nweights = 1", r"graph: unknown key 'weights'; known keys are"),
+        ("[graph]\nkind = 'path'\nweights = 1", r"graph has no key 'weights'; known are edges"),
         ("n_robots = 1", r"n_robots is 1"),
         ("n_robots = ", r"mine\.toml: not a TOML file"),
     ],
