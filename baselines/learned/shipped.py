@@ -79,10 +79,16 @@ class Preset(NamedTuple):
     """What a robot paid for its first touch of an obstacle."""
 
 
+def preset(guarantee: str | None, scenario: Scenario | None = None) -> Preset:
+    """That of a guarantee's shipped policy; without one that of "heading". Arguments as ``folder``:
+    reward and price are the same for all robots.
+    """
+    return _read(folder(POLICIES.get(guarantee or "", POLICIES["heading"]), scenario))
+
+
 @cache
-def preset(guarantee: str | None) -> Preset:
-    """That of a guarantee's shipped policy; without one that of "heading"."""
-    about = describe(folder(POLICIES.get(guarantee or "", POLICIES["heading"])))
+def _read(path: Path) -> Preset:
+    about = describe(path)
     return Preset(
         PolicySettings.from_plain(about["policy"]),
         RewardWeights(**about["scenario"]["reward"]),

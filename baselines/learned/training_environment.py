@@ -212,10 +212,10 @@ class ShippedPreset:
     def held_arguments(self, scenario: Scenario, guarantee: str) -> dict[str, Any]:
         """Arguments of the guarantee's wrapper where they do not.
 
-        A choice is held as long as the shipped policy's; a tank has the same budget in units of
-        r D̄, and its level is observed, as by the shipped policy.
+        A choice is held as long as the choice of the policy that is shipped for such robots; a tank
+        has the same budget in units of r D̄, and its level is observed, as by that policy.
         """
-        settings = preset(guarantee).settings
+        settings = preset(guarantee, scenario).settings
         held: dict[str, Any] = {"decision_period": settings.decision_period(scenario)}
         if guarantee == "tank":
             held |= {"budget": settings.budget * unit_of_tanks(scenario), "observe_level": True}
@@ -251,5 +251,5 @@ class ShippedPreset:
                 changes[key] = number(key, value)
             else:
                 refuse(key, value, "left to the learning preset; learning_preset=False takes it")
-        settings = replace(preset(guarantee).settings, **changes)
+        settings = replace(preset(guarantee, scenario).settings, **changes)
         return FeatureVectorEnv(env, settings, discrete=discrete)

@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 NAME = "privileged-planner"
 _CLEARANCES = tuple(0.1 * 0.5**k for k in range(8))
 """m; the widest with which all robots can meet is kept."""
-_GRID = 13
-"""Places along each side of a square grid that are tried; a second, finer one follows."""
+_GRID = {2: 13, 3: 7}
+"""Places along each side of a grid that are tried; a second, finer one follows."""
 _ARRIVED = 1e-5
 """Share of a full step within which a turn has been reached: what float32 leaves of it."""
 
@@ -36,7 +36,7 @@ class Meeting:
     """Where a team meets."""
 
     place: Array
-    """(2,), m."""
+    """(d,), m."""
     left_out: int
     """Robots that cannot reach it."""
 
@@ -44,7 +44,7 @@ class Meeting:
 def meeting_place(roadmap: Roadmap, positions: Array) -> Meeting:
     """Where the last robot arrives first; among equals, where the ways together are shortest.
 
-    Of the robots' own places, (n, 2), m, the corners of obstacles and a grid over the team; and
+    Of the robots' own places, (n, d), m, the corners of obstacles and a grid over the team; and
     then of a finer grid about the best of these.
     """
     to_corners, _ = roadmap.to_corners(positions)
@@ -52,18 +52,18 @@ def meeting_place(roadmap: Roadmap, positions: Array) -> Meeting:
     places = np.concatenate([_grid(low, high), positions])
     ways = roadmap.distances(positions, to_corners, places)
     best = _best(np.concatenate([places, roadmap.corners]), np.hstack([ways, to_corners]))
-    reach = (high - low).max() / (_GRID - 1)
+    reach = (high - low).max() / (_GRID[positions.shape[1]] - 1)
     finer = np.concatenate([best.place[None], _grid(best.place - reach, best.place + reach)])
     return _best(finer, roadmap.distances(positions, to_corners, finer))
 
 
 def _grid(low: Array, high: Array) -> Array:
-    x, y = np.linspace(low, high, _GRID).T
-    return np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    axes = np.linspace(low, high, _GRID[len(low)]).T
+    return np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, len(low))
 
 
 def _best(places: Array, ways: Array) -> Meeting:
-    """Of places (K, 2), to which the ways (n, K) lead, m."""
+    """Of places (K, d), to which the ways (n, K) lead, m."""
     left_out = np.isinf(ways).sum(axis=0)
     ways = np.where(np.isinf(ways), 0.0, ways)
     chosen = np.lexsort((ways.sum(axis=0), ways.max(axis=0), left_out))[0]
@@ -71,12 +71,12 @@ def _best(places: Array, ways: Array) -> Meeting:
 
 
 def plan(table: Array, positions: Array) -> WaysTo:
-    """The ways on which a team at (n, 2), m, meets soonest among a table of obstacles, see
+    """The ways on which a team at (n, d), m, meets soonest among a table of obstacles, see
     ``obstacles.obstacle_set``; who cannot get there stays where it is.
     """
     found: tuple[Roadmap, Meeting] | None = None
     for clearance in _CLEARANCES:
-        roadmap = Roadmap(table, clearance)
+        roadmap = Roadmap(table, clearance, positions.shape[1])
         meeting = meeting_place(roadmap, positions)
         if found is None or meeting.left_out < found[1].left_out:
             found = roadmap, meeting
@@ -86,7 +86,7 @@ def plan(table: Array, positions: Array) -> WaysTo:
     return WaysTo(found[0], found[1].place)
 
 
-@register(NAME, lambda scenario: can_steer(scenario) and scenario.dim == 2, kind="privileged")
+@register(NAME, can_steer, kind="privileged")
 class PrivilegedPlanner(PrivilegedPolicy):
     """Shortest ways on the map to where the last robot arrives first.
 
@@ -95,7 +95,7 @@ class PrivilegedPlanner(PrivilegedPolicy):
     centimetres from obstacles where it can, and its V may rise.
 
     Args:
-        scenario: single integrators or unicycles; these turn on the spot.
+        scenario: single integrators, or robots that turn; these do so on the spot.
     """
 
     name = NAME
@@ -123,7 +123,7 @@ class PrivilegedPlanner(PrivilegedPolicy):
         return within_a_step(self._to_next_turn(positions), scenario)
 
     def _to_next_turn(self, positions: Array) -> Array:
-        """The straight way (B, n, 2) to the turn that comes next, m."""
+        """The straight way (B, n, d) to the turn that comes next, m."""
         self._next = np.minimum(self._next, self._turns.shape[2] - 1)
         turn = np.take_along_axis(self._turns, self._next[..., None, None], axis=2)[:, :, 0]
         return turn - positions

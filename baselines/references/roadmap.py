@@ -1,8 +1,9 @@
-"""Shortest ways among obstacles of the plane, for policies that may know the map.
+"""Shortest ways among obstacles, for policies that may know the map.
 
-A shortest way runs straight from corner to corner of the obstacles, made fatter by a clearance:
-corners that see one another are the nodes of a graph (a visibility graph), and Dijkstra's algorithm
-finds the ways in it.
+A shortest way of the plane runs straight from corner to corner of the obstacles, made fatter by a
+clearance: corners that see one another are the nodes of a graph (a visibility graph), and
+Dijkstra's algorithm finds the ways in it. In space the nodes are points all over the obstacles made
+fatter, and ways are nearly as short as can be.
 """
 
 from __future__ import annotations
@@ -18,13 +19,18 @@ from scipy.sparse.csgraph import dijkstra
 from rendezvous_env.compilation import kernel
 from rendezvous_env.obstacles import capsule, shape
 from rendezvous_env.obstacles.capsule import CAPSULE
-from rendezvous_env.obstacles.obstacle_set import CENTRE, RADIUS, entry, world_of
+from rendezvous_env.obstacles.obstacle_set import CENTRE, RADIUS, balls, entry, world_of
 from rendezvous_env.obstacles.polygon import POLYGON
 from rendezvous_env.obstacles.shape import ABSENT
+from rendezvous_env.physics.vectors import ORIGIN, combine, dot, load, norm, subtract
 
 Array = NDArray[np.float64]
 _QUARTER = 4
 """Corners that stand for a quarter of a circle."""
+_ON_A_BALL = 24
+"""Points that stand for a ball."""
+_APART = 0.4
+"""rad; half the angle between two of these that are neighbours."""
 _SPIKE = 1e3
 """Longest corner of a pointed obstacle, in clearances."""
 _KEPT = 0.9
@@ -45,20 +51,21 @@ class Roadmap:
     Args:
         table: obstacles, (M, width), see ``obstacles.obstacle_set``.
         clearance: m. A way from a point that is nearer to an obstacle keeps less.
+        dim: d of the space.
     """
 
-    def __init__(self, table: Array, clearance: float) -> None:
+    def __init__(self, table: Array, clearance: float, dim: int = 2) -> None:
         self._world = world_of(table)
         self._clearance = clearance
         self._spikes = _spikes(table)
-        corners = _corners(table, clearance)
+        corners = _corners(table, clearance) if dim == 2 else _points_around(table, clearance)
         if len(corners) > MOST_CORNERS:
             raise ValueError(
                 f"the obstacles have {len(corners)} corners; ways are planned among {MOST_CORNERS} "
                 "at most: give fewer obstacles, or polygons of fewer corners"
             )
         self.corners: Array = corners[self._margins(corners) == _KEPT * clearance]
-        """(C, 2), m."""
+        """(C, d), m."""
         self._lengths = self.straight(self.corners, self.corners)
 
     def _margins(self, points: Array) -> Array:
@@ -69,12 +76,12 @@ class Roadmap:
 
     def _nearest_first(self, points: Array) -> NDArray[np.int64]:
         """Obstacles in the order in which they may be in the way of a point, (N, M)."""
-        centres = self._world.shapes[:, CENTRE : CENTRE + 2]
+        centres = self._world.shapes[:, CENTRE : CENTRE + points.shape[1]]
         gaps = scipy.spatial.distance.cdist(points, centres) - self._world.shapes[:, RADIUS]
         return np.argsort(gaps, axis=1)
 
     def straight(self, points: Array, targets: Array) -> Array:
-        """Lengths of straight ways from points (N, 2) to targets (K, 2), m; inf where an obstacle
+        """Lengths of straight ways from points (N, d) to targets (K, d), m; inf where an obstacle
         is in the way.
         """
         out = np.empty((len(points), len(targets)))
@@ -83,7 +90,7 @@ class Roadmap:
         return out
 
     def to_corners(self, points: Array) -> tuple[Array, NDArray[np.int32]]:
-        """Lengths of the shortest ways from points (N, 2) to all corners, (N, C), m; and the corner
+        """Lengths of the shortest ways from points (N, d) to all corners, (N, C), m; and the corner
         before each on that way, negative if it is the first.
         """
         n, count = len(points), len(self.corners)
@@ -94,7 +101,7 @@ class Roadmap:
         return found[:, n:], before[:, n:] - n
 
     def distances(self, points: Array, to_corners: Array, places: Array) -> Array:
-        """Lengths of the shortest ways from points to places (K, 2), m, by way of corners whose
+        """Lengths of the shortest ways from points to places (K, d), m, by way of corners whose
         distances (N, C) are known; inf where there is none.
         """
         out, last = self.straight(points, places), self.straight(self.corners, places)
@@ -105,7 +112,7 @@ class Roadmap:
 
 
 class WaysTo:
-    """The shortest way from anywhere to one place, (2,), m."""
+    """The shortest way from anywhere to one place, (d,), m."""
 
     def __init__(self, roadmap: Roadmap, place: Array) -> None:
         self._roadmap, self._place = roadmap, place
@@ -113,7 +120,7 @@ class WaysTo:
         self._lengths, self._following = lengths[0], following[0]
 
     def way(self, point: Array) -> Array:
-        """Where the way from a point turns, and the place at its end, (P, 2), m; the point itself
+        """Where the way from a point turns, and the place at its end, (P, d), m; the point itself
         if there is no way.
         """
         if math.isfinite(self._roadmap.straight(point[None], self._place[None])[0, 0]):
@@ -166,6 +173,23 @@ def _corners(table: Array, clearance: float) -> Array:
     return np.concatenate(rings) if rings else np.empty((0, 2))
 
 
+def _points_around(table: Array, clearance: float) -> Array:
+    """Points on balls that cover the obstacles, made fatter, (C, 3): a Fibonacci lattice on each,
+    so far out that a straight way from one to the next keeps the clearance.
+    """
+    k = np.arange(_ON_A_BALL) + 0.5
+    height, azimuth = 1.0 - 2.0 * k / _ON_A_BALL, math.pi * (1.0 + math.sqrt(5.0)) * k
+    aside = np.sqrt(1.0 - height**2)
+    ways = np.stack([aside * np.cos(azimuth), aside * np.sin(azimuth), height], axis=-1)
+    return np.concatenate(
+        [np.empty((0, 3))]
+        + [
+            ball.centre + (ball.radius + clearance) / math.cos(_APART) * ways
+            for ball in balls(table)
+        ]
+    )
+
+
 def _vertices(row: Array) -> Array:
     return row[shape.DETAILS : shape.DETAILS + 2 * int(row[shape.CORNERS])].reshape(-1, 2)
 
@@ -188,17 +212,17 @@ def _spikes(table: Array) -> Array:
 
 @kernel
 def _margins_at(world, around, points, most, out):
-    """How far ways from points (N, 2) can stay away from all obstacles, m: ``most``, or where a
+    """How far ways from points (N, d) can stay away from all obstacles, m: ``most``, or where a
     point is too near for that half of it, a quarter, and so on.
 
     ``around`` is how far each obstacle stands out, (M,), and the nearest first for each point.
     """
     spikes, order = around
     for i in range(len(points)):
-        here, out[i] = (points[i, 0], points[i, 1], 0.0), -_TOUCH
+        out[i] = -_TOUCH
         for halving in range(_HALVINGS):
             margin = most * 0.5**halving
-            if not _in_the_way(world, spikes, order[i], here, (0.0, 0.0, 0.0), margin):
+            if not _in_the_way(world, spikes, order[i], load(points[i]), ORIGIN, margin):
                 out[i] = margin
                 break
 
@@ -206,16 +230,15 @@ def _margins_at(world, around, points, most, out):
 @kernel
 def _in_the_way(world, spikes, order, here, way, margin):
     """Whether a way comes nearer to an obstacle; corners of polygons count as pointed."""
-    length = way[0] * way[0] + way[1] * way[1]
+    length = dot(way, way)
     for m in order:
         if world.kinds[m] == ABSENT:
             continue
-        x, y = world.shapes[m, CENTRE] - here[0], world.shapes[m, CENTRE + 1] - here[1]
-        along = x * way[0] + y * way[1]
-        share = min(max(along / length, 0.0), 1.0) if length > 0.0 else 0.0
-        x, y = x - share * way[0], y - share * way[1]
+        offset = subtract(load(world.shapes[m, CENTRE : CENTRE + 3]), here)
+        share = min(max(dot(offset, way) / length, 0.0), 1.0) if length > 0.0 else 0.0
+        offset = combine(1.0, offset, -share, way)
         bound = (world.shapes[m, RADIUS] + abs(margin) * spikes[m]) * _ROUNDING
-        if x * x + y * y <= bound * bound:
+        if dot(offset, offset) <= bound * bound:
             if entry(world, m, here, way, -margin) < np.inf:
                 return True
     return False
@@ -223,14 +246,14 @@ def _in_the_way(world, spikes, order, here, way, margin):
 
 @kernel
 def _straight_lengths(world, around, points, targets, margins, out):
-    """Lengths of the straight ways from points (N, 2) to targets (K, 2) that keep margins (N,) from
+    """Lengths of the straight ways from points (N, d) to targets (K, d) that keep margins (N,) from
     all obstacles, m; inf where one is in the way. See ``_margins_at``.
     """
     spikes, order = around
     for i in range(len(points)):
-        here = (points[i, 0], points[i, 1], 0.0)
+        here = load(points[i])
         for k in range(len(targets)):
-            way = (targets[k, 0] - here[0], targets[k, 1] - here[1], 0.0)
-            out[i, k] = math.hypot(way[0], way[1])
+            way = subtract(load(targets[k]), here)
+            out[i, k] = norm(way)
             if _in_the_way(world, spikes, order[i], here, way, margins[i]):
                 out[i, k] = np.inf

@@ -114,6 +114,18 @@ def test_the_preset_is_what_training_begins_with():
     assert env.scenario.reward == config.base_scenario().reward
 
 
+@pytest.mark.parametrize("field", ["clutter-8", "unicycle-clutter-8", "uav-clutter-16"])
+def test_each_robot_model_has_the_budget_of_the_policy_that_is_shipped_for_it(field):
+    shipped = baselines.make("learned-tank", field).settings
+    teams = rv.vector.training_env(field, 2, guarantee="tank")
+    teams.reset(seed=0)
+    assert teams.env.settings == shipped
+    assert shipped.budget == pytest.approx((1 if field == "clutter-8" else 2) * 100 / 3)
+    np.testing.assert_allclose(teams.env.guided.tank.normalised_levels, shipped.budget)
+    everyone, own = preset("tank"), preset("tank", rv.scenarios.get(field))
+    assert own.reward == everyone.reward and own.touch_penalty == everyone.touch_penalty
+
+
 def test_robots_are_shown_what_the_shipped_policy_is_shown():
     teams = rv.vector.training_env(SCENARIO, 4)
     shown, _ = teams.reset(seed=2)

@@ -9,7 +9,7 @@ import baselines
 import rendezvous_env as rv
 from baselines.references.privileged_planner import NAME, meeting_place
 from baselines.references.roadmap import Roadmap, WaysTo
-from rendezvous_env import Capsule, Disc, Polygon, Scenario, Simulator
+from rendezvous_env import Capsule, Disc, Polygon, Scenario, Simulator, Sphere
 from rendezvous_env.obstacles.obstacle_set import pack
 
 BOX = Polygon(((-0.5, -2), (0.5, -2), (0.5, 2), (-0.5, 2)))
@@ -86,6 +86,50 @@ class TestWays:
         others = roadmap.distances(team, to_corners, random.uniform(-4, 5, (3000, 2)))
         assert meeting.left_out == 0
         assert chosen <= 1.03 * others.max(axis=0).min()
+
+
+class TestInSpace:
+    @pytest.mark.parametrize(
+        "round_one", [Sphere((0, 0, 0), 1), Capsule(((0, 0, 0), (0, 1e-3, 0)), 1)]
+    )
+    def test_round_a_ball_it_is_little_longer_than_the_tangents_and_the_arc(self, round_one):
+        roadmap = Roadmap(pack([round_one], 1), 0.1, dim=3)
+        angle = math.acos(1.1 / 3)
+        shortest = 2 * math.sqrt(9 - 1.1**2) + 1.1 * (math.pi - 2 * angle)
+        for x, y, z in np.random.default_rng(0).normal(size=(20, 3)):
+            here = 3 * np.array([[x, y, z]]) / math.hypot(x, y, z)
+            found = roadmap.distances(here, roadmap.to_corners(here)[0], -here)[0, 0]
+            assert shortest <= found < 1.15 * shortest
+            turns = np.array([here[0], *WaysTo(roadmap, -here[0]).way(here[0])])
+            along = np.linspace(turns[:-1], turns[1:], 200)
+            assert np.linalg.norm(along, axis=-1).min() >= 1.09 - 1e-3
+            assert np.linalg.norm(np.diff(turns, axis=0), axis=-1).sum() == pytest.approx(found)
+
+    @pytest.mark.parametrize(
+        ("name", "starts"),
+        [
+            ("clutter-3d-32", 10),
+            ("clutter-3d-96", 2),
+            ("slab-3d", 20),
+            ("bowl-3d", 10),
+            ("window-3d", 10),
+            ("uav-clutter-16", 10),
+        ],
+    )
+    def test_every_field_is_passed(self, name, starts):
+        scenario = rv.scenarios.get(name)
+        found = rv.rollout(scenario, planner(scenario), 2000, num_envs=starts)
+        assert clean(found).all()
+        if name == "slab-3d":
+            law = baselines.make("bearing-only", scenario)
+            assert clean(rv.rollout(scenario, law, 2000, num_envs=starts)).mean() < 0.5
+
+    @pytest.mark.slow
+    @pytest.mark.parametrize("name", ["clutter-3d-32", "slab-3d", "bowl-3d", "uav-clutter-16"])
+    def test_of_many_starts_at_least_99_percent_are_passed(self, name):
+        scenario = rv.scenarios.get(name)
+        found = rv.rollout(scenario, planner(scenario), 1_000_000, num_envs=300)
+        assert clean(found).mean() >= 0.99
 
 
 class TestItPasses:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
 from numpy.typing import NDArray
+from rendezvous_env.baselines.learned.shipped import preset
 from rendezvous_env.baselines.learned.training_environment import FeatureVectorEnv, ShippedPreset
 from rendezvous_env.baselines.steering import can_steer
 
@@ -47,11 +48,12 @@ def can_learn(field: Scenario) -> bool:
 
 def guarded(field: Scenario, safety: str) -> dict[str, Any]:
     """What makes teams safe in this way, as arguments of ``vector.training_env``; without a
-    guarantee it is a tank that is never empty.
+    guarantee it is a tank that is never empty. All robots have the budget that points have.
     """
-    if safety in ("heading", "tank"):
+    if safety == "heading":
         return {"guarantee": safety}
-    return {"guarantee": "tank", "budget": BOTTOMLESS * unit_of_tanks(field)}
+    level = preset("tank").settings.budget if safety == "tank" else BOTTOMLESS
+    return {"guarantee": "tank", "budget": level * unit_of_tanks(field)}
 
 
 class Unled(FeatureVectorEnv):
@@ -85,19 +87,19 @@ def teams_to_learn_in(
     Args:
         field: single integrators in the plane.
         num_envs: B.
-        safety: "heading" (theorem C), "tank" (D, with the shipped budget), "rule": the same over
+        safety: "heading" (theorem C), "tank" (D, with a budget), "rule": the same over
             a tank that is never empty, or "none": without the rule, too.
         anew: whether teams begin anew in the step in which they end; else they rest.
         touch_penalty: None is that of the shipped policies.
         wrap: what stands between the robots and what is decided, as a filter of actions.
     """
-    preset, how = ShippedPreset(), guarded(field, safety)
+    learnt, how = ShippedPreset(), guarded(field, safety)
     guarantee = how.pop("guarantee")
-    reward, price = preset.earnings(guarantee)
+    reward, price = learnt.earnings(guarantee)
     scenario = field.replace(on_merge="follow", reward=reward, costs=COSTS)
     mode = AutoresetMode.SAME_STEP if anew else AutoresetMode.DISABLED
     base = wrap(rv.make_vec(scenario, num_envs, mode, num_threads=1))
-    chosen = preset.wrap(base, guarantee, True, how)
+    chosen = learnt.wrap(base, guarantee, True, how)
     teams = TrainingTeams(chosen, price if touch_penalty is None else touch_penalty)
     return unled(teams) if safety == "none" else teams
 
