@@ -41,6 +41,9 @@ from .obstacle_rules.silhouettes import is_seen
 from .steady_frames import law_speed
 from .steering import ALIGNED_IN_SPACE, WITHIN, inputs_towards
 
+PASSABLE = 1.4
+"""rad; farther from f law (4) hardly moves a robot."""
+
 
 class _Robot(NamedTuple):
     """What the kernels need to know of the robots."""
@@ -50,6 +53,8 @@ class _Robot(NamedTuple):
     gravity_row: int
     turns: bool
     """Whether they are nonholonomic."""
+    keeps: float
+    """As ``kept_azimuth``, rad."""
     clearance: float
     """By how much cones are widened, rad."""
     merge_radius: float
@@ -87,18 +92,24 @@ class SteadyPlanes(Remembering):
 
         (cos θ, sin θ) = f/‖f‖ in the plane,   θ ← θ + ∠ in the plane that f has turned
 
-    While something in its plane is before f a robot keeps to it, as f turns; else it takes the one
-    with least to turn, and what it remembers turns with it about f.
+    While something in its plane is before f, but not too wide, a robot keeps to it, as f turns;
+    else it takes the one with least to turn, and what it remembers turns with it about f.
 
     Args:
         scenario: whose robots they are.
         num_envs: B.
         clearance: rad.
         most: at most so fast may a body turn, rad/s; the scenario's limits hold too.
+        keeps: of ``kept_azimuth``, rad: PASSABLE under headings.
     """
 
     def __init__(
-        self, scenario: Scenario, num_envs: int, clearance: float, most: float = math.inf
+        self,
+        scenario: Scenario,
+        num_envs: int,
+        clearance: float,
+        most: float = math.inf,
+        keeps: float = math.inf,
     ) -> None:
         layout, robots = scenario.observation_layout, (num_envs, scenario.n_robots)
         widths = {"towards": (3,), "aside": (3,), "headings": (2,), "velocities": (2,)}
@@ -113,6 +124,7 @@ class SteadyPlanes(Remembering):
             obstacle_slots=layout.obstacle_slots,
             gravity_row=layout.gravity.start,
             turns=scenario.model.nonholonomic,
+            keeps=float(keeps),
             clearance=clearance,
             merge_radius=float(scenario.merge_radius),
             speed_limit=float(scenario.speed_limit),
@@ -171,7 +183,7 @@ def _look(teams, observations, robot, memory, seen):
                 before = _aside_of_neighbours(rows, u, K)
             count = widened_rays(silhouettes, robot.clearance, rays)
             cones = rays[:count], cut[:count], intervals[:count]
-            keeps = memory.blocked[team, i] != 0.0
+            keeps = robot.keeps if memory.blocked[team, i] != 0.0 else 0.0
             aside, blocked = _taken_plane(u, before, keeps, robot.clearance, cones)
             memory.blocked[team, i] = 1.0 if blocked else 0.0
             memory.angles[team, i] = angle

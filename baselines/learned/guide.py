@@ -23,7 +23,7 @@ from rendezvous_env.scenario.scenario import Scenario
 
 from ..obstacle_rules.merged_silhouettes_2d import joined_heading_2d
 from ..steady_frames import SteadyFrames
-from ..steady_planes import SteadyPlanes
+from ..steady_planes import PASSABLE, SteadyPlanes
 from ..steering import WITHIN
 from .features import Features
 from .policy_settings import PolicySettings
@@ -231,7 +231,8 @@ class GuidedTeams:
         turning, certified = scenario.model.nonholonomic, settings.guarantee == "heading"
         most = settings.max_turn_rate if certified else math.inf
         if scenario.dim == 3:
-            self.bodies = SteadyPlanes(scenario, num_envs, 0.5 * settings.clearance, most)
+            keeps, clearance = PASSABLE if certified else math.inf, 0.5 * settings.clearance
+            self.bodies = SteadyPlanes(scenario, num_envs, clearance, most, keeps)
         elif turning:
             # within the clearance of a free direction a body is before nothing
             self.bodies = SteadyFrames(scenario, num_envs, settings.clearance, most)

@@ -69,7 +69,7 @@ def kept_azimuth(towards, before, keeps, clearance, views):
     Args:
         towards: f/‖f‖, a triple.
         before: unit vector across f of the step before, a triple; zero = none yet.
-        keeps: whether it keeps to that.
+        keeps: rad; it keeps to that while what is free there is nearer to f, and with 0 not at all.
         clearance: rad.
         views: ``widened_rays``, (K, 8, 3); then working memory: what the plane cuts of them,
             (K, 2, 2), which is left as it is in the plane that is taken, and (K, 2).
@@ -81,10 +81,10 @@ def kept_azimuth(towards, before, keeps, clearance, views):
     if before == ORIGIN and rays.shape[0] > 0:
         before = load(rays[0, 0])
     aside, _ = azimuth_axes(towards, before, X_AXIS, _Y_AXIS)
-    if keeps:
+    if keeps > 0.0:
         cut_by(towards, aside, rays, cut)
         low, high, _, _ = joined_interval_2d(X_AXIS, cut, intervals)
-        if high - low < TWO_PI:
+        if high - low < TWO_PI and min(high, -low) < keeps:
             return aside, True
     aside = _best_azimuth(towards, aside, clearance, views)
     cut_by(towards, aside, rays, cut)

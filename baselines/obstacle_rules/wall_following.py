@@ -146,7 +146,8 @@ def wall_following_velocities_3d(
         seen = widened_rays(silhouettes[i], settings.clearance, rays)
         views, held = (rays[:seen], cut[:seen], intervals[:seen]), memory[i, SIDE]
         before = load(memory[i, ASIDE:])
-        aside, kept = kept_azimuth(towards, before, held != 0.0, settings.clearance, views)
+        keeps = TWO_PI if held != 0.0 else 0.0
+        aside, kept = kept_azimuth(towards, before, keeps, settings.clearance, views)
         if held != 0.0 and not kept:
             memory[i, SIDE] = held = 1.0
         memory[i, HEADING_X], memory[i, HEADING_Y] = dot(heading, towards), dot(heading, aside)

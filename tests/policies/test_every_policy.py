@@ -33,7 +33,7 @@ TURNING = "unicycle-clutter-8"
 ALSO_ELSEWHERE = [
     f"{name} {TURNING}"
     for name in ("tangent-joined", "tangent-joined-tuned", "tank-joined", "privileged-planner")
-] + ["learned-tank clutter-3d", "learned-tank uav-6", "privileged-planner uav-clutter-16"]
+] + ["learned-tank clutter-3d", "learned-tank uav-6", "privileged-planner clutter-3d"]
 NAMES = [*baselines.names(), *FILTERED, *ALSO_ELSEWHERE]
 SEES = [name for name in NAMES if not name.startswith(("privileged", "random"))]
 

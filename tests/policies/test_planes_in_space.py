@@ -30,7 +30,7 @@ def cone(centre, half_angle):
     return math.cos(half_angle) * centre + math.sin(half_angle) * aside
 
 
-def azimuth(cones, before=(0.0, 0.0, 0.0), keeps=False, clearance=0.0):
+def azimuth(cones, before=(0.0, 0.0, 0.0), keeps=0.0, clearance=0.0):
     """The azimuth about the x axis, whether it was kept, and what its plane cuts of the cones."""
     silhouettes = np.array(cones)
     rays, cut = np.zeros_like(silhouettes), np.zeros((len(cones), 2, 2))
@@ -45,23 +45,32 @@ def angles(cut):
 
 
 def test_a_plane_through_its_centre_cuts_a_cone_at_its_half_angle():
-    _, kept, cut = azimuth([cone(X, 0.4)], before=Y, keeps=True)
+    _, kept, cut = azimuth([cone(X, 0.4)], before=Y, keeps=math.inf)
     assert kept
     # between rays the cone is taken to be flat: half angles from atan(tan 0.4 cos 22.5°) to 0.4
     assert angles(cut)[0, 0] == pytest.approx(0.39, abs=0.02)
     assert angles(cut)[0, 1] == pytest.approx(-0.39, abs=0.02)
-    widened = azimuth([cone(X, 0.4)], before=Y, keeps=True, clearance=0.1)[2]
+    widened = azimuth([cone(X, 0.4)], before=Y, keeps=math.inf, clearance=0.1)[2]
     assert angles(widened)[0, 0] == pytest.approx(0.49, abs=0.02)
+
+
+def test_a_plane_is_kept_while_what_is_free_there_is_near_enough():
+    """A row of cones along y closes the plane of f and y on both sides, not that of f and z."""
+    row = [cone((math.cos(a), math.sin(a), 0.0), 0.4) for a in (-1.2, -0.6, 0.0, 0.6, 1.2)]
+    for keeps, stays in ((1.7, True), (1.4, False)):
+        aside, kept, cut = azimuth(row, before=Y, keeps=keeps)
+        assert kept == stays and (abs(aside @ np.array(Y)) > 0.99) == stays
+    assert angles(cut).max() < 1.0
 
 
 def test_a_plane_beside_its_centre_cuts_less_of_it_and_one_beyond_it_nothing():
     """cos ψ = cos θ / cos δ at the elevation δ of the centre above the plane."""
     seen = cone((math.cos(0.3), 0.0, math.sin(0.3)), 0.4)
-    cut = azimuth([seen], before=Y, keeps=True)[2]
+    cut = azimuth([seen], before=Y, keeps=math.inf)[2]
     expected = math.acos(math.cos(0.4) / math.cos(0.3))
     assert angles(cut)[0] == pytest.approx([expected, -expected], abs=0.04)
     beyond = cone((math.cos(0.5), 0.0, math.sin(0.5)), 0.4)
-    assert not azimuth([beyond], before=Y, keeps=True)[2].any()
+    assert not azimuth([beyond], before=Y, keeps=math.inf)[2].any()
 
 
 def test_the_azimuth_is_the_one_with_least_to_turn():
@@ -76,7 +85,7 @@ def test_the_azimuth_is_the_one_with_least_to_turn():
 
 def test_a_kept_plane_that_is_closed_all_round_is_left():
     ring = [cone((math.cos(a), math.sin(a), 0.0), 0.7) for a in np.arange(6) * math.pi / 3]
-    aside, kept, _ = azimuth(ring, before=Y, keeps=True)
+    aside, kept, _ = azimuth(ring, before=Y, keeps=math.inf)
     assert not kept and abs(aside @ Z) > 0.7
 
 
