@@ -23,32 +23,16 @@ from .training import training_env as teams_to_train
 
 def training_env(
     scenario: ScenarioLike = "clutter-8",
-    *,
-    guarantee: str | None = "heading",
-    learning_preset: bool = True,
-    flatten: bool = True,
-    discrete: bool = False,
-    render_mode: str | None = None,
-    **overrides: Any,
+    **arguments: Any,
 ) -> TrainingParallelEnv:
     """One team as a generic learner wants it: a PettingZoo environment.
 
     It is the team of ``rendezvous_env.vector.training_env`` with B = 1, by name: the other
-    arguments (``max_cycles``, ``touch_penalty``, those of the guarantee's wrapper, fields of the
-    scenario), what robots see, do and earn, and errors are told there.
+    arguments (``guarantee``, ``learning_preset``, ``flatten``, ``discrete``, …), what robots see,
+    do and earn, and errors are told there.
     """
-    teams = teams_to_train(
-        scenario,
-        1,
-        guarantee=guarantee,
-        learning_preset=learning_preset,
-        flatten=flatten,
-        discrete=discrete,
-        render_mode=render_mode,
-        autoreset_mode=AutoresetMode.DISABLED,
-        **overrides,
-    )
-    return TrainingParallelEnv(teams)
+    disabled = AutoresetMode.DISABLED
+    return TrainingParallelEnv(teams_to_train(scenario, 1, autoreset_mode=disabled, **arguments))
 
 
 class TrainingParallelEnv(
@@ -150,6 +134,6 @@ class TrainingParallelEnv(
         }
 
     def set_state(self, state: Mapping[str, Any]) -> None:
-        """As ``Simulator.set_state``."""
+        """As the teams."""
         super().set_state(state)
         self.agents = alive_in(self.simulator.get_state(), "follow")

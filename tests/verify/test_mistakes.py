@@ -66,8 +66,8 @@ def a_speed_limit_bounds_gains(monkeypatch):
     ("mistake", "by", "number", "broken"),
     [
         (merges_at_midpoints, "links", 80582, "link_growth"),
-        (the_nearest_has_a_heavy_link, "law", 4673, "time"),
-        (a_speed_limit_bounds_gains, "law", 1108, "nested"),
+        (the_nearest_has_a_heavy_link, "law", 1001, "time"),
+        (a_speed_limit_bounds_gains, "law", 1101, "nested"),
     ],
 )
 def test_a_mistake_that_is_put_back_is_found(mistake, by, number, broken, monkeypatch):

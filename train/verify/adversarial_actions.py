@@ -12,7 +12,7 @@ import rendezvous_env as rv
 from rendezvous_env.compilation import inner_kernel, kernel
 from rendezvous_env.safety.settings import MAX_TURN_RATE
 
-from .adversarial_bearings import unit
+from .adversarial_bearings import length_of, set_across
 from .adversaries import orthogonal_rates
 from .monitors import Moment
 
@@ -54,7 +54,6 @@ class Adversary:
         self.kinds = random.integers(len(WISHES), size=self.size)
         alike = np.arange(num_envs) % 2 == 0
         self.kinds[alike] = self.kinds[alike, :1]
-        self.restless = np.arange(num_envs) % 4 == 3
         self.frozen = random.normal(size=(*self.size, scenario.dim))
         self.side = random.choice([-1.0, 1.0], size=(*self.size, 1))
         self.strength = np.where(
@@ -64,36 +63,23 @@ class Adversary:
 
     def __call__(self, observations: NDArray[np.float32], teams: Moment) -> ArrayLike:
         """Choices (B, n, k)."""
-        redrawn = self.restless[:, None] & (self.random.random(self.size) < 0.1)
-        self.kinds[redrawn] = self.random.integers(len(WISHES), size=int(redrawn.sum()))
+        restless = self.kinds[3::4]
+        anew = self.random.random(restless.shape) < 0.1
+        restless[anew] = self.random.integers(len(WISHES), size=int(anew.sum()))
         if self.by == "gains":
-            return self._gains(observations, teams)
-        if not self.scenario.model.bounded:
-            return self._controls(observations)
-        wishes = self._directions(teams) * self.strength
-        return np.einsum("bnji,bnj->bni", teams.frames, wishes)
+            rows = self.scenario.observation_layout.split(observations).neighbours
+            weights = self.random.random(rows.shape[:-1])
+            _lean(rows, self._wishes(teams), self.kinds, weights)
+            return weights
+        return self._wishes(teams) if self.scenario.model.bounded else self._controls(observations)
 
-    def _directions(self, teams: Moment) -> Array:
-        """What each robot wants, in the global frame, (B, n, d)."""
+    def _wishes(self, teams: Moment) -> Array:
+        """What each robot wants, in its own frame, (B, n, d)."""
         wanted = self.random.normal(size=self.frozen.shape)
-        now = teams.positions, teams.active, teams.weights
-        _want(now, (self.kinds, self.frozen, self.side), np.zeros((4, wanted.shape[-1])), wanted)
+        now = teams.positions, teams.active, teams.weights, teams.frames
+        wishes = self.kinds, self.frozen, self.side, self.strength
+        _want(now, wishes, np.zeros((5, wanted.shape[-1])), wanted)
         return wanted
-
-    def _gains(self, observations: NDArray[np.float32], teams: Moment) -> Array:
-        """Weights (B, n, K) of the rows: one row alone, all alike, or blindly."""
-        rows = self.scenario.observation_layout.split(observations).neighbours
-        rows = rows.astype(np.float64)
-        seen = np.any(rows, axis=-1)
-        wishes = np.einsum("bnji,bnj->bni", teams.frames, self._directions(teams))
-        score = np.where(seen, np.einsum("bnkd,bnd->bnk", unit(rows), wishes), -np.inf)
-        # the row that is wanted most, and the others by ever so little
-        chosen = (score == score.max(axis=-1, keepdims=True)).astype(float)
-        leaning = np.where(seen, np.clip(score, 0.0, 1.0), 0.0)
-        blind = self.random.random(chosen.shape)
-        style = (np.arange(self.size[1]) + np.arange(self.size[0])[:, None] // 2)[..., None] % 4
-        weights = np.choose(style, (chosen, chosen, leaning, blind))
-        return np.where(self.kinds[..., None] == WISHES.index("rest"), 0.0, weights)
 
     def _controls(self, observations: NDArray[np.float32]) -> Array:
         """Inputs of robots that turn, in units of their bounds: blind, held, to and fro, away from
@@ -118,15 +104,16 @@ class Adversary:
 
 @kernel
 def _want(now: Any, wishes: Any, seen: Any, wanted: Any) -> None:
-    """Write unit vectors, or zero, by the WISHES of robots over what they would want blindly.
+    """Write what robots want, by their WISHES, in their own frames, over what they would want
+    blindly.
 
     Args:
-        now: places (B, n, d), who is there (B, n), weights (B, n, n).
-        wishes: kinds (B, n), fixed vectors (B, n, d) and sides ±1 (B, n, 1).
-        seen: working memory, (4, d).
+        now: places (B, n, d), who is there (B, n), weights (B, n, n), frames (B, n, d, d).
+        wishes: kinds (B, n), fixed vectors (B, n, d), sides ±1 and lengths (B, n, 1).
+        seen: working memory, (5, d).
         wanted: random vectors, (B, n, d).
     """
-    kinds, frozen, side = wishes
+    kinds, frozen, side, strength = wishes
     for b in range(wanted.shape[0]):
         for i in range(wanted.shape[1]):
             kind, aim = kinds[b, i], wanted[b, i]
@@ -135,10 +122,47 @@ def _want(now: Any, wishes: Any, seen: Any, wanted: Any) -> None:
             if kind < 6:
                 _look_round(now, b, i, seen)
                 if kind == 1:
-                    _across(seen[0], frozen[b, i], side[b, i, 0], aim)
+                    set_across(seen[0], frozen[b, i], side[b, i, 0], aim)
+                    _scale(aim, 1.0, aim)
                 else:
                     ahead = seen[0 if kind == 0 else min(kind - 1, 3)]
                     _scale(ahead, 1.0 if kind == 2 or kind == 5 else -1.0, aim)
+            for k in range(len(aim)):
+                seen[4, k] = strength[b, i, 0] * aim[k]
+            for k in range(len(aim)):
+                aim[k] = 0.0
+                for j in range(len(aim)):
+                    aim[k] += now[3][b, i, j, k] * seen[4, j]
+
+
+@kernel
+def _lean(rows: Any, wishes: Any, kinds: Any, weights: Any) -> None:
+    """Write weights of rows: the one that is wanted most alone, of some robots all that are wanted
+    or blindly; nothing for those that want to rest.
+
+    Args:
+        rows: of neighbours, (B, n, K, d) float32.
+        wishes: what robots want, (B, n, d).
+        kinds: their WISHES, (B, n).
+        weights: random numbers in [0, 1), (B, n, K).
+    """
+    for b in range(weights.shape[0]):
+        for i in range(weights.shape[1]):
+            style, best, most = (i + b // 2) % 4, -1, -np.inf
+            for k in range(weights.shape[2]):
+                length, score = length_of(rows[b, i, k]), 0.0
+                for axis in range(wishes.shape[2]):
+                    score += rows[b, i, k, axis] * wishes[b, i, axis]
+                score /= length if length > 0.0 else 1.0
+                if length > 0.0 and score > most:
+                    best, most = k, score
+                if style == 2:
+                    weights[b, i, k] = min(max(score, 0.0), 1.0)
+            for k in range(weights.shape[2]):
+                if style < 2:
+                    weights[b, i, k] = 1.0 if k == best else 0.0
+                if kinds[b, i] == 8:
+                    weights[b, i, k] = 0.0
 
 
 @inner_kernel
@@ -146,7 +170,7 @@ def _look_round(now: Any, b: int, i: int, seen: Any) -> None:
     """Write what f_i is, what leads away from all others, and where the farthest and the nearest of
     those lie that robot i is linked to, (4, d); zero where there is nobody.
     """
-    places, active, weights = now
+    places, active, weights, _ = now
     farthest, nearest = 0.0, np.inf
     for k in range(4 * places.shape[2]):
         seen[k // places.shape[2], k % places.shape[2]] = 0.0
@@ -168,22 +192,9 @@ def _look_round(now: Any, b: int, i: int, seen: Any) -> None:
 
 
 @inner_kernel
-def _across(ahead: Any, axis: Any, side: float, aim: Any) -> None:
-    """Write the unit vector across one (d,): turned by 90° in the plane, ahead × axis in 3-D."""
-    aim[0], aim[1] = -ahead[1], ahead[0]
-    if len(aim) == 3:
-        aim[0] = ahead[1] * axis[2] - ahead[2] * axis[1]
-        aim[1] = ahead[2] * axis[0] - ahead[0] * axis[2]
-        aim[2] = ahead[0] * axis[1] - ahead[1] * axis[0]
-    _scale(aim, side, aim)
-
-
-@inner_kernel
 def _scale(ahead: Any, length: float, aim: Any) -> None:
     """Write a vector (d,) of this length along one; zero stays zero."""
-    square = 0.0
-    for k in range(len(aim)):
-        square += ahead[k] ** 2
-    by = length / math.sqrt(square) if square > _TINY**2 else 0.0
+    along = length_of(ahead)
+    by = length / along if along > _TINY else 0.0
     for k in range(len(aim)):
         aim[k] = ahead[k] * by

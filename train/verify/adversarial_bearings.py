@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import gymnasium
@@ -9,12 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rendezvous_env import Scenario
+from rendezvous_env.compilation import inner_kernel, kernel
 
 Array = NDArray[np.float64]
 
 KINDS = ("against", "to one side", "anyhow", "to changing sides", "outward")
 _SWITCHING = 7
 """Steps after which errors turn round."""
+_AT_ONCE = 16
+"""Steps for which random numbers are drawn at once."""
 _ROUNDED = 1.0 - 1e-6
 """Share of an error that is still none too much after rounding to float32."""
 _TINY = 1e-12
@@ -35,12 +39,13 @@ class Misled(gymnasium.vector.VectorWrapper):
 
     def __init__(self, env: Any, scenario: Scenario, error: float, seed: int) -> None:
         super().__init__(env)
-        self._rows, self._error = scenario.observation_layout.neighbours, error * _ROUNDED
-        self._step, n = 0, scenario.n_robots
+        n, slots = scenario.n_robots, scenario.observation_layout.neighbour_slots
+        self._step, self._rows = 0, scenario.observation_layout.neighbours
+        self._errors = np.full((env.num_envs, n, slots), error * _ROUNDED)
         self._randoms = [np.random.default_rng([seed + b, 3]) for b in range(env.num_envs)]
         kinds = [r.integers(len(KINDS), size=n if r.random() < 0.5 else 1) for r in self._randoms]
-        self._kinds = np.array([np.resize(own, (n, 1, 1)) for own in kinds])
-        self._axis = np.array([r.normal(size=(n, 1, 3)) for r in self._randoms])
+        self._kinds = np.array([np.resize(own, n) for own in kinds])
+        self._axes = np.array([r.normal(size=(n, 3)) for r in self._randoms])
 
     def reset(self, **asked: Any) -> tuple[Any, dict[str, Any]]:
         """As the environment."""
@@ -54,38 +59,115 @@ class Misled(gymnasium.vector.VectorWrapper):
 
     def turn(self, observations: NDArray[np.float32]) -> NDArray[np.float32]:
         """Observations (B, n, rows, d) with turned rows."""
-        seen = observations.copy()
+        seen, ahead = observations.copy(), self._step % _AT_ONCE
         rows = observations[..., self._rows, :].astype(np.float64)
-        lengths = np.linalg.norm(rows, axis=-1, keepdims=True)
+        if ahead == 0:
+            shape = _AT_ONCE, *rows.shape[1:]
+            self._anyhow = np.array([random.normal(size=shape) for random in self._randoms])
         self._step += 1
-        bearings = unit(rows)
-        seen[..., self._rows, :] = lengths * turned(bearings, self._towards(rows), self._error)
+        side = -1.0 if self._step // _SWITCHING % 2 else 1.0
+        towards = self._anyhow[:, ahead]
+        _aim(rows, (self._kinds, self._axes, side), np.zeros((2, rows.shape[-1])), towards)
+        _turn(rows, towards, self._errors)
+        seen[..., self._rows, :] = rows
         return seen
 
-    def _towards(self, rows: Array) -> Array:
-        """Directions of the shape of the rows."""
-        against = -np.broadcast_to(rows.sum(axis=-2, keepdims=True), rows.shape)
-        side = across(unit(rows), np.broadcast_to(self._axis, (*rows.shape[:-1], 3)))
-        outward = -np.broadcast_to(unit(rows).sum(axis=-2, keepdims=True), rows.shape)
-        there = -1.0 if self._step // _SWITCHING % 2 else 1.0
-        anyhow = np.array([random.normal(size=rows.shape[1:]) for random in self._randoms])
-        return np.asarray(np.choose(self._kinds, (against, side, anyhow, there * side, outward)))
+
+@kernel
+def _aim(rows: Any, how: Any, sums: Any, towards: Any) -> None:
+    """Write where the rows of robots are turned to, by their KINDS, over what is anyhow.
+
+    Args:
+        rows: (B, n, K, d).
+        how: kinds (B, n), axes (B, n, 3), and ±1 for changing sides.
+        sums: working memory, (2, d).
+        towards: random vectors, (B, n, K, d).
+    """
+    kinds, axes, side = how
+    for b in range(rows.shape[0]):
+        for i in range(rows.shape[1]):
+            kind, own = kinds[b, i], rows[b, i]
+            for axis in range(rows.shape[3]):
+                sums[0, axis], sums[1, axis] = 0.0, 0.0
+            for k in range(rows.shape[2]):
+                length = length_of(own[k])
+                for axis in range(rows.shape[3]):
+                    sums[0, axis] -= own[k, axis]
+                    sums[1, axis] -= own[k, axis] / length if length > 0.0 else 0.0
+            for k in range(rows.shape[2]):
+                aim = towards[b, i, k]
+                if kind == 1 or kind == 3:
+                    set_across(own[k], axes[b, i], 1.0 if kind == 1 else side, aim)
+                for axis in range(len(aim) if kind == 0 or kind == 4 else 0):
+                    aim[axis] = sums[0 if kind == 0 else 1, axis]
 
 
 def turned(bearings: Array, towards: Array, error: Array | float) -> Array:
-    """Bearings (B, n, k, d) turned by an error, rad, towards directions of the same shape.
+    """Bearings (B, n, k, d) turned by an error, rad, of all, each team (B,) or each bearing (B, n,
+    k, 1), towards directions of the same shape.
 
     One that already points there, or away, is turned across.
     """
-    aside = towards - np.sum(towards * bearings, axis=-1, keepdims=True) * bearings
-    beside = np.roll(bearings, 1, axis=-1) * np.array([-1.0, 1.0, 0.5])[: bearings.shape[-1]]
-    beside = beside - np.sum(beside * bearings, axis=-1, keepdims=True) * bearings
-    aligned = np.sum(aside**2, axis=-1, keepdims=True) < 1e-18
-    side = unit(np.where(aligned, beside, aside))
-    angle = np.asarray(error)
-    if angle.ndim:
-        angle = angle.reshape(*angle.shape, *[1] * (4 - angle.ndim))
-    return np.asarray(np.cos(angle) * bearings + np.sin(angle) * side)
+    rows = np.array(bearings, dtype=np.float64)
+    aims = np.broadcast_to(towards, rows.shape).astype(np.float64)
+    angles = np.reshape(error, (*np.shape(error), *[1] * (4 - np.ndim(error))))[..., 0]
+    _turn(rows, aims, np.broadcast_to(angles, rows.shape[:3]).astype(np.float64))
+    return rows
+
+
+@kernel
+def _turn(rows: Any, towards: Any, errors: Any) -> None:
+    """Turn rows (B, n, K, d) towards directions of that shape, which are overwritten, by errors
+    (B, n, K), rad; lengths stay.
+    """
+    for b in range(rows.shape[0]):
+        for i in range(rows.shape[1]):
+            for k in range(rows.shape[2]):
+                row, aim = rows[b, i, k], towards[b, i, k]
+                length = length_of(row)
+                if length == 0.0:
+                    continue
+                _less(row, aim)
+                if length_of(aim) < 1e-9:
+                    beside = row[len(row) - 1]
+                    for axis in range(len(row)):
+                        aim[axis] = (0.5 if axis == 2 else 2.0 * (axis > 0) - 1.0) * beside
+                        beside = row[axis]
+                    _less(row, aim)
+                across = length_of(aim)
+                for axis in range(len(row)):
+                    row[axis] *= math.cos(errors[b, i, k])
+                    row[axis] += length * math.sin(errors[b, i, k]) * aim[axis] / across
+
+
+@inner_kernel
+def _less(row: Any, aim: Any) -> None:
+    """Take from a vector (d,) its part along another."""
+    along, square = 0.0, 0.0
+    for axis in range(len(row)):
+        along += aim[axis] * row[axis]
+        square += row[axis] ** 2
+    for axis in range(len(row)):
+        aim[axis] -= along / square * row[axis]
+
+
+@inner_kernel
+def length_of(vector: Any) -> float:
+    """‖v‖ of a vector (d,)."""
+    square = 0.0
+    for axis in range(len(vector)):
+        square += vector[axis] ** 2
+    return math.sqrt(square)
+
+
+@inner_kernel
+def set_across(ahead: Any, axis: Any, side: float, aim: Any) -> None:
+    """Write a vector across one (d,): turned by 90° in the plane, ahead × axis in 3-D."""
+    aim[0], aim[1] = -side * ahead[1], side * ahead[0]
+    if len(aim) == 3:
+        aim[0] = side * (ahead[1] * axis[2] - ahead[2] * axis[1])
+        aim[1] = side * (ahead[2] * axis[0] - ahead[0] * axis[2])
+        aim[2] = side * (ahead[0] * axis[1] - ahead[1] * axis[0])
 
 
 def across(ahead: Array, axis: Array) -> Array:

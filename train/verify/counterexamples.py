@@ -18,10 +18,10 @@ import rendezvous_env as rv
 
 from .falsification import TEAMS, Played, Trial, climb, play
 from .monitors import NUMBERS
-from .random_scenarios import CHOICES, draw, draw_kind
+from .random_scenarios import CHOICES, STARTS, draw, draw_kind
 
-TRIALS = 50
-"""Of a block: they are of one kind and share compiled code."""
+DRAWS = 50
+"""Of a block: they are of one kind and share compiled code. Each is of STARTS scenarios."""
 _CLIMBING = 0.15
 """Share of trials whose starts are bettered."""
 _HOW = ("by", "arguments", "frame", "period", "seed")
@@ -35,7 +35,7 @@ class AnyBlock:
     """Some trials of one kind, a task of its own."""
 
     number: int
-    trials: int
+    draws: int
     seed: int
 
     @property
@@ -62,7 +62,7 @@ class Tally:
         """Count one trial."""
         self.steps += played.steps
         for name, checked in played.granted.items():
-            self.counts.update((name, what) for what in ("granted", *checked))
+            self.counts.update({(name, what): count for what, count in checked.items()})
             if "time" in checked and not np.isnan(played.time_over_bound):
                 self.ratio[name] = max(self.ratio.get(name, 0.0), played.time_over_bound)
         if played.violation is not None:
@@ -78,15 +78,16 @@ class Tally:
 
 
 def any_blocks(trials: int, seed: int) -> list[AnyBlock]:
-    """Trials cut into tasks."""
-    starts = range(0, trials, TRIALS)
-    return [AnyBlock(k, min(TRIALS, trials - k * TRIALS), seed) for k in range(len(starts))]
+    """So many scenarios, or a few more, cut into tasks."""
+    draws = -(-trials // STARTS)
+    starts = range(0, draws, DRAWS)
+    return [AnyBlock(k, min(DRAWS, draws - k * DRAWS), seed) for k in range(len(starts))]
 
 
 def look_at_any(block: AnyBlock) -> Tally:
     """Play the trials of a block."""
-    began, tally = time.perf_counter(), Tally(trials=block.trials)
-    for number in range(block.number * TRIALS, block.number * TRIALS + block.trials):
+    began, tally = time.perf_counter(), Tally(trials=block.draws * STARTS)
+    for number in range(block.number * DRAWS, block.number * DRAWS + block.draws):
         for drawn in trials_of(block.seed, number):
             tally.add(number, *climb(drawn))
     tally.seconds = time.perf_counter() - began
@@ -94,8 +95,8 @@ def look_at_any(block: AnyBlock) -> Tally:
 
 
 def trials_of(seed: int, number: int) -> list[Trial]:
-    """The scenario of a number, played under each of CHOICES."""
-    kind = draw_kind(np.random.default_rng([seed, _KINDS + number // TRIALS]))
+    """The scenarios of a number, played under each of CHOICES."""
+    kind = draw_kind(np.random.default_rng([seed, _KINDS + number // DRAWS]))
     random = np.random.default_rng([seed, number])
     drawn = draw(random, kind)
     return [
@@ -107,6 +108,7 @@ def trials_of(seed: int, number: int) -> list[Trial]:
             period=3 if by != "law" and random.random() < 0.15 else 1,
             seed=int(random.integers(2**31)),
             generations=3 if random.random() < _CLIMBING else 0,
+            starts=drawn.starts,
         )
         for by in CHOICES
     ]

@@ -5,10 +5,9 @@ Everything goes through what any user has: certificates, the vector environment 
 
 from __future__ import annotations
 
-import itertools
 import math
+from collections import Counter, defaultdict
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Any, NamedTuple
@@ -25,12 +24,13 @@ from rendezvous_env.safety.theorems.certificate import ask as theorems_of
 from .adversarial_actions import Adversary
 from .adversarial_bearings import Misled
 from .monitors import BOUNDS, NUMBERS, REPEATED, Moment, Watch
+from .random_scenarios import other_starts
 
 Array = NDArray[np.float64]
 Policy = Callable[[Any, Moment], Any]
 
-TEAMS = 12
-"""Teams of one trial: one start or seeds side by side, adversaries of their own."""
+TEAMS = 24
+"""Teams of one trial, side by side: each start has as many, with adversaries of their own."""
 MOST_STEPS = 400
 """Steps for which a time bound is waited for."""
 FEW_STEPS = 8, 80
@@ -59,6 +59,8 @@ class Trial:
     """Team b has this seed + b; adversaries are drawn from it."""
     generations: int = 0
     """How often starts are bettered, see ``climb``."""
+    starts: tuple[rv.Scenario, ...] = ()
+    """The scenario from other starts, in place of its own; they divide the teams among them."""
 
 
 @dataclass(frozen=True)
@@ -87,14 +89,16 @@ class Violation:
 class Played:
     """What came of a trial."""
 
-    granted: dict[str, tuple[str, ...]] = field(default_factory=dict)
-    """The theorems that applied, and which of their NUMBERS were checked; "time" only if the bound
-    was reached, or all met before."""
+    granted: dict[str, Counter[str]] = field(default_factory=dict)
+    """By theorem that applied: from how many starts it was "granted", and each of its NUMBERS
+    checked; "time" only if the bound was reached, or all met before."""
     steps: int = 0
     time_over_bound: float = math.nan
     violation: Violation | None = None
     closeness: dict[str, Array] = field(default_factory=dict, repr=False)
     """How near each team came to break each number, (B,)."""
+    began: Array = field(default_factory=lambda: np.empty((0, 0, 0)), repr=False)
+    """Where the robots started, (B, n, d), m."""
 
 
 class Promised(NamedTuple):
@@ -131,40 +135,36 @@ def ask(scenario: rv.Scenario, by: str, arguments: Mapping[str, float]) -> Promi
     return Promised(limits, theorems, asked.error, words)
 
 
-def play(
-    trial: Trial,
-    *,
-    teams: int = TEAMS,
-    choices: Array | None = None,
-    among: Sequence[rv.Scenario] = (),
-) -> Played:
-    """Ask for the certificate, play, and hold every number against what happens.
+def play(trial: Trial, *, teams: int = TEAMS, choices: Array | None = None) -> Played:
+    """Ask for the certificates, play, and hold every number against what happens.
 
     Args:
         trial: what is played.
         teams: how many teams, side by side.
         choices: (steps, n, k) of one team, instead of adversaries.
-        among: the scenario from other starts, which take turns among the teams, with
-            certificates of their own.
 
     Returns:
         What was granted and checked, and the first violation.
     """
-    promised = [ask(one, trial.by, trial.arguments) for one in among or (trial.scenario,)]
+    among = trial.starts or (trial.scenario,)
+    promised = [ask(one, trial.by, trial.arguments) for one in among]
     if not any(one.limits for one in promised):
         return Played()
-    if "expected_time" in promised[0].limits and teams == TEAMS and not among:
-        teams = REPEATED
+    if any("expected_time" in one.limits for one in promised) and teams == TEAMS:
+        teams = REPEATED * len(among)
     try:
-        wrapped, start, policy = _begin(trial, promised[0].bearing_error, teams, among)
+        wrapped, start, policy = _begin(trial, promised[0].bearing_error, teams)
     except (ValueError, RuntimeError):  # no room for a start, or a wrapper that refuses robots
         return Played()
     return _to_end(trial, promised, wrapped, start, policy, choices)
 
 
-def _begin(
-    trial: Trial, bearing_error: float, count: int, among: Sequence[rv.Scenario]
-) -> tuple[Any, Any, Policy]:
+def start_of(teams: int, starts: int) -> NDArray[np.int64]:
+    """Which start each team has, (B,): they are divided evenly."""
+    return np.arange(teams) * starts // teams
+
+
+def _begin(trial: Trial, bearing_error: float, count: int) -> tuple[Any, Any, Policy]:
     """So many teams under what keeps the guarantee, what they see first, and who chooses."""
     scenario, arguments = trial.scenario, dict[str, Any](trial.arguments)
     env = _teams_of(scenario, count)
@@ -176,16 +176,13 @@ def _begin(
     seen = Misled(env, scenario, error, trial.seed) if error > scenario.sensing.error else env
     wrapped = guarded(seen, trial.by, arguments)
     options = None
-    if among:
-        places = np.array([one.start_positions for one in among])
-        options = {"positions": places[np.arange(count) % len(among)]}
+    if trial.starts:
+        places = np.array([one.start_positions for one in trial.starts])
+        options = {"positions": places[start_of(count, len(places))]}
     start = wrapped.reset(seed=trial.seed, options=options)[0]
     if trial.by != "law":
-        return (
-            wrapped,
-            start,
-            Adversary(scenario, count, trial.by, np.random.default_rng([trial.seed, 1])),
-        )
+        random = np.random.default_rng([trial.seed, 1])
+        return wrapped, start, Adversary(scenario, count, trial.by, random)
     law = baselines.make(_LAWS.get(scenario.robot_model, "bearing-only"), scenario)
     return wrapped, start, lambda seen, now: law(seen, now.time)
 
@@ -204,42 +201,52 @@ def _to_end(
     policy: Policy,
     choices: Array | None,
 ) -> Played:
-    """Step until all have met, or the bound is reached, or something is violated."""
-    teams, per_step = wrapped.unwrapped.simulator, trial.scenario.tau * trial.period
+    """Step until every team has met or its bound is reached, or something is violated; teams whose
+    bound is out of reach do not count where there are others.
+    """
+    teams = wrapped.unwrapped.simulator
+    which = start_of(teams.num_envs, len(promised))
     limits = {
-        name: np.resize([one.limits.get(name, math.inf) for one in promised], teams.num_envs)
+        name: np.array([one.limits.get(name, math.inf) for one in promised])[which]
         for name in NUMBERS
         if any(name in one.limits for one in promised)
     }
-    times = [limits[name].min() for name in ("time", "expected_time") if name in limits]
-    reach = math.ceil(min([*times, 1e9]) / per_step) + 1
-    most = reach
-    if reach > MOST_STEPS:
-        random = np.random.default_rng([trial.seed, 4])
-        most = round(math.exp(random.uniform(*np.log(FEW_STEPS))))
-    if choices is not None:
-        most = max(len(choices), 1)
-    teams.set_max_steps(trial.period * most + 1)
+    last = _last_steps(trial, limits) if choices is None else np.full(len(which), len(choices))
+    teams.set_max_steps(trial.period * int(last.max()) + 1)
     budget, climbing = trial.arguments.get("budget", 0.0), trial.generations > 0
     watch = Watch(teams, limits, trial.period, budget, climbing)
     kept: list[Any] = []
-    wrong = None
-    while wrong is None and len(kept) < most and not teams.ended.all():
+    wrong, began = None, watch.now.positions
+    while wrong is None and ((last > len(kept)) & ~teams.ended).any():
         chosen = policy(observations, watch.now) if choices is None else choices[None, len(kept)]
         kept.append(np.asarray(chosen, dtype=np.float32))
         observations, *_, infos = wrapped.step(kept[-1])
         wrong = watch.look(infos)
-    checked, violation = watch.checked(), None
+    violation = None
     if wrong := wrong or watch.look_at_mean():
         number, team, found, limit = wrong
-        words, own = promised[team % len(promised)].words, np.array(kept)[:, team]
+        words, own = promised[which[team]].words, np.array(kept)[:, team]
         violation = Violation(number, team, len(kept), found, limit, words, own)
-    granted = {
-        name: tuple(number for number in own if number in checked)
-        for one in promised
-        for name, own in one.theorems.items()
-    }
-    return Played(granted, len(kept), watch.time_over_bound, violation, watch.closeness)
+    granted: defaultdict[str, Counter[str]] = defaultdict(Counter)
+    for k, one in enumerate(promised):
+        checked = watch.checked(which == k)
+        for name, own_numbers in one.theorems.items():
+            granted[name].update({"granted", *checked.intersection(own_numbers)})
+    ratio = watch.time_over_bound
+    return Played(dict(granted), len(kept), ratio, violation, watch.closeness, began)
+
+
+def _last_steps(trial: Trial, limits: Mapping[str, Array]) -> Array:
+    """The step in which each team's bound is reached, (B,), 0 where that is too late; a few, drawn,
+    if it is for all.
+    """
+    times = [limits[name] for name in ("time", "expected_time") if name in limits]
+    few = np.exp(np.random.default_rng([trial.seed, 4]).uniform(*np.log(FEW_STEPS))).round()
+    last = np.full_like(next(iter(limits.values())), math.inf)
+    for bound in times:
+        last = np.minimum(last, np.ceil(bound / (trial.scenario.tau * trial.period)) + 1)
+    late = last > MOST_STEPS
+    return np.where(late, few * late.all(), last)
 
 
 def guarded(env: Any, by: str, arguments: Mapping[str, Any]) -> Any:
@@ -249,59 +256,37 @@ def guarded(env: Any, by: str, arguments: Mapping[str, Any]) -> Any:
 
 # ---- an optimiser over starts --------------------------------------------------------------------
 
-_STARTS, _PARENTS = 6, 3
-"""Starts of a generation, and those that it is made from."""
-_STRIDES = (1e-3, 3.0)
-"""By how much a start is changed, in units of r."""
+_PARENTS = 3
+"""Starts from which those of the next generation are made."""
 
 
 def climb(trial: Trial) -> tuple[Trial, Played]:
-    """Look for a start from which something is violated: play the trial from its own start, and
+    """Look for a start from which something is violated: play the trial from its own starts, and
     ``trial.generations`` times from changes of those that came nearest to break one of its numbers.
 
     Returns:
-        The trial, with the start of what was found; and what came of it, of all generations.
+        The trial, from the start of what was found; and what came of that, or of its own starts.
     """
-    played = play(trial)
-    if played.violation is not None or not played.granted or not trial.generations:
-        return trial, played
-    random = np.random.default_rng([trial.seed, 2])
-    number = str(random.choice(list(played.closeness)))
-    parents = [(-math.inf, start) for start in _own_starts(trial)]
-    for _ in range(trial.generations):
-        starts: list[Array] = []
-        among: list[rv.Scenario] = []
-        for k in range(4 * _STARTS):
-            start = _moved(random, parents[k % len(parents)][1], trial.scenario.merge_radius)
-            with suppress(ValueError):  # not a start
-                among.append(trial.scenario.replace(start_positions=start))
-                starts.append(start)
-            if len(among) == _STARTS:
-                break
-        if not among:
+    drawn, played = trial, play(trial)
+    first, random = played, np.random.default_rng([trial.seed, 2])
+    number = str(random.choice(list(played.closeness))) if played.closeness else ""
+    near, places = np.empty(0), played.began[:0]
+    for _ in range(trial.generations if number else 0):
+        if played.violation is not None:
             break
-        found = play(trial, among=among)
-        if found.violation is not None:
-            return replace(trial, scenario=among[found.violation.team % len(among)]), found
-        if number in found.closeness:
-            near = found.closeness[number].tolist()
-            parents += zip(near, itertools.cycle(starts), strict=False)
-            parents = sorted(parents, key=lambda one: -one[0])[:_PARENTS]
+        if number in played.closeness:
+            near = np.append(near, played.closeness[number])
+            places = np.concatenate([places, played.began])
+            order = np.argsort(-near)
+            once = np.unique(places[order].reshape(len(near), -1), axis=0, return_index=True)[1]
+            order = order[np.sort(once)[:_PARENTS]]
+            near, places = near[order], places[order]
+        if starts := other_starts(random, trial.scenario, places):
+            trial = replace(trial, starts=starts)
+            played = play(trial)
+    if played.violation is None:
+        return drawn, first
+    if trial.starts:
+        start = played.began[played.violation.team]
+        trial = replace(trial, scenario=trial.scenario.replace(start_positions=start), starts=())
     return trial, played
-
-
-def _moved(random: np.random.Generator, place: Array, radius: float) -> Array:
-    """A start from which one robot has been moved, or all."""
-    stride = radius * math.exp(random.uniform(*np.log(_STRIDES)))
-    which = np.arange(len(place)) == random.integers(len(place))
-    which |= random.random() < 0.5
-    return np.asarray(place + stride * random.normal(size=place.shape) * which[:, None])
-
-
-def _own_starts(trial: Trial) -> list[Array]:
-    """The scenario's start, or some of those that have just been played."""
-    if trial.scenario.start_positions is not None:
-        return [np.array(trial.scenario.start_positions)]
-    drawn = _teams_of(trial.scenario, TEAMS).simulator
-    drawn.reset(trial.seed)
-    return list(drawn.positions[:_PARENTS])

@@ -8,6 +8,7 @@ far apart; steps long and robots slow.
 from __future__ import annotations
 
 import math
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -24,6 +25,8 @@ Random = np.random.Generator
 
 CHOICES = ("law", "heading", "tank", "gains", "links")
 """What can keep a guarantee, as ``certificate`` calls it."""
+STARTS = 6
+"""Of a draw: scenarios that differ in where the robots start, and are played side by side."""
 _TRIES = 40
 _CORNERS = 0.25
 """Share of scenarios that are drawn where promises would break first."""
@@ -50,13 +53,13 @@ def draw_kind(random: Random) -> Kind:
     model, dim = pick(random, *_MODELS)
     graphs = pick(random, "fixed", "fixed", "changing", "proximity")
     exact = graphs != "proximity" and random.random() < 0.4
-    obstacles = pick(random, "none", "none", "none", "round", "any")
+    obstacles = pick(random, "none", "none", "round", "any")
     return Kind(model, dim, graphs, exact, obstacles)
 
 
 _MODELS = (
     *[("single_integrator", 2)] * 11,
-    *[("single_integrator", 3)] * 4,
+    *[("single_integrator", 3)] * 6,
     *[("unicycle", 2)] * 2,
     *[("nonholonomic_3d", 3)] * 2,
     ("double_integrator", 2),
@@ -69,6 +72,8 @@ class Drawn:
 
     scenario: rv.Scenario
     arguments: dict[str, dict[str, float]]
+    starts: tuple[rv.Scenario, ...] = ()
+    """The same from STARTS starts, its own first; none if they are drawn for every episode."""
 
 
 def draw(random: Random, kind: Kind) -> Drawn:
@@ -79,10 +84,44 @@ def draw(random: Random, kind: Kind) -> Drawn:
             given = {by: arguments(random, scenario, by) for by in CHOICES}
             if not kind.exact and kind.graphs != "proximity" and random.random() < _TOLERABLE:
                 scenario = _tolerable(random, scenario, given)
-            return Drawn(scenario, given)
+            return Drawn(scenario, given, _starts_of(random, scenario))
         except ValueError:
             continue  # fields that do not go together
     return Drawn(rv.Scenario(), {by: arguments(random, rv.Scenario(), by) for by in CHOICES})
+
+
+def _starts_of(random: Random, scenario: rv.Scenario) -> tuple[rv.Scenario, ...]:
+    """Its own and others, half of them drawn anew where no obstacles lie between the robots."""
+    if scenario.start_positions is None:
+        return ()
+    own, anew = np.array(scenario.start_positions), 0.0 if scenario.obstacles else 0.5
+    return scenario, *other_starts(random, scenario, own[None], anew)[1:]
+
+
+def other_starts(
+    random: Random, scenario: rv.Scenario, places: Array, anew: float = 0.0
+) -> tuple[rv.Scenario, ...]:
+    """The scenario from STARTS other starts, if as many are possible: changes of places (k, n, d),
+    m, in turn, or with a chance of any kind.
+    """
+    n, dim, r = scenario.n_robots, scenario.dim, scenario.merge_radius
+    reach, found = _reach(scenario.sensing.range, n, r), list[rv.Scenario]()
+    for k in range(4 * STARTS):
+        start = None
+        if random.random() < anew:
+            start = places_of.starts(random, n, dim, r, reach)
+        if start is None:
+            start = places_of.changed(random, places[k % len(places)], r)
+        with suppress(ValueError):  # robots would stand in an obstacle, or in one place
+            found.append(scenario.replace(start_positions=start))
+        if len(found) == STARTS:
+            break
+    return tuple(found)
+
+
+def _reach(sight: float | None, n: int, r: float) -> float:
+    """How long links may be at the start, m, so that n − 1 merges leave them in sight."""
+    return math.inf if sight is None else sight - (n - 1) * r / 2.0
 
 
 def arguments(random: Random, scenario: rv.Scenario, by: str) -> dict[str, float]:
@@ -107,7 +146,8 @@ def _tolerable(
     gains that are the same for all where it needs them.
     """
     n, step = scenario.n_robots, scenario.certified_step * log_uniform(random, 0.1, 1.0)
-    exact = scenario.replace(sensing=rv.Sensing(), max_speed=None, obstacles=())
+    passed = scenario.obstacles if scenario.obstacle_contact == "ignore" else ()
+    exact = scenario.replace(sensing=rv.Sensing(), max_speed=None, obstacles=passed)
     lasting = exact.sensing_graph.kind not in GRAPHS["changing"]
     flaw = pick(random, "error", "error", "noise", "delay") if lasting else "error"
     if flaw == "noise":
@@ -116,7 +156,7 @@ def _tolerable(
         sensing = rv.Sensing(delay=int(random.integers(1, 5)))
         step = exact.certified_step * random.uniform(0.3, 1.05) / (sensing.delay + 1)
     else:
-        by = pick(random, *CHOICES, "heading")  # which bear least
+        by = pick(random, *CHOICES, "heading", "law")  # which bear least
         if by == "gains":
             gain = min(exact.max_degree, exact.merge_radius / step) * random.uniform(0.05, 0.5)
             given[by] = {"min_gain": float(gain), "max_gain": float(gain)}
@@ -140,7 +180,7 @@ def _scenario(random: Random, kind: Kind) -> rv.Scenario:
     r = pick(random, 0.2, 0.2, log_uniform(random, 0.05, 1.0))
     graph = pick(random, *GRAPHS[kind.graphs])
     sight = r * log_uniform(random, 0.6 * n + 2.0, 20.0 + n) if graph == "proximity" else None
-    reach = math.inf if sight is None else sight - (n - 1) * r / 2.0
+    reach = _reach(sight, n, r)
     fields: dict[str, Any] = {
         "n_robots": n,
         "dim": dim,
@@ -148,7 +188,7 @@ def _scenario(random: Random, kind: Kind) -> rv.Scenario:
         "graph": _graph(random, graph, n, r),
         "merge_radius": r,
         "allow_long_step": True,
-        "obstacle_contact": pick(random, "slide", "stop", *["ignore"] * 3),
+        "obstacle_contact": pick(random, "slide", "stop", *["ignore"] * 4),
         "local_frames": pick(random, "random", "global"),
         "sensing": rv.Sensing() if kind.exact else _sensing(random, n, r, sight),
     }
@@ -203,7 +243,8 @@ def _clock(random: Random, scenario: rv.Scenario) -> dict[str, Any]:
     """Step and limits of speed: from a tenth to twenty times what is certified."""
     fields: dict[str, Any] = {}
     if random.random() < 0.6:
-        fields["time_step"] = scenario.certified_step * log_uniform(random, 0.1, 20.0)
+        longest = pick(random, 20.0, 20.0, 0.3)  # theorem N bears hardly any step
+        fields["time_step"] = scenario.certified_step * log_uniform(random, 0.1, longest)
     tau = fields.get("time_step", scenario.tau)
     if random.random() < 0.35:
         fields["max_speed"] = scenario.max_degree * log_uniform(random, 0.02, 2.0)
@@ -230,7 +271,7 @@ GRAPHS = {
 def _weight(random: Random) -> Any:
     """One weight, or a range of them."""
     low = pick(random, 1.0, log_uniform(random, 0.01, 100.0))
-    return low if random.random() < 0.6 else (low, low * pick(random, 2.0, 100.0))
+    return low if random.random() < 0.7 else (low, low * pick(random, 2.0, 100.0))
 
 
 def _matrix(random: Random, n: int, density: float = 1.0) -> Array:

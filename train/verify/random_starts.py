@@ -16,6 +16,9 @@ import rendezvous_env as rv
 Array = NDArray[np.float64]
 Random = np.random.Generator
 
+STRIDES = (1e-3, 3.0)
+"""By how much a start is changed, in units of r."""
+
 
 def log_uniform(random: Random, low: float, high: float) -> float:
     """A number whose logarithm is uniform."""
@@ -99,8 +102,9 @@ def in_row(random: Random, n: int, dim: int, r: float) -> Array:
 
 
 def in_tail(random: Random, n: int, dim: int, r: float, reach: float) -> Array:
-    """Robots in a row within r of each other, ever nearer, and the last one as far as it may be."""
-    gaps = np.sort(random.uniform(0.6, 1.0, n - 1))[::-1] * r
+    """Robots in a row about r apart, ever nearer, and the last one as far as it may be."""
+    near = random.uniform(0.6, 1.0, n - 1)
+    gaps = np.sort(pick(random, near, 1.0 + 0.03 * near**3))[::-1] * r
     gaps[-1] = min(reach, 30.0 * r) * (1.0 - log_uniform(random, 1e-7, 0.05))
     places = np.zeros((n, dim))
     places[1:, 0] = np.cumsum(gaps)
@@ -119,6 +123,14 @@ def in_wedge(random: Random, n: int, dim: int, r: float, reach: float) -> Array:
 
 
 STARTS = (None, _in_box, on_line, _in_clusters, _in_clusters, _on_ring, _in_tree, in_wedge)
+
+
+def changed(random: Random, places: Array, r: float) -> Array:
+    """A start from which one robot has been moved, or all."""
+    stride = r * log_uniform(random, *STRIDES)
+    which = np.arange(len(places)) == random.integers(len(places))
+    which |= random.random() < 0.5
+    return np.asarray(places + stride * random.normal(size=places.shape) * which[:, None])
 
 
 def obstacles(

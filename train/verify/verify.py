@@ -44,7 +44,7 @@ class Config(WorkerFlags):
     """Check every claim of the theory on random teams; exit status 1 if one is violated."""
 
     trials: int = 1000
-    """Teams for each claim."""
+    """Teams for each claim, or with --any scenarios."""
     seed: int = 0
     """Other seeds draw other teams."""
     out: Path = Path("out/verify")
@@ -228,7 +228,7 @@ def _report_any(
     """Print how often each theorem was granted and checked, make what is violated small and write
     it; the exit status.
     """
-    console.print(table_of(f"Certificates of {config.trials} random scenarios, tried", rows))
+    console.print(table_of(f"Certificates of {tally.trials} random scenarios, tried", rows))
     for number, trial, played in tally.violations[:_MOST_WRITTEN]:
         small, played = shrink(trial, played)
         file = write(config.out, f"any-{config.seed}-{number}-{trial.by}", small, played)

@@ -118,6 +118,14 @@ def nothing_in_the_way(scenario: Scenario, asked: Asked) -> str:
 
 # ---- sensors -------------------------------------------------------------------------------------
 
+_EXACT = vars(Sensing())
+
+
+def departs_in(scenario: Scenario, *names: str) -> bool:
+    """Whether the sensor is exact but for these fields."""
+    fields = vars(scenario.sensing).items()
+    return all(value == _EXACT[name] for name, value in fields if name not in names)
+
 
 def bounded_errors(scenario: Scenario, asked: Asked) -> str:
     """Bearings are up to date, and wrong by a bounded angle if at all."""
@@ -141,7 +149,7 @@ def bounded_errors(scenario: Scenario, asked: Asked) -> str:
 def all_neighbours_seen(scenario: Scenario, asked: Asked) -> str:
     """No row of a neighbour is ever missing."""
     sensing = scenario.sensing
-    if sensing == Sensing(error=sensing.error, sectors=sensing.sectors):
+    if departs_in(scenario, "error", "sectors"):
         return ""
     never = " The hull of the team does not grow." * (asked.by == "gains")
     return (
@@ -154,9 +162,9 @@ def nearest_hides(scenario: Scenario) -> bool:
     """Whether robots miss neighbours behind others and only there: on a complete graph the nearest
     is always seen (guarantees 13).
     """
-    only = Sensing(occlusion="robots", error=scenario.sensing.error)
-    complete = is_complete(scenario.sensing_graph, scenario.n_robots)
-    return scenario.sensing == only and scenario.model.bounded and complete
+    hidden = scenario.sensing.occlusion == "robots" and scenario.model.bounded
+    alone = hidden and departs_in(scenario, "occlusion", "error")
+    return alone and is_complete(scenario.sensing_graph, scenario.n_robots)
 
 
 def somebody_seen(scenario: Scenario, asked: Asked) -> str:

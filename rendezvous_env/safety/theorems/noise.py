@@ -36,7 +36,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ...scenario.scenario import Scenario
-from ...sensors.sensing import Sensing
 from ..gains import gain_range
 from ..settings import error_chord
 from . import assumptions as given
@@ -239,8 +238,8 @@ def least_expected_fall(scenario: Scenario, noise: float, theta: float) -> float
 
 def noise_alone(scenario: Scenario, asked: Asked) -> str:
     """Noise that is drawn anew for every bearing and step is all that is wrong."""
-    alone = scenario.sensing == Sensing(noise=scenario.sensing.noise) and scenario.sensing.noise > 0
-    if alone and asked.error == 0.0:
+    noisy = scenario.sensing.noise > 0 and given.departs_in(scenario, "noise")
+    if noisy and asked.error == 0.0:
         return ""
     return "none: the mean time is known of noise alone, drawn anew for every bearing and step"
 
