@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any, Literal
 
 import numpy as np
@@ -17,12 +17,10 @@ from tyro.conf import Positional
 
 import baselines
 from baselines.policy import kind_of
-from rendezvous_env import Scenario, Simulator, scenarios
-from rendezvous_env.engine.memory import RENDEZVOUS
-from rendezvous_env.trajectory import Step, run
+from rendezvous_env import Scenario, scenarios
+from rendezvous_env.trajectory import Trajectory, rollout
 
 Array = NDArray[np.float64]
-Watch = Callable[[Simulator, Step], None]
 
 _PENALTY = 0.001
 """Of an action, in the reward of Hüttenrauch et al."""
@@ -44,20 +42,6 @@ class Config:
     """Starts of each row."""
     seed: int = 0
     """Start k has the seed SEED + k."""
-
-
-@dataclasses.dataclass(frozen=True)
-class Ends:
-    """How the episodes of one policy ended."""
-
-    success: NDArray[np.bool_]
-    """(B,)."""
-    clean: NDArray[np.bool_]
-    """(B,), met without a contact."""
-    time: Array
-    """(B,), s; inf without rendezvous."""
-    diameter: Array
-    """(B,), largest distance at the end, m."""
 
 
 def diameter(positions: Array) -> Array:
@@ -92,49 +76,22 @@ def reward(positions: Array, actions: Array, sight: float) -> Array:
     return np.asarray(-apart - _PENALTY * np.mean(actions**2, axis=(-2, -1)))
 
 
-def play(
-    scenario: Scenario, name: str, episodes: int, seed: int, watch: Watch | None = None
-) -> Ends:
-    """Play a policy to the end of its episodes.
-
-    Args:
-        scenario: the experiment.
-        name: of a scripted policy.
-        episodes: B.
-        seed: start k has the seed ``seed`` + k.
-        watch: called after each step.
-    """
-    simulator = Simulator(scenario, episodes)
-    observations = simulator.reset(seed)
-    for step in run(simulator, baselines.make(name, scenario), observations):
-        if watch is not None:
-            watch(simulator, step)
-    success = simulator.status == RENDEZVOUS
-    return Ends(
-        success=success,
-        clean=success & (simulator.contacts == 0),
-        time=np.where(success, simulator.time, np.inf),
-        diameter=diameter(simulator.positions),
-    )
-
-
-def mean_reward(scenario: Scenario, name: str, episodes: int, seed: int) -> tuple[Ends, Array]:
-    """Ends, and the mean reward (B,) over all steps of an episode without an early end.
+def mean_reward(found: Trajectory) -> Array:
+    """The mean reward (B,) over all steps of an episode without an early end.
 
     A team that has met stays where it is, which earns and costs nothing.
+
+    Args:
+        found: a rollout that has recorded its actions.
     """
+    scenario = found.scenario
     sight = scenario.sensing.range or _WORLD * math.sqrt(2.0)
-    earned, there = np.zeros(episodes), np.ones((episodes, scenario.n_robots), bool)
-
-    def watch(simulator: Simulator, step: Step) -> None:
-        acting = (there & step.running[:, np.newaxis])[..., np.newaxis]
-        shares = np.where(acting, step.actions / scenario.action_bounds, 0.0)
-        gained = reward(simulator.positions, shares, sight)
-        earned[step.running] += gained[step.running]
-        there[...] = simulator.active
-
-    ends = play(scenario, name, episodes, seed, watch)
-    return ends, earned / scenario.max_steps
+    earned = np.zeros(len(found.success))
+    for t, running in enumerate(found.running):
+        acting = (found.active[t] & running[:, np.newaxis])[..., np.newaxis]
+        shares = np.where(acting, found.actions[t] / scenario.action_bounds, 0.0)
+        earned += np.where(running, reward(found.positions[t + 1], shares, sight), 0.0)
+    return earned / scenario.max_steps
 
 
 def _huettenrauch(config: Config) -> Iterator[Sequence[str]]:
@@ -142,9 +99,10 @@ def _huettenrauch(config: Config) -> Iterator[Sequence[str]]:
     for name in ("huettenrauch-20", "huettenrauch-20-sight-40"):
         scenario = scenarios.get(name)
         for law in _laws(scenario):
-            ends, earned = mean_reward(scenario, law, config.episodes, config.seed)
+            found = _played(scenario, law, config, record="actions")
+            earned = mean_reward(found)
             spread = earned.std() / math.sqrt(len(earned))
-            yield name, law, *_shares(ends), f"{earned.mean():.4f} ± {spread:.4f}"
+            yield name, law, *_shares(found), f"{earned.mean():.4f} ± {spread:.4f}"
 
 
 def _rssdoa(config: Config) -> Iterator[Sequence[str]]:
@@ -166,15 +124,23 @@ def _laws(scenario: Scenario) -> list[str]:
     return [name for name in baselines.names(scenario) if kind_of(name) != "learned"]
 
 
+def _played(scenario: Scenario, law: str, config: Config, record: str = "") -> Trajectory:
+    policy = baselines.make(law, scenario)
+    return rollout(scenario, policy, config.seed, config.episodes, record=record.split())
+
+
 def _ends_row(scenario: Scenario, law: str, config: Config) -> tuple[str, ...]:
-    ends = play(scenario, law, config.episodes, config.seed)
-    middle, high = np.quantile(ends.diameter, (0.5, 0.9))
-    return law, *_shares(ends), f"{middle:.2f}, {high:.2f}"
+    found = _played(scenario, law, config)
+    middle, high = np.quantile(diameter(found.positions[-1]), (0.5, 0.9))
+    return law, *_shares(found), f"{middle:.2f}, {high:.2f}"
 
 
-def _shares(ends: Ends) -> tuple[str, str]:
-    middle = np.median(ends.time)
-    return f"{100 * ends.clean.mean():.0f} %", f"{middle:.1f}" if math.isfinite(middle) else "–"
+def _shares(found: Trajectory) -> tuple[str, str]:
+    clean, middle = (
+        found.success & ~found.contacts.any(axis=(0, 2)),
+        np.median(found.rendezvous_time),
+    )
+    return f"{100 * clean.mean():.0f} %", f"{middle:.1f}" if math.isfinite(middle) else "–"
 
 
 def markdown(rows: Iterator[Sequence[Any]]) -> Iterator[str]:

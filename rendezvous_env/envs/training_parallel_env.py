@@ -23,16 +23,32 @@ from .training import training_env as teams_to_train
 
 def training_env(
     scenario: ScenarioLike = "clutter-8",
-    **arguments: Any,
+    *,
+    guarantee: str | None = "heading",
+    learning_preset: bool = True,
+    flatten: bool = True,
+    discrete: bool = False,
+    render_mode: str | None = None,
+    **overrides: Any,
 ) -> TrainingParallelEnv:
     """One team as a generic learner wants it: a PettingZoo environment.
 
     It is the team of ``rendezvous_env.vector.training_env`` with B = 1, by name: the other
-    arguments (``guarantee``, ``learning_preset``, ``flatten``, ``discrete``, …), what robots see,
-    do and earn, and errors are told there.
+    arguments (``max_cycles``, ``touch_penalty``, those of the guarantee's wrapper, fields of the
+    scenario), what robots see, do and earn, and errors are told there.
     """
-    disabled = AutoresetMode.DISABLED
-    return TrainingParallelEnv(teams_to_train(scenario, 1, autoreset_mode=disabled, **arguments))
+    teams = teams_to_train(
+        scenario,
+        1,
+        guarantee=guarantee,
+        learning_preset=learning_preset,
+        flatten=flatten,
+        discrete=discrete,
+        render_mode=render_mode,
+        autoreset_mode=AutoresetMode.DISABLED,
+        **overrides,
+    )
+    return TrainingParallelEnv(teams)
 
 
 class TrainingParallelEnv(
@@ -134,6 +150,6 @@ class TrainingParallelEnv(
         }
 
     def set_state(self, state: Mapping[str, Any]) -> None:
-        """As the teams."""
+        """As ``Simulator.set_state``."""
         super().set_state(state)
         self.agents = alive_in(self.simulator.get_state(), "follow")

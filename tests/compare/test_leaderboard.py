@@ -119,8 +119,13 @@ def test_a_board_has_a_card_for_each_cell_and_its_tables(board):
     )
     assert rows["ppo-heading"]["risen"] == "0.0" and rows["bearing-only"]["clean_low"] == ""
     assert {path.name for path in board.iterdir()} == {
-        "cells", "leaderboard.csv", "improvement.csv", "price.png", "profiles.png", "README.md",
+        "cells", "replays", "leaderboard.csv", "improvement.csv", "price.png", "profiles.png",
+        "README.md",
     }  # fmt: skip
+    replays = {str(path.relative_to(board)) for path in board.glob("replays/*/*")}
+    assert replays == {
+        f"replays/{name}/clutter-8-v1-seed-0.json" for name in ("bearing-only", "ppo-heading")
+    }
     assert not board.with_name("out.part").exists()
 
 
@@ -166,8 +171,8 @@ def test_a_card_is_repeated_bit_by_bit_or_said_to_differ(board, capsys):
 
 def test_what_is_done_is_not_done_again(board, tmp_path, monkeypatch):
     done = []
-    monkeypatch.setattr(command, "card_of", lambda place: done.append(place) or {"place": place})
-    monkeypatch.setattr(command, "write", lambda out, cards, console: 1 / 0)
+    monkeypatch.setattr(command, "run_of", lambda place, record: done.append(place) or (place,))
+    monkeypatch.setattr(command, "write", lambda out, runs, console: 1 / 0)
     config = replace(SMALL, out=tmp_path / "out")
     for _ in range(2):
         with pytest.raises(ZeroDivisionError):
@@ -178,8 +183,13 @@ def test_what_is_done_is_not_done_again(board, tmp_path, monkeypatch):
 def test_cells_are_added_to_those_of_a_folder(board, tmp_path, monkeypatch, capsys):
     done, out = [], tmp_path / "out"
     shutil.copytree(board, out)
-    card_of = command.card_of
-    monkeypatch.setattr(command, "card_of", lambda place: done.append(place) or card_of(place))
+    run_of = command.run_of
+
+    def counted(place, record):
+        done.append(place)
+        return run_of(place, record)
+
+    monkeypatch.setattr(command, "run_of", counted)
     more = replace(SMALL, algorithms=("tank-joined", "bearing-only"), out=out)
     assert command.run(more) == 0
     assert [place.name for place in done] == ["tank-joined/clutter-8-v1-seed-0"]

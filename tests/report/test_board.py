@@ -5,11 +5,12 @@ import re
 import shutil
 
 import pytest
-from browsing import browser, needs_browser
+from browsing import browser, chosen, clock, needs_browser, picture, reloaded, visited
 from conftest import ROOT
 
 from train.checks import UserError
 from train.leaderboard import cards
+from train.leaderboard.replays import path_of, read_replay
 from train.report import build as report
 from train.results import read_csv
 
@@ -17,17 +18,28 @@ __all__ = ["browser"]
 SMOKE = ROOT / "results" / "leaderboard" / "smoke"
 
 
+BARE = "replays/ppo-none/clutter-8-v1-seed-0.json"
+"""The one that this folder has not."""
+
+
 @pytest.fixture(scope="module")
 def board(tmp_path_factory):
     folder = tmp_path_factory.mktemp("board") / "smoke"
     shutil.copytree(SMOKE, folder)
+    (folder / BARE).unlink()
     assert report.run(report.Config(folder)) == 0
     return folder
 
 
-def test_the_page_has_every_row_and_where_every_card_is(board):
-    text = (board / "report.html").read_text(encoding="utf-8")
+def read(folder):
+    """What the scripts of a page read, and its recordings."""
+    text = (folder / "report.html").read_text(encoding="utf-8")
     data = json.loads(re.search(r'<script id="data"[^>]*>(.*?)</script>', text, re.S)[1])
+    return text, data, re.findall(r'<script id="recording-\d+"[^>]*>(.*?)</script>', text)
+
+
+def test_the_page_has_every_row_and_where_every_card_is(board):
+    text, data, _ = read(board)
     assert data["board"] == read_csv(board / "leaderboard.csv")
     found = cards.read_cards(board)
     assert len(data["cells"]) == len(found)
@@ -40,6 +52,40 @@ def test_the_page_has_every_row_and_where_every_card_is(board):
         "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data:"
     )
     assert policy in text and not re.findall(r"(?:src|href)=\"(?:https?:)?//", text)
+
+
+def test_it_carries_every_replay_and_says_of_each_what_its_card_says(board):
+    _, data, blobs = read(board)
+    shown = {
+        (one["scenario"], one["policy"], one["start"]): (one, blob)
+        for one, blob in zip(data["recordings"], blobs, strict=True)
+    }
+    starts = 0
+    for card in cards.read_cards(board):
+        path = path_of(cards.path_in(board, card))
+        assert path.is_file() == (card["seed"] == 0 and path != board / BARE)
+        policy = card["algorithm"] + (f", seed {card['seed']}" if card["decisions"] else "")
+        for start, kept in read_replay(path, card["results"]).items():
+            one, blob = shown[card["field"], policy, start]
+            told = {"success": "success", "clean": "clean", "time": "time", "contacts": "touches"}
+            assert {name: float(one["outcome"][name]) for name in told} == {
+                name: card["results"][own][start] for name, own in told.items()
+            }
+            assert (blob, one["fields"]) == (kept.text, kept.fields)
+            assert data["obstacles"][one["obstacles"]] == kept.obstacles
+            starts += 1
+    assert starts == len(shown) > 36
+
+
+def test_a_replay_of_other_results_is_refused(board, tmp_path):
+    folder = tmp_path / "other"
+    shutil.copytree(board, folder)
+    path = folder / "replays" / "ppo-tank" / "clutter-8-v1-seed-0.json"
+    path.write_text(path.read_text().replace('{"sha256":"', '{"sha256":"0'))
+    with pytest.raises(
+        UserError, match=r"seed-0\.json: no replay of its card \(changed, or of other results"
+    ):
+        report.run(report.Config(folder))
 
 
 def test_a_folder_without_its_cards_is_refused(board, tmp_path):
@@ -66,7 +112,92 @@ def test_it_sorts_shows_one_field_and_leads_to_cards(browser, board):
     of_field = [c for c in cards.read_cards(board) if c["field"] == "rendezvous/clutter-8-v1"]
     assert rows.count() == len(of_field)
     assert complaints == []
-    rows.first.locator("a").click()
+    rows.first.locator("a").first.click()
     page.wait_for_url("**/cells/**.json")
     assert json.loads(page.inner_text("body"))["field"] == "rendezvous/clutter-8-v1"
+    page.close()
+
+
+def cell(page, algorithm, column):
+    """The cell of an algorithm in the table of fields."""
+    row = page.locator("#fields-table tbody tr").filter(has=page.get_by_text(algorithm, exact=True))
+    return row.locator("td").nth(column)
+
+
+@needs_browser
+def test_a_click_on_a_cell_replays_it(browser, board):
+    found = {(c["algorithm"], c["field"], c["seed"]): c["results"] for c in cards.read_cards(board)}
+    field = "rendezvous/clutter-16-v1"
+    with visited(browser, (board / "report.html").as_uri()) as page:
+        shares = [found["ppo-cbf", field, seed]["clean"] for seed in (0, 1, 2)]
+        box = cell(page, "ppo-cbf", 2)
+        assert float(box.text_content()) == pytest.approx(
+            100 * sum(map(sum, shares)) / 150, abs=0.06
+        )
+        with reloaded(page):
+            box.click(position={"x": 3, "y": 3})  # beside its text: the cell's, not the row's first
+        assert page.input_value("#scenario") == field and "ppo-cbf, seed 0" in chosen(page)
+        assert page.locator("#player").evaluate("one => one.getBoundingClientRect().top < 600")
+        start = int(page.input_value("#start"))
+        seed = page.locator("#start option:checked").text_content()
+        assert seed == f"{start} (seed {2**61 + start})"
+        results, side = found["ppo-cbf", field, 0], chosen(page).index("ppo-cbf, seed 0")
+        before = picture(page, side)
+        page.keyboard.press("End")
+        pane = page.locator(".pane").nth(side)
+        state = pane.locator(".state").text_content()
+        met, time = results["success"][start], results["time"][start]
+        assert f"{'met' if met else 'time out'} at {time:.2f} s" in state
+        touches = results["touches"][start]
+        assert ("in contact" in state) == bool(touches) and (not touches or f"{touches} r" in state)
+        assert picture(page, side) != before
+        page.keyboard.press("Home")
+        page.keyboard.press("ArrowRight")
+        assert 0.0 < clock(page) < 2.0
+        with reloaded(page):
+            cell(page, "tank-joined", 1).locator("a").press("Enter")
+        assert page.input_value("#scenario") == "rendezvous/clutter-8-v1"
+        assert "tank-joined" in chosen(page) and clock(page) == 0.0
+
+
+@needs_browser
+def test_a_narrow_screen_shows_what_was_clicked(browser, board):
+    with visited(browser, (board / "report.html").as_uri()) as page:
+        page.set_viewport_size({"width": 390, "height": 800})
+        for name, label in (("bearing-only", "bearing-only"), ("ppo-cbf", "ppo-cbf, seed 0")):
+            with reloaded(page):
+                cell(page, name, 2).click()
+            assert page.locator(".pane:not(.behind) select.policy").input_value() == label
+        assert page.evaluate("document.documentElement.scrollWidth") == 390
+
+
+@needs_browser
+def test_a_cell_without_a_replay_says_what_makes_one(browser, board):
+    with visited(browser, (board / "report.html").as_uri()) as page:
+        note = page.locator("#missing")
+        assert not note.is_visible()
+        cell(page, "ppo-none", 1).click()
+        said = note.text_content()
+        path = board / "cells" / "ppo-none" / "clutter-8-v1-seed-0.json"
+        assert path.is_file() and f"rendezvous leaderboard --repeat {path} --record" in said
+        assert f"rendezvous report {board}" in said
+        with reloaded(page):
+            cell(page, "ppo-none", 2).click()
+        assert not note.is_visible()
+        page.locator("#cells-table tr:has(td[data-column=seed][data-value='1']) td").last.click()
+        assert "seed 1" in (said := note.text_content()) and "seed-1.json --record" in said
+
+
+@needs_browser
+def test_a_page_without_replays_is_a_page(browser, board, tmp_path):
+    folder = tmp_path / "none"
+    shutil.copytree(board, folder, ignore=shutil.ignore_patterns("replays"))
+    assert report.run(report.Config(folder)) == 0
+    page = browser.new_page()
+    complaints = []
+    page.on("pageerror", lambda error: complaints.append(str(error)))
+    page.goto((folder / "report.html").as_uri())
+    assert page.locator("#player").count() == 0
+    cell(page, "ppo-tank", 1).click()
+    assert "--record" in page.locator("#missing").text_content() and complaints == []
     page.close()

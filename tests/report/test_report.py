@@ -11,8 +11,8 @@ import pytest
 
 from rendezvous_env import Scenario
 from train import cli, results
+from train import encoding as report_encoding
 from train.report import build as report
-from train.report import encoding as report_encoding
 from train.report.input import read
 
 

@@ -15,19 +15,24 @@ from .. import results
 from ..checks import UserError
 from . import registry
 from .playing import play
+from .replays import Replay, path_of, replay_of, write_replay
 from .settings import Place
 
 Card = dict[str, Any]
+Run = tuple[Card, Replay | None]
 
 
-def card_of(place: Place) -> Card:
-    """Do a cell: all that it takes to do it again, and the raw numbers of every start."""
+def run_of(place: Place, record: bool) -> Run:
+    """Do a cell: its card has all that it takes to do it again, and the raw numbers of every start.
+    To ``record`` what two of them looked like may give None, see ``replay_of``.
+    """
     algorithm, scenario = registry.find(place.algorithm), scenarios.get(place.field)
     began = time.perf_counter()
     player, settings = algorithm.learn(scenario, place.seed, registry.Budget(place.decisions))
     learned = time.perf_counter()
     found = play(player(place.starts))
-    return {
+    played = time.perf_counter()
+    card = {
         "algorithm": place.algorithm,
         "about": algorithm.about,
         "safety": algorithm.safety,
@@ -41,22 +46,30 @@ def card_of(place: Place) -> Card:
         "command": place.command,
         "versions": results.provenance(algorithm.packages)["versions"],
         "learning_s": round(learned - began, 1),
-        "playing_s": round(time.perf_counter() - learned, 1),
+        "playing_s": round(played - learned, 1),
         "results": found,
     }
+    return card, replay_of(found, player(place.starts)) if record else None
 
 
-def write_card(folder: Path, card: Card) -> None:
-    """Write a card where ``read_cards`` finds it, a line for each entry."""
-    path = folder / "cells" / f"{place_of(card).name}.json"
+def write_run(folder: Path, card: Card, replay: Replay | None) -> None:
+    """Write a card where ``read_cards`` finds it, a line for each entry, and its replay."""
+    path = path_in(folder, card)
+    if replay is not None:
+        write_replay(path_of(path), replay)
     path.parent.mkdir(parents=True, exist_ok=True)
     lines = (f"{json.dumps(key)}: {json.dumps(value)}" for key, value in card.items())
     with results.atomic(path) as temporary:
         temporary.write_text("{\n" + ",\n".join(lines) + "\n}\n", encoding="utf-8")
 
 
+def path_in(folder: Path, card: Card) -> Path:
+    """Where a card lies in a leaderboard's folder."""
+    return folder / "cells" / f"{place_of(card).name}.json"
+
+
 def read_cards(out: Path) -> list[Card]:
-    """The cells of a folder that ``write_card`` wrote to, by algorithm, field and seed.
+    """The cells of a folder that ``write_run`` wrote to, by algorithm, field and seed.
 
     Raises:
         UserError: as ``read_card``.

@@ -18,7 +18,8 @@ from ..compare import statistics
 from ..compare.playing import Task, play_all
 from ..resume import Part, claimed, program
 from . import registry, tables
-from .cards import Card, card_of, place_of, read_card, read_cards, write_card
+from .cards import Card, Run, place_of, read_card, read_cards, run_of, write_run
+from .replays import path_of, write_replay
 from .settings import EXAMPLES as EXAMPLES
 from .settings import FLAG_GROUPS as FLAG_GROUPS
 from .settings import Config, Place, plan
@@ -38,20 +39,26 @@ def run(config: Config) -> int:
     """
     console = Console()
     if config.repeat is not None:
-        return _repeat(config.repeat, console)
+        return _repeat(config.repeat, config.record, console)
     places, out = plan(config), Path(config.out)
     if not config.algorithms:
         _say_what_is_left_out(console)
-    asked = {**program(), "cells": [list(place) for place in places]}
+    asked = {**program(), "cells": [list(p) for p in places], "record": config.record}
     with claimed(out.parent, f".{out.name}.lock", f"--out {out}"):
         kept = _kept(out, places)
         part = Part(out.with_name(f"{out.name}.part"), asked, "leaderboard")
         part.begin(out, fresh=config.fresh)
         with part.at_work(console):
-            tasks = {p: _task(n, p) for n, p in enumerate(places) if p not in kept}
+            first = places[0].seed
+            tasks = {
+                place: _task(number, place, config.record or place.seed == first)
+                for number, place in enumerate(places)
+                if place not in kept
+            }
             done, _ = play_all(list(tasks.values()), config, part, console)
-            found = kept | {place: done[task.name] for place, task in tasks.items()}
-            write(out, [found[place] for place in sorted(found)], console)
+            runs = {place: (card, None) for place, card in kept.items()}
+            runs |= {place: done[task.name] for place, task in tasks.items()}
+            write(out, [runs[place] for place in sorted(runs)], console)
             part.discard()
     return 0
 
@@ -80,16 +87,17 @@ def _kept(out: Path, places: Sequence[Place]) -> dict[Place, Card]:
     return kept
 
 
-def _task(number: int, place: Place) -> Task:
+def _task(number: int, place: Place, record: bool) -> Task:
     scenario = scenarios.get(place.field)
     label = f"{place.algorithm} · {place.field} · {place.seed}"
-    return Task(f"cell-{number:04d}", label, scenario, 1, partial(card_of, place))
+    return Task(f"cell-{number:04d}", label, scenario, 1, partial(run_of, place, record))
 
 
-def write(out: Path, cards: Sequence[Card], console: Console) -> None:
-    """Write a card for each cell, tables, figures; print the table."""
-    for card in cards:
-        write_card(out, card)
+def write(out: Path, runs: Sequence[Run], console: Console) -> None:
+    """Write a card for each cell, replays, tables, figures; print the table."""
+    for run in runs:
+        write_run(out, *run)
+    cards = [card for card, _ in runs]
     rows = tables.rows_of(cards)
     results.write_csv(out / "leaderboard.csv", tuple(tables.COLUMNS), rows)
     results.write_csv(out / "improvement.csv", tables.IMPROVEMENT, tables.improvements(cards))
@@ -99,13 +107,17 @@ def write(out: Path, cards: Sequence[Card], console: Console) -> None:
     console.print(f"{len(cards)} cells; files in {out}", soft_wrap=True)
 
 
-def _repeat(path: Path, console: Console) -> int:
+def _repeat(path: Path, record: bool, console: Console) -> int:
     card = read_card(path)
     place = place_of(card)
-    again = card_of(place)
+    kept = path_of(path) if record else None
+    again, replay = run_of(place, record)
     differ = [key for key in _SAME if again[key] != card.get(key)]
     if not differ:
         console.print(f"{place.name}: the same, bit for bit", soft_wrap=True)
+        if kept is not None and replay is not None:
+            write_replay(kept, replay)
+            console.print(f"its replay: {kept}", soft_wrap=True)
         return 0
     other = [k for k, v in again["versions"].items() if card.get("versions", {}).get(k) != v]
     told = f" (other versions of {', '.join(other)})" if other else ""

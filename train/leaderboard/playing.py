@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rendezvous_env.simulator import Simulator
+
 from ..learn.settings import EVALUATION_SEEDS
 from .teams import COSTS
 
@@ -23,8 +25,12 @@ class Player:
     """From observations and times (B,), s, to actions."""
 
 
-def play(player: Player) -> dict[str, list[Any]]:
+def play(
+    player: Player, watch: Callable[[Simulator], None] = lambda simulator: None
+) -> dict[str, list[Any]]:
     """One episode of each team from the held-out starts 2⁶¹, 2⁶¹ + 1, …, by name, a number each.
+
+    Whoever is to ``watch`` is told of the teams when they have begun.
 
     "success", "clean" (met and touched nothing), "time" (s; the limit where they did not meet),
     "touches" and "risen" (robot steps with a contact; in which V rose between merges, nobody of the
@@ -32,6 +38,7 @@ def play(player: Player) -> dict[str, list[Any]]:
     """
     teams, simulator = player.teams, player.teams.unwrapped.simulator
     seen, _ = teams.reset(seed=EVALUATION_SEEDS)
+    watch(simulator)
     shape = simulator.active.shape
     total = {name: np.zeros(shape) for name in COSTS}
     over = np.zeros(shape[0], dtype=np.bool_)

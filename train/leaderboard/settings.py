@@ -38,7 +38,7 @@ TIERS: dict[Tier, Protocol] = {
 EXAMPLES = (
     "--tier smoke",
     "--tier mini --algorithms ppo-heading ppo-tank --fields clutter-16 --jobs 8",
-    "--repeat results/leaderboard/smoke/cells/ppo-heading/clutter-8-v1-seed-0.json",
+    "--repeat results/leaderboard/smoke/cells/ppo-heading/clutter-8-v1-seed-0.json --record",
 )
 FLAG_GROUPS = {"Output": ("out", "fresh"), "Workers": ("jobs", "on", "address")}
 
@@ -62,7 +62,10 @@ class Config(WorkerFlags):
     """Another number of held-out starts than the tier's."""
     repeat: Path | None = None
     """A results card: its cell is done again, and compared with it bit by bit; status 1 if it
-    differs. The other flags but for those of workers are those of the card."""
+    differs. The other flags are those of the card."""
+    record: bool = False
+    """Keeps a replay of every run, not of the first seed alone; with --repeat of that run, beside
+    its card, if it does not differ."""
     out: Path = Path("out/leaderboard")
     """The folder for cards, tables and figures. Cells that it has are kept, others added. What is
     finished lies in OUT.part until all is, and the same command resumes it."""

@@ -166,7 +166,8 @@ def markdown(rows: Sequence[Mapping[str, Any]], cards: Sequence[Card]) -> str:
         "in which V rose between merges with nobody of the team in contact, which theorem C rules "
         "out.\n\n"
         "`cells/` has a card for each run: settings, versions, digest of the field and the numbers "
-        "of every start. `rendezvous leaderboard --repeat CARD` does it again.\n"
+        "of every start. `rendezvous leaderboard --repeat CARD` does it again. `replays/` has two "
+        "starts of a run of each cell, which the page of `rendezvous report` shows.\n"
     )
 
 

@@ -1,16 +1,22 @@
-"""The page of a leaderboard's folder: algorithms, figures, and the card of every run."""
+"""The page of a leaderboard's folder: algorithms, replays, figures, and the card of every run."""
 
 from __future__ import annotations
 
+from itertools import chain
 from pathlib import Path
 from string import Template
 from typing import Any
 
 import numpy as np
 
+from rendezvous_env.scenario import scenarios
+
 from .. import results
 from ..checks import UserError
 from ..leaderboard import cards, tables
+from ..leaderboard.replays import path_of, read_replay
+from ..learn.settings import EVALUATION_SEEDS
+from .replays import PLAYER, Replay, elements, player_data
 from .skeleton import figures, part, terms, whole
 
 _FIGURES = ("price.png", "profiles.png")
@@ -25,30 +31,74 @@ def page(folder: Path) -> str:
     """The whole page.
 
     Raises:
-        UserError: if a card or table is missing, not readable, or of another version.
+        UserError: if a card, replay or table is missing, not readable, or of another version.
     """
     found, path = cards.read_cards(folder), folder / "leaderboard.csv"
     rows = results.read_csv(path)
     if not found or [tuple(row) for row in rows] != [tuple(tables.COLUMNS)] * len(rows):
         raise UserError(f"{path}: without its cells, or of another version; run leaderboard again")
     drawn = [folder / name for name in _FIGURES if (folder / name).is_file()]
-    sections = Template(part("board.html")).substitute(figures=figures(drawn), about=_about(found))
-    data = {"board": rows, "cells": [_cell(card) for card in found]}
-    links = ("Results", "Figures", "Cells", "About")
-    scripts = ("data", "save", "tables", "board")
-    return whole("Rendezvous: leaderboard", links, sections, data, scripts)
+    shown = [_replays(folder, card) for card in found]
+    replays = list(chain.from_iterable(shown))
+    sections = Template(part("board.html")).substitute(
+        replay=part("replay.html") if replays else "",
+        figures=figures(drawn),
+        about=_about(found, sum(map(bool, shown))),
+    )
+    names = sorted({card["field"] for card in found}, key=lambda name: (len(name), name))
+    cells = [_cell(card, bool(own)) for card, own in zip(found, shown, strict=True)]
+    played = [one for row in rows for one in cells if one["algorithm"] == row["algorithm"]]
+    data = player_data(replays, {name: scenarios.get(name) for name in names}) | {
+        "run": {"seed": str(EVALUATION_SEEDS)},
+        "folder": str(folder),
+        "board": rows,
+        "cells": cells,
+        "rankings": [],
+        "leaders": [one["replay"] for one in played if one["replay"]],
+        "results": [
+            {"scenario": one["scenario"], "policy": one["replay"], "clean_success": one["clean"]}
+            for one in cells
+        ],
+    }
+    links = ("Results", "Replay", "Figures", "Runs", "About")
+    scripts = ("data", "choice", "save", *PLAYER, "tables", "board", "replay")
+    return whole(
+        "Rendezvous: leaderboard", links, sections, data, scripts, recordings=elements(replays)
+    )
 
 
-def _cell(card: cards.Card) -> dict[str, str]:
+def _policy(card: cards.Card) -> str:
+    """Who plays in a replay; what learns nothing has no seed."""
+    seed = f", seed {card['seed']}" if card["decisions"] else ""
+    return f"{card['algorithm']}{seed}"
+
+
+def _replays(folder: Path, card: cards.Card) -> list[Replay]:
+    """What was kept of a run, with what its card says of each start."""
+    found, kept = card["results"], path_of(cards.path_in(folder, card))
+    return [
+        Replay(card["field"], _policy(card), start, vars(one), _outcome(found, start))
+        for start, one in read_replay(kept, found).items()
+    ]
+
+
+def _outcome(found: dict[str, list[Any]], start: int) -> dict[str, str]:
+    names = {name: name for name in ("success", "clean", "time")} | {"contacts": "touches"}
+    return {name: str(found[own][start]) for name, own in names.items()}
+
+
+def _cell(card: cards.Card, is_replayed: bool) -> dict[str, str]:
     """A row of the table of runs, its numbers as text."""
     name, found = cards.place_of(card).name, card["results"]
     row: dict[str, Any] = {key: float(np.mean(found[key])) for key in ("clean", "time")}
     row |= {key: 1000.0 * sum(found[key]) / sum(found["steps"]) for key in ("touches", "risen")}
     row |= {"algorithm": card["algorithm"], "scenario": card["field"], "seed": card["seed"]}
-    return {key: str(value) for key, value in row.items()} | {"card": f"cells/{name}.json"}
+    row |= {"replay": _policy(card) if is_replayed else "", "card": f"cells/{name}.json"}
+    row["seconds"] = card["learning_s"] + 2.0 * card["playing_s"]
+    return {key: str(value) for key, value in row.items()}
 
 
-def _about(found: list[cards.Card]) -> str:
+def _about(found: list[cards.Card], replays: int) -> str:
     learned = sorted({card["decisions"] for card in found} - {0})
     fields = {card["field"]: f"{card['field']} ({card['digest'][:12]}…)" for card in found}
     versions = sorted({f"{k} {v}" for card in found for k, v in card["versions"].items()})
@@ -58,6 +108,11 @@ def _about(found: list[cards.Card]) -> str:
         f"{found[0]['starts']} held-out starts a run",
         "Seeds": ", ".join(map(str, sorted({card["seed"] for card in found}))),
         "Versions": ", ".join(versions),
+        "Replays": f"of {replays} of {len(found)} runs: the first held-out start, the same for "
+        "all, and the first that ended otherwise, clean or not. Each was recorded while the run "
+        "was played a second time, with the same numbers on all starts; a replay that is not of "
+        "the results on its card is refused. Frames are thinned out to keep the folder small, "
+        "positions rounded to 16 bits",
         "Again": "rendezvous leaderboard --repeat CARD does a run again and compares it",
     }
     return terms(lines)

@@ -9,27 +9,20 @@ from pathlib import Path
 from string import Template
 from typing import Any
 
-import numpy as np
 from rich.console import Console
 from tyro.conf import Positional
 
-from rendezvous_env.render.scene import outermost, shapes
-from rendezvous_env.scenario.scenario import Scenario
-
 from ..checks import UserError
 from ..compare.ranking import Ranking, answer, leaders
-from ..figures.figures import ROBOT_COLOURS
+from ..encoding import Encoded, encode_all, rounding
 from ..recording import MAX_FRAMES
 from ..results import atomic
 from . import board
-from .encoding import Encoded, encode_all, rounding
 from .input import Comparison, read
+from .replays import PLAYER, Replay, elements, player_data
 from .skeleton import figures, part, terms, whole
 from .words import counts, rankings
 
-_SCRIPTS = (
-    "data", "choice", "save", "world", "sight", "plots", "tables", "results", "pane", "replay",
-)  # fmt: skip
 _OUTCOME = (
     "success",
     "clean",
@@ -48,7 +41,7 @@ EXAMPLES = ("out/compare", "results/leaderboard/smoke")
 @dataclass(frozen=True)
 class Config:
     """Make OUT/report.html of the results in OUT: tables, figures and an interactive replay; of a
-    leaderboard's folder a page of its tables, figures and cards.
+    leaderboard's folder a page of its tables, figures, cards and replays.
 
     The page needs nothing but itself: no network, no server.
     """
@@ -93,56 +86,24 @@ def page(found: Comparison) -> str:
         figures=figures(found.figures),
         about=_about(found, encoded),
     )
-    recordings = "\n".join(
-        f'<script id="recording-{number}" type="application/gzip">{one.text}</script>'
-        for number, one in enumerate(encoded)
-    )
+    shown = _replays(found, encoded)
     return whole(
         f"Rendezvous: {', '.join(found.scenarios)}",
         ("Replay", "Results", "Figures", "About"),
         sections,
-        _data(found, ranked, encoded),
-        _SCRIPTS,
-        css=part("uPlot.min.css"),
-        js=part("uPlot.iife.min.js"),
-        recordings=recordings,
+        _data(found, ranked, shown),
+        ("data", "choice", "save", *PLAYER, "tables", "results", "replay"),
+        recordings=elements(shown),
     )
 
 
 # ---- data ---------------------------------------------------------------------------------------
 
 
-def _data(
-    found: Comparison, ranked: Sequence[Ranking], encoded: Sequence[Encoded]
-) -> dict[str, Any]:
+def _data(found: Comparison, ranked: Sequence[Ranking], shown: Sequence[Replay]) -> dict[str, Any]:
     """What the scripts read, besides the recordings themselves."""
-    outcomes = {(row["scenario"], row["policy"], int(row["start"])): row for row in found.episodes}
-    entries, worlds = [], dict[tuple[str, int], list[dict[str, Any]]]()
-    recordings = found.recordings.items()
-    for ((scenario, policy, start), recording), one in zip(recordings, encoded, strict=True):
-        table, positions = recording["obstacles"], recording["positions"]
-        if (scenario, start) not in worlds:
-            worlds[scenario, start] = [
-                {"centre": shape.centre.tolist(), "radius": shape.radius}
-                | {"vertices": shape.vertices.tolist()}
-                for shape in shapes(table, positions.shape[-1])
-            ]
-        points = outermost(positions, table)
-        entries.append(
-            {
-                "scenario": scenario,
-                "policy": policy,
-                "start": start,
-                "fields": [list(field.values()) for field in one.fields],
-                "stride": one.stride,
-                "obstacles": list(worlds).index((scenario, start)),
-                "extent": np.stack([points.min(axis=0), points.max(axis=0)], axis=1).tolist(),
-                "outcome": {name: outcomes[scenario, policy, start][name] for name in _OUTCOME},
-            }
-        )
-    return {
-        "run": {"seed": found.run["seed"]},
-        "scenarios": {name: _scenario(scenario) for name, scenario in found.scenarios.items()},
+    return player_data(shown, found.scenarios) | {
+        "run": {"seed": str(found.run["seed"])},
         "rankings": [
             {
                 "scenario": ranking.scenario,
@@ -154,23 +115,16 @@ def _data(
         "leaders": leaders(ranked),
         "results": found.rows,
         "paired": found.paired,
-        "obstacles": list(worlds.values()),
-        "recordings": entries,
-        "robot_colours": ROBOT_COLOURS,
     }
 
 
-def _scenario(scenario: Scenario) -> dict[str, Any]:
-    layout = scenario.observation_layout
-    return {
-        "limit": scenario.max_steps * scenario.tau,
-        "nonholonomic": scenario.model.nonholonomic,
-        "exact": scenario.sensing.exact,
-        "own_row": "gravity" if scenario.model.nonholonomic else "own velocity",
-        "neighbour_slots": layout.neighbour_slots,
-        "obstacle_slots": layout.obstacle_slots,
-        "silhouette_points": layout.silhouette_points,
-    }
+def _replays(found: Comparison, encoded: Sequence[Encoded]) -> list[Replay]:
+    """The recordings with what episodes.csv says of them."""
+    outcomes = {(row["scenario"], row["policy"], int(row["start"])): row for row in found.episodes}
+    return [
+        Replay(*key, vars(one), {name: outcomes[key][name] for name in _OUTCOME})
+        for key, one in zip(found.recordings, encoded, strict=True)
+    ]
 
 
 # ---- words --------------------------------------------------------------------------------------

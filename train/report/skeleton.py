@@ -27,10 +27,7 @@ def whole(
     sections: str,
     data: Any,
     scripts: Sequence[str],
-    *,
-    css: str = "",
-    js: str = "",
-    recordings: str = "",
+    recordings: str,
 ) -> str:
     """The page.
 
@@ -40,12 +37,11 @@ def whole(
         sections: HTML.
         data: what the scripts read as DATA.
         scripts: names of files, put into one function.
-        css: looks of a library that they use.
-        js: the library.
-        recordings: further elements with data.
+        recordings: further elements with data; with any, the page has the library of plots.
     """
     ids = {"About": "run"}
     own = "\n".join(part(f"{name}.js") for name in scripts)
+    css, js = (part(f"uPlot.{end}") if recordings else "" for end in ("min.css", "iife.min.js"))
     return Template(part("page.html")).substitute(
         title=escape(title),
         links=" ".join(f'<a href="#{ids.get(one, one.lower())}">{one}</a>' for one in links),

@@ -71,7 +71,7 @@ def test_seeds_and_safety_make_a_difference(board):
         bare, headed = (board[f"{learner}-{safety}"][1] for safety in ("none", "heading"))
         assert bare["results"] != headed["results"]
     place = settings.plan(replace(SMALL, algorithms=("ippo-none",), seeds=(1,)))[0]
-    assert cards.card_of(place)["results"] != board["ippo-none"][1]["results"]
+    assert cards.run_of(place, False)[0]["results"] != board["ippo-none"][1]["results"]
 
 
 def test_all_are_known():

@@ -1,4 +1,4 @@
-// Tables of leaderboard.csv and of its cells.
+// Tables of leaderboard.csv and of its cells, which lead to replays.
 
 const PERCENT = (cell) => fixed(cell, 1, 100);
 const CLEAN = { title: "collision-free %", show: PERCENT, bar: true, best: 1, key: true,
@@ -24,12 +24,24 @@ const BOARD_COLUMNS = [
 ];
 
 const CELL_COLUMNS = [
-  { title: "algorithm", value: "algorithm", word: true, key: true, link: cardLink },
+  { title: "algorithm", value: "algorithm", word: true, key: true, link: cardLink,
+    names: true },
   { title: "field", value: "scenario", word: true },
   { title: "seed", value: "seed", show: (cell) => cell, best: -1, key: true },
   { ...CLEAN, range: null, bar: false },
   { ...TIME, range: null },
   ...COUNTS,
+  { title: "replay", value: "replay", word: true, key: true,
+    link: (run) => replayLink(run, run.replay ? "replay" : "–") },
+];
+
+const FIELDS = Object.keys(DATA.scenarios);
+const FIELD_COLUMNS = [
+  { title: "algorithm", value: "algorithm", word: true, key: true },
+  ...FIELDS.map((field) => ({
+    title: field.replace(/^.*\//, "").replace(/-v\d+$/, ""), value: field, best: 1, key: true,
+    link: (row) => fieldLink(row, field),
+  })),
 ];
 
 /** An algorithm's name that leads to the card of its run. */
@@ -37,9 +49,57 @@ function cardLink({ algorithm, card }) {
   return make("a", { href: card, textContent: algorithm, title: card });
 }
 
+const runsOf = (algorithm, field) =>
+  DATA.cells.filter((run) => run.algorithm === algorithm && run.scenario === field);
+
+/** Collision-free success of an algorithm on each field, mean over runs. */
+function fieldRow({ algorithm }) {
+  const mean = (runs) => runs.reduce((sum, { clean }) => sum + Number(clean), 0) / runs.length;
+  const cells = FIELDS.map((field) => [field, runsOf(algorithm, field)]);
+  return { algorithm, ...Object.fromEntries(
+    cells.map(([field, runs]) => [field, runs.length ? String(mean(runs)) : ""])) };
+}
+
+/** It leads to the replay of the first run that has one. */
+function fieldLink(row, field) {
+  const runs = runsOf(row.algorithm, field);
+  if (!runs.length) return "–";
+  return replayLink(runs.find((run) => run.replay) ?? runs[0], PERCENT(row[field]));
+}
+
+/** What leads to a run's replay; without one, to what makes it. */
+function replayLink(run, textContent) {
+  const where = `${run.algorithm} on ${run.scenario}`;
+  const href = run.replay ? fragmentOf({ scenario: run.scenario, policies: [run.replay] }) : "#replay";
+  const title = run.replay ? `Replay ${where}` : `No replay of ${where} was kept`;
+  const link = make("a", { href, textContent, title, className: run.replay ? "" : "missing" });
+  link.addEventListener("click", () => {
+    find("missing").hidden = Boolean(run.replay);
+    if (!run.replay) sayHowToRecord(run);
+    find("replay").scrollIntoView();
+  });
+  return link;
+}
+
+function sayHowToRecord({ algorithm, scenario, seed, card, seconds }) {
+  const command = `rendezvous leaderboard --repeat ${DATA.folder}/${card} --record`;
+  find("missing").replaceChildren(
+    `No replay of ${algorithm} on ${scenario}, seed ${seed}, was kept. It is made by `,
+    make("code", { textContent: command }),
+    ` (some ${fixed(seconds, 0)} s), and this page then anew by `,
+    make("code", { textContent: `rendezvous report ${DATA.folder}` }), ".",
+  );
+}
+
 const table = (name, columns, rows) => sortableTable(find(`${name}-table`), columns, rows);
 table("board", BOARD_COLUMNS, DATA.board);
+const rows = DATA.board.map(fieldRow);
+table("fields", FIELD_COLUMNS, rows);
 controls(
-  { board: { show: () => {}, rows: () => DATA.board }, cells: table("cells", CELL_COLUMNS, DATA.cells) },
-  new Set(DATA.cells.map(({ scenario }) => scenario)),
+  {
+    board: { show: () => {}, rows: () => DATA.board },
+    fields: { show: () => {}, rows: () => rows },
+    cells: table("cells", CELL_COLUMNS, DATA.cells),
+  },
+  FIELDS,
 );

@@ -101,6 +101,7 @@ function asked() {
   if (policies.length > 1) found.policies = policies.slice(0, 2);
   if (start === "" && policies.length > 1)
     found.start = kept((one) => one.scenario === scenario && one.policy === policies[0])[0].start;
+  if (policies.length === 1) found.side = found.policies.indexOf(policies[0]);
   const number = (name) => (Number.isFinite(Number(said.get(name))) ? Number(said.get(name)) : 0);
   return { ...found, robot: number("robot"), time: said.has("t") ? number("t") : undefined };
 }

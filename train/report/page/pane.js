@@ -102,7 +102,8 @@ class Pane {
     const row = this.rec.outcome;
     this.part(".outcome").textContent =
       `${row.success === "1" ? "met" : "not met"} after ${fixed(row.time, 2)} s · ` +
-      `${inContact(row.contacts)} · path ${fixed(row.path_length, 1)} m` +
+      inContact(row.contacts) +
+      (row.path_length ? ` · path ${fixed(row.path_length, 1)} m` : "") +
       (row.clearance ? ` · clearance ≥ ${fixed(row.clearance, 2)} m` : "") +
       (row.min_alignment ? ` · alignment ≥ ${fixed(row.min_alignment, 2)}` : "") +
       (this.rec.stride > 1 ? ` · one in ${this.rec.stride} recorded frames is shown` : "");

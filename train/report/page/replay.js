@@ -15,11 +15,11 @@ function fill(select, values, labels = values) {
 }
 
 /** Show a start under two policies, or one; from its beginning unless a time is said. */
-function show({ scenario, start, policies, robot = 0, time }) {
+function show({ scenario, start, policies, robot = 0, time, side = state.side }) {
   find("scenario").value = scenario;
   const own = kept((one) => one.scenario === scenario);
   const starts = unique(own.map((one) => one.start));
-  fill(find("start"), starts, starts.map((k) => `${k} (seed ${DATA.run.seed + k})`));
+  fill(find("start"), starts, starts.map((k) => `${k} (seed ${BigInt(DATA.run.seed) + BigInt(k)})`));
   find("start").value = start;
   // of a start that is kept because a policy failed there are no others
   const names = unique(own.filter((one) => one.start === Number(start)).map(({ policy }) => policy));
@@ -29,7 +29,7 @@ function show({ scenario, start, policies, robot = 0, time }) {
     fill(pane.choice, names);
     pane.choice.value = policies[k] ?? policies[0];
   });
-  state.chosen = robot;
+  Object.assign(state, { chosen: robot, side });
   return load(time);
 }
 
@@ -256,17 +256,17 @@ function startReplay() {
   new ResizeObserver(redraw).observe(document.querySelector(".panes"));
   addEventListener("hashchange", () => {
     const found = asked();
-    if (found) show(found);
+    if (found) begin(found);
   });
-  begin();
+  begin(asked());
 }
 
-/** What the address asks for, or a start on which policies differ, playing. */
-async function begin() {
-  const found = asked();
+/** What the address asks for, or a start on which policies differ; playing if it can be seen. */
+async function begin(found) {
   await show(found ?? opening());
   const still = matchMedia("(prefers-reduced-motion: reduce)").matches;
-  if (!still && found?.time === undefined) play();
+  const inSight = found || find("player").getBoundingClientRect().top < innerHeight;
+  if (!still && inSight && found?.time === undefined) play();
 }
 
 if (DATA.recordings.length) startReplay();

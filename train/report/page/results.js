@@ -10,7 +10,8 @@ const CLEAN = { title: "collision-free %", value: "clean_success", range: ["clea
 const TIME = { title: "median time s", value: "median_time", range: ["time_low", "time_high"],
   show: seconds, best: -1, key: true };
 const SCENARIO = { title: "scenario", value: "scenario", word: true };
-const POLICY = { title: "policy", value: "policy", word: true, link: replayLink, key: true };
+const POLICY = { title: "policy", value: "policy", word: true, link: replayLink, key: true,
+  names: true };
 
 const RESULT_COLUMNS = [
   SCENARIO,

@@ -20,6 +20,7 @@ function percent(cell, row) {
 
 // Columns: best says which end is the better one, 1 the largest, -1 the least; words begin with a.
 // key: shown on a narrow screen too. link: of a row, an element that leads somewhere, or null.
+// names: says its scenario where there is no room for that column.
 
 /**
  * Fill a table; show(scenario) of what is returned shows one scenario, or all for "", and rows()
@@ -75,11 +76,12 @@ function inOrder(a, b, column, down) {
 
 function tableRow(columns, row) {
   const line = make("tr", {}, ...columns.map((column) => tableCell(column, row)));
-  const link = line.querySelector("a");
-  if (link) {
+  const first = line.querySelector("a");
+  if (first) {
     line.classList.add("replays");
-    line.addEventListener("click", (event) => {
-      if (event.target !== link && !String(getSelection())) link.click();
+    line.addEventListener("click", ({ target }) => {
+      const link = target.closest("td").querySelector("a") ?? first; // the cell's own, if it has one
+      if (target !== link && !String(getSelection())) link.click();
     });
   }
   return line;
@@ -90,10 +92,9 @@ function tableCell(column, row) {
   const box = make("td", { className: classOf(column) });
   box.dataset.column = column.value;
   box.dataset.value = cell;
-  if (column.link) {
-    box.dataset.scenario = row.scenario;
-    box.append(column.link(row) ?? cell);
-  } else if (column.word) box.textContent = cell;
+  if (column.names) box.dataset.scenario = row.scenario;
+  if (column.link) box.append(column.link(row) ?? cell);
+  else if (column.word) box.textContent = cell;
   else box.append(make("span", { textContent: column.show(cell, row) }));
   if (!column.range) return box;
   const [low, high] = column.range.map((name) => row[name]);

@@ -17,7 +17,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..recording import Recording
+from rendezvous_env.obstacles.shape import Outline
+from rendezvous_env.render.scene import outermost, shapes
+
+from .recording import Recording
 
 LARGEST = 32767
 """Of a rounded number; one below minus this stands for NaN."""
@@ -39,7 +42,7 @@ _KEPT = ("active", "observations", *_EXACT, *_ROUNDED)
 class Encoded:
     """A recording as the page reads it."""
 
-    fields: list[dict[str, Any]]
+    fields: list[list[Any]]
     """Of each array, in order: name, type ("float32", "uint8" or "int16"), shape, and of an int16
     the scale, so that a number is scale · integer. In the plane "lengths" and "angles" stand for
     the observations."""
@@ -47,21 +50,26 @@ class Encoded:
     """All arrays, little-endian, in base64 of gzip."""
     stride: int
     """Every how manieth recorded frame is there, besides merges and the end."""
+    extent: list[list[float]]
+    """Of robots and obstacles, least and most of each axis, m."""
+    obstacles: list[dict[str, Any]]
+    """Their shapes: centre, radius, vertices, m."""
 
 
-def encode_all(recordings: Sequence[Recording]) -> list[Encoded]:
-    """Encode recordings; if they exceed BUDGET, thin out the largest as far as is needed."""
+def encode_all(recordings: Sequence[Recording], budget: int | None = None) -> list[Encoded]:
+    """Encode recordings; if they exceed a budget of characters, which is BUDGET unless another is
+    given, thin out the largest as far as is needed.
+    """
     whole = [encode(recording) for recording in recordings]
-    share = _share([len(encoded.text) for encoded in whole])
+    share = _share([len(encoded.text) for encoded in whole], budget or BUDGET)
     return [
         _encode_within(share, recording, encoded)
         for recording, encoded in zip(recordings, whole, strict=True)
     ]
 
 
-def _share(sizes: Sequence[int]) -> float:
-    """The largest size that each may have, so that all together keep to BUDGET."""
-    left = BUDGET
+def _share(sizes: Sequence[int], left: int) -> float:
+    """The largest size that each may have, so that all together keep to what is left."""
     for count, size in zip(range(len(sizes), 0, -1), sorted(sizes), strict=True):
         if size * count > left:
             return left / count
@@ -85,25 +93,35 @@ def thinned(recording: Recording, stride: int) -> Recording:
 
 def encode(recording: Recording, stride: int = 1) -> Encoded:
     """A recording as the page reads it, every stride-th frame of it."""
+    table, dim = recording["obstacles"], recording["positions"].shape[-1]
+    points = outermost(recording["positions"], table)
     recording = thinned(recording, stride)
-    fields: list[dict[str, Any]] = []
+    fields: list[list[Any]] = []
     parts: list[bytes] = []
     for name in _EXACT:
-        fields.append({"name": name, "type": "float32", "shape": recording[name].shape})
+        fields.append([name, "float32", [*recording[name].shape]])
         parts.append(recording[name].astype("<f4").tobytes())
-    fields.append({"name": "active", "type": "uint8", "shape": recording["active"].shape})
+    fields.append(["active", "uint8", [*recording["active"].shape]])
     parts.append(recording["active"].astype(np.uint8).tobytes())
     rounded = {name: _rounded(recording[name]) for name in _ROUNDED}
-    if recording["positions"].shape[-1] == 2:
+    if dim == 2:
         placed, turned = (_restored(*rounded[name]) for name in ("positions", "frames"))
         seen = _seen(recording["observations"], placed, turned)
     else:
         seen = {"observations": _rounded(recording["observations"])}
     for name, (values, scale) in (rounded | seen).items():
-        fields.append({"name": name, "type": "int16", "shape": values.shape, "scale": scale})
+        fields.append([name, "int16", [*values.shape], scale])
         parts.append(_differences(values))
     packed = gzip.compress(b"".join(parts), compresslevel=6, mtime=0)
-    return Encoded(fields, base64.b64encode(packed).decode("ascii"), stride)
+    extent = np.stack([points.min(axis=0), points.max(axis=0)], axis=1).tolist()
+    text = base64.b64encode(packed).decode("ascii")
+    return Encoded(fields, text, stride, extent, [_shape(one) for one in shapes(table, dim)])
+
+
+def _shape(one: Outline) -> dict[str, Any]:
+    """As plain data, to a hundredth of a millimetre."""
+    plain = {"centre": one.centre, "radius": np.float64(one.radius), "vertices": one.vertices}
+    return {name: value.round(5).tolist() for name, value in plain.items()}
 
 
 def rounding(array: NDArray[np.floating[Any]]) -> float:

@@ -1,0 +1,196 @@
+"""Replays of the leaderboard: what is kept of a run is what its card says, and nothing else."""
+
+import base64
+import gzip
+import json
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import pytest
+from conftest import ROOT
+from rendezvous_env.baselines.learned.plain_data import digest
+
+from rendezvous_env import Simulator, scenarios
+from rendezvous_env.obstacles.shape import RADIUS
+from train.checks import UserError
+from train.leaderboard import cards as cards_of
+from train.leaderboard import command, replays, settings
+from train.leaderboard.playing import Player, play
+from train.leaderboard.teams import teams_to_learn_in
+from train.learn.settings import EVALUATION_SEEDS
+from train.recording import MAX_FRAMES
+
+RULES = settings.Config(
+    algorithms=("bearing-only", "tank-joined"), fields=("clutter-8", "unicycle-clutter-16"),
+    starts=10, jobs=1,
+)  # fmt: skip
+PLAIN = {"float32": np.dtype("<f4"), "uint8": np.dtype("u1")}
+
+
+def arrays_of(shown):
+    """What is written as it is, by name: an independent reading of ``encoding``."""
+    raw, found = gzip.decompress(base64.b64decode(shown.text)), {}
+    for name, kind, shape, *_ in shown.fields:
+        if kind in PLAIN:
+            size = PLAIN[kind].itemsize * int(np.prod(shape))
+            found[name] = np.frombuffer(raw[:size], PLAIN[kind]).reshape(shape)
+            raw = raw[size:]
+    return found
+
+
+def check_agreement(card, kept):
+    """What is shown of a run ends as its card says, on the starts that the docs promise."""
+    found = card["results"]
+    other = [start for start, one in enumerate(found["clean"]) if one != found["clean"][0]]
+    assert sorted(kept) == [0, *other[:1]]
+    for start, shown in kept.items():
+        arrays = arrays_of(shown)
+        assert arrays["times"][-1] == pytest.approx(found["time"][start], rel=1e-6, abs=1e-6)
+        assert (arrays["active"][-1].sum() == 1) == bool(found["success"][start])
+        assert arrays["contacts"][-1].sum() == found["touches"][start]
+        assert found["clean"][start] == (found["success"][start] and not found["touches"][start])
+        assert (np.diff(arrays["times"]) > 0).all() and len(arrays["times"]) > 5
+
+
+@pytest.fixture(scope="module")
+def board(tmp_path_factory):
+    out = tmp_path_factory.mktemp("rules") / "out"
+    assert command.run(replace(RULES, out=out)) == 0
+    return out
+
+
+def kept_of(board, card):
+    return replays.read_replay(replays.path_of(cards_of.path_in(board, card)), card["results"])
+
+
+def test_what_is_kept_ends_as_the_card_says(board):
+    found = cards_of.read_cards(board)
+    assert [(card["algorithm"], card["field"]) for card in found] == [
+        ("bearing-only", "rendezvous/clutter-8-v1"), ("tank-joined", "rendezvous/clutter-8-v1"),
+        ("tank-joined", "rendezvous/unicycle-clutter-16-v1"),
+    ]  # fmt: skip
+    for card in found:
+        check_agreement(card, kept_of(board, card))
+    assert len(kept_of(board, found[0])) == 2  # law (1) fails on some, and not on all
+
+
+def test_it_begins_where_the_held_out_start_does(board):
+    card = cards_of.read_cards(board)[0]
+    for start, shown in kept_of(board, card).items():
+        simulator = Simulator(scenarios.get("clutter-8"), 1)
+        simulator.reset(EVALUATION_SEEDS + start)
+        assert arrays_of(shown)["lyapunov"][0] == np.float32(simulator.lyapunov()[0])
+        discs = sorted(one["radius"] for one in shown.obstacles)
+        np.testing.assert_allclose(discs, sorted(simulator.obstacles[0][:, RADIUS]), atol=1e-5)
+        places = np.array(shown.extent)
+        inside = simulator.positions[0]
+        assert (places[:, 0] <= inside + 1e-9).all() and (inside <= places[:, 1] + 1e-9).all()
+
+
+def led(field, count, safety, choose):
+    """Teams of which every robot does what is chosen from the shape of what it may choose."""
+    teams = teams_to_learn_in(scenarios.get(field), count, safety=safety, anew=False)
+    return Player(teams, lambda seen, time: choose(seen.shape[:2]))
+
+
+def test_watching_changes_nothing_and_sees_every_step():
+    player = partial(led, "clutter-16", 3, "tank", lambda shape: np.full(shape, 3))
+    watch = replays.Watch([2, 0])
+    found = play(own := player(), watch.begin)
+    assert found == play(player())
+    for team, recording in zip((2, 0), watch.recordings(), strict=True):
+        assert recording["contacts"][-1].sum() == found["touches"][team]
+        steps = recording["times"] / scenarios.get("clutter-16").tau
+        np.testing.assert_allclose(steps, np.rint(steps), atol=1e-6)
+        assert len(steps) <= MAX_FRAMES and recording["times"][-1] == pytest.approx(
+            found["time"][team]
+        )
+        path = own.teams.unwrapped.simulator.path_length[team]
+        ways = np.linalg.norm(np.diff(recording["positions"], axis=0), axis=-1).sum()
+        assert 0.9 * path < ways  # chords of the way, merges aside
+        both = recording["active"][:, :2].all(axis=1)
+        offset = recording["positions"][both, 1] - recording["positions"][both, 0]
+        bearing = np.einsum("tji,tj->ti", recording["frames"][both, 0], offset)
+        bearing /= np.linalg.norm(bearing, axis=1, keepdims=True)
+        # robot 0 sees robot 1 where it is in that frame, not where it was a step before
+        np.testing.assert_allclose(recording["observations"][both, 0, 0], bearing, atol=1e-5)
+
+
+def test_what_does_not_play_twice_alike_has_no_replay():
+    random = np.random.default_rng(0)
+    player = partial(led, "clutter-8", 2, "heading", lambda shape: random.integers(0, 9, shape))
+    assert replays.replay_of(play(player()), player()) is None
+
+
+def test_a_replay_is_made_from_a_card_and_is_the_same(board, capsys):
+    card = board / "cells" / "bearing-only" / "clutter-8-v1-seed-0.json"
+    path = board / "replays" / "bearing-only" / "clutter-8-v1-seed-0.json"
+    before = path.read_bytes()
+    path.unlink()
+    assert command.run(replace(RULES, repeat=card)) == 0 and not path.exists()
+    assert kept_of(board, cards_of.read_card(card)) == {}
+    assert command.run(replace(RULES, repeat=card, record=True)) == 0
+    assert path.read_bytes() == before and str(path) in capsys.readouterr().out
+
+
+def test_a_run_that_differs_from_its_card_is_not_kept(board, tmp_path, capsys):
+    changed = cards_of.read_cards(board)[0]
+    changed["results"]["time"][3] += 0.05
+    cards_of.write_run(tmp_path, changed, None)
+    path = tmp_path / "cells" / "bearing-only" / "clutter-8-v1-seed-0.json"
+    assert command.run(replace(RULES, repeat=path, record=True)) == 1
+    assert "results differ" in capsys.readouterr().err and not (tmp_path / "replays").exists()
+    elsewhere = path.rename(tmp_path / "card.json")
+    with pytest.raises(UserError, match=r"card\.json: a replay is kept beside a card of OUT/cells"):
+        command.run(replace(RULES, repeat=elsewhere, record=True))
+
+
+def test_what_is_no_replay_of_its_card_is_refused(board, tmp_path):
+    card = cards_of.read_cards(board)[0]
+    good = json.loads(replays.path_of(cards_of.path_in(board, card)).read_text())
+    path = tmp_path / "replay.json"
+
+    def refused(said, found=card["results"], sealed=False, **changes):
+        replay = good | changes
+        if sealed:  # by somebody who means to
+            replay["sha256"] = digest({"results": found, "starts": replay["starts"]})
+        path.write_text(json.dumps(replay))
+        with pytest.raises(UserError, match=rf"replay\.json: no replay of its card.*{said}"):
+            replays.read_replay(path, found)
+
+    refused("of other results", found=card["results"] | {"time": [0.0] * 10})
+    refused("changed", starts={"0": good["starts"]["0"] | {"stride": 16}})
+    bad = good["starts"]["0"] | {"text": "</script><b>"}
+    refused("no base64", sealed=True, starts={"0": bad})
+    refused("missing 3 required", sealed=True, starts={"0": {"text": "", "fields": []}})
+    refused("", sealed=True, starts=[])
+    path.write_text("[" * 100_000)
+    with pytest.raises(UserError, match="nested"):
+        replays.read_replay(path, card["results"])
+
+
+WITHOUT = {
+    "qmix-heading/corridor",
+    "mappo-none/unicycle-clutter-16",
+    "masac-heading/rooms",
+    "masac-none/clutter-8",
+    "qmix-heading/unicycle-clutter-16",
+    "masac-heading/corridor",
+    "qmix-none/unicycle-clutter-16",
+}
+"""Cells of mini of which no replay was made yet."""
+
+
+@pytest.mark.parametrize("tier", ["smoke", "mini"])
+def test_every_cell_of_the_repository_has_a_replay_of_its_card(tier):
+    out = ROOT / "results" / "leaderboard" / tier
+    first = [card for card in cards_of.read_cards(out) if card["seed"] == 0]
+    assert len(first) == {"smoke": 36, "mini": 118}[tier]
+    for card in first:
+        kept, name = kept_of(out, card), cards_of.place_of(card).name.removesuffix("-v1-seed-0")
+        if tier == "mini" and name in WITHOUT:
+            assert kept == {}
+        else:
+            check_agreement(card, kept)
+    assert sum(path.stat().st_size for path in out.glob("replays/*/*")) < 3e6
