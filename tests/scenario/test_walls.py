@@ -88,7 +88,7 @@ class TestField:
             (lambda: parse(TRAP, 3), "is 2-D; in 3-D use an ObstacleField"),
             (lambda: parse([TRAP], 2), "stands alone, not in a list"),
             (lambda: parse({"layout": "trap", "size": [3, 5]}, 2), "a walls needs opening"),
-            (lambda: parse({"layout": "trap", "sise": 1}, 2), "'sise' of a walls.* mean 'size'"),
+            (lambda: parse({"layout": "trap", "sise": 1}, 2), "walls has no key 'sise'.* 'size'"),
         ],
     )
     def test_refusals(self, make, message):
