@@ -74,7 +74,7 @@ class SteadyFrames(Remembering):
     def follow(
         self, teams: Part, observations: NDArray[np.float32], held: NDArray[np.float64]
     ) -> None:
-        """Write what robots of a part of the teams wish for, in units of their bounds: (v, ω) or,
+        """Write the desired inputs of a part of the teams, in units of their bounds: (v, ω) or,
         where another sets the speed, ω alone. See ``inputs_towards``; the speed is law (1)'s.
         """
         arguments = self._angles, self.headings, self._limits, (self._gate, self._aligned)
@@ -119,15 +119,15 @@ def _follow(teams, observations, neighbour_slots, arguments, held):
     angles, headings, (merge_radius, speed_limit), (gate, aligned) = arguments
     for team in range(teams[0], teams[1]):
         for i in range(observations.shape[1]):
-            rows, wish = observations[team, i], held[team, i]
+            rows, desired = observations[team, i], held[team, i]
             speed = min(law_speed(rows, neighbour_slots, merge_radius, gate.duration), speed_limit)
             c, s = math.cos(angles[team, i]), math.sin(angles[team, i])
             x, y, _ = scaled(load(headings[team, i]), speed)
             wanted = c * x + s * y, c * y - s * x, 0.0
             forward, (rate, _) = inputs_towards(wanted, 0.0, gate, aligned)
-            wish[-1] = rate / gate.yaw_limit if gate.yaw_limit > 0.0 else 0.0
-            if len(wish) > 1:
-                wish[0] = forward / speed_limit
+            desired[-1] = rate / gate.yaw_limit if gate.yaw_limit > 0.0 else 0.0
+            if len(desired) > 1:
+                desired[0] = forward / speed_limit
 
 
 @kernel

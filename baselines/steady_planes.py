@@ -147,7 +147,7 @@ class SteadyPlanes(Remembering):
     def follow(
         self, teams: Part, observations: NDArray[np.float32], held: NDArray[np.float64]
     ) -> None:
-        """Write what robots of a part of the teams wish for, in units of their bounds: (v, ω), or
+        """Write the desired inputs of a part of the teams, in units of their bounds: (v, ω), or
         where another sets the speed ω alone; velocities of single integrators.
         """
         _follow(teams, observations, self._robot, self._kept, held)
@@ -264,25 +264,25 @@ def _follow(teams, observations, robot, memory, held):
     rays = np.empty((M, 8, 3))
     for team in range(teams[0], teams[1]):
         for i in range(observations.shape[1]):
-            rows, wish = observations[team, i], held[team, i]
+            rows, desired = observations[team, i], held[team, i]
             _, (u, aside, angle) = _plane_of((team, i), memory)
             ahead, across = _turned(memory.headings[team, i], -angle)
             heading = combine(ahead, u, across, aside)
             speed = law_speed(rows, K, robot.merge_radius, gate.duration)
             wanted = scaled(heading, WITHIN * min(speed / robot.speed_limit, 1.0))
             if not robot.turns:
-                store(wanted, wish)
+                store(wanted, desired)
                 continue
             pitch = memory.pitches[team, i]
             forward, rates = inputs_towards(wanted, pitch, gate, ALIGNED_IN_SPACE)
-            wish[-2] = rates[0] / max(gate.yaw_limit, TINY)
-            wish[-1] = rates[1] / max(gate.pitch_limit, TINY)
-            if len(wish) > 2:
+            desired[-2] = rates[0] / max(gate.yaw_limit, TINY)
+            desired[-1] = rates[1] / max(gate.pitch_limit, TINY)
+            if len(desired) > 2:
                 silhouettes = rows[K : K + 8 * M].reshape((M, 8, 3))
                 cones = rays[: widened_rays(silhouettes, robot.clearance, rays)]
                 mean = mean_axis(rates, pitch, gate)
                 clear = lies_outside(X_AXIS, cones) and lies_outside(mean, cones)
-                wish[0] = forward if clear else 0.0
+                desired[0] = forward if clear else 0.0
 
 
 @kernel

@@ -6,7 +6,7 @@ import numpy as np
 from continuous_time import Array, Law, Look, Sights, Teams, Trial
 from continuous_time_claims import ContinuousTimeClaim
 from continuous_time_laws import Random, away
-from tank_wishes import wishes
+from desired_velocities import desired_velocities
 from time_bounds import gains_time, links_time
 
 from rendezvous_env import Scenario
@@ -86,17 +86,17 @@ def draw_link_keeping(random: Random, batch: int, least_margin: float) -> Trial:
 
 
 def draw_kept_links(random: Random, batch: int, least_margin: float) -> Trial:
-    """Any wishes, R c."""
-    return _any_wishes(random, batch, float(random.uniform(0.3, 1.0)), 0.0)
+    """Any desired velocities, R c."""
+    return _any_velocities(random, batch, float(random.uniform(0.3, 1.0)), 0.0)
 
 
 def draw_kept_misled(random: Random, batch: int, least_margin: float) -> Trial:
-    """Any wishes and wrong bearings, R d."""
-    return _any_wishes(random, batch, float(random.uniform(0.5, 1.0)), random.uniform(0.2, 0.8))
+    """Any desired velocities and wrong bearings, R d."""
+    return _any_velocities(random, batch, float(random.uniform(0.5, 1.0)), random.uniform(0.2, 0.8))
 
 
-def _any_wishes(random: Random, batch: int, share: float, error_share: float) -> Trial:
-    """Wishes that are kept to the links; the error is a share of π/(2n)."""
+def _any_velocities(random: Random, batch: int, share: float, error_share: float) -> Trial:
+    """Velocities that are kept to the links; the error is a share of π/(2n)."""
     teams, weight = draw_sighted(random, batch), random.uniform(0.5, 2.0)
     n = teams.active.shape[1]
     error = error_share * np.pi / (2.0 * n)
@@ -114,7 +114,7 @@ def _any_wishes(random: Random, batch: int, share: float, error_share: float) ->
         merge_radius=teams.merge_radius,
     )
     limit = links_time(n, most, least_degree=weight, step=scenario.tau, share=share, error=error)
-    law = _wishing(random, scenario, weight, share, error)
+    law = _desiring(random, scenario, weight, share, error)
     return Trial(teams, law, scenario.tau, limit, links_last(teams, _FLOAT32))
 
 
@@ -122,11 +122,11 @@ def _all_pairs(n: int) -> Array:
     return np.ones((n, n)) - np.eye(n)
 
 
-def _wishing(random: Random, scenario: Scenario, weight: float, share: float, error: float) -> Law:
+def _desiring(random: Random, scenario: Scenario, weight: float, share: float, error: float) -> Law:
     keeping = LinkKeeping(
         scenario, BATCH, share=share, bearing_error=error, frame="local", num_threads=1
     )
-    wished, calls = wishes(scenario, BATCH, random), 0
+    desired, calls = desired_velocities(scenario, BATCH, random), 0
     outwards = random.random((BATCH, 1, 1, 1)) < 0.5
 
     def law(teams: Teams) -> Array:
@@ -138,7 +138,7 @@ def _wishing(random: Random, scenario: Scenario, weight: float, share: float, er
             towards = np.where(outwards, away(teams, sights), anyhow)
             bearings = turned(bearings, towards, error * (1.0 - 1e-6))
         rows = rows_in_sight(sights, bearings, weight).astype(np.float32)
-        keeping.hold(wished(keeping.view(rows), calls))
+        keeping.hold(desired(keeping.view(rows), calls))
         calls += 1
         return keeping.act(rows).astype(np.float64)
 
@@ -153,7 +153,7 @@ LINKS = (
     ),
     ContinuousTimeClaim(
         "links",
-        "any wishes kept to the links: none longer, none lost, T ≤ n V_tot/(4λd²) + (n−1)τ",
+        "any velocities kept to the links: none longer, none lost, T ≤ n V_tot/(4λd²) + (n−1)τ",
         draw_kept_links,
     ),
     ContinuousTimeClaim(

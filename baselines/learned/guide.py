@@ -123,14 +123,14 @@ class HeadingTankFilter(CommandedTank):
         self, teams: Part, observations: Float32, actions: Float32, elapsed: float | None = None
     ) -> None:
         """As ``CommandedTank.act_of``."""
-        _wish(teams, observations, self._constants, self._headings, self._held)
+        _desired_velocities(teams, observations, self._constants, self._headings, self._held)
         super().act_of(teams, observations, actions)
         mine = slice(*teams[:2])
         self._velocities[mine] = actions[mine]
 
 
 @kernel
-def _wish(teams, observations, constants, headings, held):
+def _desired_velocities(teams, observations, constants, headings, held):
     """The velocities of a HeadingTankFilter, in units of v_max, along headings (B, n, d)."""
     robot, K = constants.robot, constants.robot.neighbour_slots
     for team in range(teams[0], teams[1]):

@@ -237,7 +237,7 @@ class EnergyTankWrapper(TankSettings, GuaranteeWrapper):
     | key | |
     |---|---|
     | tank | A_i after it, m²/s; 0 for a robot that has merged: the survivor has it |
-    | carried_out | whether the wish was, or law (4) in its place |
+    | carried_out | whether the desired velocity was, or law (4) in its place |
     | alignment | |h_iᵀf_i|/‖f_i‖, h_i the direction of motion or the body axis; NaN without any |
     | lyapunov_rate | −2 f_iᵀΔ_i/τ, m²/s²: positive where V is made to rise |
 

@@ -20,7 +20,7 @@ from ..scenario.scenario import Scenario
 from .robot_lanes import LANES, give_out, in_lanes, lanes_of, put, read, report, take_in, triple_of
 from .safety_filter import Float32, KernelFilter, check_steerable, register_filter
 from .settings import MAX_TURN_RATE, check_gate_constants, check_vectors
-from .turning import Robot, gated_rates, pitch_of, robot_of, turn, wished_rates
+from .turning import Robot, desired_rates, gated_rates, pitch_of, robot_of, turn
 
 NO_CAP = -2.0
 """A margin that every heading keeps."""
@@ -286,7 +286,7 @@ def _turn_bodies(teams, arguments):
                 continue
             f = net_bearing_of(rows, robot.neighbour_slots)
             pitch = pitch_of(rows, robot.gravity_row, gate)
-            rates = wished_rates(held[team, i], gate)
+            rates = desired_rates(held[team, i], gate)
             if constants.certified:
                 rates = gated_rates(rates, f, pitch, gate)
             along = dot(turn(rates, pitch, action, gate), f)

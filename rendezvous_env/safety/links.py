@@ -89,7 +89,7 @@ _ALIKE = 1e-11
 
 @kernel
 def project_on_links(wanted, rows, neighbour_slots, radius, error):
-    """The velocity in B_i that is nearest to a wish (theorem R c).
+    """The velocity in B_i that is nearest to the desired one (theorem R c).
 
     Found as an active set of at most three balls: while the point lies outside of some ball, the
     nearest point of that one and the active ones takes its place, and its distance grows. What
@@ -162,8 +162,8 @@ def _excess(point, bearing, radius):
 
 @kernel
 def _nearest_on(wanted, bearing, active, radius):
-    """The point nearest to a wish in the balls of a bearing and of up to three others, one of them
-    zero if it is none, where it is on the first one's boundary; and the balls that it is on.
+    """The point nearest to the desired one in the balls of a bearing and of up to three others, one
+    of them zero if it is none, where it is on the first one's boundary; and the balls it is on.
     """
     found, kept = ORIGIN, (ORIGIN, ORIGIN, ORIGIN)
     least = dot(wanted, wanted)
@@ -190,8 +190,8 @@ def _is(bearing):
 
 @kernel
 def _nearest_on_all(wanted, on, radius):
-    """The point nearest to a wish on the boundaries of one to three balls; the origin, which they
-    share, where there is no other.
+    """The point nearest to the desired one on the boundaries of one to three balls; the origin,
+    which they share, where there is no other.
 
     Two spheres of the same radius through the origin meet in a circle, across the difference of
     their bearings; three meet in one more point.
@@ -223,7 +223,7 @@ class _Constants(NamedTuple):
 
 
 class LinkKeeping(KernelFilter):
-    """Held wishes and frames of the robots of B teams that lose no link (theorem R).
+    """Desired velocities and frames of the robots of B teams that lose no link (theorem R).
 
         v_i = λ min(d_i, r/(2τ), v_max) sin(φ_i − η)₊ q_i/‖q_i‖ + (1 − λ) P(wanted)
 
@@ -317,8 +317,8 @@ def _keep_links(teams, arguments):
 
 
 @kernel
-def link_keeping_velocity(wish, rows, constants):
-    """The velocity of one robot, a triple, m/s, of a wish in units of v_max (theorem R c and d)."""
+def link_keeping_velocity(desired, rows, constants):
+    """One robot's velocity, a triple, m/s, from the desired one in units of v_max (R c and d)."""
     slots, radius, error = constants.neighbour_slots, constants.radius, constants.bearing_error
     degree = degree_of(rows, slots)
     if degree == 0.0:
@@ -327,7 +327,7 @@ def link_keeping_velocity(wish, rows, constants):
     cosine = math.sqrt(max(1.0 - sine * sine, 0.0))
     sure = max(sine * math.cos(error) - cosine * math.sin(error), 0.0)
     speed = min(degree, 2.0 * radius, constants.speed_limit) * sure
-    wanted = scaled(wish, constants.speed_limit)
+    wanted = scaled(desired, constants.speed_limit)
     _, within = speed_scale(dot(wanted, wanted), constants.speed_limit)
     free = project_on_links(scaled(wanted, within), rows, slots, radius, error)
     return combine(constants.share * speed, towards, 1.0 - constants.share, free)

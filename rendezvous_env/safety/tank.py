@@ -24,7 +24,7 @@ from .heading import into_cap, scale_of_step, without_error
 from .robot_lanes import LANES, in_lanes, lanes_of, put, read, report, tell, triple_of
 from .safety_filter import Float32, KernelFilter, check_steerable, register_filter
 from .settings import levels_follow_v
-from .turning import Robot, gated_rates, pitch_of, rates_of, robot_of, turn, wished_rates
+from .turning import Robot, desired_rates, gated_rates, pitch_of, rates_of, robot_of, turn
 
 
 @kernel(inline="code")
@@ -123,12 +123,12 @@ def _spend_lanes(constants, work):
         error, strength = robot.error_chord * degree, norm(f)
         scale = descent_scale(strength, degree, radius, duration, limit)
         owed = promised_descent(strength, scale, margin, duration, error)
-        wish = scaled(triple_of(lanes.choice, lane), limit)
-        _, within = speed_scale(dot(wish, wish), limit)
-        sent, moved = _sent(scaled(wish, within), limit, duration)
+        desired = scaled(triple_of(lanes.choice, lane), limit)
+        _, within = speed_scale(dot(desired, desired), limit)
+        sent, moved = _sent(scaled(desired, within), limit, duration)
         deposit = certain_descent(f, degree, moved, radius, error) - owed
         accepted = lanes.level[lane] + deposit >= 0.0
-        law = descending_velocity(wish, f, scale, margin, error)
+        law = descending_velocity(desired, f, scale, margin, error)
         law_sent, law_moved = _sent(law, limit, duration)
         law_deposit = certain_descent(f, degree, law_moved, radius, error) - owed
         sees = degree > 0.0
@@ -188,14 +188,14 @@ def _spend_bodies(teams, arguments):
 
 @inner_kernel(inline="code")
 def _spend_turning(rows, f, degree, constants, held, level, action):
-    """One nonholonomic robot, in its body frame: whether its wish is carried out, its deposit, its
-    displacement.
+    """One nonholonomic robot, in its body frame: whether its desired inputs are carried out, its
+    deposit, its displacement.
     """
     robot, limit, gate = constants.robot, constants.speed_limit, constants.robot.gate
     radius, error = robot.merge_radius, robot.error_chord * degree
     pitch = pitch_of(rows, robot.gravity_row, gate)
     action[0] = clip(held[0], 1.0) * limit
-    m = turn(wished_rates(held[1:], gate), pitch, action, gate)
+    m = turn(desired_rates(held[1:], gate), pitch, action, gate)
     moved = _driven(m, action, limit, gate)
     deposit = certain_descent(f, degree, moved, radius, error)
     carried_out = level + deposit >= 0.0
@@ -256,15 +256,15 @@ def unit_of_tanks(scenario: Scenario) -> float:
 
 
 class EnergyTank(KernelFilter):
-    """Energy tanks, frames and held wishes of the robots of B teams (theorem D).
+    """Energy tanks, frames and desired inputs of the robots of B teams (theorem D).
 
         A ← A + G(Δ),   G(Δ) = 2 f·Δ − (2/r) D ‖Δ‖² − ε² τ s ‖f‖²              (guarantees 8)
 
-    A wish is carried out where A + G ≥ 0, else law (4) along it: see tank.py. Nonholonomic robots
+    A desired velocity is carried out where A + G ≥ 0, else law (4) along it. Nonholonomic robots
     keep the account without the term ε²; with an empty tank they drive with v = s mᵀf, and turn
     through the gate of theory 3. One step is
 
-        tank.hold(wishes); actions = tank.act(observations); …; tank.book(…)
+        tank.hold(desired); actions = tank.act(observations); …; tank.book(…)
 
     where G is that of the actions as they are sent, in float32. A policy, which learns of neither
     contacts nor merges, calls ``book()`` bare: then every step books as commanded, and the tank of

@@ -241,8 +241,8 @@ def rates_of(action, gate):
 
 
 @kernel
-def wished_rates(shares, gate):
-    """Turn rates that are wished for in units of their limits, a pair, rad/s: |ω| ≤ its limit."""
+def desired_rates(shares, gate):
+    """Desired turn rates from shares of their limits, a pair, rad/s: |ω| ≤ its limit."""
     pitch_rate = 0.0 if gate.planar else clip(shares[-1], 1.0) * gate.pitch_limit
     return clip(shares[0], 1.0) * gate.yaw_limit, pitch_rate
 

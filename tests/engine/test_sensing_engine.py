@@ -86,8 +86,8 @@ def act(sim: rv.Simulator, step: int):
     shape = (sim.scenario.n_robots, sim.scenario.action_size)
     drawn = 0.3 * np.random.default_rng(step).normal(size=shape) * sim.scenario.action_bounds
     target = np.array([1.5, 1.5, 0.0])[: sim.scenario.dim]  # clear of all obstacles
-    wish = np.einsum("bikl,bik->bil", sim.frames, target - sim.positions)
-    return sim.step(drawn + wish)
+    desired = np.einsum("bikl,bik->bil", sim.frames, target - sim.positions)
+    return sim.step(drawn + desired)
 
 
 # ---- noise and bias -----------------------------------------------------------------------------

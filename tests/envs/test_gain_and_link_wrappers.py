@@ -28,7 +28,7 @@ def test_weights_are_of_rows_in_either_frame():
     np.testing.assert_array_equal(first, second)
 
 
-def test_wishes_are_turned_with_the_frame():
+def test_desired_velocities_are_turned_with_the_frame():
     envs = [make("links", frame=frame) for frame in ("net_bearing", "local")]
     (turned, _), (local, _) = (env.reset(seed=4) for env in envs)
     layout = envs[0].unwrapped.scenario.observation_layout

@@ -46,8 +46,8 @@ def test_a_survivor_has_the_tanks_of_both(on_merge):
     scenario = rv.Scenario(n_robots=3, graph="path", merge_radius=0.2, on_merge=on_merge)
     env = rv.EnergyTankWrapper(rv.parallel_env(scenario), budget=3.0)
     env.reset(seed=0, options={"positions": [[0.0, 0.0], [0.22, 0.0], [6.0, 0.0]]})
-    wishes = constant(env, (0.0, 0.0)) | {"robot_0": np.array([0.5, 0.0], np.float32)}  # along f
-    *_, infos = env.step(wishes)
+    desired = constant(env, (0.0, 0.0)) | {"robot_0": np.array([0.5, 0.0], np.float32)}  # along f
+    *_, infos = env.step(desired)
     assert infos["robot_1"]["merged_into"] == 0 and infos["robot_1"]["tank"] == 0.0
     assert infos["robot_0"]["tank"] > 5.5 and 2.9 < infos["robot_2"]["tank"] < 3.5
     assert len(env.agents) == (2 if on_merge == "remove" else 3)
@@ -101,8 +101,8 @@ def test_a_refused_state_leaves_the_tanks_alone():
 def test_teams_of_a_mask_begin_anew_alone():
     venv = vector.EnergyTankWrapper(rv.make_vec("fig3", 3), budget=0.5)
     venv.reset(seed=0)
-    for wishes in tape(venv, 5):
-        venv.step(wishes)
+    for desired in tape(venv, 5):
+        venv.step(desired)
     before = venv.tank.levels
     venv.reset(options={"reset_mask": np.array([False, True, False])})
     assert (venv.tank.levels[1] == 0.5).all() and (before != 0.5).all()

@@ -170,7 +170,7 @@ def test_bearings_that_are_far_too_old_are_caught(monkeypatch):
 
 
 @pytest.mark.parametrize("name", ["links", "links-misled"])
-def test_wishes_that_are_carried_out_are_caught(name, monkeypatch):
+def test_velocities_that_are_carried_out_are_caught(name, monkeypatch):
     class Careless(link_claims.LinkKeeping):
         def act(self, observations):
             super().act(observations)

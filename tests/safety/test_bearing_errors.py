@@ -19,7 +19,7 @@ from rendezvous_env.safety.tank import (
     descending_velocity,
     promised_descent,
 )
-from research.tank_wishes import wishes
+from research.desired_velocities import desired_velocities
 from train.verify.adversarial_bearings import turned, unit
 
 TEAMS = 12
@@ -56,7 +56,7 @@ def play(scenario, safety_filter, error, *, kind, choose, steps=None):
 
 
 def chooser(scenario, seed=0):
-    return wishes(scenario, TEAMS, np.random.default_rng(seed), "mixed")
+    return desired_velocities(scenario, TEAMS, np.random.default_rng(seed), "mixed")
 
 
 def raw_headings(scenario, seed=0):

@@ -33,14 +33,14 @@ def behind_discs(longest):
 
 
 def links_played(scenario, steps=20):
-    """How many robots are left under wishes that pull links apart, and their links."""
+    """How many robots are left under velocities that pull links apart, and their links."""
     links = LinkKeeping(scenario, 1, frame="local", share=0.001)
     simulator = Simulator(scenario, 1)
-    observations, wish = simulator.reset(0), np.zeros((1, 4, 2))
-    wish[0, 2] = -0.1, 0.3
+    observations, desired = simulator.reset(0), np.zeros((1, 4, 2))
+    desired[0, 2] = -0.1, 0.3
     for step in range(steps):
-        wish[0, 0] = (0.5, 0.0) if step > 3 else (0.0, 0.0)
-        links.hold(wish)
+        desired[0, 0] = (0.5, 0.0) if step > 3 else (0.0, 0.0)
+        links.hold(desired)
         observations = simulator.step(links.act(observations)).observations
     return int(simulator.active.sum()), simulator.weights[0]
 

@@ -1,4 +1,4 @@
-"""Links under any wishes: none grows longer, none is lost; the projection; refusals."""
+"""Links under any desired velocities: none grows longer, none is lost; the projection; refusals."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from tuples import triple
 
 from rendezvous_env import Scenario, Sensing, Simulator
 from rendezvous_env.safety.links import LinkKeeping, project_on_links
-from research.tank_wishes import WISHES, wishes
+from research.desired_velocities import KINDS, desired_velocities
 
 TEAMS = 12
 ROUNDING = 1e-6
@@ -25,7 +25,7 @@ class Links(Seen):
     def __init__(self, scenario, *, kind="mixed", steps=None, made=LinkKeeping, **options):
         self.reach, self.layout = scenario.sensing.range or np.inf, scenario.observation_layout
         self.growth, self.lost, self.least_degree = -np.inf, 0, np.inf
-        choose = wishes(scenario, TEAMS, np.random.default_rng(0), kind)
+        choose = desired_velocities(scenario, TEAMS, np.random.default_rng(0), kind)
         filtered = made(scenario, TEAMS, frame="local", **options)
         super().__init__(scenario, filtered, choose, steps=steps)
 
@@ -61,10 +61,10 @@ def short_sighted(n=6, dim=2, reach=2.0, **changes):
     return Scenario(n_robots=n, dim=dim, start_positions=start, sensing=sensing, **changes)
 
 
-# ---- links under any wishes ----------------------------------------------------------------------
+# ---- links under any velocities ------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("kind", WISHES)
+@pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("dim", [2, 3])
 def test_no_link_grows_longer_and_all_meet(dim, kind):
     scenario = five(f"single_integrator-{dim}d", spawn_size=3.0, time_limit=300.0)
@@ -127,11 +127,11 @@ def test_links_that_are_not_kept_are_caught(changes, options):
     assert seen.growth > 1e-4
 
 
-def test_free_wishes_lose_links():
-    """What the projection is for: the same wishes, bare."""
+def test_free_velocities_lose_links():
+    """What the projection is for: the same velocities, bare."""
     scenario = short_sighted(time_limit=20.0)
     simulator = Simulator(scenario, TEAMS)
-    choose = wishes(scenario, TEAMS, np.random.default_rng(0), "flee")
+    choose = desired_velocities(scenario, TEAMS, np.random.default_rng(0), "flee")
     observations = simulator.reset(0)
     for step in range(200):
         velocity = scenario.speed_limit * choose(observations, step)
@@ -153,7 +153,7 @@ def allowed(points, bearings, radius, error):
 
 
 def draw(random, dim):
-    """Bearings in a narrow or wide cone, a radius and a wish."""
+    """Bearings in a narrow or wide cone, a radius and a desired velocity."""
     count, spread = random.integers(1, 7), random.choice([0.01, 0.3, 1.0, 2.0])
     bearings = np.eye(dim)[0] + spread * random.normal(size=(count, dim))
     bearings /= np.linalg.norm(bearings, axis=-1, keepdims=True)
@@ -162,20 +162,20 @@ def draw(random, dim):
 
 @pytest.mark.parametrize("dim", [2, 3])
 @pytest.mark.parametrize("error", [0.0, 0.2])
-def test_nothing_that_is_allowed_is_nearer_to_a_wish(dim, error):
+def test_nothing_that_is_allowed_is_nearer_to_a_desired_one(dim, error):
     """(w − x)·(z − x) ≤ 0 for all z of a convex set: z drawn everywhere, and near x."""
     random, inner = np.random.default_rng(dim), 0
     for _ in range(300):
-        bearings, radius, wish = draw(random, dim)
+        bearings, radius, desired = draw(random, dim)
         rows = bearings * random.uniform(0.5, 2, (len(bearings), 1))
-        found = project_on_links(triple(wish), rows, len(rows), radius, error)
+        found = project_on_links(triple(desired), rows, len(rows), radius, error)
         x = np.array(found)[:dim]
         assert allowed(x[None], bearings, radius, error).all()
         scale = random.choice([1.0, 1e-1, 1e-2, 1e-3], (600, 1))
         z = np.where(scale == 1.0, 0.0, x) + scale * radius * random.normal(size=(600, dim))
         z = z[allowed(z, bearings, radius, error)]
-        assert ((z - x) @ (wish - x)).max(initial=0.0) < 1e-9
-        inner += np.linalg.norm(x) > 0 and not np.array_equal(x, wish)
+        assert ((z - x) @ (desired - x)).max(initial=0.0) < 1e-9
+        inner += np.linalg.norm(x) > 0 and not np.array_equal(x, desired)
     assert inner > 50
 
 
@@ -183,21 +183,27 @@ def test_in_the_plane_it_is_the_nearest_point_of_two_discs():
     """The two outermost bearings count; the discs meet in 0 and in ρ (g + g')."""
     random = np.random.default_rng(5)
     for _ in range(500):
-        half, radius, wish = random.uniform(0, 1.5), random.uniform(0.3, 2), random.normal(size=2)
+        half, radius, desired = (
+            random.uniform(0, 1.5),
+            random.uniform(0.3, 2),
+            random.normal(size=2),
+        )
         angles = np.append(random.uniform(-half, half, 3), [half, -half])
         g = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
-        found = project_on_links(triple(wish), g, 5, radius, 0.0)
-        candidates = [wish, np.zeros(2), radius * (g[3] + g[4])]
+        found = project_on_links(triple(desired), g, 5, radius, 0.0)
+        candidates = [desired, np.zeros(2), radius * (g[3] + g[4])]
         for centre in radius * g[3:]:
-            candidates.append(centre + radius * (wish - centre) / np.linalg.norm(wish - centre))
+            candidates.append(
+                centre + radius * (desired - centre) / np.linalg.norm(desired - centre)
+            )
         points = np.array(candidates)
         points = points[allowed(points, g, radius, 0.0)]
-        nearest = points[np.argmin(np.linalg.norm(points - wish, axis=-1))]
+        nearest = points[np.argmin(np.linalg.norm(points - desired, axis=-1))]
         np.testing.assert_allclose(found[:2], nearest, atol=1e-9)
 
 
 def test_velocities_by_hand():
-    """λ d q + (1 − λ) P(w), ρ = r/(4τ) = 1.5, with v_max = 3 and wishes in units of it."""
+    """λ d q + (1 − λ) P(w), ρ = r/(4τ) = 1.5, with v_max = 3 and desired ones in units of it."""
     scenario = Scenario(n_robots=3, merge_radius=0.6, time_step=0.1, max_speed=3.0)
     links = LinkKeeping(scenario, 1, share=0.25, frame="local")
     rows = np.zeros((1, 3, *scenario.observation_layout.shape), np.float32)
@@ -213,13 +219,13 @@ def test_velocities_by_hand():
     assert links.lyapunov_rate[0, 1] == pytest.approx(-0.5)
 
 
-def test_wishes_that_are_allowed_are_carried_out_but_for_the_share():
+def test_velocities_that_are_allowed_are_carried_out_but_for_the_share():
     scenario = five("single_integrator-2d")
     links, simulator = LinkKeeping(scenario, 4, share=1e-9, frame="local"), Simulator(scenario, 4)
     observations = simulator.reset(0)
     f = scenario.observation_layout.net_bearing(observations)
-    wish = 1e-3 * f / scenario.speed_limit
-    links.hold(wish)
+    desired = 1e-3 * f / scenario.speed_limit
+    links.hold(desired)
     actions = links.act(observations)
     rows = observations[:, :, : scenario.observation_layout.neighbour_slots]
     along = np.where(np.any(rows, axis=-1), np.einsum("bnkd,bnd->bnk", rows, f), np.inf)

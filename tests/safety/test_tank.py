@@ -1,4 +1,4 @@
-"""The energy tank: V under any wishes, the ledger and how it is kept, memory."""
+"""The energy tank: V under any desired velocities, the ledger and how it is kept, memory."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import rendezvous_env as rv
 from rendezvous_env import Scenario, Sensing, Simulator, graphs
 from rendezvous_env.safety.tank import EnergyTank
 from rendezvous_env.safety.theorems.tank import tank_time_bound
-from research.tank_wishes import WISHES, wishes
+from research.desired_velocities import KINDS, desired_velocities
 
 TEAMS = 24
 SHORT = Sensing(range=4.0)
@@ -24,7 +24,7 @@ class Ledgers(Seen):
         self, scenario, *, kind="mixed", steps=None, num_envs=TEAMS, made=EnergyTank, **options
     ):
         self.tank, self.spent = made(scenario, num_envs, frame="local", **options), 0
-        choose = wishes(scenario, num_envs, np.random.default_rng(0), kind)
+        choose = desired_velocities(scenario, num_envs, np.random.default_rng(0), kind)
         super().__init__(scenario, self.tank, choose, steps=steps)
 
     def watch(self, step):
@@ -42,10 +42,10 @@ def bound_of(scenario, start, weights, min_alignment, budget):
     return n * (start + rises + n * budget) / rate + (n - 1) * tau
 
 
-# ---- V under any wishes --------------------------------------------------------------------------
+# ---- V under any desired velocities --------------------------------------------------------------
 
 
-@pytest.mark.parametrize("kind", WISHES)
+@pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("dim", [2, 3])
 @pytest.mark.parametrize(("factor", "budget"), [(1.0, 0.0), (3.0, 2.0)])
 def test_the_ledger_is_kept_and_all_meet_in_time(dim, kind, factor, budget):
@@ -93,8 +93,8 @@ class ForgetsTheSquare(EnergyTank):
         self._constants = self._constants._replace(robot=robot)
 
 
-class BooksWhatWasWished(EnergyTank):
-    """As if every wish had been carried out and had earned what law (1) earns."""
+class BooksWhatWasDesired(EnergyTank):
+    """As if every desired velocity had been carried out and had earned what law (1) earns."""
 
     def act(self, observations):
         actions = super().act(observations)
@@ -102,7 +102,7 @@ class BooksWhatWasWished(EnergyTank):
         return actions
 
 
-@pytest.mark.parametrize("broken", [ForgetsTheSquare, BooksWhatWasWished])
+@pytest.mark.parametrize("broken", [ForgetsTheSquare, BooksWhatWasDesired])
 def test_a_broken_ledger_is_caught(broken):
     scenario = longer(five("single_integrator-2d", spawn_size=3.0), 2.0)
     seen = Ledgers(scenario, made=broken, min_alignment=0.1, budget=1.0, steps=100)
@@ -155,19 +155,19 @@ def test_deposits_are_those_of_the_motion_that_the_simulator_executes(kind, fact
     assert both == {False, True} and whole.any()
 
 
-def test_a_wish_is_carried_out_as_it_is(kind):
+def test_a_desired_velocity_is_carried_out_as_it_is(kind):
     scenario = five(kind)
     tank = EnergyTank(scenario, 2, frame="local", budget=1e6)
     observations = Simulator(scenario, 2).reset(0)
-    wishes = np.random.default_rng(0).uniform(-1, 1, (2, 5, scenario.action_size))
-    tank.hold(2.0 * wishes)
+    desired = np.random.default_rng(0).uniform(-1, 1, (2, 5, scenario.action_size))
+    tank.hold(2.0 * desired)
     actions = tank.act(observations)
     assert tank.carried_out.all()
     if scenario.model.bounded:  # too long: direction kept
-        lengths = np.linalg.norm(wishes, axis=-1, keepdims=True)
-        expected = wishes * np.minimum(2.0, 1 / lengths) * scenario.speed_limit
+        lengths = np.linalg.norm(desired, axis=-1, keepdims=True)
+        expected = desired * np.minimum(2.0, 1 / lengths) * scenario.speed_limit
     else:
-        expected = np.clip(2 * wishes, -1, 1) * scenario.action_bounds
+        expected = np.clip(2 * desired, -1, 1) * scenario.action_bounds
     np.testing.assert_allclose(actions, expected, rtol=1e-6)
 
 
@@ -176,13 +176,13 @@ def test_with_an_empty_tank_a_body_turns_through_the_gate_and_drives_with_m(mode
     scenario = five(model, spawn_size=6.0, max_turn_rate=2.0)
     tank, observations = EnergyTank(scenario, 8), Simulator(scenario, 8).reset(0)
     f = scenario.observation_layout.net_bearing(observations)
-    wishes = np.zeros((8, 5, scenario.action_size))
-    wishes[..., 0] = -np.sign(f[..., 0])
-    tank.hold(wishes)
+    desired = np.zeros((8, 5, scenario.action_size))
+    desired[..., 0] = -np.sign(f[..., 0])
+    tank.hold(desired)
     actions = tank.act(observations)
     gated = np.abs(f[..., 0]) < 0.05 * np.linalg.norm(f, axis=-1)
     assert not tank.carried_out.any() and (tank.lyapunov_rate <= 0).all()
-    assert not actions[..., 1:][~gated].any()  # no turn was wished, and none was due
+    assert not actions[..., 1:][~gated].any()  # no turn was desired, and none was due
     np.testing.assert_allclose(actions[..., 0][~gated], f[..., 0][~gated], rtol=1e-5, atol=1e-6)
 
 

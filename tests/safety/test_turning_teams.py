@@ -1,4 +1,4 @@
-"""Teams of robots that turn: none stays across its net bearing, whatever is wished for.
+"""Teams of robots that turn: none stays across its net bearing, for any desired turn rates.
 
 ``python tests/safety/test_turning_teams.py 10000`` asks as many teams, and says how many are stuck.
 """
@@ -22,15 +22,15 @@ from rendezvous_env.robots.nonholonomic_3d import body_frame_3d
 from rendezvous_env.safety.theorems.turning import gated_window, turning_window
 from rendezvous_env.safety.turning import (
     Gate,
+    desired_rates,
     gate_of,
     gated_rates,
     mean_axis,
     pitch_of,
-    wished_rates,
 )
 
 MODELS = ("nonholonomic_3d", "unicycle")
-WISHES = ("zero", "random", "greedy")
+KINDS = ("zero", "random", "greedy")
 RADII = (0.2, 1.0, 4.0)
 TURN_RATES = (0.2, 1.0, 10.0)
 MARGIN = 0.3
@@ -64,7 +64,7 @@ def greedy(net_bearings, observations, shares, gate, chosen):
             f, slowest = load(net_bearings[team, i]), np.inf
             pitch = pitch_of(observations[team, i], observations.shape[2] - 1, gate)
             for k in range(len(shares)):
-                rates = gated_rates(wished_rates(shares[k], gate), f, pitch, gate)
+                rates = gated_rates(desired_rates(shares[k], gate), f, pitch, gate)
                 speed = abs(dot(mean_axis(rates, pitch, gate), f))
                 if speed < slowest:
                     slowest = speed
@@ -72,7 +72,7 @@ def greedy(net_bearings, observations, shares, gate, chosen):
                         chosen[team, i, angle] = shares[k, angle]
 
 
-def under_the_gate(scenario, wish, teams, steps, seed=0, side=4, margin=MARGIN):
+def under_the_gate(scenario, kind, teams, steps, seed=0, side=4, margin=MARGIN):
     """The teams at their start and after each of so many steps, or until all have met."""
     venv = rv.make_vec(scenario, num_envs=teams, autoreset_mode="Disabled", num_threads=1)
     env = rv.vector.HeadingVectorWrapper(venv, min_alignment=margin, max_turn_rate=1e6)
@@ -80,15 +80,15 @@ def under_the_gate(scenario, wish, teams, steps, seed=0, side=4, margin=MARGIN):
     random = np.random.default_rng(seed)
     shares = candidates(scenario.robot_model, side)
     gate = gate_of(scenario, margin, scenario.dead_zone)
-    wishes = np.zeros((teams, scenario.n_robots, shares.shape[1]))
+    desired = np.zeros((teams, scenario.n_robots, shares.shape[1]))
     yield venv.simulator
     for _ in range(steps):
-        if wish == "random":
-            wishes = random.uniform(-1, 1, wishes.shape)
-        elif wish == "greedy":
+        if kind == "random":
+            desired = random.uniform(-1, 1, desired.shape)
+        elif kind == "greedy":
             f = scenario.observation_layout.net_bearing(observations)
-            greedy(f, observations, shares, gate, wishes)
-        observations, *_ = env.step(wishes)
+            greedy(f, observations, shares, gate, desired)
+        observations, *_ = env.step(desired)
         yield venv.simulator
         if not (venv.simulator.status == 0).any():
             break
@@ -121,7 +121,7 @@ def scenarios(model):
 
 
 def test_the_deadlock_of_the_saturated_law_is_gone():
-    """Slowest wishes on a path of four, r = 4 m, ω_max = 0.2 rad/s, ε = 0.3: V stood still."""
+    """Slowest turns on a path of four, r = 4 m, ω_max = 0.2 rad/s, ε = 0.3: V stood still."""
     scenario = team("nonholonomic_3d", graphs.path(), 4.0, 0.2)
     assert stuck_under_the_gate(scenario, "greedy", 16, 2500, side=8) == 0
 
@@ -175,15 +175,15 @@ def test_of_k_steps_one_is_productive(dim, turned):
 
 
 @pytest.mark.parametrize("turn_rate", [0.2, 10.0])
-@pytest.mark.parametrize("wish", WISHES)
+@pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("model", MODELS)
-def test_v_falls_by_q_in_every_window(model, wish, turn_rate):
-    """Theorem T's K and q, in the environment, whatever is wished for."""
+def test_v_falls_by_q_in_every_window(model, kind, turn_rate):
+    """Theorem T's K and q, in the environment, for any desired turn rates."""
     scenario = team(model, graphs.path(), 4.0, turn_rate)
     window, least = gated_window(scenario, MARGIN)
     seen = [
         (teams.lyapunov(), teams.active.sum(axis=-1))
-        for teams in under_the_gate(scenario, wish, 16, 400)
+        for teams in under_the_gate(scenario, kind, 16, 400)
     ]
     v, left = (np.array(each) for each in zip(*seen, strict=True))
     calm = (left[window:] == left[:-window]) & (left[window:] > 1)
@@ -195,8 +195,8 @@ def test_v_falls_by_q_in_every_window(model, wish, turn_rate):
 @pytest.mark.parametrize("model", MODELS)
 def test_no_team_is_stuck(model):
     for k, (name, scenario) in enumerate(scenarios(model)):
-        for wish in WISHES:
-            assert stuck_under_the_gate(scenario, wish, 8, 20000, seed=k) == 0, (name, wish)
+        for kind in KINDS:
+            assert stuck_under_the_gate(scenario, kind, 8, 20000, seed=k) == 0, (name, kind)
         assert stuck_under_the_law(scenario, 8, 20000, seed=k) == 0, name
 
 
@@ -206,16 +206,16 @@ def main(total):
     for model in MODELS:
         for k, (name, scenario) in enumerate(scenarios(model)):
             began = time.perf_counter()
-            for wish in (*WISHES, "law"):
-                if wish == "law":
+            for kind in (*KINDS, "law"):
+                if kind == "law":
                     stuck = stuck_under_the_law(scenario, each, 20000, seed=1000 * k)
                 else:
-                    stuck = stuck_under_the_gate(scenario, wish, each, 20000, seed=1000 * k)
-                count = counts.setdefault(f"{model} {wish}", [0, 0])
+                    stuck = stuck_under_the_gate(scenario, kind, each, 20000, seed=1000 * k)
+                count = counts.setdefault(f"{model} {kind}", [0, 0])
                 count[0] += stuck
                 count[1] += each
                 if stuck:
-                    print(name, wish, stuck, "of", each, flush=True)
+                    print(name, kind, stuck, "of", each, flush=True)
             print(f"{name}: {time.perf_counter() - began:.1f} s", flush=True)
     for what, (stuck, asked) in counts.items():
         print(f"{what}: {stuck} of {asked} stuck")

@@ -27,10 +27,10 @@ class Growing:
     def __call__(self, observations, time):
         p, f = self.simulator.positions, SCENARIO.observation_layout.net_bearing(observations)
         f = f.astype(float)
-        wish = growing_side(f, outward(p), MARGINS[:, None, None])
+        desired = growing_side(f, outward(p), MARGINS[:, None, None])
         for team, margin in enumerate(MARGINS):
             self.previous[team] = rv.certified_heading(
-                wish[team],
+                desired[team],
                 f[team],
                 self.previous[team],
                 min_alignment=margin,

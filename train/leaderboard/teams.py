@@ -19,7 +19,7 @@ from rendezvous_env.safety.tank import unit_of_tanks
 from rendezvous_env.scenario.scenario import Scenario
 
 BOTTOMLESS = 1e6
-"""Level of a tank, r D̄, that no episode drains: every wish is carried out, nothing is promised."""
+"""Level of a tank, r D̄, that no episode drains: nothing is ever refused, nothing is promised."""
 _ROUNDING = 1e-12
 COSTS = ("contact", "rise", "leaderboard_risen", "leaderboard_steps")
 """What is counted of every robot: touches, by how much V rose, steps in which it did, steps."""

@@ -19,7 +19,7 @@ from .monitors import Moment
 Array = NDArray[np.float64]
 _TINY = 1e-12
 
-WISHES = (
+KINDS = (
     "flee",
     "across",
     "outward",
@@ -36,8 +36,8 @@ WISHES = (
 class Adversary:
     """Knows where all robots are, and makes of it what a policy is allowed to choose.
 
-    Half of the teams have one kind of wish, which all their robots share; in the others each robot
-    has its own, and every fourth team draws anew now and then.
+    Half of the teams have one kind of desired input, which all their robots share; in the others
+    each robot has its own, and every fourth team draws anew now and then.
 
     Args:
         scenario: whose robots are misled.
@@ -51,7 +51,7 @@ class Adversary:
     ) -> None:
         self.scenario, self.by, self.random = scenario, by, random
         self.size = num_envs, scenario.n_robots
-        self.kinds = random.integers(len(WISHES), size=self.size)
+        self.kinds = random.integers(len(KINDS), size=self.size)
         alike = np.arange(num_envs) % 2 == 0
         self.kinds[alike] = self.kinds[alike, :1]
         self.frozen = random.normal(size=(*self.size, scenario.dim))
@@ -65,20 +65,20 @@ class Adversary:
         """Choices (B, n, k)."""
         restless = self.kinds[3::4]
         anew = self.random.random(restless.shape) < 0.1
-        restless[anew] = self.random.integers(len(WISHES), size=int(anew.sum()))
+        restless[anew] = self.random.integers(len(KINDS), size=int(anew.sum()))
         if self.by == "gains":
             rows = self.scenario.observation_layout.split(observations).neighbours
             weights = self.random.random(rows.shape[:-1])
-            _lean(rows, self._wishes(teams), self.kinds, weights)
+            _lean(rows, self._desired(teams), self.kinds, weights)
             return weights
-        return self._wishes(teams) if self.scenario.model.bounded else self._controls(observations)
+        return self._desired(teams) if self.scenario.model.bounded else self._controls(observations)
 
-    def _wishes(self, teams: Moment) -> Array:
+    def _desired(self, teams: Moment) -> Array:
         """What each robot wants, in its own frame, (B, n, d)."""
         wanted = self.random.normal(size=self.frozen.shape)
         now = teams.positions, teams.active, teams.weights, teams.frames
-        wishes = self.kinds, self.frozen, self.side, self.strength
-        _want(now, wishes, np.zeros((5, wanted.shape[-1])), wanted)
+        kinds_of = self.kinds, self.frozen, self.side, self.strength
+        _want(now, kinds_of, np.zeros((5, wanted.shape[-1])), wanted)
         return wanted
 
     def _controls(self, observations: NDArray[np.float32]) -> Array:
@@ -103,17 +103,17 @@ class Adversary:
 
 
 @kernel
-def _want(now: Any, wishes: Any, seen: Any, wanted: Any) -> None:
-    """Write what robots want, by their WISHES, in their own frames, over what they would want
+def _want(now: Any, kinds_of: Any, seen: Any, wanted: Any) -> None:
+    """Write what robots want, by their kinds, in their own frames, over what they would want
     blindly.
 
     Args:
         now: places (B, n, d), who is there (B, n), weights (B, n, n), frames (B, n, d, d).
-        wishes: kinds (B, n), fixed vectors (B, n, d), sides ±1 and lengths (B, n, 1).
+        kinds_of: kinds (B, n), fixed vectors (B, n, d), sides ±1 and lengths (B, n, 1).
         seen: working memory, (5, d).
         wanted: random vectors, (B, n, d).
     """
-    kinds, frozen, side, strength = wishes
+    kinds, frozen, side, strength = kinds_of
     for b in range(wanted.shape[0]):
         for i in range(wanted.shape[1]):
             kind, aim = kinds[b, i], wanted[b, i]
@@ -136,14 +136,14 @@ def _want(now: Any, wishes: Any, seen: Any, wanted: Any) -> None:
 
 
 @kernel
-def _lean(rows: Any, wishes: Any, kinds: Any, weights: Any) -> None:
+def _lean(rows: Any, desired: Any, kinds: Any, weights: Any) -> None:
     """Write weights of rows: the one that is wanted most alone, of some robots all that are wanted
     or blindly; nothing for those that want to rest.
 
     Args:
         rows: of neighbours, (B, n, K, d) float32.
-        wishes: what robots want, (B, n, d).
-        kinds: their WISHES, (B, n).
+        desired: what robots want, (B, n, d).
+        kinds: their kinds, (B, n).
         weights: random numbers in [0, 1), (B, n, K).
     """
     for b in range(weights.shape[0]):
@@ -151,8 +151,8 @@ def _lean(rows: Any, wishes: Any, kinds: Any, weights: Any) -> None:
             style, best, most = (i + b // 2) % 4, -1, -np.inf
             for k in range(weights.shape[2]):
                 length, score = length_of(rows[b, i, k]), 0.0
-                for axis in range(wishes.shape[2]):
-                    score += rows[b, i, k, axis] * wishes[b, i, axis]
+                for axis in range(desired.shape[2]):
+                    score += rows[b, i, k, axis] * desired[b, i, axis]
                 score /= length if length > 0.0 else 1.0
                 if length > 0.0 and score > most:
                     best, most = k, score

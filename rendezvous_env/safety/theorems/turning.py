@@ -2,7 +2,7 @@
 
 **T.** Fixed, undirected, connected graph, exact bearings of all neighbours, nothing in the way;
 unicycles or 3-D nonholonomic robots under the gate of ``HeadingVectorWrapper``, inputs held over
-the step, whatever turn rates are wished for. With ω the turn limit, or the wrapper's if that is
+the step, for any desired turn rates. With ω the turn limit, or the wrapper's if that is
 less (3 rad/s here, so a wrapper must be given no less), F = min_m 2c_m/m, s_min as in theorem D and
 
     p = min(ωτ, 0.7 τF, π/3),  K = ⌈1.25/p⌉ + 2,  θ = 1/10,

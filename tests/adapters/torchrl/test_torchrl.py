@@ -158,8 +158,8 @@ def test_actions_of_other_kinds_are_refused_by_name():
     bad[1, 2] = torch.nan
     with pytest.raises(ValueError, match=r"robot_2 in team 1"):
         env.step(now.clone().set(ACTION, bad))
-    wishes = torch.zeros(env.full_action_spec[ACTION].shape, requires_grad=True)
-    assert not env.step(now.clone().set(ACTION, wishes * 2))["next", SEEN].requires_grad
+    desired = torch.zeros(env.full_action_spec[ACTION].shape, requires_grad=True)
+    assert not env.step(now.clone().set(ACTION, desired * 2))["next", SEEN].requires_grad
 
 
 # ---- wrappers that change rewards, and the bench -------------------------------------------------

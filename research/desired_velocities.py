@@ -1,4 +1,4 @@
-"""Wishes that try to overdraw an energy tank."""
+"""Desired velocities that try to overdraw an energy tank."""
 
 from __future__ import annotations
 
@@ -12,37 +12,37 @@ from rendezvous_env import Scenario
 from train.verify.adversarial_bearings import across, unit
 
 Array = NDArray[np.float64]
-Wishes = Callable[[NDArray[Any], int], Array]
+Desired = Callable[[NDArray[Any], int], Array]
 """Observations (B, n, rows, d) as a policy sees them and the number of the step → raw (B, n, k)."""
 
-WISHES = ("flee", "orthogonal", "spiral", "frozen", "random", "switching", "rest", "mixed")
+KINDS = ("flee", "orthogonal", "spiral", "frozen", "random", "switching", "rest", "mixed")
 _SWITCHING = 7
 """Steps after which a switching robot turns round."""
 
 
-def wishes(
+def desired_velocities(
     scenario: Scenario, num_envs: int, random: np.random.Generator, kind: str = "mixed"
-) -> Wishes:
-    """Wished velocities in units of v_max; controls in units of their bounds for other models.
+) -> Desired:
+    """Velocities in units of v_max; controls in units of their bounds for other models.
 
     Args:
         scenario: whose robots are misled.
         num_envs: B.
-        random: draws whatever the wishes need.
-        kind: one of WISHES; "mixed" gives every robot a kind of its own. Nonholonomic robots are
+        random: draws whatever they need.
+        kind: one of KINDS; "mixed" gives every robot a kind of its own. Nonholonomic robots are
             always mixed.
     """
     if scenario.model.nonholonomic:
         return _controls(scenario, num_envs, random)
     size = num_envs, scenario.n_robots, scenario.dim
     frozen = random.normal(size=size)
-    own = random.permuted(np.arange(size[0] * size[1]) % (len(WISHES) - 1)).reshape(size[:2])
+    own = random.permuted(np.arange(size[0] * size[1]) % (len(KINDS) - 1)).reshape(size[:2])
 
     def choose(seen: NDArray[Any], step: int) -> Array:
         f = scenario.observation_layout.net_bearing(seen)
         ahead = unit(f)
         side = unit(across(ahead, frozen)) * np.sign(frozen[..., :1])
-        wished = {
+        desired = {
             "flee": -ahead,
             "orthogonal": side,
             "spiral": side - 0.4 * ahead,
@@ -52,13 +52,13 @@ def wishes(
             "rest": np.zeros(size),
         }
         if kind != "mixed":
-            return wished[kind]
-        return np.asarray(np.choose(own[..., None], list(wished.values())))
+            return desired[kind]
+        return np.asarray(np.choose(own[..., None], list(desired.values())))
 
     return choose
 
 
-def _controls(scenario: Scenario, num_envs: int, random: np.random.Generator) -> Wishes:
+def _controls(scenario: Scenario, num_envs: int, random: np.random.Generator) -> Desired:
     """Frozen, drawn anew, or backwards: away from f at full speed."""
     size = num_envs, scenario.n_robots, scenario.action_size
     frozen, own = random.uniform(-1, 1, size), np.arange(size[1])[:, None] % 3
