@@ -19,7 +19,7 @@ BY_TWO := -n 2 --dist loadfile --no-loadscope-reorder
 
 PYTHONS := $(foreach minor,12 13 14,$(if $(shell python3.$(minor) -c 0 2>&1 || echo no),,python3.$(minor)))
 
-.PHONY: compare install test fast test-slow test-floors test-pythons test-adapters lint style types docs clean $(LEARNERS:%=test-adapter-%)
+.PHONY: compare install learners test fast test-slow test-floors test-pythons test-adapters lint style types docs clean $(LEARNERS:%=test-adapter-%)
 .SECONDARY: $(PYTHONS:%=.venv-%/installed) $(LEARNERS:%=.venv-adapters/%/installed)
 .DEFAULT_GOAL := compare
 
@@ -27,6 +27,8 @@ compare: .venv/run
 	$(BIN)/rendezvous compare --out out/compare
 
 install: .venv/installed
+
+learners: $(LEARNERS:%=.venv-adapters/%/installed)
 
 test: .venv/installed
 	$(MAKE) --jobs=2 types fast

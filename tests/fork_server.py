@@ -1,4 +1,4 @@
-"""Runs commands in forked children, so that a hundred of them pay for loading and compiling once.
+"""Runs commands in forked children, so that dozens of them pay for loading and compiling once.
 
 A child is a process of its own that can be killed at any moment. The server reads one command a
 line, as JSON, and answers with the child's number and, once it has ended, its exit status.

@@ -29,7 +29,7 @@ import rendezvous_env as rv
 from rendezvous_env import Scenario, Simulator, TimeStepWarning, vector
 from rendezvous_env.envs.gymnasium_env import make_env
 
-FEW, MANY = 2, 28
+FEW, MANY = 2, 14
 EFFORTS = [
     pytest.param(FEW, id="few"),
     pytest.param(MANY, id="many", marks=pytest.mark.slow),

@@ -204,7 +204,7 @@ def seal(folder, *more):
 
 
 class TestResultFolders:
-    @cases(60, 1000)
+    @cases(60, 500)
     def test_damaged_files(self, count, compared_files, tmp_path, capsys):
         @tried(count, st.lists(damages(len(compared_files)), min_size=1, max_size=2))
         def _(found):
@@ -292,7 +292,7 @@ class TestRuns:
                 sign(folder)
             said_by(["train", "--resume", folder], tmp_path, capsys)
 
-    @cases(40, 800)
+    @cases(40, 400)
     def test_damaged_policies(self, count, run_files, tmp_path, capsys):
         """What ``learned:PATH`` reads."""
         place = checkpoints.find(lay(tmp_path / "run", run_files))

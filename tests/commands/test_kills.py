@@ -22,7 +22,7 @@ from train.learn.log import WALL_TIME
 from train.learn.ppo import Config
 from train.report.input import read
 
-KILLS = 100
+KILLS = 40
 
 
 @pytest.fixture
