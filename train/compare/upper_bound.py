@@ -65,9 +65,7 @@ class Run(NamedTuple):
 
 
 def applies(scenario: Scenario) -> bool:
-    """Whether there is anything to steer around: single integrators among obstacles that stop
-    them.
-    """
+    """Whether the joined rule, whose runs these are, fits, and there is something to touch."""
     return "tangent-joined" in baselines.names(scenario) and counts_contacts(scenario)
 
 
@@ -118,7 +116,7 @@ def randomised(scenario: Scenario, *, seed: int, spread: float) -> CertifiedHead
     """The joined rule looking past f by an angle that is random for each robot.
 
     Args:
-        scenario: single integrators among obstacles.
+        scenario: one that the joined rule fits.
         seed: of everything random.
         spread: standard deviation of the angle, rad.
     """
