@@ -106,7 +106,7 @@ class TestKeepApart:
         assert keep_apart((1.0, 2.0), all_round) == pytest.approx((0.0, 0.0))
 
     def test_it_is_the_nearest_that_fits(self):
-        """Against all there could be: the desired one, its feet on the borders, where they cross."""
+        """Against all there is: the desired one, its feet on the borders, where they cross."""
         random = np.random.default_rng(0)
         for _ in range(300):
             angles = random.uniform(-np.pi, np.pi, random.integers(1, 8))
