@@ -102,7 +102,7 @@ def test_all_robots_stay_and_those_that_are_gone_do_nothing():
 
 
 def test_the_preset_is_what_training_begins_with():
-    config = Config()
+    config = Config(hidden=(128, 128))
     for guarantee in ("heading", "tank"):
         found = preset(guarantee)
         assert found.reward == config.base_scenario().reward

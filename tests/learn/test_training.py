@@ -87,6 +87,8 @@ class TestLearning:
         begun = trainer.Trainer(config(tmp_path))
         start = {k: v.numpy() for k, v in begun.model.policy.state_dict().items()}
         assert start["action_net.bias"].tolist() == [3.0, *[0.0] * (CHOICES - 1)]
+        tank = trainer.Trainer(config(tmp_path, guarantee="tank", budget=2.0))
+        assert not tank.model.policy.action_net.bias.any()
         moved = [name for name, value in network(whole).items() if (value != start[name]).any()]
         assert set(moved) == set(start)
 

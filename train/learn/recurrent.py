@@ -220,8 +220,10 @@ def network_of(config: Config, teams: FeatureVectorEnv) -> type[ActorCriticPolic
 
 def network_settings(config: Config, teams: FeatureVectorEnv) -> dict[str, Any]:
     """Arguments of the network beside its spaces."""
+    usual = {"heading": 3.0, "tank": 0.0}[config.guarantee]
+    prior = usual if config.prior is None else config.prior
     settings = networks.network_settings(
-        teams.layout, set_width=config.set_width, hidden=config.hidden, prior=config.prior
+        teams.layout, set_width=config.set_width, hidden=config.hidden, prior=prior
     )
     if teams.global_state is not None:
         settings["features_extractor_class"] = GlobalFeatures
