@@ -1,6 +1,6 @@
 """Train a heading policy, compare it with the rule it began from, and look at the result.
 
-A minute is too short to learn anything: give --steps 10000000 for a policy like the shipped one.
+A minute is too short to learn anything: give --steps 3000000 for a policy like the shipped one.
 """
 
 import argparse

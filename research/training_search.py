@@ -43,7 +43,8 @@ def search(config: ppo.Config, share: float) -> str:
         met = any(row["clean_success"] >= share for row in metrics["evaluation"])
         if met:
             taken = time.process_time() - began
-            reached = f"{metrics['step'] / 1e6:.2f} M, {taken:.0f} s of processor time"
+            by_clock = f"{metrics['wall_s']:.0f} s by the clock"
+            reached = f"{metrics['step'] / 1e6:.2f} M, {taken:.0f} s of processor time, {by_clock}"
         return met
 
     result = ppo.run(config, on_update)
