@@ -24,12 +24,12 @@ from .robots.robot_models import constants_of, is_custom
 from .scenario.scenarios import ScenarioLike, resolve
 from .scenario.start_options import StartOptions, parse_options, seeds_of_teams
 from .sensors.custom_sensors import Seen, apply_custom
-from .team_readings import TeamReadings
+from .state_view import StateView
 
 _FLOAT32 = np.dtype(np.float32)
 
 
-class Simulator(TeamReadings):
+class Simulator(StateView):
     """B teams of one scenario, advanced together.
 
     A batch of one and a batch of many give bit-equal trajectories for equal seeds, with any number
@@ -113,7 +113,7 @@ class Simulator(TeamReadings):
         Args:
             mask: (B,), which teams.
             outcome: what the last step gave out; in place of these teams' last observation,
-                contact, clearance and standing it takes those of their start. If None, they pass
+                contact, clearance and statistics it takes those of their start. If None, they pass
                 the next step without moving and are observed there.
 
         Raises:

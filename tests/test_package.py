@@ -44,7 +44,7 @@ ROOMS = (
     {"engine.memory"},
     {"engine.reset", "engine.stages"},
     {"engine"},
-    {"simulator", "team_readings", "trajectory", "trajectory_formats", "first_starts"},
+    {"simulator", "state_view", "trajectory", "trajectory_formats", "first_starts"},
     {"safety"},
     {"safety.theorems"},
     {"render"},

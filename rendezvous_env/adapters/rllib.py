@@ -26,7 +26,7 @@ from ray.rllib.utils.spaces.space_utils import clip_action, unsquash_action
 from ray.tune.registry import ENV_CREATOR, _global_registry, register_env
 
 from ..scenario.scenarios import ScenarioLike
-from ..team_readings import STANDING
+from ..state_view import STANDING
 from ..vector import training_env
 from .rllib_module import SetModule, sets_of
 from .rllib_rollout import Rollout

@@ -19,7 +19,7 @@ from ..envs.training import TrainingTeams
 from ..envs.vector_env import Info, RendezvousVectorEnv, Transition
 from ..envs.vector_wrappers import GuaranteeWrapper
 from ..simulator import Simulator
-from ..team_readings import STANDING
+from ..state_view import STANDING
 
 
 class SlotStep(NamedTuple):

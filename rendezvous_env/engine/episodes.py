@@ -17,7 +17,7 @@ from ..scenario.start_options import StartOptions
 from .edge_tables import LinkList, listed
 from .memory import AWAITING_RESET, RUNNING, Layout, Robot
 from .memory.obstacles import room_for_obstacles
-from .memory_layout import drafts
+from .memory_layout import sampled_starts
 from .preparation import fixed_links, fixed_obstacles, start_rules
 from .reset.starts import TOO_MANY_LINKS, StartRules, reset_teams
 from .state import Overwritten, State, overwrite, undo
@@ -91,7 +91,7 @@ class Episodes:
             (self._layout, self._robot),
             state.parts(),
             self._scratch,
-            tuple(drafts(state.place, len(which))),
+            tuple(sampled_starts(state.place, len(which))),
             room_for_obstacles(state.obstacles, len(which)),
         )
 

@@ -16,7 +16,7 @@ from ..obstacles.parsing import row_width
 from ..outcome import SCORES, StepOutput
 from ..scenario.scenario import Scenario
 from .memory import STATISTICS, BlockScratch, ManyTeams, OneTeam, Tally, Teams, TeamScratch
-from .reset.starts import Drafts
+from .reset.starts import SampledStarts
 
 _FLOAT32, _BOOL, _INT64 = np.dtype(np.float32), np.dtype(np.bool_), np.dtype(np.int64)
 _LINE = 64
@@ -139,10 +139,10 @@ def _team_scratch(place: MemoryLayout) -> TeamScratch:
     )
 
 
-def drafts(place: MemoryLayout, count: int) -> Drafts:
+def sampled_starts(place: MemoryLayout, count: int) -> SampledStarts:
     """Room for the starts of ``count`` teams."""
     scenario, links = place.scenario, (count, place.n_links)
-    return Drafts(
+    return SampledStarts(
         positions=np.empty((count, scenario.n_robots, scenario.dim)),
         first=np.empty(links, np.int64),
         second=np.empty(links, np.int64),

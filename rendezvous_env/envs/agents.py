@@ -109,10 +109,10 @@ def _explain(actions: Any, alive: Sequence[str], simulator: Simulator) -> None:
 
 def infos_of_start(names: Sequence[str], simulator: Simulator) -> Infos:
     """What the robots are told at the start of an episode."""
-    clearances, standing = simulator.clearance[0].tolist(), simulator.standing_of_first()
-    standing |= dict.fromkeys(simulator.costs, 0.0)
+    clearances, statistics = simulator.clearance[0].tolist(), simulator.first_episode_statistics()
+    statistics |= dict.fromkeys(simulator.costs, 0.0)
     return {
-        name: {"merged_into": i, "contact": False, "clearance": clearances[i], **standing}
+        name: {"merged_into": i, "contact": False, "clearance": clearances[i], **statistics}
         for i, name in enumerate(names)
     }
 
@@ -129,12 +129,14 @@ def tell(
     over, met = status != RUNNING, status == RENDEZVOUS
     seen = dict(zip(names, observations, strict=True))
     rewards = dict(zip(names, outcome.robot_rewards[0].tolist(), strict=True))
-    standing = simulator.standing_of_first(outcome)
+    statistics = simulator.first_episode_statistics(outcome)
     into = simulator.merged_into_of_first()
     (contacts,), (clearances,) = outcome.contact.tolist(), outcome.clearance.tolist()
     infos: Infos = {}
     for name, survivor, contact, clearance in zip(names, into, contacts, clearances, strict=True):
-        infos[name] = info = standing.copy()  # and then item by item: half as long as in one piece
+        infos[name] = info = (
+            statistics.copy()
+        )  # and then item by item: half as long as in one piece
         info["merged_into"], info["contact"], info["clearance"] = survivor, contact, clearance
     for key, (costs,) in ((key, table.tolist()) for key, table in simulator.costs.items()):
         for info, cost in zip(infos.values(), costs, strict=True):
@@ -154,7 +156,7 @@ def tell(
     if over:
         left = []
         for info in infos.values():
-            info["summary"] = standing.copy()
+            info["summary"] = statistics.copy()
     return (seen, rewards, ends, truncations, infos), left
 
 

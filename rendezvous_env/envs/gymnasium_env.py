@@ -16,8 +16,8 @@ from ..scenario.scenario import Scenario
 from ..scenario.scenarios import ScenarioLike, resolve, with_versions
 from ..scenario.start_options import seeds_of_teams
 from ..simulator import Simulator
-from .one_team import OneOfTeams
 from .overrides import check_overrides, sorted_overrides
+from .single_env import OneOfTeams
 from .vector_env import Info, RendezvousVectorEnv, of_first_team
 from .vector_wrappers import HeadingVectorWrapper
 

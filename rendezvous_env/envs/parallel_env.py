@@ -26,7 +26,7 @@ from .agents import (
     table_of,
     tell,
 )
-from .one_team import Drawn
+from .single_env import Drawn
 from .spaces import action_box, as_told, observation_box, state_box, team_state
 
 

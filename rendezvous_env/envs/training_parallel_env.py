@@ -15,7 +15,7 @@ from ..checks import check_action, whole
 from ..render.renderer import RENDER_MODES
 from ..scenario.scenarios import ScenarioLike
 from .agents import Infos, Observations, SpacesByName, StepReturn, alive_in, check_robots, names_of
-from .one_team import OneOfTeams
+from .single_env import OneOfTeams
 from .spaces import of_one_robot
 from .training import TrainingTeams
 from .training import training_env as teams_to_train

@@ -19,7 +19,7 @@ from ..render.renderer import Renderer, render_metadata
 from ..rewards.costs import no_costs
 from ..scenario.start_options import as_options
 from ..simulator import Simulator
-from ..team_readings import STANDING
+from ..state_view import STANDING
 from .spaces import (
     action_box,
     as_told,
@@ -195,7 +195,10 @@ class RendezvousVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
         outcome = self._outcome
         assert outcome is not None  # there has been a step
         self.simulator.restart(which, outcome)
-        infos |= {"merged_into": self.simulator.merged_into, **self.simulator.standing(outcome)}
+        infos |= {
+            "merged_into": self.simulator.merged_into,
+            **self.simulator.episode_statistics(outcome),
+        }
         infos["contact"][which] = False
         return as_told(outcome.observations, self.flatten)
 
@@ -238,7 +241,7 @@ def start_info(simulator: Simulator) -> Info:
     """Infos of all teams at the start of an episode, without masks."""
     active = simulator.active
     return (
-        simulator.standing()
+        simulator.episode_statistics()
         | no_costs(simulator.scenario.costs, active.shape)
         | {
             "robot_rewards": np.zeros(active.shape),
@@ -252,7 +255,7 @@ def start_info(simulator: Simulator) -> Info:
 
 def step_info(simulator: Simulator, outcome: StepOutput) -> Info:
     """Infos of all teams after a step, without masks."""
-    told = simulator.standing(outcome) | {
+    told = simulator.episode_statistics(outcome) | {
         "robot_rewards": outcome.robot_rewards,
         "active": outcome.active,
         "merged_into": simulator.merged_into,

@@ -5,40 +5,40 @@ from .edge_kinds import DenseEdges, DirectedEdges, EdgeList
 
 
 @inner_kernel(inline="code")
-def _load_pairs(block, lane, links, hand):
+def _load_pairs(block, lane, links, scratch):
     """List a team's links with a weight, in the order of their robots; how many there are."""
     count = 0
     for pair in range(links.first.shape[0]):
         weight = links.weights[block, pair, lane]
         if weight > 0.0:
-            hand.first[count] = links.first[pair]
-            hand.second[count] = links.second[pair]
-            hand.weights[count] = weight
+            scratch.first[count] = links.first[pair]
+            scratch.second[count] = links.second[pair]
+            scratch.weights[count] = weight
             count += 1
     return count
 
 
 @inner_kernel(inline="code")
-def _load_list(block, lane, links, hand):
+def _load_list(block, lane, links, scratch):
     count = 0
     for e in range(links.first.shape[1]):
         if links.weights[block, e] > 0.0:
-            hand.first[count] = links.first[block, e]
-            hand.second[count] = links.second[block, e]
-            hand.weights[count] = links.weights[block, e]
+            scratch.first[count] = links.first[block, e]
+            scratch.second[count] = links.second[block, e]
+            scratch.weights[count] = links.weights[block, e]
             count += 1
     return count
 
 
 @inner_kernel(inline="code")
-def _load_arcs(block, lane, links, hand):
+def _load_arcs(block, lane, links, scratch):
     count, n = 0, links.weights.shape[1]
     for i in range(n):
         for j in range(i + 1, n):
             both = links.weights[block, i, j] + links.weights[block, j, i]
             if both > 0.0:
-                hand.first[count], hand.second[count] = i, j
-                hand.weights[count] = 0.5 * both
+                scratch.first[count], scratch.second[count] = i, j
+                scratch.weights[count] = 0.5 * both
                 count += 1
     return count
 
@@ -46,37 +46,37 @@ def _load_arcs(block, lane, links, hand):
 @by_type(
     "links", {DenseEdges: _load_pairs, EdgeList: _load_list, DirectedEdges: _load_arcs}.__getitem__
 )
-def load_links(block, lane, links, hand):
+def load_links(block, lane, links, scratch):
     """Bring the links of one team into working memory; how many there are."""
 
 
 @inner_kernel(inline="code")
-def _store_pairs(block, lane, count, links, hand):
-    n = hand.lengths.shape[0]
+def _store_pairs(block, lane, count, links, scratch):
+    n = scratch.lengths.shape[0]
     for pair in range(links.first.shape[0]):
         links.weights[block, pair, lane] = 0.0
     for e in range(count):
-        if hand.weights[e] > 0.0:
-            i, j = hand.first[e], hand.second[e]
-            links.weights[block, pair_index(i, j, n), lane] = hand.weights[e]
+        if scratch.weights[e] > 0.0:
+            i, j = scratch.first[e], scratch.second[e]
+            links.weights[block, pair_index(i, j, n), lane] = scratch.weights[e]
 
 
 @inner_kernel(inline="code")
-def _store_list(block, lane, count, links, hand):
-    sort_links(hand.first, hand.second, hand.weights, count)
+def _store_list(block, lane, count, links, scratch):
+    sort_links(scratch.first, scratch.second, scratch.weights, count)
     kept = 0
     for e in range(count):
-        if hand.weights[e] > 0.0:
-            links.first[block, kept] = hand.first[e]
-            links.second[block, kept] = hand.second[e]
-            links.weights[block, kept] = hand.weights[e]
+        if scratch.weights[e] > 0.0:
+            links.first[block, kept] = scratch.first[e]
+            links.second[block, kept] = scratch.second[e]
+            links.weights[block, kept] = scratch.weights[e]
             kept += 1
     for e in range(kept, links.first.shape[1]):
         links.weights[block, e] = 0.0
 
 
 @inner_kernel(inline="code")
-def _store_arcs(block, lane, count, links, hand):
+def _store_arcs(block, lane, count, links, scratch):
     """Nothing: merges contract the matrix itself, see ``merge_swept``."""
 
 
@@ -84,7 +84,7 @@ def _store_arcs(block, lane, count, links, hand):
     "links",
     {DenseEdges: _store_pairs, EdgeList: _store_list, DirectedEdges: _store_arcs}.__getitem__,
 )
-def store_links(block, lane, count, links, hand):
+def store_links(block, lane, count, links, scratch):
     """Put the first ``count`` links of working memory back; those of weight 0 are gone."""
 
 

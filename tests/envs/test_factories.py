@@ -265,17 +265,17 @@ def test_how_teams_stand_is_what_their_simulator_reads(teams):
     for _ in range(260):
         outcome = simulator.step(law(rows, 0.0))
         rows = outcome.observations
-    told = simulator.standing()
-    for key, values in simulator.standing(outcome).items():
+    told = simulator.episode_statistics()
+    for key, values in simulator.episode_statistics(outcome).items():
         np.testing.assert_array_equal(values, told[key])
         assert values.dtype == told[key].dtype
-    assert simulator.standing_of_first(outcome) == simulator.standing_of_first()
+    assert simulator.first_episode_statistics(outcome) == simulator.first_episode_statistics()
     np.testing.assert_array_equal(told["success"], simulator.status == RENDEZVOUS)
     np.testing.assert_array_equal(told["lyapunov"], simulator.lyapunov())
     for key in ("time", "contacts", "path_length"):
         np.testing.assert_array_equal(told[key], getattr(simulator, key))
         assert told[key].dtype == getattr(simulator, key).dtype
-    first = simulator.standing_of_first(outcome)
+    first = simulator.first_episode_statistics(outcome)
     assert first == {key: values[0] for key, values in told.items()}
     assert {type(value) for value in first.values()} == {bool, float, int}
     assert told["success"].any() and told["path_length"].min() > 1

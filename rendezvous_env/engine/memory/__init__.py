@@ -71,7 +71,7 @@ class Tally(NamedTuple):
     """FREE, MOVED, MERGED or PACKED."""
     way: NDArray[np.float64]
     """Of all robots together, m."""
-    touches: NDArray[np.float64]
+    contacts: NDArray[np.float64]
     """Robots in contact with an obstacle."""
     closeness: NDArray[np.float64]
     """How close the robots are to obstacles, see ``rewards.team_reward``."""

@@ -53,7 +53,7 @@ class StartRules(NamedTuple):
     """Likewise, of its obstacles."""
 
 
-class Drafts(NamedTuple):
+class SampledStarts(NamedTuple):
     """Starts that have been drawn and not yet written, one for each team that is reset."""
 
     positions: NDArray[np.float64]
@@ -71,7 +71,7 @@ class Drafts(NamedTuple):
 
 
 @kernel
-def reset_teams(indices, status, rules, streams, setup, state, scratch, drafts, worlds):
+def reset_teams(indices, status, rules, streams, setup, state, scratch, sampled, worlds):
     """Begin a new episode in the teams with these indices; what is given already stands in the
     state.
 
@@ -83,7 +83,7 @@ def reset_teams(indices, status, rules, streams, setup, state, scratch, drafts, 
         setup: layout of the memory and robot.
         state: the fields of BatchState, those of Teams as a tuple.
         scratch: the fields of TeamScratch, of one thread.
-        drafts: the fields of Drafts.
+        sampled: the fields of SampledStarts.
         worlds: room for the obstacles of ``count`` teams, of the type of the obstacles.
 
     Returns:
@@ -93,29 +93,29 @@ def reset_teams(indices, status, rules, streams, setup, state, scratch, drafts, 
     seeds, episodes = streams
     layout, robot = setup
     state = BatchState(Teams(*state[0]), state[1], state[2], state[3])
-    scratch, drafts = TeamScratch(*scratch), Drafts(*drafts)
-    # there is working memory for one team: starts wait in the drafts until all teams have one
+    scratch, sampled = TeamScratch(*scratch), SampledStarts(*sampled)
+    # there is working memory for one team: sampled starts wait until all teams have one
     for k in range(len(indices)):
-        team, positions = indices[k], drafts.positions[k]
+        team, positions = indices[k], sampled.positions[k]
         keys = (seeds[team], episodes[team])
         count = _draw_links(team, keys, rules, rules.graph, layout, state.links, scratch)
         if count < 0:
             return team, TOO_MANY_LINKS
-        drafts.n_links[k] = count
-        drafted = (drafts.first[k], drafts.second[k], drafts.weights[k])
-        copy_links((scratch.first, scratch.second, scratch.weights), drafted, count)
+        sampled.n_links[k] = count
+        links = (sampled.first[k], sampled.second[k], sampled.weights[k])
+        copy_links((scratch.first, scratch.second, scratch.weights), links, count)
         _read_positions(_place(team, layout), state.teams, positions)
         copy_obstacles(state.obstacles, team, worlds, k)
         listed = (scratch.first[:count], scratch.second[:count], scratch.weights[:count])
-        scene, counts = (listed, obstacles_of(worlds, k)), (drafts.chains, scratch.counts)
+        scene, counts = (listed, obstacles_of(worlds, k)), (sampled.chains, scratch.counts)
         if not _draw_room(keys, rules, rules.field, rules.spacing, scene, positions, counts):
             return team, NO_ROOM
     for k in range(len(indices)):
-        team, count = indices[k], drafts.n_links[k]
-        drafted = (drafts.first[k], drafts.second[k], drafts.weights[k])
-        copy_links(drafted, (scratch.first, scratch.second, scratch.weights), count)
+        team, count = indices[k], sampled.n_links[k]
+        links = (sampled.first[k], sampled.second[k], sampled.weights[k])
+        copy_links(links, (scratch.first, scratch.second, scratch.weights), count)
         copy_obstacles(worlds, k, state.obstacles, team)
-        place, positions = _place(team, layout), drafts.positions[k]
+        place, positions = _place(team, layout), sampled.positions[k]
         _write_start(place, status, count, state, positions, scratch)
         _draw_attitudes(place, rules, (seeds[team], episodes[team]), layout, robot, state.teams)
         key = stream_key(seeds[team], episodes[team], GRAPH)

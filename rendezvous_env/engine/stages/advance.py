@@ -188,7 +188,7 @@ def _stay_outside(place, setup, teams, obstacles, contact, scratch):
                     team.displacements[i, k] = executed[k]
                 if met:
                     contact[place.team, i] = True
-                    tally_of(scratch.block.tally).touches[place.lane] += 1.0
+                    tally_of(scratch.block.tally).contacts[place.lane] += 1.0
                     # of the chord: the way along a surface is not kept
                     team.lengths[i] = norm(executed)
 

@@ -50,7 +50,7 @@ def _conclude(setup, half_lyapunov, tally, statistics):
         status = statistics.status[lane]
         before, now = statistics.lyapunov[lane], 2.0 * half_lyapunov[lane]
         initial = statistics.initial_lyapunov[lane]
-        touches, running = tally.touches[lane], status == _RUNNING
+        contacts, running = tally.contacts[lane], status == _RUNNING
         steps = statistics.steps[lane] + (1.0 if running else 0.0)
         packed = tally.proximity[lane] == PACKED
         met = running & ((statistics.active[lane] == 1.0) | packed)
@@ -58,13 +58,13 @@ def _conclude(setup, half_lyapunov, tally, statistics):
         # where edges come and go there may be none at the start
         progress = (before - now) / initial if initial > 0.0 else 0.0
         closeness, weights = tally.closeness[lane], constants.reward_weights
-        reward = team_reward(progress, time_share, touches, closeness, met, weights)
+        reward = team_reward(progress, time_share, contacts, closeness, met, weights)
         ended = _RENDEZVOUS if met else _TIME_OUT if over else _RUNNING
         statistics.status[lane] = ended if running | (status == _AWAITING) else status
         statistics.steps[lane] = steps
         statistics.lyapunov[lane] = now
         statistics.path_length[lane] += tally.way[lane]
-        statistics.contacts[lane] += touches
+        statistics.contacts[lane] += contacts
         merged = tally.proximity[lane] == MERGED
         tally.reward[lane] = reward if running else 0.0
         tally.elapsed[lane] = steps * constants.duration

@@ -118,22 +118,22 @@ def _turn_side(layout, side, errors, words, row):
 
 
 @inner_kernel(inline="code")
-def _all_pairs(block, links, hand):
+def _all_pairs(block, links, scratch):
     for e in range(links.first.shape[0]):
-        hand.first[e], hand.second[e] = links.first[e], links.second[e]
+        scratch.first[e], scratch.second[e] = links.first[e], links.second[e]
     return links.first.shape[0]
 
 
 @inner_kernel(inline="code")
-def _linked_pairs(block, links, hand):
-    return load_links(block, 0, links, hand)
+def _linked_pairs(block, links, scratch):
+    return load_links(block, 0, links, scratch)
 
 
 @by_type(
     "links",
     {DenseEdges: _all_pairs, EdgeList: _linked_pairs, DirectedEdges: _linked_pairs}.__getitem__,
 )
-def _list_pairs(block, links, hand):
+def _list_pairs(block, links, scratch):
     """List the pairs that have rows in a block, in the order of these; how many there are."""
 
 

@@ -15,10 +15,10 @@ from .physics.hull_perimeter import size
 from .scenario.scenario import Scenario
 
 STANDING = ("success", "time", "contacts", "path_length", "lyapunov")
-"""What ``TeamReadings.standing`` tells."""
+"""What ``StateView.episode_statistics`` tells."""
 
 
-class TeamReadings:
+class StateView:
     """The global state of B teams and the statistics of their episodes, as copies."""
 
     scenario: Scenario
@@ -125,7 +125,7 @@ class TeamReadings:
         """V = Σ_i Σ_j a_ij ‖p_i − p_j‖, (B,), m²/s, of the graph of the moment."""
         return self._state.statistic("lyapunov")
 
-    def standing(self, outcome: StepOutput | None = None) -> dict[str, NDArray[Any]]:
+    def episode_statistics(self, outcome: StepOutput | None = None) -> dict[str, NDArray[Any]]:
         """How the teams stand in their episodes, (B,) each, by the names of STANDING: whether all
         have met, s, contacts, m, V in m²/s.
 
@@ -141,10 +141,10 @@ class TeamReadings:
             time, path_length, lyapunov = so_far[0], so_far[1], so_far[2]
         return _standing(status == RENDEZVOUS, time, contacts, path_length, lyapunov)
 
-    def standing_of_first(self, outcome: StepOutput | None = None) -> dict[str, Any]:
-        """``standing`` of team 0, as Python's own numbers; quicker where there is no other."""
+    def first_episode_statistics(self, outcome: StepOutput | None = None) -> dict[str, Any]:
+        """``episode_statistics`` of team 0, as Python's own numbers; quicker where there is no other."""
         if outcome is None:
-            return {key: values[0].item() for key, values in self.standing().items()}
+            return {key: values[0].item() for key, values in self.episode_statistics().items()}
         met, contacts = outcome.status.item(0) == RENDEZVOUS, outcome.contacts.item(0)
         time, path_length, lyapunov = outcome.scores[ELAPSED:, 0].tolist()
         return _standing(met, time, contacts, path_length, lyapunov)
