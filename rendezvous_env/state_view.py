@@ -142,7 +142,7 @@ class StateView:
         return _standing(status == RENDEZVOUS, time, contacts, path_length, lyapunov)
 
     def first_episode_statistics(self, outcome: StepOutput | None = None) -> dict[str, Any]:
-        """``episode_statistics`` of team 0, as Python's own numbers; quicker where there is no other."""
+        """``episode_statistics`` of team 0, as Python's own numbers; quicker for one."""
         if outcome is None:
             return {key: values[0].item() for key, values in self.episode_statistics().items()}
         met, contacts = outcome.status.item(0) == RENDEZVOUS, outcome.contacts.item(0)

@@ -117,7 +117,7 @@ def infos_of_start(names: Sequence[str], simulator: Simulator) -> Infos:
     }
 
 
-def tell(
+def step_results(
     observations: NDArray[np.float32],
     outcome: StepOutput,
     simulator: Simulator,
@@ -134,9 +134,7 @@ def tell(
     (contacts,), (clearances,) = outcome.contact.tolist(), outcome.clearance.tolist()
     infos: Infos = {}
     for name, survivor, contact, clearance in zip(names, into, contacts, clearances, strict=True):
-        infos[name] = info = (
-            statistics.copy()
-        )  # and then item by item: half as long as in one piece
+        infos[name] = info = statistics.copy()  # then item by item: half as long as at once
         info["merged_into"], info["contact"], info["clearance"] = survivor, contact, clearance
     for key, (costs,) in ((key, table.tolist()) for key, table in simulator.costs.items()):
         for info, cost in zip(infos.values(), costs, strict=True):

@@ -23,8 +23,8 @@ from .agents import (
     alive_in,
     infos_of_start,
     names_of,
+    step_results,
     table_of,
-    tell,
 )
 from .single_env import Drawn
 from .spaces import action_box, as_told, observation_box, state_box, team_state
@@ -208,10 +208,10 @@ class RendezvousParallelEnv(
         outcome = self.simulator.step(table_of(actions, self.agents, self.simulator))
         self.renderer.see(outcome.contact)
         observations = as_told(outcome.observations[0], self.flatten)
-        told, self.agents = tell(
+        results, self.agents = step_results(
             observations, outcome, self.simulator, self.possible_agents, self.agents
         )
-        return told
+        return results
 
     def state(self) -> NDArray[np.float32]:
         """The privileged global state, one float32 vector.

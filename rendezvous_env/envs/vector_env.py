@@ -195,10 +195,8 @@ class RendezvousVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
         outcome = self._outcome
         assert outcome is not None  # there has been a step
         self.simulator.restart(which, outcome)
-        infos |= {
-            "merged_into": self.simulator.merged_into,
-            **self.simulator.episode_statistics(outcome),
-        }
+        infos |= self.simulator.episode_statistics(outcome)
+        infos["merged_into"] = self.simulator.merged_into
         infos["contact"][which] = False
         return as_told(outcome.observations, self.flatten)
 
