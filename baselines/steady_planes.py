@@ -36,13 +36,11 @@ from rendezvous_env.safety.turning import TINY, Gate, gate_of, mean_axis, pitch_
 from rendezvous_env.scenario.scenario import Scenario
 
 from .obstacle_rules.merged_silhouettes_2d import joined_interval_2d
-from .obstacle_rules.planes_in_space import cut_by, kept_azimuth, lies_outside, widened_rays
+from .obstacle_rules.planes_in_space import cut_by, kept_azimuth, widened_rays
 from .obstacle_rules.silhouettes import is_seen
+from .obstacle_rules.turning_robots import axis_is_clear_3d
 from .steady_frames import law_speed
 from .steering import ALIGNED_IN_SPACE, WITHIN, inputs_towards
-
-PASSABLE = 1.4
-"""rad; farther from f law (4) hardly moves a robot."""
 
 
 class _Robot(NamedTuple):
@@ -280,9 +278,7 @@ def _follow(teams, observations, robot, memory, held):
             if len(desired) > 2:
                 silhouettes = rows[K : K + 8 * M].reshape((M, 8, 3))
                 cones = rays[: widened_rays(silhouettes, robot.clearance, rays)]
-                mean = mean_axis(rates, pitch, gate)
-                clear = lies_outside(X_AXIS, cones) and lies_outside(mean, cones)
-                desired[0] = forward if clear else 0.0
+                desired[0] = forward if axis_is_clear_3d(rates, pitch, cones, gate) else 0.0
 
 
 @kernel

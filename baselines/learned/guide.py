@@ -22,8 +22,9 @@ from rendezvous_env.safety.tank import EnergyTank, unit_of_tanks
 from rendezvous_env.scenario.scenario import Scenario
 
 from ..obstacle_rules.merged_silhouettes_2d import joined_heading_2d
+from ..obstacle_rules.planes_in_space import PASSABLE
 from ..steady_frames import SteadyFrames
-from ..steady_planes import PASSABLE, SteadyPlanes
+from ..steady_planes import SteadyPlanes
 from ..steering import WITHIN
 from .features import Features
 from .policy_settings import PolicySettings

@@ -29,8 +29,9 @@ from ..policy import (
 from ..steering import Steering
 from .merged_silhouettes_2d import joined_headings_2d
 from .merged_silhouettes_3d import joined_headings_3d
+from .planes_in_space import headings_in_planes
 from .silhouettes import tangent_headings
-from .turning_robots import in_the_plane_or_turning, steered
+from .turning_robots import can_pass_obstacles, steered
 
 if TYPE_CHECKING:
     from rendezvous_env.scenario.scenario import Scenario
@@ -136,7 +137,7 @@ def check_clearance(clearance: Any) -> None:
 
 @dataclass(frozen=True)
 class BareHeadingPolicy(TeamPolicy):
-    """A heading rule with law (4), ṗᵢ = hᵢ hᵢᵀ fᵢ, which a unicycle follows as it can."""
+    """A heading rule with law (4), ṗᵢ = hᵢ hᵢᵀ fᵢ, which a robot that turns follows as it can."""
 
     scenario: Scenario
     """Whose robots it steers."""
@@ -157,8 +158,9 @@ class CertifiedHeadingPolicy(RememberingPolicy):
 
         vᵢ = min(1, r/(2 Dᵢ τ)) hᵢ hᵢᵀ fᵢ                             (theory 3 and 4)
 
-    The rule means a line, so its heading is flipped to the side of f before it is certified. What a
-    unicycle remembers turns with its frame; it lags behind its heading, and no theorem covers it.
+    The rule means a line, so its heading is flipped to the side of f before it is certified. What
+    robots that turn remember turns with their frame; they lag behind their headings, and no theorem
+    covers them.
     """
 
     scenario: Scenario
@@ -221,11 +223,12 @@ class CertifiedHeadingPolicy(RememberingPolicy):
 
 @dataclass
 class TunedJoinedPolicy(CertifiedHeadingPolicy):
-    """The joined rule in the plane as good as tuning makes it; certified, and with two changes.
+    """The joined rule as good as tuning makes it; certified, and with two changes.
 
-    A robot stands by the side that it has chosen (``persistence``), and an edge that lies beyond
-    the cap is aimed at as it is, which leaves the robot slow at the edge of the cap, instead of
-    being turned round into what lies behind it.
+    A robot stands by the side that it has chosen (``persistence``), in space by a plane as well
+    (``headings_in_planes``), and an edge that lies beyond the cap is aimed at as it is, which
+    leaves the robot slow at the edge of the cap, instead of being turned round into what lies
+    behind it.
     """
 
     clearance: float = 0.2
@@ -238,14 +241,29 @@ class TunedJoinedPolicy(CertifiedHeadingPolicy):
         check_clearance(self.clearance)
         number("persistence", self.persistence, 0)
 
+    def _start(self, teams: int) -> None:
+        super()._start(teams)
+        self._asides = np.zeros_like(self._previous)
+
+    def _forget(self, which: NDArray[np.bool_]) -> None:
+        super()._forget(which)
+        self._asides[which] = 0.0
+
+    def after(
+        self, elapsed: float, observations: NDArray[Any], time: ArrayLike
+    ) -> NDArray[np.float32]:
+        """As ``CertifiedHeadingPolicy.after``."""
+        seen = self._teams_of(observations)
+        self._asides = self._steering.turned(self._asides, self._sent, seen, elapsed)
+        return super().after(elapsed, observations, time)
+
     def _aim(self, f: Array, silhouettes: NDArray[Any]) -> Array:
-        return tangent_joined_heading(
-            f,
-            silhouettes,
-            clearance=self.clearance,
-            carried=self._previous,
-            persistence=self.persistence,
-        )
+        d, carried = f.shape[-1], self._previous
+        rule = float(self.clearance), carried.reshape(-1, d), float(self.persistence)
+        if d == 2:
+            return _over_robots(joined_headings_2d, f, silhouettes, *rule)
+        asides = self._asides.reshape(-1, 3)
+        return _over_robots(headings_in_planes, f, silhouettes, *rule, asides)
 
 
 # ---- by name ------------------------------------------------------------------------------------
@@ -263,11 +281,7 @@ def _tangent_blocking(scenario: Scenario) -> Policy:
     return BareHeadingPolicy(scenario, tangent_blocking_heading)
 
 
-def _fits(scenario: Scenario) -> bool:
-    return among_obstacles(scenario) or in_the_plane_or_turning(scenario)
-
-
-@register("tangent-joined", fits=_fits, kind="rule")
+@register("tangent-joined", fits=can_pass_obstacles, kind="rule")
 def _tangent_joined(scenario: Scenario, clearance: float = 0.05) -> Policy:
     """The same, with silhouettes that overlap taken for one."""
     return BareHeadingPolicy(scenario, _joined_with(clearance))
@@ -301,15 +315,20 @@ def _tangent_joined_certified(
     return CertifiedHeadingPolicy(scenario, rule, min_alignment, max_turn_rate)
 
 
-@register("tangent-joined-tuned", fits=in_the_plane_or_turning, kind="rule")
+@register("tangent-joined-tuned", fits=can_pass_obstacles, kind="rule")
 def _tangent_joined_tuned(
     scenario: Scenario,
     clearance: float = 0.2,
-    persistence: float = 0.5,
+    persistence: float | None = None,
     min_alignment: float = 0.05,
     max_turn_rate: float = 100.0,
 ) -> Policy:
-    """The joined rule, certified and tuned: it keeps to a side once taken."""
+    """The joined rule, certified and tuned: it keeps to a side once taken.
+
+    In space it is less persistent, where nothing else is said.
+    """
+    if persistence is None:
+        persistence = 0.5 if scenario.dim == 2 else 0.35
     return TunedJoinedPolicy(
         scenario,
         _joined_with(clearance),

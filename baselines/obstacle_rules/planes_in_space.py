@@ -7,6 +7,8 @@ be done about those is known.
 
 import math
 
+import numpy as np
+
 from rendezvous_env.compilation import kernel
 from rendezvous_env.obstacles.shape import azimuth_axes
 from rendezvous_env.physics.vectors import (
@@ -21,14 +23,57 @@ from rendezvous_env.physics.vectors import (
     without,
 )
 
-from .merged_silhouettes_2d import TWO_PI, joined_interval_2d
-from .silhouettes import is_seen
+from .merged_silhouettes_2d import TWO_PI, joined_heading_2d, joined_interval_2d
+from .silhouettes import direction_of, is_seen
 
 _Y_AXIS = (0.0, 1.0, 0.0)
 _WIDEST = 0.5 * math.pi - 0.01
 """rad; no cone is widened beyond."""
 _PLANES = 8
 """Planes through f that are looked at, each with two azimuths."""
+PASSABLE = 1.4
+"""rad; farther from f law (4) hardly moves a robot."""
+
+
+@kernel(allocates=True)
+def headings_in_planes(net_bearing, silhouettes, clearance, carried, persistence, asides, out):
+    """``joined_headings_2d`` in a plane of space, which is kept while something in it is before f.
+
+    Args:
+        net_bearing: fᵢ, (N, 3).
+        silhouettes: (N, M, 8, 3); cones are widened by half of the clearance.
+        clearance: in the plane, rad.
+        carried: headings of the step before, (N, 3); zero = none yet.
+        persistence: λ, 0 or more.
+        asides: (N, 3), changed: the unit vector across f of the plane that is kept; zero = none.
+        out: (N, 3).
+    """
+    slots = silhouettes.shape[1]
+    rays, cut, intervals = np.empty((slots, 8, 3)), np.empty((slots, 2, 2)), np.empty((slots, 2))
+    for i in range(out.shape[0]):
+        towards, before, was = direction_of(net_bearing[i]), load(asides[i]), load(carried[i])
+        seen = widened_rays(silhouettes[i], 0.5 * clearance, rays)
+        views = rays[:seen], cut[:seen], intervals[:seen]
+        keeps = PASSABLE if before != ORIGIN else 0.0
+        if before == ORIGIN:
+            before = _nearest_ray(towards, views[0])
+        aside, _ = kept_azimuth(towards, before, keeps, clearance, views)
+        kept, rule = (dot(was, towards), dot(was, aside), 0.0), (clearance, persistence)
+        heading = joined_heading_2d(X_AXIS, views[1], kept, rule, views[2])
+        store(combine(heading[0], towards, heading[1], aside), out[i])
+        store(aside if heading[1] != 0.0 else ORIGIN, asides[i])
+
+
+@kernel
+def _nearest_ray(towards, rays):
+    """The boundary ray nearest to f, in whatever order obstacles come; zero without one."""
+    nearest, best = ORIGIN, -math.inf
+    for m in range(rays.shape[0]):
+        for s in range(8):
+            cosine = dot(towards, load(rays[m, s]))
+            if cosine > best:
+                nearest, best = load(rays[m, s]), cosine
+    return nearest
 
 
 @kernel

@@ -15,8 +15,9 @@ from rendezvous_env.safety.tank import EnergyTank
 from rendezvous_env.safety.turning import gate_of
 
 from ..policy import Policy, RememberingPolicy, register
-from ..steering import ALIGNED, ALIGNED_IN_SPACE, Steering, can_steer
+from ..steering import ALIGNED, ALIGNED_IN_SPACE, Steering
 from .obstacle_avoidance import Array, check_clearance
+from .turning_robots import can_pass_obstacles
 from .wall_following import (
     HEADING,
     HEADING_X,
@@ -139,11 +140,7 @@ class TankJoinedPolicy(RememberingPolicy):
         return np.zeros(0) if self._leading is None else self._as_given(self._tank.levels)
 
 
-def _fits(scenario: Scenario) -> bool:
-    return can_steer(scenario) and scenario.observation_layout.obstacle_slots > 0
-
-
-@register("tank-joined", fits=_fits, kind="tank")
+@register("tank-joined", fits=can_pass_obstacles, kind="tank")
 def _tank_joined(
     scenario: Scenario,
     budget: float = TankJoinedPolicy.budget,

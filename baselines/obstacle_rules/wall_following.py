@@ -27,8 +27,8 @@ from rendezvous_env.safety.turning import Gate, mean_axis, send_rates
 
 from ..steering import inputs_towards
 from .merged_silhouettes_2d import TWO_PI, joined_interval_2d
-from .planes_in_space import kept_azimuth, lies_outside, widened_rays
-from .turning_robots import axis_is_clear
+from .planes_in_space import kept_azimuth, widened_rays
+from .turning_robots import axis_is_clear, axis_is_clear_3d
 
 SIDE, HEADING_X, HEADING_Y, WORK, PATIENCE, SHORT = range(6)
 MEMORY = 6
@@ -156,8 +156,7 @@ def wall_following_velocities_3d(
         account, plane = (degrees[i], levels[i]), (towards, aside)
         if settings.turns:
             speed, rates = _inputs(f, account, heading, free, pitches[i], settings, memory[i])
-            mean = mean_axis(rates, pitches[i], settings.gate)
-            clear = lies_outside(X_AXIS, views[0]) and lies_outside(mean, views[0])
+            clear = axis_is_clear_3d(rates, pitches[i], views[0], settings.gate)
             out[i, 0] = speed if clear else 0.0
             send_rates(rates, out[i], settings.gate)
         else:

@@ -69,14 +69,18 @@ class TestAgreement:
         others = [file.RobotPolicy() for _ in range(CLUTTER.n_robots)]
         assert act_along(robots, others, CLUTTER, policy, 3, 120) < 1e-5
 
-    @pytest.mark.parametrize("name", SPACE)
-    def test_whole_episodes_in_space(self, exported, name):
+    @pytest.mark.parametrize(
+        ("policy", "name"),
+        [*(("learned-tank", name) for name in SPACE), ("tangent-joined-tuned", "uav-clutter-16")],
+    )
+    def test_whole_episodes_in_space(self, exported, policy, name):
         scenario = rv.scenarios.get(name)
-        file = standalone.load(exported("learned-tank", name))
-        robots = [RobotPolicy(scenario, "learned-tank") for _ in range(scenario.n_robots)]
+        file = standalone.load(exported(policy, name))
+        robots = [RobotPolicy(scenario, policy) for _ in range(scenario.n_robots)]
         others = [file.RobotPolicy() for _ in range(scenario.n_robots)]
-        assert act_along(robots, others, scenario, "learned-tank", 4, 10_000) < 1e-5
-        assert "SteadyFrames:\n" in exported("learned-tank", name).read_text(encoding="utf-8")
+        assert act_along(robots, others, scenario, policy, 4, 10_000) < 1e-5
+        text = exported(policy, name).read_text(encoding="utf-8")
+        assert policy != "learned-tank" or "SteadyFrames:\n" in text
         assert not hasattr(file, "DifferentialDrive") and "drive" not in file.__doc__
 
     @pytest.mark.slow

@@ -112,6 +112,9 @@ def test_names_are_those_that_fit():
     among_discs = {"tangent-joined", *tuned}
     turning = rv.scenarios.get("unicycle-clutter-8")
     assert set(baselines.names(turning)) == {*cars, *everywhere, *among_discs}
+    among_spheres = {*(plane - flat), *rules, *certified, *tuned}
+    assert set(baselines.names("clutter-3d-32")) == among_spheres
+    assert set(baselines.names("uav-clutter-16")) == {*flyers, *everywhere, *among_discs}
     assert set(baselines.names(HEAVY)) == {"damped", *everywhere}
     assert len(baselines.names()) == 31
 

@@ -9,7 +9,14 @@ import pytest
 
 import baselines
 import rendezvous_env as rv
-from baselines.obstacle_rules.planes_in_space import kept_azimuth, lies_outside, widened_rays
+from baselines.obstacle_rules.planes_in_space import (
+    PASSABLE,
+    headings_in_planes,
+    kept_azimuth,
+    lies_outside,
+    widened_rays,
+)
+from baselines.obstacle_rules.turning_robots import FLAT
 from baselines.steering import Steering
 from rendezvous_env import Simulator
 from rendezvous_env.engine.memory import RENDEZVOUS, RUNNING
@@ -95,6 +102,63 @@ def test_along_its_x_axis_there_is_an_azimuth_too():
         assert abs(aside @ X) < 1e-12 and np.linalg.norm(aside) == pytest.approx(1.0)
 
 
+# ---- the tuned rule -----------------------------------------------------------------------------
+
+
+def heading_of(cones, carried=(0.0, 0.0, 0.0), aside=(0.0, 0.0, 0.0), clearance=0.2):
+    """Where the rule leads from f along the x axis, and the azimuth that it keeps to."""
+    out, asides = np.zeros((1, 3)), np.array([aside], float)
+    silhouettes = np.array(cones, float).reshape(1, -1, 8, 3)
+    arguments = clearance, np.array([carried], float), 0.5, asides, out
+    headings_in_planes(np.array([2.0 * X]), silhouettes, *arguments)
+    return out[0], asides[0]
+
+
+def test_the_tuned_rule_keeps_to_its_plane_and_side_while_something_is_before_f():
+    """Of a cone to pass at −y the edge lies at 0.1 rad, widened by 0.1 within a clearance of 0.2;
+    who has begun at +y goes on there, who keeps to z passes in that plane.
+    """
+    seen = [cone((math.cos(0.3), math.sin(0.3), 0.0), 0.4)]
+    heading, aside = heading_of(seen)
+    assert math.acos(heading[0]) == pytest.approx(0.1 + 0.1 + 0.2, abs=0.03) and heading[1] < -0.3
+    again, kept = heading_of(seen, heading, aside)
+    np.testing.assert_allclose([again, kept], [heading, aside], atol=1e-12)
+    nearly = [cone((math.cos(0.1), math.sin(0.1), 0.0), 0.4)]
+    stays, _ = heading_of(nearly, carried=[0.3, 0.95, 0.0], aside=Y)
+    assert math.acos(stays[0]) == pytest.approx(0.5 + 0.1 + 0.2, abs=0.03) and stays[1] > 0.6
+    above, kept = heading_of(seen, aside=Z)
+    assert abs(above[2]) > 0.4 and above[1] == 0.0 and kept == pytest.approx(Z)
+    free, forgotten = heading_of([cone(Y, 0.4)], aside=Z)
+    np.testing.assert_array_equal([free, forgotten], [X, 0 * X])
+
+
+def test_the_tuned_rule_leaves_a_plane_in_which_law_4_would_hardly_move_it():
+    row = [cone((math.cos(a), math.sin(a), 0.0), 0.4) for a in (-1.2, -0.6, 0.0, 0.6, 1.2)]
+    heading, aside = heading_of(row, aside=Y)
+    assert math.acos(heading[0]) < PASSABLE and abs(aside @ Y) < 0.5
+
+
+@pytest.mark.parametrize("field", ["slab-3d", "clutter-3d-96"])
+def test_v_never_rises_under_the_tuned_rule(field):
+    """Theorem C, until robots merge; and all that move keep the margin."""
+    scenario = rv.scenarios.get(field).replace(time_limit=25.0, obstacle_contact="ignore")
+    simulator, policy = Simulator(scenario, 24), baselines.make("tangent-joined-tuned", scenario)
+    observations, before, checked, aside = simulator.reset(0), np.inf, 0, 0
+    while (on := simulator.status == RUNNING).any():
+        f = scenario.observation_layout.net_bearing(observations)
+        active = simulator.active
+        outcome = simulator.step(policy(observations, simulator.time))
+        strength = np.linalg.norm(f, axis=-1)
+        cosines = np.sum(policy.headings * f, axis=-1) / np.where(strength > 0.0, strength, 1.0)
+        moving = active & on[:, None] & (strength > 2.0 * scenario.dead_zone)
+        assert (cosines[moving] >= 0.05 - 1e-6).all()
+        observations, now = outcome.observations, simulator.lyapunov()
+        assert (now <= before * (1 + 1e-7)).all()
+        before, checked = now, checked + int(moving.sum())
+        aside += int((cosines[moving] < 0.5).sum())
+    assert checked > 10_000 and aside > 500
+
+
 def test_a_slab_is_rounded_by_the_tank_and_not_by_a_heading():
     met = {}
     for name in ("tangent-joined", "tank-joined"):
@@ -131,6 +195,38 @@ def test_a_turned_frame_turns_what_is_wanted():
 # ---- robots of space that turn ------------------------------------------------------------------
 
 UAV = rv.scenarios.get("uav-clutter-16")
+
+
+@pytest.mark.parametrize("half_angle", [0.05, 0.4, 0.77, 1.0, 1.4])
+def test_widened_by_flat_eight_rays_hold_the_round_cone(half_angle):
+    """Hardly more than it where the cone is widest between two rays."""
+    for turn, share in ((0.0, 1.0), (math.pi / 8, 0.999)):
+        rays = np.array([cone(X, half_angle)])
+        out = np.zeros_like(rays)
+        assert widened_rays(rays, FLAT, out) == 1
+        first, second = rays[0, 0] - math.cos(half_angle) * X, rays[0, 2] - math.cos(half_angle) * X
+        edge = math.cos(turn) * first + math.sin(turn) * second + math.cos(half_angle) * X
+        inside = share * (edge - X) + X
+        assert not lies_outside(tuple(inside), out)
+
+
+@pytest.mark.parametrize("name", ["tangent-joined", "tangent-joined-tuned"])
+def test_no_rule_drives_into_what_it_sees(name):
+    """A sphere seen under half an angle θ about c is before an axis h with ∠(h, c) < θ."""
+    simulator, policy = Simulator(UAV.replace(time_limit=30.0), 16), baselines.make(name, UAV)
+    rested = drove = 0
+    for step in run(simulator, policy, simulator.reset(0)):
+        rays = UAV.observation_layout.split(step.observations).obstacles.astype(float)
+        middles = rays.sum(axis=-2)
+        lengths = np.linalg.norm(middles, axis=-1)
+        within = middles[..., 0] > lengths**2 / 8 * (1 + 1e-4)  # cos ∠ > cos θ = ‖Σ rays‖/8
+        before = (within & (lengths > 0.0)).any(axis=-1) & step.running[:, None]
+        assert (step.actions[..., 0][before] == 0.0).all()
+        rested += int(before.sum())
+        drove += int((step.actions[..., 0] > 0.0).sum())
+    assert rested > 500 and drove > 5000
+    assert not simulator.contacts.any()
+    assert np.mean(simulator.status == RENDEZVOUS) > 0.7
 
 
 def test_a_direction_lies_outside_a_cone_or_within():

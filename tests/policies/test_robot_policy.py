@@ -76,6 +76,9 @@ def test_it_does_what_a_robot_of_a_batch_does(name, scenario):
         ("learned-tank", "uav-clutter-16"),
         ("learned", "clutter-3d-32"),
         ("tangent-joined", "clutter-3d-32"),
+        ("tangent-joined", "uav-clutter-16"),
+        ("tangent-joined-tuned", "clutter-3d-96"),
+        ("tangent-joined-tuned", "uav-clutter-16"),
         ("nonholonomic-3d", "uav-6"),
     ],
 )
