@@ -19,7 +19,7 @@ from delay_claims import DELAY
 from link_claims import LINKS
 
 from train.verify.cases import BATCH
-from train.verify.claim import worst
+from train.verify.claims import worst
 
 CLAIMS = (*CONTINUOUS_TIME, *DELAY, *LINKS)
 

@@ -18,7 +18,7 @@ from time_bounds import cone_time, gains_time, led_time, windows_time
 from rendezvous_env.safety.theorems.gains import shrinking
 from rendezvous_env.safety.theorems.noise import held_error, largest_error
 from train.verify.cases import BATCH
-from train.verify.claim import Finding
+from train.verify.claims import Finding
 from train.verify.monitors import directions, extents
 
 _NOW_AND_THEN = 100

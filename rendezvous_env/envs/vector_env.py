@@ -165,6 +165,11 @@ class RendezvousVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
         return outcome
 
     @property
+    def outcome(self) -> StepOutput | None:
+        """What came of the last step, None before the first one."""
+        return self._outcome
+
+    @property
     def can_drive(self) -> bool:
         """Whether nobody watches every step, see ``Simulator.can_drive``."""
         return self.render_mode is None and self.simulator.can_drive

@@ -14,6 +14,9 @@ from ..compilation import kernel
 X_AXIS = (1.0, 0.0, 0.0)
 ORIGIN = (0.0, 0.0, 0.0)
 _MANY, _FEW = 2.0**600, 2.0**-600
+_VERTICAL = 1e-6
+"""A unit triple whose part in the xy plane is shorter than this says nothing about a direction
+there."""
 
 
 @kernel
@@ -104,6 +107,15 @@ def without(a, h):
     """
     once = combine(1.0, a, -dot(a, h), h)
     return combine(1.0, once, -dot(once, h), h)
+
+
+@kernel(inline="code")
+def perpendicular(h):
+    """A triple across a unit triple h, without unit: counter-clockwise in the xy plane, along x if
+    h is vertical.
+    """
+    level = (-h[1], h[0], 0.0)
+    return level if dot(level, level) >= _VERTICAL * _VERTICAL else without(X_AXIS, h)
 
 
 @kernel(inline="code")

@@ -15,7 +15,17 @@ from ..checks import flag, positive, real, refuse, shown
 from ..compilation import inner_kernel, kernel
 from ..engine.threads import Part
 from ..physics.neighbour_rows import degree_of, net_bearing_of
-from ..physics.vectors import X_AXIS, combine, dot, load, scaled, split, store, without
+from ..physics.vectors import (
+    X_AXIS,
+    combine,
+    dot,
+    load,
+    perpendicular,
+    scaled,
+    split,
+    store,
+    without,
+)
 from ..scenario.scenario import Scenario
 from .robot_lanes import LANES, give_out, in_lanes, lanes_of, put, read, report, take_in, triple_of
 from .safety_filter import Float32, KernelFilter, check_steerable, register_filter
@@ -192,7 +202,7 @@ def _turn(carried, aim, towards, limit):
     if _vanishes(across) and dot(aim, carried) < 0.0:
         across = without(towards, carried)
         if _vanishes(across):
-            across = _any_perpendicular(carried)
+            across = perpendicular(carried)
     return combine(cos_limit, carried, sin_limit, split(across)[1])
 
 
@@ -200,13 +210,6 @@ def _turn(carried, aim, towards, limit):
 def _vanishes(across):
     """Whether the part of one unit triple across another says nothing about its direction."""
     return dot(across, across) < _NEARLY_ANTIPODAL * _NEARLY_ANTIPODAL
-
-
-@kernel(inline="code")
-def _any_perpendicular(h):
-    """A triple across h: counter-clockwise in the xy plane; along x if h is vertical."""
-    level = (-h[1], h[0], 0.0)
-    return without(X_AXIS, h) if _vanishes(level) else level
 
 
 @kernel(inline="code")

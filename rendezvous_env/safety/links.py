@@ -18,11 +18,11 @@ from ..physics.least_norm import least_along, least_norm_of
 from ..physics.neighbour_rows import degree_of, net_bearing_of
 from ..physics.vectors import (
     ORIGIN,
-    X_AXIS,
     combine,
     cross,
     dot,
     load,
+    perpendicular,
     scaled,
     split,
     store,
@@ -142,16 +142,9 @@ def worst_bearing(direction, rows, neighbour_slots, error):
         return g
     size, across = split(without(direction, g))
     if size == 0.0:
-        across = _any_across(g)
+        across = split(perpendicular(g))[1]
     tilt = min(error, math.pi - math.atan2(size, dot(direction, g)))
     return combine(math.cos(tilt), g, -math.sin(tilt), across)
-
-
-@inner_kernel(inline="code")
-def _any_across(g):
-    """A unit triple across a unit triple; in the plane where that one is."""
-    size, across = split((-g[1], g[0], 0.0))
-    return across if size > 0.5 else split(without(X_AXIS, g))[1]
 
 
 @kernel

@@ -3,6 +3,7 @@
 import csv
 import dataclasses
 import io
+from functools import partial, wraps
 from pathlib import Path
 
 import numpy as np
@@ -11,16 +12,17 @@ from rich.console import Console
 
 import baselines
 from rendezvous_env import Scenario, Simulator, graphs
+from rendezvous_env.safety.heading import HeadingFilter
 from rendezvous_env.safety.theorems.constants import merge_rise_allowance
 from rendezvous_env.trajectory import run as steps_of
 from train.checks import UserError
 from train.cli import main
-from train.verify import adversaries as laws
 from train.verify import cases
-from train.verify.adversaries import Steered, adversary
-from train.verify.cases import BATCH, Case
-from train.verify.claim import Claim
-from train.verify.claims import CLAIMS, bound_a
+from train.verify.adversarial_actions import KINDS, Adversary
+from train.verify.cases import BATCH
+from train.verify.claims import CLAIMS, Claim, bound_a
+from train.verify.falsification import Trial, begin
+from train.verify.monitors import Moment
 from train.verify.verify import COLUMNS, Config, run
 
 BY_NAME = {claim.name: claim for claim in CLAIMS}
@@ -73,89 +75,134 @@ def test_the_same_seed_finds_the_same(tmp_path):
 def test_the_trials_are_of_every_kind():
     """Sizes, dimensions, graphs, frames, speed limits and starts all vary."""
     random = np.random.default_rng(0)
-    drawn = [cases.draw_case(random, batch, 0.3) for batch in range(60)]
-    scenarios = [case.scenario for case in drawn]
+    drawn = [cases.draw_team(random, batch, 0.3) for batch in range(60)]
+    scenarios = [trial.scenario for trial in drawn]
     assert {s.n_robots for s in scenarios} == {2, 3, 5, 8}
     assert {s.dim for s in scenarios} == {2, 3}
     assert {s.sensing_graph.kind for s in scenarios} == set(cases.FAMILIES)
     assert {s.local_frames for s in scenarios} == {"random", "global"}
     assert 0 < sum(s.max_speed is not None for s in scenarios) < 60
-    assert 0 < sum("positions" in case.options for case in drawn) < 60
-    assert 0.3 <= min(case.margin for case in drawn) < 0.4 < max(case.margin for case in drawn)
+    assert 0 < sum(len(trial.starts) == BATCH for trial in drawn) < 60
+    margins = [trial.arguments["min_alignment"] for trial in drawn]
+    assert 0.3 <= min(margins) < 0.4 < max(margins)
+    assert {trial.period for trial in drawn} == {1, 5}
 
 
 def test_merges_do_raise_v_and_stay_below_their_bound():
     """The row merge-rise has something to look at."""
-    case = cases.draw_trees(np.random.default_rng(3), 0, 0.3)
-    policy = laws.certified(case, 200, np.random.default_rng(4))
-    simulator = Simulator(case.scenario, 200)
-    rises, excess = [], []
-    simulator.set_max_steps(1500)
-    for step in steps_of(simulator, policy, simulator.reset(0)):
-        rises.append(step.outcome.merge_rise[step.running].max())
-        excess.append(step.outcome.merge_excess[step.running].max())
-    assert 0 < max(rises) < merge_rise_allowance(case.scenario)
+    trial = cases.draw_trees(np.random.default_rng(3), 0, 0.3)
+    wrapped, seen, policy = begin(trial, 0.0, 200)
+    teams, rises, excess = wrapped.unwrapped.simulator, [], []
+    teams.set_max_steps(1500)
+    while not teams.ended.all():
+        seen, *_ = wrapped.step(policy(seen, Moment(teams)))
+        rises.append(wrapped.unwrapped.outcome.merge_rise.max())
+        excess.append(wrapped.unwrapped.outcome.merge_excess.max())
+    assert 0 < max(rises) < merge_rise_allowance(trial.scenario)
     assert max(excess) <= 1e-12
 
 
 # ---- it fails ------------------------------------------------------------------------------------
 
 
-def flipped(case, num_envs, random):
+def flipped(trial, random):
     """Away from the neighbours."""
-    law = baselines.make("bearing-only", case.scenario)
-    return lambda observations, time: -law(observations, time)
+    law = baselines.make("bearing-only", trial.scenario)
+    return lambda seen, now: -law(seen, now.time)
 
 
-def asymmetric(case, num_envs, random):
+def asymmetric(trial, random):
     """Law (1) with a_ij ≠ a_ji: every robot scales what it sees of each neighbour by a factor."""
-    scenario = case.scenario
+    scenario = trial.scenario
     law, layout = baselines.make("bearing-only", scenario), scenario.observation_layout
     factors = random.uniform(0.1, 1.0, (scenario.n_robots, *layout.shape[:1], 1)).astype(np.float32)
-    return lambda observations, time: law(observations * factors, time)
+    return lambda seen, now: law(seen * factors, now.time)
 
 
-def unscaled(case, num_envs, random):
-    """Certified headings whose velocities are not scaled to a long step."""
-    policy = laws.certified(case, num_envs, random)
-    policy.steering._constants = policy.steering._constants._replace(speed_scaled=False)
-    return policy
+def one_sided(random, batch, least_margin):
+    """Weights that are not symmetric themselves."""
+    trial = cases.draw_team(random, 1, least_margin, by="law")
+    weights = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 0.1], [0.1, 0.0, 0.0]])
+    return dataclasses.replace(
+        trial, scenario=trial.scenario.replace(graph=graphs.directed(weights)), starts=()
+    )
 
 
-def bare(case, num_envs, random):
-    """Headings ⟂ f without the certificate, or the gate of unicycles and 3-D robots."""
-    kept = adversary(case.scenario, num_envs, random, kind="orthogonal")
-    return Steered(case.scenario, num_envs, kept, certified=False)
+ONE_SIDED = dataclasses.replace(
+    BY_NAME["lemma-1"], draw=one_sided, bound=lambda *given: np.ones(BATCH)
+)
+
+
+def bare(trial, random):
+    """Choices that keep headings, or the bodies of robots that turn, across f."""
+    turn_rate = trial.arguments["max_turn_rate"]
+    adversary = Adversary(trial.scenario, BATCH, trial.by, random, turn_rate)
+    adversary.kinds[:] = 0 if trial.scenario.model.nonholonomic else KINDS.index("across")
+    if trial.scenario.model.bounded:
+        return lambda seen, now: adversary._desired(now)
+    return adversary._controls
+
+
+def uncertified(monkeypatch, **changes):
+    """Under certified headings, but for what certifies them."""
+    made = HeadingFilter.__init__
+
+    @wraps(made)
+    def make(self, *given, **asked):
+        made(self, *given, **asked)
+        self._constants = self._constants._replace(**changes)
+
+    monkeypatch.setattr(HeadingFilter, "__init__", make)
 
 
 @pytest.mark.parametrize(
-    ("name", "law", "bound", "share", "margin"),
+    ("name", "law", "share", "margin"),
     [
-        ("theorem-1", flipped, None, 1.0, -1e-3),
-        ("certified-step", flipped, None, 1.0, -1e-3),
-        ("local-scaling", flipped, None, 1.0, -1e-3),
-        ("lemma-1", asymmetric, None, 0.0, -1e-5),
-        ("theorem-1", asymmetric, None, 0.0, -1e-5),
-        ("theorem-2", bare, 20.0, 1.0, np.inf),
-        ("gate", bare, 60.0, 0.9, np.inf),
+        ("theorem-1", flipped, 1.0, -1e-3),
+        ("certified-step", flipped, 1.0, -1e-3),
+        ("theorem-1", asymmetric, 0.0, -1e-5),
     ],
 )
-def test_a_wrong_law_is_caught(tmp_path, name, law, bound, share, margin):
-    """A flipped sign, weights that are not symmetric, robots that nothing certifies."""
+def test_a_wrong_law_is_caught(tmp_path, name, law, share, margin):
+    """A flipped sign, weights that are not symmetric."""
     claim = dataclasses.replace(BY_NAME[name], law=law)
-    if bound is not None:
-        claim = dataclasses.replace(claim, bound=lambda case, teams: np.full(teams.num_envs, bound))
     found, worst = caught(tmp_path, claim, trials=2 * BATCH)
     assert found >= share and found > 0 and worst < margin
 
 
-def test_a_step_four_times_too_long_without_scaling_is_caught(tmp_path):
-    def draw(random, batch, least_margin):
-        return cases.draw_case(random, batch, least_margin, step_factors=(4.0, 4.0 + 1e-9))
+def test_a_graph_of_links_one_way_is_caught(tmp_path):
+    """Of which lemma 1 says nothing."""
+    assert caught(tmp_path, ONE_SIDED)[1] < -0.1
 
-    right = dataclasses.replace(BY_NAME["local-scaling"], draw=draw)
-    assert command(tmp_path, right, trials=4 * BATCH)[0] == 0
-    assert caught(tmp_path, dataclasses.replace(right, law=unscaled))[1] < -1e-3
+
+@pytest.mark.parametrize(
+    ("name", "bound", "share"), [("theorem-2", 20.0, 1.0), ("gate", 60.0, 0.9)]
+)
+def test_robots_that_nothing_certifies_are_caught(tmp_path, name, bound, share, monkeypatch):
+    uncertified(monkeypatch, certified=False)
+
+    def draw(random, batch, least_margin):
+        """Robots that choose in each step, in their own frames."""
+        trial = BY_NAME[name].draw(random, batch, least_margin)
+        arguments = trial.arguments | {"max_turn_rate": 3.0}
+        return dataclasses.replace(trial, arguments=arguments, frame="local", period=1)
+
+    claim = dataclasses.replace(
+        BY_NAME[name],
+        draw=draw,
+        law=bare,
+        bound=lambda trial, teams: np.full(teams.num_envs, bound),
+        numbers=("time",),
+    )
+    assert caught(tmp_path, claim, trials=2 * BATCH)[0] >= share
+
+
+def test_a_step_four_times_too_long_without_scaling_is_caught(tmp_path, monkeypatch):
+    draw = partial(cases.draw_team, step_factors=(4.0, 4.0 + 1e-9))
+    claim = dataclasses.replace(BY_NAME["local-scaling"], draw=draw)
+    assert command(tmp_path, claim, trials=4 * BATCH)[0] == 0
+    uncertified(monkeypatch, speed_scaled=False)
+    assert caught(tmp_path, claim)[1] < -1e-3
 
 
 def light_link_left(random, batch, least_margin):
@@ -166,14 +213,14 @@ def light_link_left(random, batch, least_margin):
         start_positions=((0.0, 0.0), (0.4, 0.0), (10.4, 0.0)),
         merge_radius=0.2,
     )
-    return Case(scenario, 1.0)
+    return Trial(scenario, "law", {}, "local", 1, 0)
 
 
-def with_max_a(case, teams):
+def with_max_a(trial, teams):
     """Theorem A's bound with the largest weight in the place of the bottleneck weight."""
-    scenario = case.scenario
+    scenario = trial.scenario
     heaviest = scenario.sensing_graph.base_weights(scenario.n_robots).max()
-    return bound_a(case, teams) * (scenario.bottleneck_weight / heaviest) ** 2
+    return bound_a(trial, teams) * (scenario.bottleneck_weight / heaviest) ** 2
 
 
 def test_max_a_in_place_of_the_bottleneck_weight_is_caught(tmp_path):
@@ -181,9 +228,9 @@ def test_max_a_in_place_of_the_bottleneck_weight_is_caught(tmp_path):
     status, (row,), _ = command(tmp_path, right)
     assert status == 0 and float(row["worst_time_over_bound"]) < 0.6
 
-    case = light_link_left(None, 0, 0.3)
-    simulator = Simulator(case.scenario)
-    law = baselines.make("bearing-only", case.scenario)
+    scenario = light_link_left(None, 0, 0.3).scenario
+    simulator = Simulator(scenario)
+    law = baselines.make("bearing-only", scenario)
     times = [simulator.time[0] for _ in steps_of(simulator, law, simulator.reset(0))]
     held = 2.0  # the factor for the certified step, of which the theorem knows nothing
     start = simulator.initial_lyapunov
@@ -194,7 +241,7 @@ def test_max_a_in_place_of_the_bottleneck_weight_is_caught(tmp_path):
     status, (row,), printed = command(tmp_path, wrong)
     assert status == 1 and int(row["violations"]) == BATCH
     assert "bound-A is violated" in printed
-    above = (start[0] + merge_rise_allowance(case.scenario)) / start[0]
+    above = (start[0] + merge_rise_allowance(scenario)) / start[0]
     limit = held * above * bare
     # it is stopped at its own time limit, one step past the bound: so late, and nobody has met
     assert times[-1] > 4 * limit and row["worst_time_over_bound"] == "inf"
@@ -220,10 +267,9 @@ def test_bad_arguments_are_refused_by_name(tmp_path, options, message):
 
 
 def test_a_violation_is_repeated_by_its_batch(tmp_path):
-    wrong = dataclasses.replace(BY_NAME["lemma-1"], law=asymmetric)
-    _, (row,), _ = command(tmp_path, wrong, trials=5 * BATCH)
+    _, (row,), _ = command(tmp_path, ONE_SIDED, trials=5 * BATCH)
     number = int(row["first_violation"].split("--only-batch ")[1].split()[0])
-    _, (again,), _ = command(tmp_path, wrong, only_batch=number)
+    _, (again,), _ = command(tmp_path, ONE_SIDED, only_batch=number)
     assert 0 < int(again["violations"]) <= int(row["violations"])
     assert again["first_violation"] == row["first_violation"]
 

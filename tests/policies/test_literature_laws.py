@@ -15,7 +15,6 @@ from baselines.laws.literature_laws import (
 )
 from baselines.laws.neighbour_order import rows_from_nearest, rows_from_next
 from rendezvous_env import graphs
-from rendezvous_env.safety.theorems.gains import size_bound
 from train import policies
 
 TEAM = rv.Scenario(n_robots=6, max_speed=1.0, time_limit=60.0)
@@ -110,7 +109,9 @@ def test_pursuit_meets_within_theorem_g(name):
     simulator = rv.Simulator(team, 30)
     simulator.reset(0)
     one_gain = team.replace(graph=graphs.complete(0.2), max_speed=1.0)  # D_i = v
-    assert (found.rendezvous_time <= size_bound(one_gain, simulator.size())).all()
+    own = (one_gain.replace(start_positions=start) for start in simulator.positions)
+    bounds = [rv.certificate(start).continuous_time_bound for start in own]
+    assert (found.rendezvous_time <= bounds).all()
     assert found.success.all()
 
 

@@ -10,7 +10,8 @@ import pytest
 from conftest import UNEQUAL, unequal_matrix
 from scipy.optimize import minimize
 
-from rendezvous_env import Disc, Scenario, graphs
+from rendezvous_env import Disc, Scenario, certificate, graphs
+from rendezvous_env.physics.hull_perimeter import size
 from rendezvous_env.safety.lyapunov import lyapunov
 from rendezvous_env.safety.theorems.constants import (
     degrees_stay_equal,
@@ -19,18 +20,28 @@ from rendezvous_env.safety.theorems.constants import (
     merge_rise_allowance,
 )
 from rendezvous_env.safety.theorems.descent import time_bound
-from rendezvous_env.safety.theorems.gains import kappa, shrinking, size_bound
+from rendezvous_env.safety.theorems.gains import kappa, shrinking
 from rendezvous_env.safety.theorems.noise import (
-    held_size_bound,
-    law_time_bound,
+    equal_gain_bounds,
+    gains_are_equal,
+    law_bounds,
     least_expected_fall,
     tolerated_error,
 )
-from rendezvous_env.safety.theorems.tank import tank_lyapunov_bound, tank_time_bound
+from rendezvous_env.safety.theorems.theorem import LAW
 from research.time_bounds import pursuit_bound, rendezvous_time_lower_bound
 
 ALLOWANCE = 4 * 0.2 * 6.5
 """(n − 1) r W of UNEQUAL, whose a* is 0.9 and D̄ 6.5."""
+
+
+def started(scenario):
+    """The scenario from one start, robots 1 m or more apart, and its V(0), m²/s, and L(0), m."""
+    n, graph = scenario.n_robots, scenario.sensing_graph
+    start = np.random.default_rng(0).permuted(np.arange(n * scenario.dim, dtype=float))
+    start = start.reshape(n, scenario.dim)
+    heaviest = graph.base_weights(n) * graph.weight_range[1]
+    return scenario.replace(start_positions=start), float(lyapunov(start, heaviest)), size(start)
 
 
 # ---- theorems A and C ----------------------------------------------------------------------------
@@ -177,25 +188,25 @@ def test_where_all_degrees_stay_equal():
     assert degrees_stay_equal(Scenario(n_robots=2, graph=graphs.path(0.3)))
 
 
+def followed(scenario):
+    """Time in continuous time over L(0), s/m."""
+    team, _, extent = started(scenario)
+    return certificate(team).continuous_time_bound / extent
+
+
 def test_theorem_g_by_hand():
     for n in (2, 3, 5, 12):
         team = Scenario(n_robots=n, graph=graphs.complete(0.7))
-        assert size_bound(team, 9.0) == pytest.approx(9 / (4 * 0.7))
-        space = team.replace(dim=3)
-        assert size_bound(space, 9.0) == pytest.approx(9 / (2 * math.pi) / 0.7)
+        assert followed(team) == pytest.approx(1 / (4 * 0.7))
+        assert followed(team.replace(dim=3)) == pytest.approx(1 / (2 * math.pi) / 0.7)
     any_graph = Scenario(graph=UNEQUAL)
     kappa_5 = 1 + 4 * math.sin(math.pi / 8) ** 2
-    assert size_bound(any_graph, 9.0) == pytest.approx(9 / (2 * 0.9 * kappa_5))
-    assert size_bound(any_graph.replace(dim=3), 9.0) == pytest.approx(
-        5 * 9 / (2 * math.pi) / (2 * 0.9)
-    )
+    assert followed(any_graph) == pytest.approx(1 / (2 * 0.9 * kappa_5))
+    assert followed(any_graph.replace(dim=3)) == pytest.approx(5 / (2 * math.pi) / (2 * 0.9))
     slow = any_graph.replace(max_speed=0.3)
-    assert size_bound(slow, 9.0) == pytest.approx(9 / (2 * 0.3 * kappa_5))
+    assert followed(slow) == pytest.approx(1 / (2 * 0.3 * kappa_5))
     ring = Scenario(n_robots=12, graph="cycle")
-    assert size_bound(ring, 9.0) == pytest.approx(9 / (4 * 12 * math.sin(math.pi / 12) ** 2))
-    np.testing.assert_allclose(size_bound(ring, [0.0, 9.0]), [0, size_bound(ring, 9.0)])
-    with pytest.raises(ValueError, match=r"initial_size is -1\.0; it must be finite"):
-        size_bound(ring, -1.0)
+    assert followed(ring) == pytest.approx(1 / (4 * 12 * math.sin(math.pi / 12) ** 2))
 
 
 def test_held_inputs_by_hand():
@@ -205,28 +216,33 @@ def test_held_inputs_by_hand():
     ring = Scenario(n_robots=n, graph=graphs.cycle(0.7), merge_radius=r, time_step=step)
     rate = 2 * c * n * math.sin(math.pi / n) ** 2
     rate *= math.sin((1 - beta) * math.pi / n) / math.sin(math.pi / n)
-    assert held_size_bound(ring, 9.0) == pytest.approx(9 / rate + 6 * step)
-    space, least = ring.replace(dim=3), math.atan(1 / math.sqrt(n * (n - 2)))
+    ring, _, extent = started(ring)
+    assert equal_gain_bounds(ring, LAW).time == pytest.approx(extent / rate + 6 * step)
+    space, least = ring.replace(dim=3, start_positions=None), math.atan(1 / math.sqrt(n * (n - 2)))
     eta = 0.6 * least
     space = space.replace(time_step=r / (2 * c) * math.sin(eta))
     bracket = math.cos(eta) / n - math.sin(eta) * math.sqrt(1 - 2 / n)
-    expected = 9 / (2 * math.pi) / (2 * c * bracket) + 6 * space.tau
-    assert held_size_bound(space, 9.0) == pytest.approx(expected)
-    pair = Scenario(n_robots=2)  # both on one line: no bearing is ever wrong
-    assert held_size_bound(pair, 9.0) == pytest.approx(9 / 4 + pair.tau)
+    space, _, extent = started(space)
+    expected = extent / (2 * math.pi) / (2 * c * bracket) + 6 * space.tau
+    assert equal_gain_bounds(space, LAW).time == pytest.approx(expected)
+    pair, _, extent = started(Scenario(n_robots=2))  # both on one line: no bearing is ever wrong
+    assert equal_gain_bounds(pair, LAW).time == pytest.approx(extent / 4 + pair.tau)
 
 
 def test_held_inputs_are_covered_nowhere_else():
     step = 0.02 * Scenario().certified_step
-    assert np.isfinite(held_size_bound(Scenario(time_step=step), 9.0))
+    assert np.isfinite(equal_gain_bounds(Scenario(time_step=step), LAW).time)
     for other in (
         Scenario(time_step=step, graph="path"),
         Scenario(time_step=step, graph=UNEQUAL),
         Scenario(time_step=step, graph=graphs.complete((1, 2))),
         Scenario(time_step=step, max_speed=3.9),
-        Scenario(),  # the certified step: asin(1) is more than π/5
     ):
-        assert held_size_bound(other, 9.0) == np.inf
+        assert gains_are_equal(other, LAW)
+    # the certified step: asin(1) is more than π/5
+    assert (
+        not gains_are_equal(Scenario(), LAW) and equal_gain_bounds(Scenario(), LAW).time == np.inf
+    )
     assert shrinking(5, 2, 1.0, 0.99 * math.pi / 5) > 0 == shrinking(5, 2, 1.0, math.pi / 5)
     sharp = math.atan(1 / math.sqrt(15))
     assert shrinking(5, 3, 1.0, 0.99 * sharp) > 0 == shrinking(5, 3, 1.0, 1.01 * sharp)
@@ -248,43 +264,50 @@ def test_pursuit_by_hand():
 # ---- theorem D -----------------------------------------------------------------------------------
 
 
+def tank(scenario, **given):
+    """Its certificate, ε = 0.3, from the start of ``started``."""
+    return certificate(started(scenario)[0], 0.3, by="tank", **given)
+
+
 def test_the_tank_by_hand():
     team = Scenario(n_robots=5, graph=UNEQUAL, merge_radius=0.2)
-    most = 100 + 2 * ALLOWANCE + 5 * 20.0
-    assert lyapunov_bound(team, 100.0) == pytest.approx(100 + ALLOWANCE)
-    assert tank_lyapunov_bound(team, 100.0, budget=20.0) == pytest.approx(most)
+    _, initial, _ = started(team)
+    most = initial + 2 * ALLOWANCE + 5 * 20.0
+    assert lyapunov_bound(team, initial) == pytest.approx(initial + ALLOWANCE)
     bound = 5 * most / (4 * 0.3**2 * 0.9**2)
-    given = {"min_alignment": 0.3, "budget": 20.0}
-    assert tank_time_bound(team, 100.0, **given) == pytest.approx(bound + 4 * team.tau)
-    slow = team.replace(max_speed=1.3)
-    assert tank_time_bound(slow, 100.0, **given) == pytest.approx(5 * bound + 4 * slow.tau)
+    found = tank(team, budget=20.0)
+    assert found.lyapunov_bound == pytest.approx(most)
+    assert found.time_bound == pytest.approx(bound + 4 * team.tau)
+    slow = tank(team.replace(max_speed=1.3), budget=20.0)
+    assert slow.time_bound == pytest.approx(5 * bound + 4 * team.tau)
     long = team.replace(time_step=3 * team.certified_step, allow_long_step=True)
-    assert tank_time_bound(long, 100.0, **given) == pytest.approx(3 * bound + 4 * long.tau)
-    both = long.replace(max_speed=1.3)  # the smaller of the two scales, not their product
-    assert tank_time_bound(both, 100.0, **given) == pytest.approx(5 * bound + 4 * long.tau)
-    unicycles = Scenario(robot_model="unicycle")
-    assert tank_time_bound(unicycles, 1.0, min_alignment=0.3) == np.inf
+    assert tank(long, budget=20.0).time_bound == pytest.approx(3 * bound + 4 * long.tau)
+    both = tank(long.replace(max_speed=1.3), budget=20.0)
+    # the smaller of the two scales, not their product
+    assert both.time_bound == pytest.approx(5 * bound + 4 * long.tau)
+    assert certificate(Scenario(robot_model="unicycle"), 0.3, by="tank").time_bound == np.inf
     for wrong in (-1.0, math.inf, math.nan, "1"):
         with pytest.raises(ValueError, match="budget is"):
-            tank_lyapunov_bound(team, 1.0, budget=wrong)
+            tank(team, budget=wrong)
     with pytest.raises(ValueError, match="min_alignment is"):
-        tank_time_bound(team, 1.0, min_alignment=0.0)
+        certificate(team, 0.0, by="tank")
 
 
 def test_more_sharply_where_degrees_are_known_by_hand():
     """2c_m in place of 2a*: (m − 1) a on complete graphs of weight a, 2a on cycles."""
     a, n, eta = 0.7, 6, 0.1
     team, ring = (Scenario(n_robots=n, graph=g) for g in (graphs.complete(a), graphs.cycle(a)))
-    tank = tank_time_bound(team, 100.0, min_alignment=0.3, budget=2.0)
-    each = (100 + n * 2.0) / (n - 1) + (n - 1) * 0.2 * a
-    assert tank == pytest.approx(each / (2 * 0.3**2 * a**2) + (n - 1) * team.tau)
+    each = (started(team)[1] + n * 2.0) / (n - 1) + (n - 1) * 0.2 * a
+    expected = each / (2 * 0.3**2 * a**2) + (n - 1) * team.tau
+    assert tank(team, budget=2.0).time_bound == pytest.approx(expected)
     assert tolerated_error(team) == pytest.approx(2 * math.asin(1 / n))
     assert tolerated_error(ring) == pytest.approx(2 * math.asin(1 / n))
     assert tolerated_error(team, 0.3) == pytest.approx(2 * math.asin(0.3 / (1.3 * n)))
-    above = 100 + 5 * 0.2 * n * a + 5 * ring.tau * n * (2 * math.sin(eta / 2) * 2 * a) ** 2
+    ring, initial, _ = started(ring)
+    above = initial + 5 * 0.2 * n * a + 5 * ring.tau * n * (2 * math.sin(eta / 2) * 2 * a) ** 2
     rates = [4 * c**2 / m * (1 - (m * math.sin(eta / 2)) ** 2) for m, c in ((2, a), (6, 2 * a))]
     expected = above / min(rates) + 5 * ring.tau
-    assert law_time_bound(ring, 100.0, eta) == pytest.approx(expected)
+    assert law_bounds(ring, LAW._replace(error=eta)).time == pytest.approx(expected)
     assert least_expected_fall(team, 0.0, 1.0) == pytest.approx(2 * a**2)  # two are left
 
 

@@ -11,10 +11,9 @@ from conftest import UNEQUAL, unequal_matrix
 
 from rendezvous_env import Disc, Scenario, Simulator, certificate, graphs
 from rendezvous_env.safety.lyapunov import lyapunov
-from rendezvous_env.safety.theorems.constants import largest_size
-from rendezvous_env.safety.theorems.descent import time_bound
-from rendezvous_env.safety.theorems.gains import held_gain_time, size_bound
-from rendezvous_env.safety.theorems.noise import held_size_bound
+from rendezvous_env.safety.theorems import gains
+from rendezvous_env.safety.theorems.constants import largest_lyapunov, largest_size
+from rendezvous_env.safety.theorems.theorem import LAW
 from rendezvous_env.scenario import scenarios
 
 WALL = (Disc((0.0, 0.0), 1.0),)
@@ -62,7 +61,7 @@ def test_law_1_is_certified_by_g_and_a_and_held_by_d1_too():
     psi, half = math.pi / 5, 1 / 2  # τ D̄ = r/2
     slow = half / (half + 2 * half * 0.9 / 6.5)
     sampled = perimeter / (0.9 * math.sin(psi / 2) * psi * slow) + 4 * team.tau
-    assert held_gain_time(team, perimeter) == pytest.approx(sampled)
+    assert gains.bounds(team, LAW).time == pytest.approx(sampled)
     held = min(2 * 5 * above / (8 * 0.9**2), sampled)
     assert found.time_bound == found.sampled_time_bound == pytest.approx(held)
     assert found.lyapunov_bound == pytest.approx(above)
@@ -113,11 +112,9 @@ def test_a_certificates_bound_covers_every_start(name):
     scenario = scenarios.get(name)
     sim = Simulator(scenario, 200)
     sim.reset(0)
-    found = certificate(scenario)
-    bounds = [time_bound(scenario, sim.lyapunov())]
-    bounds += [bound(scenario, sim.size()) for bound in (held_gain_time, held_size_bound)]
-    assert found.time_bound >= np.min(bounds, axis=0).max()
-    assert found.continuous_time_bound * (1 + 1e-9) >= size_bound(scenario, sim.size()).max()
+    assert largest_lyapunov(scenario) >= sim.lyapunov().max()  # with which all bounds grow
+    assert largest_size(scenario) * (1 + 1e-9) >= sim.size().max()
+    assert certificate(scenario).hull_bound * (1 + 1e-9) >= sim.size().max()
 
 
 # ---- the tank ------------------------------------------------------------------------------------

@@ -132,7 +132,7 @@ LOOSE = trial(SQUARE.replace(graph="cycle"), "heading", min_alignment=0.05)
         ("nested", 0.0, LOOSE),
         ("links", 0.0, LOOSE),
         ("descent", 0.0, trial(by="tank", budget=1.0, min_alignment=0.05)),
-        ("ledger", -1e-3, trial(by="tank", budget=1.0)),
+        ("ledger", -0.02, trial(by="tank", budget=1.0, min_alignment=0.05)),
     ],
 )
 def test_what_is_promised_in_vain_is_found(number, limit, given, monkeypatch):

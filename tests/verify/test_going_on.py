@@ -9,10 +9,9 @@ from rich.console import Console
 
 from train import resume
 from train.checks import UserError
-from train.verify import claim, verify
+from train.verify import claims, verify
 from train.verify.cases import BATCH
-from train.verify.claim import Finding
-from train.verify.claims import CLAIMS
+from train.verify.claims import CLAIMS, Finding
 
 NAMES = ("lemma-1", "theorem-2", "necessity")
 """Three blocks each."""
@@ -33,7 +32,7 @@ def checked(settings, after=math.inf):
         if len(done) == after:
             raise KeyboardInterrupt
         done.append(block.name)
-        return claim.look(block)
+        return claims.look(block)
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(verify, "look", look)
@@ -144,7 +143,7 @@ def test_one_process_at_a_time(tmp_path):
 def test_a_block_reads_back_bit_by_bit(numbers, first, tmp_path):
     part = resume.Part(tmp_path / "part", {}, "test")
     part.begin(tmp_path, fresh=False)
-    seen = claim.Seen(Finding(*numbers), 0.1 + 0.2, first)
+    seen = Finding(*numbers, 0.1 + 0.2, first)
     part.save("one", seen)
     assert repr(part.load("one")) == repr(seen)
     assert part.load("another") is None

@@ -10,7 +10,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rendezvous_env import Scenario
-from rendezvous_env.compilation import inner_kernel, kernel
+from rendezvous_env.compilation import kernel
+from rendezvous_env.physics.vectors import (
+    ORIGIN,
+    combine,
+    cross,
+    load,
+    perpendicular,
+    scaled,
+    split,
+    store,
+    subtract,
+    without,
+)
 
 Array = NDArray[np.float64]
 
@@ -22,6 +34,8 @@ _AT_ONCE = 16
 _ROUNDED = 1.0 - 1e-6
 """Share of an error that is still none too much after rounding to float32."""
 _TINY = 1e-12
+DOWN = (0.0, 0.0, -1.0)
+"""v × DOWN is v turned by 90° in the plane."""
 
 
 class Misled(gymnasium.vector.VectorWrapper):
@@ -46,6 +60,8 @@ class Misled(gymnasium.vector.VectorWrapper):
         kinds = [r.integers(len(KINDS), size=n if r.random() < 0.5 else 1) for r in self._randoms]
         self._kinds = np.array([np.resize(own, n) for own in kinds])
         self._axes = np.array([r.normal(size=(n, 3)) for r in self._randoms])
+        if scenario.dim == 2:
+            self._axes[:] = DOWN
 
     def reset(self, **asked: Any) -> tuple[Any, dict[str, Any]]:
         """As the environment."""
@@ -67,39 +83,34 @@ class Misled(gymnasium.vector.VectorWrapper):
         self._step += 1
         side = -1.0 if self._step // _SWITCHING % 2 else 1.0
         towards = self._anyhow[:, ahead]
-        _aim(rows, (self._kinds, self._axes, side), np.zeros((2, rows.shape[-1])), towards)
+        _aim(rows, (self._kinds, self._axes, side), towards)
         _turn(rows, towards, self._errors)
         seen[..., self._rows, :] = rows
         return seen
 
 
 @kernel
-def _aim(rows: Any, how: Any, sums: Any, towards: Any) -> None:
+def _aim(rows: Any, how: Any, towards: Any) -> None:
     """Write where the rows of robots are turned to, by their KINDS, over what is anyhow.
 
     Args:
         rows: (B, n, K, d).
         how: kinds (B, n), axes (B, n, 3), and ±1 for changing sides.
-        sums: working memory, (2, d).
         towards: random vectors, (B, n, K, d).
     """
     kinds, axes, side = how
     for b in range(rows.shape[0]):
         for i in range(rows.shape[1]):
-            kind, own = kinds[b, i], rows[b, i]
-            for axis in range(rows.shape[3]):
-                sums[0, axis], sums[1, axis] = 0.0, 0.0
+            kind, axis, against, outward = kinds[b, i], load(axes[b, i]), ORIGIN, ORIGIN
+            for row in rows[b, i]:
+                against = subtract(against, load(row))
+                outward = subtract(outward, split(load(row))[1])
             for k in range(rows.shape[2]):
-                length = length_of(own[k])
-                for axis in range(rows.shape[3]):
-                    sums[0, axis] -= own[k, axis]
-                    sums[1, axis] -= own[k, axis] / length if length > 0.0 else 0.0
-            for k in range(rows.shape[2]):
-                aim = towards[b, i, k]
                 if kind == 1 or kind == 3:
-                    set_across(own[k], axes[b, i], 1.0 if kind == 1 else side, aim)
-                for axis in range(len(aim) if kind == 0 or kind == 4 else 0):
-                    aim[axis] = sums[0 if kind == 0 else 1, axis]
+                    aside = cross(load(rows[b, i, k]), axis)
+                    store(scaled(aside, 1.0 if kind == 1 else side), towards[b, i, k])
+                elif kind != 2:
+                    store(against if kind == 0 else outward, towards[b, i, k])
 
 
 def turned(bearings: Array, towards: Array, error: Array | float) -> Array:
@@ -117,57 +128,18 @@ def turned(bearings: Array, towards: Array, error: Array | float) -> Array:
 
 @kernel
 def _turn(rows: Any, towards: Any, errors: Any) -> None:
-    """Turn rows (B, n, K, d) towards directions of that shape, which are overwritten, by errors
-    (B, n, K), rad; lengths stay.
+    """Turn rows (B, n, K, d) towards directions of that shape by errors (B, n, K), rad; lengths
+    stay.
     """
     for b in range(rows.shape[0]):
         for i in range(rows.shape[1]):
             for k in range(rows.shape[2]):
-                row, aim = rows[b, i, k], towards[b, i, k]
-                length = length_of(row)
-                if length == 0.0:
-                    continue
-                _less(row, aim)
-                if length_of(aim) < 1e-9:
-                    beside = row[len(row) - 1]
-                    for axis in range(len(row)):
-                        aim[axis] = (0.5 if axis == 2 else 2.0 * (axis > 0) - 1.0) * beside
-                        beside = row[axis]
-                    _less(row, aim)
-                across = length_of(aim)
-                for axis in range(len(row)):
-                    row[axis] *= math.cos(errors[b, i, k])
-                    row[axis] += length * math.sin(errors[b, i, k]) * aim[axis] / across
-
-
-@inner_kernel
-def _less(row: Any, aim: Any) -> None:
-    """Take from a vector (d,) its part along another."""
-    along, square = 0.0, 0.0
-    for axis in range(len(row)):
-        along += aim[axis] * row[axis]
-        square += row[axis] ** 2
-    for axis in range(len(row)):
-        aim[axis] -= along / square * row[axis]
-
-
-@inner_kernel
-def length_of(vector: Any) -> float:
-    """‖v‖ of a vector (d,)."""
-    square = 0.0
-    for axis in range(len(vector)):
-        square += vector[axis] ** 2
-    return math.sqrt(square)
-
-
-@inner_kernel
-def set_across(ahead: Any, axis: Any, side: float, aim: Any) -> None:
-    """Write a vector across one (d,): turned by 90° in the plane, ahead × axis in 3-D."""
-    aim[0], aim[1] = -side * ahead[1], side * ahead[0]
-    if len(aim) == 3:
-        aim[0] = side * (ahead[1] * axis[2] - ahead[2] * axis[1])
-        aim[1] = side * (ahead[2] * axis[0] - ahead[0] * axis[2])
-        aim[2] = side * (ahead[0] * axis[1] - ahead[1] * axis[0])
+                length, ahead = split(load(rows[b, i, k]))
+                size, aside = split(without(load(towards[b, i, k]), ahead))
+                if size < 1e-9:
+                    _, aside = split(perpendicular(ahead))
+                along, beside = math.cos(errors[b, i, k]), math.sin(errors[b, i, k])
+                store(combine(length * along, ahead, length * beside, aside), rows[b, i, k])
 
 
 def across(ahead: Array, axis: Array) -> Array:

@@ -9,7 +9,7 @@ import math
 from collections import Counter, defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 import baselines
 import rendezvous_env as rv
 from rendezvous_env import vector
+from rendezvous_env.safety.settings import MAX_TURN_RATE
 from rendezvous_env.safety.theorems.certificate import answer, question
 from rendezvous_env.safety.theorems.certificate import ask as theorems_of
 
@@ -153,7 +154,7 @@ def play(trial: Trial, *, teams: int = TEAMS, choices: Array | None = None) -> P
     if any("expected_time" in one.limits for one in promised) and teams == TEAMS:
         teams = REPEATED * len(among)
     try:
-        wrapped, start, policy = _begin(trial, promised[0].bearing_error, teams)
+        wrapped, start, policy = begin(trial, promised[0].bearing_error, teams)
     except (ValueError, RuntimeError):  # no room for a start, or a wrapper that refuses robots
         return Played()
     return _to_end(trial, promised, wrapped, start, policy, choices)
@@ -164,7 +165,7 @@ def start_of(teams: int, starts: int) -> NDArray[np.int64]:
     return np.arange(teams) * starts // teams
 
 
-def _begin(trial: Trial, bearing_error: float, count: int) -> tuple[Any, Any, Policy]:
+def begin(trial: Trial, bearing_error: float, count: int) -> tuple[Any, Any, Policy]:
     """So many teams under what keeps the guarantee, what they see first, and who chooses."""
     scenario, arguments = trial.scenario, dict[str, Any](trial.arguments)
     env = _teams_of(scenario, count)
@@ -182,9 +183,19 @@ def _begin(trial: Trial, bearing_error: float, count: int) -> tuple[Any, Any, Po
     start = wrapped.reset(seed=trial.seed, options=options)[0]
     if trial.by != "law":
         random = np.random.default_rng([trial.seed, 1])
-        return wrapped, start, Adversary(scenario, count, trial.by, random)
+        turn_rate = arguments.get("max_turn_rate", MAX_TURN_RATE)
+        adversary = Adversary(scenario, count, trial.by, random, turn_rate)
+        if trial.frame == "local" or trial.by == "gains" or not scenario.model.bounded:
+            return wrapped, start, adversary
+        return wrapped, start, partial(_as_seen, wrapped.filter, adversary)
     law = baselines.make(_LAWS.get(scenario.robot_model, "bearing-only"), scenario)
     return wrapped, start, lambda seen, now: law(seen, now.time)
+
+
+def _as_seen(safety_filter: Any, adversary: Adversary, seen: Any, now: Moment) -> Array:
+    """Its choices in the frames with x along f."""
+    frames = safety_filter.get_state()["frames"]
+    return np.einsum("bnij,bni->bnj", frames, np.asarray(adversary(seen, now)))
 
 
 @lru_cache(maxsize=2)
@@ -214,14 +225,15 @@ def _to_end(
     last = _last_steps(trial, limits) if choices is None else np.full(len(which), len(choices))
     teams.set_max_steps(trial.period * int(last.max()) + 1)
     budget, climbing = trial.arguments.get("budget", 0.0), trial.generations > 0
-    watch = Watch(teams, limits, trial.period, budget, climbing)
+    watch = Watch(wrapped.unwrapped, limits, trial.period, budget, climbing)
     kept: list[Any] = []
     wrong, began = None, watch.now.positions
     while wrong is None and ((last > len(kept)) & ~teams.ended).any():
         chosen = policy(observations, watch.now) if choices is None else choices[None, len(kept)]
         kept.append(np.asarray(chosen, dtype=np.float32))
         observations, *_, infos = wrapped.step(kept[-1])
-        wrong = watch.look(infos)
+        if (broken := watch.look(infos)).any():
+            wrong = watch.worst(broken)
     violation = None
     if wrong := wrong or watch.look_at_mean():
         number, team, found, limit = wrong

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 import rendezvous_env as rv
 from rendezvous_env.compilation import inner_kernel, kernel
 from rendezvous_env.physics.hull_perimeter import size
+from rendezvous_env.physics.vectors import ORIGIN, combine, dot, load, norm, split, subtract
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -22,11 +23,17 @@ BOUNDS = ("time", "lyapunov", "hull", "link_growth", "expected_time")
 """All have met in time; V, L and how much longer links are than at the start stay below their
 bounds; the mean time of many teams does."""
 NUMBERS = (*BOUNDS, "descent", "ledger", "nested", "links")
-"""And in every step without a merge or a contact V falls; V + ΣA does; the hull is nested while
-linked robots are r or more apart; no link grows longer."""
+"""And in every step without a merge or a contact V falls, by Σ f_i·Δ_i of the displacements (theory
+4) where choices are held for one step, and V does not rise up to a merge; V + ΣA does not rise;
+the hull is nested while linked robots are r or more apart; no link grows longer."""
 REPEATED = 48
 """Teams for each start of a trial whose mean time is promised."""
+ALL = (*NUMBERS, "lemma", "law_descent", "merge_rise", "pieces")
+"""And those of claims: Σ‖f_i‖ ≥ 2 max a; V falls as under law (1), by τ Σ‖f_i‖ min(‖f_i‖, v_max);
+it rises at a merge by no more than theory 5 allows; no fewer robots are left than the graph has
+components."""
 _TIME, _LYAPUNOV, _HULL, _LINK_GROWTH, _, _DESCENT, _LEDGER, _NESTED, _LINKS = range(len(NUMBERS))
+_LEMMA, _LAW_DESCENT, _MERGE_RISE, _PIECES = range(len(NUMBERS), len(ALL))
 _FLOAT32 = 2.0**-20
 _CONFIDENCE = 5.0
 """Standard errors by which a mean may lie above its bound."""
@@ -54,8 +61,8 @@ class Watch:
     """Looks at teams after every step.
 
     Args:
-        teams: at their start.
-        limits: the most that each of NUMBERS may be, (B,).
+        env: of ours, its teams at their start.
+        limits: the most that each of ALL may be, (B,).
         period: base steps of a step.
         budget: B_i that each robot's tank begins with, m²/s.
         climbing: whether to keep how near each team comes to break each number.
@@ -63,14 +70,14 @@ class Watch:
 
     def __init__(
         self,
-        teams: rv.Simulator,
+        env: Any,
         limits: dict[str, Array],
         period: int,
         budget: float,
         climbing: bool,
     ) -> None:
-        self.teams, self.limits = teams, limits
-        self.scenario = scenario = teams.scenario
+        self.env, self.limits, self.teams = env, limits, env.simulator
+        self.scenario, teams = (scenario := env.scenario), env.simulator
         self.now = now = Moment(teams)
         count, n, r = teams.num_envs, scenario.n_robots, scenario.merge_radius
         self.held, degree = period * scenario.tau, scenario.max_degree
@@ -80,7 +87,9 @@ class Watch:
         sight = math.inf if scenario.sensing.range is None else scenario.sensing.range
         rounding = _FLOAT32 * n * degree**2 * self.held
         spent = fast**2 * max(1.0, 2.0 * degree * self.held / r)
-        self.numbers = self.held, sight, r, self.length_error, rounding, spent
+        pieces = len(scenario.sensing_graph.components(n))
+        steps = self.held, period == 1, scenario.speed_limit, sight, r, pieces
+        self.numbers = *steps, self.length_error, rounding, spent
         self.growth_error, self.no_tanks = 0.0, np.zeros((count, n))
         self.along = directions(scenario.dim)
         self.met, levels = np.full(count, np.inf), np.full(count, n * budget)
@@ -89,10 +98,11 @@ class Watch:
         start = np.linalg.norm(now.positions[:, None] - now.positions[:, :, None], axis=-1)
         growth = limits.get("link_growth", np.full(1, math.inf))[:, None, None]
         self.lasting = start, (start + growth <= sight) & (now.weights > 0)
-        self.most = np.array([limits.get(name, np.full(count, np.inf)) for name in NUMBERS])
+        self.most = np.array([limits.get(name, np.full(count, np.inf)) for name in ALL])
         self.most[[_TIME, _LYAPUNOV]] *= 1.0 + 1e-9
-        unit = np.maximum(now.lyapunov, 1e-300)
-        self.unit = np.where(np.arange(len(NUMBERS))[:, None] < len(BOUNDS), self.most, unit)
+        self.unit = np.where(np.isfinite(self.most), self.most, 1.0)
+        self.unit[len(BOUNDS) :] = np.maximum(now.lyapunov, 1e-300)
+        self.unit[[_LEMMA, _PIECES]] = 1.0
         self.nearest = np.full(self.most.shape, -np.inf) if climbing else None
         self.found, self.errors = np.full(self.most.shape, -np.inf), np.zeros(self.most.shape)
 
@@ -101,7 +111,7 @@ class Watch:
         """How near each team came to break each number, (B,); nothing unless climbing."""
         if self.nearest is None:
             return {}
-        return {name: self.nearest[NUMBERS.index(name)] for name in self.limits}
+        return {name: self.nearest[ALL.index(name)] for name in self.limits}
 
     @property
     def time_over_bound(self) -> float:
@@ -120,15 +130,20 @@ class Watch:
             if name not in timed or (met | (now >= limit))[of].all()
         }
 
-    def look(self, infos: Mapping[str, Any]) -> Found | None:
-        """What this step violates."""
+    def look(self, infos: Mapping[str, Any]) -> Mask:
+        """Which of ALL this step violates, of which teams, (13, B)."""
         last, self.now = self.now, Moment(self.teams)
         now, found = self.now, self.found
         self.growth_error += 2.0 * self.length_error
         _measure(
             (last.positions, last.active, last.weights, last.lyapunov),
             (now.positions, now.active, now.lyapunov, now.time),
-            (infos["contact"], infos.get("tank", self.no_tanks)),
+            (
+                infos["contact"],
+                infos.get("tank", self.no_tanks),
+                self.env.outcome.lyapunov_before_merge,
+                self.env.outcome.merge_excess,
+            ),
             (self.along, *self.lasting),
             (*self.numbers, self.growth_error),
             self.kept,
@@ -139,15 +154,16 @@ class Watch:
             near = 1.0 if self.scenario.dim == 2 else _NEARLY
             for team in np.flatnonzero(found[_HULL] > near * self.most[_HULL]).tolist():
                 found[_HULL, team] = size(now.positions[team][now.active[team]])
-        if (wrong := found > self.most + self.errors).any():
-            row = int(np.argmax(wrong.any(axis=1)))
-            team = int(np.argmax(np.where(wrong[row], found[row], -np.inf)))
-            return NUMBERS[row], team, float(found[row, team]), float(self.most[row, team])
         if self.nearest is not None:
-            promised = np.isfinite(self.most)
-            near = np.divide(found, self.unit, out=np.zeros(found.shape), where=promised)
+            near = np.divide(found, self.unit, out=np.zeros(found.shape), where=self.most < np.inf)
             np.maximum(self.nearest, near, out=self.nearest)
-        return None
+        return np.asarray(found > self.most + self.errors)
+
+    def worst(self, wrong: Mask) -> Found:
+        """The first number that is violated, and the team by which it is the most."""
+        row = int(np.argmax(wrong.any(axis=1)))
+        team = int(np.argmax(np.where(wrong[row], self.found[row], -np.inf)))
+        return ALL[row], team, float(self.found[row, team]), float(self.most[row, team])
 
     def look_at_mean(self) -> Found | None:
         """Whether the mean time from a start is surely above its bound; who has not met counts as
@@ -175,101 +191,121 @@ def _measure(
     found: Any,
     errors: Any,
 ) -> None:
-    """Write what each of NUMBERS is of each team, and by how much rounding may raise it.
+    """Write what each number is of each team, and by how much rounding may raise it.
 
     Args:
         before: places (B, n, d), who is there (B, n), weights (B, n, n), V (B,), before the step.
         after: places, who is there, V and the time (B,), after it.
-        told: who touched an obstacle, and levels of tanks, (B, n).
+        told: who touched an obstacle, and levels of tanks, (B, n); V before the first merge, and
+            above its bound at merges, (B,).
         where: directions (M, d); lengths at the start and which links must last, (B, n, n).
-        numbers: how long a step is held; sight; r; the errors of a length, of V and of V + ΣA in a
+        numbers: how long a choice is held, and whether for one step only; v_max; sight; r; how
+            many robots are left when all have met; the errors of a length, of V and of V + ΣA in a
             step; that of a link's growth since the start.
         kept: when teams met, whether they have touched nothing yet, ΣA, the error of V since the
             start, (B,), and supports, (B, M); they are brought up to date.
-        found: (9, B), written.
-        errors: (9, B), written.
+        found: (13, B), written.
+        errors: (13, B), written.
     """
-    (_, was, _, higher), (_, there, height, time), (contact, tanks) = before, after, told
+    (places, was, weights, higher), (moved_to, there, height, time) = before, after
+    contact, tanks, at_merge, excess = told
     met, free, levels, of_height, tops = kept
-    held, sight, r, of_length, rounding, spent, of_growth = numbers
+    held, once, fastest, sight, r, last, of_length, rounding, spent, of_growth = numbers
     for b in range(len(there)):
-        calm, left, level = True, 0, 0.0
+        alone, touched, left, level = True, False, 0, 0.0
         for i in range(there.shape[1]):
-            calm = calm and was[b, i] == there[b, i] and not contact[b, i]
-            free[b] = free[b] and not contact[b, i]
+            alone = alone and was[b, i] == there[b, i]
+            touched = touched or contact[b, i]
             left += there[b, i]
             level += tanks[b, i]
-        if left == 1 and met[b] == np.inf:
+        free[b] = free[b] and not touched
+        calm = alone and not touched and met[b] == np.inf
+        if left == last and met[b] == np.inf:
             met[b] = time[b]
         step = rounding + 1e-12 * higher[b]
         of_height[b] += step
         # the step in which a bound falls may be finished
         found[_TIME, b] = min(met[b], time[b]) - held
         found[_LYAPUNOV, b], errors[_LYAPUNOV, b] = height[b] if free[b] else -np.inf, of_height[b]
-        spread = _spread(after, b, where[0], tops[b], found)
-        nearest, lengthened = _stretch(before, after, b, where, sight, found)
+        spread = _spread(moved_to[b], there[b], where[0], tops[b], found[_HULL, b : b + 1])
+        present = places[b], was[b], weights[b], moved_to[b]
+        nearest, lengthened, grown = _stretch(present, where[1][b], where[2][b], sight)
+        work, own, strength = _fall(present, fastest)
         risen = height[b] - higher[b]
-        found[_DESCENT, b], errors[_DESCENT, b] = risen if calm else -np.inf, step
+        first = at_merge[b] - higher[b] if once and not alone and not touched else -np.inf
+        found[_LINK_GROWTH, b] = grown
+        found[_DESCENT, b] = risen + max(work, 0.0) * once if calm else first
         found[_LEDGER, b] = risen + level - levels[b] if calm else -np.inf
-        errors[_LEDGER, b] = step * spent + 1e-12 * levels[b]
         found[_NESTED, b] = spread if calm and nearest >= r else -np.inf
         found[_LINKS, b] = lengthened if calm else -np.inf
+        found[_LAW_DESCENT, b] = risen + held * own if calm else first
+        found[_LEMMA, b], found[_MERGE_RISE, b] = -strength, excess[b]
+        found[_PIECES, b] = last - left
+        errors[_DESCENT, b], errors[_LAW_DESCENT, b] = step, step
+        errors[_LEDGER, b] = step * spent + 1e-12 * levels[b]
         errors[_HULL, b], errors[_LINK_GROWTH, b] = 8.0 * of_growth, of_growth
         errors[_NESTED, b], errors[_LINKS, b] = of_length, 2.0 * of_length
+        errors[_LEMMA, b], errors[_MERGE_RISE, b] = 1e-9, 1e-12 * (1.0 + higher[b])
         levels[b] = level
 
 
 @inner_kernel
-def _spread(after: Any, b: int, along: Any, tops: Any, found: Any) -> float:
+def _spread(places: Any, there: Any, along: Any, tops: Any, found: Any) -> float:
     """Write L, in the plane that of the polygon around the hull with a side for each direction;
     give by how much the hull has grown, m.
     """
-    places, there = after[0][b], after[1][b]
-    n, d = places.shape
-    total, spread, left = 0.0, -np.inf, 0
-    for i in range(n):
-        left += there[i]
+    total, spread, left, d = 0.0, -np.inf, there.sum(), places.shape[1]
     for m in range(len(along)):
         top, middle = -np.inf, 0.0
-        for i in range(n):
+        for i in range(len(places)):
             if there[i]:
-                reach = 0.0
-                for k in range(d):
-                    reach += places[i, k] * along[m, k]
+                reach = dot(load(places[i]), load(along[m]))
                 top, middle = max(top, reach), middle + reach / left
         spread, total, tops[m] = max(spread, top - tops[m]), total + top - middle, top
-    found[_HULL, b] = 2.0 * math.pi * (d - 1.0) * total / len(along)
+    found[0] = 2.0 * math.pi * (d - 1.0) * total / len(along)
     if d == 2:
-        found[_HULL, b] *= _COUNT / math.pi * math.tan(math.pi / _COUNT)
+        found[0] *= _COUNT / math.pi * math.tan(math.pi / _COUNT)
     return spread
 
 
 @inner_kernel
-def _stretch(
-    before: Any, after: Any, b: int, where: Any, sight: float, found: Any
-) -> tuple[float, float]:
-    """Write how much longer a lasting link has become since the start; give the shortest link
-    before the step, and how much longer one has become in it, m.
+def _stretch(present: Any, start: Any, lasts: Any, sight: float) -> tuple[float, float, float]:
+    """The shortest link in sight before the step; how much longer one has become in it, and a
+    lasting one since the start, m.
     """
-    was_at, was, weights = before[0][b], before[1][b], before[2][b]
-    places, start, lasts = after[0][b], where[1][b], where[2][b]
+    places, was, weights, moved_to = present
     nearest, lengthened, grown = np.inf, -np.inf, -np.inf
     for i in range(len(places)):
         for j in range(len(places)):
             linked = weights[i, j] > 0.0 and was[i] and was[j]
             if i == j or not (linked or lasts[i, j]):
                 continue
-            old, new = 0.0, 0.0
-            for k in range(places.shape[1]):
-                old += (was_at[i, k] - was_at[j, k]) ** 2
-                new += (places[i, k] - places[j, k]) ** 2
-            old, new = math.sqrt(old), math.sqrt(new)
+            old = norm(subtract(load(places[j]), load(places[i])))
+            new = norm(subtract(load(moved_to[j]), load(moved_to[i])))
             if lasts[i, j]:
                 grown = max(grown, new - start[i, j])
             if linked and old <= sight:
                 nearest, lengthened = min(nearest, old), max(lengthened, new - old)
-    found[_LINK_GROWTH, b] = grown
-    return nearest, lengthened
+    return nearest, lengthened, grown
+
+
+@inner_kernel
+def _fall(present: Any, fastest: float) -> tuple[float, float, float]:
+    """Σ f_i·Δ_i of what the robots are displaced by, m²/s; Σ‖f_i‖ min(‖f_i‖, v_max), (m/s)²; and
+    Σ‖f_i‖/(2 max a) − 1, without unit (lemma 1), infinite without links.
+    """
+    places, was, weights, moved_to = present
+    work, own, strength, heaviest = 0.0, 0.0, 0.0, 0.0
+    for i in range(len(places)):
+        f = ORIGIN
+        for j in range(len(places)):
+            if weights[i, j] > 0.0 and was[i] and was[j]:
+                _, bearing = split(subtract(load(places[j]), load(places[i])))
+                f, heaviest = combine(1.0, f, weights[i, j], bearing), max(heaviest, weights[i, j])
+        work += dot(f, subtract(load(moved_to[i]), load(places[i])))
+        strength += norm(f)
+        own += norm(f) * min(norm(f), fastest)
+    return work, own, strength / (2.0 * heaviest) - 1.0 if heaviest > 0.0 else np.inf
 
 
 def extents(places: Array, active: Mask, along: Array) -> Array:

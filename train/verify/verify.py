@@ -21,8 +21,7 @@ from ..results import write_csv
 from ..resume import Part, claimed, program
 from ..tasks import WorkerFlags, each
 from .cases import BATCH
-from .claim import Claim, Seen, blocks_of, look, worst
-from .claims import CLAIMS
+from .claims import CLAIMS, Claim, Finding, blocks_of, look, worst
 from .counterexamples import Tally, any_blocks, look_at_any, rows_of, shrink, write
 from .falsification import TEAMS
 
@@ -141,22 +140,20 @@ def _look_at_all(
     total = sum(count for _, count in batches)
     bars = {claim.name: progress.add_task(claim.name, total=total) for claim in claims}
     blocks = [block for claim in claims for block in blocks_of(claim, batches, *asked)]
-    seen: dict[str, Seen] = {}
+    seen: dict[str, Finding] = {}
     for block, one, _ in part.finish(blocks, lambda left: each(look, left, config.workers)):
         seen[block.name] = one
-        progress.advance(bars[block.claim.name], one.finding.trials)
+        progress.advance(bars[block.claim.name], one.trials)
     return [
-        row_of(claim, config, [seen[block.name] for block in blocks if block.claim is claim])
+        row_of(claim, config, worst([seen[one.name] for one in blocks if one.claim is claim]))
         for claim in claims
     ]
 
 
-def row_of(claim: Claim, config: Config, seen: Sequence[Seen]) -> dict[str, Any]:
-    """What all blocks say of a claim, in their order, by COLUMNS."""
-    found = worst([one.finding for one in seen])
-    first = next((one.first for one in seen if one.first is not None), None)
+def row_of(claim: Claim, config: Config, found: Finding) -> dict[str, Any]:
+    """What all blocks say of a claim, by COLUMNS."""
     repeat = (
-        f"rendezvous verify --claims {claim.name} --seed {config.seed} --only-batch {first} "
+        f"rendezvous verify --claims {claim.name} --seed {config.seed} --only-batch {found.first} "
         f"--min-alignment {config.min_alignment}"
     )
     return {
@@ -165,8 +162,8 @@ def row_of(claim: Claim, config: Config, seen: Sequence[Seen]) -> dict[str, Any]
         "worst_margin": found.margin,
         "worst_time_over_bound": found.time_over_bound,
         "violations": found.violations,
-        "seconds": round(sum(one.seconds for one in seen), 3),
-        "first_violation": "" if first is None else repeat,
+        "seconds": round(found.seconds, 3),
+        "first_violation": "" if found.first is None else repeat,
     }
 
 

@@ -243,6 +243,8 @@ def question(scenario: Scenario, by: Any, given: Mapping[str, Any], bearing_erro
     asked = LAW._replace(by=by, **given)
     if by != "tank" and real(asked.budget) != 0:
         refuse("budget", asked.budget, f'0 with by="{by}": only a tank has one')
+    if not 0 <= real(asked.budget) < math.inf:
+        refuse("budget", asked.budget, "finite and at least 0 m²/s")
     check_share(asked.share)
     for name, only in (("min_gain", "gains"), ("max_gain", "gains"), ("share", "links")):
         value, usual = getattr(asked, name), getattr(LAW, name)

@@ -33,7 +33,7 @@ from ...scenario.scenario import Scenario
 from ..gains import gain_range
 from . import assumptions as given
 from . import constants as known
-from .theorem import LAW, Asked, Bounds, Theorem
+from .theorem import Asked, Bounds, Theorem
 
 Array = NDArray[np.float64]
 
@@ -80,34 +80,6 @@ def shrinking_to_leader(n: ArrayLike, dim: int, gain: ArrayLike) -> Array:
     return np.asarray(np.pi * c / others)
 
 
-# ---- times, from any start; of law (1) if nothing else is asked ----------------------------------
-
-
-def size_bound(scenario: Scenario, initial_size: ArrayLike, asked: Asked = LAW) -> Array:
-    """Time by which all robots have come together in continuous time, (...), s, from L(0), m.
-
-    2-D   T ≤ L0 / (2 min_m c_m κ(m)),      3-D   T ≤ max_m m w0 / (2 c_m);      a leader's κ₁
-    """
-    rate = shrinking_to_leader if known.led(scenario) else shrinking
-    rates = rate(known.robots_left(scenario), scenario.dim, _gains(scenario, asked)[0])
-    return known.over_rate(known.checked("initial_size", initial_size, "m"), rates.min())
-
-
-def held_gain_time(scenario: Scenario, initial_size: ArrayLike, asked: Asked = LAW) -> Array:
-    """The same with inputs held, (...), s, from L(0), m: L0/(c s μ k) + (n − 1) τ as above (D1);
-    infinite for τ C ≥ r.
-    """
-    extent = known.checked("initial_size", initial_size, "m") + known.hull_growth(scenario)
-    (gains, most), step, m = _gains(scenario, asked), scenario.tau, known.robots_left(scenario)
-    psi = np.pi / m
-    if known.led(scenario):
-        psi = (_WIDE if scenario.dim == 2 else np.pi * (1.0 - math.cos(_WIDE)) / 2.0) / (m - 1.0)
-    measure = psi if scenario.dim == 2 else 2.0 * np.pi * (1.0 - np.cos(psi / 2.0))
-    spare = max(scenario.merge_radius - step * most, 0.0)
-    rates = gains * np.sin(psi / 2.0) * measure * spare / (spare + 2.0 * step * gains)
-    return known.held_time(scenario, extent, rates)
-
-
 def _gains(scenario: Scenario, asked: Asked) -> tuple[Array, float]:
     """c_m, (n − 1,), and C, m/s: of law (1) a_ij, scaled where it scales velocities (theory 4)."""
     gains = np.ones(scenario.n_robots - 1)
@@ -138,7 +110,15 @@ def hull_bounds(scenario: Scenario, asked: Asked) -> Bounds:
 
 def bounds(scenario: Scenario, asked: Asked) -> Bounds:
     """Both times and L."""
-    initial = known.largest_size(scenario)
+    (gains, most), m, dim = _gains(scenario, asked), known.robots_left(scenario), scenario.dim
+    led, hull = known.led(scenario), hull_bounds(scenario, asked).hull
+    psi = np.pi / m
+    if led:
+        psi = (_WIDE if dim == 2 else np.pi * (1.0 - math.cos(_WIDE)) / 2.0) / (m - 1.0)
+    measure = psi if dim == 2 else 2.0 * np.pi * (1.0 - np.cos(psi / 2.0))
+    spare = max(scenario.merge_radius - scenario.tau * most, 0.0)
+    held = gains * np.sin(psi / 2.0) * measure * spare / (spare + 2.0 * scenario.tau * gains)
+    followed = (shrinking_to_leader if led else shrinking)(m, dim, gains)
     who, first = "every policy that weighs neighbours", "theorem G"
     if asked.by == "law":
         mutual = known.kind_of_links(scenario.sensing_graph) == known.UNDIRECTED
@@ -150,9 +130,9 @@ def bounds(scenario: Scenario, asked: Asked) -> Bounds:
             "robots are r or more apart"
         ),
         meets=True,
-        time=float(held_gain_time(scenario, initial, asked)),
-        continuous_time=float(size_bound(scenario, initial, asked)),
-        hull=hull_bounds(scenario, asked).hull,
+        time=float(known.held_time(scenario, hull, held)),
+        continuous_time=float(known.over_rate(known.largest_size(scenario), followed.min())),
+        hull=hull,
     )
 
 

@@ -41,7 +41,7 @@ from ..settings import error_chord
 from . import assumptions as given
 from . import constants as known
 from .gains import shrinking
-from .theorem import LAW, Asked, Bounds, Theorem, bounds_with_errors
+from .theorem import Asked, Bounds, Theorem, bounds_with_errors
 
 Array = NDArray[np.float64]
 
@@ -93,34 +93,19 @@ def gains_are_equal(scenario: Scenario, asked: Asked) -> str:
     )
 
 
-def held_size_bound(scenario: Scenario, initial_size: ArrayLike, asked: Asked = LAW) -> Array:
-    """Time, (...), s, by which all have come together from L(0), m, inputs held (theorem N);
-    infinite where gains, those of law (1) if nothing else is asked, do not stay equal, or errors
-    and what is held are too much.
-    """
-    initial = known.checked("initial_size", initial_size, "m")
-    gains = equal_gains(scenario, asked)
-    if gains is None:
-        return np.full(initial.shape, np.inf)
-    left = known.robots_left(scenario)
-    late_by = held_error(gains, scenario.tau, scenario.merge_radius)
-    if asked.error == 0.0:  # two robots whose bearings are right move on one line
-        late_by = np.where(left == 2, 0.0, late_by)
-    rates = shrinking(left, scenario.dim, gains, asked.error + late_by)
-    return known.held_time(scenario, initial, rates)
-
-
 def equal_gain_bounds(scenario: Scenario, asked: Asked) -> Bounds:
     """Theorem N with inputs held."""
     gains = equal_gains(scenario, asked)
     assert gains is not None  # an assumption
-    n, dim, error = scenario.n_robots, scenario.dim, asked.error
+    left, dim, error = known.robots_left(scenario), scenario.dim, asked.error
     strayed = 2.0 * gains.max() * scenario.tau * math.sin(error / 2.0)
     extent = known.largest_size(scenario) + known.hull_growth(scenario)
-    extent += (n - 1) * known.directions(dim) * strayed
-    time = float(held_size_bound(scenario, extent, asked))
+    extent += (scenario.n_robots - 1) * known.directions(dim) * strayed
     late_by = held_error(gains, scenario.tau, scenario.merge_radius)
-    borne = float((largest_error(known.robots_left(scenario), dim) - late_by).min())
+    borne = float((largest_error(left, dim) - late_by).min())
+    if error == 0.0:  # two robots whose bearings are right move on one line
+        late_by = np.where(left == 2, 0.0, late_by)
+    time = float(known.held_time(scenario, extent, shrinking(left, dim, gains, error + late_by)))
     who = "law (1)" if asked.by == "law" else "every policy that weighs neighbours"
     words = f"theorem N: {who} meets in finite time although bearings err by {error:.4g} rad"
     hull = extent if math.isfinite(time) else math.inf
@@ -146,32 +131,19 @@ def tolerated_error(
     return float(2.0 * np.arcsin(min(sine, 1.0)))
 
 
-def law_time_bound(scenario: Scenario, initial_lyapunov: ArrayLike, error: float) -> Array:
-    """T for law (1) as it is, inputs held, (...), s, from V(0), m²/s (theorem N1); infinite for
-    errors that are too large, for a long step, or if robots can be slowed down.
-    """
-    n, chord = scenario.n_robots, error_chord(error)
-    above, left = known.lyapunov_bound(scenario, initial_lyapunov), known.robots_left(scenario)
-    if not _as_it_is(scenario):
-        return np.full(above.shape, np.inf)
-    lost = (n - 1) * scenario.tau * n * (chord * scenario.max_degree) ** 2
+def law_bounds(scenario: Scenario, asked: Asked) -> Bounds:
+    """Theorem N1; without a time for a long step, or if robots can be slowed down."""
+    n, left, chord = scenario.n_robots, known.robots_left(scenario), error_chord(asked.error)
+    as_it_is = scenario.speed_limit >= scenario.max_degree and not known.long_step(scenario)
+    most = known.lyapunov_bound(scenario, known.largest_lyapunov(scenario))
+    most += (n - 1) * scenario.tau * n * (chord * scenario.max_degree) ** 2
     feigned = left * (chord * known.most_degrees(scenario)) ** 2
     rates = 4.0 * known.least_degrees(scenario) ** 2 / left - feigned
-    return known.held_time(scenario, above + lost, rates)
-
-
-def _as_it_is(scenario: Scenario) -> bool:
-    """Whether nobody is slowed down under law (1), and the step is certified."""
-    return scenario.speed_limit >= scenario.max_degree and not known.long_step(scenario)
-
-
-def law_bounds(scenario: Scenario, asked: Asked) -> Bounds:
-    """Theorem N1."""
-    time = law_time_bound(scenario, known.largest_lyapunov(scenario), asked.error)
-    borne = tolerated_error(scenario) if _as_it_is(scenario) else 0.0
     words = (
         f"theorem N1: law (1) meets in finite time although bearings err by {asked.error:.4g} rad"
     )
+    time = known.held_time(scenario, most, rates) if as_it_is else math.inf
+    borne = tolerated_error(scenario) if as_it_is else 0.0
     return bounds_with_errors(asked, time, borne, words, "law (1)")
 
 

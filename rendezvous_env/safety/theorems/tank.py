@@ -30,86 +30,39 @@ for exact bearings at most (V(0) + ΣB_i + (n−1)² r a)/(2 (n−1) ε² a² s_
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
-
-from ...checks import real, refuse
 from ...scenario.scenario import Scenario
-from ..settings import check_bearing_error, levels_follow_v
+from ..settings import levels_follow_v
 from . import assumptions as given
 from . import constants as known
-from .descent import check_margin, covered
 from .noise import certified_time, tolerated_error
 from .theorem import Asked, Bounds, Theorem, bounds_with_errors
 
-Array = NDArray[np.float64]
 
-
-def tank_lyapunov_bound(
-    scenario: Scenario, initial_lyapunov: ArrayLike, *, budget: float = 0.0
-) -> Array:
-    """The most that V can ever be under an energy tank, (...), m²/s: V0⁺ + (n − 1) r W + ΣB_i; with
-    obstacles in motion without a contact. V(0) or B_i, m²/s, out of range are a ValueError.
-    """
-    known.check_scenario(scenario)
-    if not 0 <= real(budget) < np.inf:
-        refuse("budget", budget, "finite and at least 0 m²/s")
+def lyapunov_bounds(scenario: Scenario, asked: Asked) -> Bounds:
+    """V alone: with walls, and for robots that turn."""
     reach = scenario.speed_limit * scenario.tau
-    above = known.lyapunov_bound(scenario, initial_lyapunov, reach=reach)
-    return above + known.merge_rise_allowance(scenario) + scenario.n_robots * real(budget)
-
-
-def tank_time_bound(
-    scenario: Scenario,
-    initial_lyapunov: ArrayLike,
-    *,
-    min_alignment: float,
-    budget: float = 0.0,
-    bearing_error: float = 0.0,
-) -> Array:
-    """Time by which all robots have met under an energy tank, whatever is wanted, (...), s (theorem
-    D), of V(0), m²/s, ε ≤ 1, B_i, m²/s, and η, rad, that the tank allows for; infinite where
-    nothing is guaranteed. What is out of its range is a ValueError.
-    """
-    check_margin(min_alignment)
-    error = check_bearing_error(bearing_error)
-    return _time_bound(scenario, initial_lyapunov, min_alignment, budget, error)
-
-
-def _time_bound(
-    scenario: Scenario, initial_lyapunov: ArrayLike, margin: float, budget: float, error: float
-) -> Array:
-    """The same, also for a sensor that errs by more than a tank can be told, in [0, π]."""
-    most = tank_lyapunov_bound(scenario, initial_lyapunov, budget=budget)
-    if not covered(scenario):
-        return np.full(most.shape, np.inf)
-    each = None
-    if levels_follow_v(scenario) and known.merges_at_midpoints(scenario):
-        n, a = scenario.n_robots, scenario.bottleneck_weight
-        each = (np.asarray(initial_lyapunov) + n * real(budget)) / (n - 1)
-        each += (n - 1) * scenario.merge_radius * a
-    return certified_time(scenario, most, margin, error, each=each)
+    most = known.lyapunov_bound(scenario, known.largest_lyapunov(scenario), reach=reach)
+    most += known.merge_rise_allowance(scenario) + scenario.n_robots * asked.budget
+    return Bounds(lyapunov=float(most))
 
 
 def bounds(scenario: Scenario, asked: Asked) -> Bounds:
     """The time."""
-    margin, error, start = asked.min_alignment, asked.error, known.largest_lyapunov(scenario)
+    n, margin, error, each = scenario.n_robots, asked.min_alignment, asked.error, None
+    if levels_follow_v(scenario) and known.merges_at_midpoints(scenario):
+        each = (known.largest_lyapunov(scenario) + n * asked.budget) / (n - 1)
+        each += (n - 1) * scenario.merge_radius * scenario.bottleneck_weight
     charged = f" and charges errors of {error:.4g} rad" * (error > 0)
+    most = lyapunov_bounds(scenario, asked).lyapunov
     return bounds_with_errors(
         asked,
-        _time_bound(scenario, start, margin, asked.budget, error),
+        certified_time(scenario, most, margin, error, each=each),
         tolerated_error(scenario, margin),
         "theorem D: whatever is wanted, all robots meet in finite time while a tank keeps count"
         + charged,
         "a tank of this margin",
         "; V stays bounded even so",
     )
-
-
-def lyapunov_bounds(scenario: Scenario, asked: Asked) -> Bounds:
-    """V alone: with walls, and for robots that turn."""
-    most = tank_lyapunov_bound(scenario, known.largest_lyapunov(scenario), budget=asked.budget)
-    return Bounds(lyapunov=float(most))
 
 
 _BOUND_ON_V = "D, the bound on V"
