@@ -47,7 +47,7 @@ class Watched:
             self.contacts += len(in_contact)
 
 
-# ---- V beside obstacles; without any ``rendezvous verify`` looks at it ----------------------------
+# ---- V beside obstacles; without any ``rendezvous verify`` looks at it ---------------------------
 
 
 CLUTTERS = {

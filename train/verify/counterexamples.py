@@ -37,6 +37,8 @@ class AnyBlock:
     number: int
     draws: int
     seed: int
+    kind: int
+    """Number of their kind."""
 
     @property
     def name(self) -> str:
@@ -77,26 +79,30 @@ class Tally:
             self.ratio[name] = max(self.ratio.get(name, 0.0), ratio)
 
 
-def any_blocks(trials: int, seed: int) -> list[AnyBlock]:
-    """So many scenarios, or a few more, cut into tasks."""
+def any_blocks(trials: int, seed: int, kinds: int | None = None) -> list[AnyBlock]:
+    """So many scenarios, or a few more, of so many kinds at most, cut into tasks."""
     draws = -(-trials // STARTS)
-    starts = range(0, draws, DRAWS)
-    return [AnyBlock(k, min(DRAWS, draws - k * DRAWS), seed) for k in range(len(starts))]
+    blocks = range(-(-draws // DRAWS))
+    most = kinds or len(blocks)
+    return [AnyBlock(k, min(DRAWS, draws - k * DRAWS), seed, k % most) for k in blocks]
 
 
 def look_at_any(block: AnyBlock) -> Tally:
     """Play the trials of a block."""
     began, tally = time.perf_counter(), Tally(trials=block.draws * STARTS)
     for number in range(block.number * DRAWS, block.number * DRAWS + block.draws):
-        for drawn in trials_of(block.seed, number):
+        for drawn in trials_of(block.seed, number, block.kind):
             tally.add(number, *climb(drawn))
     tally.seconds = time.perf_counter() - began
     return tally
 
 
-def trials_of(seed: int, number: int) -> list[Trial]:
-    """The scenarios of a number, played under each of CHOICES."""
-    kind = draw_kind(np.random.default_rng([seed, _KINDS + number // DRAWS]))
+def trials_of(seed: int, number: int, kind_number: int | None = None) -> list[Trial]:
+    """The scenarios of a number, played under each of CHOICES; of the kind of their block if of no
+    other.
+    """
+    kind_number = number // DRAWS if kind_number is None else kind_number
+    kind = draw_kind(np.random.default_rng([seed, _KINDS + kind_number]))
     random = np.random.default_rng([seed, number])
     drawn = draw(random, kind)
     return [

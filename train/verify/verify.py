@@ -59,6 +59,9 @@ class Config(WorkerFlags):
     """Try whole scenarios drawn at random instead of claims: ask for every certificate, and hold
     each of its numbers against what adversaries can do. What is violated is made small and written
     to OUT as a TOML file with the choices that repeat it."""
+    kinds: int | None = None
+    """Most kinds of scenarios for --any: to compile for one takes as long as to play a thousand. If
+    None, each 300 scenarios have their own."""
     fresh: Annotated[bool, arg(name="overwrite", aliases=("--fresh",))] = False
     """Throws away what another command has left unfinished in OUT/verify.part."""
 
@@ -76,7 +79,7 @@ def check_config(config: Config) -> None:
     Raises:
         UserError: naming the flag, its value and what would be right.
     """
-    check_least(config, trials=1, seed=0, only_batch=0)
+    check_least(config, trials=1, seed=0, only_batch=0, kinds=1)
     check_most(config, trials=10**8)
     _ = config.workers  # refuses what cannot be
     if not 0 < config.min_alignment < 1:
@@ -121,7 +124,7 @@ def run(config: Config, claims: Sequence[Claim] = CLAIMS, console: Console | Non
 
 def plan_of(config: Config, claims: Sequence[Claim]) -> dict[str, Any]:
     """All that the numbers of a verification depend on, as plain data."""
-    asked = ("trials", "seed", "min_alignment", "only_batch", "any")
+    asked = ("trials", "seed", "min_alignment", "only_batch", "any", "kinds")
     return {
         **program(),
         **{name: getattr(config, name) for name in asked},
@@ -211,7 +214,7 @@ def table_of(title: str, rows: Sequence[dict[str, Any]]) -> Table:
 def _try_anything(config: Config, part: Part, progress: Progress) -> Tally:
     """Play what is not finished."""
     tally, bar = Tally(), progress.add_task("scenarios", total=config.trials)
-    blocks = any_blocks(config.trials, config.seed)
+    blocks = any_blocks(config.trials, config.seed, config.kinds)
     for _, one, _ in part.finish(blocks, lambda left: each(look_at_any, left, config.workers)):
         tally.join(one)
         progress.advance(bar, one.trials)
