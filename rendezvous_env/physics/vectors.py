@@ -111,8 +111,8 @@ def without(a, h):
 
 @kernel(inline="code")
 def perpendicular(h):
-    """A triple across a unit triple h, without unit: counter-clockwise in the xy plane, along x if
-    h is vertical.
+    """A triple p ⊥ h of a unit triple h, without unit: counter-clockwise in the xy plane, along x
+    if h is vertical.
     """
     level = (-h[1], h[0], 0.0)
     return level if dot(level, level) >= _VERTICAL * _VERTICAL else without(X_AXIS, h)
