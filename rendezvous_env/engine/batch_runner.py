@@ -112,8 +112,8 @@ class BatchRunner:
             count: of steps.
         """
         teams, output, actions = self._state.teams, self.buffers.new(), self._no_actions.copy()
-        batch, n = actions.shape[:2]
-        driven = Driven(output, np.zeros(batch), np.zeros((batch, n)), np.zeros((batch, n), bool))
+        each = output.rewards, output.robot_rewards, output.contact
+        totals = each if count == 1 else tuple(np.zeros_like(one) for one in each)
         run, lanes, resting = self._ready(actions, output), self._state.lanes, resting.copy()
         width = _width(self._state.place, self._threads, count)
         while len(self._scratch) < width:
@@ -121,7 +121,7 @@ class BatchRunner:
         fixed, written = self._fixed(True, self._blocks), tuple(output)
 
         def lead(part: threads.Part) -> None:
-            mine = part[0] * lanes, min(part[1] * lanes, batch), part[2]
+            mine = part[0] * lanes, min(part[1] * lanes, len(actions)), part[2]
             rows, now = slice(*mine[:2]), seen
             for _ in range(count):
                 output.contact[rows] = False
@@ -130,14 +130,13 @@ class BatchRunner:
                 if pilot.keeps_ledger:
                     pilot.book_of(mine, output.contact, teams.merged_into, resting)
                 np.not_equal(output.status[rows], RUNNING, out=resting[rows])
-                driven.rewards[rows] += output.rewards[rows]
-                driven.robot_rewards[rows] += output.robot_rewards[rows]
-                driven.contact[rows] |= output.contact[rows]
+                for total, one in zip(totals if count > 1 else (), each, strict=False):
+                    total[rows] += one[rows]
                 now = output.observations
 
         threads.share(lead, len(self._blocks), width)
         self._last = output
-        return driven
+        return Driven(output, *totals)
 
     def observe(self) -> StepOutput:
         """All teams as they are."""

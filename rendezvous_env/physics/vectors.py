@@ -26,6 +26,18 @@ def load(row):
     return np.float64(row[0]), np.float64(row[1]), z
 
 
+@kernel
+def load_pair(row):
+    """A row (2,) of the plane as the pair v = (x, y), in its unit."""
+    return np.float64(row[0]), np.float64(row[1])
+
+
+@kernel(inline="code")
+def x_axis(v):
+    """The x axis e_x, without unit, a pair or triple as v is."""
+    return (1.0, 0.0) if len(v) == 2 else X_AXIS
+
+
 @kernel(inline="code")
 def triple(v):
     """A pair or triple as the triple v = (x, y, z), z = 0 for a pair; in its unit."""
@@ -58,7 +70,9 @@ def cross(a, b):
 
 @kernel(inline="code")
 def combine(p, a, q, b):
-    """The triple p a + q b of numbers p, q and triples a, b; unit of p times unit of a."""
+    """The pair or triple p a + q b of numbers p, q and two of them; unit of p times unit of a."""
+    if len(a) == 2:
+        return p * a[0] + q * b[0], p * a[1] + q * b[1]
     return p * a[0] + q * b[0], p * a[1] + q * b[1], p * a[2] + q * b[2]
 
 
@@ -80,18 +94,20 @@ def subtract(a, b):
 
 @kernel(inline="code")
 def norm(a):
-    """Length ‖a‖ = √(aᵀa) of a triple, a number in the unit of a."""
+    """Length ‖a‖ = √(aᵀa) of a pair or triple, a number in the unit of a."""
     return math.sqrt(dot(a, a))
 
 
 @kernel(inline="code")
 def split(a):
-    """Length ‖a‖ and unit vector a/‖a‖ of a triple: a number in the unit of a, and a triple.
+    """Length ‖a‖ and unit vector a/‖a‖ of a pair or triple: a number in its unit, and one like it.
 
     (0, zero) for the zero vector. Safe for any finite numbers, of which the squares may overflow or
     vanish. Powers of two change no digit, and choices in place of branches leave loops SIMD.
     """
-    largest = max(abs(a[0]), abs(a[1]), abs(a[2]))
+    largest = max(abs(a[0]), abs(a[1]))
+    if len(a) == 3:
+        largest = max(largest, abs(a[2]))
     tiny, huge = largest < 1e-100, largest > 1e100
     b = scaled(a, _MANY if tiny else _FEW if huge else 1.0)
     length = math.sqrt(dot(b, b))
@@ -101,7 +117,7 @@ def split(a):
 
 @kernel(inline="code")
 def without(a, h):
-    """The part a − (hᵀa) h of a triple across a unit triple h, a triple in the unit of a.
+    """The part a − (hᵀa) h of a pair or triple across a unit one h, like it and in the unit of a.
 
     Taken twice, so that rounding leaves none of h.
     """
@@ -110,10 +126,26 @@ def without(a, h):
 
 
 @kernel(inline="code")
-def perpendicular(h):
-    """A triple p ⊥ h of a unit triple h, without unit: counter-clockwise in the xy plane, along x
-    if h is vertical.
+def split_across(a, h):
+    """Length and unit vector of the part a − (hᵀa) h across a unit vector h, as ``split``.
+
+    There are but two directions across h in the plane, so that of pairs nothing is divided; it is
+    the one to the left for those along h.
     """
+    if len(a) == 2:
+        to_left = h[0] * a[1] - h[1] * a[0]
+        side = 1.0 if to_left >= 0.0 else -1.0
+        return abs(to_left), (-side * h[1], side * h[0])
+    return split(without(a, h))
+
+
+@kernel(inline="code")
+def perpendicular(h):
+    """A vector p ⊥ h of a unit pair or triple h, without unit: counter-clockwise in the xy plane,
+    along x if h is vertical.
+    """
+    if len(h) == 2:
+        return -h[1], h[0]
     level = (-h[1], h[0], 0.0)
     return level if dot(level, level) >= _VERTICAL * _VERTICAL else without(X_AXIS, h)
 
@@ -140,6 +172,15 @@ def scaled(v, factor):
     if len(v) == 2:
         return v[0] * factor, v[1] * factor
     return v[0] * factor, v[1] * factor, v[2] * factor
+
+
+@kernel(inline="code")
+def rounded(v):
+    """A pair or triple rounded to float32, in its unit."""
+    x, y = np.float64(np.float32(v[0])), np.float64(np.float32(v[1]))
+    if len(v) == 2:
+        return x, y
+    return x, y, np.float64(np.float32(v[2]))
 
 
 @kernel(inline="code")

@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 from ..compilation import inner_kernel, kernel
 from ..physics.neighbour_rows import net_bearing_of
-from ..physics.vectors import cross, dot, load, split, store, without
-from .robot_lanes import LANES, lanes_of, read_rows, take_in, triple_of
+from ..physics.vectors import cross, dot, load, load_pair, split, store, without
+from .robot_lanes import LANES, PLANE, lanes_of, read_rows, take_in, vector_of
 
 FRAMES = ("net_bearing", "local")
 _NEARLY_ALONG = 1e-6
@@ -35,7 +35,7 @@ def look_along_net_bearing(robots, constants, arrays, work):
         stop = min(first + LANES, robots[1])
         if observations.shape[2] == 2:  # behind this question the compiler leaves out z
             _aim_in_plane(observations, constants, frames, first, stop, work)
-            _turn_rows(observations, frames, first, stop, seen)
+            _turn_rows_of_plane(observations, frames, first, stop, seen)
         else:
             for i in range(first, stop):
                 f = net_bearing_of(observations[i], constants.neighbour_slots)
@@ -58,20 +58,30 @@ def _turn_rows(observations, frames, first, stop, seen):
 
 
 @inner_kernel(inline="code")
+def _turn_rows_of_plane(observations, frames, first, stop, seen):
+    for i in range(first, stop):
+        x, y = load_pair(frames[i, :, 0]), load_pair(frames[i, :, 1])
+        for row in range(observations.shape[1]):
+            v = load_pair(observations[i, row])
+            # 0.0: never −0.0
+            seen[i, row, 0], seen[i, row, 1] = 0.0 + dot(x, v), 0.0 + dot(y, v)
+
+
+@inner_kernel(inline="code")
 def _aim_in_plane(observations, constants, frames, first, stop, work):
     """The only right-handed frames with x along f; columns are axes in the local frame."""
     if work.shape[1] != LANES:  # it is; so the compiler knows how far apart rows are
         return
     lanes = lanes_of(work)
-    read_rows(observations, first, stop, constants.neighbour_slots, False, lanes)
+    read_rows(PLANE, observations, first, stop, constants.neighbour_slots, False, work)
     take_in(frames[:, :, 0], first, stop, lanes.heading)
     for lane in range(LANES):
-        strength, towards = split(triple_of(lanes.f, lane))
+        strength, towards = split(vector_of(PLANE, lanes.f, lane))
         for k in range(2):
             kept = lanes.heading[k, lane]
             lanes.heading[k, lane] = towards[k] if strength >= constants.dead_zone else kept
     for lane in range(stop - first):
-        x, y, _ = triple_of(lanes.heading, lane)
+        x, y = vector_of(PLANE, lanes.heading, lane)
         frame = frames[first + lane]
         frame[0, 0], frame[0, 1], frame[1, 0], frame[1, 1] = x, 0.0 - y, y, x
 

@@ -16,18 +16,32 @@ from ..compilation import inner_kernel, kernel
 from ..engine.threads import Part
 from ..physics.neighbour_rows import degree_of, net_bearing_of
 from ..physics.vectors import (
-    X_AXIS,
     combine,
     dot,
     load,
+    load_pair,
     perpendicular,
     scaled,
     split,
+    split_across,
     store,
     without,
+    x_axis,
 )
 from ..scenario.scenario import Scenario
-from .robot_lanes import LANES, give_out, in_lanes, lanes_of, put, read, report, take_in, triple_of
+from .robot_lanes import (
+    LANES,
+    PLANE,
+    SPACE,
+    give_out,
+    in_lanes,
+    lanes_of,
+    put,
+    read,
+    report,
+    take_in,
+    vector_of,
+)
 from .safety_filter import Float32, KernelFilter, check_steerable, register_filter
 from .settings import MAX_TURN_RATE, check_gate_constants, check_vectors
 from .turning import Robot, desired_rates, gated_rates, pitch_of, robot_of, turn
@@ -129,7 +143,7 @@ def certified_heading(
     return out
 
 
-# One implementation for the plane and for space: a vector of the plane has z = 0 and keeps it.
+# One implementation for the plane and for space: of pairs and of triples.
 
 
 @kernel
@@ -140,20 +154,24 @@ def certify(raw, net_bearing, previous, min_alignment, dead_zone, max_turn, out)
     """
     limit = turn_limit(max_turn)
     for i in range(out.shape[0]):
-        q, f, h = load(raw[i]), load(net_bearing[i]), load(previous[i])
-        store(certify_one(q, f, h, min_alignment, dead_zone, limit), out[i])
+        if out.shape[1] == 2:
+            q, f, h = load_pair(raw[i]), load_pair(net_bearing[i]), load_pair(previous[i])
+            out[i, 0], out[i, 1] = certify_one(q, f, h, min_alignment, dead_zone, limit)
+        else:
+            q3, f3, h3 = load(raw[i]), load(net_bearing[i]), load(previous[i])
+            store(certify_one(q3, f3, h3, min_alignment, dead_zone, limit), out[i])
 
 
 @kernel(inline="code")
 def certify_one(raw, net_bearing, previous, min_alignment, dead_zone, limit):
-    """``certified_heading`` of one robot, hᵀf ≥ ε_i ‖f‖ (C), of triples; their units as there.
+    """``certified_heading`` of one robot, hᵀf ≥ ε_i ‖f‖ (C), of pairs or triples; units as there.
 
     ``limit`` is from ``turn_limit``.
     """
     strength, towards = split(net_bearing)
     margin = min_alignment * min(max(strength / dead_zone - 1.0, 0.0), 1.0)
     if strength == 0.0:
-        towards, margin = X_AXIS, NO_CAP
+        towards, margin = x_axis(net_bearing), NO_CAP
     carried = _carry(previous, towards, margin)
     length, direction = split(raw)
     aim = into_cap(direction, towards, margin, carried) if length > 0.0 else carried
@@ -167,7 +185,7 @@ def _carry(previous, towards, margin):
     if length == 0.0:
         return towards
     if margin != NO_CAP and dot(heading, towards) < 0.0:
-        heading = combine(-1.0, heading, 0.0, heading)
+        heading = scaled(heading, -1.0)
     return into_cap(heading, towards, margin, towards)
 
 
@@ -175,12 +193,12 @@ def _carry(previous, towards, margin):
 def into_cap(direction, towards, margin, otherwise):
     """Nearest unit vector h with h·u ≥ ε: ε u + √(1 − ε²) w, w the part across u.
 
-    All are unit triples; ``towards`` is u, ``margin`` ε. Where the direction is −u all of the edge
+    All are unit pairs or triples; ``towards`` is u, ``margin`` ε. Where the direction is −u all of the edge
     is equally near, and h is ``otherwise``.
     """
     if dot(direction, towards) >= margin:
         return direction
-    size, across = split(without(direction, towards))
+    size, across = split_across(direction, towards)
     if size < _NEARLY_PARALLEL:
         return otherwise
     return combine(margin, towards, math.sqrt(1.0 - margin * margin), across)
@@ -198,17 +216,18 @@ def _turn(carried, aim, towards, limit):
     gap = combine(1.0, aim, -1.0, carried)
     if dot(gap, gap) <= square_chord:
         return aim
-    across = without(aim, carried)
-    if _vanishes(across) and dot(aim, carried) < 0.0:
-        across = without(towards, carried)
-        if _vanishes(across):
-            across = perpendicular(carried)
-    return combine(cos_limit, carried, sin_limit, split(across)[1])
+    through = aim
+    if _in_line(aim, carried) and dot(aim, carried) < 0.0:
+        through = towards
+        if _in_line(towards, carried):
+            through = perpendicular(carried)
+    return combine(cos_limit, carried, sin_limit, split_across(through, carried)[1])
 
 
 @kernel(inline="code")
-def _vanishes(across):
-    """Whether the part of one unit triple across another says nothing about its direction."""
+def _in_line(one, other):
+    """Whether the part of one unit vector across another says nothing about its direction."""
+    across = without(one, other)
     return dot(across, across) < _NEARLY_ANTIPODAL * _NEARLY_ANTIPODAL
 
 
@@ -241,22 +260,25 @@ def _steer(robots, constants, arrays, work):
     weighs = constants.speed_scaled or robot.error_chord > 0.0
     for first in range(robots[0], robots[1], LANES):
         stop = min(first + LANES, robots[1])
-        read(observations, held, first, stop, robot, weighs, lanes)
+        read(observations, held, first, stop, robot, weighs, work)
         take_in(headings, first, stop, lanes.heading)
-        _steer_lanes(constants, work)
+        if observations.shape[2] == 2:
+            _steer_lanes(PLANE, constants, work)
+        else:
+            _steer_lanes(SPACE, constants, work)
         give_out(lanes.heading, first, stop, headings)
         report(lanes, first, stop, actions, alignment, lyapunov_rate)
 
 
 @inner_kernel(inline="code")
-def _steer_lanes(constants, work):
+def _steer_lanes(space, constants, work):
     if work.shape[1] != LANES:  # it is; so the compiler knows how far apart rows are
         return
     lanes, robot, limit = lanes_of(work), constants.robot, turn_limit(constants.max_turn)
     gate = robot.gate
     for lane in range(LANES):
-        f, degree = triple_of(lanes.f, lane), lanes.degree[lane]
-        raw, previous, scale = triple_of(lanes.choice, lane), triple_of(lanes.heading, lane), 1.0
+        f, degree, scale = vector_of(space, lanes.f, lane), lanes.degree[lane], 1.0
+        raw, previous = vector_of(space, lanes.choice, lane), vector_of(space, lanes.heading, lane)
         if constants.certified:
             h = certify_one(raw, f, previous, gate.min_alignment, gate.dead_zone, limit)
         else:
@@ -267,8 +289,8 @@ def _steer_lanes(constants, work):
         sure = without_error(along, robot.error_chord * degree)
         put(h, lanes.heading, lane)
         put(scaled(h, sure * scale), lanes.sent, lane)
-        strength, _ = split(f)
-        lanes.alignment[lane] = abs(along) / strength if strength > 0.0 else np.nan
+        strength, towards = split(f)
+        lanes.alignment[lane] = abs(dot(h, towards)) if strength > 0.0 else np.nan
         lanes.lyapunov_rate[lane] = -2.0 * along * sure
 
 

@@ -13,11 +13,14 @@ from numpy.typing import NDArray
 
 from ..compilation import compiled, inner_kernel
 from ..engine.threads import Part
-from ..physics.neighbour_rows import degree_of, net_bearing_of
+from ..physics.neighbour_rows import net_bearing_of
+from ..physics.vectors import norm
 
 LANES = 32 if compiled() else 1
 """Robots that are worked on at a time."""
-_ROWS = 18
+PLANE, SPACE = (0.0, 0.0), (0.0, 0.0, 0.0)
+"""Vectors as long as those that a loop over lanes is compiled for."""
+_ROWS = 21
 Numbers = NDArray[np.float64]
 
 
@@ -26,6 +29,8 @@ class Lanes(NamedTuple):
 
     f: Numbers
     """Net bearings, m/s."""
+    row: Numbers
+    """One of what is seen, m/s."""
     choice: Numbers
     """That is held."""
     heading: Numbers
@@ -60,29 +65,38 @@ def lanes_of(work):
         work[3:6],
         work[6:9],
         work[9:12],
-        work[12],
-        work[13],
-        work[14],
+        work[12:15],
         work[15],
         work[16],
         work[17],
+        work[18],
+        work[19],
+        work[20],
     )
 
 
 @inner_kernel(inline="code")
 def take_in(values, first, stop, lanes):
     """Copy vectors (N, d), any unit, of robots first ≤ i < stop into lanes (3, LANES)."""
-    for lane in range(min(LANES, stop - first)):
-        for k in range(values.shape[1]):
-            lanes[k, lane] = values[first + lane, k]
+    if values.shape[1] == 2:  # behind this question the compiler copies both at once
+        for lane in range(min(LANES, stop - first)):
+            lanes[0, lane], lanes[1, lane] = values[first + lane, 0], values[first + lane, 1]
+    else:
+        for lane in range(min(LANES, stop - first)):
+            for k in range(values.shape[1]):
+                lanes[k, lane] = values[first + lane, k]
 
 
 @inner_kernel(inline="code")
 def give_out(lanes, first, stop, values):
     """Copy vectors, any unit, from lanes (3, LANES) to robots first ≤ i < stop, (N, d)."""
-    for lane in range(min(LANES, stop - first)):
-        for k in range(values.shape[1]):
-            values[first + lane, k] = lanes[k, lane]
+    if values.shape[1] == 2:
+        for lane in range(min(LANES, stop - first)):
+            values[first + lane, 0], values[first + lane, 1] = lanes[0, lane], lanes[1, lane]
+    else:
+        for lane in range(min(LANES, stop - first)):
+            for k in range(values.shape[1]):
+                values[first + lane, k] = lanes[k, lane]
 
 
 @inner_kernel(inline="code")
@@ -93,36 +107,46 @@ def tell(lanes, first, stop, values):
 
 
 @inner_kernel(inline="code")
-def triple_of(lanes, lane):
-    """The vector v = (x, y, z) of one lane, a triple of any unit."""
+def vector_of(space, lanes, lane):
+    """The vector v of one lane, of any unit, a pair in the PLANE and a triple in SPACE."""
+    if len(space) == 2:
+        return lanes[0, lane], lanes[1, lane]
     return lanes[0, lane], lanes[1, lane], lanes[2, lane]
 
 
 @inner_kernel(inline="code")
 def put(vector, lanes, lane):
-    """Write a triple v = (x, y, z) of any unit to one lane."""
-    lanes[0, lane], lanes[1, lane], lanes[2, lane] = vector
+    """Write a pair or triple v of any unit to one lane."""
+    lanes[0, lane], lanes[1, lane] = vector[0], vector[1]
+    if len(vector) == 3:
+        lanes[2, lane] = vector[2]
 
 
 @inner_kernel(inline="code")
-def read(observations, held, first, stop, robot, weighs, lanes):
+def read(observations, held, first, stop, robot, weighs, work):
     """Read what robots first ≤ i < stop hold, (N, k), and see in rows (N, rows, d), m/s: f_i =
     Σ_j a_ij g_ij, and D_i = Σ_j a_ij if ``weighs``. ``robot`` is a Robot.
     """
-    if observations.shape[2] == 2:  # the same; behind this question the compiler leaves out z
-        read_rows(observations, first, stop, robot.neighbour_slots, weighs, lanes)
+    if observations.shape[2] == 2:
+        read_rows(PLANE, observations, first, stop, robot.neighbour_slots, weighs, work)
     else:
-        read_rows(observations, first, stop, robot.neighbour_slots, weighs, lanes)
-    take_in(held, first, stop, lanes.choice)
+        read_rows(SPACE, observations, first, stop, robot.neighbour_slots, weighs, work)
+    take_in(held, first, stop, lanes_of(work).choice)
 
 
 @inner_kernel(inline="code")
-def read_rows(observations, first, stop, neighbour_slots, weighs, lanes):
+def read_rows(space, observations, first, stop, neighbour_slots, weighs, work):
     """Of robots first ≤ i < stop, from their rows (N, rows, d), m/s: f_i, and D_i if ``weighs``."""
+    if work.shape[1] != LANES:  # it is; so the compiler knows how far apart rows are
+        return
+    lanes = lanes_of(work)
     for lane in range(min(LANES, stop - first)):
         put(net_bearing_of(observations[first + lane], neighbour_slots), lanes.f, lane)
-    for lane in range(min(LANES, stop - first) if weighs else 0):
-        lanes.degree[lane] = degree_of(observations[first + lane], neighbour_slots)
+    lanes.degree[:] = 0.0
+    for k in range(neighbour_slots if weighs else 0):  # roots are quicker side by side
+        take_in(observations[:, k], first, stop, lanes.row)
+        for lane in range(LANES):
+            lanes.degree[lane] += norm(vector_of(space, lanes.row, lane))
 
 
 @inner_kernel(inline="code")

@@ -16,12 +16,23 @@ from ..checks import flag, number
 from ..compilation import inner_kernel, kernel
 from ..engine.threads import Part
 from ..physics.neighbour_rows import degree_of, net_bearing_of
-from ..physics.vectors import dot, norm, scaled, split
+from ..physics.vectors import dot, norm, rounded, scaled, split
 from ..robots.single_integrator import speed_scale
 from ..robots.unicycle import clip
 from ..scenario.scenario import Scenario
 from .heading import into_cap, scale_of_step, without_error
-from .robot_lanes import LANES, in_lanes, lanes_of, put, read, report, tell, triple_of
+from .robot_lanes import (
+    LANES,
+    PLANE,
+    SPACE,
+    in_lanes,
+    lanes_of,
+    put,
+    read,
+    report,
+    tell,
+    vector_of,
+)
 from .safety_filter import Float32, KernelFilter, check_steerable, register_filter
 from .settings import levels_follow_v
 from .turning import Robot, desired_rates, gated_rates, pitch_of, rates_of, robot_of, turn
@@ -100,10 +111,13 @@ def _spend(robots, constants, arrays, work):
     lanes = lanes_of(work)
     for first in range(robots[0], robots[1], LANES):
         stop = min(first + LANES, robots[1])
-        read(observations, held, first, stop, constants.robot, True, lanes)
+        read(observations, held, first, stop, constants.robot, True, work)
         for i in range(first, stop):
             lanes.level[i - first] = levels[i]
-        _spend_lanes(constants, work)
+        if observations.shape[2] == 2:
+            _spend_lanes(PLANE, constants, work)
+        else:
+            _spend_lanes(SPACE, constants, work)
         for i in range(first, stop):
             linked[i] = lanes.degree[i - first] > 0.0
             carried_out[i] = lanes.accepted[i - first] > 0.0
@@ -112,18 +126,18 @@ def _spend(robots, constants, arrays, work):
 
 
 @inner_kernel(inline="code")
-def _spend_lanes(constants, work):
+def _spend_lanes(space, constants, work):
     """Robots that go anywhere; those that see nobody rest, and owe nothing."""
     if work.shape[1] != LANES:  # it is; so the compiler knows how far apart rows are
         return
     lanes, robot, limit = lanes_of(work), constants.robot, constants.speed_limit
     radius, margin, duration = robot.merge_radius, robot.gate.min_alignment, robot.gate.duration
     for lane in range(LANES):
-        f, degree = triple_of(lanes.f, lane), lanes.degree[lane]
+        f, degree = vector_of(space, lanes.f, lane), lanes.degree[lane]
         error, strength = robot.error_chord * degree, norm(f)
         scale = descent_scale(strength, degree, radius, duration, limit)
         owed = promised_descent(strength, scale, margin, duration, error)
-        desired = scaled(triple_of(lanes.choice, lane), limit)
+        desired = scaled(vector_of(space, lanes.choice, lane), limit)
         _, within = speed_scale(dot(desired, desired), limit)
         sent, moved = _sent(scaled(desired, within), limit, duration)
         deposit = certain_descent(f, degree, moved, radius, error) - owed
@@ -144,19 +158,17 @@ def _spend_lanes(constants, work):
 
 @inner_kernel(inline="code")
 def _either(first, one, other):
-    """One triple or the other, without a branch."""
-    return (
-        one[0] if first else other[0],
-        one[1] if first else other[1],
-        one[2] if first else other[2],
-    )
+    """One pair or triple or the other, without a branch."""
+    x, y = one[0] if first else other[0], one[1] if first else other[1]
+    if len(one) == 2:
+        return x, y
+    return x, y, one[2] if first else other[2]
 
 
 @inner_kernel(inline="code")
 def _sent(velocity, limit, duration):
     """A velocity as it is sent, rounded to float32, and its displacement as it is executed."""
-    x, y, z = np.float32(velocity[0]), np.float32(velocity[1]), np.float32(velocity[2])
-    sent = np.float64(x), np.float64(y), np.float64(z)
+    sent = rounded(velocity)
     _, within = speed_scale(dot(sent, sent), limit)
     return sent, scaled(sent, duration * within)
 
