@@ -193,8 +193,8 @@ def _carry(previous, towards, margin):
 def into_cap(direction, towards, margin, otherwise):
     """Nearest unit vector h with h·u ≥ ε: ε u + √(1 − ε²) w, w the part across u.
 
-    All are unit pairs or triples; ``towards`` is u, ``margin`` ε. Where the direction is −u all of the edge
-    is equally near, and h is ``otherwise``.
+    All are unit pairs or triples; ``towards`` is u, ``margin`` ε. Where the direction is −u all of
+    the edge is equally near, and h is ``otherwise``.
     """
     if dot(direction, towards) >= margin:
         return direction

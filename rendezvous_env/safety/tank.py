@@ -1,8 +1,8 @@
 """Theorem D: any motion while a robot's energy tank lasts, else law (4), which fills it.
 
 docs/guarantees.md, section 8. Each robot keeps this account alone, from its own bearings. Vectors
-are triples in one frame; a vector of the plane has z = 0 and keeps it. A bearing error η may make
-f wrong by e = 2 sin(η/2) D, m/s, which the account then pays for.
+are pairs or triples in one frame. A bearing error η may make f wrong by e = 2 sin(η/2) D, m/s,
+which the account then pays for.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ def certain_descent(net_bearing, degree, displacement, merge_radius, error=0.0):
         2 f·Δ − (2/r) D ‖Δ‖² − 2 e ‖Δ‖                              (theorem D)
 
     Summed over the robots this bounds V(t) − V(t + τ) while neighbours stay at least r apart. f and
-    Δ, m, are triples, the others numbers.
+    Δ, m, are pairs or triples, the others numbers.
     """
     spent = 2.0 / merge_radius * degree * dot(displacement, displacement)
     sure = 2.0 * dot(net_bearing, displacement) - spent
@@ -78,12 +78,12 @@ def promised_descent(strength, scale, min_alignment, duration, error=0.0):
 
 @kernel(inline="code")
 def descending_velocity(wanted, net_bearing, scale, min_alignment, error=0.0):
-    """Law (4) along the wanted line, which earns at least what is owed, a triple, m/s.
+    """Law (4) along the wanted line, which earns at least what is owed, as long as f, m/s.
 
         v = s h hᵀf,   h the wanted direction projected onto the cap |hᵀf| ≥ ε‖f‖    (theorem D)
         v = s max(0, hᵀf − e) h                                     with errors (theorem N1')
 
-    ``wanted`` is a triple of any length, f is not zero; the direction is f/‖f‖ where nothing is
+    ``wanted`` is a vector of any length, f is not zero; the direction is f/‖f‖ where nothing is
     wanted.
     """
     (length, h), (_, towards) = split(wanted), split(net_bearing)

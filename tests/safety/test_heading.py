@@ -222,7 +222,8 @@ def test_the_plane_is_a_slice_of_space(triple):
     raw, f, previous = (np.append(v[:2], 0.0) for v in triple)
     in_space = certified_heading(raw, f, previous, **CONSTANTS)
     in_plane = certified_heading(raw[:2], f[:2], previous[:2], **CONSTANTS)
-    np.testing.assert_array_equal(in_space, np.append(in_plane, 0.0))
+    assert in_space[2] == 0.0
+    np.testing.assert_allclose(in_space[:2], in_plane, atol=1e-6)  # what is across f may be tiny
 
 
 @pytest.mark.parametrize("dim", [2, 3])
