@@ -112,8 +112,9 @@ class BatchRunner:
             count: of steps.
         """
         teams, output, actions = self._state.teams, self.buffers.new(), self._no_actions.copy()
-        each = output.rewards, output.robot_rewards, output.contact
-        totals = each if count == 1 else tuple(np.zeros_like(one) for one in each)
+        driven = Driven(output, output.rewards, output.robot_rewards, output.contact)
+        if count > 1:
+            driven = Driven(output, *[np.zeros(one.shape, one.dtype) for one in driven[1:]])
         run, lanes, resting = self._ready(actions, output), self._state.lanes, resting.copy()
         width = _width(self._state.place, self._threads, count)
         while len(self._scratch) < width:
@@ -130,13 +131,15 @@ class BatchRunner:
                 if pilot.keeps_ledger:
                     pilot.book_of(mine, output.contact, teams.merged_into, resting)
                 np.not_equal(output.status[rows], RUNNING, out=resting[rows])
-                for total, one in zip(totals if count > 1 else (), each, strict=False):
-                    total[rows] += one[rows]
+                if count > 1:
+                    driven.rewards[rows] += output.rewards[rows]
+                    driven.robot_rewards[rows] += output.robot_rewards[rows]
+                    driven.contact[rows] |= output.contact[rows]
                 now = output.observations
 
         threads.share(lead, len(self._blocks), width)
         self._last = output
-        return Driven(output, *totals)
+        return driven
 
     def observe(self) -> StepOutput:
         """All teams as they are."""
