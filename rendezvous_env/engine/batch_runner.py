@@ -112,9 +112,10 @@ class BatchRunner:
             count: of steps.
         """
         teams, output, actions = self._state.teams, self.buffers.new(), self._no_actions.copy()
-        driven = Driven(output, output.rewards, output.robot_rewards, output.contact)
+        earned, robots_earned, touched = output.rewards, output.robot_rewards, output.contact
         if count > 1:
-            driven = Driven(output, *[np.zeros(one.shape, one.dtype) for one in driven[1:]])
+            earned, robots_earned = np.zeros_like(earned), np.zeros_like(robots_earned)
+            touched = np.zeros_like(touched)
         run, lanes, resting = self._ready(actions, output), self._state.lanes, resting.copy()
         width = _width(self._state.place, self._threads, count)
         while len(self._scratch) < width:
@@ -132,14 +133,14 @@ class BatchRunner:
                     pilot.book_of(mine, output.contact, teams.merged_into, resting)
                 np.not_equal(output.status[rows], RUNNING, out=resting[rows])
                 if count > 1:
-                    driven.rewards[rows] += output.rewards[rows]
-                    driven.robot_rewards[rows] += output.robot_rewards[rows]
-                    driven.contact[rows] |= output.contact[rows]
+                    earned[rows] += output.rewards[rows]
+                    robots_earned[rows] += output.robot_rewards[rows]
+                    touched[rows] |= output.contact[rows]
                 now = output.observations
 
         threads.share(lead, len(self._blocks), width)
         self._last = output
-        return driven
+        return Driven(output, earned, robots_earned, touched)
 
     def observe(self) -> StepOutput:
         """All teams as they are."""
