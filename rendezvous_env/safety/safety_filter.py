@@ -17,7 +17,7 @@ from ..compilation import kernel
 from ..engine import threads
 from ..engine.state_checks import Remembering, check_observations, check_rotations
 from ..limits import MOST_TEAMS
-from ..physics.vectors import dot, load
+from ..physics.vectors import dot, load, load_pair
 from ..scenario.scenario import Scenario
 from .frames import FRAMES, Sight, look_along_net_bearing
 from .robot_lanes import in_lanes
@@ -44,20 +44,30 @@ def _hold(given, turns, frames, held):
     Returns:
         The first robot of all teams whose choice is not finite in float32, none is held then; −1.
     """
-    n, size = held.shape[1:]
-    for robot, numbers in enumerate(given.reshape(-1, size)):
-        for k in range(size):
-            if not abs(numbers[k]) <= _LARGEST_FLOAT32:
-                return robot
-    for team in range(len(held)):
-        for i in range(n):
-            if turns:
-                q = load(given[team, i])
-                for k in range(size):
-                    held[team, i, k] = dot(load(frames[team, i, k]), q)
-            else:
-                for k in range(size):
-                    held[team, i, k] = given[team, i, k]
+    size, numbers, wrong = held.shape[2], given.reshape(-1), 0
+    for number in numbers:  # all of them, in lanes
+        wrong += not abs(number) <= _LARGEST_FLOAT32
+    if wrong > 0:
+        k = 0
+        while abs(numbers[k]) <= _LARGEST_FLOAT32:
+            k += 1
+        return k // size
+    into, chosen = held.reshape(-1, size), given.reshape(-1, size)
+    if not turns:
+        kept = held.reshape(-1)
+        for k in range(len(kept)):
+            kept[k] = numbers[k]
+    elif size == 2 and frames.shape[3] == 2:
+        turning = frames.reshape(-1, 2, 2)
+        for i in range(len(into)):
+            q = load_pair(chosen[i])
+            into[i, 0] = dot(load_pair(turning[i, 0]), q)
+            into[i, 1] = dot(load_pair(turning[i, 1]), q)
+    else:
+        turning = frames.reshape(-1, size, size)
+        for i in range(len(into)):
+            for k in range(size):
+                into[i, k] = dot(load(turning[i, k]), load(chosen[i]))
     return -1
 
 
