@@ -1,15 +1,12 @@
 # make compare: the main job.  make test: linters, types, fast tests.  Each sets up .venv by itself;
 # compare needs no extra, the others add all of them, as make install does.
-# make test-slow: the long tests, and the fast ones of kernels once more with every index checked.
+# make test-slow: the long tests, and those that together call every kernel (KERNELS in
+#   tests/conftest.py) once more with every index checked.
 # make docs: the documentation as a site, in out/site.
 PYTHON ?= python3
 BIN := .venv/bin
 SITE := import sysconfig; print(sysconfig.get_path('purelib'))
 export OMP_WAIT_POLICY := PASSIVE
-
-# what calls each kernel from nearby; the other tests reach the same ones through more layers
-WITH_KERNELS := $(addprefix tests/,borders engine physics policies safety \
-	$(patsubst %,scenario/test_%.py,from_outside obstacles walls))
 
 # what other people's learners need besides; each is tested in an environment of its own
 LEARNERS := $(patsubst tests/adapters/%/requirements.txt,%,$(wildcard tests/adapters/*/requirements.txt))
@@ -38,7 +35,7 @@ fast: style
 
 test-slow: .venv/installed
 	$(BIN)/python -m pytest -q -m slow $(BY_TWO)
-	NUMBA_BOUNDSCHECK=1 NUMBA_OPT=1 $(BIN)/python -m pytest -q $(BY_TWO) $(WITH_KERNELS)
+	NUMBA_BOUNDSCHECK=1 NUMBA_OPT=1 $(BIN)/python -m pytest -q -m 'kernels and not slow' $(BY_TWO)
 	$(MAKE) test-adapter-ros  # goes by the clock, so alone
 	$(MAKE) --jobs=2 --output-sync=target $(filter-out %-ros,$(LEARNERS:%=test-adapter-%))
 

@@ -59,8 +59,74 @@ them: the first two of the fast tests have hardly a kernel in common, which both
 """
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+KERNELS = tuple(
+    f"tests/{name}"
+    for name in (
+        "borders/test_fuzz_core.py::test_actions",
+        "borders/test_fuzz_core.py::test_options",
+        "borders/test_fuzz_core.py::test_states",
+        "engine/test_graphs_that_change.py::test_a_batch",
+        "engine/test_graphs_that_change.py::test_a_robot_that_comes_to_see_more",
+        "engine/test_graphs_that_change.py::test_links_of_a_restart",
+        "engine/test_packing.py::TestEpisodes::test_a",
+        "engine/test_packing.py::TestMoving",
+        "engine/test_sensing_engine.py::test_a_team_among_many_sees_what_it_sees_alone[b]",
+        "engine/test_sensing_engine.py::test_the_adversary_turns_every_bearing_outwards[space]",
+        "engine/test_sensing_engine.py::test_with_few_rows_those_that_are_seen_stand_first[list]",
+        "engine/test_sparse.py::test_a",
+        "engine/test_sparse.py::test_given",
+        "engine/test_sparse.py::test_graphs_are_drawn_alike",
+        "engine/test_sparse.py::test_lists_of_links_give_the_motion_of_all_pairs[ring among discs]",
+        "engine/test_sparse.py::test_lists_of_links_give_the_motion_of_all_pairs[web",
+        "engine/test_widths.py::test_a_team_among_many_moves_as_it_does_alone[drawn graphs]",
+        "engine/test_widths.py::test_a_team_among_many_moves_as_it_does_alone[flying]",
+        "engine/test_widths.py::test_a_team_among_many_moves_as_it_does_alone[two rows]",
+        "physics/test_arcs.py",
+        "physics/test_capsules.py",
+        "physics/test_chance.py",
+        "physics/test_contact.py",
+        "physics/test_double_integrator.py",
+        "physics/test_kinematics.py",
+        "physics/test_merging.py",
+        "physics/test_obstacle_geometry.py",
+        "physics/test_random_streams.py",
+        "physics/test_sensing_equations.py",
+        "physics/test_size.py::test_it",
+        "policies/learned/test_features.py",
+        "policies/learned/test_space.py::test_a",
+        "policies/learned/test_tank_features.py",
+        "policies/learned/test_training_environment.py",
+        "policies/test_every_policy.py::test_a_batch",
+        "policies/test_obstacle_avoidance.py",
+        "policies/test_planes_in_space.py::test_a_batch",
+        "policies/test_planes_in_space.py::test_a_plane",
+        "policies/test_planes_in_space.py::test_the_azimuth",
+        "policies/test_planes_in_space.py::test_widened",
+        "safety/test_filters.py::test_a_batch",
+        "safety/test_heading.py",
+        "safety/test_link_keeping.py::test_random_bearings",
+        "safety/test_links.py::test_nothing_that_is_allowed",
+        "safety/test_tank_equations.py",
+        "safety/test_turning.py",
+        "scenario/test_from_outside.py::test_what_is_seen_follows_from_the_state",
+        "scenario/test_obstacles.py",
+        "scenario/test_walls.py::TestField::test_positions",
+        "scenario/test_walls.py::TestNobodyIsWalledIn::test_the_check",
+    )
+)
+"""Tests that together call every kernel, in each of its forms: make test-slow runs them once more
+with every index checked.
+"""
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Long files first, then those of many tests: no worker is left with a long one at the end."""
+    for item in items:
+        if item.nodeid.startswith(KERNELS):
+            item.add_marker("kernels")
+    if "kernels" in config.option.markexpr:
+        gone = [name for name in KERNELS if not any(i.nodeid.startswith(name) for i in items)]
+        assert not gone, f"no such tests: {gone}"
     tests = Counter(item.path for item in items)
 
     def rank(item: pytest.Item) -> tuple[int, int]:
