@@ -343,31 +343,3 @@ def test_the_project_lists_every_folder():
 def test_versions_agree():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     assert rv.__version__ == project["version"]
-
-
-# ---- documentation ------------------------------------------------------------------------------
-
-
-def is_public(node: ast.AST) -> bool:
-    """Whether its name is public, if it has one; a setter is told by its property."""
-    if isinstance(node, ast.Module):
-        return True
-    if not isinstance(node, ast.FunctionDef | ast.ClassDef) or node.name.startswith("_"):
-        return False
-    return not any(ast.unparse(mark).endswith(".setter") for mark in node.decorator_list)
-
-
-def test_modules_and_what_is_public_in_them_are_documented():
-    bare = []
-    for module in MODULES:
-        tree = ast.parse(source_of(module).read_text(encoding="utf-8"))
-        if not ast.get_docstring(tree):
-            bare.append(module)
-        bare += [
-            f"{module}.{getattr(parent, 'name', '')}.{node.name}"
-            for parent in ast.walk(tree)
-            if isinstance(parent, ast.Module | ast.ClassDef) and is_public(parent)
-            for node in parent.body
-            if is_public(node) and not ast.get_docstring(node)
-        ]
-    assert bare == []

@@ -116,15 +116,6 @@ def test_nobody_gets_into_or_through_an_obstacle(obstacle, mode):
     assert touched > 20
 
 
-@pytest.mark.parametrize("dim", [2, 3])
-def test_ignored_obstacles_change_nothing(dim):
-    scenario = two(dim, (FLAT if dim == 2 else SOLID)[:1], obstacle_contact="ignore")
-    sim = begin(scenario, [2.0] * dim, [-2.0] + [-1.0] * (dim - 1))
-    out = [push(sim, [0.0] * dim) for _ in range(20)]
-    np.testing.assert_allclose(sim.positions[0, 0], [2 - 4.0] + [2 - 2.0] * (dim - 1), atol=1e-12)
-    assert not any(o.contact.any() for o in out)
-
-
 @pytest.mark.parametrize("obstacle", (*FLAT[:2], Capsule(((-1, 0), (1, 0)), 1.0)), ids=type)
 @pytest.mark.parametrize("mode", ["slide", "stop"])
 def test_head_on_it_rests_at_the_surface(obstacle, mode):

@@ -13,9 +13,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-import baselines
 import rendezvous_env as rv
-from baselines import policy
 from rendezvous_env.compilation import compiled
 
 ROOT = Path(__file__).parents[2]
@@ -227,21 +225,6 @@ def test_a_sluggish_unicycle_moves_as_its_equations_say(own):
         assert sim.positions[0, 0, 0] <= 3.0 + 1e-9
     sim.reset(0, {"positions": [[0.0, 0.0], [-9.0, 0.0]], "headings": [0.5, 1.0]})
     np.testing.assert_array_equal(sim.get_state()["memory"][0], [[0.5, 0.0], [1.0, 0.0]])
-
-
-def test_compare_takes_a_model_and_a_law_of_ones_own(own, tmp_path):
-    from train.compare import compare
-
-    own("own_hover", HOVER)
-    policy.register("follow", fits=lambda scenario: scenario.robot_model == "hover")(
-        lambda scenario: baselines.laws.paper_laws.LawPolicy(scenario, lambda f, seen, time: f)
-    )
-    rv.Scenario(name="gusts", n_robots=3, robot_model="hover").to_toml(tmp_path / "gusts.toml")
-    out = tmp_path / "out"
-    scenarios = (str(tmp_path / "gusts.toml"),)
-    config = compare.Config(scenarios, ("follow", "zero"), episodes=3, out=out, figures=False)
-    assert compare.run(config) == 0
-    assert "follow" in (out / "results.csv").read_text()
 
 
 STEP = """

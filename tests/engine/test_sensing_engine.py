@@ -345,14 +345,6 @@ def test_motion_merges_and_v_follow_the_graph_not_what_is_seen(scenario):
     assert (exact.lyapunov() == erring.lyapunov()).all()
 
 
-def test_environments_give_it_out_within_their_spaces():
-    env = rv.parallel_env("fig3", sensing=rv.Sensing(noise=0.3, sectors=8, delay=1))
-    seen, _ = env.reset(seed=2)
-    for _ in range(5):
-        assert all(env.observation_space("robot_0").contains(rows) for rows in seen.values())
-        seen, *_ = env.step({robot: np.zeros(2, np.float32) for robot in env.agents})
-
-
 def episode(scenario: rv.Scenario, batch: int, seed: int, **options) -> np.ndarray:
     """Observations over a few steps, (steps, B, …)."""
     sim = simulator(scenario, batch, seed, **options)

@@ -107,11 +107,6 @@ def test_bad_options_are_refused_by_name_and_change_nothing(name):
     np.testing.assert_array_equal(sim.reset(), fresh.reset())  # the episode count did not move
 
 
-def test_an_unknown_option_is_ignored():
-    sim = Simulator(five("unicycle"))
-    np.testing.assert_array_equal(sim.reset(1, {"colour": "red", "options": 1}), sim.reset(1))
-
-
 def test_given_obstacles_and_robots_inside_them():
     scenario = five("single_integrator-2d", obstacle_slots=2)
     sim = Simulator(scenario, 2)
@@ -170,13 +165,6 @@ def test_if_one_team_finds_no_room_none_begins_anew():
     sim.step(np.ones((3, 5, 2)))
     with refusing(sim, "no room for the start of team 2", RuntimeError):
         sim.reset([4, 9, 2])
-
-
-@pytest.mark.parametrize("name", ["num_envs", "num_threads"])
-@pytest.mark.parametrize("value", [0, -2, 1.0, "2"])
-def test_impossible_sizes(name, value):
-    with pytest.raises(ValueError, match=f"{name} is {value!r}; it must be a whole number"):
-        Simulator(five("unicycle"), **{name: value})
 
 
 def test_a_step_before_the_first_reset():

@@ -10,21 +10,11 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from rendezvous_env import Capsule, Disc, Sphere
 from rendezvous_env.obstacles.capsule import (
     capsule_entry,
     capsule_ray,
     capsule_silhouette,
     capsule_surface,
-)
-from rendezvous_env.obstacles.disc import disc_edges
-from rendezvous_env.obstacles.obstacle_set import (
-    distance_to,
-    entry,
-    pack,
-    silhouette_2d,
-    silhouette_3d,
-    world_of,
 )
 from rendezvous_env.obstacles.shape import azimuth_axes, centre_direction
 
@@ -155,35 +145,3 @@ def nearest_along(point, ray, half) -> float:
         a, b = low + (high - low) / 3, high - (high - low) / 3
         low, high = (low, b) if inside(a) < inside(b) else (a, high)
     return inside(0.5 * (low + high))
-
-
-@given(arrays(np.float64, 2, elements=numbers), radii)
-def test_a_capsule_without_length_is_a_disc(point, radius):
-    disc = world_of(pack((Disc((0.5, -0.25), radius),), 1))
-    capsule = world_of(pack((Capsule(((0.5, -0.25), (0.5, -0.25)), radius),), 1))
-    where = (point[0], point[1], 0.0)
-    assert distance_to(capsule, 0, where) == pytest.approx(distance_to(disc, 0, where), abs=1e-12)
-    assume(distance_to(disc, 0, where) > 1e-3)
-    ways = [entry(world, 0, where, (1.0, -1.0, 0.0), 1e-6) for world in (disc, capsule)]
-    assert ways[0] == pytest.approx(ways[1], abs=1e-9)
-    seen = np.empty((2, 2, 2))
-    for world, out in zip((disc, capsule), seen, strict=True):
-        silhouette_2d(world, 0, where, out)
-    np.testing.assert_allclose(seen[0], seen[1], atol=1e-12)
-    ax, ay, *_ = disc_edges(0.5 - point[0], -0.25 - point[1], radius)
-    np.testing.assert_allclose(seen[1][0], (ax, ay), atol=1e-12)
-
-
-@given(points, points, radii)
-def test_a_capsule_without_length_is_a_sphere(point, net_bearing, radius):
-    centre = (0.5, -0.25, 1.0)
-    sphere = world_of(pack((Sphere(centre, radius),), 1))
-    capsule = world_of(pack((Capsule((centre, centre), radius),), 1))
-    point, f = tuple(point), tuple(net_bearing)
-    distance = distance_to(sphere, 0, point)
-    assert distance_to(capsule, 0, point) == pytest.approx(distance, abs=1e-12)
-    assume(distance > 1e-2)
-    seen = np.empty((2, 8, 3))
-    for world, out in zip((sphere, capsule), seen, strict=True):
-        silhouette_3d(world, 0, point, f, (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), out)
-    np.testing.assert_allclose(seen[0], seen[1], atol=1e-6)

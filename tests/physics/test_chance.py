@@ -180,21 +180,6 @@ class TestManyNumbers:
     def test_bins_of_equal_probability_fill_alike(self, numbers):
         assert uniformity(numbers, bins=4096) > 0.005
 
-    def test_all_bits_are_balanced(self, words):
-        flat = words[:300].reshape(-1)
-        for bit in range(64):
-            ones = int(((flat >> np.uint64(bit)) & np.uint64(1)).sum())
-            assert stats.binomtest(ones, flat.size, 0.5).pvalue > 1e-4, bit
-
-    @pytest.mark.parametrize("apart", [1, 2, 3, 7, 56])
-    def test_words_that_follow_each_other_share_no_bits(self, words, apart):
-        """Half of the bits differ, by any count as binomial as it ought to be."""
-        for differ in (words[:, apart:] ^ words[:, :-apart], words[apart:] ^ words[:-apart]):
-            counts = np.bincount(np.bitwise_count(differ).ravel(), minlength=65)[16:49]
-            expected = stats.binom(64, 0.5).pmf(np.arange(16, 49))
-            expected *= counts.sum() / expected.sum()
-            assert stats.chisquare(counts, expected).pvalue > 0.002
-
     def test_counters_sides_and_seeds_are_independent(self, words):
         upper, lower = (gaussians(half) for half in halves(words[:300]))
         pairs = {
@@ -209,14 +194,6 @@ class TestManyNumbers:
             squares = (one * one - 1) * (other * other - 1)  # each of variance 2
             assert abs(np.mean(squares)) < 7.0 / math.sqrt(one.size), name
             assert uniformity(one, other, bins=32) > 0.005, name
-
-    def test_steps_are_independent(self):
-        found = gaussians(np.stack([halves(words_of(20, 500, t))[0] for t in range(200)]))
-        for apart in (1, 2, 10):
-            one, other = found[apart:], found[:-apart]
-            assert abs(np.mean(one * other)) < 3.5 / math.sqrt(one.size)
-            assert uniformity(one, other, bins=32) > 0.005
-        assert uniformity(found[:, :, 0], bins=64) > 0.005
 
     def test_every_step_has_a_key_of_its_own(self):
         key = np.uint64(stream_key(SEED, EPISODE, SENSING))

@@ -26,13 +26,6 @@ def within(v, limit):
     return tuple(np.array(v) * min(1.0, limit / max(np.linalg.norm(v), 1e-300)))
 
 
-def test_free_motion_by_hand():
-    way, length = motion.propose(MODEL, (1.0, 0.0), GLOBAL, (0.5, -1.0))
-    np.testing.assert_allclose(way, (0.5 * 0.4 + 0.5 * 0.16, -0.4))  # v τ + ½ a τ²
-    np.testing.assert_allclose(final_velocity(MODEL, (1.0, 0.0), GLOBAL, (0.5, -1.0)), (0.9, -1.0))
-    assert length == pytest.approx(quad(lambda t: math.hypot(0.5 + t, -1.0), 0, 0.4)[0], abs=1e-12)
-
-
 def test_the_action_is_turned_by_the_frame_and_limited():
     quarter = (0.0, -1.0, 1.0, 0.0)  # local x is global y
     np.testing.assert_allclose(final_velocity(MODEL, (3.0, 0.0), quarter, (0.0, 0.0)), (0, 1.2))

@@ -19,21 +19,6 @@ angles = st.floats(-3.2, 3.2)
 rates = st.floats(-6.0, 6.0)
 
 
-@pytest.mark.parametrize(
-    ("inputs", "expected"),
-    [
-        # v, θ, β, ω, ω_β, τ
-        ((2.0, 0.0, 0.0, 0.0, 0.0, 0.5), (1.0, 0.0)),
-        ((1.0, 0.0, 0.0, math.pi, 0.0, 1.0), (0.0, 2 / math.pi)),  # half a circle
-        ((1.0, 0.0, 0.0, math.pi / 2, 0.0, 1.0), (2 / math.pi, 2 / math.pi)),  # a quarter
-        ((1.0, math.pi / 2, 0.0, 2 * math.pi, 0.0, 1.0), (0.0, 0.0)),  # a whole one
-        ((-1.0, 0.0, 0.0, -math.pi / 2, 0.0, 1.0), (-2 / math.pi, 2 / math.pi)),
-    ],
-)
-def test_circular_arcs_by_hand(inputs, expected):
-    np.testing.assert_allclose(arc(2, *inputs), expected, atol=1e-15)
-
-
 @given(st.floats(-3, 3), angles, rates, st.floats(0.01, 1.0))
 def test_a_unicycle_in_the_plane(v, yaw, yaw_rate, duration):
     if abs(yaw_rate) < 1e-6:
@@ -63,14 +48,6 @@ def test_no_digits_are_lost_as_the_rate_vanishes(rate):
     mean_cos, mean_sin = mean_cos_sin(0.0, x)
     assert mean_sin == pytest.approx(x / 2 - x**3 / 24, rel=1e-14, abs=1e-320)
     assert mean_cos == pytest.approx(1 - x**2 / 6 + x**4 / 120, rel=1e-15)
-
-
-@given(angles, st.floats(-10, 10))
-def test_means_of_sine_and_cosine(start, swept):
-    grid = start + swept * (np.arange(20000) + 0.5) / 20000
-    mean_cos, mean_sin = mean_cos_sin(start, swept)
-    assert mean_cos == pytest.approx(np.cos(grid).mean(), abs=1e-7)
-    assert mean_sin == pytest.approx(np.sin(grid).mean(), abs=1e-7)
 
 
 @given(angles, angles)

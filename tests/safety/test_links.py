@@ -1,4 +1,4 @@
-"""Links under any desired velocities: none grows longer, none is lost; the projection; refusals."""
+"""The projection on velocities that keep links, and what is refused."""
 
 from __future__ import annotations
 
@@ -6,141 +6,11 @@ import math
 
 import numpy as np
 import pytest
-from conftest import UNEQUAL, five
-from filtered_teams import Seen
+from conftest import five
 from tuples import triple
 
 from rendezvous_env import Scenario, Sensing, Simulator
 from rendezvous_env.safety.links import LinkKeeping, project_on_links
-from research.desired_velocities import KINDS, desired_velocities
-
-TEAMS = 12
-ROUNDING = 1e-6
-"""Of float32 rows and actions, m."""
-
-
-class Links(Seen):
-    """Episodes of link-keeping robots; lengths in m."""
-
-    def __init__(self, scenario, *, kind="mixed", steps=None, made=LinkKeeping, **options):
-        self.reach, self.layout = scenario.sensing.range or np.inf, scenario.observation_layout
-        self.growth, self.lost, self.least_degree = -np.inf, 0, np.inf
-        choose = desired_velocities(scenario, TEAMS, np.random.default_rng(0), kind)
-        filtered = made(scenario, TEAMS, frame="local", **options)
-        super().__init__(scenario, filtered, choose, steps=steps)
-
-    def watch(self, step):
-        degree, active = self.layout.degree(step.observations), step.before.active
-        self.least_degree = min(self.least_degree, degree[step.on][active[step.on]].min())
-        before, after = (distances(moment.positions) for moment in (step.before, step.after))
-        linked = (step.simulator.weights > 0) & (before <= self.reach) & step.calm[:, None, None]
-        self.growth = max(self.growth, (after - before)[linked].max(initial=-np.inf))
-        self.lost += int(((after > self.reach) & linked).sum())
-
-
-def distances(p):
-    return np.linalg.norm(p[:, :, None] - p[:, None], axis=-1)
-
-
-def chain(n, dim, reach, seed=0):
-    """A start whose shorter links connect it and hardly any others are there, (n, d) rows."""
-    random, radius = np.random.default_rng(seed), 0.2
-    places = [np.zeros(dim)]
-    while len(places) < n:
-        step = random.normal(size=dim)
-        new = places[-1] + step / np.linalg.norm(step) * (reach - (n - 1) * radius / 2) * 0.999
-        if min(np.linalg.norm(new - place) for place in places) > 2 * radius:
-            places.append(new)
-    return tuple(map(tuple, np.array(places).tolist()))
-
-
-def short_sighted(n=6, dim=2, reach=2.0, **changes):
-    start = chain(n, dim, reach)
-    sensing = Sensing(range=reach, **changes.pop("sensing", {}))
-    changes = {"time_limit": 400.0} | changes
-    return Scenario(n_robots=n, dim=dim, start_positions=start, sensing=sensing, **changes)
-
-
-# ---- links under any velocities ------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("dim", [2, 3])
-def test_no_link_grows_longer_and_all_meet(dim, kind):
-    scenario = five(f"single_integrator-{dim}d", spawn_size=3.0, time_limit=300.0)
-    seen = Links(scenario, kind=kind)
-    n, weight = 5, scenario.bottleneck_weight
-    rises = (n - 1) * scenario.merge_radius * np.triu(UNEQUAL).sum()
-    assert seen.growth < ROUNDING and seen.rise < ROUNDING
-    assert (seen.times <= n * (seen.start + rises) / (4 * 0.5 * weight**2)).all()
-
-
-@pytest.mark.parametrize("dim", [2, 3])
-@pytest.mark.parametrize("share", [0.1, 1.0])
-@pytest.mark.parametrize("factor", [1.0, 4.0])
-def test_robots_of_limited_range_lose_nobody_and_meet(dim, share, factor):
-    scenario = short_sighted(dim=dim)
-    scenario = scenario.replace(
-        time_step=factor * scenario.certified_step, allow_long_step=True, time_limit=3e3
-    )
-    seen = Links(scenario, share=share)
-    assert seen.growth < ROUNDING and seen.lost == 0 and seen.least_degree > 0.999
-    n, a, r, reach = 6, 1.0, scenario.merge_radius, 2.0
-    most = 2 * a * reach * (n * (n - 1) / 2 + (n - 1) ** 2) + (n - 1) * r * a * n * (n - 1) / 2
-    slowest = min(1.0, r / (2 * scenario.tau * a))
-    assert (seen.times <= n * most / (4 * share * a**2 * slowest)).all()
-
-
-@pytest.mark.parametrize("dim", [2, 3])
-@pytest.mark.parametrize("error", [0.05, 0.2])
-def test_wrong_bearings_that_are_allowed_for_lose_nobody(dim, error):
-    scenario = short_sighted(dim=dim, sensing={"error": error})
-    seen = Links(scenario, bearing_error=error + 1e-6)
-    assert seen.growth < ROUNDING and seen.lost == 0 and np.isfinite(seen.times).all()
-
-
-@pytest.mark.parametrize("dim", [2, 3])
-def test_links_are_kept_however_wrong_bearings_are(dim):
-    """For η ≥ π/(2n) nobody promises a meeting."""
-    scenario = short_sighted(dim=dim, sensing={"error": 0.9}, time_limit=20.0)
-    seen = Links(scenario, bearing_error=0.9 + 1e-6)
-    assert seen.growth < ROUNDING and seen.lost == 0
-
-
-class Carefree(LinkKeeping):
-    """As if steps were so short that any velocity of the dual cone would do."""
-
-    def __init__(self, *args, **options):
-        super().__init__(*args, **options)
-        self._constants = self._constants._replace(radius=1e6, share=0.0)
-
-
-@pytest.mark.parametrize(
-    ("changes", "options"),
-    [
-        ({}, {"made": Carefree}),
-        ({"sensing": {"error": 0.2}}, {"share": 0.01, "bearing_error": 0.0}),
-    ],
-)
-def test_links_that_are_not_kept_are_caught(changes, options):
-    seen = Links(short_sighted(time_limit=20.0, **changes), **options)
-    assert seen.growth > 1e-4
-
-
-def test_free_velocities_lose_links():
-    """What the projection is for: the same velocities, bare."""
-    scenario = short_sighted(time_limit=20.0)
-    simulator = Simulator(scenario, TEAMS)
-    choose = desired_velocities(scenario, TEAMS, np.random.default_rng(0), "flee")
-    observations = simulator.reset(0)
-    for step in range(200):
-        velocity = scenario.speed_limit * choose(observations, step)
-        observations = simulator.step(velocity.astype(np.float32)).observations
-    degree = scenario.observation_layout.degree(observations)
-    assert (degree[simulator.active] == 0).any()
-
-
-# ---- the projection ------------------------------------------------------------------------------
 
 
 def allowed(points, bearings, radius, error):

@@ -1,121 +1,18 @@
-"""The energy tank: V under any desired velocities, the ledger and how it is kept, memory."""
+"""The energy tank: how the ledger is kept, what is seen of it, refusals."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 from conftest import UNEQUAL, five
-from filtered_teams import Seen, longer
+from test_promises import longer
 
 import rendezvous_env as rv
-from rendezvous_env import Scenario, Sensing, Simulator, graphs
+from rendezvous_env import Scenario, Sensing, Simulator
 from rendezvous_env.safety.tank import EnergyTank
-from research.desired_velocities import KINDS, desired_velocities
 
 TEAMS = 24
 SHORT = Sensing(range=4.0)
-
-
-class Ledgers(Seen):
-    """Episodes under a tank, and how many times a robot went uphill."""
-
-    def __init__(
-        self, scenario, *, kind="mixed", steps=None, num_envs=TEAMS, made=EnergyTank, **options
-    ):
-        self.tank, self.spent = made(scenario, num_envs, frame="local", **options), 0
-        choose = desired_velocities(scenario, num_envs, np.random.default_rng(0), kind)
-        super().__init__(scenario, self.tank, choose, steps=steps)
-
-    def watch(self, step):
-        self.spent += int(np.sum(self.tank.lyapunov_rate > 0))
-
-
-def bound_of(scenario, start, weights, min_alignment, budget):
-    """Theorem D's T, s."""
-    n, r, tau = scenario.n_robots, scenario.merge_radius, scenario.tau
-    rises = 2 * (n - 1) * r * np.triu(weights).sum()
-    slowest = min(
-        1, r / (2 * scenario.max_degree * tau), scenario.speed_limit / scenario.max_degree
-    )
-    rate = 4 * min_alignment**2 * scenario.bottleneck_weight**2 * slowest
-    return n * (start + rises + n * budget) / rate + (n - 1) * tau
-
-
-# ---- V under any desired velocities --------------------------------------------------------------
-
-
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("dim", [2, 3])
-@pytest.mark.parametrize(("factor", "budget"), [(1.0, 0.0), (3.0, 2.0)])
-def test_the_ledger_is_kept_and_all_meet_in_time(dim, kind, factor, budget):
-    scenario = longer(five(f"single_integrator-{dim}d", spawn_size=3.0), factor)
-    seen = Ledgers(scenario, kind=kind, min_alignment=0.4, budget=budget)
-    assert seen.kept() and seen.calm_steps > 150
-    assert seen.met.all()
-    assert (seen.times <= bound_of(scenario, seen.start, UNEQUAL, 0.4, budget)).all()
-
-
-GRAPHS = {
-    "complete": graphs.complete(0.7),
-    "path": graphs.path((0.5, 2.0)),
-    "cycle": graphs.cycle(),
-    "tree": graphs.random_tree((0.5, 2.0)),
-    "random": graphs.erdos_renyi(0.4),
-}
-
-
-@pytest.mark.parametrize("graph", GRAPHS)
-@pytest.mark.parametrize("min_alignment", [0.05, 0.8])
-@pytest.mark.parametrize("factor", [0.5, 2.0])
-def test_the_ledger_is_kept_on_any_graph(graph, min_alignment, factor):
-    scenario = Scenario(n_robots=6, graph=GRAPHS[graph], spawn_size=4.0)
-    given = {"min_alignment": min_alignment, "budget": 1.0, "steps": 250}
-    seen = Ledgers(longer(scenario, factor, max_speed=1.3), **given)
-    assert seen.kept() and seen.calm_steps > 500 and seen.spent > 100
-
-
-@pytest.mark.parametrize("model", ["unicycle", "nonholonomic_3d"])
-@pytest.mark.parametrize("factor", [1.0, 3.0])
-@pytest.mark.parametrize("budget", [0.0, 3.0])
-def test_the_ledger_of_nonholonomic_robots_is_kept(model, factor, budget):
-    scenario = longer(five(model, spawn_size=3.0, max_turn_rate=6.0), factor)
-    seen = Ledgers(scenario, min_alignment=0.3, budget=budget, steps=400)
-    assert seen.kept() and seen.calm_steps > 500 and seen.spent > 100
-
-
-class ForgetsTheSquare(EnergyTank):
-    """As if a step were so short that Δ² did not matter."""
-
-    def __init__(self, *args, **options):
-        super().__init__(*args, **options)
-        robot = self._constants.robot._replace(merge_radius=1e9)
-        self._constants = self._constants._replace(robot=robot)
-
-
-class BooksWhatWasDesired(EnergyTank):
-    """As if every desired velocity had been carried out and had earned what law (1) earns."""
-
-    def act(self, observations):
-        actions = super().act(observations)
-        self._deposits += 1e-3
-        return actions
-
-
-@pytest.mark.parametrize("broken", [ForgetsTheSquare, BooksWhatWasDesired])
-def test_a_broken_ledger_is_caught(broken):
-    scenario = longer(five("single_integrator-2d", spawn_size=3.0), 2.0)
-    seen = Ledgers(scenario, made=broken, min_alignment=0.1, budget=1.0, steps=100)
-    assert seen.rise > 1e-4
-
-
-# ---- what the freedom is worth -------------------------------------------------------------------
-
-
-def test_a_budget_lets_robots_walk_away_and_no_further():
-    scenario = five("single_integrator-2d", spawn_size=3.0, time_limit=1e3)
-    for budget, low, high in ((0.0, 0.0, 1.0 + 1e-6), (20.0, 1.3, np.inf)):
-        seen = Ledgers(scenario, kind="flee", min_alignment=0.2, budget=budget, steps=200)
-        assert low < seen.highest < high and seen.kept()
 
 
 # ---- how the ledger is kept ----------------------------------------------------------------------
@@ -228,29 +125,6 @@ def test_survivors_inherit_and_a_cut_step_books_as_commanded():
     own = twin.levels[0]
     assert tank.levels[0, 0] == own[0] + own[1] and own[1] > 0
     assert tank.levels[0, 1] == 0 and tank.levels[0, 2] == own[2]
-
-
-def test_levels_follow_v_where_everyone_sees_everyone():
-    """(V + ΣA)/(m − 1) rises by no more than r a per merge, V + ΣA not at all between merges."""
-    scenario = longer(Scenario(n_robots=7, graph=graphs.complete(0.7), spawn_size=4.0), 1.0)
-    merges = []
-
-    class PerOther(Ledgers):
-        def watch(self, step):
-            before, after = (m.active.sum(axis=-1) for m in (step.before, step.after))
-            merging = step.on & (after < before) & (after > 1)
-            others, left = np.maximum(before - 1, 1), np.maximum(after - 1, 1)
-            old, new = step.before.energy / others, step.after.energy / left
-            paid = scenario.merge_radius * 0.7 * (before - after)
-            assert (new <= old + paid + 1e-5)[merging].all()
-            merges.append(int(merging.sum()))
-
-    for kind in ("mixed", "flee"):
-        seen = PerOther(scenario, kind=kind, budget=5.0, min_alignment=0.4)
-        start = seen.start + 7 * 5.0 + 6**2 * scenario.merge_radius * 0.7
-        bound = start / (2 * 6 * 0.4**2 * 0.7**2) + 6 * scenario.tau
-        assert seen.kept() and (seen.times <= bound).all()
-    assert sum(merges) > 100
 
 
 def test_levels_at_a_merge_by_hand():

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 from tuples import triple
 
+from rendezvous_env.safety.settings import error_chord
 from rendezvous_env.safety.tank import (
     certain_descent,
     descending_velocity,
@@ -74,3 +77,14 @@ def test_an_empty_tank_is_never_overdrawn():
         assert along >= margin * strength * (1 - 1e-12)
         least = duration * scale * (along**2 - margin**2 * strength**2)
         assert deposit >= least - 1e-12 * duration * strength**2
+
+
+def test_what_a_step_earns_and_owes_with_errors():
+    f, moved = triple([3.0, 4.0]), triple([0.3, 0.4])
+    free = certain_descent(f, 6.0, moved, 0.5)
+    assert certain_descent(f, 6.0, moved, 0.5, 0.7) == pytest.approx(free - 2 * 0.7 * 0.5)
+    assert promised_descent(5.0, 0.5, 0.2, 0.1, 0.4) == pytest.approx(0.1 * 0.5 * 0.6**2)
+    assert promised_descent(5.0, 0.5, 0.2, 0.1, 1.1) == 0.0
+    velocity = descending_velocity(triple([1.0, 0.0]), triple([2.0, 0.0]), 0.5, 0.6, 0.5)
+    assert velocity == pytest.approx((0.75, 0.0, 0.0))
+    assert error_chord(math.pi / 3) == pytest.approx(1.0)

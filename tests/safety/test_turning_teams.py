@@ -1,14 +1,9 @@
-"""Teams of robots that turn: none stays across its net bearing, for any desired turn rates.
-
-``python tests/safety/test_turning_teams.py 10000`` asks as many teams, and says how many are stuck.
-"""
+"""Teams of robots that turn: none stays across its net bearing, for any desired turn rates."""
 
 from __future__ import annotations
 
 import itertools
 import math
-import sys
-import time
 
 import numpy as np
 import pytest
@@ -198,28 +193,3 @@ def test_no_team_is_stuck(model):
         for kind in KINDS:
             assert stuck_under_the_gate(scenario, kind, 8, 20000, seed=k) == 0, (name, kind)
         assert stuck_under_the_law(scenario, 8, 20000, seed=k) == 0, name
-
-
-def main(total):
-    each = -(-total // (len(RADII) * len(TURN_RATES) * 3 * len(MODELS) * 4))
-    counts: dict[str, list[int]] = {}
-    for model in MODELS:
-        for k, (name, scenario) in enumerate(scenarios(model)):
-            began = time.perf_counter()
-            for kind in (*KINDS, "law"):
-                if kind == "law":
-                    stuck = stuck_under_the_law(scenario, each, 20000, seed=1000 * k)
-                else:
-                    stuck = stuck_under_the_gate(scenario, kind, each, 20000, seed=1000 * k)
-                count = counts.setdefault(f"{model} {kind}", [0, 0])
-                count[0] += stuck
-                count[1] += each
-                if stuck:
-                    print(name, kind, stuck, "of", each, flush=True)
-            print(f"{name}: {time.perf_counter() - began:.1f} s", flush=True)
-    for what, (stuck, asked) in counts.items():
-        print(f"{what}: {stuck} of {asked} stuck")
-
-
-if __name__ == "__main__":
-    main(int(sys.argv[1]))

@@ -1,7 +1,6 @@
 """Obstacles as data: what is accepted, what is refused, and random fields of them."""
 
 import math
-import tomllib
 
 import numpy as np
 import pytest
@@ -129,24 +128,6 @@ class TestPlainData:
         assert parse(to_plain(value), dim) == value
         assert parse(value, dim) == value
 
-    def test_what_toml_gives_is_understood(self):
-        table = tomllib.loads(
-            """
-            few = [
-                {centre = [1, 2], radius = 0.5},
-                {vertices = [[0, 0], [3, 0], [0, 3]]},
-            ]
-            [many]
-            count = [2, 5]
-            radius = [0.5, 1.5]
-            region = 12
-            keep_out = 0.4
-            overlap = false
-            """
-        )
-        assert parse(table["few"], 2) == (Disc((1, 2), 0.5), Polygon(TRIANGLE))
-        assert parse(table["many"], 2) == FIELD
-
     @pytest.mark.parametrize("capsule", [LOG, TRUNK])
     def test_the_keys_tell_the_kind(self, capsule):
         (plain,) = to_plain((capsule,))
@@ -249,17 +230,6 @@ class TestDrawField:
         assert np.all(np.bincount(counts, minlength=6)[2:] > 40)
         assert set(counts) == {2, 3, 4, 5}
 
-    def test_radii_and_centres_are_uniform(self):
-        field = ObstacleField(6, (1, 3), 10, 0)
-        nowhere = np.empty((0, 2))
-        rows = np.concatenate([draw(field, episode, nowhere)[1] for episode in range(1000)])
-        columns = rows[:, [RADIUS, CENTRE, CENTRE + 1]]
-        for numbers, (low, high) in zip(columns.T, ((1, 3), (-5, 5), (-5, 5)), strict=True):
-            found, _ = np.histogram(numbers, bins=10, range=(low, high))
-            assert found.sum() == 6000
-            assert np.abs(found - 600).max() < 5 * math.sqrt(600)
-        assert np.abs(np.corrcoef(columns.T) - np.eye(3)).max() < 0.06
-
     def test_only_the_first_starts_count(self):
         starts, key = np.array([[9.0, 9.0], [0.0, 0.0]]), np.uint64(stream_key(0, 0, OBSTACLES))
         rules = ObstacleField(1, (1.0, 1.0), 0.1, 0.5).rules
@@ -273,12 +243,6 @@ class TestDrawField:
         count = int((rows[:, KIND] == BALL).sum())
         assert 1 <= count < 6
         assert np.all(rows[count:, KIND] == ABSENT)
-
-    def test_the_same_stream_gives_the_same_field(self):
-        nowhere = np.empty((0, 2))
-        first, again, other = (draw(FIELD, episode, nowhere)[1] for episode in (3, 3, 4))
-        assert np.array_equal(first, again)
-        assert not np.array_equal(first, other)
 
 
 # ---- capsules: pictures, and starts with them ---------------------------------------------------

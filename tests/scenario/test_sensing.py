@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
-import re
 
 import pytest
 
@@ -99,15 +98,3 @@ def test_an_exact_sensor_is_an_absent_table(tmp_path):
     (tmp_path / "short.toml").write_text(text, encoding="utf-8")
     read = rv.Scenario.from_toml(tmp_path / "short.toml").sensing
     assert read == rv.Sensing(range=4.0, delay=2) and isinstance(read.range, float)
-
-
-@pytest.mark.parametrize("by", ["law", "heading", "tank"])
-def test_no_theorem_is_claimed_for_a_sensor_that_errs(by):
-    scenario = rv.scenarios.get("fig3").replace(obstacles=())
-    margin = 1.0 if by == "law" else 0.5
-    assert rv.certificate(scenario, margin, by=by).guaranteed
-    erring = scenario.replace(sensing=rv.Sensing(noise=0.05, delay=1))
-    found = rv.certificate(erring, margin, by=by)
-    assert not found.guaranteed and math.isinf(found.time_bound)
-    assert math.isinf(found.continuous_time_bound) and math.isinf(found.lyapunov_bound)
-    assert re.match(r"none: .*exact bearings.*noise = 0\.05, delay = 1", found.theorem)

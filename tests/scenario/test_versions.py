@@ -11,7 +11,12 @@ import rendezvous_env as rv
 from rendezvous_env import scenarios
 from rendezvous_env.first_starts import digest
 from rendezvous_env.scenario.scenarios import digests, versioned
+from train.compare.settings import DEFAULT_SCENARIOS
 
+FIELD = (
+    "noisy-8", "fov-8", "occluded-8", "range-12", "switching-8", "pursuit-6", "rssdoa-15",
+    "huettenrauch-20", "huettenrauch-20-sight-40", "robotarium-4", "robotarium-10", "robotarium-20",
+)  # fmt: skip
 QUICK = ("clutter-8", "clutter-16")
 
 
@@ -85,3 +90,7 @@ def test_gymnasium_and_pettingzoo_know_every_field():
     if hasattr(pettingzoo, "make"):
         named = pettingzoo.make("parallel", "rendezvous/clutter-8-v1")
         assert named.unwrapped.scenario == scenarios.get("clutter-8")
+
+
+def test_a_comparison_takes_fields_of_others_on_request_only():
+    assert set(FIELD) <= set(scenarios.names()) and not set(FIELD) & set(DEFAULT_SCENARIOS)

@@ -1,7 +1,6 @@
 """Walls that are drawn, and fields of discs in which nobody is walled in."""
 
 import math
-import tomllib
 
 import numpy as np
 import pytest
@@ -60,19 +59,6 @@ class TestField:
         scenario = Scenario(obstacles=walls)
         assert scenario.observation_layout.obstacle_slots == boxes
         assert Scenario.from_plain(scenario.to_plain()) == scenario
-
-    def test_what_toml_gives_is_understood(self):
-        table = tomllib.loads(
-            """
-            layout = "trap"
-            size = [3, 5]
-            opening = [2, 4]
-            thickness = 0.5
-            region = 2
-            keep_out = 0.4
-            """
-        )
-        assert parse(table, 2) == TRAP
 
     @pytest.mark.parametrize(
         ("make", "message"),
@@ -172,19 +158,6 @@ class TestNobodyIsWalledIn:
         tables, positions = drawn("clutter-32", 200)
         assert all(together(*start, wider=0.0999) for start in zip(tables, positions, strict=True))
 
-    def test_exactly_the_starts_with_somebody_walled_in_are_drawn_again(self):
-        scenario = rv.scenarios.get("clutter-32")
-        careless = scenario.replace(
-            obstacles=ObstacleField(32, (0.8, 2.0), 16.0, 0.5, True, passage=0.0)
-        )
-        simulator, careful = Simulator(careless, 20000), Simulator(scenario, 20000)
-        simulator.reset(0)
-        careful.reset(0)
-        again = (simulator.positions != careful.positions).any(axis=(1, 2))
-        starts = simulator.obstacles[again], simulator.positions[again]
-        assert 5 < again.sum() < 100
-        assert not any(together(*start, wider=0.101) for start in zip(*starts, strict=True))
-
     def test_the_check_agrees_with_shapely(self):
         """On discs that nearly close two rings, one in the other, a robot in the middle and
         two outside; where a little smaller and larger ones give the same answer.
@@ -260,14 +233,3 @@ class TestReproducible:
                 np.testing.assert_array_equal(alone.positions[0], many.positions[team])
                 np.testing.assert_array_equal(alone.obstacles[0], many.obstacles[team])
                 np.testing.assert_array_equal(alone.observe()[0], seen[team])
-
-    def test_discs_of_fields_that_promise_nothing_are_those_of_the_first_try(self):
-        plain = rv.scenarios.get("clutter-8")
-        promised = plain.replace(
-            obstacles=ObstacleField(8, (0.8, 2.0), 16.0, 0.5, True, passage=1e-3)
-        )
-        one, other = Simulator(plain, 30), Simulator(promised, 30)
-        one.reset(0)
-        other.reset(0)
-        same = (one.obstacles == other.obstacles).all(axis=(1, 2))
-        assert same.mean() > 0.9

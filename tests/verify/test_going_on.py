@@ -76,30 +76,6 @@ def test_what_is_finished_is_not_done_again(after, whole, tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["verify.csv"]
 
 
-def test_it_may_be_interrupted_again_and_go_on_with_other_workers(whole, tmp_path):
-    for after in (2, 3):
-        stopped(config(tmp_path), after)
-    assert verify.run(config(tmp_path, jobs=2), CLAIMS, Console(file=io.StringIO())) == 0
-    assert rows(tmp_path) == whole[0]
-
-
-def test_nothing_finished_leaves_nothing(tmp_path):
-    assert not hasattr(stopped(config(tmp_path / "a" / "b"), 0), "__notes__")
-    assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.parametrize("damage", [b"", b"PK", None])
-def test_a_damaged_cell_is_done_anew(damage, whole, tmp_path):
-    stopped(config(tmp_path), 4)
-    path = tmp_path / "verify.part" / "cells" / f"{whole[1][1]}.cell"
-    content = path.read_bytes()
-    middle = len(content) // 2
-    flipped = content[:middle] + bytes([content[middle] ^ 1]) + content[middle + 1 :]
-    path.write_bytes(flipped if damage is None else damage)
-    assert checked(config(tmp_path))[0] == [whole[1][1], *whole[1][4:]]
-    assert rows(tmp_path) == whole[0]
-
-
 @pytest.mark.parametrize(
     ("changes", "field"),
     [
@@ -122,19 +98,6 @@ def test_so_is_another_program(tmp_path, monkeypatch):
     stopped(config(tmp_path), 1)
     monkeypatch.setattr(resume, "_source", lambda: "changed")
     with pytest.raises(UserError, match="of other source"):
-        checked(config(tmp_path))
-
-
-def test_another_command_begins_anew_if_told(tmp_path):
-    stopped(config(tmp_path), 2)
-    done, printed = checked(config(tmp_path, seed=1, fresh=True))
-    assert len(done) == 9 and "resumes" not in printed
-    assert not (tmp_path / "verify.part").exists()
-
-
-def test_one_process_at_a_time(tmp_path):
-    said = "is in use by process"
-    with resume.claimed(tmp_path, ".verify.lock", "it"), pytest.raises(UserError, match=said):
         checked(config(tmp_path))
 
 

@@ -1,0 +1,119 @@
+"""Every number that a certificate gives, held against adversaries step by step, filter by filter;
+and filters with a mistake in them, which that finds.
+"""
+
+from __future__ import annotations
+
+import functools
+
+import pytest
+from conftest import MODELS, five
+
+from rendezvous_env import Scenario, Sensing, graphs
+from rendezvous_env.safety.gains import Gains
+from rendezvous_env.safety.heading import HeadingFilter
+from rendezvous_env.safety.links import LinkKeeping
+from rendezvous_env.safety.tank import EnergyTank
+from train.verify.falsification import Trial, play
+
+ANYWHERE = ("single_integrator-2d", "single_integrator-3d")
+FIVE = {kind: five(kind, spawn_size=3.0) for kind in MODELS}
+EVEN = Scenario(n_robots=6, graph=graphs.complete(0.7), spawn_size=3.0)
+SIX = Scenario(n_robots=6, spawn_size=3.0)
+LONGEST = SIX.replace(max_speed=SIX.merge_radius / SIX.tau)
+MOST = {"min_gain": LONGEST.max_speed, "max_gain": LONGEST.max_speed}
+"""Gains at which a robot may go by r in a step."""
+RARELY = Sensing(range=2.5, field_of_view=2.0, dropout=0.3, occlusion="robots")
+NEAR = SIX.replace(spawn_size=2.0, sensing=Sensing(range=4.0))
+ERRING = NEAR.replace(sensing=Sensing(range=4.0, error=0.2))
+
+
+def played(scenario, by, *, frame="local", **arguments):
+    return play(Trial(scenario, by, arguments, frame, 1, 0))
+
+
+def longer(scenario, factor, **changes):
+    """A step so many times the certified one."""
+    step = factor * scenario.certified_step
+    return scenario.replace(time_step=step, allow_long_step=True, **changes)
+
+
+def checked(found):
+    """The numbers that were looked at."""
+    return {name for numbers in found.granted.values() for name in numbers} - {"granted"}
+
+
+@pytest.mark.parametrize("kind", MODELS)
+@pytest.mark.parametrize("error", [0.0, 0.1, 0.6])
+@pytest.mark.parametrize("factor", [1.0, 10.0])
+@pytest.mark.parametrize(("by", "step"), [("heading", "descent"), ("tank", "ledger")])
+def test_v_or_the_ledger_falls_in_every_step(by, step, kind, error, factor):
+    """Under wrong bearings, in steps that are too long, of robots that turn."""
+    given = {"min_alignment": 0.3 if by == "heading" else 0.6, "bearing_error": error}
+    scenario = FIVE[kind] if factor == 1.0 else longer(FIVE[kind], factor)
+    for options in ({}, {"budget": 2.0}) if by == "tank" else ({},):
+        found = played(scenario, by, **given, **options)
+        assert found.violation is None and {step, "lyapunov"} <= checked(found) and found.steps > 5
+
+
+CASES = [
+    *[(FIVE[kind], "gains", {}, "nested") for kind in ANYWHERE],
+    *[(FIVE[kind], "links", {"bearing_error": e}, "links") for kind in ANYWHERE for e in (0, 0.2)],
+    *[(LONGEST.replace(dim=dim), "gains", MOST, "nested") for dim in (2, 3)],
+    (SIX.replace(sensing=RARELY), "gains", {}, "nested"),
+    *[(NEAR.replace(dim=dim), "links", {"share": 0.1}, "links") for dim in (2, 3)],
+    (ERRING, "links", {"bearing_error": 0.2 + 1e-6}, "links"),
+    (FIVE[ANYWHERE[0]], "links", {"bearing_error": 0.2, "share": 0.01}, "links"),
+    (longer(SIX, 4.0), "links", {}, "links"),
+    (longer(SIX, 2.0, max_speed=1.3), "tank", {"min_alignment": 0.05, "budget": 1.0}, "ledger"),
+    (FIVE[ANYWHERE[0]], "tank", {"min_alignment": 0.6, "frame": "net_bearing"}, "ledger"),
+    *[(EVEN, by, {"min_alignment": 0.9}, "time") for by in ("heading", "tank")],
+    (EVEN, "law", {"bearing_error": 0.25}, "time"),
+    *[(EVEN.replace(graph=graphs.cycle(0.7)), by, {"min_alignment": 0.9, "bearing_error": 0.1},
+        "time") for by in ("heading", "tank")],
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("scenario", "by", "arguments", "number"), CASES)
+def test_what_is_promised_holds(scenario, by, arguments, number):
+    found = played(scenario, by, **arguments)
+    assert found.violation is None and number in checked(found)
+
+
+MISTAKES = {
+    "Δ² does not matter": (
+        EnergyTank,
+        lambda known: {"robot": known.robot._replace(merge_radius=1e9)},
+        (longer(FIVE[ANYWHERE[0]], 2.0), "tank", {"min_alignment": 0.1, "budget": 1.0}),
+    ),
+    "errors do not matter": (
+        HeadingFilter,
+        lambda known: {"robot": known.robot._replace(error_chord=0.0)},
+        (FIVE[ANYWHERE[0]], "heading", {"min_alignment": 0.1, "bearing_error": 0.6}),
+    ),
+    "nobody goes beyond its neighbour": (
+        Gains,
+        lambda known: {"min_gain": 40.0, "max_gain": 40.0, "speed_limit": 40.0},
+        (SIX.replace(graph="path", max_speed=1e3), "gains", {}),
+    ),
+    "any velocity of the dual cone will do": (
+        LinkKeeping,
+        lambda known: {"radius": 1e6, "share": 0.0},
+        (FIVE[ANYWHERE[0]], "links", {}),
+    ),
+}
+
+
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_a_filter_with_a_mistake_is_caught(mistake, monkeypatch):
+    made, changes, (scenario, by, arguments) = MISTAKES[mistake]
+    begin = made.__init__
+
+    @functools.wraps(begin)  # whose arguments the wrappers read
+    def wrong(self, *args, **options):
+        begin(self, *args, **options)
+        self._constants = self._constants._replace(**changes(self._constants))
+
+    assert played(scenario, by, **arguments).violation is None
+    monkeypatch.setattr(made, "__init__", wrong)
+    assert played(scenario, by, **arguments).violation is not None
