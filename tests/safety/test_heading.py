@@ -121,21 +121,6 @@ def test_certified_heading_by_hand(raw, previous, expected, tilt):
     np.testing.assert_allclose(h, rotation @ polar(expected), atol=1e-7 if tilt else 1e-14)
 
 
-@pytest.mark.parametrize(
-    ("strength", "cosine"), [(0.05, 0.0), (0.1, 0.0), (0.15, 0.25), (0.2, 0.5), (2.0, 0.5)]
-)
-def test_the_margin_fades_in_between_one_and_two_dead_zones(strength, cosine):
-    h = certified_heading(
-        [-0.1, 1.0, 0.0],
-        [strength, 0, 0],
-        [1.0, 0, 0],
-        min_alignment=0.5,
-        dead_zone=0.1,
-        max_turn=4.0,
-    )
-    np.testing.assert_allclose(h, [cosine, math.sqrt(1 - cosine**2), 0], atol=1e-12)
-
-
 def test_without_a_net_bearing_any_heading_goes():
     options = {**CONSTANTS, "max_turn": 0.3}
     first = certified_heading([0.0, 0.0], [0.0, 0.0], [0.0, 0.0], **options)
