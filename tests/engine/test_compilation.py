@@ -206,7 +206,7 @@ def test_a_temporary_folder_of_somebody_else_is_not_trusted(tmp_path, monkeypatc
     assert other != own and other.parent == tmp_path and not other.stat().st_mode & 0o77
 
 
-@pytest.mark.parametrize("damage", ["empty", "truncated", "one bit"])
+@pytest.mark.parametrize("damage", ["empty", "truncated", "one bit", "its digest"])
 def test_damaged_code_is_compiled_anew(tmp_path, damage):
     """Machine code with one bit flipped would end the process, so it is not given to it."""
     package(tmp_path, 0.5)
@@ -214,7 +214,7 @@ def test_damaged_code_is_compiled_anew(tmp_path, damage):
     call(tmp_path, **place)
     for file in (tmp_path / "kernels").iterdir():
         content = bytearray(file.read_bytes())
-        content[len(content) // 2] ^= 4
+        content[0 if damage == "its digest" else len(content) // 2] ^= 4
         kinds = {"empty": b"", "truncated": content[: len(content) // 2]}
         file.write_bytes(kinds.get(damage, bytes(content)))
     assert call(tmp_path, **place) == (6.0, 0, 1)
