@@ -7,7 +7,7 @@ import re
 import numpy as np
 import pytest
 from conftest import actions_shape, five
-from soup import HUGE, refusal
+from soup import DEEP, HUGE, refusal
 
 import rendezvous_env as rv
 from baselines.learned.features import Features
@@ -64,7 +64,10 @@ def test_an_outcome_of_other_teams_is_refused(other):
         sim.restart(np.ones(TEAMS, bool), own)
 
 
-@pytest.mark.parametrize("mask", [np.ones(TEAMS - 1, bool), np.ones(TEAMS), [0, 1], True])
+@pytest.mark.parametrize(
+    "mask",
+    [np.ones(TEAMS - 1, bool), np.ones(TEAMS), [0, 1], True, {}, [[True], [True, False]], DEEP],
+)
 def test_a_bad_mask_is_refused_everywhere(mask):
     clutter = rv.scenarios.get("clutter-16")
     sim = Simulator(clutter, TEAMS)
