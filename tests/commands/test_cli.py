@@ -43,6 +43,7 @@ class TestMistakes:
             (["--seed", "-1"], "--seed is -1"),
             (["--seed", str(2**63)], "too large"),
             (["--keep", "-1"], "--keep-trajectories is -1"),
+            (["--oracle-runs", "-1"], "--oracle-runs is -1"),
         ],
     )
     def test_one_line_and_status_2(self, flags, message, capsys, tmp_path):

@@ -82,17 +82,16 @@ class TestStuck:
     """Where no exception gets through, the process ends all the same."""
 
     @pytest.mark.parametrize(
-        "body",
+        ("number", "body"),
         [
-            "print('at work', flush=True)\n    while True:\n"
-            "        try: time.sleep(60)\n        except BaseException: pass",
-            "work = numba.njit(nogil=True)(spin)\n    work(numpy.ones(1))\n"
-            "    print('at work', flush=True)\n    work(numpy.zeros(1))",
+            (signal.SIGINT, "print('at work', flush=True)\n    while True:\n"
+             "        try: time.sleep(60)\n        except BaseException: pass"),
+            (signal.SIGTERM, "work = numba.njit(nogil=True)(spin)\n    work(numpy.ones(1))\n"
+             "    print('at work', flush=True)\n    work(numpy.zeros(1))"),
         ],
         ids=["exception-lost", "compiled-code"],
-    )
-    @pytest.mark.parametrize("number", SIGNALS)
-    def test_it_ends_in_time(self, body, number, tmp_path):
+    )  # fmt: skip
+    def test_it_ends_in_time(self, number, body, tmp_path):
         before = (
             "import time, numba, numpy\n"
             "def spin(x):\n    while x[0] == 0: pass\n"

@@ -238,15 +238,6 @@ def test_a_file_of_an_older_version_is_written_anew(exported, tmp_path):
     assert path.read_text(encoding="utf-8").startswith('"""The policy \'tangent-joined\'')
 
 
-@pytest.mark.parametrize("policy", ["learned", "learned-tank"])
-def test_what_turns_bodies_stays_away(exported, policy):
-    """The gate of robots whose bodies turn, which this one's does not."""
-    tree = ast.parse(exported(policy).read_text(encoding="utf-8"))
-    defined = {node.name for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)}
-    assert not defined & {"gated_rates", "rates_onto_line", "_spend_turning"}
-    assert "_steer" in defined
-
-
 def test_a_robot_that_turns_has_what_turns_it(exported):
     """The command compares the file with the policy on drawn ticks."""
     assert "def gated_rates" in exported("learned-tank", "unicycle-6").read_text(encoding="utf-8")

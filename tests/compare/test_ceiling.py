@@ -88,8 +88,3 @@ def test_compare_plays_the_planner_where_it_is_named(tmp_path, capsys):
     rows = {row["policy"]: row for row in results.read_csv(tmp_path / "two" / "results.csv")}
     assert float(rows["privileged-planner"]["clean_success"]) == 1.0
     assert "knows the map and all positions" in capsys.readouterr().out
-
-
-def test_a_negative_number_is_refused(capsys):
-    assert cli.main(["compare", "--oracle-runs", "-1"]) == 2
-    assert "--oracle-runs is -1" in capsys.readouterr().err

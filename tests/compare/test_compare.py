@@ -58,12 +58,6 @@ class TestFiles:
             "max_rise_between_merges,min_alignment,contacts"
         )
 
-    def test_columns_of_episodes(self, folder):
-        header = (folder / "episodes.csv").read_text().splitlines()[0]
-        assert header.startswith(
-            "scenario,policy,start,success,clean,time,path_length,contacts,clearance,"
-        )
-
     def test_results_follow_from_episodes(self, folder):
         rows = results.read_csv(folder / "episodes.csv")
         for row in results.read_csv(folder / "results.csv"):

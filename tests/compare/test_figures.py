@@ -187,18 +187,12 @@ class TestPrint:
         assert figure.get_figwidth() == style.COLUMN
         assert_readable(figure)
 
-    def test_a_single_panel_fits_a_column_and_is_readable(self):
+    @pytest.mark.parametrize(("counts", "width"), [((8,), style.COLUMN), ((4, 8, 12, 16), 7.16)])
+    def test_a_panel_fits_a_column_and_several_a_page(self, counts, width):
         policies = ["bearing-only", "tangent-joined-certified", "learned", "privileged-planner"]
-        rows = [row("clutter-8", policy, 0.5) for policy in policies]
+        rows = [row(f"clutter-{k}", policy, 0.5) for k in counts for policy in policies]
         for figure in (figures.success_figure(rows), figures.time_figure(rows)):
-            assert figure.get_figwidth() == style.COLUMN
-            assert_readable(figure)
-
-    def test_panels_fit_a_page_and_are_readable(self):
-        policies = ["bearing-only", "tangent-joined-certified", "learned", "privileged-planner"]
-        rows = [row(f"clutter-{k}", policy, 0.5) for k in (4, 8, 12, 16) for policy in policies]
-        for figure in (figures.success_figure(rows), figures.time_figure(rows)):
-            assert figure.get_figwidth() == style.PAGE == 7.16
+            assert figure.get_figwidth() == width
             assert_readable(figure)
 
     def test_tanks_are_readable_and_in_per_cent(self):

@@ -273,9 +273,10 @@ def test_the_results_in_the_repository_give_these_tables(tier, tmp_path, monkeyp
     if tier == "smoke":
         return
     page = (ROOT / "docs" / "leaderboard.md").read_text(encoding="utf-8")
-    table = tables.markdown(tables.rows_of(exact), exact).splitlines()
+    rows = tables.rows_of(exact)
+    table = tables.markdown(rows, exact).splitlines()
     assert all(line in page for line in table if line.startswith("|"))
-    shown = {row["algorithm"]: row for row in tables.rows_of(exact)}
+    shown = {row["algorithm"]: row for row in rows}
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     for name, start in (("none", "| nothing"), ("heading", "| rule, **headings**")):
         row = shown[f"ppo-{name}"]

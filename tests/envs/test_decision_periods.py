@@ -8,7 +8,6 @@ from conftest import five
 from guarantees import GUARANTEES, constant, draw, make, same, which_and_kind
 
 import rendezvous_env as rv
-from rendezvous_env import HeadingVectorWrapper, Scenario, parallel_env
 
 
 @which_and_kind
@@ -36,32 +35,6 @@ def test_a_period_is_that_many_base_steps_with_the_choice_held(which, kind):
         assert which != "tank" or (env.tank.levels == single.tank.levels).all()
         steps += 1
     assert steps > 3 and not single.agents
-
-
-def test_a_robot_that_merges_on_the_way_ends_with_its_last_observation():
-    scenario = Scenario(n_robots=3, graph="path", merge_radius=0.2, spawn_size=4.0)
-    starts = [[0.0, 0.0], [0.5, 0.0], [6.0, 0.0]]
-    env = HeadingVectorWrapper(parallel_env(scenario), decision_period=10)
-    env.reset(seed=0, options={"positions": starts})
-    observations, _, ends, cuts, infos = env.step(constant(env, (1.0, 0.0)))
-    assert ends == {"robot_0": False, "robot_1": True, "robot_2": False}
-    assert not any(cuts.values()) and env.agents == ["robot_0", "robot_2"]
-    assert infos["robot_1"]["merged_into"] == 0
-    assert not observations["robot_1"].any() and observations["robot_0"].any()
-    with pytest.raises(KeyError, match="robot_1 has merged into robot_0"):
-        env.step({name: np.ones(2, np.float32) for name in ("robot_0", "robot_1", "robot_2")})
-
-
-def test_the_time_limit_may_fall_within_a_period():
-    env = make("heading", decision_period=5)
-    env.max_cycles = 7
-    env.reset(seed=0)
-    *_, cuts, _ = env.step(constant(env, (1.0, 0.0)))
-    assert not any(cuts.values()) and len(env.agents) == 5
-    *_, cuts, infos = env.step(constant(env, (1.0, 0.0)))
-    assert all(cuts.values()) and len(cuts) == 5 and env.agents == []
-    assert infos["robot_0"]["summary"]["time"] == pytest.approx(7 * env.unwrapped.scenario.tau)
-    assert env.step({}) == ({}, {}, {}, {}, {})
 
 
 def test_the_certified_heading_follows_f_within_a_period():

@@ -258,17 +258,6 @@ def test_every_step_gives_arrays_of_its_own():
         assert not any(np.may_share_memory(array, other) for other in kept[i + 1 :])
 
 
-def test_a_wrong_action_names_its_robot():
-    venv = rv.make_vec("duo", 3)
-    venv.reset(seed=0)
-    actions = np.zeros((3, 2, 2), np.float32)
-    actions[2, 1, 0] = np.nan
-    with pytest.raises(ValueError, match="robot_1 in team 2"):
-        venv.step(actions)
-    with pytest.raises(ValueError, match=r"\(B, n, a\)"):
-        venv.step(actions[:2])
-
-
 def test_a_reset_without_room_changes_nothing():
     scenario = rv.Scenario(n_robots=3, merge_radius=0.2, spawn_size=0.5)
 

@@ -13,7 +13,6 @@ import baselines
 import rendezvous_env as rv
 from rendezvous_env import rendezvous_v0
 from rendezvous_env.envs.gymnasium_env import make_env
-from rendezvous_env.safety.theorems.descent import covered, time_bound
 from rendezvous_env.vector import HeadingVectorWrapper
 
 with warnings.catch_warnings():  # PettingZoo imports its own old modules here
@@ -76,21 +75,6 @@ def test_files(tmp_path):
     assert scenario.acceleration_limit == 2.5 and team().acceleration_limit == 4 * 2.0
     with pytest.raises(ValueError, match=r"max_acceleration is -1; it must be a positive"):
         team(max_acceleration=-1)
-
-
-def test_no_theorem_is_claimed():
-    scenario = team(graph="path")
-    certificate = rv.certificate(scenario)
-    assert not certificate.guaranteed and certificate.time_bound == np.inf
-    assert certificate.theorem == (
-        "none: no theorem covers double_integrator robots, whose action (acceleration, m/s²) is "
-        "not their velocity; V may rise at any time"
-    )
-    assert not covered(scenario) and time_bound(scenario, 5.0) == np.inf
-    walled = scenario.replace(obstacles=[rv.Disc((0, 0), 1)])
-    assert "double_integrator" in rv.certificate(walled).theorem
-    assert "theorem 3" in rv.certificate(rv.scenarios.get("unicycle-6")).theorem
-    assert "theorem 4" in rv.certificate(rv.scenarios.get("uav-6")).theorem
 
 
 def test_headings_do_not_steer_them():

@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 import hashlib
 import os
-import pickle
 import subprocess
 import sys
 import warnings
@@ -140,17 +139,16 @@ def fingerprint(kind: str) -> str:
 def test_whole_episodes_are_the_same_in_every_process():
     expected = [fingerprint(kind) for kind in MODELS]
     assert expected == [fingerprint(kind) for kind in MODELS] and len(set(expected)) == len(MODELS)
-    for hash_seed in ("1", "4711"):
-        found = subprocess.run(
-            [sys.executable, "-c", EPISODE, *MODELS],
-            check=True,
-            capture_output=True,
-            text=True,
-            cwd=ROOT,
-            env={**os.environ, "PYTHONHASHSEED": hash_seed},
-            timeout=300,
-        )
-        assert found.stdout.split()[-len(MODELS) :] == expected
+    found = subprocess.run(
+        [sys.executable, "-c", EPISODE, *MODELS],
+        check=True,
+        capture_output=True,
+        text=True,
+        cwd=ROOT,
+        env={**os.environ, "PYTHONHASHSEED": "4711"},
+        timeout=300,
+    )
+    assert found.stdout.split()[-len(MODELS) :] == expected
 
 
 def test_the_environment_is_the_simulator(kind):
@@ -359,26 +357,6 @@ def test_reset_takes_a_start_and_refuses_a_bad_one(kind):
         env.reset(seed=1, options={"heading": np.zeros(5)})
     np.testing.assert_array_equal(env.state(), state)
     assert env.agents == agents
-
-
-def test_reset_in_the_middle_of_an_episode(kind):
-    until_a_merge(env := make(kind))
-    assert same(env.reset(seed=3)[0], make(kind).reset(seed=3)[0])
-    assert env.agents == env.possible_agents and env.simulator.time[0] == 0
-
-
-@pytest.mark.parametrize("duplicate", [copy.deepcopy, lambda e: pickle.loads(pickle.dumps(e))])
-def test_copies_go_on_with_the_episode(kind, duplicate):
-    env = make(kind)
-    observations, *_ = until_a_merge(env)
-    twin = duplicate(env)
-    assert twin.agents == env.agents
-    for _ in range(10):
-        if env.agents:
-            actions = by_law(env, observations)
-            observations, *rest = env.step(actions)
-            others = twin.step(actions)
-            assert all(same(a, b) for a, b in zip((observations, *rest), others, strict=True))
 
 
 # ---- the global state ---------------------------------------------------------------------------

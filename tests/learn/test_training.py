@@ -67,14 +67,6 @@ class TestFiles:
         loaded = learned_policy.load(whole, scenarios.get("fig4"))
         assert loaded.settings == config(whole).policy_settings()
 
-    def test_the_policy_can_be_compared(self, whole, tmp_path):
-        words = ["--scenarios", "clutter-4", "--policies", "bearing-only", f"learned:{whole}"]
-        out = ["--episodes", "3", "--keep", "1", "--no-figures", "--out", str(tmp_path)]
-        assert cli.main(["compare", *words, *out]) == 0
-        rows = results.read_csv(tmp_path / "results.csv")
-        assert [row["policy"] for row in rows] == ["bearing-only", f"learned:{whole}"]
-        assert float(rows[1]["min_alignment"]) >= 0.05 - 1e-6
-
     def test_tensorboard(self, tmp_path):
         changed = config(tmp_path, tensorboard=True, total_steps=UPDATE, eval_every=0)
         assert ppo.run(changed).status == 0

@@ -156,15 +156,6 @@ def test_random_is_uniform_and_repeatable():
     assert not np.array_equal(other, first)
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_learned_policies_are_made_like_the_others(name):
-    made = baselines.make(name, "clutter-8")
-    assert made.scenario == rv.scenarios.get("clutter-8")
-    assert policy.kind_of(name) == "learned" and name in baselines.names(SPACE)
-    with pytest.raises(ValueError, match=f"{name!r} does not fit double_integrator robots in 2-D"):
-        baselines.make(name, HEAVY)
-
-
 def test_every_policy_says_what_it_is_and_of_which_kind():
     """A reader of positions is privileged by its name and by its kind, and nobody else is."""
     for name in baselines.names():

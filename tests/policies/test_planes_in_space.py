@@ -17,7 +17,6 @@ from baselines.obstacle_rules.planes_in_space import (
     widened_rays,
 )
 from baselines.obstacle_rules.turning_robots import FLAT
-from baselines.steering import Steering
 from rendezvous_env import Simulator
 from rendezvous_env.engine.memory import RENDEZVOUS, RUNNING
 from rendezvous_env.trajectory import run
@@ -169,29 +168,6 @@ def test_a_slab_is_rounded_by_the_tank_and_not_by_a_heading():
     assert met["tangent-joined"] < 0.5 and met["tank-joined"] > 0.9
 
 
-def test_a_batch_is_its_teams_one_by_one():
-    scenario = SLAB.replace(time_limit=6.0)
-    many = rv.rollout(scenario, baselines.make("tank-joined", scenario), seed=3, num_envs=4)
-    for k in range(4):
-        one = rv.rollout(scenario, baselines.make("tank-joined", scenario), seed=3 + k)
-        steps = len(one.positions)
-        np.testing.assert_array_equal(one.positions[:, 0], many.positions[:steps, k])
-
-
-def test_a_turned_frame_turns_what_is_wanted():
-    scenario = SLAB.replace(time_limit=3.0)
-    rng, simulator = np.random.default_rng(0), Simulator(scenario, 8)
-    rotation = np.linalg.qr(rng.normal(size=(3, 3)))[0]
-    rotation *= np.sign(np.linalg.det(rotation))
-    straight, turned = (baselines.make("tank-joined", scenario) for _ in range(2))
-    observations = simulator.reset(0)
-    for _ in range(10):
-        actions = straight(observations, 0.0)
-        seen = np.float32(observations @ rotation.T)
-        np.testing.assert_allclose(turned(seen, 0.0), actions @ rotation.T, atol=2e-4)
-        observations = simulator.step(actions).observations
-
-
 # ---- robots of space that turn ------------------------------------------------------------------
 
 UAV = rv.scenarios.get("uav-clutter-16")
@@ -233,36 +209,3 @@ def test_a_direction_lies_outside_a_cone_or_within():
     rays = np.array([cone(X, 0.4)])
     for angle, outside in [(0.0, False), (0.35, False), (0.42, True), (math.pi, True)]:
         assert lies_outside((math.cos(angle), math.sin(angle), 0.0), rays) == outside
-
-
-def test_robots_that_turn_touch_nothing_and_their_ledger_holds():
-    """V + ΣA never rises, although what they remember turns with them and is never told."""
-    simulator, policy = Simulator(UAV, 32), baselines.make("tank-joined", UAV)
-    observations, before, calm_steps = simulator.reset(0), np.inf, 0
-    while (on := simulator.status == RUNNING).any():
-        active = simulator.active
-        outcome = simulator.step(policy(observations, simulator.time))
-        observations, whole = outcome.observations, (active == outcome.active).all(axis=-1)
-        total = simulator.lyapunov() + policy.levels.sum(axis=-1)
-        calm = on & whole & ~outcome.contact.any(axis=-1)
-        assert (total <= before * (1 + 1e-6))[calm].all()
-        assert (policy.levels >= 0).all()
-        before, calm_steps = total, calm_steps + int((active & calm[:, None]).sum())
-    assert calm_steps > 20_000
-    assert np.mean((simulator.status == RENDEZVOUS) & (simulator.contacts == 0)) > 0.8
-
-
-def test_what_a_robot_remembers_stays_where_it_was_while_it_turns():
-    """A unit vector in the global frame, before and after steps at any turn rates."""
-    scenario = UAV.replace(max_turn_rate=1.0, obstacles=(), obstacle_slots=1)
-    simulator, steering = Simulator(scenario, 16), Steering(scenario)
-    observations, rng = simulator.reset(0), np.random.default_rng(0)
-    kept = rng.normal(size=(16, scenario.n_robots, 3))
-    wanted = np.einsum("bnij,bnj->bni", simulator.frames, kept)
-    for _ in range(20):
-        actions = rng.uniform(-1.0, 1.0, (16, scenario.n_robots, 3)) * scenario.action_bounds
-        actions[..., 0] = 0.0
-        kept = steering.turned(kept, actions, observations)
-        observations = simulator.step(np.float32(actions)).observations
-    found = np.einsum("bnij,bnj->bni", simulator.frames, kept)
-    np.testing.assert_allclose(found, wanted, atol=1e-4)

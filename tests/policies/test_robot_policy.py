@@ -49,6 +49,10 @@ def measured(rows, layout, random):
         ("learned", CLUTTER),
         ("learned-tank", CLUTTER),
         ("learned-tank", TURNING),
+        ("unicycle", rv.scenarios.get("unicycle-6")),
+        ("unicycle-cosine", rv.scenarios.get("unicycle-6")),
+        ("tangent-joined", rv.scenarios.get("unicycle-clutter-8")),
+        ("tangent-joined-tuned", rv.scenarios.get("unicycle-clutter-24-slow")),
     ],
 )
 def test_it_does_what_a_robot_of_a_batch_does(name, scenario):
@@ -64,6 +68,7 @@ def test_it_does_what_a_robot_of_a_batch_does(name, scenario):
             seen = measured(rows, scenario.observation_layout, random)
             action = robot.act(**seen, dt=scenario.tau)
             np.testing.assert_allclose(action, step.actions[0, i], atol=2e-6)
+            assert robot.time == pytest.approx(count * scenario.tau)
             moved += np.hypot(*action) > 0.1
     assert count > 100 and moved > 200
 
@@ -101,28 +106,6 @@ def test_in_space_it_does_so_bit_for_bit(name, field):
             moved, passed = moved + (np.linalg.norm(action) > 0.1), passed + (len(rays) > 1)
     assert simulator.status[0] == RENDEZVOUS and moved > 200
     assert passed > 100 or not scenario.obstacles or (name == "learned-tank" and passed > 3)
-
-
-@pytest.mark.parametrize(
-    ("name", "field"),
-    [
-        ("unicycle", "unicycle-6"),
-        ("unicycle-cosine", "unicycle-6"),
-        ("tangent-joined", "unicycle-clutter-8"),
-        ("tangent-joined-tuned", "unicycle-clutter-24-slow"),
-    ],
-)
-def test_a_unicycle_gets_its_turn_rate_too(name, field):
-    scenario = rv.scenarios.get(field)
-    simulator, random = rv.Simulator(scenario), np.random.default_rng(0)
-    robot, batch = RobotPolicy(scenario, name), baselines.make(name, scenario)
-    for count, step in zip(range(100), run(simulator, batch, simulator.reset(1)), strict=False):
-        if not step.observations[0, 2].any():  # it has merged
-            break
-        told = measured(step.observations[0, 2], scenario.observation_layout, random)
-        np.testing.assert_allclose(robot.act(**told), step.actions[0, 2], atol=2e-6)
-        assert robot.time == pytest.approx(count * scenario.tau)
-    assert count > 30
 
 
 @pytest.mark.parametrize("name", ["learned", "tangent-joined-tuned", "learned-tank"])

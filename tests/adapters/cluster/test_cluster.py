@@ -33,7 +33,6 @@ PLAYED = (
     "compare", "--scenarios", "duo", "clutter-8", "--policies", "bearing-only", "tangent-joined",
     "learned", "--episodes", "140", "--keep", "2", "--no-figures", "--ceiling", "1",
 )  # fmt: skip
-CHECKED = ("verify", "--claims", "lemma-1", "theorem-1", "local-scaling", "--trials", "500")
 
 
 @pytest.fixture(scope="module")
@@ -194,19 +193,6 @@ def test_a_comparison_that_loses_a_worker_is_that_of_one_process(two, tmp_path):
     )
     for name in ("results.csv", "episodes.csv", "paired.csv", "ceiling.csv", "trajectories.npz"):
         assert (tmp_path / "ray" / name).read_bytes() == (tmp_path / "one" / name).read_bytes()
-
-
-def test_so_is_a_verification(two, tmp_path):
-    alone(*CHECKED, "--out", tmp_path / "one")
-    with_a_kill(two, *CHECKED, "--out", tmp_path / "ray", begun=lambda: True)
-    one, ray = (
-        [line.split(",") for line in (tmp_path / name / "verify.csv").read_text().splitlines()]
-        for name in ("one", "ray")
-    )
-    seconds = one[0].index("seconds")
-    assert len(one) == 4
-    for found, other in zip(one, ray, strict=True):
-        assert found[:seconds] + found[seconds + 1 :] == other[:seconds] + other[seconds + 1 :]
 
 
 def test_runs_of_several_seeds_write_where_they_are_told(two, tmp_path, monkeypatch):

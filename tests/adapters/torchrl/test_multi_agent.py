@@ -53,7 +53,7 @@ def board(tmp_path_factory):
     return {card["algorithm"]: (out, card) for card in cards.read_cards(out)}
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", ["ippo-none", "mappo-heading", "masac-none", "qmix-heading"])
 def test_a_run_repeats_bit_by_bit(name, board, capsys):
     out, card = board[name]
     assert card["settings"]["num_teams"] == 64 and "benchmarl" in card["versions"]
@@ -62,14 +62,12 @@ def test_a_run_repeats_bit_by_bit(name, board, capsys):
     path = out / "cells" / name / "clutter-8-v1-seed-0.json"
     assert command.run(replace(SMALL, repeat=path)) == 0
     assert "bit for bit" in capsys.readouterr().out
-    if name.endswith("heading"):
-        assert sum(card["results"]["risen"]) == 0
 
 
 def test_seeds_and_safety_make_a_difference(board):
     for learner in ("ippo", "mappo", "masac", "qmix"):
         bare, headed = (board[f"{learner}-{safety}"][1] for safety in ("none", "heading"))
-        assert bare["results"] != headed["results"]
+        assert bare["results"] != headed["results"] and not sum(headed["results"]["risen"])
     place = settings.plan(replace(SMALL, algorithms=("ippo-none",), seeds=(1,)))[0]
     assert cards.run_of(place, False)[0]["results"] != board["ippo-none"][1]["results"]
 

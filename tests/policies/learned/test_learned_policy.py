@@ -9,7 +9,7 @@ import torch
 import baselines
 from baselines.learned import checkpoints, learned_policy
 from baselines.learned.learned_policy import LearnedPolicy
-from baselines.learned.policy_settings import ALL_ROUND, PolicySettings
+from baselines.learned.policy_settings import PolicySettings
 from rendezvous_env import Scenario, Simulator, rollout
 from rendezvous_env.scenario import scenarios
 from train import policies
@@ -175,16 +175,6 @@ class TestActions:
             assert policy.levels is None
             policy(np.zeros((2, *Simulator(scenario, 1).reset(0).shape[1:])), 0.0)
             np.testing.assert_allclose(policy.levels, np.full((2, scenario.n_robots), 2 * unit))
-
-    def test_the_level_shown_counts(self):
-        """The same robots, with little and with much to spend, choose otherwise."""
-        poor, rich = learned(**TANK), learned(**TANK | {"budget": 200.0})
-        observations = next(episode(CLUTTER))
-        for policy in (poor, rich):
-            policy(observations, 0.0)
-        few, many = (policy._guided.choices for policy in (poor, rich))
-        assert (few != many).any() and len(np.unique(many)) > 1
-        assert many.max() < len(ALL_ROUND)
 
 
 class TestFiles:

@@ -134,32 +134,6 @@ def test_an_arc_that_is_cut_short_books_no_more_than_it_earned():
 
 
 @BOTH
-@pytest.mark.parametrize("name", ["learned", "learned-tank"])
-def test_a_batch_does_what_each_team_does(name, scenario):
-    scenario = scenario.replace(time_limit=8.0)
-    together = rv.rollout(scenario, baselines.make(name, scenario), seed=4, num_envs=3)
-    for team in range(3):
-        alone = rv.rollout(scenario, baselines.make(name, scenario), seed=4 + team)
-        steps = min(len(alone.positions), len(together.positions))
-        assert steps > 50
-        np.testing.assert_array_equal(together.positions[:steps, team], alone.positions[:steps, 0])
-
-
-def test_turning_the_world_turns_the_actions():
-    scenario, random = POINTS.replace(time_limit=4.0), np.random.default_rng(0)
-    rotation = np.linalg.qr(random.normal(size=(3, 3)))[0]
-    rotation *= np.sign(np.linalg.det(rotation))
-    straight, turned = (baselines.make("learned-tank", scenario) for _ in range(2))
-    simulator = rv.Simulator(scenario, 8)
-    seen = simulator.reset(0)
-    for _ in range(40):
-        actions = straight(seen, 0.0)
-        found = turned(np.float32(seen @ rotation.T), 0.0)
-        np.testing.assert_allclose(found, actions @ rotation.T, atol=1e-3)
-        seen = simulator.step(actions).observations
-
-
-@BOTH
 def test_running_teams_can_be_taken_out_and_put_back(scenario):
     one, other = (FeatureVectorEnv(rv.make_vec(scenario, 3), TANK) for _ in range(2))
     one.reset(seed=3)
