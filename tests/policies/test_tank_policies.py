@@ -40,17 +40,17 @@ def play(policy, scenario, num_envs=1):
 
 
 @pytest.mark.parametrize(
-    ("name", "budget", "teams"),
+    ("name", "budget", "teams", "least"),
     [
-        ("clutter-24", 0.0, 32),
-        ("clutter-24", 5.0, 32),
-        ("slab-3d", 5.0, 32),
-        ("unicycle-clutter-24-slow", 0.0, 60),
-        ("unicycle-clutter-24-slow", 5.0, 60),
-        ("uav-clutter-16", 50.0, 32),
+        ("clutter-24", 0.0, 32, 10_000),
+        ("clutter-24", 5.0, 32, 10_000),
+        ("slab-3d", 5.0, 32, 10_000),
+        ("unicycle-clutter-24-slow", 0.0, 120, 100_000),
+        ("unicycle-clutter-24-slow", 5.0, 120, 100_000),
+        ("uav-clutter-16", 50.0, 32, 20_000),
     ],
 )
-def test_v_and_the_ledger_fall_together_where_nothing_is_touched(name, budget, teams):
+def test_v_and_the_ledger_fall_together_where_nothing_is_touched(name, budget, teams, least):
     """V + ΣA, although what robots remember turns with their bodies and is never told."""
     scenario = rv.scenarios.get(name).replace(time_limit=45.0)
     policy, simulator = made(scenario, budget=budget), Simulator(scenario, teams)
@@ -69,7 +69,7 @@ def test_v_and_the_ledger_fall_together_where_nothing_is_touched(name, budget, t
         assert (total[calm] <= before[calm] * (1 + 1e-6)).all()
         assert (policy.levels >= 0).all()
         before, checked = total, checked + int(active[calm].sum())
-    assert checked > 10_000 and away > 100
+    assert checked > least and away > least / 100
     if name == "uav-clutter-16":
         assert np.mean((simulator.status == RENDEZVOUS) & (simulator.contacts == 0)) > 0.8
 
