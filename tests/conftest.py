@@ -98,7 +98,6 @@ KERNELS = tuple(
         "policies/learned/test_tank_features.py",
         "policies/test_every_policy.py::test_a_batch",
         "policies/test_obstacle_avoidance.py",
-        "policies/test_planes_in_space.py::test_a_batch",
         "policies/test_planes_in_space.py::test_a_plane",
         "policies/test_planes_in_space.py::test_the_azimuth",
         "policies/test_planes_in_space.py::test_widened",
