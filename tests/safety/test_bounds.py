@@ -10,7 +10,7 @@ import pytest
 from conftest import UNEQUAL, unequal_matrix
 from scipy.optimize import minimize
 
-from rendezvous_env import Disc, Scenario, certificate, graphs
+from rendezvous_env import Disc, Scenario, Sensing, certificate, graphs
 from rendezvous_env.physics.hull_perimeter import size
 from rendezvous_env.safety.lyapunov import lyapunov
 from rendezvous_env.safety.theorems.constants import (
@@ -58,7 +58,8 @@ def test_the_time_bound_by_hand():
     fast = team.replace(max_speed=100.0)
     assert time_bound(fast, 100.0) == pytest.approx(2 * a)
     long = team.replace(time_step=3 * team.certified_step, allow_long_step=True)
-    assert time_bound(long, 100.0) == pytest.approx(2 * 3 * a)
+    assert time_bound(long, 100.0, min_alignment=0.3) == pytest.approx(2 * 3 * a / 0.3**2)
+    assert math.isinf(time_bound(long, 100.0))  # law (1) as it stands is not scaled
     short = team.replace(time_step=team.certified_step / 7)
     assert time_bound(short, 100.0) == pytest.approx(2 * a)
     np.testing.assert_allclose(time_bound(team, [0.0, 100.0])[1], 2 * a)
@@ -68,6 +69,21 @@ def test_the_time_bound_by_hand():
     for wrong in (-1.0, math.nan, [1.0, math.inf]):
         with pytest.raises(ValueError, match="initial_lyapunov is"):
             time_bound(team, wrong)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"sensing": Sensing(delay=1), "time_step": 0.001},  # theorem E1 has a later time
+        {"sensing": Sensing(occlusion="robots")},  # and so has G
+        {"sensing": Sensing(error=1e-4)},  # and N1
+        {"sensing": Sensing(dropout=0.5)},
+        {"meeting": "pack", "body_radius": 0.05, "merge_radius": 0.3},
+    ],
+)
+def test_there_is_no_time_where_theorems_a_and_c_do_not_apply(changes):
+    team = Scenario(n_robots=5).replace(**changes)
+    assert np.isinf(time_bound(team, 10.0)) and np.isinf(time_bound(team, 10.0, min_alignment=0.5))
 
 
 @pytest.mark.parametrize("n", [2, 3, 5, 40])

@@ -14,7 +14,6 @@ from rendezvous_env.compilation import kernel
 from rendezvous_env.engine.memory import RENDEZVOUS
 from rendezvous_env.engine.preparation import begins_alike
 from rendezvous_env.engine.state_checks import check_mask, check_numbers, check_observations
-from rendezvous_env.safety.theorems.certificate import certificate
 from rendezvous_env.safety.theorems.descent import time_bound
 from rendezvous_env.scenario.scenario import Scenario
 from rendezvous_env.simulator import Simulator
@@ -195,11 +194,9 @@ def _bounds(
     scenario: Scenario, initial_lyapunov: NDArray[np.float64], margin: float | None
 ) -> NDArray[np.float64]:
     """Proven times in s, NaN where none is proven."""
-    bounds = np.full(initial_lyapunov.shape, np.nan)
-    if margin is not None:
-        found = certificate(scenario, margin)
-        if np.isfinite(found.time_bound) and found.bearing_error == 0.0:
-            bounds = time_bound(scenario, initial_lyapunov, min_alignment=margin)
+    if margin is None:
+        return np.full(initial_lyapunov.shape, np.nan)
+    bounds = time_bound(scenario, initial_lyapunov, min_alignment=margin)
     return np.where(np.isfinite(bounds), bounds, np.nan)
 
 

@@ -46,7 +46,7 @@ def connected(scenario: Scenario, asked: Asked) -> str:
     """Every robot is linked to every other, directly or through others."""
     if len(scenario.sensing_graph.components(scenario.n_robots)) == 1:
         return ""
-    return "none: the graph is not connected, one robot per component remains (theorem 1)"
+    return "none: the graph is not connected, at least one robot per component remains (theorem 1)"
 
 
 def one_leader_at_most(scenario: Scenario, asked: Asked) -> str:
@@ -57,7 +57,7 @@ def one_leader_at_most(scenario: Scenario, asked: Asked) -> str:
     when = " at some time" if kind_of_links(scenario.sensing_graph) == SWITCHING else ""
     return (
         f"none: robots {listed} see nobody outside their own group{when}; theorem G needs one "
-        "that can be reached from all, always. The hull of the team does not grow"
+        "that can be reached from all, always"
     )
 
 
@@ -151,10 +151,9 @@ def all_neighbours_seen(scenario: Scenario, asked: Asked) -> str:
     sensing = scenario.sensing
     if departs_in(scenario, "error", "sectors"):
         return ""
-    never = " The hull of the team does not grow." * (asked.by == "gains")
     return (
         f"none: neighbours can be out of sight ({sensing.departures()}); a theorem needs all of "
-        f"them.{never}"
+        "them"
     )
 
 

@@ -27,10 +27,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from ...checks import real, refuse
 from ...scenario.scenario import Scenario
-from ..settings import SMALLEST_MARGIN
+from ..settings import SMALLEST_MARGIN, bounded_error
 from . import assumptions as given
 from . import constants as known
-from .theorem import LAW, Asked, Bounds, Theorem
+from .theorem import Asked, Bounds, Theorem
 
 Array = NDArray[np.float64]
 
@@ -47,7 +47,7 @@ def time_bound(
     check_margin(min_alignment)
     known.check_scenario(scenario)
     initial = known.checked("initial_lyapunov", initial_lyapunov, "m²/s")
-    if not covered(scenario):
+    if not covered(scenario, min_alignment):
         return np.full(initial.shape, np.inf)
     n, a = scenario.n_robots, scenario.bottleneck_weight
     slowed = max(1.0, 2.0 * scenario.max_degree * scenario.tau / scenario.merge_radius)
@@ -63,12 +63,11 @@ def time_bound(
     return np.asarray(bound)
 
 
-def covered(scenario: Scenario) -> bool:
-    """Whether theorems A and C bound the time: undirected links that last, connected, robots whose
-    action is their velocity, nothing in the way.
-    """
-    needed = given.undirected, given.connected, given.velocity_inputs, given.nothing_in_the_way
-    return not any(holds(scenario, LAW) for holds in needed)
+def covered(scenario: Scenario, min_alignment: float) -> bool:
+    """Whether theorem A bounds the time, or theorem C for a margin ε < 1, without unit."""
+    theorem = _A if min_alignment == 1 else _C
+    asked = Asked(theorem.by[0], error=bounded_error(scenario.sensing, scenario.dim))
+    return not theorem.unmet(scenario, asked)[1]
 
 
 def check_margin(min_alignment: float) -> None:
@@ -105,9 +104,11 @@ def time_bounds(scenario: Scenario, asked: Asked) -> Bounds:
 # The paper's laws for robots that turn, held, can raise V a little; certified ones cannot.
 _HELD = given.certified_or_scaled, given.exact_bearings
 _LAW_V = *given.LASTING_LINKS, given.velocity_inputs, *_HELD
+_A = Theorem("A", ("law",), (*given.UNHINDERED, *_HELD), time_bounds)
+_C = Theorem("C", ("heading",), (*given.UNHINDERED, given.exact_bearings), time_bounds)
 THEOREMS = (
-    Theorem("A", ("law",), (*given.UNHINDERED, *_HELD), time_bounds),
+    _A,
     Theorem("V", ("law",), _LAW_V, lyapunov_bounds, False, "descent"),
-    Theorem("C", ("heading",), (*given.UNHINDERED, given.exact_bearings), time_bounds),
+    _C,
     Theorem("V", ("heading",), given.LASTING_LINKS, lyapunov_bounds, False, "descent"),
 )

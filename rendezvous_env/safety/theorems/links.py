@@ -142,9 +142,10 @@ def bounds(scenario: Scenario, asked: Asked) -> Bounds:
         asked,
         known.held_time(scenario, most, rates),
         math.pi / (2.0 * n),
-        "theorem R: whatever is wanted, no link grows longer, and all robots meet in finite time",
+        "theorem R: whatever is wanted, no link grows longer between merges, and all robots meet "
+        "in finite time",
         "theorem R",
-        "; no link grows longer even so",
+        "; no link grows longer between merges even so",
         lyapunov=most if counted else math.inf,
         link_growth=merge_growth(scenario),
     )
