@@ -34,7 +34,7 @@ def load_pair(row):
 
 @kernel(inline="code")
 def x_axis(v):
-    """The x axis e_x, without unit, a pair or triple as v is."""
+    """The x axis e_x = (1, 0, …), without unit, a pair or triple as v is."""
     return (1.0, 0.0) if len(v) == 2 else X_AXIS
 
 
@@ -176,7 +176,7 @@ def scaled(v, factor):
 
 @kernel(inline="code")
 def rounded(v):
-    """A pair or triple rounded to float32, in its unit."""
+    """A pair or triple v, each v_k ← float32(v_k), in its unit."""
     x, y = np.float64(np.float32(v[0])), np.float64(np.float32(v[1]))
     if len(v) == 2:
         return x, y

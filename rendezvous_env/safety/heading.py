@@ -164,7 +164,7 @@ def certify(raw, net_bearing, previous, min_alignment, dead_zone, max_turn, out)
 
 @kernel(inline="code")
 def certify_one(raw, net_bearing, previous, min_alignment, dead_zone, limit):
-    """``certified_heading`` of one robot, hᵀf ≥ ε_i ‖f‖ (C), of pairs or triples; units as there.
+    """As ``certified_heading`` of one robot, hᵀf ≥ ε_i ‖f‖ (C), of pairs or triples.
 
     ``limit`` is from ``turn_limit``.
     """

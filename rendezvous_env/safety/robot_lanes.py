@@ -108,7 +108,7 @@ def tell(lanes, first, stop, values):
 
 @inner_kernel(inline="code")
 def vector_of(space, lanes, lane):
-    """The vector v of one lane, of any unit, a pair in the PLANE and a triple in SPACE."""
+    """The vector v = (x, y, …) of one lane, of any unit, a pair in the PLANE, a triple in SPACE."""
     if len(space) == 2:
         return lanes[0, lane], lanes[1, lane]
     return lanes[0, lane], lanes[1, lane], lanes[2, lane]
@@ -116,7 +116,7 @@ def vector_of(space, lanes, lane):
 
 @inner_kernel(inline="code")
 def put(vector, lanes, lane):
-    """Write a pair or triple v of any unit to one lane."""
+    """Write a pair or triple v = (x, y, …) of any unit to one lane."""
     lanes[0, lane], lanes[1, lane] = vector[0], vector[1]
     if len(vector) == 3:
         lanes[2, lane] = vector[2]

@@ -64,7 +64,7 @@ def time_bound(
 
 
 def covered(scenario: Scenario, min_alignment: float) -> bool:
-    """Whether theorem A bounds the time, or theorem C for a margin ε < 1, without unit."""
+    """Whether theorem A bounds the time, or theorem C for a margin ε < 1, a number without unit."""
     theorem = _A if min_alignment == 1 else _C
     asked = Asked(theorem.by[0], error=bounded_error(scenario.sensing, scenario.dim))
     return not theorem.unmet(scenario, asked)[1]
