@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import inspect
+import os
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -12,16 +13,21 @@ from functools import wraps
 from typing import Any, Literal
 
 import numba
+from numba.core.bytecode import FunctionIdentity
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.errors import TypingError
 from numba.core.options import DefaultOptions
 from numba.core.registry import CPUDispatcher
 from numba.extending import overload
 
-from .kernel_cache import KernelCache
+from .kernel_cache import KernelCache, depends_on
 
 _CONFIG: Any = numba.config
 _DISPATCHER: Any = CPUDispatcher  # numba's types leave out what is overridden here
+# numba tells functions of one name apart by a number, from 1 on in every process: kept code of two
+# processes would be taken for one and the same
+_IDENTITY: Any = FunctionIdentity
+_IDENTITY._unique_ids = iter(lambda: int.from_bytes(os.urandom(7)), None)
 _PATIENCE = 2.0
 """s; compilation that is over sooner is not worth a word."""
 
@@ -184,7 +190,12 @@ def chosen_by_type(function: Callable[..., Any]) -> Callable[[Callable[..., Any]
 
     A choice by type is made while compiling: what is not chosen is not compiled.
     """
-    return overload(function, jit_options=_overloading())
+
+    def decorate(choose: Callable[..., Any]) -> Any:
+        depends_on(function, choose)
+        return overload(function, jit_options=_overloading())(choose)
+
+    return decorate
 
 
 def by_type(argument: str, choose: Callable[[type], Callable[..., Any]]) -> Any:

@@ -1,10 +1,10 @@
 """Where compiled kernels are kept, and when they are compiled anew.
 
 The compiled code of a kernel for one signature is a file, named after all that it was made from:
-the sources of this package, taken together; of kernels from elsewhere (other packages, a user's
-robot model) what numba freezes of them, which is their own code and what it names, in turn; the
-types of the arguments; processor and versions. Edit one of these, and the name is another one. The
-file begins with a digest of what follows, since damaged machine code would end the process.
+what numba freezes of the kernel, which is its own code and what it names, in turn, in whatever
+module; how kernels are compiled; the types of the arguments; processor and versions. Edit one of
+these, and the name is another one. The file begins with a digest of what follows, since damaged
+machine code would end the process.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ import tempfile
 import time
 import uuid
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
-from types import CodeType, FunctionType, ModuleType
+from types import BuiltinMethodType, CodeType, FunctionType, MethodType, ModuleType
 from typing import Any
 
 import llvmlite
@@ -31,9 +31,9 @@ from numba.core import serialize, sigutils
 from numba.core.compiler import CompileResult
 
 _CONFIG: Any = numba.config
-_PACKAGE = Path(__file__).parent
-_WITHOUT_KERNELS = {"adapters", "envs", "render", "theorems"}
-"""Folders that nothing compiled is made from; they stand above all that is."""
+_BESIDE = Path(__file__).parent / "__pycache__"
+_COMPILING = [Path(__file__).with_name(name) for name in ("compilation.py", "kernel_cache.py")]
+"""How kernels are compiled and kept: an edit of these makes every kernel anew."""
 _LIBRARIES = {"numba", "numpy", *sys.stdlib_module_names}
 _DIGEST_SIZE = 32
 _SIGNATURE = 3
@@ -95,38 +95,30 @@ class KernelCache:
             return None
         made_from = [_base(), target_context.codegen().magic_tuple(), self._options, arguments]
         digest = hashlib.sha256(repr(made_from).encode())
-        seen: set[int] = set()
-        for value in (self._function, *kinds, *(_CHOSEN_BY.get(kind) for kind in kinds)):
-            for text in _content(value, frozenset(), seen):
-                digest.update(text.encode())
+        for text in _content((self._function, *kinds), frozenset(), set()):
+            digest.update(text.encode())
         return folder / f"{self._function.__name__.strip('<>')}-{digest.hexdigest()[:32]}.code"
 
 
 # ---- what compiled code is made from ------------------------------------------------------------
 
 
-_CHOSEN_BY: dict[type, tuple[Any, ...]] = {}
+_MADE_FROM: dict[Any, Any] = {}
 
 
-def depends_on(kind: type, functions: tuple[Any, ...]) -> None:
-    """Say that what is compiled for arguments of a type is made from these functions.
-
-    Args:
-        kind: a NamedTuple class.
-        functions: chosen by it, plain or compiled.
+def depends_on(thing: Any, others: Any) -> None:
+    """Say that compiled code that has to do with a thing is made from others, which it does not
+    name: a NamedTuple class chooses functions, a plain function is compiled as another one.
     """
-    _CHOSEN_BY[kind] = functions
+    _MADE_FROM[thing] = others
 
 
 @cache
 def _base() -> str:
-    """Of versions, settings and the sources of this package."""
-    digest = hashlib.sha256()
-    for path in sorted(_PACKAGE.rglob("*.py")):
-        if not _WITHOUT_KERNELS & set(path.relative_to(_PACKAGE).parts):
-            digest.update(path.name.encode() + path.read_bytes())
+    """Of versions, settings and the way in which kernels are compiled."""
+    sources = b"".join(path.read_bytes() for path in _COMPILING)
     versions = sys.version, numba.__version__, llvmlite.__version__, _CONFIG.BOUNDSCHECK
-    return f"{versions} {digest.hexdigest()}"
+    return f"{versions} {hashlib.sha256(sources).hexdigest()}"
 
 
 def _named_tuples(kind: Any) -> Iterator[type]:
@@ -145,41 +137,60 @@ def _content(value: Any, names: frozenset[str], seen: set[int]) -> Iterator[str]
         names: which attributes of a module are asked for.
         seen: functions that need not be followed again.
     """
+    if hasattr(value, "targetoptions"):  # a kernel, whose options hold for whoever inlines it
+        yield repr(sorted(value.targetoptions.items()))
     value = getattr(value, "py_func", value)
     if isinstance(value, FunctionType):
-        yield f"{value.__module__} {value.__qualname__} {value.__code__.co_firstlineno}"
-        if id(value) not in seen and (value.__closure__ or _is_followed(value.__module__)):
-            seen.add(id(value))
-            yield from _content(value.__code__, names, seen)
-            asked = _names(value.__code__)
-            named = [value.__globals__[name] for name in sorted(asked & set(value.__globals__))]
-            held = [cell.cell_contents for cell in value.__closure__ or ()]
-            for part in (*named, *held, value.__defaults__):
-                yield from _content(part, asked, seen)
-    elif isinstance(value, CodeType):
-        yield f"{value.co_code!r} {value.co_names} {value.co_varnames}"
-        yield from _content(value.co_consts, names, seen)
-    elif isinstance(value, ModuleType):
-        yield value.__name__
-        if _is_followed(value.__name__):
-            for name in sorted(names & set(vars(value))):
-                yield from _content(vars(value)[name], names, seen)
-    elif isinstance(value, tuple | list):
-        for part in value:
-            yield from _content(part, names, seen)
-        yield f"{type(value)} {len(value)}"
-    elif isinstance(value, type):
-        fields = getattr(value, "_fields", None), getattr(value, "_field_defaults", None)
-        yield f"{value.__module__} {value.__qualname__} {fields}"
-    elif isinstance(value, np.ndarray):
-        yield f"{value.dtype} {value.shape} {value.tobytes()!r}"
+        yield f"{value.__module__} {value.__qualname__}"
+        if id(value) in seen or not (value.__closure__ or _is_followed(value.__module__)):
+            return
+        seen.add(id(value))
+        names, parts = _names(value.__code__), _frozen(value)
     else:
-        yield repr(value)
+        text, parts = _told(value, names)
+        yield text
+    for part in parts:
+        yield from _content(part, names, seen)
+
+
+def _frozen(function: FunctionType) -> Iterable[Any]:
+    """What a function is made from: its code without the docstring, and what that names."""
+    code, known = function.__code__, function.__globals__
+    if code.co_consts[:1] == (function.__doc__,):
+        code = code.replace(co_consts=(None, *code.co_consts[1:]))
+    named = [known[name] for name in sorted(_names(code)) if name in known]
+    held = [cell.cell_contents for cell in function.__closure__ or ()]
+    return (code, *named, *held, function.__defaults__, _MADE_FROM.get(function))
+
+
+def _told(value: Any, names: frozenset[str]) -> tuple[str, Iterable[Any]]:
+    """What a value that is no function says of itself, and what there is in it to follow."""
+    if isinstance(value, CodeType):
+        variables = value.co_varnames, value.co_freevars, value.co_cellvars
+        code = value.co_code, value.co_exceptiontable
+        return f"{code} {value.co_names} {variables}", value.co_consts
+    if isinstance(value, ModuleType):
+        asked = sorted(names & set(vars(value))) if _is_followed(value.__name__) else ()
+        return value.__name__, [vars(value)[name] for name in asked]
+    if isinstance(value, MethodType | BuiltinMethodType):  # of a table, say
+        return value.__name__, (value.__self__, getattr(value, "__func__", None))
+    if isinstance(value, type):
+        fields = getattr(value, "_fields", None), getattr(value, "_field_defaults", None)
+        return f"{value.__module__} {value.__qualname__} {fields}", (_MADE_FROM.get(value),)
+    if isinstance(value, dict):  # what is made from something is followed where it comes up
+        return "", [item for item in value.items() if item[0] not in _MADE_FROM]
+    if isinstance(value, set | frozenset):
+        return repr(sorted(map(repr, value))), ()
+    if isinstance(value, np.ndarray):
+        return f"{value.dtype} {value.shape} {value.tobytes()!r}", ()
+    if isinstance(value, tuple | list):
+        return f"{type(value)} {len(value)}", value
+    return repr(value), ()
 
 
 def _is_followed(module: str) -> bool:
     """Whether code of a module is known by its content; else its version says it all."""
-    return module.partition(".")[0] not in _LIBRARIES | {_PACKAGE.name}
+    return module.partition(".")[0] not in _LIBRARIES
 
 
 def _names(code: CodeType) -> frozenset[str]:
@@ -201,7 +212,7 @@ def _folder() -> Path | None:
     if _CONFIG.CACHE_DIR:
         places = [Path(_CONFIG.CACHE_DIR)]
     else:
-        places = [_PACKAGE / "__pycache__"]
+        places = [_BESIDE]
         with suppress(RuntimeError):  # nobody's home
             places.append(Path.home() / ".cache" / "rendezvous-env")
     for place in places:

@@ -139,7 +139,7 @@ def describe(model: type, motion: Motion) -> None:
             raise TypeError(
                 f"{name} of a {model.__name__} is {shown(equation)}; it must be a function"
             )
-    depends_on(model, equations)
+    depends_on(model, motion)
     _MOTIONS[model] = motion
 
 

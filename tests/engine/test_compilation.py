@@ -22,6 +22,8 @@ import baselines
 import rendezvous_env
 import train
 from rendezvous_env import compilation, kernel_cache
+from rendezvous_env.engine.stages.step import step_blocks
+from rendezvous_env.physics import crossings, random_streams, vectors
 
 OUTER = """
 from rendezvous_env.compilation import kernel
@@ -52,6 +54,21 @@ WAYS = {
         "import numba\nfrom demo.deeper.found import made\nmade = numba.njit(made)",
         HELD,
         "made()",
+    ),
+    "what is chosen by type": (
+        "from typing import NamedTuple\nfrom rendezvous_env.compilation import by_type\n"
+        "from demo.deeper import found\nclass Kind(NamedTuple):\n    x: float\n"
+        "@kernel\ndef ours(kind):\n    return found.FACTOR * kind.x\n"
+        "@by_type('kind', {Kind: ours}.__getitem__)\ndef ask(kind):\n    pass",
+        CONSTANTS,
+        "ask(Kind(1.0))",
+    ),
+    "what stands in for a plain function": (
+        "from rendezvous_env.compilation import chosen_by_type\n"
+        "from demo.deeper import found\ndef ask(y):\n    pass\n@chosen_by_type(ask)\n"
+        "def stand_in(y):\n    factor = found.FACTOR\n    return lambda y: factor * y",
+        CONSTANTS,
+        "ask(1.0)",
     ),
     "in another package of ours": ("from baselines.found import FACTOR", CONSTANTS, "FACTOR"),
 }
@@ -119,18 +136,76 @@ def test_an_edit_of_whatever_a_kernel_freezes_is_noticed(tmp_path, way):
     assert list((tmp_path / "elsewhere").rglob("f-*.code"))
 
 
-def test_an_edit_of_the_environments_own_sources_is_noticed(tmp_path, monkeypatch):
-    monkeypatch.setattr(kernel_cache, "_PACKAGE", tmp_path)
-    based = kernel_cache._base.__wrapped__
-    found = []
-    for name in ("engine/step.py", "robots/unicycle.py", "envs/vector_env.py"):
-        (tmp_path / name).parent.mkdir(exist_ok=True)
-        (tmp_path / name).write_text("A = 1\n")
-        found.append(based())
-        (tmp_path / name).write_text("A = 2\n")
-        found.append(based())
-    assert len(set(found[:4])) == 4
-    assert found[3] == found[4] == found[5]  # nothing compiled comes from a face
+def test_an_edit_of_the_environment_makes_only_what_depends_on_it_anew(monkeypatch):
+    def contents():
+        kernels = random_streams.uniform, step_blocks, vectors.dot, crossings.first_crossing
+        return ["".join(kernel_cache._content(k, frozenset(), set())) for k in kernels]
+
+    before = contents()
+    monkeypatch.setattr(random_streams, "_INCREMENT", np.uint64(1))
+    changed = [old != new for old, new in zip(before, contents(), strict=True)]
+    assert changed == [True, True, False, False]
+
+
+def test_an_edited_docstring_or_comment_makes_nothing_anew(tmp_path):
+    package(tmp_path, 0.5)
+    call(tmp_path)
+    text = OUTER.replace("    return", '    """Half and one."""  # more lines\n\n    return')
+    (tmp_path / "demo" / "outer.py").write_text(text)
+    assert call(tmp_path) == (6.0, 1, 0)
+
+
+def test_functions_of_one_name_from_two_processes_are_told_apart(tmp_path):
+    """Each of these callers holds an f of its own, the first function that its process compiled."""
+    (tmp_path / "closures.py").write_text(
+        "import math\nfrom rendezvous_env.compilation import kernel\ndef made(k):\n"
+        "    @kernel\n    def f(x):\n        for _ in range(int(x)):\n"
+        "            x = math.sin(x + k) + math.exp(-x * k) + math.atan2(x, k) + math.cos(k * x)\n"
+        "        return x\n    return f\nf, g = made(1.0), made(2.0)\n"
+        "@kernel\ndef one(x):\n    return f(x) + f(x + 1.0) + f(x + 2.0)\n"
+        "@kernel\ndef two(x):\n    return g(x) + g(x + 1.0) + g(x + 2.0)\n"
+    )
+    one, two, both = (
+        python(f"from closures import one, two; print({asked})", tmp_path).stdout.split()
+        for asked in ("one(5.0)", "two(5.0)", "one(5.0), two(5.0)")
+    )
+    assert both == one + two and one != two
+
+
+@pytest.mark.slow
+def test_the_step_is_made_from_nothing_else(tmp_path):
+    """Whatever numba compiles for a step and a reset is among what their code is named after."""
+    script = """
+        import numpy as np
+        from numba.core.bytecode import FunctionIdentity
+        import rendezvous_env as rv
+        from rendezvous_env import kernel_cache
+        from rendezvous_env.engine.reset.starts import reset_teams
+        from rendezvous_env.engine.stages.step import first_not_finite, step_blocks
+
+        compiled, identify = set(), FunctionIdentity.from_function.__func__
+
+        def noted(kind, function):
+            found = identify(kind, function)
+            compiled.add(f"{found.func.__module__} {found.func.__qualname__}")
+            return found
+
+        FunctionIdentity.from_function = classmethod(noted)
+        field = rv.ObstacleField(count=1, radius=(0.3, 0.5), region=8.0, keep_out=0.5)
+        sensing = rv.Sensing(noise=0.1, occlusion="both", delay=1)
+        robots = {"n_robots": 3, "robot_model": "unicycle", "graph": rv.graphs.directed_cycle()}
+        teams = rv.Simulator(rv.Scenario(**robots, obstacles=field, sensing=sensing))
+        teams.reset(seed=0)
+        teams.step(np.zeros((1, 3, 2)))
+        texts = set()
+        for kernel in (reset_teams, step_blocks, first_not_finite):
+            kinds = [kind for a in kernel.signatures[0] for kind in kernel_cache._named_tuples(a)]
+            texts |= set(kernel_cache._content((kernel, *kinds), frozenset(), set()))
+        ours = {name for name in compiled if name.startswith("rendezvous_env")}
+        print(len(ours), sorted(n for n in ours - texts if not n.endswith("<lambda>")))
+    """
+    count, _, left = python(textwrap.dedent(script), tmp_path).stdout.partition(" ")
+    assert int(count) > 100 and left.strip() == "[]"
 
 
 class Own(NamedTuple):
@@ -182,7 +257,7 @@ def test_a_cache_that_cannot_be_written_to_gives_one_warning(tmp_path, chosen):
     else:
         script = (
             "import pathlib; from rendezvous_env import kernel_cache;"
-            "kernel_cache._PACKAGE /= '__init__.py';" + script
+            "kernel_cache._BESIDE = pathlib.Path(kernel_cache.__file__, 'file');" + script
         )
         places["NUMBA_CACHE_DIR"] = ""
     for _ in range(2):
