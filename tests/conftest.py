@@ -301,11 +301,9 @@ def reseal():
     from train.compare import out_folder
 
     def seal(folder, **changes):
-        path = folder / "run.json"
-        about = json.loads(path.read_text()) | changes
+        about = json.loads((folder / "run.json").read_text()) | changes
         names = [name for name in about.pop("files") if (folder / name).is_file()]
-        about.pop("sha256")
-        out_folder.seal(folder, names, about)
+        out_folder.seal(folder, names, {key: about[key] for key in about if key != "sha256"})
 
     return seal
 

@@ -8,8 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rendezvous_env.engine.memory import RENDEZVOUS, RUNNING
-from rendezvous_env.obstacles.obstacle_set import faults
-from rendezvous_env.obstacles.shape import DETAILS
 from rendezvous_env.scenario.scenario import Scenario
 from rendezvous_env.simulator import Simulator
 from rendezvous_env.trajectory import Step
@@ -17,46 +15,30 @@ from rendezvous_env.trajectory import Step
 MAX_FRAMES = 400
 """Frames kept of one episode; of a longer one only every second, fourth, … step is kept."""
 
-_ARRAYS = {
-    "times": ("T", "s"),
-    "positions": ("T n d", "m"),
-    "headings": ("T n k", "rad: yaw, or yaw and pitch; k is 0 where a model has none"),
-    "velocities": ("T n v", "m/s; v is d for robots with inertia, else 0"),
-    "frames": ("T n d d", "rotations R_i from the robots' own frames to the world"),
-    "active": ("T n", "whether the robot still exists on its own"),
-    "merged_into": ("T n", "index of the robot that each one is now part of; its own while active"),
-    "lyapunov": ("T", "V, m²/s"),
-    "lyapunov_before_merge": (
-        "T",
-        "V just before the first merge of the step that led to the frame, m²/s; NaN if there was "
-        "none",
-    ),
-    "lyapunov_after_merge": ("T", "V just after the last merge of that step, m²/s, or NaN"),
-    "contacts": ("T n", "steps with a contact up to the frame"),
-    "alignment": ("T n", "of the step that led to the frame; NaN where there is none"),
-    "observations": (
-        "T n rows d",
-        "what the robots saw; only where sensors err or links are not fixed and undirected, else "
-        "``report`` finds it again",
-    ),
-    "weights": (
-        "changes links",
-        "elsewhere: the links at the start and after each merge, as ``Simulator.get_state`` gives "
-        "them",
-    ),
-    "first": ("changes links", "lower robot of each link, likewise; of large sparse teams only"),
-    "second": ("changes links", "higher robot of each link, likewise"),
-    "obstacles": (
-        "changes links",
-        "a row each, a table as ``rendezvous_env.obstacles.shape`` says",
-    ),
-}
-"""Shape and meaning of the arrays of a recording; names that no scenario gives are any size."""
 ARRAYS = {
-    name: f"({shape.replace(' ', ', ')}{'' if ' ' in shape else ','}), {about}"
-    for name, (shape, about) in _ARRAYS.items()
+    "times": "(T,), s",
+    "positions": "(T, n, d), m",
+    "headings": "(T, n, k), rad: yaw, or yaw and pitch; k is 0 where a model has none",
+    "velocities": "(T, n, v), m/s; v is d for robots with inertia, else 0",
+    "frames": "(T, n, d, d), rotations R_i from the robots' own frames to the world",
+    "active": "(T, n), whether the robot still exists on its own",
+    "merged_into": "(T, n), index of the robot that each one is now part of; its own while active",
+    "lyapunov": "(T,), V, m²/s",
+    "lyapunov_before_merge": "(T,), V just before the first merge of the step that led to the "
+    "frame, m²/s; NaN if there was none",
+    "lyapunov_after_merge": "(T,), V just after the last merge of that step, m²/s, or NaN",
+    "contacts": "(T, n), steps with a contact up to the frame",
+    "alignment": "(T, n), of the step that led to the frame; NaN where there is none",
+    "observations": "(T, n, rows, d), what the robots saw; only where sensors err or links are not "
+    "fixed and undirected, else ``report`` finds it again",
+    "weights": "(changes, links), elsewhere: the links at the start and after each merge, as "
+    "``Simulator.get_state`` gives them",
+    "first": "(changes, links), lower robot of each link, likewise; of large sparse teams only",
+    "second": "(changes, links), higher robot of each link, likewise",
+    "obstacles": "(M, columns), a row each, as ``rendezvous_env.obstacles.shape`` says",
 }
-"""The same in words; in trajectories.npz each under scenario/policy/start/name."""
+"""Shape and meaning of the arrays of a recording; in trajectories.npz each stands under
+scenario/policy/start/name."""
 Recording = dict[str, NDArray[Any]]
 """One team's episode over T frames: the start, some of the steps, every merge and the end. The
 arrays are those of ``ARRAYS``.
@@ -75,7 +57,7 @@ def seen_again(scenario: Scenario) -> bool:
 
 
 class Snapshot:
-    """The state of a batch at one moment, each part taken out once and only if it is asked for."""
+    """The state of a batch at one moment; each array is read once and only if it is asked for."""
 
     def __init__(self, simulator: Simulator) -> None:
         self._simulator = simulator
@@ -92,13 +74,8 @@ class Snapshot:
 
 
 class Recorder:
-    """Records one team of a batch.
-
-    Args:
-        start: the batch, freshly reset.
-        team: which one.
-        observations: of the start, (B, n, rows, d).
-        exact: whether robots see nothing but what follows from where they are.
+    """Records one team of a batch that was just reset, with observations (B, n, rows, d) of the
+    start unless they are exact and can be found again.
     """
 
     def __init__(
@@ -115,20 +92,19 @@ class Recorder:
         self._add(start, observations[team], alignment, (np.nan, np.nan))
 
     def see(self, step: Step, alignments: NDArray[np.float64], after: Snapshot) -> None:
-        """Take in one step, the alignments (B, n) of its robots, and what it led to."""
+        """Take in one step, the alignments (B, n) of its robots, and the state after it."""
         team, outcome = self._team, step.outcome
         if not step.running[team]:
             return
         self._contacts += outcome.contact[team]
         merged = bool((outcome.active[team] != self._active).any())
         self._active = outcome.active[team]
+        jump = np.nan, np.nan
         if merged:
             self._links.append(after.links(team))
             jump = outcome.lyapunov_before_merge[team], outcome.lyapunov_after_merge[team]
+        if merged or after.steps[team] % self._stride == 0 or outcome.status[team] != RUNNING:
             self._add(after, outcome.observations[team], alignments[team], jump)
-        elif after.steps[team] % self._stride == 0 or outcome.status[team] != RUNNING:
-            nothing = np.nan, np.nan
-            self._add(after, outcome.observations[team], alignments[team], nothing)
 
     def _add(
         self,
@@ -157,12 +133,12 @@ class Recorder:
             frame["observations"] = observations.copy()
         if len(self._frames) >= MAX_FRAMES:
             self._stride *= 2
-            self._frames = [entry for entry in self._frames if self._stays(*entry)]
+            self._frames = [
+                (step, kept)
+                for step, kept in self._frames
+                if step % self._stride == 0 or not np.isnan(kept["lyapunov_before_merge"])
+            ]
         self._frames.append((int(state.steps[team]), frame))
-
-    def _stays(self, number: int, frame: Recording) -> bool:
-        merged = not np.isnan(frame["lyapunov_before_merge"])
-        return merged or number % self._stride == 0
 
     def finish(self) -> Recording:
         """The recording, once the team has finished."""
@@ -175,59 +151,8 @@ class Recorder:
         return stacked | {"obstacles": self._obstacles}
 
 
-_MAY_BE_NAN = ("lyapunov_before_merge", "lyapunov_after_merge", "alignment")
-_SEEN_AGAIN_BY = ("headings", "velocities", "merged_into", "weights")
-"""What observations follow from."""
-
-
-def fault_of(recording: Recording, scenario: Scenario) -> str | None:
-    """What is wrong with a recording of a scenario, in words; None if nothing is."""
-    model, times = scenario.model, recording.get("times", np.zeros(1))
-    sizes = {
-        "T": max(1, len(np.atleast_1d(times))),
-        "n": scenario.n_robots,
-        "d": scenario.dim,
-        "k": model.n_angles,
-        "v": scenario.dim if model.keeps_velocity else 0,
-        "rows": scenario.observation_layout.shape[0],
-    }
-    left_out = ("observations",) if seen_again(scenario) else _SEEN_AGAIN_BY
-    for name, (shape, _) in _ARRAYS.items():
-        if name in left_out or name in ("first", "second"):
-            continue
-        if name not in recording:
-            return f"has no {name!r}"
-        array, wanted = recording[name], [sizes.get(axis, "any") for axis in shape.split()]
-        if array.dtype.kind not in "bif":
-            return f"{name} holds {array.dtype}, no numbers"
-        if len(wanted) != array.ndim or any(
-            size not in ("any", own) for size, own in zip(wanted, array.shape, strict=True)
-        ):
-            return f"{name} has shape {array.shape}; it must be {tuple(wanted)}"
-        if np.isinf(array).any() or (name not in _MAY_BE_NAN and np.isnan(array).any()):
-            return f"{name} holds a number that is not finite"
-    return _fault_of_obstacles(recording["obstacles"], scenario.dim)
-
-
-def _fault_of_obstacles(table: np.ndarray, dim: int) -> str | None:
-    """What is wrong with a table of ``obstacles.obstacle_set``."""
-    if not len(table):
-        return None
-    if table.shape[1] < DETAILS:
-        return f"obstacles: rows have {table.shape[1]} columns; they must have {DETAILS} or more"
-    for fault, wanted in faults(table, dim):
-        if fault.any():
-            row = np.argmax(fault)
-            return f"obstacles[{row}] is {table[row, :DETAILS].tolist()}, …; it must be {wanted}"
-    return None
-
-
 def whole(recording: Recording, scenario: Scenario) -> Recording:
-    """A recording with its observations.
-
-    Raises:
-        ValueError: if no episode of the scenario can have been recorded so.
-    """
+    """A recording with its observations; a ValueError as of ``observations``."""
     if "observations" in recording:
         return recording
     return recording | {"observations": observations(recording, scenario)}
@@ -238,12 +163,8 @@ def observations(recording: Recording, scenario: Scenario) -> NDArray[np.float32
 
     Each frame is the state of a team of its own, which the simulator looks at.
 
-    Args:
-        recording: of an episode, without its observations.
-        scenario: of the episode.
-
     Raises:
-        ValueError: naming an entry that no episode can have.
+        ValueError: naming an entry that no episode of the scenario can have.
     """
     into = recording["merged_into"]
     frames = len(into)

@@ -16,8 +16,7 @@ from ..checks import UserError
 from ..leaderboard import cards, tables
 from ..leaderboard.replays import path_of, read_replay
 from ..learn.settings import EVALUATION_SEEDS
-from .replays import PLAYER, Replay, elements, player_data
-from .skeleton import figures, part, terms, whole
+from .skeleton import PLAYER, Replay, elements, figures, part, player_data, terms, whole
 
 _FIGURES = ("price.png", "profiles.png")
 

@@ -3,35 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from html import escape
 from pathlib import Path
 from string import Template
-from typing import Any
 
+import numpy as np
 from rich.console import Console
 from tyro.conf import Positional
 
 from ..checks import UserError
-from ..compare.ranking import Ranking, answer, leaders
+from ..compare.evaluation import Episodes
+from ..compare.playing import Played
+from ..compare.ranking import Ranking, answer, leaders, rank
+from ..compare.settings import Job
 from ..encoding import Encoded, encode_all, rounding
 from ..recording import MAX_FRAMES
 from ..results import atomic
 from . import board
-from .input import Comparison, read
-from .replays import PLAYER, Replay, elements, player_data
-from .skeleton import figures, part, terms, whole
-from .words import counts, rankings
+from .input import Comparison, half_written, read
+from .skeleton import PLAYER, Replay, elements, figures, part, player_data, terms, whole
 
 _OUTCOME = (
-    "success",
-    "clean",
-    "time",
-    "path_length",
-    "contacts",
-    "clearance",
-    "min_alignment",
-)
+    "success", "clean", "time", "path_length", "contacts", "clearance", "min_alignment",
+)  # fmt: skip
 """Columns of episodes.csv that are shown beside a replay."""
 _NOTHING_KEPT = "No start was kept (compare ran with --keep 0), so there is nothing to replay."
 
@@ -51,19 +46,13 @@ class Config:
 
 
 def run(config: Config) -> int:
-    """Write report.html into the folder.
-
-    Raises:
-        UserError: if the folder is missing, half written, of another format version, or not
-            writable.
-    """
+    """Write report.html into the folder."""
     path, console, note = config.folder / "report.html", Console(), ""
     with console.status("writing the page …"):
         if board.is_one(config.folder):
             text = board.page(config.folder)
         else:
-            found = read(config.folder)
-            text, note = page(found), "" if found.recordings else f"note: {_NOTHING_KEPT}"
+            text, note = _compared(config.folder)
     try:
         with atomic(path) as temporary:
             temporary.write_text(text, encoding="utf-8")
@@ -75,34 +64,35 @@ def run(config: Config) -> int:
     return 0
 
 
+def _compared(folder: Path) -> tuple[str, str]:
+    """The page of a comparison, and a note on it."""
+    try:
+        found = read(folder)
+        return page(found), "" if found.recordings else f"note: {_NOTHING_KEPT}"
+    except UserError:
+        raise
+    except Exception as error:  # its digests were made to fit what compare has not written
+        what = f"not readable ({type(error).__name__}: {error})"
+        raise half_written(folder, what) from error
+
+
 def page(found: Comparison) -> str:
     """The whole page."""
     encoded = encode_all(list(found.recordings.values()))
+    outcomes = {(row["scenario"], row["policy"], int(row["start"])): row for row in found.episodes}
+    shown = [
+        Replay(*key, vars(one), {name: outcomes[key][name] for name in _OUTCOME})
+        for key, one in zip(found.recordings, encoded, strict=True)
+    ]
     ranked = rankings(found)
     sections = Template(part("compared.html")).substitute(
         answer=escape(answer(ranked)),
-        counts=escape(counts(found)),
+        counts=escape(_counts(found)),
         replay=part("replay.html") if encoded else f'<p class="note">{_NOTHING_KEPT}</p>',
         figures=figures(found.figures),
         about=_about(found, encoded),
     )
-    shown = _replays(found, encoded)
-    return whole(
-        f"Rendezvous: {', '.join(found.scenarios)}",
-        ("Replay", "Results", "Figures", "About"),
-        sections,
-        _data(found, ranked, shown),
-        ("data", "choice", "save", *PLAYER, "tables", "results", "replay"),
-        recordings=elements(shown),
-    )
-
-
-# ---- data ---------------------------------------------------------------------------------------
-
-
-def _data(found: Comparison, ranked: Sequence[Ranking], shown: Sequence[Replay]) -> dict[str, Any]:
-    """What the scripts read, besides the recordings themselves."""
-    return player_data(shown, found.scenarios) | {
+    data = player_data(shown, found.scenarios) | {
         "run": {"seed": str(found.run["seed"])},
         "rankings": [
             {
@@ -116,18 +106,43 @@ def _data(found: Comparison, ranked: Sequence[Ranking], shown: Sequence[Replay])
         "results": found.rows,
         "paired": found.paired,
     }
+    return whole(
+        f"Rendezvous: {', '.join(found.scenarios)}",
+        ("Replay", "Results", "Figures", "About"),
+        sections,
+        data,
+        ("data", "choice", "save", *PLAYER, "tables", "results", "replay"),
+        recordings=elements(shown),
+    )
 
 
-def _replays(found: Comparison, encoded: Sequence[Encoded]) -> list[Replay]:
-    """The recordings with what episodes.csv says of them."""
-    outcomes = {(row["scenario"], row["policy"], int(row["start"])): row for row in found.episodes}
-    return [
-        Replay(*key, vars(one), {name: outcomes[key][name] for name in _OUTCOME})
-        for key, one in zip(found.recordings, encoded, strict=True)
-    ]
+def rankings(found: Comparison) -> list[Ranking]:
+    """Who wins on each scenario, as ``compare`` says it, from episodes.csv."""
+    played = []
+    for name, policies in found.run["policies"].items():
+        for policy in policies:
+            own = [r for r in found.episodes if (r["scenario"], r["policy"]) == (name, policy)]
+            columns = {
+                field.name: np.array([float(row[field.name] or "nan") for row in own])
+                for field in fields(Episodes)
+            }
+            columns["success"] = columns["success"] == 1.0
+            played.append(Played(Job(found.scenarios[name], policy), Episodes(**columns), {}))
+    return rank(played)
 
 
 # ---- words --------------------------------------------------------------------------------------
+
+
+def _counts(found: Comparison) -> str:
+    """How many scenarios, policies and starts."""
+    policies = {name for played in found.run["policies"].values() for name in played}
+    first, count, starts = found.run["seed"], found.run["episodes"], found.run["starts"].items()
+    said = f"{count} starts each (seeds {first}–{first + count - 1})"
+    if single := [name for name, own in starts if own == 1 < count]:
+        said += f"; one of {', '.join(single)}, whose start is given"
+    said += "".join(f"; {own} of {name}" for name, own in starts if 1 < own < count)
+    return f"{len(found.scenarios)} scenarios, {len(policies)} policies, {said}"
 
 
 def _about(found: Comparison, encoded: Sequence[Encoded]) -> str:
@@ -150,9 +165,8 @@ def _precision(found: Comparison, encoded: Sequence[Encoded]) -> str:
         return _NOTHING_KEPT
 
     def half_step(name: str) -> float:
-        return 0.5 * max(rounding(recording[name]) for recording in recordings)
+        return 0.5 * max(rounding(recording[name]) for recording in found.recordings.values())
 
-    recordings = found.recordings.values()
     thin = sum(one.stride > 1 for one in encoded)
     kept = (
         f"{thin} of {len(encoded)} recordings are thinned out to keep the page small (said below "

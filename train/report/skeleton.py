@@ -1,4 +1,4 @@
-"""What all pages have: one file that loads nothing, with its data, looks and scripts inside."""
+"""What all pages have: one file that loads nothing, with its data, looks, scripts and replays."""
 
 from __future__ import annotations
 
@@ -9,11 +9,24 @@ from html import escape
 from importlib.resources import files
 from pathlib import Path
 from string import Template
-from typing import Any
+from typing import Any, NamedTuple
 
-from .words import caption
+from rendezvous_env.scenario.scenario import Scenario
+
+from ..figures.figures import ROBOT_COLOURS
 
 _PAGE = files("train.report") / "page"
+_CAPTIONS = {
+    "success": "How many of the starts each policy met on. Open marks: all robots met. Filled: and "
+    "none touched an obstacle. Lines: 95 % intervals.",
+    "times": "Median time until all robots met, with its 95 % interval; time-outs count as later "
+    "than the limit.",
+    "against-obstacles": "Collision-free success as obstacles become more. Bars: 95 % intervals.",
+    "against-robots": "Collision-free success of teams of different size among the same number of "
+    "obstacles. Bars: 95 % intervals.",
+    "price": "Collision-free success and time, each against the share of steps in which V rose.",
+    "profiles": "The share of runs that reach each level of collision-free success.",
+}
 
 
 def part(name: str) -> str:
@@ -42,6 +55,7 @@ def whole(
     ids = {"About": "run"}
     own = "\n".join(part(f"{name}.js") for name in scripts)
     css, js = (part(f"uPlot.{end}") if recordings else "" for end in ("min.css", "iife.min.js"))
+    plain = json.dumps(data, separators=(",", ":"), allow_nan=False)
     return Template(part("page.html")).substitute(
         title=escape(title),
         links=" ".join(f'<a href="#{ids.get(one, one.lower())}">{one}</a>' for one in links),
@@ -49,13 +63,8 @@ def whole(
         css=css + part("page.css"),
         js=f'{js}\n(() => {{\n"use strict";\n{own}}})();',
         recordings=recordings,
-        data=_json(data),
+        data=plain.replace("<", "\\u003c"),  # cannot end the script element it stands in
     )
-
-
-def _json(data: Any) -> str:
-    """JSON that cannot end the script element it stands in."""
-    return json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
 
 
 def figures(paths: Sequence[Path]) -> str:
@@ -67,7 +76,7 @@ def figures(paths: Sequence[Path]) -> str:
 
 def _figure(path: Path) -> str:
     source = base64.b64encode(path.read_bytes()).decode("ascii")
-    name, said = escape(path.name), escape(caption(path.stem))
+    name, said = escape(path.name), escape(_caption(path.stem))
     return (
         f'<figure id="{escape(path.stem)}"><img loading="lazy" alt="{said}" '
         f'src="data:image/png;base64,{source}"><figcaption>{said} <button type="button" '
@@ -76,7 +85,75 @@ def _figure(path: Path) -> str:
     )
 
 
+def _caption(stem: str) -> str:
+    """What a figure shows, by the name of its file without the ending."""
+    kind, _, scenario = stem.partition("-")
+    if kind == "trajectories":
+        return (
+            f"{scenario}: the ways of the robots from the first start under each policy. "
+            "Dots: starts. Crosses: merges. Orange: obstacles."
+        )
+    name, _, number = stem.rpartition("-")
+    return _CAPTIONS.get(name if number.isdigit() else stem, stem)
+
+
 def terms(lines: Mapping[str, str]) -> str:
-    """A list of terms and what they mean here."""
+    """A list of terms and their meaning here."""
     items = (f"<dt>{escape(name)}</dt><dd>{escape(line)}</dd>" for name, line in lines.items())
     return f"<dl>{''.join(items)}</dl>"
+
+
+# ---- replays ------------------------------------------------------------------------------------
+
+PLAYER = ("world", "sight", "plots", "pane")
+"""Scripts that draw; "replay" begins, once the tables are there."""
+
+
+class Replay(NamedTuple):
+    """An episode that can be shown."""
+
+    scenario: str
+    policy: str
+    start: int
+    shown: Mapping[str, Any]
+    """Fields of ``encoding.Encoded``."""
+    outcome: Mapping[str, str]
+    """Cells of episodes.csv; the page needs success, clean, time and contacts."""
+
+
+def elements(replays: Sequence[Replay]) -> str:
+    """The recordings, in the order of ``player_data``."""
+    return "\n".join(
+        f'<script id="recording-{number}" type="application/gzip">{replay.shown["text"]}</script>'
+        for number, replay in enumerate(replays)
+    )
+
+
+def player_data(replays: Sequence[Replay], scenarios: Mapping[str, Scenario]) -> dict[str, Any]:
+    """What the player reads besides the recordings themselves; obstacles of a start once."""
+    worlds = {(one.scenario, one.start): one.shown["obstacles"] for one in replays}
+    places = {world: number for number, world in enumerate(worlds)}
+    return {
+        "scenarios": {name: _scenario(scenario) for name, scenario in scenarios.items()},
+        "obstacles": list(worlds.values()),
+        "recordings": [
+            {key: one.shown[key] for key in ("fields", "stride", "extent")}
+            | {"scenario": one.scenario, "policy": one.policy, "start": one.start}
+            | {"obstacles": places[one.scenario, one.start], "outcome": one.outcome}
+            for one in replays
+        ],
+        "robot_colours": ROBOT_COLOURS,
+    }
+
+
+def _scenario(scenario: Scenario) -> dict[str, Any]:
+    layout = scenario.observation_layout
+    return {
+        "limit": scenario.max_steps * scenario.tau,
+        "nonholonomic": scenario.model.nonholonomic,
+        "exact": scenario.sensing.exact,
+        "own_row": "gravity" if scenario.model.nonholonomic else "own velocity",
+        "neighbour_slots": layout.neighbour_slots,
+        "obstacle_slots": layout.obstacle_slots,
+        "silhouette_points": layout.silhouette_points,
+    }
