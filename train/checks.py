@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import importlib.util
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Sequence
 from dataclasses import fields
-from operator import ge, le
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +13,7 @@ _LONGEST_NAME = 255  # bytes of one part of a path, on every common file system
 
 
 class UserError(Exception):
-    """Ends a command with one line instead of a traceback: the user asked for what cannot be.
-
-    The message says what would be right.
-    """
+    """Ends a command with one line, which says what would be right, instead of a traceback."""
 
 
 def installed(module: str) -> bool:
@@ -27,24 +23,15 @@ def installed(module: str) -> bool:
 
 
 def check_installed(what: str, extra: str, *packages: str) -> None:
-    """Refuse what needs packages that are missing.
-
-    Raises:
-        UserError: naming the package, and the extra that installs it.
-    """
+    """Refuse what needs packages that are missing, naming the extra that installs them."""
     for package in packages:
         if not installed(package):
             raise UserError(f"{what} needs {package}; pip install 'rendezvous-env[{extra}]'")
 
 
 def check_fields(config: Any) -> None:
-    """Refuse what no setting of any command may be: NaN, ±∞, text that no file can be called.
-
-    Args:
-        config: a dataclass.
-
-    Raises:
-        UserError: naming the flag, its value and what would be right.
+    """Refuse what no field of any command's settings may be: NaN, ±∞, text that no file can be
+    called.
     """
     for field in fields(config):
         name = field.name if "Positional" in str(field.type) else flag(field.name)
@@ -61,35 +48,32 @@ def check_fields(config: Any) -> None:
 
 
 def check_least(config: Any, **least: float) -> None:
-    """Refuse numbers below a bound; None is no number and passes.
-
-    Args:
-        config: a dataclass.
-        **least: by the name of the field.
-
-    Raises:
-        UserError: naming the flag, its value and what would be right.
-    """
-    _check_bounds(config, least, ge, "more")
+    """Refuse numbers in fields of a dataclass that are below a bound; None passes."""
+    for name, bound in least.items():
+        for one in _each(config, name):
+            if one is not None and not one >= bound:
+                raise UserError(f"{flag(name)} is {one}; it must be {bound} or more")
 
 
 def check_most(config: Any, **most: float) -> None:
     """Refuse numbers above a bound; as ``check_least``."""
-    _check_bounds(config, most, le, "less")
-
-
-def _check_bounds(
-    config: Any, bounds: Mapping[str, float], right: Callable[[Any, Any], bool], which: str
-) -> None:
-    for name, bound in bounds.items():
+    for name, bound in most.items():
         for one in _each(config, name):
-            if one is not None and not right(one, bound):
-                raise UserError(f"{flag(name)} is {one}; it must be {bound} or {which}")
+            if one is not None and not one <= bound:
+                raise UserError(f"{flag(name)} is {one}; it must be {bound} or less")
 
 
 def _each(config: Any, name: str) -> tuple[Any, ...]:
     value = getattr(config, name)
     return value if isinstance(value, tuple) else (value,)
+
+
+def meant(word: str, known: Sequence[str]) -> str:
+    """The question whether a known word was meant that is nearly this one; empty without one."""
+    from rendezvous_env.checks import nearest_word  # not for --help
+
+    near = nearest_word(word, known)
+    return f"did you mean {near!r}? " if near else ""
 
 
 def check_text(name: str, text: str) -> None:
@@ -103,11 +87,8 @@ def check_text(name: str, text: str) -> None:
 
 
 _FLAGS = {
-    "on": "backend",
-    "fresh": "overwrite",
-    "keep": "keep-trajectories",
-    "ceiling": "oracle-runs",
-}
+    "on": "backend", "fresh": "overwrite", "keep": "keep-trajectories", "ceiling": "oracle-runs",
+}  # fmt: skip
 """Flags that are not called as their fields."""
 
 

@@ -16,11 +16,7 @@ GRACE = 4.0
 
 
 class Interrupted(KeyboardInterrupt):
-    """A signal asked the command to end.
-
-    Args:
-        number: of the signal.
-    """
+    """A signal, by its number, asked the command to end."""
 
     def __init__(self, number: int) -> None:
         super().__init__(number)
@@ -33,7 +29,7 @@ def status_of(error: KeyboardInterrupt) -> int:
 
 
 def line_of(command: str, error: KeyboardInterrupt) -> str:
-    """What is said at the end, with what was noted on the way about going on."""
+    """The last line of a command, with the notes that were added on the way about resuming it."""
     notes = getattr(error, "__notes__", ["no file is half written"])
     return f"rendezvous {command}: interrupted; {'; '.join(notes)}"
 
@@ -43,10 +39,7 @@ def raised(command: str) -> Iterator[None]:
     """Signals raise ``Interrupted`` in the body.
 
     An exception can be lost, and compiled code sees none. So a thread that the system tells of the
-    signal ends the process if the body still runs after GRACE.
-
-    Args:
-        command: its name, for what is said then.
+    signal ends the process, naming the command, if the body still runs after GRACE.
     """
     if threading.current_thread() is not threading.main_thread():
         yield  # signals go to the main thread, and are its business
@@ -79,14 +72,10 @@ def _interrupt(number: int, frame: Any) -> None:
 
 def _end_late(reader: int, over: threading.Event, command: str) -> None:
     """End the process GRACE after the first of SIGNALS in the pipe, unless the body is over."""
-    number = None
-    while number not in SIGNALS:
-        if not (content := os.read(reader, 1)):  # closed
-            break
-        number = content[0]
-    if number in SIGNALS and not over.wait(GRACE):
-        error = Interrupted(number)
-        error.add_note("it did not stop by itself; what it was writing is left out")
-        print(line_of(command, error), file=sys.stderr, flush=True)
-        os._exit(status_of(error))
+    while content := os.read(reader, 1):  # empty once it is closed
+        if content[0] in SIGNALS and not over.wait(GRACE):
+            error = Interrupted(content[0])
+            error.add_note("it did not stop by itself; what it was writing is left out")
+            print(line_of(command, error), file=sys.stderr, flush=True)
+            os._exit(status_of(error))
     os.close(reader)

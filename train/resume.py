@@ -53,24 +53,19 @@ def _source() -> str:
 
 
 def run_id(plan: Mapping[str, Any]) -> str:
-    """What was asked for, as a name: the same command gives the same one."""
+    """The name of a plan: the same command gives the same one."""
     return plain_data.digest(plan)[:16]
 
 
 @contextmanager
 def claimed(folder: Path, lock: str, what: str) -> Iterator[None]:
-    """A folder that can be written to, with a lock file that no other process holds meanwhile.
+    """Make a folder that can be written to, and hold a lock file in it meanwhile.
 
-    The system frees the lock if this process dies. What had to be made of the folder goes again if
-    it stays empty.
-
-    Args:
-        folder: to make.
-        lock: name of a file in it, which says who holds it and goes in the end.
-        what: is locked, for the message.
+    The file names its holder. The system frees the lock if this process dies. Folders that had to
+    be made go again if they stay empty.
 
     Raises:
-        UserError: if another process holds it, which is named; or it cannot be written to.
+        UserError: if another process holds it, naming that and ``what``; or it cannot be written.
     """
     new, holder = [path for path in (folder, *folder.parents) if not path.exists()], ""
     path = folder / lock
@@ -100,21 +95,17 @@ def claimed(folder: Path, lock: str, what: str) -> Iterator[None]:
 
 
 class Part:
-    """The folder of work that goes on: a plan, as plain data, and what is done, in a word."""
+    """The folder of unfinished work: a plan, as plain data; ``what`` names the work in a word."""
 
     def __init__(self, folder: Path, plan: Mapping[str, Any], what: str) -> None:
         self.folder, self.run = folder, run_id(plan)
         self._plan, self._what, self._cells = plan, what, folder / "cells"
 
     def begin(self, given: Path, *, fresh: bool) -> None:
-        """Make the folder, or resume what is there.
-
-        Args:
-            given: what --out said, for messages.
-            fresh: whether to throw away what another command has left unfinished.
+        """Make the folder, or resume what is there; ``given`` is what --out said.
 
         Raises:
-            UserError: if it is of something else.
+            UserError: if it is of another command, and not to be thrown away for a fresh beginning.
             OSError: if it cannot be written; nothing stays where no task was finished.
         """
         if any(self.folder.glob("[!.]*")):
@@ -127,15 +118,15 @@ class Part:
             results.write_json(self.folder / PLAN, {**self._plan, "run": self.run})
             self._cells.mkdir(exist_ok=True)
         except OSError:
-            if not self._count():
-                self.discard()
+            self._discard_if_empty()
             raise
 
     @contextmanager
-    def at_work(self, console: Console) -> Iterator[None]:
-        """Say what is there before the body, and after a body that is interrupted; nothing stays
-        where no task was finished.
+    def at_work(self, given: Path, console: Console, *, fresh: bool) -> Iterator[None]:
+        """``begin``, and say what is there before the body, and after a body that is interrupted;
+        nothing stays where no task was finished.
         """
+        self.begin(given, fresh=fresh)
         if count := self._count():
             console.print(f"resumes with {count} finished tasks in {self.folder}", soft_wrap=True)
         try:
@@ -147,8 +138,7 @@ class Part:
                 )
             raise
         finally:
-            if self.folder.is_dir() and not self._count():
-                self.discard()
+            self._discard_if_empty()
 
     def save(self, name: str, result: Any) -> None:
         """Keep what a task gave."""
@@ -157,7 +147,7 @@ class Part:
             temporary.write_bytes(self._digest(content) + content)
 
     def load(self, name: str) -> Any:
-        """What a task gave; None if it is not finished, or damaged: it is done anew."""
+        """What a task gave; None if it is not finished, or damaged: it is done again."""
         try:
             content = (self._cells / f"{name}.cell").read_bytes()
         except OSError:
@@ -201,6 +191,10 @@ class Part:
                 path.unlink()
         shutil.rmtree(self.folder)
 
+    def _discard_if_empty(self) -> None:
+        if self.folder.is_dir() and not self._count():
+            self.discard()
+
     def _digest(self, content: bytes) -> bytes:
         return hashlib.sha256(self.run.encode() + content).digest()
 
@@ -209,7 +203,7 @@ class Part:
         return len(list(self._cells.glob("[!.]*.cell")))
 
     def _check_same(self, given: Path) -> None:
-        """Refuse to resume something else than what was begun."""
+        """Refuse to resume another command than the one that began."""
         if not (self.folder / PLAN).is_file():
             raise UserError(f"{self.folder}: holds no {PLAN}, so it is none of ours; move it away")
         stored = read(self.folder / PLAN)
@@ -217,10 +211,14 @@ class Part:
             return
         plain = json.loads(json.dumps(self._plan))
         other = next((key for key in plain if stored.get(key) != plain[key]), "run")
+        there, here = (
+            text if len(text := json.dumps(value)) <= 60 else f"…{plain_data.digest(value)[:8]}"
+            for value in (stored.get(other), plain.get(other))
+        )
         raise UserError(
-            f"{self.folder} holds an unfinished {self._what} of other {other} "
-            f"({_short(stored.get(other))}, here {_short(plain.get(other))}): give its command to "
-            f"resume it, --overwrite to throw it away, or another folder than --out {given}"
+            f"{self.folder} holds an unfinished {self._what} of other {other} ({there}, here "
+            f"{here}): give its command to resume it, --overwrite to throw it away, or another "
+            f"folder than --out {given}"
         )
 
 
@@ -234,8 +232,3 @@ def read(path: Path) -> dict[str, Any]:
         return dict(plain_data.read_json(path))
     except (OSError, ValueError, TypeError) as error:
         raise UserError(f"{path}: not readable ({error}); remove {path.parent}") from error
-
-
-def _short(value: Any) -> str:
-    text = json.dumps(value)
-    return text if len(text) <= 60 else f"…{plain_data.digest(value)[:8]}"

@@ -3,51 +3,61 @@
 from __future__ import annotations
 
 import os
+import pickle
 import queue
 import signal
+import socket
 import threading
 import time
 import warnings
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import as_completed
-from contextlib import closing, suppress
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
+from itertools import islice
 from typing import Annotated, Any, Literal, TypeVar
 
 from tyro.conf import arg
 
 from rendezvous_env.engine.threads import available_cores
 
-from . import cluster
 from .checks import UserError, check_installed, check_least, check_most
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
-Place = Literal["here", "ray"]
 
 _ALONE = 2.0
 """s for which this process works by itself; only what takes longer is worth starting others."""
 _TRIES = 3
 """Times in a row that workers may be lost without a task being done."""
 _MOST = 2**12
+_ONE_THREAD = dict.fromkeys(("NUMBA_NUM_THREADS", "OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"), "1")
+"""Environment of a worker."""
+NAME = "rendezvous"
+"""Of a worker of a Ray cluster while it is at a task: ``ray::rendezvous``."""
+_AHEAD = 4
+"""Tasks that each core of a cluster is given at a time: some wait, so that none of them idles."""
+_ANSWER = 10.0
+"""s that a cluster has to answer."""
+_MODE = "RAY_AUTH_MODE"
+"""Where Ray reads whether a cluster asks for a token. Each process reads it for itself; Ray sets it
+in one that starts a cluster of its own."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Workers:
-    """Who does the tasks.
-
-    Raises:
-        UserError: for a number that cannot be, or a cluster that cannot be asked.
-    """
+    """Who does the tasks of a command, and the flags that say so."""
 
     jobs: int | None = None
-    """How many work at once; None is one on each core, or all that the cluster has."""
-    on: Place = "here"
-    """This machine, or a Ray cluster."""
+    """How many processes work at once: one on each core if nothing is said, or all that a cluster
+    has. Results are the same, bit for bit, whatever their number."""
+    on: Annotated[Literal["here", "ray"], arg(name="backend", aliases=("--on",))] = "here"
+    """Where they work: on this machine, or on a Ray cluster."""
     address: str | None = None
-    """Of the cluster; None starts one on this machine."""
+    """The address of the Ray cluster; without one a cluster starts on this machine."""
 
-    def __post_init__(self) -> None:
+    def check_workers(self) -> None:
+        """Raise a UserError for an impossible number, or a cluster that cannot be asked."""
         check_least(self, jobs=1)
         check_most(self, jobs=_MOST)
         if self.on == "here" and self.address is not None:
@@ -56,27 +66,9 @@ class Workers:
             check_installed("--backend ray", "ray", "ray")
 
     @property
-    def count(self) -> int:
+    def worker_count(self) -> int:
         """How many work at once on this machine."""
         return self.jobs or available_cores()
-
-
-@dataclass(frozen=True, kw_only=True)
-class WorkerFlags:
-    """Flags of commands whose tasks workers do."""
-
-    jobs: int | None = None
-    """How many processes work at once: one on each core if nothing is said, or all that a cluster
-    has. Results are the same, bit for bit, whatever their number."""
-    on: Annotated[Place, arg(name="backend", aliases=("--on",))] = "here"
-    """Where they work: on this machine, or on a Ray cluster."""
-    address: str | None = None
-    """The address of the Ray cluster; without one a cluster starts on this machine."""
-
-    @property
-    def workers(self) -> Workers:
-        """Who does the tasks."""
-        return Workers(self.jobs, self.on, self.address)
 
 
 def each(
@@ -107,8 +99,9 @@ def each(
         UserError: if workers are lost again and again, or there is no such cluster.
         Exception: what a task raised.
     """
+    workers.check_workers()
     left = dict(enumerate(tasks))
-    alone = workers.on == "here" and workers.count == 1
+    alone = workers.on == "here" and workers.worker_count == 1
     began = time.monotonic()
     for number, task in enumerate(tasks):
         at_first = workers.on == "here" and not long and time.monotonic() - began < _ALONE
@@ -117,16 +110,9 @@ def each(
     if not left:
         return
     if workers.on == "ray":
-        found = cluster.spread(
-            work,
-            list(left.items()),
-            tries=_TRIES,
-            jobs=workers.jobs,
-            address=workers.address,
-            cores=workers.count,
-        )
+        found = _on_cluster(work, left, workers)
     else:
-        found = _on_cores(work, left, workers.count)
+        found = _on_cores(work, left, workers.worker_count)
     with closing(found):
         yield from found
 
@@ -134,7 +120,7 @@ def each(
 def _on_cores(
     work: Callable[[Task], Result], left: dict[int, Task], count: int
 ) -> Generator[tuple[int, Result], None, None]:
-    """Results from other processes of this machine, which are begun anew if one is lost."""
+    """Results from other processes of this machine, which start again if one is lost."""
     from joblib.externals.loky.process_executor import BrokenProcessPool
 
     lost = 0
@@ -154,7 +140,11 @@ def _on_cores(
                     f"be short: try fewer than --jobs {count}"
                 ) from error
         finally:
-            _end(executor)
+            # the executor's thread would look for waiting tasks after it has thrown them away
+            with suppress(queue.Empty):
+                while True:
+                    executor._work_ids.get_nowait()
+            executor.shutdown(kill_workers=True)
 
 
 def _executor(count: int) -> Any:
@@ -166,7 +156,7 @@ def _executor(count: int) -> Any:
     # a worker that compiles much takes more and more memory, and joblib starts another one
     warnings.filterwarnings("ignore", message="A worker stopped while some jobs")
     executor = ProcessPoolExecutor(
-        count, initializer=_end_with, initargs=(os.getpid(),), env=cluster.ALONE
+        count, initializer=_end_with, initargs=(os.getpid(),), env=_ONE_THREAD
     )
     mask = signal.pthread_sigmask
     before = mask(signal.SIG_BLOCK, {signal.SIGINT})
@@ -175,17 +165,6 @@ def _executor(count: int) -> Any:
     finally:
         mask(signal.SIG_SETMASK, before)
     return executor
-
-
-def _end(executor: Any) -> None:
-    """Kill the workers, whatever they are at, and forget the tasks that nobody has begun.
-
-    Its thread would else look for these tasks after it has thrown them away: a KeyError.
-    """
-    with suppress(queue.Empty):
-        while True:
-            executor._work_ids.get_nowait()
-    executor.shutdown(kill_workers=True)
 
 
 def _end_with(parent: int) -> None:
@@ -197,3 +176,99 @@ def _end_with(parent: int) -> None:
         os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()
+
+
+# ---- on a Ray cluster ---------------------------------------------------------------------------
+
+
+def _on_cluster(
+    work: Callable[[Task], Result], tasks: dict[int, Task], workers: Workers
+) -> Generator[tuple[int, Result], None, None]:
+    """Results from a Ray cluster, each of a task of Ray's own: its joblib backend has a pool whose
+    results come all together, and of which nothing is left when a worker is lost.
+    """
+    import ray
+    from ray.exceptions import OwnerDiedError, RayError, RayTaskError
+
+    with _joined(workers.address, workers.worker_count):
+        cores = max(1, int(ray.cluster_resources().get("CPU", 1)))
+        ahead = workers.jobs or _AHEAD * cores
+        options = {"num_cpus": 1, "max_retries": _TRIES - 1, "name": NAME}
+        do = ray.remote(_do).options(**options, scheduling_strategy="SPREAD")
+        left, flying = iter(tasks.items()), dict[Any, int]()
+        while True:
+            for number, task in islice(left, ahead - len(flying)):
+                flying[do.remote(os.getcwd(), work, task)] = number
+            if not flying:
+                return
+            (found,), _ = ray.wait(list(flying))
+            number = flying.pop(found)
+            try:
+                result = pickle.loads(ray.get(found))
+            except RayTaskError as error:
+                raise error.cause from None
+            except OwnerDiedError as error:  # this process, which lives
+                raise UserError(
+                    f"the cluster did not reach this process to fetch a result: {_mode()}, and no "
+                    "firewall may stand between"
+                ) from error
+            except RayError as error:
+                raise UserError(
+                    f"workers of the cluster ended {_TRIES} times at one task ({error}); memory "
+                    "may be short: try fewer --jobs"
+                ) from error
+            yield number, result
+
+
+@contextmanager
+def _joined(address: str | None, cores: int) -> Iterator[None]:
+    """This process is a driver of the cluster."""
+    import ray
+    from ray.exceptions import RayError
+
+    if address:
+        _check_answers(address)
+    try:
+        ray.init(
+            address or "local",
+            num_cpus=None if address else cores,
+            runtime_env={"env_vars": _ONE_THREAD},
+            log_to_driver=False,
+            include_dashboard=None if address else False,
+        )
+    except ValueError as error:
+        raise UserError(f"--address {address}: {error}") from error
+    except (ConnectionError, RayError) as error:
+        raise UserError(f"--address {address}: {error}; {_mode()}") from error
+    try:
+        yield
+    finally:
+        ray.shutdown()
+
+
+def _mode() -> str:
+    """What two processes must have in common, in words."""
+    return f"{_MODE} is {os.environ.get(_MODE, 'not set')} here and must be that of the cluster"
+
+
+def _check_answers(address: str) -> None:
+    """Refuse a machine where nobody listens: Ray itself would ask for many minutes."""
+    host, _, port = address.rpartition("://")[2].rpartition(":")
+    if not (host and port.isdigit()):
+        return  # "auto", or one that Ray refuses at once
+    try:
+        socket.create_connection((host.strip("[]"), int(port)), timeout=_ANSWER).close()
+    except (OSError, OverflowError) as error:
+        raise UserError(
+            f"--address {address}: no cluster answers there ({error}); "
+            "`ray start --head` says the address of one"
+        ) from error
+
+
+def _do(folder: str, work: Callable[[Any], Any], task: Any) -> bytes:
+    """Do a task and pickle its result: arrays that Ray itself brings back are read-only. The worker
+    stands in this folder where it has it, so that relative paths mean the same.
+    """
+    with suppress(OSError):
+        os.chdir(folder)
+    return pickle.dumps(work(task))

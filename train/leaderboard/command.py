@@ -47,8 +47,7 @@ def run(config: Config) -> int:
     with claimed(out.parent, f".{out.name}.lock", f"--out {out}"):
         kept = _kept(out, places)
         part = Part(out.with_name(f"{out.name}.part"), asked, "leaderboard")
-        part.begin(out, fresh=config.fresh)
-        with part.at_work(console):
+        with part.at_work(out, console, fresh=config.fresh):
             first = places[0].seed
             tasks = {
                 place: _task(number, place, config.record or place.seed == first)

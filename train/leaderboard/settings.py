@@ -11,7 +11,7 @@ from tyro.conf import arg
 from .. import results
 from ..checks import UserError, check_least
 from ..policies import resolve_scenario
-from ..tasks import WorkerFlags
+from ..tasks import Workers
 from . import registry
 
 Tier = Literal["smoke", "mini", "full"]
@@ -44,7 +44,7 @@ FLAG_GROUPS = {"Output": ("out", "fresh"), "Workers": ("jobs", "on", "address")}
 
 
 @dataclass(frozen=True)
-class Config(WorkerFlags):
+class Config(Workers):
     """Train and play algorithms × fields × seeds; tables with intervals, and every raw number."""
 
     tier: Tier = "smoke"

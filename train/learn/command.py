@@ -13,7 +13,7 @@ from .. import policies, results
 from ..checks import UserError
 from ..compare.playing import TOGETHER, make_ready
 from ..compare.settings import Job
-from ..tasks import WorkerFlags, each
+from ..tasks import Workers, each
 from . import ppo
 from .settings import CONFIG, check, read_config, same_run
 from .settings import EXAMPLES as EXAMPLES
@@ -24,7 +24,7 @@ FLAG_GROUPS = {"Several seeds": ("seeds", "jobs", "on", "address"), **SETTINGS_G
 
 
 @dataclass(frozen=True)
-class Config(Settings, WorkerFlags):
+class Config(Settings, Workers):
     """Train a policy; the team keeps its guarantee whatever the network says."""
 
     seeds: tuple[int, ...] = ()
@@ -52,7 +52,7 @@ def run(config: Config) -> int:
     console = Console(soft_wrap=True)
     console.print(f"{len(runs)} runs; {_log_of(runs[0])} and so on tell of them")
     try:
-        with closing(each(_train, runs, config.workers, long=True)) as found:
+        with closing(each(_train, runs, config, long=True)) as found:
             for number, status in found:
                 if status:
                     return status

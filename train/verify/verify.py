@@ -19,7 +19,7 @@ from rendezvous_env.checks import nearest_word
 from ..checks import UserError, check_least, check_most
 from ..results import write_csv
 from ..resume import Part, claimed, program
-from ..tasks import WorkerFlags, each
+from ..tasks import Workers, each
 from .cases import BATCH
 from .claims import CLAIMS, Claim, Finding, blocks_of, look, worst
 from .counterexamples import Tally, any_blocks, look_at_any, rows_of, shrink, write
@@ -39,7 +39,7 @@ FLAG_GROUPS = {"Workers": ("jobs", "on", "address")}
 
 
 @dataclass(frozen=True)
-class Config(WorkerFlags):
+class Config(Workers):
     """Check every claim of the theory on random teams; exit status 1 if one is violated."""
 
     trials: int = 1000
@@ -81,7 +81,7 @@ def check_config(config: Config) -> None:
     """
     check_least(config, trials=1, seed=0, only_batch=0, kinds=1)
     check_most(config, trials=10**8)
-    _ = config.workers  # refuses what cannot be
+    config.check_workers()
     if not 0 < config.min_alignment < 1:
         raise UserError(
             f"--min-alignment is {config.min_alignment}; it must lie between 0 and 1, exclusive"
@@ -107,8 +107,10 @@ def run(config: Config, claims: Sequence[Claim] = CLAIMS, console: Console | Non
     path = config.out / ("any.csv" if config.any else "verify.csv")
     part = Part(path.with_suffix(".part"), plan_of(config, chosen), "verification")
     with claimed(config.out, ".verify.lock", f"--out {config.out}"):
-        part.begin(config.out, fresh=config.fresh)
-        with part.at_work(console), Progress(*_BAR, console=console, transient=True) as bars:
+        with (
+            part.at_work(config.out, console, fresh=config.fresh),
+            Progress(*_BAR, console=console, transient=True) as bars,
+        ):
             if config.any:
                 tally = _try_anything(config, part, bars)
                 rows = rows_of(tally)
@@ -144,7 +146,7 @@ def _look_at_all(
     bars = {claim.name: progress.add_task(claim.name, total=total) for claim in claims}
     blocks = [block for claim in claims for block in blocks_of(claim, batches, *asked)]
     seen: dict[str, Finding] = {}
-    for block, one, _ in part.finish(blocks, lambda left: each(look, left, config.workers)):
+    for block, one, _ in part.finish(blocks, lambda left: each(look, left, config)):
         seen[block.name] = one
         progress.advance(bars[block.claim.name], one.trials)
     return [
@@ -215,7 +217,7 @@ def _try_anything(config: Config, part: Part, progress: Progress) -> Tally:
     """Play what is not finished."""
     tally, bar = Tally(), progress.add_task("scenarios", total=config.trials)
     blocks = any_blocks(config.trials, config.seed, config.kinds)
-    for _, one, _ in part.finish(blocks, lambda left: each(look_at_any, left, config.workers)):
+    for _, one, _ in part.finish(blocks, lambda left: each(look_at_any, left, config)):
         tally.join(one)
         progress.advance(bar, one.trials)
     tally.violations.sort(key=lambda found: found[0])

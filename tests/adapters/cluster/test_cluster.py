@@ -22,7 +22,7 @@ from ray import cloudpickle
 from ray.cluster_utils import Cluster
 
 from rendezvous_env.engine.threads import available_cores
-from train import cluster as cluster_tasks
+from train import tasks as cluster_tasks
 from train.checks import UserError
 from train.tasks import Workers, each
 
@@ -155,7 +155,7 @@ class TestEach:
         assert (tmp_path / "0").stat().st_size == 3
 
     def test_one_of_this_machine_is_started_with_single_threads(self):
-        found = dict(each(threads, range(8), Workers(2, on="ray")))
+        found = dict(each(threads, range(8), Workers(jobs=2, on="ray")))
         assert sorted(found) == list(range(8))
         assert {result[:2] for result in found.values()} == {("1", 1)}
         processes = {result[2] for result in found.values()}

@@ -35,7 +35,7 @@ def _rule(name: str, word: str, guarantee: Literal["none", "heading", "tank"]) -
         guarantee=guarantee,
         given="bearings",
         learn=partial(_made, name),
-        fits=lambda field: name in policies.names(field) and _keeps(guarantee, field),
+        fits=lambda field: name in baselines.names(field) and _keeps(guarantee, field),
         learns=False,
     )
 
