@@ -28,7 +28,7 @@ from .cases import Case, Running, Size, spread_out
 
 GROUPS = tuple("one-team batched obstacles wrapped training sensing adapters heading-ppo".split())
 _PEERS = ("stable-baselines3", "torch", "mpe2", "torchrl", "pufferlib-core")
-_TOLD = ("group", "name", "n_robots", "num_envs", "unit", "against")
+_SHOWN = ("group", "name", "n_robots", "num_envs", "unit", "against")
 _MOST_BEARINGS = 2**31
 _TAUGHT = (("clutter-8", "heading"), ("clutter-24", "tank"))
 
@@ -57,18 +57,14 @@ class Config:
 
 
 Row = dict[str, Any]
-"""A measured case: group, name, n_robots, num_envs and unit; rate, the median of rates, in units
-per second; ratio, the median over turns of this rate divided by that of the case whose name begins
-as against says in the same turn, None without one.
+"""A measured case: group, name, n_robots, num_envs, unit and against; rate, the median of rates, in
+units per second; ratio, the median over turns of this rate divided by that of the case against
+which it is measured, None without one.
 """
 
 
 def check(config: Config) -> None:
-    """Refuse settings that cannot be measured.
-
-    Raises:
-        UserError: naming the flag, its value and what would be right.
-    """
+    """Refuse settings that cannot be measured."""
     if unknown := sorted(set(config.only) - set(GROUPS)):
         raise UserError(f"--only: {unknown[0]!r} is unknown; known are {', '.join(GROUPS)}")
     check_least(config, robots=2, num_envs=1, num_threads=1, repeats=1)
@@ -90,12 +86,7 @@ def check(config: Config) -> None:
 
 
 def run(config: Config) -> None:
-    """Measure, print the table, write what files are asked for.
-
-    Raises:
-        UserError: for an unknown group of rows, or a folder that does not exist.
-        RuntimeError: if robots merged while they were timed.
-    """
+    """Measure, print the table, write what files are asked for."""
     check(config)
     console = Console(width=None if sys.stdout.isatty() else 120)
     rows = []
@@ -103,8 +94,9 @@ def run(config: Config) -> None:
         rows += measure(compared, config)
         console.print(f"[dim]{compared[0].group}, n = {compared[0].n_robots}: done[/dim]")
     console.print(_table(rows))
-    sizes = {n: _bytes_per_team(n, config) for n in config.robots}
-    for n, (state, seen) in sizes.items():
+    sizes = {}
+    for n in config.robots:
+        state, seen = sizes[n] = _bytes_per_team(n, config)
         console.print(f"memory per team, n = {n}: {state:,} bytes of state, {seen:,} observed")
     if config.json is not None:
         write_json(config.json, _content(rows, sizes, config))
@@ -164,12 +156,11 @@ def _calibrate(running: Running, seconds: float) -> int:
 
 def _row(case: Case, by_name: Mapping[str, list[float]]) -> Row:
     rates, ratio = by_name[case.name], None
-    for name, others in by_name.items():
-        if case.against and name.startswith(case.against):
-            pairs = zip(rates, others, strict=True)
-            ratio = statistics.median(own / other for own, other in pairs)
-    told = {name: getattr(case, name) for name in _TOLD}
-    return told | {"rate": statistics.median(rates), "rates": rates, "ratio": ratio}
+    if case.against:
+        pairs = zip(rates, by_name[case.against], strict=True)
+        ratio = statistics.median(own / other for own, other in pairs)
+    shown = {name: getattr(case, name) for name in _SHOWN}
+    return shown | {"rate": statistics.median(rates), "rates": rates, "ratio": ratio}
 
 
 def _bytes_per_team(n_robots: int, config: Config) -> tuple[int, int]:
@@ -198,13 +189,12 @@ def _table(rows: Sequence[Row]) -> Table:
 def _content(
     rows: Sequence[Row], sizes: Mapping[int, tuple[int, int]], config: Config
 ) -> dict[str, Any]:
-    """All figures with what they were measured on, as plain data."""
-    content = provenance()
-    for name in _PEERS:  # as far as they are installed
-        if found := [one for one in metadata.distributions(name=name)]:
-            content["versions"][name] = found[0].version
-    return content | {
-        "processor": _processor(),
+    """All numbers and what they were measured on, as plain data."""
+    told = Path("/proc/cpuinfo")
+    named = re.search(r"model name\s*: (.*)", told.read_text() if told.exists() else "")
+    peers = [name for name in _PEERS if any(metadata.distributions(name=name))]
+    return provenance(peers) | {
+        "processor": named[1] if named else platform.processor(),
         "cores": os.cpu_count(),
         "threads": config.num_threads or available_cores(),
         "repeats": config.repeats,
@@ -214,10 +204,3 @@ def _content(
         },
         "rows": list(rows),
     }
-
-
-def _processor() -> str:
-    """Name of the processor, if the system tells."""
-    told = Path("/proc/cpuinfo")
-    named = re.search(r"model name\s*: (.*)", told.read_text() if told.exists() else "")
-    return named[1] if named else platform.processor()

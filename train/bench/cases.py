@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple
@@ -20,7 +20,6 @@ from ..checks import installed
 
 EPISODE = 200
 """Steps of an episode in the case that ends episodes."""
-_LIMIT = "limit"
 _LANES = 64
 _SENSORS = {
     "exact sensor": rv.Sensing(),
@@ -54,7 +53,7 @@ class Case:
     """"team steps", "robot steps", "decisions" of teams, or "samples"."""
     build: Callable[[], Running]
     against: str = ""
-    """How the name of the case begins, of the same group and size, that this is divided by."""
+    """The name of the case, timed in turns with this one, that its rate is divided by."""
 
 
 class Size(NamedTuple):
@@ -62,6 +61,20 @@ class Size(NamedTuple):
 
     num_envs: int
     num_threads: int | None
+
+
+Builds = Mapping[str, Callable[[], Running]]
+
+
+def in_turns(
+    group: str, n_robots: int, count: int, builds: Builds, unit: str = "team steps"
+) -> list[Case]:
+    """Cases of so many teams that are timed in turns, each against the first."""
+    first = next(iter(builds))
+    return [
+        Case(name, group, n_robots, count, count, unit, build, "" if name == first else first)
+        for name, build in builds.items()
+    ]
 
 
 def spread_out(n_robots: int, **fields: Any) -> rv.Scenario:
@@ -89,26 +102,22 @@ def among_discs() -> rv.Scenario:
 
 def one_team(group: str, scenario: rv.Scenario, size: Size | None = None) -> list[Case]:
     """A step of one team in dicts, beside MPE2's ``simple_spread_v3`` when it is installed."""
-    own = (group, scenario.n_robots, 1, 1, "team steps")
-    ours = partial(_dicts, scenario)
-    if scenario.obstacles or not installed("mpe2"):
-        return [Case("PettingZoo", *own, ours)]
-    theirs = partial(_mpe2, scenario.n_robots)
-    return [Case("MPE2 simple_spread_v3", *own, theirs), Case("PettingZoo", *own, ours, "MPE2")]
+    builds = {"PettingZoo": partial(_dicts, scenario)}
+    if installed("mpe2") and not scenario.obstacles:
+        builds = {"MPE2 simple_spread_v3": partial(_mpe2, scenario.n_robots)} | builds
+    return in_turns(group, scenario.n_robots, 1, builds)
 
 
 def batched(group: str, scenario: rv.Scenario, size: Size) -> list[Case]:
     """Steps of many teams, beside the bare kernel where there are no obstacles."""
-    own = (group, scenario.n_robots, size.num_envs, size.num_envs, "team steps")
-    against = "" if scenario.obstacles else _LIMIT
-    limit = Case(f"{_LIMIT}, 1 thread", *own, partial(_limit, scenario.n_robots, size.num_envs))
+    limit = {"limit, 1 thread": partial(_limit, scenario.n_robots, size.num_envs)}
     builds = {
         "Simulator": partial(simulator_of, scenario, size),
         "make_vec": partial(_vector, scenario, size),
         f"make_vec, episodes of {EPISODE} steps": partial(_vector, scenario, size, EPISODE),
     }
-    found = [Case(name, *own, build, against) for name, build in builds.items()]
-    return found if scenario.obstacles else [limit, *found]
+    all_of = builds if scenario.obstacles else limit | builds
+    return in_turns(group, scenario.n_robots, size.num_envs, all_of)
 
 
 def wrapped(n: int, size: Size) -> list[Case]:
@@ -119,11 +128,11 @@ def wrapped(n: int, size: Size) -> list[Case]:
     def build(wrap: Callable[[Any], Any]) -> Running:
         return stepping(wrap(rv.make_vec(scenario, size.num_envs, num_threads=size.num_threads)))
 
-    own = ("wrapped", n, size.num_envs, size.num_envs, "team steps")
-    return [Case("make_vec", *own, partial(build, lambda env: env))] + [
-        Case(wrap.__name__, *own, partial(build, wrap), "make_vec")
-        for wrap in (HeadingVectorWrapper, EnergyTankWrapper)
-    ]
+    builds = {"make_vec": partial(build, lambda env: env)}
+    builds |= {
+        one.__name__: partial(build, one) for one in (HeadingVectorWrapper, EnergyTankWrapper)
+    }
+    return in_turns("wrapped", n, size.num_envs, builds)
 
 
 def training(name: str, guarantee: str, size: Size) -> list[Case]:
@@ -137,25 +146,21 @@ def training(name: str, guarantee: str, size: Size) -> list[Case]:
         step, steps = simulator_of(env.scenario, size).step, range(env.env.decision_period)
         return Running(lambda: [step() for _ in steps])
 
-    n, teams = rv.scenarios.get(name).n_robots, size.num_envs
-    own, learns = ("training", n, teams, teams, "decisions"), f"training_env, {name}, {guarantee}"
-    alone = Case("base steps", *own, partial(build, False))
-    return [alone, Case(learns, *own, partial(build, True), alone.name)]
+    learns = f"training_env, {name}, {guarantee}"
+    builds = {"base steps": partial(build, False), learns: partial(build, True)}
+    n = rv.scenarios.get(name).n_robots
+    return in_turns("training", n, size.num_envs, builds, "decisions")
 
 
 def sensing(n: int, size: Size | None) -> list[Case]:
     """Steps of many teams, or of one in dicts, with sensors that err beside the exact one."""
-    count = 1 if size is None else size.num_envs
-    own, exact = ("sensing", n, count, count, "team steps"), next(iter(_SENSORS))
 
     def build(sensor: rv.Sensing) -> Running:
         scenario = spread_out(n, sensing=sensor)
         return _dicts(scenario) if size is None else simulator_of(scenario, size)
 
-    return [
-        Case(name, *own, partial(build, sensor), "" if name == exact else exact)
-        for name, sensor in _SENSORS.items()
-    ]
+    builds = {name: partial(build, sensor) for name, sensor in _SENSORS.items()}
+    return in_turns("sensing", n, 1 if size is None else size.num_envs, builds)
 
 
 # ---- what steps ---------------------------------------------------------------------------------
@@ -177,25 +182,23 @@ def stepping(env: Any) -> Running:
 
 
 def _dicts(scenario: rv.Scenario) -> Running:
-    """One team through PettingZoo, under random actions."""
-    env = rv.parallel_env(scenario)
-    env.reset(seed=0)
-    tape = _tape_of_dicts(env.agents, scenario.action_size, -1.0)
-    return Running(lambda: env.step(next(tape)), lambda: bool(env.simulator.active.all()))
+    return _in_dicts(rv.parallel_env(scenario), scenario.action_size, -1.0)
 
 
 def _mpe2(n: int) -> Running:
     from mpe2 import simple_spread_v3
 
     env = simple_spread_v3.parallel_env(N=n, continuous_actions=True, max_cycles=10**9)
+    return _in_dicts(env, 5, 0.0)
+
+
+def _in_dicts(env: Any, size: int, low: float) -> Running:
+    """A PettingZoo environment under random actions of so many numbers from ``low`` to 1."""
     env.reset(seed=0)
-    tape = _tape_of_dicts(env.agents, 5, 0.0)
-    return Running(lambda: env.step(next(tape)), lambda: len(env.agents) == n)
-
-
-def _tape_of_dicts(agents: Sequence[str], size: int, low: float) -> Iterator[dict[str, Any]]:
-    drawn = np.random.default_rng(0).uniform(low, 1.0, (8, len(agents), size)).astype(np.float32)
-    return itertools.cycle([dict(zip(agents, each, strict=True)) for each in drawn])
+    names = list(env.agents)
+    drawn = np.random.default_rng(0).uniform(low, 1.0, (8, len(names), size)).astype(np.float32)
+    tape = itertools.cycle([dict(zip(names, each, strict=True)) for each in drawn])
+    return Running(lambda: env.step(next(tape)), lambda: list(env.agents) == names)
 
 
 def simulator_of(scenario: rv.Scenario, size: Size) -> Running:
@@ -234,14 +237,10 @@ def _limit(n: int, num_envs: int) -> Running:
 
 @njit(nogil=True, error_model="numpy")
 def bare_step(positions: Any, bearings: Any, f: Any) -> None:
-    """All bearings, their sums and an Euler step of 1 ns, with no frames, merging or reward.
+    """All bearings, their sums f and an Euler step of 1 ns, with no frames, merging or reward.
 
-    Teams stand last in memory, so that the processor takes several at once.
-
-    Args:
-        positions: (blocks, n, 2, lanes), m.
-        bearings: to fill, (blocks, n, n - 1, 2, lanes).
-        f: scratch, (n, 2, lanes).
+    Positions are (blocks, n, 2, lanes), bearings (blocks, n, n - 1, 2, lanes) and f (n, 2, lanes):
+    teams stand last in memory, so that the processor takes several at once.
     """
     blocks, n, _, lanes = positions.shape
     for block in range(blocks):

@@ -12,7 +12,7 @@ import rendezvous_env as rv
 from rendezvous_env.vector import training_env
 
 from ..checks import installed
-from .cases import Case, Running, Size, spread_out, stepping, tape_of
+from .cases import Case, Running, Size, in_turns, spread_out, stepping, tape_of
 
 _BARE: dict[str, Any] = {"guarantee": None, "learning_preset": False}
 """Choices of ``training_env`` under which it does what ``make_vec`` does."""
@@ -29,18 +29,17 @@ def adapters(robots: tuple[int, ...], size: Size) -> Iterator[list[Case]]:
 
 
 def _over(ours: str, scenario: rv.Scenario, size: Size, choices: dict[str, Any]) -> list[Case]:
-    own = ("adapters", scenario.n_robots, size.num_envs, size.num_envs, "team steps")
-
     def build() -> Running:
         make: Any = rv.make_vec if choices else training_env
         env = make(scenario, size.num_envs, num_threads=size.num_threads)
-        return Running(stepping(env).step)  # teams of clutter-8 meet and begin anew
+        return Running(stepping(env).step)  # teams of clutter-8 meet and start again
 
-    return [Case(ours, *own, build)] + [
-        Case(f"{name} over {ours}", *own, partial(make, scenario, size, choices), ours)
+    builds = {ours: build} | {
+        f"{name} over {ours}": partial(make, scenario, size, choices)
         for name, (module, make) in _LEARNERS.items()
         if installed(module)
-    ]
+    }
+    return in_turns("adapters", scenario.n_robots, size.num_envs, builds)
 
 
 def _torchrl(scenario: rv.Scenario, size: Size, choices: dict[str, Any]) -> Running:
@@ -127,11 +126,11 @@ def heading_ppo(size: Size) -> list[Case]:
         options = {"log_interval": None, "reset_num_timesteps": False}
         return Running(partial(model.learn, samples, **options))
 
-    own = ("heading-ppo", n, config.num_teams, samples, "samples")
+    own, free = ("heading-ppo", n, config.num_teams, samples, "samples"), "free environment"
     return [
         Case("MlpPolicy", *own, build_theirs),
-        Case("free environment", *own, partial(build, True), "MlpPolicy"),
-        Case("end to end", *own, partial(build, False), "free"),
+        Case(free, *own, partial(build, True), "MlpPolicy"),
+        Case("end to end", *own, partial(build, False), free),
     ]
 
 

@@ -26,11 +26,7 @@ class Config:
 
 
 def run(config: Config) -> None:
-    """Play every policy that fits a scenario for two steps, with one team and with many.
-
-    Raises:
-        UserError: for an unknown scenario or a bad file.
-    """
+    """Play every policy that fits a scenario for two steps, with one team and with many."""
     scenarios = [resolve_scenario(name) for name in config.scenarios or names()]
     for scenario in track(scenarios, "compiling", console=Console(stderr=True)):
         for name in baselines.names(scenario):
