@@ -55,7 +55,6 @@ ROOMS = (
 """Folders and files of the environment, from the ground up: each imports what stands below it."""
 LEVEL = {room: level for level, rooms in enumerate(ROOMS) for room in rooms}
 MOST_MODULES = 12
-CORE = [name for name in MODULES if not name.startswith("train")]
 
 
 def source_of(module: str) -> Path:
@@ -114,15 +113,11 @@ def level_of(room: str) -> int:
     return LEVEL.get(room.removeprefix("rendezvous_env."), len(ROOMS))
 
 
-def run_python(code: str, cwd: Path, *flags: str, **environment: str) -> str:
+def run_python(cwd: Path, *words: object, **environment: str) -> str:
     found = subprocess.run(
-        [sys.executable, *flags, "-c", code],
-        capture_output=True,
-        text=True,
-        cwd=cwd,
-        env={**os.environ, **environment},
-        timeout=300,
-    )
+        [sys.executable, *map(str, words)],
+        capture_output=True, text=True, cwd=cwd, env=os.environ | environment, timeout=300,
+    )  # fmt: skip
     assert found.returncode == 0, found.stderr
     return found.stdout
 
@@ -147,21 +142,19 @@ def test_a_law_reads_no_position():
     was trained there asks it how, and no other knows it.
     """
     environment = "baselines.learned.training_environment"
-    for module in CORE:
-        if module.startswith("baselines") and not module.startswith(
-            "baselines.references.privileged"
-        ):
+    privileged = "baselines.references.privileged"
+    for module in MODULES:
+        if module.startswith("baselines") and not module.startswith((privileged, environment)):
             text = source_of(module).read_text(encoding="utf-8")
-            if module != environment:
-                assert "Simulator" not in text and ".simulator" not in text
-                assert environment not in ours(module) or module == "baselines.trained_policy"
+            assert "Simulator" not in text and ".simulator" not in text
+            assert environment not in ours(module) or module == "baselines.trained_policy"
 
 
 def test_the_reader_of_imports_follows_relative_ones():
     assert "rendezvous_env.physics.vectors" in ours("rendezvous_env.physics.bearings")
     assert "rendezvous_env" in imports("baselines.laws.paper_laws")
     assert "train.checks" in ours("train.compare.settings")
-    assert "train.figures.figures" in ours("train.compare.gallery")  # in a function
+    assert "train.figures.figures" in ours("train.compare.compare")  # in a function
     assert "rendezvous_env.scenario.scenarios" in ours("rendezvous_env.adapters.sb3")  # a type
     assert "rendezvous_env.graphs" in ours("rendezvous_env")
 
@@ -209,7 +202,7 @@ def test_arrays_need_no_pettingzoo(face):
 
 def test_an_import_pulls_in_nothing_heavy(tmp_path):
     code = "import sys, rendezvous_env, baselines; print(*{m.split('.')[0] for m in sys.modules})"
-    loaded = set(run_python(code, tmp_path, "-W", "error").split())
+    loaded = set(run_python(tmp_path, "-W", "error", "-c", code).split())
     assert {"numpy", "numba", "rendezvous_env", "baselines"} <= loaded
     assert not loaded & LAZY
 
@@ -223,7 +216,7 @@ def test_train_itself_is_light_and_knows_the_short_names(tmp_path):
         "print(light, compare.Config is c.Config, ppo is p, learned_policy.load.__name__,"
         "train.sb3_vec_env.make_robots is sb3.make_robots)"
     )
-    assert run_python(code, tmp_path).split() == ["True", "True", "True", "load", "True"]
+    assert run_python(tmp_path, "-c", code).split() == ["True", "True", "True", "load", "True"]
     with pytest.raises(ImportError, match="cannot import name 'no_such_module'"):
         exec("from train import no_such_module")
 
@@ -234,9 +227,11 @@ def test_a_rollout_needs_nothing_heavy_either(tmp_path):
         "s = rv.scenarios.get('duo'); t = rv.rollout(s, baselines.make('bearing-only', s));"
         "assert t.success.all(); print(*{m.split('.')[0] for m in sys.modules})"
     )
-    assert not set(run_python(code, tmp_path).split()) & (LAZY - {"tyro"})
+    assert not set(run_python(tmp_path, "-c", code).split()) & (LAZY - {"tyro"})
 
 
+BESIDE = {"PYTHONSAFEPATH": "", "PYTHONPATH": str(ROOT)}
+"""Environment in which files beside a script come before the packages."""
 OWN_TRAIN = """
 import baselines, rendezvous_env as rv
 from rendezvous_env.adapters import sb3
@@ -255,12 +250,7 @@ def test_a_script_called_train_uses_everything_but_train(tmp_path, command):
     for name in ("compare.py", "graphs.py", "kernels.py", "policy.py"):
         (tmp_path / name).write_text("raise RuntimeError('the wrong module was imported')\n")
     (tmp_path / "train.py").write_text(OWN_TRAIN)
-    environment = {**os.environ, "PYTHONSAFEPATH": "", "PYTHONPATH": str(ROOT)}
-    done = subprocess.run(
-        [sys.executable, *command],
-        capture_output=True, text=True, cwd=tmp_path, env=environment, timeout=300,
-    )  # fmt: skip
-    assert done.stdout.split() == ["True"] * 3, done.stderr
+    assert run_python(tmp_path, *command, **BESIDE).split() == ["True"] * 3
 
 
 def test_the_console_script_works_beside_a_train_py(tmp_path):
@@ -269,14 +259,9 @@ def test_the_console_script_works_beside_a_train_py(tmp_path):
     (tmp_path / "mine.py").write_text(
         "import baselines\ndef make(scenario):\n    return baselines.make('learned', scenario)\n"
     )
-    environment = {**os.environ, "PYTHONSAFEPATH": "", "PYTHONPATH": str(ROOT)}
     script = Path(sys.executable).with_name("rendezvous")
     words = "compare --scenarios clutter-4 --policies learned mine:make --episodes 2 --no-figures"
-    done = subprocess.run(
-        [sys.executable, script, *words.split(), "--jobs", "2", "--out", "out"],
-        capture_output=True, text=True, cwd=tmp_path, env=environment, timeout=300,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
+    run_python(tmp_path, script, *words.split(), "--jobs", "2", "--out", "out", **BESIDE)
     rows = (tmp_path / "out" / "results.csv").read_text(encoding="utf-8").splitlines()
     ours, theirs = (row.split(",")[3:] for row in rows[1:])
     assert ours == theirs and rows[2].startswith("clutter-4,mine:make,2,")
@@ -286,18 +271,15 @@ def test_the_console_script_works_beside_a_train_py(tmp_path):
 
 
 def test_the_public_names_of_the_design():
-    wanted = (
-        "Scenario scenarios rollout certificate rendezvous_v0 parallel_env Simulator Trajectory"
-    )
-    for name in wanted.split():
-        assert hasattr(rv, name) and name in rv.__all__, name
-    for name in rv.__all__:
-        assert hasattr(rv, name), name
-    assert callable(rv.scenarios.names) and callable(rv.scenarios.get)
-    for name in ("parallel_env", "env", "raw_env"):
-        assert callable(getattr(rv.rendezvous_v0, name))
-    for name in ("make", "names", "Policy", "HeadingPolicy", "TankPolicy"):
-        assert hasattr(baselines, name)
+    wanted = {"Scenario", "scenarios", "rollout", "certificate", "rendezvous_v0", "parallel_env"}
+    assert wanted | {"Simulator", "Trajectory"} <= set(rv.__all__)
+    for home, names in {
+        rv: rv.__all__,
+        rv.scenarios: ("names", "get"),
+        rv.rendezvous_v0: ("parallel_env", "env", "raw_env"),
+        baselines: ("make", "names", "Policy", "HeadingPolicy", "TankPolicy"),
+    }.items():
+        assert [name for name in names if not hasattr(home, name)] == []
     assert {
         "bearing-only", "unicycle", "unicycle-cosine", "nonholonomic-3d", "random", "zero",
         "tangent", "tangent-blocking", "tangent-joined",
@@ -308,13 +290,8 @@ def test_the_signatures_of_the_design():
     def names(function):
         return list(inspect.signature(function).parameters)
 
-    assert names(rv.parallel_env) == [
-        "scenario",
-        "render_mode",
-        "max_cycles",
-        "flatten",
-        "overrides",
-    ]
+    wanted = ["scenario", "render_mode", "max_cycles", "flatten", "overrides"]
+    assert names(rv.parallel_env) == wanted
     assert names(rv.rollout) == ["scenario", "policy", "seed", "num_envs", "options", "record"]
     assert names(rv.certificate) == [
         "scenario", "min_alignment", "by", "budget", "min_gain", "max_gain", "share",

@@ -18,7 +18,7 @@ import baselines
 import rendezvous_env as rv
 from train import recording, results
 from train.cli import COMMANDS
-from train.compare.evaluation import Episodes
+from train.compare.evaluation import EPISODE_COLUMNS, Episodes
 
 
 @pytest.fixture(scope="module")
@@ -78,7 +78,7 @@ def test_every_column_and_array_is_told(pages):
     page = pages.data()
     for file, names in {
         "results.csv": results.RESULT_COLUMNS,
-        "episodes.csv": results.EPISODE_COLUMNS,
+        "episodes.csv": EPISODE_COLUMNS,
         "paired.csv": results.PAIRED_COLUMNS,
         "trajectories.npz": tuple(recording.ARRAYS),
     }.items():

@@ -15,10 +15,9 @@ import sys
 import textwrap
 from collections.abc import Sequence
 from contextlib import suppress
-from functools import partial
-from importlib import import_module
+from importlib import import_module, metadata
 from itertools import pairwise
-from typing import Any, Literal, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
 from . import interrupts
 from .checks import UserError, flag
@@ -44,10 +43,7 @@ _LONGEST_LINE = 1000
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run a command.
-
-    Args:
-        argv: what follows ``rendezvous``; None takes it from the system.
+    """Run a command; ``argv`` is what follows ``rendezvous``, taken from the system if None.
 
     Returns:
         Exit status: 0, 1 for a failed check, 2 for the user's mistake or a disk or memory that is
@@ -57,8 +53,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     # what a small network computes must not depend on the number of cores, nor wait for them
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     words = list(sys.argv[1:] if argv is None else argv)
-    own = 2 if words[:1] == [_COMPLETION] else 1  # words that are not the command's
-    command = _parser().parse_args(words[:own]).command
+    parser = _parser()
+    own = parser.parse_args(words[: 2 if words[:1] == [_COMPLETION] else 1])
+    if own.completion:
+        return _complete(own.completion)
+    if (command := own.command) is None:
+        parser.error("the following arguments are required: COMMAND")
     try:
         with interrupts.raised(command):
             return _run(command, words[1:])
@@ -93,25 +93,68 @@ def _run(command: str, flags: Sequence[str]) -> int:
     return int(module.run(config) or 0)
 
 
+def _say(command: str, what: str) -> int:
+    """One line about the user's mistake, which may quote anything; the exit status."""
+    line = " ".join(map(str.strip, what.splitlines()))
+    if len(line) > _LONGEST_LINE:
+        line = f"{line[: _LONGEST_LINE // 2]} … {line[-_LONGEST_LINE // 2 :]}"
+    print(f"rendezvous {command}: {line}", file=sys.stderr)
+    return 2
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="rendezvous",
+        description="Bearing-only multi-robot rendezvous.",
+        epilog="rendezvous COMMAND --help lists the flags of a command.",
+    )
+    version = f"rendezvous {metadata.version('rendezvous-env')}"
+    parser.add_argument(
+        "--version", action="version", version=version, help="show the version and end"
+    )
+    parser.add_argument(
+        _COMPLETION,
+        choices=("bash", "zsh", "tcsh"),
+        help='print what completes commands and flags: eval "$(rendezvous --completion bash)"',
+    )
+    commands = parser.add_subparsers(dest="command", metavar="COMMAND")
+    for name, (_, line) in COMMANDS.items():
+        commands.add_parser(name, help=line, add_help=False)
+    return parser
+
+
+def _complete(shell: str) -> int:
+    """Print what makes a shell complete the commands and their flags."""
+    import tyro
+
+    configs = [
+        Annotated[
+            import_module(f"train.{module}").Config,
+            tyro.conf.subcommand(name, prefix_name=False, description=line),
+        ]
+        for name, (module, line) in COMMANDS.items()
+    ]
+    every: Any = Union[tuple(configs)]  # noqa: UP007 - made of a list
+    with suppress(SystemExit):
+        tyro.cli(every, prog="rendezvous", args=["--tyro-print-completion", shell])
+    return 0
+
+
 # ---- help ---------------------------------------------------------------------------------------
 
 
 def help_of(command: str, module: Any) -> str:
-    """What ``--help`` says of a command: what it does, examples, and its flags in groups.
+    """What ``--help`` prints for a command: what it does, examples, and its flags in groups.
 
-    Args:
-        command: its name.
-        module: with Config, whose fields are documented below them. Where that is defined there
-            may be EXAMPLES (words after the command) and FLAG_GROUPS (names of fields by title; the
-            others stand first).
+    The fields of the module's Config are documented below them. Where that is defined there may be
+    EXAMPLES (words after the command) and FLAG_GROUPS (names of fields by title; the others stand
+    first).
     """
-    config, wrap = module.Config, partial(textwrap.wrap, width=_WIDTH)
+    config = module.Config
     hints, documents = get_type_hints(config, include_extras=True), _documents(config)
     home = sys.modules[config.__module__]
     groups = getattr(home, "FLAG_GROUPS", {})
-    grouped = {name for names in groups.values() for name in names}
     own = {field.name: field for field in dataclasses.fields(config)}
-    titled = {"Flags": [name for name in own if name not in grouped], **groups}
     positional = [n for n in own if "Positional" in str(own[n].type)]
     words = ["[FLAGS]", *(f"[{name.upper()}]" for name in positional)]
     lines = [
@@ -121,18 +164,23 @@ def help_of(command: str, module: Any) -> str:
     ]
     if examples := getattr(home, "EXAMPLES", ()):
         lines += ["", "Examples:", *(f"  rendezvous {command} {words}" for words in examples)]
-    for title, names in titled.items():
+    ungrouped = [name for name in own if not any(name in names for names in groups.values())]
+    for title, names in {"Flags": ungrouped, **groups}.items():
         lines += ["", f"{title}:"] if names else []
         for name in names:
-            default = _default(own[name].default)
-            said = f"{documents[name]}{f' Default: {default}.' if default else ''}"
-            lines += [f"  {_flag_of(name, hints[name], name in positional, own[name].default)}"]
-            lines += wrap(said, initial_indent=" " * 6, subsequent_indent=" " * 6)
+            default = own[name].default
+            lines.append(f"  {_flag_of(name, hints[name], name in positional, default)}")
+            said = documents[name]
+            if not isinstance(default, bool) and default not in (None, (), dataclasses.MISSING):
+                values = default if isinstance(default, tuple) else (default,)
+                said += f" Default: {' '.join(map(str, values))}."
+            indent = " " * 6
+            lines += textwrap.wrap(said, _WIDTH, initial_indent=indent, subsequent_indent=indent)
     return "\n".join(lines)
 
 
 def _documents(config: type) -> dict[str, str]:
-    """What stands below each field of a dataclass and of those that it extends."""
+    """The docstring of each field of a dataclass and of those that it extends."""
     found: dict[str, str] = {}
     for kind in reversed(config.__mro__):
         if dataclasses.is_dataclass(kind):
@@ -171,73 +219,6 @@ def _value_of(kind: Any) -> str:
     if inner:  # one of several, as X | None
         return " or ".join(dict.fromkeys(map(_value_of, inner)))
     return {int: "INTEGER", float: "NUMBER", str: "TEXT"}.get(kind, "PATH")
-
-
-def _default(value: Any) -> str:
-    if value is None or value == () or isinstance(value, bool) or value is dataclasses.MISSING:
-        return ""
-    return " ".join(map(str, value)) if isinstance(value, tuple) else str(value)
-
-
-class _Version(argparse.Action):
-    """Says the version and ends."""
-
-    def __call__(self, parser: argparse.ArgumentParser, *given: Any) -> None:
-        from importlib.metadata import version
-
-        print(f"rendezvous {version('rendezvous-env')}")
-        parser.exit()
-
-
-class _Completion(argparse.Action):
-    """Prints what makes a shell complete the commands and their flags, and ends."""
-
-    def __call__(
-        self, parser: argparse.ArgumentParser, namespace: Any, shell: Any, *given: Any
-    ) -> None:
-        from typing import Annotated, Union
-
-        import tyro
-
-        configs = [
-            Annotated[
-                import_module(f"train.{module}").Config,
-                tyro.conf.subcommand(name, prefix_name=False, description=line),
-            ]
-            for name, (module, line) in COMMANDS.items()
-        ]
-        every: Any = Union[tuple(configs)]  # noqa: UP007 - made of a list
-        with suppress(SystemExit):
-            tyro.cli(every, prog=parser.prog, args=["--tyro-print-completion", shell])
-        parser.exit()
-
-
-def _say(command: str, what: str) -> int:
-    """One line about the user's mistake, which may quote anything; the exit status."""
-    line = " ".join(map(str.strip, what.splitlines()))
-    if len(line) > _LONGEST_LINE:
-        line = f"{line[: _LONGEST_LINE // 2]} … {line[-_LONGEST_LINE // 2 :]}"
-    print(f"rendezvous {command}: {line}", file=sys.stderr)
-    return 2
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="rendezvous",
-        description="Bearing-only multi-robot rendezvous.",
-        epilog="rendezvous COMMAND --help lists the flags of a command.",
-    )
-    parser.add_argument("--version", nargs=0, action=_Version, help="show the version and end")
-    parser.add_argument(
-        _COMPLETION,
-        choices=("bash", "zsh", "tcsh"),
-        action=_Completion,
-        help='print what completes commands and flags: eval "$(rendezvous --completion bash)"',
-    )
-    commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
-    for name, (_, line) in COMMANDS.items():
-        commands.add_parser(name, help=line, add_help=False)
-    return parser
 
 
 if __name__ == "__main__":

@@ -1,8 +1,8 @@
 """Recordings as text for a page: rounded to 16 bits, differences in time, gzip, base64.
 
-A recording of 400 frames of 20 robots shrinks to a hundredth of what its numbers take as JSON. In
-the plane a row of an observation goes as its length, which hardly ever changes, and its angle: of a
-neighbour's row only what the places of the robots do not say, nearly nothing if sensors are exact.
+A recording of 400 frames of 20 robots shrinks to a hundredth of its numbers as JSON. In the plane a
+row of an observation is kept as its length, which hardly ever changes, and its angle: of a
+neighbour's row relative to the neighbour's place, nearly 0 if sensors are exact.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class Encoded:
     text: str
     """All arrays, little-endian, in base64 of gzip."""
     stride: int
-    """Every how manieth recorded frame is there, besides merges and the end."""
+    """Besides merges and the end, every stride-th recorded frame is there."""
     extent: list[list[float]]
     """Of robots and obstacles, least and most of each axis, m."""
     obstacles: list[dict[str, Any]]
@@ -57,15 +57,16 @@ class Encoded:
 
 
 def encode_all(recordings: Sequence[Recording], budget: int | None = None) -> list[Encoded]:
-    """Encode recordings; if they exceed a budget of characters, which is BUDGET unless another is
-    given, thin out the largest as far as is needed.
+    """Encode recordings; if they exceed a budget of characters, by default BUDGET, thin out the
+    largest.
     """
-    whole = [encode(recording) for recording in recordings]
-    share = _share([len(encoded.text) for encoded in whole], budget or BUDGET)
-    return [
-        _encode_within(share, recording, encoded)
-        for recording, encoded in zip(recordings, whole, strict=True)
-    ]
+    found = [encode(recording) for recording in recordings]
+    share = _share([len(encoded.text) for encoded in found], budget or BUDGET)
+    for number, recording in enumerate(recordings):
+        while len((one := found[number]).text) > share and one.stride < len(recording["times"]):
+            excess = math.ceil(math.log2(len(one.text) / share))
+            found[number] = encode(recording, one.stride * 2**excess)
+    return found
 
 
 def _share(sizes: Sequence[int], left: int) -> float:
@@ -77,25 +78,13 @@ def _share(sizes: Sequence[int], left: int) -> float:
     return np.inf
 
 
-def _encode_within(share: float, recording: Recording, encoded: Encoded) -> Encoded:
-    while len(encoded.text) > share and encoded.stride < len(recording["times"]):
-        excess = len(encoded.text) / share
-        encoded = encode(recording, encoded.stride * 2 ** math.ceil(math.log2(excess)))
-    return encoded
-
-
-def thinned(recording: Recording, stride: int) -> Recording:
-    """Every stride-th frame, every merge and the end."""
-    stays = ~np.isnan(recording["lyapunov_before_merge"])
-    stays[::stride] = stays[-1] = True
-    return {name: recording[name][stays] for name in _KEPT}
-
-
 def encode(recording: Recording, stride: int = 1) -> Encoded:
-    """A recording as the page reads it, every stride-th frame of it."""
+    """A recording as the page reads it: every stride-th frame of it, every merge and the end."""
     table, dim = recording["obstacles"], recording["positions"].shape[-1]
     points = outermost(recording["positions"], table)
-    recording = thinned(recording, stride)
+    stays = ~np.isnan(recording["lyapunov_before_merge"])
+    stays[::stride] = stays[-1] = True
+    recording = {name: recording[name][stays] for name in _KEPT}
     fields: list[list[Any]] = []
     parts: list[bytes] = []
     for name in _EXACT:
@@ -105,7 +94,8 @@ def encode(recording: Recording, stride: int = 1) -> Encoded:
     parts.append(recording["active"].astype(np.uint8).tobytes())
     rounded = {name: _rounded(recording[name]) for name in _ROUNDED}
     if dim == 2:
-        placed, turned = (_restored(*rounded[name]) for name in ("positions", "frames"))
+        kept = rounded["positions"], rounded["frames"]
+        placed, turned = (values.astype(np.float64) * scale for values, scale in kept)
         seen = _seen(recording["observations"], placed, turned)
     else:
         seen = {"observations": _rounded(recording["observations"])}
@@ -137,15 +127,8 @@ def _rounded(array: NDArray[np.floating[Any]]) -> tuple[NDArray[np.int16], float
     return np.where(np.isnan(rounded), -LARGEST - 1, rounded).astype(np.int16), scale
 
 
-def _restored(values: NDArray[np.int16], scale: float) -> NDArray[np.float64]:
-    """Numbers as the page has them."""
-    return values.astype(np.float64) * scale
-
-
 def _seen(
-    observations: NDArray[np.floating[Any]],
-    positions: NDArray[np.float64],
-    frames: NDArray[np.float64],
+    observations: NDArray[Any], positions: NDArray[np.float64], frames: NDArray[np.float64]
 ) -> dict[str, tuple[NDArray[np.int16], float]]:
     """Lengths and angles of observations in the plane, (T, n, rows, 2), in 16 bits."""
     x, y = np.moveaxis(observations.astype(np.float64), -1, 0)

@@ -36,7 +36,8 @@ class Config:
 def run(config: Config) -> int:
     """Print the list."""
     console = Console()
-    for title, rows in _scenarios() if config.what == "scenarios" else _policies():
+    lines = [(name, describe(scenarios.get(name))) for name in scenarios.names()]
+    for title, rows in [("", lines)] if config.what == "scenarios" else _policies():
         table = Table.grid(padding=(0, 2, 0, 0))
         for _ in rows[0][:-1]:
             table.add_column(no_wrap=True)
@@ -48,26 +49,18 @@ def run(config: Config) -> int:
     return 0
 
 
-Group = tuple[str, list[tuple[str, ...]]]
-"""A title, and lines of a name, what is short about it, and what it is."""
-
-
-def _scenarios() -> Iterator[Group]:
-    yield "", [(name, describe(scenarios.get(name))) for name in scenarios.names()]
-
-
-def _policies() -> Iterator[Group]:
-    """Every policy, by kinds, in the order of ``compare``, with a matrix of who fits where."""
-    fitting = {name: policies.names(scenarios.get(name)) for name in scenarios.names()}
+def _policies() -> Iterator[tuple[str, list[tuple[str, ...]]]]:
+    """Titles, and lines of every policy, by kinds, with a matrix of who fits where."""
+    fitting = {name: baselines.names(scenarios.get(name)) for name in scenarios.names()}
     columns = columns_of(fitting)
     for kind, title in KINDS.items():
-        rows = [
-            (name, _marks(name, columns, fitting), policies.about(name))
-            for name in baselines.names()
-            if policies.kind_of(name) == kind
-        ]
-        if rows:
-            yield title, [("", " ".join(columns), ""), *rows]
+        rows: list[tuple[str, ...]] = [("", " ".join(columns), "")]
+        for name in baselines.names():
+            if policies.kind_of(name) == kind:
+                marks = ("●" if name in fitting[own[0]] else "·" for own in columns.values())
+                rows.append((name, " ".join(marks), policies.about(name)))
+        if len(rows) > 1:
+            yield title, rows
     yield (
         "scenarios that the same policies fit",
         [(letter, ", ".join(own)) for letter, own in columns.items()],
@@ -75,10 +68,8 @@ def _policies() -> Iterator[Group]:
 
 
 def columns_of(fitting: Mapping[str, Sequence[str]]) -> dict[str, list[str]]:
-    """Scenarios by letter, those together that the same policies fit, the largest group first.
-
-    Args:
-        fitting: names of the policies that fit, by scenario.
+    """Scenarios by letter, those together that the same policies fit, the largest group first, of
+    the names of the policies that fit each scenario.
     """
     groups: dict[frozenset[str], list[str]] = {}
     for scenario, names in fitting.items():
@@ -87,36 +78,23 @@ def columns_of(fitting: Mapping[str, Sequence[str]]) -> dict[str, list[str]]:
     return dict(zip(ascii_uppercase, ordered, strict=False))
 
 
-def _marks(
-    policy: str, columns: Mapping[str, Sequence[str]], fitting: Mapping[str, Sequence[str]]
-) -> str:
-    """A row of the matrix: a mark where it fits."""
-    return " ".join("●" if policy in fitting[own[0]] else "·" for own in columns.values())
-
-
 # ---- a scenario in words ------------------------------------------------------------------------
 
 
 def describe(scenario: Scenario) -> str:
-    """What a scenario is, in a line that follows from its fields; single integrators go unsaid."""
+    """A scenario in a line that follows from its fields; single integrators go unsaid."""
     where = "in the plane" if scenario.dim == 2 else "in 3-D"
     parts = [f"{scenario.n_robots} robots {where}"]
     if scenario.robot_model != "single_integrator":
         parts.append(scenario.robot_model.replace("_", " "))
-    parts += [_graph(scenario), _obstacles(scenario), _sensing(scenario)]
-    parts += ["one start, which is given"] if begins_alike(scenario) else []
-    return ", ".join(part for part in parts if part)
-
-
-def _graph(scenario: Scenario) -> str:
     graph = scenario.sensing_graph
     low, high = graph.weight_range
     gains = "" if low == high else f" with gains of {low:g} to {high:g} m/s"
-    return f"{graph.kind.replace('_', ' ')} graph{gains}"
-
-
-def _sensing(scenario: Scenario) -> str:
-    return "" if scenario.sensing.exact else f"sensing with {scenario.sensing.departures()}"
+    parts += [f"{graph.kind.replace('_', ' ')} graph{gains}", _obstacles(scenario)]
+    if not scenario.sensing.exact:
+        parts.append(f"sensing with {scenario.sensing.departures()}")
+    parts += ["one start, which is given"] if begins_alike(scenario) else []
+    return ", ".join(part for part in parts if part)
 
 
 def _obstacles(scenario: Scenario) -> str:

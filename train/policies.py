@@ -24,13 +24,13 @@ from rendezvous_env.baselines.policy import file_of
 from rendezvous_env.baselines.steering import can_steer
 
 from rendezvous_env import baselines
-from rendezvous_env.checks import nearest_word, shown
+from rendezvous_env.checks import shown
 from rendezvous_env.scenario import scenarios
 from rendezvous_env.scenario.scenario import Scenario
 from rendezvous_env.simulator import Simulator
 from rendezvous_env.trajectory import Policy, begin
 
-from .checks import UserError
+from .checks import UserError, meant
 
 _LEARNED = "learned"
 _AT_PATH = f"{_LEARNED}:"
@@ -40,11 +40,6 @@ _ON_REQUEST = ("blind", "privileged")
 """Kinds of policies that are compared where they are named."""
 _WHERE_SENSORS_ERR = ("learned-tank-noise",)
 """Policies that have nothing over others where sensors are exact."""
-
-
-def names(scenario: Scenario) -> list[str]:
-    """Names of all policies that fit a scenario, in the order of their kinds."""
-    return baselines.names(scenario)
 
 
 def kind_of(name: str) -> str:
@@ -60,11 +55,7 @@ def about(name: str) -> str:
 
 
 def make(name: str, scenario: Scenario) -> Policy:
-    """A new policy of that name.
-
-    Raises:
-        ValueError: if it is unknown, does not fit, or cannot be read.
-    """
+    """A new policy; a ValueError if its name is unknown, it does not fit, or is not readable."""
     if is_user_policy(name):
         if (policy := _make_own(name, scenario)) is None:
             raise ValueError(f"policy {name!r} does not fit scenario {scenario.name!r}")
@@ -75,8 +66,8 @@ def make(name: str, scenario: Scenario) -> Policy:
 
 
 def learned_path(name: str, scenario: Scenario | None = None) -> Path | None:
-    """Folder of a learned policy for the robots of a scenario, single integrators if there is none;
-    None for the name of a scripted one.
+    """Folder of a learned policy for the robots of a scenario, by default single integrators; None
+    for a scripted one.
     """
     if name in shipped.NAMES:
         return shipped.folder(name, scenario)
@@ -84,23 +75,22 @@ def learned_path(name: str, scenario: Scenario | None = None) -> Path | None:
 
 
 def fitting(scenario: Scenario, wanted: Sequence[str]) -> list[str]:
-    """Those of the wanted policies that fit a scenario; if none is named all that fit and are not
-    only there on request, but those that see nothing or everything only where nothing else fits.
+    """Those of the wanted policies that fit a scenario. If none is wanted, all that fit and are not
+    there on request alone; those that see nothing or everything only where nothing else fits.
     """
-    known = names(scenario)
+    known = baselines.names(scenario)
     if not wanted:
         usual = [name for name in known if not registry.on_request(name)]
         if scenario.sensing.exact:
             usual = [name for name in usual if name not in _WHERE_SENSORS_ERR]
         return [name for name in usual if kind_of(name) not in _ON_REQUEST] or usual
-    return [name for name in wanted if name in known or _fits_unlisted(name, scenario)]
-
-
-def _fits_unlisted(name: str, scenario: Scenario) -> bool:
-    """Whether a policy that no registry lists fits a scenario."""
-    if is_user_policy(name):
-        return _fits_own(name, scenario)
-    return name.startswith(_AT_PATH) and can_steer(scenario)
+    return [
+        name
+        for name in wanted
+        if name in known
+        or (name.startswith(_AT_PATH) and can_steer(scenario))
+        or (is_user_policy(name) and _fits_own(name, scenario))
+    ]
 
 
 def source_file(name: str) -> Path | None:
@@ -109,19 +99,15 @@ def source_file(name: str) -> Path | None:
 
 
 def best(scenario: Scenario) -> str:
-    """The policy to take where none is named: the best that fits, for obstacles if there are any,
-    else the law of such robots.
+    """The policy to take where none is named: the best that fits among obstacles, else the law of
+    such robots.
     """
     known = fitting(scenario, ())
     return next((name for name in _BEST if scenario.obstacles and name in known), known[0])
 
 
 def check_names(wanted: Sequence[str]) -> None:
-    """Refuse a name that no policy has, and a learned policy that cannot be read.
-
-    Raises:
-        UserError: with the nearest known name, or with what is wrong with the learned policy.
-    """
+    """Refuse a name that no policy has, and a learned policy that cannot be read."""
     known = baselines.names()
     for name in wanted:
         if is_user_policy(name):
@@ -132,18 +118,15 @@ def check_names(wanted: Sequence[str]) -> None:
             except ValueError as error:
                 raise UserError(f"policy {name!r}: {error}") from error
         elif name not in known:
-            near = nearest_word(name, known)
-            hint = f"did you mean {near!r}? " if near else ""
             raise UserError(
-                f"policy {name!r} is unknown; {hint}known are {', '.join(known)}, {_AT_PATH}PATH, "
-                "MODULE:FUNCTION"
+                f"policy {name!r} is unknown; {meant(name, known)}known are {', '.join(known)}, "
+                f"{_AT_PATH}PATH, MODULE:FUNCTION"
             )
 
 
 def promised_margin(name: str, policy: Policy) -> float | None:
-    """Alignment margin ε that a policy keeps by construction; None if it promises none.
-
-    It is 1 for law (1), and the attribute ``min_alignment`` of a policy with certified headings.
+    """Alignment margin ε that a policy keeps by construction: 1 for law (1), and the attribute
+    ``min_alignment`` of a policy with certified headings; None if it promises none.
     """
     if name == "bearing-only":
         return 1.0
@@ -155,14 +138,8 @@ def promised_margin(name: str, policy: Policy) -> float | None:
 
 
 def resolve_scenario(name: str, changes: Sequence[str] = ()) -> Scenario:
-    """A scenario by its name or TOML file, with other values of some fields.
-
-    Args:
-        name: of the scenario, or path of a file.
-        changes: of ``--set``: FIELD=VALUE each, a value as TOML writes it; they go into the name.
-
-    Raises:
-        UserError: saying what would be right.
+    """A scenario by its name or TOML file, changed as ``--set`` says: FIELD=VALUE each, a value as
+    TOML writes it; changes go into its name. A UserError says what would be right.
     """
     try:
         given: dict[str, Any] = {}
@@ -192,10 +169,8 @@ def is_user_policy(name: str) -> bool:
 
 
 def find_function(name: str) -> Callable[[Scenario], Policy | None]:
-    """The function of a name; its module may lie in the current folder.
-
-    Raises:
-        UserError: naming the module or the function that there is not, or what importing it raised.
+    """The function of a name, whose module may lie in the current folder; a UserError names what
+    there is not, or what importing it raised.
     """
     module_name, _, function_name = name.partition(":")
     if not all(part.isidentifier() for part in (*module_name.split("."), function_name)):
@@ -205,8 +180,8 @@ def find_function(name: str) -> Callable[[Scenario], Policy | None]:
     function = getattr(module, function_name, None)
     place = getattr(module, "__file__", None) or "built in"
     if function is None:
-        near = nearest_word(function_name, [key for key in vars(module) if key[0] != "_"])
-        hint = f"; did you mean {near!r}?" if near else ""
+        near = meant(function_name, [key for key in vars(module) if key[0] != "_"])
+        hint = f"; {near}".rstrip("; ")
         raise UserError(f"policy {name!r}: {module_name} ({place}) has no {function_name!r}{hint}")
     if not callable(function):
         raise UserError(
@@ -217,7 +192,7 @@ def find_function(name: str) -> Callable[[Scenario], Policy | None]:
 
 
 def _make_own(name: str, scenario: Scenario) -> Policy | None:
-    """What the function gives for a scenario; None if that does not fit it."""
+    """The policy of a function for a scenario; None if it does not fit."""
     function = find_function(name)
     with _code_of(name, f" for scenario {scenario.name!r}"):
         policy = function(scenario)
@@ -230,7 +205,7 @@ def _make_own(name: str, scenario: Scenario) -> Policy | None:
 
 
 def _fits_own(name: str, scenario: Scenario) -> bool:
-    """Whether it steers the robots of a scenario, for which it is tried for one step."""
+    """Whether it steers the robots of a scenario, tried for one step."""
     if (policy := _make_own(name, scenario)) is None:
         return False
     simulator = Simulator(scenario, 1)
@@ -243,7 +218,7 @@ def _fits_own(name: str, scenario: Scenario) -> bool:
 
 @contextmanager
 def _code_of(name: str, where: str) -> Iterator[None]:
-    """Whatever a user's code raises is a line that says where."""
+    """Turn whatever a user's code raises into a line that says where."""
     try:
         yield
     except UserError:

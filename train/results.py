@@ -69,13 +69,6 @@ PAIRED = {
 RESULT_COLUMNS = tuple(RESULTS)
 """Of results.csv."""
 
-EPISODE_COLUMNS = (
-    "scenario", "policy", "start", "success", "clean", "time", "path_length", "contacts",
-    "clearance", "max_rise_between_merges", "merge_rise", "merge_excess", "min_alignment",
-    "initial_lyapunov", "time_bound", "max_rise_of_size",
-)  # fmt: skip
-"""Of episodes.csv; ``episodes.Episodes`` says what each means."""
-
 PAIRED_COLUMNS = tuple(PAIRED)
 """Of paired.csv."""
 
@@ -84,10 +77,8 @@ _PACKAGES = ("rendezvous-env", "numpy", "numba", "scipy", "gymnasium", "pettingz
 
 @contextmanager
 def atomic(path: Path) -> Iterator[Path]:
-    """A name to write to; the file takes its place only once it is whole.
-
-    Args:
-        path: where it will stand. If the body raises, what stood there before stays.
+    """A name to write to; the file takes its place only once it is whole, and only if the body does
+    not raise.
     """
     temporary = path.with_name(f".{path.name}.{os.getpid()}.part{path.suffix}")
     try:
@@ -100,12 +91,8 @@ def atomic(path: Path) -> Iterator[Path]:
 def prepare_folder(folder: Path, flag: str | None = None) -> Path:
     """Make a folder that can be written to, before any work is spent on its content.
 
-    Args:
-        folder: to make.
-        flag: what asked for it, with its value; None is --out with the folder.
-
     Raises:
-        UserError: if it cannot be made or written to.
+        UserError: if it cannot be, naming the flag with its value, --out and the folder if None.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -152,30 +139,6 @@ def write_arrays(path: Path, arrays: Mapping[str, Any], run: str = "") -> None:
             archive.comment = run.encode()
 
 
-def read_arrays(path: Path, run: str | None = None) -> dict[str, np.ndarray[Any, Any]]:
-    """The arrays that ``write_arrays`` wrote.
-
-    Args:
-        path: of the file.
-        run: id that the file must carry; None takes any.
-
-    Raises:
-        FileNotFoundError: if there is none.
-        ValueError: if it cannot be read, saying why.
-    """
-    try:
-        with zipfile.ZipFile(path) as archive:
-            own = archive.comment.decode(errors="replace")
-        if run is not None and own != run:
-            raise ValueError(f"it is of run {own!r}, not {run!r}")
-        with path.open("rb") as file, np.load(file) as arrays:
-            return {name: arrays[name] for name in arrays.files}
-    except FileNotFoundError:
-        raise
-    except Exception as error:  # a damaged header raises whatever its bytes mean to the parser
-        raise ValueError(str(error) or type(error).__name__) from error
-
-
 def entry(path: Path) -> dict[str, Any]:
     """Size and SHA-256 of a file, as run.json names them."""
     return plain_data.entry(path.read_bytes())
@@ -188,8 +151,8 @@ def write_json(path: Path, content: Mapping[str, Any]) -> None:
 
 
 def versioned(scenario: Scenario) -> dict[str, str]:
-    """Versioned name and digest of the first starts ("field", "digest"), by which others can tell
-    that they have the same; nothing for a scenario that is none of the named ones.
+    """Versioned name and digest of the first starts ("field", "digest") of a named scenario, by
+    which others can tell that they have the same; nothing for another one.
     """
     name = scenario.name
     if name not in scenarios.with_versions() or scenario != scenarios.get(name):
@@ -199,9 +162,7 @@ def versioned(scenario: Scenario) -> dict[str, str]:
 
 
 def provenance(packages: Sequence[str] = ()) -> dict[str, Any]:
-    """What it takes to run the same again: format, versions (of further packages too), command
-    line.
-    """
+    """What it takes to run the same again: format, versions, command line."""
     return {
         "format_version": FORMAT_VERSION,
         "command_line": [Path(sys.argv[0]).name, *sys.argv[1:]],

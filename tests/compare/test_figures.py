@@ -43,11 +43,8 @@ class TestColours:
             base = name.removesuffix("-certified").removesuffix("-tuned")
             assert figures.policy_colour(name) == figures.policy_colour(base)
             assert (figures.policy_marker(name) == figures.policy_marker(base)) == (name == base)
-        assert figures.policy_colour("learned") not in (
-            figures.policy_colour(name)
-            for name in baselines.names()
-            if not name.startswith("learned")
-        )
+        scripted = (name for name in baselines.names() if not name.startswith("learned"))
+        assert figures.policy_colour("learned") not in map(figures.policy_colour, scripted)
         assert figures.policy_colour("learned:runs/mine") != figures.policy_colour("learned")
 
     def test_policies_that_meet_in_clutter_are_told_apart_without_red_and_green(self):
@@ -115,25 +112,17 @@ class TestSweeps:
 def texts_of(figure):
     """What is written and where, pixels: every visible text but the empty ones."""
     figure.draw_without_rendering()
-    inside = {
+    outside = {
         id(label)
         for axes in figure.findobj(Axes)
-        for axis, (low, high) in ((axes.xaxis, axes.get_xlim()), (axes.yaxis, axes.get_ylim()))
+        for axis, limits in ((axes.xaxis, axes.get_xlim()), (axes.yaxis, axes.get_ylim()))
         for place, label in zip(axis.get_ticklocs(), axis.get_ticklabels(), strict=False)
-        if min(low, high) <= place <= max(low, high)
-    }
-    ticks = {
-        id(label)
-        for axes in figure.findobj(Axes)
-        for axis in (axes.xaxis, axes.yaxis)
-        for label in axis.get_ticklabels()
+        if not min(limits) <= place <= max(limits)
     }
     return [
         (text.get_text(), text.get_window_extent())
         for text in figure.findobj(Text)
-        if text.get_text().strip()
-        and text.get_visible()
-        and (id(text) in inside or id(text) not in ticks)
+        if text.get_text().strip() and text.get_visible() and id(text) not in outside
     ]
 
 
@@ -166,13 +155,9 @@ def drawn():
 class TestPrint:
     @pytest.mark.parametrize(
         ("name", "policy"),
-        [
-            ("fig3", "bearing-only"),
-            ("fig4", "tangent-joined"),
-            ("unicycle-6", "unicycle"),
-            ("clutter-8", "tangent-joined"),
-        ],
-    )
+        [("fig3", "bearing-only"), ("fig4", "tangent-joined"), ("unicycle-6", "unicycle"),
+         ("clutter-8", "tangent-joined")],
+    )  # fmt: skip
     def test_an_episode_fits_a_column_and_is_readable(self, name, policy, drawn):
         figure = drawn(name, policy)
         assert figure.get_figwidth() == style.COLUMN == 3.5

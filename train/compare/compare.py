@@ -4,33 +4,43 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass
+from functools import partial
 from itertools import chain
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 
 from .. import results
 from ..resume import Part, claimed
-from . import gallery, out_folder, statistics, sweep, tables, upper_bound
+from ..tasks import Workers, each
+from . import out_folder, statistics, sweep, tables, upper_bound
+from .evaluation import EPISODE_COLUMNS
 from .playing import Played, blocks_of, by_scenario, joined, plan_of, play_all, play_job, summary
 from .ranking import Ranking, answer, rank
 from .settings import Config, Job, plan
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 __all__ = ["Config", "Job", "Played", "plan", "play_job", "run", "summary"]
 
 _ROUNDING = 1e-9  # m²/s, of V; a larger rise at a merge above its bound is an error
 
 Row = dict[str, Any]
+Picture = tuple[str, Callable[[], "Figure"]]
+"""The name of a figure, and what draws it."""
 
 
-class _Clock:
+class _Clock(dict[str, float]):
     """Where the time goes, by the wall clock: s of each part that is over, by its name."""
 
     def __init__(self) -> None:
-        self._began, self.parts = time.perf_counter(), dict[str, float]()
+        super().__init__()
+        self._began = time.perf_counter()
 
     @property
     def total(self) -> float:
@@ -39,16 +49,7 @@ class _Clock:
 
     def now(self, part: str) -> None:
         """All since the last call was spent on ``part``."""
-        self.parts[part] = self.total - sum(self.parts.values())
-
-    def timing(self) -> dict[str, float]:
-        """The parts and the time in all, s, as run.json names them."""
-        parts = {f"{name.replace(' ', '_')}_s": seconds for name, seconds in self.parts.items()}
-        return parts | {"total_s": self.total}
-
-    def __str__(self) -> str:
-        split = ", ".join(f"{name} {seconds:.1f}" for name, seconds in self.parts.items())
-        return f"{self.total:.1f} s: {split}"
+        self[part] = self.total - sum(self.values())
 
 
 def run(config: Config) -> int:
@@ -56,9 +57,6 @@ def run(config: Config) -> int:
 
     Returns:
         Exit status: 1 if a merge raised V above its proven bound, else 0.
-
-    Raises:
-        UserError: for an unknown name, an impossible number or a folder that cannot be written.
     """
     console, clock = Console(), _Clock()
     jobs = plan(config)
@@ -69,8 +67,7 @@ def run(config: Config) -> int:
             said = f"{out} holds this comparison: it was finished, but not renamed yet"
             console.print(said, soft_wrap=True)
             return 0
-        part.begin(config.out, fresh=config.fresh)
-        with part.at_work(console):
+        with part.at_work(config.out, console, fresh=config.fresh):
             return _run(config, jobs, out, part, console, clock)
 
 
@@ -78,27 +75,25 @@ def _run(
     config: Config, jobs: Sequence[Job], out: Path, part: Part, console: Console, clock: _Clock
 ) -> int:
     clock.now("setting up")
-    found, compiling = _play(config, jobs, part, console)
+    found, clock["compiling"] = _play(config, jobs, part, console)
     clock.now("playing")
-    clock.parts = {
-        "setting up": clock.parts["setting up"],
-        "compiling": compiling,
-        "playing": clock.parts["playing"] - compiling,
-    }
     files = write(part, found, config)
     _show(found, config, console)
     clock.now("tables")
     if config.figures:
-        files += gallery.draw(part, found.rows, found.played, config, console)
+        files += _draw(part, found, config, console)
         clock.now("drawing")
-    about = description(config, found, clock.timing())
+    timing = {f"{name.replace(' ', '_')}_s": seconds for name, seconds in clock.items()}
+    about = description(config, found, timing | {"total_s": clock.total})
     out_folder.seal(part.folder, files, {**about, "run": part.run})
     out_folder.promote(out)
     if config.json is not None:
         kept = {name: about[name] for name in ("seed", "command_line", "versions", "timing")}
         write_summary(config.json, found, kept)
     episodes = sum(len(done.episodes.success) for done in found.played)
-    console.print(f"{episodes} episodes in {clock}; files in {config.out}", soft_wrap=True)
+    split = ", ".join(f"{name} {seconds:.1f}" for name, seconds in clock.items())
+    said = f"{episodes} episodes in {clock.total:.1f} s: {split}; files in {config.out}"
+    console.print(said, soft_wrap=True)
     if found.excess:
         print(
             f"error: in {found.excess} episodes a merge raised V above its bound (theory 5); "
@@ -133,10 +128,8 @@ def _play(config: Config, jobs: Sequence[Job], part: Part, console: Console) -> 
     blocks = [blocks_of(number, job, config) for number, job in enumerate(jobs)]
     bounded = filter(upper_bound.applies, dict.fromkeys(job.scenario for job in jobs))
     runs = {one: upper_bound.tasks_of(one, config) for one in bounded if config.ceiling}
-    tasks = list(chain(*blocks, *runs.values()))
-    cells, compiling = play_all(tasks, config, part, console)
-    parts = ([cells[task.name] for task in own] for own in blocks)
-    played = [joined(job, own) for job, own in zip(jobs, parts, strict=True)]
+    cells, compiling = play_all([*chain(*blocks, *runs.values())], config, part, console)
+    played = [joined([cells[task.name] for task in own]) for own in blocks]
     bounds = [
         upper_bound.row_of(scenario, [cells[task.name] for task in own])
         for scenario, own in runs.items()
@@ -182,9 +175,14 @@ def _show(found: Found, config: Config, console: Console) -> None:
 
 def write(part: Part, found: Found, config: Config) -> list[str]:
     """Write all tables and trajectories.npz; their names."""
+    episodes = (
+        {"scenario": done.job.scenario.name, "policy": done.job.policy} | row
+        for done in found.played
+        for row in done.episodes.rows()
+    )
     files: dict[str, tuple[Sequence[str], Any]] = {
         "results.csv": (results.RESULT_COLUMNS, found.rows),
-        "episodes.csv": (results.EPISODE_COLUMNS, _episode_rows(found.played)),
+        "episodes.csv": (EPISODE_COLUMNS, episodes),
         "paired.csv": (results.PAIRED_COLUMNS, found.pairs),
     }
     if config.ceiling:
@@ -204,14 +202,8 @@ def write(part: Part, found: Found, config: Config) -> list[str]:
     return [*files, "trajectories.npz"]
 
 
-def _episode_rows(played: Sequence[Played]) -> Iterator[Row]:
-    for done in played:
-        head = {"scenario": done.job.scenario.name, "policy": done.job.policy}
-        yield from (head | row for row in done.episodes.rows())
-
-
 def description(config: Config, found: Found, timing: dict[str, float]) -> dict[str, Any]:
-    """What run.json says of a comparison."""
+    """The content of run.json, but for the digests."""
     starts = {done.job.scenario: len(done.episodes.success) for done in found.played}
     return results.provenance() | {
         "seed": config.seed,
@@ -227,7 +219,7 @@ def description(config: Config, found: Found, timing: dict[str, float]) -> dict[
 
 
 def write_summary(path: Path, found: Found, about: Mapping[str, Any]) -> None:
-    """Write all that was found in short, as JSON: what ``--json`` asks for.
+    """Write all that was found in short, as JSON, for ``--json``.
 
     The names of columns are those of results.csv and paired.csv; null where it does not apply.
     """
@@ -254,3 +246,50 @@ def _plain(row: Row, columns: Sequence[str]) -> Row:
     """Cells as numbers and words, null where they are empty."""
     cells = {column: results.plain(row[column]) for column in columns}
     return {column: None if cell == "" else cell for column, cell in cells.items()}
+
+
+# ---- figures ------------------------------------------------------------------------------------
+
+
+def _draw(part: Part, found: Found, config: Config, console: Console) -> list[str]:
+    """Draw all figures; the names of their files."""
+    endings = ("png", "pdf") if config.pdf else ("png",)
+    work = partial(_draw_one, folder=part.folder, run=part.run, endings=endings)
+    # on this machine, wherever was played: its files are wanted here
+    drawn = each(work, list(_pictures(found, config)), Workers(jobs=config.jobs))
+    with console.status("drawing …"), closing(drawn):
+        files = dict(drawn)
+    return [name for number in sorted(files) for name in files[number]]
+
+
+def _draw_one(picture: Picture, *, folder: Path, run: str, endings: Sequence[str]) -> list[str]:
+    from ..figures import style
+
+    title, make = picture
+    figure, names = make(), [f"{title}.{ending}" for ending in endings]
+    for name in names:
+        style.save(figure, folder / name, run)
+    return names
+
+
+def _pictures(found: Found, config: Config) -> Iterator[Picture]:
+    from ..figures import figures, path_figures
+
+    for one in config.sweeps():
+        yield one.name, partial(figures.level_figure, one, sweep.rows_of(one, found.rows))
+    yield "success", partial(figures.success_figure, found.rows)
+    yield "times", partial(figures.time_figure, found.rows)
+    scenarios = list(dict.fromkeys(done.job.scenario for done in found.played))
+    for quantity in ("obstacles", "robots"):
+        for number, group in enumerate(figures.sweeps(scenarios, quantity)):
+            name = f"against-{quantity}" + (f"-{number + 1}" if number else "")
+            yield name, partial(figures.sweep_figure, found.rows, group, quantity)
+    for scenario in scenarios:
+        first = {
+            done.job.policy: done.recordings[0]
+            for done in found.played
+            if done.job.scenario == scenario and 0 in done.recordings
+        }
+        if first and scenario.dim == 2 and scenario.obstacles:
+            draw = partial(path_figures.trajectories_figure, scenario, first)
+            yield f"trajectories-{scenario.name}", draw

@@ -51,8 +51,7 @@ class Episodes:
     """By how much a merge raised V above the bound of theory 5, m²/s; anything but 0 is an
     error."""
     min_alignment: NDArray[np.float64]
-    """Least alignment of a robot with ‖f‖ ≥ 2δ, NaN if there was none; see
-    ``alignment.alignments``."""
+    """Least alignment of a robot with ‖f‖ ≥ 2δ, NaN if there was none; see ``alignments``."""
     initial_lyapunov: NDArray[np.float64]
     """V at the start, m²/s."""
     time_bound: NDArray[np.float64]
@@ -80,6 +79,10 @@ class Episodes:
             yield {"start": start} | {name: values[start] for name, values in columns.items()}
 
 
+EPISODE_COLUMNS = ("scenario", "policy", "start", *(field.name for field in fields(Episodes)))
+"""Of episodes.csv."""
+
+
 def play(
     scenario: Scenario,
     make_policy: Callable[[], Policy],
@@ -93,7 +96,7 @@ def play(
     """Run one policy from the starts ``seed``, ``seed`` + 1, … of a scenario.
 
     The starts depend on their seeds alone, so every policy meets the same ones. A scenario whose
-    episodes are all one and the same is played once.
+    episodes are all the same is played once.
 
     Args:
         scenario: the experiment.
@@ -102,7 +105,7 @@ def play(
         episodes: N.
         seed: of the first start.
         keep: how many of the first starts to record.
-        steps: after how many the episodes are left; None plays them to their end.
+        steps: most steps of an episode; None plays to the end.
 
     Raises:
         UserError: if the scenario has no room for a start.
@@ -135,9 +138,7 @@ def starts_of(scenario: Scenario, asked: int) -> int:
 
 
 def counts_contacts(scenario: Scenario) -> bool:
-    """Whether a contact with an obstacle is counted: robots that pass through none are not clean,
-    nor the contrary.
-    """
+    """Whether a contact counts; where robots pass through obstacles nothing is clean or not."""
     return not scenario.obstacles or scenario.obstacle_contact != "ignore"
 
 
@@ -172,47 +173,37 @@ class _Meter:
         """What came of it, once every team has finished."""
         simulator, scenario = self._simulator, self._simulator.scenario
         success = simulator.status == RENDEZVOUS
-        contacts, clearance = simulator.contacts, simulator.min_clearance
+        contacts, start = simulator.contacts, simulator.initial_lyapunov
+        bounds = np.full(start.shape, np.nan)
+        if margin is not None:
+            bounds = time_bound(scenario, start, min_alignment=margin)
         return Episodes(
             success=success,
             clean=np.where(counts_contacts(scenario), success & (contacts == 0), np.nan),
             time=simulator.time,
             path_length=simulator.path_length,
             contacts=contacts,
-            clearance=np.where(np.isfinite(clearance), clearance, np.nan),
+            clearance=_or_nan(simulator.min_clearance),
             max_rise_between_merges=self._rise,
             merge_rise=self._merge_rise,
             merge_excess=self._merge_excess,
-            min_alignment=np.where(np.isfinite(self._alignment), self._alignment, np.nan),
-            initial_lyapunov=simulator.initial_lyapunov,
-            time_bound=_bounds(scenario, simulator.initial_lyapunov, margin),
-            max_rise_of_size=np.where(np.isfinite(self._growth), self._growth, np.nan),
+            min_alignment=_or_nan(self._alignment),
+            initial_lyapunov=start,
+            time_bound=_or_nan(bounds),
+            max_rise_of_size=_or_nan(self._growth),
         )
 
 
-def _bounds(
-    scenario: Scenario, initial_lyapunov: NDArray[np.float64], margin: float | None
-) -> NDArray[np.float64]:
-    """Proven times in s, NaN where none is proven."""
-    if margin is None:
-        return np.full(initial_lyapunov.shape, np.nan)
-    bounds = time_bound(scenario, initial_lyapunov, min_alignment=margin)
-    return np.where(np.isfinite(bounds), bounds, np.nan)
+def _or_nan(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.where(np.isfinite(values), values, np.nan)
 
 
 def alignments(scenario: Scenario, step: Step) -> NDArray[np.float64]:
-    """Alignment |vᵀf|/(‖v‖‖f‖) of every robot with ‖f‖ ≥ 2δ, NaN for the others.
+    """Alignment |vᵀf|/(‖v‖‖f‖), (B, n), in [0, 1], of every robot with ‖f‖ ≥ 2δ, else NaN.
 
     v is the commanded velocity; for nonholonomic robots it has the direction of the body axis,
-    for robots with inertia it is the commanded acceleration. A robot told to rest has alignment 0.
-    Robots of teams that have finished have NaN.
-
-    Args:
-        scenario: gives δ and the robot model.
-        step: what the robots saw and were told to do.
-
-    Returns:
-        (B, n), in [0, 1].
+    for robots with inertia it is the commanded acceleration. A robot that is to rest has alignment
+    0. Robots of teams that have finished have NaN.
 
     Raises:
         ValueError: for a step of other robots.
@@ -234,7 +225,7 @@ def alignments(scenario: Scenario, step: Step) -> NDArray[np.float64]:
 def batch_alignments(
     observations: Any, actions: Any, running: Any, slots: int, along_x: bool, least: float, out: Any
 ) -> None:
-    """Alignments of the robots of running teams, to ``out`` (B, n); arguments as ``_alignment``."""
+    """Alignments of the robots of running teams, to ``out`` (B, n)."""
     for b in range(out.shape[0]):
         for i in range(out.shape[1]):
             if running[b]:

@@ -55,18 +55,17 @@ def destination(given: Path) -> Path:
     if out == here or out in here.parents or os.path.ismount(out):
         raise UserError(f"--out {given}: cannot be replaced as a whole; name a folder in it")
     try:
-        foreign = sorted(
-            name for name in os.listdir(out) if not (is_ours(name) or _LITTER.fullmatch(name))
-        )
+        names = sorted(os.listdir(out))
     except FileNotFoundError:
         return out
     except OSError as error:
         raise UserError(f"--out {given}: cannot write there: {error.strerror}") from error
-    if foreign:
-        raise UserError(
-            f"--out {given}: holds {foreign[0]!r}, which compare has not written and would remove "
-            "with the older results; choose another folder, or move it away"
-        )
+    for name in names:
+        if not (is_ours(name) or _LITTER.fullmatch(name)):
+            raise UserError(
+                f"--out {given}: holds {name!r}, which compare has not written and would remove "
+                "with the older results; choose another folder, or move it away"
+            )
     return out
 
 
@@ -81,7 +80,7 @@ def seal(folder: Path, files: Sequence[str], about: Mapping[str, Any]) -> None:
 
 
 def is_sealed(about: Mapping[str, Any]) -> bool:
-    """Whether what run.json says is what ``seal`` wrote."""
+    """Whether the content of run.json is what ``seal`` wrote."""
     content = {key: value for key, value in about.items() if key != "sha256"}
     return about.get("sha256") == plain_data.digest(content)
 
@@ -97,7 +96,7 @@ def settle(out: Path) -> str | None:
 
 
 def promote(out: Path) -> str:
-    """Rename a finished OUT.part to OUT, from which an older one goes as a whole; id of the run."""
+    """Rename a finished OUT.part to OUT, which it replaces as a whole; id of the run."""
     part, replaced = part_of(out), _replaced(out)
     about = resume.read(part / RUN)
     if not is_sealed(about):

@@ -8,8 +8,8 @@ from collections.abc import Callable, Generator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache, partial
-from itertools import chain
-from typing import Any, NamedTuple
+from operator import attrgetter, methodcaller
+from typing import Any
 
 import numpy as np
 from rendezvous_env.baselines import policy as registry
@@ -22,7 +22,7 @@ from rendezvous_env.scenario.scenario import Scenario
 from .. import policies
 from ..recording import Recording
 from ..resume import Part, program
-from ..tasks import WorkerFlags, each
+from ..tasks import Workers, each
 from . import statistics
 from .evaluation import Episodes, play
 from .settings import Config, Job
@@ -33,20 +33,21 @@ multiplied in another order, and rounded otherwise."""
 TOGETHER = 8
 """Starts that are computed side by side, by other code than a few."""
 _MANY = 32
-"""Tasks for which other processes are begun at once. With fewer this one plays until it sees that
-they take long, and where kernels are not compiled yet the first task takes as long as many."""
+"""Tasks for which other processes start at once. With fewer this one plays until it sees that they
+take long, and where kernels are not compiled yet the first task takes as long as many."""
 
 
 @dataclass(frozen=True)
 class Played:
-    """What came of a job."""
+    """What came of a job, or of a block of its starts."""
 
     job: Job
-    """The job."""
     episodes: Episodes
     """Measured, one entry for each start."""
     recordings: dict[int, Recording]
     """By start: the first ones, and the first on which the policy failed."""
+    ready: float = 0.0
+    """How long it took to make the kernels ready, s."""
 
 
 def by_scenario(played: Sequence[Played]) -> dict[str, dict[str, Episodes]]:
@@ -61,11 +62,10 @@ def play_job(
     job: Job, *, episodes: int, seed: int, keep: int = 0, steps: int | None = None
 ) -> Played:
     """Play one job; the arguments are those of ``evaluation.play``."""
-    scenario, name = job.scenario, job.policy
-    make = partial(policies.make, name, scenario)
-    margin = policies.promised_margin(name, make())
-    settings: dict[str, Any] = {"margin": margin, "steps": steps}
-    done, recordings = play(scenario, make, episodes=episodes, seed=seed, keep=keep, **settings)
+    make = partial(policies.make, job.policy, job.scenario)
+    margin = policies.promised_margin(job.policy, make())
+    settings: dict[str, Any] = {"episodes": episodes, "seed": seed, "keep": keep, "steps": steps}
+    done, recordings = play(job.scenario, make, margin=margin, **settings)
     return Played(job, done, dict(enumerate(recordings)))
 
 
@@ -117,25 +117,14 @@ class Task:
     name: str
     """Of the file in OUT.part that keeps what comes of it."""
     label: str
-    """What the progress bar says once it is done."""
+    """For the progress bar, once it is done."""
     scenario: Scenario
-    """On which it is played."""
     count: int
     """How many starts it plays."""
     work: Callable[[], Any]
-    """Does it; travels to other processes, as what it gives does."""
+    """Does it; travels to other processes, as its result does."""
     stays: bool = False
     """Whether only this process can do it."""
-
-
-class Cell(NamedTuple):
-    """What comes of a block of the starts of a job."""
-
-    episodes: Episodes
-    recordings: dict[int, Recording]
-    """By start."""
-    ready: float
-    """How long it took to make the kernels ready, s."""
 
 
 def blocks_of(number: int, job: Job, config: Config) -> list[Task]:
@@ -155,21 +144,16 @@ def blocks_of(number: int, job: Job, config: Config) -> list[Task]:
 
 
 def _is_typed_in(policy: str) -> bool:
-    """Whether only this process knows a policy: it was entered from outside."""
+    """Whether only this process knows a policy: it was registered from outside."""
     with suppress(KeyError):
         return registry.kind_of(policy) == "own"
     return False
 
 
-def play_block(job: Job, first: int, count: int, seed: int, keep: int) -> Cell:
-    """Play the starts ``first``, ``first`` + 1, … of a job.
+def play_block(job: Job, first: int, count: int, seed: int, keep: int) -> Played:
+    """Play ``count`` starts of a job, from number ``first`` on; ``seed`` is that of start 0.
 
-    Args:
-        job: what to play.
-        first: number of the first start.
-        count: how many.
-        seed: of start 0.
-        keep: how many of them to record; beyond these, of the first block, the first failure.
+    The first ``keep`` are recorded and, of the first block, the first failure beyond these.
     """
     began = time.perf_counter()
     make_ready(job, min(count, TOGETHER))
@@ -180,10 +164,10 @@ def play_block(job: Job, first: int, count: int, seed: int, keep: int) -> Cell:
     if first == 0 and keep > 0 and failed.size and failed[0] >= keep:
         start = int(failed[0])
         again = play_job(job, episodes=1, seed=seed + start, keep=1)
-        # played alone, a network may round otherwise: only what is told of the start is shown
+        # played alone, a network may round otherwise: a replay that differs is not shown
         if again.episodes.time[0] == done.episodes.time[start] and not again.episodes.good[0]:
             kept[start] = again.recordings[0]
-    return Cell(done.episodes, kept, ready)
+    return Played(job, done.episodes, kept, ready)
 
 
 @cache
@@ -192,14 +176,14 @@ def make_ready(job: Job, starts: int) -> None:
     play_job(job, episodes=starts, seed=0, steps=2)
 
 
-def joined(job: Job, cells: Sequence[Cell]) -> Played:
+def joined(blocks: Sequence[Played]) -> Played:
     """What came of a job, of all its blocks in order."""
-    recordings = dict(chain.from_iterable(cell.recordings.items() for cell in cells))
-    return Played(job, Episodes.joined([cell.episodes for cell in cells]), recordings)
+    recordings = {start: one for block in blocks for start, one in block.recordings.items()}
+    return Played(blocks[0].job, Episodes.joined([one.episodes for one in blocks]), recordings)
 
 
 def play_all(
-    tasks: Sequence[Task], config: WorkerFlags, part: Part, console: Console
+    tasks: Sequence[Task], workers: Workers, part: Part, console: Console
 ) -> tuple[dict[str, Any], float]:
     """Do all tasks that are not finished, under a progress bar.
 
@@ -209,7 +193,8 @@ def play_all(
 
     def do(left: list[Task]) -> Generator[tuple[int, Any], None, None]:
         left[:] = _one_of_each_first(left)
-        return each(_do, left, config.workers, lambda task: task.stays, long=len(left) >= _MANY)
+        stays = attrgetter("stays")
+        return each(methodcaller("work"), left, workers, stays, long=len(left) >= _MANY)
 
     found, ready = {}, 0.0
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
@@ -217,34 +202,26 @@ def play_all(
         bar = progress.add_task("playing", total=sum(task.count for task in tasks))
         for task, result, now in part.finish(tasks, do):
             found[task.name] = result
-            ready += result.ready if now and isinstance(result, Cell) else 0.0
+            ready += result.ready if now and isinstance(result, Played) else 0.0
             progress.update(bar, advance=task.count, description=task.label.ljust(40))
         progress.update(bar, description="played".ljust(40))
-    return found, ready / config.workers.count
-
-
-def _do(task: Task) -> Any:
-    return task.work()
+    return found, ready / workers.worker_count
 
 
 def _one_of_each_first(tasks: Sequence[Task]) -> list[Task]:
-    """The same tasks, begun with one for each kind of kernels: workers that start together then
-    compile different ones.
+    """The same tasks, but those first that need different kernels: workers that start together
+    then do not compile the same ones.
     """
     first: dict[tuple[Any, ...], str] = {}
     for task in tasks:
-        first.setdefault(_kernels_of(task.scenario, task.count), task.name)
+        layout, scenario = task.scenario.observation_layout, task.scenario
+        kernels = (
+            scenario.robot_model,
+            scenario.dim,
+            type(scenario.obstacles).__name__,
+            scenario.sensing.exact,
+            layout.neighbour_slots == scenario.n_robots - 1,
+            task.count < TOGETHER,
+        )
+        first.setdefault(kernels, task.name)
     return sorted(tasks, key=lambda task: task.name not in first.values())
-
-
-def _kernels_of(scenario: Scenario, starts: int) -> tuple[Any, ...]:
-    """Scenarios for which this is the same are stepped by the same kernels, or by few others."""
-    layout = scenario.observation_layout
-    return (
-        scenario.robot_model,
-        scenario.dim,
-        type(scenario.obstacles).__name__,
-        scenario.sensing.exact,
-        layout.neighbour_slots == scenario.n_robots - 1,
-        starts < TOGETHER,
-    )

@@ -24,7 +24,6 @@ class Ranking:
     """Collision-free success of the policies on one scenario."""
 
     scenario: str
-    """Its name."""
     starts: int
     """How many each policy was played on."""
     share: dict[str, float]
@@ -59,18 +58,13 @@ def _ranking(scenario: str, played: dict[str, Episodes]) -> Ranking:
     starts = len(next(iter(played.values())).clean)
     applies = not any(np.isnan(value) for value in share.values())
     best = best_policy(competing) if competing and applies else None
-    tied = (
-        name
-        for name, own in competing.items()
-        if best is not None and name != best and _is_tied(own, competing[best])
-    )
+    tied = []
+    for name, own in competing.items():
+        if best is not None and name != best:
+            difference, (low, high) = clean_difference(own, competing[best])
+            if difference == 0 or low <= 0 <= high:  # a single start speaks for itself
+                tied.append(name)
     return Ranking(scenario, starts, share, best, tuple(tied), references)
-
-
-def _is_tied(own: Episodes, best: Episodes) -> bool:
-    """Whether these starts do not say that the best is better; a single one speaks for itself."""
-    difference, (low, high) = clean_difference(own, best)
-    return difference == 0 or bool(low <= 0 <= high)
 
 
 # ---- in words -----------------------------------------------------------------------------------
@@ -85,9 +79,13 @@ def answer(rankings: Sequence[Ranking]) -> str:
     order = leaders(rankings)
     leader = order[0]
     level = [name for name in order if (tops[name], alone[name]) == (tops[leader], alone[leader])]
-    where = f"best, or tied with the best, in {_of(tops[leader], len(contests))}"
+    count, total = tops[leader], len(contests)
+    all_of = "the one scenario with a choice" if total == 1 else f"{count} of {total} scenarios"
+    where = f"best, or tied with the best, in {all_of}"
     if len(level) > 1:
-        return f"{_listed(level)} are tied in collision-free success: {where}."
+        many = len(level) > _MOST_NAMED
+        listed = f"{len(level)} policies" if many else f"{', '.join(level[:-1])} and {level[-1]}"
+        return f"{listed} are tied in collision-free success: {where}."
     by_itself = f", alone in {alone[leader]}" if alone[leader] and len(contests) > 1 else ""
     then = f"; then {order[1]}, in {tops[order[1]]}" if len(order) > 1 else ""
     return f"{leader} leads in collision-free success: {where}{by_itself}{then}."
@@ -103,13 +101,3 @@ def _counts(contests: Sequence[Ranking]) -> tuple[Counter[str], Counter[str]]:
     """In how many scenarios each policy is at the top, and in how many alone."""
     tops = Counter(name for ranking in contests for name in ranking.top)
     return tops, Counter(ranking.top[0] for ranking in contests if not ranking.tied)
-
-
-def _of(count: int, total: int) -> str:
-    return "the one scenario with a choice" if total == 1 else f"{count} of {total} scenarios"
-
-
-def _listed(names: Sequence[str]) -> str:
-    if len(names) > _MOST_NAMED:
-        return f"{len(names)} policies"
-    return f"{', '.join(names[:-1])} and {names[-1]}"

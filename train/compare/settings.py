@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 from tyro.conf import arg
 
-from rendezvous_env.checks import nearest_word
+from rendezvous_env import baselines
 from rendezvous_env.scenario import scenarios as named_scenarios
 from rendezvous_env.scenario.scenario import Scenario
 
 from .. import policies, results
-from ..checks import UserError, check_least
-from ..tasks import WorkerFlags
+from ..checks import UserError, check_least, meant
+from ..tasks import Workers
 from . import sweep as levels
 from .evaluation import starts_of
 
@@ -47,7 +46,7 @@ FLAG_GROUPS = {
 
 
 @dataclass(frozen=True)
-class Config(WorkerFlags):
+class Config(Workers):
     """Compare policies on the same starts and under one speed limit."""
 
     scenarios: Annotated[tuple[str, ...], arg(aliases=("--scenario",))] = DEFAULT_SCENARIOS
@@ -115,25 +114,19 @@ def _fewer(usual: int, scenario: Scenario) -> int:
 
 @dataclass(frozen=True)
 class Job:
-    """One policy on one scenario."""
+    """One policy, by its name, on one scenario."""
 
     scenario: Scenario
-    """The experiment."""
     policy: str
-    """Name of the policy."""
 
 
 def plan(config: Config) -> list[Job]:
-    """The jobs that a configuration asks for.
-
-    Raises:
-        UserError: for an unknown name or an impossible number.
-    """
+    """The jobs that a configuration asks for; a UserError where it cannot be."""
     check_least(config, episodes=1, seed=0, keep=0, ceiling=0)
     episodes = config.episodes or _STARTS
     if config.seed + episodes > 2**63:
         raise UserError(f"--seed is {config.seed}; with {episodes} starts it is too large")
-    _ = config.workers  # refuses what cannot be
+    config.check_workers()
     policies.check_names(config.policies)
     scenarios = _resolve(config)
     if swept := levels.sweeps(scenarios, config.sensing):
@@ -142,23 +135,18 @@ def plan(config: Config) -> list[Job]:
     for scenario in scenarios:
         fitting = policies.fitting(scenario, config.policies)
         if not fitting:
-            known = ", ".join(policies.names(scenario))
+            known = ", ".join(baselines.names(scenario))
             raise UserError(f"no policy of those named fits {scenario.name}; these do: {known}")
         jobs += [Job(scenario, name) for name in fitting]
-    _check_against(config.against, list(dict.fromkeys(job.policy for job in jobs)))
+    played = list(dict.fromkeys(job.policy for job in jobs))
+    if config.against is not None and config.against not in played:
+        raise UserError(
+            f"--against {config.against!r} is not compared; {meant(config.against, played)}"
+            f"these are: {', '.join(played)}"
+        )
     if config.json is not None:
         _check_json(config.json, config.out)
     return jobs
-
-
-def _check_against(against: str | None, played: Sequence[str]) -> None:
-    """Refuse a reference that nobody can be compared with."""
-    if against is not None and against not in played:
-        near = nearest_word(against, played)
-        hint = f"did you mean {near!r}? " if near else ""
-        raise UserError(
-            f"--against {against!r} is not compared; {hint}these are: {', '.join(played)}"
-        )
 
 
 def _check_json(given: Path, out: Path) -> None:

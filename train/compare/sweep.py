@@ -6,12 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
-from rendezvous_env.checks import nearest_word
 from rendezvous_env.scenario.scenario import Scenario
 from rendezvous_env.sensors.sensing import Sensing
 
 from .. import results
-from ..checks import UserError
+from ..checks import UserError, meant
 
 Level = float | str | None
 _EXACT = "none"
@@ -31,13 +30,13 @@ class Sweep:
     """One scenario at some levels of one field of its sensor."""
 
     base: Scenario
-    """The scenario as it was named."""
+    """As it was named."""
     field: str
     """Of ``rv.Sensing``."""
     levels: tuple[Level, ...]
     """Values of the field, in the order in which they were named."""
     scenarios: tuple[Scenario, ...]
-    """The scenario at each of them."""
+    """The base at each of them."""
 
     @property
     def labels(self) -> list[str]:
@@ -51,24 +50,16 @@ class Sweep:
 
 
 def sweeps(scenarios: Sequence[Scenario], words: Sequence[str]) -> list[Sweep]:
-    """Each scenario at each level of each field; the other fields are the scenario's own.
-
-    Args:
-        scenarios: as they were named.
-        words: like ``noise=0,0.1,0.2``.
-
-    Raises:
-        UserError: naming the word and what would be right.
+    """Each scenario at each level of each field, of words like ``noise=0,0.1,0.2``; its other
+    fields are its own.
     """
     found: dict[str, tuple[Level, ...]] = {}
     for word in words:
         name, _, listed = word.partition("=")
         if name not in _FIELDS:
-            near = nearest_word(name, _FIELDS)
-            hint = f"did you mean {near!r}? " if near else ""
-            known = ", ".join(_FIELDS)
             raise UserError(
-                f"--sensing {word}: {name!r} is no field of a sensor; {hint}they are {known}"
+                f"--sensing {word}: {name!r} is no field of a sensor; {meant(name, _FIELDS)}"
+                f"they are {', '.join(_FIELDS)}"
             )
         levels = tuple(_level(name, text) for text in listed.split(",") if text)
         if len(levels) < 2 or len(set(levels)) < len(levels):

@@ -43,12 +43,7 @@ def _by_scenario(rows: Sequence[Row]) -> Iterator[tuple[str, list[Row]]]:
 
 
 def results_table(rows: Sequence[Row], scenarios: Mapping[str, Scenario]) -> Table:
-    """The rows of results.csv for people.
-
-    Args:
-        rows: as ``statistics.summarise`` gives them.
-        scenarios: by name; give the time limits.
-    """
+    """The rows of results.csv for people; the scenarios, by name, give the time limits."""
     columns = ("policy", "met %", "cleanly % [95 %]", "median s [95 %]", "T/bound", "path m")
     table = _empty(*columns, "V rise", "clear m", "align", title="Policies on the same starts")
     for column in table.columns:
@@ -64,7 +59,7 @@ def results_table(rows: Sequence[Row], scenarios: Mapping[str, Scenario]) -> Tab
                 _time_cell(row, scenario.max_steps * scenario.tau),
                 _number(row["time_over_bound"], ".2g"),
                 _number(row["path_length"], ".1f"),
-                _rise(row["max_rise_between_merges"]),
+                "none" if (rise := row["max_rise_between_merges"]) <= _ROUNDING else f"{rise:.2g}",
                 _number(row["min_clearance"], ".2f"),
                 _number(row["min_alignment"], ".2f"),
             )
@@ -74,11 +69,6 @@ def results_table(rows: Sequence[Row], scenarios: Mapping[str, Scenario]) -> Tab
         "every step, or stayed; contacts can raise it"
     )
     return table
-
-
-def _rise(value: float) -> str:
-    """Of V; a negative one says that V fell all the way."""
-    return "none" if value <= _ROUNDING else f"{value:.2g}"
 
 
 def _percent(value: float, low: float, high: float, style: str = ".0f") -> str:
@@ -91,9 +81,8 @@ def _percent(value: float, low: float, high: float, style: str = ".0f") -> str:
 
 def _time_cell(row: Row, limit: float) -> str:
     """Median and interval, if it has one."""
-    median, low, high = (
-        _time(row[name], limit) for name in ("median_time", "time_low", "time_high")
-    )
+    names = ("median_time", "time_low", "time_high")
+    median, low, high = (_time(row[name], limit) for name in names)
     return f"{median} [{low}, {high}]" if row["time_low"] < limit else median
 
 
@@ -103,7 +92,7 @@ def _number(value: float, style: str) -> str:
 
 
 def paired_table(rows: Sequence[Row]) -> Table:
-    """Rows of paired.csv for people: one policy against the others, start by start."""
+    """The rows of paired.csv for people."""
     table = _empty(
         *("policy", "points", "better %"),
         title=f"Against {escape(rows[0]['against'])} on the same starts",
@@ -113,11 +102,11 @@ def paired_table(rows: Sequence[Row]) -> Table:
     for heading, own in _by_scenario(rows):
         table.add_row(heading)
         for row in own:
-            difference, low, high = (row[f"clean_difference{end}"] for end in ("", "_low", "_high"))
+            points, low, high = (row[f"clean_difference{end}"] for end in ("", "_low", "_high"))
             names = ("probability_of_improvement", "improvement_low", "improvement_high")
             better = _percent(*(row[name] for name in names))
-            points = _percent(difference, low, high, "+z.1f")
-            table.add_row(f"  {escape(row['policy'])}", points, better)
+            shown = _percent(points, low, high, "+z.1f")
+            table.add_row(f"  {escape(row['policy'])}", shown, better)
     return table
 
 
@@ -149,12 +138,12 @@ def show_matrix(rankings: Sequence[Ranking], console: Console) -> None:
     heading = min(max(_HEADING, *words), _LONGEST_WORD)
     columns = max(1, room // (heading + _BETWEEN))
     for first in range(0, len(rankings), columns):
-        console.print(_table(rankings[first : first + columns], heading))
+        console.print(_matrix(rankings[first : first + columns], heading))
     for note in _notes(rankings):
         console.print(note)
 
 
-def _table(rankings: Sequence[Ranking], heading: int) -> Table:
+def _matrix(rankings: Sequence[Ranking], heading: int) -> Table:
     table = Table(box=None, header_style="bold", pad_edge=False, padding=(0, _BETWEEN, 0, 0))
     table.add_column("collision-free, %", overflow="fold")
     for ranking in rankings:
@@ -179,14 +168,12 @@ def _cell(ranking: Ranking, name: str) -> RenderableType:
 
 
 def percent(share: float, starts: int) -> str:
-    """A share in per cent, with a digit after the point where there are starts to mean it; – where
-    it does not apply.
-    """
+    """A share in per cent, with a digit after the point where there are starts to mean it."""
     return "–" if share != share else f"{100 * share:.{int(starts >= 400)}f}"
 
 
 def _notes(rankings: Sequence[Ranking]) -> Iterator[str]:
-    """What the marks mean that are there."""
+    """The meaning of the marks that are there."""
     if any(ranking.is_contest for ranking in rankings):
         yield (
             f"{BEST} best of a scenario (among equals the soonest); {TIED} tied with it: the "
@@ -211,16 +198,16 @@ def show_sweeps(sweeps: Sequence[Sweep], rows: Sequence[dict[str, Any]], console
         table = _empty("policy", *sweep.labels)
         for policy in dict.fromkeys(row["policy"] for row in own):
             levels = (row for row in own if row["policy"] == policy)
-            table.add_row(escape(policy), *(_sweep_cell(row, limit) for row in levels))
+            cells = []
+            for row in levels:
+                counts = not math.isnan(row["clean_success"])
+                share = percent(row["clean_success" if counts else "success"], row["episodes"])
+                cells.append(f"{share}, {_time(row['median_time'], limit)}")
+            table.add_row(escape(policy), *cells)
         console.print(table)
         console.print()
 
 
-def _sweep_cell(row: dict[str, Any], limit: float) -> str:
-    value = row["success"] if math.isnan(row["clean_success"]) else row["clean_success"]
-    return f"{percent(value, row['episodes'])}, {_time(row['median_time'], limit)}"
-
-
 def _time(seconds: float, limit: float) -> str:
-    """A time at the limit is later than it."""
+    """A time at the limit means later than it."""
     return f"> {limit:.3g}" if seconds >= limit else f"{seconds:.3g}"

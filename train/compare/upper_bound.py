@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -39,16 +38,9 @@ _WANDER_TIME = 1.0  # s
 
 
 COLUMNS = (
-    "scenario",
-    "episodes",
-    "runs",
-    "clean_planner",
-    "clean_best",
-    "success_best",
-    "clean_mean",
-    "never_clean",
-    "never_met",
-)
+    "scenario", "episodes", "runs", "clean_planner", "clean_best", "success_best", "clean_mean",
+    "never_clean", "never_met",
+)  # fmt: skip
 """Of ceiling.csv: fractions 0–1 of the starts, and starts that no run passed cleanly, or at all."""
 
 
@@ -96,7 +88,7 @@ def tasks_of(scenario: Scenario, config: Config) -> list[Task]:
 
 
 def row_of(scenario: Scenario, runs: Sequence[Run]) -> dict[str, Any]:
-    """The row of ceiling.csv that tells of all runs on a scenario, the planner's last."""
+    """The row of ceiling.csv of all runs on a scenario, of which the planner's is the last."""
     *own, planned = runs
     clean, success = np.array([run.clean for run in own]), np.array([run.success for run in own])
     return {
@@ -113,30 +105,20 @@ def row_of(scenario: Scenario, runs: Sequence[Run]) -> dict[str, Any]:
 
 
 def randomised(scenario: Scenario, *, seed: int, spread: float) -> CertifiedHeadingPolicy:
-    """The joined rule looking past f by an angle that is random for each robot.
-
-    Args:
-        scenario: one that the joined rule fits.
-        seed: of everything random.
-        spread: standard deviation of the angle, rad.
+    """The joined rule looking past f by an angle that is random for each robot, of standard
+    deviation ``spread``, rad.
     """
     rule = _RandomRule(scenario.tau, np.random.default_rng(seed), spread)
     return CertifiedHeadingPolicy(scenario, rule, MIN_ALIGNMENT, math.pi / scenario.tau)
 
 
-@dataclass
 class _RandomRule:
     """A heading rule with memory of its random angles, one for each robot."""
 
-    tau: float
-    random: np.random.Generator
-    spread: float
-    clearance: float = field(init=False)
-    _bias: NDArray[np.float64] = field(init=False, default_factory=lambda: np.zeros(0))
-    _wander: NDArray[np.float64] = field(init=False, default_factory=lambda: np.zeros(0))
-
-    def __post_init__(self) -> None:
-        self.clearance = float(self.random.uniform(_LEAST_CLEARANCE, _MOST_CLEARANCE))
+    def __init__(self, tau: float, random: np.random.Generator, spread: float) -> None:
+        self.tau, self.random, self.spread = tau, random, spread
+        self.clearance = float(random.uniform(_LEAST_CLEARANCE, _MOST_CLEARANCE))
+        self._bias = self._wander = np.zeros(0)
 
     def __call__(
         self, net_bearing: NDArray[np.float64], silhouettes: NDArray[Any]
@@ -149,22 +131,11 @@ class _RandomRule:
         share = math.sqrt(2.0 * self.tau / _WANDER_TIME)
         self._wander *= 1.0 - self.tau / _WANDER_TIME
         self._wander += self.random.normal(0.0, share * _WANDER * self.spread, shape)
-        aside = _turned(net_bearing, self._bias + self._wander)
+        f, aside, angle = net_bearing, net_bearing.copy(), self._bias + self._wander
+        c, s = np.cos(angle), np.sin(angle)  # about z
+        aside[..., 0] = c * f[..., 0] - s * f[..., 1]
+        aside[..., 1] = s * f[..., 0] + c * f[..., 1]
         headings = tangent_joined_heading(aside, silhouettes, clearance=self.clearance)
-        return _not_against(headings, net_bearing)
-
-
-def _turned(vectors: NDArray[np.float64], angle: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Vectors turned in their xy plane, counter-clockwise; angles in rad."""
-    out = vectors.copy()
-    c, s = np.cos(angle), np.sin(angle)
-    out[..., 0] = c * vectors[..., 0] - s * vectors[..., 1]
-    out[..., 1] = s * vectors[..., 0] + c * vectors[..., 1]
-    return out
-
-
-def _not_against(headings: NDArray[np.float64], f: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Headings without the part that points against f."""
-    square = np.maximum(np.sum(f * f, axis=-1, keepdims=True), np.finfo(float).tiny)
-    against = np.minimum(np.sum(headings * f, axis=-1, keepdims=True), 0.0)
-    return headings - against / square * f
+        square = np.maximum(np.sum(f * f, axis=-1, keepdims=True), np.finfo(float).tiny)
+        against = np.minimum(np.sum(headings * f, axis=-1, keepdims=True), 0.0)
+        return headings - against / square * f

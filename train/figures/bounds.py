@@ -65,12 +65,7 @@ _NAMES = {
 
 def measure(rows: Sequence[Row], teams: int, seed: int) -> Iterator[dict[str, Any]]:
     """COLUMNS of each row: how long random teams take under random choices, and by when they must
-    have met.
-
-    Args:
-        rows: which.
-        teams: how many of each.
-        seed: of the first one's start; choices are drawn from it too.
+    have met. The seed is that of the first team's start; choices are drawn from it too.
     """
     for row in rows:
         scenario = scenario_of(row.graph)
@@ -144,11 +139,8 @@ def _short(value: float) -> str:
 
 
 def write_into(page: Path, table: Sequence[str]) -> None:
-    """Put a table in the place of the one with the same head in a Markdown page.
-
-    Raises:
-        UserError: if there is none.
-        OSError: if the page cannot be read or written.
+    """Put a table in the place of the one with the same head in a Markdown page, which must have
+    one.
     """
     lines = page.read_text(encoding="utf-8").split("\n")
     if table[0] not in lines:

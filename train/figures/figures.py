@@ -51,8 +51,9 @@ _VARIANTS = {"-certified": "s", "-tuned": "^", "-tank": "D", "-tank-noise": "P"}
 
 def policy_colour(name: str) -> str:
     """The colour of a policy in every figure; black for learned ones that are not shipped."""
-    base = _base(name)
-    return BLACK if base.startswith("learned:") else _POLICY_COLOURS.get(base, GREY)
+    for ending in _VARIANTS:
+        name = name.removesuffix(ending)
+    return BLACK if name.startswith("learned:") else _POLICY_COLOURS.get(name, GREY)
 
 
 def policy_marker(name: str) -> str:
@@ -65,13 +66,6 @@ def policy_marker(name: str) -> str:
 def _line_style(name: str) -> str:
     """Solid for a policy, broken for a variant, dotted under a tank."""
     return {"o": "-", _VARIANTS["-tank"]: ":"}.get(policy_marker(name), "--")
-
-
-def _base(name: str) -> str:
-    """A policy's name without its variant."""
-    for ending in _VARIANTS:
-        name = name.removesuffix(ending)
-    return name
 
 
 # ---- compare ------------------------------------------------------------------------------------
@@ -113,7 +107,7 @@ def time_figure(rows: Sequence[Mapping[str, Any]]) -> Figure:
                 # in the layout it would take all room of a panel of time-outs alone
                 style |= {"transform": axes.get_yaxis_transform(), "in_layout": False}
                 axes.text(0.02, row["place"], "more than half time out", **style)
-        latest = [np.fmax(row["time_high"], row["median_time"]) for row in met]
+        latest = (np.fmax(row["time_high"], row["median_time"]) for row in met)
         axes.set_xlim(0, 1.15 * max(latest, default=1.0))
 
     figure = _panels(rows, draw, "median rendezvous time / s")
@@ -155,8 +149,8 @@ def _intervals(
     above: bool = False,
     factor: float = 1.0,
 ) -> None:
-    """A marker with a horizontal interval for each row, open and over the line where another one
-    stands below it; nothing where the value does not apply, and no interval where there is none.
+    """A marker with a horizontal interval for each row, open and raised if above another one; none
+    where the value does not apply, and no interval where there is none.
     """
     shift = 0.17 if interval == "clean" else -0.17 if above else 0.0
     for row in rows:
@@ -181,20 +175,16 @@ def _intervals(
 
 
 def sweeps(scenarios: Sequence[Scenario], quantity: str) -> list[list[Scenario]]:
-    """Groups of scenarios, two or more in each, that differ in one quantity only, in its order.
-
-    Args:
-        scenarios: any.
-        quantity: "obstacles", how many are drawn at random, or "robots".
+    """Groups of scenarios, two or more in each, that differ only in the number of "robots", or of
+    "obstacles" that are drawn at random, in its order.
     """
     groups: dict[str, dict[int, Scenario]] = {}
     for scenario in scenarios:
+        if (number := _number(scenario, quantity)) is None:
+            continue
         plain = scenario.to_plain()
         for derived in ("name", "obstacle_slots", "neighbour_slots"):
             plain.pop(derived, None)
-        number = _number(scenario, quantity)
-        if number is None:
-            continue
         if quantity == "obstacles":
             del plain["obstacles"]["count"]
         else:
@@ -215,12 +205,8 @@ def _number(scenario: Scenario, quantity: str) -> int | None:
 def sweep_figure(
     rows: Sequence[Mapping[str, Any]], group: Sequence[Scenario], quantity: str
 ) -> Figure:
-    """Collision-free success of every policy against the number of obstacles or of robots.
-
-    Args:
-        rows: of results.csv.
-        group: scenarios, as ``sweeps`` gives them.
-        quantity: "obstacles" or "robots".
+    """Collision-free success of every policy, of rows of results.csv, against the number of
+    obstacles or of robots, in a group of ``sweeps``.
     """
     numbers = {scenario.name: _number(scenario, quantity) or 0 for scenario in group}
     inside = [row for row in rows if row["scenario"] in numbers]
@@ -241,10 +227,9 @@ def sweep_figure(
     axes.set(xlabel=f"number of {quantity}", ylim=(-3, 103))
     axes.set_ylabel("met without a contact / % of starts")
     axes.grid()
-    example = group[0]
-    count = _number(example, "obstacles")
+    count = _number(group[0], "obstacles")
     clutter = f"{count} obstacles" if count else "the same obstacles"
-    fixed = f"{example.n_robots} robots" if quantity == "obstacles" else clutter
+    fixed = f"{group[0].n_robots} robots" if quantity == "obstacles" else clutter
     axes.set_title(f"Collision-free: {fixed}, 95 % intervals")
     figure.legend(loc="outside lower center", ncols=LEGEND_COLUMNS)
     return figure
@@ -253,14 +238,7 @@ def sweep_figure(
 def policy_line(
     axes: Axes, policy: str, x: Sequence[float] | NDArray[Any], numbers: NDArray[Any]
 ) -> None:
-    """One policy, with its intervals.
-
-    Args:
-        axes: to draw into.
-        policy: its name, which says how it is drawn.
-        x: (N,).
-        numbers: values and the ends of their intervals, (3, N).
-    """
+    """One policy with its intervals: ``numbers`` are values and the ends of theirs, (3, N)."""
     centre, low, high = numbers
     axes.errorbar(
         x,
@@ -287,25 +265,17 @@ _UNITS = {
 
 
 @styled
-def level_figure(
-    base: Scenario, field: str, labels: Sequence[str], rows: Sequence[dict[str, Any]]
-) -> Figure:
-    """One line for each policy in two panels, with 95 % intervals.
+def level_figure(sweep: Any, rows: Sequence[dict[str, Any]]) -> Figure:
+    """Success and time at the levels of a ``compare.sweep.Sweep``, of rows of levels.csv.
 
     Levels stand at equal distances, since the exact sensor need not be a number. Where more than
     half of the starts time out there is no median time, and no mark.
-
-    Args:
-        base: the scenario.
-        field: of its sensor.
-        labels: its levels.
-        rows: of levels.csv.
     """
     lines = math.ceil(len({row["policy"] for row in rows}) / LEGEND_COLUMNS)
     figure = new_figure(COLUMN, 4.2 + LINE * lines)
     above, below = figure.subplots(2, 1, sharex=True)
     policies = list(dict.fromkeys(row["policy"] for row in rows))
-    limit = base.max_steps * base.tau
+    limit = sweep.base.max_steps * sweep.base.tau
     counts = not np.isnan([row["clean_success"] for row in rows]).any()
     names = ("clean_success", "clean") if counts else ("success", "success")
     for policy in policies:
@@ -318,13 +288,12 @@ def level_figure(
     above.set(ylim=(-2, 102), ylabel=f"met {'without contact ' if counts else ''}/ % of starts")
     below.set(ylabel="median time / s")
     below.set_ylim(bottom=0.0)
-    below.set_xticks(range(len(labels)), labels)
-    unit = f" / {_UNITS[field]}" if field in _UNITS else ""
-    below.set_xlabel(f"{field.replace('_', ' ')}{unit}")
+    below.set_xticks(range(len(sweep.labels)), sweep.labels)
+    unit = f" / {_UNITS[sweep.field]}" if sweep.field in _UNITS else ""
+    below.set_xlabel(f"{sweep.field.replace('_', ' ')}{unit}")
     for axes in (above, below):
         axes.grid()
-    starts = rows[0]["episodes"]
-    above.set_title(f"{base.name}, {starts} starts, 95 % intervals")
+    above.set_title(f"{sweep.base.name}, {rows[0]['episodes']} starts, 95 % intervals")
     handles, names = above.get_legend_handles_labels()
     figure.legend(handles, names, loc="outside lower center", ncols=LEGEND_COLUMNS)
     return figure

@@ -62,15 +62,11 @@ def trajectories_figure(scenario: Scenario, recordings: Mapping[str, Recording])
 
 
 def draw_paths(axes: Any, recording: Mapping[str, NDArray[Any]], scenario: Scenario) -> None:
-    """Paths of the robots of one team among orange obstacles, in axes of equal scale.
+    """Paths of the robots of one team among orange obstacles, in axes of equal scale, which have
+    three dimensions for robots in 3-D.
 
     Filled circles are starts, crosses are merges; a robot's path ends where it merged. Arrows are
     headings, of robots that have one.
-
-    Args:
-        axes: to draw in; of three dimensions for robots in 3-D.
-        recording: positions (T, n, d), m; active (T, n); headings (T, n, k), rad; obstacles.
-        scenario: in the plane or in 3-D.
     """
     positions, active = recording["positions"], recording["active"]
     flat = scenario.dim == 2
@@ -120,13 +116,8 @@ def _draw_spheres(axes: Any, obstacles: NDArray[np.float64]) -> None:
 
 @styled
 def team_figure(scenario: Scenario, recording: Mapping[str, NDArray[Any]], policy: str) -> Figure:
-    """One episode as in figures 3 and 4 of the paper: (a) paths, (b) V(t) with its jumps at merges.
-
-    Args:
-        scenario: in the plane or in 3-D.
-        recording: one team with every step kept: times, positions, headings, active, obstacles,
-            lyapunov, and lyapunov_before_merge and lyapunov_after_merge of the step to each frame.
-        policy: for the title.
+    """One episode with every step kept, as in figures 3 and 4 of the paper: (a) paths, (b) V(t) and
+    its jumps at merges.
     """
     figure = new_figure(COLUMN, _PATHS + _VALUE)
     space = scenario.dim == 3
@@ -151,7 +142,7 @@ def team_figure(scenario: Scenario, recording: Mapping[str, NDArray[Any]], polic
 
 
 def _name_robots(axes: Axes, recording: Mapping[str, NDArray[Any]]) -> None:
-    """The number of each robot beside its start, on the side where most room is left."""
+    """The number of each robot beside its start, on the side with most room."""
     positions = recording["positions"]
     away = 0.06 * np.ptp(positions, axis=(0, 1)).max()
     angles = np.arange(16) * np.pi / 8

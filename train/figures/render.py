@@ -20,7 +20,7 @@ from rendezvous_env.render.palette import OBSTACLE, OBSTACLE_EDGE, ROBOTS, mixed
 from rendezvous_env.render.renderer import Renderer
 from rendezvous_env.scenario.scenario import Scenario
 from rendezvous_env.simulator import Simulator
-from rendezvous_env.trajectory import Policy, Trajectory, rollout
+from rendezvous_env.trajectory import Step, Trajectory, rollout
 from rendezvous_env.trajectory import run as steps_of
 
 from .. import policies
@@ -36,7 +36,7 @@ _LAST_PICTURE = 1.5  # s, for which a video shows the end of the episode
 _LIMITS = {"seed": (0, 2**63 - 1), "size": (120, 4096), "fps": (1, 100), "speed": (1e-3, 1e3)}
 
 Frame = NDArray[np.uint8]
-
+"""(height, width, 3); those of a video are of equal and even size."""
 
 EXAMPLES = (
     "--scenario fig4",
@@ -69,12 +69,7 @@ class Config:
 
 
 def run(config: Config) -> int:
-    """Simulate, draw, and write the file.
-
-    Raises:
-        UserError: for an unknown name or ending, an impossible number, a file that cannot be
-            written, or a missing extra.
-    """
+    """Simulate, draw, and write the file."""
     scenario, name = _check(config)
     prepare_folder(config.out.parent)
     console = Console()
@@ -114,45 +109,42 @@ def _check(config: Config) -> tuple[Scenario, str]:
     except (ValueError, OSError) as error:
         raise UserError(str(error)) from error
     if ending in VIDEOS:
-        _check_video(config.out)
+        _library("PIL.Image" if ending == ".gif" else "imageio_ffmpeg")
+        _library("pygame")
     return scenario, name
 
 
 def _write_video(config: Config, name: str, trajectory: Trajectory, console: Console) -> None:
     """Play the episode once more, with a renderer looking on."""
-    scenario = trajectory.scenario
-    length = float(trajectory.times[-1])
+    length, steps = float(trajectory.times[-1]), len(trajectory.times) - 1
     fps = video_rate(config.out, config.fps)
-    steps = len(trajectory.times) - 1
     speed = config.speed or length / min(_USUAL_LENGTH, steps / _LEAST_STEPS)
-    edge = 2 * (config.size // 2)
-    simulator = Simulator(scenario)
-    observations = simulator.reset(config.seed)
+    policy, edge = policies.make(name, trajectory.scenario), 2 * (config.size // 2)
+    simulator = Simulator(trajectory.scenario)
+    states = steps_of(simulator, policy, simulator.reset(config.seed))
     renderer = Renderer(simulator, "rgb_array", (edge, edge), horizon=length)
-    policy = policies.make(name, scenario)
-    pictures = _pictures(renderer, simulator, policy, observations, (speed / fps, fps))
+    pictures = _pictures(renderer, simulator, states, speed / fps, round(_LAST_PICTURE * fps))
     total = math.ceil(length * fps / speed) + round(_LAST_PICTURE * fps)
     with Progress(console=console, transient=True) as progress, atomic(config.out) as temporary:
         counted = progress.track(pictures, total=total, description="drawing")
-        write_video(temporary, config.out.suffix.lower(), counted, fps)
+        write = _write_gif if config.out.suffix.lower() == ".gif" else _write_mp4
+        write(temporary, counted, fps)
 
 
 def _pictures(
-    renderer: Renderer,
-    simulator: Simulator,
-    policy: Policy,
-    observations: NDArray[np.float32],
-    pace: tuple[float, float],
+    renderer: Renderer, simulator: Simulator, steps: Iterator[Step], interval: float, last: int
 ) -> Iterator[Frame]:
-    """Pictures at equal times of the first state, the states between, and at length of the last;
-    pace is simulated seconds from picture to picture, and pictures a second.
+    """Pictures at equal intervals, s, of the first state and those after each step; so many of the
+    last one.
     """
-    interval, fps = pace
+    renderer.reset()
     shown = 0
-    for _ in _states(renderer, simulator, policy, observations):
+    for step in chain([None], steps):
+        if step is not None:
+            renderer.see(step.outcome.contact)
         next_state = float(simulator.time[0]) + simulator.scenario.tau
         due = math.ceil(next_state / interval - 1e-9)
-        count = round(_LAST_PICTURE * fps) if simulator.ended[0] else due - shown
+        count = last if simulator.ended[0] else due - shown
         if count > 0:
             frame = renderer.render()
             assert frame is not None
@@ -160,18 +152,6 @@ def _pictures(
         shown = max(shown, due)
 
 
-def _states(
-    renderer: Renderer, simulator: Simulator, policy: Policy, observations: NDArray[np.float32]
-) -> Iterator[None]:
-    """Stops at the start and after every step, of which the renderer has been told."""
-    renderer.reset()
-    yield
-    for step in steps_of(simulator, policy, observations):
-        renderer.see(step.outcome.contact)
-        yield
-
-
-Frames = Iterable[NDArray[np.uint8]]
 VIDEOS = (".gif", ".mp4")
 _SHARES = (0.0, 0.15, 0.3, 0.5, 0.65, 0.8)
 """Of white in a colour: paths are lighter than robots, and edges are smooth."""
@@ -179,22 +159,7 @@ _SHARES = (0.0, 0.15, 0.3, 0.5, 0.65, 0.8)
 
 def video_rate(path: Path, fps: int) -> float:
     """Pictures a second that a file can have: a GIF counts in hundredths of a second, from two."""
-    return 100 / max(2, round(100 / fps)) if _ending(path) == ".gif" else float(fps)
-
-
-def _check_video(path: Path) -> None:
-    """Refuse a video for which a library is missing, before any work is spent on it."""
-    _library("PIL.Image" if _ending(path) == ".gif" else "imageio_ffmpeg")
-    _library("pygame")
-
-
-def write_video(path: Path, ending: str, frames: Frames, fps: float) -> None:
-    """Write a video of one of VIDEOS; frames are (height, width, 3), of equal and even size."""
-    {".gif": _write_gif, ".mp4": _write_mp4}[ending](path, frames, fps)
-
-
-def _ending(path: Path) -> str:
-    return path.suffix.lower()
+    return 100 / max(2, round(100 / fps)) if path.suffix.lower() == ".gif" else float(fps)
 
 
 def _library(name: str) -> Any:
@@ -206,17 +171,13 @@ def _library(name: str) -> Any:
         ) from error
 
 
-def _write_gif(path: Path, frames: Frames, fps: float) -> None:
+def _write_gif(path: Path, frames: Iterable[Frame], fps: float) -> None:
     image = _library("PIL.Image")
     palette = image.new("P", (1, 1))
     palette.putpalette(_palette())
 
-    def reduced() -> Iterator[Any]:
-        for frame in frames:
-            picture = image.fromarray(frame)
-            yield picture.quantize(palette=palette, dither=image.Dither.NONE)
-
-    pictures = reduced()
+    none = image.Dither.NONE
+    pictures = (image.fromarray(one).quantize(palette=palette, dither=none) for one in frames)
     first = next(pictures)
     duration = round(1000 / fps)
     first.save(path, format="GIF", save_all=True, append_images=pictures, duration=duration, loop=0)
@@ -235,7 +196,7 @@ def _palette() -> list[int]:
     return list(chain.from_iterable([*greys, *dark, *faded, *edges]))
 
 
-def _write_mp4(path: Path, frames: Frames, fps: float) -> None:
+def _write_mp4(path: Path, frames: Iterable[Frame], fps: float) -> None:
     pictures = iter(frames)
     first = next(pictures)
     height, width = first.shape[:2]

@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.console import Console
 from tyro.conf import Positional
 
@@ -23,6 +22,7 @@ from rendezvous_env.trajectory import Trajectory, rollout
 
 from .. import policies, results
 from ..checks import UserError, check_installed, check_least, check_most
+from ..recording import Recording
 from . import bounds, path_figures, style
 from .figures import BLUE, VERMILLION
 from .style import PAGE, new_figure, styled
@@ -33,6 +33,8 @@ if TYPE_CHECKING:
 _LAWS = {"fig3": "bearing-only", "fig4": "tangent-joined"}
 """Figure 3: law (1), through the obstacles. Figure 4: law (4) round them."""
 
+_JUMPS = ("lyapunov_before_merge", "lyapunov_after_merge")
+
 TANK_SCENARIO, TANK_POLICY = "clutter-24", "tank-joined"
 MARGINS = (0.05, 0.1, 0.2, 0.4, 0.8)
 BUDGETS = (0.0, 20.0)
@@ -40,12 +42,8 @@ BUDGETS = (0.0, 20.0)
 _TANK_COLOURS = (BLUE, VERMILLION)
 
 EXAMPLES = (
-    "fig3",
-    "fig4 --policy learned",
-    "tank --episodes 1000",
-    "bounds",
-    "pixels --episodes 50",
-)
+    "fig3", "fig4 --policy learned", "tank --episodes 1000", "bounds", "pixels --episodes 50",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -78,11 +76,7 @@ class Config:
 
 
 def run(config: Config) -> int:
-    """Simulate, draw, and write FIGURE.png, FIGURE.pdf, FIGURE.npz and FIGURE.csv.
-
-    Raises:
-        UserError: for a policy that does not fit or a folder that cannot be written.
-    """
+    """Simulate, draw, and write FIGURE.png, FIGURE.pdf, FIGURE.npz and FIGURE.csv."""
     check_least(config, seed=0, episodes=1)
     check_most(config, seed=2**63 - 1, episodes=10**6)
     if config.figure == "pixels":
@@ -90,24 +84,28 @@ def run(config: Config) -> int:
     if config.policy is not None and config.figure not in _LAWS:
         shown = TANK_POLICY if config.figure == "tank" else "random choices"
         raise UserError(f"--policy is {config.policy}; {config.figure} shows {shown} alone")
-    if config.figure == "tank":
-        return _tank(config)
-    if config.figure == "bounds":
-        return _bounds(config)
+    return {"tank": _tank, "bounds": _bounds}.get(config.figure, _paper)(config)
+
+
+def _save(figure: Figure, path: Path) -> None:
+    for ending in (".png", ".pdf"):
+        style.save(figure, path.with_suffix(ending))
+
+
+def _paper(config: Config) -> int:
+    """Figure 3 or 4."""
     scenario = scenarios.get(config.figure)
     name = config.policy or _LAWS[config.figure]
     try:
         policy = policies.make(name, scenario)
     except ValueError as error:
         raise UserError(str(error)) from error
-    folder = results.prepare_folder(config.out)
-    console = Console()
+    path, console = results.prepare_folder(config.out) / f"{config.figure}.png", Console()
     with console.status("simulating; the first use on a machine compiles …"):
         trajectory = rollout(scenario, policy, config.seed, record="observations")
     recording = one_team(trajectory)
-    path = folder / f"{config.figure}.png"
     results.write_arrays(path.with_suffix(".npz"), recording)
-    results.write_csv(path.with_suffix(".csv"), _columns(scenario.n_robots), _rows(recording))
+    results.write_csv(path.with_suffix(".csv"), *_table_of(recording))
     _save(path_figures.team_figure(scenario, recording, name), path)
     end = f"met after {recording['times'][-1]:.2f} s" if trajectory.success[0] else "did not meet"
     (rise,) = trajectory.largest_rise_between_merges
@@ -116,54 +114,34 @@ def run(config: Config) -> int:
     return 0
 
 
-def _save(figure: Figure, path: Path) -> None:
-    for ending in (".png", ".pdf"):
-        style.save(figure, path.with_suffix(ending))
-
-
-def one_team(trajectory: Trajectory) -> dict[str, NDArray[Any]]:
-    """The first team of a rollout, every step a frame, with the keys of ``recording.Recording``."""
+def one_team(trajectory: Trajectory) -> Recording:
+    """The first team of a rollout, every step a frame."""
     gone = (trajectory.active[:-1, 0] != trajectory.active[1:, 0]).any(axis=-1)
-    first = {
-        name: getattr(trajectory, name)[:, 0]
-        for name in ("positions", "headings", "active", "lyapunov", *trajectory.recorded)
-        if name != "actions"
-    }
+    kept = ("positions", "headings", "active", "lyapunov", *trajectory.recorded)
+    first = {name: getattr(trajectory, name)[:, 0] for name in kept if name != "actions"}
     jumps = {
         name: np.append(np.nan, np.where(gone, getattr(trajectory, name)[:, 0], np.nan))
-        for name in ("lyapunov_before_merge", "lyapunov_after_merge")
+        for name in _JUMPS
     }
     contacts = np.cumsum(trajectory.contacts[:, 0], axis=0)
-    none = np.zeros_like(contacts[:1])
     return {
         "times": trajectory.times,
         **first,
         **jumps,
-        "contacts": np.concatenate([none, contacts]),
+        "contacts": np.concatenate([np.zeros_like(contacts[:1]), contacts]),
         "obstacles": trajectory.obstacles[0],
     }
 
 
-def _columns(n_robots: int) -> list[str]:
-    places = [f"{axis}_{robot}" for robot in range(n_robots) for axis in ("x", "y")]
-    jumps = ["lyapunov_before_merge", "lyapunov_after_merge"]
-    return ["time", "robots", "lyapunov", *jumps, *places]
-
-
-def _rows(recording: dict[str, NDArray[Any]]) -> list[dict[str, Any]]:
-    """One row for each frame: s, m²/s (empty without a merge), m."""
-    n = recording["positions"].shape[1]
-    table = np.column_stack(
-        [
-            recording["times"],
-            recording["active"].sum(axis=1),
-            recording["lyapunov"],
-            recording["lyapunov_before_merge"],
-            recording["lyapunov_after_merge"],
-            recording["positions"].reshape(len(recording["times"]), -1),
-        ]
-    )
-    return [dict(zip(_columns(n), row, strict=True)) for row in table.tolist()]
+def _table_of(recording: Recording) -> tuple[list[str], list[dict[str, Any]]]:
+    """Columns, and a row for each frame: s, m²/s (empty without a merge), m."""
+    frames, n, _ = recording["positions"].shape
+    places = [f"{axis}_{robot}" for robot in range(n) for axis in ("x", "y")]
+    columns = ["time", "robots", "lyapunov", *_JUMPS, *places]
+    numbers = (recording[name] for name in ("lyapunov", *_JUMPS))
+    robots, positions = recording["active"].sum(axis=1), recording["positions"]
+    table = np.column_stack([recording["times"], robots, *numbers, positions.reshape(frames, -1)])
+    return columns, [dict(zip(columns, row, strict=True)) for row in table.tolist()]
 
 
 def _bounds(config: Config) -> int:
@@ -242,21 +220,17 @@ def measure_tanks(episodes: int, seed: int) -> Iterator[dict[str, Any]]:
 
 @styled
 def tank_tradeoff_figure(rows: Sequence[dict[str, Any]]) -> Figure:
-    """Collision-free success and the bound against ε, one line for each budget.
-
-    Args:
-        rows: as ``measure_tanks`` gives them.
+    """Collision-free success and the bound against ε, of rows of ``measure_tanks``, one line for
+    each budget.
     """
     figure = new_figure(PAGE, 2.6)
     left, right = figure.subplots(1, 2)
     for budget, colour in zip(BUDGETS, _TANK_COLOURS, strict=True):
         line = [row for row in rows if row["budget"] == budget]
         margins = [row["min_alignment"] for row in line]
-        label = f"B = {budget:g} m²/s"
-        left.plot(
-            margins, [100 * row["clean_success"] for row in line], "o-", color=colour, label=label
-        )
-        right.plot(margins, [row["bound"] for row in line], "o-", color=colour, label=label)
+        style_of = {"marker": "o", "color": colour, "label": f"B = {budget:g} m²/s"}
+        left.plot(margins, [100 * row["clean_success"] for row in line], **style_of)
+        right.plot(margins, [row["bound"] for row in line], **style_of)
     starts = rows[0]["episodes"]
     left.set(ylim=(0, 103), ylabel="met without a contact / %")
     left.set(title=f"What is reached: {TANK_SCENARIO}, {starts} starts")

@@ -1,8 +1,4 @@
-"""How figures look on paper: widths of a column and a page, sizes of letters, fonts that journals
-take; and how they are written.
-
-The drawing library is imported when a figure is made.
-"""
+"""How figures look on paper, and how they are written; the drawing library is imported late."""
 
 from __future__ import annotations
 
@@ -66,12 +62,8 @@ def new_figure(width: float, height: float) -> Figure:
 
 @styled
 def save(figure: Figure, path: Path, run: str = "") -> None:
-    """Write a figure as PNG or PDF, by the name's ending, whole or not at all.
-
-    Args:
-        figure: to write.
-        path: of the file.
-        run: id of the run that it shows; it goes into the file as its subject.
+    """Write a figure as PNG or PDF, by the name's ending, whole or not at all; the id of its run is
+    the file's subject.
     """
     about = {"Subject": f"rendezvous compare, run {run}"} if run else None
     with atomic(path) as temporary:

@@ -6,6 +6,7 @@ import sys
 import numpy as np
 import pytest
 
+import baselines
 from baselines.learned import checkpoints, shipped
 from rendezvous_env import Sensing, Simulator
 from rendezvous_env.scenario import scenarios
@@ -17,7 +18,7 @@ from train.learn.settings import Config
 @pytest.mark.parametrize("name", shipped.NAMES)
 def test_it_fits_and_says_how_it_was_trained(name):
     clutter = scenarios.get("clutter-16")
-    assert name in policies.names(clutter)
+    assert name in baselines.names(clutter)
     policies.check_names([name])
     about = checkpoints.describe(shipped.folder(name))
     trained = Config.from_plain(about["config"])
