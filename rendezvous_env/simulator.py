@@ -182,7 +182,13 @@ class Simulator(StateView):
         slots = self.scenario.observation_layout.neighbour_slots
         return not (self._custom or self._own_model or slots < self.scenario.n_robots - 1)
 
-    def drive(self, pilot: Pilot, observations: NDArray[np.float32], count: int) -> Driven:
+    def drive(
+        self,
+        pilot: Pilot,
+        observations: NDArray[np.float32],
+        count: int,
+        shown: NDArray[np.float32] | None = None,
+    ) -> Driven:
         """Advance every running team by ``count`` steps, as ``step`` under the pilot's actions,
         which are not checked. Only where it ``can_drive``.
 
@@ -190,10 +196,11 @@ class Simulator(StateView):
             pilot: what makes actions of what is seen, see there.
             observations: (B, n, rows, d), of the teams as they are.
             count: of steps, 1 or more.
+            shown: to be filled with what the pilot shows of the teams after the last step.
         """
-        resting = self.status != RUNNING
+        resting = np.zeros(self.num_envs, np.bool_) if self._all_running else self.status != RUNNING
         self._all_running = False  # not known, should an interrupt leave from here
-        driven = self._runner.drive(pilot, observations, resting, count)
+        driven = self._runner.drive(pilot, observations, resting, count, shown)
         self._all_running = not np.count_nonzero(driven.output.status)
         return driven
 

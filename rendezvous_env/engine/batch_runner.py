@@ -13,7 +13,7 @@ from ..outcome import StepOutput
 from ..physics.random_streams import ignore_overflow
 from . import threads
 from .memory import RUNNING
-from .memory_layout import MemoryLayout, OutputBuffers, scratch
+from .memory_layout import OutputBuffers, scratch
 from .preparation import constants, layout, robot, sensor
 from .stages.step import step_blocks
 from .state import State
@@ -41,6 +41,12 @@ class Pilot(Protocol):
         """
         ...
 
+    def view_of(
+        self, teams: threads.Part, observations: NDArray[np.float32], shown: NDArray[np.float32]
+    ) -> None:
+        """Write what their policy is shown of what they see."""
+        ...
+
 
 class Driven(NamedTuple):
     """What some steps in a row give out."""
@@ -66,8 +72,12 @@ class BatchRunner:
 
     def __init__(self, state: State, num_threads: int | None, max_steps: int) -> None:
         place, n = state.place, state.place.scenario.n_robots
-        self._state, self._parts, self._threads = state, state.parts(), num_threads
-        self.width = _width(place, num_threads)
+        self._state, self._parts = state, state.parts()
+        layout_of_robot = place.scenario.observation_layout
+        others = layout_of_robot.rows - layout_of_robot.neighbour_slots
+        self._rows = place.batch * n * (place.neighbours + 1 + others)
+        self._most_threads = min(threads.most_threads(num_threads), place.blocks)
+        self.width = self._width(1)
         """Threads of a step."""
         self.layout, self.robot = layout(place), robot(place.scenario)
         self._sensor = sensor(state)
@@ -82,6 +92,10 @@ class BatchRunner:
         self._no_actions = np.zeros((place.batch, n, place.scenario.action_size), np.float32)
         self._run: Callable[..., Any] | None = None
         self.limit(max_steps)
+
+    def _width(self, steps: int) -> int:
+        """As many threads as have so much work each in so many steps."""
+        return max(1, min(self._most_threads, steps * self._rows // _WORK_PER_THREAD))
 
     def limit(self, max_steps: int) -> None:
         """Let episodes end after so many steps."""
@@ -101,7 +115,12 @@ class BatchRunner:
         return output
 
     def drive(
-        self, pilot: Pilot, seen: NDArray[np.float32], resting: NDArray[np.bool_], count: int
+        self,
+        pilot: Pilot,
+        seen: NDArray[np.float32],
+        resting: NDArray[np.bool_],
+        count: int,
+        shown: NDArray[np.float32] | None = None,
     ) -> Driven:
         """Advance all teams by some steps; each thread leads its own through all of them.
 
@@ -110,6 +129,7 @@ class BatchRunner:
             seen: (B, n, rows, d), now.
             resting: (B,), teams that pass the first step by.
             count: of steps.
+            shown: to be filled with what the policy is shown after the last step.
         """
         teams, output, actions = self._state.teams, self.buffers.new(), self._no_actions.copy()
         earned, robots_earned, touched = output.rewards, output.robot_rewards, output.contact
@@ -117,7 +137,7 @@ class BatchRunner:
             earned, robots_earned = np.zeros_like(earned), np.zeros_like(robots_earned)
             touched = np.zeros_like(touched)
         run, lanes, resting = self._ready(actions, output), self._state.lanes, resting.copy()
-        width = _width(self._state.place, self._threads, count)
+        width = self._width(count)
         while len(self._scratch) < width:
             self._scratch.append(scratch(self._state.place))
         fixed, written = self._fixed(True, self._blocks), tuple(output)
@@ -137,6 +157,8 @@ class BatchRunner:
                     robots_earned[rows] += output.robot_rewards[rows]
                     touched[rows] |= output.contact[rows]
                 now = output.observations
+            if shown is not None:
+                pilot.view_of(mine, now, shown)
 
         threads.share(lead, len(self._blocks), width)
         self._last = output
@@ -188,11 +210,3 @@ class BatchRunner:
             run = entry_point(step_blocks, ((0, 0, 0), *fixed, *writable))
             run = self._run = ignore_overflow(run)
         return run
-
-
-def _width(place: MemoryLayout, num_threads: int | None, steps: int = 1) -> int:
-    """As many threads as have so much work, in rows, each in so many steps."""
-    n, layout = place.scenario.n_robots, place.scenario.observation_layout
-    rows = n * (place.neighbours + 1 + layout.rows - layout.neighbour_slots)
-    most = threads.most_threads(num_threads)
-    return max(1, min(most, steps * place.batch * rows // _WORK_PER_THREAD, place.blocks))

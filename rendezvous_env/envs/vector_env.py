@@ -174,9 +174,15 @@ class RendezvousVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
         """Whether nobody watches every step, see ``Simulator.can_drive``."""
         return self.render_mode is None and self.simulator.can_drive
 
-    def drive(self, pilot: Pilot, observations: NDArray[np.float32], count: int) -> Driven:
+    def drive(
+        self,
+        pilot: Pilot,
+        observations: NDArray[np.float32],
+        count: int,
+        shown: NDArray[np.float32] | None = None,
+    ) -> Driven:
         """As ``advance``, ``count`` times; arguments as ``Simulator.drive``."""
-        driven = self.simulator.drive(pilot, observations, count)
+        driven = self.simulator.drive(pilot, observations, count, shown)
         self._outcome = driven.output
         return driven
 

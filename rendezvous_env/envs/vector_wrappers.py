@@ -119,14 +119,15 @@ class GuaranteeWrapper(HoldsFilter, gymnasium.vector.VectorWrapper):
         self._take(actions)
         base.begins_anew = False
         try:
-            rewards, terminations, truncations, infos = self._drive()
+            shown, rewards, terminations, truncations, infos = self._drive()
         finally:
             base.begins_anew = True
         if resting is not None:
             self._begin_anew(resting, infos)
             terminations, truncations = terminations & ~resting, truncations & ~resting
+            shown = None
         ended = terminations | truncations
-        seen = self._see(None)
+        seen = self._see(None) if shown is None else as_told(shown, base.flatten)
         if not ended.any():
             return seen, rewards, terminations, truncations, infos
         if tell_ends(seen, ended, infos, mode):
@@ -140,14 +141,15 @@ class GuaranteeWrapper(HoldsFilter, gymnasium.vector.VectorWrapper):
         made = self.filter
         return made if isinstance(made, KernelFilter) and made.leads else None
 
-    def _drive(self) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], Info]:
-        """Base steps under the held choices, in which no team begins anew: summed rewards, how the
-        teams are after them, and infos.
+    def _drive(self) -> tuple[NDArray[np.float32] | None, Any, Any, Any, Info]:
+        """Base steps under the held choices, in which no team begins anew: what the policy is shown
+        after them, None if that is still to be found, summed rewards, how the teams are, and infos.
         """
-        base, pilot = self._base, self._pilot
+        base, pilot, shown = self._base, self._pilot, None
         alone = type(self.env) is RendezvousVectorEnv  # nobody between hears of base steps
         if alone and pilot is not None and base.can_drive:
-            driven = base.drive(pilot, self._observed, self.decision_period)
+            shown = self.filter.new_view() if pilot is self.filter else None
+            driven = base.drive(pilot, self._observed, self.decision_period, shown)
             self._observed = driven.output.observations
             costs: Info = {}
             rewards, robot_rewards, contact = driven[1:]
@@ -160,7 +162,7 @@ class GuaranteeWrapper(HoldsFilter, gymnasium.vector.VectorWrapper):
         infos |= {"robot_rewards": robot_rewards, "contact": contact, **costs}
         told = {key: values.copy() for key, values in self.filter.told.items()}
         infos |= of_all(told, self.num_envs)
-        return rewards, terminations, truncations, infos
+        return shown, rewards, terminations, truncations, infos
 
     def _drive_by_steps(self) -> tuple[Any, Any, Any, Info, Any]:
         """The same one by one: rewards, robot rewards, contacts, costs, how the last step ended."""

@@ -7,7 +7,7 @@ from typing import NamedTuple
 from ..compilation import inner_kernel, kernel
 from ..physics.neighbour_rows import net_bearing_of
 from ..physics.vectors import cross, dot, load, load_pair, split, store, without
-from .robot_lanes import LANES, PLANE, lanes_of, read_rows, take_in, vector_of
+from .robot_lanes import LANES, PLANE, lanes_of, put, read_rows, vector_of
 
 FRAMES = ("net_bearing", "local")
 _NEARLY_ALONG = 1e-6
@@ -74,16 +74,16 @@ def _aim_in_plane(observations, constants, frames, first, stop, work):
         return
     lanes = lanes_of(work)
     read_rows(PLANE, observations, first, stop, constants.neighbour_slots, False, work)
-    take_in(frames[:, :, 0], first, stop, lanes.heading)
     for lane in range(LANES):
         strength, towards = split(vector_of(PLANE, lanes.f, lane))
-        for k in range(2):
-            kept = lanes.heading[k, lane]
-            lanes.heading[k, lane] = towards[k] if strength >= constants.dead_zone else kept
-    for lane in range(stop - first):
-        x, y = vector_of(PLANE, lanes.heading, lane)
-        frame = frames[first + lane]
-        frame[0, 0], frame[0, 1], frame[1, 0], frame[1, 1] = x, 0.0 - y, y, x
+        put(towards, lanes.heading, lane)
+        lanes.level[lane] = strength
+    turned = frames[first:stop]
+    for lane in range(len(turned)):
+        if lanes.level[lane] >= constants.dead_zone:
+            x, y = lanes.heading[0, lane], lanes.heading[1, lane]
+            turned[lane, 0, 0], turned[lane, 0, 1] = x, 0.0 - y
+            turned[lane, 1, 0], turned[lane, 1, 1] = y, x
 
 
 @inner_kernel(inline="code")

@@ -227,6 +227,8 @@ def _turn(carried, aim, towards, limit):
 @kernel(inline="code")
 def _in_line(one, other):
     """Whether the part of one unit vector across another says nothing about its direction."""
+    if len(one) == 2:
+        return abs(one[0] * other[1] - one[1] * other[0]) < _NEARLY_ANTIPODAL
     across = without(one, other)
     return dot(across, across) < _NEARLY_ANTIPODAL * _NEARLY_ANTIPODAL
 
@@ -277,17 +279,21 @@ def _steer_lanes(space, constants, work):
     lanes, robot, limit = lanes_of(work), constants.robot, turn_limit(constants.max_turn)
     gate = robot.gate
     for lane in range(LANES):
-        f, degree, scale = vector_of(space, lanes.f, lane), lanes.degree[lane], 1.0
-        raw, previous = vector_of(space, lanes.choice, lane), vector_of(space, lanes.heading, lane)
+        raw = vector_of(space, lanes.choice, lane)
         if constants.certified:
+            f, previous = vector_of(space, lanes.f, lane), vector_of(space, lanes.heading, lane)
             h = certify_one(raw, f, previous, gate.min_alignment, gate.dead_zone, limit)
         else:
             _, h = split(raw)
-        if constants.speed_scaled:
-            scale = scale_of_step(degree, robot.merge_radius, gate.duration)
+        put(h, lanes.heading, lane)
+    # a question in the loop would take longer than a scale that is 1
+    duration = gate.duration if constants.speed_scaled else 0.0
+    for lane in range(LANES):
+        f, degree = vector_of(space, lanes.f, lane), lanes.degree[lane]
+        h = vector_of(space, lanes.heading, lane)
+        scale = scale_of_step(degree, robot.merge_radius, duration)
         along = dot(h, f)
         sure = without_error(along, robot.error_chord * degree)
-        put(h, lanes.heading, lane)
         put(scaled(h, sure * scale), lanes.sent, lane)
         strength, towards = split(f)
         lanes.alignment[lane] = abs(dot(h, towards)) if strength > 0.0 else np.nan

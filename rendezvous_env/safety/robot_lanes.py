@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ..compilation import compiled, inner_kernel
 from ..engine.threads import Part
 from ..physics.neighbour_rows import net_bearing_of
-from ..physics.vectors import norm
+from ..physics.vectors import combine, norm
 
 LANES = 32 if compiled() else 1
 """Robots that are worked on at a time."""
@@ -53,7 +53,7 @@ def in_lanes(kernel: Any, teams: Part, constants: Any, *arrays: NDArray[Any]) ->
     ones, constants, arrays (B, n, ...), any unit, as (B·n, ...), and memory for ``lanes_of``.
     """
     n = arrays[0].shape[1]
-    robots = tuple(a.reshape(-1, *a.shape[2:]) for a in arrays)  # not copied
+    robots = tuple([a.reshape(-1, *a.shape[2:]) for a in arrays])  # not copied
     kernel((teams[0] * n, teams[1] * n), constants, robots, np.zeros((_ROWS, LANES)))
 
 
@@ -75,35 +75,58 @@ def lanes_of(work):
     )
 
 
+# Robots are cut out of arrays first: of ``values[first + lane]`` the compiler cannot know that the
+# index is not negative, and the loop would not become SIMD.
+
+
 @inner_kernel(inline="code")
 def take_in(values, first, stop, lanes):
     """Copy vectors (N, d), any unit, of robots first ≤ i < stop into lanes (3, LANES)."""
-    if values.shape[1] == 2:  # behind this question the compiler copies both at once
-        for lane in range(min(LANES, stop - first)):
-            lanes[0, lane], lanes[1, lane] = values[first + lane, 0], values[first + lane, 1]
+    taken = values[first:stop]
+    if taken.shape[1] == 2:  # behind this question the compiler copies both at once
+        for lane in range(len(taken)):
+            lanes[0, lane], lanes[1, lane] = taken[lane, 0], taken[lane, 1]
     else:
-        for lane in range(min(LANES, stop - first)):
-            for k in range(values.shape[1]):
-                lanes[k, lane] = values[first + lane, k]
+        for lane in range(len(taken)):
+            for k in range(taken.shape[1]):
+                lanes[k, lane] = taken[lane, k]
 
 
 @inner_kernel(inline="code")
 def give_out(lanes, first, stop, values):
     """Copy vectors, any unit, from lanes (3, LANES) to robots first ≤ i < stop, (N, d)."""
-    if values.shape[1] == 2:
-        for lane in range(min(LANES, stop - first)):
-            values[first + lane, 0], values[first + lane, 1] = lanes[0, lane], lanes[1, lane]
+    given = values[first:stop]
+    if given.shape[1] == 2:
+        for lane in range(len(given)):
+            given[lane, 0], given[lane, 1] = lanes[0, lane], lanes[1, lane]
     else:
-        for lane in range(min(LANES, stop - first)):
-            for k in range(values.shape[1]):
-                values[first + lane, k] = lanes[k, lane]
+        for lane in range(len(given)):
+            for k in range(given.shape[1]):
+                given[lane, k] = lanes[k, lane]
+
+
+@inner_kernel(inline="code")
+def take_numbers(values, first, stop, lanes):
+    """Copy numbers, any unit, of robots first ≤ i < stop, (N,), into lanes (LANES,)."""
+    taken = values[first:stop]
+    for lane in range(len(taken)):
+        lanes[lane] = taken[lane]
 
 
 @inner_kernel(inline="code")
 def tell(lanes, first, stop, values):
     """Copy numbers, any unit, from lanes (LANES,) to robots first ≤ i < stop, (N,)."""
-    for lane in range(min(LANES, stop - first)):
-        values[first + lane] = lanes[lane]
+    told = values[first:stop]
+    for lane in range(len(told)):
+        told[lane] = lanes[lane]
+
+
+@inner_kernel(inline="code")
+def tell_whether(lanes, first, stop, values):
+    """Write which numbers in lanes (LANES,) are positive to robots first ≤ i < stop, (N,)."""
+    told = values[first:stop]
+    for lane in range(len(told)):
+        told[lane] = lanes[lane] > 0.0
 
 
 @inner_kernel(inline="code")
@@ -140,13 +163,19 @@ def read_rows(space, observations, first, stop, neighbour_slots, weighs, work):
     if work.shape[1] != LANES:  # it is; so the compiler knows how far apart rows are
         return
     lanes = lanes_of(work)
-    for lane in range(min(LANES, stop - first)):
-        put(net_bearing_of(observations[first + lane], neighbour_slots), lanes.f, lane)
+    if not weighs:
+        for lane in range(min(LANES, stop - first)):
+            put(net_bearing_of(observations[first + lane], neighbour_slots), lanes.f, lane)
+        lanes.degree[:] = 0.0
+        return
+    lanes.f[:] = 0.0
     lanes.degree[:] = 0.0
-    for k in range(neighbour_slots if weighs else 0):  # roots are quicker side by side
+    for k in range(neighbour_slots):  # roots are quicker side by side
         take_in(observations[:, k], first, stop, lanes.row)
         for lane in range(LANES):
-            lanes.degree[lane] += norm(vector_of(space, lanes.row, lane))
+            row = vector_of(space, lanes.row, lane)
+            put(combine(1.0, vector_of(space, lanes.f, lane), 1.0, row), lanes.f, lane)
+            lanes.degree[lane] += norm(row)
 
 
 @inner_kernel(inline="code")

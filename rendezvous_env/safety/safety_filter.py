@@ -7,10 +7,11 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
+from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from ..checks import bools, choice, floats, refuse, shown, whole
 from ..compilation import kernel
@@ -187,13 +188,19 @@ class SafetyFilter(Remembering, ABC):
             ValueError: for observations of another shape or type; nothing has changed then.
         """
         observations = check_observations(observations, self._seen)
-        if not self.along_net_bearing:
+        if (shown := self.new_view(observations.dtype)) is None:
             return observations
-        seen = np.empty_like(observations)
-        arrays = observations, self._frames, seen
-        look = look_along_net_bearing
-        over_teams(lambda teams: in_lanes(look, teams, self._sight, *arrays), *self._batch)
-        return seen
+        over_teams(lambda teams: self.view_of(teams, observations, shown), *self._batch)
+        return shown
+
+    def new_view(self, dtype: DTypeLike = np.float32) -> Float32 | None:
+        """Memory for ``view_of``; None if the policy is shown observations as they are."""
+        return np.empty(self._seen, dtype) if self.along_net_bearing else None
+
+    def view_of(self, teams: threads.Part, observations: Float32, shown: Float32) -> None:
+        """As ``view``, of the teams from the first of a part to the one before its second."""
+        arrays = observations, self._frames, shown
+        in_lanes(look_along_net_bearing, teams, self._sight, *arrays)
 
     @property
     def held(self) -> NDArray[np.float64]:
@@ -314,11 +321,13 @@ class KernelFilter(SafetyFilter):
     def book_of(self, teams: threads.Part, contact: Any, merged_into: Any, resting: Any) -> None:
         """As ``book``, of some teams and unchecked."""
 
-    @property
+    @cached_property
     def leads(self) -> bool:
-        """Whether no subclass does more in ``act`` and ``book`` than what is said by teams."""
-        own = type(self)
-        return own.act is KernelFilter.act and own.book is KernelFilter.book
+        """Whether no subclass does more in ``act``, ``book`` and ``view`` than what is said by
+        teams.
+        """
+        own, base = type(self), KernelFilter
+        return all(getattr(own, name) is getattr(base, name) for name in ("act", "book", "view"))
 
 
 def _robots(name: str, value: Any, team: tuple[int, ...]) -> NDArray[np.int64]:

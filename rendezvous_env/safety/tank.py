@@ -10,7 +10,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 
 from ..checks import flag, number
 from ..compilation import inner_kernel, kernel
@@ -30,7 +30,9 @@ from .robot_lanes import (
     put,
     read,
     report,
+    take_numbers,
     tell,
+    tell_whether,
     vector_of,
 )
 from .safety_filter import Float32, KernelFilter, check_steerable, register_filter
@@ -112,15 +114,13 @@ def _spend(robots, constants, arrays, work):
     for first in range(robots[0], robots[1], LANES):
         stop = min(first + LANES, robots[1])
         read(observations, held, first, stop, constants.robot, True, work)
-        for i in range(first, stop):
-            lanes.level[i - first] = levels[i]
+        take_numbers(levels, first, stop, lanes.level)
         if observations.shape[2] == 2:
             _spend_lanes(PLANE, constants, work)
         else:
             _spend_lanes(SPACE, constants, work)
-        for i in range(first, stop):
-            linked[i] = lanes.degree[i - first] > 0.0
-            carried_out[i] = lanes.accepted[i - first] > 0.0
+        tell_whether(lanes.degree, first, stop, linked)
+        tell_whether(lanes.accepted, first, stop, carried_out)
         tell(lanes.deposit, first, stop, deposits)
         report(lanes, first, stop, actions, alignment, lyapunov_rate)
 
@@ -134,7 +134,7 @@ def _spend_lanes(space, constants, work):
     radius, margin, duration = robot.merge_radius, robot.gate.min_alignment, robot.gate.duration
     for lane in range(LANES):
         f, degree = vector_of(space, lanes.f, lane), lanes.degree[lane]
-        error, strength = robot.error_chord * degree, norm(f)
+        error, (strength, _) = robot.error_chord * degree, split(f)
         scale = descent_scale(strength, degree, radius, duration, limit)
         owed = promised_descent(strength, scale, margin, duration, error)
         desired = scaled(vector_of(space, lanes.choice, lane), limit)
@@ -150,10 +150,10 @@ def _spend_lanes(space, constants, work):
         put(scaled(sent, 1.0 if sees else 0.0), lanes.sent, lane)
         lanes.deposit[lane] = (deposit if accepted else law_deposit) if sees else 0.0
         lanes.accepted[lane] = 1.0 if accepted & sees else 0.0
-        length, direction = split(moved)
+        length, along = norm(moved), dot(f, moved)
         told = sees & (strength > 0.0) & (length > 0.0)
-        lanes.alignment[lane] = abs(dot(direction, f)) / strength if told else np.nan
-        lanes.lyapunov_rate[lane] = -2.0 * dot(f, moved) / duration if sees else 0.0
+        lanes.alignment[lane] = abs(along) / (length * strength) if told else np.nan
+        lanes.lyapunov_rate[lane] = -2.0 * along / duration if sees else 0.0
 
 
 @inner_kernel(inline="code")
@@ -235,24 +235,32 @@ def _book(teams, levels, deposits, linked, contact, merged_into, resting, follow
     they were when m robots become m', as V does at most.
     """
     for team in range(teams[0], teams[1]):
+        merged = 0
         for i in range(levels.shape[1]):
-            deposit = deposits[team, i]
-            deposits[team, i] = 0.0
-            if resting[team] or (contact[team, i] and deposit > 0.0):
-                continue
+            lost = contact[team, i] and deposits[team, i] > 0.0
+            deposit = 0.0 if resting[team] or lost else deposits[team, i]
             levels[team, i] = max(levels[team, i] + deposit, 0.0)
-        before, gone = 0, 0
-        for i in range(levels.shape[1]):
-            survivor = merged_into[team, i]
-            before += linked[team, i]
-            if survivor != i:
-                gone += linked[team, i]
-                levels[team, survivor] += levels[team, i]
-                levels[team, i] = 0.0
-            linked[team, i] = False
-        if follow_v and gone > 0:
-            for i in range(levels.shape[1]):
-                levels[team, i] *= (before - gone - 1) / (before - 1)
+            merged += merged_into[team, i] != i
+        if merged > 0:
+            _hand_over(levels[team], linked[team], merged_into[team], follow_v)
+    deposits[teams[0] : teams[1]] = 0.0
+    linked[teams[0] : teams[1]] = False
+
+
+@inner_kernel
+def _hand_over(levels, linked, merged_into, follow_v):
+    """Levels of robots that are gone to who has taken them in, (n,) each."""
+    before, gone = 0, 0
+    for i in range(len(levels)):
+        survivor = merged_into[i]
+        before += linked[i]
+        if survivor != i:
+            gone += linked[i]
+            levels[survivor] += levels[i]
+            levels[i] = 0.0
+    if follow_v and gone > 0:
+        for i in range(len(levels)):
+            levels[i] *= (before - gone - 1) / (before - 1)
 
 
 _LARGEST = float(np.finfo(np.float32).max)
@@ -346,14 +354,23 @@ class EnergyTank(KernelFilter):
         self._deposits[which], self._linked[which] = 0.0, False
         self.carried_out[which] = False
 
-    def view(self, observations: NDArray[np.float32]) -> NDArray[np.float32]:
-        """As ``SafetyFilter.view``; one row more, (B, n, rows + 1, d), with ``observe_level``."""
-        seen = super().view(observations)
+    def new_view(self, dtype: DTypeLike = np.float32) -> Float32 | None:
+        """As ``SafetyFilter.new_view``; (B, n, rows + 1, d) with ``observe_level``."""
         if not self.observes_level:
-            return seen
-        level = np.zeros_like(seen[..., :1, :])
-        level[..., 0, 0] = np.minimum(self.normalised_levels, _LARGEST)
-        return np.concatenate([seen, level], axis=-2)
+            return super().new_view(dtype)
+        num_envs, n, rows, d = self._seen
+        return np.zeros((num_envs, n, rows + 1, d), dtype)
+
+    def view_of(self, teams: Part, observations: Float32, shown: Float32) -> None:
+        """As ``SafetyFilter.view_of``; the row of the level last."""
+        mine = slice(*teams[:2])
+        if self.along_net_bearing:
+            super().view_of(teams, observations, shown)
+        else:
+            shown[mine, :, :-1] = observations[mine]
+        if self.observes_level:
+            levels = self._levels[mine] / unit_of_tanks(self.scenario)
+            shown[mine, :, -1, 0] = np.minimum(levels, _LARGEST)
 
     def act_of(
         self, teams: Part, observations: Float32, actions: Float32, elapsed: float | None = None
