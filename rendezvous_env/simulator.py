@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .checks import bools, floats, shown, whole
-from .engine.batch_runner import BatchRunner, Driven, Pilot
+from .engine.batch_runner import BatchRunner, Driven, Pilot, Show
 from .engine.episodes import Episodes
 from .engine.memory import RENDEZVOUS, RUNNING
 from .engine.memory_layout import MemoryLayout, check_memory
@@ -187,7 +187,7 @@ class Simulator(StateView):
         pilot: Pilot,
         observations: NDArray[np.float32],
         count: int,
-        shown: NDArray[np.float32] | None = None,
+        show: Show | None = None,
     ) -> Driven:
         """Advance every running team by ``count`` steps, as ``step`` under the pilot's actions,
         which are not checked. Only where it ``can_drive``.
@@ -196,11 +196,11 @@ class Simulator(StateView):
             pilot: what makes actions of what is seen, see there.
             observations: (B, n, rows, d), of the teams as they are.
             count: of steps, 1 or more.
-            shown: to be filled with what the pilot shows of the teams after the last step.
+            show: called with some teams and what they see after the last step, by their thread.
         """
         resting = np.zeros(self.num_envs, np.bool_) if self._all_running else self.status != RUNNING
         self._all_running = False  # not known, should an interrupt leave from here
-        driven = self._runner.drive(pilot, observations, resting, count, shown)
+        driven = self._runner.drive(pilot, observations, resting, count, show)
         self._all_running = not np.count_nonzero(driven.output.status)
         return driven
 

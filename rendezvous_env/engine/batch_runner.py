@@ -23,6 +23,10 @@ _WORK_PER_THREAD = 32768
 sleeping thread takes to wake."""
 
 
+Show = Callable[[threads.Part, NDArray[np.float32]], None]
+"""What looks at observations (B, n, rows, d) of some teams."""
+
+
 class Pilot(Protocol):
     """What makes actions of what is seen, for some teams at a time: safety filters do."""
 
@@ -39,12 +43,6 @@ class Pilot(Protocol):
         """Learn how their step went: who touched an obstacle, (B, n), and is now part of whom,
         (B, n), and which teams it passed by, (B,).
         """
-        ...
-
-    def view_of(
-        self, teams: threads.Part, observations: NDArray[np.float32], shown: NDArray[np.float32]
-    ) -> None:
-        """Write what their policy is shown of what they see."""
         ...
 
 
@@ -120,7 +118,7 @@ class BatchRunner:
         seen: NDArray[np.float32],
         resting: NDArray[np.bool_],
         count: int,
-        shown: NDArray[np.float32] | None = None,
+        show: Show | None = None,
     ) -> Driven:
         """Advance all teams by some steps; each thread leads its own through all of them.
 
@@ -129,7 +127,7 @@ class BatchRunner:
             seen: (B, n, rows, d), now.
             resting: (B,), teams that pass the first step by.
             count: of steps.
-            shown: to be filled with what the policy is shown after the last step.
+            show: called with some teams and what they see after the last step, by their thread.
         """
         teams, output, actions = self._state.teams, self.buffers.new(), self._no_actions.copy()
         earned, robots_earned, touched = output.rewards, output.robot_rewards, output.contact
@@ -157,8 +155,8 @@ class BatchRunner:
                     robots_earned[rows] += output.robot_rewards[rows]
                     touched[rows] |= output.contact[rows]
                 now = output.observations
-            if shown is not None:
-                pilot.view_of(mine, now, shown)
+            if show is not None:
+                show(mine, now)
 
         threads.share(lead, len(self._blocks), width)
         self._last = output

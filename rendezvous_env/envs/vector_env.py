@@ -12,7 +12,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from numpy.typing import NDArray
 
 from ..checks import flag
-from ..engine.batch_runner import Driven, Pilot
+from ..engine.batch_runner import Driven, Pilot, Show
 from ..engine.memory import RENDEZVOUS, TIME_OUT
 from ..outcome import StepOutput
 from ..render.renderer import Renderer, render_metadata
@@ -179,10 +179,10 @@ class RendezvousVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
         pilot: Pilot,
         observations: NDArray[np.float32],
         count: int,
-        shown: NDArray[np.float32] | None = None,
+        show: Show | None = None,
     ) -> Driven:
         """As ``advance``, ``count`` times; arguments as ``Simulator.drive``."""
-        driven = self.simulator.drive(pilot, observations, count, shown)
+        driven = self.simulator.drive(pilot, observations, count, show)
         self._outcome = driven.output
         return driven
 

@@ -11,7 +11,7 @@ from gymnasium.spaces import Space
 from gymnasium.vector import AutoresetMode, VectorActionWrapper, VectorObservationWrapper
 from numpy.typing import ArrayLike, NDArray
 
-from ..engine.batch_runner import Pilot
+from ..engine.batch_runner import Pilot, Show
 from ..engine.memory import RUNNING
 from ..rewards.costs import no_costs
 from ..safety.safety_filter import KernelFilter
@@ -148,8 +148,8 @@ class GuaranteeWrapper(HoldsFilter, gymnasium.vector.VectorWrapper):
         base, pilot, shown = self._base, self._pilot, None
         alone = type(self.env) is RendezvousVectorEnv  # nobody between hears of base steps
         if alone and pilot is not None and base.can_drive:
-            shown = self.filter.new_view() if pilot is self.filter else None
-            driven = base.drive(pilot, self._observed, self.decision_period, shown)
+            shown, show = self._viewing()
+            driven = base.drive(pilot, self._observed, self.decision_period, show)
             self._observed = driven.output.observations
             costs: Info = {}
             rewards, robot_rewards, contact = driven[1:]
@@ -163,6 +163,16 @@ class GuaranteeWrapper(HoldsFilter, gymnasium.vector.VectorWrapper):
         told = {key: values.copy() for key, values in self.filter.told.items()}
         infos |= of_all(told, self.num_envs)
         return shown, rewards, terminations, truncations, infos
+
+    def _viewing(self) -> tuple[NDArray[np.float32] | None, Show | None]:
+        """Memory for what the policy is shown, and what fills it for some teams; None where it
+        sees observations as they are, or something else of its own.
+        """
+        made = self.filter
+        shown = made.new_view() if self._pilot is made else None  # type: ignore[comparison-overlap]
+        if shown is None:
+            return None, None
+        return shown, lambda teams, observations: made.view_of(teams, observations, shown)
 
     def _drive_by_steps(self) -> tuple[Any, Any, Any, Info, Any]:
         """The same one by one: rewards, robot rewards, contacts, costs, how the last step ended."""
