@@ -13,7 +13,7 @@ from baselines.learned.training_environment import FeatureVectorEnv
 from rendezvous_env.adapters.slots import of_one_robot
 from train.checks import UserError
 from train.learn.networks import FAR, GlobalStateLayout
-from train.learn.recurrent import network_of, network_settings
+from train.learn.recurrent import learner_of
 from train.learn.settings import Config, check
 
 SCENARIO = rv.scenarios.get("clutter-12").replace(time_limit=3.0)
@@ -34,7 +34,8 @@ def teams(config=CONFIG, batch=5):
 def network(config, env):
     torch.manual_seed(1)
     spaces = map(of_one_robot, (env.single_observation_space, env.single_action_space))
-    return network_of(config, env)(*spaces, lambda _: 0.0, **network_settings(config, env))
+    _, kind, settings = learner_of(config, env)
+    return kind(*spaces, lambda _: 0.0, **settings)
 
 
 def test_the_state_by_hand():

@@ -108,7 +108,7 @@ class TestGroups:
             generations.append(groups.generations.tolist())
             for g, k in enumerate(generations[-1]):
                 expected = ranges.draw(Sensing(), given.seed, g, k)
-                assert groups.sensors[g] == expected
+                assert groups.groups[g].env.scenario.sensing == expected
         # offsets ⌊2 g/3⌋ = 0, 0, 1
         assert generations == [[0, 0, 0], [0, 0, 1], [1, 1, 1], [1, 1, 2], [2, 2, 2]]
 

@@ -12,7 +12,7 @@ from stable_baselines3.common.type_aliases import RolloutBufferSamples
 import rendezvous_env as rv
 from baselines.learned.training_environment import FeatureVectorEnv
 from rendezvous_env.adapters.sb3 import RobotVecEnv
-from train.learn.recurrent import learner_of, network_of, network_settings
+from train.learn.recurrent import learner_of
 from train.learn.rollout_buffer import Rule, slopes_of
 from train.learn.settings import Config
 
@@ -34,8 +34,9 @@ def collected(memory, batch_size=10**6):
     scenario = rv.scenarios.get("clutter-12").replace(time_limit=3.0)
     venv = rv.make_vec(scenario, TEAMS, autoreset_mode=AutoresetMode.SAME_STEP)
     robots = RobotVecEnv(FeatureVectorEnv(venv, config.policy_settings()))
-    model = learner_of(config)(
-        network_of(config, robots.teams),
+    algorithm, kind, settings = learner_of(config, robots.teams)
+    model = algorithm(
+        kind,
         robots,
         n_steps=STEPS,
         batch_size=batch_size,
@@ -44,7 +45,7 @@ def collected(memory, batch_size=10**6):
         learning_rate=3e-3,
         clip_range=0.02,
         seed=5,
-        policy_kwargs=network_settings(config, robots.teams),
+        policy_kwargs=settings,
     )
     _, callback = model._setup_learn(STEPS * model.n_envs)
     model.collect_rollouts(model.env, callback, model.rollout_buffer, STEPS)

@@ -69,11 +69,7 @@ def path_in(folder: Path, card: Card) -> Path:
 
 
 def read_cards(out: Path) -> list[Card]:
-    """The cells of a folder that ``write_run`` wrote to, by algorithm, field and seed.
-
-    Raises:
-        UserError: as ``read_card``.
-    """
+    """The cards of a folder, by algorithm, field and seed; as ``read_card``."""
     return sorted(map(read_card, (out / "cells").glob("*/*.json")), key=place_of)
 
 

@@ -41,16 +41,23 @@ def run(config: Config) -> int:
     if config.repeat is not None:
         return _repeat(config.repeat, config.record, console)
     places, out = plan(config), Path(config.out)
-    if not config.algorithms:
-        _say_what_is_left_out(console)
+    lacking = {name: one.missing for name, one in registry.known().items() if one.missing}
+    if lacking and not config.algorithms:
+        wanted = ", ".join(sorted({package for own in lacking.values() for package in own}))
+        console.print(f"left out without {wanted}: {', '.join(lacking)}", soft_wrap=True)
     asked = {**program(), "cells": [list(p) for p in places], "record": config.record}
     with claimed(out.parent, f".{out.name}.lock", f"--out {out}"):
         kept = _kept(out, places)
         part = Part(out.with_name(f"{out.name}.part"), asked, "leaderboard")
         with part.at_work(out, console, fresh=config.fresh):
-            first = places[0].seed
             tasks = {
-                place: _task(number, place, config.record or place.seed == first)
+                place: Task(
+                    name=f"cell-{number:04d}",
+                    label=f"{place.algorithm} · {place.field} · {place.seed}",
+                    scenario=scenarios.get(place.field),
+                    count=1,
+                    work=partial(run_of, place, config.record or place.seed == places[0].seed),
+                )
                 for number, place in enumerate(places)
                 if place not in kept
             }
@@ -62,18 +69,9 @@ def run(config: Config) -> int:
     return 0
 
 
-def _say_what_is_left_out(console: Console) -> None:
-    lacking = {name: one.missing for name, one in registry.known().items() if one.missing}
-    if lacking:
-        wanted = ", ".join(sorted({package for own in lacking.values() for package in own}))
-        console.print(f"left out without {wanted}: {', '.join(lacking)}", soft_wrap=True)
-
-
 def _kept(out: Path, places: Sequence[Place]) -> dict[Place, Card]:
-    """The cells that a folder has, which must be of the same budget and starts as those asked for.
-
-    Raises:
-        UserError: if they are not, or a card is not readable.
+    """The cells that a folder has; a UserError if they are not of the same budget and starts as
+    those asked for.
     """
     kept = {place_of(card): card for card in read_cards(out)}
     for what in ("decisions", "starts"):
@@ -86,19 +84,13 @@ def _kept(out: Path, places: Sequence[Place]) -> dict[Place, Card]:
     return kept
 
 
-def _task(number: int, place: Place, record: bool) -> Task:
-    scenario = scenarios.get(place.field)
-    label = f"{place.algorithm} · {place.field} · {place.seed}"
-    return Task(f"cell-{number:04d}", label, scenario, 1, partial(run_of, place, record))
-
-
 def write(out: Path, runs: Sequence[Run], console: Console) -> None:
     """Write a card for each cell, replays, tables, figures; print the table."""
     for run in runs:
         write_run(out, *run)
     cards = [card for card, _ in runs]
     rows = tables.rows_of(cards)
-    results.write_csv(out / "leaderboard.csv", tuple(tables.COLUMNS), rows)
+    results.write_csv(out / "leaderboard.csv", tables.COLUMNS, rows)
     results.write_csv(out / "improvement.csv", tables.IMPROVEMENT, tables.improvements(cards))
     tables.draw(out, cards, rows)
     (out / "README.md").write_text(tables.markdown(rows, cards), encoding="utf-8")
@@ -107,6 +99,9 @@ def write(out: Path, runs: Sequence[Run], console: Console) -> None:
 
 
 def _repeat(path: Path, record: bool, console: Console) -> int:
+    """Do a card's cell again; where it differs, say whether collision-free success is within the
+    interval of a repetition.
+    """
     card = read_card(path)
     place = place_of(card)
     kept = path_of(path) if record else None
@@ -120,17 +115,13 @@ def _repeat(path: Path, record: bool, console: Console) -> int:
         return 0
     other = [k for k, v in again["versions"].items() if card.get("versions", {}).get(k) != v]
     told = f" (other versions of {', '.join(other)})" if other else ""
-    said = f"{', '.join(differ)} differ{told}; {_how_far(again, card)}"
-    print(f"error: {place.name}: {said}", file=sys.stderr)
-    return 1
-
-
-def _how_far(again: Card, card: Card) -> str:
-    """Whether collision-free success is within the interval of a repetition."""
     own, was = (np.array(one["results"]["clean"], float) for one in (again, card))
     low, high = statistics.bootstrap_interval((own - was,), np.mean)
     where = "within" if low <= 0.0 <= high else "outside"
-    return (
-        f"collision-free success is {own.mean():.3f}, on the card {was.mean():.3f}, {where} the "
-        "95 % interval of the difference"
+    print(
+        f"error: {place.name}: {', '.join(differ)} differ{told}; collision-free success is "
+        f"{own.mean():.3f}, on the card {was.mean():.3f}, {where} the 95 % interval of the "
+        "difference",
+        file=sys.stderr,
     )
+    return 1

@@ -1,4 +1,4 @@
-"""What an algorithm is; every file in ``algorithms`` is one."""
+"""What an algorithm is; the files in ``algorithms`` have them."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ class Budget:
 class Algorithm:
     """One row of the leaderboard.
 
-    A new one is a file in ``train/leaderboard/algorithms`` that ends with ``ALGORITHM``, named as
-    the file, with hyphens; or with ``ALGORITHMS``, by name, of one learner under two guarantees.
+    A new one is a file in ``train/leaderboard/algorithms`` that ends with ``ALGORITHM`` and has its
+    name, with hyphens; or with ``ALGORITHMS``, several by name.
     """
 
     about: str

@@ -26,7 +26,7 @@ from ..recording import Recorder, Recording, Snapshot
 from .playing import Player, play
 
 BUDGET = 20_000
-"""Characters of a run's recordings; what is longer is thinned out."""
+"""Characters of a run's recordings; longer ones are thinned out."""
 _TEXT = re.compile(r"[\w+/]+=*", re.ASCII)
 Replay = dict[str, Any]
 """As it lies in OUT/replays: "starts", by number, each an ``Encoded``; and the digest "sha256" of
@@ -34,17 +34,15 @@ them and of the results on its card."""
 
 
 class Watch:
-    """Records some teams of a batch, whoever leads it: it stands before ``Simulator.step``.
-
-    Args:
-        starts: numbers of teams.
+    """Records the teams of these numbers, whoever leads them: it stands before ``Simulator.step``
+    from ``begin`` on.
     """
 
     def __init__(self, starts: Sequence[int]) -> None:
         self._starts = starts
 
     def begin(self, simulator: Simulator) -> None:
-        """Look on from here; the teams have just begun."""
+        """Record from here, where the teams have just begun."""
         self._simulator, self._step = simulator, simulator.step
         self._seen, start = simulator.observe(), Snapshot(simulator)
         self._recorders = [Recorder(start, k, self._seen, exact=False) for k in self._starts]
@@ -62,25 +60,21 @@ class Watch:
         return outcome
 
     def recordings(self) -> list[Recording]:
-        """Of the teams, once they have finished."""
+        """Those of the teams, once they have finished."""
         return [recorder.finish() for recorder in self._recorders]
 
 
-def starts_to_show(clean: Sequence[int]) -> list[int]:
-    """The first start, which is the same for all runs, and the first that ended otherwise: clean,
-    or not.
-    """
-    return [0, *[start for start, one in enumerate(clean) if one != clean[0]][:1]]
-
-
 def replay_of(found: dict[str, Any], player: Player) -> Replay | None:
-    """Play once more and look on; None of what does not play twice alike.
+    """Play once more and record the first start, which is the same for all runs, and the first that
+    ended otherwise, clean or not; None for a player that does not play twice alike.
 
     Args:
-        found: what came of playing, as ``play`` gives it.
+        found: results of ``play``.
         player: a new one of the same.
     """
-    watch = Watch(starts := starts_to_show(found["clean"]))
+    clean = found["clean"]
+    starts = [0, *[start for start, one in enumerate(clean) if one != clean[0]][:1]]
+    watch = Watch(starts)
     if play(player, watch.begin) != found:
         return None
     encoded = zip(starts, encode_all(watch.recordings(), BUDGET), strict=True)
@@ -93,11 +87,7 @@ def _seal(found: dict[str, Any], kept: dict[str, Any]) -> str:
 
 
 def path_of(card: Path) -> Path:
-    """Where the replay of a card lies: OUT/replays mirrors OUT/cells.
-
-    Raises:
-        UserError: for a card that lies elsewhere.
-    """
+    """The replay of a card: OUT/replays mirrors OUT/cells; a UserError for a card elsewhere."""
     folders = card.absolute().parents
     if len(folders) < 3 or folders[1].name != "cells":
         raise UserError(f"{card}: a replay is kept beside a card of OUT/cells/ALGORITHM")
@@ -112,14 +102,10 @@ def write_replay(path: Path, replay: Replay) -> None:
 
 
 def read_replay(path: Path, found: dict[str, Any]) -> dict[int, Encoded]:
-    """What was kept of each start; nothing if there is no file.
-
-    Args:
-        path: of ``path_of``.
-        found: the results on the card, which it must be of.
+    """What was kept of each start, given the results on the card; nothing if there is no file.
 
     Raises:
-        UserError: naming the path, if it is no replay of them.
+        UserError: naming the path, if it is no replay of these results.
     """
     try:
         replay = plain_data.read_json(path)

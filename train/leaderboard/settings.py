@@ -23,7 +23,9 @@ class Protocol(NamedTuple):
     fields: tuple[str, ...]
     seeds: int
     decisions: int
+    """Of single robots, in each cell."""
     starts: int
+    """Held out, in each cell."""
 
 
 _FIELDS = (
@@ -34,7 +36,6 @@ TIERS: dict[Tier, Protocol] = {
     "mini": Protocol(_FIELDS, 5, 2**16, 200),
     "full": Protocol(_FIELDS, 10, 10_000_000, 1000),
 }
-"""Decisions of single robots, and held-out starts, of each cell."""
 EXAMPLES = (
     "--tier smoke",
     "--tier mini --algorithms ppo-heading ppo-tank --fields clutter-16 --jobs 8",
@@ -91,7 +92,7 @@ class Place(NamedTuple):
 
     @property
     def command(self) -> str:
-        """What does this cell alone."""
+        """The command that does this cell alone."""
         words = {"algorithms": self.algorithm, "fields": self.field, "seeds": self.seed}
         words |= {"decisions": self.decisions} if self.decisions else {}
         words |= {"starts": self.starts}
@@ -106,12 +107,11 @@ def plan(config: Config) -> list[Place]:
     """
     check_least(config, seeds=0, decisions=1, starts=1)
     tier = TIERS[config.tier]
-    able = (name for name, one in registry.known().items() if not one.missing)
-    names = config.algorithms or tuple(able)
+    able = tuple(name for name, one in registry.known().items() if not one.missing)
     decisions, starts = config.decisions or tier.decisions, config.starts or tier.starts
     seeds = config.seeds or tuple(range(tier.seeds))
     places = []
-    for name in names:
+    for name in config.algorithms or able:
         algorithm = registry.find(name)
         for given in config.fields or tier.fields:
             scenario = resolve_scenario(given)

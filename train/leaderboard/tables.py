@@ -5,6 +5,7 @@ guarantee.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import combinations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,25 +18,15 @@ from ..compare import statistics
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-COLUMNS = {
-    "algorithm": "its name",
-    "safety": "its way of being safe",
-    "guarantee": "what is proven of it: none, heading (theorem C), tank (theorem D)",
-    "given": "what it reads",
-    "runs": "seeds times fields",
-    "clean": "collision-free success: interquartile mean over runs of the share of held-out starts",
-    "clean_low": "lower end of the 95 % interval, a bootstrap over seeds stratified by fields",
-    "clean_high": "upper end of it",
-    "time": "interquartile mean over runs of the mean time of rendezvous, s; late is the limit",
-    "time_low": "lower end of its interval",
-    "time_high": "upper end of it",
-    "robot_steps": "of all runs together",
-    "touches": "robot steps with a contact, in a thousand",
-    "risen": "robot steps in which V rose between merges, nobody of the team in contact, in a "
-    "thousand: what theorem C rules out",
-    "rise": "how far V rose in an episode, mean of the sum, per cent of V at the start",
-}
-"""Of leaderboard.csv."""
+COLUMNS = (
+    "algorithm", "safety", "guarantee", "given", "runs", "clean", "clean_low", "clean_high", "time",
+    "time_low", "time_high", "robot_steps", "touches", "risen", "rise",
+)  # fmt: skip
+"""Of leaderboard.csv. Runs are seeds times fields. Over runs: interquartile means, with intervals,
+of the share of starts with collision-free success and of the mean time of rendezvous, s (late is
+the limit). Over all robot steps: how many of a thousand had a contact, and in how many V rose
+between merges with nobody of the team in contact, which theorem C rules out. Over episodes: the sum
+of V's rises, mean, per cent of V at the start."""
 IMPROVEMENT = ("algorithm", "against", "probability", "low", "high")
 """Columns of improvement.csv: chance that a run has more collision-free success."""
 WIDTH = 175
@@ -44,8 +35,7 @@ _LEVELS = np.linspace(0.0, 1.0, 101)
 Card = Mapping[str, Any]
 
 
-def _own(cards: Sequence[Card]) -> dict[str, list[Card]]:
-    """Cards by algorithm."""
+def _by_algorithm(cards: Sequence[Card]) -> dict[str, list[Card]]:
     found: dict[str, list[Card]] = {}
     for card in cards:
         found.setdefault(card["algorithm"], []).append(card)
@@ -67,43 +57,35 @@ def scores_of(cards: Sequence[Card], name: str) -> NDArray[np.float64]:
 def rows_of(cards: Sequence[Card]) -> list[dict[str, Any]]:
     """Rows of leaderboard.csv, the best in collision-free success first."""
     rows = []
-    for name, own in _own(cards).items():
-        row = {key: own[0][key] for key in ("safety", "guarantee", "given")}
-        row = {"algorithm": name, **row, "runs": len(own)}
+    for name, own in _by_algorithm(cards).items():
+        about = {key: own[0][key] for key in ("safety", "guarantee", "given")}
+        row = {"algorithm": name, **about, "runs": len(own)}
         for key in ("clean", "time"):
             scores = scores_of(own, key)
             low, high = statistics.stratified_interval((scores,), statistics.interquartile_mean)
             row[key] = statistics.interquartile_mean(scores)
             row |= {f"{key}_low": low, f"{key}_high": high}
-        count = {key: sum(sum(card["results"][key]) for card in own) for key in _COUNTED}
-        row["robot_steps"] = count["steps"]
-        row |= {key: 1000.0 * count[key] / count["steps"] for key in ("touches", "risen")}
+        row["robot_steps"] = steps = sum(sum(card["results"]["steps"]) for card in own)
+        for key in ("touches", "risen"):
+            row[key] = 1000.0 * sum(sum(card["results"][key]) for card in own) / steps
         row["rise"] = 100.0 * float(np.mean([np.mean(card["results"]["rise"]) for card in own]))
         rows.append(row)
     return sorted(rows, key=lambda row: (-row["clean"], row["time"]))
 
 
-_COUNTED = ("steps", "touches", "risen")
-
-
 def improvements(cards: Sequence[Card]) -> list[dict[str, Any]]:
     """Rows of improvement.csv, each pair of algorithms once on the fields that both have."""
-    own, rows = _own(cards), []
-    names = list(own)
-    for i, name in enumerate(names):
-        for other in names[i + 1 :]:
-            both = {c["field"] for c in own[name]} & {c["field"] for c in own[other]}
-            pair = tuple(
-                scores_of([c for c in own[one] if c["field"] in both], "clean")
-                for one in (name, other)
+    own, rows, chance = _by_algorithm(cards), [], statistics.probability_of_improvement
+    for pair in combinations(own, 2):
+        both = set.intersection(*({card["field"] for card in own[name]} for name in pair))
+        if both:
+            first, second = (
+                scores_of([card for card in own[name] if card["field"] in both], "clean")
+                for name in pair
             )
-            if not both:
-                continue
-            chance = statistics.probability_of_improvement
-            low, high = statistics.stratified_interval(pair, chance)
-            rows.append(
-                dict(zip(IMPROVEMENT, (name, other, chance(*pair), low, high), strict=True))
-            )
+            ends = statistics.stratified_interval((first, second), chance)
+            values = (*pair, chance(first, second), *ends)
+            rows.append(dict(zip(IMPROVEMENT, values, strict=True)))
     return rows
 
 
@@ -111,18 +93,13 @@ def improvements(cards: Sequence[Card]) -> list[dict[str, Any]]:
 
 
 def _cells(row: Mapping[str, Any]) -> list[str]:
-    """A row as people read it."""
-
     def with_interval(key: str, form: str, unit: float = 1.0) -> str:
         value, low, high = (row[k] * unit for k in (key, f"{key}_low", f"{key}_high"))
         ends = "" if np.isnan(low) else f" ({low:{form}} to {high:{form}})"
         return f"{value:{form}}{ends}"
 
     return [
-        row["algorithm"],
-        row["safety"],
-        row["guarantee"],
-        row["given"],
+        *(row[key] for key in ("algorithm", "safety", "guarantee", "given")),
         with_interval("clean", ".1f", 100.0),
         with_interval("time", ".1f"),
         f"{row['touches']:.3g}",
@@ -140,9 +117,7 @@ _HEADS = (
 
 def text(rows: Sequence[Mapping[str, Any]]) -> Table:
     """The table for a terminal."""
-    table = Table(box=None)
-    for head in _HEADS:
-        table.add_column(head)
+    table = Table(*_HEADS, box=None)
     for row in rows:
         table.add_row(*_cells(row))
     return table
@@ -153,9 +128,8 @@ def markdown(rows: Sequence[Mapping[str, Any]], cards: Sequence[Card]) -> str:
     seeds = len({card["seed"] for card in cards})
     fields = ", ".join(sorted({card["field"] for card in cards}))
     most = max(card["decisions"] for card in cards)
-    lines = [" | ".join(_HEADS), " | ".join("---" for _ in _HEADS)]
-    lines += [" | ".join(_cells(row)) for row in rows]
-    told = "\n".join(f"| {line} |" for line in lines)
+    lines = [_HEADS, ["---"] * len(_HEADS), *map(_cells, rows)]
+    told = "\n".join(f"| {' | '.join(line)} |" for line in lines)
     minutes = sum(card["learning_s"] + card["playing_s"] for card in cards) / 60.0
     return (
         f"# Leaderboard\n\n{fields}; {seeds} seeds; {most:,} decisions of robots for each learner; "
@@ -172,7 +146,7 @@ def markdown(rows: Sequence[Mapping[str, Any]], cards: Sequence[Card]) -> str:
 
 
 def _colour(number: int) -> tuple[float, ...]:
-    """Of an algorithm by its place; those from the eleventh on are lighter."""
+    """An algorithm's, by its place; those from the eleventh on are lighter."""
     from matplotlib import colormaps
 
     return tuple(colormaps["tab20"](2 * (number % 10) + (number // 10) % 2))
@@ -213,10 +187,9 @@ def _profiles(cards: Sequence[Card]) -> Figure:
 
     figure = style.new_figure(style.PAGE, 3.2)
     panel = figure.subplots()
-    for k, (name, own) in enumerate(_own(cards).items()):
+    for k, (name, own) in enumerate(_by_algorithm(cards).items()):
         profile = statistics.performance_profile(scores_of(own, "clean"), _LEVELS)
-        dashes = ("-", "--", ":")[k % 3]
-        look: dict[str, Any] = {"linestyle": dashes, "color": _colour(k)}
+        look: dict[str, Any] = {"linestyle": ("-", "--", ":")[k % 3], "color": _colour(k)}
         panel.step(100.0 * _LEVELS, profile, where="post", label=name, **look)
     panel.set_xlabel("collision-free success, %")
     panel.set_ylabel("share of runs that reach it")

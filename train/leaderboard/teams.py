@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
+from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 from rendezvous_env.baselines.learned.shipped import preset
 from rendezvous_env.baselines.learned.training_environment import FeatureVectorEnv, ShippedPreset
@@ -22,9 +22,10 @@ BOTTOMLESS = 1e6
 """Level of a tank, r D̄, that no episode drains: nothing is ever refused, nothing is promised."""
 _ROUNDING = 1e-12
 COSTS = ("contact", "rise", "leaderboard_risen", "leaderboard_steps")
-"""What is counted of every robot: touches, by how much V rose, steps in which it did, steps."""
+"""Counted of every robot: touches, by how much V rose, steps in which it did, steps."""
 
 
+@reward_term("leaderboard_risen")
 def _risen(step: RewardStep) -> NDArray[np.bool_]:
     """(B,), whether V rose between merges in a step in which nobody of the team touched anything:
     what theorem C rules out.
@@ -33,12 +34,9 @@ def _risen(step: RewardStep) -> NDArray[np.bool_]:
     return risen
 
 
+@reward_term("leaderboard_steps")
 def _steps(step: RewardStep) -> NDArray[np.float64]:
     return np.ones(step.contact.shape)
-
-
-reward_term("leaderboard_risen", _risen)
-reward_term("leaderboard_steps", _steps)
 
 
 def can_learn(field: Scenario) -> bool:
@@ -47,8 +45,8 @@ def can_learn(field: Scenario) -> bool:
 
 
 def guarded(field: Scenario, safety: str) -> dict[str, Any]:
-    """What makes teams safe in this way, as arguments of ``vector.training_env``; without a
-    guarantee it is a tank that is never empty. All robots have the budget that points have.
+    """Arguments of ``vector.training_env`` for a way of being safe; without a guarantee it is a
+    tank that is never empty. All robots have the budget that points have.
     """
     if safety == "heading":
         return {"guarantee": safety}
@@ -91,7 +89,7 @@ def teams_to_learn_in(
             a tank that is never empty, or "none": without the rule, too.
         anew: whether teams begin anew in the step in which they end; else they rest.
         touch_penalty: None is that of the shipped policies.
-        wrap: what stands between the robots and what is decided, as a filter of actions.
+        wrap: a wrapper between the robots and what decides, as a filter of actions.
     """
     learnt, how = ShippedPreset(), guarded(field, safety)
     guarantee = how.pop("guarantee")
@@ -102,25 +100,3 @@ def teams_to_learn_in(
     chosen = learnt.wrap(base, guarantee, True, how)
     teams = TrainingTeams(chosen, price if touch_penalty is None else touch_penalty)
     return unled(teams) if safety == "none" else teams
-
-
-class Between(VectorWrapper):
-    """Stands between robots and what decides for them; a subclass changes ``step``."""
-
-    def __init__(self, env: VectorEnv[Any, Any, Any]) -> None:
-        super().__init__(env)
-        base: Any = env.unwrapped
-        self.scenario: Scenario = base.scenario
-        self.simulator: rv.Simulator = base.simulator
-
-
-class Paid(VectorWrapper):
-    """Robots pay λ for each touch of the cost channel: the reward of a Lagrangian learner."""
-
-    multiplier = 0.0
-
-    def step(self, actions: Any) -> Any:
-        """As the teams, less what touches cost."""
-        seen, _, ends, cuts, infos = self.env.step(actions)
-        infos["robot_rewards"] = infos["robot_rewards"] - self.multiplier * infos["cost_contact"]
-        return seen, infos["robot_rewards"].mean(axis=1), ends, cuts, infos

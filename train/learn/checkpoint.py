@@ -27,7 +27,6 @@ from .settings import CONFIG, Config, check, read_config, resumed, same_run
 STATE_FILES = ("network", "optimizer", "state")
 """Of a checkpoint from which training can go on."""
 _DESCRIPTION = {"step": int, "stage": int, "updates": int, "wall_s": float, "written": str}
-"""Of a checkpoint: what a run needs to go on."""
 KEPT = 2
 """Checkpoints of a run that stay on disk."""
 
@@ -35,11 +34,11 @@ Tables = Mapping[str, Mapping[str, NDArray[Any]]]
 
 
 def write(run: Path, step: int, description: Mapping[str, Any], tables: Tables) -> Path:
-    """Write a checkpoint of a run and remove those that are no longer needed.
+    """Write a checkpoint of a run at a step and remove those that are no longer needed.
 
     Args:
         run: its folder.
-        step: by which the checkpoint is called.
+        step: gives the checkpoint its name.
         description: plain data.
         tables: named arrays for each file, without the suffix.
 
@@ -58,7 +57,7 @@ def write(run: Path, step: int, description: Mapping[str, Any], tables: Tables) 
 
 
 def write_folder(place: Path, description: Mapping[str, Any], tables: Tables) -> None:
-    """Write one checkpoint under a temporary name and rename it; one that stands there goes."""
+    """Write one checkpoint under a temporary name and rename it, in place of an older one there."""
     from safetensors.numpy import save
 
     for left in place.parent.glob(".*.part"):
@@ -66,14 +65,19 @@ def write_folder(place: Path, description: Mapping[str, Any], tables: Tables) ->
     temporary, replaced = (place.with_name(f".{place.name}{end}.part") for end in ("", ".old"))
     try:
         temporary.mkdir()
-        files = {}
-        for name, arrays in tables.items():
-            content = save({key: np.ascontiguousarray(value) for key, value in arrays.items()})
-            files[f"{name}.safetensors"] = entry(content)
-            _write(temporary / f"{name}.safetensors", content)
+        contents = {
+            f"{name}.safetensors": save({k: np.ascontiguousarray(v) for k, v in arrays.items()})
+            for name, arrays in tables.items()
+        }
+        files = {name: entry(content) for name, content in contents.items()}
         about = {"format_version": checkpoints.FORMAT_VERSION, **description, "files": files}
         about["sha256"] = checkpoints.digest_of(about)
-        _write(temporary / checkpoints.DESCRIPTION, (json.dumps(about, indent=2) + "\n").encode())
+        contents[checkpoints.DESCRIPTION] = (json.dumps(about, indent=2) + "\n").encode()
+        for name, content in contents.items():
+            with (temporary / name).open("wb") as file:
+                file.write(content)
+                file.flush()
+                os.fsync(file.fileno())
         _sync(temporary)
         if place.exists():  # never a moment without either
             place.rename(replaced)
@@ -83,15 +87,8 @@ def write_folder(place: Path, description: Mapping[str, Any], tables: Tables) ->
         shutil.rmtree(replaced, ignore_errors=True)
 
 
-def _write(path: Path, content: bytes) -> None:
-    with path.open("wb") as file:
-        file.write(content)
-        file.flush()
-        os.fsync(file.fileno())
-
-
 def _sync(folder: Path) -> None:
-    """Make names that were given in a folder outlast a power failure."""
+    """Make the names in a folder outlast a power failure."""
     descriptor = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(descriptor)
@@ -112,7 +109,7 @@ def flatten(state: Mapping[Any, Any], prefix: str = "") -> dict[str, NDArray[Any
 
 
 def unflatten(flat: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
-    """The nested arrays that ``flatten`` took."""
+    """The inverse of ``flatten``, with arrays."""
     state: dict[str, Any] = {}
     for name, value in flat.items():
         *path, last = name.split("/")
@@ -136,21 +133,15 @@ def restore_optimizer(optimizer: torch.optim.Optimizer, arrays: Mapping[str, NDA
 
 
 def check_fits(state: Mapping[str, Any], robots: Any, policy: Any) -> None:
-    """Refuse what would only fail later on.
-
-    Args:
-        state: what was stored of the robots' last step.
-        robots: the VecEnv that goes on from there.
-        policy: with the weights and the optimizer that were put back.
-
-    Raises:
-        ValueError: for another shape, or a weight that is not finite, saying which.
+    """Refuse what would only fail later on: with a ValueError for another shape of the robots' last
+    step or of the optimizer's moments, or a weight that is not finite.
     """
-    wanted = {
-        "last_observations": (robots.num_envs, *robots.observation_space.shape),
-        "last_episode_starts": (robots.num_envs,),
+    slots = robots.num_envs
+    shapes = {
+        "last_observations": (slots, *robots.observation_space.shape),
+        "last_episode_starts": (slots,),
     }
-    for name, shape in wanted.items():
+    for name, shape in shapes.items():
         if np.shape(state[name]) != shape:
             raise ValueError(f"{name} has shape {np.shape(state[name])}; it must be {shape}")
     for weights in policy.parameters():
@@ -163,7 +154,7 @@ def check_fits(state: Mapping[str, Any], robots: Any, policy: Any) -> None:
 
 
 def random_state() -> dict[str, NDArray[Any]]:
-    """Of NumPy's global generator, which shuffles samples, and of torch's, which explores."""
+    """State of NumPy's global generator, which shuffles samples, and torch's, which explores."""
     _, keys, position, has_gauss, gauss = np.random.get_state()
     return {
         "numpy_keys": np.asarray(keys),
@@ -181,7 +172,7 @@ def restore_random(state: Mapping[str, NDArray[Any]]) -> None:
     torch.set_rng_state(torch.from_numpy(state["torch"]))
 
 
-# ---- where a run begins -------------------------------------------------------------------------
+# ---- resume -------------------------------------------------------------------------------------
 
 
 def where_to_begin(config: Config, console: Console) -> tuple[Config, Path | None]:
@@ -191,9 +182,8 @@ def where_to_begin(config: Config, console: Console) -> tuple[Config, Path | Non
         UserError: if a flag contradicts the run to resume.
         CheckpointError: if none of its checkpoints is good.
     """
-    if config.resume is None:
+    if (folder := config.resume) is None:
         return config, None
-    folder = config.resume
     config = resumed(config, read_config(folder))
     check(config)
     place = _newest_good(folder, console)
@@ -201,22 +191,19 @@ def where_to_begin(config: Config, console: Console) -> tuple[Config, Path | Non
         console.print(f"{folder} has no checkpoint yet: begins at step 0")
         return config, None
     about = checkpoints.describe(place)
-    if not same_run(config, _config_of(place, about)):
+    try:
+        check_types(about, _DESCRIPTION)
+        own = Config.from_plain(about["config"])
+    except (KeyError, TypeError, ValueError) as error:
+        raise CheckpointError(f"{place}: is no checkpoint of a run: {error}") from error
+    if not same_run(config, own):
         raise UserError(f"--resume {folder}: {place} is of another run than {CONFIG} tells of")
     console.print(f"resumes {place} at step {about['step']:,}, written {about['written']}")
     return config, place
 
 
-def _config_of(place: Path, about: Mapping[str, Any]) -> Config:
-    try:
-        check_types(about, _DESCRIPTION)
-        return Config.from_plain(about["config"])
-    except (KeyError, TypeError, ValueError) as error:
-        raise CheckpointError(f"{place}: is no checkpoint of a run: {error}") from error
-
-
 def _newest_good(folder: Path, console: Console) -> Path | None:
-    """The newest checkpoint that can be read, with a word about those that cannot."""
+    """The newest readable checkpoint, with a word about those that are not; None without any."""
     wrong = None
     for place in checkpoints.candidates(folder):
         try:
@@ -232,7 +219,7 @@ def _newest_good(folder: Path, console: Console) -> Path | None:
 
 
 def write_failure(folder: Path, error: OSError) -> str:
-    """What is said of a disk that cannot be written, with what there is to go on from."""
+    """The message about a disk that cannot be written, with the checkpoint that is left."""
     said = f"cannot write {error.filename or folder}: {error.strerror or error}"
     try:
         place = checkpoints.find(folder)

@@ -32,11 +32,6 @@ class Config(Settings, Workers):
     repeats bit by bit. Stopped, the same command resumes all of them. The flags of workers belong
     to this one; a Ray cluster must share OUT with this machine."""
 
-    @property
-    def settings(self) -> Settings:
-        """Those of a single run."""
-        return Settings(**{field.name: getattr(self, field.name) for field in fields(Settings)})
-
 
 def run(config: Config) -> int:
     """Train, or go on training; see ``ppo.run``.
@@ -44,10 +39,10 @@ def run(config: Config) -> int:
     Raises:
         UserError: also for seeds that cannot be trained together.
     """
-    settings = config.settings
+    settings = Settings(**{field.name: getattr(config, field.name) for field in fields(Settings)})
     if not config.seeds:
         return ppo.run(settings).status
-    runs = [_begun(one) for one in runs_of(settings, config.seeds)]
+    runs = runs_of(settings, config.seeds)
     results.prepare_folder(settings.out)
     console = Console(soft_wrap=True)
     console.print(f"{len(runs)} runs; {_log_of(runs[0])} and so on tell of them")
@@ -64,34 +59,28 @@ def run(config: Config) -> int:
 
 
 def runs_of(settings: Settings, seeds: tuple[int, ...]) -> list[Settings]:
-    """The runs of several seeds.
+    """The runs of several seeds; those that have begun are resumed.
 
     Raises:
-        UserError: for a seed that is named twice, or a flag that only a single run has.
+        UserError: for a seed that is named twice, a flag that only a single run has, or a folder
+            with a run of other settings.
     """
     if len(set(seeds)) < len(seeds):
         raise UserError(f"--seeds {' '.join(map(str, seeds))}: name each once")
     for name in ("seed", "resume"):
         if (value := getattr(settings, name)) != getattr(Settings, name):
             raise UserError(f"--{name} is {value}; --seeds says which runs there are")
-    threads = settings.num_threads or 1
-    runs = [
-        replace(settings, seed=seed, out=settings.out / f"seed-{seed}", num_threads=threads)
-        for seed in seeds
-    ]
-    for one in runs:
+    runs = []
+    for seed in seeds:
+        threads, out = settings.num_threads or 1, settings.out / f"seed-{seed}"
+        one = replace(settings, seed=seed, out=out, num_threads=threads)
         check(one)
+        if (out / CONFIG).exists():
+            if not same_run(one, read_config(out)):
+                raise UserError(f"{out} holds a run of other settings; choose another --out")
+            one = replace(one, resume=out)
+        runs.append(one)
     return runs
-
-
-def _begun(settings: Settings) -> Settings:
-    """A run as it is, or where it has begun what resumes it; another one there is refused."""
-    if not (settings.out / CONFIG).exists():
-        return settings
-    stored = read_config(settings.out)
-    if not same_run(settings, stored):
-        raise UserError(f"{settings.out} holds a run of other settings; choose another --out")
-    return replace(settings, resume=settings.out)
 
 
 def _log_of(settings: Settings) -> Path:
@@ -100,7 +89,7 @@ def _log_of(settings: Settings) -> Path:
 
 
 def _train(settings: Settings) -> int:
-    """Exit status of a run that tells of itself in a file."""
+    """Train one run, which tells of itself in a file; its exit status."""
     scenario = settings.base_scenario()
     with _log_of(settings).open("a", encoding="utf-8") as log, redirect_stdout(log):
         for name in policies.fitting(scenario, shipped.NAMES):  # they need the same kernels

@@ -1,11 +1,10 @@
-"""What a training run tells: CSV files, TensorBoard events, lines on the terminal, a result."""
+"""What a training run tells: CSV files, TensorBoard events, a result."""
 
 from __future__ import annotations
 
 import csv
 import math
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from io import StringIO
 from itertools import groupby
@@ -22,23 +21,19 @@ METRICS = (
     "alignment", "policy_loss", "value_loss", "explained_variance", "approx_kl", "clip_fraction",
     "entropy", "learning_rate", "wall_s", "steps_per_s", "environment_share",
 )  # fmt: skip
-"""Of metrics.csv, one row for each update: fractions 0–1, s; empty where it does not apply."""
+"""Columns of metrics.csv, a row for each update: fractions 0–1, s; empty where nothing applies."""
 WALL_TIME = ("wall_s", "steps_per_s", "environment_share")
 """Columns that differ between two runs that are otherwise the same."""
 EVALUATION = ("step", *results.RESULT_COLUMNS)
-"""Of evaluation.csv, one row for each evaluation and scenario."""
+"""Columns of evaluation.csv, a row for each evaluation and scenario."""
 
 
 class Table:
-    """A CSV file that grows by rows and can be cut back to a step.
-
-    Args:
-        path: of the file.
-        columns: its header; one of them is "step".
-        step: rows of later steps are removed, and whatever a kill left of a last row.
+    """A CSV file that grows by rows, first cut back to a step: later rows go, and whatever a kill
+    left of a last row.
 
     Raises:
-        UserError: if the file is damaged; nothing is written then.
+        UserError: if the file is damaged; nothing is written before ``begin``.
     """
 
     def __init__(self, path: Path, columns: Sequence[str], step: int) -> None:
@@ -52,8 +47,7 @@ class Table:
     def add(self, row: Mapping[str, Any]) -> None:
         """Append a row; it is in the file when this returns."""
         with self._path.open("a", newline="", encoding="utf-8") as file:
-            writer = csv.writer(file)
-            writer.writerow([results.plain(row[column]) for column in self._columns])
+            csv.writer(file).writerow([results.plain(row[column]) for column in self._columns])
 
 
 def _complete_rows(path: Path, columns: Sequence[str]) -> list[dict[str, str]]:
@@ -82,7 +76,7 @@ def _complete_rows(path: Path, columns: Sequence[str]) -> list[dict[str, str]]:
 
 
 class Events:
-    """TensorBoard events, or nothing; those of later steps than the one given are hidden."""
+    """TensorBoard events, if ``wanted``; those after a step are hidden."""
 
     def __init__(self, folder: Path, step: int, wanted: bool) -> None:
         self._writer = None
@@ -95,7 +89,7 @@ class Events:
         """The numbers of a row at its step."""
         if self._writer is not None:
             for name, value in row.items():
-                if isinstance(value, int | float) and value == value:
+                if isinstance(value, int | float) and not math.isnan(value):
                     self._writer.add_scalar(f"{kind}/{name}", value, row["step"])
 
     def close(self) -> None:
@@ -137,8 +131,7 @@ class Result:
         return max(self._by_step(), key=score, default=())
 
     def _by_step(self) -> list[tuple[Row, ...]]:
-        grouped = groupby(self.evaluations, key=itemgetter("step"))
-        return [tuple(rows) for _, rows in grouped]
+        return [tuple(rows) for _, rows in groupby(self.evaluations, key=itemgetter("step"))]
 
 
 def score(rows: tuple[Row, ...]) -> float:
@@ -150,15 +143,12 @@ def score(rows: tuple[Row, ...]) -> float:
 
 
 def read_evaluations(path: Path, step: int) -> tuple[Row, ...]:
-    """The rows of an evaluation.csv up to a step, as numbers where they are some."""
-    rows = results.read_csv(path) if path.exists() else []
-    read = ({name: _value(name, cell) for name, cell in row.items()} for row in rows)
+    """The rows of an evaluation.csv up to a step."""
+
+    def value_of(name: str, cell: str) -> Any:
+        if name in ("scenario", "policy"):
+            return cell
+        return int(cell) if name in ("step", "episodes") else float(cell or "nan")
+
+    read = [{name: value_of(name, row[name]) for name in row} for row in results.read_csv(path)]
     return tuple(row for row in read if row["step"] <= step)
-
-
-def _value(name: str, cell: str) -> Any:
-    if name in ("step", "episodes"):
-        return int(cell)
-    with suppress(ValueError):
-        return float(cell or "nan")
-    return cell

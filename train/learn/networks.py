@@ -1,8 +1,8 @@
 """Networks that read sets of bearings: any number of neighbours and obstacles, in any order.
 
-Centralised training, decentralised execution: a critic may also read the global state of the whole
-team, as each of its robots would see it. That is privileged, positions and distances that no robot
-can measure, and for training only: no policy that is served is shown any of it.
+Centralised training, decentralised execution: a critic may also read the global state of the team
+as each robot would see it. That state is privileged, positions and distances that no robot can
+measure, and for training only: no policy that is served is shown any of it.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from rendezvous_env.simulator import Simulator
 from .sets import pooled
 
 _SMALL = 0.1
-"""Share of the usual weights with which the choice begins."""
+"""Share of the usual weights with which the action layer begins."""
 
 
 class SetFeatures(BaseFeaturesExtractor):
@@ -61,22 +61,17 @@ class SetFeatures(BaseFeaturesExtractor):
 
 def row_network(columns: int, width: int) -> nn.Sequential:
     """Reads one row. Ends in a ReLU: no feature is below the zeros of an empty set."""
-    return nn.Sequential(
-        nn.Linear(columns, width),
-        nn.ReLU(inplace=True),
-        nn.Linear(width, width),
-        nn.ReLU(inplace=True),
-    )
+    relu = partial(nn.ReLU, inplace=True)
+    return nn.Sequential(nn.Linear(columns, width), relu(), nn.Linear(width, width), relu())
 
 
 class HeadingNetwork(ActorCriticPolicy):
     """Actor and critic over ``SetFeatures``; the action is one of the choices of ``guide``.
 
-    At first choice 0, the analytic rule, is by far the most probable whatever is seen, so that
-    training begins near the rule.
+    Training begins near the analytic rule: choice 0 is at first by far the most probable.
 
     Args:
-        prior: how much likelier than any other, as a logarithm.
+        prior: logarithm of how much likelier choice 0 is than any other.
     """
 
     def __init__(self, *arguments: Any, prior: float = 0.0, **settings: Any) -> None:
@@ -127,16 +122,14 @@ def network_settings(
 
 def make_network(layout: FeatureLayout, choices: int = CHOICES, **settings: Any) -> HeadingNetwork:
     """A network on its own, for inference; settings as ``network_settings``."""
-    arguments = network_settings(layout, **settings)
-    return HeadingNetwork(
-        observation_box(layout.size), Discrete(choices), lambda _: 0.0, **arguments
-    )
+    spaces = observation_box(layout.size), Discrete(choices)
+    return HeadingNetwork(*spaces, lambda _: 0.0, **network_settings(layout, **settings))
 
 
 # ---- the global state, for critics --------------------------------------------------------------
 
 STATE_ROBOT_COLUMNS = 4
-"""Where a robot is, x, y, in units of FAR; log(1 + A/(r D̄)) of its tank, 0 without; 1."""
+"""Position x, y of a robot, in units of FAR; log(1 + A/(r D̄)) of its tank, 0 without; 1."""
 STATE_OBSTACLE_COLUMNS = 3
 """Centre x, y and radius of the bounding ball of an obstacle, in units of FAR."""
 STATE_CONTEXT_COLUMNS = 2
@@ -146,7 +139,7 @@ FAR = 5.0
 
 
 class Situation(NamedTuple):
-    """The global state taken apart; every part is a view, and rows of what is gone are zero."""
+    """The parts of a global state, as views; rows of what is gone are zero."""
 
     robots: Any
     """(..., n, STATE_ROBOT_COLUMNS)."""
@@ -157,7 +150,7 @@ class Situation(NamedTuple):
 
 
 class GlobalStateLayout(NamedTuple):
-    """Which part of a flat row of numbers is what, for n robots and M obstacles."""
+    """A global state as a flat row of numbers, for n robots and M obstacles."""
 
     n_robots: int
     obstacle_slots: int
@@ -169,7 +162,7 @@ class GlobalStateLayout(NamedTuple):
         return rows + STATE_CONTEXT_COLUMNS
 
     def split(self, state: Any) -> Situation:
-        """Take (..., size) apart, an array or a tensor."""
+        """The parts of (..., size), an array or a tensor."""
         robots = self.n_robots * STATE_ROBOT_COLUMNS
         obstacles = state[..., robots:-STATE_CONTEXT_COLUMNS]
         return Situation(
@@ -181,37 +174,26 @@ class GlobalStateLayout(NamedTuple):
     def states(
         self, simulator: Simulator, towards: NDArray[Any], levels: NDArray[np.float64]
     ) -> NDArray[np.float32]:
-        """Global states of B teams in the plane.
+        """Global states (B, n, size) of B teams in the plane, as ``GlobalState.states``.
 
-        Every robot's is written from where it is, in the frame with x along f.
-
-        Args:
-            simulator: of the teams.
-            towards: f_i in the robots' own frames, (B, n, 2), of any length; zero is local x.
-            levels: A/(r D̄) of the tanks, (B, n).
-
-        Returns:
-            (B, n, size); zeros for robots that are gone.
+        Every robot's is written from its position, in the frame with x along f; zeros for robots
+        that are gone.
         """
-        positions, active = simulator.positions, simulator.active
-        axes = _axes(simulator.frames, towards)
-        batch, n = active.shape
-        robots = np.ones((batch, n, n, STATE_ROBOT_COLUMNS))
+        positions, active, table = simulator.positions, simulator.active, simulator.obstacles
+        axes, (batch, n) = _axes(simulator.frames, towards), active.shape
+        states = np.zeros((batch, n, self.size))
+        robots, obstacles, context = self.split(states)
         robots[..., :2] = _seen_from(positions, axes, positions)
         robots[..., 2] = np.log1p(levels)[:, np.newaxis]
+        robots[..., 3] = 1.0
         robots *= active[:, np.newaxis, :, np.newaxis]
-        table = simulator.obstacles
-        obstacles = np.zeros((batch, n, self.obstacle_slots, STATE_OBSTACLE_COLUMNS))
         there = obstacles[:, :, : table.shape[1]]
         there[..., :2] = _seen_from(positions, axes, table[..., CENTRE : CENTRE + 2])
         there[..., 2] = table[:, np.newaxis, :, RADIUS] / FAR
         there *= (table[..., RADIUS] > 0.0)[:, np.newaxis, :, np.newaxis]
         left = simulator.lyapunov() / simulator.initial_lyapunov
-        context = np.stack((left, simulator.steps / simulator.max_steps), axis=-1)
-        rows = (robots.reshape(batch, n, -1), obstacles.reshape(batch, n, -1))
-        context = np.broadcast_to(context[:, np.newaxis], (batch, n, STATE_CONTEXT_COLUMNS))
-        states = np.concatenate((*rows, context), axis=-1) * active[..., np.newaxis]
-        return states.astype(np.float32)
+        context[:] = np.stack((left, simulator.steps / simulator.max_steps), axis=-1)[:, np.newaxis]
+        return (states * active[..., np.newaxis]).astype(np.float32)
 
 
 def _axes(frames: NDArray[np.float64], towards: NDArray[Any]) -> NDArray[np.float64]:
@@ -232,7 +214,7 @@ def _seen_from(
 
 
 class GlobalFeatures(SetFeatures):
-    """``SetFeatures`` and, behind them, those of the global state that follows what is shown."""
+    """``SetFeatures``, followed by those of the global state at the end of the observation."""
 
     def __init__(
         self, observation_space: Box, layout: FeatureLayout, width: int, state: GlobalStateLayout
@@ -253,7 +235,7 @@ class GlobalFeatures(SetFeatures):
 
 
 class _Split(MlpExtractor):
-    """Actor and critic of which the actor reads the first features only."""
+    """Layers of an actor, which reads the first features only, and of a critic."""
 
     def __init__(self, actor_dim: int, critic_dim: int, **arguments: Any) -> None:
         super().__init__(critic_dim, **arguments)
@@ -261,7 +243,6 @@ class _Split(MlpExtractor):
         self.policy_net = MlpExtractor(actor_dim, **arguments).policy_net
 
     def forward_actor(self, features: Tensor) -> Tensor:
-        """What the choice is made of."""
         return super().forward_actor(features[..., : self._actor_dim])
 
 

@@ -15,11 +15,11 @@ def run(config: Config, on_update: OnUpdate | None = None) -> Result:
     Args:
         config: of the run.
         on_update: called after each update with its number and its metrics: the row of metrics.csv,
-            and under "evaluation" the rows of evaluation.csv, none where none was due. If it
-            returns True, the run ends with a checkpoint, as if all steps were done.
+            and under "evaluation" the rows of evaluation.csv if one was due. If it returns True,
+            the run ends with a checkpoint, as if all steps were done.
 
     Returns:
-        What came of it: folder, steps, the last metrics, the last and the best evaluation.
+        Folder, steps, the last metrics, the last and the best evaluation.
 
     Raises:
         UserError: for an impossible setting, a run that cannot be resumed, or a folder or disk that

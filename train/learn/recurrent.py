@@ -17,27 +17,26 @@ from torch import Tensor, nn
 
 from rendezvous_env.adapters.sb3 import RobotVecEnv
 
-from . import networks
-from .networks import GlobalFeatures, HeadingNetwork, SplitNetwork
+from .networks import GlobalFeatures, HeadingNetwork, SplitNetwork, network_settings
 from .rollout_buffer import HeadingPPO, RobotRolloutBuffer
 from .settings import Config
 
 
 class Sequences(NamedTuple):
-    """What S robots were shown in T decisions; what a recurrent network evaluates at once."""
+    """Rollouts of S robots over T decisions, which a recurrent network evaluates at once."""
 
     observations: Tensor
     """(T, S, size)."""
     starts: Tensor
     """(T, S), 1 where an episode began with this decision, else 0."""
     hidden: Tensor
-    """(S, units), what the robots remembered before the first decision."""
+    """(S, units), memory before the first decision."""
     kept: Tensor
     """(T, S), bool: decisions that are samples; the others are of robots that were gone."""
 
 
 class RecurrentNetwork(SplitNetwork):
-    """A HeadingNetwork over (h, features), h what a robot remembers (GRU; Cho et al. 2014).
+    """A HeadingNetwork over (h, features), with h the memory of a robot (GRU; Cho et al. 2014).
 
         h ← GRU(features shown to the robot, h),   h = 0 where an episode begins, and for a robot
                                                    that is shown nothing
@@ -61,25 +60,23 @@ class RecurrentNetwork(SplitNetwork):
         self.memory = nn.GRUCell(self.features_extractor.local_dim, self.units)
 
     def begin(self, slots: int) -> None:
-        """From now on there are so many slots, which remember nothing."""
+        """Start with empty memories of so many slots."""
         self.hidden = torch.zeros(slots, self.units, device=self.device)
 
     def forget(self, ended: Tensor) -> None:
-        """Forget what the slots (slots,) remember whose episodes have ended."""
+        """Erase the memory of slots whose episodes have ended, (slots,)."""
         self.hidden = self.hidden.masked_fill(ended[:, None], 0.0)
 
     def forward(self, obs: Tensor, deterministic: bool = False) -> tuple[Tensor, Tensor, Tensor]:
-        """Choices, values and log-probabilities of all slots; their memory moves on."""
+        """Choices, values and log-probabilities of all slots; updates their memory."""
         features = self._features(obs)
         self.hidden = self._next(features, self._alive(obs), self.hidden)
         return self._chosen(torch.cat((self.hidden, features), dim=-1), deterministic)
 
-    def predict_values(  # type: ignore[override]  # with what robots remember
+    def predict_values(  # type: ignore[override]  # with a memory
         self, obs: Tensor, hidden: Tensor | None = None
     ) -> Tensor:
-        """Values (N, 1) of what comes next, by what these robots remember, (N, units); None is that
-        of all slots. Nothing new is remembered.
-        """
+        """Values (N, 1), given memories (N, units); None takes those of all slots. Updates none."""
         latent = self.mlp_extractor.forward_critic(self._with_memory(obs, hidden))
         values: Tensor = self.value_net(latent)
         return values
@@ -107,8 +104,7 @@ class RecurrentNetwork(SplitNetwork):
             hidden = hidden.masked_fill(obs.starts[t, :, None] > 0, 0.0)
             hidden = self._next(features[t], alive[t], hidden)
             remembered.append(hidden)
-        both = torch.cat((torch.stack(remembered), features), dim=-1)[obs.kept]
-        return self._judged(both)
+        return self._judged(torch.cat((torch.stack(remembered), features), dim=-1)[obs.kept])
 
     def _features(self, obs: Tensor) -> Tensor:
         features = self.extract_features(obs)
@@ -120,7 +116,7 @@ class RecurrentNetwork(SplitNetwork):
         return obs[..., : self.features_extractor.layout.size].any(dim=-1, keepdim=True)
 
     def _next(self, features: Tensor, alive: Tensor, hidden: Tensor) -> Tensor:
-        """What is remembered after these features: only of the local ones."""
+        """The memory after these features, of which it reads the local ones."""
         local = features[..., : self.features_extractor.local_dim]
         remembered: Tensor = self.memory(local, hidden)
         return remembered * alive
@@ -131,18 +127,17 @@ class RecurrentNetwork(SplitNetwork):
 
 
 class SequenceBuffer(RobotRolloutBuffer):
-    """A rollout buffer that gives out the whole rollouts of some slots at a time.
+    """A rollout buffer whose samples are whole rollouts of slots.
 
-    Gradients go back to the beginning of a rollout, and no further: what the robots remembered then
-    is kept as a number. A slot that was merged away is valued by its survivor's observation and
-    memory.
+    Gradients go back to the beginning of a rollout and no further: the memory at that moment is a
+    constant. A slot that was merged away is valued by its survivor's observation and memory.
     """
 
     tables = ("mask", "episode_starts", *RobotRolloutBuffer.tables)
     part_size = 4096
     _policy: RecurrentNetwork
-    _hidden: torch.Tensor
-    """What every slot remembered before the rollout, (slots, units)."""
+    _hidden: Tensor
+    """Memory of every slot before the rollout, (slots, units)."""
 
     def follow(self, robots: RobotVecEnv, policy: ActorCriticPolicy) -> None:
         """As ``RobotRolloutBuffer.follow``, at the beginning of a rollout."""
@@ -152,11 +147,10 @@ class SequenceBuffer(RobotRolloutBuffer):
     def add(self, *step: Any) -> None:
         """As ``RobotRolloutBuffer.add``; slots whose episode ended forget it."""
         super().add(*step)
-        assert self._robots is not None
         self._policy.forget(torch.as_tensor(self._robots.ended, device=self.device))
 
-    def _value_of(self, seen: torch.Tensor, robots: RobotVecEnv) -> torch.Tensor:
-        return self._policy.predict_values(seen, self._policy.hidden[robots.survivors])
+    def _value_of(self, seen: Tensor) -> Tensor:
+        return self._policy.predict_values(seen, self._policy.hidden[self._robots.survivors])
 
     def _laid_out(self, table: Tensor) -> Tensor:
         return table
@@ -188,7 +182,7 @@ class RecurrentRobotPPO(HeadingPPO):
         return super().collect_rollouts(env, *how, **more)
 
     def get_memory(self) -> dict[str, NDArray[Any]]:
-        """What the robots remember, (slots, units)."""
+        """The memory of the robots, "hidden", (slots, units)."""
         return {"hidden": self.policy.hidden.cpu().numpy()}
 
     def set_memory(self, state: Mapping[str, NDArray[Any]]) -> None:
@@ -203,31 +197,19 @@ class RecurrentRobotPPO(HeadingPPO):
         self.policy.hidden = torch.tensor(hidden, device=self.device)
 
 
-# ---- which of them a configuration asks for ------------------------------------------------------
-
-
-def learner_of(config: Config) -> type[HeadingPPO]:
-    """The algorithm."""
-    return RecurrentRobotPPO if config.memory == "recurrent" else HeadingPPO
-
-
-def network_of(config: Config, teams: FeatureVectorEnv) -> type[ActorCriticPolicy]:
-    """The network for these teams."""
-    if config.memory == "recurrent":
-        return RecurrentNetwork
-    return HeadingNetwork if teams.global_state is None else SplitNetwork
-
-
-def network_settings(config: Config, teams: FeatureVectorEnv) -> dict[str, Any]:
-    """Arguments of the network beside its spaces."""
+def learner_of(
+    config: Config, teams: FeatureVectorEnv
+) -> tuple[type[HeadingPPO], type[HeadingNetwork], dict[str, Any]]:
+    """Algorithm, network, and arguments of the network beside its spaces."""
     usual = {"heading": 3.0, "tank": 0.0}[config.guarantee]
     prior = usual if config.prior is None else config.prior
-    settings = networks.network_settings(
+    settings = network_settings(
         teams.layout, set_width=config.set_width, hidden=config.hidden, prior=prior
     )
+    network: type[HeadingNetwork] = HeadingNetwork
     if teams.global_state is not None:
-        settings["features_extractor_class"] = GlobalFeatures
+        network, settings["features_extractor_class"] = SplitNetwork, GlobalFeatures
         settings["features_extractor_kwargs"]["state"] = teams.global_state
     if config.memory == "recurrent":
-        settings["units"] = config.memory_units
-    return settings
+        return RecurrentRobotPPO, RecurrentNetwork, settings | {"units": config.memory_units}
+    return HeadingPPO, network, settings

@@ -1,8 +1,8 @@
 """PPO over robots that may be gone: an explicit mask, and one value estimate for all time-outs.
 
-The update for networks that choose has its loss in one pass and sums its gradient over parts of a
-batch, which fit the processor's cache. Threads compute whole parts: none waits for another within
-an operation, and the sum does not depend on how many there are.
+An update of a ``HeadingNetwork`` computes its loss in one pass and sums the gradient over parts of
+a batch that fit the processor's cache. Threads compute whole parts: none waits for another within
+an operation, and the sum does not depend on their number.
 """
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from functools import partial
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -34,23 +33,23 @@ from .networks import HeadingNetwork
 _SAMPLES = ("observations", "actions", "values", "log_probs", "advantages", "returns")
 _STEP = ("observations", "actions", "rewards", "episode_starts", "values", "log_probs")
 _MEASURED = ("policy_gradient_loss", "value_loss", "entropy_loss", "approx_kl", "clip_fraction")
-"""Of a batch, as stable-baselines3 calls them."""
+"""Means over a batch, as stable-baselines3 calls them."""
 
 
 class RobotRolloutBuffer(RolloutBuffer):
-    """A rollout buffer that gives out no samples of robots that were gone.
+    """A rollout buffer without samples of robots that were gone.
 
     At a time-out and at a merge it adds γ V(o) to the reward, with o the slot's
-    ``bootstrap_observations``; all slots of a step are valued in one call of the network.
+    ``bootstrap_observations``; one call of the network values all slots of a step.
     """
 
     mask: NDArray[np.bool_]
     """(steps, slots), whose robot took part in the step."""
     tables: ClassVar[tuple[str, ...]] = _SAMPLES
-    """Of which samples are made, in the order of ``RolloutBufferSamples``."""
+    """In the order of ``RolloutBufferSamples``."""
     part_size = 1024
     """Steps whose gradient is computed at once."""
-    _robots: RobotVecEnv | None = None
+    _robots: RobotVecEnv
     _policy: ActorCriticPolicy
 
     def follow(self, robots: RobotVecEnv, policy: ActorCriticPolicy) -> None:
@@ -66,10 +65,14 @@ class RobotRolloutBuffer(RolloutBuffer):
 
     def add(self, *step: Any) -> None:
         """Add the step that the robots have just done; arguments as in stable-baselines3."""
+        robots, future = self._robots, np.zeros(self.n_envs, dtype=np.float32)
+        self.mask[self.pos] = robots.acted
+        if robots.bootstrapped.size:
+            with torch.no_grad():
+                seen = torch.as_tensor(robots.bootstrap_observations, device=self.device)
+                future[robots.bootstrapped] = self._value_of(seen).flatten().cpu().numpy()
         given = dict(zip(_STEP, step, strict=True))
-        if self._robots is not None:
-            self.mask[self.pos] = self._robots.acted
-            given["rewards"] = step[2] + self.gamma * self._values_of_cut_off(self._robots)
+        given["rewards"] = given["rewards"] + self.gamma * future
         for name, numbers in given.items():
             rows = getattr(self, name)[self.pos]
             known = numbers.cpu().numpy() if isinstance(numbers, Tensor) else numbers
@@ -77,24 +80,12 @@ class RobotRolloutBuffer(RolloutBuffer):
         self.pos += 1
         self.full = self.pos == self.buffer_size
 
-    def _values_of_cut_off(self, robots: RobotVecEnv) -> NDArray[np.float32]:
-        """V(o) of the slots that the last step cut off, 0 of the others, (slots,)."""
-        values = np.zeros(self.n_envs, dtype=np.float32)
-        if robots.bootstrapped.size:
-            with torch.no_grad():
-                seen = torch.as_tensor(robots.bootstrap_observations, device=self.device)
-                estimates = self._value_of(seen, robots)
-            values[robots.bootstrapped] = estimates.flatten().cpu().numpy()
-        return values
-
-    def _value_of(self, seen: Tensor, robots: RobotVecEnv) -> Tensor:
-        """Values (k, 1) of what the slots in ``robots.bootstrapped`` saw last, (k, size)."""
+    def _value_of(self, seen: Tensor) -> Tensor:
+        """Values (k, 1) of what the slots that were cut off saw last, (k, size)."""
         return self._policy.predict_values(seen)
 
-    # ---- samples ------------------------------------------------------------------------------
-
     def begin(self, normalise: bool = False) -> None:
-        """Make tensors of what was collected; ``normalise`` its advantages, over all samples."""
+        """Make tensors of the rollout; ``normalise`` its advantages over all samples."""
         found = {name: torch.as_tensor(getattr(self, name)) for name in self.tables}
         if normalise:
             every = found["advantages"][torch.as_tensor(self.mask)]
@@ -105,7 +96,7 @@ class RobotRolloutBuffer(RolloutBuffer):
         return table.flatten(0, 1)
 
     def _samples_of(self) -> tuple[NDArray[np.int64], int]:
-        """Numbers of all samples, and of how many steps each is."""
+        """Numbers of all samples, and steps in each."""
         return np.flatnonzero(self.mask), 1
 
     def batches(self, batch_size: int | None = None) -> Iterator[tuple[Tensor, ...]]:
@@ -114,17 +105,15 @@ class RobotRolloutBuffer(RolloutBuffer):
         """
         samples, length = self._samples_of()
         order = torch.as_tensor(np.random.permutation(samples))
-        steps = length * len(order)
-        batches = 1 if batch_size is None else round(steps / batch_size)
+        batches = 1 if batch_size is None else round(length * len(order) / batch_size)
         for batch in order.tensor_split(min(max(1, batches), len(order))):
             on_cpu = self.device.type == "cpu"
             parts = round(length * len(batch) / self.part_size) if on_cpu else 1
             yield batch.to(self.device).tensor_split(min(max(1, parts), len(batch)))
 
     def samples(self, which: Tensor) -> RolloutBufferSamples:
-        """Those with these numbers, once the buffer has begun."""
-        rows = (table.index_select(0, which) for table in self._found.values())
-        return RolloutBufferSamples(*rows)
+        """The samples with these numbers, after ``begin``."""
+        return RolloutBufferSamples(*(t.index_select(0, which) for t in self._found.values()))
 
     def get(self, batch_size: int | None = None) -> Iterator[RolloutBufferSamples]:  # type: ignore[override]
         """The samples in random order, in batches of nearly equal size near ``batch_size``."""
@@ -152,13 +141,6 @@ class RobotPPO(PPO):
         self.rollout_buffer_class = self.buffer_class
         super()._setup_model()
 
-    def get_memory(self) -> dict[str, NDArray[Any]]:
-        """What the network remembers of running episodes, by name."""
-        return {}
-
-    def set_memory(self, state: Mapping[str, NDArray[Any]]) -> None:
-        """Put back what ``get_memory`` took out."""
-
     def collect_rollouts(self, env: VecEnv, *how: Any, **more: Any) -> bool:
         """Collect as PPO does, with the buffer following the robots.
 
@@ -182,18 +164,22 @@ class RobotPPO(PPO):
         super()._update_info_buffer([infos[slot] for slot in told], dones[told])
 
 
-# ---- networks that choose -----------------------------------------------------------------------
-
-
 class HeadingPPO(RobotPPO):
     """``RobotPPO`` for a ``HeadingNetwork``. Advantages are normalised over an update, not over
-    each batch; target_kl and clip_range_vf are not for it.
+    each batch; target_kl and clip_range_vf have no effect.
     """
 
     policy: HeadingNetwork
 
+    def get_memory(self) -> dict[str, NDArray[Any]]:
+        """The network's memory of running episodes, by name."""
+        return {}
+
+    def set_memory(self, state: Mapping[str, NDArray[Any]]) -> None:
+        """Put back what ``get_memory`` took out."""
+
     def train(self) -> None:
-        """Learn from what was collected, as PPO does."""
+        """Learn from the rollout, as PPO does."""
         policy, buffer = self.policy, self.rollout_buffer
         self._update_learning_rate(policy.optimizer)
         clip: float = self.clip_range(self._current_progress_remaining)  # type: ignore[operator]
@@ -206,15 +192,22 @@ class HeadingPPO(RobotPPO):
                 self._n_updates += 1
         for name, number in zip(_MEASURED, np.mean(told, axis=0).tolist(), strict=True):
             self.logger.record(f"train/{name}", number)
-        fitted = (table[buffer.mask] for table in (buffer.values, buffer.returns))
-        self.logger.record("train/explained_variance", explained_variance(*fitted))
+        fitted = explained_variance(buffer.values[buffer.mask], buffer.returns[buffer.mask])
+        self.logger.record("train/explained_variance", fitted)
 
     def _descend(
         self, parts: Sequence[Tensor], rule: Rule, each: Callable[..., Any]
     ) -> NDArray[np.float64]:
         """A step of the optimiser; means over the batch, as ``_MEASURED``."""
         weights = list(self.policy.parameters())
-        (total, sums), *others = each(partial(self._gradient, weights, rule), parts)
+
+        def slopes_by_weight(which: Tensor) -> tuple[list[Tensor], NDArray[np.float64]]:
+            samples = self.rollout_buffer.samples(which)
+            judged = self.policy.judged(samples.observations)
+            slopes, sums = slopes_of(judged, samples, rule)
+            return list(torch.autograd.grad(judged, weights, slopes)), sums
+
+        (total, sums), *others = each(slopes_by_weight, parts)
         for gradient, more in others:
             torch._foreach_add_(total, gradient)
             sums += more
@@ -225,15 +218,6 @@ class HeadingPPO(RobotPPO):
         torch.nn.utils.clip_grad_norm_(weights, self.max_grad_norm)
         self.policy.optimizer.step()
         return np.array(measured) / count
-
-    def _gradient(
-        self, weights: Sequence[Tensor], rule: Rule, which: Tensor
-    ) -> tuple[list[Tensor], NDArray[np.float64]]:
-        """Gradient of the sum of the loss over some samples; their number, and sums over them."""
-        samples = self.rollout_buffer.samples(which)
-        judged = self.policy.judged(samples.observations)
-        slopes, sums = slopes_of(judged, samples, rule)
-        return list(torch.autograd.grad(judged, weights, slopes)), sums
 
 
 @contextmanager
@@ -252,7 +236,7 @@ def side_by_side(device: torch.device) -> Iterator[Callable[..., Iterator[Any]]]
 
 
 class Rule(NamedTuple):
-    """What the loss is made of."""
+    """Weights of the loss."""
 
     clip_range: float
     value_weight: float

@@ -14,10 +14,10 @@ Range = tuple[float, float]
 
 @dataclass(frozen=True)
 class SensingRanges:
-    """From what the sensor of a group of teams is drawn: domain randomisation over ``Sensing``.
+    """Domain randomisation over ``Sensing``: the distribution of a group's sensor.
 
     A field that has a range departs from the sensor given with ``chance``, each on its own, and is
-    uniform in its range then. None, and no words for ``occlusion``, leave a field as it is.
+    then uniform in its range. None, and no words for ``occlusion``, leave a field as it is.
 
     Raises:
         ValueError: naming the field, its value and what would be right.
@@ -53,7 +53,6 @@ class SensingRanges:
         return {name: given for name, given in asdict(self).items() if given and name != "chance"}
 
     def __bool__(self) -> bool:
-        """Whether anything is drawn at all."""
         return bool(self._given())
 
     def draw(self, sensing: Sensing, *key: int) -> Sensing:
@@ -61,16 +60,12 @@ class SensingRanges:
         random, drawn = np.random.default_rng(key), {}
         for name, given in self._given().items():
             departs, share = random.random(2)
-            if departs < self.chance:
-                drawn[name] = _within(name, given, share)
+            if departs >= self.chance:
+                continue
+            if name == "occlusion":
+                drawn[name] = given[int(share * len(given))]
+            elif name == "delay":
+                drawn[name] = given[0] + int(share * (given[1] - given[0] + 1))
+            else:
+                drawn[name] = given[0] + share * (given[1] - given[0])
         return replace(sensing, **drawn)
-
-
-def _within(name: str, given: tuple[Any, ...], share: float) -> Any:
-    """What stands at a share in [0, 1) of a range, or of words."""
-    if name == "occlusion":
-        return given[int(share * len(given))]
-    low, high = given
-    if name == "delay":
-        return low + int(share * (high - low + 1))
-    return low + share * (high - low)

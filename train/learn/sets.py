@@ -1,7 +1,7 @@
 """Sets of rows on the processor: those that are there, gathered, pooled, and their gradients.
 
-Tensors of libraries ask for a pass over memory for every operation, and for as many rows as there
-are slots; of the 24 obstacles of a field a robot sees two or three.
+Torch would pass over memory for every operation, and over as many rows as there are slots; of the
+24 obstacles of a field a robot sees two or three.
 """
 
 from __future__ import annotations
@@ -54,12 +54,10 @@ class _Pool(torch.autograd.Function):
 
     @staticmethod
     def backward(context: Any, *given: Tensor) -> tuple[Tensor, None]:
-        features, largest = context.saved_tensors
-        gradient = torch.empty_like(features)
-        known = (tensor.detach().numpy() for tensor in (features, largest))
+        features, largest = (tensor.detach() for tensor in context.saved_tensors)
+        gradient, each = torch.empty_like(features), np.empty(features.shape[1], dtype=np.float32)
         wanted = (tensor.contiguous().numpy() for tensor in given)
-        equals = np.empty(features.shape[1], dtype=np.float32)
-        spread(*known, context.counts, *wanted, equals, gradient.numpy())
+        spread(features.numpy(), largest.numpy(), context.counts, *wanted, each, gradient.numpy())
         return gradient, None
 
 
@@ -72,10 +70,7 @@ def gather(rows, there, counts):
     for i in range(rows.shape[0]):
         before = found
         for m in range(rows.shape[1]):
-            present = False
-            for k in range(rows.shape[2]):
-                present = present or rows[i, m, k] != 0.0
-            if present:
+            if np.any(rows[i, m]):
                 for k in range(rows.shape[2]):
                     there[found, k] = rows[i, m, k]
                 found += 1
@@ -86,15 +81,14 @@ def gather(rows, there, counts):
 @kernel
 def pool(features, counts, mean, largest):
     """Mean and largest of each robot's features, (N, width) each; zero without any."""
+    mean[:] = 0.0
+    largest[:] = 0.0
     first = 0
     for i in range(len(counts)):
-        mean[i] = 0.0
-        largest[i] = 0.0
         for row in range(first, first + counts[i]):
             for j in range(features.shape[1]):
-                value = features[row, j]
-                mean[i, j] += value
-                largest[i, j] = value if value > largest[i, j] else largest[i, j]
+                mean[i, j] += features[row, j]
+                largest[i, j] = max(largest[i, j], features[row, j])
         first += counts[i]
         share = np.float32(1.0) / np.float32(max(counts[i], 1))
         for j in range(features.shape[1]):
@@ -102,23 +96,23 @@ def pool(features, counts, mean, largest):
 
 
 @kernel
-def spread(features, largest, counts, of_mean, of_largest, equals, gradient):
+def spread(features, largest, counts, of_mean, of_largest, each, gradient):
     """Gradients of the features from those of their means and largest, which equal ones share;
-    ``equals`` (width,) is overwritten.
+    ``each`` (width,) is overwritten.
     """
     width = features.shape[1]
     first = 0
     for i in range(len(counts)):
         stop = first + counts[i]
         share = np.float32(1.0) / np.float32(max(counts[i], 1))
-        equals[:] = 0.0
+        each[:] = 0.0
         for row in range(first, stop):
             for j in range(width):
-                equals[j] += np.float32(features[row, j] == largest[i, j])
+                each[j] += np.float32(features[row, j] == largest[i, j])
         for j in range(width):
-            equals[j] = of_largest[i, j] / max(equals[j], np.float32(1.0))
+            each[j] = of_largest[i, j] / max(each[j], np.float32(1.0))
         for row in range(first, stop):
             for j in range(width):
-                more = equals[j] if features[row, j] == largest[i, j] else np.float32(0.0)
+                more = each[j] if features[row, j] == largest[i, j] else np.float32(0.0)
                 gradient[row, j] = of_mean[i, j] * share + more
         first = stop

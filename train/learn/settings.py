@@ -23,15 +23,13 @@ from ..policies import resolve_scenario
 from .sensing_ranges import SensingRanges
 
 TRAINING_SEEDS, EVALUATION_SEEDS = 2**62, 2**61
-"""Of the first start: of training with seed s it is 2⁶² + 2³² s, of evaluation 2⁶¹. ``compare``
-counts up from its --seed, which is far below, so no policy is judged on starts it was trained on.
+"""Of first starts: training with seed s has 2⁶² + 2³² s, evaluation 2⁶¹. ``compare`` counts up from
+its --seed, which is far below: no policy is judged on starts that it was trained on.
 """
-
-_SENSING = tuple(f"sensing_{field.name}" for field in fields(SensingRanges))
-"""Fields that say from what sensors are drawn."""
-_PATHS = ("out", "resume", "start_from")
 CONFIG = "config.json"
-"""In the folder of a run: its settings."""
+"""The settings of a run, in its folder."""
+_SENSING = tuple(f"sensing_{field.name}" for field in fields(SensingRanges))
+_PATHS = ("out", "resume", "start_from")
 
 EXAMPLES = (
     "--out runs/heading --total-steps 10000000",
@@ -64,14 +62,11 @@ class Config:
     """Train a policy; the team keeps its guarantee whatever the network says."""
 
     scenario: Annotated[str, arg(aliases=("--scenarios",))] = "clutter-24"
-    """The name of a scenario, or the path of a TOML file; its robots are anything but double
-    integrators."""
+    """A scenario's name or TOML file; its robots are anything but double integrators."""
     curriculum: tuple[int, ...] = ()
-    """The most obstacles of an episode, in stages of equal length. Without it they are the
-    scenario's."""
+    """The most obstacles of an episode, in stages of equal length; without it the scenario's."""
     fewest_obstacles: int | None = None
-    """With a curriculum each episode has this many obstacles up to the most; else always the
-    most."""
+    """The fewest obstacles of an episode with a curriculum; without it always the most."""
     total_steps: int = 3_000_000
     """How many decisions of single robots the run takes, in whole updates."""
     seed: int = 0
@@ -128,8 +123,7 @@ class Config:
     """Which guarantee holds: certified headings (theorem C), or an energy tank for each robot
     (theorem D)."""
     budget: float = 0.0
-    """The level of each tank at the start, m²/s. The policy keeps it in units of r D̄, for other
-    teams."""
+    """The level of each tank at the start, m²/s; the policy keeps it in units of r D̄."""
     memory: Literal["none", "features", "recurrent"] = "none"
     """What robots remember beside the last decisions: nothing; with a tank, features of the wall
     that they are at; whatever a recurrent unit learns to keep."""
@@ -195,7 +189,7 @@ class Config:
 
     @classmethod
     def from_plain(cls, plain: dict[str, Any]) -> Config:
-        """What ``to_plain`` gave; fields that came later may be missing.
+        """What ``to_plain`` gave, of this version or an older one.
 
         Raises:
             ValueError: for an unknown field, or one of a wrong type.
@@ -214,7 +208,7 @@ class Config:
 
     @property
     def first_seed(self) -> int:
-        """Of the starts of team 0."""
+        """That of team 0."""
         return TRAINING_SEEDS + 2**32 * self.seed
 
     @property
@@ -232,16 +226,16 @@ class Config:
         return resolve_scenario(self.scenario, self.set)
 
     def sensing_ranges(self) -> SensingRanges:
-        """From what the sensors of the teams are drawn; false if they are the scenario's."""
+        """The distribution of the teams' sensors; false if they have the scenario's."""
         return SensingRanges(**{k.removeprefix("sensing_"): getattr(self, k) for k in _SENSING})
 
     def stage(self, step: int) -> int:
-        """Which stage of the curriculum a step belongs to; 0 without one."""
+        """The stage of the curriculum at a step; 0 without one."""
         stages = max(1, len(self.curriculum))
         return min(stages * step // self.total_steps, stages - 1)
 
     def stage_scenario(self, stage: int) -> Scenario:
-        """What is trained in a stage."""
+        """The scenario of a stage."""
         scenario = self.base_scenario()
         if not self.curriculum:
             return scenario
@@ -257,7 +251,7 @@ class Config:
         return max(self.stage_scenario(k).observation_layout.obstacle_slots for k in stages)
 
     def policy_settings(self) -> PolicySettings:
-        """What the policy is, once it is trained."""
+        """Those of the trained policy."""
         scenario = self.base_scenario()
         return PolicySettings(
             **{name: getattr(self, name) for name in _POLICY},
@@ -266,7 +260,7 @@ class Config:
         )
 
 
-_ANY = float("inf")
+_ANY = math.inf
 _BOUNDS = {
     "total_steps": (1, 2**62), "seed": (0, 2**29 - 1), "num_teams": (1, _ANY),
     "n_steps": (2, _ANY), "batch_size": (2, 2**31), "epochs": (1, 2**31), "gamma": (0, 1),
@@ -280,11 +274,11 @@ _BOUNDS = {
 """Least and most of numbers, or of each of several."""
 _MOST_SAMPLES = 2**31
 MAY_CHANGE = ("total_steps", "eval_every", "eval_starts", "checkpoint_every", "num_threads")
-"""Fields that a resumed run may change; with any other it would be another run."""
+"""Fields that a resumed run may change."""
 
 
 def check(config: Config) -> None:
-    """Refuse settings that cannot be.
+    """Refuse impossible settings.
 
     Raises:
         UserError: naming the flag, its value and what would be right.
@@ -293,16 +287,17 @@ def check(config: Config) -> None:
     check_least(config, **{name: least for name, (least, _) in _BOUNDS.items()})
     check_most(config, **{name: most for name, (_, most) in _BOUNDS.items()})
     hints = get_type_hints(Config)
+    rules: dict[str, tuple[bool, str]] = {}
     for name in ("guarantee", "memory", "critic"):
-        if (value := getattr(config, name)) not in (words := get_args(hints[name])):
-            raise UserError(f"{flag(name)} is {value!r}; it must be one of {', '.join(words)}")
+        words = get_args(hints[name])
+        rules[name] = getattr(config, name) in words, f"one of {', '.join(words)}"
     for name in ("learning_rate", "clip_range", "max_turn_rate"):
-        if not getattr(config, name) > 0:
-            raise UserError(f"{flag(name)} is {getattr(config, name)}; it must be positive")
-    if not 0 <= config.clearance < math.pi:
-        raise UserError(f"--clearance is {config.clearance}; it must be an angle in [0, π) rad")
-    if not 0 < config.min_alignment < 1:
-        raise UserError(f"--min-alignment is {config.min_alignment}; it must be in (0, 1)")
+        rules[name] = getattr(config, name) > 0, "positive"
+    rules["clearance"] = 0 <= config.clearance < math.pi, "an angle in [0, π) rad"
+    rules["min_alignment"] = 0 < config.min_alignment < 1, "in (0, 1)"
+    for name, (holds, rule) in rules.items():
+        if not holds:
+            raise UserError(f"{flag(name)} is {getattr(config, name)!r}; it must be {rule}")
     _check_unused(config)
     try:
         _check_scenarios(config)
@@ -360,11 +355,7 @@ def _check_scenarios(config: Config) -> None:
 
 
 def read_config(folder: Path) -> Config:
-    """The settings of the run to resume.
-
-    Raises:
-        UserError: if there is none.
-    """
+    """The settings of the run to resume; a UserError if there is none."""
     path = folder / CONFIG
     try:
         return Config.from_plain(read_json(path))
@@ -374,11 +365,7 @@ def read_config(folder: Path) -> Config:
 
 
 def resumed(config: Config, stored: Config) -> Config:
-    """The settings of a resumed run: those stored, with what may be changed on the command line.
-
-    Raises:
-        UserError: for a flag that would make it another run.
-    """
+    """The stored settings of a run, with changes of ``MAY_CHANGE``; a UserError for another one."""
     default, folder, changed = Config(), config.resume or config.out, {}
     for name in (field.name for field in fields(Config)):
         given = getattr(config, name)
@@ -394,7 +381,7 @@ def resumed(config: Config, stored: Config) -> Config:
 
 
 def same_run(one: Config, other: Config) -> bool:
-    """Whether two settings differ in nothing but what a resumed run may change."""
+    """Whether two settings differ in nothing but ``MAY_CHANGE`` and folders."""
     default = Config()
     free = {name: getattr(default, name) for name in (*MAY_CHANGE, "out", "resume")}
     return replace(one, **free) == replace(other, **free)

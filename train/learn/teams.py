@@ -26,28 +26,22 @@ class SensingGroups(VectorEnv[Any, Any, Any]):
     """Groups of ``FeatureVectorEnv`` as one vector environment of all their teams.
 
     The sensor of group g follows from its generation, which grows by one every ``period`` updates,
-    for one group after the other. A group with a new sensor begins new episodes; its teams go on to
-    the next ones of their seeds. A robot that is shown nothing makes choice 0, as it does when the
-    policy is served.
+    for one group after the other. A group with a new sensor begins the next episodes of its teams'
+    seeds. A robot that is shown nothing makes choice 0, as it does when the policy is served.
 
     Args:
-        make: a group of so many teams with a sensor.
-        draw: the sensor of a group, from its number and its generation.
-        sizes: how many teams each group has.
+        make: a group, from its number and its generation.
+        sizes: numbers of teams of the groups.
         period: updates for which a group keeps its sensor.
     """
 
     def __init__(
-        self,
-        make: Callable[[Sensing, int], FeatureVectorEnv],
-        draw: Callable[[int, int], Sensing],
-        sizes: Sequence[int],
-        period: int,
+        self, make: Callable[[int, int], FeatureVectorEnv], sizes: Sequence[int], period: int
     ) -> None:
-        self._make, self._draw, self._period = make, draw, period
-        self._sizes, self._bounds = list(sizes), np.cumsum(sizes)[:-1]
+        self._make, self._sizes, self._period = make, list(sizes), period
+        self._bounds = np.cumsum(sizes)[:-1]
         self.generations = np.zeros(len(sizes), dtype=np.int64)
-        self.groups = self._make_all(self.generations)
+        self.groups = [make(group, 0) for group in range(len(sizes))]
         first = self.groups[0]
         self.num_envs = sum(sizes)
         self.metadata, self.render_mode = first.metadata, None
@@ -57,28 +51,15 @@ class SensingGroups(VectorEnv[Any, Any, Any]):
         shape = (self.num_envs, self.simulator.scenario.n_robots)
         self._blind = np.zeros(shape, dtype=np.bool_)
 
-    def _make_all(self, generations: NDArray[np.int64]) -> list[FeatureVectorEnv]:
-        return [self._make_group(g, int(k)) for g, k in enumerate(generations)]
-
-    def _make_group(self, group: int, generation: int) -> FeatureVectorEnv:
-        return self._make(self._draw(group, generation), self._sizes[group])
-
     @property
     def simulator(self) -> Simulator:
-        """Of the first group; each has its own."""
+        """That of the first group; each has its own."""
         return _simulator_of(self.groups[0])
-
-    @property
-    def sensors(self) -> list[Sensing]:
-        """Of the groups."""
-        return [_simulator_of(teams).scenario.sensing for teams in self.groups]
 
     @property
     def alignment(self) -> NDArray[np.float64]:
         """(B, n), as ``FeatureVectorEnv.alignment``."""
         return np.concatenate([teams.alignment for teams in self.groups])
-
-    # ---- episodes -----------------------------------------------------------------------------
 
     def reset(
         self,
@@ -102,8 +83,7 @@ class SensingGroups(VectorEnv[Any, Any, Any]):
 
     def step(self, actions: ArrayLike) -> Transition:
         """As ``FeatureVectorEnv.step``."""
-        chosen = np.where(self._blind, 0, np.asarray(actions))
-        parts = np.split(chosen, self._bounds)
+        parts = np.split(np.where(self._blind, 0, np.asarray(actions)), self._bounds)
         steps = [teams.step(own) for teams, own in zip(self.groups, parts, strict=True)]
         *arrays, infos = zip(*steps, strict=True)
         seen, rewards, ends, cuts = (np.concatenate(parts) for parts in arrays)
@@ -122,8 +102,11 @@ class SensingGroups(VectorEnv[Any, Any, Any]):
         shape: Any = self.single_observation_space.shape
         begun = [np.empty((0, *shape), dtype=np.float32)]
         for group in np.flatnonzero(due != self.generations).tolist():
-            renewed = self._make_group(group, int(due[group]))
-            begun.append(_next_episodes(self.groups[group], renewed))
+            renewed = self._make(group, int(due[group]))
+            drawn, simulator = _simulator_of(self.groups[group]).get_state(), _simulator_of(renewed)
+            simulator.reset(drawn["seed"].tolist())
+            simulator.set_state(simulator.get_state() | {"episode": drawn["episode"]})
+            begun.append(renewed.reset()[0])
             self.groups[group], self.generations[group] = renewed, due[group]
         observations = np.concatenate(begun)
         self._note_blind(which, observations)
@@ -133,7 +116,7 @@ class SensingGroups(VectorEnv[Any, Any, Any]):
         self._blind[which] = ~observations[..., : self.layout.size].any(axis=-1)
 
     def _joined(self, parts: Sequence[Info]) -> Info:
-        """Infos of all groups as of one; where a group tells nothing there are zeros or None."""
+        """Infos of all groups as of one; zeros or None for a group that lacks a key."""
         joined: Info = {}
         for key in dict.fromkeys(key for part in parts for key in part):
             told = next(part[key] for part in parts if key in part)
@@ -148,8 +131,6 @@ class SensingGroups(VectorEnv[Any, Any, Any]):
                 ]
             )
         return joined
-
-    # ---- state --------------------------------------------------------------------------------
 
     def get_state(self) -> dict[str, Any]:
         """The generations, running episodes and memory of all groups, as copies."""
@@ -166,7 +147,7 @@ class SensingGroups(VectorEnv[Any, Any, Any]):
         own = check_entries({"generations": self.generations, "blind": self._blind}, state)
         if (own["generations"] < 0).any():
             raise ValueError(f"generations are {own['generations']}; they must not be negative")
-        groups = self._make_all(own["generations"])
+        groups = [self._make(g, int(k)) for g, k in enumerate(own["generations"])]
         for g, teams in enumerate(groups):
             teams.set_state(state[str(g)])
         self.groups = groups
@@ -179,15 +160,6 @@ def _simulator_of(teams: FeatureVectorEnv) -> Simulator:
     return simulator
 
 
-def _next_episodes(before: FeatureVectorEnv, renewed: FeatureVectorEnv) -> NDArray[np.float32]:
-    """Begin in new teams what would have been the next episodes of others; observations."""
-    drawn = _simulator_of(before).get_state()
-    simulator = _simulator_of(renewed)
-    simulator.reset(drawn["seed"].tolist())
-    simulator.set_state(simulator.get_state() | {"episode": drawn["episode"]})
-    return renewed.reset()[0]
-
-
 def make_teams(config: Config, stage: int) -> FeatureVectorEnv | SensingGroups:
     """The teams of a stage of the curriculum."""
     scenario, ranges = config.stage_scenario(stage), config.sensing_ranges()
@@ -195,31 +167,29 @@ def make_teams(config: Config, stage: int) -> FeatureVectorEnv | SensingGroups:
     state = GlobalStateLayout(scenario.n_robots, slots) if config.critic == "global" else None
 
     def make(sensing: Sensing, size: int) -> FeatureVectorEnv:
-        teams = make_vec(
-            scenario.replace(sensing=sensing),
-            size,
-            autoreset_mode=AutoresetMode.SAME_STEP,
-            num_threads=config.num_threads,
-        )
+        sensed, mode = scenario.replace(sensing=sensing), AutoresetMode.SAME_STEP
         return FeatureVectorEnv(
-            teams,
+            make_vec(sensed, size, autoreset_mode=mode, num_threads=config.num_threads),
             settings,
             touch_penalty=config.touch_penalty,
             obstacle_slots=slots,
             global_state=state,
         )
 
-    def draw(group: int, generation: int) -> Sensing:
-        return ranges.draw(scenario.sensing, config.seed, group, generation)
-
     if not ranges:
         return make(scenario.sensing, config.num_teams)
-    parts = np.array_split(np.arange(config.num_teams), config.sensing_groups)
-    return SensingGroups(make, draw, [len(part) for part in parts], config.sensing_updates)
+    sizes = [len(p) for p in np.array_split(np.arange(config.num_teams), config.sensing_groups)]
+
+    def make_group(group: int, generation: int) -> FeatureVectorEnv:
+        return make(ranges.draw(scenario.sensing, config.seed, group, generation), sizes[group])
+
+    return SensingGroups(make_group, sizes, config.sensing_updates)
 
 
 class WatchedRobots(RobotVecEnv):
-    """Robots whose environment's time, s, and alignment with its number of terms are summed up."""
+    """Robots with sums over their steps: the environment's time, s, and alignment with its count
+    of terms.
+    """
 
     seconds, alignment, aligned = 0.0, 0.0, 0
 
@@ -238,7 +208,7 @@ class WatchedRobots(RobotVecEnv):
         """Give groups of teams whose time has come before this update their next sensor.
 
         Returns:
-            Slots that have begun a new episode, (slots,), and what they are shown, (k, size).
+            Slots that have begun a new episode, (slots,), and their observations, (k, size).
         """
         if not isinstance(self.teams, SensingGroups):
             return np.zeros(self.num_envs, dtype=np.bool_), self.bootstrap_observations[:0]
@@ -250,16 +220,17 @@ class WatchedRobots(RobotVecEnv):
 def episode_numbers(episodes: list[dict[str, Any]]) -> dict[str, Any]:
     """Columns about the episodes that ended in an update; NaN without any."""
     if not episodes:
-        nothing = dict.fromkeys(("success", "clean_success", "median_time", "return"), np.nan)
-        return {"episodes": 0, **nothing}
-    success = np.array([episode["success"] for episode in episodes])
-    contacts = np.array([episode["contacts"] for episode in episodes])
-    times = np.where(success, [episode["time"] for episode in episodes], np.inf)
-    median = np.median(times)
+        names = ("success", "clean_success", "median_time", "return")
+        return {"episodes": 0, **dict.fromkeys(names, np.nan)}
+    success, contacts, times, earned = (
+        np.array([episode[key] for episode in episodes])
+        for key in ("success", "contacts", "time", "r")
+    )
+    median = np.median(np.where(success, times, np.inf))
     return {
         "episodes": len(episodes),
         "success": success.mean(),
         "clean_success": (success & (contacts == 0)).mean(),
         "median_time": median if np.isfinite(median) else np.nan,
-        "return": np.mean([episode["r"] for episode in episodes]),
+        "return": earned.mean(),
     }

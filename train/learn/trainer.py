@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import copy
 import time
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,13 +15,12 @@ import torch
 from numpy.typing import NDArray
 from rendezvous_env.baselines.learned import checkpoints
 from rendezvous_env.baselines.learned.checkpoints import CheckpointError
-from rendezvous_env.baselines.learned.learned_policy import LearnedPolicy, PolicySettings
+from rendezvous_env.baselines.learned.learned_policy import LearnedPolicy
 from rich.console import Console
 from rich.progress import Progress
 from stable_baselines3.common.logger import Logger
 
 from rendezvous_env.engine.threads import available_cores
-from rendezvous_env.scenario.scenario import Scenario
 
 from .. import interrupts, results
 from ..checks import UserError
@@ -32,7 +31,7 @@ from ..resume import claimed
 from . import checkpoint
 from .checkpoint import STATE_FILES, flatten, tensors, unflatten
 from .log import EVALUATION, METRICS, Events, OnUpdate, Result, Table, read_evaluations
-from .recurrent import learner_of, network_of, network_settings
+from .recurrent import learner_of
 from .settings import CONFIG, EVALUATION_SEEDS, Config, read_config
 from .teams import WatchedRobots, episode_numbers, make_teams
 
@@ -46,13 +45,11 @@ SAME_NAME = (
     "n_steps", "batch_size", "gamma", "gae_lambda", "clip_range", "ent_coef", "seed", "device",
 )  # fmt: skip
 """Settings that PPO has under the same name."""
-_LOSSES = {
-    "policy_loss": "policy_gradient_loss", "value_loss": "value_loss", "approx_kl": "approx_kl",
-    "explained_variance": "explained_variance", "clip_fraction": "clip_fraction",
-    "learning_rate": "learning_rate",
-}  # fmt: skip
+_LOSSES = {"policy_loss": "policy_gradient_loss"} | {
+    name: name
+    for name in ("value_loss", "approx_kl", "explained_variance", "clip_fraction", "learning_rate")
+}
 """Columns of metrics.csv that stable-baselines3 tells, and what it calls them."""
-
 
 Snapshot = tuple[dict[str, Any], dict[str, Any]]
 """Description and tables of a checkpoint."""
@@ -66,22 +63,24 @@ class Trainer:
         self.settings = config.policy_settings()
         self.stage = 0
         self.robots = WatchedRobots(make_teams(config, 0))
-        self.model: Any = learner_of(config)(
-            network_of(config, self.robots.teams),
+        algorithm, network, arguments = learner_of(config, self.robots.teams)
+
+        def learning_rate(_: float) -> float:  # the model asks for it while it is made, too
+            done = self.model.num_timesteps / config.total_steps if hasattr(self, "model") else 0.0
+            return config.learning_rate * max(1.0 - done, _LEAST_RATE)
+
+        self.model: Any = algorithm(
+            network,
             self.robots,
-            learning_rate=lambda _: self._learning_rate(),
+            learning_rate=learning_rate,
             n_epochs=config.epochs,
             stats_window_size=10**6,
             **{name: getattr(config, name) for name in SAME_NAME},
-            policy_kwargs=network_settings(config, self.robots.teams),
+            policy_kwargs=arguments,
         )
         self.model.set_logger(Logger(None, []))
         self._seconds = self._environment_seconds = self._wall_before = 0.0
         self._began = time.perf_counter()
-
-    def _learning_rate(self) -> float:
-        done = self.model.num_timesteps / self.config.total_steps if hasattr(self, "model") else 0.0
-        return self.config.learning_rate * max(1.0 - done, _LEAST_RATE)
 
     # ---- begin and resume -----------------------------------------------------------------------
 
@@ -114,7 +113,7 @@ class Trainer:
         results.write_json(out / CONFIG, self.config.to_plain())  # nothing is refused from here on
         self._metrics.begin()
         self._evaluations.begin()
-        self._events = Events(out / "tensorboard", step, self.config.tensorboard)
+        self.events = Events(out / "tensorboard", step, self.config.tensorboard)
 
     def restore(self, place: Path) -> int:
         """Take up the state of a checkpoint; the step it was written at.
@@ -220,19 +219,27 @@ class Trainer:
         model.ep_info_buffer.clear()
         model.ep_success_buffer.clear()
         self._metrics.add(row)
-        self._events.add("train", row)
+        self.events.add("train", row)
         return row
 
     def evaluate(self) -> list[dict[str, Any]]:
         """Rows of evaluation.csv: the policy without noise on held-out starts."""
-        config, weights, rows = self.config, self._weights(), []
-        chosen = [resolve_scenario(name) for name in config.eval_scenarios]
-        for scenario in chosen or [config.plain_scenario()]:
-            numbers = held_out(scenario, weights, self.settings, config.eval_starts)
-            row = {"step": self.model.num_timesteps, **numbers}
-            self._evaluations.add(row)
-            self._events.add(f"evaluation-{row['scenario']}", row)
-            rows.append(row)
+        config, settings, weights = self.config, self.settings, self._weights()
+        scenarios = [resolve_scenario(name) for name in config.eval_scenarios]
+        rows = []
+        for scenario in scenarios or [config.plain_scenario()]:
+            episodes, _ = play(
+                scenario,
+                partial(LearnedPolicy, scenario, weights, settings),
+                margin=None if scenario.model.nonholonomic else settings.promised_margin,
+                episodes=config.eval_starts,
+                seed=EVALUATION_SEEDS,
+            )
+            limit = scenario.max_steps * scenario.tau
+            numbers = statistics.summarise(scenario.name, "learned", episodes, limit)
+            rows.append({"step": self.model.num_timesteps, **numbers})
+            self._evaluations.add(rows[-1])
+            self.events.add(f"evaluation-{scenario.name}", rows[-1])
         return rows
 
     def _weights(self) -> dict[str, NDArray[Any]]:
@@ -252,9 +259,8 @@ class Trainer:
         """Time that the run has taken, s, over all its resumptions."""
         return self._wall_before + time.perf_counter() - self._began
 
-    def close(self) -> None:
-        """Write what is left of the log."""
-        self._events.close()
+
+# ---- the run ------------------------------------------------------------------------------------
 
 
 def run(config: Config, on_update: OnUpdate | None = None) -> Result:
@@ -263,7 +269,11 @@ def run(config: Config, on_update: OnUpdate | None = None) -> Result:
     threads = torch.get_num_threads()
     folder = config.resume or config.out
     try:
-        with interrupts.raised("train"), _own(config, folder):
+        if config.resume is not None:
+            read_config(folder)  # so that nothing is made where no run is
+        elif checkpoints.candidates(folder):
+            raise UserError(f"--out {folder} holds a run; --resume it, or choose another folder")
+        with interrupts.raised("train"), claimed(folder, ".lock", str(folder)):
             config, place = checkpoint.where_to_begin(config, console)
             _check_device(config.device)
             torch.set_num_threads(config.num_threads or available_cores())
@@ -283,29 +293,12 @@ def run(config: Config, on_update: OnUpdate | None = None) -> Result:
         torch.set_num_threads(threads)
 
 
-# ---- where to begin -----------------------------------------------------------------------------
-
-
-@contextmanager
-def _own(config: Config, folder: Path) -> Iterator[None]:
-    """The folder of a run, for this process alone."""
-    if config.resume is not None:
-        read_config(folder)  # so that nothing is made where no run is
-    elif checkpoints.candidates(folder):
-        raise UserError(f"--out {folder} holds a run; --resume it, or choose another folder")
-    with claimed(folder, ".lock", str(folder)):
-        yield
-
-
 def _check_device(device: str) -> None:
     try:
         torch.empty(0, device=device)
     except (RuntimeError, AssertionError, NotImplementedError) as error:
         said = str(error).partition("\n")[0]
         raise UserError(f"--device is {device!r}: {said}; cpu is always there") from error
-
-
-# ---- the loop -----------------------------------------------------------------------------------
 
 
 def _loop(training: Trainer, step: int, console: Console, on_update: OnUpdate | None) -> Result:
@@ -344,7 +337,7 @@ def _loop(training: Trainer, step: int, console: Console, on_update: OnUpdate | 
         said = "stopped by on_update" if stopped else "done"
         console.print(f"{said}: {step:,} steps; {training.speed()}")
     finally:
-        training.close()
+        training.events.close()
     evaluations = read_evaluations(config.out / "evaluation.csv", step)
     return Result(config.out, status, stopped, step, metrics, evaluations)
 
@@ -370,18 +363,3 @@ def _evaluation_line(row: Mapping[str, Any]) -> str:
         f"{100 * row['clean_high']:.1f}] % · median {row['median_time']:.2f} s · alignment ≥ "
         f"{row['min_alignment']:.3f} · {row['episodes']} held-out starts"
     )
-
-
-def held_out(
-    scenario: Scenario, weights: Mapping[str, NDArray[Any]], settings: PolicySettings, starts: int
-) -> dict[str, Any]:
-    """The row of results.csv that a network earns on so many starts, choosing without noise."""
-    episodes, _ = play(
-        scenario,
-        lambda: LearnedPolicy(scenario, weights, settings),
-        margin=None if scenario.model.nonholonomic else settings.promised_margin,
-        episodes=starts,
-        seed=EVALUATION_SEEDS,
-    )
-    limit = scenario.max_steps * scenario.tau
-    return statistics.summarise(scenario.name, "learned", episodes, limit)

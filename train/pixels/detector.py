@@ -1,7 +1,7 @@
 """Bearings and edges in pictures: lamps by their colours, obstacles by being dark.
 
-Nothing but pixels comes in. The detector knows the cameras (four of 90°, their height above the
-floor) and the colours of the lamps, and that a lamp is round.
+The detector gets nothing but pixels. It knows the cameras (four of 90°, their height above the
+floor), the colours of the lamps, and that a lamp is round.
 """
 
 from __future__ import annotations
@@ -19,12 +19,10 @@ _DARK = 110
 _CUT = 1.5
 """Pixels by which a whole lamp may be wider than it is high, or less."""
 _OVAL = 0.1
-"""The same as a share of what it is high."""
-_STEP = 0.25
-"""The nearer of two obstacles that touch in a picture is nearer by this share, and ..."""
-_ROWS = 2.5
-"""... stands so many pixels lower."""
-
+"""The same as a share of its height."""
+_STEP, _ROWS = 0.25, 2.5
+"""The nearer of two obstacles that touch in a picture is nearer by this share, and so many pixels
+lower."""
 _WIDEST = 96
 """Columns of a silhouette; a wider one is given in parts."""
 
@@ -64,19 +62,14 @@ class Detector:
         around = pictures[:, :, ::-1].swapaxes(0, 1).reshape(pictures.shape[1], -1, 3)
         brightest, faintest = around.max(axis=-1), around.min(axis=-1)
         coloured = (brightest.astype(np.int64) - faintest) > _SATURATED
-        lamps = self._lamps(around, coloured)
+        rgb, lamps = around[coloured].astype(np.float64), np.full(coloured.shape, -1)
+        # the lamp whose hue is the nearest
+        lamps[coloured] = ((rgb - rgb.mean(axis=1, keepdims=True)) @ self._hues.T).argmax(axis=1)
         found = {c: ring.round_blob(lamps == c) for c in np.unique(lamps[coloured]).tolist()}
         whole = {c: bearing for c, bearing in found.items() if bearing is not None}
         dark = (brightest < _DARK) & ~coloured
         edges = self._obstacles(ring, dark, coloured.any(axis=0))
         return Found(list(whole), np.array(list(whole.values())), edges)
-
-    def _lamps(self, around: NDArray[np.uint8], coloured: NDArray[np.bool_]) -> NDArray[np.int64]:
-        """Number of the lamp whose hue is the nearest, for each coloured pixel; −1 elsewhere."""
-        out = np.full(coloured.shape, -1)
-        rgb = around[coloured].astype(np.float64)
-        out[coloured] = ((rgb - rgb.mean(axis=1, keepdims=True)) @ self._hues.T).argmax(axis=1)
-        return out
 
     def _obstacles(
         self, ring: _Ring, dark: NDArray[np.bool_], behind_lamp: NDArray[np.bool_]
@@ -89,12 +82,10 @@ class Detector:
         edges = []
         for columns in stretches(stands):
             depth = lowest[columns].astype(np.float64)
-            hidden = depth <= 0
-            if hidden.all():
+            known = np.flatnonzero(depth > 0)
+            if not len(known):
                 continue
-            if hidden.any():  # as its neighbours stand
-                known = np.flatnonzero(~hidden)
-                depth = np.interp(np.arange(len(depth)), known, depth[known])
+            depth = np.interp(np.arange(len(depth)), known, depth[known])  # as neighbours stand
             for part in _split(depth):
                 seen = columns[part]
                 distance = self._height * ring.focal / depth[part] / ring.foreshortening[seen]
@@ -122,14 +113,13 @@ class _Ring:
         if len(parts) != 1:
             return None
         (columns,) = parts
-        angles = np.unwrap(self.middle[columns])
         width = np.unwrap(self.left[columns])[-1] - np.unwrap(self.right[columns])[0]
         along = self.foreshortening[columns[len(columns) // 2]]
         height = 2.0 * np.arctan(0.5 * blob.any(axis=1).sum() * along / self.focal)
         if abs(width - height) > _CUT * along**2 / self.focal + _OVAL * height:
             return None
         area = blob[:, columns].sum(axis=0) * self.foreshortening[columns] ** 3  # seen from here
-        return float(np.average(angles, weights=area))
+        return float(np.average(np.unwrap(self.middle[columns]), weights=area))
 
 
 def stretches(there: NDArray[Any]) -> list[NDArray[np.int64]]:

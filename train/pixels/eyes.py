@@ -26,14 +26,15 @@ HEIGHT = 0.5
 """Of the cameras and the middles of the lamps above the floor, m."""
 LAMPS = ((230, 20, 20), (20, 200, 20), (30, 60, 240), (230, 200, 0), (210, 30, 210), (0, 200, 210))
 """Colours of the robots, and so the most robots that a team may have."""
+_FILM = 320
+"""Pixels along an edge of a picture from above."""
 _GONE = (0.0, 0.0, -50.0)
-_OVERHEAD = "overhead"
 _COLUMNS = slice(2, 5)  # of the simulator's table of discs: radius and centre
 _WORLD = f"""
 <mujoco>
   <statistic extent="1" center="0 0 0"/>
   <visual>
-    <global offwidth="{{edge}}" offheight="{{edge}}"/>
+    <global offwidth="{_FILM}" offheight="{_FILM}"/>
     <quality offsamples="0" shadowsize="0" numslices="24" numstacks="12"/>
     <map znear="0.01" zfar="200"/>
     <headlight ambient="0.7 0.7 0.7" diffuse="0.2 0.2 0.2" specular="0 0 0"/>
@@ -47,7 +48,7 @@ _WORLD = f"""
   </asset>
   <worldbody>
     <geom type="box" size="{{half}} {{half}} 0.1" pos="0 0 -0.1" material="floor"/>
-    <camera name="{_OVERHEAD}" pos="0 0 {{above}}" fovy="53"/>
+    <camera name="overhead" pos="0 0 {{above}}" fovy="53"/>
     {{bodies}}
   </worldbody>
 </mujoco>"""
@@ -57,30 +58,25 @@ class Eyes:
     """The cameras of one team, and one above it.
 
     Args:
-        simulator: a team of single integrators among discs in the plane; it is the first of them
-            that is drawn.
-        film_size: edge of a picture from above, pixels.
+        simulator: of single integrators among discs in the plane; its first team is drawn.
 
     Raises:
         ValueError: for more robots than there are colours of lamps.
     """
 
-    def __init__(self, simulator: Simulator, film_size: int = 320) -> None:
+    def __init__(self, simulator: Simulator) -> None:
         scenario = simulator.scenario
         if scenario.n_robots > len(LAMPS):
             raise ValueError(f"n_robots is {scenario.n_robots}; lamps have {len(LAMPS)} colours")
-        self._simulator, self._film_size = simulator, film_size
-        self._discs = simulator.obstacles.shape[1]
-        self._model = mujoco.MjModel.from_xml_string(_world(scenario, self._discs, film_size))
+        self._simulator = simulator
+        self._model = mujoco.MjModel.from_xml_string(_world(scenario, simulator.obstacles.shape[1]))
         self._data = mujoco.MjData(self._model)
-        edge = max(SIZE * CAMERAS, film_size)
-        self._context = mujoco.GLContext(edge, edge)
-        self._context.make_current()
-        self._drawn = mujoco.MjrContext(self._model, mujoco.mjtFontScale.mjFONTSCALE_50)
-        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._drawn)
-        self._scene = mujoco.MjvScene(self._model, 100)
+        self._near, self._above = (
+            mujoco.Renderer(self._model, edge, edge, max_geom=100) for edge in (SIZE, _FILM)
+        )
         for costly in ("SHADOW", "REFLECTION", "SKYBOX", "HAZE"):
-            self._scene.flags[getattr(mujoco.mjtRndFlag, f"mjRND_{costly}")] = 0
+            flag = getattr(mujoco.mjtRndFlag, f"mjRND_{costly}")
+            self._near.scene.flags[flag] = self._above.scene.flags[flag] = 0
 
     def place(self) -> None:
         """Put everything where it is now."""
@@ -94,10 +90,7 @@ class Eyes:
             data.mocap_quat[i] = (math.cos(turn), 0.0, 0.0, math.sin(turn))
         mujoco.mj_kinematics(model, data)
         mujoco.mj_camlight(model, data)
-        mujoco.mjv_updateScene(
-            model, data, mujoco.MjvOption(), None, self._camera(_OVERHEAD),
-            mujoco.mjtCatBit.mjCAT_ALL, self._scene,
-        )  # fmt: skip
+        self._near.update_scene(data, "overhead")  # the light comes from there
 
     def yaw(self, robot: int) -> float:
         """How far a robot's frame is turned against the world's, rad."""
@@ -110,52 +103,30 @@ class Eyes:
         Camera k looks in the direction k π/2 of the robot's own frame; those of robots that have
         merged away are black.
         """
-        n = self._model.nmocap
-        out = np.zeros((n, CAMERAS, SIZE, SIZE, 3), np.uint8)
-        strip = np.empty((SIZE, SIZE * CAMERAS, 3), np.uint8)
+        out = np.zeros((self._model.nmocap, CAMERAS, SIZE, SIZE, 3), np.uint8)
+        camera = mujoco.MjvCamera()
+        camera.type = mujoco.mjtCamera.mjCAMERA_FIXED
         for i in np.flatnonzero(self._simulator.active[0]):
             for k in range(CAMERAS):
-                mujoco.mjv_updateCamera(
-                    self._model, self._data, self._camera(f"eye{i}_{k}"), self._scene
-                )
-                self._draw(mujoco.MjrRect(SIZE * k, 0, SIZE, SIZE))
-            self._read(strip)
-            out[i] = strip.reshape(SIZE, CAMERAS, SIZE, 3).swapaxes(0, 1)
+                camera.fixedcamid = self._model.camera(f"eye{i}_{k}").id
+                mujoco.mjv_updateCamera(self._model, self._data, camera, self._near.scene)
+                self._near.render(out=out[i, k])
         return out
 
     def from_above(self) -> NDArray[np.uint8]:
         """The whole place after ``place``, (edge, edge, 3)."""
-        out = np.empty((self._film_size, self._film_size, 3), np.uint8)
-        camera = self._camera(_OVERHEAD)
-        mujoco.mjv_updateCamera(self._model, self._data, camera, self._scene)
-        self._draw(mujoco.MjrRect(0, 0, self._film_size, self._film_size))
-        self._read(out)
-        return out
+        self._above.update_scene(self._data, "overhead")
+        picture: NDArray[np.uint8] = self._above.render()
+        return picture
 
     def close(self) -> None:
         """Give back what the pictures took."""
-        self._drawn.free()
-        self._context.free()
-
-    def _draw(self, where: mujoco.MjrRect) -> None:
-        mujoco.mjr_render(where, self._scene, self._drawn)
-
-    def _read(self, out: NDArray[np.uint8]) -> None:
-        """What was drawn, the upper row first."""
-        mujoco.mjr_readPixels(
-            out, None, mujoco.MjrRect(0, 0, out.shape[1], out.shape[0]), self._drawn
-        )
-        out[:] = out[::-1].copy()
-
-    def _camera(self, name: str) -> mujoco.MjvCamera:
-        camera = mujoco.MjvCamera()
-        camera.type = mujoco.mjtCamera.mjCAMERA_FIXED
-        camera.fixedcamid = self._model.camera(name).id
-        return camera
+        self._near.close()
+        self._above.close()
 
 
-def _world(scenario: Any, discs: int, film_size: int) -> str:
-    """The world in MuJoCo's words: robots that are placed, their cameras, obstacles, a floor."""
+def _world(scenario: Any, discs: int) -> str:
+    """The world as MuJoCo reads it: robots that are placed, their cameras, obstacles, a floor."""
     half = scenario.spawn_size  # farther off than robots go that seek each other
     lamps = "".join(
         f'<material name="lamp{i}" emission="1" rgba="{r / 255} {g / 255} {b / 255} 1"/>'
@@ -171,13 +142,8 @@ def _world(scenario: Any, discs: int, film_size: int) -> str:
         f'<geom name="disc{m}" type="cylinder" size="1 0.6" pos="0 0 0.6" material="disc"/>'
         for m in range(discs)
     )
-    return _WORLD.format(
-        edge=max(SIZE * CAMERAS, film_size),
-        half=half,
-        above=1.3 * half,
-        lamps=lamps,
-        bodies=walls + robots + obstacles,
-    )
+    bodies = walls + robots + obstacles
+    return _WORLD.format(half=half, above=1.3 * half, lamps=lamps, bodies=bodies)
 
 
 def _robot(number: int, radius: float) -> str:

@@ -23,10 +23,6 @@ class LastSeen:
 
     Law (1) and all that follow it rest when they see nobody; two that are left on both sides of an
     obstacle would rest for ever.
-
-    Args:
-        policy: what drives.
-        scenario: whose observations it gets.
     """
 
     def __init__(self, policy: Policy, scenario: Scenario) -> None:

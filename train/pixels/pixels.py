@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -38,7 +39,7 @@ SCENARIO = Scenario(
 POLICIES = ("bearing-only", "tangent-joined-tuned", "learned", "learned-tank")
 
 Watcher = Callable[[Simulator, Eyes, NDArray[np.uint8], list[Found | None]], None]
-"""Shown every step before robots move: the team, its eyes, all pictures, what was found in them."""
+"""Called in every step before robots move: the team, its eyes, all pictures, the findings."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +52,7 @@ class Episode:
     """Simulated, s."""
     steps: int
     work: float
-    """That it took a core to draw, look, decide and move, s."""
+    """Time of a core to draw, look, decide and move, s."""
 
 
 def play(policy: str, seeds: range, watch: Watcher | None = None) -> Iterator[Episode]:
@@ -64,24 +65,23 @@ def play(policy: str, seeds: range, watch: Watcher | None = None) -> Iterator[Ep
     """
     simulator = Simulator(SCENARIO)
     simulator.reset(seeds[0])
-    eyes = Eyes(simulator)
-    team = _Team(policy)
+    eyes, team = Eyes(simulator), _Team(policy)
     try:
         for seed in seeds:
             simulator.reset(seed)
             team.reset()
             began, steps = time.process_time(), 0
             while not simulator.ended[0]:
-                _step(simulator, eyes, team, watch)
+                eyes.place()
+                pictures = eyes.look()
+                seen = team.see(pictures, simulator.active[0])
+                if watch is not None:
+                    watch(simulator, eyes, pictures, seen)
+                simulator.step(team.act(seen, float(simulator.time[0])))
                 steps += 1
             met = bool(simulator.status[0] == RENDEZVOUS)
-            yield Episode(
-                met=met,
-                clean=bool(met and simulator.contacts[0] == 0),
-                time=float(simulator.time[0]),
-                steps=steps,
-                work=time.process_time() - began,
-            )
+            clean, work = met and not simulator.contacts[0], time.process_time() - began
+            yield Episode(met, bool(clean), float(simulator.time[0]), steps, work)
     finally:
         eyes.close()
 
@@ -101,11 +101,9 @@ class _Team:
             sight.forget()
 
     def see(self, pictures: NDArray[np.uint8], active: NDArray[np.bool_]) -> list[Found | None]:
-        """What the detector finds, robot by robot; None for those that have merged away."""
-        return [
-            self._detector.find(mine) if there else None
-            for mine, there in zip(pictures, active, strict=True)
-        ]
+        """Findings, robot by robot; None for those that have merged away."""
+        mine = zip(pictures, active, strict=True)
+        return [self._detector.find(own) if there else None for own, there in mine]
 
     def act(self, seen: list[Found | None], time: float) -> NDArray[np.float32]:
         """Velocities (1, n, 2) in the robots' own frames, m/s."""
@@ -117,18 +115,16 @@ class _Team:
         return self._policy(rows, time)
 
 
-def _step(simulator: Simulator, eyes: Eyes, team: _Team, watch: Watcher | None) -> None:
-    """Draw, look, decide, move."""
-    eyes.place()
-    pictures = eyes.look()
-    seen = team.see(pictures, simulator.active[0])
-    if watch is not None:
-        watch(simulator, eyes, pictures, seen)
-    simulator.step(team.act(seen, float(simulator.time[0])))
-
-
 def compare(policy: str, episodes: int, seed: int) -> dict[str, Any]:
     """Success from pixels beside that with exact sensors and with ``Sensing.camera()``."""
+
+    def simulated(sensing: Sensing) -> float:
+        """Collision-free success on the same starts, without pictures."""
+        scenario = SCENARIO.replace(sensing=sensing)
+        own = partial(make, policy, scenario)
+        found, _ = evaluation.play(scenario, own, margin=None, episodes=episodes, seed=seed)
+        return float(found.clean.mean())
+
     found = list(play(policy, range(seed, seed + episodes)))
     clean = np.array([one.clean for one in found])
     low, high = fraction_interval(clean)
@@ -140,15 +136,7 @@ def compare(policy: str, episodes: int, seed: int) -> dict[str, Any]:
         "high": high,
         "met": float(np.mean([one.met for one in found])),
         "time": float(np.median([one.time for one in found])),
-        "predicted": _simulated(policy, episodes, seed, Sensing.camera()),
-        "exact": _simulated(policy, episodes, seed, Sensing()),
+        "predicted": simulated(Sensing.camera()),
+        "exact": simulated(Sensing()),
         "steps_per_core_second": sum(one.steps for one in found) / sum(one.work for one in found),
     }
-
-
-def _simulated(policy: str, episodes: int, seed: int, sensing: Sensing) -> float:
-    """Collision-free success on the same starts, without pictures."""
-    scenario = SCENARIO.replace(sensing=sensing)
-    starts = {"episodes": episodes, "seed": seed}
-    found, _ = evaluation.play(scenario, lambda: make(policy, scenario), margin=None, **starts)
-    return float(found.clean.mean())

@@ -26,7 +26,7 @@ from rendezvous_env.baselines.robot_policy import (
 from rendezvous_env import __version__
 from rendezvous_env.scenario.scenario import Scenario
 
-from .bundle import PROJECT, Bundle, Name
+from .bundle import Bundle, Name
 
 CLOSE = 1e-5
 """m/s by which a file may differ from the policy that it was made of."""
@@ -58,18 +58,16 @@ def check_field_types(made):
 ''',
 }
 _OF_OTHER_DIMENSIONS = {
-    2: {
-        Name("baselines.steady_planes", "SteadyPlanes"): '''
-class SteadyPlanes:
-    """This file is for robots of the plane."""
+    dim: {
+        Name(f"baselines.{module}", word): f'''
+class {word}:
+    """This file is for robots of {where}."""
 '''
-    },
-    3: {
-        Name("baselines.steady_frames", "SteadyFrames"): '''
-class SteadyFrames:
-    """This file is for robots of space."""
-'''
-    },
+    }
+    for dim, module, word, where in (
+        (2, "steady_planes", "SteadyPlanes", "the plane"),
+        (3, "steady_frames", "SteadyFrames", "space"),
+    )
 }
 _WITHOUT_BODIES = {
     Name(f"rendezvous_env.safety.{module}", word): f'''
@@ -82,6 +80,10 @@ def {word}(teams, arguments):
 _ROOTS = (
     Name("baselines.robot_policy", "OneRobot"),
     Name("rendezvous_env.scenario.observation_layout", "ObservationLayout"),
+)
+_NETWORK = (
+    Name("baselines.learned.learned_policy", "LearnedPolicy"),
+    Name("baselines.learned.policy_settings", "PolicySettings"),
 )
 _WHEELS = (
     Name("rendezvous_env.robots.differential_drive", "DifferentialDrive"),
@@ -201,37 +203,33 @@ def text_of(
         registry.make(policy, scenario)
         check_kind(policy)
         build = registry.builder_of(policy)
-        if build.__module__.partition(".")[0] not in PROJECT:
+        root = Name(build.__module__, build.__name__)
+        if not root.is_ours:
             raise ValueError(f"policy {policy!r} stands in {build.__module__}, not in this project")
-        roots.append(Name(build.__module__, build.__name__))
+        roots.append(root)
         make = f"{build.__name__}(TEAM)"
     else:
-        weights, settings = network
-        roots.append(Name("baselines.learned.learned_policy", "LearnedPolicy"))
-        roots.append(Name("baselines.learned.policy_settings", "PolicySettings"))
-        make = "learned_policy()"
-        extra = _learned(weights, settings)
-    bundle = Bundle(roots, stand_ins).text()
-    about = {"policy": repr(policy), "scenario": repr(scenario.name), "version": __version__}
-    head = _HEAD.format(made_by=_MADE_BY, drive=_DRIVE if scenario.dim == 2 else "", **about)
-    content = head + bundle + extra + _team(scenario, make) + _LAST
-    digest = hashlib.sha256(content.encode()).hexdigest()
-    return f'{content}IS_UNCHANGED = check_unchanged(__file__, "{digest}")\n'
-
-
-def _team(scenario: Scenario, make: str) -> str:
-    layout = scenario.observation_layout
-    numbers = {name: getattr(scenario, name) for name in _NUMBERS}
+        roots += _NETWORK
+        make, extra = "learned_policy()", _learned(*network)
+    head = _HEAD.format(
+        policy=repr(policy),
+        scenario=repr(scenario.name),
+        version=__version__,
+        made_by=_MADE_BY,
+        drive=_DRIVE if scenario.dim == 2 else "",
+    )
     about = ("name", "nonholonomic", "bounded", "theorem", "action")
-    model = {name: getattr(scenario.model, name) for name in about}
-    return _TEAM.format(
-        layout=", ".join(f"{key}={value}" for key, value in vars(layout).items()),
+    team = _TEAM.format(
+        layout=", ".join(f"{key}={v}" for key, v in vars(scenario.observation_layout).items()),
         bounds=scenario.action_bounds.tolist(),
-        model=_written(model),
-        numbers=_written(numbers),
+        model=_written({name: getattr(scenario.model, name) for name in about}),
+        numbers=_written({name: getattr(scenario, name) for name in _NUMBERS}),
         make=make,
         gain=common_gain(scenario),
     )
+    content = head + Bundle(roots, stand_ins).text() + extra + team + _LAST
+    digest = hashlib.sha256(content.encode()).hexdigest()
+    return f'{content}IS_UNCHANGED = check_unchanged(__file__, "{digest}")\n'
 
 
 def _learned(weights: Mapping[str, NDArray[Any]], settings: PolicySettings) -> str:
@@ -251,7 +249,7 @@ def _written(plain: Any) -> str:
 
 
 def is_written(path: Path) -> bool:
-    """Whether what stands there is such a file, of whatever version, and may be written anew."""
+    """Whether a file is one of this kind, of whatever version, and may be written anew."""
     with path.open("rb") as file:
         return _MADE_BY.encode() in file.read(len(_HEAD) + 200)
 
@@ -275,18 +273,17 @@ def load(path: Path) -> Any:
 
 
 def compare(path: Path, robot: RobotPolicy, ticks: int) -> float:
-    """By how much, m/s, what a file commands differs from a policy, at most, in drawn ticks."""
+    """The largest difference, m/s, between a file and a policy in drawn ticks."""
     written, worst = load(path).RobotPolicy(), 0.0
-    for bearings, obstacles, dt, told in drawn_ticks(robot.scenario, ticks):
-        wanted = robot.act(bearings, obstacles, dt, **told)
-        found = written.act(bearings, obstacles, dt, **told)
-        worst = max(worst, float(np.abs(found - wanted).max()))
+    for *seen, told in drawn_ticks(robot.scenario, ticks):
+        apart = written.act(*seen, **told) - robot.act(*seen, **told)
+        worst = max(worst, float(np.abs(apart).max()))
     return worst
 
 
 def drawn_ticks(scenario: Scenario, ticks: int) -> Iterator[tuple[Any, ...]]:
     """Bearings, obstacles, dt, and by name what else ``act`` takes, as a robot could measure them
-    that goes among things that move; from time to time all is elsewhere.
+    among things that move; from time to time all is elsewhere.
     """
     random, layout = np.random.default_rng(0), scenario.observation_layout
     most = layout.neighbour_slots, layout.obstacle_slots

@@ -12,7 +12,8 @@ pytest.importorskip("benchmarl.experiment")
 
 from rendezvous_env import scenarios
 from rendezvous_env.adapters.torchrl import GROUP
-from train.leaderboard import cards, command, multi_agent, registry, settings
+from train.leaderboard import cards, command, registry, settings
+from train.leaderboard.algorithms import multi_agent
 from train.leaderboard.teams import teams_to_learn_in
 
 NAMES = tuple(
@@ -31,7 +32,7 @@ def test_they_learn_in_the_teams_of_all_others(safety):
     field = scenarios.get("clutter-8")
     price = 0.0 if safety == "none" else None
     teams = teams_to_learn_in(field, 3, safety=safety, anew=True, touch_penalty=price)
-    env = multi_agent._task(field, safety).get_env_fun(3, False, 7, "cpu")()
+    env = multi_agent.task_of(field, safety).get_env_fun(3, False, 7, "cpu")()
     assert env.teams.touch_penalty == teams.touch_penalty == (0.0 if safety == "none" else 1.0)
     seen, _ = teams.reset(seed=7)
     now, random = env.reset(), np.random.default_rng(0)

@@ -1,1 +1,1 @@
-"""A file for each algorithm; ``registry.Algorithm`` says what it must have."""
+"""Every file has an algorithm, or a table of several; see ``registry.Algorithm``."""

@@ -14,6 +14,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from gymnasium.vector import VectorWrapper
 from numpy.typing import NDArray
 from rendezvous_env.baselines.policy import in_the_plane
 
@@ -22,10 +23,8 @@ from rendezvous_env.obstacles.disc import BALL
 from rendezvous_env.obstacles.fields import ObstacleField
 from rendezvous_env.obstacles.shape import CENTRE, KIND, RADIUS
 from rendezvous_env.physics.half_planes import nearest_within
-from rendezvous_env.scenario.scenario import Scenario
 
-from ..ppo import algorithm
-from ..teams import Between
+from .ppo import algorithm
 
 _NEAREST = 3
 
@@ -51,8 +50,12 @@ def _keep_out(wanted: Any, towards: Any, rooms: Any, kept: Any) -> None:
         kept[i, 0], kept[i, 1] = nearest_within(u, towards[i], rooms[i], rooms.shape[1])
 
 
-class Barrier(Between):
+class Barrier(VectorWrapper):
     """Velocities pass the filter on their way to the robots."""
+
+    def __init__(self, env: Any) -> None:
+        super().__init__(env)
+        self.scenario, self.simulator = env.unwrapped.scenario, env.unwrapped.simulator
 
     def step(self, actions: Any) -> Any:
         """As the teams, with velocities (B, n, 2) filtered in the global frame."""
@@ -77,16 +80,11 @@ class Barrier(Between):
         return self.env.step(actions)
 
 
-def _fits(field: Scenario) -> bool:
-    return in_the_plane(field) and isinstance(field.obstacles, ObstacleField)
-
-
 ALGORITHM = algorithm(
     "PPO behind a control-barrier-function filter; a first touch costs 1",
     "CBF",
-    "none",
     given="distances of discs",
+    fits=lambda field: in_the_plane(field) and isinstance(field.obstacles, ObstacleField),
     safety="none",
     wrap=Barrier,
-    fits=_fits,
 )

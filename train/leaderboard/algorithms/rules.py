@@ -23,26 +23,19 @@ def _player(name: str, field: Scenario, num_envs: int) -> Player:
     return Player(teams, baselines.make(name, scenario))
 
 
-def _made(name: str, field: Scenario, seed: int, budget: Budget) -> Any:
-    return partial(_player, name, field), {"policy": name}
-
-
 def _rule(name: str, word: str, guarantee: Literal["none", "heading", "tank"]) -> Algorithm:
     """The policy of that name, as ``compare`` plays it."""
-    return Algorithm(
-        about=policies.about(name).rstrip("."),
-        safety=word,
-        guarantee=guarantee,
-        given="bearings",
-        learn=partial(_made, name),
-        fits=lambda field: name in baselines.names(field) and _keeps(guarantee, field),
-        learns=False,
-    )
 
+    def made(field: Scenario, seed: int, budget: Budget) -> Any:
+        return partial(_player, name, field), {"policy": name}
 
-def _keeps(guarantee: str, field: Scenario) -> bool:
-    """Whether a rule keeps V from rising: those that steer unicycles go by no gate."""
-    return guarantee != "heading" or not field.model.nonholonomic
+    def fits(field: Scenario) -> bool:
+        # rules that steer unicycles go by no gate, so V may rise
+        is_kept = guarantee != "heading" or not field.model.nonholonomic
+        return is_kept and name in baselines.names(field)
+
+    about = policies.about(name).rstrip(".")
+    return Algorithm(about, word, guarantee, "bearings", made, fits, learns=False)
 
 
 ALGORITHMS = {

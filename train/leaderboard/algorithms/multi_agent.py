@@ -1,4 +1,10 @@
-"""BenchMARL's learners in the teams of ``ppo``, with a network of the same size and budget."""
+"""BenchMARL's learners in the teams of ``ppo``, with a network of the same size and budget.
+
+IPPO: independent PPO, a critic sees what its robot sees (de Witt et al. 2020). MAPPO: a critic sees
+what all robots see (Yu et al. 2022). MASAC: soft actor-critic, on choices of an angle as all
+learners here. QMIX: a team's value is a monotonic function of its robots' values (Rashid et al.
+2018).
+"""
 
 from __future__ import annotations
 
@@ -10,18 +16,20 @@ from contextlib import redirect_stderr
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rendezvous_env.scenario.scenario import Scenario
 
-from .playing import Player
-from .registry import Algorithm, Budget
-from .teams import can_learn, guarded, teams_to_learn_in, unled
+from ..playing import Player
+from ..registry import Algorithm, Budget
+from ..teams import can_learn, guarded, teams_to_learn_in, unled
 
-PACKAGES = ("torch", "torchrl", "tensordict", "benchmarl")
+_PPO = {"lmbda": 0.95, "entropy_coef": 0.003}
+LEARNERS: dict[str, dict[str, Any]] = {"Ippo": _PPO, "Mappo": _PPO, "Masac": {}, "Qmix": {}}
+"""BenchMARL's algorithms, with settings other than its own."""
 STEPS = {"on": 16, "off": 4}
 """Decisions of a team between updates, on and off policy."""
 _EXPERIMENT: dict[str, Any] = {
@@ -35,7 +43,7 @@ playing, 1,000 batches of 128 for 6,000 decisions of a team."""
 
 
 def learn(
-    field: Scenario, seed: int, budget: Budget, *, name: str, safety: str, **settings: Any
+    field: Scenario, seed: int, budget: Budget, *, name: str, safety: str
 ) -> tuple[Callable[[int], Player], dict[str, Any]]:
     """Train; see ``Algorithm.learn``.
 
@@ -43,9 +51,8 @@ def learn(
         field: the scenario.
         seed: of weights, exploration and starts.
         budget: how much.
-        name: of the algorithm in BenchMARL, such as "Mappo".
+        name: one of ``LEARNERS``.
         safety: of ``teams_to_learn_in``; a first touch costs nothing under "none".
-        **settings: of the algorithm's config, other than BenchMARL's.
     """
     import torch
     from benchmarl import algorithms
@@ -57,13 +64,13 @@ def learn(
     logging.getLogger("torchrl").setLevel(logging.WARNING)
     torch.set_num_threads(1)  # a run repeats bit by bit, and does not wait for other cores
     algorithm = getattr(algorithms, f"{name}Config").get_from_yaml()
-    vars(algorithm).update(settings)
+    vars(algorithm).update(LEARNERS[name])
     network = MlpConfig.get_from_yaml()
     network.num_cells = [64, 64]
     with tempfile.TemporaryDirectory() as folder, redirect_stderr(io.StringIO()):
         config = _experiment(field.n_robots, budget, algorithm.on_policy(), Path(folder))
         apart = seed * 2**10  # seeds of teams follow on that of their experiment
-        run = Experiment(_task(field, safety), algorithm, network, apart, config)
+        run = Experiment(task_of(field, safety), algorithm, network, apart, config)
         run.run()
 
     def choose(seen: NDArray[np.float32], time: NDArray[np.float64]) -> NDArray[np.int64]:
@@ -79,13 +86,12 @@ def learn(
     return (lambda n: Player(teams_to_learn_in(field, n, **how), choose)), told
 
 
-def _task(field: Scenario, safety: str) -> Any:
+def task_of(field: Scenario, safety: str) -> Any:
     """The teams that ``teams_to_learn_in`` makes, as a task of BenchMARL."""
     from rendezvous_env.adapters.benchmarl import RendezvousTask
 
-    config = {"scenario": field, "num_threads": 1, **guarded(field, safety)}
-    wrap = {"wrap": unled} if safety == "none" else {}
-    return RendezvousTask(field.name, config | _price(safety) | wrap)
+    config = {"scenario": field, "num_threads": 1, **guarded(field, safety), **_price(safety)}
+    return RendezvousTask(field.name, config | ({"wrap": unled} if safety == "none" else {}))
 
 
 def _price(safety: str) -> dict[str, Any]:
@@ -97,8 +103,8 @@ def _experiment(n_robots: int, budget: Budget, on_policy: bool, folder: Path) ->
     from benchmarl.experiment import ExperimentConfig
 
     config = ExperimentConfig.get_from_yaml()
-    frames = budget.num_teams * STEPS["on" if on_policy else "off"]
-    kind = "on_policy" if on_policy else "off_policy"
+    kind = "on" if on_policy else "off"
+    frames = budget.num_teams * STEPS[kind]
     vars(config).update(
         _EXPERIMENT,
         save_folder=folder,
@@ -106,22 +112,30 @@ def _experiment(n_robots: int, budget: Budget, on_policy: bool, folder: Path) ->
         max_n_iters=-(-budget.decisions // (n_robots * frames)),
         exploration_anneal_frames=max(1, budget.decisions // (2 * n_robots)),
         on_policy_minibatch_size=max(1, 1024 // n_robots),
-        **{f"{kind}_collected_frames_per_batch": frames},
-        **{f"{kind}_n_envs_per_worker": budget.num_teams},
+        **{f"{kind}_policy_collected_frames_per_batch": frames},
+        **{f"{kind}_policy_n_envs_per_worker": budget.num_teams},
     )
     return config
 
 
-def family(key: str, about: str, **settings: Any) -> dict[str, Algorithm]:
-    """BenchMARL's algorithm of that name in capitals, without safety and under headings."""
-    how = {"name": key.capitalize(), **settings}
-    return {
-        f"{key}-none": Algorithm(
-            f"{about} on the team's reward alone", "none", "none", "bearings",
-            partial(learn, safety="none", **how), can_learn, packages=PACKAGES,
-        ),
-        f"{key}-heading": Algorithm(
-            f"{about} under certified headings; a first touch costs 1", "heading", "heading",
-            "bearings", partial(learn, safety="heading", **how), can_learn, packages=PACKAGES,
-        ),
-    }  # fmt: skip
+def _algorithm(name: str, safety: Literal["none", "heading"]) -> Algorithm:
+    manner = {
+        "none": "on the team's reward alone",
+        "heading": "under certified headings; a first touch costs 1",
+    }
+    return Algorithm(
+        f"{name.upper()} of BenchMARL {manner[safety]}",
+        safety,
+        safety,
+        "bearings",
+        partial(learn, name=name, safety=safety),
+        can_learn,
+        packages=("torch", "torchrl", "tensordict", "benchmarl"),
+    )
+
+
+ALGORITHMS = {
+    f"{name.lower()}-{safety}": _algorithm(name, safety)
+    for name in LEARNERS
+    for safety in ("none", "heading")
+}

@@ -4,35 +4,42 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
+from gymnasium.vector import VectorWrapper
 from numpy.typing import NDArray
 
 from rendezvous_env.scenario.scenario import Scenario
 
-from ..learn.settings import TRAINING_SEEDS
-from .playing import Player
-from .registry import Algorithm, Budget
-from .teams import Paid, can_learn, teams_to_learn_in
+from ...learn.settings import TRAINING_SEEDS
+from ..playing import Player
+from ..registry import Algorithm, Budget
+from ..teams import can_learn, teams_to_learn_in
 
 SETTINGS: dict[str, Any] = {
     "n_steps": 16, "batch_size": 1024, "n_epochs": 5, "learning_rate": 1e-3, "gamma": 0.99,
     "gae_lambda": 0.95, "ent_coef": 0.003, "policy_kwargs": {"net_arch": [64, 64]},
 }  # fmt: skip
 """Of stable-baselines3's PPO, the same for all."""
-PACKAGES = ("torch", "stable-baselines3")
 _RATE, _MOST = 2.0, 20.0
 """Step of the multiplier for each touch above the limit, and where it ends."""
 
 
+class Paid(VectorWrapper):
+    """Robots pay λ for each touch of the cost channel: the reward of a Lagrangian learner."""
+
+    multiplier = 0.0
+
+    def step(self, actions: Any) -> Any:
+        """As the teams, less the cost of touches."""
+        seen, _, ends, cuts, infos = self.env.step(actions)
+        infos["robot_rewards"] = infos["robot_rewards"] - self.multiplier * infos["cost_contact"]
+        return seen, infos["robot_rewards"].mean(axis=1), ends, cuts, infos
+
+
 def learn(
-    field: Scenario,
-    seed: int,
-    budget: Budget,
-    *,
-    limit: float | None = None,
-    **safety: Any,
+    field: Scenario, seed: int, budget: Budget, *, limit: float | None = None, **safety: Any
 ) -> tuple[Callable[[int], Player], dict[str, Any]]:
     """Train; see ``Algorithm.learn``.
 
@@ -49,7 +56,7 @@ def learn(
 
     from rendezvous_env.adapters.sb3 import RobotVecEnv
 
-    from ..learn.rollout_buffer import RobotPPO
+    from ...learn.rollout_buffer import RobotPPO
 
     torch.set_num_threads(1)  # a run repeats bit by bit, and does not wait for other cores
     paid = Paid(teams_to_learn_in(field, budget.num_teams, anew=True, **safety))
@@ -74,8 +81,8 @@ def learn(
 
 
 def _multiplier(paid: Paid, robots: Any, limit: float) -> Any:
-    """What moves λ ← max(0, λ + η (J − limit)) after each rollout, J the touches of its steps for
-    each team and episode of mean length.
+    """A callback that moves λ ← max(0, λ + η (J − limit)) after each rollout, J the touches of its
+    steps for each team and episode of mean length.
     """
     from stable_baselines3.common.callbacks import BaseCallback
 
@@ -97,8 +104,47 @@ def _multiplier(paid: Paid, robots: Any, limit: float) -> Any:
     return Multiplier()
 
 
-def algorithm(about: str, word: str, guarantee: Any, *, given: str = "bearings", **how: Any) -> Any:
+def algorithm(
+    about: str,
+    word: str,
+    guarantee: Literal["none", "heading", "tank"] = "none",
+    *,
+    given: str = "bearings",
+    fits: Callable[[Scenario], bool] = can_learn,
+    **how: Any,
+) -> Algorithm:
     """An ``Algorithm`` that is this PPO; ``how`` goes to ``learn``."""
-    fits = how.pop("fits", can_learn)
-    learned = partial(learn, **how)
-    return Algorithm(about, word, guarantee, given, learned, fits, packages=PACKAGES)
+    packages = ("torch", "stable-baselines3")
+    return Algorithm(about, word, guarantee, given, partial(learn, **how), fits, packages=packages)
+
+
+ALGORITHMS = {
+    "ppo-none": algorithm(
+        "PPO on the team's reward alone", "none", safety="none", touch_penalty=0.0
+    ),
+    "ppo-penalty": algorithm("PPO; a robot's first touch costs it 1", "penalty", safety="none"),
+    "ppo-lagrangian": algorithm(  # Ray, Achiam & Amodei 2019, with one critic
+        "PPO-Lagrangian: touches cost λ, which grows while an episode has more than 0.1 of them",
+        "Lagrangian",
+        safety="none",
+        touch_penalty=0.0,
+        limit=0.1,
+    ),
+    "ppo-rule": algorithm(
+        "PPO whose choices the joined rule leads round obstacles; a first touch costs 1",
+        "rule",
+        safety="rule",
+    ),
+    "ppo-heading": algorithm(
+        "PPO under certified headings; a first touch costs 1",
+        "heading",
+        "heading",
+        safety="heading",
+    ),
+    "ppo-tank": algorithm(
+        "PPO under energy tanks of the shipped budget; a first touch costs 1",
+        "tank",
+        "tank",
+        safety="tank",
+    ),
+}
