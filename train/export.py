@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -34,6 +34,8 @@ from rendezvous_env.baselines.learned.policy_settings import PolicySettings
 from rendezvous_env.baselines.robot_policy import RobotPolicy
 from rich.console import Console
 
+from rendezvous_env.scenario.scenario import Scenario
+
 from . import policies, standalone
 from .checks import UserError, check_installed
 from .results import atomic, prepare_folder
@@ -44,6 +46,7 @@ _SLOTS = ((3, 12), (1, 0), (31, 24), (7, 1))
 _AT_ONCE = 512
 _CLOSE = 1e-4
 """Share of the largest preference by which the file may differ: sums are in another order."""
+Weights = dict[str, NDArray[np.float32]]
 
 EXAMPLES = (
     "--policy learned --out out/policy.onnx",
@@ -77,27 +80,46 @@ def run(config: Config) -> int:
     Raises:
         UserError: also for a file that does not do what the policy does.
     """
+    flag, path, ending = "--out", config.out, SUFFIX
     if config.standalone is not None:
-        return _run_standalone(config, config.standalone)
-    weights, settings = _check(config)
-    prepare_folder(config.out.parent, f"--out {config.out}")
-    with atomic(config.out) as temporary:
-        temporary.write_bytes(model_of(weights, settings).SerializeToString())
-        apart = _compare(temporary, weights, settings, config.checks)
-        size = temporary.stat().st_size
-    Console().print(
-        f"{config.out}: {config.policy}, {size / 1e3:.0f} kB; on {config.checks} drawn inputs it "
-        f"differs by {apart:.1e} of the largest preference at most"
-    )
+        flag, path, ending = "--standalone", config.standalone, ".py"
+    if path.suffix != ending:
+        raise UserError(f"{flag} {path}: unknown ending; it must be {ending}")
+    if path.is_dir():
+        raise UserError(f"{flag} {path}: is a folder; it must be a file")
+    if not 1 <= config.checks <= _MOST_CHECKS:
+        raise UserError(f"--checks is {config.checks}; it must be from 1 to {_MOST_CHECKS}")
+    said = _write_onnx(config, path) if ending == SUFFIX else _write_python(config, path)
+    Console().print(f"{path}: {config.policy}{said} at most")
     return 0
 
 
-def _run_standalone(config: Config, path: Path) -> int:
+def _write_onnx(config: Config, path: Path) -> str:
+    """Write and check an ONNX file; what there is to say of it."""
+    check_installed("export", "export", "onnx", "onnxruntime")
+    policies.check_names([config.policy])
+    network = _network_of(config.policy, policies.resolve_scenario(config.scenario))
+    if network is None:
+        raise UserError(
+            f"--policy {config.policy}: is scripted and has no network; --standalone robot.py "
+            "writes it as it is"
+        )
+    prepare_folder(path.parent, f"--out {path}")
+    with atomic(path) as temporary:
+        temporary.write_bytes(model_of(*network).SerializeToString())
+        apart = _compare(temporary, *network, config.checks)
+        _check_close(apart, _CLOSE, "of the largest preference")
+        size = temporary.stat().st_size
+    return (
+        f", {size / 1e3:.0f} kB; on {config.checks} drawn inputs it differs by {apart:.1e} of the "
+        "largest preference"
+    )
+
+
+def _write_python(config: Config, path: Path) -> str:
     """The same for one Python file."""
-    _check_target("--standalone", path, ".py")
     if path.exists() and not standalone.is_written(path):
         raise UserError(f"--standalone {path}: is there already, and not of this command's making")
-    _check_count(config.checks)
     if policies.is_user_policy(config.policy):
         raise UserError(
             f"--policy {config.policy}: is a function of your own; it must be a law, a rule or a "
@@ -105,9 +127,7 @@ def _run_standalone(config: Config, path: Path) -> int:
         )
     policies.check_names([config.policy])
     scenario = policies.resolve_scenario(config.scenario)
-    folder, network = policies.learned_path(config.policy, scenario), None
-    if folder is not None:
-        network = _network_in(folder, config.policy)
+    network = _network_of(config.policy, scenario)
     prepare_folder(path.parent, f"--standalone {path}")
     with atomic(path) as temporary:
         try:
@@ -117,59 +137,34 @@ def _run_standalone(config: Config, path: Path) -> int:
         temporary.write_text(text, encoding="utf-8")
         robot = RobotPolicy(scenario, policies.make(config.policy, scenario))
         apart = standalone.compare(temporary, robot, config.checks)
-        if not apart <= standalone.CLOSE:
-            raise UserError(
-                f"the file differs from the policy by {apart:.1e} m/s, more than "
-                f"{standalone.CLOSE:g}; nothing was written"
-            )
-    Console().print(
-        f"{path}: {config.policy} for {scenario.name}, {len(text) / 1e3:.0f} kB, needs NumPy; on "
-        f"{config.checks} drawn ticks it differs by {apart:.1e} m/s at most"
+        _check_close(apart, standalone.CLOSE, "m/s")
+    return (
+        f" for {scenario.name}, {len(text) / 1e3:.0f} kB, needs NumPy; on {config.checks} drawn "
+        f"ticks it differs by {apart:.1e} m/s"
     )
-    return 0
 
 
-def _check_target(flag: str, path: Path, ending: str) -> None:
-    if path.suffix != ending:
-        raise UserError(f"{flag} {path}: unknown ending; it must be {ending}")
-    if path.is_dir():
-        raise UserError(f"{flag} {path}: is a folder; it must be a file")
+def _check_close(apart: float, most: float, unit: str) -> None:
+    if not apart <= most:
+        raise UserError(
+            f"the file differs from the policy by {apart:.1e} {unit}, more than {most:g}; nothing "
+            "was written"
+        )
 
 
-def _check_count(checks: int) -> None:
-    if not 1 <= checks <= _MOST_CHECKS:
-        raise UserError(f"--checks is {checks}; it must be from 1 to {_MOST_CHECKS}")
-
-
-def _network_in(path: Path, name: str) -> tuple[dict[str, NDArray[np.float32]], PolicySettings]:
-    """Weights and settings of a policy that is not exported yet."""
+def _network_of(name: str, scenario: Scenario) -> tuple[Weights, PolicySettings] | None:
+    """Weights and settings of a learned policy that is not exported yet; None of a scripted one."""
+    path = policies.learned_path(name, scenario)
+    if path is None:
+        return None
     if path.suffix == SUFFIX:
         raise UserError(f"--policy {name}: is exported already")
     about, tables = checkpoints.read(checkpoints.find(path), ["network"])
     return tables["network"], PolicySettings.from_plain(about["policy"])
 
 
-def _check(config: Config) -> tuple[dict[str, NDArray[np.float32]], PolicySettings]:
-    """Weights and settings, once everything is known to be right."""
-    _check_target("--out", config.out, SUFFIX)
-    _check_count(config.checks)
-    check_installed("export", "export", "onnx", "onnxruntime")
-    policies.check_names([config.policy])
-    path = policies.learned_path(config.policy, policies.resolve_scenario(config.scenario))
-    if path is None:
-        raise UserError(
-            f"--policy {config.policy}: is scripted and has no network; --standalone robot.py "
-            "writes it as it is"
-        )
-    return _network_in(path, config.policy)
-
-
-def _compare(
-    path: Path, weights: dict[str, NDArray[np.float32]], settings: PolicySettings, checks: int
-) -> float:
-    """The largest difference between file and policy, as a share of the largest preference; one
-    that is more than rounding is refused.
-    """
+def _compare(path: Path, weights: Weights, settings: PolicySettings, checks: int) -> float:
+    """The largest difference between file and policy, as a share of the largest preference."""
     random, written, worst = np.random.default_rng(0), OnnxNetwork(path), 0.0
     for first in range(0, checks, _AT_ONCE):
         robots = min(_AT_ONCE, checks - first)
@@ -182,11 +177,6 @@ def _compare(
             wanted = ours.preferences(shown, hidden[0])
             found = written.preferences(shown, hidden[1])
             worst = max(worst, float(np.abs(found - wanted).max() / np.abs(wanted).max()))
-    if not worst <= _CLOSE:
-        raise UserError(
-            f"the file differs from the policy by {worst:.1e} of the largest preference, more than "
-            f"{_CLOSE:g}; nothing was written"
-        )
     return worst
 
 
@@ -201,8 +191,7 @@ def drawn_tables(
     return shown
 
 
-_OPSET = 18
-_IR_VERSION = 8
+_OPSET, _IR_VERSION = 18, 8
 """Old ones, so that old runtimes on robots read them, too."""
 _INPUTS = {
     "neighbours": "Unit bearing x, y; gain, m/s; zero rows are absent",
@@ -221,44 +210,78 @@ def model_of(weights: Mapping[str, NDArray[Any]], settings: PolicySettings) -> A
 
     Inputs: neighbours (N, K, 3), obstacles (N, M, 6), context (N, columns) and, with a recurrent
     unit, hidden (N, units), all float32; N, K and M are free. Outputs: preferences (N, choices)
-    and hidden_next. Its metadata holds the settings, the angles of the choices, rad,
-    and a digest of all of it.
-
-    Args:
-        weights: of the network's state, by name.
-        settings: that it was trained with.
+    and hidden_next. Its metadata holds the settings, the angles of the choices, rad, and a digest
+    of all of it.
 
     Raises:
         ValueError: naming an array that is missing, of another shape or not finite.
     """
-    from onnx import checker, helper
+    from onnx import TensorProto, checker, helper
 
-    graph, units = _Graph(), settings.units
-    context = settings.layout(0, 0).context_columns
+    graph, units, context = _Graph(), settings.units, settings.layout(0, 0).context_columns
     _connect(graph, weights, settings, context)
-    shapes: dict[str, list[int | str]] = {
+    given: dict[str, list[int | str]] = {
         "neighbours": ["robots", "neighbour_slots", NEIGHBOUR_COLUMNS],
         "obstacles": ["robots", "obstacle_slots", OBSTACLE_COLUMNS],
         "context": ["robots", context],
     }
-    results: dict[str, list[int | str]] = {"preferences": ["robots", len(settings.angles)]}
+    found: dict[str, list[int | str]] = {"preferences": ["robots", len(settings.angles)]}
     if units:
-        shapes["hidden"] = results["hidden_next"] = ["robots", units]
+        given["hidden"] = found["hidden_next"] = ["robots", units]
+    inputs, outputs = (
+        [
+            helper.make_tensor_value_info(name, TensorProto.FLOAT, shape, _INPUTS.get(name, ""))
+            for name, shape in shapes.items()
+        ]
+        for shapes in (given, found)
+    )
     made = helper.make_model(
-        helper.make_graph(
-            graph.nodes,
-            "rendezvous_policy",
-            [graph.value(*entry) for entry in shapes.items()],
-            [graph.value(*entry) for entry in results.items()],
-            graph.constants,
-        ),
+        helper.make_graph(graph.nodes, "rendezvous_policy", inputs, outputs, graph.constants),
         opset_imports=[helper.make_opsetid("", _OPSET)],
         ir_version=_IR_VERSION,
         producer_name="rendezvous-env",
         doc_string="Which heading to take. Guide and guarantee follow: see baselines.RobotPolicy.",
     )
     checker.check_model(made, full_check=True)
-    return _signed(made, settings)
+    about = {
+        SETTINGS_KEY: json.dumps(settings.to_plain()),
+        "angles": json.dumps(settings.angles.tolist()),
+        DIGEST_KEY: json.dumps(NO_DIGEST),
+    }
+    helper.set_model_props(made, about)
+    about[DIGEST_KEY] = json.dumps(digest_of(made.SerializeToString()))
+    helper.set_model_props(made, about)
+    return made
+
+
+class _Graph:
+    """Nodes and constants of a graph."""
+
+    def __init__(self) -> None:
+        self.nodes: list[Any] = []
+        self.constants: list[Any] = []
+
+    def add(self, operator: str, *inputs: Any, name: str = "", **options: Any) -> str:
+        """A node over names and constant arrays; the name of its one output."""
+        from onnx import helper, numpy_helper
+
+        named = []
+        for value in inputs:
+            if not isinstance(value, str):
+                constant = f"constant_{len(self.constants)}"
+                self.constants.append(
+                    numpy_helper.from_array(np.ascontiguousarray(value), constant)
+                )
+                value = constant
+            named.append(value)
+        name = name or f"{operator}_{len(self.nodes)}"
+        self.nodes.append(helper.make_node(operator, named, [name], name=name, **options))
+        return name
+
+    def linear(self, values: str, layer: Layer) -> str:
+        """W x + b over the last axis."""
+        weight, bias = (part.astype(np.float32) for part in layer)
+        return self.add("Add", self.add("MatMul", values, weight.T), bias)
 
 
 def _connect(
@@ -274,68 +297,15 @@ def _connect(
     ):
         layers = linear_layers(weights, f"features_extractor.{net}", (columns, width, width))
         pooled += _pooled(graph, rows, layers)
-    seen = graph.add("Concat", [*pooled, "context"], axis=1)
+    seen = graph.add("Concat", *pooled, "context", axis=1)
     if units:
         hidden = _remembered(graph, weights, seen, features, units)
-        seen = graph.add("Concat", [hidden, seen], axis=1)
+        seen = graph.add("Concat", hidden, seen, axis=1)
     sizes = (units + features, *settings.hidden)
     for layer in linear_layers(weights, "mlp_extractor.policy_net", sizes):
-        seen = graph.add("Relu", [graph.linear(seen, layer)])
+        seen = graph.add("Relu", graph.linear(seen, layer))
     last = linear_layer(weights, "action_net.weight", "action_net.bias", sizes[-1], choices)
-    graph.add("Identity", [graph.linear(seen, last)], name="preferences")
-
-
-def _signed(made: Any, settings: PolicySettings) -> Any:
-    """The model with its metadata: settings, angles, and the digest of everything."""
-    from onnx import helper
-
-    about = {
-        SETTINGS_KEY: json.dumps(settings.to_plain()),
-        "angles": json.dumps(settings.angles.tolist()),
-        DIGEST_KEY: json.dumps(NO_DIGEST),
-    }
-    helper.set_model_props(made, about)
-    about[DIGEST_KEY] = json.dumps(digest_of(made.SerializeToString()))
-    helper.set_model_props(made, about)
-    return made
-
-
-class _Graph:
-    """Nodes and constants of a graph, and names for what they give."""
-
-    def __init__(self) -> None:
-        self.nodes: list[Any] = []
-        self.constants: list[Any] = []
-
-    def add(self, operator: str, inputs: Sequence[str], name: str = "", **options: Any) -> str:
-        """A node with one output; the output's name."""
-        from onnx import helper
-
-        name = name or f"{operator}_{len(self.nodes)}"
-        self.nodes.append(helper.make_node(operator, list(inputs), [name], name=name, **options))
-        return name
-
-    def constant(self, value: Any, dtype: type[np.generic] = np.float32) -> str:
-        """A constant; its name."""
-        from onnx import numpy_helper
-
-        name = f"constant_{len(self.constants)}"
-        array = np.ascontiguousarray(value, dtype=dtype)
-        self.constants.append(numpy_helper.from_array(array, name))
-        return name
-
-    def linear(self, values: str, layer: Layer) -> str:
-        """W x + b over the last axis."""
-        weight, bias = layer
-        product = self.add("MatMul", [values, self.constant(weight.T)])
-        return self.add("Add", [product, self.constant(bias)])
-
-    def value(self, name: str, shape: Sequence[int | str]) -> Any:
-        """What goes in or comes out."""
-        from onnx import TensorProto, helper
-
-        about = _INPUTS.get(name, "")
-        return helper.make_tensor_value_info(name, TensorProto.FLOAT, shape, about)
+    graph.add("Identity", graph.linear(seen, last), name="preferences")
 
 
 def _pooled(graph: _Graph, rows: str, layers: list[Layer]) -> tuple[str, str]:
@@ -344,20 +314,18 @@ def _pooled(graph: _Graph, rows: str, layers: list[Layer]) -> tuple[str, str]:
     An absent row's features become zeros, which no feature is below, as all end in a ReLU. One row
     more is appended, absent: a set without any slot has no largest element.
     """
-    along, last = (graph.constant([axis], np.int64) for axis in (1, 2))
-    padded = graph.add("Pad", [rows, graph.constant([0, 0, 0, 0, 1, 0], np.int64)])
-    size = graph.add("ReduceMax", [graph.add("Abs", [padded]), last], keepdims=1)
-    is_present = graph.add("Greater", [size, graph.constant(0.0)])
-    present = graph.add("Cast", [is_present], to=1)  # to float32
-    features = padded
+    along, last = np.array([1]), np.array([2])
+    features = padded = graph.add("Pad", rows, np.array([0, 0, 0, 0, 1, 0]))
+    size = graph.add("ReduceMax", graph.add("Abs", padded), last, keepdims=1)
+    is_present = graph.add("Greater", size, np.zeros(1, np.float32))
+    present = graph.add("Cast", is_present, to=1)  # to float32
     for layer in layers:
-        features = graph.add("Relu", [graph.linear(features, layer)])
-    kept = graph.add("Mul", [features, present])
-    counted = graph.add("ReduceSum", [present, along], keepdims=0)
-    count = graph.add("Max", [counted, graph.constant(1.0)])
-    total = graph.add("ReduceSum", [kept, along], keepdims=0)
-    mean = graph.add("Div", [total, count])
-    return mean, graph.add("ReduceMax", [kept, along], keepdims=0)
+        features = graph.add("Relu", graph.linear(features, layer))
+    kept = graph.add("Mul", features, present)
+    counted = graph.add("ReduceSum", present, along, keepdims=0)
+    count = graph.add("Max", counted, np.ones(1, np.float32))
+    mean = graph.add("Div", graph.add("ReduceSum", kept, along, keepdims=0), count)
+    return mean, graph.add("ReduceMax", kept, along, keepdims=0)
 
 
 def _remembered(
@@ -367,16 +335,14 @@ def _remembered(
     seen = linear_layer(weights, "memory.weight_ih", "memory.bias_ih", inputs, 3 * units)
     kept = linear_layer(weights, "memory.weight_hh", "memory.bias_hh", units, 3 * units)
 
-    def part(values: str, layer: Layer, gate: int) -> str:
+    def parts(gate: int) -> tuple[str, str]:
+        """Of what is seen, and of what is remembered."""
         rows = slice(gate * units, (gate + 1) * units)
-        return graph.linear(values, (layer[0][rows], layer[1][rows]))
+        of_seen, of_kept = ((weight[rows], bias[rows]) for weight, bias in (seen, kept))
+        return graph.linear(features, of_seen), graph.linear("hidden", of_kept)
 
-    def both(gate: int) -> str:
-        parts = [part(features, seen, gate), part("hidden", kept, gate)]
-        return graph.add("Sigmoid", [graph.add("Add", parts)])
-
-    r, z = both(0), both(1)
-    faded = graph.add("Mul", [r, part("hidden", kept, 2)])
-    m = graph.add("Tanh", [graph.add("Add", [part(features, seen, 2), faded])])
-    stays = graph.add("Mul", [z, graph.add("Sub", ["hidden", m])])
-    return graph.add("Add", [m, stays], name="hidden_next")
+    r, z = (graph.add("Sigmoid", graph.add("Add", *parts(gate))) for gate in (0, 1))
+    now, before = parts(2)
+    m = graph.add("Tanh", graph.add("Add", now, graph.add("Mul", r, before)))
+    stays = graph.add("Mul", z, graph.add("Sub", "hidden", m))
+    return graph.add("Add", m, stays, name="hidden_next")

@@ -243,11 +243,14 @@ def _renamed(name: Name, text: str, called: Mapping[Name, str]) -> str:
     """A definition with the words that the file has for what it needs."""
     places = []
     for node in ast.walk(ast.parse(text)):
-        word, shift = getattr(node, "id", ""), 0
-        if isinstance(node, ast.FunctionDef | ast.ClassDef):
+        if isinstance(node, ast.Name):
+            word, shift = node.id, 0
+        elif isinstance(node, ast.FunctionDef | ast.ClassDef):
             word, shift = node.name, 4 if isinstance(node, ast.FunctionDef) else 6
         elif isinstance(node, ast.arg):
-            word = node.arg
+            word, shift = node.arg, 0
+        else:
+            continue
         new = called.get(_meaning(name.module, word), word)
         if new != word and isinstance(node, ast.arg):
             raise ValueError(f"{word} is a global name and an argument of one definition")
