@@ -74,11 +74,7 @@ def read_cards(out: Path) -> list[Card]:
 
 
 def read_card(path: Path) -> Card:
-    """A card that belongs to the fields of this version.
-
-    Raises:
-        UserError: naming the path, if it is none.
-    """
+    """A card that belongs to the fields of this version; a UserError if it is none."""
     try:
         card = dict(plain_data.read_json(path))
         field = results.versioned(scenarios.get(place_of(card).field))

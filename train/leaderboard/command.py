@@ -29,13 +29,8 @@ _SAME = ("algorithm", "field", "digest", "seed", "decisions", "starts", "results
 
 
 def run(config: Config) -> int:
-    """Do all cells, write cards, tables and figures; or repeat one.
-
-    Returns:
-        Exit status: 1 if a repeated cell differs from its card, else 0.
-
-    Raises:
-        UserError: for an unknown name, an impossible number or a folder that cannot be written.
+    """Do all cells, write cards, tables and figures; or repeat one. The exit status: 1 if that
+    differs from its card.
     """
     console = Console()
     if config.repeat is not None:

@@ -71,11 +71,7 @@ def known() -> dict[str, Algorithm]:
 
 
 def find(name: str) -> Algorithm:
-    """The algorithm of a name.
-
-    Raises:
-        UserError: for an unknown one, or one that needs what is not installed.
-    """
+    """The algorithm of a name; a UserError for an unknown one, or if a package is missing."""
     if name not in known():
         raise UserError(f"algorithm {name!r} is unknown; known are {', '.join(known())}")
     if missing := known()[name].missing:

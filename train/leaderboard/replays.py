@@ -65,12 +65,8 @@ class Watch:
 
 
 def replay_of(found: dict[str, Any], player: Player) -> Replay | None:
-    """Play once more and record the first start, which is the same for all runs, and the first that
-    ended otherwise, clean or not; None for a player that does not play twice alike.
-
-    Args:
-        found: results of ``play``.
-        player: a new one of the same.
+    """Play once more with a new player, and record the first start, which is the same for all runs,
+    and the first that ended otherwise, clean or not; None if that is not as ``found`` before.
     """
     clean = found["clean"]
     starts = [0, *[start for start, one in enumerate(clean) if one != clean[0]][:1]]
@@ -102,10 +98,8 @@ def write_replay(path: Path, replay: Replay) -> None:
 
 
 def read_replay(path: Path, found: dict[str, Any]) -> dict[int, Encoded]:
-    """What was kept of each start, given the results on the card; nothing if there is no file.
-
-    Raises:
-        UserError: naming the path, if it is no replay of these results.
+    """What was kept of each start, given the results on the card; nothing if there is no file, and
+    a UserError if it is of other results.
     """
     try:
         replay = plain_data.read_json(path)

@@ -100,11 +100,7 @@ class Place(NamedTuple):
 
 
 def plan(config: Config) -> list[Place]:
-    """The cells that a configuration asks for, those that fit.
-
-    Raises:
-        UserError: for an unknown name or an impossible number, or if nothing is left.
-    """
+    """The cells that a configuration asks for, those that fit; a UserError if there are none."""
     check_least(config, seeds=0, decisions=1, starts=1)
     tier = TIERS[config.tier]
     able = tuple(name for name, one in registry.known().items() if not one.missing)

@@ -27,9 +27,7 @@ COSTS = ("contact", "rise", "leaderboard_risen", "leaderboard_steps")
 
 @reward_term("leaderboard_risen")
 def _risen(step: RewardStep) -> NDArray[np.bool_]:
-    """(B,), whether V rose between merges in a step in which nobody of the team touched anything:
-    what theorem C rules out.
-    """
+    """(B,), whether V rose between merges while nobody touched anything: ruled out by theorem C."""
     risen: NDArray[np.bool_] = (step.rise > _ROUNDING) & ~step.contact.any(axis=1)
     return risen
 
@@ -45,8 +43,8 @@ def can_learn(field: Scenario) -> bool:
 
 
 def guarded(field: Scenario, safety: str) -> dict[str, Any]:
-    """Arguments of ``vector.training_env`` for a way of being safe; without a guarantee it is a
-    tank that is never empty. All robots have the budget that points have.
+    """Arguments of ``vector.training_env`` for a way of being safe; without a guarantee a tank that
+    is never empty. All robots have the budget of points.
     """
     if safety == "heading":
         return {"guarantee": safety}

@@ -34,16 +34,13 @@ Tables = Mapping[str, Mapping[str, NDArray[Any]]]
 
 
 def write(run: Path, step: int, description: Mapping[str, Any], tables: Tables) -> Path:
-    """Write a checkpoint of a run at a step and remove those that are no longer needed.
+    """Write a checkpoint in a run's folder and remove those that are no longer needed.
 
     Args:
-        run: its folder.
+        run: the folder.
         step: gives the checkpoint its name.
         description: plain data.
         tables: named arrays for each file, without the suffix.
-
-    Raises:
-        OSError: if it cannot be written; older checkpoints are as they were.
     """
     folder = run / checkpoints.FOLDER
     folder.mkdir(parents=True, exist_ok=True)
@@ -176,12 +173,7 @@ def restore_random(state: Mapping[str, NDArray[Any]]) -> None:
 
 
 def where_to_begin(config: Config, console: Console) -> tuple[Config, Path | None]:
-    """The settings that hold, and the checkpoint to begin with; None begins at step 0.
-
-    Raises:
-        UserError: if a flag contradicts the run to resume.
-        CheckpointError: if none of its checkpoints is good.
-    """
+    """The settings that hold, and the checkpoint to begin with; None begins at step 0."""
     if (folder := config.resume) is None:
         return config, None
     config = resumed(config, read_config(folder))

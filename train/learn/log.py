@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import math
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from io import StringIO
@@ -30,15 +31,34 @@ EVALUATION = ("step", *results.RESULT_COLUMNS)
 
 class Table:
     """A CSV file that grows by rows, first cut back to a step: later rows go, and whatever a kill
-    left of a last row.
-
-    Raises:
-        UserError: if the file is damaged; nothing is written before ``begin``.
+    left of a last row. A damaged file is a UserError; nothing is written before ``begin``.
     """
 
     def __init__(self, path: Path, columns: Sequence[str], step: int) -> None:
-        self._path, self._columns = path, columns
-        self._kept = [row for row in _complete_rows(path, columns) if int(row["step"]) <= step]
+        self._path, self._columns = path, list(columns)
+        try:
+            text = path.read_bytes().decode("utf-8") if path.exists() else ""
+            whole = StringIO(text[: text.rfind("\n") + 1], newline="")
+            header, *rows = list(csv.reader(whole)) or [self._columns]
+        except (OSError, ValueError, csv.Error) as error:
+            raise self._damaged(f"not readable ({error})") from error
+        if header != self._columns:
+            raise self._damaged(f"line 1 is not {','.join(columns)}")
+        self._kept = []
+        for number, row in enumerate(rows, start=2):
+            if len(row) != len(columns):
+                raise self._damaged(f"line {number} has {len(row)} cells, not {len(columns)}")
+            cells = dict(zip(columns, row, strict=True))
+            if not re.fullmatch(r"\d{1,19}", cells["step"], re.ASCII):
+                said = f"line {number}: step is {cells['step']!r}; it must be a whole number"
+                raise self._damaged(said)
+            if int(cells["step"]) <= step:
+                self._kept.append(cells)
+
+    def _damaged(self, what: str) -> UserError:
+        return UserError(
+            f"{self._path}: {what}; mend it, or move it away to go on without its rows"
+        )
 
     def begin(self) -> None:
         """Write the rows that stay."""
@@ -48,31 +68,6 @@ class Table:
         """Append a row; it is in the file when this returns."""
         with self._path.open("a", newline="", encoding="utf-8") as file:
             csv.writer(file).writerow([results.plain(row[column]) for column in self._columns])
-
-
-def _complete_rows(path: Path, columns: Sequence[str]) -> list[dict[str, str]]:
-    """Rows of a file that may end in the middle of one; none if there is no file."""
-
-    def damaged(what: str) -> UserError:
-        return UserError(f"{path}: {what}; mend it, or move it away to go on without its rows")
-
-    try:
-        text = path.read_bytes().decode("utf-8")
-        whole = StringIO(text[: text.rfind("\n") + 1], newline="")
-        header, *rows = list(csv.reader(whole)) or [list(columns)]
-    except FileNotFoundError:
-        return []
-    except (OSError, ValueError, csv.Error) as error:
-        raise damaged(f"not readable ({error})") from error
-    if header != list(columns):
-        raise damaged(f"line 1 is not {','.join(columns)}")
-    for number, row in enumerate(rows, start=2):
-        if len(row) != len(columns):
-            raise damaged(f"line {number} has {len(row)} cells, not {len(columns)}")
-        step = row[columns.index("step")]
-        if not (step.isascii() and step.isdigit() and len(step) < 20):
-            raise damaged(f"line {number}: step is {step!r}; it must be a whole number")
-    return [dict(zip(columns, row, strict=True)) for row in rows]
 
 
 class Events:

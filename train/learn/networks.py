@@ -1,8 +1,7 @@
 """Networks that read sets of bearings: any number of neighbours and obstacles, in any order.
 
-Centralised training, decentralised execution: a critic may also read the global state of the team
-as each robot would see it. That state is privileged, positions and distances that no robot can
-measure, and for training only: no policy that is served is shown any of it.
+Centralised training, decentralised execution: a critic may also read the global state of the team.
+It has positions and distances that no robot can measure, and no policy that is served sees it.
 """
 
 from __future__ import annotations
@@ -18,7 +17,6 @@ from rendezvous_env.baselines.learned.features import (
     NEIGHBOUR_COLUMNS,
     OBSTACLE_COLUMNS,
     FeatureLayout,
-    FeatureParts,
 )
 from rendezvous_env.baselines.learned.policy_settings import CHOICES
 from rendezvous_env.baselines.learned.training_environment import observation_box
@@ -31,6 +29,7 @@ from rendezvous_env.simulator import Simulator
 
 from .sets import pooled
 
+Floats = NDArray[np.float64]
 _SMALL = 0.1
 """Share of the usual weights with which the action layer begins."""
 
@@ -53,7 +52,7 @@ class SetFeatures(BaseFeaturesExtractor):
 
     def forward(self, observations: Tensor) -> Tensor:
         """Features (N, features_dim) of what N robots are shown."""
-        seen: FeatureParts = self.layout.split(observations)
+        seen = self.layout.split(observations)
         neighbours = pooled(self.neighbour_net, seen.neighbours)
         obstacles = pooled(self.obstacle_net, seen.obstacles)
         return torch.cat((*neighbours, *obstacles, seen.context), dim=-1)
@@ -139,14 +138,11 @@ FAR = 5.0
 
 
 class Situation(NamedTuple):
-    """The parts of a global state, as views; rows of what is gone are zero."""
+    """The parts of a global state, as views with columns last; rows of what is gone are zero."""
 
     robots: Any
-    """(..., n, STATE_ROBOT_COLUMNS)."""
     obstacles: Any
-    """(..., M, STATE_OBSTACLE_COLUMNS)."""
     context: Any
-    """(..., STATE_CONTEXT_COLUMNS)."""
 
 
 class GlobalStateLayout(NamedTuple):
@@ -172,12 +168,10 @@ class GlobalStateLayout(NamedTuple):
         )
 
     def states(
-        self, simulator: Simulator, towards: NDArray[Any], levels: NDArray[np.float64]
+        self, simulator: Simulator, towards: NDArray[Any], levels: Floats
     ) -> NDArray[np.float32]:
-        """Global states (B, n, size) of B teams in the plane, as ``GlobalState.states``.
-
-        Every robot's is written from its position, in the frame with x along f; zeros for robots
-        that are gone.
+        """Global states (B, n, size) of teams in the plane, see ``GlobalState``: each from a
+        robot's position, in its frame with x along f; zeros for robots that are gone.
         """
         positions, active, table = simulator.positions, simulator.active, simulator.obstacles
         axes, (batch, n) = _axes(simulator.frames, towards), active.shape
@@ -196,7 +190,7 @@ class GlobalStateLayout(NamedTuple):
         return (states * active[..., np.newaxis]).astype(np.float32)
 
 
-def _axes(frames: NDArray[np.float64], towards: NDArray[Any]) -> NDArray[np.float64]:
+def _axes(frames: Floats, towards: NDArray[Any]) -> Floats:
     """Axes (B, n, 2, 2) of the frames with x along f, rows in the global frame."""
     x = towards.astype(np.float64)
     length = np.linalg.norm(x, axis=-1, keepdims=True)
@@ -205,9 +199,7 @@ def _axes(frames: NDArray[np.float64], towards: NDArray[Any]) -> NDArray[np.floa
     return np.stack((x, np.stack((-x[..., 1], x[..., 0]), axis=-1)), axis=-2)
 
 
-def _seen_from(
-    positions: NDArray[np.float64], axes: NDArray[np.float64], points: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _seen_from(positions: Floats, axes: Floats, points: Floats) -> Floats:
     """Points (B, k, 2), m, from robots at positions (B, n, 2): (B, n, k, 2), in units of FAR."""
     apart = points[:, np.newaxis] - positions[:, :, np.newaxis]
     return np.einsum("bnij,bnkj->bnki", axes, apart) / FAR

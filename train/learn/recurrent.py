@@ -41,10 +41,7 @@ class RecurrentNetwork(SplitNetwork):
         h ← GRU(features shown to the robot, h),   h = 0 where an episode begins, and for a robot
                                                    that is shown nothing
 
-    In forward passes the network itself keeps h of all slots.
-
-    Args:
-        units: numbers in h.
+    In forward passes the network itself keeps h, of so many ``units``, for all slots.
     """
 
     hidden: Tensor
@@ -186,11 +183,7 @@ class RecurrentRobotPPO(HeadingPPO):
         return {"hidden": self.policy.hidden.cpu().numpy()}
 
     def set_memory(self, state: Mapping[str, NDArray[Any]]) -> None:
-        """Put back what ``get_memory`` took out.
-
-        Raises:
-            ValueError: for another shape, or a number that is not finite.
-        """
+        """Put back what ``get_memory`` took out; a ValueError if it does not fit."""
         hidden, shape = state["hidden"], tuple(self.policy.hidden.shape)
         if hidden.shape != shape or not np.isfinite(hidden).all():
             raise ValueError(f"hidden has shape {hidden.shape}; it must be {shape}, and finite")

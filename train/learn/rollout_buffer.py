@@ -33,7 +33,6 @@ from .networks import HeadingNetwork
 _SAMPLES = ("observations", "actions", "values", "log_probs", "advantages", "returns")
 _STEP = ("observations", "actions", "rewards", "episode_starts", "values", "log_probs")
 _MEASURED = ("policy_gradient_loss", "value_loss", "entropy_loss", "approx_kl", "clip_fraction")
-"""Means over a batch, as stable-baselines3 calls them."""
 
 
 class RobotRolloutBuffer(RolloutBuffer):
@@ -123,10 +122,8 @@ class RobotRolloutBuffer(RolloutBuffer):
 
 
 class RobotPPO(PPO):
-    """PPO on a RobotVecEnv: samples of gone robots are left out, time-outs valued in one call.
-
-    Arguments as ``stable_baselines3.PPO``. The environment may be wrapped; rewards may be
-    normalised, observations not.
+    """PPO on a RobotVecEnv, which may be wrapped: samples of gone robots are left out, time-outs
+    valued in one call. Rewards may be normalised, observations not.
     """
 
     buffer_class: ClassVar[type[RobotRolloutBuffer]] = RobotRolloutBuffer
@@ -142,11 +139,7 @@ class RobotPPO(PPO):
         super()._setup_model()
 
     def collect_rollouts(self, env: VecEnv, *how: Any, **more: Any) -> bool:
-        """Collect as PPO does, with the buffer following the robots.
-
-        Raises:
-            TypeError: if the environment is no RobotVecEnv, or its observations are normalised.
-        """
+        """As PPO, with the buffer following the robots; a TypeError for another environment."""
         robots: Any = env.unwrapped
         if not isinstance(robots, RobotVecEnv):
             raise TypeError(f"RobotPPO needs a RobotVecEnv; it has a {type(robots).__name__}")

@@ -37,10 +37,9 @@ EXAMPLES = (
     "--resume runs/heading",
 )
 _REWARDS = ("progress", "time_penalty", "collision_penalty", "rendezvous_bonus")
-_POLICY = (
-    "set_width", "hidden", "clearance", "persistence", "min_alignment", "max_turn_rate",
-    "guarantee", "memory", "memory_units",
-)  # fmt: skip
+_POLICY = tuple(
+    field.name for field in fields(PolicySettings) if field.name not in ("decision_time", "budget")
+)
 _LEARNING = (
     "num_teams", "n_steps", "batch_size", "epochs", "learning_rate", "gamma", "gae_lambda",
     "clip_range", "ent_coef", "prior", "start_from",
@@ -189,11 +188,7 @@ class Config:
 
     @classmethod
     def from_plain(cls, plain: dict[str, Any]) -> Config:
-        """What ``to_plain`` gave, of this version or an older one.
-
-        Raises:
-            ValueError: for an unknown field, or one of a wrong type.
-        """
+        """What ``to_plain`` gave, in an older version too; a ValueError for anything else."""
         if not isinstance(plain, dict):
             raise ValueError(f"the configuration is a {type(plain).__name__}, not named fields")
         hints = get_type_hints(cls)
@@ -278,11 +273,7 @@ MAY_CHANGE = ("total_steps", "eval_every", "eval_starts", "checkpoint_every", "n
 
 
 def check(config: Config) -> None:
-    """Refuse impossible settings.
-
-    Raises:
-        UserError: naming the flag, its value and what would be right.
-    """
+    """Refuse impossible settings with a UserError that names the flag and what would be right."""
     check_fields(config)
     check_least(config, **{name: least for name, (least, _) in _BOUNDS.items()})
     check_most(config, **{name: most for name, (_, most) in _BOUNDS.items()})

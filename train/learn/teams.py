@@ -187,9 +187,7 @@ def make_teams(config: Config, stage: int) -> FeatureVectorEnv | SensingGroups:
 
 
 class WatchedRobots(RobotVecEnv):
-    """Robots with sums over their steps: the environment's time, s, and alignment with its count
-    of terms.
-    """
+    """Robots with sums over their steps: time in the environment, s; alignment and its terms."""
 
     seconds, alignment, aligned = 0.0, 0.0, 0
 
@@ -205,11 +203,7 @@ class WatchedRobots(RobotVecEnv):
         return result
 
     def renew_sensors(self, update: int) -> tuple[NDArray[np.bool_], NDArray[np.float32]]:
-        """Give groups of teams whose time has come before this update their next sensor.
-
-        Returns:
-            Slots that have begun a new episode, (slots,), and their observations, (k, size).
-        """
+        """As ``SensingGroups.renew``, for slots: (slots,) and (k, size)."""
         if not isinstance(self.teams, SensingGroups):
             return np.zeros(self.num_envs, dtype=np.bool_), self.bootstrap_observations[:0]
         which, observations = self.teams.renew(update)

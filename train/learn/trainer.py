@@ -116,11 +116,7 @@ class Trainer:
         self.events = Events(out / "tensorboard", step, self.config.tensorboard)
 
     def restore(self, place: Path) -> int:
-        """Take up the state of a checkpoint; the step it was written at.
-
-        Raises:
-            CheckpointError: if it belongs to another scenario or network.
-        """
+        """Take up the state of a checkpoint; the step it was written at."""
         about, tables = checkpoints.read(place, STATE_FILES)
         model = self.model
         try:

@@ -63,56 +63,35 @@ def play(policy: str, seeds: range, watch: Watcher | None = None) -> Iterator[Ep
         seeds: of the starts.
         watch: looks on.
     """
+    layout, n = SCENARIO.observation_layout, SCENARIO.n_robots
     simulator = Simulator(SCENARIO)
     simulator.reset(seeds[0])
-    eyes, team = Eyes(simulator), _Team(policy)
+    eyes, driver = Eyes(simulator), make(policy, SCENARIO)
+    detector = Detector(np.array(LAMPS[:n]), HEIGHT, SCENARIO.obstacle_range)
     try:
         for seed in seeds:
             simulator.reset(seed)
-            team.reset()
+            driver.reset()
+            sights = [RobotSight(layout, SCENARIO.max_degree) for _ in range(n)]
             began, steps = time.process_time(), 0
             while not simulator.ended[0]:
                 eyes.place()
-                pictures = eyes.look()
-                seen = team.see(pictures, simulator.active[0])
+                pictures, active = eyes.look(), simulator.active[0]
+                seen = [detector.find(pictures[i]) if active[i] else None for i in range(n)]
                 if watch is not None:
                     watch(simulator, eyes, pictures, seen)
-                simulator.step(team.act(seen, float(simulator.time[0])))
+                rows = np.zeros((1, n, *layout.shape), np.float32)
+                for i, found in enumerate(seen):
+                    if found is not None:
+                        edges = found.edges[: layout.obstacle_slots]
+                        rows[0, i] = sights[i].rows(unit(found.bearings), unit(edges), None)
+                simulator.step(driver(rows, float(simulator.time[0])))
                 steps += 1
             met = bool(simulator.status[0] == RENDEZVOUS)
             clean, work = met and not simulator.contacts[0], time.process_time() - began
             yield Episode(met, bool(clean), float(simulator.time[0]), steps, work)
     finally:
         eyes.close()
-
-
-class _Team:
-    """Detectors and a policy: pictures in, velocities out."""
-
-    def __init__(self, policy: str) -> None:
-        self._layout, n = SCENARIO.observation_layout, SCENARIO.n_robots
-        self._sights = [RobotSight(self._layout, SCENARIO.max_degree) for _ in range(n)]
-        self._detector = Detector(np.array(LAMPS[:n]), HEIGHT, SCENARIO.obstacle_range)
-        self._policy = make(policy, SCENARIO)
-
-    def reset(self) -> None:
-        self._policy.reset()
-        for sight in self._sights:
-            sight.forget()
-
-    def see(self, pictures: NDArray[np.uint8], active: NDArray[np.bool_]) -> list[Found | None]:
-        """Findings, robot by robot; None for those that have merged away."""
-        mine = zip(pictures, active, strict=True)
-        return [self._detector.find(own) if there else None for own, there in mine]
-
-    def act(self, seen: list[Found | None], time: float) -> NDArray[np.float32]:
-        """Velocities (1, n, 2) in the robots' own frames, m/s."""
-        rows = np.zeros((1, len(seen), *self._layout.shape), np.float32)
-        for i, found in enumerate(seen):
-            if found is not None:
-                edges = found.edges[: self._layout.obstacle_slots]
-                rows[0, i] = self._sights[i].rows(unit(found.bearings), unit(edges), None)
-        return self._policy(rows, time)
 
 
 def compare(policy: str, episodes: int, seed: int) -> dict[str, Any]:

@@ -50,7 +50,9 @@ class Module:
         """The text of a statement, without decorators that mean nothing in one file, and of a class
         with these methods only and those that Python itself calls.
         """
-        dropped: list[ast.AST] = [d for d in _decorators(node) if _word_of(d) in _DROPPED]
+        dropped: list[ast.AST] = [
+            one for one in _decorators(node) if ast.unparse(one).partition("(")[0] in _DROPPED
+        ]
         if isinstance(node, ast.ClassDef):
             dropped += [
                 part
@@ -72,11 +74,6 @@ def _rows(node: ast.AST) -> range:
     """Line numbers of a node with its decorators."""
     first, last = getattr(node, "lineno", 0), getattr(node, "end_lineno", 0)
     return range(min([first, *(d.lineno for d in _decorators(node))]), last + 1)
-
-
-def _word_of(decorator: ast.expr) -> str:
-    inner = decorator.func if isinstance(decorator, ast.Call) else decorator
-    return inner.id if isinstance(inner, ast.Name) else ""
 
 
 @cache
@@ -190,7 +187,12 @@ class Bundle:
 
     def text(self) -> str:
         """Imports, and all definitions in an order in which they can be run."""
-        lines = [_import_of(word, name) for word, name in sorted(self._imports.items())]
+        lines = []
+        for word, name in sorted(self._imports.items()):
+            line = (
+                f"from {name.module} import {name.word}" if name.word else f"import {name.module}"
+            )
+            lines.append(line if line.split()[-1] == word else f"{line} as {word}")
         parts = ["\n".join(sorted(lines, key=lambda line: (line.split()[0] != "import", line)))]
         order, called = list(TopologicalSorter(self._needs).static_order()), self._called()
         for module in order:
@@ -216,12 +218,6 @@ class Bundle:
             assert word not in called.values(), word
             called[name] = word
         return called
-
-
-def _import_of(word: str, name: Name) -> str:
-    if not name.word:
-        return f"import {name.module}" + (f" as {word}" if word != name.module else "")
-    return f"from {name.module} import {name.word}" + (f" as {word}" if word != name.word else "")
 
 
 def _free_names(text: str) -> set[str]:

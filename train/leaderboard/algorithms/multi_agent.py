@@ -45,14 +45,8 @@ playing, 1,000 batches of 128 for 6,000 decisions of a team."""
 def learn(
     field: Scenario, seed: int, budget: Budget, *, name: str, safety: str
 ) -> tuple[Callable[[int], Player], dict[str, Any]]:
-    """Train; see ``Algorithm.learn``.
-
-    Args:
-        field: the scenario.
-        seed: of weights, exploration and starts.
-        budget: how much.
-        name: one of ``LEARNERS``.
-        safety: of ``teams_to_learn_in``; a first touch costs nothing under "none".
+    """Train one of ``LEARNERS``, see ``Algorithm.learn``, with a ``safety`` of
+    ``teams_to_learn_in``; a first touch costs nothing under "none".
     """
     import torch
     from benchmarl import algorithms

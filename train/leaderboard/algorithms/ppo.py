@@ -41,15 +41,10 @@ class Paid(VectorWrapper):
 def learn(
     field: Scenario, seed: int, budget: Budget, *, limit: float | None = None, **safety: Any
 ) -> tuple[Callable[[int], Player], dict[str, Any]]:
-    """Train; see ``Algorithm.learn``.
+    """Train, see ``Algorithm.learn``, in teams that ``safety`` makes.
 
-    Args:
-        field: the scenario.
-        seed: of weights, exploration and starts.
-        budget: how much.
-        limit: touches of a team's episode, mean, that a Lagrangian learner is to stay below; its
-            multiplier moves after every rollout. None is no Lagrangian.
-        **safety: of ``teams_to_learn_in``.
+    ``limit`` is the mean number of touches of a team's episode that a Lagrangian learner is to stay
+    below; its multiplier moves after every rollout. None is no Lagrangian.
     """
     import torch
     from stable_baselines3.common.logger import Logger
@@ -107,44 +102,37 @@ def _multiplier(paid: Paid, robots: Any, limit: float) -> Any:
 def algorithm(
     about: str,
     word: str,
-    guarantee: Literal["none", "heading", "tank"] = "none",
-    *,
+    safety: Literal["none", "rule", "heading", "tank"],
     given: str = "bearings",
     fits: Callable[[Scenario], bool] = can_learn,
     **how: Any,
 ) -> Algorithm:
-    """An ``Algorithm`` that is this PPO; ``how`` goes to ``learn``."""
+    """An ``Algorithm`` that is this PPO; ``safety`` and ``how`` go to ``teams_to_learn_in``."""
+    proven: Literal["none", "heading", "tank"] = "none" if safety == "rule" else safety
+    learned = partial(learn, safety=safety, **how)
     packages = ("torch", "stable-baselines3")
-    return Algorithm(about, word, guarantee, given, partial(learn, **how), fits, packages=packages)
+    return Algorithm(about, word, proven, given, learned, fits, packages=packages)
 
 
 ALGORITHMS = {
-    "ppo-none": algorithm(
-        "PPO on the team's reward alone", "none", safety="none", touch_penalty=0.0
-    ),
-    "ppo-penalty": algorithm("PPO; a robot's first touch costs it 1", "penalty", safety="none"),
+    "ppo-none": algorithm("PPO on the team's reward alone", "none", "none", touch_penalty=0.0),
+    "ppo-penalty": algorithm("PPO; a robot's first touch costs it 1", "penalty", "none"),
     "ppo-lagrangian": algorithm(  # Ray, Achiam & Amodei 2019, with one critic
         "PPO-Lagrangian: touches cost λ, which grows while an episode has more than 0.1 of them",
         "Lagrangian",
-        safety="none",
+        "none",
         touch_penalty=0.0,
         limit=0.1,
     ),
     "ppo-rule": algorithm(
         "PPO whose choices the joined rule leads round obstacles; a first touch costs 1",
         "rule",
-        safety="rule",
+        "rule",
     ),
     "ppo-heading": algorithm(
-        "PPO under certified headings; a first touch costs 1",
-        "heading",
-        "heading",
-        safety="heading",
+        "PPO under certified headings; a first touch costs 1", "heading", "heading"
     ),
     "ppo-tank": algorithm(
-        "PPO under energy tanks of the shipped budget; a first touch costs 1",
-        "tank",
-        "tank",
-        safety="tank",
+        "PPO under energy tanks of the shipped budget; a first touch costs 1", "tank", "tank"
     ),
 }

@@ -26,19 +26,12 @@ from rendezvous_env.physics.half_planes import nearest_within
 
 from .ppo import algorithm
 
+Floats = NDArray[np.float64]
 _NEAREST = 3
 
 
-def kept_out(
-    wanted: NDArray[np.float64], away: NDArray[np.float64], least: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """The QP in the plane; v = 0 always fits.
-
-    Args:
-        wanted: u, (N, 2).
-        away: n, (N, K, 2), unit vectors.
-        least: −α d, (N, K), never positive.
-    """
+def kept_out(wanted: Floats, away: Floats, least: Floats) -> Floats:
+    """The QP in the plane for u (N, 2), n (N, K, 2) and −α d (N, K), never positive: v = 0 fits."""
     _keep_out(wanted, -away, -least, kept := np.empty(wanted.shape))
     return kept
 
@@ -83,8 +76,8 @@ class Barrier(VectorWrapper):
 ALGORITHM = algorithm(
     "PPO behind a control-barrier-function filter; a first touch costs 1",
     "CBF",
+    "none",
     given="distances of discs",
     fits=lambda field: in_the_plane(field) and isinstance(field.obstacles, ObstacleField),
-    safety="none",
     wrap=Barrier,
 )
