@@ -11,10 +11,9 @@ import rendezvous_env as rv
 from baselines.learned.numpy_actor import NumpyActor
 from baselines.learned.training_environment import FeatureVectorEnv
 from rendezvous_env.adapters.slots import of_one_robot
-from train.checks import UserError
 from train.learn.networks import FAR, GlobalStateLayout
 from train.learn.recurrent import learner_of
-from train.learn.settings import Config, check
+from train.learn.settings import Config
 
 SCENARIO = rv.scenarios.get("clutter-12").replace(time_limit=3.0)
 CONFIG = Config(
@@ -31,20 +30,12 @@ def teams(config=CONFIG, batch=5):
     )
 
 
-def network(config, env):
-    torch.manual_seed(1)
-    spaces = map(of_one_robot, (env.single_observation_space, env.single_action_space))
-    _, kind, settings = learner_of(config, env)
-    return kind(*spaces, lambda _: 0.0, **settings)
-
-
 def test_the_state_by_hand():
     """Robot 1 is 5 m from robot 0, the disc's centre 2 m to the left of it and 1 m ahead."""
     disc = rv.Disc((-1.0, 2.5), 0.5)
     scenario = rv.Scenario(n_robots=2, obstacles=(disc,), time_limit=10.0, max_speed=2.0)
     simulator = rv.Simulator(scenario, 1)
-    positions = [[0.0, 0.0], [3.0, 4.0]]
-    observations = simulator.reset(0, {"positions": positions})
+    observations = simulator.reset(0, {"positions": [[0.0, 0.0], [3.0, 4.0]]})
     f = scenario.observation_layout.net_bearing(observations)
     layout = GlobalStateLayout(2, 3)
     states = layout.states(simulator, f, np.array([[0.0, np.e - 1.0]]))
@@ -53,8 +44,7 @@ def test_the_state_by_hand():
     np.testing.assert_allclose(
         seen.robots[0], [[[0, 0, 0, 1], [1, 0, 1, 1]], [[1, 0, 0, 1], [0, 0, 1, 1]]], atol=1e-6
     )
-    x, y = np.array([0.6, 0.8]), np.array([-0.8, 0.6])
-    centre = np.array([-1.0, 2.5])
+    centre, x, y = np.array([-1.0, 2.5]), np.array([0.6, 0.8]), np.array([-0.8, 0.6])
     expected = [centre @ x / FAR, centre @ y / FAR, 0.5 / FAR]
     np.testing.assert_allclose(seen.obstacles[0, 0, 0], expected, atol=1e-6)
     assert not seen.obstacles[0, :, 1:].any()
@@ -63,13 +53,13 @@ def test_the_state_by_hand():
         observations = simulator.step(observations[..., 0, :]).observations
     f = scenario.observation_layout.net_bearing(observations)
     later = layout.split(layout.states(simulator, f, np.zeros((1, 2))))
-    share = 20 * scenario.tau / 10.0
     left = float(simulator.lyapunov()[0] / simulator.initial_lyapunov[0])
     assert left < 0.99
+    share = 20 * scenario.tau / 10.0
     np.testing.assert_allclose(later.context[0, 0], [left, share], atol=1e-6)
 
 
-def test_who_is_gone_is_not_there():
+def test_who_is_gone_is_not_there_and_the_last_state_is_of_the_episode_that_ended():
     env = teams()
     env.reset(seed=3)
     for _ in range(59):
@@ -78,19 +68,11 @@ def test_who_is_gone_is_not_there():
     assert 0 < (~active).sum() < active.size
     states = shown[..., env.layout.size :]
     np.testing.assert_array_equal(states.any(axis=-1), active)
-    robots = env.global_state.split(states).robots
     there = active[:, :, None] & active[:, None, :]
-    np.testing.assert_array_equal(robots[..., 3] == 1.0, there)
-
-
-def test_the_last_state_is_of_the_episode_that_ended():
-    env = teams()
-    env.reset(seed=3)
-    for _ in range(60):
-        shown, _, _, cuts, infos = env.step(np.zeros((5, 4), dtype=np.int64))
+    np.testing.assert_array_equal(env.global_state.split(states).robots[..., 3] == 1.0, there)
+    shown, _, _, cuts, infos = env.step(np.zeros((5, 4), dtype=np.int64))
     assert cuts.any()
-    last = np.stack(infos["final_obs"][cuts].tolist())
-    split = env.global_state.split
+    last, split = np.stack(infos["final_obs"][cuts].tolist()), env.global_state.split
     np.testing.assert_array_equal(split(last[:, 0, env.layout.size :]).context[:, 1], 1.0)
     np.testing.assert_array_equal(split(shown[cuts][..., env.layout.size :]).context[..., 1], 0.0)
 
@@ -100,7 +82,11 @@ def test_only_the_critic_reads_it(memory):
     config = replace(CONFIG, memory=memory)
     env = teams(config)
     shown, _ = env.reset(seed=3)
-    made, local = network(config, env), teams(replace(config, critic="local"))
+    assert teams(replace(config, critic="local")).layout == env.layout
+    torch.manual_seed(1)
+    spaces = map(of_one_robot, (env.single_observation_space, env.single_action_space))
+    _, network, arguments = learner_of(config, env)
+    made = network(*spaces, lambda _: 0.0, **arguments)
     seen = torch.as_tensor(shown.reshape(-1, shown.shape[-1]))
     other = seen.clone()
     other[:, env.layout.size :] += 1.0
@@ -119,18 +105,14 @@ def test_only_the_critic_reads_it(memory):
             made(each)
             kept.append(made.hidden)
         assert torch.equal(*kept) and kept[0].any()
-    assert local.layout == env.layout
-    arrays = {name: value.detach().numpy() for name, value in made.state_dict().items()}
-    needed = {k: v for k, v in arrays.items() if not {"team_net", "field_net"} & set(k.split("."))}
-    needed = {k: v for k, v in needed.items() if "value_net" not in k}
-    assert len(needed) < len(arrays)
+    critics = {"team_net", "field_net", "value_net"}
+    needed = {
+        name: value.detach().numpy()
+        for name, value in made.state_dict().items()
+        if not critics & set(name.split("."))
+    }
+    assert len(needed) < len(made.state_dict())
     ours = NumpyActor(needed, config.policy_settings(), env.layout)
     preferences = ours.preferences(seen[:, : env.layout.size].numpy())
     logits = before.numpy()
     np.testing.assert_allclose(preferences - preferences[:, :1], logits - logits[:, :1], atol=2e-5)
-
-
-@pytest.mark.parametrize("name", ["guarantee", "memory", "critic"])
-def test_words_that_are_none(name):
-    with pytest.raises(UserError, match=f"--{name} is 'oracle'; it must be one of "):
-        check(replace(CONFIG, **{name: "oracle"}))

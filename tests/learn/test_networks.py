@@ -16,43 +16,56 @@ K, M = 4, 6
 SETTINGS = {"set_width": 8, "hidden": (16,)}
 
 
-def network(K=K, M=M, *, seed=0):
+def network(K=K, M=M):
     """With random weights in every layer, the last one included."""
-    torch.manual_seed(seed)
-    made = make_network(FeatureLayout(K, M), **SETTINGS)
+    return stirred(make_network(FeatureLayout(K, M), **SETTINGS))
+
+
+def stirred(made):
+    torch.manual_seed(0)
     with torch.no_grad():
-        nn.init.normal_(made.action_net.weight, std=0.3)
+        for weights in made.parameters():
+            nn.init.normal_(weights, std=0.3)
     return made
 
 
-def shown(seed=0, robots=50):
+def shown(robots=50, columns=CONTEXT_COLUMNS):
     """Random rows, some absent, as (neighbours, obstacles, context)."""
-    random = np.random.default_rng(seed)
-    parts = [random.normal(size=(robots, *shape)) for shape in ((K, 3), (M, 6), (CONTEXT_COLUMNS,))]
+    random = np.random.default_rng(0)
+    parts = [random.normal(size=(robots, *shape)) for shape in ((K, 3), (M, 6), (columns,))]
     parts[0][random.random((robots, K)) < 0.3] = 0.0
     parts[1][random.random((robots, M)) < 0.5] = 0.0
     parts[1][0] = 0.0  # sees no obstacle
     return parts
 
 
+def flat(parts):
+    joined = np.concatenate([part.reshape(len(part), -1) for part in parts], axis=1)
+    return torch.as_tensor(joined.astype(np.float32))
+
+
 def outputs(made, parts):
-    flat = np.concatenate([part.reshape(len(part), -1) for part in parts], axis=1)
-    seen = torch.as_tensor(flat.astype(np.float32))
     with torch.no_grad():
-        chances = made.get_distribution(seen).distribution.probs
-        return chances.numpy(), made.predict_values(seen).numpy()
+        chances = made.get_distribution(flat(parts)).distribution.probs
+        return chances.numpy(), made.predict_values(flat(parts)).numpy()
 
 
-def same(one, other):
+def assert_same(one, other):
     for a, b in zip(one, other, strict=True):
         np.testing.assert_allclose(a, b, atol=2e-6)
 
 
-def test_order_does_not_matter():
-    made, (neighbours, obstacles, context) = network(), shown()
-    random = np.random.default_rng(1)
+def test_order_does_not_matter_and_every_part_does():
+    made, parts = network(), shown()
+    (neighbours, obstacles, context), random = parts, np.random.default_rng(1)
     mixed = (neighbours[:, random.permutation(K)], obstacles[:, random.permutation(M)], context)
-    same(outputs(made, mixed), outputs(made, (neighbours, obstacles, context)))
+    before, value = outputs(made, parts)
+    assert_same(outputs(made, mixed), (before, value))
+    for k in range(3):
+        changed = [part.copy() for part in parts]
+        changed[k][1:] += 0.5 * (changed[k][1:] != 0)
+        after, other = outputs(made, changed)
+        assert np.abs(after - before).max() > 1e-3 and np.abs(other - value).max() > 1e-3
 
 
 @pytest.mark.parametrize(("more_neighbours", "more_obstacles"), [(3, 0), (0, 18), (28, 18)])
@@ -65,41 +78,27 @@ def test_absent_rows_do_not_count(more_neighbours, more_obstacles):
         np.concatenate([np.zeros((50, more_obstacles, 6)), obstacles], axis=1),
         context,
     )
-    same(outputs(wide, padded), outputs(made, (neighbours, obstacles, context)))
-
-
-def test_every_part_matters():
-    made, parts = network(), shown()
-    before, value = outputs(made, parts)
-    for k in range(3):
-        changed = [part.copy() for part in parts]
-        changed[k][1:] += 0.5 * (changed[k][1:] != 0)
-        after, other = outputs(made, changed)
-        assert np.abs(after - before).max() > 1e-3 and np.abs(other - value).max() > 1e-3
+    assert_same(outputs(wide, padded), outputs(made, (neighbours, obstacles, context)))
 
 
 def test_empty_sets_are_finite():
     neighbours, obstacles, context = (np.zeros_like(part) for part in shown())
     seen = outputs(network(), (neighbours, obstacles, context))
-    none = outputs(network(M=0), (neighbours, obstacles[:, :0], context))
-    same(seen, none)
+    assert_same(seen, outputs(network(M=0), (neighbours, obstacles[:, :0], context)))
     assert all(np.isfinite(values).all() for values in seen)
 
 
 def test_untrained_it_chooses_the_rule():
     torch.manual_seed(3)
-    made = make_network(FeatureLayout(K, M), prior=2.0, **SETTINGS)
-    chances, _ = outputs(made, shown())
+    chances, _ = outputs(make_network(FeatureLayout(K, M), prior=2.0, **SETTINGS), shown())
     expected = np.r_[np.exp(2.0), np.ones(CHOICES - 1)] / (np.exp(2.0) + CHOICES - 1)
     np.testing.assert_allclose(chances, np.broadcast_to(expected, chances.shape), atol=0.1)
     assert (chances.argmax(axis=1) == 0).all()
 
 
 def test_gradients_reach_every_weight():
-    made, parts = network(), shown()
-    flat = np.concatenate([part.reshape(len(part), -1) for part in parts], axis=1)
-    seen = torch.as_tensor(flat.astype(np.float32))
-    value, log_prob, entropy = made.evaluate_actions(seen, torch.zeros(50))
+    made = network()
+    value, log_prob, entropy = made.evaluate_actions(flat(shown()), torch.zeros(50))
     (value.sum() + log_prob.sum() + entropy.sum()).backward()
     for name, weight in made.named_parameters():
         assert weight.grad is not None and weight.grad.abs().sum() > 0, name
@@ -107,34 +106,29 @@ def test_gradients_reach_every_weight():
 
 @pytest.mark.parametrize("tank", [False, True])
 def test_numpy_chooses_as_torch(tank):
-    """With other numbers of slots too; the critic's weights are not asked for."""
+    """The critic's weights are not asked for."""
     settings = PolicySettings(
         **SETTINGS, clearance=0.1, persistence=0.5, min_alignment=0.1, max_turn_rate=3.0,
         decision_time=0.2, **({"guarantee": "tank", "memory": "features"} if tank else {}),
     )  # fmt: skip
-    torch.manual_seed(2)
     layout = settings.layout(K, M)
-    made = make_network(layout, len(settings.angles), **SETTINGS)
-    with torch.no_grad():
-        nn.init.normal_(made.action_net.weight, std=0.3)
-    neighbours, obstacles, _ = shown(robots=3000)
-    context = np.random.default_rng(4).normal(size=(3000, layout.context_columns))
-    context[:5] = neighbours[:5] = obstacles[:5] = 0.0
-    flat = np.concatenate(
-        [part.reshape(3000, -1) for part in (neighbours, obstacles, context)], axis=1
-    ).astype(np.float32)
+    made = stirred(make_network(layout, len(settings.angles), **SETTINGS))
+    parts = shown(3000, layout.context_columns)
+    for part in parts:
+        part[:5] = 0.0
+    seen = flat(parts)
     weights = {k: v.numpy() for k, v in made.state_dict().items() if "value" not in k}
     ours = NumpyActor(weights, settings, layout)
     with torch.no_grad():
-        distribution = made.get_distribution(torch.as_tensor(flat))
+        distribution = made.get_distribution(seen)
     expected = distribution.distribution.logits.numpy()
-    preferences = ours.preferences(flat)
+    preferences = ours.preferences(seen.numpy())
     np.testing.assert_allclose(
         preferences - preferences.max(axis=1, keepdims=True),
         expected - expected.max(axis=1, keepdims=True),
         atol=2e-5,
     )
-    chosen = ours.choose(flat)
+    chosen = ours.choose(seen.numpy())
     clear = np.diff(np.sort(expected, axis=1)[:, -2:])[:, 0] > 1e-4
     np.testing.assert_array_equal(chosen[clear], distribution.mode().numpy()[clear])
     assert clear.mean() > 0.99 and len(np.unique(chosen)) > 3
@@ -153,35 +147,27 @@ def judged(made, seen):
 @pytest.mark.parametrize("name", shipped.NAMES)
 def test_kernels_pool_as_torch_does(name, monkeypatch):
     """Outputs and gradients of the shipped weights; equal rows share those of the largest."""
-    place = checkpoints.find(shipped.folder(name))
-    about, tables = checkpoints.read(place, ["network"])
+    about, tables = checkpoints.read(checkpoints.find(shipped.folder(name)), ["network"])
     settings = PolicySettings.from_plain(about["policy"])
-    layout = settings.layout(K, M)
-    made = make_network(
-        layout, len(settings.angles), set_width=settings.set_width, hidden=settings.hidden
-    )
+    layout, widths = settings.layout(K, M), (settings.set_width, settings.hidden)
+    choices = len(settings.angles)
+    made = make_network(layout, choices, **dict(zip(SETTINGS, widths, strict=True)))
     weights = {k: torch.from_numpy(v) for k, v in tables["network"].items()}
     made.load_state_dict(weights, strict=False)
     assert made.state_dict().keys() & weights.keys() >= {"action_net.weight"}
-    neighbours, obstacles, _ = shown(robots=700)
-    neighbours[1, 1] = neighbours[1, 0] = [0.6, 0.8, 1.0]
-    neighbours[2] = obstacles[2] = 0.0
-    context = np.random.default_rng(4).normal(size=(700, layout.context_columns))
-    parts = (neighbours, obstacles, context)
-    flat = np.concatenate([part.reshape(700, -1) for part in parts], axis=1)
-    seen = torch.as_tensor(flat.astype(np.float32))
-    ours = judged(made, seen)
+    parts = shown(700, layout.context_columns)
+    parts[0][1, :2] = [0.6, 0.8, 1.0]
+    parts[0][2] = parts[1][2] = 0.0
+    ours = judged(made, flat(parts))
     monkeypatch.setattr(networks, "pooled", sets.pooled_anywhere)
-    expected = judged(made, seen)
+    expected = judged(made, flat(parts))
     for one, other in zip(ours, expected, strict=True):
         torch.testing.assert_close(one, other, rtol=1e-5, atol=1e-5 * float(other.abs().max()))
     assert min(float(other.abs().max()) for other in expected) > 0.0
 
 
 def test_what_is_said_of_choices_is_what_torch_says():
-    made, parts = network(), shown()
-    flat = np.concatenate([part.reshape(len(part), -1) for part in parts], axis=1)
-    seen = torch.as_tensor(flat.astype(np.float32))
+    made, seen = network(), flat(shown())
     with torch.no_grad():
         expected = made.get_distribution(seen).distribution
         choices, values, log_prob = made(seen.repeat(400, 1))

@@ -2,11 +2,10 @@
 
 import json
 import math
-import signal
 
 import numpy as np
 import pytest
-from training_runs import UPDATE, assert_same_run, config, flags, resumed, stopped_after
+from training_runs import UPDATE, assert_goes_on, config, flags
 
 from baselines.learned import checkpoints
 from rendezvous_env.sensors.sensing import Sensing
@@ -17,21 +16,13 @@ from train.learn.sensing_ranges import SensingRanges
 from train.learn.teams import make_teams
 
 RANGES = SensingRanges(
-    noise=(0.05, 0.2),
-    bias=(0.0, 0.1),
-    dropout=(0.1, 0.3),
-    range=(10.0, 20.0),
-    field_of_view=(math.pi, 6.0),
-    occlusion=("obstacles", "both"),
-    delay=(1, 3),
-)
+    noise=(0.05, 0.2), bias=(0.0, 0.1), dropout=(0.1, 0.3), range=(10.0, 20.0),
+    field_of_view=(math.pi, 6.0), occlusion=("obstacles", "both"), delay=(1, 3),
+)  # fmt: skip
 DRAWN = {
-    "sensing_noise": (0.05, 0.3),
-    "sensing_dropout": (0.0, 0.5),
-    "sensing_delay": (0, 2),
-    "sensing_groups": 3,
-    "sensing_updates": 2,
-}
+    "sensing_noise": (0.05, 0.3), "sensing_dropout": (0.0, 0.5), "sensing_delay": (0, 2),
+    "sensing_groups": 3, "sensing_updates": 2,
+}  # fmt: skip
 """Three groups of 3, 3 and 2 teams, one or two of which have a new sensor in every update."""
 
 
@@ -50,17 +41,17 @@ class TestRanges:
         assert {s.delay for s in drawn} == {0, 1, 2, 3}
         assert {s.occlusion for s in drawn} == {"none", "obstacles", "both"}
 
-    def test_a_key_has_one_sensor(self):
-        keys = [(seed, g, k) for seed in range(3) for g in range(3) for k in range(3)]
-        drawn = [SensingRanges(noise=(0.0, 1.0), chance=1.0).draw(Sensing(), *k) for k in keys]
-        again = [SensingRanges(noise=(0.0, 1.0), chance=1.0).draw(Sensing(), *k) for k in keys]
+    def test_a_key_has_one_sensor_and_chances_count(self):
+        keys, always = [(seed, g) for seed in range(4) for g in range(4)], {"chance": 1.0}
+        drawn, again = (
+            [SensingRanges(noise=(0.0, 1.0), **always).draw(Sensing(), *key) for key in keys]
+            for _ in range(2)
+        )
         assert drawn == again and len(set(drawn)) == len(keys)
-
-    def test_chances(self):
-        ranges = {"noise": (0.2, 0.2), "occlusion": ("robots",)}
-        always = SensingRanges(**ranges, chance=1.0).draw(Sensing(bias=0.1), 0)
-        assert always == Sensing(noise=0.2, bias=0.1, occlusion="robots")
-        assert SensingRanges(**ranges, chance=0.0).draw(Sensing(bias=0.1), 0) == Sensing(bias=0.1)
+        given, ranges = Sensing(bias=0.1), {"noise": (0.2, 0.2), "occlusion": ("robots",)}
+        expected = Sensing(noise=0.2, bias=0.1, occlusion="robots")
+        assert SensingRanges(**ranges, **always).draw(given, 0) == expected
+        assert SensingRanges(**ranges, chance=0.0).draw(given, 0) == given
         assert RANGES and not SensingRanges()
 
     @pytest.mark.parametrize(
@@ -96,34 +87,26 @@ class TestRanges:
 
 
 class TestGroups:
-    def test_each_has_a_sensor_that_is_renewed_in_turn(self, tmp_path):
+    def test_each_has_a_sensor_that_is_renewed_in_turn_with_the_next_episodes(self, tmp_path):
         given = config(tmp_path, **DRAWN)
-        groups = make_teams(given, 0)
+        groups, ranges, generations = make_teams(given, 0), given.sensing_ranges(), []
         groups.reset(seed=5)
         assert [teams.num_envs for teams in groups.groups] == [3, 3, 2]
-        generations, ranges = [], given.sensing_ranges()
         for update in range(5):
+            before = [teams.env.simulator.get_state() for teams in groups.groups]
             which, seen = groups.renew(update)
             assert len(seen) == which.sum()
             generations.append(groups.generations.tolist())
             for g, k in enumerate(generations[-1]):
                 expected = ranges.draw(Sensing(), given.seed, g, k)
                 assert groups.groups[g].env.scenario.sensing == expected
+                state = groups.groups[g].env.simulator.get_state()
+                np.testing.assert_array_equal(before[g]["seed"], state["seed"])
+                renewed = (before[g]["positions"] != state["positions"]).any()
+                assert renewed == (update > 0 and generations[-2][g] != k)
+                assert state["episode"].tolist() == [k] * groups.groups[g].num_envs
         # offsets ⌊2 g/3⌋ = 0, 0, 1
         assert generations == [[0, 0, 0], [0, 0, 1], [1, 1, 1], [1, 1, 2], [2, 2, 2]]
-
-    def test_a_new_sensor_comes_with_the_next_episodes(self, tmp_path):
-        groups = make_teams(config(tmp_path, **DRAWN), 0)
-        groups.reset(seed=5)
-        before = [teams.env.simulator.get_state() for teams in groups.groups]
-        which, _ = groups.renew(1)
-        assert which.tolist() == [False] * 6 + [True] * 2
-        after = [teams.env.simulator.get_state() for teams in groups.groups]
-        for old, new in zip(before, after, strict=True):
-            np.testing.assert_array_equal(old["seed"], new["seed"])
-        assert [new["episode"].tolist() for new in after] == [[0] * 3, [0] * 3, [1] * 2]
-        np.testing.assert_array_equal(before[0]["positions"], after[0]["positions"])
-        assert (before[2]["positions"] != after[2]["positions"]).any()
 
     def test_groups_are_their_teams(self, tmp_path):
         """With sensors that are all exact, groups do bit by bit what the teams do without them."""
@@ -159,16 +142,11 @@ class TestGroups:
 
 def test_what_is_stopped_goes_on_bit_by_bit(tmp_path):
     """With memory, a critic that sees all and a curriculum: groups and their sensors are state."""
-    more = DRAWN | {"total_steps": 6 * UPDATE, "eval_every": 0, "guarantee": "tank"}
-    more |= {"memory": "recurrent", "memory_units": 4, "critic": "global", "curriculum": (1, 3)}
-    whole, run = (config(tmp_path / name, **more) for name in ("whole", "run"))
-    assert ppo.run(whole).status == 0
-    assert stopped_after(run, 5) == 128 + signal.SIGTERM
-    resumed(run.out)
-    assert_same_run(whole.out, run.out)
-    state = checkpoints.read(checkpoints.find(run.out), trainer.STATE_FILES)[1]["state"]
+    more = {"total_steps": 6 * UPDATE, "eval_every": 0, "guarantee": "tank", "curriculum": (1, 3)}
+    more |= {"memory": "recurrent", "memory_units": 4, "critic": "global"}
+    run = assert_goes_on(tmp_path, 5, **DRAWN, **more)
+    state = checkpoints.read(checkpoints.find(run), trainer.STATE_FILES)[1]["state"]
     assert state["robots/teams/generations"].tolist() == [2, 2, 3]
-    exact = {name: more[name] for name in more if not name.startswith("sensing")}
-    assert ppo.run(config(tmp_path / "exact", **exact | {"total_steps": UPDATE})).status == 0
-    first = [tmp_path / name / "metrics.csv" for name in ("exact", "run")]
+    assert ppo.run(config(tmp_path / "exact", **more | {"total_steps": UPDATE})).status == 0
+    first = [folder / "metrics.csv" for folder in (tmp_path / "exact", run)]
     assert first[0].read_text().splitlines()[1] != first[1].read_text().splitlines()[1]

@@ -14,20 +14,10 @@ from train.learn.ppo import Config
 
 UPDATE = 512
 SMALL = {
-    "scenario": "clutter-4",
-    "num_teams": 8,
-    "n_steps": 16,
-    "batch_size": 128,
-    "epochs": 2,
-    "total_steps": 12 * UPDATE,
-    "set_width": 8,
-    "hidden": (16,),
-    "eval_every": 2000,
-    "eval_starts": 4,
-    "checkpoint_every": 1000,
-    "tensorboard": False,
-    "num_threads": 1,
-}
+    "scenario": "clutter-4", "num_teams": 8, "n_steps": 16, "batch_size": 128, "epochs": 2,
+    "total_steps": 12 * UPDATE, "set_width": 8, "hidden": (16,), "eval_every": 2000,
+    "eval_starts": 4, "checkpoint_every": 1000, "tensorboard": False, "num_threads": 1,
+}  # fmt: skip
 """Twelve updates of 512 steps."""
 
 
@@ -85,3 +75,12 @@ def resumed(folder, **changes):
     result = ppo.run(Config(resume=folder, **changes))
     assert result.status == 0
     return result
+
+
+def assert_goes_on(folder, updates, **changes):
+    """A run that is stopped after so many updates is in the end as one that is not."""
+    assert ppo.run(config(folder / "whole", **changes)).status == 0
+    assert stopped_after(config(folder / "run", **changes), updates) == 128 + signal.SIGTERM
+    resumed(folder / "run")
+    assert_same_run(folder / "whole", folder / "run")
+    return folder / "run"
