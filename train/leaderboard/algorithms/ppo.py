@@ -57,7 +57,7 @@ def learn(
     paid = Paid(teams_to_learn_in(field, budget.num_teams, anew=True, **safety))
     robots = RobotVecEnv(paid)
     robots.seed(TRAINING_SEEDS + 2**32 * seed)
-    rule = _multiplier(paid, robots, limit) if limit is not None else None
+    rule = multiplier_of(paid, robots, limit) if limit is not None else None
     model = RobotPPO("MlpPolicy", robots, seed=seed, device="cpu", **SETTINGS)
     model.set_logger(Logger(None, []))  # else it makes a folder for temporary files
     model.learn(budget.decisions, callback=rule)
@@ -75,7 +75,7 @@ def learn(
     return (lambda n: Player(teams_to_learn_in(field, n, anew=False, **safety), choose)), settings
 
 
-def _multiplier(paid: Paid, robots: Any, limit: float) -> Any:
+def multiplier_of(paid: Paid, robots: Any, limit: float) -> Any:
     """A callback that moves λ ← max(0, λ + η (J − limit)) after each rollout, J the touches of its
     steps for each team and episode of mean length.
     """
