@@ -11,7 +11,6 @@ import onnx
 import onnxruntime
 import pytest
 
-import baselines
 import rendezvous_env as rv
 from baselines import RobotPolicy
 from baselines.learned import checkpoints, onnx_network, shipped
@@ -25,17 +24,9 @@ from train.compare import playing
 
 CLUTTER = rv.scenarios.get("clutter-12")
 RECURRENT = PolicySettings(
-    set_width=8,
-    hidden=(16,),
-    clearance=0.1,
-    persistence=0.5,
-    min_alignment=0.1,
-    max_turn_rate=3.0,
-    decision_time=0.2,
-    guarantee="tank",
-    memory="recurrent",
-    memory_units=5,
-)
+    set_width=8, hidden=(16,), clearance=0.1, persistence=0.5, min_alignment=0.1, max_turn_rate=3.0,
+    decision_time=0.2, guarantee="tank", memory="recurrent", memory_units=5,
+)  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -77,6 +68,13 @@ def signed(content):
     return onnx_network._DIGEST.sub(lambda found: found[0].replace(found[1], fits), content)
 
 
+def refused(path, content, message):
+    """A robot does not run what stands in a file now."""
+    path.write_bytes(content)
+    with pytest.raises(checkpoints.CheckpointError, match=message):
+        RobotPolicy(CLUTTER, path if path.suffix == ".onnx" else path.parent)
+
+
 class TestNetwork:
     @pytest.mark.parametrize("name", shipped.NAMES)
     def test_the_runtime_alone_finds_the_choices_of_ten_thousand_inputs(self, exported, name):
@@ -100,14 +98,14 @@ class TestNetwork:
         weights, random = drawn_weights(RECURRENT), np.random.default_rng(3)
         path, layout = tmp_path / "recurrent.onnx", RECURRENT.layout(3, 12)
         onnx.save(export.model_of(weights, RECURRENT), path)
-        written, ours = OnnxNetwork(path), NumpyActor(weights, RECURRENT, layout)
-        written.fit(layout)
+        networks = NumpyActor(weights, RECURRENT, layout), OnnxNetwork(path)
+        networks[1].fit(layout)
         hidden = np.zeros((2, 50, RECURRENT.units), dtype=np.float32)
         for _ in range(5):
             shown = export.drawn_tables(layout, 50, random)
             wanted, found = (
-                ours.preferences(shown, hidden[0]),
-                written.preferences(shown, hidden[1]),
+                network.preferences(shown, own)
+                for network, own in zip(networks, hidden, strict=True)
             )
             np.testing.assert_allclose(found, wanted, rtol=1e-4, atol=1e-4)
             np.testing.assert_allclose(hidden[1], hidden[0], atol=1e-5)
@@ -121,23 +119,26 @@ class TestNetwork:
         assert about["angles"] == settings.angles.tolist()
 
 
+def same_moves(name, path, scenario):
+    """A team goes the same way with a file; where, (T, B, n, d)."""
+    own, other = (
+        rv.rollout(scenario, policies.make(one, scenario), seed=4, num_envs=3).positions
+        for one in (name, f"learned:{path}")
+    )
+    np.testing.assert_allclose(other, own, atol=1e-4)
+    return own
+
+
 class TestPolicy:
     @pytest.mark.parametrize("name", ["learned", "learned-tank"])
     def test_a_team_moves_as_with_the_policy_itself(self, exported, name):
-        path = f"learned:{exported / name}.onnx"
-        short = CLUTTER.replace(time_limit=10.0)
-        own = rv.rollout(short, baselines.make(name, short), seed=4, num_envs=3)
-        other = rv.rollout(short, policies.make(path, short), seed=4, num_envs=3)
-        np.testing.assert_allclose(other.positions, own.positions, atol=1e-4)
+        same_moves(name, exported / f"{name}.onnx", CLUTTER.replace(time_limit=10.0))
 
     def test_a_robot_runs_the_file(self, exported):
-        robot = RobotPolicy(CLUTTER, exported / "learned.onnx")
-        own, seen = RobotPolicy(CLUTTER), [[1.0, 0.0], [0.0, 1.0]]
-        edges = [[[0.8, 0.6], [0.6, 0.8]]]
+        robot, own = RobotPolicy(CLUTTER, exported / "learned.onnx"), RobotPolicy(CLUTTER)
+        seen = [[1.0, 0.0], [0.0, 1.0]], [[[0.8, 0.6], [0.6, 0.8]]]
         for dt in (None, 0.03, 0.21):
-            np.testing.assert_allclose(
-                robot.act(seen, edges, dt=dt), own.act(seen, edges, dt=dt), atol=1e-6
-            )
+            np.testing.assert_allclose(robot.act(*seen, dt=dt), own.act(*seen, dt=dt), atol=1e-6)
 
     @pytest.mark.parametrize("field", ["clutter-3d-32", "uav-clutter-16"])
     def test_in_space_the_network_is_all_there_is_to_a_file(self, field, tmp_path):
@@ -145,10 +146,7 @@ class TestPolicy:
         path, scenario = tmp_path / "tank.onnx", rv.scenarios.get(field).replace(time_limit=8.0)
         words = ["export", "--policy", "learned-tank", "--out", str(path), "--checks", "100"]
         assert cli.main([*words, "--scenario", field]) == 0
-        own = rv.rollout(scenario, baselines.make("learned-tank", scenario), seed=4, num_envs=3)
-        other = rv.rollout(scenario, policies.make(f"learned:{path}", scenario), seed=4, num_envs=3)
-        np.testing.assert_allclose(other.positions, own.positions, atol=1e-4)
-        assert np.ptp(own.positions, axis=0).max() > 1.0
+        assert np.ptp(same_moves("learned-tank", path, scenario), axis=0).max() > 1.0
         robot, same = RobotPolicy(scenario, path), RobotPolicy(scenario, "learned-tank")
         for *seen, told in standalone.drawn_ticks(scenario, 40):
             np.testing.assert_allclose(robot.act(*seen, **told), same.act(*seen, **told), atol=1e-6)
@@ -182,11 +180,11 @@ class TestErrors:
         assert message in capsys.readouterr().err
         assert [path.name for path in tmp_path.iterdir()] == ["file"]
 
-    def test_a_file_is_not_exported_again(self, exported, capsys):
+    def test_a_file_is_not_exported_again_and_a_missing_extra_is_named(
+        self, exported, capsys, monkeypatch
+    ):
         assert cli.main(["export", "--policy", f"learned:{exported / 'learned.onnx'}"]) == 2
         assert "learned.onnx: is exported already" in capsys.readouterr().err
-
-    def test_an_extra_that_is_missing_is_named(self, monkeypatch, capsys):
         monkeypatch.setattr(checks.importlib.util, "find_spec", lambda name: None)
         assert cli.main(["export"]) == 2
         assert "export needs onnx; pip install 'rendezvous-env[export]'" in capsys.readouterr().err
@@ -207,31 +205,24 @@ class TestErrors:
     @pytest.mark.parametrize("altered", [1, 20])
     def test_a_damaged_file_drives_no_robot(self, exported, altered, tmp_path):
         content = (exported / "learned.onnx").read_bytes()
-        path, random = tmp_path / "x.onnx", np.random.default_rng(altered)
+        random = np.random.default_rng(altered)
         for _ in range(40):
             damaged = bytearray(content)
             for place in random.integers(0, len(content), altered):
                 damaged[place] ^= 1 << int(random.integers(8))
-            path.write_bytes(damaged)
-            with pytest.raises(checkpoints.CheckpointError, match=r"x\.onnx: .*digest"):
-                RobotPolicy(CLUTTER, path)
+            refused(tmp_path / "x.onnx", damaged, r"x\.onnx: .*digest")
 
     def test_not_a_byte_of_the_digest_and_its_name_may_change(self, exported, tmp_path):
         """Without its name it would not be found, and nothing compared."""
         content, path = (exported / "learned.onnx").read_bytes(), tmp_path / "x.onnx"
         found = onnx_network._DIGEST.search(content)
-        for place in range(found.start() - 2, found.end()):
-            path.write_bytes(content[:place] + bytes([content[place] ^ 1]) + content[place + 1 :])
-            with pytest.raises(checkpoints.CheckpointError, match=r"x\.onnx: .*digest"):
-                RobotPolicy(CLUTTER, path)
-
-    def test_a_file_without_a_digest_is_refused(self, exported, tmp_path):
-        model, path = onnx.load(exported / "learned.onnx"), tmp_path / "old.onnx"
+        for k in range(found.start() - 2, found.end()):
+            damaged = content[:k] + bytes([content[k] ^ 1]) + content[k + 1 :]
+            refused(path, damaged, r"x\.onnx: .*digest")
+        model = onnx.load(exported / "learned.onnx")
         keys = [entry.key for entry in model.metadata_props]
         del model.metadata_props[keys.index(DIGEST_KEY)]
-        onnx.save(model, path)
-        with pytest.raises(checkpoints.CheckpointError, match=r"old\.onnx: holds no digest"):
-            RobotPolicy(CLUTTER, path)
+        refused(path, model.SerializeToString(), r"x\.onnx: holds no digest")
 
     @pytest.mark.parametrize("name", ["network.safetensors", "checkpoint.json"])
     def test_damaged_weights_drive_no_robot(self, name, tmp_path):
@@ -241,34 +232,23 @@ class TestErrors:
         for place in random.integers(0, len(content), 40):
             damaged = bytearray(content)
             damaged[place] ^= 1 << int(random.integers(8))
-            (folder / name).write_bytes(damaged)
-            with pytest.raises(checkpoints.CheckpointError, match=re.escape(name)):
-                RobotPolicy(CLUTTER, folder)
+            refused(folder / name, damaged, re.escape(name))
 
     def test_files_that_are_no_policy_are_named(self, exported, tmp_path):
         path = tmp_path / "x.onnx"
         with pytest.raises(checkpoints.CheckpointError, match=r"x\.onnx: cannot be read"):
             load(path, CLUTTER)
-        path.write_bytes(signed(b"nothing of the kind"))
-        with pytest.raises(checkpoints.CheckpointError, match=r"x\.onnx: is no ONNX model"):
-            load(path, CLUTTER)
+        refused(path, signed(b"nothing of the kind"), r"x\.onnx: is no ONNX model")
         model = onnx.load(exported / "learned.onnx")
         place = [entry.key for entry in model.metadata_props].index(SETTINGS_KEY)
         plain = json.loads(model.metadata_props[place].value)
         model.metadata_props[place].value = json.dumps(plain | {"perception": 1})
-        path.write_bytes(signed(model.SerializeToString()))
-        with pytest.raises(checkpoints.CheckpointError, match=r"x\.onnx: .*perception is 1"):
-            load(path, CLUTTER)
+        refused(path, signed(model.SerializeToString()), r"x\.onnx: .*perception is 1")
         del model.metadata_props[place]
-        path.write_bytes(signed(model.SerializeToString()))
-        with pytest.raises(
-            checkpoints.CheckpointError, match=r"metadata has no 'rendezvous_policy'"
-        ):
-            load(path, CLUTTER)
+        missing = r"metadata has no 'rendezvous_policy'"
+        refused(path, signed(model.SerializeToString()), missing)
 
     def test_the_runtime_that_is_missing_is_named(self, exported, monkeypatch):
         monkeypatch.setitem(sys.modules, "onnxruntime", None)
-        with pytest.raises(
-            checkpoints.CheckpointError, match=r"needs onnxruntime: pip .*\[export\]"
-        ):
+        with pytest.raises(checkpoints.CheckpointError, match=r"needs onnxruntime: pip .*\[export"):
             load(exported / "learned.onnx", CLUTTER)
