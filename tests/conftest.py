@@ -279,7 +279,7 @@ def without_rights() -> Callable[[Path], AbstractContextManager[None]]:
 def one_process():
     """Commands start no workers unless a test asks for them: it could not look into those."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("train.tasks.available_cores", lambda: 1)
+        patch.setattr("train.tasks.Workers.worker_count", property(lambda own: own.jobs or 1))
         yield
 
 

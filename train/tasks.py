@@ -19,8 +19,6 @@ from typing import Annotated, Any, Literal, TypeVar
 
 from tyro.conf import arg
 
-from rendezvous_env.engine.threads import available_cores
-
 from .checks import UserError, check_installed, check_least, check_most
 
 Task = TypeVar("Task")
@@ -68,6 +66,8 @@ class Workers:
     @property
     def worker_count(self) -> int:
         """How many work at once on this machine."""
+        from rendezvous_env.engine.threads import available_cores  # not in each worker
+
         return self.jobs or available_cores()
 
 

@@ -2,12 +2,12 @@
 
 import os
 import signal
-import time
 from contextlib import closing
 from itertools import islice
 
 import numpy as np
 import pytest
+from light_tasks import cores, dies, dies_once, refuses, where
 
 from baselines.learned import checkpoints
 from train import checks, interrupts, tasks
@@ -25,28 +25,6 @@ def at_once(monkeypatch):
     monkeypatch.setattr(tasks, "_ALONE", 0.0)
 
 
-def where(task):
-    time.sleep(0.05)
-    return task, os.getpid(), os.environ.get("NUMBA_NUM_THREADS"), tasks.available_cores()
-
-
-def dies_once(task):
-    """Ends its process, unless somebody has done so before."""
-    number, folder = task
-    if number == 3 and not (folder / "died").exists():
-        (folder / "died").touch()
-        os.kill(os.getpid(), signal.SIGKILL)
-    return number
-
-
-def dies(task):
-    os.kill(os.getpid(), signal.SIGKILL)
-
-
-def refuses(task):
-    raise UserError(f"task {task} cannot be")
-
-
 class TestEach:
     def test_one_worker_is_this_process(self):
         found = list(each(where, "abc", Workers(jobs=1)))
@@ -57,9 +35,10 @@ class TestEach:
         found = dict(each(where, range(12), Workers(jobs=2)))
         assert sorted(found) == list(range(12))
         assert all(found[number][0] == number for number in found)
-        assert {result[2:] for result in found.values()} == {("1", 1)}
+        assert {result[2] for result in found.values()} == {"1"}
         processes = {result[1] for result in found.values()}
         assert os.getpid() not in processes and 1 <= len(processes) <= 2
+        assert list(each(cores, [0], Workers(jobs=2))) == [(0, 1)]
 
     def test_what_must_stay_here_stays(self):
         found = dict(each(where, range(6), Workers(jobs=2), here=lambda task: task % 2 == 0))
@@ -128,17 +107,16 @@ class TestRefusals:
             Workers(on="ray").check_workers()
 
 
-def compared(out, **changes):
-    """The files of a comparison whose numbers may not depend on who plays."""
+def test_a_comparison_by_two_is_that_of_one(tmp_path, monkeypatch):
+    """Of three blocks of starts for each policy and scenario."""
+    monkeypatch.setattr(playing, "BLOCK", 8)
     given = {"scenarios": ("duo", "clutter-8"), "policies": ("bearing-only", "learned")}
-    config = compare.Config(**given, episodes=140, keep=2, figures=False, ceiling=1, out=out)
-    assert compare.run(compare.Config(**vars(config) | changes)) == 0
-    names = ("results.csv", "episodes.csv", "paired.csv", "ceiling.csv", "trajectories.npz")
-    return [(out / name).read_bytes() for name in names]
-
-
-def test_a_comparison_by_two_is_that_of_one(tmp_path):
-    assert compared(tmp_path / "one", jobs=1) == compared(tmp_path / "two", jobs=2)
+    given |= {"episodes": 20, "keep": 2, "ceiling": 1, "set": ("time_limit=10",), "figures": False}
+    for jobs in (1, 2):
+        config = compare.Config(**given, jobs=jobs, out=tmp_path / str(jobs))
+        assert compare.run(config) == 0
+    for name in ("results.csv", "episodes.csv", "paired.csv", "ceiling.csv", "trajectories.npz"):
+        assert (tmp_path / "1" / name).read_bytes() == (tmp_path / "2" / name).read_bytes()
 
 
 def test_so_is_a_verification(tmp_path):

@@ -15,13 +15,14 @@ from train.compare.out_folder import part_of
 from train.report.input import read
 
 NAMES = ("duo", "clutter-4")
+SHORT = ("time_limit=3",)
 POLICIES = ("bearing-only", "zero", "tangent-joined")
 SAME = ("results.csv", "episodes.csv", "paired.csv", "ceiling.csv", "trajectories.npz")
 
 
 def config(out, **changes):
     given = {"scenarios": NAMES, "policies": POLICIES, "episodes": 3, "keep": 1, "ceiling": 2}
-    return compare.Config(**{**given, "figures": False, "out": out, **changes})
+    return compare.Config(**{**given, "set": SHORT, "figures": False, "out": out, **changes})
 
 
 def contents(folder):
@@ -76,7 +77,8 @@ class TestGoingOn:
 
         monkeypatch.setattr(playing, "play_block", play_block)
         assert compare.run(config(tmp_path / "out")) == 0
-        assert played == [("clutter-4", "zero"), ("clutter-4", "tangent-joined")]
+        assert [policy for _, policy in played] == ["zero", "tangent-joined"]
+        assert {scenario for scenario, _ in played} == {"clutter-4-time-limit-3"}
 
     def test_a_ceiling_is_kept(self, tmp_path, monkeypatch, whole):
         monkeypatch.setattr(compare, "write", lambda *given: 1 / 0)

@@ -1,0 +1,36 @@
+"""Tasks of tests of workers, in a module that is loaded soon: each worker loads it."""
+
+import os
+import signal
+import time
+
+from train.checks import UserError
+
+
+def where(task):
+    """Who does it, and with how many threads."""
+    time.sleep(0.05)
+    return task, os.getpid(), os.environ.get("NUMBA_NUM_THREADS")
+
+
+def cores(task):
+    from rendezvous_env.engine.threads import available_cores
+
+    return available_cores()
+
+
+def dies_once(task):
+    """Ends its process, unless somebody has done so before."""
+    number, folder = task
+    if number == 3 and not (folder / "died").exists():
+        (folder / "died").touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return number
+
+
+def dies(task):
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def refuses(task):
+    raise UserError(f"task {task} cannot be")
