@@ -32,8 +32,7 @@ from rendezvous_env.trajectory import Policy, begin
 
 from .checks import UserError, meant
 
-_LEARNED = "learned"
-_AT_PATH = f"{_LEARNED}:"
+_AT_PATH = "learned:"
 _BEST = ("learned-tank", "tank-joined", "learned", "tangent-joined-tuned", "tangent-joined")
 """Policies for obstacles; the sooner, the more collision-free (README, Results)."""
 _ON_REQUEST = ("blind", "privileged")
@@ -46,7 +45,7 @@ def kind_of(name: str) -> str:
     """The kind of a policy, one of ``baselines.policy.KINDS``."""
     if is_user_policy(name):
         return "own"
-    return _LEARNED if name.startswith(_AT_PATH) else registry.kind_of(name)
+    return "learned" if name.startswith(_AT_PATH) else registry.kind_of(name)
 
 
 def about(name: str) -> str:
@@ -128,9 +127,7 @@ def promised_margin(name: str, policy: Policy) -> float | None:
     """Alignment margin ε that a policy keeps by construction: 1 for law (1), and the attribute
     ``min_alignment`` of a policy with certified headings; None if it promises none.
     """
-    if name == "bearing-only":
-        return 1.0
-    margin = getattr(policy, "min_alignment", None)
+    margin = 1.0 if name == "bearing-only" else getattr(policy, "min_alignment", None)
     return None if margin is None else float(margin)
 
 
@@ -165,7 +162,7 @@ def resolve_scenario(name: str, changes: Sequence[str] = ()) -> Scenario:
 
 def is_user_policy(name: str) -> bool:
     """Whether a name is meant as ``module:function``."""
-    return ":" in name and not name.startswith("learned:")
+    return ":" in name and not name.startswith(_AT_PATH)
 
 
 def find_function(name: str) -> Callable[[Scenario], Policy | None]:
@@ -180,9 +177,9 @@ def find_function(name: str) -> Callable[[Scenario], Policy | None]:
     function = getattr(module, function_name, None)
     place = getattr(module, "__file__", None) or "built in"
     if function is None:
-        near = meant(function_name, [key for key in vars(module) if key[0] != "_"])
-        hint = f"; {near}".rstrip("; ")
-        raise UserError(f"policy {name!r}: {module_name} ({place}) has no {function_name!r}{hint}")
+        hint = meant(function_name, [key for key in vars(module) if key[0] != "_"])
+        what = f"{module_name} ({place}) has no {function_name!r}; {hint}".rstrip("; ")
+        raise UserError(f"policy {name!r}: {what}")
     if not callable(function):
         raise UserError(
             f"policy {name!r}: {function_name} in {module_name} is {shown(function)}; it must be a "

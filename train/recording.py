@@ -115,13 +115,10 @@ class Recorder:
     ) -> None:
         """Keep a frame, and thin out if there are too many."""
         team = self._team
+        kept = ("positions", "headings", "velocities", "frames", "active")
         frame = {
             "times": state.time[team],
-            "positions": state.positions[team].copy(),
-            "headings": state.headings[team].copy(),
-            "velocities": state.velocities[team].copy(),
-            "frames": state.frames[team].copy(),
-            "active": state.active[team].copy(),
+            **{name: getattr(state, name)[team].copy() for name in kept},
             "merged_into": state.merged_into[team].astype(np.int32),
             "lyapunov": state.lyapunov[team],
             "lyapunov_before_merge": np.float64(jump[0]),
@@ -134,9 +131,9 @@ class Recorder:
         if len(self._frames) >= MAX_FRAMES:
             self._stride *= 2
             self._frames = [
-                (step, kept)
-                for step, kept in self._frames
-                if step % self._stride == 0 or not np.isnan(kept["lyapunov_before_merge"])
+                (step, one)
+                for step, one in self._frames
+                if step % self._stride == 0 or not np.isnan(one["lyapunov_before_merge"])
             ]
         self._frames.append((int(state.steps[team]), frame))
 
@@ -145,9 +142,8 @@ class Recorder:
         frames = [frame for _, frame in self._frames]
         stacked = {name: np.stack([frame[name] for frame in frames]) for name in frames[0]}
         if self._exact:
-            stacked |= {
-                name: np.stack([row[name] for row in self._links]) for name in self._links[0]
-            }
+            for name in self._links[0]:
+                stacked[name] = np.stack([row[name] for row in self._links])
         return stacked | {"obstacles": self._obstacles}
 
 

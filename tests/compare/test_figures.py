@@ -53,15 +53,6 @@ class TestColours:
         for one, other in combinations(colours, 2):
             assert np.linalg.norm(lightness_and_hue(one) - lightness_and_hue(other)) > 0.1
 
-    def test_compare_draws_policies_in_their_colours(self):
-        rows = [row("duo", name, 0.5) for name in ("bearing-only", "learned", "random")]
-        for figure in (figures.success_figure(rows), figures.time_figure(rows)):
-            drawn = [
-                line.get_color() for line in figure.axes[0].get_lines() if len(line.get_xdata())
-            ]
-            wanted = {figures.policy_colour(entry["policy"]) for entry in rows}
-            assert set(drawn) == wanted
-
 
 class TestWhatDoesNotApply:
     def test_no_mark_where_nothing_is_clean_and_no_bar_from_a_single_start(self, tmp_path):

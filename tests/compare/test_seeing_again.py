@@ -50,7 +50,12 @@ def recordings(scenario, law, count):
 
 
 def test_what_a_sensor_has_got_wrong_is_kept():
-    scenario = rv.Scenario(name="blurred", n_robots=3, sensing=rv.Sensing(noise=0.1), time_limit=1)
+    sensor = rv.Sensing(noise=0.3, dropout=0.2, delay=2)
+    scenario = rv.Scenario(name="blurred", n_robots=3, sensing=sensor, time_limit=1)
     (kept,) = recordings(scenario, "bearing-only", 1)
     assert "weights" not in kept and whole(kept, scenario) is kept
-    assert kept["observations"].shape[:2] == kept["active"].shape
+    simulator = rv.Simulator(scenario)
+    seen, law = [simulator.reset(5)[0]], policies.make("bearing-only", scenario)
+    steps = rv.trajectory.run(simulator, law, simulator.observe())
+    seen += [step.outcome.observations[0] for step in steps]
+    assert np.array_equal(kept["observations"], np.stack(seen))

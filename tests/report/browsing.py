@@ -109,7 +109,11 @@ def shown_rows(page, pane=0):
     """Name and numbers of each row that the chosen robot sees."""
     rows = page.locator(".rows").nth(pane).locator("tr").all()
     cells = [row.locator("td").all_text_contents() for row in rows]
-    return {name: [float(cell.replace("−", "-")) for cell in numbers] for name, *numbers in cells}
+    return {name: [*map(number, numbers)] for name, *numbers in cells}
+
+
+def number(cell):
+    return float(cell.replace("−", "-"))
 
 
 def wait_until(page, reached):

@@ -163,14 +163,10 @@ class TestAddress:
     def test_it_says_what_is_shown(self, opened):
         opened.keyboard.press("ArrowRight")
         opened.click("#robots button:nth-child(3)")
-        said = parse_qs(urlsplit(opened.url).fragment)
-        assert said == {
-            "scenario": ["fig4"],
-            "start": ["0"],
-            "policy": ["bearing-only", "tangent-joined"],
-            "robot": ["2"],
-            "t": ["0.05"],
-        }
+        assert parse_qs(urlsplit(opened.url).fragment) == {
+            "scenario": ["fig4"], "start": ["0"], "policy": ["bearing-only", "tangent-joined"],
+            "robot": ["2"], "t": ["0.05"],
+        }  # fmt: skip
 
     def test_it_is_followed(self, opened):
         with reloaded(opened):

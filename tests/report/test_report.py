@@ -118,14 +118,6 @@ class TestPage:
         text = report.page(found)
         assert "4 starts each (seeds 3–6); one of fig4, whose start is given" in text
 
-    def test_what_is_neither_clean_nor_not_may_be_empty(self, folder, reseal):
-        path = folder / "results.csv"
-        rows = results.read_csv(path)
-        rows[0]["clean_success"] = ""
-        results.write_csv(path, results.RESULT_COLUMNS, rows)
-        reseal(folder)
-        assert data_of(report.page(read(folder)))[0]["results"][0]["clean_success"] == ""
-
     def test_the_rounding_is_stated(self, folder):
         text = report.page(read(folder))
         with np.load(folder / "trajectories.npz") as arrays:
