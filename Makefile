@@ -16,7 +16,7 @@ BY_TWO := -n 2 --dist loadfile --no-loadscope-reorder
 
 PYTHONS := $(foreach minor,12 13 14,$(if $(shell python3.$(minor) -c 0 2>&1 || echo no),,python3.$(minor)))
 
-.PHONY: compare install learners test fast test-slow test-floors test-pythons test-adapters lint style types docs clean $(LEARNERS:%=test-adapter-%)
+.PHONY: compare install learners test fast again test-slow test-floors test-pythons test-adapters lint style types docs clean $(LEARNERS:%=test-adapter-%)
 .SECONDARY: $(PYTHONS:%=.venv-%/installed) $(LEARNERS:%=.venv-adapters/%/installed)
 .DEFAULT_GOAL := compare
 
@@ -32,6 +32,10 @@ test: .venv/installed
 
 fast: style
 	$(BIN)/python -m pytest -q $(BY_TWO)
+
+# those that together call every kernel, once more: kernels come from the disk now
+again: .venv/installed
+	$(BIN)/python -m pytest -q -m 'kernels and not slow' $(BY_TWO)
 
 test-slow: .venv/installed
 	$(BIN)/python -m pytest -q -m slow $(BY_TWO)

@@ -122,9 +122,6 @@ def run_python(cwd: Path, *words: object, **environment: str) -> str:
     return found.stdout
 
 
-# ---- layers -------------------------------------------------------------------------------------
-
-
 def test_nothing_points_back():
     wrong = []
     for module in MODULES:
@@ -197,9 +194,6 @@ def test_arrays_need_no_pettingzoo(face):
     assert not [name for name in reached if "pettingzoo" in imports(name)]
 
 
-# ---- importing ----------------------------------------------------------------------------------
-
-
 def test_an_import_pulls_in_nothing_heavy(tmp_path):
     code = "import sys, rendezvous_env, baselines; print(*{m.split('.')[0] for m in sys.modules})"
     loaded = set(run_python(tmp_path, "-W", "error", "-c", code).split())
@@ -265,9 +259,6 @@ def test_the_console_script_works_beside_a_train_py(tmp_path):
     rows = (tmp_path / "out" / "results.csv").read_text(encoding="utf-8").splitlines()
     ours, theirs = (row.split(",")[3:] for row in rows[1:])
     assert ours == theirs and rows[2].startswith("clutter-4,mine:make,2,")
-
-
-# ---- public names -------------------------------------------------------------------------------
 
 
 def test_the_public_names_of_the_design():

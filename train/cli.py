@@ -140,9 +140,6 @@ def _complete(shell: str) -> int:
     return 0
 
 
-# ---- help ---------------------------------------------------------------------------------------
-
-
 def help_of(command: str, module: Any) -> str:
     """What ``--help`` prints for a command: what it does, examples, and its flags in groups.
 

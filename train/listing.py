@@ -78,9 +78,6 @@ def columns_of(fitting: Mapping[str, Sequence[str]]) -> dict[str, list[str]]:
     return dict(zip(ascii_uppercase, ordered, strict=False))
 
 
-# ---- a scenario in words ------------------------------------------------------------------------
-
-
 def describe(scenario: Scenario) -> str:
     """A scenario in a line that follows from its fields; single integrators go unsaid."""
     where = "in the plane" if scenario.dim == 2 else "in 3-D"

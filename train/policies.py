@@ -131,9 +131,6 @@ def promised_margin(name: str, policy: Policy) -> float | None:
     return None if margin is None else float(margin)
 
 
-# ---- scenarios ----------------------------------------------------------------------------------
-
-
 def resolve_scenario(name: str, changes: Sequence[str] = ()) -> Scenario:
     """A scenario by its name or TOML file, changed as ``--set`` says: FIELD=VALUE each, a value as
     TOML writes it; changes go into its name. A UserError says what would be right.
@@ -155,9 +152,6 @@ def resolve_scenario(name: str, changes: Sequence[str] = ()) -> Scenario:
     except (ValueError, TypeError, OSError) as error:
         what = f"--set {' '.join(changes)}: " if changes else ""
         raise UserError(f"{what}{error}") from error
-
-
-# ---- policies of users: MODULE:FUNCTION --------------------------------------------------------
 
 
 def is_user_policy(name: str) -> bool:

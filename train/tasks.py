@@ -178,9 +178,6 @@ def _end_with(parent: int) -> None:
     threading.Thread(target=watch, daemon=True).start()
 
 
-# ---- on a Ray cluster ---------------------------------------------------------------------------
-
-
 def _on_cluster(
     work: Callable[[Task], Result], tasks: dict[int, Task], workers: Workers
 ) -> Generator[tuple[int, Result], None, None]:

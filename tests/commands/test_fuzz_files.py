@@ -79,8 +79,6 @@ def said_by(words, folder, capsys):
     return status
 
 
-# ---- damage -------------------------------------------------------------------------------------
-
 BYTES = {
     "cut": lambda content, at, some: content[:at],
     "flip": lambda content, at, some: (
@@ -177,9 +175,6 @@ _NONE_ANY_MORE = (ValueError, TypeError, AttributeError, LookupError, OSError, R
 """What a damaged description raises where it is to be sealed."""
 
 
-# ---- result folders -----------------------------------------------------------------------------
-
-
 @pytest.fixture(scope="module")
 def compared_files(tmp_path_factory):
     """Files of a small comparison with an obstacle and a figure."""
@@ -215,8 +210,6 @@ def test_damaged_result_folders(count, compared_files, tmp_path, capsys):
         if files != compared_files and not found[0].sealed:
             assert status == 2
 
-
-# ---- runs ---------------------------------------------------------------------------------------
 
 TINY = {
     "scenario": "clutter-4", "num_teams": 2, "n_steps": 4, "batch_size": 16, "epochs": 1,
@@ -287,8 +280,6 @@ def meant(files):
     """Files by what they say: a damage may put into a description what stood there already."""
     return files | {"checkpoint.json": json.loads(files["checkpoint.json"])}
 
-
-# ---- command lines ------------------------------------------------------------------------------
 
 NUMBERS = ("-1", "0", "1", "2", "3", "0.5", "nan", "inf", "-inf", "1e400", str(10**12), "9" * 5000)
 NAMES = (

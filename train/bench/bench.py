@@ -119,9 +119,6 @@ def _compared(config: Config) -> Iterator[list[Case]]:
     return chain.from_iterable(known[name] for name in GROUPS if name in (config.only or GROUPS))
 
 
-# ---- measuring ----------------------------------------------------------------------------------
-
-
 def measure(compared: Sequence[Case], config: Config) -> list[Row]:
     """Time cases in turns, so that what disturbs the machine disturbs all of them.
 
@@ -167,9 +164,6 @@ def _bytes_per_team(n_robots: int, config: Config) -> tuple[int, int]:
     """Bytes of a team's state, and of its observations in one step."""
     simulator = rv.Simulator(spread_out(n_robots), config.num_envs)
     return simulator.nbytes // config.num_envs, simulator.reset(0).nbytes // config.num_envs
-
-
-# ---- telling ------------------------------------------------------------------------------------
 
 
 def _table(rows: Sequence[Row]) -> Table:

@@ -97,9 +97,6 @@ def among_discs() -> rv.Scenario:
     )
 
 
-# ---- what is timed in turns ---------------------------------------------------------------------
-
-
 def one_team(group: str, scenario: rv.Scenario, size: Size | None = None) -> list[Case]:
     """A step of one team in dicts, beside MPE2's ``simple_spread_v3`` when it is installed."""
     builds = {"PettingZoo": partial(_dicts, scenario)}
@@ -163,9 +160,6 @@ def sensing(n: int, size: Size | None) -> list[Case]:
     return in_turns("sensing", n, 1 if size is None else size.num_envs, builds)
 
 
-# ---- what steps ---------------------------------------------------------------------------------
-
-
 def tape_of(space: Any, *batch: int) -> Iterator[Any]:
     """Random actions again and again, prepared beforehand: (*batch, *shape)."""
     random, shape = np.random.default_rng(0), (8, *batch, *space.shape)
@@ -223,9 +217,6 @@ def _vector(scenario: rv.Scenario, size: Size, max_cycles: int | None = None) ->
     if max_cycles is not None:
         venv.set_state(venv.get_state() | {"steps": np.arange(size.num_envs) % max_cycles})
     return running
-
-
-# ---- the limit: what any environment of this kind must do at least -----------------------------
 
 
 def _limit(n: int, num_envs: int) -> Running:

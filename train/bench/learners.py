@@ -86,9 +86,6 @@ _LEARNERS: dict[str, tuple[str, Callable[..., Running]]] = {
 """Libraries whose adapters are timed where they are installed: module, and what steps."""
 
 
-# ---- PPO ----------------------------------------------------------------------------------------
-
-
 def heading_ppo(size: Size) -> list[Case]:
     """What ``rendezvous train`` does, beside the same on robots that cost nothing, and that beside
     stable-baselines3's own PPO and network with the same settings.

@@ -147,9 +147,6 @@ def paired_rows(played: Sequence[Played], against: str | None) -> list[Row]:
     ]
 
 
-# ---- what is shown and written ------------------------------------------------------------------
-
-
 def _show(found: Found, config: Config, console: Console) -> None:
     """The answer, the matrix, and what was asked for besides."""
     if config.ceiling:
@@ -246,9 +243,6 @@ def _plain(row: Row, columns: Sequence[str]) -> Row:
     """Cells as numbers and words, null where they are empty."""
     cells = {column: results.plain(row[column]) for column in columns}
     return {column: None if cell == "" else cell for column, cell in cells.items()}
-
-
-# ---- figures ------------------------------------------------------------------------------------
 
 
 def _draw(part: Part, found: Found, config: Config, console: Console) -> list[str]:

@@ -107,9 +107,6 @@ def _weights(policy: str, scenarios: Sequence[Scenario]) -> str | None:
     return None if path is None else hashlib.sha256(path.read_bytes()).hexdigest()
 
 
-# ---- tasks --------------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True)
 class Task:
     """A part of a comparison that any process can do."""

@@ -67,9 +67,6 @@ def _ranking(scenario: str, played: dict[str, Episodes]) -> Ranking:
     return Ranking(scenario, starts, share, best, tuple(tied), references)
 
 
-# ---- in words -----------------------------------------------------------------------------------
-
-
 def answer(rankings: Sequence[Ranking]) -> str:
     """Who wins, in one sentence."""
     contests = [ranking for ranking in rankings if ranking.is_contest]

@@ -149,9 +149,6 @@ def compare_pairs(
     return rows
 
 
-# ---- runs of learners: seeds × fields (Agarwal et al. 2021; Gorsane et al. 2022) -----------------
-
-
 def interquartile_mean(scores: NDArray[np.float64]) -> float:
     """Mean of the middle half of all runs: scores (S, F), of S seeds on F fields.
 

@@ -68,9 +68,6 @@ def _line_style(name: str) -> str:
     return {"o": "-", _VARIANTS["-tank"]: ":"}.get(policy_marker(name), "--")
 
 
-# ---- compare ------------------------------------------------------------------------------------
-
-
 @styled
 def success_figure(rows: Sequence[Mapping[str, Any]]) -> Figure:
     """Success, with and without collisions, of every policy in results.csv, a panel a scenario."""
@@ -169,9 +166,6 @@ def _intervals(
             markeredgewidth=0.8,
             clip_on=False,
         )
-
-
-# ---- against one quantity -----------------------------------------------------------------------
 
 
 def sweeps(scenarios: Sequence[Scenario], quantity: str) -> list[list[Scenario]]:

@@ -58,9 +58,6 @@ def trajectories_figure(scenario: Scenario, recordings: Mapping[str, Recording])
     return figure
 
 
-# ---- one team -----------------------------------------------------------------------------------
-
-
 def draw_paths(axes: Any, recording: Mapping[str, NDArray[Any]], scenario: Scenario) -> None:
     """Paths of the robots of one team among orange obstacles, in axes of equal scale, which have
     three dimensions for robots in 3-D.

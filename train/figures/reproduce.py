@@ -180,9 +180,6 @@ def _pixels(config: Config) -> int:
     return 0
 
 
-# ---- what a tank's margin and budget buy ---------------------------------------------------------
-
-
 def _tank(config: Config) -> int:
     """Play, draw, and write tank.png, tank.pdf and tank.csv."""
     path, console = results.prepare_folder(config.out) / "tank.png", Console()

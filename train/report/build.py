@@ -131,9 +131,6 @@ def rankings(found: Comparison) -> list[Ranking]:
     return rank(played)
 
 
-# ---- words --------------------------------------------------------------------------------------
-
-
 def _counts(found: Comparison) -> str:
     """How many scenarios, policies and starts."""
     policies = {name for played in found.run["policies"].values() for name in played}

@@ -103,8 +103,6 @@ def terms(lines: Mapping[str, str]) -> str:
     return f"<dl>{''.join(items)}</dl>"
 
 
-# ---- replays ------------------------------------------------------------------------------------
-
 PLAYER = ("world", "sight", "plots", "pane")
 """Scripts that draw; "replay" begins, once the tables are there."""
 
