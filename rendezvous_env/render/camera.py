@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
 from itertools import product
 from typing import NamedTuple
 
@@ -13,7 +12,7 @@ from ..obstacles.obstacle_set import balls
 from .scene import Bools, Floats, outermost
 
 _AZIMUTH, _ELEVATION = math.radians(-62.0), math.radians(24.0)
-"""From where space is seen."""
+"""Of the eye, in 3-D."""
 _DISTANCE = 2.6
 """Of the eye from the middle of a scene in 3-D, in diagonals of its bounding box."""
 _LEAST_SHARE = 0.02
@@ -44,8 +43,7 @@ def cell(team: int, count: int, width: int, height: int) -> Area:
     return Area(left, top, right - left, bottom - top)
 
 
-@dataclass(frozen=True)
-class Camera:
+class Camera(NamedTuple):
     """A fixed view; the plane from straight above, space in perspective."""
 
     low: Floats
@@ -118,15 +116,16 @@ def fit(positions: Floats, obstacles: Floats, area: Area, margin: float) -> Came
     points = outermost(positions, obstacles)
     low, high = points.min(axis=0), points.max(axis=0)
     lacking = np.maximum(0.0, _LEAST_SHARE * (high - low).max() - (high - low)) / 2
-    camera = _view(low - lacking, high + lacking)
-    floor = np.tile(camera.low, (4, 1))
-    floor[:, :2] = list(product(*zip(camera.low[:2], camera.high[:2], strict=True)))
+    low, high = low - lacking, high + lacking
+    camera = _view(low, high)
+    floor = np.tile(low, (4, 1))
+    floor[:, :2] = list(product(*zip(low[:2], high[:2], strict=True)))
     seen = camera.project(np.concatenate([points, floor]))
     least, most = seen.min(axis=0), seen.max(axis=0)
-    room = np.array([area.width, area.height]) - 2 * margin
-    scale = float(np.min(room / (most - least)))
-    shift = np.array([area.width, area.height]) / 2 - scale * (least + most) / 2
-    return replace(camera, scale=scale, shift=(float(shift[0]), float(shift[1])))
+    size = np.array([area.width, area.height])
+    scale = float(np.min((size - 2 * margin) / (most - least)))
+    x, y = (size / 2 - scale * (least + most) / 2).tolist()
+    return camera._replace(scale=scale, shift=(x, y))
 
 
 def _view(low: Floats, high: Floats) -> Camera:

@@ -16,7 +16,7 @@ class Moment(NamedTuple):
     """A team after some step."""
 
     steps: int
-    """Done in the episode."""
+    """Of the episode so far."""
     time: float
     """s."""
     positions: Floats
@@ -38,7 +38,7 @@ class Moment(NamedTuple):
 
 @dataclass(eq=False)
 class History:
-    """One team's episode since it was first looked at."""
+    """One team's episode since the renderer first saw it."""
 
     obstacles: Floats
     """(M, width), a table of ``obstacles.obstacle_set``."""
@@ -47,26 +47,15 @@ class History:
     moments: list[Moment] = field(default_factory=list)
     """In order of time."""
 
-    def goes_on_with(self, moment: Moment, initial_lyapunov: float) -> bool:
-        """Whether a moment is the next one of this episode."""
-        follows = moment.steps == self.moments[-1].steps + 1
-        return follows and initial_lyapunov == self.initial_lyapunov
-
-    def ends_with(self, moment: Moment, obstacles: Floats) -> bool:
-        """Whether a moment among these obstacles has been seen already."""
-        last = self.moments[-1]
-        same = np.array_equal(moment.positions, last.positions)
-        return same and moment.steps == last.steps and np.array_equal(obstacles, self.obstacles)
-
 
 def look(
     simulator: Simulator, histories: list[History], teams: int, contact: Bools | None
 ) -> list[History]:
-    """Histories with the present moment added; an episode that is not the last one begins anew.
+    """Histories with the present moment added; another episode begins another history.
 
     Args:
         simulator: the teams.
-        histories: of the first of them, or none yet.
+        histories: of the first ``teams`` of them, or none yet.
         teams: how many to look at.
         contact: (B, n), who touched an obstacle in the step, if it is known.
     """
@@ -84,10 +73,18 @@ def look(
     all_obstacles, initially = simulator.obstacles, simulator.initial_lyapunov.tolist()
     looked = []
     for team, moment in enumerate(map(Moment, *columns)):
-        history = histories[team] if histories else None
         obstacles, initial = all_obstacles[team], initially[team]
-        if history is None or not history.ends_with(moment, obstacles):
-            if history is None or not history.goes_on_with(moment, initial):
+        history = histories[team] if histories else History(obstacles.copy(), initial)
+        last = history.moments[-1] if history.moments else None
+        seen_already = (
+            last is not None
+            and moment.steps == last.steps
+            and np.array_equal(moment.positions, last.positions)
+            and np.array_equal(obstacles, history.obstacles)
+        )
+        if not seen_already:
+            goes_on = last is None or moment.steps == last.steps + 1
+            if not (goes_on and initial == history.initial_lyapunov):
                 history = History(obstacles.copy(), initial)
             history.moments.append(moment)
         looked.append(history)

@@ -7,23 +7,17 @@ from functools import lru_cache
 import numpy as np
 import pygame
 
-from .palette import Rgb as Colour
-from .palette import mixed
+from .palette import Rgb
 from .scene import Floats
 
 Place = tuple[float, float] | list[float]
 
-WHITE: Colour = (255, 255, 255)
-BLACK: Colour = (0, 0, 0)
-GRID: Colour = (235, 235, 235)
-FRAME: Colour = (190, 190, 190)
-EDGE: Colour = (205, 205, 205)
-TEXT: Colour = (60, 60, 60)
-
-
-def tint(base: Colour, share: float) -> Colour:
-    """A colour with a share of white mixed in."""
-    return mixed(base, WHITE, share)
+WHITE: Rgb = (255, 255, 255)
+BLACK: Rgb = (0, 0, 0)
+GRID: Rgb = (235, 235, 235)
+FRAME: Rgb = (190, 190, 190)
+EDGE: Rgb = (205, 205, 205)
+_TEXT: Rgb = (60, 60, 60)
 
 
 @lru_cache
@@ -39,22 +33,12 @@ def write(
     size: float,
     *,
     anchor: str = "topleft",
-    ink: Colour = TEXT,
+    colour: Rgb = _TEXT,
 ) -> int:
-    """Write a line of text.
-
-    Args:
-        surface: to write on.
-        text: the line.
-        place: pixel of the anchor.
-        size: of the letters, pixels.
-        anchor: which point of the line stands there, as pygame names it.
-        ink: its colour.
-
-    Returns:
-        Width of the line, pixels.
+    """Write a line of text, ``size`` pixels high, with its ``anchor``, as pygame names it, at a
+    pixel; the width of the line, pixels.
     """
-    letters = _font(round(size)).render(text, True, ink)
+    letters = _font(round(size)).render(text, True, colour)
     surface.blit(letters, letters.get_rect(**{anchor: (round(place[0]), round(place[1]))}))
     return letters.get_width()
 
@@ -72,10 +56,10 @@ def ring(surface: pygame.Surface, place: Place, unit: float, radius: float = 0.0
 
 
 def wedge(
-    surface: pygame.Surface, shade: Colour, tip: Floats, along: Floats, length: float, half: float
+    surface: pygame.Surface, shade: Rgb, tip: Floats, along: Floats, length: float, half: float
 ) -> None:
-    """The nose of a robot or the head of an arrow, which is half as wide at its foot; ``along`` is
-    shorter than 1 where it points towards the eye.
+    """The nose of a robot or the head of an arrow, ``half`` as wide to each side at its foot;
+    ``along`` is shorter than 1 where it points towards the eye.
     """
     norm = float(np.hypot(*along))
     if norm > 0:

@@ -1,23 +1,28 @@
-"""A whole picture: one team with its heading and the strip of V(t), or a tile of teams."""
+"""A whole picture: one team with a header and a strip of V(t), or a tile of teams."""
 
 from __future__ import annotations
+
+import math
+from itertools import pairwise
 
 import numpy as np
 import pygame
 
 from ..simulator import Simulator
 from . import ink
-from .camera import Area, cell, columns_of
+from .camera import Area, cell, columns_of, nice_step
 from .history import History
+from .palette import ROBOTS
 from .picture import TeamPicture
 from .scene import Floats, in_contact
-from .strip import Strip
 
 _FINE = 2
 """A picture is drawn so many times as large and then made smaller, which smooths every edge."""
 _DESIGN = 600
 """Pixels of the shorter side for which lines and letters were chosen; they grow with it."""
 _HEADER, _STRIP, _CAPTION = 30, 118, 20
+_LEFT, _RIGHT, _TOP, _BOTTOM = 64, 16, 16, 34
+"""Margins within the strip, pixels."""
 
 
 class Page:
@@ -26,7 +31,7 @@ class Page:
     Args:
         simulator: the teams.
         size: width and height in pixels.
-        horizon: how long the time axis is to begin with, s; None begins with a tenth of the limit.
+        horizon: first length of the time axis, s; None is a tenth of the limit.
     """
 
     def __init__(self, simulator: Simulator, size: tuple[int, int], horizon: float | None) -> None:
@@ -40,11 +45,7 @@ class Page:
         self._strip: Strip | None = None
 
     def draw(self, histories: list[History]) -> pygame.Surface:
-        """The present moment of every history; the surface is drawn over by the next call.
-
-        Args:
-            histories: of the first teams of the simulator.
-        """
+        """The present moment of the first teams; the next call draws over the surface."""
         self._fine.fill(ink.WHITE)
         self._keep_pictures(histories)
         weights = self._simulator.weights
@@ -62,38 +63,30 @@ class Page:
         return self._surface
 
     def pixels(self, positions: Floats, team: int = 0) -> Floats:
-        """Where points (..., d) of a team that has been drawn stand in the picture: (..., 2), x
-        and y.
-        """
+        """Where points (..., d) of a team stand in the last picture: (..., 2), x and y."""
         picture = self._pictures[team]
         places = picture.camera.project(positions) + np.array(picture.area[:2])
         return np.asarray(places / _FINE - 0.5)
 
     def _keep_pictures(self, histories: list[History]) -> None:
-        """A new picture, with a view of its own, for every episode that has begun anew."""
-        kept = {id(picture.history): picture for picture in self._pictures}
-        if len(histories) == 1 and id(histories[0]) not in kept:
-            area = self._area(0, 1)
-            below = Area(0, area.top + area.height, area.width, round(_STRIP * self._unit))
-            self._strip = Strip(histories[0], below, self._unit, self._horizon)
-        self._pictures = [
-            kept.get(id(history)) or self._new_picture(history, team, len(histories))
-            for team, history in enumerate(histories)
-        ]
-
-    def _new_picture(self, history: History, team: int, count: int) -> TeamPicture:
+        """A new picture, with a view of its own, for every new episode."""
+        kept, count = {id(picture.history): picture for picture in self._pictures}, len(histories)
         unit = self._unit * (max(0.5, 1.4 / columns_of(count)) if count > 1 else 1.0)
-        return TeamPicture(self._simulator.scenario, history, self._area(team, count), unit)
-
-    def _area(self, team: int, count: int) -> Area:
-        """Where a team is drawn, in fine pixels."""
-        whole = cell(team, count, *self._fine.get_size())
-        above = round((_HEADER if count == 1 else _CAPTION) * self._unit)
         below = round(_STRIP * self._unit) if count == 1 else 0
-        return Area(whole.left, whole.top + above, whole.width, whole.height - above - below)
+        above = round((_HEADER if count == 1 else _CAPTION) * self._unit)
+        self._pictures = []
+        for team, history in enumerate(histories):
+            left, top, width, height = cell(team, count, *self._fine.get_size())
+            area = Area(left, top + above, width, height - above - below)
+            if id(history) not in kept and count == 1:
+                strip = Area(0, area.top + area.height, width, below)
+                self._strip = Strip(history, strip, self._unit, self._horizon)
+            self._pictures.append(
+                kept.get(id(history)) or TeamPicture(self._simulator.scenario, history, area, unit)
+            )
 
     def _draw_header(self, history: History) -> None:
-        """Scenario, time, how many robots are left; what the marks mean; contacts."""
+        """Scenario, time, number of robots left; what the marks mean; contacts."""
         moment, unit, page = history.moments[-1], self._unit, self._fine
         n, left = len(moment.merged_into), int(moment.active.sum())
         name, middle, size = self._simulator.scenario.name, 16 * unit, 21 * unit
@@ -121,3 +114,68 @@ class Page:
         ink.write(self._fine, text, place, 16 * unit, anchor="midleft")
         frame = (area.left, area.top - caption, area.width + 1, area.height + caption + 1)
         pygame.draw.rect(self._fine, ink.FRAME, frame, max(1, round(unit / 2)))
+
+
+class Strip:
+    """V(t) of one episode in a part of a page.
+
+    The time axis ends at a round number; when the episode goes on, one twice as long or longer
+    takes its place.
+
+    Args:
+        history: the episode.
+        area: of the page, in pixels.
+        unit: pixels of the page that count as one.
+        horizon: first length of the time axis, s.
+    """
+
+    def __init__(self, history: History, area: Area, unit: float, horizon: float) -> None:
+        self._history, self._area, self._unit = history, area, unit
+        self._highest = history.initial_lyapunov or 1.0
+        self._box = pygame.Rect(
+            round(_LEFT * unit),
+            round(_TOP * unit),
+            area.width - round((_LEFT + _RIGHT) * unit),
+            area.height - round((_TOP + _BOTTOM) * unit),
+        )
+        self._sheet, self._drawn = pygame.Surface(area[2:], depth=32), 0
+        step = nice_step(max(horizon, 1e-6), 6)
+        self._draw_axes(step, math.ceil(horizon / step - 1e-9))
+
+    def draw(self, page: pygame.Surface) -> None:
+        """Draw the curve up to the last moment of the history."""
+        moments, colour = self._history.moments, ROBOTS[0]
+        if moments[-1].time > self._end * (1 + 1e-9):
+            self._draw_axes(nice_step(2 * moments[-1].time, 6), 6)
+        points = [self._place(m.time, m.lyapunov) for m in moments[max(0, self._drawn - 1) :]]
+        for start, end in pairwise(points):
+            pygame.draw.line(self._sheet, colour, start, end, round(2 * self._unit))
+        self._drawn = len(moments)
+        page.blit(self._sheet, self._area[:2])
+        x, y = points[-1]
+        pygame.draw.circle(page, colour, (x + self._area.left, y + self._area.top), 4 * self._unit)
+
+    def _place(self, time: float, lyapunov: float) -> tuple[float, float]:
+        """Pixel of the strip; V above its start stays at the upper edge."""
+        up, box = min(lyapunov / self._highest, 1.06), self._box
+        return box.left + box.width * time / self._end, box.bottom - box.height * up
+
+    def _draw_axes(self, step: float, ticks: int) -> None:
+        """Empty axes with so many ticks, a step in s apart."""
+        self._end, self._drawn = step * ticks, 0
+        unit, box, sheet = self._unit, self._box, self._sheet
+        sheet.fill(ink.WHITE)
+        for number, text in ((0.0, "0"), (self._highest, f"{self._highest:.4g}")):
+            _, y = self._place(0.0, number)
+            pygame.draw.line(sheet, ink.GRID, (box.left, y), (box.right, y), round(unit))
+            ink.write(sheet, text, (box.left - 6 * unit, y), 17 * unit, anchor="midright")
+        for time in np.linspace(0.0, self._end, ticks + 1).tolist():
+            x, _ = self._place(time, 0.0)
+            pygame.draw.line(sheet, ink.FRAME, (x, box.bottom), (x, box.bottom + 4 * unit))
+            ink.write(sheet, f"{time:g}", (x, box.bottom + 7 * unit), 17 * unit, anchor="midtop")
+        pygame.draw.line(sheet, ink.FRAME, box.bottomleft, box.bottomright, round(unit))
+        for text, down in (("V", -9), ("m²/s", 9)):
+            place = box.left - 6 * unit, box.centery + down * unit
+            ink.write(sheet, text, place, 17 * unit, anchor="midright")
+        corner = box.right, box.bottom + 20 * unit
+        ink.write(sheet, "time / s", corner, 17 * unit, anchor="topright")

@@ -13,8 +13,7 @@ Rgb = tuple[int, int, int]
 OBSTACLE: Final[Rgb] = (0xE6, 0x9F, 0x00)
 """Orange, as in the paper; nothing else has it."""
 OBSTACLE_EDGE: Final[Rgb] = (0x8A, 0x5F, 0x00)
-"""Of the outlines of obstacles, and of the bearings to their edges."""
-
+"""Outlines of obstacles, and bearings to their edges."""
 ROBOTS: Final[tuple[Rgb, ...]] = (
     (0x00, 0x72, 0xB2),  # blue
     (0xD5, 0x5E, 0x00),  # vermilion

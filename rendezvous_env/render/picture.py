@@ -1,4 +1,4 @@
-"""One team as a picture: obstacles and paths, kept from frame to frame, and robots upon them."""
+"""One team as a picture: obstacles and paths, kept from frame to frame, and the robots."""
 
 from __future__ import annotations
 
@@ -14,26 +14,20 @@ from .history import History, Moment
 from .palette import OBSTACLE, OBSTACLE_EDGE, mixed, robot_colour
 from .scene import Bools, Floats, ended, facing, shapes
 
-_MARGIN = 18
-_ROBOT = 6.5
-"""Radius of a robot, pixels; a robot that others have joined is larger."""
-_NOSE, _ARROW = 8.0, 17.0
-"""How far a nose and the bearings stand out of a robot, pixels."""
-_TINT = 0.3
-"""Share of white in a path."""
-_VEIL = 225
-"""Opacity of spheres, of 255: what stands behind one shows through."""
-_LIGHTER = (0.12, 0.24, 0.36)
-"""Shares of white in a sphere, towards its top."""
-_MOST_HEADS = 60
-"""Arrows up to which each has a head."""
+_MARGIN = 18  # pixels
+_ROBOT = 6.5  # radius of a robot, pixels; one that others have joined is larger
+_NOSE, _ARROW = 8.0, 17.0  # how far a nose and the bearings stand out of a robot, pixels
+_TINT = 0.3  # share of white in a path
+_VEIL = 225  # opacity of spheres, of 255: what stands behind one shows through
+_LIGHTER = (0.12, 0.24, 0.36)  # shares of white in a sphere, towards its top
+_MOST_HEADS = 60  # arrows up to which each has a head
 
 
 class TeamPicture:
-    """One team's episode in a part of a page; the view stays as it is from the start.
+    """One team's episode in a part of a page; the view does not change.
 
     Space is drawn in three layers: the ground with what spheres hide, the spheres, and the rest.
-    In the plane nothing hides anything and the ground is enough.
+    In the plane the ground is enough.
 
     Args:
         scenario: of the team.
@@ -45,10 +39,9 @@ class TeamPicture:
     def __init__(self, scenario: Scenario, history: History, area: Area, unit: float) -> None:
         self.history, self.area = history, area
         self._scenario, self._unit = scenario, unit
-        self._thin = max(1, round(unit))
-        start, size = history.moments[0].positions, area[2:]
+        self._thin, self._drawn, size = max(1, round(unit)), 0, area[2:]
+        start = history.moments[0].positions
         self.camera = fit(start, history.obstacles, area, _MARGIN * unit)
-        self._drawn = 0
         self._ground = pygame.Surface(size, depth=32)
         self._ground.fill(ink.WHITE)
         self._draw_grid()
@@ -86,10 +79,8 @@ class TeamPicture:
             canvas.blit(self._front, (0, 0))
         self._draw_robots(canvas, moment, pixels, bearings, moment.active & ~hidden)
 
-    # ---- what does not move -----------------------------------------------------------------
-
     def _draw_grid(self) -> None:
-        """Lines a round number of metres apart, and how many metres they are apart."""
+        """Lines a round number of metres apart, and that number."""
         camera, ground, unit = self.camera, self._ground, self._unit
         low, high = camera.low[:2], camera.high[:2]
         if self._scenario.dim == 2:
@@ -116,7 +107,7 @@ class TeamPicture:
         return self.camera.project(points)
 
     def _draw_obstacles(self, layer: pygame.Surface) -> None:
-        """Obstacles from the farthest to the nearest; spheres a little lighter to their top."""
+        """Obstacles from the farthest to the nearest; spheres a little lighter at their top."""
         camera, draw = self.camera, pygame.draw
         for centre, size, vertices in sorted(
             shapes(self.history.obstacles, self._scenario.dim),
@@ -133,11 +124,9 @@ class TeamPicture:
             draw.circle(layer, (*OBSTACLE, *opacity), middle.tolist(), radius)
             for share in _LIGHTER if opacity else ():
                 light = middle - radius * share * np.array([0.6, 1.0])
-                shade = (*ink.tint(OBSTACLE, share), _VEIL)
+                shade = (*mixed(OBSTACLE, ink.WHITE, share), _VEIL)
                 draw.circle(layer, shade, light.tolist(), radius * (0.9 - 1.4 * share))
             draw.circle(layer, OBSTACLE_EDGE, middle.tolist(), radius, self._thin)
-
-    # ---- what grows ---------------------------------------------------------------------------
 
     def _extend_paths(self) -> None:
         """Add to the paths what has happened since the last frame; a dot where each begins."""
@@ -146,31 +135,26 @@ class TeamPicture:
             np.array([getattr(moment, name) for moment in moments])
             for name in ("positions", "active", "contact")
         )
-        pixels = self.camera.project(positions).tolist()
-        layers = [self._layers(places) for places in positions]
+        pixels, obstacles = self.camera.project(positions).tolist(), self.history.obstacles
+        layers = [
+            [self._ground if hidden else self._front for hidden in row.tolist()]
+            for row in (self.camera.hidden(places, obstacles) for places in positions)
+        ]
+        shades = [mixed(robot_colour(i), ink.WHITE, _TINT) for i in range(len(pixels[0]))]
         for i, place in enumerate(pixels[0]) if not self._drawn else ():
-            shade = ink.tint(robot_colour(i), _TINT)
-            pygame.draw.circle(layers[0][i], shade, place, 3.5 * self._unit)
-        self._drawn = len(self.history.moments)
+            pygame.draw.circle(layers[0][i], shades[i], place, 3.5 * self._unit)
+        self._drawn, width = len(self.history.moments), max(1, round(2 * self._unit))
         for k, i in np.argwhere(active[:-1]).tolist():
-            shade, width = ink.tint(robot_colour(i), _TINT), max(1, round(2 * self._unit))
-            pygame.draw.line(layers[k + 1][i], shade, pixels[k][i], pixels[k + 1][i], width)
+            pygame.draw.line(layers[k + 1][i], shades[i], pixels[k][i], pixels[k + 1][i], width)
         for mark, gone in ((ink.ring, ~contact), (ink.cross, active)):
             for k, i in ended(gone).tolist():
                 mark(layers[k][i], pixels[k][i], self._unit)
 
-    def _layers(self, positions: Floats) -> list[pygame.Surface]:
-        """Where to draw what is at each of these places, behind the spheres or before them."""
-        hidden = self.camera.hidden(positions, self.history.obstacles)
-        return [self._ground if behind else self._front for behind in hidden.tolist()]
-
-    # ---- what moves ---------------------------------------------------------------------------
-
     def _draw_stems(self, canvas: pygame.Surface, moment: Moment, pixels: Floats) -> None:
-        """A plumb line from each robot to the ground, which tells where it is in 3-D."""
+        """A plumb line from each robot to the ground, which shows where it is in 3-D."""
         feet = self._on_ground(moment.positions[:, :2])
         for i in np.flatnonzero(moment.active).tolist():
-            shade = ink.tint(robot_colour(i), 0.6)
+            shade = mixed(robot_colour(i), ink.WHITE, 0.6)
             pygame.draw.line(canvas, shade, pixels[i].tolist(), feet[i].tolist(), self._thin)
             foot = pygame.Rect(0, 0, 8 * self._unit, 4 * self._unit)
             foot.center = round(feet[i, 0]), round(feet[i, 1])
@@ -187,8 +171,7 @@ class TeamPicture:
         self._draw_bearings(canvas, moment.positions, pixels, bearings, which)
         for i in order.tolist():
             middle, place, radius = pixels[i], pixels[i].tolist(), self._radius(sizes[i])
-            shade = robot_colour(i)
-            length = radius + _NOSE * unit
+            shade, length = robot_colour(i), radius + _NOSE * unit
             tip, dark = middle + length * noses[i], mixed(shade, ink.BLACK, 0.5)
             ink.wedge(canvas, dark, tip, noses[i], length, 0.95 * radius)
             pygame.draw.circle(canvas, ink.WHITE, place, radius + unit)
@@ -196,15 +179,15 @@ class TeamPicture:
             if moment.contact[i]:
                 ink.ring(canvas, place, unit, radius + 3 * unit)
             if sizes[i] > 1:
-                number = str(sizes[i])
-                ink.write(canvas, number, place, 2 * radius, anchor="center", ink=ink.WHITE)
+                number, size = str(sizes[i]), 2 * radius
+                ink.write(canvas, number, place, size, anchor="center", colour=ink.WHITE)
 
     def _radius(self, members: int) -> float:
         return self._unit * (_ROBOT + min(4.0, 1.5 * math.sqrt(members - 1)))
 
     def _facing(self, moment: Moment) -> Floats:
-        """(n, d), unit vectors along the robots' bodies, or for single integrators, which have
-        none, along their last motion; zero for one that has not moved.
+        """(n, d), unit vectors along the robots' bodies, or along the last motion of robots without
+        one; zero for one that has not moved.
         """
         if moment.headings.shape[1]:
             return facing(moment.headings, self._scenario.dim)

@@ -21,11 +21,9 @@ if TYPE_CHECKING:
     from .window import Window
 
 RENDER_MODES = ["human", "rgb_array"]
-"""A window that follows the episode, or a picture as an array whenever it is asked for."""
+"""A window that follows the episode, or a picture as an array on request."""
 MOST_TEAMS = 16
 """Teams in one picture; of a larger batch the first ones are shown."""
-SIZE = (600, 600)
-"""Width and height of a picture, pixels."""
 
 
 def render_metadata(simulator: Simulator) -> dict[str, Any]:
@@ -40,18 +38,18 @@ class Renderer:
     Obstacles are orange; a robot has the same colour everywhere. Its wedge points along its body,
     or its last motion if it has none; short arrows are the bearings it sees, thin lines join robots
     that sense each other. A number counts the robots that have become one, a cross is where they
-    did; a ring is where one touched an obstacle. The view is fitted to the start and the obstacles
-    and stays. Space is seen in perspective, with plumb lines to the ground. Of more than one team
-    the first ``MOST_TEAMS`` stand side by side.
+    did; a ring is where one touched an obstacle. The view is fitted to the start and the obstacles.
+    Space is seen in perspective, with plumb lines to the ground. Of more than one team the first
+    ``MOST_TEAMS`` stand side by side.
 
-    Whoever owns it calls ``reset`` and ``see`` after each reset and step. Nothing is kept without
-    a render mode; a copy of it has the paths, but no window until its next reset.
+    Its owner calls ``reset`` and ``see`` after each reset and step. Nothing is kept without a
+    render mode; a copy of it has the paths, but no window until its next reset.
 
     Args:
         simulator: the teams.
         render_mode: "human", "rgb_array" or None.
         size: width and height in pixels.
-        horizon: how long the time axis is to begin with, s; None begins with a tenth of the limit.
+        horizon: first length of the time axis, s; None is a tenth of the limit.
 
     Raises:
         ValueError: for another mode.
@@ -61,7 +59,7 @@ class Renderer:
         self,
         simulator: Simulator,
         render_mode: str | None,
-        size: tuple[int, int] = SIZE,
+        size: tuple[int, int] = (600, 600),
         horizon: float | None = None,
     ) -> None:
         known = isinstance(render_mode, str) and render_mode in RENDER_MODES
@@ -83,10 +81,8 @@ class Renderer:
             self._show()
 
     def see(self, contact: NDArray[np.bool_]) -> None:
-        """Look at the teams after a step; in "human" mode show them, at most in real time.
-
-        Args:
-            contact: (B, n), who touched an obstacle in the step.
+        """Look at the teams after a step in which robots (B, n) touched obstacles; in "human" mode
+        show them, at most in real time.
         """
         if self.render_mode is None:
             return
@@ -122,21 +118,16 @@ class Renderer:
         return flat.reshape(height, width, 3).copy()
 
     def pictures(self) -> tuple[NDArray[np.uint8], ...] | None:
-        """The picture cut into the parts of its teams; None in "human" mode, which shows it.
+        """The picture cut into the parts of its teams; errors and "human" mode as ``render``.
 
         Teams beyond the first ``MOST_TEAMS`` are not drawn: they share one blank part.
-
-        Raises:
-            RuntimeError: before the first reset.
         """
         if (picture := self.render()) is None:
             return None
-        height, width = picture.shape[:2]
-        cells = (cell(team, self._teams, width, height) for team in range(self._teams))
-        parts = [
-            picture[one.top : one.top + one.height, one.left : one.left + one.width]
-            for one in cells
-        ]
+        parts = []
+        for team in range(self._teams):
+            left, top, width, height = cell(team, self._teams, *self.size)
+            parts.append(picture[top : top + height, left : left + width])
         blank = np.full_like(parts[0], 255)
         return (*parts, *[blank] * (self._simulator.num_envs - self._teams))
 

@@ -1,6 +1,6 @@
-"""What a picture of a team consists of, whoever draws it: pygame, matplotlib or the report's page.
+"""What a picture of a team consists of, for every renderer: pygame, matplotlib, the report's page.
 
-Shapes of obstacles, ways, marks and extents, all in metres; their colours are in ``palette``.
+Shapes of obstacles, paths, marks and extents, all in metres; their colours are in ``palette``.
 """
 
 from __future__ import annotations
@@ -16,19 +16,14 @@ Bools = NDArray[np.bool_]
 
 
 def shapes(obstacles: Floats, dim: int) -> list[Outline]:
-    """Discs and outlines of the plane; in 3-D balls, which have no vertices.
-
-    Args:
-        obstacles: (M, width), a table of ``obstacles.obstacle_set``.
-        dim: d, 2 or 3.
-    """
+    """Discs and outlines of a table (M, width) of obstacles; in 3-D balls, without vertices."""
     if dim == 2:
         return list(outlines(obstacles))
     return [Outline(ball.centre, ball.radius, np.zeros((0, 3))) for ball in balls(obstacles)]
 
 
 def outermost(positions: Floats, obstacles: Floats) -> Floats:
-    """Points (m, d) that a picture has to hold: places (..., d) and the ends of all shapes."""
+    """Points (m, d) that a picture has to show: positions (..., d) and the ends of all shapes."""
     d = positions.shape[-1]
     arms = np.concatenate([np.eye(d), -np.eye(d)])
     ends = [
@@ -46,16 +41,16 @@ def facing(headings: Floats, dim: int) -> Floats:
 
 
 def ways(positions: Floats, active: Bools) -> list[Floats]:
-    """Where each robot goes, (T', d), up to where it merges; of positions (T, n, d)."""
+    """The path of each robot, (T', d), up to where it merges; from positions (T, n, d)."""
     last = active.sum(axis=0) + 1  # one frame more: where it merged
     return [positions[: last[robot], robot] for robot in range(positions.shape[1])]
 
 
 def ended(flags: Bools) -> NDArray[np.int64]:
-    """Frame and robot, (m, 2), where something of (T, n) is no more: of ``active``, the merges."""
+    """Frame and robot, (m, 2), at which flags (T, n) go down: the merges, if given ``active``."""
     return np.argwhere(flags[:-1] & ~flags[1:]) + np.array([1, 0])
 
 
 def in_contact(count: int) -> str:
-    """How contacts are told: they are counted once for each robot and step."""
+    """Contacts in words: they are counted once for each robot and step."""
     return f"{count} robot-step{'' if count == 1 else 's'} in contact"

@@ -6,11 +6,7 @@ import time
 
 import pygame
 
-_LEAST_PAUSE = 1 / 60
-"""Between two pictures, s; steps that are shorter are not all shown."""
-_PAUSE_KEYS = (pygame.K_SPACE,)
-_STEP_KEYS = (pygame.K_RIGHT, pygame.K_s)
-_CLOSE_KEYS = (pygame.K_ESCAPE, pygame.K_q)
+_LEAST_PAUSE = 1 / 60  # s between two pictures; steps that are shorter are not all shown
 
 
 class Window:
@@ -26,12 +22,12 @@ class Window:
         self._title = title
         self.screen: pygame.Window | None = pygame.Window(title, size)
         self.paused = False
-        self._steps = 0
+        self._steps = 0  # that were asked for while paused
         self._due = self._shown = time.monotonic()
 
     @property
     def closed(self) -> bool:
-        """Whether it is gone, closed by its user or by ``close``."""
+        """Whether its user or ``close`` has closed it."""
         return self.screen is None
 
     @property
@@ -69,20 +65,18 @@ class Window:
         for event in pygame.event.get() if self.screen is not None else ():
             if getattr(event, "window", None) not in (None, self.screen):
                 continue
-            if event.type in (pygame.QUIT, pygame.WINDOWCLOSE):
+            key = event.key if event.type == pygame.KEYDOWN else None
+            if key == pygame.K_SPACE:
+                self.paused, self._steps = not self.paused, 0
+            elif key in (pygame.K_RIGHT, pygame.K_s):
+                self.paused, self._steps = True, self._steps + 1
+            elif key in (pygame.K_ESCAPE, pygame.K_q) or event.type in (
+                pygame.QUIT,
+                pygame.WINDOWCLOSE,
+            ):
                 self.close()
-            elif event.type == pygame.KEYDOWN:
-                self._press(event.key)
-
-    def _press(self, key: int) -> None:
-        if key in _PAUSE_KEYS:
-            self.paused, self._steps = not self.paused, 0
-        elif key in _STEP_KEYS:
-            self.paused, self._steps = True, self._steps + 1
-        elif key in _CLOSE_KEYS:
-            self.close()
-        if self.screen is not None:
-            self.screen.title = self._title + (" (paused)" if self.paused else "")
+            if key is not None and self.screen is not None:
+                self.screen.title = self._title + (" (paused)" if self.paused else "")
 
     def close(self) -> None:
         """Take the window off the screen."""

@@ -68,11 +68,8 @@ def test_axes_are_equal():
 
 def test_space_is_seen_in_perspective():
     camera = fit(np.eye(3) * 4, np.zeros((0, 5)), Area(0, 0, 600, 400), 20)
-    assert (
-        camera.nearness(camera.centre + camera.back)
-        > 1
-        > camera.nearness(camera.centre - camera.back)
-    )
+    near, far = (camera.nearness(camera.centre + sign * camera.back) for sign in (1, -1))
+    assert near > 1 > far
     up = camera.directions(camera.centre, np.array([0.0, 0.0, 1.0]))
     assert up[0] == pytest.approx(0.0, abs=1e-9) and -1 < up[1] < -0.8
     assert camera.directions(camera.centre, camera.back) == pytest.approx([0, 0], abs=1e-9)
@@ -127,20 +124,14 @@ def test_who_senses_whom_is_joined_by_a_line():
 
 def test_a_merge_leaves_a_cross_and_a_number():
     options = {"positions": [[0.0, 0.0], [0.3, 0.0], [4.0, 4.0]]}
-    env, _ = drawn(rv.Scenario(n_robots=3), options=options)
-    to_the_other = {"robot_0": 0.0, "robot_1": -1.0, "robot_2": 0.0}
-    frames = env.simulator.frames[0]
+    env, _ = drawn(rv.Scenario(n_robots=3, local_frames="global"), options=options)
     while env.simulator.active.all():
-        away = np.array([[to_the_other[f"robot_{i}"], 0.0] for i in range(3)])
-        local = np.einsum("nij,ni->nj", frames, away).astype(np.float32)
-        env.step({name: local[env.index(name)] for name in env.agents})
+        env.step(still(env) | {"robot_1": np.array([-1.0, 0.0], np.float32)})
     merged_at = env.simulator.positions[0, 0].copy()
-    up = (frames[0].T @ np.array([0.0, 1.0])).astype(np.float32)
     for _ in range(60):
-        env.step(still(env) | {"robot_0": up})
+        env.step(still(env) | {"robot_0": np.array([0.0, 1.0], np.float32)})
     frame = env.render()
-    black = near(frame, env.renderer.pixels(merged_at), (0, 0, 0), 5)
-    assert black > 4
+    assert near(frame, env.renderer.pixels(merged_at), (0, 0, 0), 5) > 4
     survivor = env.renderer.pixels(env.simulator.positions[0, 0])
     assert near(frame, survivor, (255, 255, 255), 3) > 3  # the 2
     assert near(frame, survivor, ROBOTS[0], 6) > 40
@@ -188,48 +179,34 @@ def test_steps_of_a_grid_are_round():
 
 # ---- capsules -----------------------------------------------------------------------------------
 
-LOG = rv.Capsule(((-2.0, -1.0), (2.0, 1.0)), 0.5)
-BEAM = rv.Capsule(((-2.0, -1.0, 0.0), (2.0, 1.0, 1.0)), 0.5)
-STARTS = {2: [[0.0, 3.0], [0.5, -3.0]], 3: [[0.0, 3.0, 0.0], [0.5, -3.0, 0.0]]}
+LOG = rv.Scenario(
+    n_robots=2, obstacles=(rv.Capsule(((-2.0, -1.0), (2.0, 1.0)), 0.5),), time_limit=20.0
+)
+BESIDE = {"positions": [[0.0, 3.0], [0.5, -3.0]]}
 
 
-def beside(capsule):
-    """Two robots and a capsule; what sets their start."""
-    scenario = rv.Scenario(n_robots=2, dim=capsule.dim, obstacles=(capsule,), time_limit=20.0)
-    return scenario, {"positions": STARTS[capsule.dim]}
+def test_a_capsule_is_drawn():
+    _, frame = drawn(LOG, options=BESIDE)
+    rows, columns = np.nonzero(np.abs(frame.astype(int) - OBSTACLE).max(axis=-1) < 40)
+    # metres per pixel from the height of the shape, which is 3 m; its area is 4.472 · 1 + π/4
+    scale = 3.0 / (np.ptp(rows) + 1)
+    assert len(rows) * scale**2 == pytest.approx(2 * np.hypot(2, 1) + np.pi / 4, rel=0.05)
+    assert (np.ptp(columns) + 1) * scale == pytest.approx(5.0, rel=0.05)
 
 
-@pytest.mark.parametrize("capsule", [LOG, BEAM], ids=["plane", "space"])
-def test_a_capsule_is_drawn(capsule):
-    scenario, start = beside(capsule)
-    _, frame = drawn(scenario, options=start)
-    found = np.abs(frame.astype(int) - OBSTACLE).max(axis=-1) < 40
-    assert found.sum() > 500
-    if capsule is LOG:
-        rows, columns = np.nonzero(found)
-        # metres per pixel from the height of the shape, which is 3 m; its area is 4.472 · 1 + π/4
-        scale = 3.0 / (np.ptp(rows) + 1)
-        assert found.sum() * scale**2 == pytest.approx(2 * np.hypot(2, 1) + np.pi / 4, rel=0.05)
-        assert (np.ptp(columns) + 1) * scale == pytest.approx(5.0, rel=0.05)
+@pytest.mark.parametrize(("radius", "count"), [(0.001, 99), (0.5, 37)])
+def test_a_capsule_of_space_is_drawn_as_balls(radius, count):
+    """As few as do for a very thin one."""
+    beads = shapes(pack((rv.Capsule(((0.0, 0.0, 0.0), (9.0, 0.0, 0.0)), radius),), 1), 3)
+    assert len(beads) == count and beads[-1].centre.tolist() == [9.0, 0.0, 0.0]
+    assert {bead.radius for bead in beads} == {radius}
 
 
-def test_a_very_thin_capsule_is_drawn_with_few_balls():
-    wire = rv.Capsule(((0.0, 0.0, 0.0), (9.0, 0.0, 0.0)), 0.001)
-    beads = shapes(pack((wire,), 1), 3)
-    assert len(beads) == 99 and beads[-1].centre.tolist() == [9.0, 0.0, 0.0]
-
-
-@pytest.mark.parametrize("capsule", [LOG, BEAM], ids=["plane", "space"])
-def test_a_figure_shows_a_capsule(capsule):
-    scenario, start = beside(capsule)
-    found = rv.rollout(scenario, baselines.make("tangent-joined", scenario), options=start)
+def test_a_figure_shows_a_capsule():
+    found = rv.rollout(LOG, baselines.make("tangent-joined", LOG), options=BESIDE)
     recording = reproduce.one_team(found)
-    path_figures.team_figure(scenario, recording, "tangent-joined").canvas.draw()
-    parts = shapes(recording["obstacles"], scenario.dim)
-    if capsule is BEAM:
-        assert len(parts) > 10 and {part.radius for part in parts} == {0.5}
-        return
-    (part,) = parts
+    path_figures.team_figure(LOG, recording, "tangent-joined").canvas.draw()
+    (part,) = shapes(recording["obstacles"], 2)
     assert len(part.vertices) == 34 and part.centre.tolist() == [0.0, 0.0]
     assert np.hypot(*part.vertices.T).max() == pytest.approx(np.hypot(2, 1) + 0.5)
 

@@ -27,7 +27,6 @@ NAME = "rendezvous_env:rendezvous/Rendezvous-v0"
 MAKERS = {
     "parallel": rv.parallel_env,
     "aec": rendezvous_v0.env,
-    "raw": rendezvous_v0.raw_env,
     "gymnasium": make_env,
     "vector": rv.make_vec,
 }
@@ -41,26 +40,21 @@ def forward(env, steps):
 
 
 @pytest.mark.parametrize("make", MAKERS.values(), ids=MAKERS)
-class TestEveryKind:
-    def test_renders(self, make):
-        env = make("duo", render_mode="rgb_array")
-        env.reset(seed=0)
-        assert env.render_mode == "rgb_array"
-        picture = env.render()
-        assert (picture[0] if make is rv.make_vec else picture).shape == (600, 600, 3)
-        assert env.metadata["render_modes"] == ["human", "rgb_array"]
-        assert env.metadata["render_fps"] == round(1 / rv.scenarios.get("duo").tau)
-        env.close()
-
-    def test_refuses_an_unknown_mode_by_name(self, make):
-        with pytest.raises(ValueError, match="render_mode is 'ansi'; it must be None or one of"):
-            make("duo", render_mode="ansi")
-
-    def test_warns_without_a_mode(self, make):
-        env = make("duo")
-        env.reset(seed=0)
-        with pytest.warns(UserWarning, match="without a render mode"):
-            assert env.render() is None
+def test_every_kind_renders_by_its_mode(make):
+    env = make("duo", render_mode="rgb_array")
+    env.reset(seed=0)
+    assert env.render_mode == "rgb_array"
+    picture = env.render()
+    assert (picture[0] if make is rv.make_vec else picture).shape == (600, 600, 3)
+    assert env.metadata["render_modes"] == ["human", "rgb_array"]
+    assert env.metadata["render_fps"] == round(1 / rv.scenarios.get("duo").tau)
+    env.close()
+    with pytest.raises(ValueError, match="render_mode is 'ansi'; it must be None or one of"):
+        make("duo", render_mode="ansi")
+    env = make("duo")
+    env.reset(seed=0)
+    with pytest.warns(UserWarning, match="without a render mode"):
+        assert env.render() is None
 
 
 class TestPicture:
@@ -144,7 +138,6 @@ class TestPicture:
             warnings.simplefilter("ignore")  # the suite's own imports are deprecated
             from pettingzoo.test import render_test
         render_test(lambda **options: rendezvous_v0.env(scenario, max_cycles=20, **options))
-        render_test(lambda **options: rendezvous_v0.raw_env(scenario, max_cycles=20, **options))
 
 
 class TestTile:
@@ -238,7 +231,7 @@ def test_the_library_is_loaded_when_the_first_picture_is_drawn(tmp_path):
         "env.reset(seed=0); print('pygame' in sys.modules); env.render();"
         "print('pygame' in sys.modules)"
     )
-    assert run_python(code, tmp_path, "-W", "error").split() == ["False", "True"]
+    assert run_python(tmp_path, "-W", "error", "-c", code).split() == ["False", "True"]
 
 
 def test_without_the_library_the_error_says_what_to_install(monkeypatch):

@@ -94,5 +94,5 @@ class TestWindow:
             "try: env.reset(seed=0)\n"
             "except RuntimeError as error: print(error)"
         )
-        printed = run_python(code, tmp_path, SDL_VIDEODRIVER="nowhere")
+        printed = run_python(tmp_path, "-c", code, SDL_VIDEODRIVER="nowhere")
         assert "no window can be opened here" in printed and 'render_mode="rgb_array"' in printed
