@@ -1,9 +1,10 @@
-"""Rollouts: run a policy and keep what happened, for people who only want to see it."""
+"""Rollouts: run a policy for one episode and keep what happened."""
 
 from __future__ import annotations
 
 import os
 import warnings
+from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
@@ -21,19 +22,19 @@ from .simulator import Simulator
 
 Policy = Callable[[NDArray[np.float32], NDArray[np.float64]], NDArray[Any]]
 ON_REQUEST = ("observations", "actions")
-"""What a rollout keeps only if it is asked to: observations are by far the largest part."""
-_MUCH = 1e9  # bytes from which a rollout says in advance what it would keep
+"""What a rollout keeps only on request: observations are by far the largest part."""
+_MUCH = 1e9  # bytes above which a rollout warns before it starts
 
 
 class Merge(NamedTuple):
-    """One step in which robots of a team became one."""
+    """A step in which robots of a team merged."""
 
     env: int
     """Index of the team."""
     time: float
     """End of the step, s."""
     robots: tuple[int, ...]
-    """Who was absorbed."""
+    """Robots that were absorbed."""
     lyapunov_before: float
     """V just before the first merge of the step, m²/s."""
     lyapunov_after: float
@@ -45,7 +46,6 @@ class Trajectory:
     """What B teams did over T steps; a team that has finished stays as it is to the end."""
 
     scenario: Scenario
-    """The experiment."""
     times: NDArray[np.float64]
     """(T + 1,), s."""
     positions: NDArray[np.float64]
@@ -75,20 +75,12 @@ class Trajectory:
 
     @property
     def observations(self) -> NDArray[np.float32]:
-        """(T + 1, B, n, rows, d), as the robots saw them.
-
-        Raises:
-            AttributeError: if they were not kept.
-        """
+        """(T + 1, B, n, rows, d), as the robots saw them; an AttributeError if not kept."""
         return self._kept("observations")
 
     @property
     def actions(self) -> NDArray[np.float32]:
-        """(T, B, n, a), as the policy chose them.
-
-        Raises:
-            AttributeError: if they were not kept.
-        """
+        """(T, B, n, a), as the policy chose them; an AttributeError if not kept."""
         return self._kept("actions")
 
     def _kept(self, name: str) -> NDArray[np.float32]:
@@ -139,16 +131,13 @@ class Step(NamedTuple):
     lyapunov: NDArray[np.float64]
     """(B,), V before the step."""
     outcome: StepOutput
-    """What came of it."""
+    """What the step gave out."""
 
 
 def begin(policy: Policy, simulator: Simulator) -> None:
-    """Tell a policy that episodes begin: call its ``reset(mask=None)`` and ``watch(simulator)``, if
-    it has them. Only privileged policies, which read positions, watch.
-
-    Args:
-        policy: who will steer the teams.
-        simulator: the teams, freshly reset.
+    """Tell a policy that episodes begin in teams that were just reset: call its
+    ``reset(mask=None)`` and ``watch(simulator)``, if it has them. Only privileged policies, which
+    read positions, watch.
     """
     for method, arguments in (("reset", ()), ("watch", (simulator,))):
         if callable(found := getattr(policy, method, None)):
@@ -191,8 +180,8 @@ def rollout(
         seed: team b starts from seed + b.
         num_envs: B.
         options: given parts of the start, see ``Simulator.reset``.
-        record: what to keep besides: "observations", "actions", both, or "all". A warning says so
-            beforehand if all that is kept may come to more than 1 GB.
+        record: what to keep besides: "observations", "actions", both, or "all". A warning precedes
+            a rollout that may keep more than 1 GB.
 
     Raises:
         ValueError: for a bad scenario, seed, number of teams, option, record or action.
@@ -200,19 +189,42 @@ def rollout(
     """
     if not callable(policy):
         raise TypeError(f"policy is {shown(policy)}; it must be callable: baselines.make makes one")
-    asked = _asked_for(record)
+    asked = _requested(record)
     simulator = Simulator(resolve(scenario), num_envs)
     _warn_of_size(simulator, asked)
+    kept: defaultdict[str, list[NDArray[Any]]] = defaultdict(list)
+
+    def keep(**arrays: NDArray[Any]) -> None:
+        for name, array in arrays.items():
+            if name not in ON_REQUEST or name in asked:
+                kept[name].append(array)
+
+    def keep_state(observations: NDArray[np.float32]) -> None:
+        keep(
+            positions=simulator.positions,
+            headings=simulator.headings,
+            active=simulator.active,
+            lyapunov=simulator.lyapunov(),
+            observations=observations,
+        )
+
     observations = simulator.reset(seed, options)
-    kept = _Kept(asked)
-    kept.state(simulator, observations)
+    keep_state(observations)
     finished_at = np.full(simulator.num_envs, np.inf)
     for step in run(simulator, policy, observations):
-        kept.step(step)
-        kept.state(simulator, step.outcome.observations)
+        outcome = step.outcome
+        keep(  # copies of rows, which would keep the whole table alive
+            lyapunov_before_merge=outcome.lyapunov_before_merge.copy(),
+            lyapunov_after_merge=outcome.lyapunov_after_merge.copy(),
+            rewards=outcome.rewards.copy(),
+            contacts=outcome.contact,
+            actions=step.actions,
+        )
+        keep_state(outcome.observations)
         met = step.running & (simulator.status == RENDEZVOUS)
         finished_at[met] = simulator.time[met]
-    arrays = kept.arrays()
+    # each list is dropped once its array is there, which halves the memory needed
+    arrays = {name: np.stack(kept.pop(name)) for name in list(kept)}
     return Trajectory(
         scenario=simulator.scenario,
         times=np.arange(len(arrays["positions"]), dtype=np.float64) * simulator.scenario.tau,
@@ -224,7 +236,7 @@ def rollout(
     )
 
 
-def _asked_for(record: Any) -> tuple[str, ...]:
+def _requested(record: Any) -> tuple[str, ...]:
     if isinstance(record, str) and record == "all":
         return ON_REQUEST
     names = (record,) if isinstance(record, str) else record
@@ -247,41 +259,3 @@ def _warn_of_size(simulator: Simulator, asked: tuple[str, ...]) -> None:
             f"{simulator.max_steps} steps; {advice}",
             stacklevel=3,
         )
-
-
-class _Kept:
-    """What a rollout keeps, step by step."""
-
-    def __init__(self, asked: tuple[str, ...]) -> None:
-        self._asked = asked
-        self._lists: dict[str, list[NDArray[Any]]] = {}
-
-    def _add(self, **arrays: NDArray[Any]) -> None:
-        for name, array in arrays.items():
-            if name not in ON_REQUEST or name in self._asked:
-                self._lists.setdefault(name, []).append(array)
-
-    def state(self, simulator: Simulator, observations: NDArray[np.float32]) -> None:
-        """The teams before or after a step."""
-        self._add(
-            positions=simulator.positions,
-            headings=simulator.headings,
-            active=simulator.active,
-            lyapunov=simulator.lyapunov(),
-            observations=observations,
-        )
-
-    def step(self, step: Step) -> None:
-        """What a step gave out, without keeping the rest of it alive."""
-        outcome = step.outcome
-        self._add(
-            lyapunov_before_merge=outcome.lyapunov_before_merge.copy(),
-            lyapunov_after_merge=outcome.lyapunov_after_merge.copy(),
-            rewards=outcome.rewards.copy(),
-            contacts=outcome.contact,
-            actions=step.actions,
-        )
-
-    def arrays(self) -> dict[str, NDArray[Any]]:
-        """Every list as one array; the lists are given up one by one, to need little room."""
-        return {name: np.stack(self._lists.pop(name)) for name in list(self._lists)}

@@ -7,15 +7,13 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from gymnasium.envs.registration import EnvSpec
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
     import pandas
     import xarray
-    from gymnasium.envs.registration import EnvSpec
     from minari import MinariDataset
-
-    from .scenario.scenario import Scenario
 
 DIMENSIONS = {
     "positions": (("time", "env", "robot", "axis"), "m"),
@@ -33,9 +31,8 @@ DIMENSIONS = {
     "actions": (("step", "env", "robot", "action"), ""),
 }
 """Dimensions and unit of every array of a trajectory."""
-AXES = ("x", "y", "z")
-ANGLES = ("yaw", "pitch")
-_RECORDED_FOR_MINARI = ("observations", "actions")
+_AXES = ("x", "y", "z")
+_ANGLES = ("yaw", "pitch")
 
 
 def xarray_dataset(trajectory: Any) -> xarray.Dataset:
@@ -48,20 +45,20 @@ def xarray_dataset(trajectory: Any) -> xarray.Dataset:
     Raises:
         ImportError: if xarray is not installed, saying how to get it.
     """
-    made_by = library("xarray", "to_xarray")
+    library = _import("xarray", "to_xarray")
     scenario, times, arrays = trajectory.scenario, trajectory.times, _arrays(trajectory)
     coordinates: dict[str, Any] = {
         "time": ("time", times, {"units": "s"}),
         "step_end": ("step", times[1:], {"units": "s"}),
-        "axis": list(AXES[: scenario.dim]),
-        "angle": list(ANGLES[: arrays["headings"].shape[-1]]),
+        "axis": list(_AXES[: scenario.dim]),
+        "angle": list(_ANGLES[: arrays["headings"].shape[-1]]),
     }
     variables = {}
     for name, array in arrays.items():
         dimensions, unit = DIMENSIONS[name]
         variables[name] = (dimensions, array, {"units": unit} if unit else {})
     attributes = {"scenario": json.dumps(scenario.to_plain())}
-    made: xarray.Dataset = made_by.Dataset(variables, coordinates, attributes)
+    made: xarray.Dataset = library.Dataset(variables, coordinates, attributes)
     return made
 
 
@@ -76,26 +73,23 @@ def pandas_dataframe(trajectory: Any) -> pandas.DataFrame:
     Raises:
         ImportError: if pandas is not installed, saying how to get it.
     """
-    made_by = library("pandas", "to_dataframe")
+    library = _import("pandas", "to_dataframe")
     arrays = _arrays(trajectory)
-    positions, headings = arrays["positions"], arrays["headings"]
+    positions, headings, rewards = (arrays[key] for key in ("positions", "headings", "rewards"))
     shape = positions.shape[:3]
-    _, teams, _ = shape
-    reward = np.concatenate([np.full((1, teams), np.nan), arrays["rewards"]])
-    contact = np.concatenate([np.zeros((1, *shape[1:]), dtype=bool), arrays["contacts"]])
     columns = {
-        "time": trajectory.times[:, np.newaxis, np.newaxis],
-        **{axis: positions[..., k] for k, axis in enumerate(AXES[: positions.shape[-1]])},
-        **{angle: headings[..., k] for k, angle in enumerate(ANGLES[: headings.shape[-1]])},
+        "time": trajectory.times[:, None, None],
+        **{axis: positions[..., k] for k, axis in enumerate(_AXES[: positions.shape[-1]])},
+        **{angle: headings[..., k] for k, angle in enumerate(_ANGLES[: headings.shape[-1]])},
         "active": arrays["active"],
-        "lyapunov": arrays["lyapunov"][..., np.newaxis],
-        "reward": reward[..., np.newaxis],
-        "contact": contact,
+        "lyapunov": arrays["lyapunov"][..., None],
+        "reward": np.pad(rewards, ((1, 0), (0, 0)), constant_values=np.nan)[..., None],
+        "contact": np.pad(arrays["contacts"], ((1, 0), (0, 0), (0, 0))),
     }
     steps, envs, robots = (index.ravel() for index in np.indices(shape))
-    made: pandas.DataFrame = made_by.DataFrame(
+    made: pandas.DataFrame = library.DataFrame(
         {name: np.broadcast_to(column, shape).ravel() for name, column in columns.items()},
-        index=made_by.MultiIndex.from_arrays([envs, robots, steps], names=["env", "robot", "step"]),
+        index=library.MultiIndex.from_arrays([envs, robots, steps], names=["env", "robot", "step"]),
     )
     return made.sort_index()
 
@@ -122,55 +116,45 @@ def minari_dataset(trajectory: Any, name: str, **about: Any) -> MinariDataset:
         ValueError: naming what was not recorded, or a name that is malformed or taken; nothing
             is written then.
     """
-    minari = library("minari", "to_minari")
-    library("h5py", "to_minari")
-    recorded = trajectory.recorded
-    if missing := [part for part in _RECORDED_FOR_MINARI if part not in recorded]:
+    minari = _import("minari", "to_minari")
+    _import("h5py", "to_minari")
+    from minari.data_collector import EpisodeBuffer
+
+    recorded, scenario = trajectory.recorded, trajectory.scenario
+    if missing := [part for part in ("observations", "actions") if part not in recorded]:
         raise ValueError(
             f"to_minari() needs {' and '.join(missing)}, which were not kept; ask for them: "
             'rollout(…, record="all")'
         )
     _check_name(minari, name)
-    scenario = trajectory.scenario
-    spec = environment_spec(scenario)
+    spec = EnvSpec(
+        id="rendezvous/Rendezvous-v0",
+        entry_point="rendezvous_env.envs.gymnasium_env:env_from_plain",
+        kwargs={"scenario": scenario.to_plain()},
+    )
     about = {
         "description": f"Teams of scenario {scenario.name!r}: bearings seen, actions taken",
         "env": spec,
         "eval_env": spec,
         **about,
     }
-    episodes = [_episode(trajectory, team) for team in range(len(trajectory.success))]
+    episodes = []
+    for team, success in enumerate(trajectory.success.tolist()):
+        steps = int(trajectory.running[:, team].sum())
+        last = np.arange(steps) == steps - 1
+        episodes.append(
+            EpisodeBuffer(
+                id=team,
+                observations=recorded["observations"][: steps + 1, team],
+                actions=recorded["actions"][:steps, team],
+                rewards=trajectory.rewards[:steps, team],
+                terminations=last & success,
+                truncations=last & (not success),
+                infos={"active": trajectory.active[: steps + 1, team]},
+            )
+        )
     made: MinariDataset = minari.create_dataset_from_buffers(name, episodes, **about)
     return made
-
-
-def environment_spec(scenario: Scenario) -> EnvSpec:
-    """What Gymnasium needs to make one team of a scenario, in plain data."""
-    from gymnasium.envs.registration import EnvSpec
-
-    return EnvSpec(
-        id="rendezvous/Rendezvous-v0",
-        entry_point="rendezvous_env.envs.gymnasium_env:env_from_plain",
-        kwargs={"scenario": scenario.to_plain()},
-    )
-
-
-def _episode(trajectory: Any, team: int) -> Any:
-    from minari.data_collector import EpisodeBuffer
-
-    active, recorded = trajectory.active[:, team], trajectory.recorded
-    steps = int((active[:-1].sum(axis=-1) > 1).sum())
-    last = np.arange(steps) == steps - 1
-    success = bool(trajectory.success[team])
-    return EpisodeBuffer(
-        id=team,
-        observations=recorded["observations"][: steps + 1, team],
-        actions=recorded["actions"][:steps, team],
-        rewards=trajectory.rewards[:steps, team],
-        terminations=last & success,
-        truncations=last & (not success),
-        infos={"active": active[: steps + 1]},
-    )
 
 
 def _check_name(minari: Any, name: str) -> None:
@@ -193,19 +177,11 @@ def _arrays(trajectory: Any) -> dict[str, NDArray[Any]]:
     return own | trajectory.recorded
 
 
-def library(name: str, asked: str) -> Any:
-    """A library of the extra ``analysis``, imported when it is first used.
-
-    Args:
-        name: of the library.
-        asked: the method that needs it.
-
-    Raises:
-        ImportError: if it is not installed, saying how to get it.
-    """
+def _import(library: str, method: str) -> Any:
+    """A library of the extra ``analysis``, which only this method of a trajectory needs."""
     try:
-        return import_module(name)
+        return import_module(library)
     except ImportError as error:
         raise ImportError(
-            f"{asked}() needs {name}: pip install 'rendezvous-env[analysis]'", name=name
+            f"{method}() needs {library}: pip install 'rendezvous-env[analysis]'", name=library
         ) from error

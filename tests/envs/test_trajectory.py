@@ -1,24 +1,25 @@
-"""Rollouts."""
+"""Rollouts: what a trajectory holds, what is kept on request, what is announced."""
 
 from __future__ import annotations
-
-import dataclasses
 
 import numpy as np
 import pytest
 from conftest import five, law_of
+from guarantees import same
 
-import baselines
 import rendezvous_env as rv
-from rendezvous_env import Scenario, Simulator, rollout
+from rendezvous_env import Scenario, Simulator, rollout, trajectory
 from rendezvous_env.safety.lyapunov import lyapunov
 from rendezvous_env.trajectory import run
 
+DUO = Scenario(n_robots=2, local_frames="global", time_limit=10.0)
+STARTS = {"positions": [[[0.0, 0], [0.5, 0]], [[0.0, 0], [5.05, 0]]]}
+
 
 def test_two_robots_by_hand():
-    duo = Scenario(n_robots=2, merge_radius=0.5, local_frames="global")  # τ = 0.25 s
+    duo = DUO.replace(merge_radius=0.5)  # τ = 0.25 s
     start = {"positions": [[0.0, 0.0], [1.8, 0.0]]}
-    traj = rollout(duo, baselines.make("bearing-only", duo), options=start)
+    traj = rollout(duo, law_of(duo), options=start)
     # they close in at 2 m/s: 1.8, 1.3, 0.8 and then 0.5 after 0.15 s of the third step
     np.testing.assert_allclose(traj.times, [0, 0.25, 0.5, 0.75])
     np.testing.assert_allclose(traj.positions[:, 0, 0, 0], [0, 0.25, 0.5, 0.9], atol=1e-6)
@@ -50,37 +51,36 @@ def test_shapes_and_consistency(kind):
     np.testing.assert_array_equal(traj.success, together[-1] == 1)
     gone = traj.active[:-1] & ~traj.active[1:]
     assert sum(len(merge.robots) for merge in traj.merges) == gone.sum() > 0
-    start = lyapunov(
-        traj.positions[0], Simulator(scenario).weights * 0 + scenario_weights(scenario)
-    )
+    start = lyapunov(traj.positions[0], scenario.sensing_graph.base_weights(5))
     np.testing.assert_allclose(traj.lyapunov[0], start, rtol=1e-12)
 
 
-def scenario_weights(scenario: Scenario) -> np.ndarray:
-    return scenario.sensing_graph.base_weights(scenario.n_robots)
-
-
 def test_a_team_that_has_finished_stays_as_it_is():
-    duo = Scenario(n_robots=2, local_frames="global")
-    starts = {"positions": [[[0.0, 0], [0.5, 0]], [[0.0, 0], [5, 0]]]}
-    traj = rollout(duo, law_of(duo), num_envs=2, options=starts, record="all")
-    end = round(traj.rendezvous_time[0] / duo.tau)
+    traj = rollout(DUO, law_of(DUO), num_envs=2, options=STARTS, record="all")
+    end = round(traj.rendezvous_time[0] / DUO.tau)
     assert end < len(traj.times) - 1
     for array in (traj.positions, traj.active, traj.lyapunov, traj.observations):
-        np.testing.assert_array_equal(
-            array[end:, 0], np.broadcast_to(array[end, 0], array[end:, 0].shape)
-        )
+        np.testing.assert_array_equal(array[end:, 0], [array[end, 0]] * len(array[end:]))
     assert (traj.rewards[end:, 0] == 0).all()
     assert [merge.env for merge in traj.merges] == [0, 1]
+
+
+def test_the_largest_rise_is_that_of_each_team_while_it_runs():
+    """Law (1) lets V fall in every step; a team that has finished no longer counts."""
+    found = rollout(DUO, law_of(DUO), num_envs=2, options=STARTS)
+    assert found.running.sum(axis=0).tolist() == [2, len(found.running)]
+    rise = found.largest_rise_between_merges
+    assert rise.shape == (2,) and (rise < -0.1).all()
+    flee = lambda seen, time: -0.5 * law_of(DUO)(seen, time)  # noqa: E731
+    away = rollout(DUO, flee, options=STARTS, num_envs=2)
+    np.testing.assert_allclose(away.largest_rise_between_merges, 0.2, atol=1e-6)  # 2 · τ · 1 m/s
 
 
 def test_the_same_seed_gives_the_same_rollout_and_teams_have_their_own():
     scenario = five("unicycle", time_limit=2.0)
     a, b = (rollout(scenario, law_of(scenario), seed=4, num_envs=3) for _ in range(2))
     single = rollout(scenario, law_of(scenario), seed=6)
-    for field in dataclasses.fields(a):
-        if field.name not in ("scenario", "recorded"):
-            np.testing.assert_array_equal(getattr(a, field.name), getattr(b, field.name))
+    assert same(vars(a), vars(b))
     np.testing.assert_array_equal(a.positions[:, 2], single.positions[:, 0])
 
 
@@ -101,6 +101,8 @@ def test_any_callable_and_any_name_will_do():
         rollout("duo", lambda observations, time: np.zeros((2, 2)))
     with pytest.raises(ValueError, match="is unknown"):
         rollout("duu", policy)
+    with pytest.raises(TypeError, match="policy is None; it must be callable"):
+        rollout("duo", None)
 
 
 def test_a_policy_with_memory_is_reset_first():
@@ -115,7 +117,7 @@ def test_a_policy_with_memory_is_reset_first():
             self.resets += 1
 
     policy = Remembers()
-    rollout(Scenario(n_robots=2, time_limit=0.5), policy)
+    rollout(DUO.replace(time_limit=0.5), policy)
     assert policy.resets == 1
 
 
@@ -131,3 +133,54 @@ def test_steps_as_they_come():
             np.testing.assert_array_equal(step.lyapunov, sim.initial_lyapunov)
         assert step.actions.dtype == np.float32
     assert k + 1 == scenario.max_steps
+
+
+# ---- what is kept --------------------------------------------------------------------------------
+
+
+def test_observations_and_actions_only_on_request():
+    policy = law_of(DUO)
+    plain = rollout(DUO, policy, num_envs=3)
+    for name in ("observations", "actions"):
+        with pytest.raises(AttributeError, match=rf'{name} were not kept; .* record="{name}"'):
+            getattr(plain, name)
+    whole = rollout(DUO, policy, num_envs=3, record="all")
+    both = rollout(DUO, policy, num_envs=3, record=("actions", "observations"))
+    for k, actions in enumerate(whole.actions):
+        np.testing.assert_array_equal(policy(whole.observations[k], plain.times[k]), actions)
+    assert same(vars(whole), vars(both))
+    assert same(vars(whole) | {"recorded": {}}, vars(plain))
+    assert list(rollout(DUO, policy, record="actions").recorded) == ["actions"]
+
+
+@pytest.mark.parametrize("record", ["everything", 3, ("actions", "rewards"), [["actions"]]])
+def test_what_cannot_be_recorded_is_refused(record):
+    with pytest.raises(ValueError, match=r"record is .*'observations', 'actions', or \"all\""):
+        rollout(DUO, law_of(DUO), record=record)
+
+
+def stop_at_once(observations, time):
+    raise RuntimeError("enough")
+
+
+def test_a_large_recording_is_announced(monkeypatch):
+    with pytest.warns(UserWarning, match=r"may keep .* GB.*; take fewer teams or steps, or record"):
+        with pytest.raises(RuntimeError, match="enough"):
+            rollout("clutter-24", stop_at_once, num_envs=20_000, record="all")
+    monkeypatch.setattr(trajectory, "_MUCH", 1e4)
+    with pytest.warns(UserWarning, match=r"may keep 0.0 GB, 0.00\d+ MB a step for up to 20 steps"):
+        rollout(DUO.replace(time_limit=2.0), law_of(DUO), num_envs=64)
+
+
+def test_the_size_announced_is_the_size_kept(monkeypatch):
+    scenario = five("unicycle", time_limit=1.0)
+    monkeypatch.setattr(trajectory, "_MUCH", 0.0)
+    with pytest.warns(UserWarning) as caught:
+        found = rollout(scenario, law_of(scenario), num_envs=4, record="all")
+    kept = sum(
+        array.nbytes
+        for name, array in (vars(found) | dict(found.recorded)).items()
+        if isinstance(array, np.ndarray) and name not in ("times", "obstacles")
+    )
+    a_step = float(str(caught[0].message).split(" MB a step")[0].split()[-1]) * 1e6
+    assert a_step * (scenario.max_steps + 1) == pytest.approx(kept, rel=0.02)

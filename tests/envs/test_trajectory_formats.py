@@ -1,4 +1,4 @@
-"""Trajectories as pandas and xarray have them, against the arrays they are made of."""
+"""Trajectories as pandas, xarray and Minari have them, against the arrays they are made of."""
 
 import json
 import sys
@@ -6,18 +6,35 @@ import sys
 import numpy as np
 import pytest
 from conftest import five
+from gymnasium.utils.env_checker import data_equivalence
 
 import baselines
 import rendezvous_env as rv
 from rendezvous_env import trajectory_formats
 
+ABOUT = {
+    "author": "A. Nyone",
+    "author_email": "a@example.org",
+    "algorithm_name": "bearing-only",
+    "code_permalink": "https://example.org/code",
+}
+
+
+@pytest.fixture(autouse=True)
+def own_store(tmp_path, monkeypatch):
+    """Minari writes into the user's home if it is not told otherwise."""
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
+    return tmp_path
+
 
 @pytest.fixture(scope="module")
 def fig4():
-    """Two teams among obstacles, with all that a rollout can keep."""
-    scenario = rv.scenarios.get("fig4").replace(start_positions=None)
+    """Two teams among obstacles, one of which is out of time, with all that can be kept."""
+    scenario = rv.scenarios.get("fig4").replace(start_positions=None, time_limit=5.5)
     law = baselines.make("bearing-only", scenario)
-    return rv.rollout(scenario, law, seed=3, num_envs=2, record="all")
+    found = rv.rollout(scenario, law, seed=3, num_envs=2, record="all")
+    assert sorted(found.success.tolist()) == [False, True]
+    return found
 
 
 def test_a_row_holds_what_its_moment_team_and_robot_had(fig4):
@@ -63,10 +80,64 @@ def test_attitudes_have_names_in_space():
     assert "observations" not in found
 
 
+def test_an_episode_of_minari_is_what_a_team_lived_through(fig4):
+    import minari
+
+    written = fig4.to_minari("rendezvous/fig4-v0", **ABOUT)
+    read = minari.load_dataset("rendezvous/fig4-v0")
+    assert read.total_episodes == 2
+    assert read.total_steps == written.total_steps == fig4.running.sum()
+    for team, episode in enumerate(read.iterate_episodes()):
+        steps = fig4.running[:, team].sum()
+        for kept, name, count in (
+            (episode.observations, "observations", steps + 1),
+            (episode.actions, "actions", steps),
+            (episode.rewards, "rewards", steps),
+            (episode.infos["active"], "active", steps + 1),
+        ):
+            np.testing.assert_array_equal(kept, getattr(fig4, name)[:count, team])
+        met = fig4.success[team]
+        assert episode.terminations.tolist() == [False] * (steps - 1) + [met]
+        assert episode.truncations.tolist() == [False] * (steps - 1) + [not met]
+    with pytest.raises(ValueError, match="name is 'rendezvous/fig4-v0'; it must be new"):
+        fig4.to_minari("rendezvous/fig4-v0", **ABOUT)
+
+
+def test_the_environment_comes_back_and_relives_an_episode(fig4):
+    data = fig4.to_minari("rendezvous/again-v0", **ABOUT)
+    env = data.recover_environment(eval_env=True)
+    assert env.unwrapped.scenario == fig4.scenario
+    assert data.observation_space == env.observation_space
+    episode = data[1]
+    seen, _ = env.reset(seed=3 + 1)
+    for t, action in enumerate(episode.actions):
+        assert data_equivalence(seen, episode.observations[t])
+        seen, reward, terminated, truncated, _ = env.step(action)
+        ends = episode.terminations[t], episode.truncations[t]
+        assert (reward, terminated, truncated) == (episode.rewards[t], *ends)
+    np.testing.assert_array_equal(seen, episode.observations[-1])
+
+
+@pytest.mark.parametrize("name", ["no version/at all", "", 3])
+def test_a_malformed_name_leaves_no_folder(fig4, own_store, name):
+    with pytest.raises(ValueError, match=r"name is .*; it must be like"):
+        fig4.to_minari(name, **ABOUT)
+    bare = rv.rollout("duo", baselines.make("bearing-only", "duo"), record="actions")
+    with pytest.raises(ValueError, match=r'needs observations.*rollout\(…, record="all"\)'):
+        bare.to_minari("rendezvous/duo-v0", **ABOUT)
+    assert not list(own_store.iterdir())
+
+
 @pytest.mark.parametrize(
-    ("library", "method"), [("pandas", "to_dataframe"), ("xarray", "to_xarray")]
+    ("library", "method", "arguments"),
+    [
+        ("pandas", "to_dataframe", ()),
+        ("xarray", "to_xarray", ()),
+        ("minari", "to_minari", ("rendezvous/none-v0",)),
+        ("h5py", "to_minari", ("rendezvous/none-v0",)),
+    ],
 )
-def test_a_library_that_is_missing_is_named_with_its_extra(fig4, monkeypatch, library, method):
+def test_a_missing_library_is_named_with_its_extra(fig4, monkeypatch, library, method, arguments):
     monkeypatch.setitem(sys.modules, library, None)
     with pytest.raises(ImportError, match=rf"{method}\(\) needs {library}: pip .*\[analysis\]"):
-        getattr(fig4, method)()
+        getattr(fig4, method)(*arguments)
