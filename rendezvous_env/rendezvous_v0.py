@@ -42,30 +42,17 @@ def parallel_env(
     return RendezvousParallelEnv(resolve(scenario, **overrides), render_mode, max_cycles, flatten)
 
 
-def raw_env(
-    scenario: ScenarioLike = "fig3",
-    render_mode: str | None = None,
-    max_cycles: int | None = None,
-    flatten: bool = False,
-    **overrides: Any,
-) -> AECEnv[str, NDArray[np.float32], NDArray[np.float32] | None]:
-    """The same environment for one robot after another (PettingZoo's AEC), without checks of
-    order.
-    """
-    together = parallel_env(scenario, render_mode, max_cycles, flatten, **overrides)
-    return wrappers.OrderEnforcingWrapper(OneAfterAnother(together))
-
-
 def env(
-    scenario: ScenarioLike = "fig3",
-    render_mode: str | None = None,
-    max_cycles: int | None = None,
-    flatten: bool = False,
-    **overrides: Any,
+    *arguments: Any, **options: Any
 ) -> AECEnv[str, NDArray[np.float32], NDArray[np.float32] | None]:
-    """The same environment for one robot after another (PettingZoo's AEC)."""
-    one = raw_env(scenario, render_mode, max_cycles, flatten, **overrides)
-    return wrappers.OrderEnforcingWrapper(one)
+    """The environment for one robot after another (PettingZoo's AEC), arguments and errors as
+    ``parallel_env``.
+    """
+    return wrappers.OrderEnforcingWrapper(OneAfterAnother(parallel_env(*arguments, **options)))
+
+
+raw_env = env
+"""PettingZoo's name for the form without wrappers; this one checks the order of calls, too."""
 
 
 def register() -> None:

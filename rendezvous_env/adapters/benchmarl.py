@@ -1,4 +1,4 @@
-"""BenchMARL: scenarios as tasks, and evaluation on starts that training never sees."""
+"""BenchMARL: scenarios as tasks, and evaluation on held-out starts."""
 
 from __future__ import annotations
 
@@ -24,17 +24,14 @@ class RendezvousTask(TaskClass):
 
         Experiment(RendezvousTask("clutter-8", {"guarantee": "tank"}), MappoConfig..., ...)
 
-    Continuous actions (MAPPO, IPPO, MASAC) and discrete ones (QMIX, VDN): choices of
-    a direction, see ``vector.training_env``. With "return_state" centralised critics are given the
-    global state instead of all observations.
+    Continuous actions (MAPPO, IPPO, MASAC) and discrete ones (QMIX, VDN): choices of a direction,
+    see ``vector.training_env``. With "return_state" centralised critics get the global state
+    instead of all observations.
 
     Args:
         name: name of the scenario, or of the task if the config names a "scenario".
-        config: arguments of ``adapters.torchrl.RendezvousEnv``, except for those that BenchMARL
-            decides: num_envs, discrete, seed and device.
-
-    Raises:
-        ValueError: for a config that decides one of these.
+        config: arguments of ``adapters.torchrl.RendezvousEnv``; a ValueError for those that
+            BenchMARL decides: num_envs, discrete, seed and device.
     """
 
     def __init__(self, name: str, config: dict[str, Any] | None = None) -> None:
@@ -46,13 +43,13 @@ class RendezvousTask(TaskClass):
         super().__init__(name, config)
 
     def make(self, num_envs: int, **decided: Any) -> RendezvousEnv:
-        """The task's environment, with what BenchMARL or an evaluation decides."""
+        """The task's environment, with the arguments that BenchMARL or an evaluation decides."""
         return RendezvousEnv(**{"scenario": self.name, **self.config}, num_envs=num_envs, **decided)
 
     def get_env_fun(
         self, num_envs: int, continuous_actions: bool, seed: int | None, device: Any
     ) -> Callable[[], EnvBase]:
-        """What makes an environment of this task."""
+        """A function that makes an environment of this task."""
         task = type(self)(self.name, dict(self.config))
         decided = {"discrete": not continuous_actions, "seed": seed, "device": device}
         return lambda: task.make(num_envs, **decided)
@@ -62,7 +59,7 @@ class RendezvousTask(TaskClass):
         return True
 
     def supports_discrete_actions(self) -> bool:
-        """Whether these robots can be given choices of a direction."""
+        """Whether these robots can choose among directions."""
         try:
             self.make(1, discrete=True).close()
         except ValueError:
@@ -82,14 +79,12 @@ class RendezvousTask(TaskClass):
         return dict(env.group_map)
 
     def observation_spec(self, env: EnvBase) -> Composite:
-        """What the networks of the robots are shown."""
+        """Inputs of the robots' networks."""
         sees = env.full_observation_spec_unbatched[GROUP, "observation"].clone()
         return _of_group(env, observation=sees)
 
     def info_spec(self, env: EnvBase) -> Composite | None:
-        """What a step costs the robots, with ``Scenario.costs``; else what is told stands in the
-        reward and in who is active.
-        """
+        """Costs of the robots in a step, with ``Scenario.costs``; else there are no infos."""
         spec = env.full_observation_spec_unbatched[GROUP]
         return _of_group(env, info=spec["info"].clone()) if "info" in spec.keys() else None
 
@@ -103,11 +98,11 @@ class RendezvousTask(TaskClass):
         return env.full_action_spec_unbatched
 
     def action_mask_spec(self, env: EnvBase) -> None:
-        """None: robots that are gone are given actions, too, which do nothing."""
+        """None: robots that are gone take actions too, which do nothing."""
 
     @staticmethod
     def env_name() -> str:
-        """Of all tasks of this kind."""
+        """The name of all tasks of this kind."""
         return "rendezvous"
 
     @staticmethod
@@ -125,16 +120,15 @@ def _of_group(env: EnvBase, **entries: Any) -> Composite:
 
 @dataclass(frozen=True)
 class Evaluation:
-    """How held-out episodes went."""
+    """How held-out episodes went: ``frames``, team steps collected before it; the shares of teams
+    that ``met`` and that met without a contact (``clean``); and the ``median_time``, s, of all
+    teams, where one that did not meet took longer than any.
+    """
 
     frames: int
-    """Team steps collected before it."""
     met: float
-    """Share of the teams that met."""
     clean: float
-    """Share of the teams that met and touched no obstacle."""
     median_time: float
-    """s; of all teams, where one that did not meet took longer than any."""
 
 
 class HeldOut(Callback):
@@ -158,7 +152,7 @@ class HeldOut(Callback):
         self.experiment.test_env.set_seed(self.seed)
 
     def on_evaluation_end(self, rollouts: Sequence[TensorDictBase]) -> None:
-        """Note and log how the first episode of each team went, and go back to their starts."""
+        """Keep and log how the first episode of each team went, and go back to their starts."""
         experiment = self.experiment
         period = experiment.test_env.seconds_per_step
         times, clean = zip(*(_meeting(each, period) for each in rollouts), strict=True)

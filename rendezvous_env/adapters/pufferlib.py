@@ -14,9 +14,8 @@ from ..scenario.scenarios import ScenarioLike
 from ..vector import training_env
 from .slots import RobotSlots
 
-_Flags = NDArray[np.bool_]
 _COUNTED = ("return", "length", "cost")
-Buffers = tuple[NDArray[np.float32], NDArray[np.float32], _Flags, _Flags, list[dict[str, Any]]]
+Buffers = tuple[NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any], list[dict[str, Any]]]
 """Observations, rewards, terminals, truncations and infos."""
 
 
@@ -32,13 +31,11 @@ def make(
     """The robots of a training environment as agents; what ``pufferlib.vector.make`` calls.
 
     Args:
-        scenario: this and further arguments as in ``rendezvous_env.vector.training_env``, which
-            says what is raised, too.
+        scenario: as the further arguments, and errors, see ``rendezvous_env.vector.training_env``.
         num_teams: B.
         buf: as ``seed``, see ``RobotPufferEnv``.
         seed: s.
-        wrap: what makes of the teams those that are stepped: a ``VectorWrapper`` of your own that
-            changes rewards, say.
+        wrap: wraps the teams in a ``VectorWrapper`` of your own that changes rewards, say.
         **arguments: of the training environment.
     """
     return RobotPufferEnv(wrap(training_env(scenario, num_teams, **arguments)), buf, seed)
@@ -47,7 +44,7 @@ def make(
 class RobotPufferEnv(pufferlib.PufferEnv):
     """B teams of n robots as B·n agents, written into PufferLib's buffers.
 
-    A team begins anew in the step in which it ends. All agents of a team live as long as it does:
+    A team is reset in the step in which it ends. All agents of a team live as long as it does:
     one that has merged away observes zeros, its action is ignored and it earns the team reward to
     the end, so that meeting early is not punished. ``masks`` say who is not merged away.
     ``terminals`` are rendezvous and ``truncations`` time limits; the trainer of PufferLib 3 reads
@@ -59,14 +56,12 @@ class RobotPufferEnv(pufferlib.PufferEnv):
 
     Args:
         teams: a vector environment of teams with SAME_STEP autoreset whose scenario has
-            ``on_merge="follow"``, as ``rendezvous_env.vector.training_env`` makes one.
+            ``on_merge="follow"``, as ``rendezvous_env.vector.training_env`` makes one; a
+            ValueError for others.
         buf: buffers to write into, of a vectorisation; None makes own ones.
         seed: s, unless ``reset`` is given another; None goes on to the next episodes. Team b has
-            the seed s · B + b: a vectorisation seeds its environments with numbers that follow on
-            one another, and no two of their teams begin alike.
-
-    Raises:
-        ValueError: for another autoreset mode, or robots that do not follow.
+            the seed s · B + b: a vectorisation seeds its environments with consecutive numbers, and
+            no two of their teams begin alike.
     """
 
     def __init__(
@@ -78,8 +73,7 @@ class RobotPufferEnv(pufferlib.PufferEnv):
             raise ValueError(
                 f"on_merge is {follows!r}; agents that live as long as their team need 'follow'"
             )
-        self._seed = seed
-        self.simulator = self.slots.simulator
+        self._seed, self.simulator = seed, self.slots.simulator
         self.num_agents = self.slots.active.size
         self.single_observation_space = self.slots.single_observation_space
         self.single_action_space = self.slots.single_action_space
@@ -87,7 +81,7 @@ class RobotPufferEnv(pufferlib.PufferEnv):
         super().__init__(buf)
 
     def reset(self, seed: int | None = None) -> tuple[NDArray[np.float32], list[dict[str, Any]]]:
-        """Begin a new episode in all teams; the observations and no infos."""
+        """Begin a new episode in all teams; observations and no infos."""
         given, self._seed = self._seed if seed is None else seed, None
         first = None if given is None else given * self.slots.num_teams
         self.observations[:] = self.slots.reset(first)
@@ -96,10 +90,8 @@ class RobotPufferEnv(pufferlib.PufferEnv):
         return self.observations, []
 
     def step(self, actions: NDArray[Any]) -> Buffers:
-        """Advance every team by one step with actions (agents, a), or (agents,) of choices.
-
-        Raises:
-            ValueError: for actions of the wrong shape, or that are not finite, naming the robot.
+        """Advance every team by one step with actions (agents, a), or (agents,) of choices; bad
+        ones are refused by the name of their robot.
         """
         step = self.slots.step(np.asarray(actions))
         n, self.costs = self.slots.n_robots, step.costs
@@ -108,8 +100,8 @@ class RobotPufferEnv(pufferlib.PufferEnv):
         self.truncations[:] = np.repeat(step.late, n) if step.finished else False
         self.masks[:] = self.slots.active.reshape(-1)
         infos = [
-            {f"episode_{key}" if key in _COUNTED else key: told[key] for key in told}
-            for told in step.finished.values()
+            {f"episode_{key}" if key in _COUNTED else key: value for key, value in team.items()}
+            for team in step.finished.values()
         ]
         return self.observations, self.rewards, self.terminals, self.truncations, infos
 

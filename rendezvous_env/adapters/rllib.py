@@ -1,7 +1,7 @@
 """Robots for RLlib: an environment runner that steps all teams at once, new API stack.
 
-RLlib's own runners touch every robot of every step in Python. This one keeps a rollout as arrays,
-and cuts it into episodes when it is done.
+RLlib's own runners handle every robot of every step in Python. This one keeps a rollout as arrays
+and cuts it into episodes at its end.
 """
 
 from __future__ import annotations
@@ -33,14 +33,13 @@ from .rllib_rollout import Rollout
 from .slots import RobotSlots
 
 ENVIRONMENT = "rendezvous"
-"""Under this name RLlib knows ``rendezvous_env.vector.training_env``."""
+"""RLlib's name for ``rendezvous_env.vector.training_env``."""
 
 
 def _teams(settings: Mapping[str, Any]) -> Any:
-    arguments = dict(settings)
-    wrap = arguments.pop("wrap", None)
-    teams = training_env(**arguments)
-    return teams if wrap is None else wrap(teams)
+    arguments = {"wrap": lambda teams: teams, **settings}
+    wrap = arguments.pop("wrap")
+    return wrap(training_env(**arguments))
 
 
 register_env(ENVIRONMENT, _teams)
@@ -55,33 +54,24 @@ def configure(
     wrap: Callable[[Any], Any] | None = None,
     **arguments: Any,
 ) -> AlgorithmConfig:
-    """Have an algorithm train one set network that every robot carries.
+    """Have an algorithm train one set network that all robots share.
 
     Args:
-        config: of an algorithm, as ``PPOConfig()``; it is changed.
+        config: of an algorithm, as ``PPOConfig()``; it is changed, and returned.
         scenario: a Scenario, the name of one, or the path of a TOML file.
         num_teams: B, teams in each environment runner.
         units: width of the network.
-        wrap: what makes of the teams those that are stepped: a ``VectorWrapper`` of your own that
-            changes rewards, say.
-        **arguments: of ``rendezvous_env.vector.training_env``, which says what is raised.
-
-    Returns:
-        The same configuration.
+        wrap: wraps the teams in a ``VectorWrapper`` of your own that changes rewards, say.
+        **arguments: of ``rendezvous_env.vector.training_env``; errors are those, too.
     """
     settings = {"scenario": scenario, **arguments}
-    layout = training_env(**settings).layout
+    model = {"sets": sets_of(training_env(**settings).layout), "units": units}
     if wrap is not None:
         settings["wrap"] = wrap
     return (
         config.environment(ENVIRONMENT, env_config=settings)
         .env_runners(env_runner_cls=RobotEnvRunner, num_envs_per_env_runner=num_teams)
-        .rl_module(
-            rl_module_spec=RLModuleSpec(
-                module_class=SetModule,
-                model_config={"sets": sets_of(layout), "units": units},
-            )
-        )
+        .rl_module(rl_module_spec=RLModuleSpec(module_class=SetModule, model_config=model))
     )
 
 
@@ -90,11 +80,10 @@ class RobotEnvRunner(SingleAgentEnvRunner):
 
     ``config.env`` makes a vector environment of teams with SAME_STEP autoreset;
     ``num_envs_per_env_runner`` is B. One step of one robot counts as one environment step. The
-    episode of a robot is truncated, and so valued by what it ends with, at a time-out (its own
-    last observation) and at a merge (its survivor's), so that meeting early is not punished; it is
-    terminated at a rendezvous. Robots that are gone have no episodes. Episode returns and lengths
-    in the results are those of teams, beside them the summary: success, time, contacts,
-    path_length, lyapunov.
+    episode of a robot is truncated, and bootstrapped, at a time-out (from its own last observation)
+    and at a merge (from its survivor's), so that meeting early is not punished; it is terminated at
+    a rendezvous. Robots that are gone have no episodes. Episode returns and lengths in the results
+    are those of teams, beside the summary: success, time, contacts, path_length, lyapunov.
 
     With the seed s, which ``config.debugging(seed=…)`` sets and RLlib makes different for every
     runner and for evaluation, team b has the seed s · B + b.
@@ -178,7 +167,7 @@ class RobotEnvRunner(SingleAgentEnvRunner):
     def _choose(
         self, seen: NDArray[np.float32], explore: bool, random_actions: bool
     ) -> dict[str, NDArray[Any]]:
-        """Columns of what the module says of these observations, actions among them."""
+        """Columns of the module's outputs for these observations, actions among them."""
         if random_actions or self.module is None:
             space = self.env.single_action_space  # type: ignore[union-attr]
             return {Columns.ACTIONS: np.stack([space.sample() for _ in seen])}

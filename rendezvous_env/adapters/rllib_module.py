@@ -12,15 +12,10 @@ from ray.rllib.core.rl_module.apis.value_function_api import ValueFunctionAPI
 from ray.rllib.core.rl_module.torch.torch_rl_module import TorchRLModule
 from torch import Tensor, nn
 
-Sets = tuple[tuple[int, int], ...]
-"""Of each set that an observation begins with: how many elements, and numbers in each."""
 
-
-def sets_of(layout: Any) -> Sets:
-    """The sets that a layout's observations begin with: neighbours and obstacles.
-
-    Args:
-        layout: of a training environment; of tables of rows, or of what ``Features`` shows.
+def sets_of(layout: Any) -> tuple[tuple[int, int], ...]:
+    """Neighbours and obstacles, the sets that observations of a training environment's ``layout``
+    begin with: how many elements, and numbers in each.
     """
     shape = getattr(layout, "shape", None) or (layout.size,)
     parts = layout.split(np.zeros(shape, dtype=np.float32))
@@ -32,9 +27,9 @@ class SetModule(TorchRLModule, ValueFunctionAPI):
     """Deep Sets: policy and value of one robot from what it sees.
 
     Every element of a set, a neighbour or an obstacle, goes through the network of its set, as its
-    direction and its length; absent ones, zero rows, are left out. The mean over a set, how many
-    it has and what belongs to no set go through two layers more. The order of the elements does
-    not matter, and no weight depends on how many there can be.
+    direction and its length; absent ones, zero rows, are left out. The mean over a set, its size
+    and the rest of the observation go through two layers more. The order of the elements does not
+    matter, and no weight depends on their possible number.
 
     ``model_config``: ``sets`` (see ``sets_of``) and ``units``, the width of all layers (64).
     """

@@ -16,34 +16,26 @@ from .slots import RobotSlots, SlotStep
 
 
 class Rollout:
-    """Steps of B·n slots, and what belongs to which robot's episode.
-
-    Args:
-        robots: just reset.
-        observations: what they saw then, (slots, ...).
-    """
+    """Steps of B·n slots that were just reset, sorted into the episodes of robots."""
 
     observations: NDArray[np.float32]
     """(slots, ...), what the next actions are chosen from."""
     count: int
-    """Steps of robots that have been taken since the last cut."""
+    """Steps of robots since the last cut."""
 
     def __init__(self, robots: RobotSlots, observations: NDArray[np.float32]) -> None:
         self._robots, self.observations = robots, observations
         slots = len(observations)
         self._ids = np.array([uuid4().hex for _ in range(slots)], dtype=object)
         self._lengths = np.zeros(slots, dtype=np.int64)
-        self._forget()
-
-    def _forget(self) -> None:
         self._steps: list[tuple[NDArray[np.float32], dict[str, NDArray[Any]], SlotStep]] = []
         self.count = 0
 
     def add(
         self, slots: NDArray[np.int64], chosen: dict[str, NDArray[Any]], actions: NDArray[Any]
     ) -> SlotStep:
-        """Take a step of the robots in these slots (k,), with columns and actions of theirs, in the
-        teams' units, (k, ...) each.
+        """Step the robots in these slots (k,), with columns of the module's outputs and actions in
+        the teams' units, (k, ...) each.
         """
         total = len(self.observations)
         columns = {name: _spread(values, slots, total) for name, values in chosen.items()}
@@ -54,9 +46,7 @@ class Rollout:
         return step
 
     def cut(self, *, only_ended: bool = False) -> Iterator[SingleAgentEpisode]:
-        """What has been collected, as episodes and, unless only those that have ended are asked
-        for, parts of them; collecting goes on from here.
-        """
+        """Episodes and, unless ``only_ended``, parts of them since the last cut."""
         steps = [step for _, _, step in self._steps]
         seen = np.stack([before for before, _, _ in self._steps] + [self.observations])
         rewards = np.stack([step.rewards for step in steps])
@@ -68,7 +58,7 @@ class Rollout:
             for name in self._steps[0][1]
         }
         lasts = _last_observations(steps)
-        self._forget()
+        self._steps, self.count = [], 0
         for slot in range(acted.shape[1]):
             times = np.flatnonzero(acted[:, slot])
             for part in np.split(times, np.flatnonzero(ended[times, slot]) + 1):
@@ -101,21 +91,18 @@ class Rollout:
         columns: dict[str, NDArray[Any]],
         **ends: bool,
     ) -> SingleAgentEpisode:
-        """A stretch of one robot's life, with one observation more than rewards; what a step cost
-        stands in the info of what was seen after it.
+        """A part of one robot's episode, with one observation more than rewards; the costs of a
+        step stand in the info of the observation after it.
         """
         actions = columns.pop(Columns.ACTIONS)
-        spaces = self._robots.single_observation_space, self._robots.single_action_space
+        told = ({key: costs[key][t].item() for key in costs} for t in range(len(rewards)))
         return SingleAgentEpisode(
             self._ids[slot],
             observations=InfiniteLookbackBuffer(observations),
-            observation_space=spaces[0],
-            infos=[
-                {},
-                *({key: costs[key][t].item() for key in costs} for t in range(len(rewards))),
-            ],
+            observation_space=self._robots.single_observation_space,
+            infos=[{}, *told],
             actions=InfiniteLookbackBuffer(actions),
-            action_space=spaces[1],
+            action_space=self._robots.single_action_space,
             rewards=InfiniteLookbackBuffer(rewards),
             extra_model_outputs={
                 name: InfiniteLookbackBuffer(values) for name, values in columns.items()
@@ -127,14 +114,16 @@ class Rollout:
 
 
 def _spread(values: NDArray[Any], slots: NDArray[np.int64], total: int) -> NDArray[Any]:
-    """Rows (k, ...) put where they belong among (total, ...); the others are zero."""
+    """Rows (k, ...) of these slots among (total, ...); the others are zero."""
     spread = np.zeros((total, *values.shape[1:]), dtype=values.dtype)
     spread[slots] = values
     return spread
 
 
 def _last_observations(steps: list[SlotStep]) -> dict[tuple[int, int], NDArray[np.float32]]:
-    """What episodes end with, by step and slot: where they were cut off, what values them."""
+    """Last observations of episodes by step and slot; where they were cut off, those to bootstrap
+    from.
+    """
     found: dict[tuple[int, int], NDArray[np.float32]] = {}
     for t, step in enumerate(steps):
         n = step.last.shape[1]

@@ -35,21 +35,20 @@ def make_robots(scenario: ScenarioLike, num_teams: int, **arguments: Any) -> Rob
 class RobotVecEnv(VecEnv):
     """B teams of n robots as B·n slots; slot = team · n + robot, see ``RobotSlots``.
 
-    A team begins anew in the step in which it ends. Rendezvous is a true end. A time-out and a
-    merge are none: the slot's info has ``TimeLimit.truncated`` True, and
-    ``terminal_observation`` is the robot's own last observation at a time-out and its survivor's
-    at a merge, so that meeting early is not punished. The slot of a merged-away robot observes
-    zeros until its team begins anew; ``acted`` leaves these slots out, and so does
-    ``RobotRolloutBuffer``.
+    A team is reset in the step in which it ends. Rendezvous is a true end. A time-out and a merge
+    are none: the slot's info has ``TimeLimit.truncated`` True, and ``terminal_observation`` is the
+    robot's own last observation at a time-out and its survivor's at a merge, so that meeting early
+    is not punished. The slot of a merged-away robot observes zeros until its team is reset;
+    ``acted`` leaves these slots out, and so does ``RobotRolloutBuffer``.
 
     With ``Scenario.costs`` the info of every slot has ``cost`` and ``cost_NAME``, and ``costs`` has
     them as arrays (slots,); those of an episode, summed over its robots, stand in ``episode``.
 
     When a team's episode ends, the info of one of its slots carries the statistics: ``episode``
     with "r" (sum of team rewards), "l" (steps), "t" (s since the start of this object) and the
-    summary, and ``is_success``. The slots of a team take turns, from the last one on, and say that
-    they are monitored: ``evaluate_policy`` waits for an episode of every slot it has a share for,
-    and so counts each episode of a team once.
+    summary, and ``is_success``. The slots of a team take turns, from the last one on, and count as
+    monitored: ``evaluate_policy`` waits for an episode of every slot it has a share for, and so
+    counts each episode of a team once.
 
     ``seed(s)`` gives team b the seed s + b at the next reset; ``set_options`` gives start options,
     one dict for all, or one for each slot, of which a team takes that of its robot 0.
@@ -68,9 +67,8 @@ class RobotVecEnv(VecEnv):
     bootstrapped: NDArray[np.int64]
     survivors: NDArray[np.int64]
     bootstrap_observations: NDArray[np.float32]
-    """Of the last step, as in ``SlotStep``."""
     costs: dict[str, NDArray[np.float64]]
-    """Of the last step, (slots,) each, by key of infos; empty without any."""
+    """Of the last step, as in ``SlotStep``."""
     tell_bootstraps = True
     """Whether infos carry ``terminal_observation`` and ``TimeLimit.truncated``."""
 
@@ -85,8 +83,6 @@ class RobotVecEnv(VecEnv):
             slots.active.size, slots.single_observation_space, slots.single_action_space
         )
 
-    # ---- episodes -----------------------------------------------------------------------------
-
     def reset(self) -> NDArray[np.float32]:
         """Begin a new episode in all teams; observations (slots, rows, d)."""
         seeds = self._seeds[:: self.n_robots]
@@ -100,17 +96,14 @@ class RobotVecEnv(VecEnv):
 
     def _forget_step(self) -> None:
         self.acted = self.slots.active.reshape(-1).copy()
-        self.ended = np.zeros(self.acted.size, dtype=np.bool_)
-        self.costs = {}
+        self.ended, self.costs = np.zeros(self.acted.size, dtype=np.bool_), {}
         self.bootstrapped = self.survivors = np.empty(0, dtype=np.int64)
         seen = self.slots.single_observation_space.shape or ()
         self.bootstrap_observations = np.empty((0, *seen), dtype=np.float32)
 
     def step_async(self, actions: NDArray[np.float32]) -> None:
-        """Take the actions (slots, a) of the next step.
-
-        Raises:
-            ValueError: for what is no array of numbers of this shape.
+        """Take the actions (slots, a) of the next step; a ValueError for another shape, or what is
+        no array of numbers.
         """
         given = floats("actions", actions)
         wanted = self.num_envs, *(self.action_space.shape or ())
@@ -128,36 +121,32 @@ class RobotVecEnv(VecEnv):
 
     def _infos(self, step: SlotStep) -> list[dict[str, Any]]:
         n = self.n_robots
-        told: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         for key, costs in step.costs.items():
-            for info, cost in zip(told, costs.tolist(), strict=True):
+            for info, cost in zip(infos, costs.tolist(), strict=True):
                 info[key] = cost
         for team, episode in step.finished.items():
-            told[team * n + n - 1 - self._told[team] % n] |= self._statistics(episode)
+            infos[team * n + n - 1 - self._told[team] % n] |= self._statistics(episode)
             self._told[team] += 1
             for robot in range(n) if self.tell_bootstraps else ():
-                told[team * n + robot]["terminal_observation"] = step.last[team, robot].copy()
-                told[team * n + robot]["TimeLimit.truncated"] = False
+                infos[team * n + robot]["terminal_observation"] = step.last[team, robot].copy()
+                infos[team * n + robot]["TimeLimit.truncated"] = False
         if self.tell_bootstraps:
             seen = step.bootstrap_observations
             for slot, observation in zip(step.bootstrapped.tolist(), seen, strict=True):
-                told[slot]["terminal_observation"] = observation.copy()
-                told[slot]["TimeLimit.truncated"] = True
-        return told
+                infos[slot]["terminal_observation"] = observation.copy()
+                infos[slot]["TimeLimit.truncated"] = True
+        return infos
 
     def _statistics(self, episode: dict[str, Any]) -> dict[str, Any]:
-        """What a monitor would say of a team's episode."""
+        """A team's episode in the form of a ``Monitor``."""
         summary = {key: episode[key] for key in episode if key not in ("return", "length")}
         counts = {"r": episode["return"], "l": episode["length"]}
         passed = round(time.time() - self._started, 6)
         return {"episode": counts | {"t": passed} | summary, "is_success": episode["success"]}
 
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
-        """Seed team b with ``seed`` + b at the next reset; None draws one. The seed of each slot.
-
-        Raises:
-            ValueError: for what is no seed.
-        """
+        """Seed team b with ``seed`` + b at the next reset; None draws one. Returns each slot's."""
         if seed is None:
             seed = int(np.random.randint(2**31))
         first = whole("seed", seed, 0, LARGEST_SEED - self.slots.num_teams + 1)
@@ -165,11 +154,7 @@ class RobotVecEnv(VecEnv):
         return self._seeds
 
     def set_options(self, options: list[dict[str, Any]] | dict[str, Any] | None = None) -> None:
-        """Give start options for the next reset, for all teams or for each slot.
-
-        Raises:
-            ValueError: for a list that is not as long as there are slots, or of other things.
-        """
+        """Give start options for the next reset, for all teams or, in a list, for each slot."""
         listed = [options or {}] * self.num_envs if not isinstance(options, list) else options
         if len(listed) != self.num_envs:
             raise ValueError(
@@ -193,12 +178,9 @@ class RobotVecEnv(VecEnv):
         """Close the teams."""
         self.slots.close()
 
-    # ---- attributes ---------------------------------------------------------------------------
-
     def get_attr(self, attr_name: str, indices: Indices = None) -> list[Any]:
-        """An attribute of the vector environment, its wrappers or its simulator, for each slot.
-
-        Of a simulator's array with leading axis B a slot gets the entry of its team.
+        """An attribute of the vector environment, its wrappers or its simulator, for each slot; of
+        a simulator's array with leading axis B a slot gets the entry of its team.
 
         Raises:
             AttributeError: if none of them has it.
@@ -210,11 +192,7 @@ class RobotVecEnv(VecEnv):
         return [value] * len(slots)
 
     def set_attr(self, attr_name: str, value: Any, indices: Indices = None) -> None:
-        """Set an attribute where it is; all slots share it.
-
-        Raises:
-            ValueError: if only some of the slots are named.
-        """
+        """Set an attribute where it is; all slots share it, and a part of them is refused."""
         if set(self._get_indices(indices)) != set(range(self.num_envs)):
             raise ValueError(f"set_attr: all slots share {attr_name!r}; leave indices out")
         setattr(self._owner(attr_name, self.teams), attr_name, value)
@@ -222,17 +200,13 @@ class RobotVecEnv(VecEnv):
     def env_method(
         self, method_name: str, *method_args: Any, indices: Indices = None, **method_kwargs: Any
     ) -> list[Any]:
-        """Call a method once, since all slots share it; its result for each slot.
-
-        Raises:
-            AttributeError: if there is no such method.
-        """
+        """Call a method once, since all slots share it; its result for each slot."""
         slots = self._get_indices(indices)
         method = getattr(self._owner(method_name), method_name)
         return [method(*method_args, **method_kwargs)] * len(slots)
 
     def env_is_wrapped(self, wrapper_class: type, indices: Indices = None) -> list[bool]:
-        """Whether the teams are wrapped by this class, for each slot; monitored they are."""
+        """Whether this class wraps the teams, for each slot; a ``Monitor`` always does."""
         layers = self._layers()
         wrapped = wrapper_class is Monitor or any(isinstance(one, wrapper_class) for one in layers)
         return [wrapped] * len(self._get_indices(indices))

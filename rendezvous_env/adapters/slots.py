@@ -1,4 +1,4 @@
-"""Robots as single slots: what a library that knows no teams is given of them."""
+"""Robots as single slots, for libraries that know no teams."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from numpy.typing import NDArray
 from ..engine.state_checks import check_entries, check_keys
 from ..envs.spaces import of_one_robot
 from ..envs.training import TrainingTeams
-from ..envs.vector_env import Info, RendezvousVectorEnv, Transition
+from ..envs.vector_env import Info, RendezvousVectorEnv, Transition, at_the_end
 from ..envs.vector_wrappers import GuaranteeWrapper
 from ..simulator import Simulator
 from ..state_view import STANDING
 
 
 class SlotStep(NamedTuple):
-    """What a step was for B·n slots."""
+    """A step of B·n slots."""
 
     observations: NDArray[np.float32]
     """(slots, ...), what the next actions are chosen from; zeros for robots that are gone."""
@@ -40,7 +40,7 @@ class SlotStep(NamedTuple):
     bootstrap_observations: NDArray[np.float32]
     """(k, ...), what the value of these slots' future is estimated from."""
     last: NDArray[np.float32]
-    """(B, n, ...), observations at the end of the step, before any team began anew."""
+    """(B, n, ...), observations at the end of the step, before any team was reset."""
     met: NDArray[np.bool_]
     """(B,), teams whose episode ended with a rendezvous."""
     late: NDArray[np.bool_]
@@ -49,15 +49,15 @@ class SlotStep(NamedTuple):
     """Of each team that is over: "return" (sum of team rewards), "length" (steps), STANDING, and
     with ``Scenario.costs`` "cost", the sum over its robots."""
     costs: dict[str, NDArray[np.float64]]
-    """(slots,) each, what the step cost the robots, by key of infos; empty without any."""
+    """(slots,) each, costs of the robots in the step, by key of infos; empty without any."""
 
 
 class RobotSlots:
     """B teams of n robots as B·n slots; slot = team · n + robot.
 
-    A team begins anew in the step in which it ends. Rendezvous is a true end. A time-out and a
-    merge are none: the slot is cut off, and its future is worth what its own last observation says
-    at a time-out, and its survivor's at a merge, so that meeting early is not punished.
+    A team is reset in the step in which it ends. Rendezvous is a true end. A time-out and a merge
+    are none: the slot is cut off, and its future is valued by its own last observation at a
+    time-out and by its survivor's at a merge, so that meeting early is not punished.
 
     Args:
         teams: a vector environment of teams with SAME_STEP autoreset, wrapped or not.
@@ -82,12 +82,16 @@ class RobotSlots:
         self.num_teams, self.n_robots = teams.num_envs, int(spaces[0].shape[0])
         self._acting: tuple[int, ...] = (teams.num_envs, *spaces[1].shape)
         self.active = np.zeros((self.num_teams, self.n_robots), dtype=np.bool_)
-        self._returns, self._costs = np.zeros(self.num_teams), np.zeros(self.num_teams)
-        self._lengths = np.zeros(self.num_teams, dtype=np.int64)
+        self._counts: dict[str, NDArray[Any]] = {
+            "returns": np.zeros(self.num_teams),
+            "lengths": np.zeros(self.num_teams, dtype=np.int64),
+        }
+        if self.simulator.costs:
+            self._counts["costs"] = np.zeros(self.num_teams)
 
     @cached_property
     def observation_space(self) -> Space[Any]:
-        """Of all slots, which RLlib asks for; made when asked for."""
+        """Of all slots, which RLlib asks for; made on request."""
         return batch_space(self.single_observation_space, self.active.size)
 
     @cached_property
@@ -102,14 +106,15 @@ class RobotSlots:
     ) -> NDArray[np.float32]:
         """Begin a new episode in all teams, with their arguments; observations (slots, ...)."""
         observations, infos = self.teams.reset(seed=seeds, options=options)
+        self.begin(np.ones(self.num_teams, dtype=np.bool_))
         self.active = infos["active"].copy()
-        self._returns[:], self._lengths[:], self._costs[:] = 0.0, 0, 0.0
         return self.by_slot(observations)
 
     def begin(self, which: NDArray[np.bool_]) -> None:
-        """Take note that these teams, (B,), have begun a new episode by other means."""
+        """Take note of new episodes of these teams, (B,), that began by other means."""
         self.active[which] = True
-        self._returns[which], self._lengths[which], self._costs[which] = 0.0, 0, 0.0
+        for count in self._counts.values():
+            count[which] = 0
 
     def step(self, actions: NDArray[Any]) -> SlotStep:
         """Advance every team with actions (slots, a), or (slots,) where they are discrete.
@@ -119,7 +124,8 @@ class RobotSlots:
         """
         observations, rewards, met, late, infos = self.teams.step(actions.reshape(self._acting))
         over = met | late
-        last, active, into = last_moments(observations, infos, over)
+        last = last_observations(observations, infos, over)
+        active, into = (at_the_end(infos, over, key) for key in ("active", "merged_into"))
         merged = self.active & ~active
         ended = (merged | over[:, None]).reshape(-1)
         if ended.any():
@@ -129,12 +135,12 @@ class RobotSlots:
         survivor = into[team, robot]
         acted = self.active.reshape(-1)
         robot_rewards = self._shaping.robot_rewards(rewards, infos, self.active)
-        self.active = infos["active"].copy()
-        self._returns += rewards
-        self._lengths += 1
         costs = {key: infos[key].reshape(-1) for key in self.simulator.costs}
+        self.active = infos["active"].copy()
+        self._counts["returns"] += rewards
+        self._counts["lengths"] += 1
         if costs:
-            self._costs += infos["cost"].sum(axis=1)
+            self._counts["costs"] += infos["cost"].sum(axis=1)
         return SlotStep(
             observations=self.by_slot(observations),
             rewards=robot_rewards.astype(np.float32).reshape(-1),
@@ -146,23 +152,20 @@ class RobotSlots:
             last=last,
             met=met,
             late=late,
-            finished=self._finish(over, infos),
+            finished=self._finish(over, infos) if over.any() else {},
             costs=costs,
         )
 
     def _finish(self, over: NDArray[np.bool_], infos: Mapping[str, Any]) -> dict[int, Any]:
-        """How the episodes of these teams went; their next ones start to count."""
-        told: dict[int, Any] = {}
-        if not over.any():  # as after most steps
-            return told
+        """How the episodes of these teams went; their counts start again."""
+        finished: dict[int, Any] = {}
         for team in np.flatnonzero(over).tolist():
+            counts = {name.removesuffix("s"): c[team].item() for name, c in self._counts.items()}
             summary = {key: infos["final_info"][key][team].item() for key in STANDING}
-            count = {"return": float(self._returns[team]), "length": int(self._lengths[team])}
-            if self.simulator.costs:
-                count["cost"] = float(self._costs[team])
-            told[team] = count | summary
-        self._returns[over], self._lengths[over], self._costs[over] = 0.0, 0, 0.0
-        return told
+            finished[team] = counts | summary
+        for count in self._counts.values():
+            count[over] = 0
+        return finished
 
     def by_slot(self, observations: NDArray[np.float32]) -> NDArray[np.float32]:
         """Observations of teams, (B, n, ...), as those of slots."""
@@ -170,8 +173,7 @@ class RobotSlots:
 
     @property
     def _memory(self) -> dict[str, NDArray[Any]]:
-        memory = {"active": self.active, "returns": self._returns, "lengths": self._lengths}
-        return memory | {"costs": self._costs} if self.simulator.costs else memory
+        return {"active": self.active, **self._counts}
 
     def get_state(self) -> dict[str, Any]:
         """The running episodes, as copies: nested arrays."""
@@ -190,21 +192,17 @@ class RobotSlots:
         self.teams.close()
 
 
-def last_moments(
+def last_observations(
     observations: NDArray[np.float32], infos: Mapping[str, Any], over: NDArray[np.bool_]
-) -> tuple[NDArray[np.float32], NDArray[np.bool_], NDArray[np.int64]]:
-    """Observations, active and merged_into at the end of the step, before anything began anew."""
-    active, into = infos["active"], infos["merged_into"]
+) -> NDArray[np.float32]:
+    """Observations (B, n, ...) at the end of the step, before the teams (B,) that ended in it were
+    reset.
+    """
     if not over.any():
-        return observations, active, into
-    observations, final = observations.copy(), infos["final_info"]
-    observations[over] = np.stack(infos["final_obs"][over].tolist())
-    rows = over[:, None]
-    return (
-        observations,
-        np.where(rows, final["active"], active),
-        np.where(rows, final["merged_into"], into),
-    )
+        return observations
+    last = observations.copy()
+    last[over] = np.stack(infos["final_obs"][over].tolist())
+    return last
 
 
 def team_options(options: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
@@ -251,8 +249,8 @@ class RewardShaping:
     def robot_rewards(
         self, rewards: NDArray[np.float64], infos: Mapping[str, Any], acted: NDArray[np.bool_]
     ) -> NDArray[np.float64]:
-        """What each robot has earned in the last step, (B, n), from what the outermost wrapper gave
-        and who (B, n) took part in the step.
+        """Rewards of the robots in the last step, (B, n), from what the outermost wrapper gave and
+        who (B, n) took part in the step.
         """
         given: NDArray[np.float64] = infos["robot_rewards"]
         if self._recorder is None:
@@ -265,12 +263,11 @@ class RewardShaping:
 
 
 class _Recorder(VectorWrapper):
-    """Keeps what teams earned before wrappers of a user's own changed it."""
+    """Sums rewards of teams (B,) and robots (B, n), as they were below, until they are taken."""
 
     def __init__(self, env: VectorEnv[Any, Any, Any]) -> None:
         super().__init__(env)
-        self._base: Any = 0.0
-        self._robots: Any = 0.0
+        self._sums: tuple[Any, Any] = (0.0, 0.0)
 
     def __getattr__(self, name: str) -> Any:
         if name.startswith("__") or name == "env":
@@ -278,21 +275,21 @@ class _Recorder(VectorWrapper):
         return getattr(self.env, name)
 
     def step(self, actions: Any) -> Transition:
-        """As the teams; rewards are added up until they are taken."""
+        """As the teams."""
         seen, rewards, ends, cuts, infos = self.env.step(actions)
-        self._base, self._robots = self._base + rewards, self._robots + infos["robot_rewards"]
+        teams, robots = self._sums
+        self._sums = teams + rewards, robots + infos["robot_rewards"]
         return seen, rewards, ends, cuts, infos
 
     def reset(self, **arguments: Any) -> tuple[Any, Info]:
         """As the teams."""
-        self._base = self._robots = 0.0
+        self.taken()
         return self.env.reset(**arguments)
 
     def taken(self) -> tuple[Any, Any]:
-        """Rewards of teams (B,) and of robots (B, n) since this was last asked."""
-        told = self._base, self._robots
-        self._base = self._robots = 0.0
-        return told
+        """The sums since this was last called."""
+        sums, self._sums = self._sums, (0.0, 0.0)
+        return sums
 
 
 _OURS = (RendezvousVectorEnv, GuaranteeWrapper, TrainingTeams, _Recorder)

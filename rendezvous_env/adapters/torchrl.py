@@ -15,10 +15,12 @@ from torchrl.data import Bounded, Categorical, Composite, Unbounded
 from torchrl.envs import EnvBase
 
 from ..engine.memory import RENDEZVOUS, TIME_OUT
+from ..envs.agents import names_of
+from ..envs.vector_env import at_the_end
 from ..scenario.start_options import seeds_of_teams
 from ..simulator import Simulator
 from ..vector import training_env
-from .slots import RewardShaping, last_moments
+from .slots import RewardShaping, last_observations
 
 if TYPE_CHECKING:
     from ..scenario.scenarios import ScenarioLike
@@ -49,7 +51,7 @@ class RendezvousEnv(EnvBase):
     until the end, so that meeting early is not punished. A team that has ended begins its next
     episode at once; ``reset`` then only shows its start, as collectors and
     ``rollout(break_when_any_done=False)`` ask for. With ``return_state`` it stands still until it
-    is reset, which takes longer, so that the last state of an episode can be told.
+    is reset, which takes longer, so that the last state of an episode can be returned.
 
     ``set_seed(s)`` gives team b the seed s + b at its next reset; without a seed a team goes on to
     the next episode of its own. ``reset(options=...)`` takes start options as ``make_vec``.
@@ -57,12 +59,11 @@ class RendezvousEnv(EnvBase):
     Args:
         scenario: a Scenario, the name of one or the path of a TOML file.
         num_envs: B, number of teams.
-        return_state: whether to give the global state out, for centralised critics.
+        return_state: whether to return the global state, for centralised critics.
         seed: as ``set_seed``.
-        wrap: what makes of the teams those that are stepped, ``wrap(teams) -> teams``: a
-            ``VectorWrapper`` of your own that changes rewards, say.
-        device: where what is given out is moved to; None leaves it where it is computed, on the
-            CPU, and costs nothing.
+        wrap: wraps the teams, ``wrap(teams) -> teams``, in a ``VectorWrapper`` of your own that
+            changes rewards, say.
+        device: of all tensors; None leaves them on the CPU, where they are computed, at no cost.
         **arguments: of ``vector.training_env``, but for ``autoreset_mode``.
 
     Raises:
@@ -87,6 +88,8 @@ class RendezvousEnv(EnvBase):
         self._shaping = RewardShaping(self._wrapped)
         super().__init__(device=device, batch_size=(num_envs,))
         self._gives_state = return_state
+        self.group_map = {GROUP: names_of(self.simulator.scenario.n_robots)}
+        """The one group and its robots."""
         self._make_specs()
         self._begun = np.zeros(num_envs, dtype=np.bool_)
         self._costs = self.simulator.costs
@@ -99,41 +102,36 @@ class RendezvousEnv(EnvBase):
 
     @property
     def seconds_per_step(self) -> float:
-        """Time that a step takes the robots, s."""
+        """Duration of a step for the robots, s."""
         return self._base_steps * float(self.simulator.scenario.tau)
 
     @property
     def _base_steps(self) -> int:
-        """Steps of the simulator in a step."""
         return int(getattr(self.teams.env, "decision_period", 1))
 
-    @property
-    def group_map(self) -> dict[str, list[str]]:
-        """The one group and its robots."""
-        n = self.teams.scenario.n_robots
-        return {GROUP: [f"robot_{i}" for i in range(n)]}
-
     def _make_specs(self) -> None:
-        batch: torch.Size = self.batch_size
-        robots = torch.Size((*batch, len(self.group_map[GROUP])))
-        one = torch.Size((*robots, 1))
-        acts = _action_spec(self.teams.single_action_space, batch)
-        sees = Unbounded(torch.Size((*batch, *self.teams.single_observation_space.shape)))
-        active = Categorical(2, shape=one, dtype=torch.bool)
+        batch, n = self.batch_size, len(self.group_map[GROUP])
+        robots, one = torch.Size((*batch, n)), torch.Size((*batch, n, 1))
         done = Categorical(2, shape=torch.Size((*batch, 1)), dtype=torch.bool)
 
         def of_group(**entries: Any) -> Composite:
             return Composite({GROUP: Composite(entries, shape=robots)}, shape=batch)
 
-        self.action_spec = of_group(action=acts)
-        self.observation_spec = of_group(observation=sees, active=active)
+        def unbounded(space: Space[Any]) -> Unbounded:
+            return Unbounded(torch.Size((*batch, *(space.shape or ()))))
+
+        self.action_spec = of_group(action=_action_spec(self.teams.single_action_space, batch))
+        self.observation_spec = of_group(
+            observation=unbounded(self.teams.single_observation_space),
+            active=Categorical(2, shape=one, dtype=torch.bool),
+        )
         if keys := list(self.simulator.costs):
-            told = {key: Unbounded(one) for key in keys}
-            self.observation_spec[GROUP, "info"] = Composite(told, shape=robots)
+            costs = Composite({key: Unbounded(one) for key in keys}, shape=robots)
+            self.observation_spec[GROUP, "info"] = costs
         self.observation_spec["contacts"] = Unbounded(done.shape, dtype=torch.int64)
         if self._gives_state:
             state = self.teams.unwrapped.single_state_space
-            self.observation_spec["state"] = Unbounded(torch.Size((*batch, *state.shape)))
+            self.observation_spec["state"] = unbounded(state)
         self.reward_spec = of_group(reward=Unbounded(one))
         self.done_spec = Composite(
             {key: done.clone() for key in ("done", "terminated", "truncated")}, shape=batch
@@ -164,15 +162,19 @@ class RendezvousEnv(EnvBase):
     def _begin(
         self, which: NDArray[np.bool_], seeds: list[int | None], options: Mapping[str, Any]
     ) -> None:
-        """Begin new episodes in these teams, but not where one has just begun unasked."""
+        """Begin new episodes in these teams, but not where one has just begun by itself."""
         seeded = np.array([seed is not None for seed in seeds])
         anew = which if options else which & (seeded | ~self._begun)
-        given = seeds if seeded.any() else None
-        observations, infos = self._wrapped.reset(
-            seed=given, options={**options, "reset_mask": anew}
+        self._note(
+            *self._wrapped.reset(
+                seed=seeds if seeded.any() else None, options={**options, "reset_mask": anew}
+            )
         )
         for team in np.flatnonzero(which).tolist():
             self._seeds[team] = None
+
+    def _note(self, observations: NDArray[np.float32], infos: Mapping[str, Any]) -> None:
+        """Keep what the next reset shows."""
         self._start = observations, infos["active"], infos["contacts"]
         self._costs = {key: infos[key] for key in self.simulator.costs}
 
@@ -180,14 +182,14 @@ class RendezvousEnv(EnvBase):
         actions = tensordict.get((GROUP, "action")).detach().cpu().numpy()
         acted = self._start[1]
         observations, rewards, met, cut, infos = self._wrapped.step(actions)
-        robot_rewards = self._shaping.robot_rewards(rewards, infos, acted)
-        self._costs = {key: infos[key] for key in self.simulator.costs}
-        last = self._start = observations, infos["active"], infos["contacts"]
+        reward = self._shaping.robot_rewards(rewards, infos, acted).astype(np.float32)
+        self._note(observations, infos)
+        last = self._start
         if not self._gives_state:
-            self._begun = met | cut
-            if self._begun.any():
-                last = _last(observations, infos, self._begun)
-        reward = robot_rewards.astype(np.float32)
+            self._begun = over = met | cut
+            if over.any():
+                active, contacts = (at_the_end(infos, over, key) for key in ("active", "contacts"))
+                last = last_observations(observations, infos, over), active, contacts
         return self._given(*last, met, cut, reward=reward)
 
     def _given(
@@ -199,13 +201,16 @@ class RendezvousEnv(EnvBase):
         cut: NDArray[np.bool_],
         **scalars: NDArray[Any],
     ) -> TensorDict:
-        """What a step or a reset gives out, over the same memory."""
+        """What a step or a reset returns, over the same memory."""
         robots: dict[str, Any] = {"observation": torch.from_numpy(observations)}
         for key, values in {"active": active, **scalars}.items():
             robots[key] = torch.from_numpy(values[..., None])
-        if costs := {key: values.astype(np.float32) for key, values in self._costs.items()}:
-            told = {key: torch.from_numpy(values[..., None]) for key, values in costs.items()}
-            robots["info"] = TensorDict(told, batch_size=active.shape, device=self.device)
+        if self._costs:
+            costs = {
+                key: torch.from_numpy(values.astype(np.float32)[..., None])
+                for key, values in self._costs.items()
+            }
+            robots["info"] = TensorDict(costs, batch_size=active.shape, device=self.device)
         given: dict[str, Any] = {
             GROUP: TensorDict(robots, batch_size=active.shape, device=self.device)
         }
@@ -220,14 +225,6 @@ class RendezvousEnv(EnvBase):
         """Close the teams."""
         self.teams.close()
         super().close(raise_if_closed=raise_if_closed)
-
-
-def _last(
-    observations: NDArray[np.float32], infos: Mapping[str, Any], over: NDArray[np.bool_]
-) -> tuple[NDArray[np.float32], NDArray[np.bool_], NDArray[np.int64]]:
-    """Observations, active and contacts at the end of the step, before anything began anew."""
-    seen, active, _ = last_moments(observations, infos, over)
-    return seen, active, np.where(over, infos["final_info"]["contacts"], infos["contacts"])
 
 
 def _action_spec(space: Space[Any], batch: torch.Size) -> Bounded | Categorical:

@@ -1,4 +1,4 @@
-"""The robots of one team by name: who is alive, who may act, and what each is told."""
+"""The robots of one team by name, as PettingZoo has them."""
 
 from __future__ import annotations
 
@@ -8,13 +8,14 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 from pettingzoo.utils.conversions import parallel_to_aec_wrapper
+from pettingzoo.utils.env import ParallelEnv
 
 from ..checks import check_action, floats, refuse, shown
-from ..engine.memory import RENDEZVOUS, RUNNING, TIME_OUT
-from ..outcome import StepOutput
+from ..engine.memory import RENDEZVOUS, TIME_OUT
 from ..simulator import Simulator
+from .spaces import of_one_robot
+from .vector_env import OneTeam
 
-_FLOAT32 = np.dtype(np.float32)
 Observations = dict[str, NDArray[np.float32]]
 Infos = dict[str, dict[str, Any]]
 StepReturn = tuple[Observations, dict[str, float], dict[str, bool], dict[str, bool], Infos]
@@ -37,20 +38,66 @@ class SpacesByName(Generic[_Space]):
         return self.action_spaces[agent]
 
 
+class TeamByName(OneTeam, SpacesByName[_Space], ParallelEnv[str, NDArray[np.float32], Any]):
+    """One team whose robots have names, as PettingZoo has it."""
+
+    _left_out: tuple[str, ...] = ("robot_rewards",)
+    """Infos of the vector environment that robots are not given."""
+
+    def __init__(self, teams: Any) -> None:
+        self._hold(teams)
+        self.possible_agents = names_of(self.scenario.n_robots)
+        self.agents: list[str] = []
+        sees: Any = teams.single_observation_space
+        does: Any = teams.single_action_space
+        self.observation_spaces = {name: of_one_robot(sees) for name in self.possible_agents}
+        self.action_spaces = {name: of_one_robot(does) for name in self.possible_agents}
+        self.state_space = teams.unwrapped.single_state_space
+
+    def reset(
+        self, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observations, Infos]:
+        """Begin an episode: the first of a seed, or without one the next; options: see
+        ``RendezvousParallelEnv``.
+
+        Raises:
+            ValueError: for a bad option or seed; nothing has changed then.
+        """
+        observations, infos = self.teams.reset(seed=seed, options=options)
+        self.agents = self.possible_agents.copy()
+        return dict(zip(self.agents, observations[0], strict=True)), self._by_name(infos)
+
+    def _by_name(self, infos: Mapping[str, Any]) -> Infos:
+        """Infos of each robot: its own numbers, and those of its team."""
+        kept = {
+            key: values[0]
+            for key, values in infos.items()
+            if key[0] != "_" and key not in self._left_out
+        }
+        return {
+            name: {key: (value[i] if value.ndim else value).item() for key, value in kept.items()}
+            for i, name in enumerate(self.possible_agents)
+        }
+
+    def _is_over(self, actions: Any) -> bool:
+        """Whether there are no robots and no actions; a RuntimeError before the first reset."""
+        if not self.simulator.begun:
+            raise RuntimeError("call reset() before step()")
+        return not self.agents and isinstance(actions, Mapping) and not actions
+
+
 def names_of(n_robots: int) -> list[str]:
-    """What the robots of a team are called."""
+    """The names of the robots of a team."""
     return [f"robot_{i}" for i in range(n_robots)]
 
 
 def alive_in(teams: Mapping[str, NDArray[Any]], on_merge: str) -> list[str]:
-    """Who takes actions in a state of a simulator of one team."""
+    """The robots that take actions in a state of a simulator of one team."""
     into = teams["merged_into"][0].tolist()
-    names = names_of(len(into))
     if teams["episode"][0] < 0 or teams["status"][0] in (RENDEZVOUS, TIME_OUT):
         return []
-    if on_merge == "follow":
-        return names
-    return [name for i, name in enumerate(names) if into[i] == i]
+    names = names_of(len(into))
+    return [name for i, name in enumerate(names) if on_merge == "follow" or into[i] == i]
 
 
 def check_robots(actions: Any, alive: Sequence[str], merged_into: NDArray[np.int64]) -> None:
@@ -80,89 +127,30 @@ def table_of(
 ) -> NDArray[np.float32]:
     """Actions by name as (1, n, a) float32, refused by name; zero for robots that are gone."""
     n, size = simulator.scenario.n_robots, simulator.scenario.action_size
-    try:
+    try:  # all at once; one by one only to find out what is wrong with them
         listed = np.array([actions[name] for name in alive])
-        if listed.dtype is not _FLOAT32:
+        if listed.dtype != np.float32:
             listed = floats("actions", listed, np.float32)
-            if not np.isfinite(listed).all():
-                _explain(actions, alive, simulator)
-    except (
-        KeyError, IndexError, TypeError, ValueError, OverflowError, RecursionError, RuntimeError,
-    ):  # fmt: skip
-        listed = np.empty(0, np.float32)
-    if listed.shape != (len(alive), size) or len(actions) != len(alive):
-        _explain(actions, alive, simulator)
+        fits = listed.shape == (len(alive), size) and bool(np.isfinite(listed).all())
+    except (LookupError, TypeError, ValueError, RuntimeError, ArithmeticError):
+        fits = False
+    if not fits or len(actions) != len(alive):
+        check_robots(actions, alive, simulator.merged_into[0])
+        for name in alive:
+            check_action(name, actions[name], size)
+        listed = np.array([floats("action", actions[name], np.float32) for name in alive])
     if len(alive) == n:
         return listed[None]
-    names, living = names_of(n), set(alive)
     table = np.zeros((1, n, size), np.float32)
-    table[0, [name in living for name in names]] = listed
+    table[0, [name in alive for name in names_of(n)]] = listed
     return table
-
-
-def _explain(actions: Any, alive: Sequence[str], simulator: Simulator) -> None:
-    """Raise what is wrong with these actions, naming the robot."""
-    check_robots(actions, alive, simulator.merged_into[0])
-    for name in alive:
-        check_action(name, actions[name], simulator.scenario.action_size)
-
-
-def infos_of_start(names: Sequence[str], simulator: Simulator) -> Infos:
-    """What the robots are told at the start of an episode."""
-    clearances, statistics = simulator.clearance[0].tolist(), simulator.first_episode_statistics()
-    statistics |= dict.fromkeys(simulator.costs, 0.0)
-    return {
-        name: {"merged_into": i, "contact": False, "clearance": clearances[i], **statistics}
-        for i, name in enumerate(names)
-    }
-
-
-def step_results(
-    observations: NDArray[np.float32],
-    outcome: StepOutput,
-    simulator: Simulator,
-    names: Sequence[str],
-    alive: list[str],
-) -> tuple[StepReturn, list[str]]:
-    """What the robots that were alive are told of a step, and who still is."""
-    status = outcome.status.item(0)
-    over, met = status != RUNNING, status == RENDEZVOUS
-    seen = dict(zip(names, observations, strict=True))
-    rewards = dict(zip(names, outcome.robot_rewards[0].tolist(), strict=True))
-    statistics = simulator.first_episode_statistics(outcome)
-    into = simulator.merged_into_of_first()
-    (contacts,), (clearances,) = outcome.contact.tolist(), outcome.clearance.tolist()
-    infos: Infos = {}
-    for name, survivor, contact, clearance in zip(names, into, contacts, clearances, strict=True):
-        infos[name] = info = statistics.copy()  # then item by item: half as long as at once
-        info["merged_into"], info["contact"], info["clearance"] = survivor, contact, clearance
-    for key, (costs,) in ((key, table.tolist()) for key, table in simulator.costs.items()):
-        for info, cost in zip(infos.values(), costs, strict=True):
-            info[key] = cost
-    if len(alive) < len(names):
-        seen = {name: seen[name] for name in alive}
-        infos = {name: infos[name] for name in alive}
-        rewards = {name: rewards[name] for name in alive}
-    ends, truncations = dict.fromkeys(alive, met), dict.fromkeys(alive, over and not met)
-    left, (active,) = alive, outcome.active.tolist()
-    if active.count(True) < len(alive):
-        if not met and simulator.scenario.on_merge == "remove":
-            lives = dict(zip(names, active, strict=True))
-            ends = {name: not lives[name] for name in alive}
-            truncations = {name: over and not ended for name, ended in ends.items()}
-            left = [name for name in alive if not ends[name]]
-    if over:
-        left = []
-        for info in infos.values():
-            info["summary"] = statistics.copy()
-    return (seen, rewards, ends, truncations, infos), left
 
 
 class OneAfterAnother(parallel_to_aec_wrapper):
     """PettingZoo's AEC form of a parallel environment of ours.
 
-    PettingZoo keeps the actions until the last robot has chosen; one that is wrong would be found
-    only then, when its robot can take it back no more.
+    PettingZoo keeps the actions until the last robot has chosen. A wrong one would be found only
+    then, too late for its robot to correct it.
     """
 
     def step(self, action: Any) -> None:

@@ -1,7 +1,4 @@
-"""What the guarantee wrappers of PettingZoo and of vector environments share.
-
-What may be wrapped, a filter from its name and settings, and the wrapper's memory.
-"""
+"""What the guarantee wrappers of PettingZoo and of vector environments share."""
 
 from __future__ import annotations
 
@@ -25,7 +22,7 @@ from ..simulator import Simulator
 from .overrides import arguments_of
 
 AnyFilter = SafetyFilter | type[SafetyFilter] | str
-"""A filter that has been made, or its class or its name, to be made of settings."""
+"""A filter, or its class or name, from which settings make one."""
 _Constructor = TypeVar("_Constructor", bound=Callable[..., None])
 
 
@@ -35,9 +32,8 @@ def check_period(decision_period: int) -> int:
 
 
 def check_not_guaranteed(env: Any, wrapper: str, layers: type, guarantees: type) -> None:
-    """Refuse to put one guarantee upon another, naming both.
-
-    ``layers`` is the class of all wrappers of this world, ``guarantees`` that of our own.
+    """Refuse to put one guarantee upon another, naming both; ``layers`` is the class of all
+    wrappers of this API, ``guarantees`` that of ours.
     """
     while isinstance(env, layers):
         if isinstance(env, guarantees):
@@ -51,7 +47,7 @@ def check_not_guaranteed(env: Any, wrapper: str, layers: type, guarantees: type)
 def make_filter(
     safety_filter: AnyFilter, simulator: Simulator, settings: Mapping[str, Any]
 ) -> SafetyFilter:
-    """The filter of these teams; refused are one of other teams, and what nobody knows by name."""
+    """The filter of these teams; one of other teams and unknown names are refused."""
     scenario, num_envs = simulator.scenario, simulator.num_envs
     if isinstance(safety_filter, SafetyFilter):
         size = (safety_filter.scenario, len(safety_filter.held))
@@ -68,19 +64,15 @@ def make_filter(
 
 
 class HoldsFilter:
-    """The filter of a guarantee wrapper, and what the wrapper remembers from step to step."""
+    """The filter of a guarantee wrapper, and the wrapper's memory from step to step."""
 
     _base: Any
     """The environment of ours under all wrappers."""
 
     def _hold(
-        self,
-        base: Any,
-        safety_filter: AnyFilter,
-        decision_period: int,
-        settings: Mapping[str, Any],
+        self, base: Any, safety_filter: AnyFilter, decision_period: int, settings: Mapping[str, Any]
     ) -> None:
-        """Take up a filter of the teams of this environment; nothing has been seen yet."""
+        """Take up a filter of the teams of this environment, before anything is seen."""
         self._base = base
         self.decision_period = check_period(decision_period)
         self.filter = made = make_filter(safety_filter, base.simulator, settings)
@@ -123,18 +115,18 @@ class HoldsFilter:
         self._begun = True
 
 
-# ---- the settings of the four theorems, for both worlds ------------------------------------------
+# ---- constructors of the four wrappers, the same for both APIs -----------------------------------
 
 
-class _MadeOfSettings:
-    """To inherit from beside a GuaranteeWrapper, with a constructor that is ``declared_for``."""
+class _Constructed:
+    """A base beside a GuaranteeWrapper, whose constructor comes from ``declared_for``."""
 
     def _make(self, *arguments: Any, **settings: Any) -> None:
         super().__init__(*arguments, **settings)
 
 
 def declared_for(kind: type[SafetyFilter]) -> Callable[[_Constructor], _Constructor]:
-    """Makes a constructor of its declaration: what is given, or is its default, goes to the filter.
+    """Turns a declaration into a constructor: arguments given, and defaults, go to the filter.
 
     Unknown keywords are refused with a TypeError that names the nearest argument.
     """
@@ -157,7 +149,7 @@ def declared_for(kind: type[SafetyFilter]) -> Callable[[_Constructor], _Construc
     return fill
 
 
-class HeadingSettings(_MadeOfSettings):
+class HeadingSettings(_Constructed):
     """Theorem C: ``HeadingVectorWrapper``."""
 
     steering: HeadingFilter
@@ -175,7 +167,7 @@ class HeadingSettings(_MadeOfSettings):
     ) -> None: ...
 
 
-class TankSettings(_MadeOfSettings):
+class TankSettings(_Constructed):
     """Theorem D: ``EnergyTankWrapper``."""
 
     tank: EnergyTank
@@ -193,7 +185,7 @@ class TankSettings(_MadeOfSettings):
     ) -> None: ...
 
 
-class GainSettings(_MadeOfSettings):
+class GainSettings(_Constructed):
     """Theorem G: ``GainWrapper``."""
 
     gains: Gains
@@ -209,7 +201,7 @@ class GainSettings(_MadeOfSettings):
     ) -> None: ...
 
 
-class LinkSettings(_MadeOfSettings):
+class LinkSettings(_Constructed):
     """Theorem R: ``LinkKeepingWrapper``."""
 
     links: LinkKeeping

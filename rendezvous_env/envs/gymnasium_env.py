@@ -17,8 +17,7 @@ from ..scenario.scenarios import ScenarioLike, resolve, with_versions
 from ..scenario.start_options import seeds_of_teams
 from ..simulator import Simulator
 from .overrides import check_overrides, sorted_overrides
-from .single_env import OneOfTeams
-from .vector_env import Info, RendezvousVectorEnv, of_first_team
+from .vector_env import Info, OneTeam, RendezvousVectorEnv, of_first_team
 from .vector_wrappers import HeadingVectorWrapper
 
 __all__ = [
@@ -31,17 +30,17 @@ __all__ = [
 ]
 
 
-class RendezvousEnv(OneOfTeams, gymnasium.Env[Any, Any]):
+class RendezvousEnv(OneTeam, gymnasium.Env[Any, Any]):
     """One team of n robots as one agent.
 
-    What a robot does, sees and earns is specified in ``rendezvous_v0``. Observations are (n, rows,
-    d), actions (n, a), zero or ignored for robots that are gone; the reward is the team's, its
-    bounds stand there. Terminated: all robots have met. Truncated: the time limit. Infos as
-    ``RendezvousVectorEnv``, without the axis of teams and without masks. ``simulator`` holds the
-    global state, B = 1. Where the vector environment is wrapped, all is as the wrapper has it.
+    What a robot does, sees and earns is specified in ``RendezvousParallelEnv``. Observations are
+    (n, rows, d), actions (n, a), zero or ignored for robots that are gone; the reward is the
+    team's.
+    Terminated: all robots have met. Truncated: the time limit. Infos as ``RendezvousVectorEnv``,
+    without the axis of teams and without masks. Wrappers of the vector environment hold here too.
 
     Args:
-        teams: a vector environment of one team that does not begin anew by itself.
+        teams: a vector environment of one team, with ``AutoresetMode.DISABLED``.
 
     Raises:
         ValueError: for more teams, or another autoreset mode.
@@ -58,7 +57,7 @@ class RendezvousEnv(OneOfTeams, gymnasium.Env[Any, Any]):
                 f"teams are {teams.num_envs} with autoreset_mode {mode}; it must be one team, and "
                 "AutoresetMode.DISABLED"
             )
-        self._take_up(teams)
+        self._hold(teams)
         self.observation_space = teams.single_observation_space
         self.action_space = teams.single_action_space
 
@@ -103,7 +102,7 @@ def make_vec(
     Args:
         scenario: a Scenario, the name of one (``scenarios.names()``) or the path of a TOML file.
         num_envs: B, number of teams.
-        autoreset_mode: when a team that has ended begins anew; see ``RendezvousVectorEnv``.
+        autoreset_mode: when a team that has ended is reset; see ``RendezvousVectorEnv``.
         num_threads: most threads a step may use; None is one for each core.
         max_cycles: time limit in steps, instead of the scenario's.
         render_mode: "human" for a window, "rgb_array" for pictures, None for neither.
@@ -156,27 +155,26 @@ def make_heading_env(scenario: ScenarioLike = "fig3", **arguments: Any) -> Rende
 
 
 def env_from_plain(scenario: Mapping[str, Any], render_mode: str | None = None) -> RendezvousEnv:
-    """One team of a scenario in plain data (``Scenario.to_plain``), as specs hold it."""
+    """One team of a scenario in plain data (``Scenario.to_plain``), for specs."""
     return make_env(Scenario.from_plain(scenario), render_mode=render_mode)
 
 
 def register() -> None:
     """Register ``rendezvous/Rendezvous-v0``, with certified headings
     ``rendezvous/RendezvousHeading-v0``, and every named scenario, such as
-    ``rendezvous/clutter-16-v1``, in Gymnasium, once; time is ours, so without
-    ``max_episode_steps``.
+    ``rendezvous/clutter-16-v1``, in Gymnasium, once; without ``max_episode_steps``, since the
+    environment has a time limit of its own.
     """
-    module = __name__
-    ids: list[tuple[str, str, dict[str, str]]] = [
-        ("rendezvous/Rendezvous-v0", "", {}),
-        ("rendezvous/RendezvousHeading-v0", "heading_", {}),
-        *((versioned, "", {"scenario": name}) for name, versioned in with_versions().items()),
-    ]
-    for name, kind, given in ids:
+    ids: dict[str, tuple[str, dict[str, str]]] = {
+        "rendezvous/Rendezvous-v0": ("", {}),
+        "rendezvous/RendezvousHeading-v0": ("heading_", {}),
+    }
+    ids |= {versioned: ("", {"scenario": name}) for name, versioned in with_versions().items()}
+    for name, (kind, given) in ids.items():
         if name not in gymnasium.registry:
             gymnasium.register(
                 name,
-                entry_point=f"{module}:make_{kind}env",
-                vector_entry_point=f"{module}:make_{kind}vec",
+                entry_point=f"{__name__}:make_{kind}env",
+                vector_entry_point=f"{__name__}:make_{kind}vec",
                 kwargs=given,
             )

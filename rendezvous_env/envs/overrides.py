@@ -1,5 +1,5 @@
-"""Keyword arguments of factories: which go to the scenario, which to the wrapper of a guarantee,
-and what nobody knows.
+"""Keyword arguments of factories: those of the scenario, those of a guarantee's wrapper, and
+unknown ones.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import Any
 from ..checks import known_fields, nearest_word
 from ..scenario.scenario import Scenario
 
-_FIELDS = frozenset(field.name for field in fields(Scenario))
+_FIELDS = sorted(field.name for field in fields(Scenario))
 
 
 def check_overrides(factory: Callable[..., Any], given: Mapping[str, Any]) -> None:
@@ -20,10 +20,10 @@ def check_overrides(factory: Callable[..., Any], given: Mapping[str, Any]) -> No
 
     What looks like neither, the scenario refuses, with its own nearest field.
     """
-    own, unknown = arguments_of(factory)[:-1], [key for key in given if key not in _FIELDS]
-    known = [*own, *sorted(_FIELDS)]
-    mistaken = [key for key in unknown if nearest_word(key, known) in own]
-    known_fields(mistaken, known, factory.__name__, "argument")
+    own = arguments_of(factory)[:-1]
+    unknown = [key for key in given if key not in _FIELDS]
+    mistaken = [key for key in unknown if nearest_word(key, [*own, *_FIELDS]) in own]
+    known_fields(mistaken, [*own, *_FIELDS], factory.__name__, "argument")
 
 
 def sorted_overrides(
@@ -33,15 +33,15 @@ def sorted_overrides(
     fields of the scenario.
 
     ``max_turn_rate`` is both: it is the wrapper's, which turns no faster than the scenario allows.
-    A word that is neither is refused with the known one that is most like it.
+    An unknown word is refused with the known one that is most like it.
     """
     of_wrapper = arguments_of(wrapper)[1:] if wrapper is not None else []
-    known = [*of_wrapper, *arguments_of(factory)[:-1], *sorted(_FIELDS)]
+    known = [*of_wrapper, *arguments_of(factory)[:-1], *_FIELDS]
     known_fields(given, known, factory.__name__, "argument")
     arguments = {key: value for key, value in given.items() if key in of_wrapper}
     return arguments, {key: given[key] for key in given if key not in of_wrapper}
 
 
 def arguments_of(function: Callable[..., Any]) -> list[str]:
-    """Names of its arguments; that which collects the rest stands last."""
+    """Names of its arguments; the one that collects the rest stands last."""
     return list(inspect.signature(function).parameters)

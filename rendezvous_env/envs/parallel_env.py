@@ -1,38 +1,25 @@
-"""PettingZoo's parallel environment: dicts around a Simulator with one team."""
+"""PettingZoo's parallel environment: one team of a vector environment, its robots by name."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
 from gymnasium.spaces import Box
-from numpy.typing import NDArray
-from pettingzoo.utils.env import ParallelEnv
+from gymnasium.vector import AutoresetMode
 
-from ..checks import flag, shown
+from ..checks import shown
+from ..engine.memory import RENDEZVOUS, RUNNING
 from ..engine.state_checks import check_keys
-from ..render.renderer import RENDER_MODES, Renderer, render_metadata
+from ..render.renderer import RENDER_MODES
 from ..scenario.scenario import Scenario
 from ..simulator import Simulator
-from .agents import (
-    Infos,
-    Observations,
-    SpacesByName,
-    StepReturn,
-    alive_in,
-    infos_of_start,
-    names_of,
-    step_results,
-    table_of,
-)
-from .single_env import Drawn
-from .spaces import action_box, as_told, observation_box, state_box, team_state
+from .agents import Infos, StepReturn, TeamByName, alive_in, table_of
+from .spaces import as_told
+from .vector_env import RendezvousVectorEnv
 
 
-class RendezvousParallelEnv(
-    Drawn, SpacesByName[Box], ParallelEnv[str, NDArray[np.float32], NDArray[np.float32]]
-):
+class RendezvousParallelEnv(TeamByName[Box]):
     """Robots that see only directions must all meet.
 
     ## Description
@@ -143,6 +130,7 @@ class RendezvousParallelEnv(
         "render_modes": RENDER_MODES,
         "is_parallelizable": True,
     }
+    _left_out = ("robot_rewards", "active")
 
     def __init__(
         self,
@@ -151,19 +139,12 @@ class RendezvousParallelEnv(
         max_cycles: int | None = None,
         flatten: bool = False,
     ) -> None:
-        self.scenario = scenario
-        self.simulator = Simulator(scenario)
+        simulator = Simulator(scenario)
         if max_cycles is not None:
-            self.simulator.set_max_steps(max_cycles)
-        self.renderer = Renderer(self.simulator, render_mode)
-        self.render_mode = render_mode
-        self.metadata = self.metadata | render_metadata(self.simulator)
-        self.possible_agents = names_of(scenario.n_robots)
-        self.agents: list[str] = []
-        self.flatten, names = flag("flatten", flatten), self.possible_agents
-        self.observation_spaces = {name: observation_box(scenario, flatten) for name in names}
-        self.action_spaces = {name: action_box(scenario) for name in names}
-        self.state_space = state_box(scenario)
+            simulator.set_max_steps(max_cycles)
+        mode = AutoresetMode.DISABLED
+        super().__init__(RendezvousVectorEnv(simulator, mode, render_mode, flatten))
+        self.flatten = flatten
         self._indices = {name: i for i, name in enumerate(self.possible_agents)}
 
     @property
@@ -174,20 +155,6 @@ class RendezvousParallelEnv(
     @max_cycles.setter
     def max_cycles(self, value: int) -> None:
         self.simulator.set_max_steps(value)
-
-    def reset(
-        self, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Observations, Infos]:
-        """Begin an episode: the first of a seed, or without one the next; options: see the class.
-
-        Raises:
-            ValueError: for a bad option; nothing has changed then.
-        """
-        observations = as_told(self.simulator.reset(seed, options)[0], self.flatten)
-        self.agents = self.possible_agents.copy()
-        self.renderer.reset()
-        infos = infos_of_start(self.agents, self.simulator)
-        return dict(zip(self.agents, observations, strict=True)), infos
 
     def step(self, actions: Mapping[str, Any]) -> StepReturn:
         """Advance by one step τ with an action for each robot in ``agents``.
@@ -201,25 +168,41 @@ class RendezvousParallelEnv(
             ValueError: for an action of the wrong shape, or one that is not finite; likewise.
             RuntimeError: before the first reset.
         """
-        if not self.simulator.begun:
-            raise RuntimeError("call reset() before step()")
-        if not self.agents and isinstance(actions, Mapping) and not actions:
+        if self._is_over(actions):
             return {}, {}, {}, {}, {}
-        outcome = self.simulator.step(table_of(actions, self.agents, self.simulator))
-        self.renderer.see(outcome.contact)
-        observations = as_told(outcome.observations[0], self.flatten)
-        results, self.agents = step_results(
-            observations, outcome, self.simulator, self.possible_agents, self.agents
-        )
-        return results
-
-    def state(self) -> NDArray[np.float32]:
-        """The privileged global state, one float32 vector.
-
-        Positions (n·d, m), frames (n·d·d), weights (n·n, m/s), active (n, 0 or 1), packed obstacles
-        (M·width), and the share of the time limit that has passed.
-        """
-        return team_state(self.simulator)[0]
+        simulator, alive, names = self.simulator, self.agents, self.possible_agents
+        outcome = self.teams.advance(table_of(actions, alive, simulator))
+        status = outcome.status.item(0)
+        over, met = status != RUNNING, status == RENDEZVOUS
+        table = as_told(outcome.observations[0], self.flatten)
+        observations = dict(zip(names, table, strict=True))
+        rewards = dict(zip(names, outcome.robot_rewards[0].tolist(), strict=True))
+        statistics = simulator.first_episode_statistics(outcome)
+        into, (active,) = simulator.merged_into_of_first(), outcome.active.tolist()
+        (contacts,), (clearances,) = outcome.contact.tolist(), outcome.clearance.tolist()
+        infos: Infos = {}
+        for i, name in enumerate(names):
+            infos[name] = info = statistics.copy()  # then item by item: half as long as at once
+            info["merged_into"], info["contact"] = into[i], contacts[i]
+            info["clearance"] = clearances[i]
+        for key, costs in simulator.costs.items():
+            for info, cost in zip(infos.values(), costs[0].tolist(), strict=True):
+                info[key] = cost
+        if len(alive) < len(names):
+            observations = {name: observations[name] for name in alive}
+            rewards = {name: rewards[name] for name in alive}
+            infos = {name: infos[name] for name in alive}
+        ends, cuts = dict.fromkeys(alive, met), dict.fromkeys(alive, over and not met)
+        if not met and self.scenario.on_merge == "remove" and active.count(True) < len(alive):
+            lives = dict(zip(names, active, strict=True))
+            ends = {name: not lives[name] for name in alive}
+            cuts = {name: over and not ended for name, ended in ends.items()}
+            self.agents = [name for name in alive if lives[name]]
+        if over:
+            self.agents = []
+            for info in infos.values():
+                info["summary"] = statistics.copy()
+        return observations, rewards, ends, cuts, infos
 
     def index(self, name: str) -> int:
         """Index of a robot by its name."""

@@ -1,6 +1,4 @@
-"""Gymnasium spaces of a scenario, and the privileged global state. One place, used by every
-environment.
-"""
+"""Gymnasium spaces of a scenario, and the privileged global state, for every environment."""
 
 from __future__ import annotations
 
@@ -17,16 +15,7 @@ from ..safety.safety_filter import SafetyFilter
 from ..scenario.scenario import Scenario
 from ..simulator import Simulator
 
-
-def observation_bounds(scenario: Scenario) -> NDArray[np.float32]:
-    """Symmetric bound on every number of an observation, (rows, d): D̄ for neighbours, 1 for the
-    rest.
-    """
-    layout = scenario.observation_layout
-    bounds = np.ones(layout.shape)
-    bounds[layout.neighbours] = max(scenario.max_degree, 1e-6)
-    bounds[layout.velocity] = scenario.speed_limit
-    return np.nextafter(bounds.astype(np.float32), np.float32(np.inf))
+_LARGEST = float(np.finfo(np.float32).max)
 
 
 def as_told(rows: NDArray[np.float32], flatten: bool) -> NDArray[np.float32]:
@@ -34,10 +23,26 @@ def as_told(rows: NDArray[np.float32], flatten: bool) -> NDArray[np.float32]:
     return rows.reshape(*rows.shape[:-2], -1) if flatten else rows
 
 
-def observation_box(scenario: Scenario, flatten: bool = False) -> Box:
-    """Space of one robot's observations."""
-    bounds = as_told(observation_bounds(scenario), flatten)
-    return Box(-bounds, bounds, dtype=np.float32)
+def observation_box(
+    scenario: Scenario, flatten: bool = False, action_filter: SafetyFilter | None = None
+) -> Box:
+    """Space of one robot's observations: neighbour rows are at most D̄ long, the others 1.
+
+    As a filter shows them, a turned row keeps only its length, and a tank's level has no bound.
+    """
+    layout = scenario.observation_layout
+    lengths = np.ones(layout.shape)
+    lengths[layout.neighbours] = max(scenario.max_degree, 1e-6)
+    lengths[layout.velocity] = scenario.speed_limit
+    high: Any = np.nextafter(lengths.astype(np.float32), np.float32(np.inf))
+    if action_filter is not None and action_filter.along_net_bearing:
+        high = high * np.float32(1.0 + 1e-6)
+    if action_filter is not None and action_filter.observes_level:
+        level = np.ones((1, layout.dim), dtype=np.float32)
+        level[0, 0] = _LARGEST
+        high = np.concatenate([high, level])
+    high = as_told(high, flatten)
+    return Box(-high, high, dtype=np.float32)
 
 
 def action_box(scenario: Scenario) -> Box:
@@ -47,42 +52,25 @@ def action_box(scenario: Scenario) -> Box:
 
 
 def choice_box(action_filter: SafetyFilter) -> Box:
-    """Space of what a policy chooses for one robot, in units of the largest."""
+    """Space of a policy's choice for one robot, in units of the largest."""
     return Box(action_filter.lowest_choice, 1.0, (action_filter.action_size,), dtype=np.float32)
 
 
-def filtered_observation_box(action_filter: SafetyFilter, flatten: bool = False) -> Box:
-    """Space of one robot's observations as a filter shows them: a turned row keeps only its
-    length, and the level of a tank has no bound.
-    """
-    bounds = observation_bounds(action_filter.scenario)
-    if action_filter.along_net_bearing:
-        bounds = bounds * np.float32(1.0 + 1e-6)
-    if action_filter.observes_level:
-        level = np.ones((1, bounds.shape[1]), dtype=np.float32)
-        level[0, 0] = np.finfo(np.float32).max
-        bounds = np.concatenate([bounds, level])
-    bounds = as_told(bounds, flatten)
-    return Box(-bounds, bounds, dtype=np.float32)
-
-
 def of_all_teams(space_of_one: str) -> Any:
-    """An attribute: the space of B teams, made when asked for, as it is larger than what it holds.
-
-    Args:
-        space_of_one: name of the attribute with that of one team.
+    """An attribute: the space of B teams, from the attribute with that of one team; made on
+    request, as it is larger than what it holds.
     """
     return cached_property(lambda env: batch_space(getattr(env, space_of_one), env.num_envs))
 
 
 def team_box(robot: Box, n: int) -> Box:
-    """Space of a team of n robots that all have the same one, (n, ...)."""
+    """Space of a team of n robots with equal spaces, (n, ...)."""
     low, high = (np.broadcast_to(bound, (n, *robot.shape)) for bound in (robot.low, robot.high))
     return Box(low, high, dtype=np.float32)
 
 
-def of_one_robot(space: Space[Any]) -> Box | Discrete:
-    """The space of one robot from that of a team of equal ones."""
+def of_one_robot(space: Space[Any]) -> Any:
+    """The space of one robot from that of a team of equal ones, a Box or a Discrete."""
     if isinstance(space, MultiDiscrete):
         return Discrete(int(space.nvec[0]))
     assert isinstance(space, Box)
@@ -91,12 +79,14 @@ def of_one_robot(space: Space[Any]) -> Box | Discrete:
 
 def state_box(scenario: Scenario) -> Box:
     """Space of ``team_state``: any finite float32."""
-    largest = float(np.finfo(np.float32).max)
-    return Box(-largest, largest, (_state_size(scenario),), dtype=np.float32)
+    n, d = scenario.n_robots, scenario.dim
+    obstacles = scenario.observation_layout.obstacle_slots * row_width(scenario.obstacles)
+    size = n * d + n * d * d + n * n + n + obstacles + 1
+    return Box(-_LARGEST, _LARGEST, (size,), dtype=np.float32)
 
 
 def team_state(simulator: Simulator) -> NDArray[np.float32]:
-    """The privileged global state of every team, (B, …) float32, see ``rendezvous_v0``."""
+    """The privileged global state of every team, (B, …) float32, see ``OneTeam.state``."""
     parts = (
         simulator.positions,
         simulator.frames,
@@ -107,9 +97,3 @@ def team_state(simulator: Simulator) -> NDArray[np.float32]:
     )
     batch = simulator.num_envs
     return np.concatenate([part.reshape(batch, -1) for part in parts], axis=1).astype(np.float32)
-
-
-def _state_size(scenario: Scenario) -> int:
-    n, d = scenario.n_robots, scenario.dim
-    obstacles = scenario.observation_layout.obstacle_slots * row_width(scenario.obstacles)
-    return n * d + n * d * d + n * n + n + obstacles + 1

@@ -22,7 +22,7 @@ from ..scenario.scenarios import ScenarioLike, resolve
 from ..scenario.start_options import as_options
 from .gymnasium_env import make_vec
 from .overrides import sorted_overrides
-from .vector_env import Info, RendezvousVectorEnv, Transition, leave_out_summary
+from .vector_env import Info, RendezvousVectorEnv, Transition, at_the_end, leave_out_summary
 from .vector_wrappers import (
     EnergyTankWrapper,
     GainWrapper,
@@ -43,9 +43,7 @@ _said: set[tuple[Scenario, str]] = set()
 
 
 class LearningPreset(Protocol):
-    """What teams see, do and earn with ``learning_preset``: what the shipped policies were trained
-    with.
-    """
+    """What teams see, do and earn with ``learning_preset``: that of the shipped policies."""
 
     def earnings(self, guarantee: str | None) -> tuple[RewardWeights, float]:
         """The reward, and the price of a robot's first touch."""
@@ -70,10 +68,8 @@ _presets: list[Callable[[], LearningPreset]] = []
 
 
 def hand_in_preset(load: Callable[[], LearningPreset]) -> None:
-    """Say where ``learning_preset`` comes from, since the environment knows no policy: ``load`` is
-    called when a preset is asked for; the last one that was handed in counts.
-    """
-    _presets.append(load)
+    """Set what ``learning_preset`` loads, as the environment itself knows no policy."""
+    _presets[:] = [load]
 
 
 def training_env(
@@ -91,7 +87,7 @@ def training_env(
     touch_penalty: float | None = None,
     **overrides: Any,
 ) -> TrainingTeams:
-    """B teams as a generic learner wants them: a vector environment of Gymnasium.
+    """B teams for a generic learner: a vector environment of Gymnasium.
 
     Robots that merge stay to the end with zero observations, without effect, earning with their
     team (``on_merge="follow"``): to a learner that takes termination for the end of all reward,
@@ -109,10 +105,10 @@ def training_env(
     | actions, ``discrete`` | (B, n): index of an angle φ in ``learned.policy_settings``; 0: φ = 0 |
 
     An action says where f is imagined to point; from there the joined rule leads round obstacles,
-    and the guarantee's filter makes of that what keeps its promise. The length does not count; no
-    direction at all is straight ahead, the rule itself. Other robots and guarantees have no shipped
-    policy: they see and do what the guarantee's wrapper says (for "tank" with the budget of the
-    shipped policy and ``observe_level``), and a choice is held as long, 0.6 s.
+    and the guarantee's filter turns the result into an action that keeps its promise. The length
+    does not count; the zero vector is straight ahead, the rule itself. Other robots and guarantees
+    have no shipped policy: they see and do what the guarantee's wrapper says (for "tank" with the
+    budget of the shipped policy and ``observe_level``), and a choice is held for 0.6 s, too.
 
     | argument | |
     |---|---|
@@ -126,8 +122,8 @@ def training_env(
     | discrete | whether robots choose among the angles of the shipped policy |
     | render_mode, autoreset_mode, num_threads, max_cycles | as ``make_vec`` |
     | touch_penalty | of a robot's first touch in an episode; None is 1 with the preset, else 0 |
-    | further ones | arguments of the guarantee's wrapper, and fields of the scenario; ``reward``, |
-    | | here or in the scenario, holds against the preset's |
+    | further ones | arguments of the guarantee's wrapper, fields of the scenario; a ``reward``, |
+    | | here or in the scenario, overrides the preset's |
 
     Raises:
         TypeError: for an unknown argument or field, with the nearest known one.
@@ -147,14 +143,22 @@ def training_env(
     chosen = resolve(scenario, **changes)
     preset, shown, price = None, False, 0.0
     if flag("learning_preset", learning_preset) and _presets:
-        preset = _presets[-1]()
+        preset = _presets[0]()
         reward, price = preset.earnings(guarantee)
         if "reward" not in changes and chosen.reward == RewardWeights():
             chosen = chosen.replace(reward=reward)
         shown = preset.shows(chosen, guarantee)
         if guarantee in WRAPPERS and not shown:
             arguments = preset.held_arguments(chosen, guarantee) | arguments
-    _check_form(shown, flag("flatten", flatten), flag("discrete", discrete))
+    if not flag("flatten", flatten) and shown:
+        refuse("flatten", flatten, "True, or learning_preset False: what Features shows is flat")
+    if flag("discrete", discrete) and not shown:
+        refuse(
+            "discrete",
+            discrete,
+            "False: the shipped policy's choices are for robots but double integrators with "
+            "learning_preset True and guarantee 'heading' or 'tank'",
+        )
     teams: Any = make_vec(
         chosen, num_envs, autoreset_mode, num_threads, max_cycles, render_mode, flatten
     )
@@ -174,7 +178,7 @@ def training_env(
 def _say_what_is_not_covered(
     scenario: Scenario, guarantee: str, arguments: Mapping[str, Any]
 ) -> None:
-    """Tell the log, once for a scenario, why the guarantee is none here."""
+    """Log, once for a scenario, why nothing is guaranteed here."""
     if guarantee not in WRAPPERS or (scenario, guarantee) in _said:
         return
     _said.add((scenario, guarantee))
@@ -190,24 +194,11 @@ def _say_what_is_not_covered(
         )
 
 
-def _check_form(shown: bool, flatten: bool, discrete: bool) -> None:
-    """Refuse what the robots of this environment cannot see or choose."""
-    if shown and not flatten:
-        refuse("flatten", flatten, "True, or learning_preset False: what Features shows is flat")
-    if discrete and not shown:
-        refuse(
-            "discrete",
-            discrete,
-            "False: the shipped policy's choices are for robots but double integrators with "
-            "learning_preset True and guarantee 'heading' or 'tank'",
-        )
-
-
 class TrainingTeams(gymnasium.vector.VectorWrapper):
-    """B teams whose robots all act, earn and are told something until their episode ends.
+    """B teams whose robots all act and earn until their episode ends.
 
-    ``training_env`` says what they see and do. Robots that have merged away observe zeros; what
-    they are told to do is ignored, and they earn with their team.
+    ``training_env`` says what they see and do. Robots that have merged away observe zeros; their
+    actions are ignored, and they earn with their team.
 
     | array | shape | |
     |---|---|---|
@@ -216,10 +207,8 @@ class TrainingTeams(gymnasium.vector.VectorWrapper):
     | infos["active"] | (B, n) bool | the robot still exists on its own |
 
     A reward is bounded as in ``rendezvous_v0``, less ``touch_penalty`` in one step of an episode.
-
-    The other infos are those of ``RendezvousVectorEnv`` and of the guarantee's wrapper: the same
-    keys in every step, numbers all of them. ``final_obs`` and ``final_info`` come only with
-    SAME_STEP.
+    The other infos are those of ``RendezvousVectorEnv`` and of the guarantee's wrapper: numbers,
+    under the same keys in every step. ``final_obs`` and ``final_info`` come only with SAME_STEP.
 
     Args:
         teams: whose scenario has ``on_merge="follow"``.
@@ -247,20 +236,14 @@ class TrainingTeams(gymnasium.vector.VectorWrapper):
         seed: int | Sequence[int | None] | None = None,
         options: Mapping[str, Any] | None = None,
     ) -> tuple[NDArray[np.float32], Info]:
-        """Begin anew, as ``RendezvousVectorEnv.reset``."""
+        """As ``RendezvousVectorEnv.reset``."""
         observations, infos = self.env.reset(seed=seed, options=options)
         which = as_options(options).get("reset_mask")
         self._touches.forget(None if which is None else np.asarray(which))
         return observations, infos
 
     def step(self, actions: ArrayLike) -> Transition:
-        """Let all robots act, as the wrapper of the guarantee has it.
-
-        Raises:
-            ValueError: for actions of another shape, or naming the robot whose action is none;
-                nothing has changed then.
-            RuntimeError: before the first reset.
-        """
+        """Let all robots act; errors as the wrapper of the guarantee."""
         seen, rewards, ends, cuts, infos = self.env.step(actions)  # type: ignore[arg-type]
         first = self._touches.note(infos, ends | cuts)
         if first.any():
@@ -295,12 +278,10 @@ class FirstContacts:
         self.touched = np.zeros((num_envs, n_robots), dtype=np.bool_)
 
     def note(self, infos: Info, over: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Whose first touch of the episode the last step was, (B, n), from its infos and the
-        teams (B,) whose episode it ended.
+        """The robots (B, n) whose first touch of the episode was in the last step, from its infos
+        and the teams (B,) whose episode it ended.
         """
-        contact = infos["contact"]
-        if "final_info" in infos:
-            contact = np.where(over[:, None], infos["final_info"]["contact"], contact)
+        contact = at_the_end(infos, over, "contact")
         first: NDArray[np.bool_] = contact & ~self.touched
         self.touched |= contact
         if over.any():
@@ -308,5 +289,5 @@ class FirstContacts:
         return first
 
     def forget(self, which: NDArray[np.bool_] | None = None) -> None:
-        """All teams, or those of a mask (B,), begin anew."""
+        """New episodes of all teams, or of those of a mask (B,)."""
         self.touched[slice(None) if which is None else which] = False

@@ -1,4 +1,4 @@
-"""Many teams of one scenario as a vector environment of Gymnasium."""
+"""Many teams of one scenario as a vector environment of Gymnasium, and one team of it alone."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from ..engine.memory import RENDEZVOUS, TIME_OUT
 from ..outcome import StepOutput
 from ..render.renderer import Renderer, render_metadata
 from ..rewards.costs import no_costs
+from ..scenario.scenario import Scenario
 from ..scenario.start_options import as_options
 from ..simulator import Simulator
 from ..state_view import STANDING
@@ -41,8 +42,8 @@ _DISABLED = AutoresetMode.DISABLED
 class RendezvousVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArray[Any]]):
     """B teams of n robots that see only directions and must all meet.
 
-    What a robot does, sees and earns is specified in ``rendezvous_v0``; here it stands in arrays,
-    freshly allocated in every step.
+    What a robot does, sees and earns is specified in ``RendezvousParallelEnv``; here it stands in
+    arrays, freshly allocated in every step.
 
     | array | shape | |
     |---|---|---|
@@ -52,33 +53,25 @@ class RendezvousVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
     | terminations | (B,) bool | all robots have met |
     | truncations | (B,) bool | the time limit |
 
-    Infos, each with its mask ``_key`` (B,):
+    Infos are those of ``RendezvousParallelEnv`` as arrays, each with its mask ``_key`` (B,); and
 
     | key | shape | |
     |---|---|---|
     | robot_rewards | (B, n) float64 | team reward of robots alive before the step, else 0 |
     | active | (B, n) bool | the robot still exists on its own |
-    | merged_into | (B, n) int64 | the robot that each one is now part of; itself while active |
-    | contact | (B, n) bool | touched an obstacle in this step |
-    | clearance | (B, n) float64 | m to the nearest obstacle, inf without any |
-    | success | (B,) bool | all robots of the team have met |
-    | time | (B,) float64 | s since the start of the episode |
-    | contacts | (B,) int64 | contacts so far, one for each robot and step |
-    | path_length | (B,) float64 | way of all robots together so far, m |
-    | lyapunov | (B,) float64 | V, m²/s |
-    | summary | dict of (B,) | after an episode: the last five once more |
-    | cost, cost_NAME | (B, n) float64 | with ``Scenario.costs``: their sum, and each of them |
+    | merged_into, contact, clearance, costs | (B, n) | |
+    | success, time, contacts, path_length, lyapunov | (B,) | ``summary`` is a dict of them |
 
     A team that has ended, by ``autoreset_mode``:
 
-    * NEXT_STEP: begins anew in the next step, which ignores its action and earns nothing;
-    * SAME_STEP: begins anew at once; ``final_obs`` and ``final_info`` keep how it ended;
+    * NEXT_STEP: is reset in the next step, which ignores its action and earns nothing;
+    * SAME_STEP: is reset at once; ``final_obs`` and ``final_info`` keep how it ended;
     * DISABLED: stands still, earns nothing and stays ended until ``reset(options={"reset_mask":
       (B,) bool})``.
 
     ``reset(seed=s)`` gives team i the seed s + i, a list gives each its own; without a seed every
-    team goes on to the next episode of its own. Options as in ``rendezvous_v0``, one for all teams
-    or with a leading axis B. ``simulator`` holds the global state for analysis.
+    team goes on to the next episode of its own. Options as in ``RendezvousParallelEnv``, one for
+    all teams or with a leading axis B. ``simulator`` holds the global state for analysis.
 
     ``render()`` gives a picture for each team in "rgb_array" mode, as Gymnasium's ``RecordVideo``
     for vector environments wants it: parts of one picture of (600, 600, 3) uint8, in which the
@@ -110,8 +103,9 @@ class RendezvousVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
         self.render_mode = render_mode
         self.metadata = render_metadata(simulator) | {"autoreset_mode": autoreset_mode}
         self.begins_anew = True
-        """False leaves it to a wrapper, for as long, to let teams begin anew (``begin_anew``)."""
-        self._outcome: StepOutput | None = None
+        """Whether teams that have ended are reset here, not by a wrapper (``begin_anew``)."""
+        self.outcome: StepOutput | None = None
+        """Of the last step, None before the first one."""
         self.flatten, n = flag("flatten", flatten), self.scenario.n_robots
         self.single_observation_space = team_box(observation_box(self.scenario, flatten), n)
         self.single_action_space = team_box(action_box(self.scenario), n)
@@ -123,20 +117,27 @@ class RendezvousVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
         seed: int | Sequence[int | None] | None = None,
         options: Mapping[str, Any] | None = None,
     ) -> tuple[NDArray[np.float32], Info]:
-        """Begin a new episode in all teams, or in those of ``options["reset_mask"]``, (B,) bool.
-
-        Returns:
-            Observations of all teams, and infos masked to those that were reset.
+        """Begin a new episode in all teams, or in those of ``options["reset_mask"]``, (B,) bool;
+        observations of all teams, and infos masked to those that were reset.
 
         Raises:
             ValueError: for a bad option, seed or mask; nothing has changed then.
         """
-        start = as_options(options)
+        simulator, start = self.simulator, as_options(options)
         mask = start.pop("reset_mask", None)
-        observations = self.simulator.reset(seed, start, mask=mask)
-        which = np.ones(self.num_envs, dtype=np.bool_) if mask is None else np.asarray(mask)
+        observations = simulator.reset(seed, start, mask=mask)
         self.renderer.reset()
-        return as_told(observations, self.flatten), masked(start_info(self.simulator), which)
+        active = simulator.active
+        infos = simulator.episode_statistics() | no_costs(self.scenario.costs, active.shape)
+        infos |= {
+            "robot_rewards": np.zeros(active.shape),
+            "active": active,
+            "merged_into": simulator.merged_into,
+            "contact": np.zeros(active.shape, dtype=np.bool_),
+            "clearance": simulator.clearance,
+        }
+        which = np.ones(self.num_envs, dtype=np.bool_) if mask is None else np.asarray(mask)
+        return as_told(observations, self.flatten), masked(infos, which)
 
     def step(self, actions: NDArray[np.float32]) -> Transition:
         """Advance every team by one step τ with actions (B, n, a); see the class.
@@ -148,7 +149,7 @@ class RendezvousVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
         """
         simulator, mode = self.simulator, self.autoreset_mode if self.begins_anew else _DISABLED
         if mode is AutoresetMode.NEXT_STEP and not simulator.all_running:
-            actions = simulator.check_actions(actions)  # before anybody begins anew
+            actions = simulator.check_actions(actions)  # before any team is reset
             simulator.restart(simulator.ended)
         self.advance(actions)
         observations, rewards, terminations, truncations, infos = self.tell()
@@ -159,51 +160,50 @@ class RendezvousVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
         return observations, rewards, terminations, truncations, infos
 
     def advance(self, actions: NDArray[np.float32]) -> StepOutput:
-        """A step in which no team begins anew, and of which nobody is told yet."""
-        outcome = self._outcome = self.simulator.step(actions)
+        """A step in which no team is reset, and whose infos are left to ``tell``."""
+        outcome = self.outcome = self.simulator.step(actions)
         self.renderer.see(outcome.contact)
         return outcome
 
     @property
-    def outcome(self) -> StepOutput | None:
-        """What came of the last step, None before the first one."""
-        return self._outcome
-
-    @property
     def can_drive(self) -> bool:
-        """Whether nobody watches every step, see ``Simulator.can_drive``."""
+        """Whether no renderer sees every step, and ``Simulator.can_drive``."""
         return self.render_mode is None and self.simulator.can_drive
 
     def drive(
-        self,
-        pilot: Pilot,
-        observations: NDArray[np.float32],
-        count: int,
-        show: Show | None = None,
+        self, pilot: Pilot, observations: NDArray[np.float32], count: int, show: Show | None = None
     ) -> Driven:
         """As ``advance``, ``count`` times; arguments as ``Simulator.drive``."""
         driven = self.simulator.drive(pilot, observations, count, show)
-        self._outcome = driven.output
+        self.outcome = driven.output
         return driven
 
     def tell(self) -> Transition:
-        """What ``step`` returns of the last step while no team begins anew, without ``summary``."""
-        outcome = self._outcome
+        """What ``step`` returns of the last step while no team is reset, without ``summary``."""
+        simulator, outcome = self.simulator, self.outcome
         assert outcome is not None  # there has been a step
-        observations = as_told(outcome.observations, self.flatten)
-        infos = of_all(step_info(self.simulator, outcome), self.num_envs)
-        if self.simulator.all_running:  # as after most steps
+        infos = simulator.episode_statistics(outcome) | {
+            "robot_rewards": outcome.robot_rewards,
+            "active": outcome.active,
+            "merged_into": simulator.merged_into,
+            "contact": outcome.contact,
+            "clearance": outcome.clearance,
+            **simulator.costs,
+        }
+        if simulator.all_running:  # as after most steps
             terminations = np.zeros(self.num_envs, dtype=np.bool_)
             truncations = np.zeros(self.num_envs, dtype=np.bool_)
         else:
             terminations, truncations = outcome.status == RENDEZVOUS, outcome.status == TIME_OUT
+        observations = as_told(outcome.observations, self.flatten)
+        infos = of_all(infos, self.num_envs)
         return observations, outcome.rewards, terminations, truncations, infos
 
     def begin_anew(self, which: NDArray[np.bool_], infos: Info) -> NDArray[np.float32]:
-        """Next episodes of these teams (B,): the arrays and the infos that the last step gave out
-        follow, in place; its observations.
+        """Reset these teams (B,), and bring the arrays and infos of the last step up to date, in
+        place; its observations.
         """
-        outcome = self._outcome
+        outcome = self.outcome
         assert outcome is not None  # there has been a step
         self.simulator.restart(which, outcome)
         infos |= self.simulator.episode_statistics(outcome)
@@ -212,14 +212,14 @@ class RendezvousVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
         return as_told(outcome.observations, self.flatten)
 
     def state(self) -> NDArray[np.float32]:
-        """The privileged global state of every team, (B, …) float32, for centralised critics; a
-        row is in ``single_state_space``.
+        """The privileged global state of every team, (B, …) float32, see ``OneTeam.state``; a row
+        is in ``single_state_space``.
         """
         return team_state(self.simulator)
 
     def __getstate__(self) -> dict[str, Any]:
-        """All but what the last step gave out, for pickles."""
-        return vars(self) | {"_outcome": None}
+        """All but the output of the last step, for pickles."""
+        return vars(self) | {"outcome": None}
 
     def get_state(self) -> dict[str, NDArray[Any]]:
         """Everything that the future of the teams depends on, as copies."""
@@ -243,42 +243,68 @@ class RendezvousVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], ND
         self.renderer.close()
 
 
-# ---- infos, in the forms of Gymnasium -----------------------------------------------------------
+class OneTeam:
+    """A vector environment with B = 1, wrapped or not, as an environment of one team."""
+
+    teams: Any
+    simulator: Simulator
+    """The global state, B = 1, for analysis."""
+    scenario: Scenario
+    renderer: Renderer
+    render_mode: str | None
+    metadata: dict[str, Any]
+
+    def _hold(self, teams: Any) -> None:
+        self.teams, base = teams, teams.unwrapped
+        self.simulator, self.scenario = base.simulator, base.scenario
+        self.renderer, self.render_mode = base.renderer, base.render_mode
+        own = {key: value for key, value in teams.metadata.items() if key != "autoreset_mode"}
+        self.metadata = self.metadata | own
+
+    def state(self) -> NDArray[np.float32]:
+        """The privileged global state, one float32 vector.
+
+        Positions (n·d, m), frames (n·d·d), weights (n·n, m/s), active (n, 0 or 1), packed obstacles
+        (M·width), and the share of the time limit that has passed.
+        """
+        state: NDArray[np.float32] = self.teams.state()[0]
+        return state
+
+    def get_state(self) -> dict[str, Any]:
+        """The running episode and all memory, as copies; ``set_state`` puts it back."""
+        state: dict[str, Any] = self.teams.get_state()
+        return state
+
+    def set_state(self, state: Mapping[str, Any]) -> None:
+        """Put back what ``get_state`` took out.
+
+        Raises:
+            ValueError: naming what does not fit; nothing has changed then.
+        """
+        self.teams.set_state(state)
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """A picture, (600, 600, 3) uint8, in "rgb_array" mode; in "human" mode it is shown.
+
+        Raises:
+            RuntimeError: before the first reset, or where no window can be opened.
+            ImportError: without the extra ``render``.
+        """
+        return self.renderer.render()
+
+    def close(self) -> None:
+        """Close the window, if there is one."""
+        self.renderer.close()
 
 
-def start_info(simulator: Simulator) -> Info:
-    """Infos of all teams at the start of an episode, without masks."""
-    active = simulator.active
-    return (
-        simulator.episode_statistics()
-        | no_costs(simulator.scenario.costs, active.shape)
-        | {
-            "robot_rewards": np.zeros(active.shape),
-            "active": active,
-            "merged_into": simulator.merged_into,
-            "contact": np.zeros(active.shape, dtype=np.bool_),
-            "clearance": simulator.clearance,
-        }
-    )
-
-
-def step_info(simulator: Simulator, outcome: StepOutput) -> Info:
-    """Infos of all teams after a step, without masks."""
-    told = simulator.episode_statistics(outcome) | {
-        "robot_rewards": outcome.robot_rewards,
-        "active": outcome.active,
-        "merged_into": simulator.merged_into,
-        "contact": outcome.contact,
-        "clearance": outcome.clearance,
-    }
-    return told | simulator.costs if simulator.costs else told
+# ---- infos in Gymnasium's form ------------------------------------------------------------------
 
 
 def tell_ends(
     seen: NDArray[np.float32], ended: NDArray[np.bool_], infos: Info, mode: AutoresetMode
 ) -> bool:
-    """Add to infos how these teams ended, in Gymnasium's form: ``summary``, and if they begin anew
-    at once what they saw last and were told in ``final_obs`` and ``final_info``; whether they do.
+    """Add to infos how these teams ended: ``summary``, and if they are reset at once their last
+    observations and infos, ``final_obs`` and ``final_info``; whether they are.
     """
     summary = masked({key: infos[key].copy() for key in STANDING}, ended)
     if mode is not AutoresetMode.SAME_STEP:
@@ -293,24 +319,32 @@ def tell_ends(
     return True
 
 
+def at_the_end(infos: Info, over: NDArray[np.bool_], key: str) -> NDArray[Any]:
+    """An info (B, ...) at the end of a step, before the teams (B,) that ended in it were reset."""
+    if "final_info" not in infos:
+        values: NDArray[Any] = infos[key]
+        return values
+    rows = over.reshape(-1, *[1] * (infos[key].ndim - 1))
+    return np.where(rows, infos["final_info"][key], infos[key])
+
+
 def leave_out_summary(infos: Info) -> None:
-    """It is there at the end only, and its numbers stand among the others."""
+    """Drop it: it is there at the end only, and its numbers stand among the others."""
     infos.pop("summary", None)
     infos.pop("_summary", None)
 
 
 def of_all(infos: Info, num_envs: int) -> Info:
-    """Infos that every team has, in Gymnasium's form."""
+    """Infos that every team has, with masks."""
     return _with_masks(infos, _everyone(len(infos), num_envs).copy())
 
 
 def masked(infos: Info, mask: NDArray[np.bool_]) -> Info:
-    """Infos of the teams of a mask, in Gymnasium's form."""
+    """Infos of the teams of a mask, with masks: to every key ``_key``."""
     return _with_masks(infos, np.full((len(infos), len(mask)), mask))
 
 
 def _with_masks(infos: Info, masks: NDArray[np.bool_]) -> Info:
-    """To every key a mask ``_key`` of its own."""
     told, names = infos.copy(), _names_of_masks(tuple(infos))
     # to see whether a mask is left over, as ``strict`` would, takes as long as to hand all out
     told.update(zip(names, masks, strict=False))
@@ -325,7 +359,7 @@ def _names_of_masks(keys: tuple[str, ...]) -> tuple[str, ...]:
 
 @lru_cache(maxsize=8)
 def _everyone(keys: int, num_envs: int) -> NDArray[np.bool_]:
-    """Masks that leave out nobody; to copy them takes half as long as to fill new ones."""
+    """All True; to copy it takes half as long as to fill a new one."""
     return np.ones((keys, num_envs), dtype=np.bool_)
 
 

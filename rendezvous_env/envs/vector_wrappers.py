@@ -25,7 +25,7 @@ from .guarantee import (
     TankSettings,
     check_not_guaranteed,
 )
-from .spaces import as_told, choice_box, filtered_observation_box, of_all_teams, team_box
+from .spaces import as_told, choice_box, observation_box, of_all_teams, team_box
 from .vector_env import (
     Info,
     RendezvousVectorEnv,
@@ -38,23 +38,18 @@ from .vector_env import (
 
 
 class GuaranteeWrapper(HoldsFilter, gymnasium.vector.VectorWrapper):
-    """Teams choose; for ``decision_period`` base steps a safety filter makes actions of it.
+    """Teams choose; for ``decision_period`` base steps a safety filter turns choices into actions.
 
-    Choices (B, n, k), observations (B, n, rows, d) as the filter shows them; infos hold what it
-    tells of the last base step, (B, n) each. A team that ends within a decision period stands still
-    for the rest of it; one that begins anew has forgotten what was.
+    Arguments, infos and errors are those of ``rendezvous_env.GuaranteeWrapper``, in arrays: choices
+    (B, n, k), observations (B, n, rows, d) as the filter shows them, infos (B, n). A team that ends
+    within a decision period stands still for the rest of it; a reset clears its memory.
 
     Args:
         env: a RendezvousVectorEnv in any autoreset mode, as ``make_vec`` makes one, or one in
             wrappers of Gymnasium's that change neither observations nor actions.
         safety_filter: a filter of its teams, its class, or its name (``register_filter``).
         decision_period: base steps for which a choice is held; their rewards are summed.
-        **settings: of the filter, if it is to be made.
-
-    Raises:
-        TypeError: for another kind of environment, one under a guarantee already, or a setting that
-            the filter does not know.
-        ValueError: naming the argument, its value and what would be right.
+        **settings: of a filter given by class or name.
     """
 
     _base: RendezvousVectorEnv
@@ -73,13 +68,14 @@ class GuaranteeWrapper(HoldsFilter, gymnasium.vector.VectorWrapper):
         super().__init__(env)
         rate = base.metadata["render_fps"] / self.decision_period  # a picture for each decision
         self.metadata = base.metadata | {"render_fps": max(1, round(rate))}
-        robot, n = filtered_observation_box(self.filter, base.flatten), base.scenario.n_robots
+        scenario = base.scenario
+        robot, n = observation_box(scenario, base.flatten, self.filter), scenario.n_robots
         self.single_observation_space = team_box(robot, n)
         self.single_action_space = team_box(choice_box(self.filter), n)
 
     @property
     def autoreset_mode(self) -> AutoresetMode:
-        """When a team that has ended begins anew."""
+        """When a team that has ended is reset."""
         return self._base.autoreset_mode
 
     def state(self) -> NDArray[np.float32]:
@@ -92,17 +88,15 @@ class GuaranteeWrapper(HoldsFilter, gymnasium.vector.VectorWrapper):
         seed: int | Sequence[int | None] | None = None,
         options: Mapping[str, Any] | None = None,
     ) -> tuple[NDArray[np.float32], Info]:
-        """Begin anew, as ``RendezvousVectorEnv.reset``; teams that do forget what was."""
+        """As ``RendezvousVectorEnv.reset``; it clears the memory of the teams that are reset."""
         observations, infos = self.env.reset(seed=seed, options=options)  # type: ignore[arg-type]
         self._observed = observations.reshape(self._observed.shape)
         self._begun = True
-        which = as_options(options).get("reset_mask")
-        if which is not None:
-            which = np.asarray(which)
+        mask = as_options(options).get("reset_mask")
+        which = None if mask is None else np.asarray(mask)
         self._forget(which)
-        told = {key: values.copy() for key, values in self.filter.told.items()}
         reset = np.ones(self.num_envs, dtype=np.bool_) if which is None else which
-        return self._see(which), infos | masked(told, reset)
+        return self._see(which), infos | masked(self._told(), reset)
 
     def step(self, actions: ArrayLike) -> Transition:
         """Hold the choices (B, n, k) for ``decision_period`` base steps; rewards are summed.
@@ -137,13 +131,13 @@ class GuaranteeWrapper(HoldsFilter, gymnasium.vector.VectorWrapper):
 
     @property
     def _pilot(self) -> Pilot | None:
-        """What leads threads through base steps; None where each step is Python's."""
+        """What computes actions within threads; None where each step is Python's."""
         made = self.filter
         return made if isinstance(made, KernelFilter) and made.leads else None
 
     def _drive(self) -> tuple[NDArray[np.float32] | None, Any, Any, Any, Info]:
-        """Base steps under the held choices, in which no team begins anew: what the policy is shown
-        after them, None if that is still to be found, summed rewards, how the teams are, and infos.
+        """Base steps under the held choices, in which no team is reset: the policy's observations
+        after them, None if they are still to be computed, summed rewards, ends, and infos.
         """
         base, pilot, shown = self._base, self._pilot, None
         alone = type(self.env) is RendezvousVectorEnv  # nobody between hears of base steps
@@ -160,13 +154,12 @@ class GuaranteeWrapper(HoldsFilter, gymnasium.vector.VectorWrapper):
         terminations, truncations, infos = ends
         leave_out_summary(infos)
         infos |= {"robot_rewards": robot_rewards, "contact": contact, **costs}
-        told = {key: values.copy() for key, values in self.filter.told.items()}
-        infos |= of_all(told, self.num_envs)
+        infos |= of_all(self._told(), self.num_envs)
         return shown, rewards, terminations, truncations, infos
 
     def _viewing(self) -> tuple[NDArray[np.float32] | None, Show | None]:
-        """Memory for what the policy is shown, and what fills it for some teams; None where it
-        sees observations as they are, or something else of its own.
+        """Memory for the policy's observations, and a function that fills it for some teams; None
+        where it sees base observations, or something else.
         """
         made = self.filter
         shown = made.new_view() if self._pilot is made else None  # type: ignore[comparison-overlap]
@@ -175,7 +168,7 @@ class GuaranteeWrapper(HoldsFilter, gymnasium.vector.VectorWrapper):
         return shown, lambda teams, observations: made.view_of(teams, observations, shown)
 
     def _drive_by_steps(self) -> tuple[Any, Any, Any, Info, Any]:
-        """The same one by one: rewards, robot rewards, contacts, costs, how the last step ended."""
+        """The same step by step: rewards, robot rewards, contacts, costs, ends of the last step."""
         base, simulator, shape = self._base, self._base.simulator, self._observed.shape
         rewards, robot_rewards = np.zeros(self.num_envs), np.zeros(shape[:2])
         contact, ends = np.zeros(shape[:2], dtype=np.bool_), list[Any]()
@@ -202,15 +195,18 @@ class GuaranteeWrapper(HoldsFilter, gymnasium.vector.VectorWrapper):
         return rewards, robot_rewards, contact, costs, ends
 
     def _begin_anew(self, which: NDArray[np.bool_], infos: Info) -> None:
-        """Next episodes of these teams; what the robots see and what is told of them follows."""
+        """Reset these teams, and bring observations and infos up to date."""
         fresh = self._base.begin_anew(which, infos).reshape(self._observed.shape)
         self._observed[which] = fresh[which]
         self._forget(which)
         for key, values in self.filter.told.items():
             infos[key][which] = values[which]
 
+    def _told(self) -> Info:
+        return {key: values.copy() for key, values in self.filter.told.items()}
+
     def _take(self, actions: ArrayLike) -> None:
-        """Take the decisions of this period."""
+        """Take the choices of this period."""
         self.filter.hold(actions)
 
     def _act(self) -> NDArray[np.float32]:
@@ -218,17 +214,17 @@ class GuaranteeWrapper(HoldsFilter, gymnasium.vector.VectorWrapper):
         return self.filter.act(self._observed)
 
     def _see(self, which: NDArray[np.bool_] | None) -> NDArray[np.float32]:
-        """What the policy sees, (B, n, ...); only teams of the mask, None is all, saw more."""
+        """The policy's observations, (B, n, ...); only teams of the mask, None is all, are new."""
         return as_told(self.filter.view(self._observed), self._base.flatten)
 
     def _forget(self, which: NDArray[np.bool_] | None) -> None:
-        """These teams, None is all, begin anew."""
+        """Clear the memory of these teams, None is all."""
         self.filter.forget(which)
 
 
 def _base_of(env: Any, wrapper: str) -> RendezvousVectorEnv:
-    """The environment of ours that is wrapped, refused under a guarantee or a wrapper that changes
-    what robots see or do.
+    """The wrapped environment of ours; refused under a guarantee, or under a wrapper that changes
+    observations or actions.
     """
     layers = gymnasium.vector.VectorWrapper
     ours = isinstance(env, gymnasium.vector.VectorEnv) and env.unwrapped
@@ -249,33 +245,19 @@ def _base_of(env: Any, wrapper: str) -> RendezvousVectorEnv:
 
 
 class HeadingVectorWrapper(HeadingSettings, GuaranteeWrapper):
-    """Teams choose heading vectors h_i; law (4) moves them, and any policy keeps theorem C.
-
-    Actions, arguments, infos and guarantee are those of ``rendezvous_env.HeadingVectorWrapper``, in
-    arrays: raw vectors (B, n, k) in [−1, 1].
-    """
+    """``rendezvous_env.HeadingVectorWrapper`` in arrays: raw vectors (B, n, k) in [−1, 1]."""
 
 
 class EnergyTankWrapper(TankSettings, GuaranteeWrapper):
-    """Teams say where they want to go; their robots' energy tanks say how long V may rise for it.
+    """``rendezvous_env.EnergyTankWrapper`` in arrays: desired velocities (B, n, a) in [−1, 1].
 
-    Actions, arguments, infos and guarantee are those of ``rendezvous_env.EnergyTankWrapper``, in
-    arrays: desired velocities (B, n, a) in [−1, 1]. The tank of a robot that is gone is 0; a team
-    that begins anew has its budget.
+    The tank of a robot that is gone is 0; a team that is reset has its budget.
     """
 
 
 class GainWrapper(GainSettings, GuaranteeWrapper):
-    """Teams weigh their robots' neighbours; its hull grows at most in merge steps.
-
-    Actions, arguments, infos and guarantee are those of ``rendezvous_env.GainWrapper``, in arrays:
-    weights (B, n, K) in [0, 1].
-    """
+    """``rendezvous_env.GainWrapper`` in arrays: weights (B, n, K) in [0, 1]."""
 
 
 class LinkKeepingWrapper(LinkSettings, GuaranteeWrapper):
-    """Teams say where they want to go; their robots go as near to that as their links allow.
-
-    Actions, arguments, infos and guarantee are those of ``rendezvous_env.LinkKeepingWrapper``, in
-    arrays: desired velocities (B, n, d) in [−1, 1].
-    """
+    """``rendezvous_env.LinkKeepingWrapper`` in arrays: desired velocities (B, n, d) in [−1, 1]."""

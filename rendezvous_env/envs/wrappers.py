@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from gymnasium.spaces import Box
+from numpy.typing import NDArray
 from pettingzoo.utils.env import ParallelEnv
 from pettingzoo.utils.wrappers import BaseParallelWrapper
 
@@ -22,24 +23,24 @@ from .guarantee import (
     check_not_guaranteed,
 )
 from .parallel_env import RendezvousParallelEnv
-from .spaces import as_told, choice_box, filtered_observation_box
+from .spaces import as_told, choice_box, observation_box
 
 
 class GuaranteeWrapper(HoldsFilter, SpacesByName[Box], BaseParallelWrapper):
-    """Robots choose; for ``decision_period`` base steps a safety filter makes actions of it.
+    """Robots choose; for ``decision_period`` base steps a safety filter turns choices into actions.
 
-    Observations are the filter's view of the rows, the action space is its choices, and infos hold
-    what it tells of the last base step, beside those of the base environment.
+    Observations are the filter's view of the rows, actions are its choices, and infos hold its
+    numbers of the last base step beside those of the base environment.
 
     Args:
         env: a rendezvous parallel environment, which other wrappers may have changed.
         safety_filter: a filter of one team of this scenario, its class, or its name
             (``register_filter``): "heading", "tank", "gains", "links" or a user's own.
-        decision_period: base steps for which a choice is held; the filter makes actions of it in
+        decision_period: base steps for which a choice is held; the filter computes an action in
             each. Rewards are summed, and a robot that merges on the way ends with its last
             observation.
-        **settings: of the filter, if it is to be made; of all of ours ``frame``, in which robots
-            see and choose: "net_bearing" (x along f_i, single integrators only) or "local".
+        **settings: of a filter given by class or name. All four have ``frame``, in which robots see
+            and choose: "net_bearing" (x along f_i, single integrators only) or "local".
 
     Raises:
         TypeError: for another kind of environment, one under a guarantee already, or a setting that
@@ -59,8 +60,10 @@ class GuaranteeWrapper(HoldsFilter, SpacesByName[Box], BaseParallelWrapper):
         base = _base_of(env, type(self).__name__)
         self._hold(base, safety_filter, decision_period, settings)
         super().__init__(env)
-        names, made, flat = base.possible_agents, self.filter, base.flatten
-        self.observation_spaces = {name: filtered_observation_box(made, flat) for name in names}
+        names, made = base.possible_agents, self.filter
+        self.observation_spaces = {
+            name: observation_box(base.scenario, base.flatten, made) for name in names
+        }
         self.action_spaces = {name: choice_box(made) for name in names}
 
     @property
@@ -75,12 +78,12 @@ class GuaranteeWrapper(HoldsFilter, SpacesByName[Box], BaseParallelWrapper):
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observations, Infos]:
-        """Begin an episode; what was remembered of the last one is forgotten."""
+        """Begin an episode, without any memory of the last one."""
         observations, infos = self.env.reset(seed=seed, options=options)
         self.filter.forget()
         self._remember(observations)
         self._begun = True
-        self._tell(infos)
+        self._add_told(infos)
         return self._view(observations), infos
 
     def step(self, actions: Mapping[str, Any]) -> StepReturn:
@@ -94,36 +97,30 @@ class GuaranteeWrapper(HoldsFilter, SpacesByName[Box], BaseParallelWrapper):
         self._check_begun()
         if not self.agents and isinstance(actions, Mapping) and not actions:
             return {}, {}, {}, {}, {}
-        check_robots(actions, self.agents, self._base.simulator.merged_into[0])
-        size = self.filter.action_size
+        simulator = self._base.simulator
+        check_robots(actions, self.agents, simulator.merged_into[0])
         for name, action in actions.items():
-            check_action(name, action, size)
-        raw = np.zeros((1, self._base.scenario.n_robots, size))
-        for name, action in actions.items():
-            raw[0, self._base.index(name)] = action
-        self.filter.hold(raw)
-        return self._drive()
-
-    def _drive(self) -> StepReturn:
-        """Base steps under the held choices."""
+            check_action(name, action, self.filter.action_size)
+        self.filter.hold(self._table(actions, (self.filter.action_size,), np.float64))
         observations: Observations = {}
         rewards = dict.fromkeys(self.agents, 0.0)
         terminations: dict[str, bool] = {}
         truncations: dict[str, bool] = {}
         infos: Infos = {}
-        costs = {name: dict.fromkeys(self._base.simulator.costs, 0.0) for name in self.agents}
+        costs = {name: dict.fromkeys(simulator.costs, 0.0) for name in self.agents}
         for _ in range(self.decision_period):
-            actions = self.filter.act(self._observed)[0]
-            table = {name: actions[self._base.index(name)] for name in self.agents}
-            seen, earned, ended, cut, told = self.env.step(table)
+            table = self.filter.act(self._observed)[0]
+            chosen = {name: table[self._base.index(name)] for name in self.agents}
+            seen, earned, ended, cut, told = self.env.step(chosen)
             if self.filter.keeps_ledger:
-                self._update(told)
-            self._tell(told)
-            for name in told:
+                touched = {name: info["contact"] for name, info in told.items()}
+                self.filter.book(self._table(touched, (), np.bool_), simulator.merged_into)
+            self._add_told(told)
+            for name, info in told.items():
                 rewards[name] += earned[name]
                 for key in costs[name]:
-                    costs[name][key] += told[name][key]
-                told[name].update(costs[name])
+                    costs[name][key] += info[key]
+                info.update(costs[name])
             infos |= told
             terminations |= ended
             truncations |= cut
@@ -133,35 +130,36 @@ class GuaranteeWrapper(HoldsFilter, SpacesByName[Box], BaseParallelWrapper):
                 break
         return self._view(observations), rewards, terminations, truncations, infos
 
-    def _tell(self, infos: Infos) -> None:
-        """Add what the filter has to tell of the last base step."""
+    def _add_told(self, infos: Infos) -> None:
+        """Add the filter's infos of the last base step."""
         told = {key: values[0].tolist() for key, values in self.filter.told.items()}
         for name, info in infos.items():
             i = self._base.index(name)
             info.update({key: values[i] for key, values in told.items()})
 
-    def _update(self, infos: Infos) -> None:
-        """Tell the filter how the base step went."""
-        simulator = self._base.simulator
-        contact = np.zeros((1, simulator.scenario.n_robots), dtype=np.bool_)
-        for name, info in infos.items():
-            contact[0, self._base.index(name)] = info["contact"]
-        self.filter.book(contact, simulator.merged_into)
-
     def _remember(self, observations: Observations) -> None:
         """Note what the robots see now; those that are gone see nothing."""
-        self._observed = np.zeros(self._observed.shape, dtype=np.float32)
-        for name, rows in observations.items():
-            self._observed[0, self._base.index(name)] = rows.reshape(self._observed.shape[2:])
+        shape = self._observed.shape[2:]
+        rows = {name: seen.reshape(shape) for name, seen in observations.items()}
+        self._observed = self._table(rows, shape, np.float32)
+
+    def _table(
+        self, values: Mapping[str, Any], shape: tuple[int, ...], dtype: type[Any]
+    ) -> NDArray[Any]:
+        """Values by name as (1, n, ...), zero for other robots."""
+        table = np.zeros((1, self._base.scenario.n_robots, *shape), dtype=dtype)
+        for name, value in values.items():
+            table[0, self._base.index(name)] = value
+        return table
 
     def _view(self, observations: Observations) -> Observations:
-        """What the robots see, as the policy is shown it."""
+        """Observations as the policy is given them."""
         seen = as_told(self.filter.view(self._observed)[0], self._base.flatten)
         return {name: seen[self._base.index(name)].copy() for name in observations}
 
 
 def _base_of(env: Any, wrapper: str) -> RendezvousParallelEnv:
-    """The environment of ours that is wrapped, refused under a guarantee already."""
+    """The wrapped environment of ours, refused if it is under a guarantee already."""
     if isinstance(env, ParallelEnv) and isinstance(env.unwrapped, RendezvousParallelEnv):
         check_not_guaranteed(env, wrapper, BaseParallelWrapper, GuaranteeWrapper)
         return env.unwrapped
@@ -209,35 +207,34 @@ class HeadingVectorWrapper(HeadingSettings, GuaranteeWrapper):
 
 
 class EnergyTankWrapper(TankSettings, GuaranteeWrapper):
-    """Robots say where they want to go; their energy tanks say how long V may rise for it.
+    """Robots choose velocities; their energy tanks limit for how long V may rise.
 
         A_i ← A_i + G_i(Δ_i),   G_i(Δ) = 2 f_i·Δ − (2/r) D_i ‖Δ‖² − ε² τ s_i ‖f_i‖²  (guarantees 8)
 
-    What a robot wants is carried out while A_i + G_i ≥ 0, even straight away from f_i. Otherwise
-    law (4) moves it along the wanted direction, projected onto the cap |hᵀf_i| ≥ ε‖f_i‖, or along
-    f_i if it wants nothing, and that fills the tank. So V ≤ V(0) + n·budget until the first merge,
-    and without obstacles all robots meet in finite time whatever the policy does (theorem D).
+    The desired velocity is carried out while A_i + G_i ≥ 0, even straight away from f_i. Otherwise
+    law (4) moves the robot along that direction, projected onto the cap |hᵀf_i| ≥ ε‖f_i‖, or along
+    f_i if it is zero, and that fills the tank. So V ≤ V(0) + n·budget until the first merge, and
+    without obstacles all robots meet in finite time whatever the policy does (theorem D).
 
     ## Action space
 
-    ``Box(−1, 1, (d,))``, the wanted velocity in units of v_max, in the frame that is observed; a
+    ``Box(−1, 1, (d,))``, the desired velocity in units of v_max, in the frame that is observed; a
     longer one is scaled to v_max. For other robot models the base action in units of its bounds.
     For nonholonomic robots the energy budget has no term ε², and there is no time bound; with an
     empty tank they drive with v = s mᵀf and turn through the gate of theory 3.
 
     ## Observation space
 
-    The rows of the base environment, with ``frame="net_bearing"`` (single integrators) turned as by
-    ``HeadingVectorWrapper``. With ``observe_level`` one row more, the last: (A_i/(r D̄), 0, …), its
-    length the level of the robot's own tank in units of twice the most that a step can earn. The
-    robot knows it from its own past: it is nothing that it sees.
+    As ``HeadingVectorWrapper``'s. With ``observe_level`` one row more, the last: (A_i/(r D̄), 0, …),
+    its length the level of the robot's own tank in units of twice the most that a step can earn.
+    The robot knows it from its own past; no sensor is needed.
 
     ## Infos
 
     | key | |
     |---|---|
-    | tank | A_i after it, m²/s; 0 for a robot that has merged: the survivor has it |
-    | carried_out | whether the desired velocity was, or law (4) in its place |
+    | tank | A_i after the step, m²/s; 0 for a robot that has merged: the survivor has it |
+    | carried_out | whether the desired velocity was, not law (4) in its place |
     | alignment | |h_iᵀf_i|/‖f_i‖, h_i the direction of motion or the body axis; NaN without any |
     | lyapunov_rate | −2 f_iᵀΔ_i/τ, m²/s²: positive where V is made to rise |
 
@@ -250,7 +247,7 @@ class EnergyTankWrapper(TankSettings, GuaranteeWrapper):
         min_alignment: ε, in (0, 1): how fast robots are promised to meet.
         observe_level: whether robots see the level of their own tank.
         bearing_error: η, rad: the promises hold while no bearing is wrong by more; each step is
-            charged what that could feign.
+            charged the most that such errors could hide.
     """
 
 
@@ -266,12 +263,8 @@ class GainWrapper(GainSettings, GuaranteeWrapper):
     ## Action space
 
     ``Box(0, 1, (K,))``, a weight for each neighbour row, in the order of the rows that are seen.
-    Rows that are absent do not count. If the others are all zero, they count alike. Then all of
-    them are scaled as a whole.
-
-    ## Observation space
-
-    As ``HeadingVectorWrapper``'s.
+    Absent rows do not count; if the others are all zero, they count alike. Then all are scaled as a
+    whole. Observations as under ``HeadingVectorWrapper``.
 
     ## Infos
 
@@ -291,9 +284,9 @@ class GainWrapper(GainSettings, GuaranteeWrapper):
 
 
 class LinkKeepingWrapper(LinkSettings, GuaranteeWrapper):
-    """Robots say where they want to go; they go as near to that as their links allow.
+    """Robots choose velocities; they move as close to them as their links allow.
 
-        v_i = λ d_i q_i + (1 − λ) P(wanted)                         (theorem R c, guarantees 12)
+        v_i = λ d_i q_i + (1 − λ) P(desired)                        (theorem R c, guarantees 12)
 
     P is the projection onto the velocities with which no link grows longer whatever the others do,
     as long as they do the same, and q_i the point of least norm of the robot's bearings. So with a
@@ -303,12 +296,8 @@ class LinkKeepingWrapper(LinkSettings, GuaranteeWrapper):
 
     ## Action space
 
-    ``Box(−1, 1, (d,))``, the wanted velocity in units of v_max, in the frame that is observed; a
-    longer one is scaled to v_max.
-
-    ## Observation space
-
-    As ``HeadingVectorWrapper``'s.
+    ``Box(−1, 1, (d,))``, the desired velocity in units of v_max, in the frame that is observed; a
+    longer one is scaled to v_max. Observations as under ``HeadingVectorWrapper``.
 
     ## Infos
 
@@ -318,9 +307,8 @@ class LinkKeepingWrapper(LinkSettings, GuaranteeWrapper):
 
     Args:
         env: this, ``frame``, ``decision_period`` and errors as in ``GuaranteeWrapper``; its robots'
-            action is their velocity, and they see each other or not: with a field of view, rows
-            that drop out, or robots and obstacles that hide others sight is not so, or ends for
-            other reasons than distance.
+            action is their velocity, and sight is mutual and ends only with distance: no field of
+            view, dropout or occlusion.
         share: λ, in (0, 1]: how much of the velocity is the link-keeping law's. The promised time
             is in inverse proportion to it.
         bearing_error: η, rad: links are kept while no bearing is wrong by more. For η < π/(2n) all
