@@ -104,16 +104,12 @@ def test_stock_ppo_gets_the_same_rewards_and_values_from_the_infos():
 
 def test_batches_hold_every_lived_sample_once_and_no_other():
     buffer = collected(RobotPPO, make_robots(SCENARIO, TEAMS)).rollout_buffer
-    lived = int(buffer.mask.sum())
     expected = np.sort(buffer.log_probs.swapaxes(0, 1)[buffer.mask.T])
     batches = list(buffer.get(64))
-    assert {len(batch.returns) for batch in batches} <= {
-        lived // len(batches),
-        lived // len(batches) + 1,
-    }
-    np.testing.assert_array_equal(
-        np.sort(torch.cat([batch.old_log_prob for batch in batches]).numpy()), expected
-    )
+    least = len(expected) // len(batches)
+    assert {len(batch.returns) for batch in batches} <= {least, least + 1}
+    found = torch.cat([batch.old_log_prob for batch in batches]).numpy()
+    np.testing.assert_array_equal(np.sort(found), expected)
     assert all(batch.observations.abs().sum(dim=(1, 2)).min() > 0 for batch in batches)
 
 
@@ -135,8 +131,7 @@ def test_ends_of_slots():
         np.testing.assert_array_equal(env.acted.reshape(20, ROBOTS), active)
         for team in range(20):
             slots = range(team * ROBOTS, (team + 1) * ROBOTS)
-            over = dones[team * ROBOTS]  # robot 0 lives to the end
-            if not over:
+            if not dones[team * ROBOTS]:  # robot 0 lives to the end
                 for slot in slots:
                     if active[team, slot % ROBOTS] and dones[slot]:
                         merges += 1
@@ -144,15 +139,14 @@ def test_ends_of_slots():
                         survivor = obs[team * ROBOTS + into]
                         np.testing.assert_array_equal(infos[slot]["terminal_observation"], survivor)
                         assert infos[slot]["TimeLimit.truncated"] and not obs[slot].any()
-            else:
-                assert all(dones[slot] for slot in slots)
-                (told,) = (infos[slot] for slot in slots if "episode" in infos[slot])
-                assert told["is_success"] is told["episode"]["success"]
-                for slot in slots:
-                    cut = active[team, slot % ROBOTS] and not told["is_success"]
-                    assert infos[slot]["TimeLimit.truncated"] == cut
-                    assert infos[slot]["terminal_observation"].shape == (2, 2)
-                meetings, lates = meetings + told["is_success"], lates + (not told["is_success"])
+                continue
+            assert all(dones[slot] for slot in slots)
+            (met,) = (infos[slot]["is_success"] for slot in slots if "episode" in infos[slot])
+            for slot in slots:
+                cut = active[team, slot % ROBOTS] and not met
+                assert infos[slot]["TimeLimit.truncated"] == cut
+                assert infos[slot]["terminal_observation"].shape == (2, 2)
+            meetings, lates = meetings + met, lates + (not met)
         active = env.simulator.active
     assert merges >= 10 and meetings >= 5 and lates >= 5
 
@@ -164,9 +158,10 @@ def test_statistics_are_those_of_teams():
     rewards_of, episodes = np.zeros(4), []
     for _, rewards, _, infos in random_steps(env, 60):
         rewards_of += rewards[::ROBOTS]
-        for team in range(4):
-            found = [info for info in infos[team * ROBOTS :][:ROBOTS] if "episode" in info]
-            for episode in (info["episode"] for info in found):
+        for slot, info in enumerate(infos):
+            if "episode" in info:
+                episode, team = info["episode"], slot // ROBOTS
+                assert info["is_success"] is episode["success"]
                 assert episode["r"] == pytest.approx(rewards_of[team], abs=1e-5)
                 assert episode["time"] == pytest.approx(episode["l"] * SCENARIO.tau)
                 rewards_of[team] = 0.0
@@ -233,11 +228,6 @@ def test_seeds_options_and_attributes_reach_the_teams():
         env.get_attr("no_such_thing")
 
 
-def test_other_autoreset_modes_are_refused():
-    with pytest.raises(ValueError, match="SAME_STEP"):
-        RobotVecEnv(rv.make_vec(SCENARIO, 2))
-
-
 @pytest.mark.parametrize(
     ("wrapper", "options"),
     [(HeadingVectorWrapper, {}), (EnergyTankWrapper, {"budget": 1.0, "observe_level": True})],
@@ -254,7 +244,9 @@ def test_ppo_learns_through_wrappers(wrapper, options):
     assert robots.tell_bootstraps
 
 
-def test_ppo_refuses_what_it_cannot_follow():
+def test_what_cannot_be_followed_is_refused():
+    with pytest.raises(ValueError, match="SAME_STEP"):
+        RobotVecEnv(rv.make_vec(SCENARIO, 2))
     robots = make_robots(SCENARIO, 2)
     with pytest.warns(UserWarning, match="already wrapped with a `Monitor`"):
         counted_twice = VecMonitor(robots)
@@ -280,14 +272,11 @@ def test_actions_that_are_none_are_refused_in_words(actions, message):
         env.step(actions)
 
 
-@pytest.mark.parametrize("seed", ["x", -1, 1.5, 10**400])
-def test_seeds_that_are_none_are_refused(seed):
-    with pytest.raises(ValueError, match="seed is"):
-        make_robots(SCENARIO, 2).seed(seed)
-
-
-def test_options_and_slots_that_there_are_not_are_refused():
+def test_bad_seeds_options_and_slots_are_refused():
     env = make_robots(SCENARIO, 2)
+    for seed in ("x", -1, 1.5, 10**400):
+        with pytest.raises(ValueError, match="seed is"):
+            env.seed(seed)
     with pytest.raises(ValueError, match="5 entries; give one dict, or one for each of 6 slots"):
         env.set_options([{}] * 5)
     with pytest.raises(ValueError, match="options is 3"):

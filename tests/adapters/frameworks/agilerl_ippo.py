@@ -1,22 +1,14 @@
 """AgileRL: IPPO, whose network the robots of a group share, over many teams at once."""
 
-import argparse
-import time
-
 import numpy as np
 import torch
 from agilerl.algorithms import IPPO
-from held_out import SCENARIO, STARTS, clean_success, frames_per_second, report
+from held_out import SCENARIO, measure, settings
 
 import rendezvous_env as rv
 
-parser = argparse.ArgumentParser(description=__doc__)
-parser.add_argument("--updates", type=int, default=24)
-parser.add_argument("--teams", type=int, default=64)
-parser.add_argument("--starts", type=int, default=len(STARTS))
-given = parser.parse_args()
+given = settings(__doc__, updates=24, teams=64)
 HORIZON = 32
-
 envs = rv.vector.training_env(SCENARIO, given.teams)
 one = rv.training_env(SCENARIO)
 names = one.possible_agents
@@ -57,29 +49,24 @@ def policy(seen):
     return table_of(learner.get_action(by_name(seen[None]))[0])[0]
 
 
+def train():
+    learner.set_training_mode(True)
+    seen, _ = envs.reset(seed=0)
+    over = np.zeros((given.teams, len(names)))
+    for _ in range(given.updates):
+        rows = [[] for _ in range(6)]
+        for _ in range(HORIZON):
+            actions, chances, _, values = learner.get_action(by_name(seen))
+            after, _, ends, cuts, infos = envs.step(table_of(actions))
+            rewards = by_name(infos["robot_rewards"].astype(np.float32))
+            step = by_name(seen), actions, chances, rewards, by_name(over), values
+            for row, found in zip(rows, step, strict=True):
+                row.append(found)
+            seen, over = after, np.repeat((ends | cuts)[:, None], len(names), axis=1).astype(float)
+        columns = [{name: [found[name] for found in row] for name in names} for row in rows]
+        learner.learn((*columns, by_name(seen), by_name(over)))
+    return given.updates * frames
+
+
 envs.reset(seed=0)
-speed = frames_per_second(random_steps)
-before = clean_success(policy, STARTS[: given.starts])
-learner.set_training_mode(True)
-began = time.perf_counter()
-seen, _ = envs.reset(seed=0)
-over = np.zeros((given.teams, len(names)))
-for _ in range(given.updates):
-    rows = [[] for _ in range(6)]
-    for _ in range(HORIZON):
-        actions, chances, _, values = learner.get_action(by_name(seen))
-        after, _, ends, cuts, infos = envs.step(table_of(actions))
-        rewards = by_name(infos["robot_rewards"].astype(np.float32))
-        step = by_name(seen), actions, chances, rewards, by_name(over), values
-        for row, found in zip(rows, step, strict=True):
-            row.append(found)
-        seen, over = after, np.repeat((ends | cuts)[:, None], len(names), axis=1).astype(float)
-    columns = [{name: [found[name] for found in row] for name in names} for row in rows]
-    learner.learn((*columns, by_name(seen), by_name(over)))
-report(
-    frames_per_second=speed,
-    training_frames=given.updates * frames,
-    training_seconds=time.perf_counter() - began,
-    before=before,
-    after=clean_success(policy, STARTS[: given.starts]),
-)
+measure(random_steps, train, policy, given.starts)

@@ -1,10 +1,11 @@
-"""What every framework's script shares: how its door and what it learned are judged."""
+"""What the scripts of all frameworks share: how speed and success are measured."""
 
 from __future__ import annotations
 
+import argparse
 import json
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -14,17 +15,22 @@ import rendezvous_env as rv
 
 SCENARIO = "clutter-16"
 """Four robots among sixteen discs."""
-STARTS = range(10_000, 10_100)
-"""Seeds on which nobody trains."""
-
 Policy = Callable[[NDArray[np.float32]], NDArray[Any]]
 """Observations of robots, (n, size), to their actions."""
 
 
-def clean_success(policy: Policy, starts: Sequence[int] = STARTS) -> float:
+def settings(description: str | None, **defaults: int) -> argparse.Namespace:
+    """Options of a script and their defaults; ``starts`` is how many held-out starts are played."""
+    parser = argparse.ArgumentParser(description=description)
+    for name, default in (defaults | {"starts": 100}).items():
+        parser.add_argument(f"--{name}", type=int, default=default)
+    return parser.parse_args()
+
+
+def clean_success(policy: Policy, starts: int) -> float:
     """Share of held-out starts on which all robots meet and none touches an obstacle."""
     env, clean = rv.training_env(SCENARIO), 0
-    for seed in starts:
+    for seed in range(10_000, 10_000 + starts):
         observations, infos = env.reset(seed=seed)
         while env.agents:
             names, seen = zip(*observations.items(), strict=True)
@@ -32,23 +38,26 @@ def clean_success(policy: Policy, starts: Sequence[int] = STARTS) -> float:
             observations, _, _, _, infos = env.step(actions)
         last = next(iter(infos.values()))
         clean += bool(last["success"] and not last["contacts"])
-    return clean / len(starts)
+    return clean / starts
 
 
-def frames_per_second(steps: Callable[[], int], seconds: float = 2.0) -> float:
-    """Steps of single robots a second.
+def measure(
+    steps: Callable[[], int], train: Callable[[], int], policy: Policy, starts: int
+) -> None:
+    """Train, and print one line of JSON: speed, duration, success before and after.
 
     Args:
-        steps: takes some, and says how many; called once beforehand, to warm up.
-        seconds: least time of the measurement.
+        steps: takes random steps, and returns how many, of single robots.
+        train: trains what the policy uses, and returns how many steps of robots it took.
+        policy: the one that is judged.
+        starts: how many held-out starts are played.
     """
-    steps()
+    steps()  # warms up
     began, count = time.perf_counter(), 0
-    while (passed := time.perf_counter() - began) < seconds:
+    while (passed := time.perf_counter() - began) < 2.0:
         count += steps()
-    return count / passed
-
-
-def report(**figures: float) -> None:
-    """Print figures as one line of JSON."""
-    print(json.dumps(figures))
+    before = clean_success(policy, starts)
+    began = time.perf_counter()
+    found = {"frames_per_second": count / passed, "training_frames": train()}
+    found |= {"training_seconds": time.perf_counter() - began, "before": before}
+    print(json.dumps(found | {"after": clean_success(policy, starts)}))

@@ -1,23 +1,16 @@
 """JAX: a jitted policy gradient with a learned baseline, on Gymnasium's vector API."""
 
-import argparse
-import time
 from itertools import pairwise
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
-from held_out import SCENARIO, STARTS, clean_success, frames_per_second, report
+from held_out import SCENARIO, measure, settings
 
 from rendezvous_env import vector
 
-parser = argparse.ArgumentParser(description=__doc__)
-parser.add_argument("--updates", type=int, default=40)
-parser.add_argument("--teams", type=int, default=64)
-parser.add_argument("--starts", type=int, default=len(STARTS))
-given = parser.parse_args()
-
+given = settings(__doc__, updates=40, teams=64)
 envs = vector.training_env(SCENARIO, given.teams)
 _, n, size = envs.observation_space.shape
 HORIZON, DISCOUNT, SPREAD = 32, 0.97, 0.5
@@ -40,21 +33,21 @@ def network(weights, seen):
 
 
 @jax.jit
-def sample(weights, seen, key):
-    mean = jnp.tanh(network(weights["policy"], seen))
-    return mean + SPREAD * jax.random.normal(key, mean.shape)
+def best(weights, seen):
+    return jnp.tanh(network(weights["policy"], seen))
 
 
 @jax.jit
-def best(weights, seen):
-    return jnp.tanh(network(weights["policy"], seen))
+def sample(weights, seen, key):
+    mean = best(weights, seen)
+    return mean + SPREAD * jax.random.normal(key, mean.shape)
 
 
 def loss(weights, seen, actions, returns, acted):
     values = network(weights["value"], seen)[..., 0]
     advantages = jax.lax.stop_gradient(returns - values)
     advantages = advantages / (jnp.std(advantages) + 1e-8)
-    away = (actions - jnp.tanh(network(weights["policy"], seen))) / SPREAD
+    away = (actions - best(weights, seen)) / SPREAD
     errors = 0.5 * (away**2).sum(-1) * advantages + 0.5 * (returns - values) ** 2
     return (errors * acted).sum() / acted.sum()
 
@@ -77,36 +70,33 @@ def clip(actions):
     return np.clip(np.asarray(actions), -1, 1)
 
 
-seen, infos = envs.reset(seed=0)
-speed = frames_per_second(random_steps)
 keys = iter(jax.random.split(jax.random.key(0), 2 + given.updates * HORIZON))
-weights = {
+learned = {
     "policy": layers(next(keys), size, 64, 64, 2),
     "value": layers(next(keys), size, 64, 64, 1),
 }
-state = optimiser.init(weights)
-before = clean_success(lambda one: clip(best(weights, one)), STARTS[: given.starts])
-began = time.perf_counter()
-seen, infos = envs.reset(seed=0)
-for _ in range(given.updates):
-    path = []
-    for _ in range(HORIZON):
-        acted, actions = infos["active"], sample(weights, seen, next(keys))
-        after, _, ends, cuts, infos = envs.step(clip(actions))
-        path.append((seen, actions, infos["robot_rewards"], (ends | cuts)[:, None], acted))
-        seen = after
-    future = np.asarray(network(weights["value"], seen)[..., 0])
-    returns = []
-    for *_, rewards, over, _ in reversed(path):
-        future = rewards + DISCOUNT * future * ~over
-        returns.insert(0, future)
-    columns = (np.stack([step[i] for step in path]) for i in (0, 1, 4))
-    observed, chosen, acted = columns
-    weights, state = update(weights, state, observed, chosen, np.stack(returns), acted)
-report(
-    frames_per_second=speed,
-    training_frames=given.updates * HORIZON * given.teams * n,
-    training_seconds=time.perf_counter() - began,
-    before=before,
-    after=clean_success(lambda one: clip(best(weights, one)), STARTS[: given.starts]),
-)
+
+
+def train():
+    state = optimiser.init(learned)
+    seen, infos = envs.reset(seed=0)
+    for _ in range(given.updates):
+        path = []
+        for _ in range(HORIZON):
+            acted, actions = infos["active"], sample(learned, seen, next(keys))
+            after, _, ends, cuts, infos = envs.step(clip(actions))
+            path.append((seen, actions, infos["robot_rewards"], (ends | cuts)[:, None], acted))
+            seen = after
+        future = np.asarray(network(learned["value"], seen)[..., 0])
+        returns = []
+        for *_, rewards, over, _ in reversed(path):
+            future = rewards + DISCOUNT * future * ~over
+            returns.insert(0, future)
+        observed, chosen, acted = (np.stack([step[i] for step in path]) for i in (0, 1, 4))
+        weights, state = update(learned, state, observed, chosen, np.stack(returns), acted)
+        learned.update(weights)
+    return given.updates * HORIZON * given.teams * n
+
+
+envs.reset(seed=0)
+measure(random_steps, train, lambda seen: clip(best(learned, seen)), given.starts)

@@ -2,8 +2,8 @@
 
     python tests/adapters/frameworks/run_table.py [--only JAX Tianshou] [--venvs FOLDER]
 
-Prints a row of docs/learners.md for each; a frame is a decision of one robot. What does not install
-or run stands in its row with the last line of what it says.
+Prints a row of docs/learners.md for each; a frame is a decision of one robot. Of a framework that
+does not install or run the row has the last line of its output.
 """
 
 from __future__ import annotations
@@ -15,10 +15,11 @@ import subprocess
 import sys
 import time
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 HERE = Path(__file__).parent
 ROOT = HERE.parents[2]
+TORCH = "torch==2.13.0"
 
 
 class Framework(NamedTuple):
@@ -31,51 +32,32 @@ class Framework(NamedTuple):
     frees: tuple[str, ...] = ()
     """Packages of constraints.txt that the framework needs in another version."""
 
-    @property
-    def lines(self) -> int:
-        """Lines of code, without blank ones, comments and the docstring."""
-        text = re.sub(r'\A""".*?"""', "", (HERE / self.script).read_text(), flags=re.DOTALL)
-        return sum(1 for line in text.splitlines() if re.match(r"\s*[^\s#]", line))
-
 
 FRAMEWORKS = {
     "Gymnasium and NumPy": Framework("numpy_es.py", "evolution strategy"),
-    "stable-baselines3": Framework(
-        "sb3_ppo.py", "PPO", ("stable-baselines3==2.9.0", "torch==2.13.0")
-    ),
+    "stable-baselines3": Framework("sb3_ppo.py", "PPO", ("stable-baselines3==2.9.0", TORCH)),
     "JAX": Framework("jax_pg.py", "policy gradient", ("jax==0.10.2", "optax==0.2.8")),
     "Tianshou": Framework(
-        "tianshou_ppo.py", "PPO", ("tianshou==2.0.1", "torch==2.13.0"), ("pandas", "filelock")
+        "tianshou_ppo.py", "PPO", ("tianshou==2.0.1", TORCH), ("pandas", "filelock")
     ),
     # without peft, which only its language models need, AgileRL cannot be imported
     "AgileRL": Framework(
         "agilerl_ippo.py",
         "IPPO",
-        ("agilerl==2.58.0", "peft==0.21.0", "torch==2.13.0"),
+        ("agilerl==2.58.0", "peft==0.21.0", TORCH),
         ("pandas", "filelock", "pettingzoo"),
     ),
-    "skrl": Framework("skrl_ppo.py", "PPO", ("skrl==2.1.1", "torch==2.13.0")),
+    "skrl": Framework("skrl_ppo.py", "PPO", ("skrl==2.1.1", TORCH)),
 }
 
 
 def run(*command: str | Path) -> str:
-    """What a command prints.
-
-    Raises:
-        RuntimeError: with the last line of what it says, if it fails.
-    """
-    done = subprocess.run(
-        [str(word) for word in command], capture_output=True, text=True, cwd=HERE, check=False
-    )
+    """What a command prints; a RuntimeError with the last line of its output, if it fails."""
+    words = [str(word) for word in command]
+    done = subprocess.run(words, capture_output=True, text=True, cwd=HERE, check=False)
     if done.returncode:
         raise RuntimeError((done.stderr.strip() or done.stdout.strip()).splitlines()[-1])
     return done.stdout
-
-
-def figures(said: str) -> dict[str, Any]:
-    """What a script reports, among what its framework says."""
-    found: dict[str, Any] = json.loads(re.findall(r"^{.*}$", said, flags=re.MULTILINE)[-1])
-    return found
 
 
 def install(framework: Framework, folder: Path) -> float:
@@ -83,13 +65,10 @@ def install(framework: Framework, folder: Path) -> float:
     began = time.perf_counter()
     run(sys.executable, "-m", "venv", "--clear", folder)
     own = {re.split(r"[\[=<>]", pin)[0] for pin in framework.needs} | set(framework.frees)
-    pins = [
-        line
-        for line in (ROOT / "constraints.txt").read_text().splitlines()
-        if line.split("==")[0] not in own
-    ]
-    (folder / "constraints.txt").write_text("\n".join(pins) + "\n")
-    pip = (folder / "bin" / "pip", "install", "--quiet", "--constraint", folder / "constraints.txt")
+    pins = (ROOT / "constraints.txt").read_text().splitlines()
+    constraints = folder / "constraints.txt"
+    constraints.write_text("\n".join(pin for pin in pins if pin.split("==")[0] not in own) + "\n")
+    pip = (folder / "bin" / "pip", "install", "--quiet", "--constraint", constraints)
     for pin in sorted(framework.needs, reverse=True):  # torch first, so that its build is kept
         run(*pip, pin)
     run(*pip, "--editable", ROOT, *framework.needs)
@@ -98,22 +77,20 @@ def install(framework: Framework, folder: Path) -> float:
 
 def row(name: str, framework: Framework, folder: Path) -> str:
     """A row of the table."""
-    learning = f"{framework.algorithm}, `{framework.script}`, {framework.lines} lines"
+    text = re.sub(r'\A""".*?"""', "", (HERE / framework.script).read_text(), flags=re.DOTALL)
+    lines = sum(1 for line in text.splitlines() if re.match(r"\s*[^\s#]", line))
+    learning = f"{framework.algorithm}, `{framework.script}`, {lines} lines"
     try:
         installed = install(framework, folder)
         said = run(folder / "bin" / "python", HERE / framework.script)
     except RuntimeError as error:
         return f"| {name} | {error} | | {learning} | |"
-    found = figures(said)
+    found = json.loads(re.findall(r"^{.*}$", said, flags=re.MULTILINE)[-1])
     trained = f"{found['training_seconds']:.0f} s: {found['training_frames'] / 1e3:.0f} k frames"
-    cells = (
-        name,
-        f"{installed:.0f} s",
-        f"{found['frames_per_second']:,.0f} frames/s",
-        f"{learning}, {trained}",
-        f"{100 * found['before']:.0f} → {found['after']:.0%} clean",
+    return (
+        f"| {name} | {installed:.0f} s | {found['frames_per_second']:,.0f} frames/s "
+        f"| {learning}, {trained} | {100 * found['before']:.0f} → {found['after']:.0%} clean |"
     )
-    return f"| {' | '.join(cells)} |"
 
 
 if __name__ == "__main__":

@@ -1,12 +1,9 @@
 """skrl: PPO over the robots of many teams, each of which is one of its environments."""
 
-import argparse
-import time
-
 import gymnasium
 import numpy as np
 import torch
-from held_out import SCENARIO, STARTS, clean_success, frames_per_second, report
+from held_out import SCENARIO, measure, settings
 from skrl.agents.torch.ppo import PPO
 from skrl.envs.wrappers.torch import Wrapper
 from skrl.memories.torch import RandomMemory
@@ -16,11 +13,7 @@ from skrl.utils import set_seed
 
 from rendezvous_env import vector
 
-parser = argparse.ArgumentParser(description=__doc__)
-parser.add_argument("--steps", type=int, default=768)
-parser.add_argument("--teams", type=int, default=64)
-parser.add_argument("--starts", type=int, default=len(STARTS))
-given = parser.parse_args()
+given = settings(__doc__, steps=768, teams=64)
 HORIZON = 32
 
 
@@ -113,17 +106,11 @@ def policy(seen):
     return actor.net(torch.from_numpy(seen)).clamp(-1, 1).numpy()
 
 
+def train():
+    quiet = {"timesteps": given.steps, "headless": True, "disable_progressbar": True}
+    SequentialTrainer(env=robots, agents=learner, cfg=quiet).train()
+    return given.steps * robots.num_envs
+
+
 robots.reset()
-speed = frames_per_second(random_steps)
-before = clean_success(policy, STARTS[: given.starts])
-began = time.perf_counter()
-quiet = {"timesteps": given.steps, "headless": True, "disable_progressbar": True}
-SequentialTrainer(env=robots, agents=learner, cfg=quiet).train()
-seconds = time.perf_counter() - began
-report(
-    frames_per_second=speed,
-    training_frames=given.steps * robots.num_envs,
-    training_seconds=seconds,
-    before=before,
-    after=clean_success(policy, STARTS[: given.starts]),
-)
+measure(random_steps, train, policy, given.starts)

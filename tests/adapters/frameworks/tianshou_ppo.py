@@ -1,12 +1,9 @@
 """Tianshou: PPO over the robots of many teams, each of which is one of its environments."""
 
-import argparse
-import time
-
 import numpy as np
 import torch
 from gymnasium.vector import AutoresetMode
-from held_out import SCENARIO, STARTS, clean_success, frames_per_second, report
+from held_out import SCENARIO, measure, settings
 from tianshou.algorithm.modelfree.ppo import PPO
 from tianshou.algorithm.modelfree.reinforce import ProbabilisticActorPolicy
 from tianshou.algorithm.optim import AdamOptimizerFactory
@@ -18,11 +15,7 @@ from tianshou.utils.net.continuous import ContinuousActorProbabilistic, Continuo
 
 from rendezvous_env import vector
 
-parser = argparse.ArgumentParser(description=__doc__)
-parser.add_argument("--epochs", type=int, default=12)
-parser.add_argument("--teams", type=int, default=64)
-parser.add_argument("--starts", type=int, default=len(STARTS))
-given = parser.parse_args()
+given = settings(__doc__, epochs=12, teams=64)
 
 
 class Robots(BaseVectorEnv):
@@ -92,35 +85,29 @@ def random_steps():
 
 
 def policy(seen):
+    brain.eval()
     with torch.no_grad():
         found = brain(Batch(obs=seen, info={}))
     return np.clip(brain.map_action(found.act.numpy()), -1, 1)
 
 
-collector.reset(gym_reset_kwargs={"seed": 0})
-speed = frames_per_second(random_steps)
-brain.eval()
-before = clean_success(policy, STARTS[: given.starts])
-collector.reset()
-began, steps = time.perf_counter(), 32 * len(robots)
-learner.run_training(
-    OnPolicyTrainerParams(
-        training_collector=collector,
-        max_epochs=given.epochs,
-        epoch_num_steps=2 * steps,
-        collection_step_num_env_steps=steps,
-        batch_size=1024,
-        update_step_num_repetitions=4,
-        show_progress=False,
-        verbose=False,
+def train():
+    collector.reset()
+    steps = 32 * len(robots)
+    learner.run_training(
+        OnPolicyTrainerParams(
+            training_collector=collector,
+            max_epochs=given.epochs,
+            epoch_num_steps=2 * steps,
+            collection_step_num_env_steps=steps,
+            batch_size=1024,
+            update_step_num_repetitions=4,
+            show_progress=False,
+            verbose=False,
+        )
     )
-)
-seconds = time.perf_counter() - began
-brain.eval()
-report(
-    frames_per_second=speed,
-    training_frames=given.epochs * 2 * steps,
-    training_seconds=seconds,
-    before=before,
-    after=clean_success(policy, STARTS[: given.starts]),
-)
+    return given.epochs * 2 * steps
+
+
+collector.reset(gym_reset_kwargs={"seed": 0})
+measure(random_steps, train, policy, given.starts)

@@ -11,6 +11,7 @@ pytest.importorskip("benchmarl.experiment")
 from benchmarl import algorithms
 from benchmarl.experiment import Experiment, ExperimentConfig
 from benchmarl.models import MlpConfig
+from gymnasium.wrappers.vector import TransformReward
 from torchrl.envs.utils import check_env_specs
 
 import rendezvous_env as rv
@@ -122,3 +123,18 @@ def test_a_task_asks_the_scenario_what_it_can_do():
     assert shown[GROUP].shape == (6,)
     with pytest.raises(ValueError, match="config has 'seed'"):
         RendezvousTask("duo", {"seed": 1})
+
+
+def test_a_task_hands_on_wrappers_and_costs():
+    more = lambda teams: TransformReward(teams, lambda rewards: rewards + 5.0)  # noqa: E731
+    costly = RendezvousTask("clutter-4", {"wrap": more, "costs": ("rise",)})
+    env = costly.get_env_fun(2, True, 0, "cpu")()
+    data = env.reset()
+    data[GROUP, "action"] = env.action_spec[GROUP, "action"].zero()
+    assert (env.step(data)["next", GROUP, "reward"] > 3.0).all()
+    assert set(costly.info_spec(env).keys(True, True)) == {
+        (GROUP, "info", "cost"),
+        (GROUP, "info", "cost_rise"),
+    }
+    free = RendezvousTask("clutter-4")
+    assert free.info_spec(free.get_env_fun(2, True, 0, "cpu")()) is None
