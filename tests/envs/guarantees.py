@@ -1,15 +1,23 @@
-"""What the tests of guarantee wrappers share: the four of them, and how they are driven."""
+"""What tests of environments share: the four guarantees, ways to drive either API, comparisons."""
 
 from __future__ import annotations
 
+import warnings
 from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 from conftest import MODELS, five
+from gymnasium.spaces import Discrete
 
 import rendezvous_env as rv
 from rendezvous_env import vector
+
+with warnings.catch_warnings():  # PettingZoo imports its own old modules here
+    warnings.simplefilter("ignore", DeprecationWarning)
+    from pettingzoo import test as suites  # noqa: F401
+    from pettingzoo.test.state_test import state_test  # noqa: F401
+
 
 # the two messages that a table of directions must provoke, by their exact text
 SHAPE = (
@@ -28,7 +36,7 @@ class Guarantee(NamedTuple):
     options: dict[str, Any]
     """Settings that are not the defaults."""
     told: set[str]
-    """What infos hold besides those of the base environment."""
+    """Infos besides those of the base environment."""
     anywhere: bool
     """Whether it is for all robot models, or for single integrators only."""
 
@@ -39,6 +47,11 @@ class Guarantee(NamedTuple):
     def around_teams(self, venv, **options):
         """A vector environment under it."""
         return getattr(vector, self.name)(venv, **options)
+
+    @property
+    def both(self):
+        """Both ways."""
+        return self.around, self.around_teams
 
 
 RATES = {"alignment", "lyapunov_rate"}
@@ -54,30 +67,36 @@ GUARANTEES = {
     "links": Guarantee("LinkKeepingWrapper", {"share": 0.2, "bearing_error": 0.05}, RATES, False),
 }
 NAMES = [each.name for each in GUARANTEES.values()]
-which_and_kind = pytest.mark.parametrize(
-    ("which", "kind"),
-    [
-        (which, kind)
-        for which, guarantee in GUARANTEES.items()
-        for kind in MODELS
-        if guarantee.anywhere or kind.startswith("single")
-    ],
-)
+WHICH_AND_KIND = [
+    (which, kind)
+    for which, guarantee in GUARANTEES.items()
+    for kind in MODELS
+    if guarantee.anywhere or kind.startswith("single")
+]
+which_and_kind = pytest.mark.parametrize(("which", "kind"), WHICH_AND_KIND)
 
 
 def make(which, kind="single_integrator-2d", *, changes=None, **options):
-    """Five robots of a kind in PettingZoo under a guarantee."""
+    """Five robots of a kind in PettingZoo under a guarantee, or under none."""
     scenario = five(kind, **{"spawn_size": 4.0, "time_limit": 8.0, **(changes or {})})
-    return GUARANTEES[which].around(rv.parallel_env(scenario), **options)
+    env = rv.parallel_env(scenario)
+    return GUARANTEES[which].around(env, **options) if which else env
 
 
 def draw(env, random):
-    """Choices of all robots alive."""
-    drawn = {}
-    for name in env.agents:
-        space = env.action_space(name)
-        drawn[name] = random.uniform(space.low, space.high).astype(np.float32)
-    return drawn
+    """Random choices: of all robots alive, or of all teams."""
+    if hasattr(env, "agents"):
+        spaces = {name: env.action_space(name) for name in env.agents}
+        return {name: _drawn(space, random) for name, space in spaces.items()}
+    return _drawn(env.action_space, random)
+
+
+def _drawn(space, random):
+    if isinstance(space, Discrete):
+        return random.integers(space.n)
+    if space.dtype.kind == "i":
+        return random.integers(space.low, space.high + 1)
+    return random.uniform(space.low, space.high).astype(np.float32)
 
 
 def constant(env, vector):
@@ -87,14 +106,18 @@ def constant(env, vector):
 
 def tape(venv, length, seed=0):
     """Choices of all teams for so many steps."""
-    space, random = venv.action_space, np.random.default_rng(seed)
-    return random.uniform(space.low, space.high, (length, *space.shape)).astype(np.float32)
+    random = np.random.default_rng(seed)
+    return np.stack([draw(venv, random) for _ in range(length)])
 
 
 def same(a, b):
-    """Whether two nested dicts of arrays are equal, bit for bit."""
+    """Whether two nested dicts and tuples of arrays are equal, bit for bit."""
     if isinstance(a, dict):
         return a.keys() == b.keys() and all(same(a[key], b[key]) for key in a)
+    if isinstance(a, tuple):
+        return len(a) == len(b) and all(map(same, a, b))
     if isinstance(a, np.ndarray):
+        if a.dtype == object:
+            return a.shape == b.shape and all(map(same, a, b))
         return a.dtype == b.dtype and np.array_equal(a, b, equal_nan=a.dtype.kind == "f")
     return a == b or (a != a and b != b)

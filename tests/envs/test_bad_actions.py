@@ -1,4 +1,4 @@
-"""Actions that are none: refused by the name of their robot, and nothing has changed."""
+"""Bad actions: refused by the name of their robot, and nothing has changed."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ import copy
 
 import numpy as np
 import pytest
-from conftest import five
-from guarantees import same
-from test_pettingzoo import act, make, merged, until_a_merge
+from conftest import MODELS, five
+from guarantees import GUARANTEES, constant, draw, make, same, tape
+from test_pettingzoo import merged, until_a_merge
 
 import rendezvous_env as rv
 from rendezvous_env import parallel_env
@@ -24,7 +24,7 @@ BAD_ACTIONS = {
     "nan": (_with("robot_0", lambda a: a * np.nan), ValueError, r"action of robot_0 .*nan"),
     "inf": (_with("robot_0", lambda a: a + np.inf), ValueError, r"action of robot_0 .*inf"),
     "minus inf": (_with("robot_0", lambda a: a - np.inf), ValueError, r"action of robot_0 .*-inf"),
-    "short": (_with("robot_0", lambda a: a[:1]), ValueError, "action of robot_0 .* finite numbers"),
+    "short": (_with("robot_0", lambda a: a[1:]), ValueError, "action of robot_0 .* finite numbers"),
     "long": (_with("robot_0", lambda a: np.zeros(7)), ValueError, "action of robot_0 "),
     "matrix": (_with("robot_0", lambda a: a[None]), ValueError, "action of robot_0 "),
     "number": (_with("robot_0", lambda a: 1.0), ValueError, "action of robot_0 is 1.0"),
@@ -33,6 +33,7 @@ BAD_ACTIONS = {
     "missing": (lambda a, gone: {k: v for k, v in a.items() if k != "robot_0"}, KeyError,
         "robot_0 is alive but has no action"),
     "none at all": (lambda a, gone: {}, KeyError, "robot_0 is alive"),
+    "no dict": (lambda a, gone: list(a.values()), ValueError, "it must be a dict with an action"),
     "unknown": (_with("robot_9", lambda a: a), KeyError, "'robot_9' is no robot of this team"),
     "renamed": (lambda a, gone: {"robot_9" if k == "robot_0" else k: v for k, v in a.items()},
         KeyError, "'robot_9' is no robot"),
@@ -40,18 +41,32 @@ BAD_ACTIONS = {
 }  # fmt: skip
 
 
+@pytest.fixture(
+    scope="module", params=[*((None, kind) for kind in MODELS), *((w, None) for w in GUARANTEES)]
+)
+def after_a_merge(request):
+    """An environment, bare or under a guarantee, and a robot that has just merged away."""
+    which, kind = request.param
+    env = make(which, kind or "single_integrator-2d", changes={"spawn_size": 3.0})
+    if which is None:
+        infos = until_a_merge(env)[-1]
+    else:
+        infos, ahead = env.reset(seed=3)[-1], np.zeros(env.action_space("robot_0").shape)
+        ahead[0] = 1.0
+        while not merged(infos):
+            infos = env.step(constant(env, ahead))[-1]
+    return env, merged(infos)[0]
+
+
 @pytest.mark.parametrize("name", BAD_ACTIONS)
-def test_bad_actions_are_refused_name_the_robot_and_change_nothing(kind, name):
+def test_bad_actions_are_refused_name_the_robot_and_change_nothing(after_a_merge, name):
     spoil, error, message = BAD_ACTIONS[name]
-    env = make(kind)
-    _, _, _, _, infos = until_a_merge(env)
-    gone = merged(infos)[0]
-    reference, before = copy.deepcopy(env), env.simulator.get_state()
+    env, gone = copy.deepcopy(after_a_merge[0]), after_a_merge[1]
+    choices, before = draw(env, np.random.default_rng(0)), env.get_state()
     with pytest.raises(error, match=message.replace("GONE", gone)):
-        env.step(spoil(act(env), gone))
-    assert env.agents == reference.agents and same(env.simulator.get_state(), before)
-    after, expected = env.step(act(env)), reference.step(act(reference))
-    assert all(same(a, b) for a, b in zip(after, expected, strict=True))
+        env.step(spoil(choices, gone))
+    assert same(env.get_state(), before)
+    assert same(env.step(choices), copy.deepcopy(after_a_merge[0]).step(choices))
 
 
 def test_huge_finite_actions_and_lists_are_fine():
@@ -67,8 +82,7 @@ def test_training_environments_name_the_robot():
     for form, bad in (({}, [0.0, np.nan]), ({"discrete": True}, 9), ({"discrete": True}, 0.5)):
         env = rv.training_env(CLUTTER, **form)
         env.reset(seed=0)
-        actions = {name: env.action_space(name).sample() for name in env.agents}
-        before = env.state()
+        actions, before = draw(env, np.random.default_rng(0)), env.state()
         with pytest.raises(ValueError, match="action of robot_2"):
             env.step(actions | {"robot_2": bad})
         with pytest.raises(KeyError, match="robot_3 is alive but has no action"):
@@ -87,11 +101,22 @@ def test_training_environments_name_the_robot():
         ({"discrete": True}, np.zeros((2, 4, 2)), r"they must be \(B, n\) = \(2, 4\)"),
     ],
 )
-def test_the_vector_door_names_team_and_robot(form, bad, message):
+def test_training_teams_name_team_and_robot(form, bad, message):
     teams = rv.vector.training_env(CLUTTER, 2, **form)
     teams.reset(seed=0)
     before = teams.get_state()["env"]["env"]
     with pytest.raises(ValueError, match=message):
         teams.step(bad)
-    for key, array in teams.get_state()["env"]["env"].items():
-        np.testing.assert_array_equal(array, before[key])
+    assert same(teams.get_state()["env"]["env"], before)
+
+
+@pytest.mark.parametrize("which", GUARANTEES)
+def test_bad_tables_of_choices_change_nothing(which):
+    venv = GUARANTEES[which].around_teams(rv.make_vec("duo", 6))
+    venv.reset(seed=0)
+    choices, before = tape(venv, 1)[0], venv.get_state()
+    choices[3, 1, 0] = np.nan
+    for wrong, message in ((choices, "robot_1 in team 3"), (choices[:2], "shape")):
+        with pytest.raises(ValueError, match=message):
+            venv.step(wrong)
+    assert same(venv.get_state(), before)

@@ -1,4 +1,4 @@
-"""Costs beside rewards: known numbers, and the same ones in every face."""
+"""Costs beside rewards: known numbers, and the same ones in every environment."""
 
 import pickle
 
@@ -55,16 +55,12 @@ def test_a_link_that_is_left_behind_costs_both_its_ends():
     assert met[-1][2].all() and not any(one[4]["cost"].any() for one in met)
 
 
-def test_every_face_tells_the_same():
+def test_every_environment_tells_the_same():
     """The parallel and the AEC form, one agent, and a team among others in a vector environment."""
     scenario = rv.scenarios.get("fig4").replace(costs=ALL, on_merge="follow")
     law, random = baselines.make("bearing-only", scenario), np.random.default_rng(0)
-    teams = rv.make_vec(scenario, 3, autoreset_mode="disabled")
-    one, parallel, aec = (
-        make_env(scenario),
-        rv.parallel_env(scenario),
-        rv.rendezvous_v0.env(scenario),
-    )
+    teams, one = rv.make_vec(scenario, 3, autoreset_mode="disabled"), make_env(scenario)
+    parallel, aec = rv.parallel_env(scenario), rv.rendezvous_v0.env(scenario)
     teams.reset(seed=6), one.reset(seed=7), parallel.reset(seed=7), aec.reset(seed=7)
     paid = dict.fromkeys(ALL, 0.0)
     for _ in range(60):  # law (1), which touches the obstacles there, and some steps astray
@@ -146,10 +142,8 @@ def test_without_names_there_are_no_keys_and_the_same_numbers():
         for one, other in zip(first, second, strict=True):
             np.testing.assert_array_equal(one, other)
     assert not any("cost" in key for key in infos)
-    assert {key.lstrip("_") for key in set(more) - set(infos)} == {
-        "cost",
-        *(f"cost_{name}" for name in ALL),
-    }
+    new = {key.lstrip("_") for key in set(more) - set(infos)}
+    assert new == {"cost", *(f"cost_{name}" for name in ALL)}
 
 
 def test_costs_are_part_of_the_scenario(tmp_path):

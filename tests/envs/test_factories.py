@@ -1,4 +1,4 @@
-"""What all doors have in common: flat observations, words they do not know, tensors, state."""
+"""What all factories have in common: flat observations, unknown words, tensors, state."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import warnings
 import gymnasium
 import numpy as np
 import pytest
+from guarantees import NAMES, draw, same
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
 
@@ -20,7 +21,6 @@ SCENARIO = rv.scenarios.get("clutter-4").replace(time_limit=0.3)
 LAYOUT = SCENARIO.observation_layout
 SIZE = LAYOUT.rows * LAYOUT.dim
 HEADING = "rendezvous_env:rendezvous/RendezvousHeading-v0"
-WRAPPERS = ("HeadingVectorWrapper", "EnergyTankWrapper", "GainWrapper", "LinkKeepingWrapper")
 
 
 def wrapped(name, env, home=vector):
@@ -31,7 +31,7 @@ def wrapped(name, env, home=vector):
 
 
 @pytest.mark.parametrize("mode", list(AutoresetMode))
-@pytest.mark.parametrize("name", [None, *WRAPPERS])
+@pytest.mark.parametrize("name", [None, *NAMES])
 def test_flat_vector_environments_show_the_same_numbers(name, mode):
     tables, flat = (
         wrapped(name, rv.make_vec(SCENARIO, 3, autoreset_mode=mode, flatten=flatten))
@@ -51,7 +51,7 @@ def test_flat_vector_environments_show_the_same_numbers(name, mode):
     assert ends
 
 
-@pytest.mark.parametrize("name", [None, *WRAPPERS])
+@pytest.mark.parametrize("name", [None, *NAMES])
 def test_flat_pettingzoo_environments_show_the_same_numbers(name):
     tables, flat = (
         wrapped(name, rv.parallel_env(SCENARIO, flatten=flatten), rv) for flatten in (False, True)
@@ -61,12 +61,12 @@ def test_flat_pettingzoo_environments_show_the_same_numbers(name):
         for robot, vector_seen in seen.items():
             assert flat.observation_space(robot).contains(vector_seen)
             np.testing.assert_array_equal(vector_seen, rows[robot].reshape(-1))
-        choices = {robot: tables.action_space(robot).sample() for robot in tables.agents}
+        choices = draw(tables, np.random.default_rng(0))
         rows, seen = tables.step(choices)[0], flat.step(choices)[0]
     assert not flat.agents
 
 
-def test_the_other_doors_take_flatten_too():
+def test_other_factories_take_flatten_too():
     one = rendezvous_v0.env(SCENARIO, flatten=True)
     one.reset(seed=0)
     assert one.observe("robot_1").shape == one.observation_space("robot_1").shape == (SIZE,)
@@ -103,17 +103,10 @@ def test_gymnasium_is_content_with_the_heading_environment():
 
 def test_the_heading_environment_is_the_wrapped_one():
     """Whatever the robots choose, the alignment is kept; numbers are those of the vector one."""
-    one = gymnasium.make(HEADING, scenario=SCENARIO, min_alignment=0.3, decision_period=2)
-    mode = AutoresetMode.DISABLED
-    many = gymnasium.make_vec(
-        HEADING,
-        num_envs=2,
-        vectorization_mode="vector_entry_point",
-        scenario=SCENARIO,
-        min_alignment=0.3,
-        decision_period=2,
-        autoreset_mode=mode,
-    )
+    settings = {"scenario": SCENARIO, "min_alignment": 0.3, "decision_period": 2}
+    one, mode = gymnasium.make(HEADING, **settings), AutoresetMode.DISABLED
+    entry = {"vectorization_mode": "vector_entry_point", "autoreset_mode": mode}
+    many = gymnasium.make_vec(HEADING, num_envs=2, **entry, **settings)
     assert many.autoreset_mode is mode and many.metadata["autoreset_mode"] is mode
     seen, infos = one.reset(seed=6)
     table, told = many.reset(seed=5)
@@ -130,7 +123,7 @@ def test_the_heading_environment_is_the_wrapped_one():
     assert infos["summary"]["time"] == infos["time"] == pytest.approx(SCENARIO.time_limit)
 
 
-# ---- words and numbers that nobody knows --------------------------------------------------------
+# ---- unknown words, and tensors -----------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -159,7 +152,7 @@ UNKNOWN = {
 }
 
 
-@pytest.mark.parametrize("name", WRAPPERS)
+@pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("home", [rv, vector])
 def test_so_it_is_for_a_wrapper(home, name):
     word, meant = UNKNOWN[name]
@@ -204,8 +197,7 @@ def test_tensors_that_numpy_cannot_read_are_named_with_what_to_do(what):
             env.step(torch.zeros(2, 4, 2, **of))
     for env in (rv.parallel_env(SCENARIO), rv.training_env(SCENARIO)):
         env.reset(seed=0)
-        actions = {robot: env.action_space(robot).sample() for robot in env.agents}
-        state = env.state()
+        actions, state = draw(env, np.random.default_rng(0)), env.state()
         with pytest.raises(ValueError, match=f"action of robot_2 is a .*{advice}"):
             env.step(actions | {"robot_2": torch.zeros(2, **of)})
         np.testing.assert_array_equal(env.state(), state)
@@ -266,15 +258,12 @@ def test_how_teams_stand_is_what_their_simulator_reads(teams):
         outcome = simulator.step(law(rows, 0.0))
         rows = outcome.observations
     told = simulator.episode_statistics()
-    for key, values in simulator.episode_statistics(outcome).items():
-        np.testing.assert_array_equal(values, told[key])
-        assert values.dtype == told[key].dtype
+    assert same(simulator.episode_statistics(outcome), told)
     assert simulator.first_episode_statistics(outcome) == simulator.first_episode_statistics()
     np.testing.assert_array_equal(told["success"], simulator.status == RENDEZVOUS)
     np.testing.assert_array_equal(told["lyapunov"], simulator.lyapunov())
     for key in ("time", "contacts", "path_length"):
-        np.testing.assert_array_equal(told[key], getattr(simulator, key))
-        assert told[key].dtype == getattr(simulator, key).dtype
+        assert same(told[key], getattr(simulator, key))
     first = simulator.first_episode_statistics(outcome)
     assert first == {key: values[0] for key, values in told.items()}
     assert {type(value) for value in first.values()} == {bool, float, int}

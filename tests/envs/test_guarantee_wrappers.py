@@ -1,27 +1,31 @@
-"""All guarantee wrappers alike: API suites, spaces, memory, one world as the other, refusals."""
+"""All guarantee wrappers alike: API suites, spaces, one API as the other, periods, refusals."""
 
 from __future__ import annotations
 
-import copy
 import itertools
-import pickle
-import warnings
 
-import gymnasium
 import numpy as np
 import pytest
-from guarantees import GUARANTEES, NAMES, api_suite, draw, make, same, tape, which_and_kind
+from conftest import five
+from guarantees import (
+    GUARANTEES,
+    NAMES,
+    api_suite,
+    constant,
+    draw,
+    make,
+    same,
+    state_test,
+    suites,
+    tape,
+    which_and_kind,
+)
 from gymnasium.vector import AutoresetMode
+from pettingzoo.utils.conversions import parallel_to_aec
 from pettingzoo.utils.wrappers import BaseParallelWrapper
 
 import rendezvous_env as rv
 from rendezvous_env.envs.gymnasium_env import make_env
-
-with warnings.catch_warnings():  # PettingZoo imports its own old modules here
-    warnings.simplefilter("ignore", DeprecationWarning)
-    from pettingzoo.test import api_test, parallel_api_test, parallel_seed_test
-    from pettingzoo.test.state_test import state_test
-    from pettingzoo.utils.conversions import parallel_to_aec
 
 NUM_ENVS = 6
 SCENARIOS = {
@@ -50,121 +54,35 @@ def make_vec(which, scenario="duo", mode=AutoresetMode.NEXT_STEP, max_cycles=Non
 @which_and_kind
 def test_pettingzoo_is_content(which, kind, capsys):
     options = GUARANTEES[which].options
-    parallel_api_test(make(which, kind, decision_period=3, **options), num_cycles=300)
+    suites.parallel_api_test(make(which, kind, decision_period=3, **options), num_cycles=300)
     assert "Passed Parallel API test" in capsys.readouterr().out
     env = make(which, kind, **options)
-    api_test(parallel_to_aec(env), num_cycles=60, verbose_progress=False)
+    suites.api_test(parallel_to_aec(env), num_cycles=60, verbose_progress=False)
     assert "Passed API test" in capsys.readouterr().out
     state_test(parallel_to_aec(env), make(which, kind), num_cycles=20)
+    suites.parallel_seed_test(lambda: make(which, kind), num_cycles=60)
     np.testing.assert_array_equal(env.state_space.low, env.unwrapped.state_space.low)
-
-
-@api_suite
-@which_and_kind
-def test_seeds(which, kind):
-    parallel_seed_test(lambda: make(which, kind), num_cycles=60)
-    first, second = (make(which, kind).reset(seed=seed)[0]["robot_0"] for seed in (1, 2))
-    assert not np.array_equal(first, second)
 
 
 @which_and_kind
 @pytest.mark.parametrize("frame", ["net_bearing", "local"])
 def test_spaces_hold_what_is_seen_and_done(which, kind, frame):
-    env, random = (
-        make(which, kind, frame=frame, **GUARANTEES[which].options),
-        np.random.default_rng(0),
-    )
-    scenario = env.unwrapped.scenario
+    env = make(which, kind, frame=frame, **GUARANTEES[which].options)
+    scenario, random = env.unwrapped.scenario, np.random.default_rng(0)
     rows, d = scenario.observation_layout.shape
     sizes = {"heading": d - scenario.model.nonholonomic, "tank": scenario.action_size, "gains": 4}
     sees, does = env.observation_space("robot_0"), env.action_space("robot_0")
     assert sees.shape == (rows + (which == "tank"), d) and sees.contains(sees.sample())
     assert does.shape == (sizes.get(which, d),) and does is env.action_space("robot_0")
     assert (does.low == (0 if which == "gains" else -1)).all() and (does.high == 1).all()
-    observations, _ = env.reset(seed=3)
+    observations, infos = env.reset(seed=3)
     seen = 0
     while env.agents:
-        for name, table in observations.items():
-            assert env.observation_space(name).contains(table)
-            seen += 1
-        observations, *_, infos = env.step(draw(env, random))
+        assert all(sees.contains(table) for table in observations.values())
         assert all(set(info) >= GUARANTEES[which].told for info in infos.values())
+        seen += len(observations)
+        observations, *_, infos = env.step(draw(env, random))
     assert seen > 50
-
-
-# ---- memory --------------------------------------------------------------------------------------
-
-
-@which_and_kind
-def test_state_pickle_and_deepcopy_go_on_alike(which, kind):
-    options = GUARANTEES[which].options | {"decision_period": 2}
-    env, random = make(which, kind, **options), np.random.default_rng(0)
-    env.reset(seed=3)
-    for _ in range(3):
-        env.step(draw(env, random))
-    state = env.get_state()
-    kept, fresh = copy.deepcopy(state), make(which, kind, **options)
-    fresh.set_state(state)
-    copies = [fresh, copy.deepcopy(env), pickle.loads(pickle.dumps(env))]
-    compared = 0
-    while env.agents and compared < 15:
-        choices = draw(env, random)
-        result = env.step(choices)
-        for other in copies:
-            assert all(same(a, b) for a, b in zip(result, other.step(choices), strict=True))
-            assert same(env.get_state(), other.get_state())
-        compared += 1
-    assert compared > 4 and same(state, kept)
-
-
-def test_vector_memory_survives_state_pickle_and_deepcopy(which):
-    scenario = "clutter-8" if GUARANTEES[which].anywhere else rv.Scenario(n_robots=3)
-    options = GUARANTEES[which].options | {"decision_period": 2}
-    venv = make_vec(which, scenario, **options)
-    venv.reset(seed=3)
-    actions = tape(venv, 10)
-    for choices in actions[:5]:
-        venv.step(choices)
-    restored = make_vec(which, scenario, **options)
-    restored.set_state(venv.get_state())
-    copies = [restored, copy.deepcopy(venv), pickle.loads(pickle.dumps(venv))]
-    for choices in actions[5:]:
-        seen, rewards, *_ = venv.step(choices)
-        for other in copies:
-            other_seen, other_rewards, *_ = other.step(choices)
-            np.testing.assert_array_equal(seen, other_seen)
-            np.testing.assert_array_equal(rewards, other_rewards)
-            assert same(venv.get_state(), other.get_state())
-
-
-@which_and_kind
-def test_a_reset_forgets_what_was(which, kind):
-    options = GUARANTEES[which].options
-    env, fresh = make(which, kind, **options), make(which, kind, **options)
-    random = np.random.default_rng(0)
-    env.reset(seed=1)
-    for _ in range(5):
-        env.step(draw(env, random))
-    observations, _ = env.reset(seed=9)
-    again, _ = fresh.reset(seed=9)
-    assert same(observations, again) and same(env.get_state(), fresh.get_state())
-
-
-def test_a_state_that_does_not_fit_is_refused_and_changes_nothing(which):
-    for env, other in ((make(which), make(which, changes={"n_robots": 4, "graph": "complete"})),
-                       (make_vec(which), make_vec(which, "fig3"))):  # fmt: skip
-        env.reset(seed=0)
-        other.reset(seed=0)
-        before = env.get_state()
-        with pytest.raises(ValueError, match="observed must be an array of shape"):
-            env.set_state(other.get_state())
-        broken = env.get_state()
-        broken["env"].get("simulator", broken["env"]).pop("weights")
-        memory = broken[env.filter.state_key]
-        broken[env.filter.state_key] = {key: array + 1.0 for key, array in memory.items()}
-        with pytest.raises(ValueError, match=r"weights|frames"):
-            env.set_state(broken)
-        assert same(before, env.get_state())
 
 
 # ---- vector environments -------------------------------------------------------------------------
@@ -240,39 +158,60 @@ def test_a_new_episode_begins_with_the_next_start_and_nothing_remembered(which, 
     assert which != "tank" or ((infos["tank"] == 0.3).all() and not infos["carried_out"].any())
 
 
-# ---- bad choices and arguments -------------------------------------------------------------------
-
-BAD_CHOICES = {
-    "NaN": (lambda raw: raw | {"robot_2": raw["robot_2"] * np.nan}, ValueError, "robot_2"),
-    "inf": (lambda raw: raw | {"robot_0": raw["robot_0"] + np.inf}, ValueError, "robot_0"),
-    "wrong shape": (lambda raw: raw | {"robot_1": np.zeros(7)}, ValueError, "robot_1"),
-    "a word": (lambda raw: raw | {"robot_1": "left"}, ValueError, "robot_1"),
-    "missing": (lambda raw: {k: v for k, v in raw.items() if k != "robot_3"}, KeyError, "robot_3"),
-    "unknown": (lambda raw: raw | {"robot_9": raw["robot_0"]}, KeyError, "robot_9"),
-}
+# ---- decision periods ----------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("wrong", BAD_CHOICES)
-def test_bad_choices_are_refused_by_name_and_change_nothing(which, wrong):
-    spoil, error, name = BAD_CHOICES[wrong]
-    env, random = make(which), np.random.default_rng(0)
-    env.reset(seed=0)
-    env.step(draw(env, random))
-    before = env.get_state()
-    with pytest.raises(error, match=name):
-        env.step(spoil(draw(env, random)))
-    assert same(before, env.get_state())
+@which_and_kind
+def test_a_period_is_that_many_base_steps_with_the_choice_held(which, kind):
+    guarantee, scenario = GUARANTEES[which], five(kind, spawn_size=3.0, time_limit=5.0)
+    options = guarantee.options | {"frame": "local"}
+    env = guarantee.around(rv.parallel_env(scenario), decision_period=4, **options)
+    single = guarantee.around(rv.parallel_env(scenario), **options)
+    env.reset(seed=8)
+    single.reset(seed=8)
+    choice, steps = draw(env, np.random.default_rng(5)), 0
+    while env.agents:
+        alive = env.agents.copy()
+        result = env.step({name: choice[name] for name in alive})
+        told, rewards = [{} for _ in result], dict.fromkeys(alive, 0.0)
+        for _ in range(4):
+            if single.agents:
+                part = single.step({name: choice[name] for name in single.agents})
+                for known, new in zip(told, part, strict=True):
+                    known |= new
+                rewards = {name: rewards[name] + part[1].get(name, 0.0) for name in alive}
+        assert result[1] == pytest.approx(rewards, abs=1e-12) and set(result[0]) == set(alive)
+        assert all(same(result[k], told[k]) for k in (0, 2, 3, 4))
+        assert same(env.get_state()["env"], single.get_state()["env"])
+        assert which != "tank" or (env.tank.levels == single.tank.levels).all()
+        steps += 1
+    assert steps > 3 and not single.agents and env.step({}) == ({}, {}, {}, {}, {})
 
 
-def test_bad_tables_of_choices_change_nothing(which):
-    venv = make_vec(which)
-    venv.reset(seed=0)
-    choices, before = tape(venv, 1)[0], venv.get_state()
-    choices[3, 1, 0] = np.nan
-    for wrong, message in ((choices, "robot_1 in team 3"), (choices[:2], "shape")):
-        with pytest.raises(ValueError, match=message):
-            venv.step(wrong)
-    assert same(venv.get_state(), before)
+def test_the_certified_heading_follows_f_within_a_period():
+    """Passing by a neighbour f swings round; a held heading would lose the margin, h does not."""
+    env = make("heading", decision_period=40, min_alignment=0.5, max_turn_rate=1.0)
+    margins, swings, base = [], [], env.unwrapped
+    step = base.step
+
+    def noting(actions):
+        rows = base.simulator.observe()[0]
+        f = base.scenario.observation_layout.net_bearing(rows)
+        strong = np.linalg.norm(f, axis=-1) >= 2 * base.scenario.dead_zone
+        margins.extend(env.steering.alignment[0][strong])
+        swings.append(f)
+        return step(actions)
+
+    base.step = noting
+    env.reset(seed=4)
+    while env.agents:
+        env.step(constant(env, (0.0, 1.0)))
+    assert min(margins) >= 0.5 - 1e-9 and len(margins) > 50
+    first, last = (swings[k][0] / np.linalg.norm(swings[k][0]) for k in (0, 30))
+    assert first @ last < 0.999
+
+
+# ---- arguments, and what may be wrapped ----------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -308,29 +247,18 @@ def test_the_smallest_margin_is_a_millionth():
             )
 
 
-# ---- what may be wrapped -------------------------------------------------------------------------
-
-
-def one_team():
-    return rv.parallel_env("ring-12")
-
-
-def teams(**options):
-    return rv.make_vec("ring-12", num_envs=2, **options)
-
-
 def test_only_environments_of_ours_are_wrapped(which):
-    guarantee = GUARANTEES[which]
-    with pytest.raises(TypeError, match=rf"RendezvousVectorEnv.*vector\.{guarantee.name}"):
-        guarantee.around(teams())
-    with pytest.raises(TypeError, match=rf"take rendezvous_env\.{guarantee.name}"):
-        guarantee.around_teams(one_team())
-    for wrap in (guarantee.around, guarantee.around_teams):
-        with pytest.raises(TypeError, match="RendezvousEnv"):
-            wrap(make_env("ring-12"))
-    for wrap, home in ((guarantee.around, rv), (guarantee.around_teams, rv.vector)):
-        with pytest.raises(TypeError):  # it has a guarantee already
-            wrap(home.training_env("ring-12"))
+    name, around, around_teams = GUARANTEES[which].name, *GUARANTEES[which].both
+    for wrap, env, message in (
+        (around, rv.make_vec("duo"), rf"RendezvousVectorEnv.*vector\.{name}"),
+        (around_teams, rv.parallel_env("duo"), rf"take rendezvous_env\.{name}"),
+        (around, make_env("duo"), "RendezvousEnv"),
+        (around_teams, make_env("duo"), "RendezvousEnv"),
+        (around, rv.training_env("duo"), "TrainingParallelEnv; it must be"),
+        (around_teams, rv.vector.training_env("duo"), "under FeatureVectorEnv already"),
+    ):
+        with pytest.raises(TypeError, match=message):
+            wrap(env)
 
 
 @pytest.mark.parametrize(
@@ -345,40 +273,36 @@ def test_robots_that_a_theorem_does_not_cover_are_refused(which, model):
 @pytest.mark.parametrize("lower", NAMES)
 @pytest.mark.parametrize("upper", NAMES)
 def test_a_guarantee_is_not_put_upon_another(upper, lower):
-    for home, env in ((rv, one_team()), (rv.vector, teams())):
+    base = rv.parallel_env("duo")
+    for home, env in (
+        (rv, getattr(rv, lower)(base)),
+        (rv, BaseParallelWrapper(getattr(rv, lower)(base))),
+        (rv.vector, getattr(rv.vector, lower)(rv.make_vec("duo"))),
+    ):
         with pytest.raises(TypeError, match=rf"{lower}.*{upper}"):
-            getattr(home, upper)(getattr(home, lower)(env))
-    with pytest.raises(TypeError, match=rf"{lower}.*{upper}"):
-        getattr(rv, upper)(BaseParallelWrapper(getattr(rv, lower)(one_team())))
-    getattr(rv, upper)(BaseParallelWrapper(one_team())).reset(seed=0)
+            getattr(home, upper)(env)
+    getattr(rv, upper)(BaseParallelWrapper(base)).reset(seed=0)
 
 
 def test_an_environment_that_was_reset_before_needs_a_new_reset(which):
-    guarantee, base = GUARANTEES[which], one_team()
-    base.reset(seed=0)
-    env = guarantee.around(base)
-    choices = {agent: env.action_space(agent).sample() for agent in env.agents}
-    with pytest.raises(RuntimeError, match=rf"{guarantee.name}.*new reset"):
+    for around, base in zip(
+        GUARANTEES[which].both, (rv.parallel_env("duo"), rv.make_vec("duo", 2)), strict=True
+    ):
+        base.reset(seed=0)
+        env = around(base)
+        choices = draw(env, np.random.default_rng(0))
+        with pytest.raises(RuntimeError, match=rf"{GUARANTEES[which].name}.*new reset"):
+            env.step(choices)
+        env.reset(seed=0)
         env.step(choices)
-    env.reset(seed=0)
-    env.step(choices)
-    env = guarantee.around(base)
-    env.set_state(guarantee.around(base).get_state())
-    env.step(choices)
-
-    venv = teams()
-    venv.reset(seed=0)
-    wrapped = guarantee.around_teams(venv)
-    zeros = np.zeros(wrapped.action_space.shape, np.float32)
-    with pytest.raises(RuntimeError, match=rf"{guarantee.name}.*new reset"):
-        wrapped.step(zeros)
-    wrapped.reset(seed=0)
-    wrapped.step(zeros)
+        env = around(base)
+        env.set_state(around(base).get_state())
+        env.step(choices)
 
 
 @pytest.mark.parametrize("make", [rv.parallel_env, rv.training_env])
 def test_a_step_before_the_reset_says_so(make):
-    env = make("ring-12")
+    env = make("duo")
     actions = {name: env.action_space(name).sample() for name in env.possible_agents}
     for given in (actions, {}):
         with pytest.raises(RuntimeError, match="call reset"):
@@ -387,7 +311,7 @@ def test_a_step_before_the_reset_says_so(make):
 
 @pytest.mark.parametrize("spelling", ["SAME_STEP", "same_step", "SameStep"])
 def test_autoreset_modes_may_be_spelled_as_elsewhere(spelling):
-    mode = gymnasium.vector.AutoresetMode.SAME_STEP
-    assert teams(autoreset_mode=spelling).autoreset_mode is mode
+    mode = AutoresetMode.SAME_STEP
+    assert rv.make_vec("duo", autoreset_mode=spelling).autoreset_mode is mode
     with pytest.raises(ValueError, match="autoreset_mode"):
-        teams(autoreset_mode=f"-{spelling}")
+        rv.make_vec("duo", autoreset_mode=f"-{spelling}")

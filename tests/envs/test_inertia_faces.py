@@ -1,27 +1,16 @@
-"""Robots with inertia through every door: API suites, spaces, files, what is refused."""
+"""Robots with inertia in every environment: API suites, spaces, files, what is refused."""
 
 from __future__ import annotations
 
-import warnings
-
-import gymnasium
 import numpy as np
 import pytest
+from guarantees import GUARANTEES, api_suite, draw, suites
 from gymnasium.utils.env_checker import check_env
 
 import baselines
 import rendezvous_env as rv
 from rendezvous_env import rendezvous_v0
 from rendezvous_env.envs.gymnasium_env import make_env
-from rendezvous_env.vector import HeadingVectorWrapper
-
-with warnings.catch_warnings():  # PettingZoo imports its own old modules here
-    warnings.simplefilter("ignore", DeprecationWarning)
-    from pettingzoo.test import api_test, parallel_api_test
-
-
-DIMENSIONS = pytest.mark.parametrize("dim", [2, pytest.param(3, marks=pytest.mark.slow)])
-"""Robots of space need kernels that few other tests have."""
 
 
 def team(dim: int = 2, **changes: object) -> rv.Scenario:
@@ -29,16 +18,15 @@ def team(dim: int = 2, **changes: object) -> rv.Scenario:
     return rv.Scenario(**given | changes)
 
 
-@pytest.mark.filterwarnings("ignore:^The observation contains negative numbers:UserWarning")
-@pytest.mark.filterwarnings(r"ignore:^Observation numpy array is all zeros\.$:UserWarning")
-@DIMENSIONS
+@api_suite
+@pytest.mark.parametrize("dim", [2, 3])
 def test_api_suites(dim):
-    parallel_api_test(rendezvous_v0.parallel_env(team(dim)), num_cycles=300)
-    api_test(rendezvous_v0.env(team(dim)), num_cycles=200, verbose_progress=False)
+    suites.parallel_api_test(rendezvous_v0.parallel_env(team(dim)), num_cycles=300)
+    suites.api_test(rendezvous_v0.env(team(dim)), num_cycles=200, verbose_progress=False)
     check_env(make_env(team(dim)), skip_render_check=True)
 
 
-@DIMENSIONS
+@pytest.mark.parametrize("dim", [2, 3])
 def test_observations_stay_in_their_space_and_end_with_the_velocity(dim):
     scenario = team(dim, max_speed=0.7, max_acceleration=50.0)
     env, random = rv.parallel_env(scenario), np.random.default_rng(0)
@@ -48,11 +36,8 @@ def test_observations_stay_in_their_space_and_end_with_the_velocity(dim):
     np.testing.assert_allclose(space.high[-1], 0.7, rtol=1e-6)
     np.testing.assert_allclose(env.action_space("robot_0").high, 50.0)
     fastest = 0.0
-    for _ in range(100):
-        if not env.agents:
-            break
-        actions = {name: random.uniform(-50, 50, dim).astype(np.float32) for name in env.agents}
-        observations, *_ = env.step(actions)
+    while env.agents:
+        observations, *_ = env.step(draw(env, random))
         for seen in observations.values():
             assert space.contains(seen)
             fastest = max(fastest, float(np.linalg.norm(seen[-1])))
@@ -83,12 +68,10 @@ def test_files(tmp_path):
 
 def test_headings_do_not_steer_them():
     message = r"scenario has double_integrator robots, whose action is acceleration, m/s²; law"
-    with pytest.raises(ValueError, match=message):
-        rv.HeadingVectorWrapper(rv.parallel_env(team()))
-    venv = rv.make_vec(team(), 2, autoreset_mode=gymnasium.vector.AutoresetMode.DISABLED)
-    with pytest.raises(ValueError, match=message):
-        HeadingVectorWrapper(venv)
-    assert baselines.names(team()) == ["damped", "random", "zero"]
+    bases = rv.parallel_env(team()), rv.make_vec(team(), 2)
+    for around, base in zip(GUARANTEES["heading"].both, bases, strict=True):
+        with pytest.raises(ValueError, match=message):
+            around(base)
     with pytest.raises(ValueError, match='headings: double_integrator robots have none; give "fra'):
         rv.Simulator(team()).reset(0, {"headings": [0.0, 0.0, 0.0]})
 

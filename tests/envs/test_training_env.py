@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import warnings
-
 import numpy as np
 import pytest
+from guarantees import draw, suites
 from gymnasium.vector import AutoresetMode
 
 import baselines
@@ -14,10 +13,6 @@ from baselines.learned.features import Features
 from baselines.learned.policy_settings import ALL_ROUND, ANGLES
 from baselines.learned.shipped import preset
 from train.learn.settings import Config
-
-with warnings.catch_warnings():  # PettingZoo's suites load environments that it calls outdated
-    warnings.simplefilter("ignore", DeprecationWarning)
-    from pettingzoo.test import parallel_api_test, parallel_seed_test
 
 HEAVY = rv.Scenario(robot_model="double_integrator")
 SCENARIO = rv.scenarios.get("clutter-8").replace(time_limit=6.0)
@@ -39,33 +34,25 @@ def form(request):
     return FORMS[request.param]
 
 
-def choices(env, seed=0):
-    random = np.random.default_rng(seed)
-    shape = (env.num_envs, *env.single_action_space.shape)
-    if env.single_action_space.dtype == np.float32:
-        return random.uniform(-0.5, 1.0, shape).clip(env.single_action_space.low)
-    return random.integers(env.single_action_space.nvec[0], size=shape)
-
-
-# ---- both doors ---------------------------------------------------------------------------------
+# ---- both environments --------------------------------------------------------------------------
 
 
 def test_the_suites_of_pettingzoo(form, capsys):
-    parallel_api_test(rv.training_env(SCENARIO, **form), 60)
+    suites.parallel_api_test(rv.training_env(SCENARIO, **form), 60)
     assert "Passed" in capsys.readouterr().out
-    parallel_seed_test(lambda: rv.training_env(SCENARIO, **form), 5)
+    suites.parallel_seed_test(lambda: rv.training_env(SCENARIO, **form), 5)
 
 
-def test_the_door_by_name_is_the_vector_door_with_one_team(form):
+def test_the_environment_by_name_is_the_vector_environment_with_one_team(form):
     mode = AutoresetMode.DISABLED
     teams = rv.vector.training_env(SCENARIO, 3, autoreset_mode=mode, **form)
     env = rv.training_env(SCENARIO, **form)
     table, _ = teams.reset(seed=4)
     seen, infos = env.reset(seed=5)
-    keys, steps = set(infos["robot_0"]), 0
+    keys, steps, random = set(infos["robot_0"]), 0, np.random.default_rng(0)
     while env.agents:
         np.testing.assert_array_equal(np.stack(list(seen.values())), table[1])
-        actions = choices(teams, steps)
+        actions = draw(teams, random)
         table, rewards, ends, cuts, told = teams.step(actions)
         by_name = dict(zip(env.agents, actions[1], strict=True))
         seen, earned, _, _, infos = env.step(by_name)
@@ -252,22 +239,6 @@ def test_overrides_reach_the_wrapper_the_preset_and_the_scenario():
 def test_what_cannot_be_is_refused(arguments, error, message):
     with pytest.raises(error, match=message):
         rv.training_env(**({"scenario": SCENARIO} | arguments))
-
-
-def test_a_running_episode_can_be_taken_out_and_put_back(form):
-    env = rv.training_env(SCENARIO, **form)
-    env.reset(seed=3)
-    actions = [dict(zip(env.agents, choices(env.teams, seed)[0], strict=True)) for seed in range(8)]
-    for each in actions[:3]:
-        env.step(each)
-    kept = env.get_state()
-    first = [env.step(each)[:2] for each in actions[3:]]
-    env.set_state(kept)
-    for each, (seen, rewards) in zip(actions[3:], first, strict=True):
-        again, earned, *_ = env.step(each)
-        assert earned == rewards
-        for name in again:
-            np.testing.assert_array_equal(again[name], seen[name])
 
 
 def test_the_adapter_of_stable_baselines3_takes_training_teams():

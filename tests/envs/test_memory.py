@@ -1,0 +1,87 @@
+"""What environments of every kind remember: in states, pickles and copies, and over resets."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+from functools import partial
+
+import numpy as np
+import pytest
+from guarantees import GUARANTEES, WHICH_AND_KIND, draw, make, same
+from test_gymnasium_env import SCENARIOS, small
+from test_own_filter import HalfSpeed
+from test_training_env import FORMS, SCENARIO
+
+import rendezvous_env as rv
+
+
+def teams(which, mode="NextStep", num_envs=6, **options):
+    scenario = "clutter-8" if GUARANTEES[which].anywhere else rv.Scenario(n_robots=3)
+    venv = rv.make_vec(scenario, num_envs, autoreset_mode=mode)
+    return GUARANTEES[which].around_teams(venv, **options)
+
+
+def made_with(make, which, *arguments):
+    return partial(make, which, *arguments, decision_period=2, **GUARANTEES[which].options)
+
+
+ENVIRONMENTS = {
+    **{f"{which}, {kind}": made_with(make, which, kind) for which, kind in WHICH_AND_KIND},
+    **{f"teams, {which}": made_with(teams, which) for which in GUARANTEES},
+    **{f"teams, {name}": partial(rv.make_vec, small(name), 21) for name in SCENARIOS},
+    **{f"training, {name}": partial(rv.training_env, SCENARIO, **FORMS[name]) for name in FORMS},
+    "filter of one's own": lambda: rv.GuaranteeWrapper(rv.parallel_env("fig3"), HalfSpeed),
+}
+
+
+@pytest.mark.parametrize("name", ENVIRONMENTS)
+def test_state_pickle_and_deepcopy_go_on_alike(name):
+    build, random = ENVIRONMENTS[name], np.random.default_rng(0)
+    env, fresh = build(), build()
+    env.reset(seed=3)
+    for _ in range(3):
+        env.step(draw(env, random))
+    state = env.get_state()
+    kept = copy.deepcopy(state)
+    fresh.set_state(state)
+    copies = [fresh, copy.deepcopy(env), pickle.loads(pickle.dumps(env))]
+    compared = 0
+    while getattr(env, "agents", True) and compared < 12:
+        choices = draw(env, random)
+        result = env.step(choices)
+        for other in copies:
+            assert same(result, other.step(choices))
+            assert same(env.get_state(), other.get_state())
+        compared += 1
+    assert compared > 4 and same(state, kept)
+
+
+@pytest.mark.parametrize("name", [f"{which}, {kind}" for which, kind in WHICH_AND_KIND])
+def test_a_reset_forgets_what_was(name):
+    env, fresh = ENVIRONMENTS[name](), ENVIRONMENTS[name]()
+    random = np.random.default_rng(0)
+    env.reset(seed=1)
+    for _ in range(5):
+        env.step(draw(env, random))
+    assert same(env.reset(seed=9), fresh.reset(seed=9)) and same(env.get_state(), fresh.get_state())
+
+
+@pytest.mark.parametrize("which", GUARANTEES)
+@pytest.mark.parametrize("form", [make, teams])
+def test_a_state_that_does_not_fit_is_refused_and_changes_nothing(form, which):
+    env = form(which)
+    fewer = make(which, changes={"n_robots": 4, "graph": "complete"})
+    other = fewer if form is make else teams(which, num_envs=2)
+    env.reset(seed=0)
+    other.reset(seed=0)
+    before = env.get_state()
+    with pytest.raises(ValueError, match="observed must be an array of shape"):
+        env.set_state(other.get_state())
+    broken = env.get_state()
+    broken["env"].get("simulator", broken["env"]).pop("weights")
+    memory = broken[env.filter.state_key]
+    broken[env.filter.state_key] = {key: array + 1.0 for key, array in memory.items()}
+    with pytest.raises(ValueError, match=r"weights|frames"):
+        env.set_state(broken)
+    assert same(before, env.get_state())
