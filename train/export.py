@@ -16,12 +16,7 @@ from rendezvous_env.baselines.learned.features import (
     OBSTACLE_COLUMNS,
     FeatureLayout,
 )
-from rendezvous_env.baselines.learned.numpy_actor import (
-    Layer,
-    NumpyActor,
-    linear_layer,
-    linear_layers,
-)
+from rendezvous_env.baselines.learned.numpy_actor import Layer, NumpyActor, RecurrentUnit
 from rendezvous_env.baselines.learned.onnx_network import (
     DIGEST_KEY,
     NO_DIGEST,
@@ -211,19 +206,27 @@ def model_of(weights: Mapping[str, NDArray[Any]], settings: PolicySettings) -> A
     Inputs: neighbours (N, K, 3), obstacles (N, M, 6), context (N, columns) and, with a recurrent
     unit, hidden (N, units), all float32; N, K and M are free. Outputs: preferences (N, choices)
     and hidden_next. Its metadata holds the settings, the angles of the choices, rad, and a digest
-    of all of it.
-
-    Raises:
-        ValueError: naming an array that is missing, of another shape or not finite.
+    of all of it. A ValueError names an array that is missing, of another shape or not finite.
     """
     from onnx import TensorProto, checker, helper
 
-    graph, units, context = _Graph(), settings.units, settings.layout(0, 0).context_columns
-    _connect(graph, weights, settings, context)
+    graph, layout, units = _Graph(), settings.layout(0, 0), settings.units
+    actor = NumpyActor(weights, settings, layout)
+    pooled = [
+        part
+        for rows, layers in zip(("neighbours", "obstacles"), actor.sets, strict=True)
+        for part in _pooled(graph, rows, layers)
+    ]
+    seen = graph.add("Concat", *pooled, "context", axis=1)
+    if actor.memory is not None:
+        seen = graph.add("Concat", _remembered(graph, actor.memory, seen), seen, axis=1)
+    for layer in actor.layers:
+        seen = graph.add("Relu", graph.linear(seen, layer))
+    graph.add("Identity", graph.linear(seen, actor.last), name="preferences")
     given: dict[str, list[int | str]] = {
         "neighbours": ["robots", "neighbour_slots", NEIGHBOUR_COLUMNS],
         "obstacles": ["robots", "obstacle_slots", OBSTACLE_COLUMNS],
-        "context": ["robots", context],
+        "context": ["robots", layout.context_columns],
     }
     found: dict[str, list[int | str]] = {"preferences": ["robots", len(settings.angles)]}
     if units:
@@ -280,32 +283,8 @@ class _Graph:
 
     def linear(self, values: str, layer: Layer) -> str:
         """W x + b over the last axis."""
-        weight, bias = (part.astype(np.float32) for part in layer)
+        weight, bias = layer
         return self.add("Add", self.add("MatMul", values, weight.T), bias)
-
-
-def _connect(
-    graph: _Graph, weights: Mapping[str, NDArray[Any]], settings: PolicySettings, context: int
-) -> None:
-    """All layers, from the inputs to "preferences" and "hidden_next"."""
-    width, units, choices = settings.set_width, settings.units, len(settings.angles)
-    features = 4 * width + context
-    pooled: list[str] = []
-    for rows, net, columns in (
-        ("neighbours", "neighbour_net", NEIGHBOUR_COLUMNS),
-        ("obstacles", "obstacle_net", OBSTACLE_COLUMNS),
-    ):
-        layers = linear_layers(weights, f"features_extractor.{net}", (columns, width, width))
-        pooled += _pooled(graph, rows, layers)
-    seen = graph.add("Concat", *pooled, "context", axis=1)
-    if units:
-        hidden = _remembered(graph, weights, seen, features, units)
-        seen = graph.add("Concat", hidden, seen, axis=1)
-    sizes = (units + features, *settings.hidden)
-    for layer in linear_layers(weights, "mlp_extractor.policy_net", sizes):
-        seen = graph.add("Relu", graph.linear(seen, layer))
-    last = linear_layer(weights, "action_net.weight", "action_net.bias", sizes[-1], choices)
-    graph.add("Identity", graph.linear(seen, last), name="preferences")
 
 
 def _pooled(graph: _Graph, rows: str, layers: list[Layer]) -> tuple[str, str]:
@@ -328,21 +307,14 @@ def _pooled(graph: _Graph, rows: str, layers: list[Layer]) -> tuple[str, str]:
     return mean, graph.add("ReduceMax", kept, along, keepdims=0)
 
 
-def _remembered(
-    graph: _Graph, weights: Mapping[str, NDArray[Any]], features: str, inputs: int, units: int
-) -> str:
+def _remembered(graph: _Graph, unit: RecurrentUnit, features: str) -> str:
     """The equations of ``RecurrentUnit``, from "hidden" to "hidden_next"."""
-    seen = linear_layer(weights, "memory.weight_ih", "memory.bias_ih", inputs, 3 * units)
-    kept = linear_layer(weights, "memory.weight_hh", "memory.bias_hh", units, 3 * units)
-
-    def parts(gate: int) -> tuple[str, str]:
-        """Of what is seen, and of what is remembered."""
-        rows = slice(gate * units, (gate + 1) * units)
-        of_seen, of_kept = ((weight[rows], bias[rows]) for weight, bias in (seen, kept))
-        return graph.linear(features, of_seen), graph.linear("hidden", of_kept)
-
-    r, z = (graph.add("Sigmoid", graph.add("Add", *parts(gate))) for gate in (0, 1))
-    now, before = parts(2)
-    m = graph.add("Tanh", graph.add("Add", now, graph.add("Mul", r, before)))
+    gates = [
+        [graph.linear(values, part) for part in zip(*(np.split(a, 3) for a in layer), strict=True)]
+        for values, layer in ((features, unit.seen), ("hidden", unit.kept))
+    ]
+    (r_x, z_x, m_x), (r_h, z_h, m_h) = gates
+    r, z = (graph.add("Sigmoid", graph.add("Add", *both)) for both in ((r_x, r_h), (z_x, z_h)))
+    m = graph.add("Tanh", graph.add("Add", m_x, graph.add("Mul", r, m_h)))
     stays = graph.add("Mul", z, graph.add("Sub", "hidden", m))
     return graph.add("Add", m, stays, name="hidden_next")

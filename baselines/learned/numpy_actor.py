@@ -64,31 +64,31 @@ class NumpyActor(Network):
         width, hidden = settings.set_width, settings.hidden
         rows = {"neighbour_net": NEIGHBOUR_COLUMNS, "obstacle_net": OBSTACLE_COLUMNS}
         self._layout = layout
-        self._sets = [
+        self.sets = [
             linear_layers(weights, f"features_extractor.{name}", (columns, width, width))
             for name, columns in rows.items()
         ]
         features = 4 * width + layout.context_columns
         units = self._units = settings.units
-        self._memory = RecurrentUnit(weights, features, units) if units else None
+        self.memory = RecurrentUnit(weights, features, units) if units else None
         sizes = (units + features, *hidden)
-        self._policy = linear_layers(weights, "mlp_extractor.policy_net", sizes)
+        self.layers = linear_layers(weights, "mlp_extractor.policy_net", sizes)
         last = sizes[-1], len(settings.angles)
-        self._action = linear_layer(weights, "action_net.weight", "action_net.bias", *last)
+        self.last = linear_layer(weights, "action_net.weight", "action_net.bias", *last)
 
     def preferences(self, shown: Array, hidden: Array | None = None) -> Array:
         """As ``Network.preferences``."""
         seen = self._layout.split(shown)
-        sets = zip(self._sets, (seen.neighbours, seen.obstacles), strict=True)
+        sets = zip(self.sets, (seen.neighbours, seen.obstacles), strict=True)
         pooled = [part for layers, rows in sets for part in _pooled(layers, rows)]
         features = np.concatenate([*pooled, seen.context], axis=-1)
-        if self._memory is not None:
+        if self.memory is not None:
             if hidden is None:
                 hidden = np.zeros((len(shown), self._units), dtype=np.float32)
-            hidden[...] = self._memory.next(features, hidden)
+            hidden[...] = self.memory.next(features, hidden)
             features = np.concatenate([hidden, features], axis=-1)
-        weight, bias = self._action
-        return through(self._policy, features) @ weight.T + bias
+        weight, bias = self.last
+        return through(self.layers, features) @ weight.T + bias
 
 
 def _pooled(layers: list[Layer], rows: Array) -> tuple[Array, Array]:
@@ -157,12 +157,12 @@ class RecurrentUnit:
 
     def __init__(self, weights: Mapping[str, NDArray[Any]], inputs: int, units: int) -> None:
         names = [("memory.weight_ih", "memory.bias_ih"), ("memory.weight_hh", "memory.bias_hh")]
-        self._seen = linear_layer(weights, *names[0], inputs, 3 * units)
-        self._kept = linear_layer(weights, *names[1], units, 3 * units)
+        self.seen = linear_layer(weights, *names[0], inputs, 3 * units)
+        self.kept = linear_layer(weights, *names[1], units, 3 * units)
 
     def next(self, features: Array, hidden: Array) -> Array:
         """What is remembered, (N, units), after features (N, inputs)."""
-        (weight_x, bias_x), (weight_h, bias_h) = self._seen, self._kept
+        (weight_x, bias_x), (weight_h, bias_h) = self.seen, self.kept
         r_x, z_x, m_x = np.split(features @ weight_x.T + bias_x, 3, axis=-1)
         r_h, z_h, m_h = np.split(hidden @ weight_h.T + bias_h, 3, axis=-1)
         r, z = _sigmoid(r_x + r_h), _sigmoid(z_x + z_h)

@@ -162,7 +162,7 @@ def test_a_state_in_which_a_robot_is_too_fast_is_refused():
         sim.set_state(state)
 
 
-@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("dim", [2, pytest.param(3, marks=pytest.mark.slow)])
 def test_teams_meet_under_the_damped_law(dim):
     scenario = Scenario(n_robots=5, dim=dim, robot_model="double_integrator", graph=UNEQUAL)
     policy, sim = baselines.make("damped", scenario), Simulator(scenario, 64)

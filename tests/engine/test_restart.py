@@ -19,7 +19,12 @@ TEAMS = 7
 SOME = np.array([False, True, False, False, True, True, False])
 
 
-@pytest.fixture(params=list(KINDS))
+@pytest.fixture(
+    params=[
+        pytest.param(name, marks=[pytest.mark.slow] * (name == "double_integrator-3d"))
+        for name in KINDS
+    ]
+)
 def scenario(request) -> Scenario:
     return Scenario(
         n_robots=5, graph=UNEQUAL, spawn_size=6.0, merge_radius=0.4, **KINDS[request.param]

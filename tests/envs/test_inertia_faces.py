@@ -13,20 +13,24 @@ from rendezvous_env import rendezvous_v0
 from rendezvous_env.envs.gymnasium_env import make_env
 
 
+DIMENSIONS = pytest.mark.parametrize("dim", [2, pytest.param(3, marks=pytest.mark.slow)])
+"""Robots of space need kernels that few other tests have."""
+
+
 def team(dim: int = 2, **changes: object) -> rv.Scenario:
     given = {"n_robots": 3, "dim": dim, "robot_model": "double_integrator", "time_limit": 5.0}
     return rv.Scenario(**given | changes)
 
 
 @api_suite
-@pytest.mark.parametrize("dim", [2, 3])
+@DIMENSIONS
 def test_api_suites(dim):
     suites.parallel_api_test(rendezvous_v0.parallel_env(team(dim)), num_cycles=300)
     suites.api_test(rendezvous_v0.env(team(dim)), num_cycles=200, verbose_progress=False)
     check_env(make_env(team(dim)), skip_render_check=True)
 
 
-@pytest.mark.parametrize("dim", [2, 3])
+@DIMENSIONS
 def test_observations_stay_in_their_space_and_end_with_the_velocity(dim):
     scenario = team(dim, max_speed=0.7, max_acceleration=50.0)
     env, random = rv.parallel_env(scenario), np.random.default_rng(0)

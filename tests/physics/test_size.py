@@ -86,7 +86,7 @@ def test_it_grows_with_the_hull_and_knows_no_frame(d, count, seed):
 
 @pytest.mark.parametrize("dim", [2, 3])
 def test_of_the_simulator_only_robots_that_are_left_count(dim):
-    scenario = Scenario(n_robots=5, dim=dim, graph="path")
+    scenario = Scenario(n_robots=5, dim=dim, graph="path", neighbour_slots=4)
     simulator = Simulator(scenario, 6)
     observations = simulator.reset(4)
     # the last two are neighbours closer than r, so a step makes one robot of them

@@ -45,6 +45,7 @@ def links_played(scenario, steps=20):
     return int(simulator.active.sum()), simulator.weights[0]
 
 
+@pytest.mark.slow
 def test_links_that_merges_in_obstacles_lengthen_are_not_certified():
     far = behind_discs(2.699999)
     left, weights = links_played(far)
@@ -53,6 +54,7 @@ def test_links_that_merges_in_obstacles_lengthen_are_not_certified():
     assert not found.guaranteed and "range − (n − 1) r with obstacles" in found.theorem
 
 
+@pytest.mark.slow
 def test_links_shorter_by_r_per_merge_are_kept_beside_such_obstacles():
     near = behind_discs(2.399999)
     assert certificate(near, by="links", share=0.001).guaranteed
@@ -183,6 +185,7 @@ def pursued(scenario, speed):
     return found.rendezvous_time[0]
 
 
+@pytest.mark.slow
 def test_no_bound_of_pursuit_where_a_leader_rests():
     pair = Scenario(
         n_robots=2, graph=graphs.directed([(0, 1)], 2), robot_model="unicycle", time_step=0.005,

@@ -172,8 +172,9 @@ GRAPHS = {"path": graphs.path(2.0), "tree": graphs.random_tree((0.5, 2.0)), "cyc
 def test_no_link_grows_longer_and_all_meet(dim, graph, steps):
     """At twice the certified step too, r/D: then v τ is as long as it may be."""
     scenario = rv.Scenario(
-        n_robots=6, dim=dim, graph=GRAPHS[graph], spawn_size=5.0, merge_radius=0.3, time_limit=400.0
-    )
+        n_robots=6, dim=dim, graph=GRAPHS[graph], spawn_size=5.0, merge_radius=0.3,
+        time_limit=400.0, neighbour_slots=5,
+    )  # fmt: skip
     scenario = scenario.replace(time_step=steps * scenario.certified_step, allow_long_step=True)
     policy, simulator = baselines.make("link-keeping", scenario), Simulator(scenario, 6)
     observations, longest = simulator.reset(1), -np.inf

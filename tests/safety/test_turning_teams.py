@@ -37,6 +37,7 @@ def team(model, graph, radius, turn_rate, n=4):
         dim=3 if model == "nonholonomic_3d" else 2,
         robot_model=model,
         graph=graph,
+        neighbour_slots=n - 1,  # rows as most tests have them: no other kernels
         merge_radius=radius,
         spawn_size=8.0 * radius + 6.0,
         max_turn_rate=turn_rate,

@@ -7,16 +7,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from itertools import combinations
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from rich.table import Table
 
 from ..compare import statistics
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from ..figures import style
 
 COLUMNS = (
     "algorithm", "safety", "guarantee", "given", "runs", "clean", "clean_low", "clean_high", "time",
@@ -145,53 +143,34 @@ def markdown(rows: Sequence[Mapping[str, Any]], cards: Sequence[Card]) -> str:
     )
 
 
-def _colour(number: int) -> tuple[float, ...]:
-    """An algorithm's, by its place; those from the eleventh on are lighter."""
+@style.styled
+def draw(out: Path, cards: Sequence[Card], rows: Sequence[Mapping[str, Any]]) -> None:
+    """price.png: collision-free success and time, each against how often V rose; profiles.png: the
+    share of runs that reach each level of collision-free success.
+    """
     from matplotlib import colormaps
 
-    return tuple(colormaps["tab20"](2 * (number % 10) + (number // 10) % 2))
-
-
-def draw(out: Path, cards: Sequence[Card], rows: Sequence[Mapping[str, Any]]) -> None:
-    """price.png and profiles.png."""
-    from ..figures import style
-
-    style.save(style.styled(_price)(rows), out / "price.png")
-    style.save(style.styled(_profiles)(cards), out / "profiles.png")
-
-
-def _price(rows: Sequence[Mapping[str, Any]]) -> Figure:
-    """Collision-free success and time, each against how often V rose."""
-    from ..figures import style
-
-    figure = style.new_figure(style.PAGE, 3.2)
+    # those from the eleventh on are lighter
+    colours = [colormaps["tab20"](2 * (k % 10) + (k // 10) % 2) for k in range(len(rows))]
+    price, profiles = style.new_figure(style.PAGE, 3.2), style.new_figure(style.PAGE, 3.2)
     marks = {"none": "o", "heading": "s", "tank": "D"}
     panels = (("clean", 100.0, "collision-free success, %"), ("time", 1.0, "time, s"))
-    for panel, (key, unit, label) in zip(figure.subplots(1, 2), panels, strict=True):
-        for k, row in enumerate(rows):
+    for panel, (key, unit, label) in zip(price.subplots(1, 2), panels, strict=True):
+        for row, colour in zip(rows, colours, strict=True):
             ends = [abs(unit * (row[f"{key}_{end}"] - row[key])) for end in ("low", "high")]
             bars = None if np.isnan(ends).any() else [[ends[0]], [ends[1]]]
             said = f"{row['algorithm']} ({row['guarantee']})"
-            mark = {"fmt": marks[row["guarantee"]], "color": _colour(k), "capsize": 2}
+            mark = {"fmt": marks[row["guarantee"]], "color": colour, "capsize": 2}
             panel.errorbar(0.1 * row["risen"], unit * row[key], bars, label=said, **mark)
         panel.axvline(0.0, color="0.8", zorder=0)
-        panel.set_xlabel("steps in which V rose, %")
-        panel.set_ylabel(label)
-    figure.legend(*panel.get_legend_handles_labels(), loc="outside right center")
-    return figure
-
-
-def _profiles(cards: Sequence[Card]) -> Figure:
-    """Share of runs that reach each level of collision-free success."""
-    from ..figures import style
-
-    figure = style.new_figure(style.PAGE, 3.2)
-    panel = figure.subplots()
+        panel.set(xlabel="steps in which V rose, %", ylabel=label)
+    price.legend(*panel.get_legend_handles_labels(), loc="outside right center")
+    panel = profiles.subplots()
     for k, (name, own) in enumerate(_by_algorithm(cards).items()):
         profile = statistics.performance_profile(scores_of(own, "clean"), _LEVELS)
-        look: dict[str, Any] = {"linestyle": ("-", "--", ":")[k % 3], "color": _colour(k)}
+        look: dict[str, Any] = {"linestyle": ("-", "--", ":")[k % 3], "color": colours[k]}
         panel.step(100.0 * _LEVELS, profile, where="post", label=name, **look)
-    panel.set_xlabel("collision-free success, %")
-    panel.set_ylabel("share of runs that reach it")
-    figure.legend(*panel.get_legend_handles_labels(), loc="outside right center")
-    return figure
+    panel.set(xlabel="collision-free success, %", ylabel="share of runs that reach it")
+    profiles.legend(*panel.get_legend_handles_labels(), loc="outside right center")
+    style.save(price, out / "price.png")
+    style.save(profiles, out / "profiles.png")

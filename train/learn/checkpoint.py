@@ -122,13 +122,6 @@ def tensors(arrays: Mapping[str, NDArray[Any]]) -> dict[str, torch.Tensor]:
     return {name: torch.from_numpy(array) for name, array in arrays.items()}
 
 
-def restore_optimizer(optimizer: torch.optim.Optimizer, arrays: Mapping[str, NDArray[Any]]) -> None:
-    """Put back what ``flatten`` took of an optimizer's state: moments and step counts."""
-    state = {int(number): tensors(moments) for number, moments in unflatten(arrays).items()}
-    groups = optimizer.state_dict()["param_groups"]
-    optimizer.load_state_dict({"state": state, "param_groups": groups})
-
-
 def check_fits(state: Mapping[str, Any], robots: Any, policy: Any) -> None:
     """Refuse what would only fail later on: with a ValueError for another shape of the robots' last
     step or of the optimizer's moments, or a weight that is not finite.

@@ -1,4 +1,4 @@
-"""What a training run tells: CSV files, TensorBoard events, a result."""
+"""What a training run tells: CSV files, and a result."""
 
 from __future__ import annotations
 
@@ -68,29 +68,6 @@ class Table:
         """Append a row; it is in the file when this returns."""
         with self._path.open("a", newline="", encoding="utf-8") as file:
             csv.writer(file).writerow([results.plain(row[column]) for column in self._columns])
-
-
-class Events:
-    """TensorBoard events, if ``wanted``; those after a step are hidden."""
-
-    def __init__(self, folder: Path, step: int, wanted: bool) -> None:
-        self._writer = None
-        if wanted:
-            from torch.utils.tensorboard import SummaryWriter
-
-            self._writer = SummaryWriter(str(folder), purge_step=step + 1)
-
-    def add(self, kind: str, row: Mapping[str, Any]) -> None:
-        """The numbers of a row at its step."""
-        if self._writer is not None:
-            for name, value in row.items():
-                if isinstance(value, int | float) and not math.isnan(value):
-                    self._writer.add_scalar(f"{kind}/{name}", value, row["step"])
-
-    def close(self) -> None:
-        """Write what is left."""
-        if self._writer is not None:
-            self._writer.close()
 
 
 Row = Mapping[str, Any]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import math
 import time
 from collections.abc import Mapping
 from datetime import UTC, datetime
@@ -30,7 +31,7 @@ from ..policies import resolve_scenario
 from ..resume import claimed
 from . import checkpoint
 from .checkpoint import STATE_FILES, flatten, tensors, unflatten
-from .log import EVALUATION, METRICS, Events, OnUpdate, Result, Table, read_evaluations
+from .log import EVALUATION, METRICS, OnUpdate, Result, Table, read_evaluations
 from .recurrent import learner_of
 from .settings import CONFIG, EVALUATION_SEEDS, Config, read_config
 from .teams import WatchedRobots, episode_numbers, make_teams
@@ -113,7 +114,17 @@ class Trainer:
         results.write_json(out / CONFIG, self.config.to_plain())  # nothing is refused from here on
         self._metrics.begin()
         self._evaluations.begin()
-        self.events = Events(out / "tensorboard", step, self.config.tensorboard)
+        self.events = None
+        if self.config.tensorboard:
+            from torch.utils.tensorboard import SummaryWriter
+
+            self.events = SummaryWriter(str(out / "tensorboard"), purge_step=step + 1)
+
+    def _tell(self, table: Table, kind: str, row: Mapping[str, Any]) -> None:
+        table.add(row)
+        for name, value in row.items():
+            if self.events and isinstance(value, int | float) and not math.isnan(value):
+                self.events.add_scalar(f"{kind}/{name}", value, row["step"])
 
     def restore(self, place: Path) -> int:
         """Take up the state of a checkpoint; the step it was written at."""
@@ -123,7 +134,9 @@ class Trainer:
             if about["stage"] != self.stage:
                 self._enter_stage(about["stage"])
             model.policy.load_state_dict(tensors(tables["network"]))
-            checkpoint.restore_optimizer(model.policy.optimizer, tables["optimizer"])
+            optimizer, kept = model.policy.optimizer, unflatten(tables["optimizer"])
+            moments = {int(number): tensors(arrays) for number, arrays in kept.items()}
+            optimizer.load_state_dict(optimizer.state_dict() | {"state": moments})
             state = unflatten(tables["state"])
             checkpoint.check_fits(state, self.robots, model.policy)
             self.robots.set_state(state["robots"])
@@ -214,8 +227,7 @@ class Trainer:
         row = {key: value.item() if hasattr(value, "item") else value for key, value in row.items()}
         model.ep_info_buffer.clear()
         model.ep_success_buffer.clear()
-        self._metrics.add(row)
-        self.events.add("train", row)
+        self._tell(self._metrics, "train", row)
         return row
 
     def evaluate(self) -> list[dict[str, Any]]:
@@ -234,8 +246,7 @@ class Trainer:
             limit = scenario.max_steps * scenario.tau
             numbers = statistics.summarise(scenario.name, "learned", episodes, limit)
             rows.append({"step": self.model.num_timesteps, **numbers})
-            self._evaluations.add(rows[-1])
-            self.events.add(f"evaluation-{scenario.name}", rows[-1])
+            self._tell(self._evaluations, f"evaluation-{scenario.name}", rows[-1])
         return rows
 
     def _weights(self) -> dict[str, NDArray[Any]]:
@@ -333,7 +344,8 @@ def _loop(training: Trainer, step: int, console: Console, on_update: OnUpdate | 
         said = "stopped by on_update" if stopped else "done"
         console.print(f"{said}: {step:,} steps; {training.speed()}")
     finally:
-        training.events.close()
+        if training.events:
+            training.events.close()
     evaluations = read_evaluations(config.out / "evaluation.csv", step)
     return Result(config.out, status, stopped, step, metrics, evaluations)
 

@@ -38,22 +38,16 @@ def sight(positions, discs=()):
     simulator = rv.Simulator(scenario)
     simulator.reset(0)
     eyes = drawing.Eyes(simulator)
-    try:
-        eyes.place()
-        pictures = eyes.look()
-        found = [DETECTOR.find(mine) for mine in pictures]
-        return [
-            (
-                {
-                    c: turned(b + eyes.yaw(i))
-                    for c, b in zip(one.colours, one.bearings, strict=True)
-                },
-                turned(one.edges + eyes.yaw(i)),
-            )
-            for i, one in enumerate(found)
-        ]
-    finally:
-        eyes.close()
+    eyes.place()
+    found = [DETECTOR.find(mine) for mine in eyes.look()]
+    eyes.close()
+    return [
+        (
+            dict(zip(one.colours, turned(one.bearings + eyes.yaw(i)), strict=True)),
+            turned(one.edges + eyes.yaw(i)),
+        )
+        for i, one in enumerate(found)
+    ]
 
 
 def turned(angles):
@@ -77,9 +71,7 @@ def test_edges_of_a_near_disc_are_found_and_a_far_one_is_left_out():
     (seen, edges), (other, theirs) = sight(((0.0, 0.0), (0.0, 5.0)), (near, far))
     assert edges == pytest.approx(np.array([[30.0, -30.0]]), abs=2.0)
     assert len(theirs) == 0 and list(seen) == [1] and list(other) == [0]
-
-
-def test_a_disc_in_front_of_a_farther_one_ends_where_it_ends():
+    # a disc in front of a farther one ends where it ends
     discs = (rv.Disc(centre=(1.2, 0.0), radius=0.5), rv.Disc(centre=(4.0, 1.5), radius=1.2))
     (_, edges), _ = sight(((0.0, 0.0), (0.0, -5.0)), discs)
     half = np.degrees(np.arcsin(0.5 / 1.2))
