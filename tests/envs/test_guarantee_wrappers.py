@@ -85,6 +85,25 @@ def test_spaces_hold_what_is_seen_and_done(which, kind, frame):
     assert seen > 50
 
 
+@which_and_kind
+def test_rates_are_those_of_the_motion(which, kind):
+    env, random = make(which, kind, frame="local"), np.random.default_rng(1)
+    env.reset(seed=2)
+    simulator, scenario, compared = env.unwrapped.simulator, env.unwrapped.scenario, 0
+    while env.agents:
+        places, frames = simulator.positions[0], simulator.frames[0]
+        f = scenario.observation_layout.net_bearing(simulator.observe()[0])
+        *_, ends, _, infos = env.step(draw(env, random))
+        moved = np.einsum("nji,nj->ni", frames, simulator.positions[0] - places)
+        for name, info in infos.items() if not any(ends.values()) else ():
+            i = env.unwrapped.index(name)
+            assert info["lyapunov_rate"] == pytest.approx(
+                -2 * f[i] @ moved[i] / scenario.tau, abs=1e-5
+            )
+            compared += 1
+    assert compared > 20
+
+
 # ---- vector environments -------------------------------------------------------------------------
 
 

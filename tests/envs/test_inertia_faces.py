@@ -12,7 +12,6 @@ import rendezvous_env as rv
 from rendezvous_env import rendezvous_v0
 from rendezvous_env.envs.gymnasium_env import make_env
 
-
 DIMENSIONS = pytest.mark.parametrize("dim", [2, pytest.param(3, marks=pytest.mark.slow)])
 """Robots of space need kernels that few other tests have."""
 
