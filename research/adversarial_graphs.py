@@ -7,8 +7,7 @@ from __future__ import annotations
 import numpy as np
 from continuous_time import Array, Mask, Sights, Teams, outward
 
-from train.verify.adversarial_bearings import unit
-from train.verify.cases import BATCH
+from train.verify.claims import BATCH, unit
 
 _EXACT = 1e6
 _SHARPNESS = (0.0, 3.0, 30.0, _EXACT, _EXACT)

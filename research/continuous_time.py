@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rendezvous_env.physics.hull_perimeter import size
-from train.verify.adversarial_bearings import unit
+from train.verify.claims import unit
 from train.verify.monitors import directions
 
 Array = NDArray[np.float64]

@@ -17,8 +17,8 @@ from time_bounds import cone_time, gains_time, led_time, windows_time
 
 from rendezvous_env.safety.theorems.gains import shrinking
 from rendezvous_env.safety.theorems.noise import held_error, largest_error
-from train.verify.cases import BATCH
-from train.verify.claims import Finding
+from train.verify.claims import BATCH
+from train.verify.falsification import Tally
 from train.verify.monitors import directions, extents
 
 _NOW_AND_THEN = 100
@@ -39,7 +39,7 @@ class ContinuousTimeClaim:
 
 def check(
     claim: ContinuousTimeClaim, seed: int, batch: int, trials: int, least_margin: float = 0.3
-) -> Finding:
+) -> Tally:
     """Run one batch of a claim, and count as many of its teams as are wanted."""
     random = np.random.default_rng([seed, zlib.crc32(claim.name.encode()), batch])
     trial = claim.draw(random, batch, least_margin)
@@ -47,10 +47,12 @@ def check(
     limit = trial.limit[:trials]
     held = kept >= -ROUNDING
     if not claim.meets:
-        return Finding(len(held), float(kept.min()), float("nan"), int(np.sum(~held)))
+        margin, violations = float(kept.min()), int(np.sum(~held))
+        return Tally(len(held), margin=margin, violations=violations)
     held &= times <= limit
-    ratio = float(np.max(times / limit))
-    return Finding(len(held), 1.0 - ratio, ratio, int(np.sum(~held)))
+    ratio, violations = float(np.max(times / limit)), int(np.sum(~held))
+    worst = {claim.name: ratio}
+    return Tally(len(held), margin=1.0 - ratio, violations=violations, ratio=worst)
 
 
 def hull_is_nested(teams: Teams) -> Look:

@@ -11,8 +11,7 @@ from continuous_time_claims import ContinuousTimeClaim, stays_below
 from continuous_time_laws import Random, followed
 
 from rendezvous_env.graphs.weights import bottleneck_weight, max_degree
-from rendezvous_env.safety.theorems.delay import largest_age
-from train.verify.adversarial_bearings import unit
+from train.verify.claims import unit
 
 _KEPT = 8
 """Moments that are remembered; the oldest admissible one is nearly as old as is allowed."""
@@ -61,7 +60,7 @@ class Stale:
 def _stale(teams: Teams, random: Random, *, law_4: bool) -> tuple[Stale, Array]:
     """What the robots see, and for how long they hold it."""
     degrees = np.array([max_degree(matrix) for matrix in teams.weights])
-    age = np.array([largest_age(d, teams.merge_radius, law_4=law_4) for d in degrees])
+    age = teams.merge_radius / (2.0 * degrees) / (math.sqrt(3.0) if law_4 else 1.0)
     step = age / _KEPT
     return Stale(teams, random, age - step), step
 

@@ -5,15 +5,14 @@ from __future__ import annotations
 import numpy as np
 from continuous_time import Array, Law, Look, Sights, Teams, Trial
 from continuous_time_claims import ContinuousTimeClaim
-from continuous_time_laws import Random, away
+from continuous_time_laws import Random, away, turned
 from desired_velocities import desired_velocities
+from numpy.typing import ArrayLike
 from time_bounds import gains_time, links_time
 
 from rendezvous_env import Scenario
 from rendezvous_env.safety.links import LinkKeeping, least_norm_points, link_keeping_law
-from rendezvous_env.safety.theorems.links import sighted_lyapunov_bound
-from train.verify.adversarial_bearings import turned, unit
-from train.verify.cases import BATCH
+from train.verify.claims import BATCH, unit
 
 _SIZES = (2, 3, 4, 5)
 _SIGHT = 1.0
@@ -93,6 +92,28 @@ def draw_kept_links(random: Random, batch: int, least_margin: float) -> Trial:
 def draw_kept_misled(random: Random, batch: int, least_margin: float) -> Trial:
     """Any desired velocities and wrong bearings, R d."""
     return _any_velocities(random, batch, float(random.uniform(0.5, 1.0)), random.uniform(0.2, 0.8))
+
+
+def sighted_lyapunov_bound(
+    n: int,
+    initial_lyapunov: ArrayLike,
+    *,
+    links: ArrayLike,
+    weight: float,
+    sight: float,
+    merge_radius: float,
+) -> Array:
+    """The most that V can come to where links of weight a, m/s, appear and go with sight, (...),
+    m²/s.
+
+        V_tot = V0 + 2aR [n(n−1)/2 − |E0| + (n−1)²] + (n−1) r a n(n−1)/2
+
+    ``links`` is |E0|, how many there are at the start; lengths are in m.
+    """
+    pairs = n * (n - 1) / 2.0
+    appear = pairs - np.asarray(links) + (n - 1) ** 2
+    merges = (n - 1) * merge_radius * weight * pairs
+    return np.asarray(np.asarray(initial_lyapunov) + 2.0 * weight * sight * appear + merges)
 
 
 def _any_velocities(random: Random, batch: int, share: float, error_share: float) -> Trial:

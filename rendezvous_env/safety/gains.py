@@ -25,7 +25,7 @@ class _Constants(NamedTuple):
     """What the kernels need to know of the scenario and of the arguments."""
 
     neighbour_slots: int
-    min_gain: float
+    min_gain: float  # m/s
     max_gain: float
     speed_limit: float
 
@@ -38,16 +38,11 @@ class GainRange(NamedTuple):
 
 
 def gain_range(scenario: Scenario, min_gain: Any = None, max_gain: Any = None) -> GainRange:
-    """The limits of Σ_j c_ij in force (theorem G).
+    """The limits of Σ_j c_ij in force, numbers, m/s (theorem G); no gain exceeds r/τ.
 
-    Args:
-        scenario: gives the defaults a* and D̄, and r/τ, which no gain exceeds.
-        min_gain: c, a number, m/s; None is a*, or ``max_gain`` or r/τ if that is less.
-        max_gain: C, m/s; None is D̄, or ``min_gain`` if that is more.
-
-    Raises:
-        ValueError: naming the argument that is not positive, too large for the step, or less than
-            the other.
+    ``min_gain`` is c, a* if it is None, or ``max_gain`` or r/τ if that is less. ``max_gain`` is C,
+    D̄ if it is None, or ``min_gain`` if that is more. A ValueError names the one that is not
+    positive, too large for the step, or less than the other.
     """
     safe = scenario.merge_radius / scenario.tau
     least = None if min_gain is None else positive("min_gain", min_gain, "m/s")
@@ -132,12 +127,14 @@ def _weigh(teams, arguments):
     observations, constants, held, actions, gain, alignment, lyapunov_rate = arguments
     for team in range(teams[0], teams[1]):
         for i in range(observations.shape[1]):
-            rows = observations[team, i]
-            total, towards = weighted_bearings(rows, held[team, i], constants.neighbour_slots)
-            sought = min(max(total, constants.min_gain), constants.max_gain)
-            if total == 0.0:
-                sought = 0.0
-            velocity = scaled(towards, sought)
+            rows, weights = observations[team, i], held[team, i]
+            total, towards = _weighted(rows, weights, constants.neighbour_slots, 0.0)
+            if total < _NOTHING:  # all count alike
+                total, towards = _weighted(rows, weights, constants.neighbour_slots, 1.0)
+            sought = 0.0
+            if total > 0.0:
+                sought = min(max(total, constants.min_gain), constants.max_gain)
+            velocity = scaled(scaled(towards, 1.0 / total if total > 0.0 else 0.0), sought)
             _, within = speed_scale(dot(velocity, velocity), constants.speed_limit)
             velocity = scaled(velocity, within)
             store(velocity, actions[team, i])
@@ -148,20 +145,8 @@ def _weigh(teams, arguments):
 
 
 @kernel
-def weighted_bearings(rows, weights, neighbour_slots):
-    """Σ_j w_j a_ij, m/s, and the average Σ_j w_j a_ij g_ij / Σ_j w_j a_ij, a triple without unit.
-
-    Of one robot's rows (rows, d), m/s, and weights (K,), cut to [0, 1]: if all that count are zero,
-    all are 1. Absent rows do not count; both are zero where nobody is seen.
-    """
-    total, towards = _weighted(rows, weights, neighbour_slots, 0.0)
-    if total < _NOTHING:
-        total, towards = _weighted(rows, weights, neighbour_slots, 1.0)
-    return total, scaled(towards, 1.0 / total if total > 0.0 else 0.0)
-
-
-@kernel
 def _weighted(rows, weights, neighbour_slots, least):
+    """Σ_j w_j a_ij, m/s, and Σ_j w_j a_ij g_ij, a triple, of weights cut to [``least``, 1]."""
     total, towards = 0.0, (0.0, 0.0, 0.0)
     for k in range(neighbour_slots):
         row, weight = load(rows[k]), min(max(weights[k], least), 1.0)

@@ -42,10 +42,8 @@ def least_norm_points(neighbour_rows: ArrayLike) -> NDArray[np.float64]:
         q_i = argmin ‖q‖,   q ∈ conv{g_ij : j seen}
 
     All bearings lie along it, q_i·g_ij ≥ ‖q_i‖², and it is zero where neighbours are all round, or
-    nobody is seen. Of rows a_ij g_ij, (..., K, d), m/s, zero ones are absent, lengths do not count.
-
-    Raises:
-        ValueError: for another shape, or rows that are not finite.
+    nobody is seen. Of rows a_ij g_ij, (..., K, d), m/s, zero ones are absent, lengths do not count;
+    a ValueError says which shape is wrong, or that they are not finite.
     """
     rows = floats("neighbour_rows", neighbour_rows)
     if rows.ndim < 2 or rows.shape[-1] not in (2, 3):
@@ -93,17 +91,10 @@ def project_on_links(wanted, rows, neighbour_slots, radius, error):
 
     Found as an active set of at most three balls: while the point lies outside of some ball, the
     nearest point of that one and the active ones takes its place, and its distance grows. What
-    rounding leaves outside is scaled into the set.
+    rounding leaves outside is scaled into the set: ‖v‖ ≤ 2 ρ cos ∠(v, g) for all g.
 
-    Args:
-        wanted: a triple, m/s.
-        rows: of one robot, a_ij g_ij, (rows, d), m/s; zero rows are absent.
-        neighbour_slots: K, how many of them, from the first, are neighbours.
-        radius: ρ, m/s.
-        error: η, rad, the largest angle by which a bearing may be wrong.
-
-    Returns:
-        A triple, m/s, no longer than ``wanted``.
+    Of a triple, m/s, no longer afterwards; a robot's rows a_ij g_ij, (rows, d), m/s, of which the
+    first K are neighbours; ρ, m/s; and η, rad, the largest error of a bearing.
     """
     point, active = wanted, (ORIGIN, ORIGIN, ORIGIN)
     for _ in range(_MOST_ROUNDS):
@@ -113,29 +104,19 @@ def project_on_links(wanted, rows, neighbour_slots, radius, error):
         point, active = _nearest_on(wanted, bearing, active, radius)
         if dot(point, point) == 0.0:
             break
-    return shortened_to_links(point, rows, neighbour_slots, radius, error)
-
-
-@kernel
-def shortened_to_links(velocity, rows, neighbour_slots, radius, error):
-    """A velocity, a triple, m/s, made just short enough for B_i: ‖v‖ ≤ 2 ρ cos ∠(v, g) for all g.
-
-    Arguments as ``project_on_links``.
-    """
-    speed, direction = split(velocity)
+    speed, direction = split(point)
     bearing = worst_bearing(direction, rows, neighbour_slots, error)
     most = max(2.0 * radius * dot(direction, bearing), 0.0)
-    return velocity if speed <= most else scaled(direction, most)
+    return point if speed <= most else scaled(direction, most)
 
 
 @kernel
 def worst_bearing(direction, rows, neighbour_slots, error):
-    """Of all bearings within η of the seen ones the one that lies least along a direction.
+    """Of all bearings within η of the seen ones the one that lies least along a direction v.
 
         g cos α − u sin α,   α = min(η, π − ∠(g, v)),   u the part of v across g
 
-    Of v, a triple, and rows of any unit; a unit triple, zero where nobody is seen. Arguments as
-    ``project_on_links``.
+    A unit triple, zero where nobody is seen; arguments as ``project_on_links``.
     """
     g = least_along(rows, neighbour_slots, direction)
     if error == 0.0 or dot(g, g) == 0.0:
@@ -155,8 +136,8 @@ def _excess(point, bearing, radius):
 
 @kernel
 def _nearest_on(wanted, bearing, active, radius):
-    """The point nearest to the desired one in the balls of a bearing and of up to three others, one
-    of them zero if it is none, where it is on the first one's boundary; and the balls it is on.
+    """The point nearest to the desired one in the balls of a bearing and of up to three others,
+    zero for none, where it is on the first one's boundary; and the balls it is on.
     """
     found, kept = ORIGIN, (ORIGIN, ORIGIN, ORIGIN)
     least = dot(wanted, wanted)
@@ -177,7 +158,6 @@ def _nearest_on(wanted, bearing, active, radius):
 
 @inner_kernel(inline="code")
 def _is(bearing):
-    """Whether there is one."""
     return dot(bearing, bearing) > 0.0
 
 
@@ -302,7 +282,7 @@ def _keep_links(teams, arguments):
     for team in range(teams[0], teams[1]):
         for i in range(observations.shape[1]):
             rows = observations[team, i]
-            velocity = link_keeping_velocity(load(held[team, i]), rows, constants)
+            velocity = _link_keeping_velocity(load(held[team, i]), rows, constants)
             store(velocity, actions[team, i])
             f = net_bearing_of(rows, constants.neighbour_slots)
             alignment[team, i] = alignment_of(velocity, f)
@@ -310,7 +290,7 @@ def _keep_links(teams, arguments):
 
 
 @kernel
-def link_keeping_velocity(desired, rows, constants):
+def _link_keeping_velocity(desired, rows, constants):
     """One robot's velocity, a triple, m/s, from the desired one in units of v_max (R c and d)."""
     slots, radius, error = constants.neighbour_slots, constants.radius, constants.bearing_error
     degree = degree_of(rows, slots)

@@ -17,11 +17,8 @@ Array = NDArray[np.float64]
 
 
 def lyapunov(positions: ArrayLike, weights: ArrayLike) -> Array:
-    """V = Σ_i Σ_j a_ij ‖p_i − p_j‖ (paper, section III), (...), m²/s.
-
-    Args:
-        positions: (..., n, d), m.
-        weights: (..., n, n), m/s; leading axes broadcast.
+    """V = Σ_i Σ_j a_ij ‖p_i − p_j‖ (paper, section III), (...), m²/s, of positions (..., n, d), m,
+    and symmetric weights (..., n, n), m/s; leading axes broadcast.
     """
     return _of_teams(lambda p, a: lyapunov_of_links(p, _links(a)), "()", positions, weights)
 
@@ -40,12 +37,10 @@ def net_bearings(positions: ArrayLike, weights: ArrayLike) -> Array:
 
 
 def lyapunov_rate(velocities: ArrayLike, net_bearing: ArrayLike) -> Array:
-    """V̇ = −2 Σ_i f_iᵀ ṗ_i, (...), m²/s², which is −2 Σ (h_iᵀ f_i)² under law (4).
-
-    Both are (..., n, d), m/s, in the same frame.
+    """V̇ = −2 Σ_i f_iᵀ ṗ_i, (...), m²/s², which is −2 Σ (h_iᵀ f_i)² under law (4), of velocities and
+    net bearings (..., n, d), m/s, in the same frame.
     """
-    f, v = np.asarray(net_bearing), np.asarray(velocities)
-    return np.asarray(-2.0 * np.sum(v * f, axis=(-2, -1)))
+    return np.asarray(-2.0 * np.sum(np.multiply(velocities, net_bearing), axis=(-2, -1)))
 
 
 def alignment(net_bearing: ArrayLike, headings: ArrayLike) -> Array:
@@ -53,13 +48,11 @@ def alignment(net_bearing: ArrayLike, headings: ArrayLike) -> Array:
     in the same frame; NaN where f_i = 0.
     """
     f, h = np.asarray(net_bearing, dtype=np.float64), np.asarray(headings, dtype=np.float64)
-    length = np.linalg.norm(f, axis=-1)
     with np.errstate(invalid="ignore", divide="ignore"):
-        return np.asarray(np.abs(np.sum(f * h, axis=-1)) / length)
+        return np.asarray(np.abs(np.sum(f * h, axis=-1)) / np.linalg.norm(f, axis=-1))
 
 
 def _links(weights: Array) -> tuple[Any, Any, Any]:
-    """The links of a symmetric matrix of weights, in the order of their robots."""
     first, second = np.nonzero(np.triu(weights > 0, 1))
     return first, second, weights[first, second]
 

@@ -15,9 +15,15 @@ from ..sensors.sensing import Sensing
 
 SMALLEST_MARGIN = 1e-6
 """Margin ε below which nothing is promised: times grow with 1/ε², and soon overflow."""
-
 MAX_TURN_RATE = 3.0
 """Of headings and of bodies under certified headings that are given no other, rad/s."""
+
+
+def check_margin(min_alignment: Any) -> float:
+    """ε, a number without unit, if 10⁻⁶ ≤ ε ≤ 1, else a ValueError (theorem B)."""
+    if not SMALLEST_MARGIN <= real(min_alignment) <= 1:
+        refuse("min_alignment", min_alignment, f"in (0, 1], and at least {SMALLEST_MARGIN:g}")
+    return real(min_alignment)
 
 
 def check_gate_constants(min_alignment: float, dead_zone: float) -> None:

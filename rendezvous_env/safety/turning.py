@@ -1,7 +1,8 @@
 """Turn rates of nonholonomic robots: law (17), the gate around a policy, and mean axes of arcs.
 
 docs/theory.md sections 3 (the gate) and 4 (arcs). All vectors are in the body frame at the start of
-the step: x = heading h, y = horizontal left, z = up-ish.
+the step: x = heading h, y = horizontal left, z = up-ish. Turn rates are pairs (ω_α, ω_β), rad/s,
+the second 0 in the plane, where the pitch β, a number, rad, is 0 too.
 """
 
 from __future__ import annotations
@@ -37,22 +38,17 @@ class Gate(NamedTuple):
     """What the gate knows of a robot."""
 
     planar: bool
-    min_alignment: float
-    """ε."""
-    dead_zone: float
-    """δ, m/s."""
-    duration: float
-    """τ, s."""
-    yaw_limit: float
-    """rad/s."""
-    pitch_limit: float
-    """rad/s; 0 in the plane."""
+    min_alignment: float  # ε
+    dead_zone: float  # δ, m/s
+    duration: float  # τ, s
+    yaw_limit: float  # rad/s
+    pitch_limit: float  # rad/s; 0 in the plane
 
 
 def gate_of(
     scenario: Scenario, min_alignment: float, dead_zone: float, most: float = math.inf
 ) -> Gate:
-    """The gate of a scenario's robots, with turn limits, rad/s, of ``most`` or less (theory 3)."""
+    """The gate of a scenario's robots, numbers; turn limits ω, rad/s, are ``most`` or less."""
     limits = [min(most, float(limit)) for limit in scenario.action_bounds[1:]]
     yaw, pitch, *_ = [*limits, 0.0, 0.0]
     planar = scenario.dim == 2
@@ -65,8 +61,7 @@ class Robot(NamedTuple):
     neighbour_slots: int
     gravity_row: int
     merge_radius: float
-    error_chord: float
-    """2 sin(η/2), without unit: f is wrong by so much of D."""
+    error_chord: float  # 2 sin(η/2), without unit: f is wrong by so much of D
     gate: Gate
 
 
@@ -78,10 +73,7 @@ def robot_of(
     most: float = math.inf,
 ) -> Robot:
     """A scenario's robots with a margin ε and bearing errors η, numbers, rad (theorem N1'); else as
-    ``gate_of``.
-
-    Raises:
-        ValueError: naming the margin or the error, and what would be right.
+    ``gate_of``. A ValueError names the margin or the error, and what would be right.
     """
     check_gate_constants(min_alignment, dead_zone)
     layout = scenario.observation_layout
@@ -96,7 +88,7 @@ def robot_of(
 
 @kernel
 def gated_rates(requested, net_bearing, pitch, gate):
-    """Turn rates with which a nonholonomic robot cannot stay orthogonal to its net bearing.
+    """Turn rates with which a nonholonomic robot cannot stay orthogonal to f, a triple, m/s.
 
     They are free while they keep the margin (``keeps_margin``); otherwise they are replaced by some
     that turn towards f and, held over the step, never past it (theory 3, the gate):
@@ -104,15 +96,6 @@ def gated_rates(requested, net_bearing, pitch, gate):
     * in the plane by law (8), ω = f_y, clipped and at most |∠(h, f)|/τ;
     * in 3-D by ``rates_onto_line``. Law (17) itself flips from step to step near β = ±π/2, where
       its yaw rate is saturated, and a robot may then stay across f for ever.
-
-    Args:
-        requested: (ω_α, ω_β), a pair, rad/s; the second is 0 in the plane.
-        net_bearing: f, a triple, m/s.
-        pitch: β, a number, rad; 0 in the plane.
-        gate: a Gate.
-
-    Returns:
-        A pair, rad/s.
     """
     rates = clip(requested[0], gate.yaw_limit), clip(requested[1], gate.pitch_limit)
     if keeps_margin(net_bearing, mean_axis(rates, pitch, gate), gate):
@@ -125,15 +108,14 @@ def gated_rates(requested, net_bearing, pitch, gate):
 
 @kernel
 def rates_onto_line(net_bearing, pitch, gate):
-    """Yaw and pitch rates that bring the body axis h onto the line of f, in this step if they may.
+    """Yaw and pitch rates, a pair, rad/s, that bring the body axis h onto the line of f, a triple,
+    m/s, in this step if they may.
 
         ω_α = ψ/τ,   ω_β = (β* − β)/τ,   each within its limit                    (docs/proofs.md)
 
     ψ ∈ [−π/2, π/2] is the yaw after which the meridian of h holds f, and β* the pitch of f or −f on
     it, whichever is nearer: h and −h are the same line. Yaw and pitch are a robot's own coordinates
     and have no pole, so both errors fall in every step by as much as the limits allow.
-
-    Arguments as ``gated_rates``; a pair, rad/s.
     """
     ahead, left, up = _levelled(net_bearing, pitch)
     side = -1.0 if ahead < 0.0 else 1.0
@@ -152,21 +134,13 @@ def _levelled(vector, pitch):
 
 @kernel
 def rates_towards(wanted, pitch, gate):
-    """Turn rates that bring the body axis h to a direction: in this step if their limits allow it,
-    and never past it.
+    """Turn rates, a pair, rad/s, that bring the body axis h to a direction, a triple of any length
+    but 0: in this step if their limits allow it, and never past it.
 
         ω = ψ/τ;   in 3-D   (ω_α, ω_β) = (ψ, β* − β)/τ,   scaled together to their limits
 
     (ψ, β*) are the yaw and pitch after which h points there: of the two ways over which they can be
     reached, upright or upside down, the one that takes less time.
-
-    Args:
-        wanted: a triple of any length but 0, in the body frame.
-        pitch: β, a number, rad; 0 in the plane.
-        gate: a Gate.
-
-    Returns:
-        A pair, rad/s.
     """
     if gate.planar:
         yaw = math.atan2(wanted[1], wanted[0])
@@ -204,20 +178,18 @@ def keeps_margin(net_bearing, mean_axis, gate):
 
 @kernel
 def mean_axis(rates, pitch, gate):
-    """Mean of the body axis over a step with held turn rates, m = (1/τ) ∫ h dt (theory 4, arcs).
+    """Mean of the body axis over a step with held turn rates, m = (1/τ) ∫ h dt (theory 4, arcs), a
+    triple without unit, ‖m‖ ≤ 1.
 
         h = (cos β cos α, cos β sin α, sin β),  α̇ = ω_α,  β̇ = ω_β
 
-    The integral is exact: it is the displacement of eqs. (5) and (9) at unit speed. Arguments as
-    ``gated_rates``; a triple without unit, ‖m‖ ≤ 1, in the body frame at the start of the step.
+    The integral is exact: it is the displacement of eqs. (5) and (9) at unit speed.
     """
     if gate.planar:
         mean_cos, mean_sin = mean_cos_sin(0.0, rates[0] * gate.duration)
         return mean_cos, mean_sin, 0.0
     duration = gate.duration
-    forward, left, up = arc_3d(1.0 / duration, 0.0, pitch, rates[0], rates[1], duration)
-    c, s = math.cos(pitch), math.sin(pitch)
-    return c * forward + s * up, left, c * up - s * forward
+    return _levelled(arc_3d(1.0 / duration, 0.0, pitch, rates[0], rates[1], duration), -pitch)
 
 
 @kernel

@@ -318,7 +318,7 @@ def no_work(monkeypatch):
     from train.figures import render, style
     from train.leaderboard import command as leaderboard
     from train.learn import trainer
-    from train.verify import claims, counterexamples, verify
+    from train.verify import falsification, verify
 
     monkeypatch.setattr(compare, "_run", lambda *given: 0)
     monkeypatch.setattr(trainer, "_loop", lambda *given: SimpleNamespace(status=0))
@@ -327,10 +327,8 @@ def no_work(monkeypatch):
     monkeypatch.setattr("train.bench.warmup.make_ready", lambda *given: None)
     monkeypatch.setattr(render, "_write_video", lambda *given: None)
     monkeypatch.setattr(style, "save", lambda *given: None)
-    fine = claims.Finding(trials=1, margin=1.0, time_over_bound=0.5, violations=0)
-    monkeypatch.setattr(verify, "look", lambda block: fine)
-    nothing = counterexamples.Tally()
-    monkeypatch.setattr(verify, "look_at_any", lambda block: nothing)
+    fine = falsification.Tally(trials=1, margin=1.0)
+    monkeypatch.setattr(verify, "look", lambda task: fine)
     monkeypatch.setattr(leaderboard, "play_all", lambda *given: (defaultdict(dict), 0.0))
     monkeypatch.setattr(leaderboard, "write", lambda *given: None)
 

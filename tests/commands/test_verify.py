@@ -17,10 +17,9 @@ from rendezvous_env.safety.theorems.constants import merge_rise_allowance
 from rendezvous_env.trajectory import run as steps_of
 from train.checks import UserError
 from train.cli import main
-from train.verify import cases
-from train.verify.adversarial_actions import KINDS, Adversary
-from train.verify.cases import BATCH
-from train.verify.claims import CLAIMS, Claim, bound_a
+from train.verify import claims as cases
+from train.verify.adversaries import KINDS, Adversary
+from train.verify.claims import BATCH, CLAIMS, Claim, bound_a
 from train.verify.falsification import Trial, begin
 from train.verify.monitors import Moment
 from train.verify.verify import COLUMNS, Config, run
@@ -139,8 +138,8 @@ def bare(trial, random):
     adversary = Adversary(trial.scenario, BATCH, trial.by, random, turn_rate)
     adversary.kinds[:] = 0 if trial.scenario.model.nonholonomic else KINDS.index("across")
     if trial.scenario.model.bounded:
-        return lambda seen, now: adversary._desired(now)
-    return adversary._controls
+        return lambda seen, now: adversary.desired(now)
+    return adversary.controls
 
 
 def uncertified(monkeypatch, **changes):

@@ -5,14 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from continuous_time import Teams, Trial, integrate, outward
-from continuous_time_laws import away, followed
+from continuous_time_laws import away, followed, turned
 
 import baselines
 from rendezvous_env import Scenario, Sensing, Simulator
 from rendezvous_env.safety.gains import Gains
 from rendezvous_env.safety.links import least_norm_points, link_keeping_law
 from rendezvous_env.trajectory import run
-from train.verify.adversarial_bearings import turned
 from train.verify.monitors import directions, extents
 
 

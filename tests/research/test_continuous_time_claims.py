@@ -12,10 +12,10 @@ import pytest
 from adversarial_graphs import Attention, draw_teams, draw_weights
 from claims import CLAIMS, check, main
 from continuous_time import Teams
-from continuous_time_laws import away, followed, into_cone
+from continuous_time_laws import away, followed, into_cone, turned
 
-from train.verify.adversarial_bearings import across, turned, unit
-from train.verify.cases import BATCH
+from train.verify.claims import BATCH, across, unit
+from train.verify.falsification import Tally
 
 FREE = (*continuous_time_claims.CONTINUOUS_TIME, *delay_claims.DELAY, *link_claims.LINKS)
 BY_NAME = {claim.name: claim for claim in FREE}
@@ -32,9 +32,11 @@ def findings(name, batches=(0, 1, 2, 3), broken=None):
         return trial
 
     changed = dataclasses.replace(claim, draw=draw)
-    found = [check(changed, 7, batch, BATCH, 0.3) for batch in batches]
-    assert sum(f.trials for f in found) == len(batches) * BATCH
-    return sum(f.violations for f in found), max(f.time_over_bound for f in found)
+    found = Tally()
+    for batch in batches:
+        found.join(check(changed, 7, batch, BATCH, 0.3))
+    assert found.trials == len(batches) * BATCH
+    return found.violations, found.ratio.get(name)
 
 
 @pytest.mark.parametrize("name", BY_NAME)

@@ -25,7 +25,6 @@ from rendezvous_env.safety.theorems.noise import (
     equal_gain_bounds,
     gains_are_equal,
     law_bounds,
-    least_expected_fall,
     tolerated_error,
 )
 from rendezvous_env.safety.theorems.theorem import LAW
@@ -324,7 +323,10 @@ def test_more_sharply_where_degrees_are_known_by_hand():
     rates = [4 * c**2 / m * (1 - (m * math.sin(eta / 2)) ** 2) for m, c in ((2, a), (6, 2 * a))]
     expected = above / min(rates) + 5 * ring.tau
     assert law_bounds(ring, LAW._replace(error=eta)).time == pytest.approx(expected)
-    assert least_expected_fall(team, 0.0, 1.0) == pytest.approx(2 * a**2)  # two are left
+    noisy, initial, _ = started(team.replace(sensing=Sensing(noise=1e-9)))
+    above = initial + 5 * 0.2 * 15 * a + 5 * 0.2 * 5 * a * n
+    expected = above / (2 * a**2)  # two are left, θ = 1
+    assert certificate(noisy).expected_time_bound == pytest.approx(expected)
 
 
 # ---- the lower bound -----------------------------------------------------------------------------

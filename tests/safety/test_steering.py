@@ -12,7 +12,7 @@ import rendezvous_env as rv
 from rendezvous_env import Scenario, Simulator
 from rendezvous_env.safety.heading import HeadingFilter
 from rendezvous_env.trajectory import run
-from train.verify.adversarial_actions import Adversary
+from train.verify.adversaries import Adversary
 from train.verify.monitors import Moment
 
 TEAMS = 48

@@ -12,13 +12,7 @@ import pytest
 from rich.console import Console
 
 import rendezvous_env as rv
-from train.verify import (
-    adversarial_bearings,
-    counterexamples,
-    falsification,
-    random_starts,
-    verify,
-)
+from train.verify import adversaries, counterexamples, falsification, random_starts, verify
 from train.verify.counterexamples import repeat, shrink, trials_of, write
 from train.verify.falsification import Trial, ask, climb, play
 from train.verify.random_scenarios import CHOICES, Kind, draw, draw_kind
@@ -159,7 +153,7 @@ def test_bearings_that_are_more_wrong_than_allowed_are_found(by, number, monkeyp
     misled = trial(path, by, bearing_error=off)
     played = play(misled)
     assert played.violation is None and any("η > 0" in name for name in played.granted)
-    monkeypatch.setattr(adversarial_bearings, "_ROUNDED", 2.0 / off)
+    monkeypatch.setattr(adversaries, "_ROUNDED", 2.0 / off)
     assert play(misled).violation.number == number
 
 
@@ -270,14 +264,14 @@ def test_it_is_stopped_and_goes_on(tmp_path, monkeypatch, one_kind):
     monkeypatch.setattr(counterexamples, "DRAWS", 4)
     done = []
 
-    def look(block):
+    def look(task):
         if len(done) == 2:
             raise KeyboardInterrupt
-        done.append(block.name)
-        return counterexamples.look_at_any(block)
+        done.append(task.name)
+        return task.look()
 
     with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
-        patch.setattr(verify, "look_at_any", look)
+        patch.setattr(verify, "look", look)
         command(tmp_path, trials=72)
     assert command(tmp_path, trials=72)[1] == whole and len(done) == 2
 

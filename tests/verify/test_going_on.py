@@ -9,9 +9,9 @@ from rich.console import Console
 
 from train import resume
 from train.checks import UserError
-from train.verify import claims, verify
-from train.verify.cases import BATCH
-from train.verify.claims import CLAIMS, Finding
+from train.verify import verify
+from train.verify.claims import BATCH, CLAIMS
+from train.verify.falsification import Tally
 
 NAMES = ("lemma-1", "theorem-2", "necessity")
 """Three blocks each."""
@@ -28,11 +28,11 @@ def checked(settings, after=math.inf):
     """
     done, printed = [], io.StringIO()
 
-    def look(block):
+    def look(task):
         if len(done) == after:
             raise KeyboardInterrupt
-        done.append(block.name)
-        return claims.look(block)
+        done.append(task.name)
+        return task.look()
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(verify, "look", look)
@@ -106,7 +106,8 @@ def test_so_is_another_program(tmp_path, monkeypatch):
 def test_a_block_reads_back_bit_by_bit(numbers, first, tmp_path):
     part = resume.Part(tmp_path / "part", {}, "test")
     part.begin(tmp_path, fresh=False)
-    seen = Finding(*numbers, 0.1 + 0.2, first)
+    trials, margin, ratio, violations = numbers
+    seen = Tally(trials, 0.1 + 0.2, 7, margin, violations, first, ratio={"one": ratio})
     part.save("one", seen)
     assert repr(part.load("one")) == repr(seen)
     assert part.load("another") is None

@@ -1,5 +1,5 @@
-"""The claims of docs/theory.md, each an experiment that can fail: who plays on which teams, and
-what is looked at in every step (``monitors``).
+"""The claims of docs/theory.md, each an experiment that can fail: who plays on which random teams,
+and what is looked at in every step (``monitors``).
 """
 
 from __future__ import annotations
@@ -17,28 +17,138 @@ import numpy as np
 from numpy.typing import NDArray
 
 import baselines
-from rendezvous_env import Simulator
+from rendezvous_env import Scenario, Simulator, graphs
 from rendezvous_env.safety.heading import flexible_velocity
 from rendezvous_env.safety.theorems.constants import merge_rise_allowance
 from rendezvous_env.safety.theorems.descent import time_bound
 
-from .adversarial_bearings import across, unit
-from .cases import BATCH, draw_disconnected, draw_team, draw_trees, draw_turning
-from .falsification import Policy, Trial, begin
+from .falsification import Policy, Tally, Task, Trial, begin
 from .monitors import Watch
+from .random_starts import log_uniform
 
 Array = NDArray[np.float64]
-Draw = Callable[[np.random.Generator, int, float], Trial]
+Random = np.random.Generator
+Draw = Callable[[Random, int, float], Trial]
 """(random numbers, number of the batch, smallest ε) → what its teams share, and who plays."""
-Law = Callable[[Trial, np.random.Generator], Policy]
+Law = Callable[[Trial, Random], Policy]
 Bound = Callable[[Trial, Simulator], Array]
 """(trial, teams at their start) → time limits (B,), s."""
 
+BATCH = 40
+"""Teams of one batch: they share everything but start, frames, weights and adversaries."""
+SIZES = (2, 3, 5, 8)
+FAMILIES = ("complete", "path", "cycle", "star", "random_tree", "erdos_renyi")
 PATIENCE = 500.0
-"""Nonholonomic robots have no time bound worth waiting for; after this many seconds they are held
-not to meet."""
+"""s after which nonholonomic robots, which have no time bound worth waiting for, are held not to
+meet."""
+_MOST = 256
+"""Tasks of a claim."""
 
-# ---- by when they meet ---------------------------------------------------------------------------
+
+def draw_team(
+    random: Random,
+    batch: int,
+    least_margin: float,
+    *,
+    by: str = "heading",
+    dims: tuple[int, ...] = (2, 3),
+    step_factors: tuple[float, float] = (1.0, 1.0),
+    **fields: Any,
+) -> Trial:
+    """Dimension, graph, weights, start, radius, frames, speed limit and ε of teams, whose sizes
+    take turns; τ over the certified step is in ``step_factors``, ``fields`` are not drawn.
+    """
+    n, dim = SIZES[batch % len(SIZES)], int(random.choice(dims))
+    weight = (random.uniform(0.5, 1.0), random.uniform(1.0, 2.0))
+    family = str(random.choice(FAMILIES))
+    chance = (random.uniform(0.2, 0.8),) if family == "erdos_renyi" else ()
+    made = getattr(graphs, family if n > 2 or family != "cycle" else "path")
+    scenario = Scenario(
+        n_robots=n,
+        dim=dim,
+        graph=made(*chance, weight),
+        merge_radius=random.uniform(0.1, 0.3),
+        spawn_size=random.uniform(2.0, 4.0),
+        local_frames=str(random.choice(["random", "random", "global"])),
+        **fields,
+    )
+    changes: dict[str, Any] = {}
+    if step_factors != (1.0, 1.0):
+        step = random.uniform(*step_factors) * scenario.certified_step
+        changes |= {"time_step": step, "allow_long_step": True}
+    if not scenario.model.nonholonomic and random.random() < 1 / 3:
+        changes["max_speed"] = random.uniform(0.5, 1.0) * scenario.max_degree
+    scenario = scenario.replace(**changes)
+    starts: tuple[Scenario, ...] = ()
+    if random.random() < 0.25:  # all robots of a team on one line, in any order
+        gaps = random.uniform(2.0, 6.0, (BATCH, n)) * scenario.merge_radius
+        places = random.permuted(np.cumsum(gaps, axis=-1), axis=-1)
+        line = unit(random.normal(size=(BATCH, 1, dim)))
+        starts = tuple(scenario.replace(start_positions=p) for p in places[..., None] * line)
+    return _trial(random, scenario, least_margin, by, starts)
+
+
+def _trial(
+    random: Random,
+    scenario: Scenario,
+    least_margin: float,
+    by: str = "heading",
+    starts: tuple[Scenario, ...] = (),
+) -> Trial:
+    """Any margin, turn rate, frame and period under certified headings."""
+    arguments = {"min_alignment": float(random.uniform(least_margin, max(least_margin, 0.9)))}
+    frame, period = "local", 1
+    if by == "heading":
+        turn_rates = (1.0, 10.0) if scenario.model.nonholonomic else (0.2, 50.0)
+        arguments["max_turn_rate"] = log_uniform(random, *turn_rates)
+        frame = str(random.choice(["net_bearing", "local"]))
+        period = int(random.choice([1, 1, 5]))
+    return Trial(scenario, by, arguments, frame, period, int(random.integers(2**40)), starts=starts)
+
+
+def draw_turning(
+    random: Random,
+    batch: int,
+    least_margin: float,
+    *,
+    dims: tuple[int, ...] = (2, 3),
+    by: str = "heading",
+) -> Trial:
+    """Unicycles or 3-D nonholonomic robots with any limit on their turn rates."""
+    dim = int(random.choice(dims))
+    model, turn = "unicycle" if dim == 2 else "nonholonomic_3d", float(random.uniform(1.0, 6.0))
+    fields: dict[str, Any] = {"robot_model": model, "max_turn_rate": turn}
+    return draw_team(random, batch, least_margin, by=by, dims=(dim,), **fields)
+
+
+def draw_disconnected(random: Random, batch: int, least_margin: float) -> Trial:
+    """Two trees side by side, robots in any order."""
+    n = max(SIZES[batch % len(SIZES)], 3)
+    order, cut = random.permutation(n).tolist(), int(random.integers(1, n))
+    edges = []
+    for piece in (order[:cut], order[cut:]):
+        for k in range(1, len(piece)):
+            edges.append((piece[k], piece[int(random.integers(k))], random.uniform(0.5, 2.0)))
+    scenario = Scenario(
+        n_robots=n,
+        dim=int(random.choice([2, 3])),
+        graph=graphs.from_edges(edges, n),
+        require_connected=False,
+        spawn_size=3.0,
+    )
+    return _trial(random, scenario, least_margin, "law")
+
+
+def draw_trees(random: Random, batch: int, least_margin: float) -> Trial:
+    """Trees of eight in a narrow space: there merges make V rise."""
+    scenario = Scenario(
+        n_robots=8,
+        dim=int(random.choice([2, 3])),
+        graph=graphs.random_tree((0.5, random.uniform(0.5, 2.0))),
+        merge_radius=random.uniform(0.1, 0.3),
+        spawn_size=3.0,
+    )
+    return replace(_trial(random, scenario, least_margin), period=1)
 
 
 def bound_a(trial: Trial, teams: Simulator) -> Array:
@@ -64,16 +174,13 @@ def patience(trial: Trial, teams: Simulator) -> Array:
     return np.full(teams.num_envs, PATIENCE)
 
 
-# ---- who plays, where it is no adversary ---------------------------------------------------------
-
-
-def cosine_or_not(trial: Trial, random: np.random.Generator) -> Policy:
+def cosine_or_not(trial: Trial, random: Random) -> Policy:
     """Unicycles under (7) with (8), or with ω = cos t."""
     law = baselines.make(str(random.choice(["unicycle", "unicycle-cosine"])), trial.scenario)
     return lambda seen, now: law(seen, now.time)
 
 
-def at_fixed_angle(trial: Trial, random: np.random.Generator) -> Policy:
+def at_fixed_angle(trial: Trial, random: Random) -> Policy:
     """Law (4) with hᵀf = ε‖f‖ always, each robot to a side of its own."""
     scenario, epsilon = trial.scenario, trial.arguments["min_alignment"]
     axis = random.normal(size=(BATCH, scenario.n_robots, scenario.dim))
@@ -87,7 +194,17 @@ def at_fixed_angle(trial: Trial, random: np.random.Generator) -> Policy:
     return policy
 
 
-# ---- the claims ----------------------------------------------------------------------------------
+def across(ahead: Array, axis: Array) -> Array:
+    """Vectors across others, (..., d): turned by 90° in the plane, ahead × axis in 3-D."""
+    if ahead.shape[-1] == 2:
+        return np.stack([-ahead[..., 1], ahead[..., 0]], axis=-1)
+    return np.cross(ahead, axis)
+
+
+def unit(vectors: Array) -> Array:
+    """Unit vectors (..., d); zero stays zero."""
+    lengths = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return np.divide(vectors, lengths, out=np.zeros_like(vectors), where=lengths > 1e-12)
 
 
 @dataclass(frozen=True)
@@ -177,41 +294,11 @@ CLAIMS: tuple[Claim, ...] = (
 )
 
 
-# ---- what is found -------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class Finding:
-    """What one batch says about a claim, or several."""
-
-    trials: int
-    margin: float
-    """Worst over the teams; negative is bad, rounding aside."""
-    time_over_bound: float
-    """Worst over the teams; NaN where the claim names no time."""
-    violations: int
-    seconds: float = 0.0
-    first: int | None = None
-    """Number of the first batch with a violation."""
-
-
-def worst(findings: Sequence[Finding]) -> Finding:
-    """What several batches say together."""
-    return Finding(
-        trials=sum(finding.trials for finding in findings),
-        margin=min(finding.margin for finding in findings),
-        time_over_bound=max(finding.time_over_bound for finding in findings),
-        violations=sum(finding.violations for finding in findings),
-        seconds=sum(finding.seconds for finding in findings),
-        first=next((one.first for one in findings if one.first is not None), None),
-    )
-
-
-def check(claim: Claim, seed: int, batch: int, trials: int, least_margin: float) -> Finding:
+def check(claim: Claim, seed: int, batch: int, trials: int, least_margin: float) -> Tally:
     """Run one batch of a claim, by its number, with margins ε of ``least_margin`` or more, until
     each team has met, is out of time or has broken one of the claim's numbers; and count ``trials``
     of its teams. Every base step is looked at, also where choices are held for several. The same
-    arguments give the same finding, but for the seconds.
+    arguments give the same, but for the seconds.
     """
     began = time.perf_counter()
     random = np.random.default_rng([seed, zlib.crc32(claim.name.encode()), batch])
@@ -236,48 +323,36 @@ def check(claim: Claim, seed: int, batch: int, trials: int, least_margin: float)
         wrong |= watch.met > limit
     late = watch.met / limit
     margins = 1.0 - late if claim.numbers[0] == "time" else -watch.closeness[claim.numbers[0]]
-    return Finding(
+    return Tally(
         trials=trials,
         margin=float(margins[:trials].min()),
-        time_over_bound=float(late[:trials].max()) if claim.timed else math.nan,
+        ratio={claim.name: float(late[:trials].max())} if claim.timed else {},
         violations=int(wrong[:trials].sum()),
-        seconds=time.perf_counter() - began,
         first=batch if wrong[:trials].any() else None,
+        seconds=time.perf_counter() - began,
     )
 
 
-# ---- tasks ---------------------------------------------------------------------------------------
-
-_MOST = 256
-"""Tasks of a claim."""
-
-
-@dataclass(frozen=True)
-class Block:
-    """Some batches of one claim, a task of its own."""
-
-    claim: Claim
-    batches: tuple[tuple[int, int], ...]
-    """Numbers, and teams that count."""
-    seed: int
-    min_alignment: float
-
-    @property
-    def name(self) -> str:
-        """Of its cell."""
-        return f"{self.claim.name}-{self.batches[0][0]:07d}"
+def check_all(
+    claim: Claim, batches: Sequence[tuple[int, int]], seed: int, least_margin: float
+) -> Tally:
+    """Run batches of a claim, by their numbers and the teams that count."""
+    tally = Tally()
+    for number, count in batches:
+        tally.join(check(claim, seed, number, count, least_margin))
+    return tally
 
 
-def blocks_of(
-    claim: Claim, batches: Sequence[tuple[int, int]], seed: int, min_alignment: float
-) -> list[Block]:
+def tasks_of(
+    claim: Claim, batches: Sequence[tuple[int, int]], seed: int, least_margin: float
+) -> list[Task]:
     """The batches of a claim, cut into tasks."""
     size = math.ceil(len(batches) / _MOST)
-    cuts = range(0, len(batches), size)
-    return [Block(claim, tuple(batches[k : k + size]), seed, min_alignment) for k in cuts]
-
-
-def look(block: Block) -> Finding:
-    """Check the batches of a block."""
-    claim, seed, margin = block.claim, block.seed, block.min_alignment
-    return worst([check(claim, seed, k, count, margin) for k, count in block.batches])
+    return [
+        Task(
+            f"{claim.name}-{batches[k][0]:07d}",
+            claim.name,
+            partial(check_all, claim, batches[k : k + size], seed, least_margin),
+        )
+        for k in range(0, len(batches), size)
+    ]

@@ -5,23 +5,23 @@ from __future__ import annotations
 import dataclasses
 import json
 import time
-from collections import Counter
 from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 import rendezvous_env as rv
+from rendezvous_env.safety.theorems.theorem import CHOICES
 
-from .falsification import TEAMS, Played, Trial, climb, play
-from .monitors import NUMBERS
-from .random_scenarios import CHOICES, STARTS, draw, draw_kind
+from .falsification import TEAMS, Played, Tally, Task, Trial, climb, play
+from .random_scenarios import STARTS, draw, draw_kind
 
 DRAWS = 50
-"""Of a block: they are of one kind and share compiled code. Each is of STARTS scenarios."""
+"""Of a task: they are of one kind and share compiled code. Each is of STARTS scenarios."""
 _CLIMBING = 0.15
 """Share of trials whose starts are bettered."""
 _HOW = ("by", "arguments", "frame", "period", "seed")
@@ -30,75 +30,28 @@ _KINDS = 10**9
 """Where the random streams of kinds begin, beyond those of trials."""
 
 
-@dataclass(frozen=True)
-class AnyBlock:
-    """Some trials of one kind, a task of its own."""
-
-    number: int
-    draws: int
-    seed: int
-    kind: int
-    """Number of their kind."""
-
-    @property
-    def name(self) -> str:
-        """Of its cell."""
-        return f"any-{self.number:07d}"
-
-
-@dataclass
-class Tally:
-    """What some trials say together."""
-
-    trials: int = 0
-    seconds: float = 0.0
-    steps: int = 0
-    counts: Counter[tuple[str, str]] = field(default_factory=Counter)
-    """How often each theorem was "granted", and each of its NUMBERS checked."""
-    ratio: dict[str, float] = field(default_factory=dict)
-    """The worst T/bound of each."""
-    violations: list[tuple[int, Trial, Played]] = field(default_factory=list)
-    """Number of the trial, the trial as it was drawn, and what came of it."""
-
-    def add(self, number: int, trial: Trial, played: Played) -> None:
-        """Count one trial."""
-        self.steps += played.steps
-        for name, checked in played.granted.items():
-            self.counts.update({(name, what): count for what, count in checked.items()})
-            if "time" in checked and not np.isnan(played.time_over_bound):
-                self.ratio[name] = max(self.ratio.get(name, 0.0), played.time_over_bound)
-        if played.violation is not None:
-            self.violations.append((number, trial, played))
-
-    def join(self, other: Tally) -> None:
-        """Take in what others say."""
-        for name in ("trials", "seconds", "steps", "violations"):
-            setattr(self, name, getattr(self, name) + getattr(other, name))
-        self.counts.update(other.counts)
-        for name, ratio in other.ratio.items():
-            self.ratio[name] = max(self.ratio.get(name, 0.0), ratio)
-
-
-def any_blocks(trials: int, seed: int, kinds: int | None = None) -> list[AnyBlock]:
+def tasks_of(trials: int, seed: int, kinds: int | None = None) -> list[Task]:
     """So many scenarios, or a few more, of so many kinds at most, cut into tasks."""
     draws = -(-trials // STARTS)
     blocks = range(-(-draws // DRAWS))
     most = kinds or len(blocks)
-    return [AnyBlock(k, min(DRAWS, draws - k * DRAWS), seed, k % most) for k in blocks]
+    numbers = [range(k * DRAWS, min((k + 1) * DRAWS, draws)) for k in blocks]
+    looks = [partial(look_at, numbers[k], seed, k % most) for k in blocks]
+    return [Task(f"any-{k:07d}", "scenarios", looks[k]) for k in blocks]
 
 
-def look_at_any(block: AnyBlock) -> Tally:
-    """Play the trials of a block."""
-    began, tally = time.perf_counter(), Tally(trials=block.draws * STARTS)
-    for number in range(block.number * DRAWS, block.number * DRAWS + block.draws):
-        for drawn in trials_of(block.seed, number, block.kind):
+def look_at(numbers: range, seed: int, kind: int) -> Tally:
+    """Play the trials of these numbers, all of one kind."""
+    began, tally = time.perf_counter(), Tally(trials=len(numbers) * STARTS)
+    for number in numbers:
+        for drawn in trials_of(seed, number, kind):
             tally.add(number, *climb(drawn))
     tally.seconds = time.perf_counter() - began
     return tally
 
 
 def trials_of(seed: int, number: int, kind_number: int | None = None) -> list[Trial]:
-    """The scenarios of a number, played under each of CHOICES; of the kind of their block if of no
+    """The scenarios of a number, played under each of CHOICES; of the kind of their task if of no
     other.
     """
     kind_number = number // DRAWS if kind_number is None else kind_number
@@ -120,9 +73,6 @@ def trials_of(seed: int, number: int, kind_number: int | None = None) -> list[Tr
     ]
 
 
-# ---- shrinking ---------------------------------------------------------------------------------
-
-
 def shrink(trial: Trial, played: Played) -> tuple[Trial, Played]:
     """A trial of fewer robots and plainer fields in which the same number is violated.
 
@@ -133,7 +83,7 @@ def shrink(trial: Trial, played: Played) -> tuple[Trial, Played]:
     number, again = played.violation.number, True
     while again:
         again = False
-        for simpler in _simpler(trial, played):
+        for simpler in _simpler(trial):
             found = play(simpler)
             if found.violation is not None and found.violation.number == number:
                 trial, played, again = simpler, found, True
@@ -141,7 +91,7 @@ def shrink(trial: Trial, played: Played) -> tuple[Trial, Played]:
     return trial, played
 
 
-def _simpler(trial: Trial, played: Played) -> Iterator[Trial]:
+def _simpler(trial: Trial) -> Iterator[Trial]:
     """The trial with one thing less, the largest things first."""
     scenario, plain, exact = trial.scenario, rv.Scenario(), rv.Sensing()
     given = scenario.obstacles if isinstance(scenario.obstacles, tuple) else ()
@@ -178,9 +128,6 @@ def _fewer_robots(scenario: rv.Scenario) -> Iterator[dict[str, Any]]:
             yield {"n_robots": n - 1, **change}
 
 
-# ---- files -------------------------------------------------------------------------------------
-
-
 def write(folder: Path, name: str, trial: Trial, played: Played) -> Path:
     """A violation as a scenario in NAME.toml, and how it is played in NAME.json.
 
@@ -190,10 +137,10 @@ def write(folder: Path, name: str, trial: Trial, played: Played) -> Path:
     assert played.violation is not None
     violation = played.violation
     alone = replace(trial, seed=trial.seed + violation.team)
-    repeated = play(alone, teams=1, choices=violation.choices)
+    repeated = play(alone, teams=1, choices=violation.choices).violation
     choices = None
-    if repeated.violation is not None and repeated.violation.number == violation.number:
-        trial, violation, choices = alone, repeated.violation, violation.choices.tolist()
+    if repeated is not None and repeated.number == violation.number:
+        trial, violation, choices = alone, repeated, violation.choices.tolist()
     folder.mkdir(parents=True, exist_ok=True)
     trial.scenario.replace(name=name).to_toml(folder / f"{name}.toml")
     how = {
@@ -213,23 +160,3 @@ def repeat(path: Path) -> Played:
     trial = Trial(rv.Scenario.from_toml(path), **{name: how[name] for name in _HOW})
     choices = None if how["choices"] is None else np.array(how["choices"])
     return play(trial, teams=how["teams"], choices=choices)
-
-
-def rows_of(tally: Tally) -> list[dict[str, Any]]:
-    """A line for each theorem: how often it was granted, each number checked, and violated."""
-    broken = Counter(
-        name
-        for *_, played in tally.violations
-        if played.violation is not None
-        for name, own in played.granted.items()
-        if played.violation.number in own
-    )
-    return [
-        {
-            "theorem": name,
-            **{what: tally.counts[name, what] for what in ("granted", *NUMBERS)},
-            "worst_time_over_bound": tally.ratio.get(name, float("nan")),
-            "violations": broken[name],
-        }
-        for name in sorted({name for name, _ in tally.counts})
-    ]

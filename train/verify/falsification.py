@@ -20,11 +20,10 @@ import rendezvous_env as rv
 from rendezvous_env import vector
 from rendezvous_env.safety.settings import MAX_TURN_RATE
 from rendezvous_env.safety.theorems.certificate import answer, question
-from rendezvous_env.safety.theorems.certificate import ask as theorems_of
+from rendezvous_env.safety.theorems.theorem import PROMISED
 
-from .adversarial_actions import Adversary
-from .adversarial_bearings import Misled
-from .monitors import BOUNDS, NUMBERS, REPEATED, Moment, Watch
+from .adversaries import Adversary, Misled
+from .monitors import NUMBERS, REPEATED, Moment, Watch
 from .random_scenarios import other_starts
 
 Array = NDArray[np.float64]
@@ -36,6 +35,8 @@ MOST_STEPS = 400
 """Steps for which a time bound is waited for."""
 FEW_STEPS = 8, 80
 """Least and most steps of trials whose time bound is out of reach, most of them short."""
+_PARENTS = 3
+"""Starts from which those of the next generation are made."""
 _LAWS = {"unicycle": "unicycle", "nonholonomic_3d": "nonholonomic-3d"}
 _WRAPPERS: dict[str, Callable[..., Any]] = {
     "heading": vector.HeadingVectorWrapper,
@@ -51,35 +52,27 @@ class Trial:
 
     scenario: rv.Scenario
     by: str
-    arguments: dict[str, float]
-    """Of the certificate, and of the wrapper."""
+    arguments: dict[str, float]  # of the certificate, and of the wrapper
     frame: str
-    period: int
-    """Base steps for which a choice is held."""
-    seed: int
-    """Team b has this seed + b; adversaries are drawn from it."""
-    generations: int = 0
-    """How often starts are bettered, see ``climb``."""
-    starts: tuple[rv.Scenario, ...] = ()
-    """The scenario from other starts, in place of its own; they divide the teams among them."""
+    period: int  # base steps for which a choice is held
+    seed: int  # team b has this seed + b; adversaries are drawn from it
+    generations: int = 0  # how often starts are improved, see ``climb``
+    starts: tuple[rv.Scenario, ...] = ()  # in place of its own; they divide the teams among them
 
 
 @dataclass(frozen=True)
 class Violation:
     """A number of a certificate that does not hold."""
 
-    number: str
-    """One of NUMBERS."""
+    number: str  # one of NUMBERS
     team: int
     step: int
     found: float
     promised: float
     words: str
-    choices: Array = field(repr=False)
-    """Of the team, (steps, n, k)."""
+    choices: Array = field(repr=False)  # of the team, (steps, n, k)
 
     def __str__(self) -> str:
-        """In one line."""
         return (
             f"{self.number} is {self.found:.6g}, promised {self.promised:.6g}, in step {self.step} "
             f"of team {self.team}: {self.words}"
@@ -96,21 +89,64 @@ class Played:
     steps: int = 0
     time_over_bound: float = math.nan
     violation: Violation | None = None
-    closeness: dict[str, Array] = field(default_factory=dict, repr=False)
-    """How near each team came to break each number, (B,)."""
-    began: Array = field(default_factory=lambda: np.empty((0, 0, 0)), repr=False)
-    """Where the robots started, (B, n, d), m."""
+    closeness: dict[str, Array] = field(default_factory=dict, repr=False)  # see ``Watch``, (B,)
+    began: Array = field(default_factory=lambda: np.empty((0, 0, 0)), repr=False)  # (B, n, d), m
+
+
+@dataclass
+class Tally:
+    """What some trials say together, of a claim or of all theorems."""
+
+    trials: int = 0
+    seconds: float = 0.0
+    steps: int = 0
+    margin: float = math.inf  # of a claim, the worst of its teams; negative is bad, rounding aside
+    violations: int = 0
+    first: int | None = None  # the first batch of a claim with a violation
+    counts: Counter[tuple[str, str]] = field(default_factory=Counter)
+    """How often each theorem was "granted", each of its NUMBERS checked, and one violated."""
+    ratio: dict[str, float] = field(default_factory=dict)  # the worst T/bound of each
+    found: list[tuple[int, Trial, Played]] = field(default_factory=list)
+    """Of each violation the number of the trial, the trial as it was drawn, and what came of it."""
+
+    def add(self, number: int, trial: Trial, played: Played) -> None:
+        """Count one trial."""
+        self.steps += played.steps
+        broken = played.violation
+        for name, checked in played.granted.items():
+            self.counts.update({(name, what): count for what, count in checked.items()})
+            self.counts[name, "violations"] += broken is not None and broken.number in checked
+            if "time" in checked and not np.isnan(played.time_over_bound):
+                self.ratio[name] = max(self.ratio.get(name, 0.0), played.time_over_bound)
+        if broken is not None:
+            self.violations += 1
+            self.found.append((number, trial, played))
+
+    def join(self, other: Tally) -> None:
+        """Take in what others say."""
+        for name in ("trials", "seconds", "steps", "violations", "found"):
+            setattr(self, name, getattr(self, name) + getattr(other, name))
+        self.margin = min(self.margin, other.margin)
+        self.first = min((k for k in (self.first, other.first) if k is not None), default=None)
+        self.counts.update(other.counts)
+        for name, ratio in other.ratio.items():
+            self.ratio[name] = max(self.ratio.get(name, 0.0), ratio)
+
+
+class Task(NamedTuple):
+    """Some batches of a claim, or some random scenarios: they depend on nothing else."""
+
+    name: str  # of its cell
+    group: str  # the claim, or "scenarios"
+    look: Callable[[], Tally]
 
 
 class Promised(NamedTuple):
     """What a certificate gives, as numbers that can fail."""
 
-    limits: dict[str, float]
-    """By one of NUMBERS; 0 for what each step keeps."""
-    theorems: dict[str, tuple[str, ...]]
-    """What each theorem that applies has a part in."""
-    bearing_error: float
-    """rad."""
+    limits: dict[str, float]  # by one of NUMBERS; 0 for what each step keeps
+    theorems: dict[str, tuple[str, ...]]  # what each theorem that applies has a part in
+    bearing_error: float  # rad
     words: str
 
 
@@ -122,10 +158,10 @@ def ask(scenario: rv.Scenario, by: str, arguments: Mapping[str, float]) -> Promi
         asked = question(scenario, by, given, error)
     except ValueError:
         return Promised({}, {}, 0.0, "")
-    applies, words = theorems_of(scenario, asked)
-    theorems, limits = {}, answer(scenario, asked, applies, words).promises
+    found, applies = answer(scenario, asked)
+    theorems, limits = {}, found.promises
     for theorem, bounds in applies:
-        own = [name for name in BOUNDS if getattr(bounds, name) < math.inf and name in limits]
+        own = [name for name in PROMISED if getattr(bounds, name) < math.inf and name in limits]
         if theorem.every_step:
             own.append(theorem.every_step)
             limits[own[-1]] = 0.0
@@ -133,19 +169,13 @@ def ask(scenario: rv.Scenario, by: str, arguments: Mapping[str, float]) -> Promi
             where = ", in 3-D" * (scenario.dim == 3) + ", η > 0" * (asked.error > 0)
             where += ", obstacles" * (theorem.name == "R" and bool(scenario.obstacles))
             theorems[f"{by}: {theorem.name}{where}"] = tuple(own)
-    return Promised(limits, theorems, asked.error, words)
+    return Promised(limits, theorems, asked.error, found.theorem)
 
 
 def play(trial: Trial, *, teams: int = TEAMS, choices: Array | None = None) -> Played:
-    """Ask for the certificates, play, and hold every number against what happens.
-
-    Args:
-        trial: what is played.
-        teams: how many teams, side by side.
-        choices: (steps, n, k) of one team, instead of adversaries.
-
-    Returns:
-        What was granted and checked, and the first violation.
+    """Ask for the certificates, play with so many teams side by side, and hold every number against
+    what happens until one is violated; ``choices``, (steps, n, k), are of one team, instead of
+    adversaries.
     """
     among = trial.starts or (trial.scenario,)
     promised = [ask(one, trial.by, trial.arguments) for one in among]
@@ -181,15 +211,15 @@ def begin(trial: Trial, bearing_error: float, count: int) -> tuple[Any, Any, Pol
         places = np.array([one.start_positions for one in trial.starts])
         options = {"positions": places[start_of(count, len(places))]}
     start = wrapped.reset(seed=trial.seed, options=options)[0]
-    if trial.by != "law":
-        random = np.random.default_rng([trial.seed, 1])
-        turn_rate = arguments.get("max_turn_rate", MAX_TURN_RATE)
-        adversary = Adversary(scenario, count, trial.by, random, turn_rate)
-        if trial.frame == "local" or trial.by == "gains" or not scenario.model.bounded:
-            return wrapped, start, adversary
-        return wrapped, start, partial(_as_seen, wrapped.filter, adversary)
-    law = baselines.make(_LAWS.get(scenario.robot_model, "bearing-only"), scenario)
-    return wrapped, start, lambda seen, now: law(seen, now.time)
+    if trial.by == "law":
+        law = baselines.make(_LAWS.get(scenario.robot_model, "bearing-only"), scenario)
+        return wrapped, start, lambda seen, now: law(seen, now.time)
+    random = np.random.default_rng([trial.seed, 1])
+    turn_rate = arguments.get("max_turn_rate", MAX_TURN_RATE)
+    adversary = Adversary(scenario, count, trial.by, random, turn_rate)
+    if trial.frame == "local" or trial.by == "gains" or not scenario.model.bounded:
+        return wrapped, start, adversary
+    return wrapped, start, partial(_as_seen, wrapped.filter, adversary)
 
 
 def _as_seen(safety_filter: Any, adversary: Adversary, seen: Any, now: Moment) -> Array:
@@ -202,6 +232,11 @@ def _as_seen(safety_filter: Any, adversary: Adversary, seen: Any, now: Moment) -
 def _teams_of(scenario: rv.Scenario, count: int) -> Any:
     """Teams that are reset for each choice and start."""
     return rv.make_vec(scenario, num_envs=count, autoreset_mode="Disabled", num_threads=1)
+
+
+def guarded(env: Any, by: str, arguments: Mapping[str, Any]) -> Any:
+    """A vector environment under what keeps a guarantee; law (1) needs nothing."""
+    return env if by == "law" else _WRAPPERS[by](env, **arguments)
 
 
 def _to_end(
@@ -252,32 +287,18 @@ def _last_steps(trial: Trial, limits: Mapping[str, Array]) -> Array:
     """The step in which each team's bound is reached, (B,), 0 where that is too late; a few, drawn,
     if it is for all.
     """
-    times = [limits[name] for name in ("time", "expected_time") if name in limits]
     few = np.exp(np.random.default_rng([trial.seed, 4]).uniform(*np.log(FEW_STEPS))).round()
     last = np.full_like(next(iter(limits.values())), math.inf)
-    for bound in times:
-        last = np.minimum(last, np.ceil(bound / (trial.scenario.tau * trial.period)) + 1)
+    for name in {"time", "expected_time"} & set(limits):
+        last = np.minimum(last, np.ceil(limits[name] / (trial.scenario.tau * trial.period)) + 1)
     late = last > MOST_STEPS
     return np.where(late, few * late.all(), last)
-
-
-def guarded(env: Any, by: str, arguments: Mapping[str, Any]) -> Any:
-    """A vector environment under what keeps a guarantee; law (1) needs nothing."""
-    return env if by == "law" else _WRAPPERS[by](env, **arguments)
-
-
-# ---- an optimiser over starts --------------------------------------------------------------------
-
-_PARENTS = 3
-"""Starts from which those of the next generation are made."""
 
 
 def climb(trial: Trial) -> tuple[Trial, Played]:
     """Look for a start from which something is violated: play the trial from its own starts, and
     ``trial.generations`` times from changes of those that came nearest to break one of its numbers.
-
-    Returns:
-        The trial, from the start of what was found; and what came of that, or of its own starts.
+    The trial, from the start of what was found; and what came of that, or of its own starts.
     """
     drawn, played = trial, play(trial)
     first, random = played, np.random.default_rng([trial.seed, 2])

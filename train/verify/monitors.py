@@ -13,19 +13,19 @@ import rendezvous_env as rv
 from rendezvous_env.compilation import inner_kernel, kernel
 from rendezvous_env.physics.hull_perimeter import size
 from rendezvous_env.physics.vectors import ORIGIN, combine, dot, load, norm, split, subtract
+from rendezvous_env.safety.theorems.theorem import PROMISED
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Found = tuple[str, int, float, float]
 """The number that is violated, the team, what was found and what was promised."""
 
-BOUNDS = ("time", "lyapunov", "hull", "link_growth", "expected_time")
+NUMBERS = (*PROMISED, "descent", "ledger", "nested", "links")
 """All have met in time; V, L and how much longer links are than at the start stay below their
-bounds; the mean time of many teams does."""
-NUMBERS = (*BOUNDS, "descent", "ledger", "nested", "links")
-"""And in every step without a merge or a contact V falls, by Σ f_i·Δ_i of the displacements (theory
-4) where choices are held for one step, and V does not rise up to a merge; V + ΣA does not rise;
-the hull is nested while linked robots are r or more apart; no link grows longer."""
+bounds; the mean time of many teams does. In every step without a merge or a contact V falls, by
+Σ f_i·Δ_i of the displacements (theory 4) where choices are held for one step, and V does not rise
+up to a merge; V + ΣA does not rise; the hull is nested while linked robots are r or more apart; no
+link grows longer."""
 REPEATED = 48
 """Teams for each start of a trial whose mean time is promised."""
 ALL = (*NUMBERS, "lemma", "law_descent", "merge_rise", "pieces")
@@ -58,29 +58,20 @@ class Moment:
 
 
 class Watch:
-    """Looks at teams after every step.
+    """Looks at teams of ours, at their start, after every step.
 
-    Args:
-        env: of ours, its teams at their start.
-        limits: the most that each of ALL may be, (B,).
-        period: base steps of a step.
-        budget: B_i that each robot's tank begins with, m²/s.
-        climbing: whether to keep how near each team comes to break each number.
+    ``limits`` is the most that each of ALL may be, (B,); a step is ``period`` base steps; tanks
+    begin with a ``budget``, m²/s; ``climbing`` keeps how near each team comes to break a number.
     """
 
     def __init__(
-        self,
-        env: Any,
-        limits: dict[str, Array],
-        period: int,
-        budget: float,
-        climbing: bool,
+        self, env: Any, limits: dict[str, Array], period: int, budget: float, climbing: bool
     ) -> None:
-        self.env, self.limits, self.teams = env, limits, env.simulator
-        self.scenario, teams = (scenario := env.scenario), env.simulator
-        self.now = now = Moment(teams)
-        count, n, r = teams.num_envs, scenario.n_robots, scenario.merge_radius
-        self.held, degree = period * scenario.tau, scenario.max_degree
+        self.env, self.limits, self.teams, self.scenario = env, limits, env.simulator, env.scenario
+        self.now = now = Moment(self.teams)
+        scenario, count = self.scenario, self.teams.num_envs
+        n, r, degree = scenario.n_robots, scenario.merge_radius, scenario.max_degree
+        self.held = period * scenario.tau
         fast = max(1.0, scenario.speed_limit / degree)
         self.length_error = _FLOAT32 * degree * fast * self.held
         self.length_error += 1e-11 * float(np.abs(now.positions).max())
@@ -101,7 +92,7 @@ class Watch:
         self.most = np.array([limits.get(name, np.full(count, np.inf)) for name in ALL])
         self.most[[_TIME, _LYAPUNOV]] *= 1.0 + 1e-9
         self.unit = np.where(np.isfinite(self.most), self.most, 1.0)
-        self.unit[len(BOUNDS) :] = np.maximum(now.lyapunov, 1e-300)
+        self.unit[len(PROMISED) :] = np.maximum(now.lyapunov, 1e-300)
         self.unit[[_LEMMA, _PIECES]] = 1.0
         self.nearest = np.full(self.most.shape, -np.inf) if climbing else None
         self.found, self.errors = np.full(self.most.shape, -np.inf), np.zeros(self.most.shape)
@@ -133,17 +124,13 @@ class Watch:
     def look(self, infos: Mapping[str, Any]) -> Mask:
         """Which of ALL this step violates, of which teams, (13, B)."""
         last, self.now = self.now, Moment(self.teams)
-        now, found = self.now, self.found
+        now, found, outcome = self.now, self.found, self.env.outcome
         self.growth_error += 2.0 * self.length_error
+        levels = infos.get("tank", self.no_tanks)
         _measure(
             (last.positions, last.active, last.weights, last.lyapunov),
             (now.positions, now.active, now.lyapunov, now.time),
-            (
-                infos["contact"],
-                infos.get("tank", self.no_tanks),
-                self.env.outcome.lyapunov_before_merge,
-                self.env.outcome.merge_excess,
-            ),
+            (infos["contact"], levels, outcome.lyapunov_before_merge, outcome.merge_excess),
             (self.along, *self.lasting),
             (*self.numbers, self.growth_error),
             self.kept,
@@ -166,8 +153,8 @@ class Watch:
         return ALL[row], team, float(self.found[row, team]), float(self.most[row, team])
 
     def look_at_mean(self) -> Found | None:
-        """Whether the mean time from a start is surely above its bound; who has not met counts as
-        if now.
+        """A start from which the mean time is surely above its bound; who has not met counts as if
+        they met now.
         """
         if "expected_time" not in self.limits or len(self.met) % REPEATED:
             return None
@@ -181,34 +168,23 @@ class Watch:
 
 
 @kernel
-def _measure(
-    before: Any,
-    after: Any,
-    told: Any,
-    where: Any,
-    numbers: Any,
-    kept: Any,
-    found: Any,
-    errors: Any,
-) -> None:
-    """Write what each number is of each team, and by how much rounding may raise it.
+def _measure(before, after, reported, where, numbers, kept, found, errors):
+    """Write what each of ALL is of each team, and by how much rounding may raise it, (13, B).
 
     Args:
         before: places (B, n, d), who is there (B, n), weights (B, n, n), V (B,), before the step.
         after: places, who is there, V and the time (B,), after it.
-        told: who touched an obstacle, and levels of tanks, (B, n); V before the first merge, and
-            above its bound at merges, (B,).
+        reported: contacts and levels of tanks, (B, n); V before the first merge, and above its
+            bound at merges, (B,).
         where: directions (M, d); lengths at the start and which links must last, (B, n, n).
-        numbers: how long a choice is held, and whether for one step only; v_max; sight; r; how
-            many robots are left when all have met; the errors of a length, of V and of V + ΣA in a
-            step; that of a link's growth since the start.
+        numbers: of Watch, and the error of a link's growth since the start.
         kept: when teams met, whether they have touched nothing yet, ΣA, the error of V since the
             start, (B,), and supports, (B, M); they are brought up to date.
-        found: (13, B), written.
-        errors: (13, B), written.
+        found: written.
+        errors: written.
     """
     (places, was, weights, higher), (moved_to, there, height, time) = before, after
-    contact, tanks, at_merge, excess = told
+    contact, tanks, at_merge, excess = reported
     met, free, levels, of_height, tops = kept
     held, once, fastest, sight, r, last, of_length, rounding, spent, of_growth = numbers
     for b in range(len(there)):
@@ -250,7 +226,7 @@ def _measure(
 
 
 @inner_kernel
-def _spread(places: Any, there: Any, along: Any, tops: Any, found: Any) -> float:
+def _spread(places, there, along, tops, found):
     """Write L, in the plane that of the polygon around the hull with a side for each direction;
     give by how much the hull has grown, m.
     """
@@ -269,7 +245,7 @@ def _spread(places: Any, there: Any, along: Any, tops: Any, found: Any) -> float
 
 
 @inner_kernel
-def _stretch(present: Any, start: Any, lasts: Any, sight: float) -> tuple[float, float, float]:
+def _stretch(present, start, lasts, sight):
     """The shortest link in sight before the step; how much longer one has become in it, and a
     lasting one since the start, m.
     """
@@ -290,7 +266,7 @@ def _stretch(present: Any, start: Any, lasts: Any, sight: float) -> tuple[float,
 
 
 @inner_kernel
-def _fall(present: Any, fastest: float) -> tuple[float, float, float]:
+def _fall(present, fastest):
     """Σ f_i·Δ_i of what the robots are displaced by, m²/s; Σ‖f_i‖ min(‖f_i‖, v_max), (m/s)²; and
     Σ‖f_i‖/(2 max a) − 1, without unit (lemma 1), infinite without links.
     """

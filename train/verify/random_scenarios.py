@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import math
 from contextlib import suppress
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 import rendezvous_env as rv
+from rendezvous_env.safety.theorems.theorem import CHOICES
 
 from . import random_starts as places_of
 from .random_starts import log_uniform, pick
@@ -23,8 +23,6 @@ from .random_starts import log_uniform, pick
 Array = NDArray[np.float64]
 Random = np.random.Generator
 
-CHOICES = ("law", "heading", "tank", "gains", "links")
-"""What can keep a guarantee, as ``certificate`` calls it."""
 STARTS = 6
 """Of a draw: scenarios that differ in where the robots start, and are played side by side."""
 _TRIES = 40
@@ -35,28 +33,6 @@ _TOLERABLE = 0.8
 _SIZES = (2, 3, 3, 3, 4, 4, 4, 5, 6)
 
 
-class Kind(NamedTuple):
-    """What compiled code depends on: trials of one kind share it."""
-
-    robot_model: str
-    dim: int
-    graphs: str
-    """Which of GRAPHS."""
-    exact: bool
-    """Whether the sensor is; that of a proximity graph never is."""
-    obstacles: str
-    """none, round or any."""
-
-
-def draw_kind(random: Random) -> Kind:
-    """Mostly single integrators in the plane without obstacles, about which most is promised."""
-    model, dim = pick(random, *_MODELS)
-    graphs = pick(random, "fixed", "fixed", "changing", "proximity")
-    exact = graphs != "proximity" and random.random() < 0.4
-    obstacles = pick(random, "none", "none", "round", "any")
-    return Kind(model, dim, graphs, exact, obstacles)
-
-
 _MODELS = (
     *[("single_integrator", 2)] * 11,
     *[("single_integrator", 3)] * 6,
@@ -64,38 +40,59 @@ _MODELS = (
     *[("nonholonomic_3d", 3)] * 2,
     ("double_integrator", 2),
 )
+GRAPHS = {
+    "fixed": (
+        *["complete", "matrix"] * 3,
+        *("path", "cycle", "star", "random_tree", "erdos_renyi"),
+    ),
+    "changing": ("directed", "directed", "directed_cycle", "switching", "switching"),
+    "proximity": ("proximity",),
+}
 
 
-@dataclass(frozen=True)
-class Drawn:
+class Kind(NamedTuple):
+    """What compiled code depends on: trials of one kind share it."""
+
+    robot_model: str
+    dim: int
+    graphs: str  # which of GRAPHS
+    exact: bool  # whether the sensor is; that of a proximity graph never is
+    obstacles: str  # none, round or any
+
+
+class Drawn(NamedTuple):
     """A scenario, and the arguments of its certificate and wrapper for each of CHOICES."""
 
     scenario: rv.Scenario
     arguments: dict[str, dict[str, float]]
-    starts: tuple[rv.Scenario, ...] = ()
-    """The same from STARTS starts, its own first; none if they are drawn for every episode."""
+    starts: tuple[rv.Scenario, ...] = ()  # its own first; none if drawn for every episode
+
+
+def draw_kind(random: Random) -> Kind:
+    """Mostly single integrators in the plane without obstacles, about which most is promised."""
+    model, dim = pick(random, *_MODELS)
+    graphs = pick(random, "fixed", "fixed", "changing", "proximity")
+    exact = graphs != "proximity" and random.random() < 0.4
+    return Kind(model, dim, graphs, exact, pick(random, "none", "none", "round", "any"))
 
 
 def draw(random: Random, kind: Kind) -> Drawn:
-    """A scenario that is possible; nothing else is asked of it."""
+    """A scenario that is possible."""
     for _ in range(_TRIES):
         try:
             scenario = _scenario(random, kind)
             given = {by: arguments(random, scenario, by) for by in CHOICES}
             if not kind.exact and kind.graphs != "proximity" and random.random() < _TOLERABLE:
                 scenario = _tolerable(random, scenario, given)
-            return Drawn(scenario, given, _starts_of(random, scenario))
         except ValueError:
             continue  # fields that do not go together
+        if scenario.start_positions is None:
+            return Drawn(scenario, given)
+        # half of the others are drawn anew where no obstacles lie between the robots
+        own, anew = np.array(scenario.start_positions), 0.0 if scenario.obstacles else 0.5
+        others = other_starts(random, scenario, own[None], anew)[1:]
+        return Drawn(scenario, given, (scenario, *others))
     return Drawn(rv.Scenario(), {by: arguments(random, rv.Scenario(), by) for by in CHOICES})
-
-
-def _starts_of(random: Random, scenario: rv.Scenario) -> tuple[rv.Scenario, ...]:
-    """Its own and others, half of them drawn anew where no obstacles lie between the robots."""
-    if scenario.start_positions is None:
-        return ()
-    own, anew = np.array(scenario.start_positions), 0.0 if scenario.obstacles else 0.5
-    return scenario, *other_starts(random, scenario, own[None], anew)[1:]
 
 
 def other_starts(
@@ -258,24 +255,15 @@ def _clock(random: Random, scenario: rv.Scenario) -> dict[str, Any]:
     return fields | {"time_limit": 1000.0 * fields.get("time_step", scenario.tau)}
 
 
-GRAPHS = {
-    "fixed": (
-        *["complete", "matrix"] * 3,
-        *("path", "cycle", "star", "random_tree", "erdos_renyi"),
-    ),
-    "changing": ("directed", "directed", "directed_cycle", "switching", "switching"),
-    "proximity": ("proximity",),
-}
-
-
 def _weight(random: Random) -> Any:
     """One weight, or a range of them."""
     low = pick(random, 1.0, log_uniform(random, 0.01, 100.0))
     return low if random.random() < 0.7 else (low, low * pick(random, 2.0, 100.0))
 
 
-def _matrix(random: Random, n: int, density: float = 1.0) -> Array:
-    """Weights: all the same, heavy or light, or anything over four decades; (n, n), m/s."""
+def _fixed(random: Random, n: int, directed: bool, density: float | None = None) -> Any:
+    """Links whose weights are all the same, heavy or light, or anything over four decades, m/s."""
+    density = density or pick(random, 1.0, 1.0, 0.6)
     kind, scale = int(random.integers(4)), log_uniform(random, 0.1, 10.0)
     weights = np.ones((n, n))
     if kind == 1:
@@ -284,11 +272,7 @@ def _matrix(random: Random, n: int, density: float = 1.0) -> Array:
         weights = 10.0 ** random.uniform(-2.0, 2.0, (n, n))
     elif kind == 3:
         weights = random.uniform(0.5, 2.0, (n, n))
-    return np.asarray(scale * weights * (random.random((n, n)) < density) * (1.0 - np.eye(n)))
-
-
-def _fixed(random: Random, n: int, directed: bool, density: float | None = None) -> Any:
-    weights = _matrix(random, n, density or pick(random, 1.0, 1.0, 0.6))
+    weights = scale * weights * (random.random((n, n)) < density) * (1.0 - np.eye(n))
     if directed:
         return rv.graphs.directed(weights)
     return rv.graphs.from_matrix(np.triu(weights) + np.triu(weights).T)
@@ -296,10 +280,8 @@ def _fixed(random: Random, n: int, directed: bool, density: float | None = None)
 
 def _graph(random: Random, kind: str, n: int, r: float) -> Any:
     graphs = rv.graphs
-    if kind == "matrix":
-        return _fixed(random, n, False)
-    if kind == "directed":
-        return _fixed(random, n, True)
+    if kind in ("matrix", "directed"):
+        return _fixed(random, n, kind == "directed")
     if kind == "switching":
         listed = [
             pick(random, _fixed(random, n, True), _fixed(random, n, False), graphs.complete())
@@ -316,9 +298,7 @@ def _graph(random: Random, kind: str, n: int, r: float) -> Any:
         return graphs.switching(listed, dwell, pick(random, "cyclic", "random"))
     if kind == "erdos_renyi":
         return graphs.erdos_renyi(random.uniform(0.2, 0.9), _weight(random))
-    if kind == "cycle" and n == 2:
-        kind = "path"
-    return getattr(graphs, kind)(_weight(random))
+    return getattr(graphs, "path" if kind == "cycle" and n == 2 else kind)(_weight(random))
 
 
 def _sensing(random: Random, n: int, r: float, sight: float | None) -> rv.Sensing:

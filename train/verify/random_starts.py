@@ -46,26 +46,28 @@ def _in_box(random: Random, n: int, dim: int, r: float, reach: float) -> Array:
     return random.uniform(0.0, r * log_uniform(random, 1.5, 25.0), (n, dim))
 
 
+def _along_x(gaps: Any, dim: int) -> Array:
+    """Robots in order, so far apart."""
+    places = np.zeros((len(gaps), dim))
+    places[:, 0] = np.cumsum(gaps)
+    return places
+
+
 def on_line(random: Random, n: int, dim: int, r: float, reach: float) -> Array:
     """Robots nearly on a line, in order, gaps as they come."""
-    gaps = [_gap(random, r, reach) for _ in range(n)]
-    places = np.zeros((n, dim))
-    places[:, 0] = np.cumsum(gaps)
+    places = _along_x([_gap(random, r, reach) for _ in range(n)], dim)
     return places + pick(random, 0.0, 1e-9, 1e-3, 0.1) * r * random.normal(size=(n, dim))
 
 
 def _gap(random: Random, r: float, reach: float) -> float:
     """Between neighbours: within r, hardly more, as far as a link may be, or anything."""
-    far = min(reach, 30.0 * r)
-    return float(
-        pick(
-            random,
-            r * log_uniform(random, 1e-3, 1.0),
-            r * (1.0 + log_uniform(random, 1e-5, 0.3)),
-            r * log_uniform(random, 1.0, 20.0),
-            far * (1.0 - log_uniform(random, 1e-7, 0.1)),
-        )
+    gaps = (
+        r * log_uniform(random, 1e-3, 1.0),
+        r * (1.0 + log_uniform(random, 1e-5, 0.3)),
+        r * log_uniform(random, 1.0, 20.0),
+        min(reach, 30.0 * r) * (1.0 - log_uniform(random, 1e-7, 0.1)),
     )
+    return float(pick(random, *gaps))
 
 
 def _in_clusters(random: Random, n: int, dim: int, r: float, reach: float) -> Array:
@@ -77,8 +79,7 @@ def _in_clusters(random: Random, n: int, dim: int, r: float, reach: float) -> Ar
 
 
 def _on_ring(random: Random, n: int, dim: int, r: float, reach: float) -> Array:
-    angle = 2.0 * np.pi * np.arange(n) / n
-    places = np.zeros((n, dim))
+    angle, places = 2.0 * np.pi * np.arange(n) / n, np.zeros((n, dim))
     places[:, 0], places[:, 1] = np.cos(angle), np.sin(angle)
     places *= r * log_uniform(random, 0.4, 10.0)
     return places + pick(random, 0.0, 1e-6, 0.1) * r * random.normal(size=(n, dim))
@@ -96,9 +97,7 @@ def _in_tree(random: Random, n: int, dim: int, r: float, reach: float) -> Array:
 
 def in_row(random: Random, n: int, dim: int, r: float) -> Array:
     """Robots on a line, apart, in order."""
-    places = np.zeros((n, dim))
-    places[:, 0] = np.cumsum([r * log_uniform(random, 2.0, 20.0) for _ in range(n)])
-    return places
+    return _along_x([r * log_uniform(random, 2.0, 20.0) for _ in range(n)], dim)
 
 
 def in_tail(random: Random, n: int, dim: int, r: float, reach: float) -> Array:
@@ -106,15 +105,13 @@ def in_tail(random: Random, n: int, dim: int, r: float, reach: float) -> Array:
     near = random.uniform(0.6, 1.0, n - 1)
     gaps = np.sort(pick(random, near, 1.0 + 0.03 * near**3))[::-1] * r
     gaps[-1] = min(reach, 30.0 * r) * (1.0 - log_uniform(random, 1e-7, 0.05))
-    places = np.zeros((n, dim))
-    places[1:, 0] = np.cumsum(gaps)
+    places = _along_x([0.0, *gaps], dim)
     return places + pick(random, 0.0, 1e-3, 0.05) * r * random.normal(size=(n, dim))
 
 
 def in_wedge(random: Random, n: int, dim: int, r: float, reach: float) -> Array:
     """Robot 0 between others in nearly opposite directions, so that its bearings nearly cancel."""
-    angle = log_uniform(random, 0.02, 0.8)
-    places = np.zeros((n, dim))
+    angle, places = log_uniform(random, 0.02, 0.8), np.zeros((n, dim))
     for k in range(1, n):
         distance = r * log_uniform(random, 1.01, 3.0) if n > 3 else r * 1.5
         places[k, 0] = (-1.0) ** k * distance * math.cos(angle)
@@ -139,11 +136,9 @@ def obstacles(
     """Where robots will merge, anywhere among them, or drawn for every episode."""
     if places is None or random.random() < 0.2:
         if dim == 2 and not round_only:
-            length = (0.3 * side, 0.6 * side)
             layout = pick(random, "trap", "corridor", "rooms")
-            return rv.WallField(
-                layout, length, (0.05 * side, 0.1 * side), 0.03 * side, side, 0.1 * r
-            )
+            length, opening = (0.3 * side, 0.6 * side), (0.05 * side, 0.1 * side)
+            return rv.WallField(layout, length, opening, 0.03 * side, side, 0.1 * r)
         radius = (0.02 * side, 0.1 * side)
         return rv.ObstacleField((1, 3), radius, side, 0.1 * r, bool(random.integers(2)))
     ball = rv.Disc if dim == 2 else rv.Sphere

@@ -20,10 +20,10 @@ from ..checks import UserError, check_least, check_most
 from ..results import write_csv
 from ..resume import Part, claimed, program
 from ..tasks import Workers, each
-from .cases import BATCH
-from .claims import CLAIMS, Claim, Finding, blocks_of, look, worst
-from .counterexamples import Tally, any_blocks, look_at_any, rows_of, shrink, write
-from .falsification import TEAMS
+from . import counterexamples
+from .claims import BATCH, CLAIMS, Claim, tasks_of
+from .falsification import TEAMS, Tally, Task
+from .monitors import NUMBERS
 
 COLUMNS = (
     *("claim", "trials", "worst_margin", "worst_time_over_bound", "violations"),
@@ -111,16 +111,16 @@ def run(config: Config, claims: Sequence[Claim] = CLAIMS, console: Console | Non
             part.at_work(config.out, console, fresh=config.fresh),
             Progress(*_BAR, console=console, transient=True) as bars,
         ):
+            tallies = _look_at_all(config, chosen, part, bars)
             if config.any:
-                tally = _try_anything(config, part, bars)
-                rows = rows_of(tally)
+                rows = theorem_rows(tallies["scenarios"])
                 write_csv(path, list(rows[0]) if rows else ["theorem"], rows)
             else:
-                rows = _look_at_all(config, chosen, part, bars)
+                rows = [claim_row(claim, config, tallies[claim.name]) for claim in chosen]
                 write_csv(path, COLUMNS, rows)
             part.discard()
     if config.any:
-        return _report_any(config, tally, rows, path, console)
+        return _report_any(config, tallies["scenarios"], rows, path, console)
     return _report(rows, chosen, path, console)
 
 
@@ -134,42 +134,60 @@ def plan_of(config: Config, claims: Sequence[Claim]) -> dict[str, Any]:
     }
 
 
-# ---- claims --------------------------------------------------------------------------------------
-
-
 def _look_at_all(
-    config: Config, claims: Sequence[Claim], part: Part, progress: Progress
-) -> list[dict[str, Any]]:
-    """Check what is not finished, under a progress bar for each claim; the rows of verify.csv."""
-    batches, asked = config.batches(), (config.seed, config.min_alignment)
-    total = sum(count for _, count in batches)
-    bars = {claim.name: progress.add_task(claim.name, total=total) for claim in claims}
-    blocks = [block for claim in claims for block in blocks_of(claim, batches, *asked)]
-    seen: dict[str, Finding] = {}
-    for block, one, _ in part.finish(blocks, lambda left: each(look, left, config)):
-        seen[block.name] = one
-        progress.advance(bars[block.claim.name], one.trials)
-    return [
-        row_of(claim, config, worst([seen[one.name] for one in blocks if one.claim is claim]))
-        for claim in claims
-    ]
+    config: Config, chosen: Sequence[Claim], part: Part, progress: Progress
+) -> dict[str, Tally]:
+    """Do what is not finished, under a progress bar for each claim; what is found by claim, or of
+    all "scenarios".
+    """
+    if config.any:
+        total = config.trials
+        tasks = counterexamples.tasks_of(total, config.seed, config.kinds)
+    else:
+        asked = config.batches(), config.seed, config.min_alignment
+        tasks = [task for claim in chosen for task in tasks_of(claim, *asked)]
+        total = sum(count for _, count in asked[0])
+    tallies = {task.group: Tally() for task in tasks}
+    bars = {group: progress.add_task(group, total=total) for group in tallies}
+    for task, found, _ in part.finish(tasks, lambda left: each(look, left, config)):
+        tallies[task.group].join(found)
+        progress.advance(bars[task.group], found.trials)
+    return tallies
 
 
-def row_of(claim: Claim, config: Config, found: Finding) -> dict[str, Any]:
-    """What all blocks say of a claim, by COLUMNS."""
+def look(task: Task) -> Tally:
+    """Do a task."""
+    return task.look()
+
+
+def claim_row(claim: Claim, config: Config, tally: Tally) -> dict[str, Any]:
+    """What was found of a claim, by COLUMNS."""
     repeat = (
-        f"rendezvous verify --claims {claim.name} --seed {config.seed} --only-batch {found.first} "
+        f"rendezvous verify --claims {claim.name} --seed {config.seed} --only-batch {tally.first} "
         f"--min-alignment {config.min_alignment}"
     )
     return {
         "claim": claim.name,
-        "trials": found.trials,
-        "worst_margin": found.margin,
-        "worst_time_over_bound": found.time_over_bound,
-        "violations": found.violations,
-        "seconds": round(found.seconds, 3),
-        "first_violation": "" if found.first is None else repeat,
+        "trials": tally.trials,
+        "worst_margin": tally.margin,
+        "worst_time_over_bound": tally.ratio.get(claim.name, math.nan),
+        "violations": tally.violations,
+        "seconds": round(tally.seconds, 3),
+        "first_violation": "" if tally.first is None else repeat,
     }
+
+
+def theorem_rows(tally: Tally) -> list[dict[str, Any]]:
+    """For each theorem how often it was granted, each number checked, and violated."""
+    return [
+        {
+            "theorem": name,
+            **{what: tally.counts[name, what] for what in ("granted", *NUMBERS)},
+            "worst_time_over_bound": tally.ratio.get(name, math.nan),
+            "violations": tally.counts[name, "violations"],
+        }
+        for name in sorted({name for name, _ in tally.counts})
+    ]
 
 
 def _report(
@@ -197,6 +215,27 @@ def _report(
     return int(total > 0)
 
 
+def _report_any(
+    config: Config, tally: Tally, rows: Sequence[dict[str, Any]], path: Path, console: Console
+) -> int:
+    """Print how often each theorem was granted and checked, make what is violated small and write
+    it; the exit status.
+    """
+    console.print(table_of(f"Certificates of {tally.trials} random scenarios, tried", rows))
+    tally.found.sort(key=lambda found: found[0])
+    for number, trial, played in tally.found[:_MOST_WRITTEN]:
+        small, played = counterexamples.shrink(trial, played)
+        name = f"any-{config.seed}-{number}-{trial.by}"
+        file = counterexamples.write(config.out, name, small, played)
+        console.print(f"scenario {number}: {played.violation}; {file}", soft_wrap=True)
+    console.print(
+        f"{tally.violations} violations, {tally.steps} steps of {TEAMS} teams in "
+        f"{tally.seconds:.0f} s of work; {path}",
+        soft_wrap=True,
+    )
+    return int(tally.violations > 0)
+
+
 def table_of(title: str, rows: Sequence[dict[str, Any]]) -> Table:
     """Rows as they are printed, numbers to the right; red where something is violated."""
     table = Table(title=title)
@@ -208,36 +247,3 @@ def table_of(title: str, rows: Sequence[dict[str, Any]]) -> Table:
         shown = [f"{v:.3f}" if isinstance(v, float) else str(v) for v in row.values()]
         table.add_row(*["" if one == "nan" else one for one in shown], style=style)
     return table
-
-
-# ---- certificates of random scenarios ------------------------------------------------------------
-
-
-def _try_anything(config: Config, part: Part, progress: Progress) -> Tally:
-    """Play what is not finished."""
-    tally, bar = Tally(), progress.add_task("scenarios", total=config.trials)
-    blocks = any_blocks(config.trials, config.seed, config.kinds)
-    for _, one, _ in part.finish(blocks, lambda left: each(look_at_any, left, config)):
-        tally.join(one)
-        progress.advance(bar, one.trials)
-    tally.violations.sort(key=lambda found: found[0])
-    return tally
-
-
-def _report_any(
-    config: Config, tally: Tally, rows: Sequence[dict[str, Any]], path: Path, console: Console
-) -> int:
-    """Print how often each theorem was granted and checked, make what is violated small and write
-    it; the exit status.
-    """
-    console.print(table_of(f"Certificates of {tally.trials} random scenarios, tried", rows))
-    for number, trial, played in tally.violations[:_MOST_WRITTEN]:
-        small, played = shrink(trial, played)
-        file = write(config.out, f"any-{config.seed}-{number}-{trial.by}", small, played)
-        console.print(f"scenario {number}: {played.violation}; {file}", soft_wrap=True)
-    console.print(
-        f"{len(tally.violations)} violations, {tally.steps} steps of {TEAMS} teams in "
-        f"{tally.seconds:.0f} s of work; {path}",
-        soft_wrap=True,
-    )
-    return int(bool(tally.violations))

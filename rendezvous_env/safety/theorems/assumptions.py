@@ -8,8 +8,6 @@ from ..settings import is_complete
 from .constants import DIRECTED, PROXIMITY, SWITCHING, UNDIRECTED, kind_of_links, leaders, long_step
 from .theorem import Asked, Assumption
 
-# ---- the graph -----------------------------------------------------------------------------------
-
 _WHY_NOT = {
     DIRECTED: "V counts links both ways, and here a robot need not be seen by whom it sees",
     SWITCHING: (
@@ -53,15 +51,11 @@ def one_leader_at_most(scenario: Scenario, asked: Asked) -> str:
     """Some robot can be reached from all others at any time, along the links of the moment."""
     if len(groups := leaders(scenario)) == 1:
         return ""
-    listed = " and ".join(map(str, groups))
     when = " at some time" if kind_of_links(scenario.sensing_graph) == SWITCHING else ""
     return (
-        f"none: robots {listed} see nobody outside their own group{when}; theorem G needs one "
-        "that can be reached from all, always"
+        f"none: robots {' and '.join(map(str, groups))} see nobody outside their own group{when}; "
+        "theorem G needs one that can be reached from all, always"
     )
-
-
-# ---- robots and obstacles ------------------------------------------------------------------------
 
 
 def known_bodies(scenario: Scenario, asked: Asked) -> str:
@@ -103,28 +97,21 @@ def nothing_in_the_way(scenario: Scenario, asked: Asked) -> str:
     if asked.by == "links":
         return "none: obstacles turn robots aside, and links beside them may grow longer"
     rest = {
-        "law": "",
-        "heading": (
-            "; with certified headings V still never rises between merges in a step without a "
-            "contact"
-        ),
-        "tank": (
-            "; theorem D still keeps V bounded in motion without a contact, but no time is proven"
-        ),
+        "heading": "; with certified headings V still never rises between merges in a step without "
+        "a contact",
+        "tank": "; theorem D still keeps V bounded in motion without a contact, but no time is "
+        "proven",
         "gains": "; nothing is proven of gains beside them",
     }
-    return f"none: obstacles can hold a robot back for ever (theory 6){rest[asked.by]}"
-
-
-# ---- sensors -------------------------------------------------------------------------------------
-
-_EXACT = vars(Sensing())
+    held_back = "none: obstacles can hold a robot back for ever (theory 6)"
+    return held_back + rest.get(asked.by, "")
 
 
 def departs_in(scenario: Scenario, *names: str) -> bool:
     """Whether the sensor is exact but for these fields."""
+    exact = vars(Sensing())
     fields = vars(scenario.sensing).items()
-    return all(value == _EXACT[name] for name, value in fields if name not in names)
+    return all(value == exact[name] for name, value in fields if name not in names)
 
 
 def bounded_errors(scenario: Scenario, asked: Asked) -> str:
@@ -133,11 +120,11 @@ def bounded_errors(scenario: Scenario, asked: Asked) -> str:
     if sensing.custom:
         return f"none: no theorem knows what a custom sensor sees ({sensing.departures()})"
     if sensing.noise or sensing.bias:
-        expected = asked.by == "law" and not sensing.bias
+        mean = "; see expected_time_bound for what noise leaves of law (1)"
         return (
             "none: the theorems hold for exact bearings, or errors up to a bound, and this "
             f"sensor's have none ({sensing.departures()})"
-        ) + "; see expected_time_bound for what noise leaves of law (1)" * expected
+        ) + mean * (asked.by == "law" and not sensing.bias)
     if sensing.delay:
         return (
             "none: this theorem holds for bearings of the moment, and this sensor's are late "
@@ -148,12 +135,11 @@ def bounded_errors(scenario: Scenario, asked: Asked) -> str:
 
 def all_neighbours_seen(scenario: Scenario, asked: Asked) -> str:
     """No row of a neighbour is ever missing."""
-    sensing = scenario.sensing
     if departs_in(scenario, "error", "sectors"):
         return ""
     return (
-        f"none: neighbours can be out of sight ({sensing.departures()}); a theorem needs all of "
-        "them"
+        f"none: neighbours can be out of sight ({scenario.sensing.departures()}); a theorem needs "
+        "all of them"
     )
 
 
@@ -184,9 +170,6 @@ def exact_bearings(scenario: Scenario, asked: Asked) -> str:
     )
 
 
-# ---- the step ------------------------------------------------------------------------------------
-
-
 def certified_or_scaled(scenario: Scenario, asked: Asked) -> str:
     """τ ≤ r/(2D̄), or velocities are scaled by r/(2 D_i τ) (theory 4)."""
     if not long_step(scenario) or scenario.scales_velocity:
@@ -211,8 +194,10 @@ def within_neighbours(scenario: Scenario, asked: Asked) -> str:
     )
 
 
-# ---- what several theorems assume ----------------------------------------------------------------
-
+JOINED = (without_range, connected, one_leader_at_most, velocity_inputs)
+"""Robots of which all but a leader always see somebody; the theorems about L."""
+TEAM = (undirected, connected, velocity_inputs)
+"""Robots that are linked for good, whatever they see."""
 LASTING_LINKS = (undirected, connected, known_bodies, bounded_errors, all_neighbours_seen)
 """The theorems about V."""
 UNHINDERED = (*LASTING_LINKS, nothing_in_the_way, velocity_inputs)

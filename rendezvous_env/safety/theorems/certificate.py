@@ -14,21 +14,22 @@ from ...scenario.scenario import Scenario
 from ...scenario.scenarios import resolve
 from ..gains import gain_range
 from ..links import check_share
-from ..settings import bounded_error, check_bearing_error
+from ..settings import bounded_error, check_bearing_error, check_margin
 from . import delay, descent, gains, links, noise, tank, turning
-from .theorem import CHOICES, LAW, Asked, Bounds, Theorem
+from .theorem import CHOICES, LAW, PROMISED, Asked, Bounds, Theorem
 
-_ROOMS = gains, descent, turning, tank, links, noise, delay
-THEOREMS: tuple[Theorem, ...] = tuple(one for room in _ROOMS for one in room.THEOREMS)
+THEOREMS: tuple[Theorem, ...] = tuple(
+    theorem
+    for file in (gains, descent, turning, tank, links, noise, delay)
+    for theorem in file.THEOREMS
+)
 """All that certificates ask, in turn; the first that promises a rendezvous gives the words."""
 _APPLIES = 1000
 """More than any theorem has assumptions."""
-_UNDER = {
-    "law": "law (1)",
-    "heading": "certified headings",
-    "tank": "an energy tank",
-    "gains": "gains",
-    "links": "link-keeping",
+_KEPT = {
+    "lyapunov": ("V never exceeds", "m²/s"),
+    "hull": ("L never exceeds", "m"),
+    "link_growth": ("a link never grows by more than", "m"),
 }
 
 
@@ -42,7 +43,10 @@ def _renamed(old: str, new: str) -> Any:
 
 @dataclass(frozen=True)
 class Certificate:
-    """What is guaranteed for a scenario, and why or why not; ``print`` gives it in three lines."""
+    """What is guaranteed for a scenario, and why or why not; ``print`` gives it in three lines.
+
+    A bound is infinite where there is none.
+    """
 
     min_alignment: float
     """ε: the least alignment |hᵀf|/‖f‖ that the guarantee builds on; 1 for law (1)."""
@@ -54,7 +58,7 @@ class Certificate:
     """a*, m/s."""
     time_bound: float
     """Time in s by which all robots have met in the environment as it steps, inputs held, from any
-    start in the spawn area or from the given start; inf without a bound."""
+    start in the spawn area or from the given start."""
     guaranteed: bool
     """Whether rendezvous is guaranteed."""
     theorem: str
@@ -62,24 +66,22 @@ class Certificate:
     by: str = "law"
     """What keeps the guarantee, one of CHOICES."""
     continuous_time_bound: float = math.inf
-    """The same for velocities that follow the bearings in continuous time; inf without a bound."""
+    """``time_bound`` for velocities that follow the bearings in continuous time."""
     continuous_time_only: bool = False
     """Whether the guarantee is proven in continuous time only, so that ``time_bound`` is inf."""
     lyapunov_bound: float = math.inf
-    """What V never exceeds, m²/s, with obstacles in motion without a contact; inf without a
-    bound."""
+    """What V never exceeds, m²/s, with obstacles in motion without a contact."""
     hull_bound: float = math.inf
-    """What L never exceeds, m; inf without a bound."""
+    """What L never exceeds, m."""
     link_growth_bound: float = math.inf
-    """By how much a link is never longer than at the start, m; inf without a bound."""
+    """By how much a link is never longer than at the start, m."""
     bearing_error: float = 0.0
     """η, rad: by how much bearings may be wrong here. The wrapper must be given it too."""
     tolerated_bearing_error: float = 0.0
-    """By how much bearings could be wrong, any less than this, rad, inputs held, and a theorem
-    would still promise a rendezvous; 0 if none is tolerated."""
+    """η, rad, inputs held, below which a theorem still promises a rendezvous."""
     expected_time_bound: float = math.inf
     """What the mean time to rendezvous does not exceed under noise that is drawn anew for every
-    bearing and step, s; inf without a bound."""
+    bearing and step, s."""
     scenario: str = "custom"
     """Its name."""
     time_limit: float = math.inf
@@ -90,8 +92,7 @@ class Certificate:
         """Every number that is promised of the environment as it steps, by what it bounds: time, s;
         V ("lyapunov"), m²/s, and L ("hull"), m, at any time; "link_growth", m; "expected_time", s.
         """
-        names = "time", "lyapunov", "hull", "link_growth", "expected_time"
-        found = {name: getattr(self, f"{name}_bound") for name in names}
+        found = {name: getattr(self, f"{name}_bound") for name in PROMISED}
         return {name: bound for name, bound in found.items() if math.isfinite(bound)}
 
     margin = property(lambda self: self.min_alignment, doc="ε: ``min_alignment``.")
@@ -103,32 +104,32 @@ class Certificate:
 
     def __str__(self) -> str:
         """What is promised, by when, and how that compares with the episode's limit."""
-        what = f"{self.scenario} under {_UNDER[self.by]}: {self.theorem}"
-        units = {
-            "lyapunov": ("V never exceeds", "m²/s"),
-            "hull": ("L never exceeds", "m"),
-            "link_growth": ("a link never grows by more than", "m"),
-        }
         kept = [
-            f"{units[name][0]} {bound:.4g} {units[name][1]}"
+            f"{_KEPT[name][0]} {bound:.4g} {_KEPT[name][1]}"
             for name, bound in self.promises.items()
-            if name in units
+            if name in _KEPT
         ]
         if self.tolerated_bearing_error > 0:
             kept.append(f"bearings may err by up to {self.tolerated_bearing_error:.3g} rad")
-        return "\n".join((what, "; ".join(kept) or "No other number is promised.", self._by_when()))
+        return "\n".join(
+            (
+                f"{self.scenario} under {CHOICES[self.by]}: {self.theorem}",
+                "; ".join(kept) or "No other number is promised.",
+                self._by_when(),
+            )
+        )
 
     def _by_when(self) -> str:
         if not self.guaranteed:
             return "No rendezvous is guaranteed."
-        limit, followed = self.time_limit, self.continuous_time_bound
-        if math.isinf(self.time_bound):
+        bound, limit, followed = self.time_bound, self.time_limit, self.continuous_time_bound
+        if math.isinf(bound):
             known = "without a bound" if math.isinf(followed) else f"bound {followed:.4g} s"
             return f"Proven in continuous time only, {known}: of held inputs nothing is said."
-        if self.time_bound <= limit:
-            return f"Bound {self.time_bound:.4g} s, within the limit of {limit:.4g} s."
+        if bound <= limit:
+            return f"Bound {bound:.4g} s, within the limit of {limit:.4g} s."
         return (
-            f"Bound {self.time_bound:.4g} s, limit {limit:.4g} s: the guarantee says nothing about "
+            f"Bound {bound:.4g} s, limit {limit:.4g} s: the guarantee says nothing about "
             "when this episode ends."
         )
 
@@ -146,9 +147,8 @@ def certificate(
 ) -> Certificate:
     """What is guaranteed for a scenario under law (1), or whatever a policy does under a wrapper.
 
-    For the scenario's own graph, and starts in its spawn area; by the theorems of THEOREMS, of
-    which each number is the best. Bounded errors of the scenario's sensor count: η is the larger of
-    them and of ``bearing_error``. The wrapper is to be given the same numbers.
+    For the scenario's own graph, and starts in its spawn area; each number is the best that one of
+    the theorems gives. The wrapper is to be given the same numbers.
 
     Args:
         scenario: a Scenario, the name of one or the path of a TOML file.
@@ -160,7 +160,8 @@ def certificate(
         min_gain: the least that a robot's gains add up to, m/s; None is a*.
         max_gain: the most, m/s; None is D̄.
         share: λ in (0, 1], how much of a velocity is the link-keeping law's.
-        bearing_error: η, rad, by how much bearings may be wrong.
+        bearing_error: by how much bearings may be wrong, rad; η is the larger of it and of the
+            bounded errors of the scenario's sensor.
 
     Returns:
         A Certificate, each of whose fields says its unit.
@@ -171,88 +172,78 @@ def certificate(
     scenario = resolve(scenario)
     given: dict[str, Any] = {"min_alignment": min_alignment, "budget": budget, "share": share}
     given |= {"min_gain": min_gain, "max_gain": max_gain}
-    asked = question(scenario, by, given, bearing_error)
-    return answer(scenario, asked, *ask(scenario, asked))
-
-
-def ask(scenario: Scenario, asked: Asked) -> tuple[list[tuple[Theorem, Bounds]], str]:
-    """All theorems that apply and what they promise; and the words of the first that promises a
-    rendezvous, or what the one that comes nearest lacks.
-    """
-    found, nearest, lacking = [], -1, ""
-    for theorem in THEOREMS:
-        if asked.by not in theorem.by:
-            continue
-        met, words = theorem.unmet(scenario, asked)
-        if not words:
-            bounds = theorem.bounds(scenario, asked)
-            found.append((theorem, bounds))
-            met, words = _APPLIES, bounds.words if asked.error and not bounds.meets else ""
-        if words and theorem.rendezvous and met > nearest:
-            nearest, lacking = met, words
-    promised = next((bounds.words for _, bounds in found if bounds.meets), "")
-    return found, promised or lacking
-
-
-def answer(
-    scenario: Scenario, asked: Asked, applies: list[tuple[Theorem, Bounds]], words: str
-) -> Certificate:
-    """The certificate that ``ask`` amounts to: of all that is promised the best."""
-    found = [bounds for _, bounds in applies]
-    promised = [bounds for bounds in found if bounds.meets]
-
-    def least(name: str, bounds: list[Bounds]) -> float:
-        return min((getattr(one, name) for one in bounds), default=math.inf)
-
-    time = least("time", promised)
-    return Certificate(
-        min_alignment=asked.min_alignment,
-        dead_zone=scenario.dead_zone,
-        certified_step=scenario.certified_step,
-        bottleneck_weight=scenario.bottleneck_weight,
-        time_bound=time,
-        guaranteed=bool(promised),
-        theorem=words,
-        by=asked.by,
-        continuous_time_bound=least("continuous_time", promised),
-        continuous_time_only=bool(promised) and math.isinf(time),
-        lyapunov_bound=least("lyapunov", found),
-        hull_bound=least("hull", found),
-        link_growth_bound=least("link_growth", found),
-        bearing_error=asked.error,
-        tolerated_bearing_error=max((one.tolerated_bearing_error for one in found), default=0.0),
-        expected_time_bound=least("expected_time", found),
-        scenario=scenario.name,
-        time_limit=scenario.time_limit,
-    )
+    return answer(scenario, question(scenario, by, given, bearing_error))[0]
 
 
 def question(scenario: Scenario, by: Any, given: Mapping[str, Any], bearing_error: Any) -> Asked:
     """What is asked, if the arguments of ``certificate`` go together; of its numbers those that are
     not given are LAW's (theorem A), and η is a number, rad.
     """
-    margin = given.get("min_alignment", LAW.min_alignment)
-    descent.check_margin(margin)
-    if by is None:
-        by = "law" if margin == 1 else "heading"
-    choice("by", by, CHOICES)
+    margin = check_margin(given.get("min_alignment", LAW.min_alignment))
+    by = choice("by", ("law" if margin == 1 else "heading") if by is None else by, CHOICES)
     if by in ("law", "gains", "links") and margin != 1:
         refuse("min_alignment", margin, f'exactly 1 with by="{by}"')
     if by == "heading" and margin == 1:
         refuse("min_alignment", margin, 'less than 1 with by="heading"')
     asked = LAW._replace(by=by, **given)
-    if by != "tank" and real(asked.budget) != 0:
-        refuse("budget", asked.budget, f'0 with by="{by}": only a tank has one')
     if not 0 <= real(asked.budget) < math.inf:
         refuse("budget", asked.budget, "finite and at least 0 m²/s")
-    check_share(asked.share)
+    asked = asked._replace(
+        min_alignment=margin,
+        budget=real(asked.budget),
+        share=check_share(asked.share),
+        error=max(
+            check_bearing_error(bearing_error), bounded_error(scenario.sensing, scenario.dim)
+        ),
+    )
+    if by != "tank" and asked.budget != 0:
+        refuse("budget", asked.budget, f'0 with by="{by}": only a tank has one')
     for name, only in (("min_gain", "gains"), ("max_gain", "gains"), ("share", "links")):
         value, usual = getattr(asked, name), getattr(LAW, name)
         if by != only and value != usual:
             refuse(name, value, f'{usual} with by="{by}": only {only} have one')
     if by == "gains":
         gain_range(scenario, asked.min_gain, asked.max_gain)
-    error = max(check_bearing_error(bearing_error), bounded_error(scenario.sensing, scenario.dim))
-    return asked._replace(
-        min_alignment=real(margin), budget=real(asked.budget), share=real(asked.share), error=error
+    return asked
+
+
+def answer(scenario: Scenario, asked: Asked) -> tuple[Certificate, list[tuple[Theorem, Bounds]]]:
+    """The best of all that is promised, with the words of the first theorem that promises a
+    rendezvous, or what the one that comes nearest lacks; and all theorems that apply.
+    """
+    applies, nearest, words = [], -1, ""
+    for theorem in THEOREMS:
+        if asked.by not in theorem.by:
+            continue
+        met, lacking = theorem.unmet(scenario, asked)
+        if not lacking:
+            bounds = theorem.bounds(scenario, asked)
+            applies.append((theorem, bounds))
+            met, lacking = _APPLIES, bounds.words if asked.error and not bounds.meets else ""
+        if lacking and theorem.rendezvous and met > nearest:
+            nearest, words = met, lacking
+    found = [bounds for _, bounds in applies]
+    promised = [bounds for bounds in found if bounds.meets]
+
+    def least(name: str, bounds: list[Bounds]) -> float:
+        return min((getattr(one, name) for one in bounds), default=math.inf)
+
+    time, kept = least("time", promised), ("lyapunov", "hull", "link_growth", "expected_time")
+    certificate = Certificate(
+        min_alignment=asked.min_alignment,
+        dead_zone=scenario.dead_zone,
+        certified_step=scenario.certified_step,
+        bottleneck_weight=scenario.bottleneck_weight,
+        time_bound=time,
+        guaranteed=bool(promised),
+        theorem=next((bounds.words for bounds in promised), words),
+        by=asked.by,
+        continuous_time_bound=least("continuous_time", promised),
+        continuous_time_only=bool(promised) and math.isinf(time),
+        bearing_error=asked.error,
+        tolerated_bearing_error=max((one.tolerated_bearing_error for one in found), default=0.0),
+        scenario=scenario.name,
+        time_limit=scenario.time_limit,
+        **{f"{name}_bound": least(name, found) for name in kept},
     )
+    return certificate, applies

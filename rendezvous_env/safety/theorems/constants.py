@@ -21,10 +21,8 @@ Array = NDArray[np.float64]
 
 UNDIRECTED, DIRECTED, SWITCHING, PROXIMITY = "undirected", "directed", "switching", "proximity"
 """Links that last but for merges, mutual or one-way; that take turns; that end with distance."""
-of_the_last = lru_cache(maxsize=8)
+_of_the_last = lru_cache(maxsize=8)
 """Several theorems ask the same of a scenario, one after the other."""
-
-# ---- the graph -----------------------------------------------------------------------------------
 
 
 def kind_of_links(graph: Graph) -> str:
@@ -108,11 +106,7 @@ def _is_cycle(graph: Graph, n: int) -> bool:
     if not graph.fixed or graph.directed or graph.most_links(n) != n:
         return False
     first, second, _ = graph.links(n)
-    counts = np.bincount(np.concatenate([first, second]), minlength=n)
-    return bool((counts == 2).all())
-
-
-# ---- the step and the speed ----------------------------------------------------------------------
+    return bool((np.bincount(np.concatenate([first, second]), minlength=n) == 2).all())
 
 
 def long_step(scenario: Scenario) -> bool:
@@ -124,9 +118,6 @@ def scale_bound(scenario: Scenario) -> float:
     """s_min = min(1, r/(2D̄τ), v_max/D̄), a number without unit, by which robots slow down."""
     held = scenario.merge_radius / (2.0 * scenario.max_degree * scenario.tau)
     return min(1.0, held, scenario.speed_limit / scenario.max_degree)
-
-
-# ---- what V can come to --------------------------------------------------------------------------
 
 
 def merge_rise_allowance(scenario: Scenario) -> float:
@@ -153,10 +144,10 @@ def lyapunov_bound(
     return most + 4.0 * total * (scenario.merge_radius / 2.0 if reach is None else reach)
 
 
-@of_the_last
+@_of_the_last
 def largest_lyapunov(scenario: Scenario) -> float:
-    """V(0) of the given start, or what all that can be drawn are below, a number, m²/s: V ≤
-    2 W s √d, s the side of the spawn area.
+    """V(0) of the given start, or V ≤ 2 W s √d of all that can be drawn in a spawn area of side s,
+    a number, m²/s.
     """
     n, graph = scenario.n_robots, scenario.sensing_graph
     if scenario.start_positions is not None:
@@ -165,33 +156,24 @@ def largest_lyapunov(scenario: Scenario) -> float:
     return 2.0 * graph.weight_sum(n) * scenario.spawn_size * math.sqrt(scenario.dim)
 
 
-@of_the_last
+@_of_the_last
 def starts_apart(scenario: Scenario) -> bool:
     """Whether linked robots start r or more apart, as all that are drawn do (theory 5)."""
     if scenario.start_positions is None:
         return True
     from scipy.spatial import cKDTree
 
-    n, graph, radius = scenario.n_robots, scenario.sensing_graph, scenario.merge_radius
-    near = cKDTree(np.array(scenario.start_positions)).query_pairs(radius * (1 - 1e-9))
+    near = cKDTree(np.array(scenario.start_positions)).query_pairs(
+        scenario.merge_radius * (1 - 1e-9)
+    )
     if not near:
         return True
-    first, second, _ = graph.links(n)
+    first, second, _ = scenario.sensing_graph.links(scenario.n_robots)
     linked = {*zip(first.tolist(), second.tolist(), strict=True)}
     return linked.isdisjoint(near | {(j, i) for i, j in near})
 
 
-# ---- what L can come to --------------------------------------------------------------------------
-
-
-def directions(dim: int) -> float:
-    """The measure of all unit vectors, a number without unit, 2π, in 3-D 4π: by so much times ρ L
-    grows if the hull does by ρ in all directions (guarantees, section 9).
-    """
-    return 2.0 * math.pi * (dim - 1)
-
-
-@of_the_last
+@_of_the_last
 def largest_size(scenario: Scenario) -> float:
     """L(0) of the given start, or of the worst one in the spawn area, a number, m (guarantees,
     section 9): L = s L(unit cube), s the side of the spawn area, with all robots at corners.
@@ -209,6 +191,13 @@ def _largest_size_in_unit_cube(n: int, dim: int) -> float:
     return max(size(np.array(places)) for places in sets)
 
 
+def directions(dim: int) -> float:
+    """The measure of all unit vectors, a number without unit, 2π, in 3-D 4π: by so much times ρ L
+    grows if the hull does by ρ in all directions (guarantees, section 9).
+    """
+    return 2.0 * math.pi * (dim - 1)
+
+
 def hull_growth(scenario: Scenario) -> float:
     """What L can grow by, a number, m, in steps that begin with linked robots closer than r: by r
     in all directions, once for a given start, n − 1 times where links change (theorem D1).
@@ -217,15 +206,6 @@ def hull_growth(scenario: Scenario) -> float:
     if kind_of_links(scenario.sensing_graph) in (SWITCHING, PROXIMITY):
         return (scenario.n_robots - 1) * grown
     return 0.0 if starts_apart(scenario) else grown
-
-
-# ---- numbers that are given ----------------------------------------------------------------------
-
-
-def check_scenario(scenario: object) -> None:
-    """Refuse anything but a Scenario, in a ValueError."""
-    if not isinstance(scenario, Scenario):
-        refuse("scenario", scenario, "a Scenario; scenarios.resolve() takes names and files")
 
 
 def checked(name: str, given: ArrayLike, unit: str) -> Array:

@@ -17,17 +17,10 @@ not fade, and ages up to r/(2√3 D̄), n V0⁺/(ε² a*²).
 
 from __future__ import annotations
 
-import numpy as np
-
 from ...scenario.scenario import Scenario
 from . import assumptions as given
 from . import constants as known
 from .theorem import Asked, Bounds, Theorem
-
-
-def largest_age(max_degree: float, merge_radius: float, *, law_4: bool = False) -> float:
-    """The age that bearings may have, a number, s: r/(2D̄), under law (4) r/(2√3 D̄)."""
-    return merge_radius / (2.0 * max_degree) / (np.sqrt(3.0) if law_4 else 1.0)
 
 
 def late_alone(scenario: Scenario, asked: Asked) -> str:
@@ -44,7 +37,7 @@ def late_alone(scenario: Scenario, asked: Asked) -> str:
 def young(scenario: Scenario, asked: Asked) -> str:
     """(k+1) τ ≤ r/(2D̄): late and held, bearings are young enough."""
     age = (scenario.sensing.delay + 1) * scenario.tau
-    oldest = largest_age(scenario.max_degree, scenario.merge_radius)
+    oldest = scenario.merge_radius / (2.0 * scenario.max_degree)
     if age <= oldest * (1 + 1e-12):
         return ""
     return (
@@ -68,6 +61,6 @@ def bounds(scenario: Scenario, asked: Asked) -> Bounds:
     )
 
 
-_TEAM = given.undirected, given.connected, given.velocity_inputs
-_LATE = late_alone, given.nothing_in_the_way, young
-THEOREMS = (Theorem("E1", ("law",), (*_TEAM, *_LATE), bounds),)
+THEOREMS = (
+    Theorem("E1", ("law",), (*given.TEAM, late_alone, given.nothing_in_the_way, young), bounds),
+)

@@ -25,9 +25,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ...checks import real, refuse
+from ...checks import refuse
 from ...scenario.scenario import Scenario
-from ..settings import SMALLEST_MARGIN, bounded_error
+from ..settings import bounded_error, check_margin
 from . import assumptions as given
 from . import constants as known
 from .theorem import Asked, Bounds, Theorem
@@ -45,9 +45,12 @@ def time_bound(
     complete graphs and cycles. ValueError for an ε that is not in (0, 1], or a V(0) that is none.
     """
     check_margin(min_alignment)
-    known.check_scenario(scenario)
+    if not isinstance(scenario, Scenario):
+        refuse("scenario", scenario, "a Scenario; scenarios.resolve() takes names and files")
     initial = known.checked("initial_lyapunov", initial_lyapunov, "m²/s")
-    if not covered(scenario, min_alignment):
+    theorem = _A if min_alignment == 1 else _C
+    asked = Asked(theorem.by[0], error=bounded_error(scenario.sensing, scenario.dim))
+    if theorem.unmet(scenario, asked)[1]:
         return np.full(initial.shape, np.inf)
     n, a = scenario.n_robots, scenario.bottleneck_weight
     slowed = max(1.0, 2.0 * scenario.max_degree * scenario.tau / scenario.merge_radius)
@@ -61,22 +64,6 @@ def time_bound(
         alike = known.over_rate(initial, 2.0 * (n - 1) * square * a**2 / slowed)
         bound = np.minimum(bound, alike)
     return np.asarray(bound)
-
-
-def covered(scenario: Scenario, min_alignment: float) -> bool:
-    """Whether theorem A bounds the time, or theorem C for a margin ε < 1, a number without unit."""
-    theorem = _A if min_alignment == 1 else _C
-    asked = Asked(theorem.by[0], error=bounded_error(scenario.sensing, scenario.dim))
-    return not theorem.unmet(scenario, asked)[1]
-
-
-def check_margin(min_alignment: float) -> None:
-    """Refuse a margin ε, a number without unit, unless 10⁻⁶ ≤ ε ≤ 1, in a ValueError."""
-    if not SMALLEST_MARGIN <= real(min_alignment) <= 1:
-        refuse("min_alignment", min_alignment, f"in (0, 1], and at least {SMALLEST_MARGIN:g}")
-
-
-# ---- the theorems --------------------------------------------------------------------------------
 
 
 def lyapunov_bounds(scenario: Scenario, asked: Asked) -> Bounds:

@@ -40,8 +40,6 @@ Array = NDArray[np.float64]
 _WIDE = 5.0 * np.pi / 12.0
 """How far from the direction of the robot farthest from a leader the leader still lies deep."""
 
-# ---- rates ---------------------------------------------------------------------------------------
-
 
 def kappa(n: ArrayLike) -> Array:
     """κ(n) = min{Σ sin²x_i : Σx_i = π, 0 ≤ x_i ≤ π/2}, (...), without unit (proofs, G).
@@ -70,7 +68,7 @@ def shrinking(n: ArrayLike, dim: int, gain: ArrayLike, error: ArrayLike = 0.0) -
 
 
 def shrinking_to_leader(n: ArrayLike, dim: int, gain: ArrayLike) -> Array:
-    """Least −L' if one robot may rest and see nobody, (...), m/s; otherwise as ``shrinking``.
+    """As ``shrinking`` if one robot may rest and see nobody, (...), m/s.
 
     2-D:   2 c κ₁(n),   κ₁(n) = (n − 1) sin²(π/(2(n − 1)));      3-D:   π c/(n − 1)
     """
@@ -82,11 +80,10 @@ def shrinking_to_leader(n: ArrayLike, dim: int, gain: ArrayLike) -> Array:
 
 def _gains(scenario: Scenario, asked: Asked) -> tuple[Array, float]:
     """c_m, (n − 1,), and C, m/s: of law (1) a_ij, scaled where it scales velocities (theory 4)."""
-    gains = np.ones(scenario.n_robots - 1)
+    gains, most = np.ones(scenario.n_robots - 1), scenario.max_degree
     if asked.by == "gains":
         least, most = gain_range(scenario, asked.min_gain, asked.max_gain)
         return gains * min(least, scenario.speed_limit), most
-    most = scenario.max_degree
     if given.nearest_hides(scenario):
         # behind others all but the nearest may be hidden, and its link may be the lightest
         gains *= known.lightest_link(scenario)
@@ -98,9 +95,6 @@ def _gains(scenario: Scenario, asked: Asked) -> tuple[Array, float]:
         slow = scenario.merge_radius / (2.0 * scenario.tau)
         gains, most = np.minimum(gains, slow), min(most, slow)
     return np.minimum(gains, scenario.speed_limit), most
-
-
-# ---- the theorem ---------------------------------------------------------------------------------
 
 
 def hull_bounds(scenario: Scenario, asked: Asked) -> Bounds:
@@ -138,13 +132,10 @@ def bounds(scenario: Scenario, asked: Asked) -> Bounds:
 
 _HULL = given.velocity_inputs, given.bounded_errors, given.nothing_in_the_way
 _WITHIN = given.within_neighbours, given.exact_bearings
-_SEEN = (
-    *(given.without_range, given.connected, given.one_leader_at_most, given.velocity_inputs),
-    *(given.bounded_errors, given.somebody_seen, given.nothing_in_the_way, *_WITHIN),
-)
+_SEEN = given.bounded_errors, given.somebody_seen, given.nothing_in_the_way
 _LAW_HULL = *_HULL, given.all_neighbours_seen, *_WITHIN
 THEOREMS = (
-    Theorem("G", ("law", "gains"), _SEEN, bounds, every_step="nested"),
+    Theorem("G", ("law", "gains"), (*given.JOINED, *_SEEN, *_WITHIN), bounds, every_step="nested"),
     Theorem("G, the hull", ("gains",), (*_HULL, *_WITHIN), hull_bounds, False, "nested"),
     Theorem("G, the hull", ("law",), _LAW_HULL, hull_bounds, False, "nested"),
 )

@@ -27,40 +27,13 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
+from ...graphs.weights import components
 from ...scenario.scenario import Scenario
 from ..links import asymmetric_sight
 from . import assumptions as given
 from . import constants as known
 from .theorem import Asked, Bounds, Theorem, bounds_with_errors
-
-Array = NDArray[np.float64]
-
-
-def sighted_lyapunov_bound(
-    n: int,
-    initial_lyapunov: ArrayLike,
-    *,
-    links: ArrayLike,
-    weight: float,
-    sight: float,
-    merge_radius: float,
-) -> Array:
-    """The most that V can come to where links of weight a, m/s, appear and go with sight, (...),
-    m²/s.
-
-        V_tot = V0 + 2aR [n(n−1)/2 − |E0| + (n−1)²] + (n−1) r a n(n−1)/2
-
-    ``links`` is |E0|, how many there are at the start; lengths are in m.
-    """
-    pairs = n * (n - 1) / 2.0
-    appear = pairs - np.asarray(links) + (n - 1) ** 2
-    merges = (n - 1) * merge_radius * weight * pairs
-    return np.asarray(np.asarray(initial_lyapunov) + 2.0 * weight * sight * appear + merges)
-
-
-# ---- what it assumes besides ---------------------------------------------------------------------
 
 
 def sight_is_mutual(scenario: Scenario, asked: Asked) -> str:
@@ -83,12 +56,18 @@ def starts_linked(scenario: Scenario, asked: Asked) -> str:
     """Links that no n − 1 merges make longer than the range connect every start."""
     if scenario.sensing.range is None:
         return ""
+    n, graph = scenario.n_robots, scenario.sensing_graph
     longest = scenario.sensing.range - merge_growth(scenario)
     if scenario.start_positions is not None:
-        linked = _linked_within(scenario, longest)
+        from scipy.sparse import coo_array
+
+        p, (first, second, weights) = np.array(scenario.start_positions), graph.links(n)
+        near = np.linalg.norm(p[first] - p[second], axis=-1) <= longest
+        links = coo_array((weights[near], (first[near], second[near])), shape=(n, n))
+        linked = len(components(links)) == 1
     else:
-        near = known.kind_of_links(scenario.sensing_graph) == known.PROXIMITY
         # drawn starts are connected for merges at midpoints
+        near = known.kind_of_links(graph) == known.PROXIMITY
         linked = near and scenario.require_connected and not scenario.obstacles
         linked = linked or scenario.spawn_size * math.sqrt(scenario.dim) <= longest
     if linked:
@@ -106,21 +85,6 @@ def merge_growth(scenario: Scenario) -> float:
     return (scenario.n_robots - 1) * scenario.merge_radius * (1.0 if scenario.obstacles else 0.5)
 
 
-def _linked_within(scenario: Scenario, longest: float) -> bool:
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
-    n = scenario.n_robots
-    first, second, _ = scenario.sensing_graph.links(n)
-    p = np.array(scenario.start_positions)
-    near = np.linalg.norm(p[first] - p[second], axis=-1) <= longest
-    links = coo_array((near[near], (first[near], second[near])), shape=(n, n))
-    return int(connected_components(links)[0]) == 1
-
-
-# ---- the theorem ---------------------------------------------------------------------------------
-
-
 def bounds(scenario: Scenario, asked: Asked) -> Bounds:
     """The time, V where it counts who is in sight only, and links."""
     n, reach, radius = scenario.n_robots, scenario.sensing.range, scenario.merge_radius
@@ -128,10 +92,10 @@ def bounds(scenario: Scenario, asked: Asked) -> Bounds:
         most = float(known.lyapunov_bound(scenario, known.largest_lyapunov(scenario)))
         degrees = known.least_degrees(scenario)
     else:
+        heaviest, pairs = scenario.sensing_graph.extreme_weights(n)[1], n * (n - 1) / 2.0
         merges = radius * (2.0 if scenario.obstacles else 1.0)
-        heaviest = scenario.sensing_graph.extreme_weights(n)[1]
-        seen = {"links": 0, "weight": heaviest, "sight": reach, "merge_radius": merges}
-        most = float(sighted_lyapunov_bound(n, 0.0, **seen))
+        most = 2.0 * heaviest * reach * (pairs + (n - 1) ** 2)
+        most += (n - 1) * merges * heaviest * pairs
         degrees = np.full(n - 1, known.lightest_link(scenario))
     speeds = np.minimum(degrees, min(scenario.speed_limit, radius / (2.0 * scenario.tau)))
     left = known.robots_left(scenario)

@@ -48,8 +48,6 @@ Array = NDArray[np.float64]
 DEAD_ZONE = 0.5
 """β of the dead zone δ = βa*/n of certified headings."""
 
-# ---- N: equal gains ------------------------------------------------------------------------------
-
 
 def largest_error(n: ArrayLike, dim: int) -> Array:
     """η, rad, below which theorem N promises a rendezvous of n robots, (...): π/n, which is sharp;
@@ -70,16 +68,14 @@ def held_error(gain: ArrayLike, duration: ArrayLike, merge_radius: float) -> Arr
 
 
 def equal_gains(scenario: Scenario, asked: Asked) -> Array | None:
-    """c_m, an array (n − 1,), m/s, if all robots left have that and nobody is slowed down (theorem
-    N).
-    """
+    """Σ_j c_ij = c_m, an array (n − 1,), m/s, if that is so of all robots and nobody is slowed."""
     if asked.by == "gains":
         least, most = gain_range(scenario, asked.min_gain, asked.max_gain)
-        even = least == most <= scenario.speed_limit
-        return np.full(scenario.n_robots - 1, least) if even else None
-    gains = known.least_degrees(scenario)
-    scaled = known.long_step(scenario) and scenario.scales_velocity
-    even = known.degrees_stay_equal(scenario) and not scaled
+        gains, even = np.full(scenario.n_robots - 1, least), least == most
+    else:
+        scaled = known.long_step(scenario) and scenario.scales_velocity
+        gains, even = known.least_degrees(scenario), known.degrees_stay_equal(scenario)
+        even = even and not scaled
     return gains if even and scenario.speed_limit >= gains.max(initial=0.0) else None
 
 
@@ -102,17 +98,14 @@ def equal_gain_bounds(scenario: Scenario, asked: Asked) -> Bounds:
     extent = known.largest_size(scenario) + known.hull_growth(scenario)
     extent += (scenario.n_robots - 1) * known.directions(dim) * strayed
     late_by = held_error(gains, scenario.tau, scenario.merge_radius)
-    borne = float((largest_error(left, dim) - late_by).min())
+    tolerated = float((largest_error(left, dim) - late_by).min())
     if error == 0.0:  # two robots whose bearings are right move on one line
         late_by = np.where(left == 2, 0.0, late_by)
     time = float(known.held_time(scenario, extent, shrinking(left, dim, gains, error + late_by)))
     who = "law (1)" if asked.by == "law" else "every policy that weighs neighbours"
     words = f"theorem N: {who} meets in finite time although bearings err by {error:.4g} rad"
     hull = extent if math.isfinite(time) else math.inf
-    return bounds_with_errors(asked, time, max(0.0, borne), words, who, hull=hull)
-
-
-# ---- N1: law (1) ---------------------------------------------------------------------------------
+    return bounds_with_errors(asked, time, max(0.0, tolerated), words, who, hull=hull)
 
 
 def tolerated_error(
@@ -139,73 +132,56 @@ def law_bounds(scenario: Scenario, asked: Asked) -> Bounds:
     most += (n - 1) * scenario.tau * n * (chord * scenario.max_degree) ** 2
     feigned = left * (chord * known.most_degrees(scenario)) ** 2
     rates = 4.0 * known.least_degrees(scenario) ** 2 / left - feigned
-    words = (
-        f"theorem N1: law (1) meets in finite time although bearings err by {asked.error:.4g} rad"
-    )
     time = known.held_time(scenario, most, rates) if as_it_is else math.inf
-    borne = tolerated_error(scenario) if as_it_is else 0.0
-    return bounds_with_errors(asked, time, borne, words, "law (1)")
+    tolerated = tolerated_error(scenario) if as_it_is else 0.0
+    words = f"law (1) meets in finite time although bearings err by {asked.error:.4g} rad"
+    return bounds_with_errors(asked, time, tolerated, f"theorem N1: {words}", "law (1)")
 
 
-# ---- N1' and the tank: certified velocities ------------------------------------------------------
-
-
-def certified_time(
+def certified_bounds(
     scenario: Scenario,
-    most: ArrayLike,
-    margin: float,
-    error: float,
-    dead_zone: float = 0.0,
-    *,
-    each: ArrayLike | None = None,
-) -> Array:
-    """T ≤ max_m m V0⁺/(s_min q_m²) + (n−1) τ, (...), s, for velocities that are certified against
-    what is seen; infinite if a q_m is not positive. ``most`` is V0⁺, or what stands for it, m²/s;
-    ``each`` what V/(m − 1) does not exceed, if that is known.
+    asked: Asked,
+    most: float,
+    each: float | None,
+    dead_zone: float,
+    *words: str,
+) -> Bounds:
+    """For velocities that are certified against what is seen (N1', D), if all q_m are positive.
 
+        T ≤ max_m m V0⁺/(s_min q_m²) + (n−1) τ
         Σ_i (h·f̂_i − e_i)₊ ≥ q_m = 2ε c_m − ε β a* m/n − (1+ε) m 2 sin(η/2) D̄_m
+
+    ``most`` is V0⁺, or what stands for it, m²/s; ``each`` what V/(m − 1) does not exceed, if known;
+    ``words`` are those of ``bounds_with_errors``.
     """
-    left = known.robots_left(scenario)
+    left, margin = known.robots_left(scenario), asked.min_alignment
     faded = dead_zone * scenario.bottleneck_weight * left / scenario.n_robots
-    wrong = left * error_chord(error) * known.most_degrees(scenario)
+    wrong = left * error_chord(asked.error) * known.most_degrees(scenario)
     q = margin * (2.0 * known.least_degrees(scenario) - faded) - (1.0 + margin) * wrong
     rates, slowest = np.maximum(q, 0.0) ** 2 / left, known.scale_bound(scenario)
     time = known.held_time(scenario, most, rates * slowest)
-    if each is None:
-        return time
-    alike = known.held_time(scenario, each, rates / (left - 1.0) * slowest)
-    return np.asarray(np.minimum(time, alike))
+    if each is not None:
+        alike = known.held_time(scenario, each, rates / (left - 1.0) * slowest)
+        time = np.minimum(time, alike)
+    return bounds_with_errors(asked, time, tolerated_error(scenario, margin, dead_zone), *words)
 
 
 def heading_bounds(scenario: Scenario, asked: Asked) -> Bounds:
     """Theorem N1'."""
-    start, margin = known.largest_lyapunov(scenario), asked.min_alignment
-    most = known.lyapunov_bound(scenario, start)
-    each = start / (scenario.n_robots - 1) if known.merges_at_midpoints(scenario) else None
-    scaled = " with velocities scaled to the long step" * known.long_step(scenario)
-    return bounds_with_errors(
+    start = known.largest_lyapunov(scenario)
+    return certified_bounds(
+        scenario,
         asked,
-        certified_time(scenario, most, margin, asked.error, DEAD_ZONE, each=each),
-        tolerated_error(scenario, margin, DEAD_ZONE),
+        float(known.lyapunov_bound(scenario, start)),
+        start / (scenario.n_robots - 1) if known.merges_at_midpoints(scenario) else None,
+        DEAD_ZONE,
         "theorem N1': every policy under certified headings that allow for errors of "
-        f"{asked.error:.4g} rad meets in finite time{scaled}",
+        f"{asked.error:.4g} rad meets in finite time"
+        + " with velocities scaled to the long step"
+        * known.long_step(scenario),
         "a heading of this margin",
         "; V still never rises between merges",
     )
-
-
-# ---- E[T]: noise without a bound -----------------------------------------------------------------
-
-
-def least_expected_fall(scenario: Scenario, noise: float, theta: float) -> float:
-    """The least mean rate at which V falls, a number, (m/s)²; negative where it may rise.
-
-    min_m 4c_m²/m γ(2 − θγ) − θ(1 − γ²) Σa_ij²,   γ = exp(−σ²/2),   θ = 2D̄τ/r    (theorem E[T])
-    """
-    gamma, graph = math.exp(-0.5 * noise**2), scenario.sensing_graph
-    weights = graph.links(scenario.n_robots)[2] * graph.weight_range[1]
-    scattered = theta * (1.0 - gamma**2) * 2.0 * float(weights @ weights)
-    return known.least_bearing_square(scenario) * gamma * (2.0 - theta * gamma) - scattered
 
 
 def noise_alone(scenario: Scenario, asked: Asked) -> str:
@@ -220,23 +196,24 @@ def noisy_bounds(scenario: Scenario, asked: Asked) -> Bounds:
     """The mean time, infinite if the step is too long for this noise, or robots can be slowed down;
     in a single episode nothing is sure.
     """
-    n, degree = scenario.n_robots, scenario.max_degree
+    n, degree, graph = scenario.n_robots, scenario.max_degree, scenario.sensing_graph
     if scenario.speed_limit < degree:
         return Bounds()
     theta = 2.0 * degree * scenario.tau / scenario.merge_radius
-    above = known.lyapunov_bound(scenario, known.largest_lyapunov(scenario))
-    above += (n - 1) * scenario.merge_radius * theta * degree * n  # cut short by merges
-    fall = least_expected_fall(scenario, scenario.sensing.noise, theta)
-    return Bounds(expected_time=float(known.over_rate(above, fall)))
+    gamma, weights = math.exp(-0.5 * scenario.sensing.noise**2), graph.links(n)[2]
+    weights = weights * graph.weight_range[1]
+    scattered = theta * (1.0 - gamma**2) * 2.0 * float(weights @ weights)
+    fall = known.least_bearing_square(scenario) * gamma * (2.0 - theta * gamma) - scattered
+    most = known.lyapunov_bound(scenario, known.largest_lyapunov(scenario))
+    most += (n - 1) * scenario.merge_radius * theta * degree * n  # cut short by merges
+    return Bounds(expected_time=float(known.over_rate(most, fall)))
 
 
 _SEEN = given.bounded_errors, given.all_neighbours_seen, given.nothing_in_the_way
-_ANY = given.without_range, given.connected, given.one_leader_at_most, given.velocity_inputs
-_TEAM = given.undirected, given.connected, given.velocity_inputs
-_NOISY = noise_alone, given.nothing_in_the_way
+_NOISY = *given.TEAM, noise_alone, given.nothing_in_the_way
 THEOREMS = (
-    Theorem("N", ("law", "gains"), (*_ANY, *_SEEN, gains_are_equal), equal_gain_bounds),
-    Theorem("N1", ("law",), (*_TEAM, *_SEEN, given.certified_or_scaled), law_bounds),
-    Theorem("N1'", ("heading",), (*_TEAM, *_SEEN), heading_bounds),
-    Theorem("E[T]", ("law",), (*_TEAM, *_NOISY), noisy_bounds, rendezvous=False),
+    Theorem("N", ("law", "gains"), (*given.JOINED, *_SEEN, gains_are_equal), equal_gain_bounds),
+    Theorem("N1", ("law",), (*given.TEAM, *_SEEN, given.certified_or_scaled), law_bounds),
+    Theorem("N1'", ("heading",), (*given.TEAM, *_SEEN), heading_bounds),
+    Theorem("E[T]", ("law",), _NOISY, noisy_bounds, rendezvous=False),
 )

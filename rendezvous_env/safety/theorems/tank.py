@@ -34,8 +34,8 @@ from ...scenario.scenario import Scenario
 from ..settings import levels_follow_v
 from . import assumptions as given
 from . import constants as known
-from .noise import certified_time, tolerated_error
-from .theorem import Asked, Bounds, Theorem, bounds_with_errors
+from .noise import certified_bounds
+from .theorem import Asked, Bounds, Theorem
 
 
 def lyapunov_bounds(scenario: Scenario, asked: Asked) -> Bounds:
@@ -48,25 +48,24 @@ def lyapunov_bounds(scenario: Scenario, asked: Asked) -> Bounds:
 
 def bounds(scenario: Scenario, asked: Asked) -> Bounds:
     """The time."""
-    n, margin, error, each = scenario.n_robots, asked.min_alignment, asked.error, None
+    n, each = scenario.n_robots, None
     if levels_follow_v(scenario) and known.merges_at_midpoints(scenario):
         each = (known.largest_lyapunov(scenario) + n * asked.budget) / (n - 1)
         each += (n - 1) * scenario.merge_radius * scenario.bottleneck_weight
-    charged = f" and charges errors of {error:.4g} rad" * (error > 0)
-    most = lyapunov_bounds(scenario, asked).lyapunov
-    return bounds_with_errors(
+    return certified_bounds(
+        scenario,
         asked,
-        certified_time(scenario, most, margin, error, each=each),
-        tolerated_error(scenario, margin),
+        lyapunov_bounds(scenario, asked).lyapunov,
+        each,
+        0.0,
         "theorem D: whatever is wanted, all robots meet in finite time while a tank keeps count"
-        + charged,
+        + f" and charges errors of {asked.error:.4g} rad" * (asked.error > 0),
         "a tank of this margin",
         "; V stays bounded even so",
     )
 
 
-_BOUND_ON_V = "D, the bound on V"
 THEOREMS = (
     Theorem("D", ("tank",), given.UNHINDERED, bounds, every_step="ledger"),
-    Theorem(_BOUND_ON_V, ("tank",), given.LASTING_LINKS, lyapunov_bounds, False, "ledger"),
+    Theorem("D, the bound on V", ("tank",), given.LASTING_LINKS, lyapunov_bounds, False, "ledger"),
 )

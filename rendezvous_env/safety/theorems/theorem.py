@@ -9,25 +9,28 @@ from typing import Any, NamedTuple
 
 from ...scenario.scenario import Scenario
 
-CHOICES = ("law", "heading", "tank", "gains", "links")
-"""What keeps the guarantee: law (1) itself, certified headings, an energy tank, gains that are not
-negative, or velocities that lengthen no link."""
+CHOICES = {
+    "law": "law (1)",
+    "heading": "certified headings",
+    "tank": "an energy tank",
+    "gains": "gains",
+    "links": "link-keeping",
+}
+"""What keeps the guarantee, by the name that ``certificate`` knows, in words."""
+PROMISED = ("time", "lyapunov", "hull", "link_growth", "expected_time")
+"""The fields of Bounds that are promised of the environment as it steps."""
 
 
 class Asked(NamedTuple):
-    """The arguments of a certificate besides the scenario."""
+    """The arguments of ``certificate`` besides the scenario."""
 
     by: str = "law"
-    min_alignment: float = 1.0
-    """ε, without unit."""
-    budget: float = 0.0
-    """B_i, m²/s."""
-    min_gain: float | None = None
+    min_alignment: float = 1.0  # ε, without unit
+    budget: float = 0.0  # B_i, m²/s
+    min_gain: float | None = None  # m/s
     max_gain: float | None = None
-    share: float = 0.5
-    """λ, without unit."""
-    error: float = 0.0
-    """η, rad, the larger of the argument and of the scenario's sensor."""
+    share: float = 0.5  # λ, without unit
+    error: float = 0.0  # η, rad: the larger of the argument and the error of the sensor
 
 
 LAW = Asked()
@@ -38,39 +41,36 @@ LAW = Asked()
 class Bounds:
     """What a theorem promises of a scenario; a number is infinite where it promises none."""
 
-    words: str = ""
-    """The promise, its theorem first; or why there is none for this error."""
-    meets: bool = False
-    """Whether a rendezvous is promised."""
-    time: float = math.inf
-    """When one robot is left, s, inputs held over the scenario's step."""
-    continuous_time: float = math.inf
-    """The same where velocities follow the bearings in continuous time, s."""
-    expected_time: float = math.inf
-    """Of the mean time to rendezvous, s."""
-    lyapunov: float = math.inf
-    """Of V at any time, m²/s; with obstacles in motion without a contact."""
-    hull: float = math.inf
-    """Of L at any time, m."""
-    link_growth: float = math.inf
-    """Of how much longer a link ever is than at the start, m."""
-    tolerated_bearing_error: float = 0.0
-    """η, rad: any less leaves a finite time."""
+    words: str = ""  # the promise, its theorem first; or why there is none for this error
+    meets: bool = False  # whether a rendezvous is promised
+    time: float = math.inf  # when one robot is left, s, inputs held over the scenario's step
+    continuous_time: float = math.inf  # the same where velocities follow the bearings, s
+    expected_time: float = math.inf  # of the mean time to rendezvous, s
+    lyapunov: float = math.inf  # of V at any time, m²/s; with obstacles, but for contacts
+    hull: float = math.inf  # of L at any time, m
+    link_growth: float = math.inf  # of how much longer a link ever is than at the start, m
+    tolerated_bearing_error: float = 0.0  # η, rad: any less leaves a finite time
 
 
 def bounds_with_errors(
-    asked: Asked, time: Any, borne: float, words: str, who: str, even_so: str = "", **others: float
+    asked: Asked,
+    time: Any,
+    tolerated: float,
+    words: str,
+    who: str,
+    even_so: str = "",
+    **others: float,
 ) -> Bounds:
-    """A rendezvous, if its time, s, is finite; else why errors of η are too large for one: ``who``
-    bears less than ``borne``, rad. ``others`` are numbers that hold all the same (guarantees 11).
+    """A rendezvous if its time, s, is finite; else why errors η > ``tolerated``, rad, are too large
+    for ``who``. ``others`` are numbers that hold all the same (guarantees 11).
     """
     meets = math.isfinite(time)
     if not meets:
         words = (
             f"none: bearings may err by {asked.error:.4g} rad, and {who} is known to tolerate less "
-            f"than {borne:.4g} rad here (guarantees 11){even_so}"
+            f"than {tolerated:.4g} rad here (guarantees 11){even_so}"
         )
-    return Bounds(words, meets, float(time), tolerated_bearing_error=borne, **others)
+    return Bounds(words, meets, float(time), tolerated_bearing_error=tolerated, **others)
 
 
 Assumption = Callable[[Scenario, Asked], str]
@@ -81,16 +81,11 @@ Assumption = Callable[[Scenario, Asked], str]
 class Theorem:
     """A statement with its assumptions and its bounds."""
 
-    name: str
-    """As docs/guarantees.md calls it."""
-    by: tuple[str, ...]
-    """What keeps the guarantee: some of CHOICES."""
-    assumptions: tuple[Assumption, ...]
-    """All of them must hold."""
-    bounds: Callable[[Scenario, Asked], Bounds]
-    """Its promise for a scenario that meets them all."""
-    rendezvous: bool = True
-    """Whether it can promise one, and not only that something stays bounded."""
+    name: str  # as docs/guarantees.md calls it
+    by: tuple[str, ...]  # what keeps the guarantee: some of CHOICES
+    assumptions: tuple[Assumption, ...]  # all of them must hold
+    bounds: Callable[[Scenario, Asked], Bounds]  # its promise for a scenario that meets them all
+    rendezvous: bool = True  # whether it can promise one, and not only that something is bounded
     every_step: str = ""
     """What it promises of every step without a merge or a contact: that V does not rise
     ("descent"), nor V + ΣA ("ledger"), the hull ("nested", while linked robots are r or more
@@ -105,7 +100,5 @@ class Theorem:
                 "none: theorems end with one robot left, and with meeting='pack' none merges; "
                 "bodies do not overlap, whatever the policy"
             )
-        for met, holds in enumerate(self.assumptions):
-            if words := holds(scenario, asked):
-                return met, words
-        return len(self.assumptions), ""
+        failing = ((met, holds(scenario, asked)) for met, holds in enumerate(self.assumptions))
+        return next((found for found in failing if found[1]), (len(self.assumptions), ""))

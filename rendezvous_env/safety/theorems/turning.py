@@ -52,7 +52,6 @@ def gate_bounds(scenario: Scenario, asked: Asked) -> Bounds:
     """Theorem T."""
     count, fall = gated_window(scenario, asked.min_alignment)
     most = known.lyapunov_bound(scenario, known.largest_lyapunov(scenario))
-    windows = known.over_rate(most, fall) + scenario.n_robots
     turning = min(scenario.turn_limit, MAX_TURN_RATE)
     return Bounds(
         words=(
@@ -61,14 +60,14 @@ def gate_bounds(scenario: Scenario, asked: Asked) -> Bounds:
             "rad/s"
         ),
         meets=True,
-        time=float(count * scenario.tau * windows),
+        time=float(count * scenario.tau * (known.over_rate(most, fall) + scenario.n_robots)),
     )
 
 
 def law_bounds(scenario: Scenario, asked: Asked) -> Bounds:
     """Theorems 3 and 4."""
-    own = scenario.model.theorem
-    return Bounds(words=f"{own}: the paper's law meets in continuous time; no bound", meets=True)
+    words = f"{scenario.model.theorem}: the paper's law meets in continuous time; no bound"
+    return Bounds(words, meets=True)
 
 
 THEOREMS = (

@@ -1,9 +1,13 @@
-"""Adversaries that know where all robots are, and choose what a policy is allowed to choose."""
+"""Adversaries that know where all robots are: of what a policy may choose, and of what robots see,
+where bearings are wrong by a bounded angle.
+"""
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
+import gymnasium
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -16,48 +20,47 @@ from rendezvous_env.physics.vectors import (
     cross,
     dot,
     load,
+    perpendicular,
     scaled,
     split,
+    store,
     subtract,
+    without,
 )
 from rendezvous_env.safety.settings import MAX_TURN_RATE
 
-from .adversarial_bearings import DOWN
 from .monitors import Moment
 
 Array = NDArray[np.float64]
-_TINY = 1e-12
-
+Float32 = NDArray[np.float32]
 KINDS = (
-    "flee",
-    "across",
-    "outward",
-    "from_farthest",
-    "from_nearest",
-    "to_nearest",
-    "frozen",
-    "random",
-    "rest",
+    *("flee", "across", "outward", "from_farthest", "from_nearest", "to_nearest"),
+    *("frozen", "random", "rest"),
 )
 """Against V; against its fall; against the hull; against links; to make merges; and blindly; of the
 frozen ones half spin."""
+_FROZEN, _REST = KINDS.index("frozen"), KINDS.index("rest")
 _FASTEST_SPIN = 20.0
 """rad/s."""
-_FROZEN, _REST = KINDS.index("frozen"), KINDS.index("rest")
+_ERRORS = ("against", "to one side", "anyhow", "to changing sides", "outward")
+"""Where bearings are turned: away from f, …, away from the middle of what is seen."""
+_SWITCHING = 7
+"""Steps after which errors turn round."""
+_AT_ONCE = 16
+"""Steps for which random numbers are drawn at once."""
+_ROUNDED = 1.0 - 1e-6
+"""Share of an error that is still none too much after rounding to float32."""
+_TINY = 1e-12
+DOWN = (0.0, 0.0, -1.0)
+"""v × DOWN is v turned by 90° in the plane."""
 
 
 class Adversary:
-    """Knows where all robots are, and makes of it what a policy is allowed to choose.
+    """Makes choices, (B, n, k), for robots that ``by`` stands before; ``max_turn_rate`` is of
+    headings, rad/s, and of robots that turn the unit of choices.
 
     Half of the teams have one kind of desired input, which all their robots share; in the others
     each robot has its own, and every fourth team draws anew now and then.
-
-    Args:
-        scenario: whose robots are misled.
-        num_envs: B.
-        by: what stands between the choices and the robots.
-        random: draws all kinds.
-        max_turn_rate: of headings, rad/s; of robots that turn, the unit of choices.
     """
 
     def __init__(
@@ -76,9 +79,8 @@ class Adversary:
         self.frozen = random.normal(size=(*self.size, scenario.dim))
         side = random.choice([-1.0, 1.0], size=(*self.size, 1))
         self.axes = side * (self.frozen if scenario.dim == 3 else np.array(DOWN))
-        self.strength = np.where(
-            random.random((*self.size, 1)) < 0.7, 1.0, random.random((*self.size, 1))
-        )
+        full = random.random((*self.size, 1)) < 0.7
+        self.strength = np.where(full, 1.0, random.random((*self.size, 1)))
         self.blind = random.uniform(-1.0, 1.0, (*self.size, max(scenario.action_size, 3)))
         self.spin = random.uniform(-_FASTEST_SPIN, _FASTEST_SPIN, (*self.size, 1))
         self.spin[random.random(self.size) < 0.5] = 0.0
@@ -86,7 +88,7 @@ class Adversary:
         if by == "heading":
             self.turn_rates = np.minimum(max_turn_rate, self.turn_rates)
 
-    def __call__(self, observations: NDArray[np.float32], teams: Moment) -> ArrayLike:
+    def __call__(self, observations: Float32, teams: Moment) -> ArrayLike:
         """Choices (B, n, k)."""
         restless = self.kinds[3::4]
         anew = self.random.random(restless.shape) < 0.1
@@ -94,25 +96,25 @@ class Adversary:
         if self.by == "gains":
             rows = self.scenario.observation_layout.split(observations).neighbours
             weights = self.random.random(rows.shape[:-1])
-            _lean(rows, self._desired(teams), self.kinds, weights)
+            _lean(rows, self.desired(teams), self.kinds, weights)
             return weights
         if self.scenario.model.bounded:
-            return self._desired(teams)
-        return self._controls(observations, teams)
+            return self.desired(teams)
+        return self.controls(observations, teams)
 
-    def _desired(self, teams: Moment) -> Array:
-        """What each robot wants, in its own frame, (B, n, d)."""
-        wanted = self.random.normal(size=self.frozen.shape)
+    def desired(self, teams: Moment) -> Array:
+        """The velocity that each robot desires, in its own frame, (B, n, d)."""
+        desired = self.random.normal(size=self.frozen.shape)
         now, angle = (teams.positions, teams.active, teams.weights, teams.frames), self._spun(teams)
         spun = np.cos(angle) * self.frozen + np.sin(angle) * np.roll(self.frozen, 1, axis=-1)
-        _want(now, (self.kinds, spun, self.axes, self.strength), wanted)
-        return wanted
+        _desire(now, (self.kinds, spun, self.axes, self.strength), desired)
+        return desired
 
     def _spun(self, teams: Moment) -> Array:
         """By how much each robot has spun, (B, n, 1), rad."""
         return np.asarray(self.spin * teams.time[:, None, None])
 
-    def _controls(self, observations: NDArray[np.float32], teams: Moment) -> Array:
+    def controls(self, observations: Float32, teams: Moment) -> Array:
         """Inputs of robots that turn, in units of their bounds: blind, held, to and fro, away from
         f or keeping it abeam.
         """
@@ -130,8 +132,7 @@ class Adversary:
         if self.by != "heading":
             full = np.concatenate([-np.sign(f[..., :1]), abeam], axis=-1)[..., :size]
         to_and_fro = np.sin(self._spun(teams) + np.copysign(0.5 * np.pi, held))
-        chosen = np.choose(self.kinds[..., None] % 4, (full, held, anew, to_and_fro))
-        return np.asarray(chosen)
+        return np.choose(self.kinds[..., None] % 4, (full, held, anew, to_and_fro))
 
 
 def orthogonal_rates(f: Array, pitch: Array | None, duration: float) -> Array:
@@ -152,19 +153,16 @@ def orthogonal_rates(f: Array, pitch: Array | None, duration: float) -> Array:
 
 
 @kernel
-def _want(now: Any, kinds_of: Any, wanted: Any) -> None:
-    """Write what robots want, by their KINDS, in their own frames, over what they would want
-    blindly.
+def _desire(now, kinds_of, desired):
+    """Write what robots desire by their KINDS, in their own frames, over random vectors (B, n, d).
 
-    Args:
-        now: places (B, n, d), who is there (B, n), weights (B, n, n), frames (B, n, d, d).
-        kinds_of: kinds (B, n), fixed vectors and axes (B, n, d or 3), lengths (B, n, 1).
-        wanted: random vectors, (B, n, d).
+    ``now``: places (B, n, d), who is there (B, n), weights (B, n, n), frames (B, n, d, d);
+    ``kinds_of``: kinds (B, n), fixed vectors and axes (B, n, d or 3), lengths (B, n, 1).
     """
     kinds, frozen, axes, strength = kinds_of
-    for b in range(wanted.shape[0]):
-        for i in range(wanted.shape[1]):
-            kind, aim, frame = kinds[b, i], load(wanted[b, i]), now[3][b, i]
+    for b in range(desired.shape[0]):
+        for i in range(desired.shape[1]):
+            kind, aim, frame = kinds[b, i], load(desired[b, i]), now[3][b, i]
             if kind == _FROZEN:
                 aim = load(frozen[b, i])
             elif kind == _REST:
@@ -175,20 +173,14 @@ def _want(now: Any, kinds_of: Any, wanted: Any) -> None:
                 aim = (f, aside, others, farthest, nearest, nearest)[kind]
                 _, aim = split(scaled(aim, 1.0 if kind == 1 or kind == 5 else -1.0))
             aim = scaled(aim, strength[b, i, 0])
-            for k in range(wanted.shape[2]):
-                wanted[b, i, k] = dot(aim, load(frame[:, k]))
+            for k in range(desired.shape[2]):
+                desired[b, i, k] = dot(aim, load(frame[:, k]))
 
 
 @kernel
-def _lean(rows: Any, desired: Any, kinds: Any, weights: Any) -> None:
-    """Write weights of rows: the one that is wanted most alone, of some robots all that are wanted
-    or blindly; nothing for those that want to rest.
-
-    Args:
-        rows: of neighbours, (B, n, K, d) float32.
-        desired: what robots want, (B, n, d).
-        kinds: their KINDS, (B, n).
-        weights: random numbers in [0, 1), (B, n, K).
+def _lean(rows, desired, kinds, weights):
+    """Write weights of rows (B, n, K, d) over random ones in [0, 1), (B, n, K): the one that is
+    desired most alone, of some robots all that are desired or blindly; none for those that rest.
     """
     for b in range(weights.shape[0]):
         for i in range(weights.shape[1]):
@@ -209,7 +201,7 @@ def _lean(rows: Any, desired: Any, kinds: Any, weights: Any) -> None:
 
 
 @inner_kernel
-def _look_round(now: Any, b: int, i: int) -> Any:
+def _look_round(now, b, i):
     """f_i, the offset of all others together, and those of the farthest and of the nearest robot
     that robot i is linked to, triples; zero where there is nobody.
     """
@@ -226,3 +218,84 @@ def _look_round(now: Any, b: int, i: int) -> Any:
         if weight > 0.0 and distance < least:
             near, least = offset, distance
     return f, others, far, near
+
+
+class Misled(gymnasium.vector.VectorWrapper):
+    """A vector environment of teams whose neighbour rows are turned by an error, rad, each robot's
+    in one of _ERRORS' ways, and in half of the teams all alike.
+
+    Team b draws from seed + b, so that it errs alone as it does among others.
+    """
+
+    def __init__(self, env: Any, scenario: rv.Scenario, error: float, seed: int) -> None:
+        super().__init__(env)
+        n, slots = scenario.n_robots, scenario.observation_layout.neighbour_slots
+        self._step, self._rows = 0, scenario.observation_layout.neighbours
+        self._errors = np.full((env.num_envs, n, slots), error * _ROUNDED)
+        self._randoms = [np.random.default_rng([seed + b, 3]) for b in range(env.num_envs)]
+        kinds = [r.integers(len(_ERRORS), size=n if r.random() < 0.5 else 1) for r in self._randoms]
+        self._kinds = np.array([np.resize(own, n) for own in kinds])
+        self._axes = np.array([r.normal(size=(n, 3)) for r in self._randoms])
+        if scenario.dim == 2:
+            self._axes[:] = DOWN
+
+    def reset(self, **asked: Any) -> tuple[Any, dict[str, Any]]:
+        """As the environment."""
+        observations, infos = self.env.reset(**asked)
+        return self._turned(observations), infos
+
+    def step(self, actions: Any) -> Any:
+        """As the environment."""
+        observations, *others = self.env.step(actions)
+        return self._turned(observations), *others
+
+    def _turned(self, observations: Float32) -> Float32:
+        """Observations (B, n, rows, d) with turned rows."""
+        seen, ahead = observations.copy(), self._step % _AT_ONCE
+        rows = observations[..., self._rows, :].astype(np.float64)
+        if ahead == 0:
+            shape = _AT_ONCE, *rows.shape[1:]
+            self._anyhow = np.array([random.normal(size=shape) for random in self._randoms])
+        self._step += 1
+        side = -1.0 if self._step // _SWITCHING % 2 else 1.0
+        towards = self._anyhow[:, ahead]
+        _aim(rows, (self._kinds, self._axes, side), towards)
+        turn_rows(rows, towards, self._errors)
+        seen[..., self._rows, :] = rows
+        return seen
+
+
+@kernel
+def _aim(rows, how, towards):
+    """Write where rows (B, n, K, d) are turned to, over random vectors of that shape, by kinds
+    (B, n), axes (B, n, 3) and ±1 for changing sides.
+    """
+    kinds, axes, side = how
+    for b in range(rows.shape[0]):
+        for i in range(rows.shape[1]):
+            kind, axis, against, outward = kinds[b, i], load(axes[b, i]), ORIGIN, ORIGIN
+            for row in rows[b, i]:
+                against = subtract(against, load(row))
+                outward = subtract(outward, split(load(row))[1])
+            for k in range(rows.shape[2]):
+                if kind == 1 or kind == 3:
+                    aside = cross(load(rows[b, i, k]), axis)
+                    store(scaled(aside, 1.0 if kind == 1 else side), towards[b, i, k])
+                elif kind != 2:
+                    store(against if kind == 0 else outward, towards[b, i, k])
+
+
+@kernel
+def turn_rows(rows, towards, errors):
+    """Turn rows (B, n, K, d) towards directions of that shape by errors (B, n, K), rad; lengths
+    stay. One that already points there, or away, is turned across.
+    """
+    for b in range(rows.shape[0]):
+        for i in range(rows.shape[1]):
+            for k in range(rows.shape[2]):
+                length, ahead = split(load(rows[b, i, k]))
+                size, aside = split(without(load(towards[b, i, k]), ahead))
+                if size < 1e-9:
+                    _, aside = split(perpendicular(ahead))
+                along, beside = math.cos(errors[b, i, k]), math.sin(errors[b, i, k])
+                store(combine(length * along, ahead, length * beside, aside), rows[b, i, k])
