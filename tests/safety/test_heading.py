@@ -43,11 +43,6 @@ def unit(vector):
     return vector / np.linalg.norm(vector, axis=-1, keepdims=True)
 
 
-def margin(f, min_alignment, dead_zone):
-    fade = np.clip(np.linalg.norm(f, axis=-1) / dead_zone - 1, 0, 1)
-    return min_alignment * fade
-
-
 def polar(degrees):
     return np.array([math.cos(math.radians(degrees)), math.sin(math.radians(degrees))])
 
@@ -161,8 +156,8 @@ def test_rounding_near_antipodal_and_opposite_directions_is_removed():
 def test_margin_norm_and_turn_limit(triple, options):
     raw, f, previous = triple
     h = certified_heading(raw, f, previous, **options)
-    needed = margin(f, options["min_alignment"], options["dead_zone"]) * np.linalg.norm(f)
-    assert h @ f >= needed - 1e-12
+    fade = np.clip(np.linalg.norm(f) / options["dead_zone"] - 1, 0, 1)
+    assert h @ f >= options["min_alignment"] * fade * np.linalg.norm(f) - 1e-12
     assert abs(np.linalg.norm(h) - 1) <= 1e-12
     again = certified_heading(raw, f, h, **options)
     turned = angle_between(h, again)
@@ -240,6 +235,7 @@ def test_lengths_far_from_one_are_safe(huge):
     ("change", "message"),
     [
         ({"min_alignment": 0.0}, "min_alignment is 0.0"),
+        ({"min_alignment": 0.99e-6}, "at least 1e-06"),
         ({"min_alignment": 1.0}, "min_alignment is 1.0"),
         ({"min_alignment": math.nan}, "min_alignment is nan"),
         ({"dead_zone": 0.0}, "dead_zone is 0.0"),

@@ -57,13 +57,11 @@ def degenerate_sets(dim):
             yield np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1.0]]) / math.sqrt(3)
 
 
-def check(bearings, q, tolerance=1e-12):
+def check(bearings, q):
     """‖q‖² ≤ q·g for all g says that no point of the hull is nearer; q is in it by the other."""
-    square = q @ q
-    assert (bearings @ q).min() >= square - tolerance * max(math.sqrt(square), 1e-3)
-    np.testing.assert_allclose(
-        math.sqrt(square), np.linalg.norm(by_another_solver(bearings)), atol=1e-7
-    )
+    length = np.linalg.norm(q)
+    assert (bearings @ q).min() >= length**2 - 1e-12 * max(length, 1e-3)
+    assert length == pytest.approx(np.linalg.norm(by_another_solver(bearings)), abs=1e-7)
 
 
 @pytest.mark.parametrize("dim", [2, 3])
@@ -84,11 +82,10 @@ def test_random_bearings(dim, count, half_angle):
 
 @pytest.mark.parametrize("dim", [2, 3])
 def test_degenerate_bearings(dim):
-    checked = 0
-    for bearings in degenerate_sets(dim):
+    sets = list(degenerate_sets(dim))
+    for bearings in sets:
         check(bearings, least_norm_points(bearings))
-        checked += 1
-    assert checked > 7 * SETS
+    assert len(sets) > 7 * SETS
 
 
 def test_points_by_hand():
@@ -98,7 +95,6 @@ def test_points_by_hand():
         ([east], east),
         ([east, north], [0.5, 0.5]),
         ([east, north, west], [0.0, 0.0]),
-        ([east, west], [0.0, 0.0]),
         ([slanted, east, north], [(1 + math.cos(2.5)) / 2, math.sin(2.5) / 2]),
         ([[0.0, 0.0], [0.0, 3.0], [0.0, 0.0]], north),
         ([[0.0, 0.0], [0.0, 0.0]], [0.0, 0.0]),
@@ -130,12 +126,11 @@ def test_the_team_has_at_least_two_in_all(dim):
     for _ in range(SETS):
         n = int(random.integers(2, 9))
         places = random.normal(size=(n, dim)) * random.choice([1.0, 1.0, 1e-3], dim)
-        offsets = places - places[:, None]
+        offsets, robots = places - places[:, None], np.arange(n)
         sees = random.random((n, n)) < 0.4
-        sees[np.arange(n), random.permutation(n)] = True
-        sees[np.arange(n), (np.arange(n) + 1) % n] |= ~sees.any(axis=1)
+        sees[robots, random.permutation(n)] = True
         np.fill_diagonal(sees, False)
-        sees[np.arange(n), (np.arange(n) + 1) % n] |= ~sees.any(axis=1)
+        sees[robots, (robots + 1) % n] |= ~sees.any(axis=1)
         total = np.linalg.norm(least_norm_points(offsets * sees[..., None]), axis=-1).sum()
         least = min(least, total)
     assert 2 - 1e-9 <= least < 2.2
@@ -154,13 +149,15 @@ def test_other_rows_are_refused(rows, message):
         least_norm_points(rows)
 
 
-# ---- the law -------------------------------------------------------------------------------------
-
-
 def test_a_long_step_slows_the_law_down():
     q = np.array([[0.5, 0.0], [0.0, 1.0]])
     velocity = link_keeping_law(q, np.array([1.0, 9.0]), merge_radius=0.4, duration=0.1)
     np.testing.assert_allclose(velocity, [[0.5, 0.0], [0.0, 4.0]])
+
+
+def lengths(simulator):
+    p = simulator.positions
+    return np.linalg.norm(p[:, :, None] - p[:, None], axis=-1)
 
 
 GRAPHS = {"path": graphs.path(2.0), "tree": graphs.random_tree((0.5, 2.0)), "cycle": "cycle"}
@@ -186,11 +183,6 @@ def test_no_link_grows_longer_and_all_meet(dim, graph, steps):
         longest = max(longest, np.where(simulator.weights > 0, grown, -1.0)[whole].max(initial=-1))
         observations = outcome.observations
     assert longest < 1e-6 and (simulator.status == RENDEZVOUS).all()
-
-
-def lengths(simulator):
-    p = simulator.positions
-    return np.linalg.norm(p[:, :, None] - p[:, None], axis=-1)
 
 
 def test_it_is_a_law_of_single_integrators():

@@ -53,20 +53,15 @@ def test_in_the_plane_it_is_the_nearest_point_of_two_discs():
     """The two outermost bearings count; the discs meet in 0 and in ρ (g + g')."""
     random = np.random.default_rng(5)
     for _ in range(500):
-        half, radius, desired = (
-            random.uniform(0, 1.5),
-            random.uniform(0.3, 2),
-            random.normal(size=2),
-        )
+        half, radius = random.uniform(0, 1.5), random.uniform(0.3, 2)
+        desired = random.normal(size=2)
         angles = np.append(random.uniform(-half, half, 3), [half, -half])
         g = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
         found = project_on_links(triple(desired), g, 5, radius, 0.0)
-        candidates = [desired, np.zeros(2), radius * (g[3] + g[4])]
-        for centre in radius * g[3:]:
-            candidates.append(
-                centre + radius * (desired - centre) / np.linalg.norm(desired - centre)
-            )
-        points = np.array(candidates)
+        outward = desired - radius * g[3:]
+        outward /= np.linalg.norm(outward, axis=-1, keepdims=True)
+        on_discs = radius * (g[3:] + outward)
+        points = np.array([desired, np.zeros(2), radius * (g[3] + g[4]), *on_discs])
         points = points[allowed(points, g, radius, 0.0)]
         nearest = points[np.argmin(np.linalg.norm(points - desired, axis=-1))]
         np.testing.assert_allclose(found[:2], nearest, atol=1e-9)
@@ -102,9 +97,6 @@ def test_velocities_that_are_allowed_are_carried_out_but_for_the_share():
     free = along.min(axis=-1) > 0.2
     assert free.any() and not free.all()
     np.testing.assert_allclose(actions[free], 1e-3 * f[free], rtol=1e-4)
-
-
-# ---- refusals ------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(

@@ -3,18 +3,35 @@
 import csv
 import io
 import math
+from collections import Counter
 
 import pytest
 from rich.console import Console
 
 from train import resume
 from train.checks import UserError
-from train.verify import verify
+from train.verify import claims, counterexamples, verify
 from train.verify.claims import BATCH, CLAIMS
-from train.verify.falsification import Tally
+from train.verify.falsification import Played, Tally
 
 NAMES = ("lemma-1", "theorem-2", "necessity")
-"""Three blocks each."""
+"""Three tasks each."""
+
+
+@pytest.fixture(autouse=True)
+def nothing_is_played(monkeypatch):
+    """What a batch or a trial gives follows from its number."""
+
+    def check(claim, seed, batch, trials, least_margin):
+        margin = math.sin(batch + seed) / 3
+        return Tally(trials, margin=margin, ratio={claim.name: margin + 0.5}, seconds=0.1)
+
+    monkeypatch.setattr(claims, "check", check)
+
+    def climb(trial):
+        return trial, Played({f"{trial.by}: A": Counter(["granted"])}, steps=trial.seed)
+
+    monkeypatch.setattr(counterexamples, "climb", climb)
 
 
 def config(out, **changes):
@@ -23,9 +40,7 @@ def config(out, **changes):
 
 
 def checked(settings, after=math.inf):
-    """Names of the blocks that are looked at until the next one is interrupted, and what is
-    printed.
-    """
+    """Names of the tasks that are done until the next one is interrupted, and what is printed."""
     done, printed = [], io.StringIO()
 
     def look(task):
@@ -46,34 +61,39 @@ def stopped(settings, after):
     return caught.value
 
 
-def rows(folder):
-    """Those of verify.csv, but for the time they took."""
-    with (folder / "verify.csv").open(newline="", encoding="utf-8") as file:
-        return [{**row, "seconds": ""} for row in csv.DictReader(file)]
+def table(path):
+    with path.open(newline="", encoding="utf-8") as file:
+        return list(csv.DictReader(file))
 
 
 def contents(folder):
     return {path.name: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
-@pytest.fixture(scope="module")
-def whole(tmp_path_factory):
-    """Rows of a verification that nothing stopped, and the names of its claims."""
-    out = tmp_path_factory.mktemp("whole")
-    done, _ = checked(config(out))
-    return rows(out), done
-
-
 @pytest.mark.parametrize("after", [1, 4, 8])
-def test_what_is_finished_is_not_done_again(after, whole, tmp_path):
-    notes = stopped(config(tmp_path), after).__notes__
-    assert notes == [f"{after} finished tasks lie in {tmp_path / 'verify.part'}; "
-                     "the same command resumes"]  # fmt: skip
-    done, printed = checked(config(tmp_path))
+def test_what_is_finished_is_not_done_again(after, tmp_path):
+    whole, _ = checked(config(tmp_path / "whole"))
+    out = tmp_path / "out"
+    notes = stopped(config(out), after).__notes__
+    folder = out / "verify.part"
+    assert notes == [f"{after} finished tasks lie in {folder}; the same command resumes"]
+    done, printed = checked(config(out))
     assert f"resumes with {after} finished tasks" in printed
-    assert done == whole[1][after:] and len(whole[1]) == 9
-    assert rows(tmp_path) == whole[0]
-    assert [path.name for path in tmp_path.iterdir()] == ["verify.csv"]
+    assert done == whole[after:] and len(whole) == 9
+    assert table(out / "verify.csv") == table(tmp_path / "whole/verify.csv")
+    assert [path.name for path in out.iterdir()] == ["verify.csv"]
+
+
+def test_so_it_is_with_any(tmp_path):
+    settings = {"any": True, "claims": (), "trials": 72}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(counterexamples, "DRAWS", 4)
+        whole, printed = checked(config(tmp_path / "whole", **settings))
+        stopped(config(tmp_path, **settings), 2)
+        done, again = checked(config(tmp_path, **settings))
+    assert done == whole[2:] and len(whole) == 3
+    assert table(tmp_path / "any.csv") == table(tmp_path / "whole/any.csv")
+    assert printed.split(" of 24 teams")[0] in again and "72 random scenarios" in again
 
 
 @pytest.mark.parametrize(
@@ -103,7 +123,7 @@ def test_so_is_another_program(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("first", [None, 0, 2**40])
 @pytest.mark.parametrize("numbers", [(40, -0.0, math.nan, 0), (1, -1 / 3, math.inf, 1)])
-def test_a_block_reads_back_bit_by_bit(numbers, first, tmp_path):
+def test_a_task_reads_back_bit_by_bit(numbers, first, tmp_path):
     part = resume.Part(tmp_path / "part", {}, "test")
     part.begin(tmp_path, fresh=False)
     trials, margin, ratio, violations = numbers
