@@ -18,8 +18,6 @@ from train.verify.monitors import Moment
 TEAMS = 48
 ROUNDING = 2.0**-20
 """Of float32 rows and actions, relative to n D̄² τ ."""
-
-
 CLUTTERS = {
     "clutter-12": rv.scenarios.get("clutter-12"),
     "clutter-3d": rv.scenarios.get("clutter-3d"),
@@ -50,9 +48,6 @@ def test_v_never_rises_beside_obstacles_but_while_a_robot_slides(name, contact):
         assert (rise[on & ~slides] <= 0).all() and (rise[slides] <= most).all()
         contacts += int((on & out.contact.any(axis=-1)).sum())
     assert contacts > 100
-
-
-# ---- limits and frames ------------------------------------------------------------------------
 
 
 def test_the_turn_limit_is_the_smaller_one():

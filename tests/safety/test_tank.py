@@ -15,9 +15,6 @@ TEAMS = 24
 SHORT = Sensing(range=4.0)
 
 
-# ---- how the ledger is kept ----------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("factor", [1.0, 3.0])
 def test_deposits_are_those_of_the_motion_that_the_simulator_executes(kind, factor):
     """Computed anew from positions, before and after."""
@@ -59,11 +56,10 @@ def test_a_desired_velocity_is_carried_out_as_it_is(kind):
     tank.hold(2.0 * desired)
     actions = tank.act(observations)
     assert tank.carried_out.all()
+    expected = np.clip(2 * desired, -1, 1) * scenario.action_bounds
     if scenario.model.bounded:  # too long: direction kept
         lengths = np.linalg.norm(desired, axis=-1, keepdims=True)
         expected = desired * np.minimum(2.0, 1 / lengths) * scenario.speed_limit
-    else:
-        expected = np.clip(2 * desired, -1, 1) * scenario.action_bounds
     np.testing.assert_allclose(actions, expected, rtol=1e-6)
 
 
@@ -85,11 +81,9 @@ def test_with_an_empty_tank_a_body_turns_through_the_gate_and_drives_with_m(mode
 def test_in_a_step_with_contact_only_a_loss_is_booked():
     """A robot pressed against a wall along f earns nothing; one that is thrust away from f pays."""
     scenario = Scenario(
-        n_robots=2,
-        start_positions=((-2.0, 0.0), (2.0, 0.0)),
+        n_robots=2, start_positions=((-2.0, 0.0), (2.0, 0.0)), local_frames="global",
         obstacles=(rv.Disc(centre=(0.0, 0.0), radius=1.9),),
-        local_frames="global",
-    )
+    )  # fmt: skip
     simulator, tank = Simulator(scenario), EnergyTank(scenario, 1, frame="local", budget=1.0)
     observations, contacts, free = simulator.reset(0), 0, []
     for _ in range(6):
@@ -184,9 +178,6 @@ def test_alignment_is_that_of_the_motion():
     assert np.isnan(tank.alignment).all()
 
 
-# ---- what is seen --------------------------------------------------------------------------------
-
-
 def test_the_level_is_one_row_more(kind):
     scenario = five(kind)
     plain, shown = EnergyTank(scenario, 2), EnergyTank(scenario, 2, budget=1.5, observe_level=True)
@@ -197,9 +188,6 @@ def test_the_level_is_one_row_more(kind):
     level = 1.5 / (scenario.merge_radius * scenario.max_degree)
     np.testing.assert_allclose(seen[..., -1, 0], level, rtol=1e-6)
     np.testing.assert_allclose(shown.normalised_levels, level)
-
-
-# ---- refusals --------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
