@@ -57,10 +57,15 @@ class Stale:
         return np.take_along_axis(self._seen, latest[None, ..., None], axis=0)[0]
 
 
+def largest_age(max_degree: Array, merge_radius: float, *, law_4: bool = False) -> Array:
+    """The age that bearings may have, s: r/(2D̄), under law (4) r/(2√3 D̄)."""
+    return merge_radius / (2.0 * max_degree) / (math.sqrt(3.0) if law_4 else 1.0)
+
+
 def _stale(teams: Teams, random: Random, *, law_4: bool) -> tuple[Stale, Array]:
     """What the robots see, and for how long they hold it."""
     degrees = np.array([max_degree(matrix) for matrix in teams.weights])
-    age = teams.merge_radius / (2.0 * degrees) / (math.sqrt(3.0) if law_4 else 1.0)
+    age = largest_age(degrees, teams.merge_radius, law_4=law_4)
     step = age / _KEPT
     return Stale(teams, random, age - step), step
 

@@ -20,9 +20,8 @@ class Sight(NamedTuple):
     """What looking along f takes to know."""
 
     neighbour_slots: int
-    visible_rows: int
-    """So many rows, from the first, may give a frame of space its y."""
-    dead_zone: float
+    visible_rows: int  # so many rows, from the first, may give a frame of space its y
+    dead_zone: float  # m/s
 
 
 @kernel
@@ -35,36 +34,22 @@ def look_along_net_bearing(robots, constants, arrays, work):
         stop = min(first + LANES, robots[1])
         if observations.shape[2] == 2:  # behind this question the compiler leaves out z
             _aim_in_plane(observations, constants, frames, first, stop, work)
-            _turn_rows_of_plane(observations, frames, first, stop, seen)
+            for i in range(first, stop):
+                x, y = load_pair(frames[i, :, 0]), load_pair(frames[i, :, 1])
+                for row in range(observations.shape[1]):
+                    v = load_pair(observations[i, row])
+                    # 0.0: never −0.0
+                    seen[i, row, 0], seen[i, row, 1] = 0.0 + dot(x, v), 0.0 + dot(y, v)
         else:
             for i in range(first, stop):
-                f = net_bearing_of(observations[i], constants.neighbour_slots)
-                strength, towards = split(f)
-                if strength >= constants.dead_zone:
-                    _aim_in_space(towards, observations[i], constants.visible_rows, frames[i])
-            _turn_rows(observations, frames, first, stop, seen)
-
-
-@inner_kernel(inline="code")
-def _turn_rows(observations, frames, first, stop, seen):
-    for i in range(first, stop):
-        frame = frames[i]
-        x, y = load(frame[:, 0]), load(frame[:, 1])
-        z = load(frame[:, frame.shape[0] - 1])  # in the plane there is none
-        for row in range(observations.shape[1]):
-            v = load(observations[i, row])
-            along = (0.0 + dot(x, v), 0.0 + dot(y, v), 0.0 + dot(z, v))  # 0.0: never −0.0
-            store(along, seen[i, row])
-
-
-@inner_kernel(inline="code")
-def _turn_rows_of_plane(observations, frames, first, stop, seen):
-    for i in range(first, stop):
-        x, y = load_pair(frames[i, :, 0]), load_pair(frames[i, :, 1])
-        for row in range(observations.shape[1]):
-            v = load_pair(observations[i, row])
-            # 0.0: never −0.0
-            seen[i, row, 0], seen[i, row, 1] = 0.0 + dot(x, v), 0.0 + dot(y, v)
+                _aim_in_space(observations[i], constants, frames[i])
+                frame = frames[i]
+                x, y = load(frame[:, 0]), load(frame[:, 1])
+                z = load(frame[:, frame.shape[0] - 1])  # in the plane there is none
+                for row in range(observations.shape[1]):
+                    v = load(observations[i, row])
+                    along = (0.0 + dot(x, v), 0.0 + dot(y, v), 0.0 + dot(z, v))
+                    store(along, seen[i, row])
 
 
 @inner_kernel(inline="code")
@@ -87,17 +72,19 @@ def _aim_in_plane(observations, constants, frames, first, stop, work):
 
 
 @inner_kernel(inline="code")
-def _aim_in_space(towards, rows, visible_rows, frame):
-    """A right-handed frame with x = ``towards``; columns are its axes in the local frame.
+def _aim_in_space(rows, constants, frame):
+    """A right-handed frame with x along f; columns are its axes in the local frame.
 
     y is the part across x of the row for which that part is longest, the first one of equals, or of
     the first local axis that is not along x.
     """
+    strength, towards = split(net_bearing_of(rows, constants.neighbour_slots))
+    if strength < constants.dead_zone:
+        return
     store(towards, frame[:, 0])
     longest, across = _NEARLY_ALONG, (0.0, 0.0, 0.0)
-    for k in range(visible_rows):
-        part = without(load(rows[k]), towards)
-        length, direction = split(part)
+    for k in range(constants.visible_rows):
+        length, direction = split(without(load(rows[k]), towards))
         if length > _CLEARLY_LONGER * longest + _NEARLY_ALONG:
             longest, across = length, direction
     if longest == _NEARLY_ALONG:

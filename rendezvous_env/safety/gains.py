@@ -15,15 +15,13 @@ from ..physics.vectors import combine, dot, load, norm, scaled, store
 from ..robots.single_integrator import speed_scale
 from ..scenario.scenario import Scenario
 from .links import alignment_of
-from .safety_filter import Float32, KernelFilter, check_goes_anywhere, register_filter
+from .safety_filter import Float32, KernelFilter, check_inputs, register_filter
 
 _NOTHING = 1e-30
 """Weights that add up to less, m/s, are none."""
 
 
 class _Constants(NamedTuple):
-    """What the kernels need to know of the scenario and of the arguments."""
-
     neighbour_slots: int
     min_gain: float  # m/s
     max_gain: float
@@ -67,13 +65,7 @@ class Gains(KernelFilter):
     Weights are cut to [0, 1]; if all of those that count are zero, all are equal. Where ‖v_i‖ would
     exceed v_max all gains of the robot are scaled down to that, and stay at least v_max in all.
 
-    Args:
-        scenario, num_envs, frame, num_threads: as ``SafetyFilter``.
-        min_gain: m/s, see ``gain_range``.
-        max_gain: m/s, likewise.
-
-    Raises:
-        ValueError: naming the argument, its value and what would be right.
+    Arguments as ``SafetyFilter`` and ``gain_range``.
     """
 
     state_key = "gains"
@@ -90,16 +82,12 @@ class Gains(KernelFilter):
         frame: str = "net_bearing",
         num_threads: int | None = None,
     ) -> None:
-        check_goes_anywhere(scenario, "theorem G")
+        check_inputs(scenario, "theorem G")
         size = scenario.observation_layout.neighbour_slots
         super().__init__(scenario, num_envs, size, frame, num_threads)
         self.range = gain_range(scenario, min_gain, max_gain)
-        self._constants = _Constants(
-            neighbour_slots=self._sight.neighbour_slots,
-            min_gain=float(self.range.least),
-            max_gain=float(self.range.most),
-            speed_limit=float(scenario.speed_limit),
-        )
+        limits = *map(float, self.range), float(scenario.speed_limit)
+        self._constants = _Constants(self._sight.neighbour_slots, *limits)
         self.gain = np.zeros((num_envs, scenario.n_robots))
 
     @property

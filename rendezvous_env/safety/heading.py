@@ -42,7 +42,7 @@ from .robot_lanes import (
     take_in,
     vector_of,
 )
-from .safety_filter import Float32, KernelFilter, check_steerable, register_filter
+from .safety_filter import Float32, KernelFilter, check_inputs, register_filter
 from .settings import MAX_TURN_RATE, check_gate_constants, check_vectors
 from .turning import Robot, desired_rates, gated_rates, pitch_of, robot_of, turn
 
@@ -66,12 +66,11 @@ def flexible_velocity(
 
 
 def step_scale(row_lengths_sum: Any, merge_radius: float, duration: float) -> Any:
-    """Factor on a robot's velocity with which V cannot rise within a long step.
+    """Factor on a robot's velocity with which V cannot rise within a long step, in (0, 1].
 
-        min(1, r/(2 Dᵢ τ))                                          (theory 4)
+        min(1, r/(2 Dᵢ τ)),   1 where Dᵢ = 0                        (theory 4)
 
-    Of Dᵢ = Σⱼ aᵢⱼ, the summed lengths of the neighbour rows, any shape, m/s, r, m, and τ, s. It is
-    in (0, 1], without unit; 1 where Dᵢ = 0.
+    Of Dᵢ = Σⱼ aᵢⱼ, the summed lengths of the neighbour rows, any shape, m/s, r, m, and τ, s.
     """
     return merge_radius / np.maximum(2.0 * duration * row_lengths_sum, merge_radius)
 
@@ -82,9 +81,8 @@ scale_of_step = kernel(step_scale, inline="code")
 
 @kernel
 def turn_limit(max_turn):
-    """A largest turn γ, rad, as ``certify_one`` wants it: cos γ, sin γ, squared chord 4 sin²(γ/2).
-
-    Three numbers without unit; from π on there is no limit, and the chord is inf.
+    """Numbers of a largest turn γ, rad: cos γ, sin γ, and the squared chord 4 sin²(γ/2), which is
+    inf from π on, where there is no limit.
     """
     turn = min(max_turn, math.pi)
     chord = 2.0 * math.sin(0.5 * turn)
@@ -124,10 +122,8 @@ def certified_heading(
         max_turn: ω_max τ, rad; π or more (inf too) is no limit.
 
     Returns:
-        Headings hᵢ, (..., d), unit vectors.
-
-    Raises:
-        ValueError: naming an argument out of range, of the wrong shape, or not finite.
+        Headings hᵢ, (..., d), unit vectors. A ValueError names an argument out of range, of the
+        wrong shape, or not finite.
     """
     check_gate_constants(min_alignment, dead_zone)
     if not real(max_turn) > 0:
@@ -143,14 +139,10 @@ def certified_heading(
     return out
 
 
-# One implementation for the plane and for space: of pairs and of triples.
-
-
 @kernel
 def certify(raw, net_bearing, previous, min_alignment, dead_zone, max_turn, out):
-    """``certified_heading`` for N robots, unchecked: hᵀf ≥ ε_i ‖f‖ (theorem C).
-
-    All arrays are (N, d), float64; ``out``, unit vectors, may be ``previous`` itself.
+    """``certified_heading`` for N robots, unchecked: hᵀf ≥ ε_i ‖f‖ (theorem C). Arrays are (N, d),
+    float64; ``out``, unit vectors, may be ``previous`` itself.
     """
     limit = turn_limit(max_turn)
     for i in range(out.shape[0]):
@@ -164,9 +156,8 @@ def certify(raw, net_bearing, previous, min_alignment, dead_zone, max_turn, out)
 
 @kernel(inline="code")
 def certify_one(raw, net_bearing, previous, min_alignment, dead_zone, limit):
-    """As ``certified_heading`` of one robot, hᵀf ≥ ε_i ‖f‖ (C), of pairs or triples.
-
-    ``limit`` is from ``turn_limit``.
+    """As ``certified_heading`` of one robot, hᵀf ≥ ε_i ‖f‖ (C): one implementation for pairs and
+    triples; ``limit`` is from ``turn_limit``.
     """
     strength, towards = split(net_bearing)
     margin = min_alignment * min(max(strength / dead_zone - 1.0, 0.0), 1.0)
@@ -191,10 +182,8 @@ def _carry(previous, towards, margin):
 
 @kernel(inline="code")
 def into_cap(direction, towards, margin, otherwise):
-    """Nearest unit vector h with h·u ≥ ε: ε u + √(1 − ε²) w, w the part across u.
-
-    All are unit pairs or triples; ``towards`` is u, ``margin`` ε. Where the direction is −u all of
-    the edge is equally near, and h is ``otherwise``.
+    """Nearest unit vector h, a pair or triple, with h·u ≥ ε: ε u + √(1 − ε²) w, w the part across
+    u. Where the direction is −u all of the edge is equally near, and h is ``otherwise``.
     """
     if dot(direction, towards) >= margin:
         return direction
@@ -206,11 +195,8 @@ def into_cap(direction, towards, margin, otherwise):
 
 @kernel(inline="code")
 def _turn(carried, aim, towards, limit):
-    """From carried towards aim along the great circle by at most the angle γ of ``turn_limit``.
-
-        h cos γ + t sin γ,   t the unit tangent at the carried heading h
-
-    An antipodal aim is reached through ``towards``.
+    """From carried towards aim along the great circle by at most γ of ``turn_limit``: h cos γ + t
+    sin γ, t the unit tangent at h. An antipodal aim is reached through ``towards``.
     """
     cos_limit, sin_limit, square_chord = limit
     gap = combine(1.0, aim, -1.0, carried)
@@ -240,19 +226,15 @@ def without_error(along, error):
 
 
 class _Constants(NamedTuple):
-    """What the kernels need to know of the scenario and of the filter's arguments."""
-
     robot: Robot
-    speed_scaled: bool
-    """Whether velocities are scaled to the step."""
+    speed_scaled: bool  # whether velocities are scaled to the step
     certified: bool
-    max_turn: float
-    """Of a heading, rad."""
+    max_turn: float  # of a heading, rad
 
 
 @kernel
 def _steer(robots, constants, arrays, work):
-    """Law (4) with the certified heading, for the velocities of robots from one index to another.
+    """Velocities of robots from one index to another, by law (4) with the certified heading.
 
     v = min(1, r/(2Dτ)) h hᵀ f                                  (eq. 4, theorem C, theory 4)
     v = min(1, r/(2Dτ)) max(0, hᵀf − e) h,   e = 2 sin(η/2) D   with bearing errors (N1')
@@ -302,9 +284,8 @@ def _steer_lanes(space, constants, work):
 
 @kernel
 def _turn_bodies(teams, arguments):
-    """Gated turn rates, and the speed v = s mᵀf for the mean body axis m (theory 4, arcs).
-
-    With bearing errors it is less by e, so that V falls whatever f is.
+    """Gated turn rates, and the speed v = s mᵀf for the mean body axis m (theory 4, arcs); with
+    bearing errors less by e, so that V falls whatever f is.
     """
     observations, constants, held, actions, alignment, lyapunov_rate = arguments
     robot, gate = constants.robot, constants.robot.gate
@@ -342,9 +323,6 @@ class HeadingFilter(KernelFilter):
         certified: False lets the raw vector through: law (4) bare, without margin or gate.
         bearing_error: η, rad: a robot goes slower by what bearings that are wrong by no more than
             that could feign (theorem N1').
-
-    Raises:
-        ValueError: naming the argument, its value and what would be right.
     """
 
     state_key = "steering"
@@ -361,8 +339,8 @@ class HeadingFilter(KernelFilter):
         bearing_error: float = 0.0,
         num_threads: int | None = None,
     ) -> None:
+        check_inputs(scenario, "law (4)", bodies=True)
         turns_body = scenario.model.nonholonomic
-        check_steerable(scenario)
         size = scenario.model.n_angles if turns_body else scenario.dim
         super().__init__(scenario, num_envs, size, frame, num_threads)
         max_turn_rate = positive("max_turn_rate", max_turn_rate, "rad/s")

@@ -31,7 +31,7 @@ from ..physics.vectors import (
 )
 from ..robots.single_integrator import speed_scale
 from ..scenario.scenario import Scenario
-from .safety_filter import Float32, KernelFilter, check_goes_anywhere, register_filter
+from .safety_filter import Float32, KernelFilter, check_inputs, register_filter
 from .settings import check_bearing_error
 
 
@@ -186,8 +186,6 @@ def _nearest_on_all(wanted, on, radius):
 
 
 class _Constants(NamedTuple):
-    """What the kernels need to know of the scenario and of the arguments."""
-
     neighbour_slots: int
     radius: float
     speed_limit: float
@@ -209,8 +207,7 @@ class LinkKeeping(KernelFilter):
         bearing_error: η, rad, the largest angle by which a bearing may be wrong.
 
     Raises:
-        ValueError: naming the argument, its value and what would be right, or why the robots of
-            this scenario cannot keep their links.
+        ValueError: naming the argument, or why the robots of this scenario cannot keep their links.
     """
 
     state_key = "links"
@@ -225,7 +222,7 @@ class LinkKeeping(KernelFilter):
         frame: str = "net_bearing",
         num_threads: int | None = None,
     ) -> None:
-        check_goes_anywhere(scenario, "theorem R")
+        check_inputs(scenario, "theorem R")
         if reason := asymmetric_sight(scenario):
             raise ValueError(f"scenario: {reason}")
         size = scenario.action_size

@@ -27,23 +27,15 @@ Numbers = NDArray[np.float64]
 class Lanes(NamedTuple):
     """Robots in lanes: vectors (3, LANES), z = 0 in the plane, and numbers (LANES,)."""
 
-    f: Numbers
-    """Net bearings, m/s."""
-    row: Numbers
-    """One of what is seen, m/s."""
-    choice: Numbers
-    """That is held."""
+    f: Numbers  # net bearings, m/s
+    row: Numbers  # one of what is seen, m/s
+    choice: Numbers  # that is held
     heading: Numbers
-    sent: Numbers
-    """Velocities of actions, m/s."""
-    degree: Numbers
-    """D, m/s."""
-    level: Numbers
-    """A, m²/s."""
-    deposit: Numbers
-    """G, m²/s."""
-    accepted: Numbers
-    """Whether the choice is carried out, 1 or 0."""
+    sent: Numbers  # velocities of actions, m/s
+    degree: Numbers  # D, m/s
+    level: Numbers  # A, m²/s
+    deposit: Numbers  # G, m²/s
+    accepted: Numbers  # whether the choice is carried out, 1 or 0
     alignment: Numbers
     lyapunov_rate: Numbers
 
@@ -60,19 +52,8 @@ def in_lanes(kernel: Any, teams: Part, constants: Any, *arrays: NDArray[Any]) ->
 @inner_kernel(inline="text")
 def lanes_of(work):
     """The Lanes whose rows these are."""
-    return Lanes(
-        work[0:3],
-        work[3:6],
-        work[6:9],
-        work[9:12],
-        work[12:15],
-        work[15],
-        work[16],
-        work[17],
-        work[18],
-        work[19],
-        work[20],
-    )
+    vectors = work[0:3], work[3:6], work[6:9], work[9:12], work[12:15]
+    return Lanes(*vectors, work[15], work[16], work[17], work[18], work[19], work[20])
 
 
 # Robots are cut out of arrays first: of ``values[first + lane]`` the compiler cannot know that the

@@ -26,6 +26,10 @@ from .robot_lanes import in_lanes
 Float32 = NDArray[np.float32]
 _ROBOTS_PER_THREAD = 4096
 _LARGEST_FLOAT32 = float(np.finfo(np.float32).max)
+_ROUNDING = 1e-6
+"""So far from a rotation may a frame be that was put back."""
+FILTERS: dict[str, type[SafetyFilter]] = {}
+"""By the name that wrappers and training environments know."""
 
 
 def over_teams(
@@ -40,10 +44,8 @@ def over_teams(
 
 @kernel
 def _hold(given, turns, frames, held):
-    """Hold choices, turned from the frames that robots look along: h = F q.
-
-    Returns:
-        The first robot of all teams whose choice is not finite in float32, none is held then; −1.
+    """Hold choices, turned from the frames that robots look along: h = F q. −1; or the first robot
+    of all teams whose choice is not finite in float32, and none is held.
     """
     size, numbers, wrong = held.shape[2], given.reshape(-1), 0
     for number in numbers:  # all of them, in lanes
@@ -72,37 +74,23 @@ def _hold(given, turns, frames, held):
     return -1
 
 
-_ROUNDING = 1e-6
-"""So far from a rotation may a frame be that was put back."""
-
-
-def check_steerable(scenario: Scenario) -> None:
-    """Refuse robots that are neither sent velocities nor turn a body: law (4) drives no others.
-
-    Raises:
-        ValueError: naming the robot model.
-    """
-    if scenario.model.theorem is None:
-        steered = "a velocity, or a speed and turn rates, as robot_model 'single_integrator',"
-        check_goes_anywhere(scenario, "law (4)", f"{steered} 'unicycle' and 'nonholonomic_3d'")
-
-
-def check_goes_anywhere(
-    scenario: Scenario,
-    theorem: str,
-    needed: str = "their velocity, as robot_model 'single_integrator'",
-) -> None:
-    """Refuse robots whose action is not what a theorem needs.
-
-    Raises:
-        ValueError: naming the robot model.
+def check_inputs(scenario: Scenario, theorem: str, *, bodies: bool = False) -> None:
+    """Refuse robots, by their model, whose action is not their velocity, as a theorem needs; nor,
+    with ``bodies``, a speed and turn rates.
     """
     model = scenario.model
-    if not model.bounded:
-        raise ValueError(
-            f"scenario has {model.name} robots, whose action is {model.action}; {theorem} needs "
-            f"robots whose action is {needed}"
+    if model.bounded or (bodies and model.theorem is not None):
+        return
+    needed = "their velocity, as robot_model 'single_integrator'"
+    if bodies:
+        needed = (
+            "a velocity, or a speed and turn rates, as robot_model 'single_integrator', 'unicycle' "
+            "and 'nonholonomic_3d'"
         )
+    raise ValueError(
+        f"scenario has {model.name} robots, whose action is {model.action}; {theorem} needs "
+        f"robots whose action is {needed}"
+    )
 
 
 class SafetyFilter(Remembering, ABC):
@@ -110,7 +98,7 @@ class SafetyFilter(Remembering, ABC):
 
     A subclass says what that is (``act``) and what more is remembered (``_memory``). Its
     constructor takes ``(scenario, num_envs, *, num_threads=None, …)``, the rest being its settings
-    by name; ``register_filter`` gives it a name.
+    by name, of which a ValueError names the one that is wrong; ``register_filter`` gives it a name.
 
     Args:
         scenario: whose robots they are.
@@ -119,21 +107,13 @@ class SafetyFilter(Remembering, ABC):
         frame: "net_bearing" (x along f; single integrators only, the other models keep the body
             frame) or "local".
         num_threads: most threads that may be used; None is one for each core.
-
-    Raises:
-        ValueError: naming the argument, its value and what would be right.
     """
 
-    chooses_vectors = True
-    """Whether a choice is a vector, which turns with the frame it is seen in."""
-    lowest_choice = -1.0
-    """The least that each number of a choice can be; the most is 1."""
-    keeps_ledger = False
-    """Whether it wants to be told how a step went, see ``book``."""
-    state_key = "filter"
-    """What its memory is called in a wrapper's state."""
-    observes_level = False
-    """Whether ``view`` adds one row, the level of a robot's own tank."""
+    chooses_vectors = True  # whether a choice is a vector, which turns with the frame it is seen in
+    lowest_choice = -1.0  # the least that each number of a choice can be; the most is 1
+    keeps_ledger = False  # whether ``book`` is to be called after every step
+    state_key = "filter"  # what its memory is called in a wrapper's state
+    observes_level = False  # whether ``view`` adds one row, the level of a robot's own tank
 
     def __init__(
         self,
@@ -143,17 +123,15 @@ class SafetyFilter(Remembering, ABC):
         frame: str,
         num_threads: int | None,
     ) -> None:
-        dead_zone = scenario.dead_zone if scenario.dead_zone > 0 else 1.0
         choice("frame", frame, FRAMES)
         if num_threads is not None:
             num_threads = whole("num_threads", num_threads, 1, MOST_TEAMS)
         n, d, layout = scenario.n_robots, scenario.dim, scenario.observation_layout
-        self.scenario = scenario
+        self.scenario, self.action_size = scenario, action_size
         self.turns_body = scenario.model.nonholonomic
         self.along_net_bearing = frame == "net_bearing" and not self.turns_body
-        self.action_size = action_size
-        rows = layout.neighbour_slots, layout.obstacles.stop
-        self._sight = Sight(*rows, float(dead_zone))
+        dead_zone = float(scenario.dead_zone) if scenario.dead_zone > 0 else 1.0
+        self._sight = Sight(layout.neighbour_slots, layout.obstacles.stop, dead_zone)
         self._batch = num_envs, n, num_threads
         self._seen = (num_envs, n, *layout.shape)
         self._acted = (num_envs, n, scenario.action_size)
@@ -180,12 +158,9 @@ class SafetyFilter(Remembering, ABC):
         self.lyapunov_rate[which] = 0.0
 
     def view(self, observations: Float32) -> Float32:
-        """Observations (B, n, rows, d) as the policy sees them; brings the frames up to date.
-
-        They have x along f where that is asked for, and are as they were otherwise.
-
-        Raises:
-            ValueError: for observations of another shape or type; nothing has changed then.
+        """Observations (B, n, rows, d) as the policy sees them, with x along f where that is asked
+        for; brings the frames up to date. Another shape or type is refused in a ValueError, and
+        nothing has changed.
         """
         observations = check_observations(observations, self._seen)
         if (shown := self.new_view(observations.dtype)) is None:
@@ -198,7 +173,7 @@ class SafetyFilter(Remembering, ABC):
         return np.empty(self._seen, dtype) if self.along_net_bearing else None
 
     def view_of(self, teams: threads.Part, observations: Float32, shown: Float32) -> None:
-        """As ``view``, of the teams from the first of a part to the one before its second."""
+        """As ``view``, of some teams and unchecked."""
         arrays = observations, self._frames, shown
         in_lanes(look_along_net_bearing, teams, self._sight, *arrays)
 
@@ -209,10 +184,8 @@ class SafetyFilter(Remembering, ABC):
 
     def hold(self, raw: ArrayLike) -> None:
         """Take new choices (B, n, k), fixed in the robots' local frames from now on: vectors (d,),
-        as the policy sees them, or numbers in the body frame.
-
-        Raises:
-            ValueError: for a wrong shape, or naming the robot whose choice is not finite.
+        as the policy sees them, or numbers in the body frame. A ValueError for a wrong shape, or
+        naming the robot whose choice is not finite.
         """
         given: Any = raw if getattr(raw, "dtype", None) == np.float32 else floats("actions", raw)
         if given.shape != self._held.shape:
@@ -231,16 +204,8 @@ class SafetyFilter(Remembering, ABC):
 
     @abstractmethod
     def act(self, observations: Float32) -> Float32:
-        """Actions for the base environment; sets what is ``told``.
-
-        Args:
-            observations: (B, n, rows, d), in the robots' own frames.
-
-        Returns:
-            (B, n, a) float32; zero for robots that see no neighbour.
-
-        Raises:
-            ValueError: for observations of another shape or type; nothing has changed then.
+        """Actions for the base environment, (B, n, a) float32, from observations (B, n, rows, d) in
+        the robots' own frames; zero for robots that see no neighbour. Sets what is ``told``.
         """
 
     def book(
@@ -256,18 +221,10 @@ class SafetyFilter(Remembering, ABC):
             merged_into: (B, n) int, the robot that each one is now part of, itself while it is on
                 its own; None: nobody knows.
             resting: (B,) bool, teams that the step passed by; None is no team.
-
-        Raises:
-            ValueError: for another shape or type, or a robot that is none; nothing has changed
-                then.
         """
 
     def check_state(self, state: Any) -> dict[str, NDArray[Any]]:
-        """As ``Remembering.check_state``; frames are rotations.
-
-        Raises:
-            ValueError: naming what does not fit.
-        """
+        """As ``Remembering.check_state``; frames are rotations."""
         checked = super().check_state(state)
         check_rotations(checked, np.ones(len(self._held), np.bool_), _ROUNDING)
         return checked
@@ -279,12 +236,8 @@ class KernelFilter(SafetyFilter):
     """
 
     def act(self, observations: Float32, elapsed: float | None = None) -> Float32:
-        """As ``SafetyFilter.act``.
-
-        Args:
-            observations: (B, n, rows, d), in the robots' own frames.
-            elapsed: s since the actions before, in which a heading may have turned; None is τ.
-                Bodies turn for τ from now on, whatever it is.
+        """As ``SafetyFilter.act``; ``elapsed``, s, is the time since the actions before, in which a
+        heading may have turned; None is τ. Bodies turn for τ from now on, whatever it is.
         """
         observations = check_observations(observations, self._seen)
         actions = np.zeros(self._acted, dtype=np.float32)
@@ -299,7 +252,7 @@ class KernelFilter(SafetyFilter):
         actions: Float32,
         elapsed: float | None = None,
     ) -> None:
-        """Write the actions of some teams, from the first to the one before the second."""
+        """Write the actions of some teams, from the first of a part to before its second."""
 
     def book(
         self,
@@ -307,7 +260,9 @@ class KernelFilter(SafetyFilter):
         merged_into: ArrayLike | None = None,
         resting: ArrayLike | None = None,
     ) -> None:
-        """As ``SafetyFilter.book``."""
+        """As ``SafetyFilter.book``; another shape or type, or a robot that is none, is refused in a
+        ValueError, and nothing has changed.
+        """
         team = self._held.shape[:2]
         touched, passed = np.zeros(team, np.bool_), np.zeros(team[0], np.bool_)
         if contact is not None:
@@ -316,7 +271,12 @@ class KernelFilter(SafetyFilter):
             passed = np.ascontiguousarray(bools("resting", resting, team[:1], "teams"))
         if merged_into is None:
             merged_into = np.tile(np.arange(team[1]), (team[0], 1))
-        self.book_of((0, *team), touched, _robots("merged_into", merged_into, team), passed)
+        robots = np.asarray(merged_into)
+        if robots.shape != team or robots.dtype.kind not in "iu":
+            refuse("merged_into", merged_into, f"whole numbers of shape (B, n) = {team}")
+        if robots.min() < 0 or robots.max() >= team[1]:
+            refuse("merged_into", merged_into, f"indices of robots, from 0 to {team[1] - 1}")
+        self.book_of((0, *team), touched, np.ascontiguousarray(robots, np.int64), passed)
 
     def book_of(self, teams: threads.Part, contact: Any, merged_into: Any, resting: Any) -> None:
         """As ``book``, of some teams and unchecked."""
@@ -330,42 +290,16 @@ class KernelFilter(SafetyFilter):
         return all(getattr(own, name) is getattr(base, name) for name in ("act", "book", "view"))
 
 
-def _robots(name: str, value: Any, team: tuple[int, ...]) -> NDArray[np.int64]:
-    """Indices (B, n) of robots that there are.
-
-    Raises:
-        ValueError: for another shape or type, or an index out of range.
-    """
-    robots = np.asarray(value)
-    if robots.shape != team or robots.dtype.kind not in "iu":
-        refuse(name, value, f"whole numbers of shape (B, n) = {team}")
-    if robots.min() < 0 or robots.max() >= team[1]:
-        refuse(name, value, f"indices of robots, from 0 to {team[1] - 1}")
-    return np.ascontiguousarray(robots, dtype=np.int64)
-
-
-FILTERS: dict[str, type[SafetyFilter]] = {}
-"""By the name that wrappers and training environments know."""
-
-
 def register_filter(name: str, safety_filter: type[SafetyFilter]) -> None:
     """Give a filter a name, for ``GuaranteeWrapper`` and ``training_env(guarantee=name)``.
 
-    Args:
-        name: a word that no other filter has.
-        safety_filter: a subclass of ``SafetyFilter``.
-
-    Raises:
-        ValueError: for a name that is no word or is another filter's, or what is no filter.
+    A ValueError for a name that is no word or is another filter's, or what is no filter.
     """
     if not (isinstance(name, str) and name.isidentifier()):
         refuse("name", name, "a word")
     if not (isinstance(safety_filter, type) and issubclass(safety_filter, SafetyFilter)):
         refuse("safety_filter", safety_filter, "a subclass of SafetyFilter")
-    taken = FILTERS.get(name, safety_filter)
-    if (taken.__module__, taken.__qualname__) != (
-        safety_filter.__module__,
-        safety_filter.__qualname__,
-    ):
+    taken, names = FILTERS.get(name, safety_filter), ("__module__", "__qualname__")
+    if any(getattr(taken, one) != getattr(safety_filter, one) for one in names):
         refuse("name", name, f"none of {', '.join(FILTERS)}, which are taken")
     FILTERS[name] = safety_filter

@@ -1,8 +1,8 @@
 """Theorem D: any motion while a robot's energy tank lasts, else law (4), which fills it.
 
 docs/guarantees.md, section 8. Each robot keeps this account alone, from its own bearings. Vectors
-are pairs or triples in one frame. A bearing error η may make f wrong by e = 2 sin(η/2) D, m/s,
-which the account then pays for.
+are pairs or triples in one frame, f in m/s. A bearing error η may make f wrong by e = 2 sin(η/2) D,
+m/s, which the account then pays for.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from .robot_lanes import (
     tell_whether,
     vector_of,
 )
-from .safety_filter import Float32, KernelFilter, check_steerable, register_filter
+from .safety_filter import Float32, KernelFilter, check_inputs, register_filter
 from .settings import levels_follow_v
 from .turning import Robot, desired_rates, gated_rates, pitch_of, rates_of, robot_of, turn
 
@@ -54,12 +54,11 @@ def descent_scale(strength, degree, merge_radius, duration, speed_limit):
 
 @kernel(inline="code")
 def certain_descent(net_bearing, degree, displacement, merge_radius, error=0.0):
-    """This robot's part in what V is sure to fall by, m²/s; negative where V may rise.
+    """This robot's part in what V is sure to fall by, a number, m²/s; negative where V may rise.
 
         2 f·Δ − (2/r) D ‖Δ‖² − 2 e ‖Δ‖                              (theorem D)
 
-    Summed over the robots this bounds V(t) − V(t + τ) while neighbours stay at least r apart. f and
-    Δ, m, are pairs or triples, the others numbers.
+    Summed over the robots this bounds V(t) − V(t + τ) while neighbours stay at least r apart.
     """
     spent = 2.0 / merge_radius * degree * dot(displacement, displacement)
     sure = 2.0 * dot(net_bearing, displacement) - spent
@@ -80,13 +79,12 @@ def promised_descent(strength, scale, min_alignment, duration, error=0.0):
 
 @kernel(inline="code")
 def descending_velocity(wanted, net_bearing, scale, min_alignment, error=0.0):
-    """Law (4) along the wanted line, which earns at least what is owed, as long as f, m/s.
+    """Law (4) along the wanted line, which earns at least what is owed, a pair or triple, m/s.
 
         v = s h hᵀf,   h the wanted direction projected onto the cap |hᵀf| ≥ ε‖f‖    (theorem D)
         v = s max(0, hᵀf − e) h                                     with errors (theorem N1')
 
-    ``wanted`` is a vector of any length, f is not zero; the direction is f/‖f‖ where nothing is
-    wanted.
+    ``wanted`` is of any length; the direction is f/‖f‖ where nothing is wanted. f is not zero.
     """
     (length, h), (_, towards) = split(wanted), split(net_bearing)
     h = h if length > 0.0 else towards
@@ -97,8 +95,6 @@ def descending_velocity(wanted, net_bearing, scale, min_alignment, error=0.0):
 
 
 class _Constants(NamedTuple):
-    """What the kernels need to know of the scenario and of the tank's arguments."""
-
     robot: Robot
     speed_limit: float
 
@@ -228,11 +224,9 @@ def _driven(m, action, limit, gate):
 
 @kernel
 def _book(teams, levels, deposits, linked, contact, merged_into, resting, follow_v):
-    """A ← max(A + G, 0), in place (theorem D): a loss that would empty a tank is rounding.
-
-    A robot that presses against a wall along f would earn without end: in a step with contact only
-    a loss is booked. A survivor takes all. Levels that follow V become (m' − 1)/(m − 1) of what
-    they were when m robots become m', as V does at most.
+    """A ← max(A + G, 0), in place (theorem D): a loss that would empty a tank is rounding. A robot
+    that presses against a wall along f would earn without end: in a step with contact only a loss
+    is booked.
     """
     for team in range(teams[0], teams[1]):
         merged = 0
@@ -249,7 +243,9 @@ def _book(teams, levels, deposits, linked, contact, merged_into, resting, follow
 
 @inner_kernel
 def _hand_over(levels, linked, merged_into, follow_v):
-    """Levels of robots that are gone to who has taken them in, (n,) each."""
+    """A survivor takes all, (n,) each. Levels that follow V become (m' − 1)/(m − 1) of what they
+    were when m robots become m', as V does at most.
+    """
     before, gone = 0, 0
     for i in range(len(levels)):
         survivor = merged_into[i]
@@ -296,9 +292,6 @@ class EnergyTank(KernelFilter):
         min_alignment: ε, in (0, 1).
         observe_level: whether ``view`` shows one row more, (A/(r D̄), 0, …).
         bearing_error: η, rad: the account stays right while no bearing is wrong by more.
-
-    Raises:
-        ValueError: naming the argument, its value and what would be right.
     """
 
     state_key = "tank"
@@ -316,7 +309,7 @@ class EnergyTank(KernelFilter):
         bearing_error: float = 0.0,
         num_threads: int | None = None,
     ) -> None:
-        check_steerable(scenario)
+        check_inputs(scenario, "law (4)", bodies=True)
         size = scenario.action_size
         super().__init__(scenario, num_envs, size, frame, num_threads)
         robot = robot_of(scenario, self._sight.dead_zone, min_alignment, bearing_error)
@@ -384,21 +377,14 @@ class EnergyTank(KernelFilter):
             in_lanes(_spend, teams, self._constants, observations, *memory, *told)
 
     def book_of(self, teams: Part, contact: Any, merged_into: Any, resting: Any) -> None:
-        """Bring the levels of some teams up to the end of the step, as ``KernelFilter.book_of``.
-
-        In a step with contact a robot books min(0, G); who merges hands its tank to the survivor; a
-        step that a merge cuts short books as commanded. Where everyone sees everyone, with equal
-        weights, levels shrink as V does when m robots become m': to (m' − 1)/(m − 1).
+        """As ``KernelFilter.book_of``; a step that a merge cuts short books as commanded, and where
+        everyone sees everyone, with equal weights, levels shrink as V does when robots merge.
         """
         account = self._levels, self._deposits, self._linked
         _book(teams, *account, contact, merged_into, resting, self._follow_v)
 
     def check_state(self, state: Any) -> dict[str, NDArray[Any]]:
-        """As ``SafetyFilter.check_state``; no level is below zero.
-
-        Raises:
-            ValueError: naming what does not fit.
-        """
+        """As ``SafetyFilter.check_state``; no level is below zero."""
         checked = super().check_state(state)
         if (wrong := (checked["levels"] < 0) | (checked["levels"] > _FULLEST)).any():
             team, robot = np.argwhere(wrong)[0].tolist()
