@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..checks import floats, real, refuse
+from ..checks import real, refuse
 from ..compilation import inner_kernel, kernel
 from ..engine.threads import Part
 from ..physics.least_norm import least_along, least_norm_of
@@ -32,7 +32,7 @@ from ..physics.vectors import (
 from ..robots.single_integrator import speed_scale
 from ..scenario.scenario import Scenario
 from .safety_filter import Float32, KernelFilter, check_inputs, register_filter
-from .settings import check_bearing_error
+from .settings import check_bearing_error, check_vectors
 
 
 def least_norm_points(neighbour_rows: ArrayLike) -> NDArray[np.float64]:
@@ -45,16 +45,11 @@ def least_norm_points(neighbour_rows: ArrayLike) -> NDArray[np.float64]:
     nobody is seen. Of rows a_ij g_ij, (..., K, d), m/s, zero ones are absent, lengths do not count;
     a ValueError says which shape is wrong, or that they are not finite.
     """
-    rows = floats("neighbour_rows", neighbour_rows)
-    if rows.ndim < 2 or rows.shape[-1] not in (2, 3):
-        raise ValueError(
-            f"neighbour_rows has shape {rows.shape}; it must be (..., K, 2) or (..., K, 3)"
-        )
-    if not np.isfinite(rows).all():
-        raise ValueError("neighbour_rows must be finite")
+    rows = check_vectors("neighbour_rows", neighbour_rows)
+    if rows.ndim < 2:
+        raise ValueError(f"neighbour_rows has shape {rows.shape}; it must be (..., K, d)")
     points = np.empty((*rows.shape[:-2], rows.shape[-1]))
-    flat = np.ascontiguousarray(rows).reshape(-1, *rows.shape[-2:])
-    _least_norm_points(flat, points.reshape(-1, rows.shape[-1]))
+    _least_norm_points(rows.reshape(-1, *rows.shape[-2:]), points.reshape(-1, rows.shape[-1]))
     return points
 
 

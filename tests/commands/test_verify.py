@@ -22,7 +22,7 @@ from train.verify.adversaries import KINDS, Adversary
 from train.verify.claims import BATCH, CLAIMS, Claim, bound_a
 from train.verify.falsification import Trial, begin
 from train.verify.monitors import Moment
-from train.verify.verify import COLUMNS, Config, run
+from train.verify.verify import Config, run
 
 BY_NAME = {claim.name: claim for claim in CLAIMS}
 
@@ -52,7 +52,10 @@ def test_nothing_is_violated(tmp_path):
     status, rows, printed = command(tmp_path, trials=40)
     assert status == 0 and "0 violations" in printed
     assert [row["claim"] for row in rows] == list(BY_NAME)
-    assert tuple(rows[0]) == COLUMNS
+    assert list(rows[0]) == [
+        *("claim", "trials", "worst_margin", "worst_time_over_bound", "violations"),
+        *("seconds", "first_violation"),
+    ]
     for row in rows:
         assert row["trials"] == "40" and row["violations"] == "0" and row["first_violation"] == ""
         assert float(row["worst_margin"]) > -1e-6
@@ -89,7 +92,7 @@ def test_the_trials_are_of_every_kind():
 
 def test_merges_do_raise_v_and_stay_below_their_bound():
     """The row merge-rise has something to look at."""
-    trial = cases.draw_trees(np.random.default_rng(3), 0, 0.3)
+    trial = BY_NAME["merge-rise"].draw(np.random.default_rng(3), 0, 0.3)
     wrapped, seen, policy = begin(trial, 0.0, 200)
     teams, rises, excess = wrapped.unwrapped.simulator, [], []
     teams.set_max_steps(1500)

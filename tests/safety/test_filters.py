@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import copy
-import pickle
-
 import numpy as np
 import pytest
 from conftest import five
@@ -53,20 +50,6 @@ def test_a_batch_is_its_teams_one_by_one(made, kind):
             found = go_on(single, observations[own], choices[own], contact[own])
             for name, values in found.items():
                 np.testing.assert_array_equal(values[0], results[name][team])
-
-
-@all_filters
-def test_state_pickle_and_deepcopy_go_on_alike(made, kind):
-    filtered, observations, choose = begun(made, kind, 2)
-    go_on(filtered, observations, choose())
-    fresh = made(filtered.scenario, 2)
-    fresh.set_state(filtered.get_state())
-    others = [fresh, copy.deepcopy(filtered), pickle.loads(pickle.dumps(filtered))]
-    choices = choose()
-    expected = go_on(filtered, observations, choices)
-    for other in others:
-        for name, values in go_on(other, observations, choices).items():
-            np.testing.assert_array_equal(values, expected[name])
 
 
 @all_filters

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import pytest
 from conftest import five
@@ -97,21 +95,6 @@ def test_velocities_that_are_allowed_are_carried_out_but_for_the_share():
     free = along.min(axis=-1) > 0.2
     assert free.any() and not free.all()
     np.testing.assert_allclose(actions[free], 1e-3 * f[free], rtol=1e-4)
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"share": 0.0}, r"share is 0.0; it must be in \(0, 1\]"),
-        ({"share": 1.1}, "share is 1.1; it must"),
-        ({"share": None}, "share is None; it must"),
-        ({"bearing_error": -0.1}, "bearing_error is -0.1; it must"),
-        ({"bearing_error": math.pi}, "bearing_error is 3.14.*; it must"),
-    ],
-)
-def test_arguments_are_checked(options, message):
-    with pytest.raises(ValueError, match=message):
-        LinkKeeping(Scenario(), 1, **options)
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,6 @@ import pytest
 from conftest import UNEQUAL, five
 from test_promises import longer
 
-import rendezvous_env as rv
 from rendezvous_env import Scenario, Sensing, Simulator
 from rendezvous_env.safety.tank import EnergyTank
 
@@ -80,45 +79,17 @@ def test_with_an_empty_tank_a_body_turns_through_the_gate_and_drives_with_m(mode
 
 def test_in_a_step_with_contact_only_a_loss_is_booked():
     """A robot pressed against a wall along f earns nothing; one that is thrust away from f pays."""
-    scenario = Scenario(
-        n_robots=2, start_positions=((-2.0, 0.0), (2.0, 0.0)), local_frames="global",
-        obstacles=(rv.Disc(centre=(0.0, 0.0), radius=1.9),),
-    )  # fmt: skip
-    simulator, tank = Simulator(scenario), EnergyTank(scenario, 1, frame="local", budget=1.0)
-    observations, contacts, free = simulator.reset(0), 0, []
-    for _ in range(6):
-        tank.hold([[[1.0, 0.0], [-1.0, 0.0]]])
-        actions, before = tank.act(observations), tank.levels
-        outcome = simulator.step(actions)
-        tank.book(outcome.contact, simulator.merged_into)
-        observations = outcome.observations
-        gained = tank.levels - before
-        assert (gained[outcome.contact] == 0).all() and (gained[~outcome.contact] > 0).all()
-        contacts, free = contacts + int(outcome.contact.sum()), [*free, *gained[~outcome.contact]]
-    assert contacts >= 4 and len(free) >= 1
-    tank.hold([[[-1.0, 0.0], [1.0, 0.0]]])
-    tank.act(observations)
-    before = tank.levels
-    tank.book(contact=[[True, False]])
-    assert tank.levels[0, 0] < before[0, 0] and tank.levels[0, 1] < before[0, 1]
-
-
-def test_survivors_inherit_and_a_cut_step_books_as_commanded():
-    scenario = Scenario(n_robots=3, graph="path", merge_radius=0.2, local_frames="global")
-    simulator, tank = Simulator(scenario), EnergyTank(scenario, 1, frame="local", budget=2.0)
-    twin = EnergyTank(scenario, 1, frame="local", budget=2.0)
-    start = {"positions": [[0.0, 0.0], [0.22, 0.0], [6.0, 0.0]]}
-    observations = simulator.reset(0, start)
-    for each in (tank, twin):
-        each.hold([[[1.0, 0.0], [-1.0, 0.0], [0.0, 0.0]]])
-        actions = each.act(observations)
-    outcome = simulator.step(actions)
-    assert outcome.active.tolist() == [[True, False, True]]
-    tank.book(outcome.contact, simulator.merged_into)
-    twin.book()
-    own = twin.levels[0]
-    assert tank.levels[0, 0] == own[0] + own[1] and own[1] > 0
-    assert tank.levels[0, 1] == 0 and tank.levels[0, 2] == own[2]
+    scenario = Scenario(n_robots=2, local_frames="global")
+    tank = EnergyTank(scenario, 1, frame="local", budget=1.0)
+    start = {"positions": [[-2.0, 0.0], [2.0, 0.0]]}
+    observations = Simulator(scenario).reset(0, start)
+    for along, earns in ((1.0, True), (-1.0, False)):
+        tank.hold([[[along, 0.0], [-along, 0.0]]])
+        tank.act(observations)
+        before = tank.levels[0]
+        tank.book(contact=[[True, False]])
+        gained = tank.levels[0] - before
+        assert (gained[1] > 0) == earns and (gained[0] == 0 if earns else gained[0] < 0)
 
 
 def test_levels_at_a_merge_by_hand():
@@ -209,9 +180,3 @@ def test_what_no_step_can_have_been_is_not_booked(told, message):
     with pytest.raises(ValueError, match=message):
         tank.book(**told)
     assert (tank.levels == 1.0).all()
-
-
-@pytest.mark.parametrize("budget", [-1.0, np.nan, np.inf, "1", None, [1.0], True])
-def test_a_budget_is_a_number_of_zero_or_more(budget):
-    with pytest.raises(ValueError, match=r"budget is .* from 0 to"):
-        EnergyTank(five("single_integrator-2d"), 1, budget=budget)

@@ -52,103 +52,61 @@ def draw_team(
     *,
     by: str = "heading",
     dims: tuple[int, ...] = (2, 3),
-    step_factors: tuple[float, float] = (1.0, 1.0),
-    **fields: Any,
+    sizes: tuple[int, ...] = SIZES,
+    families: tuple[str, ...] = FAMILIES,
+    step_factors: tuple[float, float] | None = None,
+    turning: bool = False,
 ) -> Trial:
-    """Dimension, graph, weights, start, radius, frames, speed limit and ε of teams, whose sizes
-    take turns; τ over the certified step is in ``step_factors``, ``fields`` are not drawn.
+    """Graph, weights, start, radius, frames, limits and ε of teams, whose sizes take turns; τ over
+    the certified step is in ``step_factors``. Robots that turn are of the paper's models.
     """
-    n, dim = SIZES[batch % len(SIZES)], int(random.choice(dims))
-    weight = (random.uniform(0.5, 1.0), random.uniform(1.0, 2.0))
-    family = str(random.choice(FAMILIES))
-    chance = (random.uniform(0.2, 0.8),) if family == "erdos_renyi" else ()
-    made = getattr(graphs, family if n > 2 or family != "cycle" else "path")
+    n, dim = sizes[batch % len(sizes)], int(random.choice(dims))
+    fields: dict[str, Any] = {}
+    if turning:
+        model = "unicycle" if dim == 2 else "nonholonomic_3d"
+        fields = {"robot_model": model, "max_turn_rate": float(random.uniform(1.0, 6.0))}
+    family = str(random.choice(families))
     scenario = Scenario(
         n_robots=n,
         dim=dim,
-        graph=made(*chance, weight),
+        graph=_graph(random, family, n),
         merge_radius=random.uniform(0.1, 0.3),
         spawn_size=random.uniform(2.0, 4.0),
         local_frames=str(random.choice(["random", "random", "global"])),
+        require_connected=family != "two trees",
         **fields,
     )
-    changes: dict[str, Any] = {}
-    if step_factors != (1.0, 1.0):
+    if step_factors is not None:
         step = random.uniform(*step_factors) * scenario.certified_step
-        changes |= {"time_step": step, "allow_long_step": True}
-    if not scenario.model.nonholonomic and random.random() < 1 / 3:
-        changes["max_speed"] = random.uniform(0.5, 1.0) * scenario.max_degree
-    scenario = scenario.replace(**changes)
+        scenario = scenario.replace(time_step=step, allow_long_step=True)
+    if not turning and random.random() < 1 / 3:
+        scenario = scenario.replace(max_speed=random.uniform(0.5, 1.0) * scenario.max_degree)
     starts: tuple[Scenario, ...] = ()
     if random.random() < 0.25:  # all robots of a team on one line, in any order
         gaps = random.uniform(2.0, 6.0, (BATCH, n)) * scenario.merge_radius
         places = random.permuted(np.cumsum(gaps, axis=-1), axis=-1)
         line = unit(random.normal(size=(BATCH, 1, dim)))
         starts = tuple(scenario.replace(start_positions=p) for p in places[..., None] * line)
-    return _trial(random, scenario, least_margin, by, starts)
-
-
-def _trial(
-    random: Random,
-    scenario: Scenario,
-    least_margin: float,
-    by: str = "heading",
-    starts: tuple[Scenario, ...] = (),
-) -> Trial:
-    """Any margin, turn rate, frame and period under certified headings."""
     arguments = {"min_alignment": float(random.uniform(least_margin, max(least_margin, 0.9)))}
     frame, period = "local", 1
     if by == "heading":
-        turn_rates = (1.0, 10.0) if scenario.model.nonholonomic else (0.2, 50.0)
+        turn_rates = (1.0, 10.0) if turning else (0.2, 50.0)
         arguments["max_turn_rate"] = log_uniform(random, *turn_rates)
-        frame = str(random.choice(["net_bearing", "local"]))
-        period = int(random.choice([1, 1, 5]))
+        frame, period = str(random.choice(["net_bearing", "local"])), int(random.choice([1, 1, 5]))
     return Trial(scenario, by, arguments, frame, period, int(random.integers(2**40)), starts=starts)
 
 
-def draw_turning(
-    random: Random,
-    batch: int,
-    least_margin: float,
-    *,
-    dims: tuple[int, ...] = (2, 3),
-    by: str = "heading",
-) -> Trial:
-    """Unicycles or 3-D nonholonomic robots with any limit on their turn rates."""
-    dim = int(random.choice(dims))
-    model, turn = "unicycle" if dim == 2 else "nonholonomic_3d", float(random.uniform(1.0, 6.0))
-    fields: dict[str, Any] = {"robot_model": model, "max_turn_rate": turn}
-    return draw_team(random, batch, least_margin, by=by, dims=(dim,), **fields)
-
-
-def draw_disconnected(random: Random, batch: int, least_margin: float) -> Trial:
-    """Two trees side by side, robots in any order."""
-    n = max(SIZES[batch % len(SIZES)], 3)
-    order, cut = random.permutation(n).tolist(), int(random.integers(1, n))
-    edges = []
+def _graph(random: Random, family: str, n: int) -> Any:
+    """One of a family, or two trees side by side, robots in any order."""
+    if family != "two trees":
+        weight = (random.uniform(0.5, 1.0), random.uniform(1.0, 2.0))
+        chance = (random.uniform(0.2, 0.8),) if family == "erdos_renyi" else ()
+        return getattr(graphs, family if n > 2 or family != "cycle" else "path")(*chance, weight)
+    order, cut, edges = random.permutation(n).tolist(), int(random.integers(1, n)), []
     for piece in (order[:cut], order[cut:]):
         for k in range(1, len(piece)):
             edges.append((piece[k], piece[int(random.integers(k))], random.uniform(0.5, 2.0)))
-    scenario = Scenario(
-        n_robots=n,
-        dim=int(random.choice([2, 3])),
-        graph=graphs.from_edges(edges, n),
-        require_connected=False,
-        spawn_size=3.0,
-    )
-    return _trial(random, scenario, least_margin, "law")
-
-
-def draw_trees(random: Random, batch: int, least_margin: float) -> Trial:
-    """Trees of eight in a narrow space: there merges make V rise."""
-    scenario = Scenario(
-        n_robots=8,
-        dim=int(random.choice([2, 3])),
-        graph=graphs.random_tree((0.5, random.uniform(0.5, 2.0))),
-        merge_radius=random.uniform(0.1, 0.3),
-        spawn_size=3.0,
-    )
-    return replace(_trial(random, scenario, least_margin), period=1)
+    return graphs.from_edges(edges, n)
 
 
 def bound_a(trial: Trial, teams: Simulator) -> Array:
@@ -166,7 +124,8 @@ def bound_of_pieces(trial: Trial, teams: Simulator) -> Array:
     """Time by which each piece of a disconnected graph has met, s: the proof of A holds for it."""
     scenario = trial.scenario
     above = teams.lyapunov() + merge_rise_allowance(scenario)
-    return 2.0 * scenario.n_robots * above / (8.0 * scenario.bottleneck_weight**2)
+    slowed = max(1.0, scenario.max_degree / scenario.speed_limit)
+    return slowed * 2.0 * scenario.n_robots * above / (8.0 * scenario.bottleneck_weight**2)
 
 
 def patience(trial: Trial, teams: Simulator) -> Array:
@@ -229,9 +188,13 @@ class Claim:
 
 
 _law_1 = partial(draw_team, by="law")
-_unicycles = partial(draw_turning, by="law", dims=(2,))
-_space = partial(draw_turning, by="law", dims=(3,))
+_pieces = partial(draw_team, by="law", sizes=(3, 5, 8), families=("two trees",))
+_unicycles = partial(draw_team, by="law", dims=(2,), turning=True)
+_space = partial(draw_team, by="law", dims=(3,), turning=True)
+_turning = partial(draw_team, turning=True)
 _long_steps = partial(draw_team, step_factors=(4.0, 10.0))
+_trees = partial(draw_team, sizes=(8,), families=("random_tree",))
+"""There merges make V rise."""
 
 CLAIMS: tuple[Claim, ...] = (
     Claim("lemma-1", "Σ‖f‖ ≥ 2 max a", _law_1, bound_a, ("lemma",)),
@@ -243,7 +206,7 @@ CLAIMS: tuple[Claim, ...] = (
     Claim(
         "necessity",
         "law (1): a disconnected graph leaves one robot for each piece",
-        *(draw_disconnected, bound_of_pieces, ("pieces", "time")),
+        *(_pieces, bound_of_pieces, ("pieces", "time")),
     ),
     Claim(
         "theorem-2",
@@ -274,7 +237,7 @@ CLAIMS: tuple[Claim, ...] = (
     Claim(
         "gate",
         "any turn rates through the gate: V never rises between merges, all meet",
-        *(draw_turning, patience, ("time", "descent")),
+        *(_turning, patience, ("time", "descent")),
     ),
     Claim(
         "certified-step",
@@ -289,7 +252,7 @@ CLAIMS: tuple[Claim, ...] = (
     Claim(
         "merge-rise",
         "V rises at a merge by at most r max(0, D_i + D_j − 4 a_ij)",
-        *(draw_trees, bound_c, ("merge_rise",)),
+        *(_trees, bound_c, ("merge_rise",)),
     ),
 )
 

@@ -9,7 +9,7 @@ import math
 from collections import Counter, defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import lru_cache, partial
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -219,13 +219,13 @@ def begin(trial: Trial, bearing_error: float, count: int) -> tuple[Any, Any, Pol
     adversary = Adversary(scenario, count, trial.by, random, turn_rate)
     if trial.frame == "local" or trial.by == "gains" or not scenario.model.bounded:
         return wrapped, start, adversary
-    return wrapped, start, partial(_as_seen, wrapped.filter, adversary)
 
+    def as_seen(seen: Any, now: Moment) -> Array:
+        """The adversary's choices in the frames with x along f."""
+        frames = wrapped.filter.get_state()["frames"]
+        return np.einsum("bnij,bni->bnj", frames, np.asarray(adversary(seen, now)))
 
-def _as_seen(safety_filter: Any, adversary: Adversary, seen: Any, now: Moment) -> Array:
-    """Its choices in the frames with x along f."""
-    frames = safety_filter.get_state()["frames"]
-    return np.einsum("bnij,bni->bnj", frames, np.asarray(adversary(seen, now)))
+    return wrapped, start, as_seen
 
 
 @lru_cache(maxsize=2)

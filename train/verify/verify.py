@@ -25,12 +25,6 @@ from .claims import BATCH, CLAIMS, Claim, tasks_of
 from .falsification import TEAMS, Tally, Task
 from .monitors import NUMBERS
 
-COLUMNS = (
-    *("claim", "trials", "worst_margin", "worst_time_over_bound", "violations"),
-    *("seconds", "first_violation"),
-)
-"""Of verify.csv; the margin is a share (of V(0), of the time limit, of 2 max a), and negative
-means violated, rounding aside."""
 _BAR = TextColumn("{task.description:16}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn()
 _MOST_WRITTEN = 20
 """Violations of a search that are made small and written."""
@@ -74,11 +68,7 @@ class Config(Workers):
 
 
 def check_config(config: Config) -> None:
-    """Refuse what cannot be run, by name.
-
-    Raises:
-        UserError: naming the flag, its value and what would be right.
-    """
+    """Refuse what cannot be run in a UserError: the flag, its value and what would be right."""
     check_least(config, trials=1, seed=0, only_batch=0, kinds=1)
     check_most(config, trials=10**8)
     config.check_workers()
@@ -96,16 +86,16 @@ def check_config(config: Config) -> None:
 
 def run(config: Config, claims: Sequence[Claim] = CLAIMS, console: Console | None = None) -> int:
     """Check the claims, or what certificates promise; print the table, write verify.csv or any.csv;
-    the exit status.
-
-    Raises:
-        UserError: for an impossible flag, or a folder that cannot be written to.
+    the exit status. A UserError for an impossible flag, or a folder that cannot be written to.
     """
     check_config(config)
     console = console or Console(width=None if sys.stdout.isatty() else 120)
     chosen = [claim for claim in claims if not config.claims or claim.name in config.claims]
     path = config.out / ("any.csv" if config.any else "verify.csv")
-    part = Part(path.with_suffix(".part"), plan_of(config, chosen), "verification")
+    asked = ("trials", "seed", "min_alignment", "only_batch", "any", "kinds")
+    plan = program() | {name: getattr(config, name) for name in asked}  # all that numbers depend on
+    plan["claims"] = [claim.name for claim in chosen]
+    part = Part(path.with_suffix(".part"), plan, "verification")
     with claimed(config.out, ".verify.lock", f"--out {config.out}"):
         with (
             part.at_work(config.out, console, fresh=config.fresh),
@@ -114,24 +104,13 @@ def run(config: Config, claims: Sequence[Claim] = CLAIMS, console: Console | Non
             tallies = _look_at_all(config, chosen, part, bars)
             if config.any:
                 rows = theorem_rows(tallies["scenarios"])
-                write_csv(path, list(rows[0]) if rows else ["theorem"], rows)
             else:
                 rows = [claim_row(claim, config, tallies[claim.name]) for claim in chosen]
-                write_csv(path, COLUMNS, rows)
+            write_csv(path, list(rows[0]) if rows else ["theorem"], rows)
             part.discard()
     if config.any:
         return _report_any(config, tallies["scenarios"], rows, path, console)
     return _report(rows, chosen, path, console)
-
-
-def plan_of(config: Config, claims: Sequence[Claim]) -> dict[str, Any]:
-    """All that the numbers of a verification depend on, as plain data."""
-    asked = ("trials", "seed", "min_alignment", "only_batch", "any", "kinds")
-    return {
-        **program(),
-        **{name: getattr(config, name) for name in asked},
-        "claims": [claim.name for claim in claims],
-    }
 
 
 def _look_at_all(
@@ -161,7 +140,9 @@ def look(task: Task) -> Tally:
 
 
 def claim_row(claim: Claim, config: Config, tally: Tally) -> dict[str, Any]:
-    """What was found of a claim, by COLUMNS."""
+    """What was found of a claim; the margin is a share (of V(0), of the time limit, of 2 max a),
+    and negative means violated, rounding aside.
+    """
     repeat = (
         f"rendezvous verify --claims {claim.name} --seed {config.seed} --only-batch {tally.first} "
         f"--min-alignment {config.min_alignment}"
