@@ -265,8 +265,8 @@ _FULLEST = 1e60
 
 
 def unit_of_tanks(scenario: Scenario) -> float:
-    """The unit r D̄, m²/s, in which levels are shown: twice the most that a robot can earn in a
-    step; 1 without links.
+    """The unit, a number, m²/s, in which levels are shown, twice the most that a robot can earn in
+    a step (theorem D): r D̄, 1 without links.
     """
     return float(scenario.merge_radius * scenario.max_degree) or 1.0
 

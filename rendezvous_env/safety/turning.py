@@ -48,7 +48,7 @@ class Gate(NamedTuple):
 def gate_of(
     scenario: Scenario, min_alignment: float, dead_zone: float, most: float = math.inf
 ) -> Gate:
-    """The gate of a scenario's robots, numbers; turn limits ω, rad/s, are ``most`` or less."""
+    """The gate of a scenario's robots, numbers; turn limits, rad/s: |ω| ≤ ``most``."""
     limits = [min(most, float(limit)) for limit in scenario.action_bounds[1:]]
     yaw, pitch, *_ = [*limits, 0.0, 0.0]
     planar = scenario.dim == 2

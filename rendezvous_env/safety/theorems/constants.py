@@ -57,7 +57,7 @@ def lightest_link(scenario: Scenario) -> float:
 
 
 def robots_left(scenario: Scenario) -> Array:
-    """Robots left, m = 2 … n, an array (n − 1,) without unit: c_m and D̄_m stand in its order."""
+    """Robots left, an array (n − 1,) without unit, 2 ≤ m ≤ n: c_m and D̄_m stand in its order."""
     return np.arange(2.0, scenario.n_robots + 1.0)
 
 
@@ -209,7 +209,7 @@ def hull_growth(scenario: Scenario) -> float:
 
 
 def checked(name: str, given: ArrayLike, unit: str) -> Array:
-    """V(0), m²/s, or L(0), m, as an array (...) of numbers ≥ 0; others in a ValueError."""
+    """V(0) ≥ 0, m²/s, or L(0) ≥ 0, m, as an array (...) of numbers; others in a ValueError."""
     initial = floats(name, given)
     if not (np.isfinite(initial) & (initial >= 0)).all():
         refuse(name, given, f"finite and at least 0 {unit}")
