@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +24,7 @@ from rendezvous_env import baselines
 from rendezvous_env.scenario.scenario import Scenario
 from rendezvous_env.trajectory import Policy
 
-from .evaluation import counts_contacts, play
+from .evaluation import Episodes, counts_contacts, play
 from .playing import Task
 from .settings import Config
 
@@ -44,32 +44,21 @@ COLUMNS = (
 """Of ceiling.csv: fractions 0–1 of the starts, and starts that no run passed cleanly, or at all."""
 
 
-class Run(NamedTuple):
-    """What one run did on N starts."""
-
-    number: int | None
-    """Of which all that is random follows; the first is the joined rule with nothing random but its
-    clearance. None is the planner."""
-    success: NDArray[np.bool_]
-    """(N,), whether all met."""
-    clean: NDArray[np.bool_]
-    """(N,), whether they met without touching an obstacle."""
-
-
 def applies(scenario: Scenario) -> bool:
     """Whether the joined rule, whose runs these are, fits, and there is something to touch."""
     return "tangent-joined" in baselines.names(scenario) and counts_contacts(scenario)
 
 
-def play_run(scenario: Scenario, number: int | None, episodes: int, seed: int) -> Run:
-    """Play a run on the starts that follow from ``seed``."""
+def play_run(scenario: Scenario, number: int | None, episodes: int, seed: int) -> Episodes:
+    """Play a run on the starts that follow from ``seed``. All that is random follows from its
+    number; 0 is the joined rule with nothing random but its clearance, None the planner.
+    """
     make: Callable[[], Policy] = partial(baselines.make, privileged_planner.NAME, scenario)
     if number is not None:
         spread = _SPREADS[number % 3] if number else 0.0
         make = partial(randomised, scenario, seed=number, spread=spread)
     margin = None if number is None else MIN_ALIGNMENT
-    done, _ = play(scenario, make, margin=margin, episodes=episodes, seed=seed)
-    return Run(number, done.success, done.clean == 1)
+    return play(scenario, make, margin=margin, episodes=episodes, seed=seed)[0]
 
 
 def tasks_of(scenario: Scenario, config: Config) -> list[Task]:
@@ -87,15 +76,16 @@ def tasks_of(scenario: Scenario, config: Config) -> list[Task]:
     ]
 
 
-def row_of(scenario: Scenario, runs: Sequence[Run]) -> dict[str, Any]:
+def row_of(scenario: Scenario, runs: Sequence[Episodes]) -> dict[str, Any]:
     """The row of ceiling.csv of all runs on a scenario, of which the planner's is the last."""
     *own, planned = runs
-    clean, success = np.array([run.clean for run in own]), np.array([run.success for run in own])
+    clean = np.array([run.clean == 1 for run in own])
+    success = np.array([run.success for run in own])
     return {
         "scenario": scenario.name,
         "episodes": clean.shape[1],
         "runs": len(own),
-        "clean_planner": float(planned.clean.mean()),
+        "clean_planner": float((planned.clean == 1).mean()),
         "clean_best": float(clean.any(axis=0).mean()),
         "success_best": float(success.any(axis=0).mean()),
         "clean_mean": float(clean.mean()),
