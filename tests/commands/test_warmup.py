@@ -17,11 +17,6 @@ def test_it_readies_the_scenarios_asked_for(capsys):
     assert "2 scenarios are ready" in capsys.readouterr().out
 
 
-def test_an_unknown_scenario_is_the_users_mistake(capsys):
-    assert cli.main(["warmup", "--scenarios", "duoo"]) == 2
-    assert "duo" in capsys.readouterr().err
-
-
 @pytest.mark.skipif(not compilation.compiled(), reason="nothing is compiled")
 @pytest.mark.parametrize(("seconds", "said"), [(2.5, 1), (1.5, 0)])
 def test_long_compilation_is_announced_once(seconds, said, monkeypatch, capsys, tmp_path):

@@ -2,14 +2,12 @@
 
 import io
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
 from rich.console import Console
 
 from rendezvous_env.scenario import scenarios
-from train.checks import UserError
 from train.compare import compare, ranking, statistics, tables
 from train.compare.evaluation import Episodes
 from train.compare.playing import Played
@@ -191,22 +189,6 @@ class TestCommand:
         assert not {job.policy for job in jobs} & {"random", "zero"}
         jobs = compare.plan(compare.Config(("duo",), ("zero",), out=tmp_path / "o"))
         assert [job.policy for job in jobs] == ["zero"]
-
-    @pytest.mark.parametrize(
-        ("changes", "message"),
-        [
-            ({"against": "tangent-joind"}, "did you mean 'tangent-joined'"),
-            ({"against": "unicycle"}, "--against 'unicycle' is not compared"),
-            ({"json": Path("out/x.json")}, "lies in --out"),
-            ({"json": Path()}, "is a folder"),
-        ],
-    )
-    def test_what_cannot_be_is_refused_before_any_work(
-        self, changes, message, tmp_path, monkeypatch
-    ):
-        monkeypatch.chdir(tmp_path)
-        with pytest.raises(UserError, match=message):
-            compare.plan(compare.Config(**QUICK, out=Path("out"), **changes))
 
 
 def test_paired_rows_fall_back_where_the_reference_was_not_played():

@@ -116,26 +116,6 @@ def test_stills_are_figures(scenario, tmp_path):
 
 class TestMistakes:
     @pytest.mark.parametrize(
-        ("flags", "message"),
-        [
-            (["--out", "a.avi"], "unknown ending '.avi'; known are .gif, .mp4, .png, .pdf"),
-            (["--scenario", "fig5"], "scenario 'fig5' is unknown; did you mean 'fig4'?"),
-            (["--policy", "tangnt"], "policy 'tangnt' is unknown; did you mean 'tangent'?"),
-            (["--scenario", "uav-6", "--policy", "tangent-joined"], "does not fit nonholonomic_3d"),
-            (["--fps", "0"], "--fps is 0; it must be from 1 to 100"),
-            (["--size", "10"], "--size is 10; it must be from 120 to 4096"),
-            (["--speed", "0"], "--speed is 0.0; it must be from 0.001"),
-            (["--seed=-1"], "--seed is -1; it must be from 0"),
-        ],
-    )
-    def test_are_told_in_one_line(self, flags, message, tmp_path, monkeypatch, capsys):
-        monkeypatch.chdir(tmp_path)
-        assert main(["render", *flags]) == 2
-        told = capsys.readouterr().err
-        assert message in told and told.count("\n") == 1
-        assert list(tmp_path.iterdir()) == []
-
-    @pytest.mark.parametrize(
         ("missing", "path"),
         [("imageio_ffmpeg", "a.mp4"), ("PIL.Image", "a.gif"), ("pygame", "a.gif")],
     )
