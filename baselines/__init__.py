@@ -13,24 +13,10 @@ from .robot_policy import RobotPolicy
 from .trained_policy import TrainedPolicy
 
 __all__ = [
-    "HeadingPolicy",
-    "Policy",
-    "RealTimePolicy",
-    "RobotPolicy",
-    "TankPolicy",
-    "TrainedPolicy",
-    "blind_policies",
-    "field_laws",
-    "laws",
-    "learned",
-    "make",
-    "names",
-    "obstacle_avoidance",
-    "privileged_laws",
-    "privileged_planner",
-    "pursuit",
-    "tank_policies",
-]
+    "HeadingPolicy", "Policy", "RealTimePolicy", "RobotPolicy", "TankPolicy", "TrainedPolicy",
+    "blind_policies", "field_laws", "laws", "learned", "make", "names", "obstacle_avoidance",
+    "privileged_laws", "privileged_planner", "pursuit", "tank_policies",
+]  # fmt: skip
 
 
 def __dir__() -> list[str]:

@@ -1,5 +1,5 @@
-"""Any function of what robots see as a policy that keeps a guarantee: the wrappers' arithmetic,
-where there is no environment to wrap.
+"""Any function of observations as a policy that keeps a guarantee: what the wrappers do, without an
+environment to wrap.
 """
 
 from __future__ import annotations
@@ -7,7 +7,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Callable
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,15 +17,12 @@ from rendezvous_env.envs.guarantee import check_period
 from rendezvous_env.safety.heading import HeadingFilter
 from rendezvous_env.safety.safety_filter import SafetyFilter
 from rendezvous_env.safety.tank import EnergyTank
-from rendezvous_env.scenario.scenarios import resolve
+from rendezvous_env.scenario.scenario import Scenario
+from rendezvous_env.scenario.scenarios import ScenarioLike, resolve
 
-from .policy import RememberingPolicy, within_limits
+from .policy import Float32, Mask, RememberingPolicy, within_limits
 
-if TYPE_CHECKING:
-    from rendezvous_env.scenario.scenario import Scenario
-    from rendezvous_env.scenario.scenarios import ScenarioLike
-
-Choose = Callable[[NDArray[np.float32]], ArrayLike]
+Choose = Callable[[Float32], ArrayLike]
 """Observations (..., n, rows, d) → choices (..., n, k), in [−1, 1]."""
 
 
@@ -38,27 +35,22 @@ class DecidingPolicy(RememberingPolicy):
         """Since the last decision, (B,), in units of τ; inf before the first."""
 
     @abstractmethod
-    def _decide(self, teams: NDArray[np.float32], due: NDArray[np.bool_]) -> None:
-        """New decisions for the teams that are due, (B,), which see (B, n, rows, d)."""
+    def _decide(self, teams: Float32, due: Mask) -> None:
+        """New decisions for the teams that are due, (B,), of observations (B, n, rows, d)."""
 
     @abstractmethod
-    def _act(self, teams: NDArray[np.float32], elapsed: float) -> NDArray[np.float32]:
-        """Actions (B, n, a) of a step, so many s after the step before."""
+    def _act(self, teams: Float32, elapsed: float) -> Float32:
+        """Actions (B, n, a) of a step, ``elapsed`` s after the previous one."""
 
     def _settle(self, share: float) -> None:
-        """Take note that the step before lasted so much of τ."""
+        """The previous step lasted this share of τ."""
 
-    def act(self, observations: NDArray[Any], time: ArrayLike) -> NDArray[np.float32]:
-        """Actions (..., n, a); see ``Policy``.
-
-        Raises:
-            ValueError: for observations or choices of another shape, or a choice that is not
-                finite, naming the robot.
-        """
+    def act(self, observations: NDArray[Any], time: ArrayLike) -> Float32:
+        """Actions (..., n, a); a ValueError names the robot whose choice is not finite."""
         return self._after(self.scenario.tau, observations)
 
-    def _after(self, elapsed: float, observations: NDArray[Any]) -> NDArray[np.float32]:
-        """Actions, where the call before was so many seconds ago."""
+    def _after(self, elapsed: float, observations: NDArray[Any]) -> Float32:
+        """Actions, ``elapsed`` s after the previous call."""
         teams = self._teams_of(observations)
         share = elapsed / self.scenario.tau
         self._settle(share)
@@ -72,7 +64,7 @@ class DecidingPolicy(RememberingPolicy):
     def _start(self, teams: int) -> None:
         self._steps = np.full(teams, np.inf)
 
-    def _forget(self, which: NDArray[np.bool_]) -> None:
+    def _forget(self, which: Mask) -> None:
         self._steps[which] = np.inf
 
 
@@ -81,10 +73,9 @@ class FilteredPolicy(DecidingPolicy):
 
     Args:
         scenario: whose robots it steers.
-        choose: what they see, (..., n, rows, d), to what the filter takes. It is asked once in
-            each period, for all teams together, those too whose period is not over. If it has a
-            memory, and a method ``reset(mask)``, that is called with the policy's.
-        make_filter: the filter of so many teams.
+        choose: observations (..., n, rows, d) to the filter's choices, called once in each period,
+            for all teams together; a method ``reset(mask)`` of it is called with the policy's.
+        make_filter: the filter for a number of teams.
         decision_period: base steps for which a choice is held.
     """
 
@@ -107,16 +98,16 @@ class FilteredPolicy(DecidingPolicy):
         super()._start(teams)
         self._filter = self._make_filter(teams)
 
-    def _act(self, teams: NDArray[np.float32], elapsed: float) -> NDArray[np.float32]:
+    def _act(self, teams: Float32, elapsed: float) -> Float32:
         if isinstance(self._filter, HeadingFilter):
             actions = self._filter.act(teams, elapsed)
             return within_limits(actions.astype(np.float64), self.scenario)
-        commanded: NDArray[np.float32] = self._filter.act(teams)
+        commanded: Float32 = self._filter.act(teams)
         if self._filter.keeps_ledger:
             self._filter.book()
         return commanded
 
-    def _decide(self, teams: NDArray[np.float32], due: NDArray[np.bool_]) -> None:
+    def _decide(self, teams: Float32, due: Mask) -> None:
         before = None if due.all() else self._filter.get_state()
         seen = self._as_given(self._filter.view(teams))
         choices = np.asarray(self.choose(seen))
@@ -132,12 +123,12 @@ class FilteredPolicy(DecidingPolicy):
                 array[~due] = before[name][~due]
             self._filter.set_state(now)
 
-    def _forget(self, which: NDArray[np.bool_]) -> None:
+    def _forget(self, which: Mask) -> None:
         super()._forget(which)
         self._filter.forget(which)
 
-    def reset(self, mask: NDArray[np.bool_] | None = None) -> None:
-        """As ``DecidingPolicy.reset``; a ``reset`` that ``choose`` has is called as well."""
+    def reset(self, mask: Mask | None = None) -> None:
+        """As ``RememberingPolicy.reset``; calls the ``reset`` of ``choose``, too, if it has one."""
         if mask is None:
             self._begin(self._leading or ())
         else:
@@ -147,19 +138,15 @@ class FilteredPolicy(DecidingPolicy):
 
 
 class HeadingPolicy(FilteredPolicy):
-    """A function that chooses vectors, made certain to meet (theorem C); as
-    ``HeadingVectorWrapper`` has it.
+    """A function that chooses vectors, guaranteed to meet (theorem C), as ``HeadingVectorWrapper``.
 
-        ṗᵢ = hᵢ hᵢᵀ fᵢ                                                  (Zhao & Zheng, eq. 4)
-
-    hᵢ is the certified heading of the vector chosen. Nonholonomic robots choose turn rates through
-    the gate of theory 3.
+        ṗᵢ = hᵢ hᵢᵀ fᵢ,   hᵢ the certified heading of the chosen vector     (Zhao & Zheng, eq. 4)
 
     Args:
         scenario: whose robots it steers.
-        choose: what they see, (..., n, rows, d), rows of robots that are gone being zero, to raw
-            vectors (..., n, d) in the same frames, of any length; for nonholonomic robots to turn
-            rates (..., n, d − 1) in units of the highest; see ``FilteredPolicy``.
+        choose: observations (..., n, rows, d), zero rows for robots that are gone, to raw vectors
+            (..., n, d) of any length in the same frames; for nonholonomic robots to turn rates
+            (..., n, d − 1) in units of the highest (theory 3, the gate); see ``FilteredPolicy``.
         decision_period: base steps for which a vector is held.
         settings: those of ``HeadingVectorWrapper``: ``min_alignment=0.1``, ``max_turn_rate=3.0``,
             ``frame="net_bearing"``, ``certified=True``, ``bearing_error=0.0``.
@@ -175,35 +162,28 @@ class HeadingPolicy(FilteredPolicy):
         make_filter = partial(HeadingFilter, resolve(scenario), **settings)
         super().__init__(scenario, choose, make_filter, decision_period)
         bare = not settings.get("certified", True) or settings.get("bearing_error", 0.0) != 0.0
-        kept = not (bare or self._filter.turns_body)
-        margin: float = settings.get("min_alignment", 0.1)
-        self.min_alignment = margin if kept else None
+        promised = None if bare or self._filter.turns_body else settings.get("min_alignment", 0.1)
+        self.min_alignment: float | None = promised
         """ε that is kept in every step; None if there is none."""
 
-    def after(
-        self, elapsed: float, observations: NDArray[Any], time: ArrayLike
-    ) -> NDArray[np.float32]:
-        """As a call, where the call before was so many seconds ago; see ``RealTimePolicy``."""
+    def after(self, elapsed: float, observations: NDArray[Any], time: ArrayLike) -> Float32:
+        """As ``RealTimePolicy.after``."""
         return self._after(elapsed, observations)
 
 
 class TankPolicy(FilteredPolicy):
-    """A function that chooses velocities, carried out while a tank lasts (theorem D); as
-    ``EnergyTankWrapper`` has it.
+    """A function that chooses velocities, executed while a tank lasts (theorem D), as
+    ``EnergyTankWrapper``; arguments and errors otherwise as ``HeadingPolicy``.
 
-    The energy budget is that of robots which know of no contact and no merge: each step books as it
-    was commanded, and what an absorbed robot had left is lost.
+    Robots learn of no contact and no merge: each step is booked as commanded, and what an absorbed
+    robot had left is lost.
 
     Args:
-        scenario: whose robots it steers.
-        choose: as for ``HeadingPolicy``, to desired velocities (..., n, d) in units of v_max, or to
-            base actions (..., n, a) in units of their bounds for other robot models.
-        decision_period: base steps for which a choice is held; the budget is kept in each.
+        scenario, decision_period: as there; the budget is kept in every base step.
+        choose: to desired velocities (..., n, d) in units of v_max, or to base actions (..., n, a)
+            in units of their bounds for other robot models.
         settings: those of ``EnergyTankWrapper``: ``budget=0.0``, ``min_alignment=0.05``,
             ``frame="net_bearing"``, ``observe_level=False``, ``bearing_error=0.0``.
-
-    Raises:
-        TypeError, ValueError: as ``HeadingPolicy``.
     """
 
     def __init__(

@@ -7,36 +7,33 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeVar, overload, runtime_checkable
+from typing import Any, NamedTuple, Protocol, TypeVar, overload, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rendezvous_env.checks import bools, nearest_word, shown
-from rendezvous_env.scenario.scenarios import resolve
+from rendezvous_env.scenario.scenario import Scenario
+from rendezvous_env.scenario.scenarios import ScenarioLike, resolve
 
-if TYPE_CHECKING:
-    from rendezvous_env.scenario.scenario import Scenario
-    from rendezvous_env.scenario.scenarios import ScenarioLike
+Float32 = NDArray[np.float32]
+Mask = NDArray[np.bool_]
 
 
 class Policy(Protocol):
     """Chooses the actions of whole teams from what their robots see."""
 
-    def __call__(self, observations: NDArray[Any], time: ArrayLike) -> NDArray[np.float32]:
-        """Actions of all robots.
+    def __call__(self, observations: NDArray[Any], time: ArrayLike) -> Float32:
+        """Actions of all robots, (..., n, a), within ``scenario.action_bounds``.
 
         Args:
-            observations: (..., n, rows, d) as ``scenario.observation_layout`` says; the rows of a
-                robot that is gone are zero.
-            time: (...), s since the start of each team's episode; one number does for all.
-
-        Returns:
-            (..., n, a), float32, within ``scenario.action_bounds``.
+            observations: (..., n, rows, d), see ``scenario.observation_layout``; the rows of a
+                robot that has merged away are zero.
+            time: (...), s since the start of each team's episode, or one number for all.
         """
         ...
 
-    def reset(self, mask: NDArray[np.bool_] | None = None) -> None:
+    def reset(self, mask: Mask | None = None) -> None:
         """Forget the state of the teams where ``mask`` (...) is true, of all if it is None."""
         ...
 
@@ -45,17 +42,13 @@ class Policy(Protocol):
 class RealTimePolicy(Policy, Protocol):
     """A policy whose memory runs in seconds, not in calls."""
 
-    def after(
-        self, elapsed: float, observations: NDArray[Any], time: ArrayLike
-    ) -> NDArray[np.float32]:
-        """Actions as a call gives them, to be held for τ at most, where the call before was so many
-        s ago: positive, of no account in the first one.
-        """
+    def after(self, elapsed: float, observations: NDArray[Any], time: ArrayLike) -> Float32:
+        """Actions, held for τ at most, ``elapsed`` > 0 s after the previous call, if any."""
         ...
 
 
 class TeamPolicy(ABC):
-    """What the policies here share: they take arrays of whole teams, or PettingZoo's dicts of one.
+    """A policy that takes arrays of whole teams, or PettingZoo's dicts of one.
 
     actions = policy(observations, time)        # by name: those of the robots that act
     """
@@ -63,27 +56,18 @@ class TeamPolicy(ABC):
     scenario: Scenario
 
     @abstractmethod
-    def act(self, observations: NDArray[Any], time: ArrayLike) -> NDArray[np.float32]:
+    def act(self, observations: NDArray[Any], time: ArrayLike) -> Float32:
         """Actions (..., n, a) of teams; see ``Policy``."""
 
     @overload
-    def __call__(
-        self, observations: Mapping[str, Any], time: ArrayLike
-    ) -> dict[str, NDArray[np.float32]]: ...
+    def __call__(self, observations: Mapping[str, Any], time: ArrayLike) -> dict[str, Float32]: ...
 
     @overload
-    def __call__(self, observations: NDArray[Any], time: ArrayLike) -> NDArray[np.float32]: ...
+    def __call__(self, observations: NDArray[Any], time: ArrayLike) -> Float32: ...
 
     def __call__(self, observations: Any, time: ArrayLike) -> Any:
-        """Actions of all robots; see ``Policy``.
-
-        Args:
-            observations: (..., n, rows, d); or by name, (rows, d) or (rows·d,) each, of the robots
-                of one team that are still there.
-            time: as ``Policy``.
-
-        Returns:
-            (..., n, a), or as a dict with the same names.
+        """Actions (..., n, a) of observations as ``Policy``; or both by name, of the robots of one
+        team that are still there, which observe (rows, d) or (rows·d,) each.
 
         Raises:
             KeyError: for a name that no robot has.
@@ -108,27 +92,25 @@ class TeamPolicy(ABC):
         actions = self.act(table, time)
         return {name: actions[robots[name]] for name in observations}
 
-    def reset(self, mask: NDArray[np.bool_] | None = None) -> None:  # noqa: B027 - most have none
+    def reset(self, mask: Mask | None = None) -> None:  # noqa: B027 - most have none
         """Forget the state of the teams where ``mask`` (...) is true, of all if it is None."""
 
 
 class RememberingPolicy(TeamPolicy):
-    """One whose memory has the leading axes of the observations; other leading axes are other
-    teams, and start anew.
-    """
+    """A policy whose memory has the leading axes of the observations; others are other teams."""
 
     _leading: tuple[int, ...] | None = None
     """Of the teams that are remembered; None before the first call."""
 
     @abstractmethod
     def _start(self, teams: int) -> None:
-        """Begin anew with so many teams."""
+        """Set up the memory of so many new teams."""
 
     @abstractmethod
-    def _forget(self, which: NDArray[np.bool_]) -> None:
-        """These teams, (B,), begin anew."""
+    def _forget(self, which: Mask) -> None:
+        """Clear the memory of these teams, (B,)."""
 
-    def _teams_of(self, observations: NDArray[Any]) -> NDArray[np.float32]:
+    def _teams_of(self, observations: NDArray[Any]) -> Float32:
         """What the remembered teams see, (B, n, rows, d)."""
         n, layout = self.scenario.n_robots, self.scenario.observation_layout
         seen = np.ascontiguousarray(layout.checked(observations), dtype=np.float32)
@@ -146,17 +128,12 @@ class RememberingPolicy(TeamPolicy):
         self._start(math.prod(leading))
 
     def _as_given(self, values: NDArray[Any]) -> NDArray[Any]:
-        """Values (B, ...) of the remembered teams with their leading axes; none without teams."""
-        if self._leading is None:
-            return np.zeros(0, values.dtype)
+        """Values (B, ...) with the leading axes of the remembered teams."""
+        assert self._leading is not None
         return values.reshape(*self._leading, *values.shape[1:])
 
-    def reset(self, mask: NDArray[np.bool_] | None = None) -> None:
-        """Forget the teams where ``mask`` (...) is true, all if it is None.
-
-        Raises:
-            ValueError: for another mask.
-        """
+    def reset(self, mask: Mask | None = None) -> None:
+        """As ``Policy.reset``; a ValueError for another mask."""
         if mask is None:
             self._leading = None
         elif self._leading is not None:
@@ -188,22 +165,15 @@ _Builder = TypeVar("_Builder", bound=Callable[..., Policy])
 
 
 def register(
-    name: str,
-    fits: Callable[[Scenario], bool],
-    *,
-    kind: str = "own",
-    on_request: bool = False,
+    name: str, fits: Callable[[Scenario], bool], *, kind: str = "own", on_request: bool = False
 ) -> Callable[[_Builder], _Builder]:
     """Enter the decorated builder ``(scenario, **options) -> Policy``, a function or a class.
 
     Args:
         name: what ``make`` calls it.
         fits: whether the policy can steer the robots of a scenario.
-        kind: one of KINDS; within a kind policies stand in the order in which they are entered.
+        kind: one of KINDS, else a ValueError; policies of a kind keep the order of registration.
         on_request: whether a comparison takes it only if it is named.
-
-    Raises:
-        ValueError: for another kind.
     """
     if kind not in KINDS:
         raise ValueError(f"kind is {shown(kind)}; it must be one of {', '.join(KINDS)}")
@@ -222,7 +192,7 @@ def names(scenario: ScenarioLike | None = None) -> list[str]:
     return sorted(fitting, key=lambda name: kinds.index(_registry[name].kind))
 
 
-# Of a name that is not registered these raise a KeyError.
+# The next four raise a KeyError for a name that is not registered.
 
 
 def kind_of(name: str) -> str:
@@ -236,18 +206,13 @@ def on_request(name: str) -> bool:
 
 
 def builder_of(name: str) -> Callable[..., Policy]:
-    """What makes a policy of a scenario."""
+    """What makes a policy for a scenario."""
     return _registry[name].build
 
 
 def about(name: str) -> str:
     """What a policy is, the first line of its builder's docstring; empty without one."""
     return (inspect.getdoc(_registry[name].build) or "").partition("\n")[0].rstrip(".")
-
-
-def source_file(name: str) -> Path | None:
-    """The file in which a policy is made; None for one that was typed in."""
-    return file_of(_registry[name].build)
 
 
 def make(name: str, scenario: ScenarioLike, **options: Any) -> Policy:
@@ -305,35 +270,20 @@ def in_the_plane(scenario: Scenario) -> bool:
     return is_single_integrator(scenario) and scenario.dim == 2
 
 
-def among_obstacles(scenario: Scenario) -> bool:
-    """Whether actions are velocities, and obstacles may be seen."""
-    return is_single_integrator(scenario) and scenario.observation_layout.obstacle_slots > 0
-
-
-def among_obstacles_in_the_plane(scenario: Scenario) -> bool:
-    """Both."""
-    return among_obstacles(scenario) and scenario.dim == 2
-
-
 def is_double_integrator(scenario: Scenario) -> bool:
     """Whether actions are accelerations."""
     return scenario.robot_model == "double_integrator"
 
 
-def within_limits(actions: NDArray[np.float64], scenario: Scenario) -> NDArray[np.float32]:
-    """Actions that the scenario's robots can execute.
+def within_limits(actions: NDArray[np.float64], scenario: Scenario) -> Float32:
+    """Actions (..., a), m/s, m/s², or m/s and rad/s, that the scenario's robots can execute.
 
     Velocities and accelerations are scaled to their limit with their direction kept; speeds and
     turn rates of the other models are clipped one by one.
-
-    Args:
-        actions: (..., a), m/s, m/s², or m/s and rad/s.
-        scenario: whose limits apply.
     """
     bounds = scenario.action_bounds
     if is_single_integrator(scenario) or is_double_integrator(scenario):
         sizes = np.linalg.norm(actions, axis=-1, keepdims=True)
-        limited_sizes = np.minimum(sizes, bounds[0])
-        actions = actions * (limited_sizes / np.where(sizes > 0, sizes, 1.0))
-    limited: NDArray[np.float32] = np.clip(actions, -bounds, bounds).astype(np.float32)
+        actions = actions * (np.minimum(sizes, bounds[0]) / np.where(sizes > 0, sizes, 1.0))
+    limited: Float32 = np.clip(actions, -bounds, bounds).astype(np.float32)
     return limited

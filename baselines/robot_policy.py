@@ -6,14 +6,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from rendezvous_env.checks import positive, shown
 from rendezvous_env.scenario.scenario import Scenario
 from rendezvous_env.scenario.scenarios import ScenarioLike, resolve
 
 from . import policy as registry
-from .policy import Policy, RealTimePolicy
+from .policy import Float32, Policy, RealTimePolicy
 from .robot_sight import RobotSight
 from .steering import can_steer
 
@@ -24,10 +24,8 @@ _KINDS = ("law", "rule", "learned")
 class OneRobot:
     """One robot's policy, called with what it has measured since its last tick.
 
-    Args:
-        scenario: whose robot this is.
-        policy: of a team of as many robots, of which this one is the first.
-        gain: a_ij of each neighbour where none are given, m/s.
+    The policy is of a team of as many robots, of which this one is the first; ``gain`` is a_ij of
+    each neighbour where none are given, m/s.
     """
 
     def __init__(self, scenario: Scenario, policy: Policy, gain: float = 1.0) -> None:
@@ -51,7 +49,7 @@ class OneRobot:
         *,
         weights: ArrayLike | None = None,
         gravity: ArrayLike | None = None,
-    ) -> NDArray[np.float32]:
+    ) -> Float32:
         """What to do until the next tick.
 
         Args:
@@ -62,8 +60,7 @@ class OneRobot:
                 frame, obstacles and edges in any order; in space eight boundary rays of its cone,
                 (m, 8, 3), every 45° about its middle, one after another, either way round. Each
                 silhouette is narrower than π.
-            dt: s since the tick before; None is the scenario's time step. Of no account in the
-                first tick.
+            dt: s since the previous tick, ignored in the first; None is the scenario's time step.
             weights: gains a_ij of the neighbours, (k,), m/s; None is what all links of the
                 scenario weigh, or 1 where they differ.
             gravity: its unit direction in the same frame, (3,), of a nonholonomic robot of space.
@@ -73,8 +70,7 @@ class OneRobot:
             robot of space (v, ω_α, ω_β), m/s and rad/s. Zeros if no neighbour is seen.
 
         Raises:
-            ValueError: naming the argument, its value and what would be right; nothing has changed
-                then.
+            ValueError: naming the argument, its value and what would be right; nothing has changed.
         """
         elapsed = self.scenario.tau if dt is None else positive("dt", dt, "s")
         self._team[0, 0] = self._sight.rows(bearings, obstacles, weights, gravity)
@@ -93,14 +89,13 @@ class OneRobot:
 class RobotPolicy(OneRobot):
     """One robot that ticks in its own time, and knows nothing but its own bearings.
 
-    Where every tick comes one time step after the last one, it does what a robot of a batch does.
-    The scenario tells what team this is: how many, which gains, how close is met. Its ``time_step``
-    is the longest that a velocity may be held; see to it that the next tick, or a watchdog that
-    stops the robot, comes by then (docs/robot.md).
+    Where every tick comes one time step after the previous one, it does what a robot of a batch
+    does. The scenario describes the team: how many robots, which gains, which merge radius. Its
+    ``time_step`` is the longest that a velocity may be held; see to it that the next tick, or a
+    watchdog that stops the robot, comes by then (docs/robot.md).
 
     Args:
-        scenario: whose robot this is; a Scenario, the name of one or a TOML file. Any robots but
-            double integrators.
+        scenario: whose robot this is, any but a double integrator; a Scenario, a name or a file.
         policy: a name of ``baselines.names(scenario)`` of the kinds law, rule or learned; the path
             of a run, of a checkpoint or of an exported network; or a policy.
         options: of a policy that is named.
@@ -114,7 +109,18 @@ class RobotPolicy(OneRobot):
     ) -> None:
         scenario = resolve(scenario)
         check_steerable(scenario)
-        super().__init__(scenario, _made(policy, scenario, options), common_gain(scenario))
+        if isinstance(policy, Path):
+            from .learned.learned_policy import load
+
+            policy = load(policy, scenario)
+        elif isinstance(policy, str):
+            name, policy = policy, registry.make(policy, scenario, **options)
+            check_kind(name)
+        elif not callable(policy) or not hasattr(policy, "reset"):
+            raise ValueError(
+                f"policy is {shown(policy)}; it must be a name, a Path, or a policy with reset()"
+            )
+        super().__init__(scenario, policy, common_gain(scenario))
 
 
 def common_gain(scenario: Scenario) -> float:
@@ -124,11 +130,7 @@ def common_gain(scenario: Scenario) -> float:
 
 
 def check_steerable(scenario: Scenario) -> None:
-    """Refuse robots that are no single integrators and do not turn.
-
-    Raises:
-        ValueError: naming the robot model.
-    """
+    """Refuse, with a ValueError, robots that are no single integrators and do not turn."""
     if not can_steer(scenario):
         raise ValueError(
             f"scenario {scenario.name!r} has {scenario.robot_model} robots; a RobotPolicy steers "
@@ -136,30 +138,8 @@ def check_steerable(scenario: Scenario) -> None:
         )
 
 
-def _made(policy: Any, scenario: Scenario, options: dict[str, Any]) -> Policy:
-    """The policy that is meant."""
-    if isinstance(policy, Path):
-        from .learned.learned_policy import load
-
-        return load(policy, scenario)
-    if not isinstance(policy, str):
-        if not callable(policy) or not hasattr(policy, "reset"):
-            raise ValueError(
-                f"policy is {shown(policy)}; it must be a name, a Path, or a policy with reset()"
-            )
-        made: Policy = policy
-        return made
-    found = registry.make(policy, scenario, **options)
-    check_kind(policy)
-    return found
-
-
 def check_kind(policy: str) -> None:
-    """Refuse the name of a policy that one robot alone cannot run.
-
-    Raises:
-        ValueError: saying of which kind it is.
-    """
+    """Refuse, with a ValueError, the name of a policy that one robot alone cannot run."""
     if (kind := registry.kind_of(policy)) not in _KINDS:
         raise ValueError(
             f"policy {policy!r} is one of the {registry.KINDS[kind]}, which count calls, tell "

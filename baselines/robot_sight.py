@@ -8,28 +8,23 @@ from numpy.typing import ArrayLike, NDArray
 from rendezvous_env.checks import floats, refuse
 from rendezvous_env.scenario.observation_layout import ObservationLayout
 
-_ROUNDING = 1e-3
-"""So far from 1 may the length of a unit vector be: directions come rounded, too."""
+Array = NDArray[np.float64]
+_ROUNDING = 1e-3  # so far from 1 may the length of a unit vector be: directions come rounded, too
 _AWAY = 1.0
 """By how much both edges of an obstacle together turn between ticks, rad, before it is taken for
 another one."""
-_OPPOSITE = 1e-6
-"""Edges are opposite below this sine of the angle between them."""
+_OPPOSITE = 1e-6  # edges are opposite below this sine of the angle between them
 _FLAT = 1e-4
 """Rays lie in a plane, or all in one direction, below this product of their sum and vector area."""
 
 
 class RobotSight:
-    """Orders what a robot measures, and knows obstacles again from tick to tick.
+    """Orders what a robot measures, and recognises obstacles from tick to tick.
 
     Neighbours need no names: policies add up their rows or pool them. Obstacles keep their slots,
     because how fast an edge turns is a measurement, too: what is seen now is matched to what was
-    seen at the last tick so that all edges together turn least.
-
-    Args:
-        layout: of the observation.
-        max_degree: D̄, the most that all gains may come to, m/s: time steps are made for it.
-        gain: of each neighbour where none are given, m/s.
+    seen at the last tick so that all edges together turn least. Gains sum to no more than D̄, m/s,
+    for which time steps are made; ``gain`` is each neighbour's where none are given, m/s.
     """
 
     def __init__(self, layout: ObservationLayout, max_degree: float, gain: float = 1.0) -> None:
@@ -64,41 +59,32 @@ class RobotSight:
         rows = np.zeros(layout.shape, dtype=np.float32)
         rows[: len(seen)] = gains[:, np.newaxis] * seen
         rows[layout.gravity] = down
-        silhouettes = rows[layout.obstacles].reshape(-1, *points)
-        if layout.dim == 2:
-            ordered = marks = _counter_clockwise_first(edges)
+        if layout.dim == 2:  # the counter-clockwise edge first
+            first, second = edges[:, 0].T, edges[:, 1].T
+            turned = first[0] * second[1] - first[1] * second[0] > _OPPOSITE
+            ordered = marks = np.where(turned[:, np.newaxis, np.newaxis], edges[:, ::-1], edges)
         else:
             ordered, marks = _round_their_middles(edges, layout.net_bearing(rows))
-        slots = self._slots_of(marks)
-        silhouettes[slots] = ordered
+        # the same slots as at the last tick for those seen then, the longest vacant for others
+        along = np.einsum("mid,sid->msi", marks, self._marks)
+        turns = np.arccos(np.clip(along, -1.0, 1.0)).sum(axis=-1)
+        vacant = _AWAY + 1e-3 / (1.0 + self._unseen)
+        slots = least_cost_slots(np.where(self._unseen == 0.0, turns, vacant))
+        rows[layout.obstacles].reshape(-1, *points)[slots] = ordered
         self._unseen += 1.0
         self._unseen[slots] = 0.0
         self._marks[slots] = marks
         return rows
 
-    def _slots_of(self, marks: NDArray[np.float64]) -> NDArray[np.int64]:
-        """A slot for each obstacle (m, 2, d), the same as at the last tick for those seen then."""
-        if not len(marks):
-            return np.zeros(0, dtype=np.int64)
-        along = np.einsum("mid,sid->msi", marks, self._marks)
-        turned = np.arccos(np.clip(along, -1.0, 1.0)).sum(axis=-1)
-        vacant = _AWAY + 1e-3 / (1.0 + self._unseen)  # the longer, the sooner taken
-        cost = np.where(self._unseen == 0.0, turned, vacant)
-        return least_cost_slots(cost)
 
-
-def least_cost_slots(cost: NDArray[np.float64]) -> NDArray[np.int64]:
-    """A slot for each obstacle, none twice, so that all costs together are least.
+def least_cost_slots(cost: Array) -> NDArray[np.int64]:
+    """A slot for each obstacle, (m,), none twice, at the least sum of finite costs (m, s), m ≤ s.
 
     Shortest augmenting paths (Jonker & Volgenant 1987), for few rows: SciPy's solver of the same
     problem is not on every robot.
-
-    Args:
-        cost: (m, s), m ≤ s, of obstacle m in slot s, finite.
-
-    Returns:
-        Slots, (m,).
     """
+    if not len(cost):
+        return np.zeros(0, dtype=np.int64)
     nearest = cost.argmin(axis=1)
     if len(set(nearest.tolist())) == len(cost):
         return nearest
@@ -128,7 +114,7 @@ def least_cost_slots(cost: NDArray[np.float64]) -> NDArray[np.int64]:
 
 def _unit_vectors(
     name: str, value: ArrayLike, shape: tuple[int, ...], most: int, what: str
-) -> NDArray[np.float64]:
+) -> Array:
     """Some (k, *shape) unit vectors, k ≤ most."""
     vectors = floats(name, value)
     if vectors.size == 0:
@@ -142,14 +128,13 @@ def _unit_vectors(
             f"{'neighbour_slots' if name == 'bearings' else 'obstacle_slots'}"
         )
     lengths = np.linalg.norm(vectors, axis=-1)
-    wrong = ~(np.abs(lengths - 1.0) <= _ROUNDING)  # true of NaN, too
-    for index in np.argwhere(wrong):
+    for index in np.argwhere(~(np.abs(lengths - 1.0) <= _ROUNDING)):  # NaN, too
         place = tuple(index.tolist())
         refuse(f"{name}{list(place)}", vectors[place].tolist(), "a unit vector")
     return vectors
 
 
-def _direction_of_gravity(gravity: ArrayLike | None, sensed: bool) -> NDArray[np.float64]:
+def _direction_of_gravity(gravity: ArrayLike | None, sensed: bool) -> Array:
     """A row of it, (1, 3), or none, (0, 1), of robots that do not sense it."""
     if not sensed:
         if gravity is not None:
@@ -161,7 +146,7 @@ def _direction_of_gravity(gravity: ArrayLike | None, sensed: bool) -> NDArray[np
     return down[np.newaxis]
 
 
-def _gains(weights: ArrayLike, count: int, most: float) -> NDArray[np.float64]:
+def _gains(weights: ArrayLike, count: int, most: float) -> Array:
     """Weights (count,), m/s, that come to no more than ``most``."""
     gains = floats("weights", weights)
     if gains.shape != (count,):
@@ -178,16 +163,7 @@ def _gains(weights: ArrayLike, count: int, most: float) -> NDArray[np.float64]:
     return gains
 
 
-def _counter_clockwise_first(edges: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Pairs of edges (m, 2, 2), the counter-clockwise one first."""
-    first, second = edges[:, 0], edges[:, 1]
-    across = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]
-    return np.where(across[:, np.newaxis, np.newaxis] > _OPPOSITE, edges[:, ::-1], edges)
-
-
-def _round_their_middles(
-    rays: NDArray[np.float64], net_bearing: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _round_their_middles(rays: Array, net_bearing: Array) -> tuple[Array, Array]:
     """Rays of cones (m, 8, 3), right-handed and from the side of f on; and by what cones are known,
     (m, 2, 3): the middle of each, and (cos α, sin α, 0) of half its width α.
     """

@@ -1,13 +1,15 @@
-"""Frames that do not turn with their robots: what unicycles remember, and how they follow headings.
+"""Frames and planes that do not turn with their robots: what they see and remember there.
 
-A robot that turns sees everything in its body frame. It has no compass, but it knows by how much it
-has turned since its episode began, from the rates that it commanded; so it remembers directions in
-the frame that its body had then.
+A robot that turns has no compass, but it knows from the rates that it commanded by how much it has
+turned since its episode began; so a unicycle remembers directions in the frame that its body had
+then. A robot of space passes obstacles in a plane that holds f (``planes_in_space``). What it sees
+and remembers there is as in the plane, so that the same policy steers it.
 """
 
 from __future__ import annotations
 
 import math
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,91 +18,133 @@ from rendezvous_env.compilation import kernel
 from rendezvous_env.engine.state_checks import Remembering
 from rendezvous_env.engine.threads import Part
 from rendezvous_env.physics.neighbour_rows import degree_of, net_bearing_of
-from rendezvous_env.physics.vectors import load, norm, scaled
+from rendezvous_env.physics.vectors import (
+    ORIGIN,
+    X_AXIS,
+    combine,
+    dot,
+    load,
+    norm,
+    scaled,
+    split,
+    store,
+    to_global,
+    to_local,
+    without,
+)
+from rendezvous_env.robots.nonholonomic_3d import body_frame_3d
 from rendezvous_env.robots.unicycle import arc_2d, clip
 from rendezvous_env.safety.heading import scale_of_step
-from rendezvous_env.safety.turning import gate_of
+from rendezvous_env.safety.turning import TINY, Gate, gate_of, mean_axis, pitch_of, rates_of
 from rendezvous_env.scenario.scenario import Scenario
 
-from .steering import inputs_towards
+from .obstacle_rules.merged_silhouettes_2d import joined_interval_2d
+from .obstacle_rules.planes_in_space import (
+    axis_is_clear_3d,
+    cut_by,
+    kept_azimuth,
+    widened_rays,
+)
+from .obstacle_rules.silhouettes import is_seen
+from .policy import Float32
+from .steering import ALIGNED_IN_SPACE, WITHIN, inputs_towards
+
+Array = NDArray[np.float64]
 
 
-class SteadyFrames(Remembering):
-    """Headings of the unicycles of B teams, in frames that stay as the bodies were at first.
+class _Robot(NamedTuple):
+    """What the kernels know of the robots."""
 
-        u = R(θ) u_body,   θ ← θ + ω τ
+    neighbour_slots: int
+    obstacle_slots: int
+    gravity_row: int
+    turns: bool  # whether they are nonholonomic
+    merge_radius: float
+    speed_limit: float
+    gate: Gate
+    aligned: float  # as ``inputs_towards``, rad
+    clearance: float = 0.0  # by which cones are widened, rad
+    keeps: float = 0.0  # as ``kept_azimuth``, rad
 
-    Args:
-        scenario: whose robots they are.
-        num_envs: B.
-        aligned: within this angle of where it is to go a robot drives, rad, as ``inputs_towards``.
-        most: at most so fast may a body turn, rad/s; the scenario's limit holds too.
-    """
 
-    def __init__(
-        self, scenario: Scenario, num_envs: int, aligned: float, most: float = math.inf
-    ) -> None:
-        robots = num_envs, scenario.n_robots
-        self.headings = np.zeros((*robots, 2))
-        """h, where they are to go, (B, n, 2); zero where there is none yet."""
-        self.velocities = np.zeros((*robots, 2))
-        """Their mean velocities over the step before, (B, n, 2), m/s."""
-        self._angles, self._turns, self._bends = (np.zeros(robots) for _ in range(3))
-        layout = scenario.observation_layout
-        self._neighbour_slots = layout.neighbour_slots
-        self._seen = np.zeros((*robots, *layout.shape), np.float32)
-        self._gate, self._aligned = gate_of(scenario, 0.0, 0.0, most), float(aligned)
-        self._limits = float(scenario.merge_radius), float(scenario.speed_limit)
+class _Bodies(Remembering):
+    """What is remembered of the bodies of B teams, ``_kept``, by the kernels of a subclass."""
+
+    _look: Any
+    _follow: Any
+    _turn: Any
+    _yaws: Array
+
+    def __init__(self, scenario: Scenario, kept: Any, rows: int, most: float, **how: Any) -> None:
+        layout, self._kept = scenario.observation_layout, kept
+        self._robot = _Robot(
+            neighbour_slots=layout.neighbour_slots,
+            obstacle_slots=layout.obstacle_slots,
+            gravity_row=layout.gravity.start,
+            turns=scenario.model.nonholonomic,
+            merge_radius=float(scenario.merge_radius),
+            speed_limit=float(scenario.speed_limit),
+            gate=gate_of(scenario, 0.0, 0.0, most),
+            **how,
+        )
+        self.headings: Array = kept.headings
+        """Where they are to go, (B, n, 2), in that frame or plane; zero where there is none yet."""
+        self.velocities: Array = kept.velocities
+        """Their mean velocities over the previous step, (B, n, 2), m/s."""
+        self._seen = np.zeros((*kept.turns.shape, rows, 2), np.float32)
 
     @property
-    def _memory(self) -> dict[str, NDArray[np.float64]]:
-        return {
-            "headings": self.headings,
-            "velocities": self.velocities,
-            "angles": self._angles,
-            "turns": self._turns,
-            "bends": self._bends,
-        }
+    def _memory(self) -> dict[str, Array]:
+        return self._kept._asdict()
 
-    def seen(
-        self, observations: NDArray[np.float32], teams: NDArray[np.intp]
-    ) -> NDArray[np.float32]:
-        """Observations (B, n, rows, 2) in these frames, until the next call; only those of
-        some teams are brought up to date.
-        """
-        _turn_rows(teams, observations, self._angles, self._seen)
+    def seen(self, observations: Float32, teams: NDArray[np.intp]) -> Float32:
+        """What some teams see in that frame or plane, (B, n, K + 2 M, 2), until the next call."""
+        self._look(teams, observations, self._robot, self._kept, self._seen)
         return self._seen
 
-    def follow(
-        self, teams: Part, observations: NDArray[np.float32], held: NDArray[np.float64]
-    ) -> None:
-        """Write the desired inputs of a part of the teams, in units of their bounds: (v, ω) or,
-        where another sets the speed, ω alone. See ``inputs_towards``; the speed is law (1)'s.
+    def follow(self, teams: Part, observations: Float32, held: Array) -> None:
+        """Write the desired inputs of a part of the teams, at law (1)'s speed, in units of their
+        bounds: velocities of points; (v, ω), or where another sets the speed ω alone.
         """
-        arguments = self._angles, self.headings, self._limits, (self._gate, self._aligned)
-        _follow(teams, observations, self._neighbour_slots, arguments, held)
+        self._follow(teams, observations, self._robot, self._kept, held)
 
-    def turn(self, teams: Part, actions: NDArray[np.float32]) -> None:
-        """Take note of the actions (v, ω) that these teams take for τ."""
-        memory = self._angles, self._turns, self._bends, self.velocities
-        _turn(teams, actions, self._limits[1], self._gate, memory)
+    def turn(self, teams: Part, actions: Float32) -> None:
+        """Take note of the actions that these teams take for τ."""
+        self._turn(teams, actions, self._robot, self._kept)
 
-    def settle(self, share: float) -> NDArray[np.float64]:
+    def settle(self, share: float) -> Array:
         """Correct what the last step turned: it lasted only a share of τ, at most all of it.
 
-        Returns:
-            |v ω| τ² of that step, (B, n), m: how far its arc may have been from a straight line.
+        |v| ‖ω‖ τ² of that step, (B, n), m: how far its arc may have been from a straight line.
         """
-        self._angles += (min(share, 1.0) - 1.0) * self._turns
-        bends, self._turns[...], self._bends[...] = self._bends.copy(), 0.0, 0.0
+        turns, bends = self._kept.turns, self._kept.bends.copy()
+        self._yaws += (min(share, 1.0) - 1.0) * turns
+        turns[...], self._kept.bends[...] = 0.0, 0.0
         return bends
 
 
 @kernel
-def _turn_rows(teams, observations, angles, seen):
+def _law_speed(rows, neighbour_slots, merge_radius, duration):
+    """Of law (1) in a step of τ, min(1, r/(2 D τ)) ‖f‖, of a robot that sees these rows, m/s."""
+    scale = scale_of_step(degree_of(rows, neighbour_slots), merge_radius, duration)
+    return norm(net_bearing_of(rows, neighbour_slots)) * scale
+
+
+class _InFrames(NamedTuple):
+    """What unicycles remember of their bodies, (B, n, ...)."""
+
+    headings: Array
+    velocities: Array
+    angles: Array  # by which the body has turned, rad
+    turns: Array  # of the previous step, rad
+    bends: Array  # |v ω| τ² of that step, m
+
+
+@kernel
+def _look_in_frames(teams, observations, robot, memory, seen):
     for team in teams:
         for i in range(observations.shape[1]):
-            c, s = math.cos(angles[team, i]), math.sin(angles[team, i])
+            c, s = math.cos(memory.angles[team, i]), math.sin(memory.angles[team, i])
             rows, turned = observations[team, i], seen[team, i]
             for k in range(rows.shape[0]):
                 x, y = np.float64(rows[k, 0]), np.float64(rows[k, 1])
@@ -108,37 +152,221 @@ def _turn_rows(teams, observations, angles, seen):
 
 
 @kernel
-def law_speed(rows, neighbour_slots, merge_radius, duration):
-    """Of law (1) in a step of τ, min(1, r/(2 D τ)) ‖f‖, of a robot that sees these rows, m/s."""
-    scale = scale_of_step(degree_of(rows, neighbour_slots), merge_radius, duration)
-    return norm(net_bearing_of(rows, neighbour_slots)) * scale
-
-
-@kernel
-def _follow(teams, observations, neighbour_slots, arguments, held):
-    angles, headings, (merge_radius, speed_limit), (gate, aligned) = arguments
+def _follow_in_frames(teams, observations, robot, memory, held):
+    K, limit, gate = robot.neighbour_slots, robot.speed_limit, robot.gate
     for team in range(teams[0], teams[1]):
         for i in range(observations.shape[1]):
             rows, desired = observations[team, i], held[team, i]
-            speed = min(law_speed(rows, neighbour_slots, merge_radius, gate.duration), speed_limit)
-            c, s = math.cos(angles[team, i]), math.sin(angles[team, i])
-            x, y, _ = scaled(load(headings[team, i]), speed)
+            speed = min(_law_speed(rows, K, robot.merge_radius, gate.duration), limit)
+            c, s = math.cos(memory.angles[team, i]), math.sin(memory.angles[team, i])
+            x, y, _ = scaled(load(memory.headings[team, i]), speed)
             wanted = c * x + s * y, c * y - s * x, 0.0
-            forward, (rate, _) = inputs_towards(wanted, 0.0, gate, aligned)
+            forward, (rate, _) = inputs_towards(wanted, 0.0, gate, robot.aligned)
             desired[-1] = rate / gate.yaw_limit if gate.yaw_limit > 0.0 else 0.0
             if len(desired) > 1:
-                desired[0] = forward / speed_limit
+                desired[0] = forward / limit
 
 
 @kernel
-def _turn(teams, actions, speed_limit, gate, memory):
-    angles, turns, bends, velocities = memory
+def _turn_in_frames(teams, actions, robot, memory):
+    gate = robot.gate
     for team in range(teams[0], teams[1]):
         for i in range(actions.shape[1]):
-            speed = clip(np.float64(actions[team, i, 0]), speed_limit)
+            speed = clip(np.float64(actions[team, i, 0]), robot.speed_limit)
             rate = clip(np.float64(actions[team, i, 1]), gate.yaw_limit)
-            x, y = arc_2d(speed, angles[team, i], rate, gate.duration)
-            velocities[team, i, 0], velocities[team, i, 1] = x / gate.duration, y / gate.duration
-            turns[team, i] = rate * gate.duration
-            bends[team, i] = abs(speed * turns[team, i]) * gate.duration
-            angles[team, i] += turns[team, i]
+            x, y = arc_2d(speed, memory.angles[team, i], rate, gate.duration)
+            memory.velocities[team, i, 0] = x / gate.duration
+            memory.velocities[team, i, 1] = y / gate.duration
+            turned = rate * gate.duration
+            memory.turns[team, i] = turned
+            memory.bends[team, i] = abs(speed * turned) * gate.duration
+            memory.angles[team, i] += turned
+
+
+class SteadyFrames(_Bodies):
+    """Headings of the unicycles of B teams, in frames that stay as the bodies were at first.
+
+        u = R(θ) u_body,   θ ← θ + ω τ
+
+    Within ``aligned``, rad, of where it is to go a robot drives, as ``inputs_towards``; ``most``
+    limits turn rates, rad/s, beside the scenario's limit.
+    """
+
+    _look = staticmethod(_look_in_frames)
+    _follow = staticmethod(_follow_in_frames)
+    _turn = staticmethod(_turn_in_frames)
+
+    def __init__(
+        self, scenario: Scenario, num_envs: int, aligned: float, most: float = math.inf
+    ) -> None:
+        robots = num_envs, scenario.n_robots
+        kept = _InFrames(*np.zeros((2, *robots, 2)), *np.zeros((3, *robots)))
+        rows = scenario.observation_layout.rows
+        super().__init__(scenario, kept, rows, most, aligned=float(aligned))
+        self._yaws = self._kept.angles
+
+
+class _InPlanes(NamedTuple):
+    """What robots remember of their planes, (B, n, ...); triples in the frame of the yaw that their
+    body had at first, levelled by gravity.
+    """
+
+    towards: Array  # f/‖f‖; zero before the first step
+    aside: Array  # the unit vector across f of the plane
+    angles: Array  # of f in the plane, rad: by how much it has turned there
+    blocked: Array  # whether something there is before f
+    yaws: Array  # by which the body has turned, rad
+    pitches: Array
+    turns: Array  # of the yaw in the previous step, rad
+    bends: Array  # |v| ‖ω‖ τ² of that step, m
+    headings: Array
+    velocities: Array
+
+
+@kernel(allocates=True)
+def _look_in_planes(teams, observations, robot, memory, seen):
+    K, M = robot.neighbour_slots, robot.obstacle_slots
+    rays, cut, intervals = np.empty((M, 8, 3)), np.empty((M, 2, 2)), np.empty((M, 2))
+    for team in teams:
+        for i in range(observations.shape[1]):
+            rows, out = observations[team, i], seen[team, i]
+            silhouettes = rows[K : K + 8 * M].reshape((M, 8, 3))
+            if robot.turns:
+                memory.pitches[team, i] = pitch_of(rows, robot.gravity_row, robot.gate)
+            frame, (was, before, angle) = _plane_of((team, i), memory)
+            strength, u = split(net_bearing_of(rows, K))
+            if strength == 0.0:
+                u = was if was != ORIGIN else X_AXIS
+            angle += math.atan2(dot(u, before), dot(u, was))
+            if before == ORIGIN:  # across f, towards the neighbour that is farthest aside
+                for k in range(K):
+                    across = without(load(rows[k]), u)
+                    before = across if norm(across) > norm(before) else before
+            count = widened_rays(silhouettes, robot.clearance, rays)
+            cones = rays[:count], cut[:count], intervals[:count]
+            keeps = robot.keeps if memory.blocked[team, i] != 0.0 else 0.0
+            aside, _ = kept_azimuth(u, before, keeps, robot.clearance, cones)
+            if dot(aside, before) < 0.0:  # left stays left
+                aside = scaled(aside, -1.0)
+                cut_by(u, aside, cones[0], cones[1])
+            low, high, _, _ = joined_interval_2d(X_AXIS, cones[1], cones[2])
+            blocked = low < robot.clearance and high > -robot.clearance
+            memory.blocked[team, i] = 1.0 if blocked else 0.0
+            memory.angles[team, i] = angle
+            store(to_global(frame, u), memory.towards[team, i])
+            store(to_global(frame, aside), memory.aside[team, i])
+            _write_plane(rows, (u, aside, angle), silhouettes, cut, out)
+
+
+@kernel
+def _plane_of(robot, memory):
+    """A robot's frame, and its plane as the body sees it: f/‖f‖, the unit vector across it, θ."""
+    frame = body_frame_3d(memory.yaws[robot], memory.pitches[robot])
+    u, aside = load(memory.towards[robot]), load(memory.aside[robot])
+    return frame, (to_local(frame, u), to_local(frame, aside), memory.angles[robot])
+
+
+@kernel
+def _write_plane(rows, plane, silhouettes, cut, out):
+    """What is seen of neighbours and obstacles in a plane, (K + 2 M, 2)."""
+    M, count = silhouettes.shape[0], 0
+    K = out.shape[0] - 2 * M
+    for k in range(K):
+        out[k, 0], out[k, 1] = _in_plane(load(rows[k]), plane)
+    out[K:] = 0.0
+    for m in range(M):
+        if not is_seen(silhouettes[m]):
+            continue
+        for s in range(2):
+            length, edge = split(load(cut[count, s]))
+            if length > 0.0:
+                out[K + 2 * m + s, 0], out[K + 2 * m + s, 1] = _turned(edge, plane[2])
+        count += 1
+
+
+@kernel
+def _turned(vector, angle):
+    """A vector of the plane turned counter-clockwise, a pair."""
+    c, s = math.cos(angle), math.sin(angle)
+    return c * vector[0] - s * vector[1], s * vector[0] + c * vector[1]
+
+
+@kernel
+def _in_plane(vector, plane):
+    """The part of a triple in a plane, a pair in its frame."""
+    u, aside, angle = plane
+    return _turned((dot(vector, u), dot(vector, aside)), angle)
+
+
+@kernel(allocates=True)
+def _follow_in_planes(teams, observations, robot, memory, held):
+    K, M, gate = robot.neighbour_slots, robot.obstacle_slots, robot.gate
+    rays = np.empty((M, 8, 3))
+    for team in range(teams[0], teams[1]):
+        for i in range(observations.shape[1]):
+            rows, desired = observations[team, i], held[team, i]
+            _, (u, aside, angle) = _plane_of((team, i), memory)
+            ahead, across = _turned(memory.headings[team, i], -angle)
+            heading = combine(ahead, u, across, aside)
+            speed = _law_speed(rows, K, robot.merge_radius, gate.duration)
+            wanted = scaled(heading, WITHIN * min(speed / robot.speed_limit, 1.0))
+            if not robot.turns:
+                store(wanted, desired)
+                continue
+            pitch = memory.pitches[team, i]
+            forward, rates = inputs_towards(wanted, pitch, gate, robot.aligned)
+            desired[-2] = rates[0] / max(gate.yaw_limit, TINY)
+            desired[-1] = rates[1] / max(gate.pitch_limit, TINY)
+            if len(desired) > 2:
+                silhouettes = rows[K : K + 8 * M].reshape((M, 8, 3))
+                cones = rays[: widened_rays(silhouettes, robot.clearance, rays)]
+                desired[0] = forward if axis_is_clear_3d(rates, pitch, cones, gate) else 0.0
+
+
+@kernel
+def _turn_in_planes(teams, actions, robot, memory):
+    gate = robot.gate
+    for team in range(teams[0], teams[1]):
+        for i in range(actions.shape[1]):
+            velocity, plane = load(actions[team, i]), _plane_of((team, i), memory)[1]
+            if robot.turns:
+                rates = rates_of(actions[team, i], gate)
+                speed = clip(velocity[0], robot.speed_limit)
+                velocity = scaled(mean_axis(rates, memory.pitches[team, i], gate), speed)
+                turned = math.hypot(rates[0], rates[1]) * gate.duration
+                memory.bends[team, i] = abs(speed) * turned * gate.duration
+                memory.turns[team, i] = rates[0] * gate.duration
+                memory.yaws[team, i] += memory.turns[team, i]
+            x, y = _in_plane(velocity, plane)
+            memory.velocities[team, i, 0], memory.velocities[team, i, 1] = x, y
+
+
+class SteadyPlanes(_Bodies):
+    """Planes of the robots of B teams in space; as ``SteadyFrames`` has it for unicycles.
+
+        (cos θ, sin θ) = f/‖f‖ in the plane,   θ ← θ + ∠ in the plane that f has turned
+
+    While something in its plane is before f, but not too wide, a robot keeps to it, as f turns;
+    else it takes the one with least to turn, and what it remembers turns with it about f. Cones are
+    widened by the clearance, rad; ``keeps``, rad, as ``kept_azimuth``: PASSABLE under headings.
+    """
+
+    _look = staticmethod(_look_in_planes)
+    _follow = staticmethod(_follow_in_planes)
+    _turn = staticmethod(_turn_in_planes)
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        num_envs: int,
+        clearance: float,
+        most: float = math.inf,
+        keeps: float = math.inf,
+    ) -> None:
+        robots, layout = (num_envs, scenario.n_robots), scenario.observation_layout
+        widths = {"towards": (3,), "aside": (3,), "headings": (2,), "velocities": (2,)}
+        kept = [np.zeros((*robots, *widths.get(name, ()))) for name in _InPlanes._fields]
+        rows = layout.neighbour_slots + 2 * layout.obstacle_slots
+        how = {"aligned": ALIGNED_IN_SPACE, "clearance": float(clearance), "keeps": float(keeps)}
+        super().__init__(scenario, _InPlanes(*kept), rows, most, **how)
+        self._yaws = self._kept.yaws

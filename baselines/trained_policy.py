@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -11,19 +11,16 @@ from numpy.typing import ArrayLike, NDArray
 from rendezvous_env.checks import flag, refuse
 from rendezvous_env.envs.vector_wrappers import GuaranteeWrapper
 from rendezvous_env.safety.safety_filter import SafetyFilter
-from rendezvous_env.scenario.scenarios import resolve
+from rendezvous_env.scenario.scenario import Scenario
+from rendezvous_env.scenario.scenarios import ScenarioLike, resolve
 from rendezvous_env.vector import training_env
 
 from .filtered_policies import FilteredPolicy
 from .learned.learned_policy import GuidedPolicy
 from .learned.training_environment import FeatureVectorEnv
-from .policy import TeamPolicy, within_limits
+from .policy import Float32, Mask, TeamPolicy, within_limits
 
-if TYPE_CHECKING:
-    from rendezvous_env.scenario.scenario import Scenario
-    from rendezvous_env.scenario.scenarios import ScenarioLike
-
-Predict = Callable[[NDArray[np.float32]], NDArray[Any]]
+Predict = Callable[[Float32], NDArray[Any]]
 """What robots of B teams see, (B, n, ...), to what they choose, (B, n, ...)."""
 
 
@@ -35,8 +32,8 @@ class TrainedPolicy(TeamPolicy):
 
     ``compare``, ``report``, ``render`` and ``rollout`` take it like any other. It sees what robots
     of ``vector.training_env`` see with the same arguments, decides as often, and keeps the same
-    guarantee. As on board of a robot, nobody tells it of contacts and merges: a tank books every
-    step as it was commanded.
+    guarantee. As on board of a robot, it learns of no contact and no merge: a tank books every step
+    as it was commanded.
 
     Args:
         scenario: whose robots it steers: any that the model can read, not only that of training.
@@ -67,6 +64,10 @@ class TrainedPolicy(TeamPolicy):
             refuse("predict", predict, "a function of observations, or a model with predict()")
         self.scenario = chosen = resolve(scenario)
         self._predict, self._by_team = predict, flag("by_team", by_team)
+        # stable-baselines3 draws unless it is told not to
+        code = getattr(getattr(predict, "__func__", predict), "__code__", None)
+        takes = () if code is None else code.co_varnames[: code.co_argcount]
+        self._told = {"deterministic": True} if "deterministic" in takes else {}
         self._arguments = {"on_merge": "follow", **arguments, "autoreset_mode": "Disabled"}
         env = training_env(chosen, 1, **self._arguments)
         self._sees: Any = env.single_observation_space
@@ -86,16 +87,15 @@ class TrainedPolicy(TeamPolicy):
         found: SafetyFilter = env.filter
         return found
 
-    def _choose(self, seen: NDArray[np.float32]) -> NDArray[Any]:
+    def _choose(self, seen: Float32) -> NDArray[Any]:
         """Choices (..., n, k) for what robots see, (..., n, rows, d)."""
         return self._ask(seen).reshape(*seen.shape[:-2], -1)
 
-    def _ask(self, seen: NDArray[np.float32]) -> NDArray[Any]:
+    def _ask(self, seen: Float32) -> NDArray[Any]:
         """Choices of the model, (B, n, ...), for what robots of B teams see."""
         seen = seen.reshape(-1, *self._sees.shape)
         rows = seen if self._by_team else seen.reshape(-1, *seen.shape[2:])
-        told = {"deterministic": True} if _is_of_sb3(self._predict) else {}
-        found = self._predict(rows, **told)
+        found = self._predict(rows, **self._told)
         choices = np.asarray(found[0] if isinstance(found, tuple) else found)
         robot = self._chooses.shape[1:]
         wanted = (*rows.shape[: 1 + self._by_team], *robot)
@@ -106,17 +106,12 @@ class TrainedPolicy(TeamPolicy):
             )
         return choices.reshape(*seen.shape[:2], *robot)
 
-    def act(self, observations: NDArray[Any], time: ArrayLike) -> NDArray[np.float32]:
-        """Actions (..., n, a); see ``Policy``.
-
-        Raises:
-            ValueError: for observations or predictions of another shape, or naming the robot whose
-                choice is none.
-        """
-        actions: NDArray[np.float32] = self._policy.act(observations, time)
+    def act(self, observations: NDArray[Any], time: ArrayLike) -> Float32:
+        """Actions (..., n, a); a ValueError for predictions of another shape, or naming a robot."""
+        actions: Float32 = self._policy.act(observations, time)
         return actions
 
-    def reset(self, mask: NDArray[np.bool_] | None = None) -> None:
+    def reset(self, mask: Mask | None = None) -> None:
         """Forget the teams where ``mask`` (...) is true, all if it is None."""
         self._policy.reset(mask)
 
@@ -132,7 +127,7 @@ class _PresetPolicy(GuidedPolicy):
         super()._start(teams)
         self._held = np.zeros((teams, *(self._one.shape or ())), self._one.dtype)
 
-    def _choose(self, shown: NDArray[np.float32], due: NDArray[np.bool_]) -> None:
+    def _choose(self, shown: Float32, due: Mask) -> None:
         self._held[due] = self._ask(shown)[due]
         (self._guided.choose if self._discrete else self._guided.head)(self._held)
 
@@ -143,13 +138,7 @@ class _BarePolicy(TeamPolicy):
     def __init__(self, scenario: Scenario, ask: Predict) -> None:
         self.scenario, self._ask = scenario, ask
 
-    def act(self, observations: NDArray[Any], time: ArrayLike) -> NDArray[np.float32]:
+    def act(self, observations: NDArray[Any], time: ArrayLike) -> Float32:
         seen = self.scenario.observation_layout.checked(observations)
         actions = self._ask(np.asarray(seen, np.float32)).astype(np.float64)
         return within_limits(actions, self.scenario).reshape(*seen.shape[:-2], -1)
-
-
-def _is_of_sb3(predict: Any) -> bool:
-    """Whether it is a ``predict`` of stable-baselines3, which draws unless it is told not to."""
-    code = getattr(getattr(predict, "__func__", predict), "__code__", None)
-    return code is not None and "deterministic" in code.co_varnames[: code.co_argcount]

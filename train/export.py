@@ -165,7 +165,7 @@ def _compare(path: Path, weights: Weights, settings: PolicySettings, checks: int
         robots = min(_AT_ONCE, checks - first)
         layout = settings.layout(*_SLOTS[first // _AT_ONCE % len(_SLOTS)])
         ours = NumpyActor(weights, settings, layout)
-        written.fit(layout)
+        written.layout = layout
         shown = drawn_tables(layout, robots, random)
         hidden = [np.zeros((robots, settings.units), dtype=np.float32) for _ in range(2)]
         for _ in range(2):  # once more, with what is remembered then

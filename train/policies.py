@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from rendezvous_env.baselines import policy as registry
 from rendezvous_env.baselines.learned import learned_policy, shipped
-from rendezvous_env.baselines.policy import file_of
+from rendezvous_env.baselines.policy import builder_of, file_of
 from rendezvous_env.baselines.steering import can_steer
 
 from rendezvous_env import baselines
@@ -94,7 +94,7 @@ def fitting(scenario: Scenario, wanted: Sequence[str]) -> list[str]:
 
 def source_file(name: str) -> Path | None:
     """The file in which a policy is made that has no weights; None if it stands in none."""
-    return _own_file(name) if is_user_policy(name) else registry.source_file(name)
+    return _own_file(name) if is_user_policy(name) else file_of(builder_of(name))
 
 
 def best(scenario: Scenario) -> str:

@@ -1,5 +1,8 @@
 """Laws: pure functions from what a robot sees to its velocity, and the same as policies."""
 
+from rendezvous_env.safety.heading import flexible_velocity
+from rendezvous_env.safety.links import link_keeping_law
+
 from .literature_laws import (
     cyclic_pursuit_law,
     nearest_pursuit_law,
@@ -12,8 +15,6 @@ from .paper_laws import (
     bearing_only_law,
     damped_law,
     degree_of,
-    flexible_velocity,
-    link_keeping_law,
     nonholonomic_3d_law,
     pitch_of,
     unicycle_cosine_law,
@@ -22,21 +23,8 @@ from .paper_laws import (
 from .pursuit import Pursuit, Windshield
 
 __all__ = [
-    "LawPolicy",
-    "Pursuit",
-    "Windshield",
-    "bearing_only_law",
-    "cyclic_pursuit_law",
-    "damped_law",
-    "degree_of",
-    "flexible_velocity",
-    "link_keeping_law",
-    "nearest_pursuit_law",
-    "nonholonomic_3d_law",
-    "pitch_of",
-    "rounded_bearings",
-    "smallest_sector_law",
-    "unicycle_cosine_law",
-    "unicycle_law",
-    "unit_mean_law",
-]
+    "LawPolicy", "Pursuit", "Windshield", "bearing_only_law", "cyclic_pursuit_law", "damped_law",
+    "degree_of", "flexible_velocity", "link_keeping_law", "nearest_pursuit_law",
+    "nonholonomic_3d_law", "pitch_of", "rounded_bearings", "smallest_sector_law",
+    "unicycle_cosine_law", "unicycle_law", "unit_mean_law",
+]  # fmt: skip

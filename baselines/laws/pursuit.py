@@ -5,23 +5,21 @@ from __future__ import annotations
 import math
 from abc import abstractmethod
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rendezvous_env.checks import real, refuse
 from rendezvous_env.scenario.observation_layout import ObservedRows
+from rendezvous_env.scenario.scenario import Scenario
 
-from ..policy import Policy, RememberingPolicy, register, within_limits
-from .neighbour_order import chosen_rows, first_seen, rows_from_next
-from .paper_laws import Array, pitch_of
+from ..policy import Float32, Mask, Policy, RememberingPolicy, register, within_limits
+from ..steering import turns
+from .literature_laws import Order, chosen_rows, first_seen, rows_from_next
+from .paper_laws import Array, is_unicycle, pitch_of
 
-if TYPE_CHECKING:
-    from rendezvous_env.scenario.scenario import Scenario
-
-_SHARE = 0.8
-"""Of ω_max r/2, the speed above which a target can run round its pursuer."""
+_SHARE = 0.8  # of ω_max r/2, the speed above which a target can run round its pursuer
 
 
 @dataclass
@@ -32,24 +30,23 @@ class Pursuer(RememberingPolicy):
     """
 
     scenario: Scenario
-    """Of robots with a turn limit."""
-    speed: float
-    """c, m/s."""
-    order: NDArray[np.int64] | None = None
-    """Rows, the most liked first, (n, K) or (B, n, K); None is the next robot's first, see
-    ``rows_from_next``."""
+    speed: float  # c, m/s
+    order: Order | None = None  # rows by preference, ([B,] n, K); None is ``rows_from_next``
 
     def _start(self, teams: int) -> None:
         self._targets = np.full((teams, self.scenario.n_robots), -1)
 
-    def _forget(self, which: NDArray[np.bool_]) -> None:
+    def _forget(self, which: Mask) -> None:
         self._targets[which] = -1
 
-    def act(self, observations: NDArray[Any], time: ArrayLike) -> NDArray[np.float32]:
+    def act(self, observations: NDArray[Any], time: ArrayLike) -> Float32:
         """Actions (..., n, a): v, and ω or (ω_α, ω_β); see ``Policy``."""
         rows = self.scenario.observation_layout.split(self._teams_of(observations))
         seen = np.any(rows.neighbours, axis=-1)
-        self._choose_targets(seen)
+        order = rows_from_next(*seen.shape[-2:]) if self.order is None else self.order
+        before = self._targets[..., np.newaxis]
+        kept = np.take_along_axis(seen, np.maximum(before, 0), axis=-1) & (before >= 0)
+        self._targets = np.where(kept[..., 0], self._targets, first_seen(seen, order))
         searching = np.zeros(self.scenario.action_size)
         searching[1] = self.scenario.turn_limit
         pursuing = self._actions(chosen_rows(rows.neighbours, self._targets), rows)
@@ -59,13 +56,6 @@ class Pursuer(RememberingPolicy):
     @abstractmethod
     def _actions(self, bearing: Array, rows: ObservedRows) -> Array:
         """(B, n, a) for bearings (B, n, d) of targets."""
-
-    def _choose_targets(self, seen: NDArray[np.bool_]) -> None:
-        """Keep the rows of the targets that are still among those seen, (B, n, K)."""
-        order = rows_from_next(*seen.shape[-2:]) if self.order is None else self.order
-        before = self._targets[..., np.newaxis]
-        kept = np.take_along_axis(seen, np.maximum(before, 0), axis=-1) & (before >= 0)
-        self._targets = np.where(kept[..., 0], self._targets, first_seen(seen, order))
 
 
 class Pursuit(Pursuer):
@@ -94,8 +84,7 @@ class Windshield(Pursuer):
     v = c,   ω = ω_max, 0 or −ω_max for α > φ, |α| ≤ φ, α < −φ      (Yu et al., 2012, eq. 3)
     """
 
-    half_angle: float = field(kw_only=True)
-    """φ, rad."""
+    half_angle: float = field(kw_only=True)  # φ, rad
 
     def _actions(self, bearing: Array, rows: ObservedRows) -> Array:
         angle = np.arctan2(bearing[..., 1], bearing[..., 0])
@@ -105,23 +94,12 @@ class Windshield(Pursuer):
 
 
 def yaw_and_pitch(bearing: Array, pitch: Array) -> Array:
-    """Turns in yaw and in pitch that point a body at a bearing of its frame.
-
-    Args:
-        bearing: (..., 3).
-        pitch: β of the body, (...), rad.
-
-    Returns:
-        (..., 2), rad.
-    """
+    """Turns in yaw and pitch, (..., 2), rad, from a body with pitch (...) to bearings (..., 3)."""
     forward, left, up = np.moveaxis(bearing, -1, 0)
     level = np.cos(pitch) * forward - np.sin(pitch) * up
     height = np.sin(pitch) * forward + np.cos(pitch) * up
     yaw = np.arctan2(left, level)
     return np.stack([yaw, np.arctan2(height, np.hypot(level, left)) - pitch], axis=-1)
-
-
-# ---- as policies --------------------------------------------------------------------------------
 
 
 def _speed(scenario: Scenario, speed: float | None) -> float:
@@ -140,21 +118,13 @@ def _speed(scenario: Scenario, speed: float | None) -> float:
     return value
 
 
-def _is_car(scenario: Scenario) -> bool:
-    return scenario.robot_model == "unicycle"
-
-
-def _has_turn_limit(scenario: Scenario) -> bool:
-    return scenario.robot_model in ("unicycle", "nonholonomic_3d")
-
-
-@register("pursuit", fits=_has_turn_limit, kind="field", on_request=True)
+@register("pursuit", fits=turns, kind="field", on_request=True)
 def _pursuit(scenario: Scenario, speed: float | None = None) -> Policy:
     """Turns towards one robot, and drives only while it points at it (E2)."""
     return Pursuit(scenario, _speed(scenario, speed))
 
 
-@register("windshield", fits=_is_car, kind="field", on_request=True)
+@register("windshield", fits=is_unicycle, kind="field", on_request=True)
 def _windshield(
     scenario: Scenario, half_angle: float | None = None, speed: float | None = None
 ) -> Policy:

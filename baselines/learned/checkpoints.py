@@ -1,7 +1,7 @@
 """Checkpoints: a folder of safetensors and one JSON file, whole or not there at all. No pickle.
 
-RUN/checkpoints/step-000001234567 holds checkpoint.json, which says what the checkpoint is and what
-the digests of its other files are, and network.safetensors, optimizer.safetensors and so on.
+RUN/checkpoints/step-000001234567 holds checkpoint.json, which describes the checkpoint and has the
+digests of its other files, and network.safetensors, optimizer.safetensors and so on.
 RUN/checkpoints/latest.json names the newest one.
 """
 
@@ -42,11 +42,7 @@ def find(path: Path) -> Path:
 
 
 def candidates(run: Path) -> list[Path]:
-    """All checkpoints of a run, the one that its pointer names first, then the newest.
-
-    Raises:
-        CheckpointError: if the folder cannot be read.
-    """
+    """All checkpoints of a run, the one that its pointer names first, then the newest."""
     folder = run / FOLDER
     found = sorted((name for name in _names(folder) if name.startswith("step-")), reverse=True)
     try:

@@ -2,7 +2,7 @@
 it remembers.
 
 Nothing here knows a position or a distance. The tables are in the frame with x along f, so a policy
-that reads them does not notice how the world is turned.
+that reads them is invariant to rotations of the world.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rendezvous_env.engine.state_checks import (
     Remembering,
@@ -22,45 +21,40 @@ from rendezvous_env.engine.state_checks import (
 from rendezvous_env.safety.safety_filter import over_teams
 from rendezvous_env.scenario.scenario import Scenario
 
+from ..policy import Float32, Mask
 from ..steering import can_steer
 from .feature_kernels import (
     CONTEXT_COLUMNS,
+    LEVEL_COLUMNS,
     NEIGHBOUR_COLUMNS,
     OBSTACLE_COLUMNS,
+    Array,
     Constants,
     Memory,
+    Walls,
     show,
 )
-from .wall_memory import no_walls
 
 VERSION = 2
 """Of what the columns mean; a network trained with another one cannot read the tables."""
 _WEIGHT = 8
 """A robot that is shown something counts as so many that a filter steers."""
-LEVEL_COLUMNS = 1
-"""After the context, with a tank: log(1 + A/(r D̄)). With a memory of walls WALL_COLUMNS follow."""
 
 
 class FeatureParts(NamedTuple):
-    """What one robot is shown, taken apart; every part is a view."""
+    """What one robot is shown, taken apart; every part is a view, zero rows are absent."""
 
-    neighbours: Any
-    """(..., K, NEIGHBOUR_COLUMNS); zero rows are absent."""
-    obstacles: Any
-    """(..., M, OBSTACLE_COLUMNS); zero rows are absent."""
-    context: Any
-    """(..., CONTEXT_COLUMNS and what a tank adds)."""
+    neighbours: Any  # (..., K, NEIGHBOUR_COLUMNS)
+    obstacles: Any  # (..., M, OBSTACLE_COLUMNS)
+    context: Any  # (..., CONTEXT_COLUMNS and what a tank adds)
 
 
 class FeatureLayout(NamedTuple):
     """Which part of a flat row of numbers is what. Nobody else counts columns."""
 
-    neighbour_slots: int
-    """K."""
-    obstacle_slots: int
-    """M."""
-    tank_columns: int = 0
-    """What a tank adds to the context."""
+    neighbour_slots: int  # K
+    obstacle_slots: int  # M
+    tank_columns: int = 0  # what a tank adds to the context
 
     @property
     def context_columns(self) -> int:
@@ -85,11 +79,7 @@ class FeatureLayout(NamedTuple):
 
 
 def check_readable(scenario: Scenario) -> None:
-    """Refuse robots that a learned policy cannot steer.
-
-    Raises:
-        ValueError: unless they are single integrators, unicycles or nonholonomic robots of space.
-    """
+    """Refuse robots, with a ValueError, that a learned policy cannot steer."""
     if not can_steer(scenario):
         raise ValueError(
             f"scenario {scenario.name!r} has {scenario.robot_model} robots; learned policies steer "
@@ -103,8 +93,8 @@ class Features(Remembering):
     Args:
         scenario: whose robots see; those of space see planes (``SteadyPlanes``).
         num_envs: B.
-        decision_time: s between two decisions of a team, where nothing else is said.
-        obstacle_slots: M, at least the scenario's; further rows are absent. None is the scenario's.
+        decision_time: s between two decisions of a team, unless ``see`` is told otherwise.
+        obstacle_slots: M; further rows than the scenario's are absent. None is the scenario's.
         tank_columns: 0, LEVEL_COLUMNS, or LEVEL_COLUMNS + WALL_COLUMNS with a memory of walls.
         num_threads: most threads that may be used; None is one for each core.
 
@@ -140,63 +130,44 @@ class Features(Remembering):
             speed_limit=float(scenario.speed_limit),
         )
         robots = num_envs, scenario.n_robots
-        self._kept = Memory(
-            edges=np.zeros((*robots, rows.obstacle_slots, 2, 2)),
-            towards=np.zeros((*robots, 2)),
-            averages=np.zeros((*robots, 4, 2)),
-            time=np.zeros(robots),
-        )
-        self._walls = no_walls(*robots) if tank_columns > LEVEL_COLUMNS else None
+        shapes: list[tuple[int, ...]] = [(rows.obstacle_slots, 2, 2), (2,), (4, 2), ()]
+        self._kept = Memory._make(np.zeros((*robots, *shape)) for shape in shapes)
+        shapes = [()] * 6 + [(2,), (2,), (2, 2)]
+        walls = Walls._make(np.zeros((*robots, *shape)) for shape in shapes)
+        self._walls = walls if tank_columns > LEVEL_COLUMNS else None
         self._num_threads = num_threads
 
     @property
-    def _memory(self) -> dict[str, NDArray[np.float64]]:
+    def _memory(self) -> dict[str, Array]:
         walls = {} if self._walls is None else self._walls._asdict()
         return self._kept._asdict() | {f"wall_{name}": array for name, array in walls.items()}
 
     def see(
         self,
-        observations: NDArray[np.float32],
-        headings: NDArray[np.float64],
-        which: NDArray[np.bool_] | None = None,
+        observations: Float32,
+        headings: Array,
+        which: Mask | None = None,
         *,
-        velocities: NDArray[np.float64] | None = None,
-        levels: NDArray[np.float64] | None = None,
-        elapsed: NDArray[np.float64] | None = None,
-    ) -> NDArray[np.float32]:
-        """What the robots are shown; brings the memory up to date.
+        velocities: Array | None = None,
+        levels: Array | None = None,
+        elapsed: Array | None = None,
+        shown: Float32 | None = None,
+    ) -> Float32:
+        """What the robots are shown, (B, n, layout.size), or zeros; updates the memory.
 
         Args:
             observations: (B, n, rows, 2), in the robots' own frames.
             headings: those carried, (B, n, 2), in the same frames; zero where there is none.
-            which: (B,), whose memory moves on; the others are shown as zeros. None is all teams.
+            which: (B,), whose memory moves on; None is all teams.
             velocities: of the robots, (B, n, 2), m/s; None is those of law (4).
             levels: A/(r D̄) of their tanks, (B, n); None without.
-            elapsed: since the decision before, (B,), s; None is ``decision_time``.
-
-        Returns:
-            (B, n, layout.size); zeros for a robot without neighbours.
+            elapsed: since the previous decision, (B,), s; None is ``decision_time``.
+            shown: what to write to and return, other teams' rows stay; None is zeros.
 
         Raises:
             ValueError: for arrays of another shape or type; nothing has changed then.
         """
-        robots = self._kept.time.shape
-        shown = np.zeros((*robots, self.layout.size), dtype=np.float32)
-        self.see_into(shown, observations, headings, which, velocities, levels, elapsed)
-        return shown
-
-    def see_into(
-        self,
-        shown: NDArray[np.float32],
-        observations: NDArray[np.float32],
-        headings: NDArray[np.float64],
-        which: NDArray[np.bool_] | None = None,
-        velocities: NDArray[np.float64] | None = None,
-        levels: NDArray[np.float64] | None = None,
-        elapsed: NDArray[np.float64] | None = None,
-    ) -> None:
-        """As ``see``, into rows (B, n, layout.size) of teams whose memory moves on; others stay."""
-        robots = self._kept.time.shape
+        robots, slots = self._kept.time.shape, self._rows.obstacle_slots
         observations = check_observations(observations, (*robots, *self._rows.shape))
         headings = check_numbers("headings", headings, (*robots, 2), "(B, n, 2)")
         teams = np.arange(len(observations))
@@ -207,7 +178,8 @@ class Features(Remembering):
         times = np.full(robots[0], self._decision_time)
         if elapsed is not None:
             times[:] = check_numbers("elapsed", elapsed, robots[:1], "(B,)")
-        slots = self._rows.obstacle_slots
+        if shown is None:
+            shown = np.zeros((*robots, self.layout.size), dtype=np.float32)
         over_teams(
             lambda part: show(
                 part,
@@ -223,8 +195,9 @@ class Features(Remembering):
             _WEIGHT * robots[1],
             self._num_threads,
         )
+        return shown
 
-    def note(self, angles: NDArray[np.float64]) -> None:
+    def note(self, angles: Array) -> None:
         """Remember the angles (B, n) that were chosen, rad."""
         if self._walls is not None:
             self._walls.angle[...] = angles

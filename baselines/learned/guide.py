@@ -17,55 +17,46 @@ from rendezvous_env.engine.threads import Part
 from rendezvous_env.physics.neighbour_rows import net_bearing_of
 from rendezvous_env.physics.vectors import X_AXIS, load, norm, scaled, split, store
 from rendezvous_env.safety.heading import HeadingFilter, scale_of_step
-from rendezvous_env.safety.safety_filter import Float32, over_teams
+from rendezvous_env.safety.safety_filter import over_teams
 from rendezvous_env.safety.tank import EnergyTank, unit_of_tanks
 from rendezvous_env.scenario.scenario import Scenario
 
 from ..obstacle_rules.merged_silhouettes_2d import joined_heading_2d
 from ..obstacle_rules.planes_in_space import PASSABLE
-from ..steady_frames import SteadyFrames
-from ..steady_planes import SteadyPlanes
+from ..policy import Float32, Mask
+from ..steady_frames import SteadyFrames, SteadyPlanes
 from ..steering import WITHIN
 from .features import Features
 from .policy_settings import PolicySettings
 
+Array = NDArray[np.float64]
+
 
 class CommandedTank(EnergyTank):
-    """Energy tanks of robots which know of no contact and no merge: every step books as it was
-    commanded. So they are the same in training and in use, where nobody tells.
-
-    Args:
-        scenario: whose robots they are.
-        num_envs: B.
-        arguments: of ``EnergyTank``: budget, min_alignment, num_threads.
+    """``EnergyTank`` of robots that learn of no contact and no merge, in training as in use: every
+    step is booked as commanded.
     """
 
     keeps_ledger = False
 
     def __init__(self, scenario: Scenario, num_envs: int, **arguments: Any) -> None:
         super().__init__(scenario, num_envs, frame="local", **arguments)
-        self._booked = np.zeros((num_envs, scenario.n_robots))
-        nobody, on_their_own = (
-            self._booked > 0.0,
-            np.tile(np.arange(scenario.n_robots), (num_envs, 1)),
-        )
-        self._alone = nobody, on_their_own, np.zeros(num_envs, np.bool_)
+        team = num_envs, scenario.n_robots
+        self._booked = np.zeros(team)
+        on_their_own = np.tile(np.arange(scenario.n_robots), (num_envs, 1))
+        self._alone = np.zeros(team, np.bool_), on_their_own, np.zeros(num_envs, np.bool_)
 
     def _begin(self, which: Any) -> None:
         super()._begin(which)
         self._booked[which] = 0.0
 
     def settle(self, share: float, bends: Any = 0.0) -> None:
-        """Correct what the last step booked: it lasted only a share of τ.
+        """Correct what the previous step booked: it lasted only a share σ of τ.
 
         On a straight line G is concave in time and 0 at first: in a share σ ≤ 1 of a step a robot
         has earned at least σ G, which is what stays booked; on an arc, which is off its chord by
-        σ (1 − σ) |v ω| τ²/2 at most, σ G − σ (1 − σ) D̄ |v ω| τ². A longer step is none that was
-        meant; it books G. What a tank cannot pay is let off.
-
-        Args:
-            share: σ, of the step before.
-            bends: |v ω| τ² of arcs, (B, n), m, each less than 2 rad long.
+        σ (1 − σ) |v ω| τ²/2 at most, σ G − σ (1 − σ) D̄ |v ω| τ². A longer step books G. What a tank
+        cannot pay is remitted. ``bends`` are |v ω| τ² of arcs less than 2 rad long, (B, n), m.
         """
         left = 1.0 - min(share, 1.0)
         lost = left * self._booked + left * (1.0 - left) * self.scenario.max_degree * bends
@@ -73,15 +64,9 @@ class CommandedTank(EnergyTank):
         self._booked[...] = 0.0
 
     def act_of(
-        self,
-        teams: Part,
-        observations: NDArray[np.float32],
-        actions: NDArray[np.float32],
-        elapsed: float | None = None,
+        self, teams: Part, observations: Float32, actions: Float32, elapsed: float | None = None
     ) -> None:
-        """As ``EnergyTank.act_of``; the step is booked at once, as one that lasts τ. How much time
-        has elapsed is of no concern to robots that turn as they like.
-        """
+        """As ``EnergyTank.act_of``; the step is booked at once, as one that lasts τ."""
         super().act_of(teams, observations, actions)
         mine = slice(*teams[:2])
         self._booked[mine] = self._deposits[mine]
@@ -91,40 +76,33 @@ class CommandedTank(EnergyTank):
 class HeadingTankFilter(CommandedTank):
     """Robots want to go along their headings as fast as law (1) goes along f (theorem D).
 
-        Δ = τ min(v_max, s ‖f‖) h,   s = min(1, r/(2 D τ))
-
-    Args:
-        arguments: of ``CommandedTank``.
+    Δ = τ min(v_max, s ‖f‖) h,   s = min(1, r/(2 D τ))
     """
 
     def __init__(self, scenario: Scenario, num_envs: int, **arguments: Any) -> None:
         super().__init__(scenario, num_envs, **arguments)
-        self._headings = np.zeros((num_envs, scenario.n_robots, scenario.dim))
-        self._velocities = np.zeros_like(self._headings)
-
-    @property
-    def carried(self) -> NDArray[np.float64]:
+        self.carried = np.zeros((num_envs, scenario.n_robots, scenario.dim))
         """h_i last wanted, (B, n, d), in the robots' own frames; zero where there is none yet."""
-        return self._headings
+        self._velocities = np.zeros_like(self.carried)
 
     @property
-    def velocities(self) -> NDArray[np.float64]:
+    def velocities(self) -> Array:
         """Actions last given, (B, n, d), m/s."""
         return self._velocities.copy()
 
     @property
-    def _memory(self) -> dict[str, NDArray[np.float64]]:
-        return {"headings": self._headings, "velocities": self._velocities, **super()._memory}
+    def _memory(self) -> dict[str, Array]:
+        return {"headings": self.carried, "velocities": self._velocities, **super()._memory}
 
     def _begin(self, which: Any) -> None:
         super()._begin(which)
-        self._headings[which] = self._velocities[which] = 0.0
+        self.carried[which] = self._velocities[which] = 0.0
 
     def act_of(
         self, teams: Part, observations: Float32, actions: Float32, elapsed: float | None = None
     ) -> None:
         """As ``CommandedTank.act_of``."""
-        _desired_velocities(teams, observations, self._constants, self._headings, self._held)
+        _desired_velocities(teams, observations, self._constants, self.carried, self._held)
         super().act_of(teams, observations, actions)
         mine = slice(*teams[:2])
         self._velocities[mine] = actions[mine]
@@ -145,6 +123,14 @@ def _desired_velocities(teams, observations, constants, headings, held):
             store(scaled(load(headings[team, i]), share), held[team, i])
 
 
+class _Rule(NamedTuple):
+    """What the kernel knows of the joined rule."""
+
+    neighbour_slots: int
+    clearance: float  # rad
+    persistence: float
+
+
 @kernel
 def _aim(teams, observations, directions, rule, headings, raw, intervals):
     """Where the joined rule leads robots if f is turned by directions (B, n, 2): raw (B, n, 2)."""
@@ -160,15 +146,6 @@ def _aim(teams, observations, directions, rule, headings, raw, intervals):
             store(joined_heading_2d(towards, silhouettes, carried, how, intervals), raw[team, i])
 
 
-class _Rule(NamedTuple):
-    """What the kernel needs to know of the joined rule."""
-
-    neighbour_slots: int
-    clearance: float
-    """rad."""
-    persistence: float
-
-
 class GuidedTeams:
     """B teams whose robots are shown something, choose by it, and head where the rule of
     ``tangent-joined-tuned`` does if f is turned as they chose.
@@ -177,23 +154,14 @@ class GuidedTeams:
 
     The raw vector becomes a certified heading, or with tanks any heading that they pay for;
     unicycles turn there as their gate or their tank allows, and remember in ``SteadyFrames``; in
-    space all that happens in a plane (``SteadyPlanes``).
-    What is shown moves the memory on, so it is asked for once in each decision; ``act`` follows
-    what is seen in every step.
+    space all that happens in a plane (``SteadyPlanes``). ``show`` updates the memory, so it is
+    called once in each decision; ``act`` follows what is seen in every step.
 
-    Args:
-        settings: of the policy.
-        scenario: whose robots they are.
-        num_envs: B.
-        obstacle_slots: of ``Features``.
-        num_threads: most threads that may be used.
-
-    Raises:
-        ValueError: for robots that ``Features`` cannot show.
+    The settings are the policy's; other arguments and errors as ``Features``.
     """
 
     keeps_ledger = False
-    """Tanks book what they commanded, as in use, where nobody tells."""
+    """Tanks book what they commanded, see ``CommandedTank``."""
 
     def __init__(
         self,
@@ -212,87 +180,76 @@ class GuidedTeams:
             tank_columns=settings.layout(0, 0).tank_columns,
             num_threads=num_threads,
         )
-        layout = scenario.observation_layout
-        self._rule = _Rule(
-            layout.neighbour_slots, float(settings.clearance), float(settings.persistence)
-        )
-        self._seen, self._obstacle_slots = (
-            (num_envs, scenario.n_robots, *layout.shape),
-            layout.obstacle_slots,
-        )
-        self._batch = num_envs, scenario.n_robots, num_threads
-        self._action_size = scenario.action_size
-        common: dict[str, Any] = {
-            "min_alignment": settings.min_alignment,
-            "num_threads": num_threads,
-        }
+        layout, team = scenario.observation_layout, (num_envs, scenario.n_robots)
+        clearance, certified = float(settings.clearance), settings.guarantee == "heading"
+        self._rule = _Rule(layout.neighbour_slots, clearance, float(settings.persistence))
+        self._seen, self._obstacle_slots = (*team, *layout.shape), layout.obstacle_slots
+        self._batch, self._action_size = (*team, num_threads), scenario.action_size
+        most = settings.max_turn_rate if certified else math.inf
+        self.bodies: SteadyFrames | SteadyPlanes | None = None
+        if scenario.dim == 3:
+            keeps = PASSABLE if certified else math.inf
+            self.bodies = SteadyPlanes(scenario, num_envs, 0.5 * clearance, most, keeps)
+        elif scenario.model.nonholonomic:
+            # within the clearance of a free direction a body is before nothing
+            self.bodies = SteadyFrames(scenario, num_envs, clearance, most)
+        common = {"min_alignment": settings.min_alignment, "num_threads": num_threads}
         self.steering: HeadingFilter | CommandedTank
         self.tank: CommandedTank | None = None
-        self.bodies: SteadyFrames | SteadyPlanes | None = None
-        turning, certified = scenario.model.nonholonomic, settings.guarantee == "heading"
-        most = settings.max_turn_rate if certified else math.inf
-        if scenario.dim == 3:
-            keeps, clearance = PASSABLE if certified else math.inf, 0.5 * settings.clearance
-            self.bodies = SteadyPlanes(scenario, num_envs, clearance, most, keeps)
-        elif turning:
-            # within the clearance of a free direction a body is before nothing
-            self.bodies = SteadyFrames(scenario, num_envs, settings.clearance, most)
         if certified:
-            common |= {"max_turn_rate": settings.max_turn_rate, "frame": "local"}
-            self.steering = HeadingFilter(scenario, num_envs, **common)
+            heading: dict[str, Any] = common | {"max_turn_rate": most, "frame": "local"}
+            self.steering = HeadingFilter(scenario, num_envs, **heading)
         else:
-            common["budget"] = settings.budget * unit_of_tanks(scenario)
+            budget = settings.budget * unit_of_tanks(scenario)
             make_tank = HeadingTankFilter if self.bodies is None else CommandedTank
-            self.tank = self.steering = make_tank(scenario, num_envs, **common)
+            self.tank = self.steering = make_tank(scenario, num_envs, budget=budget, **common)
         self.angles = settings.angles
         self._turns = np.stack((np.cos(self.angles), np.sin(self.angles)), axis=-1)
-        self.choices = np.zeros((num_envs, scenario.n_robots), dtype=np.int64)
+        self.choices = np.zeros(team, dtype=np.int64)
         self._directions = self._turns[self.choices]
 
     def settle(self, share: float) -> None:
-        """Take note that the step before lasted so much of τ."""
+        """The previous step lasted this share of τ."""
         bends = 0.0 if self.bodies is None else self.bodies.settle(share)
         if self.tank is not None:
             self.tank.settle(share, bends)
 
     @property
-    def _moving(self) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
-        """Headings carried, and velocities where they are not law (4)'s."""
-        if self.bodies is not None:
-            return self.bodies.headings, self.bodies.velocities
+    def _carried(self) -> Array:
+        """Headings carried, (B, n, 2)."""
         steering: Any = self.steering
-        return steering.carried, getattr(steering, "velocities", None)
+        return steering.carried if self.bodies is None else self.bodies.headings
 
     def show(
         self,
         shown: Float32,
         observations: Float32,
-        which: NDArray[np.bool_] | None = None,
-        elapsed: NDArray[np.float64] | None = None,
+        which: Mask | None = None,
+        elapsed: Array | None = None,
     ) -> Float32:
-        """What the robots are shown before they choose; arguments as ``Features.see_into``."""
-        carried, velocities = self._moving
-        levels = None if self.tank is None else self.tank.normalised_levels
+        """What the robots are shown before they choose; arguments as ``Features.see``."""
+        moving = self.steering if self.bodies is None else self.bodies
         if self.bodies is not None:
             teams = np.arange(self._batch[0]) if which is None else np.flatnonzero(which)
             observations = self.bodies.seen(check_observations(observations, self._seen), teams)
-        seen = observations, carried, which, velocities, levels, elapsed
-        self.perception.see_into(shown, *seen)
-        return shown
+        return self.perception.see(
+            observations,
+            self._carried,
+            which,
+            velocities=getattr(moving, "velocities", None),
+            levels=None if self.tank is None else self.tank.normalised_levels,
+            elapsed=elapsed,
+            shown=shown,
+        )
 
     def choose(self, choices: ArrayLike) -> None:
-        """Take choices (B, n), held until the next ones.
-
-        Raises:
-            ValueError: for another shape, or naming the robot whose choice there is not.
-        """
+        """Take choices (B, n) until the next ones; a ValueError names the robot of a wrong one."""
         given, count = np.asarray(choices), len(self.angles)
         if given.shape != self.choices.shape:
             raise ValueError(
                 f"actions have shape {given.shape}; they must be (B, n) = {self.choices.shape}"
             )
-        wrong = ~((given >= 0) & (given < count))
-        for team, robot in np.argwhere(wrong):
+        for team, robot in np.argwhere(~((given >= 0) & (given < count))):
             raise ValueError(
                 f"action of robot_{robot} in team {team} is {given[team, robot]}; it must be a "
                 f"whole number below {count}"
@@ -302,13 +259,10 @@ class GuidedTeams:
         self.perception.note(self.angles[self.choices])
 
     def head(self, vectors: ArrayLike) -> None:
-        """Take directions instead of choices: how f is to be turned, seen with x along f.
+        """Take directions (B, n, 2) in place of choices: how f is to be turned, with x along f.
 
-        Args:
-            vectors: (B, n, 2); their length does not count, and none at all is straight ahead.
-
-        Raises:
-            ValueError: for another shape, or naming the robot whose vector is not finite.
+        Their length does not count, and zero is straight ahead. A ValueError names the robot whose
+        vector is not finite.
         """
         given, wanted = floats("actions", vectors), (*self.choices.shape, 2)
         if given.shape != wanted:
@@ -317,19 +271,12 @@ class GuidedTeams:
             refuse(f"action of robot_{robot} in team {team}", given[team, robot].tolist(), "finite")
         length = np.linalg.norm(given, axis=-1, keepdims=True)
         unit = given / np.where(length > 0.0, length, 1.0)
-        turned = np.where(length > 0.0, unit, self._turns[0])
-        self._directions = turned
+        self._directions = turned = np.where(length > 0.0, unit, self._turns[0])
         self.perception.note(np.arctan2(turned[..., 1], turned[..., 0]))
 
     def act(self, observations: Float32, elapsed: float | None = None) -> Float32:
-        """Velocities of the robots, or (v, ω) of nonholonomic ones.
-
-        Args:
-            observations: (B, n, rows, d), in the local frames.
-            elapsed: s since the actions before, in which headings turned; None is τ.
-
-        Returns:
-            (B, n, a), m/s, or m/s and rad/s.
+        """Velocities (B, n, a), m/s, or (v, ω) of nonholonomic robots, which see (B, n, rows, d);
+        ``elapsed`` s, None is τ, is how long headings have turned since the previous ones.
         """
         observations = check_observations(observations, self._seen)
         actions = np.zeros((*self._seen[:2], self._action_size), np.float32)
@@ -340,23 +287,23 @@ class GuidedTeams:
         self, teams: Part, observations: Float32, actions: Float32, elapsed: float | None = None
     ) -> None:
         """As ``act``, of the teams from the first of a part to the one before its second."""
-        carried, intervals = self._moving[0], np.empty((self._obstacle_slots, 2))
+        carried, intervals = self._carried, np.empty((self._obstacle_slots, 2))
         aim, bodies = (self._directions, self._rule), self.bodies
-        if bodies is not None:
-            there = bodies.seen(observations, np.arange(*teams[:2]))
-            _aim(teams, there, *aim, carried, carried, intervals)
-            bodies.follow(teams, observations, self.steering.held)
+        if bodies is None:
+            raw = self.steering.held if self.tank is None else carried
+            _aim(teams, observations, *aim, carried, raw, intervals)
             self.steering.act_of(teams, observations, actions, elapsed)
-            bodies.turn(teams, actions)
             return
-        raw = self.steering.held if self.tank is None else carried
-        _aim(teams, observations, *aim, carried, raw, intervals)
+        there = bodies.seen(observations, np.arange(*teams[:2]))
+        _aim(teams, there, *aim, carried, carried, intervals)
+        bodies.follow(teams, observations, self.steering.held)
         self.steering.act_of(teams, observations, actions, elapsed)
+        bodies.turn(teams, actions)
 
     def book_of(self, teams: Part, contact: Any, merged_into: Any, resting: Any) -> None:
         """Nothing, see ``keeps_ledger``."""
 
-    def forget(self, which: NDArray[np.bool_] | None = None) -> None:
+    def forget(self, which: Mask | None = None) -> None:
         """Forget headings and what was seen, of all teams or of those of a mask (B,)."""
         for memory in (self.steering, self.perception, self.bodies):
             if memory is not None:

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from rendezvous_env.scenario.scenario import Scenario
 
 from ..filtered_policies import DecidingPolicy
-from ..policy import within_limits
+from ..policy import Float32, Mask, within_limits
 from . import checkpoints
 from .checkpoints import CheckpointError
 from .features import check_readable
@@ -26,9 +26,7 @@ __all__ = ["LearnedPolicy", "PolicySettings", "load"]
 
 
 class GuidedPolicy(DecidingPolicy):
-    """Guided teams that something chooses for; guide and guarantee follow what is seen in each
-    step.
-    """
+    """Guided teams that something chooses for."""
 
     _guided: GuidedTeams
 
@@ -37,32 +35,30 @@ class GuidedPolicy(DecidingPolicy):
         self.settings = settings
 
     @abstractmethod
-    def _choose(self, shown: NDArray[np.float32], due: NDArray[np.bool_]) -> None:
+    def _choose(self, shown: Float32, due: Mask) -> None:
         """Choose for the teams that are due, (B,), by what they are shown, (B, n, size)."""
 
-    def after(
-        self, elapsed: float, observations: NDArray[Any], time: ArrayLike
-    ) -> NDArray[np.float32]:
-        """As a call, where the call before was so many seconds ago; see ``RealTimePolicy``."""
+    def after(self, elapsed: float, observations: NDArray[Any], time: ArrayLike) -> Float32:
+        """As ``RealTimePolicy.after``."""
         return self._after(elapsed, observations)
 
     def _start(self, teams: int) -> None:
         super()._start(teams)
         self._guided = GuidedTeams(self.settings, self.scenario, teams)
 
-    def _forget(self, which: NDArray[np.bool_]) -> None:
+    def _forget(self, which: Mask) -> None:
         super()._forget(which)
         self._guided.forget(which)
 
     def _settle(self, share: float) -> None:
         self._guided.settle(share)
 
-    def _decide(self, teams: NDArray[np.float32], due: NDArray[np.bool_]) -> None:
+    def _decide(self, teams: Float32, due: Mask) -> None:
         steps = np.where(np.isinf(self._steps), self.decision_period, self._steps)
         shown = np.zeros((*teams.shape[:2], self._guided.perception.layout.size), np.float32)
         self._choose(self._guided.show(shown, teams, due, steps * self.scenario.tau), due)
 
-    def _act(self, teams: NDArray[np.float32], elapsed: float) -> NDArray[np.float32]:
+    def _act(self, teams: Float32, elapsed: float) -> Float32:
         return within_limits(self._guided.act(teams, elapsed).astype(np.float64), self.scenario)
 
 
@@ -70,17 +66,9 @@ class LearnedPolicy(GuidedPolicy):
     """A network's greedy choice, made safe: theorem C, or D, holds whatever the weights; of
     robots that turn theorem T, or that V + ΣA does not rise.
 
-    It chooses every ``decision_time``. Teams of any size and any number of obstacles, of any
-    robots but double integrators. The memory has the leading axes of the observations;
-    other leading axes are other teams, and start anew.
-
-    Args:
-        scenario: whose robots it steers.
-        weights: of the network, by name, as a checkpoint has them; or a network.
-        settings: of the network and of the guarantee.
-
-    Raises:
-        ValueError: for robots that it cannot steer, or weights that do not fit the settings.
+    It chooses every ``decision_time``, for teams of any size, any number of obstacles, and any
+    robots but double integrators. ``weights`` are the network's by name, as a checkpoint has them,
+    or a network; a ValueError names robots that it cannot steer, or weights that do not fit.
     """
 
     def __init__(
@@ -110,11 +98,11 @@ class LearnedPolicy(GuidedPolicy):
         remembered = (teams, self.scenario.n_robots, self.settings.units)
         self._hidden = np.zeros(remembered, dtype=np.float32)
 
-    def _forget(self, which: NDArray[np.bool_]) -> None:
+    def _forget(self, which: Mask) -> None:
         super()._forget(which)
         self._hidden[which] = 0.0
 
-    def _choose(self, shown: NDArray[np.float32], due: NDArray[np.bool_]) -> None:
+    def _choose(self, shown: Float32, due: Mask) -> None:
         choices, alive = self._guided.choices.copy(), shown.any(axis=-1)
         choices[due] = 0
         hidden = self._hidden[alive]
@@ -135,7 +123,7 @@ def load(path: Path, scenario: Scenario) -> LearnedPolicy:
     check_readable(scenario)
     if path.suffix == SUFFIX:
         network = OnnxNetwork(path)
-        network.fit(network.settings.layout_of(scenario))
+        network.layout = network.settings.layout_of(scenario)
         return LearnedPolicy(scenario, network, network.settings)
     place = checkpoints.find(path)
     about, tables = checkpoints.read(place, ["network"])

@@ -15,6 +15,7 @@ from .features import FeatureLayout
 from .policy_settings import PolicySettings
 
 Array = NDArray[np.float32]
+Weights = Mapping[str, NDArray[Any]]
 Layer = tuple[Array, Array]
 """Weight (outputs, inputs) and bias (outputs,)."""
 _AT_ONCE = 1024
@@ -25,11 +26,9 @@ class Network(ABC):
     """A network that prefers some choices to others."""
 
     def choose(self, shown: Array, hidden: Array | None = None) -> NDArray[np.int64]:
-        """Greedy choices (N,) of N robots.
+        """Greedy choices (N,) of N robots that are shown (N, layout.size).
 
-        Args:
-            shown: what they are shown, (N, layout.size).
-            hidden: what they remember, (N, units); it moves on in place. None is nothing.
+        ``hidden`` is what they remember, (N, units), updated in place; None is nothing.
         """
         choices = np.empty(len(shown), dtype=np.int64)
         for first in range(0, len(shown), _AT_ONCE):
@@ -40,27 +39,17 @@ class Network(ABC):
 
     @abstractmethod
     def preferences(self, shown: Array, hidden: Array | None = None) -> Array:
-        """Logarithms of the choices' chances up to a constant, (N, choices); as ``choose``."""
+        """Logits of the choices, (N, choices); as ``choose``."""
 
 
 class NumpyActor(Network):
     """A network's greedy choices, as ``HeadingNetwork`` of ``train.learn.networks`` has them.
 
-    Args:
-        weights: of its state, by name; those of the critic are not needed.
-        settings: that it was trained with.
-        layout: of what it is shown; its numbers of slots need not be those of training.
-
-    Raises:
-        ValueError: naming an array that is missing, of another shape or not finite.
+    Of its weights by name, those of the critic are not needed; the numbers of slots of the layout
+    need not be those of training. A ValueError names an array that is missing or does not fit.
     """
 
-    def __init__(
-        self,
-        weights: Mapping[str, NDArray[Any]],
-        settings: PolicySettings,
-        layout: FeatureLayout,
-    ) -> None:
+    def __init__(self, weights: Weights, settings: PolicySettings, layout: FeatureLayout) -> None:
         width, hidden = settings.set_width, settings.hidden
         rows = {"neighbour_net": NEIGHBOUR_COLUMNS, "obstacle_net": OBSTACLE_COLUMNS}
         self._layout = layout
@@ -106,12 +95,7 @@ def _pooled(layers: list[Layer], rows: Array) -> tuple[Array, Array]:
     return mean, largest
 
 
-# ---- layers -------------------------------------------------------------------------------------
-
-
-def linear_layers(
-    weights: Mapping[str, NDArray[Any]], name: str, sizes: tuple[int, ...]
-) -> list[Layer]:
+def linear_layers(weights: Weights, name: str, sizes: tuple[int, ...]) -> list[Layer]:
     """Linear layers with a ReLU behind each, which takes a number of its own."""
     return [
         linear_layer(weights, f"{name}.{2 * k}.weight", f"{name}.{2 * k}.bias", *pair)
@@ -119,14 +103,8 @@ def linear_layers(
     ]
 
 
-def linear_layer(
-    weights: Mapping[str, NDArray[Any]], weight: str, bias: str, inputs: int, outputs: int
-) -> Layer:
-    """The layer whose arrays have these names.
-
-    Raises:
-        ValueError: naming an array that is missing, of another shape or not finite.
-    """
+def linear_layer(weights: Weights, weight: str, bias: str, inputs: int, outputs: int) -> Layer:
+    """The layer whose arrays have these names; a ValueError names one that is missing or wrong."""
     shapes = {weight: (outputs, inputs), bias: (outputs,)}
     for key, shape in shapes.items():
         if key not in weights:
@@ -152,10 +130,10 @@ class RecurrentUnit:
         r = σ(W_r x + U_r h),   z = σ(W_z x + U_z h),   m = tanh(W_m x + r ⊙ (U_m h))
         h ← (1 − z) ⊙ m + z ⊙ h
 
-    with a bias to each W and U, ``memory`` of a network's state; as many x and h as are said.
+    with a bias to each W and U.
     """
 
-    def __init__(self, weights: Mapping[str, NDArray[Any]], inputs: int, units: int) -> None:
+    def __init__(self, weights: Weights, inputs: int, units: int) -> None:
         names = [("memory.weight_ih", "memory.bias_ih"), ("memory.weight_hh", "memory.bias_hh")]
         self.seen = linear_layer(weights, *names[0], inputs, 3 * units)
         self.kept = linear_layer(weights, *names[1], units, 3 * units)

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .checkpoints import CheckpointError
-from .features import FeatureLayout
 from .numpy_actor import Array, Network
 from .policy_settings import PolicySettings
 
@@ -28,30 +27,14 @@ _DIGEST = re.compile(rb'sha256\x12\x42"([0-9a-f]{64})"')
 
 def digest_of(content: bytes) -> str:
     """SHA-256 of a file, with NO_DIGEST where its own digest stands."""
-    return hashlib.sha256(_DIGEST.sub(_without_digest, content)).hexdigest()
-
-
-def _without_digest(found: re.Match[bytes]) -> bytes:
-    return found[0].replace(found[1], NO_DIGEST.encode())
-
-
-def _check_digest(path: Path, content: bytes) -> None:
-    """Refuse a file that is not as it was written, before anybody reads what it says."""
-    digest = _DIGEST.search(content)
-    if digest is None:
-        raise CheckpointError(
-            f"{path}: holds no digest: it was changed, or `rendezvous export` of this version did "
-            "not write it"
-        )
-    if digest[1].decode() != digest_of(content):
-        raise CheckpointError(f"{path}: its content was changed: the digest in it does not fit")
+    blank = _DIGEST.sub(lambda found: found[0].replace(found[1], NO_DIGEST.encode()), content)
+    return hashlib.sha256(blank).hexdigest()
 
 
 class OnnxNetwork(Network):
-    """A network that onnxruntime runs; its numbers of slots are whatever it is shown.
+    """A network that onnxruntime runs, from a file that ``rendezvous export`` wrote.
 
-    Args:
-        path: of a file that ``rendezvous export`` wrote.
+    It reads tables of any ``layout`` with its columns.
 
     Raises:
         CheckpointError: if it cannot be read, was changed, holds no digest or does not belong to
@@ -63,7 +46,14 @@ class OnnxNetwork(Network):
             content = path.read_bytes()
         except OSError as error:
             raise CheckpointError(f"{path}: cannot be read: {error.strerror}") from error
-        _check_digest(path, content)
+        digest = _DIGEST.search(content)  # before anything is read of what the file says
+        if digest is None:
+            raise CheckpointError(
+                f"{path}: holds no digest: it was changed, or `rendezvous export` of this version "
+                "did not write it"
+            )
+        if digest[1].decode() != digest_of(content):
+            raise CheckpointError(f"{path}: its content was changed: the digest in it does not fit")
         self._session = _session(path, content)
         found = self._session.get_modelmeta().custom_metadata_map.get(SETTINGS_KEY)
         if found is None:
@@ -74,24 +64,21 @@ class OnnxNetwork(Network):
             self.settings = PolicySettings.from_plain(json.loads(found))
         except (TypeError, ValueError) as error:
             raise CheckpointError(f"{path}: is no policy of this version: {error}") from error
-        self._layout = self.settings.layout(0, 0)
-
-    def fit(self, layout: FeatureLayout) -> None:
-        """Read tables of this layout from now on."""
-        self._layout = layout
+        self.layout = self.settings.layout(0, 0)
 
     def preferences(self, shown: Array, hidden: Array | None = None) -> Array:
         """As ``Network.preferences``."""
-        given = self._layout.split(shown)._asdict()
+        given: dict[str, Any] = self.layout.split(shown)._asdict()
         if not self.settings.units:
             return self._run(["preferences"], given)[0]
         if hidden is None:
             hidden = np.zeros((len(shown), self.settings.units), dtype=np.float32)
-        preferences, hidden[...] = self._run(["preferences", "hidden_next"], given, hidden=hidden)
+        names = ["preferences", "hidden_next"]
+        preferences, hidden[...] = self._run(names, given | {"hidden": hidden})
         return preferences
 
-    def _run(self, names: list[str], given: dict[str, Any], **more: Array) -> list[NDArray[Any]]:
-        rows = {name: np.ascontiguousarray(array) for name, array in (given | more).items()}
+    def _run(self, names: list[str], given: dict[str, Any]) -> list[NDArray[Any]]:
+        rows = {name: np.ascontiguousarray(array) for name, array in given.items()}
         found: list[NDArray[Any]] = self._session.run(names, rows)
         return found
 

@@ -1,4 +1,4 @@
-"""Plain data in files: JSON that is read, checked for its types, and told by its digest."""
+"""Plain data in files: JSON that is read, checked for its types, and identified by its digest."""
 
 from __future__ import annotations
 
@@ -10,12 +10,7 @@ from typing import Any, get_type_hints
 
 
 def read_json(path: Path) -> Any:
-    """Plain data from a file.
-
-    Raises:
-        OSError: if it cannot be read.
-        ValueError: if it is no JSON, saying why.
-    """
+    """Plain data from a file; an OSError, or a ValueError that says why it is no JSON."""
     try:
         return json.loads(path.read_text(encoding="utf-8"))
     except RecursionError as error:
@@ -33,15 +28,7 @@ def entry(content: bytes) -> dict[str, Any]:
 
 
 def check_types(values: Mapping[str, Any], hints: Mapping[str, Any]) -> None:
-    """Refuse plain data of other types than these.
-
-    Args:
-        values: by name.
-        hints: type of each that must be right.
-
-    Raises:
-        ValueError: naming the field, its value and the type that it must have.
-    """
+    """Refuse values of other types than these, both by name; a ValueError names field and type."""
     from typeguard import CollectionCheckStrategy, TypeCheckError, check_type  # not for imports
 
     every = CollectionCheckStrategy.ALL_ITEMS

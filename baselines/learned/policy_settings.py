@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from rendezvous_env.scenario.scenario import Scenario
 
-from .features import LEVEL_COLUMNS, VERSION, FeatureLayout
+from .feature_kernels import LEVEL_COLUMNS, WALL_COLUMNS
+from .features import VERSION, FeatureLayout
 from .plain_data import check_field_types, check_types
-from .wall_memory import WALL_COLUMNS
 
 ANGLES = np.array([0.0, 0.3, -0.3, 0.6, -0.6, 1.0, -1.0, 1.4, -1.4])
 """What can be chosen where headings are certified, rad counter-clockwise from f; the first choice
@@ -22,8 +22,6 @@ is the rule itself."""
 ALL_ROUND = np.array([*ANGLES, 1.9, -1.9, 2.5, -2.5, np.pi])
 """What can be chosen where a tank pays for going away from f, rad; begins as ANGLES."""
 CHOICES = len(ANGLES)
-Memory = Literal["none", "features", "recurrent"]
-"""What a robot remembers beside the last decisions."""
 _WIDEST = 2**12
 _RANGES = {
     "set_width": (1, _WIDEST), "clearance": (0.0, math.pi), "persistence": (0.0, 1e9),
@@ -41,28 +39,18 @@ def memory_of(written: Any) -> Any:
 class PolicySettings:
     """All that a policy is, beside its weights."""
 
-    set_width: int
-    """Of the networks that read one row."""
-    hidden: tuple[int, ...]
-    """Widths of the layers behind them."""
-    clearance: float
-    """Of the guide, rad."""
-    persistence: float
-    """Of the guide."""
-    min_alignment: float
-    """ε, which the certified heading keeps, or which the tank owes."""
-    max_turn_rate: float
-    """Of the certified heading, rad/s."""
-    decision_time: float
-    """s between decisions."""
+    set_width: int  # of the networks that read one row
+    hidden: tuple[int, ...]  # widths of the layers behind them
+    clearance: float  # of the guide, rad
+    persistence: float  # of the guide
+    min_alignment: float  # ε, which the certified heading keeps, or which the tank owes
+    max_turn_rate: float  # of the certified heading, rad/s
+    decision_time: float  # s between decisions
     guarantee: Literal["heading", "tank"] = "heading"
-    """Theorem C's certified heading, or theorem D's energy tank."""
-    budget: float = 0.0
-    """Of each tank at the start, in units of r D̄: the same for teams of any size."""
-    memory: Memory = "none"
-    """Nothing, or with a tank features of walls, or whatever a recurrent unit keeps."""
-    memory_units: int = 64
-    """Of the recurrent unit."""
+    budget: float = 0.0  # of each tank at the start, in units of r D̄, for teams of any size
+    memory: Literal["none", "features", "recurrent"] = "none"
+    """Beside the last decisions nothing, with a tank features of walls, or a recurrent unit's."""
+    memory_units: int = 64  # of the recurrent unit
 
     def __post_init__(self) -> None:
         """Refuse what no network and no heading can have."""
@@ -76,7 +64,7 @@ class PolicySettings:
             raise ValueError(f"hidden is {self.hidden}; each must be in [1, {_WIDEST}]")
 
     def to_plain(self) -> dict[str, Any]:
-        """As plain data, with the version of the perception that the weights belong to."""
+        """As plain data, with the version of the features that the weights belong to."""
         return asdict(self) | {"perception": VERSION}
 
     @classmethod
@@ -84,7 +72,7 @@ class PolicySettings:
         """What ``to_plain`` gave, or that of a version without tanks.
 
         Raises:
-            ValueError: for missing or unknown fields, or another perception.
+            ValueError: for missing or unknown fields, or other features.
         """
         if not isinstance(plain, Mapping) or plain.get("perception") != VERSION:
             version = plain.get("perception") if isinstance(plain, Mapping) else plain

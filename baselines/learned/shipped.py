@@ -17,29 +17,33 @@ from .checkpoints import describe
 from .learned_policy import load
 from .policy_settings import PolicySettings
 
-_FOLDERS = {
-    "learned": "pretrained",
-    "learned-tank": "pretrained_tank",
-    "learned-tank-noise": "pretrained_tank_noise",
+_SHIPPED = {
+    "learned": (
+        "pretrained",
+        "Chooses how far aside of f the joined rule aims; certified, shipped with its weights.",
+    ),
+    "learned-tank": (
+        "pretrained_tank",
+        "Chooses where to go, all round, under an energy tank; shipped with its weights.",
+    ),
+    "learned-tank-noise": (
+        "pretrained_tank_noise",
+        "The same, trained on with sensors that err, farther from edges; shipped.",
+    ),
 }
-NAMES = tuple(_FOLDERS)
+"""By name: the folder of the weights, and what the policy is."""
+NAMES = tuple(_SHIPPED)
 _OF_OTHERS = {"learned-tank": "pretrained_tank_unicycle"}
 """Weights trained on with unicycles and larger tanks, for all but points of the plane. Those of the
 others were trained with such points alone, and none in space."""
 
 
 def folder(name: str, scenario: Scenario | None = None) -> Path:
-    """Where weights, settings and curves of a shipped policy lie.
-
-    Args:
-        name: one of NAMES.
-        scenario: whose robots it is to steer; None is single integrators in the plane.
-
-    Raises:
-        KeyError: for another name.
+    """Where weights, settings and curves of a shipped policy lie, by one of NAMES and whose robots
+    it is to steer; None is single integrators in the plane.
     """
     own = {} if scenario is None or in_the_plane(scenario) else _OF_OTHERS
-    return Path(__file__).with_name(own.get(name, _FOLDERS[name]))
+    return Path(__file__).with_name(own.get(name, _SHIPPED[name][0]))
 
 
 def _register(name: str, about: str) -> None:
@@ -50,18 +54,8 @@ def _register(name: str, about: str) -> None:
     register(name, fits=can_steer, kind="learned")(build)
 
 
-_register(
-    "learned",
-    "Chooses how far aside of f the joined rule aims; certified, shipped with its weights.",
-)
-_register(
-    "learned-tank",
-    "Chooses where to go, all round, under an energy tank; shipped with its weights.",
-)
-_register(
-    "learned-tank-noise",
-    "The same, trained on with sensors that err, farther from edges; shipped.",
-)
+for _name, (_, _about) in _SHIPPED.items():
+    _register(_name, _about)
 
 
 POLICIES = {"heading": "learned", "tank": "learned-tank"}
@@ -76,13 +70,11 @@ class Preset(NamedTuple):
     reward: RewardWeights
     """Of its teams."""
     touch_penalty: float
-    """What a robot paid for its first touch of an obstacle."""
+    """What a robot paid for its first contact with an obstacle."""
 
 
 def preset(guarantee: str | None, scenario: Scenario | None = None) -> Preset:
-    """That of a guarantee's shipped policy; without one that of "heading". Arguments as ``folder``:
-    reward and price are the same for all robots.
-    """
+    """That of a guarantee's shipped policy, "heading" without one; a scenario as in ``folder``."""
     return _read(folder(POLICIES.get(guarantee or "", POLICIES["heading"]), scenario))
 
 

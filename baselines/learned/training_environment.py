@@ -1,10 +1,10 @@
-"""What a policy is trained in: guided teams, perception, and the price of a touch."""
+"""What a policy is trained in: guided teams, features, and the price of a contact."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from gymnasium.spaces import Box, MultiDiscrete
@@ -22,30 +22,12 @@ from rendezvous_env.rewards.terms import RewardWeights
 from rendezvous_env.safety.tank import unit_of_tanks
 from rendezvous_env.scenario.scenario import Scenario
 from rendezvous_env.scenario.start_options import as_options
-from rendezvous_env.simulator import Simulator
 
 from ..steering import can_steer
 from .features import FeatureLayout
 from .guide import GuidedTeams
 from .policy_settings import PolicySettings
 from .shipped import POLICIES, preset
-
-
-class GlobalState(Protocol):
-    """Privileged numbers of a whole team, as each of its robots would see it."""
-
-    @property
-    def size(self) -> int:
-        """Numbers for each robot."""
-        ...
-
-    def states(
-        self, simulator: Simulator, towards: NDArray[Any], levels: NDArray[np.float64]
-    ) -> NDArray[np.float32]:
-        """Those of B teams, (B, n, size), from f_i in the robots' own frames, (B, n, 2), of any
-        length, zero being local x, and the levels A/(r D̄) of their tanks, (B, n).
-        """
-        ...
 
 
 def observation_box(size: int) -> Box:
@@ -57,20 +39,17 @@ class FeatureVectorEnv(GuaranteeWrapper):
     """Teams whose robots choose by what they are shown, see ``GuidedTeams``.
 
     Actions are choices (B, n), each held for ``decision_period`` base steps, in each of which the
-    guide aims anew. Observations are (B, n, layout.size), the last ones of an episode included. The
-    first touch of an obstacle costs the robot ``touch_penalty``, and no other robot of its team.
+    guide aims anew. Observations are (B, n, layout.size), the last ones of an episode included.
 
     Args:
         env: teams of any robots but double integrators, in any autoreset mode.
         settings: of the policy that is trained.
-        touch_penalty: taken from ``robot_rewards``, once in an episode.
-        obstacle_slots: of ``Features``.
-        global_state: what follows what is shown, for critics; None is nothing. Its columns are
-            those beyond the first layout.size.
+        touch_penalty: taken from ``robot_rewards`` of a robot at its first contact in an episode.
+        obstacle_slots: of ``Features``, whose refusals are raised.
+        global_state: of what follows what is shown, for critics; None is nothing. It has a
+            ``size``, numbers for each robot, and ``states(simulator, f, levels)``, (B, n, size), of
+            f_i in the robots' own frames, (B, n, 2), of any length, and of A/(r D̄), (B, n).
         discrete: False takes directions (B, n, 2) in place of choices, see ``GuidedTeams.head``.
-
-    Raises:
-        ValueError: for robots that ``Features`` cannot show.
     """
 
     def __init__(
@@ -80,24 +59,18 @@ class FeatureVectorEnv(GuaranteeWrapper):
         *,
         touch_penalty: float = 0.0,
         obstacle_slots: int | None = None,
-        global_state: GlobalState | None = None,
+        global_state: Any = None,
         discrete: bool = True,
     ) -> None:
-        scenario, self.settings = env.scenario, settings
-        self.guided = GuidedTeams(
-            settings,
-            scenario,
-            env.num_envs,
-            obstacle_slots=obstacle_slots,
-            num_threads=env.simulator.num_threads,
+        scenario, n = env.scenario, env.scenario.n_robots
+        threads = env.simulator.num_threads
+        self.settings, self.global_state, self.discrete = settings, global_state, discrete
+        self.guided = guided = GuidedTeams(
+            settings, scenario, env.num_envs, obstacle_slots=obstacle_slots, num_threads=threads
         )
-        guided, period = self.guided, settings.decision_period(scenario)
-        super().__init__(env, guided.steering, period)
-        n = scenario.n_robots
-        self.global_state = global_state
+        super().__init__(env, guided.steering, settings.decision_period(scenario))
         more = 0 if global_state is None else global_state.size
         self.single_observation_space = team_box(observation_box(self.layout.size + more), n)
-        self.discrete = discrete
         self.single_action_space = (
             MultiDiscrete([len(settings.angles)] * n)
             if discrete
@@ -118,16 +91,13 @@ class FeatureVectorEnv(GuaranteeWrapper):
         return self.guided.steering.alignment
 
     def step(self, actions: ArrayLike) -> Transition:
-        """As ``GuaranteeWrapper.step``, with touches paid for in ``robot_rewards``."""
+        """As ``GuaranteeWrapper.step``, with first contacts paid for in ``robot_rewards``."""
         seen, rewards, ends, cuts, infos = super().step(actions)
         infos["robot_rewards"] -= self.touch_penalty * self._touches.note(infos, ends | cuts)
         return seen, rewards, ends, cuts, infos
 
     def _take(self, actions: ArrayLike) -> None:
-        if self.discrete:
-            self.guided.choose(actions)
-        else:
-            self.guided.head(actions)
+        (self.guided.choose if self.discrete else self.guided.head)(actions)
 
     @property
     def _pilot(self) -> Pilot | None:
@@ -140,19 +110,14 @@ class FeatureVectorEnv(GuaranteeWrapper):
         size = self.layout.size
         self.guided.show(self._shown[..., :size], self._observed, which)
         if self.global_state is not None:
-            state = self._state_of_teams()
+            base: Any = self.env
+            towards = base.scenario.observation_layout.net_bearing(self._observed)
+            tank, nothing = self.guided.tank, np.zeros(self._touches.touched.shape)
+            levels = nothing if tank is None else tank.normalised_levels
+            state = self.global_state.states(base.simulator, towards, levels)
             told = slice(None) if which is None else which
             self._shown[told, :, size:] = state[told]
         return self._shown.copy() if which is None else self._shown
-
-    def _state_of_teams(self) -> NDArray[np.float32]:
-        """The global state as each robot would see it, (B, n, global_state.size)."""
-        assert self.global_state is not None
-        base: Any = self.env
-        towards = base.scenario.observation_layout.net_bearing(self._observed)
-        tank, nothing = self.guided.tank, np.zeros(self._touches.touched.shape)
-        levels = nothing if tank is None else tank.normalised_levels
-        return self.global_state.states(base.simulator, towards, levels)
 
     def reset(
         self,
@@ -160,7 +125,7 @@ class FeatureVectorEnv(GuaranteeWrapper):
         seed: int | Sequence[int | None] | None = None,
         options: Mapping[str, Any] | None = None,
     ) -> tuple[NDArray[np.float32], Info]:
-        """Begin anew, as ``GuaranteeWrapper.reset``; teams that do have touched nothing."""
+        """As ``GuaranteeWrapper.reset``; robots of teams that start afresh have touched nothing."""
         shown, infos = super().reset(seed=seed, options=options)
         self._touches.forget(as_options(options).get("reset_mask"))
         return shown.copy(), infos
@@ -170,39 +135,34 @@ class FeatureVectorEnv(GuaranteeWrapper):
 
     def get_state(self) -> dict[str, Any]:
         """The running episodes and all memory, as copies."""
-        memory = {
-            "perception": self.guided.perception.get_state(),
-            "touched": self._touches.touched.copy(),
-        }
-        if self.guided.bodies is not None:
-            memory["bodies"] = self.guided.bodies.get_state()
-        return super().get_state() | memory
+        memory = {name: part.get_state() for name, part in self._parts.items()}
+        return super().get_state() | memory | {"touched": self._touches.touched.copy()}
 
     def set_state(self, state: Mapping[str, Any]) -> None:
-        """Put back what ``get_state`` took out.
-
-        Raises:
-            ValueError: naming what does not fit; nothing has changed then.
+        """Put back what ``get_state`` took out; a ValueError names what does not fit, nothing has
+        changed then.
         """
-        bodies = self.guided.bodies
-        check_keys(state, ("perception",) if bodies is None else ("perception", "bodies"))
+        check_keys(state, tuple(self._parts))
         touched = check_entries({"touched": self._touches.touched}, state)["touched"]
-        memory = self.guided.perception.check_state(state["perception"])
-        turned = {} if bodies is None else bodies.check_state(state["bodies"])
+        checked = {name: part.check_state(state[name]) for name, part in self._parts.items()}
         super().set_state(state)
-        if bodies is not None:
-            bodies.set_state(turned)
-        self.guided.perception.set_state(memory)
+        for name, part in self._parts.items():
+            part.set_state(checked[name])
         self._touches.touched[...] = touched
+
+    @property
+    def _parts(self) -> dict[str, Any]:
+        """What remembers something beside the filter, by its key in a state."""
+        bodies = self.guided.bodies
+        parts: dict[str, Any] = {"perception": self.guided.perception}
+        return parts if bodies is None else parts | {"bodies": bodies}
 
 
 class ShippedPreset:
-    """What ``training_env`` hands to learners: what the shipped policies see, do and earn; a
-    ``LearningPreset``.
-    """
+    """A ``LearningPreset``: what the shipped policies see, do and earn."""
 
     def earnings(self, guarantee: str | None) -> tuple[RewardWeights, float]:
-        """The reward, and the price of a robot's first touch."""
+        """The reward, and the price of a robot's first contact."""
         return preset(guarantee).reward, preset(guarantee).touch_penalty
 
     def shows(self, scenario: Scenario, guarantee: str | None) -> bool:
@@ -210,10 +170,8 @@ class ShippedPreset:
         return guarantee in POLICIES and can_steer(scenario)
 
     def held_arguments(self, scenario: Scenario, guarantee: str) -> dict[str, Any]:
-        """Arguments of the guarantee's wrapper where they do not.
-
-        A choice is held as long as the choice of the policy that is shipped for such robots; a tank
-        has the same budget in units of r D̄, and its level is observed, as by that policy.
+        """Arguments of the guarantee's wrapper where they do not: a choice is held as long as by
+        the shipped policy, and a tank has its budget in units of r D̄ and an observed level.
         """
         settings = preset(guarantee, scenario).settings
         held: dict[str, Any] = {"decision_period": settings.decision_period(scenario)}
@@ -228,17 +186,10 @@ class ShippedPreset:
         discrete: bool,
         arguments: Mapping[str, Any],
     ) -> FeatureVectorEnv:
-        """The teams that see and do what the shipped policy does.
+        """The teams that see and do what the shipped policy of "heading" or "tank" does.
 
-        Args:
-            env: teams of any robots but double integrators.
-            guarantee: "heading" or "tank".
-            discrete: as ``FeatureVectorEnv``.
-            arguments: of the guarantee's wrapper: min_alignment, decision_period (steps), and
-                max_turn_rate or budget (m²/s).
-
-        Raises:
-            ValueError: for another argument, or an impossible value.
+        ``arguments`` are of the guarantee's wrapper: min_alignment, decision_period (steps), and
+        max_turn_rate or budget (m²/s). ValueError for another one, or an impossible value.
         """
         scenario, own = env.scenario, {"heading": "max_turn_rate", "tank": "budget"}[guarantee]
         changes: dict[str, Any] = {}

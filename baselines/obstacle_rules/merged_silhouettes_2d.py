@@ -5,15 +5,15 @@ import math
 import numpy as np
 
 from rendezvous_env.compilation import kernel
-from rendezvous_env.physics.vectors import dot, load, store
+from rendezvous_env.physics.vectors import X_AXIS, dot, load, store
+from rendezvous_env.safety.turning import mean_axis
 
 from .silhouettes import STRAIGHT_AHEAD, direction_of, is_seen
 
 TWO_PI = 2.0 * math.pi
 _ROUNDING = 1e-12
 _A_LITTLE_LESS = 1.0 - 1e-9
-_FAR = 100.0
-"""rad; sums of the angles in here stay below it."""
+_FAR = 100.0  # rad; sums of the angles in here stay below it
 
 
 @kernel(allocates=True)
@@ -24,16 +24,11 @@ def joined_headings_2d(net_bearing, silhouettes, clearance, carried, persistence
     If f lies in it, or within the clearance of it, head for its nearer edge, moved away from it by
     the clearance, or by half of the gap to the next interval if that is less. With nothing in the
     way, or no free direction at all, keep f. Within the clearance of two intervals the nearer one
-    counts. With a persistence λ the nearer edge is the one with the smaller angle from f plus λ
+    counts. With a persistence λ ≥ 0 the nearer edge is the one with the smaller angle from f plus λ
     times the angle from the carried heading, so that a robot seldom changes its mind.
 
-    Args:
-        net_bearing: fᵢ, (N, 2).
-        silhouettes: (N, M, 2, 2), counter-clockwise edge, then clockwise edge.
-        clearance: rad.
-        carried: headings of the step before, (N, 2); zero = none yet.
-        persistence: λ, 0 or more.
-        out: (N, 2).
+    Of fᵢ, (N, 2), silhouettes (N, M, 2, 2), counter-clockwise edge first, the clearance, rad, and
+    headings of the previous step, (N, 2), zero = none yet, to ``out``, (N, 2).
     """
     intervals = np.empty((silhouettes.shape[1], 2))
     for i in range(out.shape[0]):
@@ -44,39 +39,30 @@ def joined_headings_2d(net_bearing, silhouettes, clearance, carried, persistence
 
 @kernel
 def joined_heading_2d(towards, silhouettes, carried, rule, intervals):
-    """``joined_headings_2d`` of one robot.
-
-    Args:
-        towards: f/‖f‖, a triple.
-        silhouettes: (M, 2, 2).
-        carried: its heading of the step before, a triple; zero = none yet.
-        rule: clearance and persistence.
-        intervals: (M, 2), working memory.
-
-    Returns:
-        The heading, a triple.
-    """
+    """``joined_headings_2d`` of one robot, in triples; ``rule`` is clearance and persistence."""
     clearance, persistence = rule
     if is_clear(towards, silhouettes, clearance):
         return towards
     kept, weight = 0.0, 0.0
     if carried[0] != 0.0 or carried[1] != 0.0:
         kept, weight = math.atan2(_cross(towards, carried), dot(towards, carried)), persistence
-    joined = joined_interval_2d(towards, silhouettes, intervals)
-    turn = _turn_to_free(joined, clearance, kept, weight)
+    low, high, gap_below, gap_above = joined_interval_2d(towards, silhouettes, intervals)
+    turn = 0.0
+    if not (high - low >= TWO_PI or low >= clearance or high <= -clearance):
+        above = high + weight * _between(high, kept)
+        below = -low + weight * _between(low, kept)
+        if above <= below:
+            turn = high + min(clearance, 0.5 * gap_above)
+        else:
+            turn = low - min(clearance, 0.5 * gap_below)
     c, s = math.cos(turn), math.sin(turn)
     return c * towards[0] - s * towards[1], s * towards[0] + c * towards[1], 0.0
 
 
 @kernel
 def is_clear(towards, silhouettes, clearance):
-    """Whether each silhouette by itself is surely farther from a direction than the clearance, as
-    for most robots in most steps; found without an angle. Silhouettes joined are so then, too.
-
-    Args:
-        towards: a unit vector, as a triple.
-        silhouettes: (M, 2, 2) of one robot.
-        clearance: rad.
+    """Whether each of (M, 2, 2), and so all of them joined, is surely farther from a unit triple
+    than the clearance, rad, as for most robots in most steps; found without an angle.
     """
     if clearance >= 0.5 * math.pi:
         return False
@@ -97,21 +83,10 @@ def is_clear(towards, silhouettes, clearance):
 
 
 @kernel
-def _relative_intervals(towards, silhouettes, out):
-    """Silhouettes as (start, width), rad: from f to the clockwise edge, and on to the other.
-
-    Returns:
-        How many there are.
-    """
-    u, count = towards, 0
-    for m in range(silhouettes.shape[0]):
-        if not is_seen(silhouettes[m]):
-            continue
-        last, first = load(silhouettes[m, 0]), load(silhouettes[m, 1])
-        out[count, 0] = math.atan2(_cross(u, first), dot(u, first))
-        out[count, 1] = max(math.atan2(_cross(first, last), dot(first, last)), 0.0)
-        count += 1
-    return count
+def axis_is_clear(rates, silhouettes, gate):
+    """Whether a unicycle's axis, and its mean over a step with these rates, miss (M, 2, 2)."""
+    on_the_way = mean_axis(rates, 0.0, gate)
+    return is_clear(X_AXIS, silhouettes, 0.0) and is_clear(on_the_way, silhouettes, 0.0)
 
 
 @kernel
@@ -121,46 +96,32 @@ def _cross(a, b):
 
 @kernel
 def joined_interval_2d(towards, silhouettes, intervals):
-    """The angles that the silhouettes before a direction cover, those that overlap being joined.
+    """The angles that silhouettes (M, 2, 2) before a unit triple cover, overlapping ones joined.
 
-    Args:
-        towards: a unit vector, as a triple.
-        silhouettes: (M, 2, 2) of one robot.
-        intervals: (M, 2), working memory.
-
-    Returns:
-        The clockwise and the counter-clockwise edge, rad counter-clockwise from the direction, of
-        the joined interval that holds it, or else has the edge nearest to it; then the free angles
-        beyond either edge. A full turn between the edges means that nothing is free; edges of ∞ and
-        −∞, that nothing is seen.
+    The clockwise and the counter-clockwise edge, rad counter-clockwise from the direction, of the
+    joined interval that holds it, or else has the edge nearest to it; then the free angles beyond
+    either edge. A full turn between the edges means that nothing is free; edges of ∞ and −∞, that
+    nothing is seen. ``intervals``, (M, 2), is working memory.
     """
-    seen = intervals[: _relative_intervals(towards, silhouettes, intervals)]
+    u, count = towards, 0
+    for m in range(silhouettes.shape[0]):  # (start, width): the clockwise edge from f, and on
+        if is_seen(silhouettes[m]):
+            last, first = load(silhouettes[m, 0]), load(silhouettes[m, 1])
+            intervals[count, 0] = math.atan2(_cross(u, first), dot(u, first))
+            intervals[count, 1] = max(math.atan2(_cross(first, last), dot(first, last)), 0.0)
+            count += 1
+    seen = intervals[:count]
     nearest = _nearest_interval(seen)
     if nearest == STRAIGHT_AHEAD:
         return math.inf, -math.inf, TWO_PI, TWO_PI
     low, high = _join_from(nearest, seen)
-    gap_below, gap_above = _gaps(low, high, seen)
+    gap_below = gap_above = TWO_PI - (high - low)  # free, up to the next interval or to itself
+    for k in range(count):
+        after_low = counter_clockwise(seen[k, 0] - low)
+        if after_low > high - low:
+            gap_above = min(gap_above, after_low - (high - low))
+            gap_below = min(gap_below, TWO_PI - (after_low + seen[k, 1]))
     return low, high, gap_below, gap_above
-
-
-@kernel
-def _turn_to_free(joined, clearance, kept, persistence):
-    """Angle from f, counter-clockwise, to the heading of ``joined_headings_2d``, rad.
-
-    Args:
-        joined: see ``joined_interval_2d``.
-        clearance: rad.
-        kept: angle of the carried heading, rad from f.
-        persistence: what an edge's angle from that heading counts beside its angle from f.
-    """
-    low, high, gap_below, gap_above = joined
-    if high - low >= TWO_PI or low >= clearance or high <= -clearance:
-        return 0.0
-    above = high + persistence * _between(high, kept)
-    below = -low + persistence * _between(low, kept)
-    if above <= below:
-        return high + min(clearance, 0.5 * gap_above)
-    return low - min(clearance, 0.5 * gap_below)
 
 
 @kernel
@@ -168,18 +129,6 @@ def _between(a, b):
     """Angle between two directions given as angles, rad."""
     apart = counter_clockwise(a - b)
     return min(apart, TWO_PI - apart)
-
-
-@kernel
-def _gaps(low, high, intervals):
-    """Free angle below and above a joined interval, up to the next one or to itself, rad."""
-    gap_below = gap_above = TWO_PI - (high - low)
-    for k in range(intervals.shape[0]):
-        after_low = counter_clockwise(intervals[k, 0] - low)
-        if after_low > high - low:
-            gap_above = min(gap_above, after_low - (high - low))
-            gap_below = min(gap_below, TWO_PI - (after_low + intervals[k, 1]))
-    return gap_below, gap_above
 
 
 @kernel
@@ -211,10 +160,7 @@ def counter_clockwise(angle):
 
 @kernel
 def _join_from(first, intervals):
-    """Grow an interval by all that overlap it, until nothing more does: (low, high), rad from f.
-
-    high − low reaches 2π where everything around is covered.
-    """
+    """Grow an interval by all that overlap it: (low, high), rad from f, up to a full turn."""
     low = intervals[first, 0]
     high = low + intervals[first, 1]
     if low > 0.0 and TWO_PI - high < low:  # counted from below, its upper edge is the near one

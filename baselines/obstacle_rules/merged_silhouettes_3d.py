@@ -21,58 +21,36 @@ def joined_headings_3d(net_bearing, silhouettes, clearance, out):
     candidate, keep f. Ray 0 of a cone is its boundary direction nearest to f, so a single cone is
     left by the shortest way.
 
-    Args:
-        net_bearing: fᵢ, (N, 3).
-        silhouettes: (N, M, 8, 3).
-        clearance: rad.
-        out: (N, 3).
+    Of fᵢ, (N, 3), silhouettes (N, M, 8, 3) and the clearance, rad, to ``out``, (N, 3).
     """
-    cones = np.empty((silhouettes.shape[1], 4))
+    cones = np.empty((silhouettes.shape[1], 4))  # unit centre direction, half angle in rad
     slots = np.empty(silhouettes.shape[1], np.int64)
     joined = np.empty(silhouettes.shape[1], np.bool_)
     for i in range(out.shape[0]):
-        towards = direction_of(net_bearing[i])
-        count = _seen_cones(silhouettes[i], cones, slots)
-        blocking = _deepest(towards, cones[:count], clearance)
+        towards, count = direction_of(net_bearing[i]), 0
+        for m in range(silhouettes.shape[1]):
+            if is_seen(silhouettes[i, m]):
+                first, second = opposite(silhouettes[i, m])
+                centre = split(combine(1.0, first, 1.0, second))[1]
+                store(centre, cones[count, :3])
+                cones[count, 3], slots[count] = _angle(first, centre), m
+                count += 1
+        seen, blocking, least = cones[:count], STRAIGHT_AHEAD, clearance
+        for k in range(count):
+            outside = _angle(towards, load(seen[k, :3])) - seen[k, 3]
+            if outside < least:
+                blocking, least = k, outside
         if blocking == STRAIGHT_AHEAD:
             store(towards, out[i])
             continue
-        _join(blocking, cones[:count], joined)
-        rays = silhouettes[i]
-        store(_nearest_free_ray(towards, cones[:count], joined, rays, slots, clearance), out[i])
-
-
-@kernel
-def _seen_cones(silhouettes, cones, slots):
-    """Unit centre direction and half angle in rad of each cone that is seen; how many there are."""
-    count = 0
-    for m in range(silhouettes.shape[0]):
-        if not is_seen(silhouettes[m]):
-            continue
-        first, second = opposite(silhouettes[m])
-        centre = split(combine(1.0, first, 1.0, second))[1]
-        cones[count, 0], cones[count, 1], cones[count, 2] = centre
-        cones[count, 3] = _angle(first, centre)
-        slots[count] = m
-        count += 1
-    return count
+        _join(blocking, seen, joined)
+        store(_nearest_free_ray(towards, seen, joined, silhouettes[i], slots, clearance), out[i])
 
 
 @kernel
 def _angle(a, b):
     """Angle between unit vectors, rad."""
     return math.acos(min(max(dot(a, b), -1.0), 1.0))
-
-
-@kernel
-def _deepest(towards, cones, clearance):
-    """Index of the cone that f is deepest in, the clearance being part of each."""
-    deepest, least = STRAIGHT_AHEAD, clearance
-    for k in range(cones.shape[0]):
-        outside = _angle(towards, load(cones[k, :3])) - cones[k, 3]
-        if outside < least:
-            deepest, least = k, outside
-    return deepest
 
 
 @kernel

@@ -9,66 +9,52 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rendezvous_env.checks import between, number, positive, real, shown
+from rendezvous_env.compilation import kernel
 from rendezvous_env.safety.heading import certified_heading, flexible_velocity, step_scale
 from rendezvous_env.safety.settings import check_vectors
+from rendezvous_env.safety.turning import rates_of
 from rendezvous_env.scenario.observation_layout import SILHOUETTE_POINTS
+from rendezvous_env.scenario.scenario import Scenario
 
 from ..policy import (
+    Float32,
+    Mask,
     Policy,
     RememberingPolicy,
     TeamPolicy,
-    among_obstacles,
+    is_single_integrator,
     register,
+    within_limits,
 )
-from ..steering import Steering
-from .merged_silhouettes_2d import joined_headings_2d
+from ..steering import Steering, can_steer
+from .merged_silhouettes_2d import axis_is_clear, joined_headings_2d
 from .merged_silhouettes_3d import joined_headings_3d
-from .planes_in_space import headings_in_planes
+from .planes_in_space import axis_is_clear_3d, headings_in_planes, widened_rays
 from .silhouettes import tangent_headings
-from .turning_robots import can_pass_obstacles, steered
 
-if TYPE_CHECKING:
-    from rendezvous_env.scenario.scenario import Scenario
-
+FLAT = 0.04
+"""rad; the flat sides between eight boundary rays lie within a round cone by no more."""
 Array = NDArray[np.float64]
 HeadingRule = Callable[[Array, NDArray[Any]], Array]
 """Net bearings fᵢ, (..., d), m/s, and silhouettes, (..., M, S, d), unit vectors, zero where no
 obstacle is seen → headings hᵢ, (..., d), unit vectors."""
 
 
-# ---- rules --------------------------------------------------------------------------------------
-
-
 def tangent_heading(net_bearing: Array, silhouettes: NDArray[Any]) -> Array:
-    """Section IV-C read literally: the edge nearest to f of the most prominent obstacle in sight.
-
-    The most prominent obstacle is the one with the largest angular width, whether it stands in the
-    way or not. With none in sight h = f/‖f‖ (the x axis where f = 0).
-
-    Args:
-        net_bearing: fᵢ, (..., d), m/s.
-        silhouettes: unit bearings, (..., M, S, d).
-
-    Returns:
-        Headings, (..., d).
-
-    Raises:
-        ValueError: naming an argument of the wrong shape, or that is not finite.
+    """Section IV-C read literally: the edge nearest to f of the most prominent obstacle in sight,
+    the one with the largest angular width, whether it stands in the way or not.
     """
     return _over_robots(tangent_headings, net_bearing, silhouettes, False)
 
 
 def tangent_blocking_heading(net_bearing: Array, silhouettes: NDArray[Any]) -> Array:
-    """Section IV-C for obstacles in the way only: of those that f points into, the most prominent.
-
-    As ``tangent_heading`` otherwise.
-    """
+    """Section IV-C for obstacles in the way only: the most prominent that f points into."""
     return _over_robots(tangent_headings, net_bearing, silhouettes, True)
 
 
@@ -80,22 +66,12 @@ def tangent_joined_heading(
     carried: Array | None = None,
     persistence: float = 0.0,
 ) -> Array:
-    """Overlapping silhouettes are one obstacle; pass it on the nearer side (theory 6).
+    """Overlapping silhouettes are one obstacle; pass it on the nearer side (theory 6). Details are
+    with ``joined_headings_2d`` and ``joined_headings_3d``.
 
-    Details are with ``joined_headings_2d`` and ``joined_headings_3d``.
-
-    Args:
-        net_bearing: fᵢ, (..., d), m/s.
-        silhouettes: unit bearings, (..., M, S, d).
-        clearance: angle by which to stay clear of an edge, rad.
-        carried: headings of the step before, (..., d), zero where there is none; in the plane only.
-        persistence: how much an edge's angle from the carried heading counts beside that from f.
-
-    Returns:
-        Headings, (..., d); f/‖f‖ (the x axis where f = 0) if nothing is in the way.
-
-    Raises:
-        ValueError: naming an argument of the wrong shape, or that is not finite.
+    In the plane ``carried`` are the headings of the previous step, (..., d), zero where there is
+    none. The clearance, rad, is kept to edges; with a ``persistence`` their angles from the carried
+    heading count beside those from f.
     """
     f = check_vectors("net_bearing", net_bearing)
     if f.shape[-1] == 3:
@@ -119,8 +95,7 @@ def _over_robots(
         )
     if points.dtype not in (np.float32, np.float64):
         raise ValueError(f"silhouettes are {points.dtype}; they must be float32 or float64")
-    headings = np.empty_like(f)
-    robots = f.size // d
+    headings, robots = np.empty_like(f), f.size // d
     points = points.reshape(robots, *points.shape[-3:])  # -1 cannot be inferred without obstacles
     rule(f.reshape(robots, d), points, *options, headings.reshape(robots, d))
     return headings
@@ -132,7 +107,37 @@ def check_clearance(clearance: Any) -> None:
         raise ValueError(f"clearance is {shown(clearance)}; it must be an angle in [0, π) rad")
 
 
-# ---- policies -----------------------------------------------------------------------------------
+def steered(
+    steering: Steering, wanted: NDArray[Any], observations: NDArray[Any], scenario: Scenario
+) -> Float32:
+    """Actions (..., n, a) that follow velocities (..., n, d), m/s, given (..., n, rows, d); robots
+    that turn stand still while they do not point past all silhouettes.
+
+    A robot outside a shape that moves along a ray outside its silhouette never enters it. So one
+    that turns on the spot until its axis is clear hits nothing that it sees, however slowly it
+    turns.
+    """
+    actions = within_limits(steering.actions(wanted, observations), scenario)
+    if steering.turns:
+        seen = np.ascontiguousarray(scenario.observation_layout.split(observations).obstacles)
+        pitches = steering.pitches(observations).reshape(-1)
+        flat = actions.reshape(-1, actions.shape[-1])
+        _hold_back(flat, seen.reshape(-1, *seen.shape[-3:]), pitches, steering.gate)
+    return actions
+
+
+@kernel(allocates=True)
+def _hold_back(actions, silhouettes, pitches, gate):
+    rays = np.empty(silhouettes.shape[1:])
+    for i in range(actions.shape[0]):
+        rates = rates_of(actions[i], gate)
+        if gate.planar:
+            clear = axis_is_clear(rates, silhouettes[i], gate)
+        else:
+            cones = rays[: widened_rays(silhouettes[i], FLAT, rays)]
+            clear = axis_is_clear_3d(rates, pitches[i], cones, gate)
+        if not clear:
+            actions[i, 0] = 0.0
 
 
 @dataclass(frozen=True)
@@ -140,11 +145,10 @@ class BareHeadingPolicy(TeamPolicy):
     """A heading rule with law (4), ṗᵢ = hᵢ hᵢᵀ fᵢ, which a robot that turns follows as it can."""
 
     scenario: Scenario
-    """Whose robots it steers."""
     rule: HeadingRule
     """Where they head."""
 
-    def act(self, observations: NDArray[Any], time: ArrayLike) -> NDArray[np.float32]:
+    def act(self, observations: NDArray[Any], time: ArrayLike) -> Float32:
         """Actions (..., n, a); see ``Policy``."""
         layout = self.scenario.observation_layout
         f, seen = layout.net_bearing(observations), layout.split(observations)
@@ -154,7 +158,7 @@ class BareHeadingPolicy(TeamPolicy):
 
 @dataclass
 class CertifiedHeadingPolicy(RememberingPolicy):
-    """A heading rule made certain to meet: theorem C, and velocities scaled where the step is long.
+    """A heading rule certified by theorem C, with velocities scaled where the step is long.
 
         vᵢ = min(1, r/(2 Dᵢ τ)) hᵢ hᵢᵀ fᵢ                             (theory 3 and 4)
 
@@ -164,7 +168,6 @@ class CertifiedHeadingPolicy(RememberingPolicy):
     """
 
     scenario: Scenario
-    """Whose robots it steers."""
     rule: HeadingRule
     """Where they would like to head."""
     min_alignment: float = 0.1
@@ -182,17 +185,15 @@ class CertifiedHeadingPolicy(RememberingPolicy):
         self._previous: Array = np.zeros((*team, self.scenario.dim))
         self._sent = np.zeros((*team, self.scenario.action_size), np.float32)
 
-    def _forget(self, which: NDArray[np.bool_]) -> None:
+    def _forget(self, which: Mask) -> None:
         self._previous[which], self._sent[which] = 0.0, 0.0
 
-    def act(self, observations: NDArray[Any], time: ArrayLike) -> NDArray[np.float32]:
+    def act(self, observations: NDArray[Any], time: ArrayLike) -> Float32:
         """Actions (..., n, a); see ``Policy``."""
         return self.after(self.scenario.tau, observations, time)
 
-    def after(
-        self, elapsed: float, observations: NDArray[Any], time: ArrayLike
-    ) -> NDArray[np.float32]:
-        """As a call, where the call before was so many seconds ago; see ``RealTimePolicy``."""
+    def after(self, elapsed: float, observations: NDArray[Any], time: ArrayLike) -> Float32:
+        """As ``RealTimePolicy.after``."""
         scenario, layout = self.scenario, self.scenario.observation_layout
         seen = self._teams_of(observations)
         f = layout.net_bearing(seen)
@@ -225,10 +226,9 @@ class CertifiedHeadingPolicy(RememberingPolicy):
 class TunedJoinedPolicy(CertifiedHeadingPolicy):
     """The joined rule as good as tuning makes it; certified, and with two changes.
 
-    A robot stands by the side that it has chosen (``persistence``), in space by a plane as well
-    (``headings_in_planes``), and an edge that lies beyond the cap is aimed at as it is, which
-    leaves the robot slow at the edge of the cap, instead of being turned round into what lies
-    behind it.
+    A robot keeps to the side that it has chosen (``persistence``), in space to a plane as well
+    (``headings_in_planes``), and an edge that lies beyond the cap is aimed at as it is: the robot
+    slows down at the edge of the cap instead of turning round into what lies behind it.
     """
 
     clearance: float = 0.2
@@ -245,14 +245,12 @@ class TunedJoinedPolicy(CertifiedHeadingPolicy):
         super()._start(teams)
         self._asides = np.zeros_like(self._previous)
 
-    def _forget(self, which: NDArray[np.bool_]) -> None:
+    def _forget(self, which: Mask) -> None:
         super()._forget(which)
         self._asides[which] = 0.0
 
-    def after(
-        self, elapsed: float, observations: NDArray[Any], time: ArrayLike
-    ) -> NDArray[np.float32]:
-        """As ``CertifiedHeadingPolicy.after``."""
+    def after(self, elapsed: float, observations: NDArray[Any], time: ArrayLike) -> Float32:
+        """As ``RealTimePolicy.after``."""
         seen = self._teams_of(observations)
         self._asides = self._steering.turned(self._asides, self._sent, seen, elapsed)
         return super().after(elapsed, observations, time)
@@ -266,16 +264,23 @@ class TunedJoinedPolicy(CertifiedHeadingPolicy):
         return _over_robots(headings_in_planes, f, silhouettes, *rule, asides)
 
 
-# ---- by name ------------------------------------------------------------------------------------
+def can_pass_obstacles(scenario: Scenario) -> bool:
+    """Whether ``Steering`` knows a scenario's robots, and they may see obstacles."""
+    return can_steer(scenario) and scenario.observation_layout.obstacle_slots > 0
 
 
-@register("tangent", fits=among_obstacles, kind="rule")
+def _among_obstacles(scenario: Scenario) -> bool:
+    """Whether actions are velocities, and obstacles may be seen."""
+    return is_single_integrator(scenario) and scenario.observation_layout.obstacle_slots > 0
+
+
+@register("tangent", fits=_among_obstacles, kind="rule")
 def _tangent(scenario: Scenario) -> Policy:
     """Section IV-C read literally: to the nearer edge of an obstacle that is near."""
     return BareHeadingPolicy(scenario, tangent_heading)
 
 
-@register("tangent-blocking", fits=among_obstacles, kind="rule")
+@register("tangent-blocking", fits=_among_obstacles, kind="rule")
 def _tangent_blocking(scenario: Scenario) -> Policy:
     """The same, only for an obstacle that stands in the way of f."""
     return BareHeadingPolicy(scenario, tangent_blocking_heading)
@@ -287,7 +292,7 @@ def _tangent_joined(scenario: Scenario, clearance: float = 0.05) -> Policy:
     return BareHeadingPolicy(scenario, _joined_with(clearance))
 
 
-@register("tangent-certified", fits=among_obstacles, kind="rule")
+@register("tangent-certified", fits=_among_obstacles, kind="rule")
 def _tangent_certified(
     scenario: Scenario, min_alignment: float = 0.1, max_turn_rate: float = 3.0
 ) -> Policy:
@@ -295,7 +300,7 @@ def _tangent_certified(
     return CertifiedHeadingPolicy(scenario, tangent_heading, min_alignment, max_turn_rate)
 
 
-@register("tangent-blocking-certified", fits=among_obstacles, kind="rule")
+@register("tangent-blocking-certified", fits=_among_obstacles, kind="rule")
 def _tangent_blocking_certified(
     scenario: Scenario, min_alignment: float = 0.1, max_turn_rate: float = 3.0
 ) -> Policy:
@@ -303,7 +308,7 @@ def _tangent_blocking_certified(
     return CertifiedHeadingPolicy(scenario, tangent_blocking_heading, min_alignment, max_turn_rate)
 
 
-@register("tangent-joined-certified", fits=among_obstacles, kind="rule")
+@register("tangent-joined-certified", fits=_among_obstacles, kind="rule")
 def _tangent_joined_certified(
     scenario: Scenario,
     clearance: float = 0.05,
@@ -323,20 +328,11 @@ def _tangent_joined_tuned(
     min_alignment: float = 0.05,
     max_turn_rate: float = 100.0,
 ) -> Policy:
-    """The joined rule, certified and tuned: it keeps to a side once taken.
-
-    In space it is less persistent, where nothing else is said.
-    """
+    """The joined rule, certified and tuned: it keeps to a side once taken."""
     if persistence is None:
         persistence = 0.5 if scenario.dim == 2 else 0.35
-    return TunedJoinedPolicy(
-        scenario,
-        _joined_with(clearance),
-        min_alignment,
-        max_turn_rate,
-        clearance=clearance,
-        persistence=persistence,
-    )
+    rule, certified = _joined_with(clearance), (min_alignment, max_turn_rate)
+    return TunedJoinedPolicy(scenario, rule, *certified, clearance, persistence)
 
 
 def _joined_with(clearance: float) -> HeadingRule:

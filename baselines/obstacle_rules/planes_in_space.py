@@ -1,8 +1,8 @@
 """Obstacles of space in a plane that holds f, where they are intervals of angles.
 
 A robot that passes an obstacle keeps to an azimuth about f, and so to a plane. The cones under
-which obstacles are seen, widened by a clearance, cut it in silhouettes of the plane, and what is to
-be done about those is known.
+which obstacles are seen, widened by a clearance, cut that plane in silhouettes, to which the rules
+of the plane apply.
 """
 
 import math
@@ -22,15 +22,14 @@ from rendezvous_env.physics.vectors import (
     store,
     without,
 )
+from rendezvous_env.safety.turning import mean_axis
 
 from .merged_silhouettes_2d import TWO_PI, joined_heading_2d, joined_interval_2d
 from .silhouettes import direction_of, is_seen
 
 _Y_AXIS = (0.0, 1.0, 0.0)
-_WIDEST = 0.5 * math.pi - 0.01
-"""rad; no cone is widened beyond."""
-_PLANES = 8
-"""Planes through f that are looked at, each with two azimuths."""
+_WIDEST = 0.5 * math.pi - 0.01  # rad; no cone is widened beyond
+_PLANES = 8  # planes through f that are looked at, each with two azimuths
 PASSABLE = 1.4
 """rad; farther from f law (4) hardly moves a robot."""
 
@@ -39,14 +38,8 @@ PASSABLE = 1.4
 def headings_in_planes(net_bearing, silhouettes, clearance, carried, persistence, asides, out):
     """``joined_headings_2d`` in a plane of space, which is kept while something in it is before f.
 
-    Args:
-        net_bearing: fᵢ, (N, 3).
-        silhouettes: (N, M, 8, 3); cones are widened by half of the clearance.
-        clearance: in the plane, rad.
-        carried: headings of the step before, (N, 3); zero = none yet.
-        persistence: λ, 0 or more.
-        asides: (N, 3), changed: the unit vector across f of the plane that is kept; zero = none.
-        out: (N, 3).
+    As there, of (N, 3) and cones (N, M, 8, 3), widened by half of the clearance; ``asides``,
+    (N, 3), changed, are the unit vectors across f of the planes that are kept, zero = none.
     """
     slots = silhouettes.shape[1]
     rays, cut, intervals = np.empty((slots, 8, 3)), np.empty((slots, 2, 2)), np.empty((slots, 2))
@@ -78,16 +71,7 @@ def _nearest_ray(towards, rays):
 
 @kernel
 def widened_rays(silhouettes, clearance, out):
-    """The boundary rays of the obstacles that are seen, each turned outwards.
-
-    Args:
-        silhouettes: (M, 8, 3) of one robot.
-        clearance: by how much they are turned, rad.
-        out: (M, 8, 3); those that are seen stand first.
-
-    Returns:
-        How many are seen.
-    """
+    """How many cones of (M, 8, 3) are seen; ``out`` has them first, widened by so many rad."""
     count = 0
     for m in range(silhouettes.shape[0]):
         if not is_seen(silhouettes[m]):
@@ -108,19 +92,17 @@ def widened_rays(silhouettes, clearance, out):
 
 @kernel
 def kept_azimuth(towards, before, keeps, clearance, views):
-    """The azimuth about f at which a robot passes what blocks f: that of the step before if it
-    keeps to one and its plane is not closed all round, else the one with least to turn.
+    """The azimuth about f at which a robot passes what blocks f, a unit triple across f: that of
+    the previous step if it keeps to one and its plane is not closed all round, else the one with
+    least to turn; and whether it was kept.
 
     Args:
         towards: f/‖f‖, a triple.
-        before: unit vector across f of the step before, a triple; zero = none yet.
-        keeps: rad; it keeps to that while what is free there is nearer to f, and with 0 not at all.
+        before: of the previous step, a triple; zero = none yet.
+        keeps: rad; it is kept while the nearest free direction there is nearer to f; 0 is never.
         clearance: rad.
         views: ``widened_rays``, (K, 8, 3); then working memory: what the plane cuts of them,
-            (K, 2, 2), which is left as it is in the plane that is taken, and (K, 2).
-
-    Returns:
-        A unit triple across f, and whether it was kept.
+            (K, 2, 2), left as it is in the plane that is taken, and (K, 2).
     """
     rays, cut, intervals = views
     if before == ORIGIN and rays.shape[0] > 0:
@@ -138,9 +120,7 @@ def kept_azimuth(towards, before, keeps, clearance, views):
 
 @kernel
 def _best_azimuth(towards, first, clearance, views):
-    """The unit vector across f at whose azimuth a free direction is nearest to f; the first one
-    where nothing is free.
-    """
+    """The azimuth at which a free direction is nearest to f, or the first one."""
     rays, cut, intervals = views
     best, least, second = first, math.inf, cross(towards, first)
     for k in range(_PLANES):
@@ -172,11 +152,15 @@ def lies_outside(direction, rays):
 
 
 @kernel
-def cut_by(towards, aside, rays, out):
-    """Where a plane cuts the cones, as silhouettes of the plane: (K, 2, 2), x along f, y aside.
+def axis_is_clear_3d(rates, pitch, rays, gate):
+    """As ``axis_is_clear``, of cones (K, 8, 3); the pitch is β at the start of the step, rad."""
+    on_the_way = mean_axis(rates, pitch, gate)
+    return lies_outside(X_AXIS, rays) and lies_outside(on_the_way, rays)
 
-    Between two boundary rays on either side of the plane the cone is taken to be flat.
-    """
+
+@kernel
+def cut_by(towards, aside, rays, out):
+    """Where a plane cuts the cones, flat between rays: (K, 2, 2), x along f, y aside."""
     normal = cross(towards, aside)
     for m in range(rays.shape[0]):
         out[m, :, :] = 0.0

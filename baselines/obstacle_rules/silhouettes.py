@@ -13,7 +13,7 @@ from rendezvous_env.compilation import kernel
 from rendezvous_env.physics.vectors import X_AXIS, combine, dot, load, split, store
 
 STRAIGHT_AHEAD = -1
-"""Instead of the index of an obstacle: none is in the way."""
+"""In place of the index of an obstacle: none is in the way."""
 
 
 @kernel
@@ -24,12 +24,11 @@ def tangent_headings(net_bearing, silhouettes, only_blocking, out):
     f points into.
     """
     for i in range(out.shape[0]):
-        towards = direction_of(net_bearing[i])
-        prominent = _most_prominent(towards, silhouettes[i], only_blocking)
-        if prominent == STRAIGHT_AHEAD:
-            store(towards, out[i])
-        else:
-            store(_nearest_point(towards, silhouettes[i, prominent]), out[i])
+        heading = direction_of(net_bearing[i])
+        prominent = _most_prominent(heading, silhouettes[i], only_blocking)
+        if prominent != STRAIGHT_AHEAD:
+            heading = _nearest_point(heading, silhouettes[i, prominent])
+        store(heading, out[i])
 
 
 @kernel
@@ -62,7 +61,7 @@ def opposite(points):
 
 @kernel
 def _most_prominent(towards, silhouettes, only_blocking):
-    """Index of the obstacle of the largest angular width."""
+    """Index of the widest obstacle; one blocks what is as near to its middle as its edges are."""
     prominent, least_cosine = STRAIGHT_AHEAD, math.inf
     for m in range(silhouettes.shape[0]):
         if not is_seen(silhouettes[m]):
@@ -70,24 +69,18 @@ def _most_prominent(towards, silhouettes, only_blocking):
         first, second = opposite(silhouettes[m])
         if dot(first, second) >= least_cosine:
             continue
-        if not only_blocking or _blocks(towards, first, second):
+        middle = split(combine(1.0, first, 1.0, second))[1]
+        if not only_blocking or dot(towards, middle) >= dot(first, middle):
             prominent, least_cosine = m, dot(first, second)
     return prominent
 
 
 @kernel
-def _blocks(towards, first, second):
-    """Whether a direction is as near to the middle of a silhouette as its edges are."""
-    middle = split(combine(1.0, first, 1.0, second))[1]
-    return dot(towards, middle) >= dot(first, middle)
-
-
-@kernel
 def _nearest_point(towards, points):
     """The silhouette point nearest in angle, the first of equals."""
-    nearest, best = 0, -math.inf
+    nearest, best = unit(points[0]), -math.inf
     for s in range(points.shape[0]):
-        cosine = dot(towards, unit(points[s]))
-        if cosine > best:
-            nearest, best = s, cosine
-    return unit(points[nearest])
+        point = unit(points[s])
+        if dot(towards, point) > best:
+            nearest, best = point, dot(towards, point)
+    return nearest

@@ -1,42 +1,242 @@
 """The joined rule under an energy tank (theorem D): round walls, on one side, turning back when it
-costs too much.
+costs too much; in space in a plane that holds f (``planes_in_space``).
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rendezvous_env.checks import between, number, positive
-from rendezvous_env.safety.tank import EnergyTank
-from rendezvous_env.safety.turning import gate_of
-
-from ..policy import Policy, RememberingPolicy, register
-from ..steering import ALIGNED, ALIGNED_IN_SPACE, Steering
-from .obstacle_avoidance import Array, check_clearance
-from .turning_robots import can_pass_obstacles
-from .wall_following import (
-    HEADING,
-    HEADING_X,
-    HEADING_Y,
-    MEMORY,
-    MEMORY_IN_SPACE,
-    PATIENCE,
-    WORK,
-    Settings,
-    wall_following_velocities,
-    wall_following_velocities_3d,
+from rendezvous_env.compilation import kernel
+from rendezvous_env.physics.vectors import (
+    ORIGIN,
+    X_AXIS,
+    combine,
+    cross,
+    dot,
+    load,
+    norm,
+    scaled,
+    split,
+    store,
 )
+from rendezvous_env.safety.tank import (
+    EnergyTank,
+    certain_descent,
+    descent_scale,
+    promised_descent,
+)
+from rendezvous_env.safety.turning import Gate, gate_of, mean_axis, send_rates
+from rendezvous_env.scenario.scenario import Scenario
 
-if TYPE_CHECKING:
-    from rendezvous_env.scenario.scenario import Scenario
+from ..policy import Float32, Mask, Policy, RememberingPolicy, register
+from ..steering import ALIGNED, ALIGNED_IN_SPACE, Steering, inputs_towards
+from .merged_silhouettes_2d import TWO_PI, axis_is_clear, joined_interval_2d
+from .obstacle_avoidance import Array, can_pass_obstacles, check_clearance
+from .planes_in_space import axis_is_clear_3d, kept_azimuth, widened_rays
 
+SIDE, WORK, PATIENCE, SHORT, HEADING, ASIDE, MEMORY = 0, 1, 2, 3, 4, 7, 10
+"""Places in a robot's memory, and its size: the side on which it passes what blocks f (1
+counter-clockwise, −1 clockwise, 0 nothing blocks f); ∫ f·v dt since it met the wall, m²/s; over ‖f‖
+how far that may fall before it turns back, m; whether its tank was too low for the previous step;
+its heading (3); in space the unit vector across f of the plane that it keeps to (3)."""
+
+_JUMP = 1.5  # rad; an edge so far from the heading is another wall's
+_LOST = 2.4  # rad; farther round than this no wall is felt for
+_BEHIND_EDGE = 0.9  # of the clearance: how far beside the heading the wall is felt for
+_LARGEST_PATIENCE = 1e3  # m
+_ROUNDING = 1e-6  # m²/s; what a tank must have left, as actions are sent in float32
+_REST_TIME = 30.0  # s for which the tank must last at rest after any step that costs something
 _TOIL = 0.15
 """Share of ‖f‖ times its way that a robot that turns counts as lost: two that go round one thing on
-one side, ever opposite, would else never turn back."""
+one side, ever opposite, would otherwise never turn back."""
+
+
+class _Settings(NamedTuple):
+    """What wall followers share."""
+
+    clearance: float  # rad; in space within the plane, and across it
+    patience: float  # m back that a first try may lead; each turn doubles it
+    min_alignment: float  # ε of the tank
+    merge_radius: float
+    duration: float  # τ, s
+    speed_limit: float
+    turns: bool  # whether robots are nonholonomic
+    gate: Gate  # step and turn limits of these
+    aligned: float  # rad; within this angle of where they are to go these drive
+
+
+@kernel(allocates=True)
+def wall_following_velocities(
+    net_bearing, degrees, silhouettes, levels, settings, pitches, memory, out
+):
+    """Desired velocities: along f where nothing blocks it, else along the wall; of robots that turn
+    the speeds and turn rates with which they follow them.
+
+        vᵢ = sᵢ ‖fᵢ‖ hᵢ                                                            (guarantees 8)
+
+    A robot rests where its tank would not last, and turns back after that. Of fᵢ, (N, d), and Dᵢ,
+    (N,), m/s, silhouettes (N, M, S, d), Aᵢ, (N,), m²/s, and βᵢ, (N,), rad, of robots of space that
+    turn; ``memory``, (N, MEMORY), changes. To ``out``, (N, a), m/s, or m/s and rad/s.
+    """
+    dim, slots, gate = net_bearing.shape[1], silhouettes.shape[1], settings.gate
+    rays, cut, intervals = np.empty((slots, 8, 3)), np.empty((slots, 2, 2)), np.empty((slots, 2))
+    for i in range(out.shape[0]):
+        f = load(net_bearing[i])
+        strength, towards = split(f)
+        before = load(memory[i, HEADING : HEADING + dim])
+        spent = memory[i, SHORT] > 0.0 or memory[i, WORK] < -memory[i, PATIENCE] * strength
+        if settings.turns and before[0] < math.cos(settings.aligned):
+            spent = False  # it has still to turn on the spot
+        memory[i, SHORT] = 0.0
+        if strength == 0.0:
+            out[i, :] = 0.0
+            continue
+        if dim == 2:
+            free, turn = _turn(
+                towards, before, spent, silhouettes[i], settings, memory[i], intervals
+            )
+            heading, aside, seen = _turned(towards, turn), _left_of(towards), 0
+            store(heading, memory[i, HEADING:ASIDE])
+        else:
+            seen = widened_rays(silhouettes[i], settings.clearance, rays)
+            views = rays[:seen], cut[:seen], intervals[:seen]
+            free, heading, aside = _way_in_space(towards, before, spent, settings, memory[i], views)
+        account = degrees[i], levels[i]
+        if not settings.turns:
+            plane = towards, aside
+            store(_affordable(f, plane, account, heading, free, settings, memory[i]), out[i])
+            continue
+        speed, rates = _inputs(f, account, heading, free, pitches[i], settings, memory[i])
+        if dim == 2:
+            clear = axis_is_clear(rates, silhouettes[i], gate)
+        else:
+            clear = axis_is_clear_3d(rates, pitches[i], rays[:seen], gate)
+        out[i, 0] = speed if clear else 0.0
+        send_rates(rates, out[i], gate)
+
+
+@kernel
+def _way_in_space(towards, before, spent, settings, memory, views):
+    """Whether any direction is free, the heading, and the unit vector across f of its plane."""
+    held, keeps = memory[SIDE], TWO_PI if memory[SIDE] != 0.0 else 0.0
+    aside, kept = kept_azimuth(towards, load(memory[ASIDE:]), keeps, settings.clearance, views)
+    if held != 0.0 and not kept:
+        memory[SIDE] = held = 1.0
+    within = dot(before, towards), dot(before, aside), 0.0
+    free, turn = _turn(X_AXIS, within, spent, views[1], settings, memory, views[2])
+    heading = combine(math.cos(turn), towards, math.sin(turn), aside)
+    store(heading, memory[HEADING:ASIDE])
+    # the next azimuth once both of this plane have been tried
+    following = cross(towards, aside) if held < 0.0 < memory[SIDE] else aside
+    store(following if memory[SIDE] != 0.0 else ORIGIN, memory[ASIDE:])
+    return free, heading, aside
+
+
+@kernel
+def _turn(towards, before, spent, silhouettes, settings, memory, intervals):
+    """Whether any direction is free, and the angle from f to the heading, rad."""
+    joined = joined_interval_2d(towards, silhouettes, intervals)
+    low, high = joined[0], joined[1]
+    clearance, held = settings.clearance, memory[SIDE]
+    if high - low >= TWO_PI:
+        return False, 0.0
+    if low >= clearance or high <= -clearance:
+        if memory[WORK] >= 0.0:
+            memory[PATIENCE] = settings.patience
+        memory[SIDE] = 0.0
+        return True, 0.0
+    if held == 0.0:  # the nearer edge at first
+        memory[SIDE] = 1.0 if abs(high) <= abs(low) else -1.0
+        memory[WORK] = 0.0
+    elif spent:
+        memory[SIDE] = -held
+        memory[PATIENCE] = min(2.0 * memory[PATIENCE], _LARGEST_PATIENCE)
+    side, kept = memory[SIDE], math.atan2(dot(_left_of(towards), before), dot(towards, before))
+    edge, gap = _edge(joined, side)
+    apart = edge - kept
+    apart -= TWO_PI * math.floor((apart + math.pi) / TWO_PI)
+    if held == side and abs(apart) > _JUMP:
+        edge, gap = _along_wall(towards, kept, edge, gap, silhouettes, settings, side, intervals)
+    return True, edge + side * min(clearance, 0.5 * gap)
+
+
+@kernel
+def _along_wall(towards, kept, edge, gap, silhouettes, settings, side, intervals):
+    """Edge of the wall beside the heading, rad from f, and the gap beyond; else as given."""
+    feeler = kept - side * _BEHIND_EDGE * settings.clearance
+    felt = joined_interval_2d(_turned(towards, feeler), silhouettes, intervals)
+    if felt[1] - felt[0] >= TWO_PI:
+        return edge, gap
+    nearest, beyond = _edge(felt, side)
+    other, before = _edge(felt, -side)
+    if side * other > 0.0:  # nearest is one on the far side: the wall lies before it
+        nearest, beyond = other - side * before, before
+    if side * nearest < -_LOST:
+        return edge, gap
+    return feeler + nearest, beyond
+
+
+@kernel
+def _edge(joined, side):
+    """The edge of a joined interval on a side, and the free angle beyond it, rad."""
+    if side > 0.0:
+        return joined[1], joined[3]
+    return joined[0], joined[2]
+
+
+@kernel
+def _affordable(f, plane, account, heading, free, settings, memory):
+    """The velocity along a heading, or rest where the tank would not last; ``plane`` is f/‖f‖ and a
+    unit vector across it, ``account`` D, m/s, and A, m²/s.
+    """
+    (towards, aside), (degree, level), strength = plane, account, norm(f)
+    r, duration = settings.merge_radius, settings.duration
+    scale = descent_scale(strength, degree, r, duration, settings.speed_limit)
+    speed = scale * strength
+    moved = combine(speed * duration, heading, 0.0, heading)
+    owed = promised_descent(strength, scale, settings.min_alignment, duration)
+    deposit = certain_descent(f, degree, moved, r) - owed
+    reserve = owed * _REST_TIME / duration
+    if free and (deposit >= 0.0 or level + deposit >= reserve):
+        return combine(speed, heading, 0.0, heading)
+    memory[SHORT] = 1.0
+    if level >= owed:
+        return 0.0, 0.0, 0.0
+    # law (4) will drive it: then as little as can be, and away from the wall
+    turn = math.copysign(math.acos(settings.min_alignment), dot(aside, heading))
+    return combine(speed * math.cos(turn), towards, speed * math.sin(turn), aside)
+
+
+@kernel
+def _inputs(f, account, heading, free, pitch, settings, memory):
+    """Speed and turn rates to a heading, where a robot that turns drives while its tank lasts."""
+    (degree, level), strength = account, norm(f)
+    r, duration = settings.merge_radius, settings.duration
+    speed = strength * descent_scale(strength, degree, r, duration, settings.speed_limit)
+    speed, rates = inputs_towards(scaled(heading, speed), pitch, settings.gate, settings.aligned)
+    moved = scaled(mean_axis(rates, pitch, settings.gate), speed * duration)
+    if not free or level + certain_descent(f, degree, moved, r) < _ROUNDING:
+        memory[SHORT] = 1.0 if speed > 0.0 else 0.0
+        speed = 0.0
+    return speed, rates
+
+
+@kernel
+def _left_of(direction):
+    """A direction of the plane a quarter turn on, as a triple."""
+    return -direction[1], direction[0], 0.0
+
+
+@kernel
+def _turned(direction, angle):
+    """A direction of the plane turned counter-clockwise, as a triple."""
+    return combine(math.cos(angle), direction, math.sin(angle), _left_of(direction))
 
 
 @dataclass
@@ -58,15 +258,10 @@ class TankJoinedPolicy(RememberingPolicy):
     """
 
     scenario: Scenario
-    """Whose robots it steers."""
-    budget: float = 50.0
-    """B of each robot, m²/s."""
-    margin: float = 0.05
-    """ε of the tank, in (0, 1)."""
-    clearance: float = 0.2
-    """Angle by which to stay clear of an edge, rad."""
-    patience: float = 1.0
-    """How far from f a first try may lead, m."""
+    budget: float = 50.0  # B of each robot, m²/s
+    margin: float = 0.05  # ε of the tank, in (0, 1)
+    clearance: float = 0.2  # angle by which to stay clear of an edge, rad
+    patience: float = 1.0  # how far from f a first try may lead, m
 
     def __post_init__(self) -> None:
         number("budget", self.budget, 0.0, unit="m²/s")
@@ -76,7 +271,7 @@ class TankJoinedPolicy(RememberingPolicy):
         scenario = self.scenario
         steering = self._steering = Steering(scenario)
         self._unit = np.array(scenario.action_bounds if steering.turns else scenario.speed_limit)
-        self._settings = Settings(
+        self._settings = _Settings(
             clearance=float(self.clearance) / (scenario.dim - 1),
             patience=float(self.patience),
             min_alignment=0.0 if steering.turns else float(self.margin),  # guarantees 8
@@ -89,37 +284,31 @@ class TankJoinedPolicy(RememberingPolicy):
         )
 
     def _start(self, teams: int) -> None:
-        scenario, margin = self.scenario, self.margin
         self._tank = EnergyTank(
-            scenario, teams, budget=self.budget, min_alignment=margin, frame="local"
+            self.scenario, teams, budget=self.budget, min_alignment=self.margin, frame="local"
         )
-        planar = scenario.dim == 2
-        size = MEMORY if planar else MEMORY_IN_SPACE
-        self._vectors = slice(HEADING_X, HEADING_Y + 1) if planar else slice(HEADING, size)
-        self._memory = np.zeros((teams, scenario.n_robots, size))
+        self._memory = np.zeros((teams, self.scenario.n_robots, MEMORY))
         self._memory[..., PATIENCE] = self.patience
 
-    def _forget(self, which: NDArray[np.bool_]) -> None:
+    def _forget(self, which: Mask) -> None:
         self._tank.forget(which)
         self._memory[which] = 0.0
         self._memory[which, :, PATIENCE] = self.patience
 
-    def act(self, observations: NDArray[Any], time: ArrayLike) -> NDArray[np.float32]:
+    def act(self, observations: NDArray[Any], time: ArrayLike) -> Float32:
         """Actions (..., n, a); see ``Policy``."""
         seen, layout = self._teams_of(observations), self.scenario.observation_layout
         f, robots = layout.net_bearing(seen), seen.shape[0] * seen.shape[1]
-        planar = layout.dim == 2
-        follow = wall_following_velocities if planar else wall_following_velocities_3d
         silhouettes = np.ascontiguousarray(layout.split(seen).obstacles)
         desired = np.zeros((robots, self.scenario.action_size))
-        follow(
+        wall_following_velocities(
             f.reshape(robots, layout.dim),
             layout.degree(seen).reshape(robots),
             silhouettes.reshape(robots, *silhouettes.shape[2:]),
             self._tank.levels.reshape(robots),
             self._settings,
             self._steering.pitches(seen).reshape(robots),
-            self._memory.reshape(robots, self._memory.shape[-1]),
+            self._memory.reshape(robots, MEMORY),
             desired,
         )
         self._tank.hold(desired.reshape(*f.shape[:-1], -1) / self._unit)
@@ -130,8 +319,9 @@ class TankJoinedPolicy(RememberingPolicy):
         if self._steering.turns:
             toil = np.linalg.norm(f, axis=-1) * np.linalg.norm(velocities, axis=-1)
             self._memory[..., WORK] -= _TOIL * self.scenario.tau * toil
-            for vector in np.split(self._memory[..., self._vectors], 1 if planar else 2, axis=-1):
-                vector[:] = self._steering.turned(vector, actions, seen)
+            for first in (HEADING, ASIDE)[: layout.dim - 1]:
+                vectors = self._memory[..., first : first + layout.dim]
+                vectors[:] = self._steering.turned(vectors, actions, seen)
         return self._as_given(actions)
 
     @property

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,52 +12,43 @@ from numpy.typing import ArrayLike, NDArray
 from rendezvous_env.checks import bools, whole
 from rendezvous_env.limits import LARGEST_SEED
 from rendezvous_env.scenario.observation_layout import ObservedRows
+from rendezvous_env.scenario.scenario import Scenario
 
 from ..laws.paper_laws import Array, LawPolicy
-from ..policy import Policy, TeamPolicy, register
-
-if TYPE_CHECKING:
-    from rendezvous_env.scenario.scenario import Scenario
+from ..policy import Float32, Mask, Policy, TeamPolicy, register
 
 
 @register("random", fits=lambda scenario: True, kind="blind")
 @dataclass
 class RandomPolicy(TeamPolicy):
-    """Actions drawn at random, whatever is seen.
-
-    They are uniform in the action space, from a generator of its own.
-    """
+    """Actions drawn at random, uniformly in the action space, whatever is seen."""
 
     scenario: Scenario
-    """Whose robots it steers."""
     seed: int = 0
-    """Of the generator."""
-    _generator: np.random.Generator = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         """Start the stream."""
         self.seed = whole("seed", self.seed, 0, LARGEST_SEED)
         self.reset()
 
-    def act(self, observations: NDArray[Any], time: ArrayLike) -> NDArray[np.float32]:
+    def act(self, observations: NDArray[Any], time: ArrayLike) -> Float32:
         """Actions (..., n, a); see ``Policy``."""
         bounds = self.scenario.action_bounds
         seen = self.scenario.observation_layout.checked(observations)
-        shape = (*seen.shape[:-2], bounds.size)
-        drawn: Array = self._generator.uniform(-bounds, bounds, shape)
+        drawn = self._generator.uniform(-bounds, bounds, (*seen.shape[:-2], bounds.size))
         return drawn.astype(np.float32)
 
-    def reset(self, mask: NDArray[np.bool_] | None = None) -> None:
-        """Start the stream anew; the teams share it, so a mask that spares some changes nothing."""
+    def reset(self, mask: Mask | None = None) -> None:
+        """Restart the stream, which all teams share: a mask that leaves some out does nothing."""
         if mask is None or bools("mask", mask, None, "teams").all():
             self._generator = np.random.default_rng(self.seed)
 
 
-def _no_actions(f: Array, seen: ObservedRows, time: ArrayLike, *, size: int) -> Array:
+def _no_actions(size: int, f: Array, seen: ObservedRows, time: Any) -> Array:
     return np.zeros((*f.shape[:-1], size))
 
 
 @register("zero", fits=lambda scenario: True, kind="blind")
 def _zero(scenario: Scenario) -> Policy:
     """No action at all."""
-    return LawPolicy(scenario, partial(_no_actions, size=scenario.action_size))
+    return LawPolicy(scenario, partial(_no_actions, scenario.action_size))

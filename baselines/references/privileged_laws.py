@@ -1,47 +1,115 @@
-"""Oracle baselines of the literature: laws that need relative positions.
+"""Oracle baselines: what they share, and laws of the literature that need relative positions.
 
 They show what the distances would be worth that bearings lack.
 """
 
 from __future__ import annotations
 
-import numpy as np
+from abc import abstractmethod
+from typing import Any
 
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rendezvous_env.checks import bools, refuse
 from rendezvous_env.scenario.scenario import Scenario
 from rendezvous_env.simulator import Simulator
 
-from ..laws.literature_laws import unit_mean_law
-from ..laws.neighbour_order import chosen_rows
-from ..policy import is_single_integrator, register
+from ..laws.literature_laws import chosen_rows, unit_mean_law
+from ..policy import Float32, Mask, TeamPolicy, is_single_integrator, register, within_limits
+from ..steering import Steering
 from .enclosing_ball import smallest_enclosing_ball
-from .privileged_policy import Array, Mask, PrivilegedPolicy, within_a_step
+
+Array = NDArray[np.float64]
+_ASIDE = 1e-3  # tangent of the angle from its way within which a robot that turns drives
 
 
-def consensus_law(ways: Array, gains: Array) -> Array:
-    """Velocity towards the neighbours, the faster the farther they are.
+class PrivilegedPolicy(TeamPolicy):
+    """A policy that reads where robots are; those that turn do so on the spot."""
 
-        ṗᵢ = Σⱼ aᵢⱼ (pⱼ − pᵢ)                             (Olfati-Saber & Murray, 2004)
+    name: str
+    """What the registry calls it."""
 
-    Args:
-        ways: p_j − p_i, (..., n, n, d), m.
-        gains: a_ij, (..., n, n), here in 1/s.
+    def __init__(self, scenario: Scenario) -> None:
+        self.scenario = scenario
+        self._steering = Steering(scenario)
+        self._simulator: Simulator | None = None
+        self._fresh: Mask = np.zeros(0, np.bool_)
+        self._steps: NDArray[np.int64] = np.zeros(0, np.int64)
 
-    Returns:
-        Velocities, (..., n, d), m/s.
-    """
-    return np.asarray(np.sum(gains[..., np.newaxis] * ways, axis=-2))
+    def watch(self, simulator: Simulator) -> None:
+        """Take the teams whose map and positions it may read, freshly reset; call it before an
+        episode. ValueError if it is no simulator of such robots.
+        """
+        n, d, model = self.scenario.n_robots, self.scenario.dim, self.scenario.robot_model
+        wanted = f"a Simulator of {n} {model.replace('_', ' ')}s in {d}-D"
+        if not isinstance(simulator, Simulator):
+            refuse("simulator", simulator, wanted)
+        given = simulator.scenario
+        if (given.robot_model, given.n_robots, given.dim) != (model, n, d):
+            refuse("simulator", given, wanted)
+        self._simulator, self._steps = simulator, simulator.steps
+        self.reset()
+
+    def reset(self, mask: Mask | None = None) -> None:
+        """Start afresh at the next call, for the teams where ``mask`` (B,) is true or for all."""
+        if self._simulator is None:
+            return
+        batch = self._simulator.num_envs
+        if mask is None:
+            self._fresh = np.ones(batch, bool)
+        else:
+            self._fresh = self._fresh | bools("mask", mask, (batch,), "teams")
+
+    def act(self, observations: NDArray[Any], time: ArrayLike) -> Float32:
+        """Actions (..., n, a), of the teams that it watches; see ``Policy``.
+
+        Raises:
+            RuntimeError: if it watches none.
+            ValueError: if the observations are those of other teams.
+        """
+        seen = self.scenario.observation_layout.checked(observations)
+        if (simulator := self._simulator) is None:
+            raise RuntimeError(
+                f"{self.name} reads positions: call its watch(simulator) before an episode, as "
+                "rollout and compare do"
+            )
+        teams = (simulator.num_envs, self.scenario.n_robots)
+        if seen.shape[:-2] not in (teams, teams[teams[0] == 1 :]):
+            raise ValueError(
+                f"observations have shape {seen.shape}; those of the teams that {self.name} "
+                f"watches have {(*teams, *seen.shape[-2:])}"
+            )
+        steps, active = simulator.steps, simulator.active
+        begun = self._fresh | (steps < self._steps)
+        self._fresh, self._steps = np.zeros_like(begun), steps
+        wanted = self._velocities(simulator, active, begun)
+        wanted = np.where(active[..., np.newaxis], wanted, 0.0)
+        # frames lead from local to global, their transpose leads back
+        own = np.sum(simulator.frames * wanted[..., np.newaxis], axis=-2)
+        actions = self._steering.actions(own, seen.reshape(*own.shape[:-1], *seen.shape[-2:]))
+        if self._steering.turns:
+            aside = np.linalg.norm(own[..., 1:], axis=-1) > _ASIDE * own[..., 0]
+            actions[..., 0] = np.where(aside, 0.0, actions[..., 0])
+        limited = within_limits(actions, self.scenario)
+        return limited.reshape(*seen.shape[:-2], self.scenario.action_size)
+
+    @abstractmethod
+    def _velocities(self, simulator: Simulator, active: Mask, begun: Mask) -> Array:
+        """(B, n, d), m/s, in the global frame, of robots (B, n) that have not merged away; teams of
+        ``begun``, (B,), start an episode or were reset.
+        """
+
+
+def within_a_step(rest: Array, scenario: Scenario) -> Array:
+    """Velocities (..., d), m/s, straight along ``rest``, m, at the speed limit, not beyond it."""
+    distance = np.linalg.norm(rest, axis=-1, keepdims=True)
+    speed = scenario.speed_limit / np.where(distance > 0.0, distance, 1.0)
+    return rest * np.minimum(speed, 1.0 / scenario.tau)
 
 
 def circumcentres(positions: Array, linked: Mask) -> Array:
-    """Centres of the smallest balls about each robot and its neighbours.
-
-    Args:
-        positions: p, (n, d), m.
-        linked: who is whose neighbour, (n, n).
-
-    Returns:
-        (n, d), m.
-    """
+    """Centres, (n, d), m, of the smallest balls about each robot and those ``linked``, (n, n)."""
     company, which = np.unique(
         linked | np.eye(len(positions), dtype=bool), axis=0, return_inverse=True
     )
@@ -50,20 +118,13 @@ def circumcentres(positions: Array, linked: Mask) -> Array:
 
 
 def farthest_steps(towards: Array, ways: Array, linked: Mask, sight: float) -> Array:
-    """How far robots may go in one step and still see their neighbours, wherever those go.
+    """How far robots may go in one step and still see their neighbours, wherever those go, (n,), m.
 
         lᵢⱼ = (dⱼ/2) cos θⱼ + √((R/2)² − ((dⱼ/2) sin θⱼ)²),   minⱼ lᵢⱼ       (Ando et al., 1999)
 
-    Each of two neighbours stays in the ball of radius R/2 about the midpoint between them.
-
-    Args:
-        towards: unit vectors along which they go, (n, d).
-        ways: p_j − p_i, (n, n, d), m; d_j long, at θ_j from ``towards``.
-        linked: who is whose neighbour, (n, n).
-        sight: R, m.
-
-    Returns:
-        (n,), m; inf for a robot without a neighbour.
+    Each of two neighbours stays in the ball of radius R/2 about the midpoint between them. Of unit
+    vectors along which they go, (n, d), p_j − p_i, (n, n, d), m, d_j long at θ_j from them, who is
+    whose neighbour, (n, n), and R, m; inf for a robot without one.
     """
     along = 0.5 * np.sum(ways * towards[:, np.newaxis], axis=-1)
     aside = np.maximum(0.25 * np.sum(ways**2, axis=-1) - along**2, 0.0)
@@ -84,6 +145,8 @@ def _ways_and_gains(simulator: Simulator) -> tuple[Array, Array]:
 class PrivilegedConsensus(PrivilegedPolicy):
     """Linear consensus: towards the neighbours, the faster the farther they are.
 
+        ṗᵢ = Σⱼ aᵢⱼ (pⱼ − pᵢ),   aᵢⱼ here in 1/s           (Olfati-Saber & Murray, 2004)
+
     Slowed where a step would lead beyond the neighbours' mean.
     """
 
@@ -92,7 +155,7 @@ class PrivilegedConsensus(PrivilegedPolicy):
     def _velocities(self, simulator: Simulator, active: Mask, begun: Mask) -> Array:
         ways, gains = _ways_and_gains(simulator)
         held = self.scenario.tau * gains.sum(axis=-1, keepdims=True)
-        return consensus_law(ways, gains) / np.maximum(held, 1.0)
+        return np.sum(gains[..., np.newaxis] * ways, axis=-2) / np.maximum(held, 1.0)
 
 
 @register("privileged-circumcentre", is_single_integrator, kind="privileged", on_request=True)
@@ -124,7 +187,7 @@ class PrivilegedCircumcentre(PrivilegedPolicy):
 class PrivilegedEnclosingBall(PrivilegedPolicy):
     """Straight to the centre of the smallest ball about the start; ignores obstacles.
 
-    Nobody can be sooner.
+    No policy can be sooner.
     """
 
     name = "privileged-enclosing-ball"
@@ -144,7 +207,7 @@ class PrivilegedEnclosingBall(PrivilegedPolicy):
 
 @register("privileged-nearest-pursuit", is_single_integrator, kind="privileged", on_request=True)
 class PrivilegedNearestPursuit(PrivilegedPolicy):
-    """Straight at the nearest robot that is seen; which that is no bearing tells."""
+    """Straight at the nearest robot that is seen, which bearings do not tell."""
 
     name = "privileged-nearest-pursuit"
 

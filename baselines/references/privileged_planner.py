@@ -6,21 +6,18 @@ policies that see bearings alone.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rendezvous_env.scenario.scenario import Scenario
 from rendezvous_env.simulator import Simulator
 
-from ..policy import register
+from ..policy import Mask, register
 from ..steering import can_steer
-from .privileged_policy import Mask, PrivilegedPolicy, within_a_step
+from .privileged_laws import PrivilegedPolicy, within_a_step
 from .roadmap import Array, Roadmap, WaysTo
-
-if TYPE_CHECKING:
-    from rendezvous_env.scenario.scenario import Scenario
 
 NAME = "privileged-planner"
 _CLEARANCES = tuple(0.1 * 0.5**k for k in range(8))
@@ -31,14 +28,11 @@ _ARRIVED = 1e-5
 """Share of a full step within which a turn has been reached: what float32 leaves of it."""
 
 
-@dataclass(frozen=True)
-class Meeting:
+class Meeting(NamedTuple):
     """Where a team meets."""
 
-    place: Array
-    """(d,), m."""
-    left_out: int
-    """Robots that cannot reach it."""
+    place: Array  # (d,), m
+    left_out: int  # robots that cannot reach it
 
 
 def meeting_place(roadmap: Roadmap, positions: Array) -> Meeting:
@@ -71,8 +65,8 @@ def _best(places: Array, ways: Array) -> Meeting:
 
 
 def plan(table: Array, positions: Array) -> WaysTo:
-    """The ways on which a team at (n, d), m, meets soonest among a table of obstacles, see
-    ``obstacles.obstacle_set``; who cannot get there stays where it is.
+    """The ways on which a team at (n, d), m, meets soonest among the obstacles of a table; robots
+    that cannot get there stay where they are.
     """
     found: tuple[Roadmap, Meeting] | None = None
     for clearance in _CLEARANCES:
@@ -91,11 +85,8 @@ class PrivilegedPlanner(PrivilegedPolicy):
     """Shortest ways on the map to where the last robot arrives first.
 
     It goes at full speed from turn to turn, and shortens the step before one so that it never
-    leaves its way. After a merge, which moves the survivor, ways start anew. It keeps some
-    centimetres from obstacles where it can, and its V may rise.
-
-    Args:
-        scenario: single integrators, or robots that turn; these do so on the spot.
+    leaves its way; robots that turn do so on the spot. After a merge, which moves the survivor,
+    ways are planned anew. It keeps some centimetres from obstacles where it can; its V may rise.
     """
 
     name = NAME
@@ -117,7 +108,7 @@ class PrivilegedPlanner(PrivilegedPolicy):
 
     def _velocities(self, simulator: Simulator, active: Mask, begun: Mask) -> Array:
         positions, scenario = simulator.positions, simulator.scenario
-        self._keep_up(simulator, positions, active, begun)
+        self._update_plans(simulator, positions, active, begun)
         distance = np.linalg.norm(self._to_next_turn(positions), axis=-1)
         self._next += distance <= _ARRIVED * scenario.speed_limit * scenario.tau
         return within_a_step(self._to_next_turn(positions), scenario)
@@ -128,23 +119,21 @@ class PrivilegedPlanner(PrivilegedPolicy):
         turn = np.take_along_axis(self._turns, self._next[..., None, None], axis=2)[:, :, 0]
         return turn - positions
 
-    def _keep_up(self, simulator: Simulator, positions: Array, active: Mask, begun: Mask) -> None:
+    def _update_plans(
+        self, simulator: Simulator, positions: Array, active: Mask, begun: Mask
+    ) -> None:
         """Plan for teams that begin an episode, and find new ways where robots have merged."""
         merged = (active != self._active).any(axis=1)
         self._active = active
         for team in np.flatnonzero((begun | merged) & (active.sum(axis=1) > 1)).tolist():
-            here = positions[team]
-            if begun[team] or self._goals[team] is None:
-                self._goals[team] = plan(simulator.obstacles[team], here[active[team]])
-            goal = self._goals[team]
-            assert goal is not None
+            here, goal = positions[team], self._goals[team]
+            if begun[team] or goal is None:
+                goal = self._goals[team] = plan(simulator.obstacles[team], here[active[team]])
             for robot in np.flatnonzero(active[team]).tolist():
-                self._put(team, robot, goal.way(here[robot]))
-
-    def _put(self, team: int, robot: int, way: Array) -> None:
-        """Keep a way; those that turn less often rest at their end."""
-        if (more := len(way) - self._turns.shape[2]) > 0:
-            self._turns = np.pad(self._turns, ((0, 0), (0, 0), (0, more), (0, 0)), mode="edge")
-        self._turns[team, robot, : len(way)] = way
-        self._turns[team, robot, len(way) :] = way[-1]
-        self._next[team, robot] = 0
+                way = goal.way(here[robot])
+                if (more := len(way) - self._turns.shape[2]) > 0:
+                    longer = (0, 0), (0, 0), (0, more), (0, 0)
+                    self._turns = np.pad(self._turns, longer, mode="edge")
+                self._turns[team, robot, : len(way)] = way
+                self._turns[team, robot, len(way) :] = way[-1]  # it rests at the end
+                self._next[team, robot] = 0

@@ -1,9 +1,9 @@
 """Shortest ways among obstacles, for policies that may know the map.
 
-A shortest way of the plane runs straight from corner to corner of the obstacles, made fatter by a
-clearance: corners that see one another are the nodes of a graph (a visibility graph), and
-Dijkstra's algorithm finds the ways in it. In space the nodes are points all over the obstacles made
-fatter, and ways are nearly as short as can be.
+A shortest way of the plane runs straight from corner to corner of the obstacles, inflated by a
+clearance: corners that see one another are the nodes of a visibility graph, in which Dijkstra's
+algorithm finds the ways. In space the nodes are points all over the inflated obstacles, and ways
+are nearly as short as can be.
 """
 
 from __future__ import annotations
@@ -25,33 +25,23 @@ from rendezvous_env.obstacles.shape import ABSENT
 from rendezvous_env.physics.vectors import ORIGIN, combine, dot, load, norm, subtract
 
 Array = NDArray[np.float64]
-_QUARTER = 4
-"""Corners that stand for a quarter of a circle."""
-_ON_A_BALL = 24
-"""Points that stand for a ball."""
-_APART = 0.4
-"""rad; half the angle between two of these that are neighbours."""
-_SPIKE = 1e3
-"""Longest corner of a pointed obstacle, in clearances."""
-_KEPT = 0.9
-"""Share of the clearance that a way must keep: corners lie at all of it, up to rounding."""
-_MOST_SIDES = 16
-"""Polygons with more corners are simplified, by less than half the clearance."""
+_QUARTER = 4  # corners that stand for a quarter of a circle
+_ON_A_BALL = 24  # points that stand for a ball
+_APART = 0.4  # rad; half the angle between two of these that are neighbours
+_SPIKE = 1e3  # longest corner of a pointed obstacle, in clearances
+_KEPT = 0.9  # share of the clearance that a way must keep: corners lie at all of it, up to rounding
+_MOST_SIDES = 16  # polygons with more corners are simplified, by less than half the clearance
 MOST_CORNERS = 4_000
 """Of a roadmap, which looks from each to each: 250 discs, or so many polygons of 16 corners."""
 _HALVINGS = 12
 _ROUNDING = 1.0 + 1e-9
-_TOUCH = 1e-7
-"""m, less than the depth of a contact: so deep a way from the surface may go."""
+_TOUCH = 1e-7  # m, less than the depth of a contact: so deep a way from the surface may go
 
 
 class Roadmap:
-    """Ways that keep a clearance from the obstacles of one team.
+    """Ways that keep a clearance, m, from the obstacles of one team, (M, width), in space of dim d.
 
-    Args:
-        table: obstacles, (M, width), see ``obstacles.obstacle_set``.
-        clearance: m. A way from a point that is nearer to an obstacle keeps less.
-        dim: d of the space.
+    A way from a point that is nearer to an obstacle keeps less.
     """
 
     def __init__(self, table: Array, clearance: float, dim: int = 2) -> None:
@@ -81,9 +71,7 @@ class Roadmap:
         return np.argsort(gaps, axis=1)
 
     def straight(self, points: Array, targets: Array) -> Array:
-        """Lengths of straight ways from points (N, d) to targets (K, d), m; inf where an obstacle
-        is in the way.
-        """
+        """Lengths (N, K) of straight ways from points to targets, m; inf where one is blocked."""
         out = np.empty((len(points), len(targets)))
         around = self._spikes, self._nearest_first(points)
         _straight_lengths(self._world, around, points, targets, self._margins(points), out)
@@ -94,14 +82,17 @@ class Roadmap:
         before each on that way, negative if it is the first.
         """
         n, count = len(points), len(self.corners)
-        first = self.straight(points, self.corners)
         lengths = np.full((n + count, n + count), np.inf)
-        lengths[:n, n:], lengths[n:, n:] = first, self._lengths
-        found, before = dijkstra(_sparse(lengths), indices=range(n), return_predecessors=True)
+        lengths[:n, n:], lengths[n:, n:] = self.straight(points, self.corners), self._lengths
+        rows, columns = np.nonzero(np.isfinite(lengths))
+        # two corners in one place are still joined by an edge
+        edges = np.maximum(lengths[rows, columns], np.finfo(float).tiny)
+        graph = scipy.sparse.csr_array((edges, (rows, columns)), shape=lengths.shape)
+        found, before = dijkstra(graph, indices=range(n), return_predecessors=True)
         return found[:, n:], before[:, n:] - n
 
     def distances(self, points: Array, to_corners: Array, places: Array) -> Array:
-        """Lengths of the shortest ways from points to places (K, d), m, by way of corners whose
+        """Lengths (N, K) of the shortest ways from points to places, m, by way of corners whose
         distances (N, C) are known; inf where there is none.
         """
         out, last = self.straight(points, places), self.straight(self.corners, places)
@@ -120,9 +111,7 @@ class WaysTo:
         self._lengths, self._following = lengths[0], following[0]
 
     def way(self, point: Array) -> Array:
-        """Where the way from a point turns, and the place at its end, (P, d), m; the point itself
-        if there is no way.
-        """
+        """The turns of the way from a point, and its end, (P, d), m; the point if there is none."""
         if math.isfinite(self._roadmap.straight(point[None], self._place[None])[0, 0]):
             return self._place[None]
         over = self._roadmap.straight(point[None], self._roadmap.corners)[0] + self._lengths
@@ -135,15 +124,8 @@ class WaysTo:
         return np.array([*turns, self._place])
 
 
-def _sparse(lengths: Array) -> scipy.sparse.csr_array:
-    """The edges that there are; two corners in one place are still joined by one."""
-    rows, columns = np.nonzero(np.isfinite(lengths))
-    kept = np.maximum(lengths[rows, columns], np.finfo(float).tiny)
-    return scipy.sparse.csr_array((kept, (rows, columns)), shape=lengths.shape)
-
-
 def _corners(table: Array, clearance: float) -> Array:
-    """Corners of the obstacles made fatter, (C, 2); round ones become polygons about them."""
+    """Corners of the inflated obstacles, (C, 2); round ones become polygons about them."""
     import shapely  # slow to import, and only planners need it
 
     cores, radii = [], []
@@ -162,32 +144,22 @@ def _corners(table: Array, clearance: float) -> Array:
         else:
             cores.append(shapely.Point(centre))
             radii.append(outward * (row[shape.RADIUS] + clearance))
-    fatter = shapely.buffer(
-        np.array(cores, dtype=object),
-        np.array(radii),
-        quad_segs=_QUARTER,
-        join_style="mitre",
-        mitre_limit=_SPIKE,
-    )
-    rings = [shapely.get_coordinates(polygon)[:-1] for polygon in fatter]
-    return np.concatenate(rings) if rings else np.empty((0, 2))
+    options = {"quad_segs": _QUARTER, "join_style": "mitre", "mitre_limit": _SPIKE}
+    inflated = shapely.buffer(np.array(cores, dtype=object), np.array(radii), **options)
+    rings = [shapely.get_coordinates(polygon)[:-1] for polygon in inflated]
+    return np.concatenate([np.empty((0, 2)), *rings])
 
 
 def _points_around(table: Array, clearance: float) -> Array:
-    """Points on balls that cover the obstacles, made fatter, (C, 3): a Fibonacci lattice on each,
-    so far out that a straight way from one to the next keeps the clearance.
+    """Points on balls that cover the inflated obstacles, (C, 3): a Fibonacci lattice on each, so
+    far out that a straight way from one to the next keeps the clearance.
     """
     k = np.arange(_ON_A_BALL) + 0.5
     height, azimuth = 1.0 - 2.0 * k / _ON_A_BALL, math.pi * (1.0 + math.sqrt(5.0)) * k
     aside = np.sqrt(1.0 - height**2)
     ways = np.stack([aside * np.cos(azimuth), aside * np.sin(azimuth), height], axis=-1)
-    return np.concatenate(
-        [np.empty((0, 3))]
-        + [
-            ball.centre + (ball.radius + clearance) / math.cos(_APART) * ways
-            for ball in balls(table)
-        ]
-    )
+    lattices = [b.centre + (b.radius + clearance) / math.cos(_APART) * ways for b in balls(table)]
+    return np.concatenate([np.empty((0, 3)), *lattices])
 
 
 def _vertices(row: Array) -> Array:
@@ -195,7 +167,7 @@ def _vertices(row: Array) -> Array:
 
 
 def _spikes(table: Array) -> Array:
-    """How far the corners of obstacles made fatter stand out, (M,), as shares of what was added:
+    """How far corners of inflated obstacles stand out, (M,), as shares of what was added:
     1/sin(θ/2) at the sharpest angle θ of a polygon, 1 for round ones.
     """
     out = np.ones(len(table))
@@ -207,15 +179,10 @@ def _spikes(table: Array) -> Array:
     return out
 
 
-# ---- lines of sight -----------------------------------------------------------------------------
-
-
 @kernel
 def _margins_at(world, around, points, most, out):
     """How far ways from points (N, d) can stay away from all obstacles, m: ``most``, or where a
-    point is too near for that half of it, a quarter, and so on.
-
-    ``around`` is how far each obstacle stands out, (M,), and the nearest first for each point.
+    point is too near half of it, a quarter, …; ``around``: ``_spikes``, and the order (N, M).
     """
     spikes, order = around
     for i in range(len(points)):
@@ -246,9 +213,7 @@ def _in_the_way(world, spikes, order, here, way, margin):
 
 @kernel
 def _straight_lengths(world, around, points, targets, margins, out):
-    """Lengths of the straight ways from points (N, d) to targets (K, d) that keep margins (N,) from
-    all obstacles, m; inf where one is in the way. See ``_margins_at``.
-    """
+    """``Roadmap.straight`` with margins (N,), m, that are kept; others as ``_margins_at``."""
     spikes, order = around
     for i in range(len(points)):
         here = load(points[i])

@@ -59,15 +59,12 @@ def check_field_types(made):
 }
 _OF_OTHER_DIMENSIONS = {
     dim: {
-        Name(f"baselines.{module}", word): f'''
+        Name("baselines.steady_frames", word): f'''
 class {word}:
     """This file is for robots of {where}."""
 '''
     }
-    for dim, module, word, where in (
-        (2, "steady_planes", "SteadyPlanes", "the plane"),
-        (3, "steady_frames", "SteadyFrames", "space"),
-    )
+    for dim, word, where in ((2, "SteadyPlanes", "the plane"), (3, "SteadyFrames", "space"))
 }
 _WITHOUT_BODIES = {
     Name(f"rendezvous_env.safety.{module}", word): f'''
