@@ -99,7 +99,7 @@ class TestNetwork:
         path, layout = tmp_path / "recurrent.onnx", RECURRENT.layout(3, 12)
         onnx.save(export.model_of(weights, RECURRENT), path)
         networks = NumpyActor(weights, RECURRENT, layout), OnnxNetwork(path)
-        networks[1].fit(layout)
+        networks[1].layout = layout
         hidden = np.zeros((2, 50, RECURRENT.units), dtype=np.float32)
         for _ in range(5):
             shown = export.drawn_tables(layout, 50, random)

@@ -239,7 +239,7 @@ class TestBundle:
         assert "def gated_rates" in path.read_text(encoding="utf-8")
         file = standalone.load(path)
         assert sum(name.endswith("_turn") for name in vars(file)) > 1
-        turn = getattr(file, "wall_memory_turn", None) or vars(file)["_turn"]
+        turn = getattr(file, "feature_kernels_turn", None) or vars(file)["_turn"]
         assert turn(np.array([1.0, 0.0]), np.array([0.0, 1.0])) == pytest.approx(np.pi / 2)
 
     def test_what_uses_a_module_as_such_is_refused(self):

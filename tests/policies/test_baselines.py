@@ -1,4 +1,4 @@
-"""The paper's laws, by hand, and the registry of scripted policies."""
+"""The paper's laws, by hand and on large sparse graphs, and the registry of scripted policies."""
 
 import math
 
@@ -21,12 +21,6 @@ PITCH = 0.5
 GRAVITY = [-math.sin(PITCH), 0.0, -math.cos(PITCH)]
 
 
-def observation(scenario, *rows):
-    """One team; every robot sees the same rows, as float32."""
-    shape = (scenario.n_robots, *scenario.observation_layout.shape)
-    return np.broadcast_to(np.array(rows, dtype=np.float32), shape)
-
-
 @pytest.mark.parametrize(
     ("name", "scenario", "rows", "expected"),
     [
@@ -35,24 +29,19 @@ def observation(scenario, *rows):
         ("unicycle", UNICYCLE, [[0.6, 0.8], [0, 0]], [0.6, 0.8]),
         ("unicycle", UNICYCLE, [[-1, 0], [0, -1]], [-1, -0.9]),  # ω saturates
         ("unicycle-cosine", UNICYCLE, [[0.6, 0.8], [0, 0]], [0.6, math.cos(2.5)]),
-        (
-            "nonholonomic-3d",
-            SPACE,
-            [[0, 0.6, 0.8], [1, 0, 0], GRAVITY],
-            [1, 0.6 / math.cos(PITCH), 0.8],
-        ),
-        ("nonholonomic-3d", SPACE, [[0, 1, 0], [0, 0, 0], [-1, 0, 0]], [0, 20, 0]),  # β = π/2
-        (
-            "nonholonomic-3d",
-            SPACE,
-            [[0, 0, 1], [0, 0, 0], [1, 0, 0]],
-            [0, 0, 1],
-        ),  # β = −π/2, f_y = 0
+        ("nonholonomic-3d", SPACE, [[0, 0.6, 0.8], [1, 0, 0], GRAVITY],
+         [1, 0.6 / math.cos(PITCH), 0.8]),
+        # β = π/2, and β = −π/2 with f_y = 0
+        ("nonholonomic-3d", SPACE, [[0, 1, 0], [0, 0, 0], [-1, 0, 0]], [0, 20, 0]),
+        ("nonholonomic-3d", SPACE, [[0, 0, 1], [0, 0, 0], [1, 0, 0]], [0, 0, 1]),
         ("zero", POINT, [[1, 0], [0, 1]], [0, 0]),
     ],
-)
+)  # fmt: skip
 def test_laws_by_hand(name, scenario, rows, expected):
-    actions = baselines.make(name, scenario)(observation(scenario, *rows), 2.5)
+    """Every robot of a team sees the same rows."""
+    shape = (scenario.n_robots, *scenario.observation_layout.shape)
+    seen = np.broadcast_to(np.array(rows, dtype=np.float32), shape)
+    actions = baselines.make(name, scenario)(seen, 2.5)
     assert actions.dtype == np.float32
     np.testing.assert_allclose(actions, np.tile(expected, (3, 1)), rtol=1e-6, atol=1e-7)
 
@@ -72,109 +61,169 @@ def test_cosine_law_has_one_time_for_each_team():
 
 
 @pytest.mark.parametrize("scenario", [POINT, UNICYCLE, SPACE, CLUTTER])
-def test_every_fitting_policy_has_any_leading_axes_and_stays_in_bounds(scenario):
+def test_every_fitting_policy_stays_in_bounds_whatever_it_sees(scenario):
     random = np.random.default_rng(0)
     n, layout = scenario.n_robots, scenario.observation_layout
     observations = random.normal(size=(2, 4, n, *layout.shape)).astype(np.float32)
     observations[1, 2, 0] = 0  # a robot that is gone
     for name in baselines.names(scenario):
-        if name.startswith("privileged"):  # sees more than observations
-            continue
-        batch = baselines.make(name, scenario)(observations, random.random((2, 4)))
-        assert batch.shape == (2, 4, n, scenario.action_size) and batch.dtype == np.float32
-        assert np.isfinite(batch).all()
-        assert (np.abs(batch) <= scenario.action_bounds.astype(np.float32)).all()
-        single = baselines.make(name, scenario)(observations[1, 3], 0.25)
-        assert single.shape == (n, scenario.action_size)
-        if name not in ("random", "unicycle-cosine"):
-            np.testing.assert_array_equal(single, batch[1, 3])
-
-
-def test_names_are_those_that_fit():
-    everywhere = {"random", "zero"}
-    references = {"consensus", "circumcentre", "enclosing-ball", "nearest-pursuit", "planner"}
-    privileged = {f"privileged-{name}" for name in references}
-    field = {"unit-mean", "smallest-sector", "quantised", "cyclic-pursuit", "nearest-pursuit"}
-    field |= {"link-keeping"}
-    plane = {"bearing-only", *field, *NAMES, *everywhere, *privileged}
-    assert set(baselines.names(POINT)) == plane
-    cars = {"unicycle", "unicycle-cosine", "pursuit", "windshield"}
-    cars |= {*NAMES, "privileged-planner"}
-    assert set(baselines.names(UNICYCLE)) == {*cars, *everywhere}
-    flyers = {"nonholonomic-3d", "pursuit", *NAMES, "privileged-planner"}
-    assert set(baselines.names(SPACE)) == {*flyers, *everywhere}
-    flat = {"smallest-sector", "quantised"}
-    assert set(baselines.names(POINT.replace(dim=3))) == plane - flat
-    rules = {"tangent", "tangent-blocking", "tangent-joined"}
-    certified = {f"{rule}-certified" for rule in rules}
-    tuned = {"tangent-joined-tuned", "tank-joined"}
-    assert set(baselines.names(CLUTTER)) == {*plane, *rules, *certified, *tuned}
-    among_discs = {"tangent-joined", *tuned}
-    turning = rv.scenarios.get("unicycle-clutter-8")
-    assert set(baselines.names(turning)) == {*cars, *everywhere, *among_discs}
-    among_spheres = {*(plane - flat), *rules, *certified, *tuned}
-    assert set(baselines.names("clutter-3d-32")) == among_spheres
-    assert set(baselines.names("uav-clutter-16")) == {*flyers, *everywhere, *among_discs}
-    assert set(baselines.names(HEAVY)) == {"damped", *everywhere}
-    assert len(baselines.names()) == 31
-
-
-@pytest.mark.parametrize(
-    ("name", "scenario", "options", "message"),
-    [
-        ("bearing_only", POINT, {}, "is unknown.*bearing-only.*did you mean 'bearing-only'"),
-        ("unicycle", POINT, {}, "does not fit single_integrator robots in 2-D.*bearing-only"),
-        ("tangent", POINT, {}, "with 0 obstacle slots"),
-        ("tangent-joined", CLUTTER, {"clearence": 1}, "no option 'clearence'; it has clearance"),
-        ("tangent-joined", CLUTTER, {"clearance": -1}, "clearance is -1"),
-        ("zero", POINT, {"seed": 1}, "no option 'seed'; it has none"),
-    ],
-)
-def test_refusals_say_what_is_right(name, scenario, options, message):
-    with pytest.raises(ValueError, match=message):
-        baselines.make(name, scenario, **options)
-
-
-def test_a_wrong_observation_is_refused():
-    with pytest.raises(ValueError, match=r"needs \(..., 2, 2\)"):
-        baselines.make("bearing-only", POINT)(np.zeros((3, 5, 2), np.float32), 0.0)
+        if not name.startswith("privileged"):  # these see more than observations
+            batch = baselines.make(name, scenario)(observations, random.random((2, 4)))
+            assert batch.shape == (2, 4, n, scenario.action_size) and batch.dtype == np.float32
+            assert (np.abs(batch) <= scenario.action_bounds.astype(np.float32)).all()  # no NaN
+            single = baselines.make(name, scenario)(observations[1, 3], 0.25)
+            assert single.shape == (n, scenario.action_size)
 
 
 def test_random_is_uniform_and_repeatable():
     slow = Scenario(n_robots=3, max_speed=0.5)
     view = np.zeros((400, 3, *slow.observation_layout.shape), np.float32)
-    policy = baselines.make("random", slow, seed=7)
-    first, second = policy(view, 0.0), policy(view, 0.1)
+    drawn = baselines.make("random", slow, seed=7)
+    first, second = drawn(view, 0.0), drawn(view, 0.1)
     assert not np.array_equal(first, second)
     assert np.abs(first).max() <= 0.5 and abs(first.mean()) < 0.03
     assert first.std() == pytest.approx(1 / math.sqrt(12), rel=0.05)
-    policy.reset()
-    np.testing.assert_array_equal(policy(view, 0.0), first)
-    policy.reset(np.zeros(400, bool))
-    np.testing.assert_array_equal(policy(view, 0.1), second)
-    other = baselines.make("random", slow, seed=8)(view, 0.0)
-    assert not np.array_equal(other, first)
+    drawn.reset()
+    np.testing.assert_array_equal(drawn(view, 0.0), first)
+    drawn.reset(np.zeros(400, bool))
+    np.testing.assert_array_equal(drawn(view, 0.1), second)
+    assert not np.array_equal(baselines.make("random", slow, seed=8)(view, 0.0), first)
 
 
-def test_every_policy_says_what_it_is_and_of_which_kind():
-    """A reader of positions is privileged by its name and by its kind, and nobody else is."""
-    for name in baselines.names():
-        assert policy.about(name), name
-        assert policy.kind_of(name) != "own", name
-        assert name.startswith("privileged") == (policy.kind_of(name) == "privileged")
+class TestRegistry:
+    def test_names_are_those_that_fit(self):
+        everywhere = {"random", "zero"}
+        references = {"consensus", "circumcentre", "enclosing-ball", "nearest-pursuit", "planner"}
+        flat = {"smallest-sector", "quantised"}
+        field = {"unit-mean", "cyclic-pursuit", "nearest-pursuit", "link-keeping", *flat}
+        plane = {"bearing-only", *field, *NAMES, *everywhere}
+        plane |= {f"privileged-{name}" for name in references}
+        steered = {*NAMES, "privileged-planner", *everywhere}
+        cars = {"unicycle", "unicycle-cosine", "pursuit", "windshield", *steered}
+        flyers = {"nonholonomic-3d", "pursuit", *steered}
+        rules = {"tangent", "tangent-blocking", "tangent-joined"}
+        among_discs = {"tangent-joined", "tangent-joined-tuned", "tank-joined"}
+        rules |= {f"{rule}-certified" for rule in rules} | among_discs
+        for scenario, wanted in (
+            (POINT, plane),
+            (UNICYCLE, cars),
+            (SPACE, flyers),
+            (POINT.replace(dim=3), plane - flat),
+            (CLUTTER, plane | rules),
+            (rv.scenarios.get("unicycle-clutter-8"), cars | among_discs),
+            ("clutter-3d-32", (plane - flat) | rules),
+            ("uav-clutter-16", flyers | among_discs),
+            (HEAVY, {"damped", *everywhere}),
+        ):
+            assert set(baselines.names(scenario)) == wanted
+        assert len(baselines.names()) == 31
+
+    def test_every_policy_says_what_it_is_and_they_are_listed_by_kind(self):
+        """A reader of positions is privileged by its name and by its kind, and nobody else is."""
+        kinds = [policy.kind_of(name) for name in baselines.names()]
+        assert kinds == sorted(kinds, key=list(policy.KINDS).index) and "own" not in kinds
+        for name, kind in zip(baselines.names(), kinds, strict=True):
+            assert policy.about(name), name
+            assert name.startswith("privileged") == (kind == "privileged")
+        assert baselines.names(UNICYCLE) == [
+            "unicycle", "unicycle-cosine", "pursuit", "windshield", *NAMES, "privileged-planner",
+            "random", "zero",
+        ]  # fmt: skip
+
+    @pytest.mark.parametrize(
+        ("name", "scenario", "options", "message"),
+        [
+            ("bearing_only", POINT, {}, "is unknown.*bearing-only.*did you mean 'bearing-only'"),
+            ("unicycle", POINT, {}, "does not fit single_integrator robots in 2-D.*bearing-only"),
+            ("tangent", POINT, {}, "with 0 obstacle slots"),
+            ("tangent-joined", CLUTTER, {"clearence": 1}, "no option 'clearence'; it has clearanc"),
+            ("tangent-joined", CLUTTER, {"clearance": -1}, "clearance is -1"),
+            ("zero", POINT, {"seed": 1}, "no option 'seed'; it has none"),
+        ],
+    )
+    def test_refusals_say_what_is_right(self, name, scenario, options, message):
+        with pytest.raises(ValueError, match=message):
+            baselines.make(name, scenario, **options)
+
+    def test_a_wrong_observation_and_another_kind_are_refused(self):
+        with pytest.raises(ValueError, match=r"needs \(..., 2, 2\)"):
+            baselines.make("bearing-only", POINT)(np.zeros((3, 5, 2), np.float32), 0.0)
+        with pytest.raises(ValueError, match="kind is 'best'; it must be one of law, field, rule"):
+            policy.register("mine", fits=lambda scenario: True, kind="best")
+        assert "mine" not in baselines.names()
 
 
-def test_names_are_in_the_order_of_their_kinds():
-    kinds = [policy.kind_of(name) for name in baselines.names()]
-    assert kinds == sorted(kinds, key=list(policy.KINDS).index)
-    assert baselines.names(UNICYCLE) == [
-        "unicycle", "unicycle-cosine", "pursuit", "windshield", *NAMES, "privileged-planner",
-        "random", "zero",
-    ]  # fmt: skip
-    assert baselines.names("uav-6") == baselines.names(rv.scenarios.get("uav-6"))
+class TestLargeSparseGraphs:
+    """Their default step is made for the degrees there are, and law (1) is scaled to it."""
 
+    def sparse(self, n=60, **fields):
+        graph = fields.pop("graph", rv.graphs.erdos_renyi(0.06))
+        return rv.Scenario(n_robots=n, graph=graph, spawn_size=12.0, **fields)
 
-def test_another_kind_is_refused_and_nothing_is_entered():
-    with pytest.raises(ValueError, match="kind is 'best'; it must be one of law, field, rule"):
-        policy.register("mine", fits=lambda scenario: True, kind="best")
-    assert "mine" not in baselines.names()
+    def test_the_step_is_made_for_the_degrees_there_are(self):
+        scenario = self.sparse()
+        assert scenario.max_degree == 59.0
+        assert scenario.step_degree == pytest.approx(2 * 0.06 * 59) == scenario.speed_limit
+        assert scenario.tau == pytest.approx(scenario.merge_radius / (2 * scenario.step_degree))
+        assert scenario.scales_velocity and scenario.tau > 8 * scenario.certified_step
+        links = [(i, i + 1) for i in range(49)] + [(0, k) for k in range(5, 12)]
+        fixed = self.sparse(50, graph=rv.graphs.from_edges(links))
+        assert fixed.step_degree == 8.0 and fixed.max_degree == 49.0
+
+    @pytest.mark.parametrize(
+        ("n", "fields"),
+        [
+            (47, {}),
+            (60, {"graph": "cycle"}),
+            (60, {"graph": "complete"}),
+            (60, {"time_step": 0.001}),
+            (60, {"robot_model": "unicycle"}),
+        ],
+    )
+    def test_elsewhere_the_step_is_the_certified_one_or_given(self, n, fields):
+        scenario = self.sparse(n, **fields)
+        assert not scenario.scales_velocity
+        assert scenario.tau in (scenario.time_step, scenario.certified_step)
+
+    def test_every_scenario_of_small_teams_keeps_its_step(self):
+        for name in rv.scenarios.names():
+            scenario = rv.scenarios.get(name)
+            assert scenario.step_degree == scenario.max_degree and not scenario.scales_velocity
+
+    def test_all_meet_and_v_never_rises_between_merges(self):
+        scenario = self.sparse(time_limit=40.0)
+        found = rv.rollout(scenario, baselines.make("bearing-only", scenario), seed=3, num_envs=6)
+        assert found.success.all()
+        assert (found.largest_rise_between_merges <= 0.0).all()
+
+    def test_a_hub_slows_down_and_v_would_rise_if_it_did_not(self):
+        """It stands beside the middle of 59 neighbours, D_i = 59: 2τ D_i/r times too fast it ends
+        far beyond."""
+        scenario = self.sparse(graph=rv.graphs.erdos_renyi(0.03), local_frames="global")
+        star = np.zeros((60, 60))
+        star[0, 1:] = star[1:, 0] = 1.0
+        around = 2 * np.pi * np.arange(59) / 59
+        ring = 1.3 * scenario.merge_radius * np.stack([np.cos(around), np.sin(around)], axis=-1)
+        places = np.vstack([[0.02, 0.0], ring])
+        rows, law = scenario.observation_layout.neighbours, baselines.make("bearing-only", scenario)
+        change = []
+        for choose in (law, lambda seen, time: seen[..., rows, :].sum(-2)):
+            simulator = rv.Simulator(scenario)
+            seen = simulator.reset(0, {"positions": places, "weights": star})
+            before = simulator.lyapunov()[0]
+            actions = np.zeros((1, 60, 2), np.float32)
+            actions[0, 0] = choose(seen, 0.0)[0, 0]
+            simulator.step(actions)
+            change.append(simulator.lyapunov()[0] - before)
+        assert change[0] < 0.0 < change[1]
+        seen = np.zeros((60, *scenario.observation_layout.shape), np.float32)
+        seen[0, :, 0], seen[1, 0, 0] = 1.0, 1.0
+        hub, leaf, *_ = law(seen, 0.0)[:, 0]
+        assert hub == pytest.approx(scenario.step_degree) and leaf == 1.0
+
+    def test_the_certificate_covers_it_and_says_how(self):
+        certificate = rv.certificate(self.sparse())
+        assert certificate.guaranteed and "scaled" in certificate.theorem
+        assert np.isfinite(certificate.time_bound)
+        given = self.sparse(time_step=self.sparse().tau, allow_long_step=True)
+        assert not rv.certificate(given).guaranteed

@@ -1,15 +1,16 @@
-"""Functions of what robots see as policies: they do and keep what the wrappers do and keep."""
+"""Functions and models as policies: they do and keep what wrappers and training environments do."""
 
 import numpy as np
 import pytest
 
 import baselines
 import rendezvous_env as rv
-from baselines import HeadingPolicy, TankPolicy
-from rendezvous_env.vector import EnergyTankWrapper, HeadingVectorWrapper
+from baselines import HeadingPolicy, TankPolicy, TrainedPolicy
+from rendezvous_env.vector import EnergyTankWrapper, HeadingVectorWrapper, training_env
 
 CLUTTER = rv.scenarios.get("clutter-12").replace(time_limit=4.0)
-CARS = rv.scenarios.get("unicycle-6").replace(time_limit=4.0)
+OPEN = rv.scenarios.get("clutter-4").replace(obstacles=(), time_limit=6.0, merge_radius=0.05)
+CARS = rv.scenarios.get("unicycle-6").replace(time_limit=4.0, merge_radius=0.05)
 SPACE = rv.scenarios.get("uav-6").replace(time_limit=4.0)
 TEAMS, STEPS = 4, 40
 
@@ -26,7 +27,7 @@ class Sideways:
         return np.tanh(observations[..., 0] @ weights)
 
 
-def actions_of_wrapper(wrapper, choose, periods):
+def places_of(wrapper, choose, periods):
     """Positions after each period."""
     seen, _ = wrapper.reset(seed=3)
     places = []
@@ -36,107 +37,218 @@ def actions_of_wrapper(wrapper, choose, periods):
     return np.stack(places)
 
 
-@pytest.mark.parametrize("period", [1, 4])
-@pytest.mark.parametrize(
-    ("scenario", "options"),
-    [
-        (CLUTTER, {}),
-        (CLUTTER, {"frame": "local", "min_alignment": 0.4, "max_turn_rate": 1.0}),
-        (CLUTTER, {"certified": False}),
-        (CLUTTER, {"bearing_error": 0.1}),
-        (CARS, {"max_turn_rate": 0.5}),
-        (SPACE, {}),
-    ],
-)
-def test_it_moves_robots_as_the_wrapper_does(scenario, options, period):
-    venv = rv.make_vec(scenario, TEAMS, autoreset_mode="Disabled")
-    wrapper = HeadingVectorWrapper(venv, decision_period=period, **options)
-    choose = Sideways(wrapper.single_action_space.shape[-1])
-    wanted = actions_of_wrapper(wrapper, choose, STEPS // period)
-    policy = HeadingPolicy(scenario, choose, decision_period=period, **options)
-    simulator, choose.asked = rv.Simulator(scenario, TEAMS), 0
-    seen = simulator.reset(3)
-    for step in range(1, STEPS + 1):
+def places_under(policy, scenario, steps, period):
+    """The same of a policy."""
+    simulator = rv.Simulator(scenario, TEAMS)
+    seen, places = simulator.reset(3), []
+    for step in range(1, steps + 1):
         seen = simulator.step(policy(seen, simulator.time)).observations
-        if step % period == 0:
-            found = simulator.positions
-            np.testing.assert_allclose(found, wanted[step // period - 1], rtol=0, atol=1e-6)
-    assert choose.asked == STEPS // period
-    assert np.abs(wanted[-1] - wanted[0]).max() > 0.3
+        places += [simulator.positions] if step % period == 0 else []
+    return np.stack(places), simulator
 
 
-def test_a_tank_does_as_the_wrapper_until_something_touches_or_merges():
-    scenario = CLUTTER.replace(obstacles=())
-    options = {"budget": 0.5, "observe_level": True, "decision_period": 2}
-    wrapper = EnergyTankWrapper(rv.make_vec(scenario, TEAMS, autoreset_mode="Disabled"), **options)
-    choose = Sideways(2)
-    wanted = actions_of_wrapper(wrapper, choose, 10)
-    policy, simulator = TankPolicy(scenario, choose, **options), rv.Simulator(scenario, TEAMS)
-    seen = simulator.reset(3)
-    for step in range(1, 21):
-        seen = simulator.step(policy(seen, simulator.time)).observations
-        if step % 2 == 0:
-            np.testing.assert_array_equal(simulator.positions, wanted[step // 2 - 1])
-    assert simulator.active.all() and (policy.levels != 0.5).any()
-    np.testing.assert_array_equal(policy.levels, wrapper.tank.levels)
+class TestFunctions:
+    @pytest.mark.parametrize("period", [1, 4])
+    @pytest.mark.parametrize(
+        ("scenario", "options"),
+        [
+            (CLUTTER, {}),
+            (CLUTTER, {"frame": "local", "min_alignment": 0.4, "max_turn_rate": 1.0}),
+            (CLUTTER, {"certified": False}),
+            (CLUTTER, {"bearing_error": 0.1}),
+            (CARS, {"max_turn_rate": 0.5}),
+            (SPACE, {}),
+        ],
+    )
+    def test_headings_move_robots_as_the_wrapper_does(self, scenario, options, period):
+        venv = rv.make_vec(scenario, TEAMS, autoreset_mode="Disabled")
+        wrapper = HeadingVectorWrapper(venv, decision_period=period, **options)
+        choose = Sideways(wrapper.single_action_space.shape[-1])
+        wanted = places_of(wrapper, choose, STEPS // period)
+        policy, choose.asked = HeadingPolicy(scenario, choose, decision_period=period, **options), 0
+        found, _ = places_under(policy, scenario, STEPS, period)
+        np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-6)
+        assert choose.asked == STEPS // period
+        assert np.abs(wanted[-1] - wanted[0]).max() > 0.3
+
+    def test_a_tank_does_as_the_wrapper_until_something_touches_or_merges(self):
+        scenario = CLUTTER.replace(obstacles=())
+        options = {"budget": 0.5, "observe_level": True, "decision_period": 2}
+        venv = rv.make_vec(scenario, TEAMS, autoreset_mode="Disabled")
+        wrapper, choose = EnergyTankWrapper(venv, **options), Sideways(2)
+        wanted = places_of(wrapper, choose, 10)
+        policy = TankPolicy(scenario, choose, **options)
+        found, simulator = places_under(policy, scenario, 20, 2)
+        np.testing.assert_array_equal(found, wanted)
+        assert simulator.active.all() and (policy.levels != 0.5).any()
+        np.testing.assert_array_equal(policy.levels, wrapper.tank.levels)
+
+    def test_a_margin_is_promised_where_headings_are_certified(self):
+        assert HeadingPolicy(CLUTTER, Sideways(2)).min_alignment == 0.1
+        assert HeadingPolicy(CLUTTER, Sideways(2), certified=False).min_alignment is None
+
+    def test_the_memory_of_what_chooses_is_forgotten_too(self):
+        class Counts(Sideways):
+            def reset(self, mask):
+                self.forgot = mask
+
+        choose = Counts(2)
+        policy = HeadingPolicy(CLUTTER, choose)
+        policy.reset()
+        assert choose.forgot is None
+        policy(np.zeros((2, CLUTTER.n_robots, *CLUTTER.observation_layout.shape)), 0.0)
+        policy.reset(np.array([True, False]))
+        np.testing.assert_array_equal(choose.forgot, [True, False])
+
+    def test_a_robot_that_ticks_twice_as_often_decides_as_often(self):
+        choose = Sideways(2)
+        policy = HeadingPolicy(CLUTTER, choose, decision_period=4, frame="local", max_turn_rate=1.0)
+        robot, tau = baselines.RobotPolicy(CLUTTER, policy), CLUTTER.tau
+        bearings = np.array([[0.0, 1.0], [0.6, 0.8]])
+        first = robot.act(bearings)
+        for _ in range(7):
+            last = robot.act(bearings, dt=tau / 2)
+        assert choose.asked == 1
+        last = robot.act(bearings, dt=tau / 2)
+        assert choose.asked == 2 and last @ first > 0.0
+
+    @pytest.mark.parametrize(
+        ("options", "message"),
+        [
+            ({"choose": 3}, "choose is 3; it must be a function of observations"),
+            ({"min_alignment": 2.0}, "min_alignment is 2.0"),
+            ({"frame": "mine"}, "frame is 'mine'"),
+            ({"decision_period": 0}, "decision_period is 0; it must be a whole number"),
+            ({"scenario": rv.Scenario(robot_model="double_integrator")}, r"law \(4\) needs robots"),
+        ],
+    )
+    def test_what_cannot_be_is_refused_when_it_is_made(self, options, message):
+        with pytest.raises(ValueError, match=message):
+            HeadingPolicy(**{"scenario": CLUTTER, "choose": Sideways(2), **options})
+
+    def test_what_is_chosen_wrongly_is_refused_by_its_robot(self):
+        n, layout = CLUTTER.n_robots, CLUTTER.observation_layout
+        seen, raw = np.zeros((3, n, *layout.shape)), np.zeros((3, n, 2))
+        raw[1, 2, 0] = np.nan
+        for choice, given, message in (
+            ([0.0, 1.0], seen, rf"choose gave .* \(2,\); .* \(3, {n}, 2\)"),
+            (raw, seen, "action of robot_2 in team 1 is"),
+            (raw, seen[:, :1], "observations have shape"),
+        ):
+            with pytest.raises(ValueError, match=message):
+                HeadingPolicy(CLUTTER, lambda _, choice=choice: choice)(given, 0.0)
 
 
-def test_a_margin_is_promised_where_headings_are_certified():
-    assert HeadingPolicy(CLUTTER, Sideways(2)).min_alignment == 0.1
-    assert HeadingPolicy(CLUTTER, Sideways(2), certified=False).min_alignment is None
+class Model:
+    """Chooses by every number it is shown; gives a state, too, as stable-baselines3 does."""
+
+    def __init__(self, size, choices=None):
+        self.size, self.choices = size, choices
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=False):
+        assert deterministic and observation.ndim == 2
+        weights = np.cos(np.arange(observation.shape[-1] * self.size)).reshape(-1, self.size)
+        chosen = np.tanh(observation @ weights)
+        if self.choices is not None:
+            chosen = (np.abs(chosen[:, 0]) * self.choices).astype(np.int64)
+        return chosen.astype(np.float32 if self.choices is None else np.int64), None
 
 
-def test_the_memory_of_what_chooses_is_forgotten_too():
-    class Counts(Sideways):
-        def reset(self, mask):
-            self.forgot = mask
+class TestModels:
+    @pytest.mark.parametrize(
+        ("scenario", "arguments"),
+        [
+            (OPEN, {}),
+            (OPEN, {"discrete": True}),
+            (OPEN, {"guarantee": "tank"}),
+            (OPEN, {"min_alignment": 0.3, "decision_period": 3}),
+            (OPEN, {"learning_preset": False}),
+            (OPEN, {"learning_preset": False, "flatten": False, "frame": "local"}),
+            (OPEN, {"learning_preset": False, "guarantee": "tank", "budget": 1.0,
+                    "observe_level": True}),
+            (OPEN, {"learning_preset": False, "guarantee": "gains"}),
+            (OPEN, {"learning_preset": False, "guarantee": "links"}),
+            (OPEN, {"learning_preset": False, "guarantee": None}),
+            (CARS, {}),
+            (CARS, {"guarantee": "tank"}),
+        ],
+    )  # fmt: skip
+    def test_robots_move_as_in_the_training_environment(self, scenario, arguments):
+        teams = training_env(scenario, TEAMS, autoreset_mode="Disabled", **arguments)
+        space = teams.single_action_space
+        discrete = arguments.get("discrete", False)
+        model = Model(1 if discrete else space.shape[-1], 9 if discrete else None)
 
-    choose = Counts(2)
-    policy = HeadingPolicy(CLUTTER, choose)
-    policy.reset()
-    assert choose.forgot is None
-    policy(np.zeros((2, CLUTTER.n_robots, *CLUTTER.observation_layout.shape)), 0.0)
-    policy.reset(np.array([True, False]))
-    np.testing.assert_array_equal(choose.forgot, [True, False])
+        def predict(observation, deterministic=False):
+            rows = observation.reshape(len(observation), -1)
+            return model.predict(rows, deterministic=deterministic)
+
+        flat = arguments.get("flatten", True)
+        policy = TrainedPolicy(scenario, model.predict if flat else predict, **arguments)
+        seen, _ = teams.reset(seed=3)
+        simulator = rv.Simulator(teams.scenario, TEAMS)
+        own = simulator.reset(3)
+        start = simulator.positions.copy()
+        for _ in range(4):
+            rows = seen.reshape(-1, *seen.shape[2:])
+            chosen = predict(rows, deterministic=True)[0].reshape(TEAMS, *space.shape)
+            seen, *_ = teams.step(chosen)
+            for _ in range(getattr(teams.env, "decision_period", 1)):
+                own = simulator.step(policy(own, simulator.time)).observations
+            apart = simulator.active.all(axis=1)  # a policy's tank is not told of a merge
+            assert apart.any()
+            here, there = simulator.positions[apart], teams.simulator.positions[apart]
+            np.testing.assert_allclose(here, there, atol=1e-6)
+        assert np.abs(simulator.positions - start).max() > 1e-3
+
+    def test_a_model_of_whole_teams_is_asked_for_teams(self):
+        asked = []
+
+        def predict(seen):
+            asked.append(seen.shape)
+            return np.zeros((*seen.shape[:2], 2))
+
+        policy = TrainedPolicy("clutter-4", predict, by_team=True)
+        found = rv.rollout("clutter-4", policy, seed=0, num_envs=3)
+        assert {shape[:2] for shape in asked} == {(3, 4)}
+        assert found.success.any()  # no direction at all is the rule itself
+
+    def test_what_is_no_model_is_refused(self):
+        with pytest.raises(ValueError, match="predict is 3; it must be a function of observations"):
+            TrainedPolicy("duo", 3)
+        with pytest.raises(TypeError, match="guarante"):
+            TrainedPolicy("duo", lambda seen: seen, guarante="tank")
+        policy = TrainedPolicy("duo", lambda seen: seen)
+        with pytest.raises(ValueError, match=r"predict gave an array of .* it must be \(2, 2\)"):
+            policy(rv.Simulator(rv.scenarios.get("duo"), 1).reset(0), 0.0)
 
 
-def test_a_robot_that_ticks_twice_as_often_decides_as_often():
-    choose = Sideways(2)
-    policy = HeadingPolicy(CLUTTER, choose, decision_period=4, frame="local", max_turn_rate=1.0)
-    robot, tau = baselines.RobotPolicy(CLUTTER, policy), CLUTTER.tau
-    bearings = np.array([[0.0, 1.0], [0.6, 0.8]])
-    first = robot.act(bearings)
-    for _ in range(7):
-        robot.act(bearings, dt=tau / 2)
-    assert choose.asked == 1
-    robot.act(bearings, dt=tau / 2)
-    assert choose.asked == 2 and policy._filter.headings[0, 0] @ first > 0.0
+class TestDicts:
+    @pytest.mark.parametrize("flatten", [False, True])
+    @pytest.mark.parametrize(
+        "name", ["bearing-only", "tangent-joined-tuned", "learned", "tank-joined"]
+    )
+    def test_policies_take_pettingzoos_dicts_whoever_has_merged(self, name, flatten):
+        scenario = rv.scenarios.get("clutter-4").replace(time_limit=8.0, merge_radius=1.0)
+        env, policy = rv.parallel_env(scenario, flatten=flatten), baselines.make(name, scenario)
+        observations, _ = env.reset(seed=1)
+        found, counts = [], set()
+        while env.agents:
+            actions = policy(observations, env.unwrapped.simulator.time[0])
+            assert list(actions) == list(observations)
+            counts.add(len(actions))
+            observations, *_ = env.step({robot: actions[robot] for robot in env.agents})
+            observations = {robot: observations[robot] for robot in env.agents}
+            found.append(env.unwrapped.simulator.positions[0].copy())
+        policy.reset()
+        batch = rv.rollout(scenario, policy, seed=1)
+        assert len(counts) > 1
+        np.testing.assert_allclose(found, batch.positions[1 : len(found) + 1, 0], atol=1e-9)
 
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"choose": 3}, "choose is 3; it must be a function of observations"),
-        ({"min_alignment": 2.0}, "min_alignment is 2.0"),
-        ({"frame": "mine"}, "frame is 'mine'"),
-        ({"decision_period": 0}, "decision_period is 0; it must be a whole number"),
-        ({"scenario": rv.Scenario(robot_model="double_integrator")}, r"law \(4\) needs robots"),
-    ],
-)
-def test_what_cannot_be_is_refused_when_it_is_made(options, message):
-    with pytest.raises(ValueError, match=message):
-        HeadingPolicy(**{"scenario": CLUTTER, "choose": Sideways(2), **options})
-
-
-def test_what_is_chosen_wrongly_is_refused_by_its_robot():
-    n, layout = CLUTTER.n_robots, CLUTTER.observation_layout
-    seen = np.zeros((3, n, *layout.shape))
-    with pytest.raises(ValueError, match=rf"choose gave .* \(2,\); .* \(3, {n}, 2\)"):
-        HeadingPolicy(CLUTTER, lambda _: [0.0, 1.0])(seen, 0.0)
-    raw = np.zeros((3, n, 2))
-    raw[1, 2, 0] = np.nan
-    with pytest.raises(ValueError, match="action of robot_2 in team 1 is"):
-        HeadingPolicy(CLUTTER, lambda _: raw)(seen, 0.0)
-    with pytest.raises(ValueError, match="observations have shape"):
-        HeadingPolicy(CLUTTER, lambda _: raw)(seen[:, :1], 0.0)
-    assert baselines.HeadingPolicy is HeadingPolicy
+    def test_unknown_robots_and_other_shapes_are_refused(self):
+        policy = baselines.make("bearing-only", "duo")
+        assert policy({}, 0.0) == {}
+        with pytest.raises(KeyError, match="no robot is called 'robot_2'"):
+            policy({"robot_2": np.zeros((1, 2))}, 0.0)
+        with pytest.raises(ValueError, match="observation of robot_0 has shape"):
+            policy({"robot_0": np.zeros(5)}, 0.0)

@@ -10,15 +10,18 @@ import rendezvous_env as rv
 from baselines.laws.literature_laws import (
     nearest_pursuit_law,
     rounded_bearings,
+    rows_from_nearest,
+    rows_from_next,
     smallest_sector_law,
     unit_mean_law,
 )
-from baselines.laws.neighbour_order import rows_from_nearest, rows_from_next
-from rendezvous_env import graphs
+from baselines.laws.pursuit import Pursuit, yaw_and_pitch
+from rendezvous_env import Scenario, Simulator, graphs
+from rendezvous_env.trajectory import run
+from research.time_bounds import pursuit_bound
 from train import policies
 
 TEAM = rv.Scenario(n_robots=6, max_speed=1.0, time_limit=60.0)
-NAMES = ("unit-mean", "smallest-sector", "quantised", "cyclic-pursuit", "nearest-pursuit")
 
 
 def bearings(positions):
@@ -65,10 +68,16 @@ def chase_the_lower(g):
     return g[np.arange(n), [1, *range(n - 1)]]
 
 
-LAWS = (mean, sector, rounded, chase, chase_the_lower)
+LAWS = {
+    "unit-mean": mean,
+    "smallest-sector": sector,
+    "quantised": rounded,
+    "cyclic-pursuit": chase,
+    "nearest-pursuit": chase_the_lower,
+}
 
 
-@pytest.mark.parametrize(("name", "law"), list(zip(NAMES, LAWS, strict=True)), ids=NAMES)
+@pytest.mark.parametrize(("name", "law"), LAWS.items(), ids=LAWS)
 def test_it_is_what_a_few_lines_integrate(name, law):
     """Held velocities on straight lines: Euler's method is exact. In the global frame, as sectors
     are counted from each robot's own x axis."""
@@ -85,10 +94,18 @@ def test_it_is_what_a_few_lines_integrate(name, law):
         assert alone > 5
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_they_meet_from_many_starts(name):
-    found = rv.rollout(TEAM, baselines.make(name, TEAM), 0, num_envs=100)
-    assert found.success.all()
+@pytest.mark.parametrize(
+    ("name", "dim"),
+    [
+        *((name, 2) for name in LAWS),
+        ("unit-mean", 3),
+        ("cyclic-pursuit", 3),
+        ("nearest-pursuit", 3),
+    ],
+)
+def test_they_meet_from_many_starts(name, dim):
+    team = TEAM.replace(dim=dim)
+    assert rv.rollout(team, baselines.make(name, team), 0, num_envs=100 // dim).success.all()
 
 
 @pytest.mark.parametrize("graph", ["path", "star", "random_tree"])
@@ -115,12 +132,6 @@ def test_pursuit_meets_within_theorem_g(name):
     assert found.success.all()
 
 
-@pytest.mark.parametrize("name", ["unit-mean", "cyclic-pursuit", "nearest-pursuit"])
-def test_in_space_too(name):
-    team = TEAM.replace(dim=3)
-    assert rv.rollout(team, baselines.make(name, team), 0, num_envs=40).success.all()
-
-
 class TestSmallestSector:
     def velocity(self, *degrees):
         angles = np.radians(degrees)
@@ -141,11 +152,9 @@ class TestSmallestSector:
         wanted = [np.cos(ends).sum(), np.sin(ends).sum()]
         np.testing.assert_allclose(self.velocity(*degrees), wanted, atol=1e-12)
 
-    def test_who_is_surrounded_waits(self):
+    def test_a_surrounded_robot_waits_and_lengths_do_not_count(self):
         assert self.velocity(0, 120, 240).tolist() == [0, 0]
         assert smallest_sector_law(np.zeros((3, 2))).tolist() == [0, 0]
-
-    def test_absent_rows_and_lengths_do_not_count(self):
         rows = np.array([[0.0, 0.0], [3.0, 0.0], [0.0, 0.0], [0.0, 0.1]])
         np.testing.assert_allclose(smallest_sector_law(rows), [1, 1], atol=1e-12)
 
@@ -159,22 +168,17 @@ class TestSmallestSector:
         assert rises.max() < 1e-6 and len(rises) > 400
 
 
-def test_the_mean_of_nothing_is_rest():
+def test_equations_by_hand():
     assert unit_mean_law(np.zeros((2, 3)), speed=2.0).tolist() == [[0] * 3] * 2
     np.testing.assert_allclose(unit_mean_law(np.array([3.0, 4.0]), speed=2.0), [1.2, 1.6])
-
-
-def test_rows_are_rounded_and_keep_their_length():
-    angle = 0.2
-    row = 3 * np.array([math.cos(angle), math.sin(angle)])
+    row = 3 * np.array([math.cos(0.2), math.sin(0.2)])
     assert rounded_bearings(row, 4).tolist() == [pytest.approx(3), 0]
-    finer = rounded_bearings(np.stack([row, 0 * row]), 16)
-    turned = 2 * math.pi / 16
+    finer, turned = rounded_bearings(np.stack([row, 0 * row]), 16), 2 * math.pi / 16
     np.testing.assert_allclose(finer, [[3 * math.cos(turned), 3 * math.sin(turned)], [0, 0]])
 
 
 def test_too_few_sectors_fail():
-    """Theorem N: an error of π/k < π/n is borne; half-turns are not directions to go by."""
+    """Theorem N: an error of π/k < π/n is tolerated; half-turns are no directions to go by."""
     team = TEAM.replace(time_limit=20.0)
     coarse = rv.rollout(team, baselines.make("quantised", team, sectors=2), 0, num_envs=20)
     fine = rv.rollout(team, baselines.make("quantised", team, sectors=7), 0, num_envs=20)
@@ -183,29 +187,138 @@ def test_too_few_sectors_fail():
         baselines.make("quantised", team, sectors=1)
 
 
-class TestWhoIsNext:
-    def test_with_a_row_for_each_it_is_the_next_by_number(self):
-        assert rows_from_next(4, 3).tolist() == [[0, 1, 2], [1, 2, 0], [2, 0, 1], [0, 1, 2]]
+def test_rows_are_in_the_order_of_next_and_nearest_robots():
+    assert rows_from_next(4, 3).tolist() == [[0, 1, 2], [1, 2, 0], [2, 0, 1], [0, 1, 2]]
+    assert rows_from_nearest(4, 3).tolist() == [[0, 1, 2], [0, 1, 2], [1, 2, 0], [2, 1, 0]]
+    assert rows_from_nearest(4, 1).tolist() == [[0]] * 4
+    rows = np.eye(3)[None].repeat(4, axis=0)
+    rows[1, 0] = rows[2, 1] = 0.0  # robot 1 does not see robot 0, nor robot 2 robot 1
+    towards = nearest_pursuit_law(rows, speed=2.0)
+    assert towards.tolist() == [[2, 0, 0], [0, 2, 0], [0, 0, 2], [0, 0, 2]]
 
-    def test_the_nearest_by_number(self):
-        assert rows_from_nearest(4, 3).tolist() == [[0, 1, 2], [0, 1, 2], [1, 2, 0], [2, 1, 0]]
-        assert rows_from_nearest(4, 1).tolist() == [[0]] * 4
-        rows = np.eye(3)[None].repeat(4, axis=0)
-        rows[1, 0] = rows[2, 1] = 0.0  # robot 1 does not see robot 0, nor robot 2 robot 1
-        towards = nearest_pursuit_law(rows, speed=2.0)
-        assert towards.tolist() == [[2, 0, 0], [0, 2, 0], [0, 0, 2], [0, 0, 2]]
 
-    def test_of_few_rows_nobody_knows(self):
-        ring = rv.Scenario(n_robots=6, graph="cycle")
-        for name in ("cyclic-pursuit", "nearest-pursuit"):
-            with pytest.raises(ValueError, match=f"'{name}' does not fit"):
-                baselines.make(name, ring)
-        every_row = ring.replace(neighbour_slots=5)
-        found = rv.rollout(every_row, baselines.make("cyclic-pursuit", every_row), num_envs=5)
-        assert found.success.all()
+def test_few_rows_do_not_tell_robots_apart():
+    ring = rv.Scenario(n_robots=6, graph="cycle")
+    for name in ("cyclic-pursuit", "nearest-pursuit"):
+        with pytest.raises(ValueError, match=f"'{name}' does not fit"):
+            baselines.make(name, ring)
+    every_row = ring.replace(neighbour_slots=5)
+    found = rv.rollout(every_row, baselines.make("cyclic-pursuit", every_row), num_envs=5)
+    assert found.success.all()
 
 
 def test_a_comparison_takes_them_only_on_request():
     usual = policies.fitting(TEAM, ())
-    assert "bearing-only" in usual and not set(NAMES) & set(usual)
-    assert policies.fitting(TEAM, NAMES) == list(NAMES)
+    assert "bearing-only" in usual and not set(LAWS) & set(usual)
+    assert policies.fitting(TEAM, list(LAWS)) == list(LAWS)
+
+
+CARS = Scenario(
+    n_robots=4, robot_model="unicycle", max_turn_rate=4.0, max_speed=0.3, time_step=0.0125,
+    allow_long_step=True, time_limit=90.0,
+)  # fmt: skip
+
+
+def view(scenario, *rows):
+    """One team; every robot sees the same rows."""
+    shape = (scenario.n_robots, *scenario.observation_layout.shape)
+    return np.broadcast_to(np.array(rows, dtype=np.float32), shape)
+
+
+class TestPursuitByRobotsWithATurnLimit:
+    """One target at a time, aligned before it drives."""
+
+    @pytest.mark.parametrize(("model", "dim"), [("unicycle", 2), ("nonholonomic_3d", 3)])
+    def test_they_meet_within_the_bound(self, model, dim):
+        scenario = CARS.replace(robot_model=model, dim=dim)
+        found = rv.rollout(scenario, baselines.make("pursuit", scenario, speed=0.3), 0, num_envs=40)
+        simulator = Simulator(scenario, 40)
+        simulator.reset(0)
+        assert (found.rendezvous_time <= pursuit_bound(scenario, simulator.size(), 0.3)).all()
+
+    def test_turns_by_hand(self):
+        """At most ω_max; only what is left in the last step; drives to within a step's turn."""
+        cars = CARS.replace(n_robots=2, time_step=0.1)
+        policy = baselines.make("pursuit", cars)
+        assert policy.speed == pytest.approx(0.3)  # the limit, less than 0.8 · 4 · 0.2/2
+        for angle, wanted in [
+            (1.0, (0, 4)), (-3.0, (0, -4)), (0.45, (0, 4)), (0.3, (0.3, 3)), (-0.05, (0.3, -0.5)),
+        ]:  # fmt: skip
+            seen = view(cars, [math.cos(angle), math.sin(angle)])
+            np.testing.assert_allclose(policy(seen, 0.0), [wanted] * 2, rtol=1e-5)
+        assert policy(view(cars, [0, 0]), 0.0).tolist() == [[0, 4]] * 2  # looks for somebody
+        quick = CARS.replace(max_speed=5.0)  # no faster than its target can turn round it
+        assert baselines.make("pursuit", quick).speed == pytest.approx(0.8 * 4.0 * 0.1)
+
+    @pytest.mark.parametrize("name", ["pursuit", "windshield"])
+    def test_a_target_is_kept_until_it_is_gone(self, name):
+        policy = baselines.make(name, CARS)
+        left, right, none = [0, 1], [0, -1], [0, 0]
+
+        def turns(*rows):
+            return np.sign(policy(view(CARS, *rows), 0.0)[:, 1]).tolist()
+
+        assert turns(none, left, right) == [1, 1, -1, 1]  # the next by row that is seen
+        assert turns(left, right, left) == [-1, -1, 1, -1]  # kept
+        assert turns(none, none, right) == [-1] * 4
+        policy.reset()
+        assert turns(left, right, left) == [1, -1, 1, 1]
+
+    def test_windshield(self):
+        policy = baselines.make("windshield", CARS, half_angle=0.3, speed=0.2)
+        for angle, turn in [(0.29, 0), (0.31, 4), (-0.31, -4), (3.0, 4), (0.0, 0)]:
+            seen = view(CARS, *([[math.cos(angle), math.sin(angle)]] * 3))
+            np.testing.assert_allclose(policy(seen, 0.0), [(0.2, turn)] * 4, rtol=1e-6)
+        assert policy(view(CARS, *([[0, 0]] * 3)), 0.0).tolist() == [[0, 4]] * 4
+        usual = baselines.make("windshield", CARS)
+        assert math.cos(2 * usual.half_angle) == pytest.approx(2 / 3)  # half of lemma 11
+        assert rv.rollout(CARS, usual, 0, num_envs=50).success.all()
+
+    @pytest.mark.parametrize(
+        ("name", "options", "message"),
+        [
+            ("pursuit", {"speed": 0.5}, r"speed is 0\.5; .* less than ω_max r/2 = 0\.4 m/s"),
+            ("pursuit", {"speed": 0.35}, r"at most the speed limit, 0\.3 m/s"),
+            ("windshield", {"half_angle": 2}, "half_angle is 2; .* less than π/2"),
+        ],
+    )
+    def test_what_they_refuse(self, name, options, message):
+        with pytest.raises(ValueError, match=message):
+            baselines.make(name, CARS, **options)
+
+    @pytest.mark.parametrize(("model", "dim"), [("unicycle", 2), ("nonholonomic_3d", 3)])
+    def test_a_pursuer_turns_to_its_target_and_then_drives_straight_at_it(self, model, dim):
+        scenario = CARS.replace(
+            n_robots=3, dim=dim, robot_model=model, max_turn_rate=3.0, max_speed=0.2,
+            time_step=0.02, neighbour_slots=2, graph="path", time_limit=60.0,
+        )  # fmt: skip
+        simulator = Simulator(scenario, 30)
+        order = np.argsort(np.random.default_rng(0).random((30, 3, 2)), axis=-1)
+        law = Pursuit(scenario, scenario.speed_limit, order)
+        drove = 0
+        for step in run(simulator, law, simulator.reset(1)):
+            speeds = step.actions[..., 0]
+            assert set(np.unique(speeds)) <= {np.float32(0), np.float32(0.2)}
+            seen = scenario.observation_layout.split(step.observations).neighbours
+            units = seen / np.maximum(np.linalg.norm(seen, axis=-1, keepdims=True), 1e-12)
+            ahead = np.max(units[..., 0], axis=-1, initial=0.0)  # cosine to the nearest bearing
+            driving = (speeds > 0) & step.running[:, None]
+            assert (ahead[driving] >= np.cos(3.0 * 0.02) - 1e-6).all()
+            drove += driving.sum()
+        assert drove > 1000 and (simulator.active.sum(axis=-1) == 1).all()
+
+    def test_yaw_and_pitch_point_the_body_at_a_bearing(self):
+        random = np.random.default_rng(0)
+        yaw, pitch = random.uniform(-np.pi, np.pi, 100), random.uniform(-1.5, 1.5, 100)
+        target = random.normal(size=(100, 3))
+        target /= np.linalg.norm(target, axis=-1, keepdims=True)
+
+        def axis(a, b):
+            return np.stack([np.cos(b) * np.cos(a), np.cos(b) * np.sin(a), np.sin(b)], axis=-1)
+
+        forward, left = axis(yaw, pitch), np.stack([-np.sin(yaw), np.cos(yaw), 0 * yaw], axis=-1)
+        up = np.cross(forward, left)
+        body = np.stack([np.sum(target * v, axis=-1) for v in (forward, left, up)], axis=-1)
+        turns = yaw_and_pitch(body, pitch)
+        pointed = axis(yaw + turns[:, 0], pitch + turns[:, 1])
+        np.testing.assert_allclose(pointed, target, atol=1e-12)

@@ -15,6 +15,12 @@ from rendezvous_env.scenario.scenario import Scenario
 
 CLEARANCE = 0.05
 DEGREE = math.pi / 180
+CLEAR = CLEARANCE / DEGREE
+RULES = {
+    "tangent": tangent_heading,
+    "tangent-blocking": tangent_blocking_heading,
+    "tangent-joined": tangent_joined_heading,
+}
 
 
 def polar(angle):
@@ -29,16 +35,12 @@ def edges(*intervals, slots=6):
     return points
 
 
-def ring(centre, half, azimuth=None):
-    """Eight boundary rays of a cone; azimuth 0 points towards the part of ``azimuth`` across."""
+def ring(centre, half, towards=(1.0, 0.0, 0.0)):
+    """Eight boundary rays of a cone; azimuth 0 points to the part of ``towards`` across."""
     centre = np.array(centre) / np.linalg.norm(centre)
-    towards = np.array([1.0, 0, 0] if azimuth is None else azimuth)
-    first = towards - centre * (centre @ towards)
-    if np.linalg.norm(first) < 1e-9:
-        first = np.array([0.0, 1, 0])
+    first = np.array(towards) - centre * (centre @ np.array(towards))
     first /= np.linalg.norm(first)
-    second = np.cross(centre, first)
-    turn = np.arange(8)[:, None] * math.pi / 4
+    second, turn = np.cross(centre, first), np.arange(8)[:, None] * math.pi / 4
     return math.cos(half) * centre + math.sin(half) * (np.cos(turn) * first + np.sin(turn) * second)
 
 
@@ -46,21 +48,16 @@ def ring(centre, half, azimuth=None):
     ("intervals", "literal", "blocking", "joined"),
     [
         ([], 0, 0, 0),
-        ([(-10, 30)], -10, -10, -10 - CLEARANCE / DEGREE),
-        ([(-30, 10)], 10, 10, 10 + CLEARANCE / DEGREE),
+        ([(-10, 30)], -10, -10, -10 - CLEAR),
+        ([(-30, 10)], 10, 10, 10 + CLEAR),
         ([(20, 70)], 20, 0, 0),  # beside the way
-        ([(1, 70)], 1, 0, 1 - CLEARANCE / DEGREE),  # within the clearance
-        ([(-70, -1)], -1, 0, -1 + CLEARANCE / DEGREE),
-        (
-            [(-10, 30), (60, 160)],
-            60,
-            -10,
-            -10 - CLEARANCE / DEGREE,
-        ),  # the wide one is not in the way
-        ([(-10, 30), (-40, -5)], -10, -10, 30 + CLEARANCE / DEGREE),  # joined: -40 … 30
-        ([(-40, -5), (-10, 30)], -10, -10, 30 + CLEARANCE / DEGREE),
-        ([(-10, 30), (25, 50), (45, 90)], 45, -10, -10 - CLEARANCE / DEGREE),
-        ([(-20, 5), (1, 60), (-70, -10)], -10, 5, 60 + CLEARANCE / DEGREE),
+        ([(1, 70)], 1, 0, 1 - CLEAR),  # within the clearance
+        ([(-70, -1)], -1, 0, -1 + CLEAR),
+        ([(-10, 30), (60, 160)], 60, -10, -10 - CLEAR),  # the wide one is not in the way
+        ([(-10, 30), (-40, -5)], -10, -10, 30 + CLEAR),  # joined: -40 … 30
+        ([(-40, -5), (-10, 30)], -10, -10, 30 + CLEAR),
+        ([(-10, 30), (25, 50), (45, 90)], 45, -10, -10 - CLEAR),
+        ([(-20, 5), (1, 60), (-70, -10)], -10, 5, 60 + CLEAR),
         ([(-40, -1), (2, 40)], -1, 0, 0.5),  # a gap of 3°: its middle
         ([(-20, 5), (9, 60)], 9, 5, 7),  # a gap of 4° beside what is in the way
         ([(165, 190)], 165, 0, 0),  # behind
@@ -72,13 +69,8 @@ def ring(centre, half, azimuth=None):
 def test_rules_in_the_plane_by_hand(intervals, literal, blocking, joined, tilt):
     points = edges(*((low + tilt, high + tilt) for low, high in intervals))
     f = 2 * polar(np.radians(tilt))
-    headings = (
-        (literal, tangent_heading(f, points)),
-        (blocking, tangent_blocking_heading(f, points)),
-        (joined, tangent_joined_heading(f, points, clearance=CLEARANCE)),
-    )
-    for expected, heading in headings:
-        np.testing.assert_allclose(heading, polar(np.radians(expected + tilt)), atol=1e-9)
+    for rule, expected in zip(RULES.values(), (literal, blocking, joined), strict=True):
+        np.testing.assert_allclose(rule(f, points), polar(np.radians(expected + tilt)), atol=1e-9)
 
 
 def by_brute_force(intervals, clearance, samples=7200):
@@ -92,9 +84,7 @@ def by_brute_force(intervals, clearance, samples=7200):
     covered = np.zeros(samples, bool)
     for low, high in intervals:
         covered |= (grid - low) % math.tau <= high - low
-    if covered.all():
-        return 0.0
-    if not covered.any():
+    if covered.all() or not covered.any():
         return 0.0
     at = 0
     if not covered[0]:
@@ -106,16 +96,14 @@ def by_brute_force(intervals, clearance, samples=7200):
             return None
         if abs(at) * step > clearance:
             return 0.0
-    up = next(k for k in range(samples) if not covered[(at + k) % samples])
-    down = next(k for k in range(samples) if not covered[(at - k) % samples])
+    up, down = (next(k for k in range(samples) if not covered[(at + s * k) % samples])
+                for s in (1, -1))  # fmt: skip
     high, low = (at + up) * step, (at - down) * step
     if abs(abs(high) - abs(low)) < 4 * step:
         return None
-    if abs(high) < abs(low):
-        gap = next(k for k in range(1, samples + 1) if covered[(at + up + k) % samples]) * step
-        return high + min(clearance, gap / 2)
-    gap = next(k for k in range(1, samples + 1) if covered[(at - down - k) % samples]) * step
-    return low - min(clearance, gap / 2)
+    side, edge, last = (1, high, at + up) if abs(high) < abs(low) else (-1, low, at - down)
+    gap = next(k for k in range(1, samples + 1) if covered[(last + side * k) % samples]) * step
+    return edge + side * min(clearance, gap / 2)
 
 
 def test_joined_rule_against_brute_force():
@@ -142,22 +130,16 @@ def test_joined_rule_against_brute_force():
 
 
 def test_rules_in_space_by_hand():
-    f = np.array([1.0, 0, 0])
-    ahead = ring([1, 0.2, 0], 0.5)
-    beside = ring([0, 0, 1], 0.7)
-    offset, half = math.atan(0.2), 0.5
+    """A cone in the way, to be left at its edge nearest to f, and a wider one beside the way."""
+    f, beside, offset, half = np.array([1.0, 0, 0]), ring([0, 0, 1], 0.7), math.atan(0.2), 0.5
     points = np.zeros((4, 8, 3))
-    points[0] = ahead
-    leave = np.array([*polar(offset - half), 0.0])
-    np.testing.assert_allclose(tangent_heading(f, points), leave, atol=1e-12)
-    np.testing.assert_allclose(tangent_blocking_heading(f, points), leave, atol=1e-12)
-    wider = np.array([*polar(offset - half - CLEARANCE), 0.0])
-    np.testing.assert_allclose(tangent_joined_heading(f, points), wider, atol=1e-12)
-    points[1] = beside  # the more prominent one, but not in the way
-    up = np.array([math.sin(0.7), 0.0, math.cos(0.7)])
-    np.testing.assert_allclose(tangent_heading(f, points), up, atol=1e-12)
-    np.testing.assert_allclose(tangent_blocking_heading(f, points), leave, atol=1e-12)
-    np.testing.assert_allclose(tangent_joined_heading(f, points), wider, atol=1e-12)
+    points[0] = ring([1, 0.2, 0], half)
+    leave, wider = ([*polar(offset - half - more), 0.0] for more in (0.0, CLEARANCE))
+    up = [math.sin(0.7), 0.0, math.cos(0.7)]
+    for there, expected in ((0 * beside, (leave, leave, wider)), (beside, (up, leave, wider))):
+        points[1] = there
+        for rule, heading in zip(RULES.values(), expected, strict=True):
+            np.testing.assert_allclose(rule(f, points), heading, atol=1e-12)
     for rule in (tangent_blocking_heading, tangent_joined_heading):
         np.testing.assert_array_equal(rule(f, np.stack([beside, 0 * beside])), f)
 
@@ -174,72 +156,63 @@ def test_joined_rule_in_space_stays_out_of_every_cone():
         points = np.stack([ring(c, a, towards) for c, a in zip(centres, halves, strict=True)])
         heading = tangent_joined_heading(f, points)
         assert abs(np.linalg.norm(heading) - 1) < 1e-12
-        outside = np.arccos(np.clip(centres @ heading, -1, 1)) - halves
-        at_start = np.arccos(np.clip(centres @ towards, -1, 1)) - halves
+        outside, at_start = (np.arccos(np.clip(centres @ v, -1, 1)) - halves
+                             for v in (heading, towards))  # fmt: skip
         if at_start.min() >= CLEARANCE:
             np.testing.assert_allclose(heading, towards, atol=1e-12)
         elif not np.allclose(heading, towards):
             left += 1
-            assert outside.min() >= -1e-9
-            assert outside.min() <= CLEARANCE + 1e-9
+            assert -1e-9 <= outside.min() <= CLEARANCE + 1e-9
     assert left > 100
 
 
 def test_overlap_joins_through_others_in_space():
     """Three overlapping cones in a row: the way out is beside the row, not inside its next cone."""
-    f = np.array([1.0, 0, 0])
-    yaws = (0.05, 0.6, -0.5)
-    points = np.stack([ring([math.cos(a), math.sin(a), 0], 0.35, f) for a in yaws])
-    heading = tangent_joined_heading(f, points)
-    for a in yaws:
-        assert math.acos(heading @ [math.cos(a), math.sin(a), 0]) >= 0.35
+    centres = [np.array([math.cos(a), math.sin(a), 0]) for a in (0.05, 0.6, -0.5)]
+    heading = tangent_joined_heading(
+        np.array([1.0, 0, 0]), np.stack([ring(c, 0.35) for c in centres])
+    )
+    assert all(math.acos(heading @ centre) >= 0.35 for centre in centres)
     assert abs(heading[2]) > 0.2
 
 
 CLUTTER = Scenario(n_robots=4, obstacle_slots=6, time_step=0.05, allow_long_step=True)
-RULES = ("tangent", "tangent-blocking", "tangent-joined")
+LAYOUT = CLUTTER.observation_layout
 
 
-def team_view(random, leading, scenario=CLUTTER):
+def team_view(random, leading):
     """Random observations: unit neighbour rows and some obstacles."""
-    layout = scenario.observation_layout
-    observations = np.zeros((*leading, scenario.n_robots, *layout.shape), np.float32)
-    shape = (*leading, scenario.n_robots)
-    observations[..., layout.neighbours, :] = polar(random.uniform(-4, 4, (*shape, 3)))
+    observations = np.zeros((*leading, CLUTTER.n_robots, *LAYOUT.shape), np.float32)
+    shape = (*leading, CLUTTER.n_robots)
+    observations[..., LAYOUT.neighbours, :] = polar(random.uniform(-4, 4, (*shape, 3)))
     low = random.uniform(-4, 4, (*shape, 6))
     both = np.stack([polar(low + random.uniform(0.1, 1, low.shape)), polar(low)], axis=-2)
     both *= (random.random(low.shape) < 0.6)[..., None, None]
-    observations[..., layout.obstacles, :] = both.reshape(*shape, 12, 2)
+    observations[..., LAYOUT.obstacles, :] = both.reshape(*shape, 12, 2)
     return observations
 
 
 @pytest.mark.parametrize("name", RULES)
 def test_velocities_are_law_4(name):
-    rule = {"tangent": tangent_heading, "tangent-blocking": tangent_blocking_heading}.get(
-        name, tangent_joined_heading
-    )
     observations = team_view(np.random.default_rng(4), (5,))
-    seen = CLUTTER.observation_layout.split(observations)
-    f = CLUTTER.observation_layout.net_bearing(observations)
-    h = rule(f, seen.obstacles)
-    expected = h * np.sum(h * f, -1, keepdims=True)
-    np.testing.assert_allclose(
-        baselines.make(name, CLUTTER)(observations, 0.0), expected, atol=1e-6
-    )
+    f = LAYOUT.net_bearing(observations)
+    h = RULES[name](f, LAYOUT.split(observations).obstacles)
+    found = baselines.make(name, CLUTTER)(observations, 0.0)
+    np.testing.assert_allclose(found, h * np.sum(h * f, -1, keepdims=True), atol=1e-6)
 
 
 @pytest.mark.parametrize("name", RULES)
 def test_certified_forms_keep_margin_and_turn_limit(name):
     random = np.random.default_rng(6)
     policy = baselines.make(f"{name}-certified", CLUTTER, min_alignment=0.3, max_turn_rate=2.0)
-    observations, layout = team_view(random, (8,)), CLUTTER.observation_layout
-    f = layout.net_bearing(observations)
+    observations = team_view(random, (8,))
+    f = LAYOUT.net_bearing(observations)
     strength = np.linalg.norm(f, axis=-1)
     needed = 0.3 * np.clip(strength / CLUTTER.dead_zone - 1, 0, 1) * strength
     before = None
     for _ in range(30):
         view = team_view(random, (8,))  # obstacles flicker, the neighbours stay
-        view[..., layout.neighbours, :] = observations[..., layout.neighbours, :]
+        view[..., LAYOUT.neighbours, :] = observations[..., LAYOUT.neighbours, :]
         velocities = policy(view, 0.0)
         h = policy.headings
         assert (np.sum(h * f, axis=-1) >= needed - 1e-12).all()
@@ -251,10 +224,9 @@ def test_certified_forms_keep_margin_and_turn_limit(name):
 
 
 def test_certified_forms_take_a_heading_as_a_line():
-    layout = CLUTTER.observation_layout
-    view = np.zeros((4, *layout.shape), np.float32)
+    view = np.zeros((4, *LAYOUT.shape), np.float32)
     view[:, 0] = [1, 0]
-    view[:, layout.obstacles] = edges((165, 190)).reshape(12, 2)
+    view[:, LAYOUT.obstacles] = edges((165, 190)).reshape(12, 2)
     policy = baselines.make("tangent-certified", CLUTTER)
     for _ in range(3):
         policy(view, 0.0)

@@ -8,18 +8,11 @@ from continuous_time import Teams, Trial, integrate, outward
 from continuous_time_laws import away, followed, turned
 
 import baselines
-from rendezvous_env import Scenario, Sensing, Simulator
+from rendezvous_env import Scenario, Sensing, Simulator, rollout
 from rendezvous_env.safety.gains import Gains
 from rendezvous_env.safety.links import least_norm_points, link_keeping_law
 from rendezvous_env.trajectory import run
 from train.verify.monitors import directions, extents
-
-
-def still(teams):
-    return np.zeros_like(teams.positions)
-
-
-# ---- by hand -------------------------------------------------------------------------------------
 
 
 def test_two_robots_meet_when_they_should():
@@ -34,40 +27,38 @@ def test_two_robots_meet_when_they_should():
     assert (teams.into == 0).all() and teams.left.tolist() == [1, 1]
 
 
-def test_robots_that_cross_within_a_step_dock_at_r():
-    teams = Teams(np.array([[[-1.0, 0.0], [1.0, 0.1], [0.0, 9.0]]]), 0.2)
-    velocities = np.array([[[1.0, 0.0], [-1.0, 0.0], [0.0, 0.0]]])
-    teams.advance(velocities, np.array([5.0]))
-    assert teams.time[0] == pytest.approx(1.0 - np.sqrt(0.2**2 - 0.1**2) / 2)
-    assert teams.active.tolist() == [[True, False, True]]
-    np.testing.assert_allclose(teams.positions[0, 0], [0.0, 0.05], atol=1e-12)
-    assert teams.merged.tolist() == [[True, False, False]]
+@pytest.mark.parametrize(
+    ("places", "velocities", "until", "left", "time"),
+    [
+        # two that cross within a step dock at r
+        ([[-1, 0], [1, 0.1], [0, 9]], [[1, 0], [-1, 0], [0, 0]], 5.0, [0, 2],
+         1.0 - np.sqrt(0.2**2 - 0.1**2) / 2),
+        # a merge may bring the next one about
+        ([[0, 0], [1, 0], [0.5, 0.19]], [[1, 0], [-1, 0], [0, 0]], 1.0, [0], 0.4),
+        # a team with no time rests
+        ([[0, 0], [0, 0], [0, 0]], [[1, 1], [1, 1], [1, 1]], 0.0, [0, 1, 2], 0.0),
+    ],
+    ids=["cross", "two merges", "no time"],
+)  # fmt: skip
+def test_merges_by_hand(places, velocities, until, left, time):
+    teams = Teams(np.array([places], float), 0.2)
+    teams.advance(np.array([velocities], float), np.array([until]))
+    assert np.flatnonzero(teams.active[0]).tolist() == left
+    assert teams.time[0] == pytest.approx(time)
+    assert len(left) != 2 or teams.positions[0, 0] == pytest.approx([0.0, 0.05], abs=1e-12)
 
 
 def test_robots_without_a_link_pass_and_survivors_inherit_links():
     weights = np.array([[[0.0, 0.0, 2.0], [0.0, 0.0, 3.0], [2.0, 3.0, 0.0]]])
     places = np.array([[[0.0, 0.0], [0.05, 0.0], [1.0, 0.0]]])
     teams = Teams(places, 0.2, weights)
-    teams.advance(still(teams), np.array([1.0]))
+    teams.advance(np.zeros((1, 3, 2)), np.array([1.0]))
     assert teams.left.tolist() == [3] and teams.time[0] == 1.0
     teams.advance(np.array([[[0.0, 0.0], [0.0, 5.0], [-1.0, 0.0]]]), np.array([2.0]))
     assert teams.time[0] == pytest.approx(1.8)
     assert teams.into[0].tolist() == [0, 1, 0]
     assert teams.weights[0, 0, 1] == teams.weights[0, 1, 0] == 3.0
     assert teams.lyapunov() == pytest.approx(6.0 * np.hypot(0.05 - 0.1, 4.0))
-
-
-def test_a_merge_may_bring_the_next_one_about():
-    places = np.array([[[0.0, 0.0], [1.0, 0.0], [0.5, 0.19]]])
-    teams = Teams(places, 0.2)
-    teams.advance(np.array([[[1.0, 0.0], [-1.0, 0.0], [0.0, 0.0]]]), np.array([1.0]))
-    assert teams.left.tolist() == [1] and teams.time[0] == pytest.approx(0.4)
-
-
-def test_a_team_with_no_time_rests():
-    teams = Teams(np.zeros((1, 3, 2)), 0.2)
-    teams.advance(np.ones((1, 3, 2)), np.array([0.0]))
-    assert teams.left.tolist() == [3] and not teams.positions.any()
 
 
 @pytest.mark.parametrize("dim", [2, 3])
@@ -107,9 +98,6 @@ def test_bearings_are_turned_by_the_error(dim):
     gained = np.sum((wrong - g) * towards, axis=-1)
     between = np.sum(g * towards, axis=-1) / np.linalg.norm(towards, axis=-1)
     assert (gained[np.abs(between) < np.cos(0.3)] > 0).all()
-
-
-# ---- and the environment -------------------------------------------------------------------------
 
 
 def law_1(error):
@@ -183,24 +171,15 @@ def test_the_environment_moves_as_the_integrator(dim, error, laws):
 
 
 def test_the_environment_meets_when_the_integrator_does():
-    error = 0.3
     scenario = Scenario(
-        n_robots=5, dim=2, graph="complete", spawn_size=4.0, time_step=0.005, merge_radius=0.2,
-        time_limit=60.0, sensing=Sensing(error=error),
+        n_robots=5, graph="complete", spawn_size=4.0, time_step=0.005, merge_radius=0.2,
+        time_limit=60.0, sensing=Sensing(error=0.3),
     )  # fmt: skip
-    simulator = Simulator(scenario, 30)
-    observations = simulator.reset(4)
-    teams = Teams(simulator.positions, 0.2)
-
-    def law(teams):
-        sights = teams.look()
-        return followed(turned(sights.bearings, away(teams, sights), error), teams.weights)
-
-    times, _ = integrate(Trial(teams, law, 0.005, np.full(30, 60.0)))
-    met = np.full(30, np.inf)
-    for _ in run(simulator, baselines.make("bearing-only", scenario), observations):
-        just = np.isinf(met) & (simulator.active.sum(axis=-1) == 1)
-        met[just] = simulator.time[just]
-    assert np.isfinite(met).all()
+    found = rollout(scenario, baselines.make("bearing-only", scenario), 4, num_envs=30)
+    law, _ = law_1(0.3)
+    teams = Teams(found.positions[0], 0.2)
+    times, _ = integrate(
+        Trial(teams, lambda teams: law(teams, None) / 1.5, 0.005, np.full(30, 60.0))
+    )
     # a robot that merges rests for what is left of the step
-    np.testing.assert_allclose(met, times, atol=0.05)
+    np.testing.assert_allclose(found.rendezvous_time, times, atol=0.05)

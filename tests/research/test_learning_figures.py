@@ -1,7 +1,5 @@
 """Figures of learning show the numbers that they are given."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from learning_figures import learning_figure, tank_figure, watch_tanks
@@ -14,16 +12,9 @@ from train.learn.log import EVALUATION, METRICS
 from train.learn.networks import make_network
 
 SETTINGS = PolicySettings(
-    set_width=4,
-    hidden=(8,),
-    clearance=0.2,
-    persistence=0.5,
-    min_alignment=0.05,
-    max_turn_rate=100.0,
-    decision_time=0.2,
-    guarantee="tank",
-    budget=2.0,
-)
+    4, (8,), clearance=0.2, persistence=0.5, min_alignment=0.05, max_turn_rate=100.0,
+    decision_time=0.2, guarantee="tank", budget=2.0,
+)  # fmt: skip
 
 
 @pytest.fixture
@@ -67,17 +58,3 @@ def test_spending_and_earning():
     np.testing.assert_array_equal(above.get_lines()[1].get_ydata(), watched["lyapunov"])
     np.testing.assert_allclose(above.get_lines()[0].get_ydata()[apart], total[apart])
     assert len(below.get_lines()) == 4
-    heading = replace(SETTINGS, guarantee="heading", budget=0.0)
-    bare = LearnedPolicy(scenario, weights | _smaller(weights, heading), heading)
-    assert bare.levels is None
-
-
-def _smaller(weights, settings):
-    """The same network with the choices and columns of another guarantee."""
-    count, columns = len(settings.angles), 16 + settings.layout(1, 1).context_columns
-    first = "mlp_extractor.policy_net.0.weight"
-    return {
-        "action_net.weight": weights["action_net.weight"][:count],
-        "action_net.bias": weights["action_net.bias"][:count],
-        first: weights[first][:, :columns],
-    }

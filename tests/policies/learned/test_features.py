@@ -1,16 +1,17 @@
-"""What a learned policy is shown, against observations written by hand."""
+"""What a learned policy is shown, with a tank and without, against observations by hand."""
 
 import numpy as np
 import pytest
 
 import baselines
-from baselines.learned.features import (
+from baselines.learned.feature_kernels import (
     CONTEXT_COLUMNS,
+    LEVEL_COLUMNS,
     NEIGHBOUR_COLUMNS,
     OBSTACLE_COLUMNS,
-    FeatureLayout,
-    Features,
+    WALL_COLUMNS,
 )
+from baselines.learned.features import FeatureLayout, Features
 from rendezvous_env import Scenario, Simulator
 from rendezvous_env.scenario import scenarios
 
@@ -100,15 +101,11 @@ def test_what_a_robot_remembers_of_its_motion():
     shown = perception.layout.split(perception.see(one({0: unit(0)}), headings)).context[0, 0]
     short, long = np.exp(-0.5), np.exp(-0.1)
     speed = 1.0  # hᵀf in the second decision; in the third h is across f
-    for place, kept in ((5, short), (7, long)):
-        np.testing.assert_allclose(
-            shown[place : place + 2], [0, kept * (1 - kept) * speed], atol=1e-6
-        )
-    for place, kept in ((9, short), (11, long)):
-        np.testing.assert_allclose(shown[place : place + 2], [1 - kept, kept], atol=1e-6)
-    np.testing.assert_allclose(shown[3:5], [1.0 / 60, np.exp(-1.0 / 8)], atol=1e-6)
-    np.testing.assert_allclose(shown[13], -3.0, atol=1e-6)  # π/2 in half a second, cut off
-    np.testing.assert_allclose(shown[14:16], [0, 1], atol=1e-6)
+    expected = [
+        1.0 / 60, np.exp(-1.0 / 8), 0, short * (1 - short) * speed, 0, long * (1 - long) * speed,
+        1 - short, short, 1 - long, long, -3.0, 0, 1,  # π/2 in half a second, cut off
+    ]  # fmt: skip
+    np.testing.assert_allclose(shown[3:16], expected, atol=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -132,14 +129,13 @@ def test_silhouettes_joined_before_f(edges, expected):
 def test_only_teams_of_the_mask_remember():
     observations, later = cluttered(), cluttered(44)
     which = np.arange(TEAMS) % 2 == 0
-    one, other = (Features(CLUTTER, TEAMS, decision_time=0.2) for _ in range(2))
-    for perception in (one, other):
+    some, every = (Features(CLUTTER, TEAMS, decision_time=0.2) for _ in range(2))
+    for perception in (some, every):
         perception.see(observations, NO_HEADINGS)
-    part = one.see(later, NO_HEADINGS, which)
-    whole = other.see(later, NO_HEADINGS)
+    part, whole = some.see(later, NO_HEADINGS, which), every.see(later, NO_HEADINGS)
     np.testing.assert_array_equal(part[which], whole[which])
     assert not part[~which].any()
-    rest = one.see(later, NO_HEADINGS, ~which)
+    rest = some.see(later, NO_HEADINGS, ~which)
     np.testing.assert_array_equal(rest[~which], whole[~which])
 
 
@@ -156,24 +152,120 @@ def test_further_obstacle_slots_are_absent():
         Features(CLUTTER, TEAMS, decision_time=0.2, obstacle_slots=8)
 
 
+TWO = Scenario(n_robots=2, obstacles=CLUTTER.obstacles)
+TIME = 0.5
+NOTHING = np.zeros((1, 2, 2))
+
+
+def tank_features(columns):
+    return Features(TWO, 1, decision_time=TIME, tank_columns=columns)
+
+
+def look(f, *edges):
+    """Observations of two robots; robot 0 sees its neighbour at f and an obstacle, in degrees."""
+    observations = np.zeros((1, 2, *TWO.observation_layout.shape), dtype=np.float32)
+    for row, angle in enumerate((f, *edges)):
+        observations[0, 0, row] = unit(angle)
+    return observations
+
+
+def see_tank(perception, observations, level=0.0, heading=0.0, velocity=None):
+    """The columns of robot 0 beyond those of ``Features``."""
+    headings, velocities = NOTHING.copy(), NOTHING.copy()
+    headings[0, 0] = unit(heading)
+    velocities[0, 0] = [0.0, 0.0] if velocity is None else velocity
+    levels = np.array([[level, 7.0]])
+    shown = perception.see(observations, headings, velocities=velocities, levels=levels)
+    assert not shown[0, 1].any()  # no neighbour: nothing, not even a level
+    return shown[0, 0, -perception.layout.tank_columns :]
+
+
+def test_the_level_keeps_its_resolution():
+    perception = tank_features(LEVEL_COLUMNS)
+    assert perception.layout.tank_columns == LEVEL_COLUMNS
+    for level in (0.0, 0.01, 33.3):
+        found = see_tank(perception, look(0), level)
+        np.testing.assert_allclose(found, [np.log1p(level)], rtol=1e-6)
+
+
+def test_the_other_columns_are_those_of_perception():
+    own = Features(TWO, 1, decision_time=TIME)
+    tank = tank_features(LEVEL_COLUMNS + WALL_COLUMNS)
+    velocities, headings = np.full((1, 2, 2), 0.3), np.full((1, 2, 2), np.sqrt(0.5))
+    for f in (0, 20, 40):
+        plain = own.see(look(f, f + 10, f - 20), headings, velocities=velocities)
+        shown = tank.see(
+            look(f, f + 10, f - 20), headings, velocities=velocities, levels=np.ones((1, 2))
+        )
+        np.testing.assert_array_equal(shown[..., : plain.shape[-1]], plain)
+        parts = tank.layout.split(shown)
+        assert parts.context.shape[-1] == CONTEXT_COLUMNS + LEVEL_COLUMNS + WALL_COLUMNS
+
+
+def test_a_wall_is_met_walked_along_and_left():
+    """It stands before f for two decisions, while f turns by 30° and the heading by −90°."""
+    perception = tank_features(LEVEL_COLUMNS + WALL_COLUMNS)
+    away = see_tank(perception, look(0), level=3.0)
+    assert not away[1:7].any()
+    met = see_tank(perception, look(0, 20, -20), level=3.0)
+    first = [1, np.log1p(3), TIME / 30, np.exp(-TIME / 8), 0, 0]
+    np.testing.assert_allclose(met[1:7], first, rtol=1e-6)
+    perception.note(np.array([[0.6, 0.0]]))
+    along = see_tank(perception, look(30, 60, 0), level=1.0, heading=-90)
+    expected = [
+        np.log1p(1), 1, np.log1p(3), 2 * TIME / 30, np.exp(-2 * TIME / 8), 1 / 6, -0.5,
+        np.cos(0.6), np.sin(0.6),
+    ]  # fmt: skip
+    np.testing.assert_allclose(along[:9], expected, rtol=1e-5)
+    for k in range(4):  # two seconds without a wall, and it is still the same wall
+        assert see_tank(perception, look(30))[1] == 1, k
+    left = see_tank(perception, look(30))
+    assert not left[1:7].any()
+    again = see_tank(perception, look(30, 40, 20), level=9.0)
+    np.testing.assert_allclose(again[1:4], [1, np.log1p(9), TIME / 30], rtol=1e-6)
+
+
+def test_long_averages_are_in_the_frame_along_f():
+    perception = tank_features(LEVEL_COLUMNS + WALL_COLUMNS)
+    kept = np.exp(-TIME / 20)
+    np.testing.assert_allclose(see_tank(perception, look(0), velocity=[0.0, 0.0])[9:], [0, 0, 1, 0])
+    turned = see_tank(perception, look(90), velocity=[0.0, 1.0])
+    expected = [1 - kept, 0, 1 - kept, -kept]  # along and across f, which now is local y
+    np.testing.assert_allclose(turned[9:], expected, atol=1e-6)
+
+
+def test_memory_is_kept_put_back_and_forgotten():
+    perception = tank_features(LEVEL_COLUMNS + WALL_COLUMNS)
+    fresh = see_tank(perception, look(0, 20, -20), level=2.0)
+    perception.note(np.array([[1.0, 0.0]]))
+    state = perception.get_state()
+    later = see_tank(perception, look(40, 60, 0), level=1.0)
+    other = tank_features(LEVEL_COLUMNS + WALL_COLUMNS)
+    other.set_state(state)
+    np.testing.assert_array_equal(see_tank(other, look(40, 60, 0), level=1.0), later)
+    perception.forget(np.array([True]))
+    np.testing.assert_array_equal(see_tank(perception, look(0, 20, -20), level=2.0), fresh)
+    with pytest.raises(ValueError, match="wall_since must be an array of shape"):
+        other.set_state({**state, "wall_since": np.zeros(3)})
+
+
 def test_memory_runs_in_seconds_not_in_decisions():
-    """Two seconds of the same motion leave the same memory, however they are cut."""
-    told, velocities = [], np.zeros((1, 3, 2))
-    for cuts in ([0.5] * 4, [0.1, 0.7, 0.04, 1.16], [2.0]):
-        perception = Features(PAIR, 1, decision_time=0.2)
-        headings, observations = np.zeros((1, 3, 2)), one({0: unit(90)})
-        perception.see(observations, headings, velocities=velocities)
+    """Five seconds of the same motion along the same wall, however they are cut."""
+    told, headings, moving = [], NOTHING.copy(), NOTHING.copy()
+    headings[0, 0], moving[0, 0] = unit(150), [0.0, 0.5]
+    seen, levels = look(90, 120, 60), np.array([[2.0, 0.0]])
+    for cuts in ([1.25] * 4, [0.3, 3.1, 0.05, 1.55], [5.0]):
+        perception = tank_features(LEVEL_COLUMNS + WALL_COLUMNS)
+        shown = perception.see(seen, headings, levels=levels, velocities=NOTHING)
         for time in cuts:
-            shown = perception.see(
-                observations,
-                headings,
-                velocities=velocities + np.array([0.0, 0.5]),
-                elapsed=np.array([time]),
-            )
+            more = {"levels": levels, "velocities": moving, "elapsed": np.array([time])}
+            shown = perception.see(seen, headings, **more)
         told.append(shown[0, 0])
-    np.testing.assert_allclose(told[1:], [told[0], told[0]], atol=1e-6)
+    np.testing.assert_allclose(told[1:], [told[0]] * 2, atol=1e-6)
     context = perception.layout.split(told[0]).context
-    short = 0.5 * (1 - np.exp(-2.0))  # forward, along f
-    np.testing.assert_allclose(context[3:7], [2 / 60, np.exp(-2 / 8), short, 0.0], atol=1e-6)
+    short = 0.5 * (1 - np.exp(-5.0))  # forward, along f
+    np.testing.assert_allclose(context[3:7], [5 / 60, np.exp(-5 / 8), short, 0.0], atol=1e-6)
+    since = context[CONTEXT_COLUMNS + LEVEL_COLUMNS + 2]
+    np.testing.assert_allclose(since, (TIME + 5.0) / 30.0, rtol=1e-6)  # since it was met
     with pytest.raises(ValueError, match=r"elapsed have shape \(2,\); they must be \(B,\)"):
-        perception.see(one({0: unit(90)}), headings, elapsed=np.ones(2))
+        perception.see(seen, headings, elapsed=np.ones(2))

@@ -1,16 +1,19 @@
 """A trained network as a policy: what it does, where it runs, what it refuses."""
 
 import json
+import pickle
 
 import numpy as np
 import pytest
 import torch
+from gymnasium.vector import AutoresetMode
 
 import baselines
 from baselines.learned import checkpoints, learned_policy
 from baselines.learned.learned_policy import LearnedPolicy
 from baselines.learned.policy_settings import PolicySettings
-from rendezvous_env import Scenario, Simulator, rollout
+from baselines.learned.training_environment import FeatureVectorEnv
+from rendezvous_env import Scenario, Simulator, make_vec, rollout
 from rendezvous_env.scenario import scenarios
 from train import policies
 from train.checks import UserError
@@ -86,11 +89,6 @@ class TestActions:
     @pytest.mark.parametrize("changes", [{}, TANK], ids=["heading", "tank"])
     def test_it_acts_as_in_the_environment_it_was_trained_in(self, period, changes):
         """Fed with the network's choices; with a tank bit for bit."""
-        from gymnasium.vector import AutoresetMode
-
-        from baselines.learned.training_environment import FeatureVectorEnv
-        from rendezvous_env import make_vec
-
         venv = make_vec(CLUTTER, 6, autoreset_mode=AutoresetMode.SAME_STEP)
         policy = learned(decision_time=0.05 * period, **changes)
         teams = FeatureVectorEnv(venv, policy.settings)
@@ -122,8 +120,7 @@ class TestActions:
             actions = mixed(observations[:, :, order], 0.0)
             np.testing.assert_allclose(actions, plain(observations, 0.0), atol=2e-4)
 
-    def test_teams_alone_and_together(self):
-        """Teams that begin at different moments decide at different moments."""
+    def test_teams_that_begin_at_different_moments_decide_at_different_moments(self):
         together = learned(decision_time=0.2)
         alone = [learned(decision_time=0.2) for _ in range(6)]
         starts = np.array([0, 1, 1, 3, 6, 7])
@@ -159,49 +156,34 @@ class TestActions:
             assert name != "duo" or trajectory.success.all()
 
     def test_with_a_tank_it_promises_no_margin_and_uses_its_freedom(self):
-        policy, away = learned(decision_time=0.2, **TANK), 0
-        for observations in episode(CLUTTER, steps=60):
-            actions = policy(observations, 0.0)
-            f = CLUTTER.observation_layout.net_bearing(observations)
-            away += (np.sum(f * actions, axis=-1) < -0.1).sum()
-        assert away > 20 and policy.min_alignment is None
-        assert (policy.levels >= 0.0).all()
-
-    def test_the_budget_is_in_units_of_the_team(self):
-        """So that a network is shown the same full tank in a team of any size."""
+        """The budget is in units of r D̄, so that a network is shown the same full tank in a team of
+        any size."""
         for name, unit in (("clutter-12", 0.2 * 3), ("clutter-16-team-8", 0.2 * 7)):
-            scenario = scenarios.get(name).replace(time_limit=1.0)
-            policy = learned(scenario, **TANK)
-            assert policy.levels is None
+            scenario = scenarios.get(name)
+            policy, away = learned(scenario, decision_time=0.2, **TANK), 0
+            assert policy.levels is None and policy.min_alignment is None
             policy(np.zeros((2, *Simulator(scenario, 1).reset(0).shape[1:])), 0.0)
             np.testing.assert_allclose(policy.levels, np.full((2, scenario.n_robots), 2 * unit))
+            for observations in episode(scenario, steps=60):
+                actions = policy(observations, 0.0)
+                f = scenario.observation_layout.net_bearing(observations)
+                away += (np.sum(f * actions, axis=-1) < -0.1).sum()
+            assert away > 20 and (policy.levels >= 0.0).all()
 
 
 class TestFiles:
-    def test_what_was_written_acts_the_same(self, tmp_path):
+    def test_what_was_written_acts_the_same_and_is_read_without_pickle(self, tmp_path, monkeypatch):
         place = write(tmp_path)
-        for path in (tmp_path, place):
-            loaded = learned_policy.load(path, CLUTTER)
-            assert loaded.settings == SETTINGS
-            own = learned()
-            for observations in episode(CLUTTER, steps=20):
-                actions = loaded(observations, 0.0)
-                np.testing.assert_array_equal(actions, own(observations, 0.0))
-
-    def test_it_is_read_without_pickle(self, tmp_path, monkeypatch):
-        import pickle
-
-        write(tmp_path)
         for name in ("load", "loads", "Unpickler"):
             monkeypatch.setattr(pickle, name, None)
         monkeypatch.setattr(torch, "load", None)
-        learned_policy.load(tmp_path, CLUTTER)
-
-    def rewrite(self, place, **changes):
-        """A checkpoint that is whole, but says something else of its policy."""
-        about, tables = checkpoints.read(place, ["network"])
-        policy = {**about["policy"], **changes}
-        checkpoint.write_folder(place, {"policy": policy}, tables)
+        for path in (tmp_path, place):
+            loaded, own = learned_policy.load(path, CLUTTER), learned()
+            assert loaded.settings == SETTINGS
+            for observations in episode(CLUTTER, steps=20):
+                actions = loaded(observations, 0.0)
+                np.testing.assert_array_equal(actions, own(observations, 0.0))
+            assert own.levels is None  # no tank
 
     @pytest.mark.parametrize(
         ("changes", "message"),
@@ -213,11 +195,15 @@ class TestFiles:
             ({"set_width": 9}, "size mismatch"),
             ({"colour": "blue"}, "field 'colour' is missing or unknown"),
             ({"hidden": None}, "is no policy of this version"),
+            ({}, r"action_net\.bias must be finite"),
         ],
     )
-    def test_another_policy(self, tmp_path, changes, message):
+    def test_a_checkpoint_that_is_whole_but_of_another_policy(self, tmp_path, changes, message):
         place = write(tmp_path)
-        self.rewrite(place, **changes)
+        about, tables = checkpoints.read(place, ["network"])
+        if not changes:
+            tables["network"]["action_net.bias"][0] = np.nan
+        checkpoint.write_folder(place, {"policy": {**about["policy"], **changes}}, tables)
         with pytest.raises(checkpoints.CheckpointError, match=message):
             learned_policy.load(tmp_path, CLUTTER)
 
@@ -227,14 +213,6 @@ class TestFiles:
         policy = {k: v for k, v in about["policy"].items() if k not in TANK}
         checkpoint.write_folder(place, {"policy": policy}, tables)
         assert learned_policy.load(tmp_path, CLUTTER).settings == SETTINGS
-
-    def test_weights_that_are_no_numbers(self, tmp_path):
-        place = write(tmp_path)
-        about, tables = checkpoints.read(place, ["network"])
-        tables["network"]["action_net.bias"][0] = np.nan
-        checkpoint.write_folder(place, {"policy": about["policy"]}, tables)
-        with pytest.raises(checkpoints.CheckpointError, match=r"action_net\.bias must be finite"):
-            learned_policy.load(tmp_path, CLUTTER)
 
 
 class TestNames:

@@ -25,10 +25,6 @@ HEADING = PolicySettings(
 TANK = replace(HEADING, guarantee="tank", budget=0.5, memory="features")
 
 
-def base(**options):
-    return rv.make_vec(SCENARIO, TEAMS, autoreset_mode=AutoresetMode.SAME_STEP, **options)
-
-
 def aim(observations, choices, carried):
     """The joined rule, as if f pointed the chosen angle to the side."""
     layout, (c, s) = SCENARIO.observation_layout, (np.cos(ANGLES[choices]), np.sin(ANGLES[choices]))
@@ -42,8 +38,8 @@ def aim(observations, choices, carried):
     )
 
 
-def teams(settings=HEADING, **options):
-    return FeatureVectorEnv(base(), settings, **options)
+def teams(settings=HEADING, mode=AutoresetMode.SAME_STEP, **options):
+    return FeatureVectorEnv(rv.make_vec(SCENARIO, TEAMS, autoreset_mode=mode), settings, **options)
 
 
 def tape(length, seed=0, choices=CHOICES):
@@ -52,45 +48,32 @@ def tape(length, seed=0, choices=CHOICES):
     return np.random.default_rng(seed).integers(choices, size=shape)
 
 
-class Plain:
-    """The same teams, driven step by step through the heading wrapper."""
-
-    def __init__(self, mode=AutoresetMode.SAME_STEP):
-        venv = rv.make_vec(SCENARIO, TEAMS, autoreset_mode=mode)
-        self.wrapper = HeadingVectorWrapper(venv, frame="local")
-
-    def step(self, choices):
-        """Rewards, ends, contacts of a period; teams that end begin anew at its end."""
-        rewards, contact = np.zeros(TEAMS), np.zeros((TEAMS, SCENARIO.n_robots), bool)
-        for _ in range(PERIOD):
-            raw = aim(self.seen, choices, self.wrapper.steering.headings)
-            self.seen, earned, _, _, infos = self.wrapper.step(raw)
-            rewards += earned
-            contact |= infos["contact"]
-        return rewards, self.wrapper.env.simulator.ended, contact
-
-
 def test_it_is_the_heading_wrapper_with_guide_and_perception():
     """Episodes end, and what is shown last is what perception shows with the old memory."""
-    ours, plain = teams(), Plain(AutoresetMode.DISABLED)
+    ours = teams()
+    venv = rv.make_vec(SCENARIO, TEAMS, autoreset_mode=AutoresetMode.DISABLED)
+    wrapper = HeadingVectorWrapper(venv, frame="local")
     shown, _ = ours.reset(seed=3)
-    plain.seen, _ = plain.wrapper.reset(seed=3)
+    seen, _ = wrapper.reset(seed=3)
     perception = Features(SCENARIO, TEAMS, decision_time=PERIOD * SCENARIO.tau)
-    headings, ended = plain.wrapper.steering, 0
-    np.testing.assert_array_equal(shown, perception.see(plain.seen, headings.headings))
+    headings, ended = wrapper.steering, 0
+    np.testing.assert_array_equal(shown, perception.see(seen, headings.headings))
     for choices in tape(60):
         shown, rewards, ends, cuts, infos = ours.step(choices)
-        other_rewards, over, _ = plain.step(choices)
-        np.testing.assert_array_equal(rewards, other_rewards)
+        wanted = np.zeros(TEAMS)
+        for _ in range(PERIOD):
+            seen, earned, *_ = wrapper.step(aim(seen, choices, headings.headings))
+            wanted += earned
+        over = wrapper.env.simulator.ended
+        np.testing.assert_array_equal(rewards, wanted)
         np.testing.assert_array_equal(ends | cuts, over)
-        last = perception.see(plain.seen, headings.headings)
+        last = perception.see(seen, headings.headings)
         if over.any():
             ended += over.sum()
-            seen = np.stack(infos["final_obs"][over].tolist())
-            np.testing.assert_array_equal(seen, last[over])
-            plain.seen, _ = plain.wrapper.reset(options={"reset_mask": over})
+            np.testing.assert_array_equal(np.stack(infos["final_obs"][over].tolist()), last[over])
+            seen, _ = wrapper.reset(options={"reset_mask": over})
             perception.forget(over)
-            last[over] = perception.see(plain.seen, headings.headings, over)[over]
+            last[over] = perception.see(seen, headings.headings, over)[over]
         np.testing.assert_array_equal(shown, last)
     assert ended >= TEAMS
 
@@ -167,10 +150,7 @@ def test_robots_go_on_bit_by_bit_from_their_state(settings):
 def test_autoreset_modes_differ_only_after_an_end():
     """What is shown at an end is the same; a masked reset leaves what the others are shown."""
     modes = (AutoresetMode.SAME_STEP, AutoresetMode.NEXT_STEP, AutoresetMode.DISABLED)
-    same, following, held = (
-        FeatureVectorEnv(rv.make_vec(SCENARIO, TEAMS, autoreset_mode=mode), HEADING)
-        for mode in modes
-    )
+    same, following, held = (teams(mode=mode) for mode in modes)
     for each in (same, following, held):
         each.reset(seed=1)
     for choices in tape(60):

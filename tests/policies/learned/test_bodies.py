@@ -1,0 +1,277 @@
+"""Learned policies of robots that turn and of space: frames and planes that do not turn with the
+body, and tanks on arcs.
+"""
+
+import pickle
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from gymnasium.vector import AutoresetMode
+
+import baselines
+import rendezvous_env as rv
+from baselines.learned import checkpoints, shipped
+from baselines.learned.guide import CommandedTank, GuidedTeams
+from baselines.learned.policy_settings import PolicySettings
+from baselines.learned.training_environment import FeatureVectorEnv
+from baselines.steady_frames import SteadyFrames, SteadyPlanes
+from rendezvous_env.engine.memory import RENDEZVOUS
+from rendezvous_env.safety.tank import certain_descent
+from train.learn.settings import Config
+
+CARS = rv.scenarios.get("clutter-12").replace(
+    robot_model="unicycle", max_turn_rate=1.5, time_limit=10.0
+)
+POINTS = rv.scenarios.get("clutter-3d-32")
+UAV = rv.scenarios.get("uav-clutter-16").replace(max_turn_rate=1.0)
+HEADING = PolicySettings(
+    8, (16,), clearance=0.2, persistence=0.5, min_alignment=0.1, max_turn_rate=1.2,
+    decision_time=4 * CARS.tau,
+)  # fmt: skip
+TANK = replace(HEADING, guarantee="tank", budget=2.0, memory="features")
+EVERY = np.arange(1)
+
+
+def test_what_a_unicycle_sees_does_not_turn_with_its_body():
+    """For 190 steps of any inputs: rows in the frames of the start."""
+    simulator, frames = rv.Simulator(CARS, 3), SteadyFrames(CARS, 3, 0.2)
+    seen, random = simulator.reset(5), np.random.default_rng(0)
+    start = simulator.frames.copy()
+    for _ in range(190):
+        steady = frames.seen(seen, np.arange(3))
+        globally = np.einsum("bnij,bnkj->bnki", simulator.frames, seen)
+        from_start = np.einsum("bnji,bnkj->bnki", start, globally)
+        np.testing.assert_allclose(steady, from_start, atol=2e-6)
+        actions = random.uniform(-2.0, 2.0, (3, CARS.n_robots, 2)).astype(np.float32)
+        actions[..., 0] *= 0.01
+        before = simulator.positions.copy()
+        frames.turn((0, 3, 0), actions)
+        seen = simulator.step(actions).observations
+        moved = np.einsum("bnij,bnj->bni", start, frames.velocities) * CARS.tau
+        np.testing.assert_allclose(simulator.positions - before, moved, atol=1e-9)
+    assert (simulator.contacts == 0).all()
+    assert np.abs(simulator.frames - start).max() > 0.3
+
+
+def robots_that_see(bearings):
+    """One team of which all see these neighbours and nothing else."""
+    scenario = POINTS.replace(n_robots=len(bearings) + 1, obstacles=(), obstacle_slots=0)
+    rows = np.zeros((1, scenario.n_robots, *scenario.observation_layout.shape), np.float32)
+    rows[..., : len(bearings), :] = bearings
+    return scenario, rows
+
+
+def test_what_lies_in_the_plane_stays_where_it_is_while_f_turns_there():
+    """Gains change, so f turns between two bearings; theirs stay what they were."""
+    first, second = np.array([0.6, 0.0, 0.8]), np.array([0.0, 1.0, 0.0])
+    scenario, _ = robots_that_see([first, second])
+    planes, found = SteadyPlanes(scenario, 1, 0.1), []
+    for gain in np.linspace(0.1, 0.9, 9):
+        _, rows = robots_that_see([gain * first, (1 - gain) * second])
+        seen = planes.seen(rows, EVERY)[0, 0].astype(float)
+        np.testing.assert_allclose(np.linalg.norm(seen, axis=1), [gain, 1 - gain], atol=1e-6)
+        found.append(seen / np.linalg.norm(seen, axis=1, keepdims=True))
+    np.testing.assert_allclose(found, [found[0]] * 9, atol=1e-6)
+    assert abs(np.linalg.det(found[0])) == pytest.approx(1.0, abs=1e-6)  # at a right angle, too
+
+
+def test_f_in_the_plane_is_f_whatever_lies_outside_it():
+    random = np.random.default_rng(0)
+    scenario, rows = robots_that_see(random.normal(size=(4, 3)))
+    planes = SteadyPlanes(scenario, 1, 0.1)
+    for _ in range(5):
+        rows = (rows + random.normal(0.0, 0.2, rows.shape)).astype(np.float32)
+        seen = planes.seen(rows, EVERY)[..., :4, :].sum(axis=-2)
+        lengths = (np.linalg.norm(f, axis=-1)
+                   for f in (seen, scenario.observation_layout.net_bearing(rows)))  # fmt: skip
+        np.testing.assert_allclose(*lengths, atol=1e-5)
+
+
+def test_a_plane_is_kept_while_something_in_it_is_before_f():
+    """Then the one with least to turn is taken."""
+    scenario, rows = robots_that_see([[1.0, 0.0, 0.0]])
+    scenario = scenario.replace(obstacle_slots=1, obstacles=())
+    around = np.arange(8)[:, None] * np.pi / 4 + 0.1
+    ring = np.cos(around) * [0.0, 1.0, 0.0] + np.sin(around) * [0.0, 0.0, 1.0]
+    planes, found = SteadyPlanes(scenario, 1, 0.1), []
+    rows = np.concatenate([rows, np.zeros((1, 2, 8, 3), np.float32)], axis=2)
+    for shift in ([0.0, -0.3, 0.0], [0.0, 0.0, -0.3], None, [0.0, 0.0, -0.3]):
+        rows[..., 1:, :] = 0.0
+        if shift is not None:
+            rays = [1.0, 0.0, 0.0] + 0.5 * ring + shift
+            rows[..., 1:, :] = rays / np.linalg.norm(rays, axis=-1, keepdims=True)
+        edges = planes.seen(rows, EVERY)[0, 0, 1:]
+        assert edges.any() == (shift is not None)
+        found.append(planes.get_state()["aside"][0, 0])
+    np.testing.assert_allclose(found[1:3], [found[0]] * 2, atol=1e-12)
+    assert abs(found[0][1]) > 0.9 and abs(found[3][2]) > 0.9
+
+
+@pytest.mark.parametrize("scenario", [POINTS, UAV], ids=["points", "nonholonomic"])
+@pytest.mark.parametrize("share", [1.0, 0.25])
+def test_a_plane_does_not_turn_with_the_body(scenario, share):
+    """A robot that hardly moves and turns at any rates sees its plane where it was; ticks that come
+    early are told.
+    """
+    scenario = scenario.replace(obstacles=(), obstacle_slots=1)
+    simulator = rv.Simulator(scenario.replace(time_step=share * scenario.tau), 4)
+    planes, random = SteadyPlanes(scenario, 4, 0.1), np.random.default_rng(0)
+    seen, teams = simulator.reset(1), np.arange(4)
+    first = planes.seen(seen, teams).copy()
+    for _ in range(30):
+        actions = random.uniform(-1.0, 1.0, (4, scenario.n_robots, 3)) * scenario.action_bounds
+        actions *= [1e-4, 1.0, 1.0] if scenario.model.nonholonomic else 1e-4
+        planes.turn((0, 4, 0), actions.astype(np.float32))
+        seen = simulator.step(actions.astype(np.float32)).observations
+        planes.settle(share)
+        np.testing.assert_allclose(planes.seen(seen, teams), first, atol=2e-3)
+
+
+@pytest.mark.parametrize("settings", [HEADING, TANK], ids=["heading", "tank"])
+def test_robots_turn_to_where_they_choose(settings):
+    """Choice 0 in the open: the body comes to point along f, and the team meets."""
+    free = CARS.replace(obstacles=(), time_limit=60.0)
+    guided, simulator = GuidedTeams(settings, free, 4), rv.Simulator(free, 4)
+    seen = simulator.reset(1)
+    for step in range(500):
+        if step == 80:
+            f = free.observation_layout.net_bearing(seen)
+            off = np.abs(np.arctan2(f[..., 1], f[..., 0]))
+        seen = simulator.step(guided.act(seen)).observations
+    assert np.median(off) < 0.1 and (simulator.status == RENDEZVOUS).all()
+
+
+@pytest.mark.parametrize(
+    ("scenario", "budget", "every", "least_apart", "least_rises"),
+    [
+        (CARS.replace(robot_model="single_integrator"), 0.0, 1, 4, 0),
+        (CARS.replace(robot_model="single_integrator"), 3.0, 1, 4, 21),
+        (CARS, 0.0, 20, 5, 0),
+        (CARS, 3.0, 20, 5, 21),
+        (POINTS, None, 20, 5, 21),
+        (UAV, None, 20, 5, 21),
+    ],
+)
+def test_v_and_the_tanks_together_never_rise(scenario, budget, every, least_apart, least_rises):
+    """Theorem D under arbitrary choices without obstacles, until the first merge."""
+    settings = replace(TANK, budget=5.0 if budget is None else budget / 0.6)  # in units of r D̄
+    free = scenario.replace(obstacles=(), time_step=None, time_limit=60.0)
+    guided, simulator = GuidedTeams(settings, free, 8), rv.Simulator(free, 8)
+    seen, random = simulator.reset(4), np.random.default_rng(4)
+    levels = guided.tank.levels.sum(axis=1)
+    assert budget is None or levels == pytest.approx(free.n_robots * budget)
+    before, rises, apart = simulator.lyapunov() + levels, 0, np.ones(8, bool)
+    for step in range(300):
+        if step % every == 0:
+            guided.choose(random.integers(14, size=guided.choices.shape))
+        v = simulator.lyapunov()
+        seen = simulator.step(guided.act(seen)).observations
+        apart &= (simulator.merged_into == np.arange(free.n_robots)).all(axis=1)
+        rises += int((simulator.lyapunov() > v)[apart].sum())
+        now = simulator.lyapunov() + guided.tank.levels.sum(axis=1)
+        assert (now <= before + 1e-9)[apart].all() and guided.tank.levels.min() >= 0.0
+        before = now
+    assert apart.sum() >= least_apart and rises >= least_rises
+
+
+@pytest.mark.parametrize(
+    ("scenario", "kind", "most", "shares"),
+    [
+        (CARS, SteadyFrames, 0.03, (0.1, 0.5, 0.9, 1.0, 2.0)),
+        (UAV, SteadyPlanes, 0.08, (0.1, 0.5, 0.9)),
+    ],
+    ids=["unicycle", "space"],
+)
+def test_an_arc_that_is_cut_short_books_no_more_than_it_earned(scenario, kind, most, shares):
+    """Against the displacement that the simulator makes in a share of the step."""
+    scenario = scenario.replace(obstacles=())
+    tank, bodies = CommandedTank(scenario, 50, budget=100.0), kind(scenario, 50, 0.1)
+    random, tight = np.random.default_rng(3), 0
+    for share in shares:
+        short = rv.Simulator(scenario.replace(time_step=min(share, 1.0) * scenario.tau), 50)
+        seen, started, frames = short.reset(2), short.positions.copy(), short.frames.copy()
+        actions = np.zeros((50, scenario.n_robots, scenario.action_size), np.float32)
+        f = scenario.observation_layout.net_bearing(seen)
+        tank.forget()
+        tank.hold(random.uniform(-1, 1, actions.shape))
+        bodies.seen(seen, np.arange(50))
+        tank.act_of((0, 50, 0), seen, actions)
+        bodies.turn((0, 50, 0), actions)
+        tank.settle(share, bodies.settle(share))
+        short.step(actions)
+        local = np.einsum("bnji,bnj->bni", frames, short.positions - started)
+        zeros = [0.0] * (3 - scenario.dim)
+        for team, robot in np.argwhere(short.merged_into == np.arange(scenario.n_robots)):
+            if short.merged_into[team].tolist().count(robot) > 1:
+                continue  # a merge has moved it
+            net, way = ((*v[team, robot], *zeros) for v in (f, local))
+            exact = certain_descent(net, 3.0, way, scenario.merge_radius)
+            booked = tank.levels[team, robot] - 100.0
+            assert exact - most <= booked <= exact + 1e-6
+            tight += booked > exact - 1e-3
+    assert tight > 200 or scenario.dim == 3
+
+
+@pytest.mark.parametrize(
+    ("scenario", "settings"),
+    [(CARS, HEADING), (CARS, TANK), (POINTS, TANK), (UAV, TANK)],
+    ids=["heading", "tank", "points", "nonholonomic"],
+)
+def test_episodes_go_on_bit_by_bit_from_their_state(scenario, settings):
+    def make():
+        venv = rv.make_vec(scenario, 3, autoreset_mode=AutoresetMode.SAME_STEP)
+        return FeatureVectorEnv(venv, settings)
+
+    one, other = make(), make()
+    one.reset(seed=3)
+    other.reset(seed=9)
+    length = 70 if scenario.dim == 2 else 20
+    chosen = np.random.default_rng(0).integers(9, size=(length, 3, scenario.n_robots))
+    for choices in chosen[: length // 3]:
+        one.step(choices)
+    state = pickle.loads(pickle.dumps(one.get_state()))
+    other.set_state(state)
+    for choices in chosen[length // 3 :]:
+        for a, b in zip(one.step(choices)[:4], other.step(choices)[:4], strict=True):
+            np.testing.assert_array_equal(a, b)
+    state["bodies"]["angles"] = state["bodies"]["angles"][:1]
+    with pytest.raises(ValueError, match="angles must be an array of shape"):
+        other.set_state(state)
+
+
+@pytest.mark.parametrize(
+    ("name", "starts", "least"),
+    [
+        ("slab-3d", 30, 29),
+        ("clutter-3d-32", 30, 29),
+        ("uav-clutter-16", 30, 28),
+        ("clutter-16", 60, 57),
+    ],
+)
+def test_the_weights_of_unicycles_serve_them_and_space(name, starts, least):
+    scenario = rv.scenarios.get(name)
+    if scenario.dim == 2:
+        scenario = scenario.replace(robot_model="unicycle", max_turn_rate=1.0)
+    folder = shipped.folder("learned-tank", scenario)
+    assert folder != shipped.folder("learned-tank")
+    policy = baselines.make("learned-tank", scenario)
+    trained = Config.from_plain(checkpoints.describe(folder)["config"])
+    assert policy.settings == trained.policy_settings()
+    assert trained.base_scenario().robot_model == "unicycle"
+    found = rv.rollout(scenario, policy, seed=2000, num_envs=starts, record=())
+    assert (found.success & ~found.contacts.any(axis=(0, 2))).sum() >= least
+
+
+def test_a_robot_that_ticks_sooner_turns_its_memory_by_what_it_turned():
+    """Ten ticks of τ/4: the body has turned by ω τ/4 in each."""
+    robot, turned = baselines.RobotPolicy(CARS, "learned-tank"), 0.0
+    for _ in range(10):
+        angle = 2.0 - turned
+        action = robot.act([[np.cos(angle), np.sin(angle)]], dt=CARS.tau / 4)
+        bodies = robot.policy._guided.bodies
+        ahead = bodies.seen(robot._team, EVERY)[0, 0, 0]  # after the step that was commanded
+        turned += float(action[1]) * CARS.tau / 4
+        wanted = 2.0 + float(action[1]) * CARS.tau
+        assert np.arctan2(ahead[1], ahead[0]) == pytest.approx(wanted, abs=1e-6)
+    assert turned == pytest.approx(1.5 * 10 * CARS.tau / 4)
