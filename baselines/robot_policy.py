@@ -15,7 +15,7 @@ from rendezvous_env.scenario.scenarios import ScenarioLike, resolve
 from . import policy as registry
 from .policy import Float32, Policy, RealTimePolicy
 from .robot_sight import RobotSight
-from .steering import can_steer
+from .steering import check_steerable
 
 _KINDS = ("law", "rule", "learned")
 """Kinds whose policies ask neither which robot is which nor how often they were called."""
@@ -108,7 +108,7 @@ class RobotPolicy(OneRobot):
         self, scenario: ScenarioLike, policy: str | Path | Policy = "learned", **options: Any
     ) -> None:
         scenario = resolve(scenario)
-        check_steerable(scenario)
+        check_steerable(scenario, "a RobotPolicy steers")
         if isinstance(policy, Path):
             from .learned.learned_policy import load
 
@@ -127,15 +127,6 @@ def common_gain(scenario: Scenario) -> float:
     """What every link weighs, m/s; 1 where they differ."""
     least, most = scenario.sensing_graph.extreme_weights(scenario.n_robots)
     return float(least) if least == most else 1.0
-
-
-def check_steerable(scenario: Scenario) -> None:
-    """Refuse, with a ValueError, robots that are no single integrators and do not turn."""
-    if not can_steer(scenario):
-        raise ValueError(
-            f"scenario {scenario.name!r} has {scenario.robot_model} robots; a RobotPolicy steers "
-            "single_integrator, unicycle and nonholonomic_3d"
-        )
 
 
 def check_kind(policy: str) -> None:

@@ -48,6 +48,15 @@ def can_steer(scenario: Scenario) -> bool:
     return scenario.robot_model == "single_integrator" or turns(scenario)
 
 
+def check_steerable(scenario: Scenario, what_steers: str = "learned policies steer") -> None:
+    """Refuse, with a ValueError, robots that ``Steering`` does not know."""
+    if not can_steer(scenario):
+        raise ValueError(
+            f"scenario {scenario.name!r} has {scenario.robot_model} robots; {what_steers} "
+            "single_integrator, unicycle and nonholonomic_3d"
+        )
+
+
 class Steering:
     """How single integrators, unicycles or nonholonomic robots of space follow desired velocities.
 

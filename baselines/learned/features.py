@@ -22,7 +22,7 @@ from rendezvous_env.safety.safety_filter import over_teams
 from rendezvous_env.scenario.scenario import Scenario
 
 from ..policy import Float32, Mask
-from ..steering import can_steer
+from ..steering import check_steerable
 from .feature_kernels import (
     CONTEXT_COLUMNS,
     LEVEL_COLUMNS,
@@ -78,15 +78,6 @@ class FeatureLayout(NamedTuple):
         )
 
 
-def check_readable(scenario: Scenario) -> None:
-    """Refuse robots, with a ValueError, that a learned policy cannot steer."""
-    if not can_steer(scenario):
-        raise ValueError(
-            f"scenario {scenario.name!r} has {scenario.robot_model} robots; learned policies steer "
-            "single_integrator, unicycle and nonholonomic_3d"
-        )
-
-
 class Features(Remembering):
     """Shows B teams of n robots to a network, once for each decision.
 
@@ -112,7 +103,7 @@ class Features(Remembering):
         tank_columns: int = 0,
         num_threads: int | None = None,
     ) -> None:
-        check_readable(scenario)
+        check_steerable(scenario)
         rows = replace(scenario.observation_layout, dim=2, senses_gravity=False)
         slots = rows.obstacle_slots if obstacle_slots is None else obstacle_slots
         if slots < rows.obstacle_slots:

@@ -14,9 +14,9 @@ from rendezvous_env.scenario.scenario import Scenario
 
 from ..filtered_policies import DecidingPolicy
 from ..policy import Float32, Mask, within_limits
+from ..steering import check_steerable
 from . import checkpoints
 from .checkpoints import CheckpointError
-from .features import check_readable
 from .guide import GuidedTeams
 from .numpy_actor import Network, NumpyActor
 from .onnx_network import SUFFIX, OnnxNetwork
@@ -77,7 +77,7 @@ class LearnedPolicy(GuidedPolicy):
         weights: Mapping[str, NDArray[Any]] | Network,
         settings: PolicySettings,
     ) -> None:
-        check_readable(scenario)
+        check_steerable(scenario)
         super().__init__(scenario, settings)
         turns = scenario.model.nonholonomic  # its body may stand across f when it starts
         self.min_alignment = None if turns else settings.promised_margin
@@ -120,7 +120,7 @@ def load(path: Path, scenario: Scenario) -> LearnedPolicy:
         CheckpointError: if it cannot be read or does not belong to this version, naming the file.
         ValueError: for robots that it cannot steer.
     """
-    check_readable(scenario)
+    check_steerable(scenario)
     if path.suffix == SUFFIX:
         network = OnnxNetwork(path)
         network.layout = network.settings.layout_of(scenario)

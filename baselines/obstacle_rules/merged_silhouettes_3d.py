@@ -62,17 +62,11 @@ def _join(first, cones, joined):
     while grown:
         grown = False
         for k in range(cones.shape[0]):
-            if not joined[k] and _touches(k, cones, joined):
-                joined[k] = grown = True
-
-
-@kernel
-def _touches(k, cones, joined):
-    for other in range(cones.shape[0]):
-        apart = _angle(load(cones[k, :3]), load(cones[other, :3]))
-        if joined[other] and apart < cones[k, 3] + cones[other, 3]:
-            return True
-    return False
+            for other in range(cones.shape[0]):
+                if joined[other] and not joined[k]:
+                    apart = _angle(load(cones[k, :3]), load(cones[other, :3]))
+                    if apart < cones[k, 3] + cones[other, 3]:
+                        joined[k] = grown = True
 
 
 @kernel

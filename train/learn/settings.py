@@ -7,10 +7,9 @@ from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args, get_type_hints
 
-from rendezvous_env.baselines.learned.features import check_readable
 from rendezvous_env.baselines.learned.plain_data import check_types, read_json
 from rendezvous_env.baselines.learned.policy_settings import PolicySettings, memory_of
-from rendezvous_env.baselines.steering import can_steer
+from rendezvous_env.baselines.steering import can_steer, check_steerable
 from tyro.conf import arg
 
 from rendezvous_env.obstacles.fields import ObstacleField
@@ -341,7 +340,7 @@ def _check_scenarios(config: Config) -> None:
             f"{_MOST_SAMPLES} or less"
         )
     for scenario in (base, *map(resolve_scenario, config.eval_scenarios)):
-        check_readable(scenario)
+        check_steerable(scenario)
     config.obstacle_slots()
 
 

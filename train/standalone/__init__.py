@@ -16,12 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 from rendezvous_env.baselines import policy as registry
 from rendezvous_env.baselines.learned.policy_settings import PolicySettings
-from rendezvous_env.baselines.robot_policy import (
-    RobotPolicy,
-    check_kind,
-    check_steerable,
-    common_gain,
-)
+from rendezvous_env.baselines.robot_policy import RobotPolicy, check_kind, common_gain
+from rendezvous_env.baselines.steering import check_steerable
 
 from rendezvous_env import __version__
 from rendezvous_env.scenario.scenario import Scenario
@@ -190,7 +186,7 @@ def text_of(
     Raises:
         ValueError: for robots or a policy that ``RobotPolicy`` does not take either.
     """
-    check_steerable(scenario)
+    check_steerable(scenario, "a RobotPolicy steers")
     stand_ins, roots, extra = _STAND_INS | _OF_OTHER_DIMENSIONS[scenario.dim], list(_ROOTS), ""
     if scenario.dim == 2:
         roots += _WHEELS
