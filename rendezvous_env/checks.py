@@ -8,8 +8,10 @@ import functools
 import math
 import re
 import reprlib
-from collections.abc import Callable, Iterable, Mapping
-from typing import Any, NoReturn, TypeVar, cast
+import typing
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
+from typing import Annotated, Any, Literal, NoReturn, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,20 +19,21 @@ from numpy.typing import NDArray
 from .limits import LARGEST, SMALLEST
 
 _LONGEST_WORD = 100
-_TIME_STEP, _STEPS = ("time_step",), ("max_cycles", "time_limit")
+_STEPS = ("max_steps", "max_episode_steps", "horizon", "episode_length")
 _SYNONYMS = {
-    **dict.fromkeys(("n_agents", "num_agents", "num_robots", "team_size"), ("n_robots",)),
-    **dict.fromkeys(("dt", "timestep", "step_size"), _TIME_STEP),
-    **dict.fromkeys(("max_steps", "max_episode_steps", "horizon", "episode_length"), _STEPS),
-    **dict.fromkeys(("topology", "adjacency"), ("graph",)),
-    **dict.fromkeys(("ring", "circle", "loop"), ("cycle",)),
-    **dict.fromkeys(("line", "chain"), ("path",)),
-    **dict.fromkeys(("full", "fully_connected", "all", "clique"), ("complete",)),
-    **dict.fromkeys(("gnp", "er"), ("erdos_renyi",)),
-    **dict.fromkeys(("disk", "geometric"), ("proximity",)),
-    "adversarial_error": ("error",),
+    "n_robots": ("n_agents", "num_agents", "num_robots", "team_size"),
+    "time_step": ("dt", "timestep", "step_size"),
+    "max_cycles": _STEPS,
+    "time_limit": _STEPS,
+    "graph": ("topology", "adjacency"),
+    "cycle": ("ring", "circle", "loop"),
+    "path": ("line", "chain"),
+    "complete": ("full", "fully_connected", "all", "clique"),
+    "erdos_renyi": ("gnp", "er"),
+    "proximity": ("disk", "geometric"),
+    "error": ("adversarial_error",),
 }
-"""What other packages call things, and what may be meant here."""
+"""What other packages call things."""
 _Made = TypeVar("_Made")
 
 
@@ -85,9 +88,14 @@ def is_whole(value: Any) -> bool:
     return isinstance(value, int | np.integer) and not isinstance(value, bool)
 
 
-# ---- one value -----------------------------------------------------------------------------------
-# Each takes the name of a field and its value, and returns the value as it is kept or raises a
-# ValueError.
+def is_sequence(value: Any) -> bool:
+    """Whether it is a sequence of anything but letters."""
+    if isinstance(value, np.ndarray):
+        return value.ndim > 0
+    return isinstance(value, Sequence) and not isinstance(value, str | bytes)
+
+
+# ---- one value: a check takes the name of a field and its value, and returns what is kept --------
 
 
 def number(
@@ -132,8 +140,28 @@ def choice(field: str, value: Any, choices: Iterable[str]) -> str:
     """One of some words."""
     known = tuple(choices)
     if not isinstance(value, str) or value not in known:
-        refuse(field, value, f"one of {', '.join(map(repr, known))}")
+        near = nearest_word(value, known)
+        hint = f"; did you mean {near!r}?" if near else ""
+        refuse(field, value, f"one of {', '.join(map(repr, known))}{hint}")
     return value
+
+
+def text(field: str, value: Any) -> str:
+    """A text."""
+    if not isinstance(value, str):
+        refuse(field, value, "a text")
+    return value
+
+
+def number_range(
+    field: str, value: Any, least: float = SMALLEST, unit: str = ""
+) -> tuple[float, float]:
+    """The lowest and highest of a range of positive numbers, from two of them or from one."""
+    pair = tuple(value) if is_sequence(value) else (value, value)
+    if len(pair) != 2 or not least <= real(pair[0]) <= real(pair[1]) <= LARGEST:
+        bounds = f"{least:g} <= low <= high <= {LARGEST:g} {unit}".rstrip()
+        refuse(field, value, f"a finite number, or a pair of them with {bounds}")
+    return real(pair[0]), real(pair[1])
 
 
 def mapping(field: str, value: Any, wanted: str) -> Mapping[Any, Any]:
@@ -159,54 +187,6 @@ def floats(field: str, value: Any, dtype: type[np.floating[Any]] = np.float64) -
         return array.astype(dtype, copy=False)
     with np.errstate(over="ignore"):
         return array.astype(dtype)
-
-
-def check_table(field: str, value: Any, shape: tuple[int, ...]) -> NDArray[np.float64]:
-    """A float64 array of a shape, of numbers within the limits; a ValueError names the field, and
-    its shape or the robot whose entry is wrong.
-    """
-    table = np.array(floats(field, value))
-    if table.shape != shape:
-        raise ValueError(f"{field} has shape {table.shape}; it must be {shape}")
-    if not (wanted := np.abs(table) <= LARGEST).all():
-        at = tuple(int(k) for k in np.argwhere(~wanted)[0])
-        raise ValueError(
-            f"{field} of robot_{at[0]} is {shown(table[at[0]].tolist())}; it must be finite, and "
-            f"from {-LARGEST:g} to {LARGEST:g}"
-        )
-    return table
-
-
-def check_distinct(field: str, positions: NDArray[np.float64], weights: Any) -> None:
-    """Refuse neighbours that stand in the same place: no bearing exists between them.
-
-    Weights are (n, n), or what gives such a matrix for n; only pairs with a positive weight, in
-    either way, are looked at.
-    """
-    _, place, counts = np.unique(positions + 0.0, axis=0, return_inverse=True, return_counts=True)
-    if counts.max() == 1:
-        return
-    matrix = weights(len(positions)) if callable(weights) else weights
-    ends = np.sort(np.array(matrix.nonzero()), axis=0)
-    coincident = ends[:, place[ends[0]] == place[ends[1]]]
-    if coincident.size:
-        i, j = min(coincident.T.tolist())
-        raise ValueError(
-            f"{field}: neighbours robot_{i} and robot_{j} both stand at {positions[i].tolist()}; "
-            "they must not coincide"
-        )
-
-
-def check_apart(field: str, positions: NDArray[np.float64], least: float) -> None:
-    """Refuse robots that stand nearer to each other than a length, m: their bodies overlap."""
-    offsets = positions[:, np.newaxis] - positions
-    distances = np.linalg.norm(offsets, axis=-1) + np.diag(np.full(len(positions), np.inf))
-    if distances.min() < least:
-        i, j = divmod(int(distances.argmin()), len(positions))
-        raise ValueError(
-            f"{field}: robot_{i} and robot_{j} stand {distances[i, j]:.4g} m apart; it must be at "
-            f"least {least:g} m, two body_radius"
-        )
 
 
 def _unreadable(value: Any) -> str:
@@ -238,12 +218,14 @@ def bools(field: str, value: Any, shape: tuple[int, ...] | None, of_what: str) -
         array = np.empty(0, dtype=object)
     shape = array.shape if shape is None else shape
     if array.shape != shape or array.dtype != np.bool_:
-        found = f"{array.dtype} of shape {array.shape}"
-        if array.dtype == object:
-            found = shown(value)
+        is_array = array.dtype != object
+        found = f"{array.dtype} of shape {array.shape}" if is_array else shown(value)
         count = " × ".join(map(str, shape))
         raise ValueError(f"{field} is {found}; it must be bool, one for each of {count} {of_what}")
     return array
+
+
+# ---- words ---------------------------------------------------------------------------------------
 
 
 def nearest_word(word: Any, words: Iterable[str], cutoff: float = 0.65) -> str | None:
@@ -253,12 +235,11 @@ def nearest_word(word: Any, words: Iterable[str], cutoff: float = 0.65) -> str |
     if not isinstance(word, str) or len(word) > _LONGEST_WORD:
         return None
     known = list(words)
-    if meant := [one for one in _SYNONYMS.get(word, ()) if one in known]:
+    if meant := [ours for ours, theirs in _SYNONYMS.items() if word in theirs and ours in known]:
         return meant[0]
-    close = difflib.get_close_matches(word, known, n=1, cutoff=cutoff)
-    if not close:
-        having = [one for one in known if word in re.split("[-_]", one)]
-        close = difflib.get_close_matches(word, having, n=1, cutoff=0.0)
+    having = [one for one in known if word in re.split("[-_]", one)]
+    close = difflib.get_close_matches(word, known, 1, cutoff)
+    close = close or difflib.get_close_matches(word, having, 1, 0.0)
     return close[0] if close else None
 
 
@@ -273,9 +254,15 @@ def known_fields(
         if key not in known:
             near = nearest_word(key, known)
             hint = f"did you mean {near!r}?" if near else f"known are {', '.join(known)}"
-            if key in _SYNONYMS and near == "time_limit":
+            if near == "time_limit" and key in _STEPS:
                 hint += " it is in s, not in steps"
             raise UnknownFieldError(f"{what} has no {noun} {shown(key)}; {hint}")
+
+
+# ---- dataclasses whose annotations say what is right ---------------------------------------------
+
+Metres = Annotated[float, partial(positive, unit="m")]
+Seconds = Annotated[float, partial(positive, unit="s")]
 
 
 def names_unknown_fields(what: str) -> Callable[[type[_Made]], type[_Made]]:
@@ -296,22 +283,41 @@ def names_unknown_fields(what: str) -> Callable[[type[_Made]], type[_Made]]:
     return decorate
 
 
-def check_fields(
-    made: Any, checks: Mapping[str, Callable[[str, Any], Any]], prefix: str = ""
-) -> None:
+def check_fields(made: Any, label: str = "{}") -> None:
     """Bring the fields of a frozen dataclass into the form in which they are kept, from its
     ``__post_init__``: NumPy's scalars become Python's own, and each value goes through the check of
-    its field, which takes a name and a value and returns what is kept. None is kept where it is the
-    default. Messages put ``prefix`` before the names.
+    its annotation. None is kept where it is the default.
+
+    ``Annotated[kind, check]`` names a function of a name and a value, which returns what is kept;
+    bool, Literal, float and str stand for ``flag``, ``choice``, ``number`` and ``text``. Messages
+    call a field what ``label`` makes of its name.
     """
+    checks = _checks_of(cast(Any, type(made)))
     for field in dataclasses.fields(made):
-        value = getattr(made, field.name)
+        value, check = getattr(made, field.name), checks[field.name]
         if isinstance(value, np.generic):
             value = value.item()
-        check = checks.get(field.name)
         if check is not None and not (value is None and field.default is None):
-            value = check(prefix + field.name, value)
+            value = check(label.format(field.name), value)
         object.__setattr__(made, field.name, value)
+
+
+@functools.cache
+def _checks_of(made: type[Any]) -> dict[str, Callable[[str, Any], Any] | None]:
+    hints = typing.get_type_hints(made, include_extras=True)
+    return {field.name: _check_of(hints[field.name]) for field in dataclasses.fields(made)}
+
+
+def _check_of(hint: Any) -> Callable[[str, Any], Any] | None:
+    kind, parts = typing.get_origin(hint), typing.get_args(hint)
+    if kind is Annotated:
+        return cast(Callable[[str, Any], Any], hint.__metadata__[0])
+    if kind is Literal:
+        return partial(choice, choices=parts)
+    if type(None) in parts:
+        return _check_of(parts[0])
+    by_kind: dict[Any, Any] = {bool: flag, float: number, str: text}
+    return by_kind.get(hint)
 
 
 class Registry(dict[str, Callable[..., Any]]):

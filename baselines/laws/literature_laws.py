@@ -15,7 +15,7 @@ from rendezvous_env.limits import MOST_SECTORS
 from rendezvous_env.safety.heading import step_scale
 from rendezvous_env.scenario.observation_layout import ObservedRows
 from rendezvous_env.scenario.scenario import Scenario
-from rendezvous_env.sensors.sensor_equations import in_sectors
+from rendezvous_env.sensors.imperfections import in_sectors
 
 from ..policy import Policy, in_the_plane, is_single_integrator, register
 from .paper_laws import Array, LawPolicy, bearing_only_law
@@ -63,7 +63,7 @@ def smallest_sector_law(bearings: Rows) -> Array:
 
 
 def rounded_bearings(bearings: Rows, sectors: int) -> Array:
-    """Bearings (..., 2) turned into the middles of equal sectors, see ``sensor_equations``."""
+    """Bearings (..., 2) turned into the middles of equal sectors, see ``imperfections.in_sectors``."""
     rows = np.ascontiguousarray(bearings, np.float64).reshape(-1, 2)
     rounded = np.empty_like(rows)
     _round_rows(rows, sectors, rounded)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..graphs.edge_kinds import Changes, DenseEdges, DirectedEdges, EdgeList, Links
+from ..graphs.edges import Changes, DenseEdges, DirectedEdges, EdgeList, Links
 from ..graphs.proximity import ProximityGraph
 from ..scenario.scenario import Scenario
 from .memory_layout import MemoryLayout

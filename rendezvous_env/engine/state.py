@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..graphs.edge_kinds import DenseEdges, Links
+from ..graphs.edges import DenseEdges, Links
 from ..obstacles import obstacle_set, parsing
 from ..obstacles.obstacle_set import ObstacleSet
 from . import edge_tables as link_tables

@@ -7,10 +7,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from . import weights as matrices
-from .fixed import Weight
+from .fixed import Weight, as_range
 from .graph import Graph, LinkArrays, from_matrix_of
-from .weights import as_range, count_of, read_edges
 
 
 @dataclass(frozen=True)
@@ -31,12 +29,6 @@ class DirectedGraph(Graph, kinds=("directed", "directed_cycle")):
         robots = np.arange(n)
         return robots, (robots + 1) % n, np.ones(n)
 
-    def why_not_joined(self, n: int) -> str | None:
-        """Why robots of this graph need not meet, in words; None if a globally reachable one makes
-        them (guarantees, section 10).
-        """
-        return matrices.why_not_led_together(self.closed_groups(n))
-
 
 def directed(arcs: Any, n_robots: int | None = None) -> Graph:
     """Robot i sees robot j where there is a directed edge (i, j); j need not see i.
@@ -50,17 +42,12 @@ def directed(arcs: Any, n_robots: int | None = None) -> Graph:
     Raises:
         ValueError: naming the edge or the entry that is wrong.
     """
-    if _is_matrix(arcs):
-        return from_matrix_of("directed", arcs, n_robots)
-    edges = read_edges(arcs)
-    return Graph("directed", edges=edges, n_nodes=n_robots or count_of(edges))
-
-
-def _is_matrix(arcs: Any) -> bool:
-    return isinstance(arcs, np.ndarray) or (
-        isinstance(arcs, list)
-        and all(isinstance(row, list | np.ndarray) and len(row) == len(arcs) for row in arcs)
+    is_table = isinstance(arcs, list) and all(
+        isinstance(row, list | np.ndarray) and len(row) == len(arcs) for row in arcs
     )
+    if is_table or isinstance(arcs, np.ndarray):
+        return from_matrix_of("directed", arcs, n_robots)
+    return Graph("directed", edges=arcs, n_nodes=n_robots)
 
 
 def directed_cycle(weight: Weight = 1.0) -> Graph:

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from ..checks import number_range
 from .graph import Graph, GraphNumbers, LinkArrays, from_matrix_of
-from .weights import as_range, count_of, read_edges
 
 Weight = float | tuple[float, float]
 """Of every edge, m/s, or a range to draw from."""
+as_range = partial(number_range, "graph: weight_range", unit="m/s")
 
 
 @dataclass(frozen=True)
@@ -25,13 +27,11 @@ class CompleteGraph(Graph, kinds=("complete",)):
         first, second = np.triu_indices(n, 1)
         return first.astype(np.int64), second.astype(np.int64), np.ones(len(first))
 
-    def base_weights(self, n: int) -> NDArray[np.float64]:
-        """1 for every pair, (n, n)."""
-        return 1.0 - np.eye(n)
-
     def components(self, n: int) -> list[list[int]]:
         """One."""
         return [list(range(n))]
+
+    closed_groups = components
 
     def numbers(self, n: int) -> GraphNumbers:
         """Everyone may see everyone, with the largest weights."""
@@ -86,8 +86,7 @@ def from_edges(edges: Iterable[Sequence[float]], n_robots: int | None = None) ->
     Raises:
         ValueError: for a loop, a repeated edge, an index out of range or a bad weight.
     """
-    read = read_edges(edges)
-    return Graph("edges", edges=read, n_nodes=n_robots or count_of(read))
+    return Graph("edges", edges=edges, n_nodes=n_robots)
 
 
 def from_matrix(weights: ArrayLike) -> Graph:

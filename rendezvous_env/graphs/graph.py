@@ -5,39 +5,69 @@ Every kind is a subclass in a file of its own, which says what is particular to 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
-from typing import Any, ClassVar, NamedTuple, Self
+from functools import lru_cache, partial
+from typing import Annotated, Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..checks import floats, known_fields, nearest_word, real, shown, whole
+from .. import checks
+from ..checks import shown
 from ..limits import MOST_ROBOTS
 from . import weights as matrices
-from .weights import Edges, as_range, check_weights, checked_edges, count_of, read_edges
+from .weights import Edges, check_weights, checked_edges, count_of
 
 GraphLike = Any
 """A Graph, the name of a kind, a matrix of weights, or plain data."""
 LinkArrays = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]
 """Edges: robots (E,), (E,), weights (E,), m/s; of directed ones who sees, and who is seen."""
-_LARGE_TEAM = 48
-"""Robots from which a step is made for what they see rather than for the worst of all merges."""
+_LARGE_TEAM = 48  # robots from which a step is made for what they see rather than for all merges
 KINDS: dict[str, type[Graph]] = {}
 """The class of every kind of graph."""
 
 
+def _check_probability(field: str, value: Any) -> float:
+    if not 0 < checks.real(value) <= 1:
+        checks.refuse(field, value, "in (0, 1]")
+    return checks.real(value)
+
+
 class GraphNumbers(NamedTuple):
-    """What theorems and engine ask of a graph; the methods of ``Graph`` say what each means."""
+    """What theorems and engine ask of a graph of n robots; ``Graph`` has a method for each."""
 
     most_links: int
+    """The most links that an episode can have."""
     most_neighbours: int
+    """The most neighbours that a robot can have in any episode, merges included: contraction leaves
+    a path a path and a cycle a cycle, and who sees one robot at most never comes to see two; others
+    it can turn into a star."""
     max_degree: float
+    """D̄, m/s: the largest D_i = Σ_j a_ij in any episode, merges included (theory 4)."""
     step_degree: float
+    """The D_i, m/s, that a step of single integrators is made for: D̄ of a small team; of a large
+    one the largest that a fixed graph has before any merge, twice the mean of a family."""
     bottleneck_weight: float
+    """a*, m/s: the least a* over all graphs that an episode can draw (theory 3). Where links are
+    directed or change, a number below which no D_i of a robot that sees someone falls."""
     weight_sum: float
+    """W, m/s: the largest sum of edge weights that an episode can draw; of directed edges half of
+    it, so that V ≤ 2 W × the largest distance."""
     extreme_weights: tuple[float, float]
+    """The least and the largest a_ij that an edge can have, m/s; inf and 0 without edges."""
+
+
+@lru_cache(maxsize=64)
+def _numbers(graph: Graph, n: int) -> GraphNumbers:
+    return graph.numbers(n)
+
+
+def _number(name: str) -> Callable[[Graph, int], Any]:
+    def of_robots(graph: Graph, n: int) -> Any:
+        return getattr(_numbers(graph, n), name)
+
+    return of_robots
 
 
 def step_degree(n: int, worst: float, usual: float) -> float:
@@ -60,13 +90,16 @@ class Graph:
     kind: str
     """complete, path, cycle, star, edges, random_tree, erdos_renyi, directed, directed_cycle,
     switching, proximity, or a family that has been registered."""
-    weight_range: tuple[float, float] = (1.0, 1.0)
+    weight_range: Annotated[tuple[float, float], partial(checks.number_range, unit="m/s")] = (
+        1.0,
+        1.0,
+    )
     """Each edge draws its weight a_ij uniformly from this range, m/s; factors for listed edges."""
-    edges: Sequence[tuple[int, int, float]] = ()
+    edges: Iterable[Sequence[float]] = ()
     """(i, j, a_ij), with i < j where they are undirected; for kinds with listed edges only."""
     n_nodes: int | None = None
-    """Number of robots that the edges are for; likewise."""
-    probability: float = 0.5
+    """Number of robots that the edges are for; None is what the largest index asks for."""
+    probability: Annotated[float, _check_probability] = 0.5
     """Chance of each edge; for kind "erdos_renyi" only."""
 
     listed: ClassVar[str] = ""
@@ -77,32 +110,28 @@ class Graph:
     """Whether some robot may see another one that never sees it."""
     changes: ClassVar[bool] = False
     """Whether edges come and go within an episode, other than by merging."""
+    keys: ClassVar[tuple[str, ...]] = ("edges", "kind", "n_nodes", "probability", "weight_range")
+    """Of plain data."""
 
     def __init_subclass__(cls, kinds: Sequence[str] = ()) -> None:
         """Make a subclass the class of some kinds."""
         KINDS.update(dict.fromkeys(kinds, cls))
 
     def __new__(cls, kind: Any = None, *_: Any, **__: Any) -> Self:
-        """An instance of the class of its kind.
-
-        Raises:
-            ValueError: for an unknown kind, with the nearest known one.
-        """
+        """An instance of the class of its kind."""
         return object.__new__(class_of(kind) if cls is Graph else cls)  # type: ignore[return-value]
 
     def __post_init__(self) -> None:
-        """Convert and check every field."""
         if type(self) is not class_of(self.kind):
             raise ValueError(f"graph: {shown(self.kind)} is not a {type(self).__name__}")
-        object.__setattr__(self, "weight_range", as_range(self.weight_range))
-        if not 0 < real(self.probability) <= 1:
-            raise ValueError(f"graph: probability {shown(self.probability)} must be in (0, 1]")
-        object.__setattr__(self, "probability", real(self.probability))
+        checks.check_fields(self, "graph: {}")
         if self.kind == self.listed:
-            n = whole("graph: n_nodes", self.n_nodes, 1, MOST_ROBOTS)
+            edges = self.edges if isinstance(self.edges, Edges) else matrices.read_edges(self.edges)
+            count = self.n_nodes or (count_of(edges) if edges else None)
+            n = checks.whole("graph: n_nodes", count, 1, MOST_ROBOTS)
             object.__setattr__(self, "n_nodes", n)
-            edges = checked_edges(self.edges, n, directed=self.directed)
-            object.__setattr__(self, "edges", edges)
+            kept = checked_edges(edges, n, directed=self.directed)
+            object.__setattr__(self, "edges", kept)
         elif self.edges != () or self.n_nodes is not None:
             raise ValueError(f"graph: a {self.kind} has neither edges nor n_nodes")
 
@@ -117,11 +146,7 @@ class Graph:
     # ---- edges --------------------------------------------------------------------------------
 
     def links(self, n: int) -> LinkArrays:
-        """The edges before drawing, sorted: robots i and j and weights in m/s; each (E,).
-
-        Raises:
-            ValueError: if the graph's edges are for another number of robots.
-        """
+        """The edges before drawing, sorted; refused if they are for another number of robots."""
         if not isinstance(self.edges, Edges) or n != self.n_nodes:
             raise ValueError(
                 f"graph: its matrix or edge list is for {self.n_nodes} robots, not for {n}"
@@ -139,11 +164,7 @@ class Graph:
         return csr_array((weight, (first, second)), shape=(n, n))
 
     def base_weights(self, n: int) -> NDArray[np.float64]:
-        """Weights before drawing, (n, n): an episode keeps some edges and scales each by a draw.
-
-        Raises:
-            ValueError: if the graph's edges are for another number of robots.
-        """
+        """Weights before drawing, (n, n): an episode keeps some edges and scales each by a draw."""
         weights: NDArray[np.float64] = self.sparse_weights(n).toarray()
         return weights
 
@@ -162,12 +183,19 @@ class Graph:
         return [list(group) for group in _closed_groups(self, n)]
 
     def why_not_joined(self, n: int) -> str | None:
-        """Why robots of this graph can never all meet, in words; None if they can (theorem 1)."""
-        pieces = self.components(n)
+        """Why robots of this graph can never all meet (theorem 1), or need not where it is directed
+        or changes (guarantees, section 10), in words; None if they do.
+        """
+        pieces = self.components(n) if self.undirected else self.closed_groups(n)
+        listed = " and ".join(map(str, pieces))
         if len(pieces) == 1:
             return None
-        listed = " and ".join(map(str, pieces))
-        return f"it falls into {listed}, which can never meet (theorem 1); join them by an edge"
+        if self.undirected:
+            return f"it falls into {listed}, which can never meet (theorem 1); join them by an edge"
+        return (
+            f"{listed} each see nobody outside their own group, and so need not meet (guarantees, "
+            "section 10); let some robot be reached from all"
+        )
 
     def numbers(self, n: int) -> GraphNumbers:
         """All numbers of this graph for n robots; the methods below give them one by one."""
@@ -186,43 +214,13 @@ class Graph:
             extreme_weights=(low * least, high * largest),
         )
 
-    def most_links(self, n: int) -> int:
-        """The most links that an episode can have."""
-        return _numbers(self, n).most_links
-
-    def most_neighbours(self, n: int) -> int:
-        """The most neighbours that a robot can have in any episode, merges included.
-
-        Contraction leaves a path a path and a cycle a cycle, and who sees one robot at most never
-        comes to see two; others it can turn into a star.
-        """
-        return _numbers(self, n).most_neighbours
-
-    def max_degree(self, n: int) -> float:
-        """D̄, m/s: the largest D_i = Σ_j a_ij in any episode, merges included (theory 4)."""
-        return _numbers(self, n).max_degree
-
-    def step_degree(self, n: int) -> float:
-        """The D_i, m/s, that a step of single integrators is made for: D̄ of a small team; of a
-        large one the largest that a fixed graph has before any merge, twice the mean of a family.
-        """
-        return _numbers(self, n).step_degree
-
-    def bottleneck_weight(self, n: int) -> float:
-        """a*, m/s: the least a* over all graphs that an episode can draw (theory 3). Where links
-        are directed or change, a number below which no D_i of a robot that sees someone falls.
-        """
-        return _numbers(self, n).bottleneck_weight
-
-    def weight_sum(self, n: int) -> float:
-        """W, m/s: the largest sum of edge weights that an episode can draw; of directed edges half
-        of it, so that V ≤ 2 W × the largest distance.
-        """
-        return _numbers(self, n).weight_sum
-
-    def extreme_weights(self, n: int) -> tuple[float, float]:
-        """The least and the largest a_ij that an edge can have, m/s; inf and 0 without edges."""
-        return _numbers(self, n).extreme_weights
+    most_links = _number("most_links")
+    most_neighbours = _number("most_neighbours")
+    max_degree = _number("max_degree")
+    step_degree = _number("step_degree")
+    bottleneck_weight = _number("bottleneck_weight")
+    weight_sum = _number("weight_sum")
+    extreme_weights = _number("extreme_weights")
 
     def start_reach(self, scenario: Any) -> float:
         """Links up to this length, m, must connect every start that is drawn; infinite where none
@@ -243,28 +241,6 @@ class Graph:
             plain["probability"] = self.probability
         return plain
 
-    @classmethod
-    def from_plain(cls, plain: Mapping[str, Any]) -> Graph:
-        """A graph of this class from the plain data of ``to_plain``, some keys left out.
-
-        Raises:
-            ValueError: for an unknown key or an impossible value.
-        """
-        known = ("edges", "kind", "n_nodes", "probability", "weight_range")
-        known_fields(plain, known, "graph", "key")
-        fields = {"kind": "complete", **plain}
-        fields["weight_range"] = as_range(fields.get("weight_range", 1.0))
-        if fields["kind"] == cls.listed:
-            fields["edges"] = edges = read_edges(fields.get("edges", ()))
-            if not fields.get("n_nodes"):
-                fields["n_nodes"] = count_of(edges)
-        return cls(**fields)
-
-
-@lru_cache(maxsize=64)
-def _numbers(graph: Graph, n: int) -> GraphNumbers:
-    return graph.numbers(n)
-
 
 @lru_cache(maxsize=8)  # as long as the team: of the last ones a certificate asks again and again
 def _components(graph: Graph, n: int) -> list[list[int]]:
@@ -280,7 +256,7 @@ def class_of(kind: Any) -> type[Graph]:
     """The class of a kind of graph; an unknown one is refused with the nearest known one."""
     if isinstance(kind, str) and kind in KINDS:
         return KINDS[kind]
-    near = nearest_word(kind, KINDS)
+    near = checks.nearest_word(kind, KINDS)
     raise ValueError(
         f"graph: {shown(kind)} is not a graph; choose one of {', '.join(KINDS)}"
         + (f"; did you mean {near!r}?" if near else "")
@@ -288,29 +264,20 @@ def class_of(kind: Any) -> type[Graph]:
 
 
 def parse(value: Any) -> Graph:
-    """A Graph from a Graph, a name, a matrix, or the plain data of ``Graph.to_plain``.
-
-    Raises:
-        ValueError: for anything else.
-    """
+    """A Graph from a Graph, a name, a matrix, or the plain data of ``Graph.to_plain``."""
     if isinstance(value, Graph):
         return value
-    if isinstance(value, str):
-        return class_of(value).from_plain({"kind": value})
-    if isinstance(value, Mapping):
-        kind = value.get("kind", "edges" if "edges" in value else "complete")
-        return class_of(kind).from_plain({**value, "kind": kind})
-    return from_matrix_of("edges", value)
+    if not isinstance(value, str | Mapping):
+        return from_matrix_of("edges", value)
+    plain = {"kind": value} if isinstance(value, str) else value
+    kind = plain.get("kind", "edges" if "edges" in plain else "complete")
+    checks.known_fields(plain, class_of(kind).keys, "graph", "key")
+    return Graph(**{**plain, "kind": kind})
 
 
 def from_matrix_of(kind: str, weights: Any, n: int | None = None) -> Graph:
-    """A graph with listed edges from its (n, n) matrix of weights a_ij, m/s; 0 = no edge.
-
-    Raises:
-        ValueError: naming the entry that is not finite, negative, on the diagonal or, where the
-            graph is undirected, not symmetric.
-    """
-    matrix, directed = floats("graph", weights), class_of(kind).directed
+    """A graph with listed edges from its (n, n) matrix of weights a_ij, m/s; 0 = no edge."""
+    matrix, directed = checks.floats("graph", weights), class_of(kind).directed
     check_weights(matrix, n, directed=directed)
     first, second = np.nonzero(matrix if directed else np.triu(matrix))
     edges = Edges(first, second, matrix[first, second])

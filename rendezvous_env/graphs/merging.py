@@ -30,14 +30,13 @@ def merge_swept(positions, displacements, lengths, links, arcs, merged_into, wor
         displacements: (n, d), m; straight or the chord of an arc. Overwritten.
         lengths: (n,) of the ways, m; shortened for robots that rest.
         links: (first, second, weight), each (E,); contracted in place.
-        arcs: of links that can be one-way; contracted in place; None of others.
+        arcs: of links that can be one-way, contracted in place; None of others.
         merged_into: (n,), index of the robot that each one is now part of; updated in place.
-        world: obstacles, in which no merged robot may be placed; None where there are none.
+        world: obstacles, in which no merged robot may be placed, or None.
         radius: r, m.
         work: working memory (moments (E,), here (n, d), resting (n,) bool), and a report, (4,):
-            V just before the first merge, V just after the last, the largest rise of V at
-            a merge, and its largest excess over the bound of theory 5, all m²/s. The first entry
-            stays as it is when nothing merges.
+            V just before the first merge (left alone without one), V just after the last, the
+            largest rise of V at a merge, and its largest excess over theory 5, all m²/s.
 
     Returns:
         Number of merges.
@@ -153,9 +152,7 @@ def _merge(e, positions, links, arcs, merged_into, world, radius, is_first, repo
 
 @inner_kernel
 def _place(i, j, positions, world):
-    """Put both at their midpoint, or at the place of the lower index if that lies in an
-    obstacle; whether at the midpoint.
-    """
+    """Put both at their midpoint, or at i's place if that lies in an obstacle; whether there."""
     d = positions.shape[1]
     at_midpoint = True
     if world is not None:  # the lower index' own place is free, so nobody lands in an obstacle
@@ -184,10 +181,9 @@ def _pull_at_merge(i, j, links, at_midpoint):
 
 @kernel
 def contract(i, j, links):
-    """The links (first, second, weight) of j become those of i < j, in place; of two to the same
-    robot the heavier gain stays.
+    """The links of j become those of i < j, in place; of two to the same robot the heavier stays.
 
-        a_ik ← max(a_ik, a_jk),   a_ij ← 0                         (assumption 2)
+    a_ik ← max(a_ik, a_jk),   a_ij ← 0                         (assumption 2)
     """
     first, second, weight = links
     for e in range(len(first)):
@@ -218,10 +214,9 @@ def _link_between(low, high, links):
 
 @kernel
 def contract_arcs(i, j, links, arcs):
-    """The arcs a_ij, (n, n), m/s, from j and to it become those of i, in place; of two the heavier
-    gain stays. Their links, contracted already, get their new mean weights.
+    """The same for arcs a_ij, (n, n), m/s; their links, contracted already, get new mean weights.
 
-        a_ik ← max(a_ik, a_jk),   a_ki ← max(a_ki, a_kj),   a_ij, a_ji ← 0     (assumption 2)
+    a_ik ← max(a_ik, a_jk),   a_ki ← max(a_ki, a_kj),   a_ij, a_ji ← 0     (assumption 2)
     """
     n = arcs.shape[0]
     for k in range(n):

@@ -6,18 +6,16 @@ import math
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from .fixed import CompleteGraph, Weight
+from .fixed import CompleteGraph, Weight, as_range
 from .graph import Graph
-from .weights import as_range
 
 
 @dataclass(frozen=True)
 class ProximityGraph(CompleteGraph, kinds=("proximity",)):
     """Robot i sees robot j while j is within its sensor's range and field of view.
 
-    Its numbers are those of the complete graph, which it may become; the least weight of a link
-    stands in the place of a*. Sight within a range is mutual; with a field of view links can be
-    one-way.
+    Its numbers are those of the complete graph, which it may become. Sight within a range is
+    mutual; with a field of view links can be one-way.
     """
 
     fixed: ClassVar[bool] = False
@@ -50,8 +48,7 @@ class ProximityGraph(CompleteGraph, kinds=("proximity",)):
 
 
 def proximity(weight: Weight = 1.0) -> Graph:
-    """Robot i sees robot j while j is within the range and field of view of ``Scenario.sensing``.
-
-    Every pair has a weight of its own, which both give.
+    """Robot i sees robot j while j is within the range and field of view of ``Scenario.sensing``;
+    every pair has a weight of its own, which both give.
     """
     return Graph("proximity", as_range(weight))

@@ -13,9 +13,9 @@ from ..checks import Registry
 from ..compilation import inner_kernel, kernel
 from ..physics.random_streams import GRAPH, uniform
 from .edges import copy_links, pair_index, sort_links
-from .fixed import CompleteGraph, Weight
+from .fixed import CompleteGraph, Weight, as_range
 from .graph import KINDS, Graph, GraphNumbers, LinkArrays, step_degree
-from .weights import as_range, checked_edges
+from .weights import checked_edges, read_edges
 
 FIXED_EDGES, RANDOM_TREE, ERDOS_RENYI = range(3)
 """What a kernel draws of a graph: nothing but its weights, or its edges."""
@@ -50,9 +50,7 @@ class ErdosRenyi(DrawnGraph, kinds=("erdos_renyi",)):
     """Every edge with the same chance, connected."""
 
     def numbers(self, n: int) -> GraphNumbers:
-        """An episode has more than ``most_links`` with a chance of 10⁻⁹ at most: ten standard
-        deviations.
-        """
+        """More than ``most_links``, ten standard deviations, have a chance of 10⁻⁹ at most."""
         found, chance = super().numbers(n), self.probability
         spread = 10 * np.sqrt(found.most_links * chance * (1 - chance))
         most_links = min(found.most_links, int(np.ceil(found.most_links * chance + spread)) + n)
@@ -85,46 +83,37 @@ class CustomFamily(DrawnGraph):
     """A family whose edges a registered function draws, see ``family``."""
 
     def check_fits(self, scenario: Any) -> None:
-        """Draw once, so that what is wrong with the function shows before any episode.
-
-        Raises:
-            ValueError: as ``draw``.
-        """
+        """Draw once, so that what is wrong with the function shows before any episode."""
         self.draw(scenario.n_robots, 0, 0, connected=scenario.require_connected)
 
     def draw(self, n: int, seed: int, episode: int, *, connected: bool) -> LinkArrays:
-        """The edges of one episode, a function of seed and episode alone, joined if ``connected``:
-        robots i < j, (E,), (E,), and weights (E,), m/s.
-
-        Raises:
-            ValueError: for what are no edges of n robots, or edges that do not join them.
+        """The edges of one episode, a function of seed and episode alone; what are no edges of n
+        robots is refused, and what does not join them if ``connected``.
         """
         random = np.random.default_rng((int(seed), int(episode), GRAPH))
         try:
-            edges = checked_edges(_DRAW[self.kind](n, random), n, directed=False)
+            drawn = read_edges(_DRAW[self.kind](n, random))
+            edges = checked_edges(drawn, n, directed=False)
         except ValueError as error:
             raise ValueError(f"family {self.kind!r} drew for {n} robots: {error}") from error
         low, high = self.weight_range
-        drawn = Graph("edges", edges=edges, n_nodes=n)
-        if connected and (why := drawn.why_not_joined(n)) is not None:
+        why = Graph("edges", edges=edges, n_nodes=n).why_not_joined(n) if connected else None
+        if why is not None:
             raise ValueError(f"family {self.kind!r} drew a graph that is not connected: {why}")
         return edges.first, edges.second, low + (high - low) * random.random(len(edges))
 
 
 def family(name: str, draw: DrawEdges | None = None) -> Any:
-    """Register a family of graphs of your own: a function that draws the edges of an episode.
+    """Register a family of graphs of your own: a function of the number of robots n and a NumPy
+    ``Generator`` of the episode that returns its edges (i, j), each once.
 
     Then ``Scenario(graph=name)`` and ``graphs.parse({"kind": name, "weight_range": [low, high]})``
     know it. Weights are drawn from the range after the edges. The theorems take it for any
-    connected graph with these weights.
-
-    Args:
-        name: a word that no other kind of graph has; a family of yours may be replaced.
-        draw: takes the number of robots n and a NumPy ``Generator`` that belongs to the episode,
-            and returns edges (i, j), each once. Without it a decorator is returned.
+    connected graph with these weights. A family of yours may be replaced; without ``draw`` a
+    decorator is returned.
 
     Raises:
-        ValueError: for a name that is taken, or what cannot be called.
+        ValueError: for a name that another kind of graph has, or what cannot be called.
     """
     if isinstance(name, str) and KINDS.get(name, CustomFamily) is not CustomFamily:
         raise ValueError(f"name is {name!r}; it must be new: {', '.join(KINDS)} are taken")
@@ -143,24 +132,16 @@ def family(name: str, draw: DrawEdges | None = None) -> Any:
 class GraphRules(NamedTuple):
     """A family of graphs, or one graph whose weights are drawn."""
 
-    topology: int
-    """FIXED_EDGES, RANDOM_TREE or ERDOS_RENYI."""
-    probability: float
-    """Chance of a link, for ERDOS_RENYI."""
-    weight_range: tuple[float, float]
-    """Each link's weight is multiplied by a number from this range."""
-    first: NDArray[np.int64]
-    """(E,), the lower robots of FIXED_EDGES, sorted."""
-    second: NDArray[np.int64]
-    """(E,), the others."""
-    weights: NDArray[np.float64]
-    """(E,), m/s."""
+    topology: int  # FIXED_EDGES, RANDOM_TREE or ERDOS_RENYI
+    probability: float  # chance of a link, for ERDOS_RENYI
+    weight_range: tuple[float, float]  # each weight is multiplied by a number from this range
+    first: NDArray[np.int64]  # (E,), the lower robots of FIXED_EDGES, sorted
+    second: NDArray[np.int64]  # (E,), the others
+    weights: NDArray[np.float64]  # (E,), m/s
 
 
 def graph_rules(graph: Graph, n: int) -> GraphRules | None:
-    """What a kernel draws of an undirected graph; None where every episode has the same links, and
-    of a family that is drawn outside.
-    """
+    """What a kernel draws of an undirected graph, if anything."""
     low, high = graph.weight_range
     if not graph.undirected or (graph.fixed and low == high) or isinstance(graph, CustomFamily):
         return None
@@ -172,11 +153,8 @@ def graph_rules(graph: Graph, n: int) -> GraphRules | None:
 
 @kernel
 def draw_links(key, n, rules, first, second, weights, places):
-    """Draw the links of one episode by ``GraphRules``, sorted by their robots, into three arrays;
-    ``places`` is (n,) working memory.
-
-    Returns:
-        Number of links; −1 if there are more than the arrays hold.
+    """Draw the links of one episode by ``GraphRules``, sorted by their robots, into three arrays:
+    how many, or −1 if there are more than the arrays hold. ``places`` is (n,) working memory.
     """
     capacity, counter, count = len(first), 0, 0
     if rules.topology == FIXED_EDGES:

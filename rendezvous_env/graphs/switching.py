@@ -2,19 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-from .. import checks
-from ..checks import known_fields, refuse, shown
-from . import weights as matrices
+from ..checks import Seconds, refuse, shown
 from .graph import Graph, GraphNumbers, LinkArrays, parse, step_degree
 
-ORDERS = ("cyclic", "random")
+
+def _check_graphs(field: str, value: Any) -> tuple[Graph, ...]:
+    if not isinstance(value, Iterable) or isinstance(value, str | bytes | Mapping | Graph):
+        refuse(field, value, "a list of graphs")
+    listed = []
+    for k, given in enumerate(value):
+        # looked at before it is parsed: tables could be nested without end
+        if isinstance(given, Mapping) and given.get("kind") == "switching":
+            raise ValueError(f"{field}[{k}] is itself a switching graph; list its graphs instead")
+        graph = parse(given)
+        if not graph.fixed:
+            raise ValueError(
+                f"{field}[{k}] is {shown(graph.kind)}; switching takes graphs with fixed edges: "
+                "complete, path, cycle, star, directed_cycle, matrices and edge lists"
+            )
+        listed.append(graph)
+    if not listed:
+        refuse(field, (), "a list of at least one fixed graph")
+    return tuple(listed)
 
 
 @dataclass(frozen=True)
@@ -28,32 +43,19 @@ class SwitchingGraph(Graph, kinds=("switching",)):
 
     fixed: ClassVar[bool] = False
     changes: ClassVar[bool] = True
+    keys: ClassVar[tuple[str, ...]] = ("dwell", "graphs", "kind", "order")
 
-    graphs: tuple[Graph, ...] = ()
+    graphs: Annotated[tuple[Graph, ...], _check_graphs] = ()
     """Fixed graphs for the same robots, undirected or directed."""
-    dwell: float = 1.0
+    dwell: Seconds = 1.0
     """How long each holds, s; the switch is at the first step that begins then or later."""
-    order: str = "cyclic"
+    order: Literal["cyclic", "random"] = "cyclic"
     """One after another, or each time drawn anew from the list."""
 
     def __post_init__(self) -> None:
-        """Convert and check every field."""
         super().__post_init__()
         if self.weight_range != (1.0, 1.0):
             raise ValueError("graph: a switching graph has the weights of its list, and no others")
-        listed = self.graphs
-        if not isinstance(listed, Sequence) or isinstance(listed, str) or not listed:
-            refuse("graph: graphs", listed, "a list of at least one fixed graph")
-        for k, graph in enumerate(listed):
-            if not isinstance(graph, Graph) or not graph.fixed:
-                kind = getattr(graph, "kind", graph)
-                raise ValueError(
-                    f"graph: graphs[{k}] is {shown(kind)}; switching takes graphs with fixed "
-                    "edges: complete, path, cycle, star, directed_cycle, matrices and edge lists"
-                )
-        object.__setattr__(self, "graphs", tuple(listed))
-        object.__setattr__(self, "dwell", checks.positive("graph: dwell", self.dwell, "s"))
-        checks.choice("graph: order", self.order, ORDERS)
 
     def check_fits(self, scenario: Any) -> None:
         """A graph that holds for less than a step would never be seen."""
@@ -68,54 +70,32 @@ class SwitchingGraph(Graph, kinds=("switching",)):
         """Whether a graph of the list is."""
         return any(graph.directed for graph in self.graphs)
 
-    def base_weights(self, n: int) -> NDArray[np.float64]:
-        """All graphs of the list together, (n, n), m/s: the heaviest a_ij that each pair can have.
-
-        Raises:
-            ValueError: if a graph of the list is for another number of robots.
-        """
-        listed = [graph.base_weights(n) * graph.weight_range[1] for graph in self.graphs]
-        union: NDArray[np.float64] = np.max(listed, axis=0)
-        return union
-
-    def sparse_weights(self, n: int) -> Any:
-        """The same as a sparse matrix."""
-        return matrices.sparse(self.base_weights(n))
-
     def links(self, n: int) -> LinkArrays:
-        """The edges of all graphs together: who sees, who is seen, and weights in m/s."""
-        union = self.base_weights(n)
-        sees, seen = np.nonzero(union)
+        """The edges of all graphs together, each with the heaviest a_ij that it can have."""
+        listed = [graph.base_weights(n) * graph.weight_range[1] for graph in self.graphs]
+        union = np.max(listed, axis=0)
+        sees, seen = np.nonzero(union if self.directed else np.triu(union))
         return sees, seen, union[sees, seen]
-
-    def why_not_joined(self, n: int) -> str | None:
-        """Why the graphs of the list together need not make all meet, in words; or None."""
-        return matrices.why_not_led_together(self.closed_groups(n))
 
     def numbers(self, n: int) -> GraphNumbers:
         """The worst of the list, whoever has merged: merges in one graph gather the neighbours of
         another. Graphs without links make nobody's D_i small.
         """
         found = [graph.numbers(n) for graph in self.graphs]
-        totals = [
-            one.weight_sum * (2.0 if graph.directed else 1.0)
+        worst = max(
+            min((n - 1) * one.extreme_weights[1], one.weight_sum * (2.0 if graph.directed else 1.0))
             for one, graph in zip(found, self.graphs, strict=True)
-        ]
-        heaviest = [(n - 1) * one.extreme_weights[1] for one in found]
-        worst = max(map(min, heaviest, totals))
+        )
+        sure = [one.bottleneck_weight for one in found if one.bottleneck_weight > 0.0]
+        least, largest = zip(*(one.extreme_weights for one in found), strict=True)
         return GraphNumbers(
             most_links=len(self.links(n)[0]),
             most_neighbours=n - 1,
             max_degree=worst,
             step_degree=step_degree(n, worst, max(one.step_degree for one in found)),
-            bottleneck_weight=min(
-                (one.bottleneck_weight for one in found if one.bottleneck_weight > 0.0), default=0.0
-            ),
+            bottleneck_weight=min(sure, default=0.0),
             weight_sum=max(one.weight_sum for one in found),
-            extreme_weights=(
-                min(one.extreme_weights[0] for one in found),
-                max(one.extreme_weights[1] for one in found),
-            ),
+            extreme_weights=(min(least), max(largest)),
         )
 
     def to_plain(self) -> dict[str, Any]:
@@ -123,14 +103,10 @@ class SwitchingGraph(Graph, kinds=("switching",)):
         listed = [graph.to_plain() for graph in self.graphs]
         return {"kind": self.kind, "graphs": listed, "dwell": self.dwell, "order": self.order}
 
-    @classmethod
-    def from_plain(cls, plain: Mapping[str, Any]) -> Graph:
-        """A graph from the plain data of ``to_plain``, some keys left out."""
-        known_fields(plain, ("dwell", "graphs", "kind", "order"), "graph", "key")
-        return switching(**{"graphs": (), **{k: v for k, v in plain.items() if k != "kind"}})
 
-
-def switching(graphs: Iterable[Any], dwell: float = 1.0, order: str = "cyclic") -> Graph:
+def switching(
+    graphs: Iterable[Any], dwell: float = 1.0, order: Literal["cyclic", "random"] = "cyclic"
+) -> Graph:
     """A list of fixed graphs of which each holds for a dwell time.
 
     Args:
@@ -142,14 +118,5 @@ def switching(graphs: Iterable[Any], dwell: float = 1.0, order: str = "cyclic") 
     Raises:
         ValueError: naming the entry of the list that has no fixed edges, or the bad dwell or order.
     """
-    if not isinstance(graphs, Iterable) or isinstance(graphs, str | bytes | Mapping | Graph):
-        refuse("graph: graphs", graphs, "a list of graphs")
-    listed = tuple(_member(k, graph) for k, graph in enumerate(graphs))
+    listed = _check_graphs("graph: graphs", graphs)
     return SwitchingGraph("switching", graphs=listed, dwell=dwell, order=order)
-
-
-def _member(k: int, graph: Any) -> Graph:
-    # looked at before it is parsed: tables could be nested without end
-    if isinstance(graph, Mapping) and graph.get("kind") == "switching":
-        raise ValueError(f"graph: graphs[{k}] is itself a switching graph; list its graphs instead")
-    return parse(graph)

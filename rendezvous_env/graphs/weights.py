@@ -12,17 +12,6 @@ from ..checks import is_whole, real, refuse, shown
 from ..limits import LARGEST, SMALLEST
 
 
-def as_range(weight: Any) -> tuple[float, float]:
-    """Lowest and highest of a range of weights within the limits, from one number or two, m/s."""
-    pair = tuple(weight) if isinstance(weight, list | tuple) else (weight, weight)
-    if len(pair) != 2 or not SMALLEST <= real(pair[0]) <= real(pair[1]) <= LARGEST:
-        raise ValueError(
-            f"graph: weight_range {shown(pair)} must be finite, 0 < low <= high, from "
-            f"{SMALLEST:g} to {LARGEST:g} m/s"
-        )
-    return real(pair[0]), real(pair[1])
-
-
 class Edges(Sequence[tuple[int, int, float]]):
     """Edges (i, j, a_ij), m/s, sorted: three arrays (E,) that look like a tuple of triples."""
 
@@ -42,14 +31,12 @@ class Edges(Sequence[tuple[int, int, float]]):
         return tuple(self)[index]
 
     def __iter__(self) -> Iterator[tuple[int, int, float]]:
-        columns = (self.first.tolist(), self.second.tolist(), self.weight.tolist())
-        return zip(*columns, strict=True)
+        return zip(*(column.tolist() for column in self._columns()), strict=True)
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Edges):
             return tuple(self) == other
-        pairs = zip(self._columns(), other._columns(), strict=True)
-        return all(np.array_equal(mine, theirs) for mine, theirs in pairs)
+        return all(map(np.array_equal, self._columns(), other._columns()))
 
     def __hash__(self) -> int:
         return hash(tuple(column.tobytes() for column in self._columns()))
@@ -91,19 +78,16 @@ def count_of(edges: Iterable[tuple[int, int, float]]) -> int:
 
 
 def checked_edges(edges: Any, n: int, *, directed: bool) -> Edges:
-    """Edges of n robots in the form in which a graph keeps them, undirected ones with i < j.
-
-    Raises:
-        ValueError: for a loop, a repeated edge or an index out of range.
+    """Edges of ``read_edges`` as a graph of n robots keeps them, undirected ones with i < j; loops,
+    repeated edges and indices out of range are refused.
     """
     if isinstance(edges, Edges):
         first, second, weight = edges.first, edges.second, edges.weight
     else:
-        given = read_edges(edges)
-        for i, j, _ in given:
+        for i, j, _ in edges:  # too large ones have no place in an array
             if not (0 <= i < n and 0 <= j < n):
                 _refuse_edge(i, j, n)
-        table = np.array(given, dtype=np.float64).reshape(-1, 3)
+        table = np.array(edges, dtype=np.float64).reshape(-1, 3)
         first, second = table[:, 0].astype(np.int64), table[:, 1].astype(np.int64)
         weight = table[:, 2]
     low, high = np.minimum(first, second), np.maximum(first, second)
@@ -130,10 +114,7 @@ def check_weights(
     directed: bool = False,
 ) -> None:
     """Refuse a matrix that is no set of sensing weights: (n, n), non-negative, finite, zero on the
-    diagonal and, unless ``directed``, symmetric.
-
-    Raises:
-        ValueError: naming the field, and the shape or the first entry that is wrong.
+    diagonal and, unless ``directed``, symmetric; the first wrong entry is named.
     """
     size = n if n is not None else (weights.shape[0] if weights.ndim else 0)
     if weights.shape != (size, size):
@@ -215,11 +196,8 @@ def bottleneck_weight(weights: Any) -> float:
 
 
 def closed_groups(weights: Any) -> list[list[int]]:
-    """Groups of robots who see nobody outside and cannot be divided so: the strongly connected
-    components that no directed edge leaves.
-
-    One alone means that some robot is led to from all: it is globally reachable (guarantees,
-    section 10).
+    """Groups of robots who see nobody outside: the strongly connected components that no directed
+    edge leaves. If there is one alone, its robots are globally reachable (guarantees, section 10).
     """
     from scipy.sparse.csgraph import connected_components
 
@@ -229,17 +207,3 @@ def closed_groups(weights: Any) -> list[list[int]]:
     left = set(labels[sees][labels[sees] != labels[seen]].tolist())
     groups = _groups(count, labels)
     return [groups[label] for label in range(count) if label not in left]
-
-
-def why_not_led_together(groups: list[list[int]]) -> str | None:
-    """Why no robot is globally reachable, in words; None if one is (guarantees, section 10).
-
-    Args:
-        groups: those of ``closed_groups``.
-    """
-    if len(groups) == 1:
-        return None
-    return (
-        f"{' and '.join(map(str, groups))} each see nobody outside their own group, and so need "
-        "not meet (guarantees, section 10); let some robot be reached from all"
-    )

@@ -6,33 +6,18 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..checks import shown
+from ..checks import is_sequence, refuse
 from ..compilation import kernel
 from ..physics.crossings import capsule_crossing
 from ..physics.vectors import ORIGIN, X_AXIS, add, combine, dot, norm, store, subtract, without
+from . import shape
 from .disc import disc_edges
-from .shape import (
-    BOUND,
-    COS_AZIMUTH,
-    DETAILS,
-    MIDDLE,
-    OWN,
-    SIN_AZIMUTH,
-    Ball,
-    Outline,
-    Packed,
-    ShapeKind,
-    centre_of_row,
-    check_point,
-    check_radius,
-    is_sequence,
-    one_normal,
-)
+from .shape import BOUND, COS_AZIMUTH, DETAILS, MIDDLE, OWN, SIN_AZIMUTH, centre_of_row
 
 CAPSULE = 3
 """Kind of a capsule; its row goes on with the half axis x, y, z and its own radius."""
@@ -40,50 +25,49 @@ AXIS, THICKNESS = DETAILS, DETAILS + 3
 """Columns of these in a table."""
 _AXIS, _THICKNESS = OWN, OWN + 3
 """In the rows that kernels take."""
-_HALVINGS = 52
-"""Of the interval in which a boundary ray is looked for: as many as a float64 has digits."""
+_HALVINGS = 52  # of the interval of a boundary ray: as many as a float64 has digits
+# angles of the corners that stand for the half circle at an end of a capsule
 _ROUND_END = np.linspace(-math.pi / 2, math.pi / 2, 17)
-"""Angles of the corners that stand for the half circle at an end of a capsule."""
-_MOST_BEADS = 99
-"""Balls drawn for a capsule; a very thin one is dotted."""
+_MOST_BEADS = 99  # balls drawn for a capsule; a very thin one is dotted
 
 
 @dataclass(frozen=True)
-class Capsule:
+class Capsule(shape.Shape):
     """All points within a radius of a segment, in the plane or in 3-D: a wall with round ends, a
     fallen trunk.
     """
 
-    ends: tuple[tuple[float, ...], tuple[float, ...]]
+    ends: Annotated[tuple[tuple[float, ...], tuple[float, ...]], _check_ends]
     """Both ends of the segment, m."""
-    radius: float
+    radius: shape.Thickness
     """m."""
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "ends", _check_ends(self.ends))
-        object.__setattr__(self, "radius", check_radius("Capsule", self.radius))
 
     @property
     def dim(self) -> int:
         """Dimension of the space it is in."""
         return len(self.ends[0])
 
-    def packed(self) -> Packed:
+    def packed(self) -> shape.Packed:
         """Its row; the radius of the bounding ball is half its length."""
         first, second = np.array(self.ends)
         half = [*((second - first) / 2).tolist(), 0.0][:3]
         reach = float(np.linalg.norm(second - first)) / 2 + self.radius
-        return Packed(CAPSULE, 0, tuple((first + second) / 2), reach, [*half, self.radius])
+        middle = tuple((first + second) / 2)
+        return shape.Packed(CAPSULE, 0, middle, reach, [*half, self.radius])
 
 
-def _check_ends(value: Any) -> tuple[tuple[float, ...], tuple[float, ...]]:
+def _check_ends(field: str, value: Any) -> tuple[tuple[float, ...], ...]:
     """Both ends of a capsule's segment, points of the plane or of space."""
     pair = tuple(value) if is_sequence(value) else ()
     if len(pair) != 2:
-        raise ValueError(f"obstacles: ends {shown(value)} of a Capsule must be two points, m")
+        refuse(field, value, "two points, m")
     dim = 3 if is_sequence(pair[0]) and len(pair[0]) == 3 else 2
-    first, second = (check_point("Capsule", f"ends[{k}]", end, dim) for k, end in enumerate(pair))
-    return first, second
+    return tuple(shape.check_point(f"{field}[{k}]", end, dim) for k, end in enumerate(pair))
+
+
+@kernel(inline="code")
+def _axis(row):
+    return row[_AXIS], row[_AXIS + 1], row[_AXIS + 2]
 
 
 @kernel
@@ -98,14 +82,12 @@ def _nearest_share(offset, half):
 
 
 @kernel
-def capsule_surface(point, centre, half, radius):
-    """Signed distance of a point p from a capsule, m, negative inside, and the unit normal there.
-
-        ‖o − s h‖ − R,   o = p − c,   s = clip(oᵀh/‖h‖², −1, 1)
-
-    The segment has its middle at c and ends c ± h; on it the normal is any direction across it.
+def _surface(row, corners, point):
+    """‖o − s h‖ − R,   o = p − c,   s = clip(oᵀh/‖h‖², −1, 1): the segment has its middle at c and
+    ends c ± h; on it the normal is any direction across it.
     """
-    offset = subtract(point, centre)
+    half, radius = _axis(row), row[_THICKNESS]
+    offset = subtract(point, centre_of_row(row))
     aside = add(offset, -_nearest_share(offset, half), half)
     distance = norm(aside)
     if distance > 0.0:
@@ -119,23 +101,21 @@ def capsule_surface(point, centre, half, radius):
 
 
 @kernel
-def capsule_entry(point, way, centre, half, radius, depth):
-    """Where a straight way p + s w meets a capsule that it goes deeper than ``depth`` into.
-
-    least s in [0, 1] at which p + s w is within R + max(0, −depth) of the segment c ± h,
-    if it comes within R − depth of it somewhere on the way; else inf
+def _entry(row, corners, point, way, depth):
+    """Least s at which p + s w is within R + max(0, −depth) of the segment, if it comes within
+    R − depth of it somewhere.
     """
-    offset = subtract(point, centre)
+    half, radius = _axis(row), row[_THICKNESS]
+    offset = subtract(point, centre_of_row(row))
     if capsule_crossing(offset, way, half, radius - depth) > 1.0:
         return np.inf
     return capsule_crossing(offset, way, half, radius + max(0.0, -depth))
 
 
 @kernel
-def capsule_silhouette(point, centre, half, radius):
-    """Bearings of the counter-clockwise and the clockwise edge of a capsule of the plane, unit
-    triples: it is the hull of the discs about its ends c ± h, so each edge is the outer of theirs.
-    """
+def _edges(row, corners, point):
+    """It is the hull of the discs about its ends, so each edge is the outer of theirs."""
+    centre, half, radius = centre_of_row(row), _axis(row), row[_THICKNESS]
     x, y = centre[0] - point[0], centre[1] - point[1]
     ax, ay, bx, by, _ = disc_edges(x - half[0], y - half[1], radius)
     cx, cy, dx, dy, _ = disc_edges(x + half[0], y + half[1], radius)
@@ -147,23 +127,24 @@ def capsule_silhouette(point, centre, half, radius):
 
 
 @kernel
-def capsule_ray(point, centre, half, radius, towards, e, w, k):
-    """Boundary ray k of the cone under which a capsule is seen, at azimuth φ = k · 45°.
-
-    The cone is convex, so of the rays cos θ u + sin θ (cos φ e + sin φ w), θ in [0, π], the first
-    ones hit the capsule and the others miss it; θ is halved in. u is the direction ``towards`` the
-    centre, e azimuth 0 and w = u × e.
+def _cone(row, corners, point, axes, out):
+    """The cone is convex, so of the rays cos θ u + sin θ (cos φ e + sin φ w), φ = k · 45° and θ in
+    [0, π], the first ones hit the capsule and the others miss it; θ is halved in.
     """
-    offset = subtract(centre, point)
-    aside = combine(COS_AZIMUTH[k], e, SIN_AZIMUTH[k], w)
-    hits, misses = 0.0, math.pi
-    for _ in range(_HALVINGS):
-        angle = 0.5 * (hits + misses)
-        if _is_hit(combine(math.cos(angle), towards, math.sin(angle), aside), offset, half, radius):
-            hits = angle
-        else:
-            misses = angle
-    return combine(math.cos(hits), towards, math.sin(hits), aside)
+    towards, e, w = axes
+    half, radius = _axis(row), row[_THICKNESS]
+    offset = subtract(centre_of_row(row), point)
+    for k in range(8):
+        aside = combine(COS_AZIMUTH[k], e, SIN_AZIMUTH[k], w)
+        hits, misses = 0.0, math.pi
+        for _ in range(_HALVINGS):
+            angle = 0.5 * (hits + misses)
+            ray = combine(math.cos(angle), towards, math.sin(angle), aside)
+            if _is_hit(ray, offset, half, radius):
+                hits = angle
+            else:
+                misses = angle
+        store(combine(math.cos(hits), towards, math.sin(hits), aside), out[k])
 
 
 @kernel
@@ -176,38 +157,7 @@ def _is_hit(ray, offset, half, radius):
     return norm(add(across, share, half_across)) <= radius
 
 
-# ---- as the step asks for it --------------------------------------------------------------------
-
-
-@kernel(inline="code")
-def _axis(row):
-    return row[_AXIS], row[_AXIS + 1], row[_AXIS + 2]
-
-
-@kernel
-def _surface(row, corners, point):
-    return capsule_surface(point, centre_of_row(row), _axis(row), row[_THICKNESS])
-
-
-@kernel
-def _entry(row, corners, point, way, depth):
-    return capsule_entry(point, way, centre_of_row(row), _axis(row), row[_THICKNESS], depth)
-
-
-@kernel
-def _edges(row, corners, point):
-    return capsule_silhouette(point, centre_of_row(row), _axis(row), row[_THICKNESS])
-
-
-@kernel
-def _cone(row, corners, point, axes, out):
-    towards, e, w = axes
-    centre, half = centre_of_row(row), _axis(row)
-    for k in range(8):
-        store(capsule_ray(point, centre, half, row[_THICKNESS], towards, e, w, k), out[k])
-
-
-def _outline(row: NDArray[np.float64], _: int) -> Outline:
+def _outline(row: NDArray[np.float64], _: int) -> shape.Outline:
     """Two half circles, joined."""
     half, centre = row[_AXIS : _AXIS + 2], row[MIDDLE : MIDDLE + 2]
     bearing = math.atan2(half[1], half[0])
@@ -215,23 +165,23 @@ def _outline(row: NDArray[np.float64], _: int) -> Outline:
         centre + end * half + row[_THICKNESS] * np.stack([np.cos(around), np.sin(around)], axis=-1)
         for end, around in ((1.0, bearing + _ROUND_END), (-1.0, bearing + math.pi + _ROUND_END))
     ]
-    return Outline(centre, float(row[BOUND]), np.concatenate(ends))
+    return shape.Outline(centre, float(row[BOUND]), np.concatenate(ends))
 
 
-def _balls(row: NDArray[np.float64]) -> list[Ball]:
+def _balls(row: NDArray[np.float64]) -> list[shape.Ball]:
     """Balls along it."""
     centre, half, thickness = row[MIDDLE : MIDDLE + 3], row[_AXIS:_THICKNESS], row[_THICKNESS]
     count = min(1 + 2 * math.ceil(2 * float(np.linalg.norm(half)) / thickness), _MOST_BEADS)
     shares = np.linspace(-1.0, 1.0, count) if count > 1 else (0.0,)
-    return [Ball(centre + share * half, float(thickness)) for share in shares]
+    return [shape.Ball(centre + share * half, float(thickness)) for share in shares]
 
 
-CAPSULES = ShapeKind(
+CAPSULES = shape.ShapeKind(
     kind=CAPSULE,
     classes={"capsule": Capsule},
     surface=_surface,
     entry=_entry,
-    normals=one_normal(_surface),
+    normals=shape.one_normal(_surface),
     edges=_edges,
     cone=_cone,
     numbers=4,

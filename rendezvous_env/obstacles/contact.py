@@ -20,15 +20,13 @@ from .obstacle_set import distance_to, entry, normals, surface, within
 
 SLIDE, STOP, IGNORE = range(3)
 """What a contact does: slide along the surface, rest at it, or nothing."""
-CONTACT_DEPTH = 1e-6
-"""m; how deep a path goes before it is a contact."""
-
+CONTACT_DEPTH = 1e-6  # m; how deep a path goes before it is a contact
 _SURFACE_TOLERANCE = 1e-13  # m; what rounding may leave a resting robot inside
 _CHORD_TOLERANCE = 1e-7  # m; how far a chord may be from its arc when a contact is decided
 _MAX_LEGS = 16
+# pieces that a curve is followed by, so many that all obstacles with their corners, each looked at
+# for every piece, keep within the work
 _MOST_CHORDS, _LEAST_CHORDS, _MOST_WORK = 20_000, 500, 400_000
-"""Pieces that a curve is followed by, so many that all obstacles with their corners, each looked at
-for every piece, keep within the work."""
 _MAX_PUSHES = 8
 _NEARLY_PARALLEL = 1e-24  # square sine of the angle between two planes that meet in no line
 
@@ -54,14 +52,14 @@ def move_straight(point, way, world, mode, normals):
 
 @kernel
 def move_curved(point, way, model, action, frame, memory, world, mode, normals):
-    """Move a robot along its curved way, as far as the obstacles let it; as ``move_straight``, with
-    what the equations of its model take (``robots.motion``).
+    """As ``move_straight`` along a curved way, with what the equations of a robot model take.
 
-    From the contact on, what is left of the way is replaced by its chord, which slides as in
-    ``move_straight``, with ṗ = Π_T(p) v.
+    From the contact on, what is left of the way is replaced by its chord, which slides.
     """
-    reach = model.speed_limit * model.duration
-    if mode == IGNORE or not _any_within(world, point, reach):
+    near, reach = False, model.speed_limit * model.duration
+    for m in range(world.kinds.shape[0]):
+        near = near or within(world, m, point, reach)
+    if mode == IGNORE or not near:
         return False, way
     curve = (model, action, frame, memory)
     contact_time = _first_contact_on_curve(point, curve, world)
@@ -69,7 +67,8 @@ def move_curved(point, way, model, action, frame, memory, world, mode, normals):
     free_end = add(point, 1.0, way)
     if not contact and outside_all(free_end, world):
         return False, way
-    end = _settle_on_curve(point, curve, min(contact_time, model.duration), world)
+    time = min(contact_time, model.duration)
+    end = _settle(point, curve, time, model.speed_limit, world)
     if contact and mode == SLIDE:
         end = _follow(end, subtract(free_end, end), world, mode, normals)
     return contact, subtract(end, point)
@@ -86,11 +85,7 @@ def outside_all(point, world):
 
 @kernel
 def _first_contact(point, way, world, depth):
-    """Whether a straight way comes near any obstacle, and the fraction of it before a contact.
-
-    The fraction is where the way meets the surface of the first obstacle that it enters deeper than
-    ``depth``; inf if there is none. A negative depth makes the obstacles fatter by so much.
-    """
+    """Whether a straight way comes near any obstacle, and its fraction before a contact, or inf."""
     near, first = False, np.inf
     reach = norm(way) + max(0.0, -depth)
     for m in range(world.kinds.shape[0]):
@@ -101,21 +96,13 @@ def _first_contact(point, way, world, depth):
 
 
 @kernel
-def _any_within(world, point, reach):
-    for m in range(world.kinds.shape[0]):
-        if within(world, m, point, reach):
-            return True
-    return False
-
-
-@kernel
 def _follow(point, way, world, mode, normals):
     """Where a robot ends that slides along, or stops at, the obstacles in its way."""
     start, leg, left = point, way, 1.0
     end = point
     for _ in range(_MAX_LEGS):
         _, fraction = _first_contact(start, leg, world, CONTACT_DEPTH)
-        end = _settle_on_line(start, leg, min(fraction, 1.0), world)
+        end = _settle(start, leg, min(fraction, 1.0), norm(leg), world)
         if mode == STOP or fraction >= 1.0:
             return end
         left *= 1.0 - fraction
@@ -126,35 +113,33 @@ def _follow(point, way, world, mode, normals):
 
 
 @kernel
-def _settle_on_line(start, leg, fraction, world):
-    """The point at a fraction of a leg, moved outside the obstacles.
+def _settle(start, path, share, pace, world):
+    """The place after a share of a path, as ``place_on`` has it, moved outside the obstacles.
 
     Where two surfaces meet so sharply that pushing it out of one pushes it into the other, it goes
-    back along the leg a little, twice as far each time, at worst to the start.
+    back along the path a little, twice as far each time, at worst to the start. ``pace`` is the
+    longest way, m, for a share of 1.
     """
-    retreat = CONTACT_DEPTH / max(CONTACT_DEPTH, norm(leg))
-    while fraction > 0.0 and retreat > 0.0:  # a leg of infinite length leaves no retreat
-        is_out, point = _push_out(add(start, fraction, leg), world)
+    retreat = CONTACT_DEPTH / max(CONTACT_DEPTH, pace)
+    while share > 0.0 and retreat > 0.0:  # a path of infinite length leaves no retreat
+        is_out, point = _push_out(place_on(path, start, share), world)
         if is_out:
             return point
-        fraction -= retreat
+        share -= retreat
         retreat *= 2.0
     _, point = _push_out(start, world)
     return point
 
 
 @kernel
-def _settle_on_curve(start, curve, time, world):
-    """The same on a curve: where the robot is after ``time``, or a little earlier."""
-    retreat = CONTACT_DEPTH / max(CONTACT_DEPTH, curve[0].speed_limit)
-    while time > 0.0 and retreat > 0.0:
-        is_out, point = _push_out(place_on(curve, start, time), world)
-        if is_out:
-            return point
-        time -= retreat
-        retreat *= 2.0
-    _, point = _push_out(start, world)
-    return point
+def place_on(path, start, share):
+    """Where a robot is, m, after a share of a straight way, or after so many s on a curve (model,
+    action, frame, memory).
+    """
+    if len(path) == 3:
+        return add(start, share, path)
+    model, action, frame, memory = path
+    return add(start, 1.0, triple(displacement_at(model, action, frame, memory, share)))
 
 
 @kernel
@@ -203,13 +188,6 @@ def _first_contact_on_curve(point, curve, world):
     return time
 
 
-@kernel
-def place_on(curve, start, time):
-    """Where a robot is on its curve after so many s, m, three numbers."""
-    model, action, frame, memory = curve
-    return add(start, 1.0, triple(displacement_at(model, action, frame, memory, time)))
-
-
 # ---- what obstacles touched leave free of a velocity: T(p) --------------------------------------
 
 
@@ -219,9 +197,15 @@ def free_part(velocity, point, world, reach, touched):
 
     Of the projections onto the faces of the cone T — v itself, planes, the lines in which two
     planes meet, 0 — that lie in T, the longest is the projection onto T. Touched are obstacles
-    nearer to the point than ``reach``, m; ``touched`` is (2M, 3) working memory.
+    nearer to the point than ``reach``, m; two normals of each go to ``touched``, (2M, 3).
     """
-    count = _normals_touched(point, world, reach, touched)
+    count = 0
+    for m in range(world.kinds.shape[0]):
+        if distance_to(world, m, point) < reach:
+            normal, other = normals(world, m, point)
+            store(normal, touched[count])
+            store(other, touched[count + 1])
+            count += 2
     if _is_free(velocity, touched, count):
         return velocity
     longest, best = 0.0, ORIGIN
@@ -232,19 +216,6 @@ def free_part(velocity, point, world, reach, touched):
             if length > longest and _is_free(candidate, touched, count):
                 longest, best = length, candidate
     return best
-
-
-@kernel
-def _normals_touched(point, world, reach, touched):
-    """Two normals of every obstacle touched, one after the other; their number."""
-    count = 0
-    for m in range(world.kinds.shape[0]):
-        if distance_to(world, m, point) < reach:
-            normal, other = normals(world, m, point)
-            store(normal, touched[count])
-            store(other, touched[count + 1])
-            count += 2
-    return count
 
 
 @kernel
@@ -260,11 +231,8 @@ def _is_free(velocity, touched, count):
 
 @kernel
 def _onto_face(velocity, m, n):
-    """Project a velocity onto the plane with normal n = m, or else onto the line m × n.
-
-    In the plane that line is the vertical, across every velocity: 0 is left of it.
-    """
-    line = cross(m, n)
+    """Project a velocity onto the plane with normal n = m, or else onto the line m × n."""
+    line = cross(m, n)  # in the plane it is the vertical, across every velocity: 0 is left
     squared = dot(line, line)
     if squared < _NEARLY_PARALLEL:
         return add(velocity, -dot(velocity, n), n)

@@ -4,56 +4,40 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import ClassVar
+from functools import partial
+from typing import Annotated
 
 import numpy as np
 
 from ..compilation import kernel
 from ..physics.crossings import first_crossing
 from ..physics.vectors import X_AXIS, combine, norm, store, subtract
-from .shape import (
-    BOUND,
-    COS_AZIMUTH,
-    MIDDLE,
-    SIN_AZIMUTH,
-    Ball,
-    Outline,
-    Packed,
-    ShapeKind,
-    centre_of_row,
-    check_point,
-    check_radius,
-    one_normal,
-)
+from . import shape
+from .shape import BOUND, COS_AZIMUTH, MIDDLE, SIN_AZIMUTH, centre_of_row, check_point
 
 BALL = 1
 """Kind of a disc or sphere; its row needs no more than the bounding ball."""
 
 
 @dataclass(frozen=True)
-class _Round:
+class _Round(shape.Shape):
     """What discs and spheres have in common."""
 
     centre: tuple[float, ...]
+    radius: shape.Thickness
     """m."""
-    radius: float
-    """m."""
-    dim: ClassVar[int]
 
-    def __post_init__(self) -> None:
-        kind = type(self).__name__
-        object.__setattr__(self, "centre", check_point(kind, "centre", self.centre, self.dim))
-        object.__setattr__(self, "radius", check_radius(kind, self.radius))
-
-    def packed(self) -> Packed:
+    def packed(self) -> shape.Packed:
         """Its row."""
-        return Packed(BALL, 0, self.centre, self.radius, [])
+        return shape.Packed(BALL, 0, self.centre, self.radius, [])
 
 
 @dataclass(frozen=True)
 class Disc(_Round):
     """A round obstacle in the plane."""
 
+    centre: Annotated[tuple[float, ...], partial(check_point, dim=2)]
+    """m."""
     dim = 2
 
 
@@ -61,6 +45,8 @@ class Disc(_Round):
 class Sphere(_Round):
     """A round obstacle in 3-D."""
 
+    centre: Annotated[tuple[float, ...], partial(check_point, dim=3)]
+    """m."""
     dim = 3
 
 
@@ -90,9 +76,8 @@ def disc_edges(x, y, radius):
 
         (√(o² − R²) o ± R o^⊥) / o²
 
-    On the surface, or inside, they are the two directions across o. Written without branches, for
-    loops over lanes. x and y of the counter-clockwise edge and of the clockwise edge, unit vectors,
-    and the distance of the centre, m.
+    On the surface, or inside, they are the two directions across o. x and y of the counterclockwise
+    edge and of the clockwise one, and the distance of the centre, m; without branches, for lanes.
     """
     distance = math.sqrt(x * x + y * y)
     along = distance if distance > 0.0 else 1.0
@@ -112,33 +97,29 @@ def _edges(row, corners, point):
 
 
 @kernel
-def _half_angle(distance, radius):
-    """Half the angle under which a ball is seen, sin α = R/distance: cos α and sin α; (0, 1) on the
-    ball and inside.
-    """
-    if distance <= radius:
-        return 0.0, 1.0
-    return math.sqrt((distance - radius) * (distance + radius)) / distance, radius / distance
-
-
-@kernel
 def _cone(row, corners, point, axes, out):
-    """Rays cos α u + sin α (cos φ e + sin φ (u × e)),   φ = k · 45°."""
+    """Rays cos α u + sin α (cos φ e + sin φ (u × e)),  sin α = R/‖c − p‖ or 1,  φ = k · 45°."""
     towards, e, w = axes
-    cosine, sine = _half_angle(norm(subtract(centre_of_row(row), point)), row[BOUND])
+    distance, radius = norm(subtract(centre_of_row(row), point)), row[BOUND]
+    cosine, sine = 0.0, 1.0
+    if distance > radius:
+        cosine = math.sqrt((distance - radius) * (distance + radius)) / distance
+        sine = radius / distance
     for k in range(8):
         aside = combine(sine * COS_AZIMUTH[k], e, sine * SIN_AZIMUTH[k], w)
         store(combine(cosine, towards, 1.0, aside), out[k])
 
 
-BALLS = ShapeKind(
+BALLS = shape.ShapeKind(
     kind=BALL,
     classes={"disc": Disc, "sphere": Sphere},
     surface=_surface,
     entry=_entry,
-    normals=one_normal(_surface),
+    normals=shape.one_normal(_surface),
     edges=_edges,
     cone=_cone,
-    outline=lambda row, _: Outline(row[MIDDLE : MIDDLE + 2], float(row[BOUND]), np.empty((0, 2))),
-    balls=lambda row: [Ball(row[MIDDLE : MIDDLE + 3], float(row[BOUND]))],
+    outline=lambda row, _: shape.Outline(
+        row[MIDDLE : MIDDLE + 2], float(row[BOUND]), np.empty((0, 2))
+    ),
+    balls=lambda row: [shape.Ball(row[MIDDLE : MIDDLE + 3], float(row[BOUND]))],
 )

@@ -20,20 +20,7 @@ from . import shape
 from .capsule import CAPSULES, Capsule
 from .disc import BALLS, Disc, Sphere
 from .polygon import POLYGONS, Polygon
-from .shape import (
-    ABSENT,
-    AHEAD,
-    BOUND,
-    KIND,
-    MIDDLE,
-    OWN,
-    Ball,
-    Outline,
-    ShapeKind,
-    azimuth_axes,
-    centre_direction,
-    centre_of_row,
-)
+from .shape import ABSENT, AHEAD, KIND, azimuth_axes, centre_direction, centre_of_row
 
 Obstacle = Disc | Sphere | Polygon | Capsule
 KINDS = (BALLS, POLYGONS, CAPSULES)
@@ -42,7 +29,7 @@ SHAPES: dict[str, type[Obstacle]] = {
     name: made for kind in KINDS for name, made in kind.classes.items()
 }
 """By the kind that files say."""
-RADIUS, CENTRE, DETAILS = BOUND, MIDDLE, OWN
+RADIUS, CENTRE, DETAILS = shape.BOUND, shape.MIDDLE, shape.OWN
 """Columns of a row as kernels take it."""
 _KINDS = {kind.kind: kind for kind in KINDS}
 
@@ -50,23 +37,17 @@ _KINDS = {kind.kind: kind for kind in KINDS}
 class RoundObstacles(NamedTuple):
     """Obstacles of one team, all of them discs or spheres."""
 
-    kinds: NDArray[np.int64]
-    """(M,), ABSENT or BALL."""
-    corners: NDArray[np.int64]
-    """(M,), zeros."""
-    shapes: NDArray[np.float64]
-    """(M, width)."""
+    kinds: NDArray[np.int64]  # (M,), ABSENT or BALL
+    corners: NDArray[np.int64]  # (M,), zeros
+    shapes: NDArray[np.float64]  # (M, width)
 
 
 class AnyObstacles(NamedTuple):
     """Obstacles of one team, of any kind."""
 
-    kinds: NDArray[np.int64]
-    """(M,), ABSENT or one of the ``KINDS``."""
-    corners: NDArray[np.int64]
-    """(M,), vertices of a polygon; 0 for other kinds."""
-    shapes: NDArray[np.float64]
-    """(M, width)."""
+    kinds: NDArray[np.int64]  # (M,), ABSENT or one of the ``KINDS``
+    corners: NDArray[np.int64]  # (M,), vertices of a polygon; 0 for other kinds
+    shapes: NDArray[np.float64]  # (M, width)
 
 
 ObstacleSet = RoundObstacles | AnyObstacles
@@ -106,18 +87,12 @@ def _surface(world, m, point):
 
 @_asked("entry")
 def entry(world, m, point, way, depth):
-    """Fraction s in [0, 1] of a straight way p + s w at which it meets the surface of obstacle m,
-    which is there; inf if it does not. Only a way that goes deeper than ``depth``, m, meets it; a
-    negative depth makes the obstacle fatter by so much.
-    """
+    """Fraction of a straight way at which it meets obstacle m, see ``ShapeKind.entry``."""
 
 
 @_asked("normals")
 def normals(world, m, point):
-    """Two unit triples n = ∇ distance of an obstacle touched by a point; arguments as ``surface``.
-
-    They differ on the vertex of a polygon only, where either edge may be slid along.
-    """
+    """Two unit normals of an obstacle touched by a point, which differ on vertices only."""
 
 
 @_asked("edges")
@@ -132,12 +107,7 @@ def _cone(world, m, point, axes, out):
 
 @kernel
 def surface(world, m, point):
-    """Signed distance from a point to the surface of obstacle m, and the unit normal there.
-
-        ± min_q ‖p − q‖ over its surface, and ∇ of that
-
-    The distance, m, is negative inside, and inf for an absent slot.
-    """
+    """Signed distance to obstacle m, m, inf for an absent slot, and the unit normal there."""
     if world.kinds[m] == ABSENT:
         return np.inf, X_AXIS
     return _surface(world, m, point)
@@ -145,7 +115,7 @@ def surface(world, m, point):
 
 @kernel
 def distance_to(world, m, point):
-    """± min_q ‖p − q‖, a number, m: signed distance to obstacle m; arguments as ``surface``."""
+    """Signed distance to obstacle m, m, as ``surface`` has it."""
     distance, _ = surface(world, m, point)
     return distance
 
@@ -173,10 +143,8 @@ def within(world, m, point, reach):
 
 @kernel
 def silhouette_2d(world, m, point, out):
-    """Unit bearings of the two edges of obstacle m of the plane, as seen from a point outside it,
-    into (2, d) ``out``: the counter-clockwise edge, then the clockwise one.
-
-    With t the tangent point these are (t − p)/‖t − p‖; on the surface, the two directions along it.
+    """Unit bearings of the counter-clockwise and the clockwise edge of obstacle m, seen from a
+    point outside it, into (2, d) ``out``; on the surface, the two directions along it.
     """
     left, right = _edges(world, m, point)
     store(left, out[0])
@@ -186,10 +154,7 @@ def silhouette_2d(world, m, point, out):
 @kernel
 def silhouette_3d(world, m, point, net_bearing, axis_x, axis_y, out):
     """Boundary rays of the cone under which obstacle m is seen from a point outside it, at eight
-    azimuths k · 45°, into (8, 3) ``out``; all in the global frame.
-
-    Azimuth 0 about the direction u of its centre is the part of the net bearing that is
-    perpendicular to u; if that vanishes, of the robot's local x axis, and then of its y axis.
+    azimuths k · 45° from that of ``azimuth_axes`` on, into (8, 3) ``out``; in the global frame.
     """
     towards, _ = centre_direction(point, centre_of_row(world.shapes[m]))
     e, w = azimuth_axes(towards, net_bearing, axis_x, axis_y)
@@ -199,36 +164,29 @@ def silhouette_3d(world, m, point, net_bearing, axis_x, axis_y, out):
 # ---- tables -------------------------------------------------------------------------------------
 
 
-def row_width(obstacles: Sequence[Obstacle]) -> int:
-    """Columns of the table of obstacles: as few as the largest of them needs."""
-    most = max((len(obstacle.packed().details) for obstacle in obstacles), default=0)
-    return shape.DETAILS + most
-
-
 def pack(
     obstacles: Sequence[Obstacle], slots: int, width: int | None = None
 ) -> NDArray[np.float64]:
     """Obstacles as a table (slots, width), rows left over absent; as narrow as possible if no width
-    is given.
-
-    Raises:
-        ValueError: if there are more obstacles, or larger ones, than there is room for.
+    is given. More obstacles, or larger ones, than there is room for are refused.
     """
     rows = [obstacle.packed() for obstacle in obstacles]
-    needed = shape.DETAILS + max((len(row.details) for row in rows), default=0)
-    width = needed if width is None else width
+    needed = max((len(row.details) for row in rows), default=0)
+    room = needed if width is None else width - shape.DETAILS
     if len(rows) > slots:
-        raise ValueError(f"obstacles: {len(rows)} were given, there is room for {slots}")
-    if needed > width:
         raise ValueError(
-            f"obstacles: one of them needs {needed - shape.DETAILS} numbers for its shape, there "
-            f"is room for {width - shape.DETAILS}"
+            f"obstacles: {len(rows)} given, but the scenario has room for {slots}; set its "
+            "obstacle_slots"
         )
-    table = np.zeros((slots, width))
+    if needed > room:
+        raise ValueError(
+            "obstacles: one has more corners than any of the scenario's own obstacles, or is a "
+            "capsule where the scenario has none"
+        )
+    table = np.zeros((slots, shape.DETAILS + room))
     table[:, KIND] = ABSENT
     for row, packed in zip(table, rows, strict=False):
-        row[KIND], row[shape.CORNERS] = packed.kind, packed.corners
-        row[shape.RADIUS] = packed.radius
+        row[: shape.CENTRE] = packed.kind, packed.corners, packed.radius
         row[shape.CENTRE : shape.CENTRE + len(packed.centre)] = packed.centre
         row[shape.DETAILS : shape.DETAILS + len(packed.details)] = packed.details
     return table
@@ -237,9 +195,7 @@ def pack(
 def faults(
     table: NDArray[np.float64], dim: int, only_balls: bool = False
 ) -> Iterator[tuple[NDArray[np.bool_], str]]:
-    """What could be wrong with tables (..., M, width): where, and what a row must be; counts first,
-    since they are indices.
-    """
+    """What could be wrong with tables (..., M, width): where, and what a row must be."""
     kind, corners, width = table[..., KIND], table[..., shape.CORNERS], table.shape[-1]
     possible = [BALLS] if only_balls else KINDS
     known = [ABSENT] + [
@@ -272,16 +228,7 @@ def table_of(world: Any) -> NDArray[np.float64]:
 
 
 def check_outside(field: str, positions: NDArray[np.float64], value: Sequence[Obstacle]) -> None:
-    """Refuse positions, (n, d), m, inside obstacles.
-
-    Raises:
-        ValueError: naming the first robot and its obstacle, or positions of another shape.
-    """
-    positions = np.asarray(positions, dtype=np.float64)
-    if positions.ndim != 2 or any(obstacle.dim != positions.shape[1] for obstacle in value):
-        raise ValueError(
-            f"{field} have shape {positions.shape}; beside {list(value)} they must be (n, d)"
-        )
+    """Refuse positions, (n, d), m, inside obstacles, naming the first robot and its obstacle."""
     world = world_of(pack(value, len(value)))
     for i, position in enumerate(positions):
         point = (*position.tolist(), 0.0)[:3]
@@ -293,20 +240,20 @@ def check_outside(field: str, positions: NDArray[np.float64], value: Sequence[Ob
                 )
 
 
-def outlines(table: NDArray[np.float64]) -> Iterator[Outline]:
+def outlines(table: NDArray[np.float64]) -> Iterator[shape.Outline]:
     """Every obstacle of a table (M, width) of the plane that is there."""
     for row, kind in _there(table):
         if kind.outline is not None:
             yield kind.outline(row[AHEAD:], int(row[shape.CORNERS]))
 
 
-def balls(table: NDArray[np.float64]) -> Iterator[Ball]:
+def balls(table: NDArray[np.float64]) -> Iterator[shape.Ball]:
     """Every obstacle of a table (M, width) of space that is there, as balls."""
     for row, kind in _there(table):
         if kind.balls is not None:
             yield from kind.balls(row[AHEAD:])
 
 
-def _there(table: NDArray[np.float64]) -> Iterator[tuple[NDArray[np.float64], ShapeKind]]:
+def _there(table: NDArray[np.float64]) -> Iterator[tuple[NDArray[np.float64], shape.ShapeKind]]:
     for row in table[table[:, KIND] != ABSENT]:
         yield row, _KINDS[int(row[KIND])]

@@ -9,53 +9,35 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..checks import shown
+from ..checks import is_sequence, refuse, shown
 from ..compilation import kernel
 from ..limits import MOST_VERTICES
-from .shape import (
-    BOUND,
-    LEAST_THICKNESS,
-    MIDDLE,
-    NEARLY_ZERO,
-    OWN,
-    Outline,
-    Packed,
-    ShapeKind,
-    centre_direction,
-    centre_of_row,
-    check_point,
-    is_sequence,
-)
+from . import shape
+from .shape import BOUND, LEAST_THICKNESS, MIDDLE, NEARLY_ZERO, OWN, centre_direction, centre_of_row
 
 POLYGON = 2
 """Kind of a polygon; its row goes on with the vertices."""
+# of coordinates that were computed, as a share of the largest; so deep is no vertex a dent
 _ROUNDING = 1e-12
-"""Of coordinates that were computed, as a share of the largest; so deep is no vertex a dent."""
 _VERTEX_TOLERANCE = 1e-9  # m; on a vertex are points that are no deeper behind either edge
 
 
 @dataclass(frozen=True)
-class Polygon:
+class Polygon(shape.Shape):
     """A convex obstacle in the plane.
 
     Compose other shapes of several convex ones, and let them overlap: a robot is a point and finds
     its way along a seam.
     """
 
-    vertices: tuple[tuple[float, float], ...]
+    vertices: Annotated[tuple[tuple[float, float], ...], _check_vertices]
     """Corners in m, kept counter-clockwise; the last is joined to the first."""
     dim = 2
-
-    def __post_init__(self) -> None:
-        vertices = _check_vertices(self.vertices)
-        if _twice_area(vertices) < 0:
-            vertices = (vertices[0], *reversed(vertices[1:]))
-        object.__setattr__(self, "vertices", vertices)
 
     @property
     def centroid(self) -> tuple[float, float]:
@@ -68,11 +50,11 @@ class Polygon:
             y += triangle * (y1 - y0 + y2 - y0)
         return x0 + x / (3 * doubled), y0 + y / (3 * doubled)
 
-    def packed(self) -> Packed:
+    def packed(self) -> shape.Packed:
         """Its row; the bounding ball is about the centre of the area."""
         centre, vertices = self.centroid, np.array(self.vertices)
         radius = float(np.linalg.norm(vertices - np.array(centre), axis=1).max())
-        return Packed(POLYGON, len(vertices), centre, radius, vertices.ravel().tolist())
+        return shape.Packed(POLYGON, len(vertices), centre, radius, vertices.ravel().tolist())
 
 
 def _twice_area(vertices: Sequence[tuple[float, ...]]) -> float:
@@ -84,54 +66,36 @@ def _twice_area(vertices: Sequence[tuple[float, ...]]) -> float:
     )
 
 
-def _check_vertices(value: Any) -> tuple[tuple[float, ...], ...]:
-    """The vertices of a convex polygon; of several faults the plainest is named."""
+def _check_vertices(field: str, value: Any) -> tuple[tuple[float, ...], ...]:
+    """Vertices of a convex polygon, counter-clockwise; of several faults the plainest is named."""
     import shapely  # slow to import, and only polygons need it
 
     if not is_sequence(value) or not 3 <= len(value) <= MOST_VERTICES:
-        raise ValueError(
-            f"obstacles: vertices {shown(value)} of a Polygon must be at least 3 points, at most "
-            f"{MOST_VERTICES}"
-        )
-    vertices = tuple(
-        check_point("Polygon", f"vertices[{k}]", vertex, 2) for k, vertex in enumerate(value)
-    )
+        refuse(field, value, f"at least 3 points, at most {MOST_VERTICES}")
+    vertices = tuple(shape.check_point(f"{field}[{k}]", one, 2) for k, one in enumerate(value))
     points = shapely.points(vertices)
     near = shapely.STRtree(points).query(points, predicate="dwithin", distance=LEAST_THICKNESS)
     if len(repeated := near[1][near[0] < near[1]]):
         k = int(repeated.min())
-        raise ValueError(
-            f"obstacles: vertices[{k}] {vertices[k]} of a Polygon repeats another; leave it out"
-        )
+        raise ValueError(f"{field}[{k}] is {vertices[k]}, which repeats another; leave it out")
     polygon = shapely.Polygon(vertices)
     hull = polygon.convex_hull
-    if hull.buffer(-LEAST_THICKNESS).is_empty:
-        raise ValueError(
-            f"obstacles: vertices {shown(vertices)} of a Polygon are degenerate: it must be "
-            f"thicker than {2 * LEAST_THICKNESS:g} m"
-        )
-    if not polygon.is_valid:
-        raise ValueError(
-            f"obstacles: vertices {shown(vertices)} of a Polygon cross over; list them in order "
-            "round it"
-        )
     largest = max(abs(x) for vertex in vertices for x in vertex)
-    dents = shapely.distance(hull.exterior, points)
-    if dents.max() > _ROUNDING * largest:
-        raise ValueError(
-            f"obstacles: vertices {shown(vertices)} of a Polygon are not convex; compose it of "
-            "convex ones"
-        )
-    return vertices
+    if hull.buffer(-LEAST_THICKNESS).is_empty:
+        fault = f"are degenerate; the polygon must be thicker than {2 * LEAST_THICKNESS:g} m"
+    elif not polygon.is_valid:
+        fault = "cross over; list them in order round it"
+    elif shapely.distance(hull.exterior, points).max() > _ROUNDING * largest:
+        fault = "are not convex; compose it of convex ones"
+    else:
+        return vertices if _twice_area(vertices) > 0 else (vertices[0], *reversed(vertices[1:]))
+    raise ValueError(f"{field}: {shown(vertices)} {fault}")
 
 
 @kernel
 def _edge(row, corners, k):
-    """Edge k: x and y of its first vertex v_k, m, its unit direction e, and its length, m.
-
-        e = (v_{k+1} − v_k)/‖v_{k+1} − v_k‖
-
-    The outward normal is (e_y, −e_x), because the vertices go round counter-clockwise.
+    """Edge k: x and y of its first vertex v_k, m, its unit direction e, and its length, m. The
+    outward normal is (e_y, −e_x), because the vertices go round counter-clockwise.
     """
     here = OWN + 2 * k
     there = here + 2 if k + 1 < corners else OWN
@@ -172,8 +136,7 @@ def _surface(row, corners, point):
 @kernel
 def _normals(row, corners, point):
     """The last two normals n_k of edges that a point on the surface has behind it:
-    n_kᵀ(p − v_k) ≥ 0, but for rounding. They differ only on a vertex, where either edge may be
-    slid along.
+    n_kᵀ(p − v_k) ≥ 0, but for rounding.
     """
     _, normal = _surface(row, corners, point)
     one, other = normal, normal
@@ -225,12 +188,12 @@ def _edges(row, corners, point):
     return (left_x / left, left_y / left, 0.0), (right_x / right, right_y / right, 0.0)
 
 
-def _outline(row: NDArray[np.float64], corners: int) -> Outline:
+def _outline(row: NDArray[np.float64], corners: int) -> shape.Outline:
     vertices = row[OWN : OWN + 2 * corners].reshape(-1, 2)
-    return Outline(row[MIDDLE : MIDDLE + 2], float(row[BOUND]), vertices)
+    return shape.Outline(row[MIDDLE : MIDDLE + 2], float(row[BOUND]), vertices)
 
 
-POLYGONS = ShapeKind(
+POLYGONS = shape.ShapeKind(
     kind=POLYGON,
     classes={"polygon": Polygon},
     surface=_surface,

@@ -12,15 +12,14 @@ from ..compilation import inner_kernel, kernel
 from ..physics.vectors import load
 from .shape import ABSENT, BOUND, centre_of_row
 
+# columns of a disc's row: an earlier disc of its chain, itself if it is the first; and whether it
+# is on the other side than that one
 _BEFORE, _SIDE = 0, 1
-"""Columns of a disc's row: an earlier disc of its chain, itself if it is the first; and whether it
-is on the other side than that one."""
 
 
 @kernel
 def none_walled_in(world, positions, passage, chains):
-    """Whether every robot can reach every other through gaps at least ``passage``, m, wide: discs
-    that leave less between them count as joined.
+    """Whether every robot can reach every other through gaps at least ``passage``, m, wide.
 
     Positions, (n, 2), m, are at least half a passage from every disc; ``chains`` is (M, 2) int64
     working memory.
@@ -33,7 +32,9 @@ def none_walled_in(world, positions, passage, chains):
 
 @inner_kernel
 def _apart(world, p, q, passage, chains):
-    """Whether discs lie between two points: whether a chain contradicts itself about sides."""
+    """Whether discs lie between two points: whether a chain contradicts itself about sides. Those
+    that leave less than a passage between them count as joined.
+    """
     for m in range(world.kinds.shape[0]):
         chains[m, _BEFORE], chains[m, _SIDE] = m, 0
         if world.kinds[m] == ABSENT:
@@ -41,7 +42,8 @@ def _apart(world, p, q, passage, chains):
         for k in range(m):
             reach = world.shapes[k, BOUND] + world.shapes[m, BOUND] + passage
             a, b = centre_of_row(world.shapes[k]), centre_of_row(world.shapes[m])
-            if world.kinds[k] == ABSENT or not are_joined(a, b, reach):
+            x, y = b[0] - a[0], b[1] - a[1]
+            if world.kinds[k] == ABSENT or not x * x + y * y < reach * reach:
                 continue
             side = int(crosses(a, b, p, q))
             first, side_of_k = _first_of_chain(chains, k)
@@ -56,7 +58,7 @@ def _apart(world, p, q, passage, chains):
 
 @inner_kernel
 def _first_of_chain(chains, m):
-    """The first disc of the chain that a disc is in, and on which side of it the disc is."""
+    """The first disc of a disc's chain, and on which side of it the disc is."""
     first, side = m, 0
     while chains[first, _BEFORE] != first:
         side ^= chains[first, _SIDE]
@@ -73,15 +75,5 @@ def _is_left(a, b, point):
 
 @kernel
 def crosses(a, b, p, q):
-    """Whether the segments a b and p q of the plane cross, each with its ends on both sides.
-
-    sign((b − a) × (p − a)) ≠ sign((b − a) × (q − a)), and with the pairs exchanged
-    """
+    """Whether the segments a b and p q of the plane cross, each with its ends on both sides."""
     return _is_left(p, q, a) != _is_left(p, q, b) and _is_left(a, b, p) != _is_left(a, b, q)
-
-
-@kernel
-def are_joined(a, b, reach):
-    """Whether discs of the plane, with centres a and b, count as overlapping: ‖b − a‖ < reach."""
-    x, y = b[0] - a[0], b[1] - a[1]
-    return x * x + y * y < reach * reach

@@ -12,77 +12,87 @@ themselves, and the rest as the row. A new shape is a file like ``capsule`` that
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple, Protocol
+from collections.abc import Callable
+from functools import partial
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..checks import real, shown
+from ..checks import check_fields, is_sequence, number, number_range, real, refuse
 from ..compilation import kernel
 from ..limits import LARGEST
 from ..physics.vectors import X_AXIS, combine, cross, dot, norm, subtract
 
-ABSENT = 0
-"""Kind of an empty slot."""
+ABSENT = 0  # kind of an empty slot
 KIND, CORNERS, RADIUS, CENTRE, DETAILS = 0, 1, 2, 3, 6
 """Columns of a table."""
-AHEAD = 2
-"""Columns of a table before those of the rows that kernels take: kind and corners."""
+AHEAD = 2  # columns of a table before those of the rows that kernels take: kind and corners
 BOUND, MIDDLE, OWN = RADIUS - AHEAD, CENTRE - AHEAD, DETAILS - AHEAD
 """Columns of such a row: radius and centre of the bounding ball, and what its shape needs."""
-LEAST_THICKNESS = 1e-5
-"""m; ten times as deep as a contact."""
-NEARLY_ZERO = 1e-9
-"""m, or m/s: a shorter vector has no direction worth the name."""
+LEAST_THICKNESS = 1e-5  # m; ten times as deep as a contact, which cannot pass through
+NEARLY_ZERO = 1e-9  # m, or m/s: a shorter vector has no direction worth the name
 _AZIMUTHS = 0.25 * math.pi * np.arange(8)
 COS_AZIMUTH = tuple(np.cos(_AZIMUTHS).tolist())
 SIN_AZIMUTH = tuple(np.sin(_AZIMUTHS).tolist())
 """Of the eight azimuths at which the cone of an obstacle in 3-D is seen, k · 45°."""
 
+Thickness = Annotated[float, partial(number, least=LEAST_THICKNESS, unit="m")]
+Length = Annotated[float, partial(number, least=0.0, unit="m")]
+Range = Annotated[tuple[float, float], partial(number_range, least=LEAST_THICKNESS, unit="m")]
+
+
+def check_point(field: str, value: Any, dim: int) -> tuple[float, ...]:
+    """A point of d finite numbers, as a tuple."""
+    point = tuple(value) if is_sequence(value) else ()
+    if len(point) != dim or not all(abs(real(x)) <= LARGEST for x in point):
+        refuse(field, value, f"{dim} finite numbers, from {-LARGEST:g} to {LARGEST:g} m")
+    return tuple(real(x) for x in point)
+
 
 class Packed(NamedTuple):
-    """An obstacle as the numbers of its row."""
+    """An obstacle as the numbers of its row; centre and radius, m, are of its bounding ball."""
 
     kind: int
     corners: int
     centre: tuple[float, ...]
-    """Of its bounding ball, m."""
     radius: float
-    """Of its bounding ball, m."""
-    details: list[float]
-    """What follows in the row."""
+    details: list[float]  # what follows in the row
 
 
-class Shape(Protocol):
-    """An obstacle; a frozen dataclass whose fields are what files say of it."""
+class Drawn:
+    """What a user sets about obstacles: a frozen dataclass, whose fields are what files say."""
+
+    def __post_init__(self) -> None:
+        check_fields(self, f"obstacles: {type(self).__name__}.{{}}")
+
+
+class Shape(Drawn):
+    """One obstacle."""
 
     @property
     def dim(self) -> int:
         """Dimension of the space it is in."""
+        raise NotImplementedError
 
     def packed(self) -> Packed:
         """Its row."""
+        raise NotImplementedError
 
 
 class Outline(NamedTuple):
-    """An obstacle of the plane, as pictures draw it."""
+    """An obstacle of the plane, as pictures draw it; m."""
 
-    centre: NDArray[np.float64]
-    """(2,), m, of the bounding disc."""
-    radius: float
-    """m, of the bounding disc."""
-    vertices: NDArray[np.float64]
-    """(k, 2), m; none for a disc, which its bounding disc is."""
+    centre: NDArray[np.float64]  # (2,), of the bounding disc
+    radius: float  # of the bounding disc
+    vertices: NDArray[np.float64]  # (k, 2); none for a disc, which its bounding disc is
 
 
 class Ball(NamedTuple):
-    """A ball in 3-D, as pictures draw it."""
+    """A ball in 3-D, as pictures draw it; m."""
 
-    centre: NDArray[np.float64]
-    """(3,), m."""
+    centre: NDArray[np.float64]  # (3,)
     radius: float
-    """m."""
 
 
 class ShapeKind(NamedTuple):
@@ -138,70 +148,12 @@ def centre_of_row(row):
     return row[MIDDLE], row[MIDDLE + 1], row[MIDDLE + 2]
 
 
-# ---- checks; every refusal says what would be right ---------------------------------------------
-
-
-def check_point(kind: str, field: str, value: Any, dim: int) -> tuple[float, ...]:
-    """A point of d finite numbers, as a tuple."""
-    point = tuple(value) if is_sequence(value) else ()
-    if len(point) != dim or not all(abs(real(x)) <= LARGEST for x in point):
-        raise ValueError(
-            f"obstacles: {field} {shown(value)} of a {kind} must be {dim} finite numbers, from "
-            f"{-LARGEST:g} to {LARGEST:g} m"
-        )
-    return tuple(real(x) for x in point)
-
-
-def check_radius(kind: str, value: Any, field: str = "radius") -> float:
-    """A radius, or another thickness, that a contact 1 µm deep cannot pass through."""
-    if not LEAST_THICKNESS <= real(value) <= LARGEST:
-        raise ValueError(
-            f"obstacles: {field} {shown(value)} of a {kind} must be finite and at least "
-            f"{LEAST_THICKNESS:g} m, at most {LARGEST:g} m"
-        )
-    return float(value)
-
-
-def check_range(kind: str, field: str, value: Any) -> tuple[float, float]:
-    """Least and largest radius, or other length above zero, of a field."""
-    pair = tuple(value) if is_sequence(value) else (value, value)
-    if len(pair) != 2 or not real(pair[0]) <= real(pair[1]) <= LARGEST:
-        raise ValueError(
-            f"obstacles: {field} {shown(value)} of {_article(kind)} must be a pair (low, high), m, "
-            f"with low <= high <= {LARGEST:g}"
-        )
-    return check_radius(kind, pair[0], field), float(pair[1])
-
-
-def check_length(kind: str, field: str, value: Any) -> float:
-    """A length that may be zero."""
-    if not 0 <= real(value) <= LARGEST:
-        raise ValueError(
-            f"obstacles: {field} {shown(value)} of {_article(kind)} must be finite and at least "
-            f"0 m, at most {LARGEST:g} m"
-        )
-    return float(value)
-
-
-def _article(kind: str) -> str:
-    return f"an {kind}" if kind[0] in "AEIO" else f"a {kind}"
-
-
-def is_sequence(value: Any) -> bool:
-    """Whether it is a sequence of anything but letters."""
-    if isinstance(value, np.ndarray):
-        return value.ndim > 0
-    return isinstance(value, Sequence) and not isinstance(value, str | bytes)
-
-
 # ---- directions and cones -----------------------------------------------------------------------
 
 
 @kernel
 def centre_direction(point, centre):
-    """Unit vector u = (c − p)/‖c − p‖ from a point p towards a centre c, the x axis at the centre
-    itself; and ‖c − p‖, m.
-    """
+    """Unit vector (c − p)/‖c − p‖ from a point to a centre, or the x axis; and ‖c − p‖, m."""
     offset = subtract(centre, point)
     distance = norm(offset)
     if distance == 0.0:

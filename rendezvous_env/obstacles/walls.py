@@ -11,31 +11,29 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
-from ..checks import nearest_word, shown
+from ..checks import refuse
 from ..compilation import inner_kernel, kernel
 from ..physics.random_streams import uniform
 from ..physics.vectors import load
 from .obstacle_set import CENTRE, DETAILS, RADIUS, clear_of_obstacles
 from .polygon import POLYGON
-from .shape import ABSENT, check_length, check_radius, check_range
+from .shape import ABSENT, Drawn, Length, Range, Thickness
 
 LAYOUTS = {"trap": 3, "corridor": 2, "rooms": 8}
 """Names of layouts, and the boxes that each consists of."""
 TRAP, CORRIDOR, ROOMS = range(3)
 """Layouts, in that order."""
-BOX = 8
-"""Numbers of the four vertices of a wall."""
+BOX = 8  # numbers of the four vertices of a wall
+# thicknesses that a wall of rooms is longer than its door: both pieces beside it are walls
 _LEAST_PIECES = 3.0
-"""Thicknesses that a wall of rooms is longer than its door: both pieces beside it are walls."""
 _TRIES = 1000
-_NUMBERS = 15
-"""Of the stream that each try uses: 3 for the pose, and at most 3 for each of four walls."""
+_NUMBERS = 15  # of the stream that each try uses: 3 for the pose, at most 3 for each of four walls
 
 
 @dataclass(frozen=True)
-class WallField:
+class WallField(Drawn):
     """Walls of a layout, at a place and at an angle that are drawn anew for every episode.
 
     A trap is a U; a corridor two walls side by side; rooms are the four quarters between four walls
@@ -44,73 +42,62 @@ class WallField:
     law (4), is caught.
     """
 
-    layout: str
+    layout: Literal["trap", "corridor", "rooms"]
     """trap, corridor or rooms."""
-    size: tuple[float, float]
+    size: Range
     """Range that the length of each arm of the trap, or of each other wall, is drawn from, m."""
-    opening: tuple[float, float]
+    opening: Range
     """Range of the mouth of the trap, of the width of the corridor, or of each door, m."""
-    thickness: float
+    thickness: Thickness
     """Of all walls, m."""
-    region: float
+    region: Length
     """Edge length of the square about the origin in which the middle of the layout lies, m."""
-    keep_out: float
+    keep_out: Length
     """No robot starts nearer than this to a surface, m."""
+
     dim = 2
+    numbers = BOX
+    only_balls = False
 
     def __post_init__(self) -> None:
-        if not isinstance(self.layout, str) or self.layout not in LAYOUTS:
-            near = nearest_word(self.layout, LAYOUTS)
-            hint = f"did you mean {near!r}?" if near else f"it must be one of {', '.join(LAYOUTS)}"
-            raise ValueError(f"obstacles: layout {shown(self.layout)} of a WallField: {hint}")
-        for field in ("size", "opening"):
-            pair = check_range("WallField", field, getattr(self, field))
-            object.__setattr__(self, field, pair)
-        thickness = check_radius("WallField", self.thickness, "thickness")
-        object.__setattr__(self, "thickness", thickness)
-        for field in ("region", "keep_out"):
-            value = check_length("WallField", field, getattr(self, field))
-            object.__setattr__(self, field, value)
+        super().__post_init__()
         least = self.opening[1] + _LEAST_PIECES * self.thickness
         if self.layout == "rooms" and self.size[0] < least:
-            raise ValueError(
-                f"obstacles: size {shown(self.size)} of a WallField must be at least {least:g} m, "
-                "so that a wall is left on both sides of a door"
-            )
+            wanted = f"at least {least:g} m, so that a wall is left on both sides of a door"
+            refuse("obstacles: WallField.size", self.size, wanted)
+
+    def check_dim(self, dim: int) -> None:
+        """Refuse a space that it is not for."""
+        if dim == 3:
+            refuse("obstacles", self, "an ObstacleField in 3-D: walls are 2-D")
 
     @property
-    def boxes(self) -> int:
+    def most(self) -> int:
         """Number of obstacles."""
         return LAYOUTS[self.layout]
 
     @property
     def rules(self) -> WallRules:
         """How the walls of an episode are drawn."""
-        return WallRules(
-            layout=list(LAYOUTS).index(self.layout),
-            sizes=self.size,
-            openings=self.opening,
-            thickness=self.thickness,
-            region=self.region,
-            keep_out=self.keep_out,
-        )
+        return WallRules(**{**vars(self), "layout": list(LAYOUTS).index(self.layout)})
 
 
 class WallRules(NamedTuple):
-    """A ``WallField`` as kernels take it: its layout by number, ranges and lengths in m."""
+    """A ``WallField`` as kernels take it, its layout by number."""
 
     layout: int
-    sizes: tuple[float, float]
-    openings: tuple[float, float]
+    size: tuple[float, float]
+    opening: tuple[float, float]
     thickness: float
     region: float
     keep_out: float
+    passage: float = 0.0  # they close nothing in
 
 
 @kernel
 def draw_walls(key, rules, starts, n_starts, world):
-    """Draw the walls of one episode, as ``fields.draw_obstacles`` says; walls too near to a start
-    are replaced by others. False if no place was found in 1000 tries; the walls are then absent.
+    """Draw the walls of one episode, again while they are too near to a start; after 1000 tries
+    they are absent.
     """
     for trial in range(_TRIES):
         world.kinds[:] = ABSENT
@@ -159,9 +146,9 @@ def _draw_layout(key, counter, rules, world):
 @inner_kernel
 def _draw_trap(key, counter, rules, pose, world):
     """A U that opens along x, its middle in the middle of the longer arm."""
-    half = 0.5 * _between(rules.openings, key, counter)
-    one = _between(rules.sizes, key, counter + 1)
-    other = _between(rules.sizes, key, counter + 2)
+    half = 0.5 * _between(rules.opening, key, counter)
+    one = _between(rules.size, key, counter + 1)
+    other = _between(rules.size, key, counter + 2)
     thick = rules.thickness
     bottom = -0.5 * max(one, other)
     # the arms run through the bottom, so that there is no seam to slip through
@@ -173,10 +160,10 @@ def _draw_trap(key, counter, rules, pose, world):
 @inner_kernel
 def _draw_corridor(key, counter, rules, pose, world):
     """Two walls along x, on either side of the middle."""
-    half = 0.5 * _between(rules.openings, key, counter)
+    half = 0.5 * _between(rules.opening, key, counter)
     thick = rules.thickness
     for k in range(2):
-        end = 0.5 * _between(rules.sizes, key, counter + 1 + k)
+        end = 0.5 * _between(rules.size, key, counter + 1 + k)
         low = half if k == 0 else -half - thick
         _put_box(world, k, pose, (-end, end), (low, low + thick))
 
@@ -184,8 +171,8 @@ def _draw_corridor(key, counter, rules, pose, world):
 @inner_kernel
 def _draw_wall_with_door(key, counter, rules, pose, world, m):
     """A wall from the middle along x in two pieces, obstacles m and m + 1; between them a door."""
-    size = _between(rules.sizes, key, counter)
-    door = _between(rules.openings, key, counter + 1)
+    size = _between(rules.size, key, counter)
+    door = _between(rules.opening, key, counter + 1)
     thick = rules.thickness
     # both pieces are at least as long as the walls are thick; so the outer one stays clear of the
     # walls on either side, and those in the middle overlap
@@ -197,7 +184,7 @@ def _draw_wall_with_door(key, counter, rules, pose, world, m):
 
 @inner_kernel
 def _put_box(world, m, pose, along, across):
-    """Obstacle m is a box, given by its ranges of x and y before the pose turns and moves it."""
+    """Obstacle m is a box with these ranges of x and y before the pose turns and moves it."""
     x, y, c, s = pose
     (x0, x1), (y0, y1) = along, across
     middle_x, middle_y = 0.5 * (x0 + x1), 0.5 * (y0 + y1)

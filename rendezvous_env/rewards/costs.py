@@ -28,11 +28,7 @@ Costs = dict[str, NDArray[np.float64]]
 
 
 def as_costs(field: str, value: Any) -> tuple[str, ...]:
-    """Names of costs, from one name or several.
-
-    Raises:
-        ValueError: for an unknown name, with the nearest known one, or one that is named twice.
-    """
+    """Names of costs, each once, from one name or several."""
     names = (value,) if isinstance(value, str) else value
     if not isinstance(names, tuple | list):
         refuse(field, value, f"names out of {', '.join(COSTS)}")
@@ -50,21 +46,14 @@ def as_costs(field: str, value: Any) -> tuple[str, ...]:
 
 
 def no_costs(names: tuple[str, ...], shape: tuple[int, int]) -> Costs:
-    """What nobody has done yet costs, nothing; without names there are no keys."""
+    """Zeros for the sum and each cost; without names there are no keys."""
     keys = [f"cost_{name}" for name in names]
     return {key: np.zeros(shape) for key in (["cost", *keys] if names else [])}
 
 
 def costs_of(names: tuple[str, ...], step: RewardStep, running: NDArray[np.bool_]) -> Costs:
-    """What a step cost each robot; robots that are gone and teams that rest pay nothing.
-
-    Args:
-        names: of the costs.
-        step: what happened.
-        running: (B,), teams that were in an episode.
-
-    Raises:
-        ValueError: naming a term that gave what is no number for each team or robot.
+    """What a step cost each robot; robots that are gone and teams that rest (not ``running``, (B,))
+    pay nothing.
     """
     paying = running[:, None] & step.took_part
     costs = no_costs(names, paying.shape)

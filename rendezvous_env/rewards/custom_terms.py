@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -51,12 +51,9 @@ def reward_term(name: str, term: Term | None = None) -> Any:
 
     ``RewardWeights(custom={name: weight})`` then adds weight × term in every step and every
     interface. (B,) is earned by the team and each of its robots; of (B, n) each robot earns its
-    own, and the team the mean over the robots that took part.
-
-    Args:
-        name: a word; a term of that name is replaced.
-        term: treats every team by itself, so that a batch earns what single teams earn. Without
-            it a decorator is returned.
+    own, and the team the mean over the robots that took part. A term treats every team by itself,
+    so that a batch earns what single teams earn. One of the same name is replaced; without ``term``
+    a decorator is returned.
 
     Raises:
         ValueError: for what is no name or cannot be called.
@@ -65,11 +62,7 @@ def reward_term(name: str, term: Term | None = None) -> Any:
 
 
 def as_custom(field: str, value: Any) -> tuple[tuple[str, float], ...]:
-    """Weights of registered terms by name, from a mapping or pairs, in the order of the names.
-
-    Raises:
-        ValueError: for an unregistered name, or what is no weight.
-    """
+    """Weights of registered terms, from a mapping or pairs, in the order of the names."""
     try:
         pairs = dict(value)
     except (TypeError, ValueError):
@@ -85,21 +78,12 @@ def add_custom_terms(
     rewards: NDArray[np.float64],
     robot_rewards: NDArray[np.float64],
 ) -> None:
-    """Add the custom terms of a step to what was earned.
-
-    Args:
-        step: what happened.
-        running: (B,), teams that were in an episode; others earn nothing.
-        rewards: (B,), of the teams.
-        robot_rewards: (B, n), of the robots.
-
-    Raises:
-        ValueError: naming a term that gave what is no number for each team or robot.
+    """Add the custom terms of a step to the rewards of teams, (B,), and of robots, (B, n); teams
+    that are not ``running``, (B,), earn nothing.
     """
     took_part = step.took_part
     earning = running[:, None] & (took_part | (step.scenario.on_merge == "follow"))
-    custom: Mapping[str, float] = dict(step.scenario.reward.custom)
-    for name, weight in custom.items():
+    for name, weight in step.scenario.reward.custom:
         earned = floats(f"reward term {name!r}", TERMS[name](step))
         each = weight * of_step(f"reward term {name!r}", earned, earning)
         robot_rewards += each
@@ -108,16 +92,7 @@ def add_custom_terms(
 
 
 def of_step(what: str, given: Any, counts: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """What a term gave, (B,) or (B, n), for each robot, (B, n); 0 where it does not count.
-
-    Args:
-        what: the term, for messages.
-        given: by the term.
-        counts: (B, n), robots to which it applies.
-
-    Raises:
-        ValueError: for another shape, or a number that is not finite where it counts.
-    """
+    """What a term gave, (B,) or (B, n), for each robot, (B, n); 0 where it does not count."""
     earned = floats(what, given)
     if earned.shape not in (counts.shape[:1], counts.shape):
         shapes = f"{counts.shape[:1]} or {counts.shape}"

@@ -7,14 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
-from typing import Any
+from typing import Annotated, Any
 
-from ..checks import check_fields, mapping, names_unknown_fields, number
+from ..checks import check_fields, mapping, names_unknown_fields
 from ..compilation import kernel
 from .custom_terms import as_custom
 
-CLEARANCE_PENALTY = 4
-"""Place of a weight whose term is only worked out where it is not zero."""
+CLEARANCE_PENALTY = 4  # place of a weight whose term is only worked out where it is not zero
 
 
 @names_unknown_fields("reward")
@@ -37,18 +36,18 @@ class RewardWeights:
     clearance_penalty: float = 0.0
     """Paid in each step for each robot, times 1 − clearance/``obstacle_range`` where it is nearer
     to an obstacle than that."""
-    custom: Mapping[str, float] | tuple[tuple[str, float], ...] = field(default=(), kw_only=True)
+    custom: Annotated[Mapping[str, float] | tuple[tuple[str, float], ...], as_custom] = field(
+        default=(), kw_only=True
+    )
     """Weights of terms of your own, by the names under which ``reward_term`` registered them."""
 
     def __post_init__(self) -> None:
-        """Convert and check every weight."""
-        checks: dict[str, Any] = dict.fromkeys(_BUILT_IN, number)
-        check_fields(self, {**checks, "custom": as_custom}, "reward.")
+        check_fields(self, "reward.{}")
 
     @property
     def built_in(self) -> tuple[float, ...]:
         """The weights w of ``team_reward``, in its order."""
-        return tuple(getattr(self, name) for name in _BUILT_IN)
+        return tuple(value for name, value in vars(self).items() if name != "custom")
 
     def to_plain(self) -> dict[str, Any]:
         """The weights as plain data for TOML."""
@@ -57,33 +56,19 @@ class RewardWeights:
 
     @classmethod
     def from_plain(cls, plain: Any) -> RewardWeights:
-        """Weights from the plain data of ``to_plain``, some keys left out.
-
-        Raises:
-            ValueError: for what is no table, an unknown key or an impossible weight.
-        """
+        """Weights from the plain data of ``to_plain``, some keys left out."""
         return cls(**mapping("reward", plain, "a table of its weights"))
-
-
-_BUILT_IN = tuple(name for name in RewardWeights.__dataclass_fields__ if name != "custom")
 
 
 @kernel(inline="code")
 def team_reward(progress, time_share, contacts, closeness, met, weights):
-    """Team reward of one step.
+    """Team reward of one step, a number without unit like all that it is made of.
 
         w₀ progress − w₁ time_share − w₂ contacts − w₄ closeness + w₃ if met
 
-    Args:
-        progress: (V_t − V_{t+1})/V_0.
-        time_share: τ / time limit.
-        contacts: robots in contact with an obstacle.
-        closeness: Σ_i max(0, 1 − clearance_i/range), how near the robots are to obstacles.
-        met: whether this step brought the rendezvous.
-        weights: w, of ``RewardWeights.built_in``.
-
-    Returns:
-        A number without unit, like all that it is made of.
+    Progress is (V_t − V_{t+1})/V_0, the time share τ / time limit, closeness
+    Σ_i max(0, 1 − clearance_i/range), and w ``RewardWeights.built_in``; ``contacts`` counts robots
+    in contact with an obstacle.
     """
     reward = weights[0] * progress - weights[1] * time_share - weights[2] * contacts
     reward = reward - weights[CLEARANCE_PENALTY] * closeness

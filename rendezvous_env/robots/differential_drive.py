@@ -29,8 +29,7 @@ from ..checks import floats, positive, real, refuse
 from ..physics.half_planes import nearest_within
 
 Pair = tuple[float, float]
-_BELOW = 1.0 - 1e-9
-"""Share of a wheel's speed that is used: whoever works it out from v and ω finds no more."""
+_BELOW = 1.0 - 1e-9  # of a wheel's speed: whoever works it out from v and ω finds no more
 
 
 class Machine(NamedTuple):
@@ -47,18 +46,14 @@ class Machine(NamedTuple):
     wheel_acceleration: float = math.inf
     """A, rad/s²."""
     timeout: float = 0.2
-    """s; who has been told nothing new for so long stops."""
+    """s without a new command, after which the robot stops."""
 
 
 def body_rates(velocity: Sequence[float], yaw: float, lead: float) -> Pair:
-    """Speed and turn rate (v, ω), m/s and rad/s, with which P has a velocity.
+    """Speed and turn rate (v, ω), m/s and rad/s, with which P has a velocity (x, y), m/s, in a
+    frame in which the body has the yaw θ, rad.
 
         v = x cos θ + y sin θ,   ω = (y cos θ − x sin θ)/l
-
-    Args:
-        velocity: (x, y), m/s, in a frame in which the body has the yaw.
-        yaw: θ, rad; 0 for a velocity in the body frame.
-        lead: l, m.
     """
     x, y = float(velocity[0]), float(velocity[1])
     c, s = math.cos(yaw), math.sin(yaw)
@@ -78,13 +73,6 @@ def rates_of_wheels(wheels: Pair, machine: Machine) -> Pair:
     return 0.5 * radius * (left + right), radius * (right - left) / base
 
 
-def within_speed(wheels: Pair, most: float) -> Pair:
-    """Both wheels slowed down together: w min(1, W/max|w|), rad/s."""
-    largest = max(abs(wheels[0]), abs(wheels[1]))
-    factor = most * _BELOW / largest if largest > most else 1.0
-    return wheels[0] * factor, wheels[1] * factor
-
-
 def within_reach(wheels: Pair, before: Pair, most: float) -> Pair:
     """As far towards w as both come: w₋ + (w − w₋) min(1, M/max|w − w₋|), rad/s."""
     left, right = wheels[0] - before[0], wheels[1] - before[1]
@@ -95,7 +83,8 @@ def within_reach(wheels: Pair, before: Pair, most: float) -> Pair:
 
 
 def keep_apart(velocity: Sequence[float], near: ArrayLike, rooms: ArrayLike = 0.0) -> Pair:
-    """The velocity nearest to a wanted one that approaches nothing near by more than is left.
+    """The velocity nearest to a wanted one, v, (x, y), m/s, that approaches nothing near by more
+    than is left.
 
         min ‖x − v‖²   subject to   x·g_k ≤ c_k                    (buffered Voronoi cells)
 
@@ -104,7 +93,7 @@ def keep_apart(velocity: Sequence[float], near: ArrayLike, rooms: ArrayLike = 0.
     known, they come as near as D, and no nearer (Zhou et al. 2017).
 
     Args:
-        velocity: v, (x, y), m/s.
+        velocity: v.
         near: g_k, (k, 2), unit vectors to what is near, in the frame of the velocity.
         rooms: c_k, (k,) or one for all, m/s; less than 0 is 0.
 
@@ -124,9 +113,6 @@ def keep_apart(velocity: Sequence[float], near: ArrayLike, rooms: ArrayLike = 0.
 class DifferentialDrive:
     """The wheels of one robot, from tick to tick.
 
-    Args:
-        machine: what it can do.
-
     Raises:
         ValueError: naming the field of the machine, its value and what would be right.
     """
@@ -139,36 +125,32 @@ class DifferentialDrive:
         self.reset()
 
     def reset(self) -> None:
-        """It stands, and has been told nothing."""
+        """It stands, without a command."""
         self.wheels: Pair = (0.0, 0.0)
         """Last commanded, left and right, rad/s."""
         self._wanted: Pair = (0.0, 0.0)
         self._age = 0.0
 
     def command(self, velocity: Sequence[float], yaw: float, dt: float) -> Pair:
-        """Speed and turn rate (v, ω), m/s and rad/s, for a velocity of P that is new.
-
-        Args:
-            velocity: (x, y), m/s, as ``act`` of a policy gives it.
-            yaw: θ of the body in the frame of the velocity, rad; 0 for the body frame.
-            dt: since the command before, s.
+        """Speed and turn rate (v, ω), m/s and rad/s, for a new velocity of P, m/s, as ``act`` of a
+        policy gives it, in a frame in which the body has a yaw, rad; dt s after the last command.
 
         Raises:
-            ValueError: naming the argument, its value and what would be right; nothing has changed
-                then.
+            ValueError: naming the argument; nothing has changed then.
         """
         if len(velocity) != 2 or not all(math.isfinite(real(part)) for part in velocity):
             refuse("velocity", list(velocity), "two finite numbers (m/s)")
         if not math.isfinite(real(yaw)):
             refuse("yaw", yaw, "a finite number (rad)")
         positive("dt", dt, "s")
-        rates = body_rates(velocity, yaw, self.machine.lead)
-        wheels = wheel_speeds(rates, self.machine)
-        self._wanted, self._age = within_speed(wheels, self.machine.wheel_speed), 0.0
+        left, right = wheel_speeds(body_rates(velocity, yaw, self.machine.lead), self.machine)
+        largest, most = max(abs(left), abs(right)), self.machine.wheel_speed
+        factor = most * _BELOW / largest if largest > most else 1.0
+        self._wanted, self._age = (left * factor, right * factor), 0.0
         return self._go(dt)
 
     def hold(self, dt: float) -> Pair:
-        """As ``command``, with nothing new: on as before, and from ``timeout`` on to rest."""
+        """As ``command`` without a new one: on as before, and from ``timeout`` on to rest."""
         self._age += positive("dt", dt, "s")
         if self._age >= self.machine.timeout:
             self._wanted = (0.0, 0.0)

@@ -19,30 +19,24 @@ from .motion import FREE, STOPPED, Motion, describe
 from .robot_models import RobotModel, register_robot_model
 from .single_integrator import speed_scale
 
+# where the velocity changes by less than this share of itself, Simpson's rule has the length of the
+# way to rounding, and the closed form would lose digits
 _NEARLY_STEADY = 1e-3
-"""Where the velocity changes by less than this share of itself, Simpson's rule has the length of
-the way to rounding, and the closed form would lose digits."""
 
 
 class DoubleIntegrator(NamedTuple):
     """p̈ = a: the action is an acceleration, m/s², the memory the velocity in the global frame."""
 
-    duration: float
-    """τ, s."""
-    speed_limit: float
-    """v_max, m/s."""
-    acceleration_limit: float
-    """a_max, m/s²."""
-    rest: tuple[float, ...]
-    """The velocity at the start, d zeros."""
+    duration: float  # τ, s
+    speed_limit: float  # v_max, m/s
+    acceleration_limit: float  # a_max, m/s²
+    rest: tuple[float, ...]  # the velocity at the start, d zeros
 
 
 @kernel
 def final_velocity(model, action, frame, velocity):
-    """Velocity at the end of a step: v + τ R a with ‖a‖ ≤ a_max, then ‖v‖ ≤ v_max, m/s.
-
-    Both limits keep the direction. The action a is in the robot's own frame, velocities are in the
-    global one; pairs or triples.
+    """Velocity at the end of a step in the global frame, m/s: v + τ R a with ‖a‖ ≤ a_max, then
+    ‖v‖ ≤ v_max, both with the direction kept.
     """
     _, factor = speed_scale(square(action), model.acceleration_limit)
     pushed = add(velocity, model.duration * factor, to_global(frame, action))
@@ -82,7 +76,6 @@ def mean_speed(before, after):
 
 @kernel
 def _propose(model, action, frame, memory):
-    """The way is a parabola."""
     after = final_velocity(model, action, frame, memory)
     middle = scaled(add(memory, 1.0, after), 0.5)
     return scaled(middle, model.duration), model.duration * mean_speed(memory, after)
@@ -90,17 +83,13 @@ def _propose(model, action, frame, memory):
 
 @kernel
 def _chord_error_bound(model, action, memory):
-    """a_max/8: a parabola is at most that far from its chord, per square of the time. The speed
-    limit, a projection onto a ball, only lessens the change of velocity.
-    """
+    # of a parabola; the speed limit, a projection onto a ball, only lessens the change of velocity
     return model.acceleration_limit / 8.0
 
 
 @kernel
 def _update(model, action, frame, memory, displacement, contact):
-    """The final velocity, after a contact without its part along what the obstacle took of the way;
-    that is what went into the obstacle.
-    """
+    """After a contact without the part into the obstacle: that is along what it took of the way."""
     velocity = final_velocity(model, action, frame, memory)
     if contact == FREE:
         return velocity
@@ -114,7 +103,6 @@ def _update(model, action, frame, memory, displacement, contact):
 
 @kernel
 def _own_velocity(model, frame, memory):
-    """Its velocity in its own frame, m/s."""
     return to_local(frame, memory)
 
 

@@ -18,7 +18,7 @@ import warnings
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from ..checks import shown
+from ..checks import refuse, shown
 from ..compilation import by_type, chosen_by_type, kernel
 from ..kernel_cache import depends_on
 from ..physics.vectors import scaled
@@ -91,13 +91,12 @@ class _Equations(NamedTuple):
     """Whether a robot may move while its action is zero; False saves a look at every robot."""
 
 
-_RENAMED = {
+_RENAMED = {  # names of equations in version 0.2
     "along": "displacement_at",
     "bend": "chord_error_bound",
     "remember": "update",
     "begin": "init",
 }
-"""Names of equations in version 0.2, and what they are called now."""
 
 
 class Motion(_Equations):
@@ -118,6 +117,13 @@ class Motion(_Equations):
 _MOTIONS: dict[type, Motion] = {}
 
 
+def check_function(field: str, value: Any) -> Any:
+    """Refuse what cannot be called, with a TypeError."""
+    if not callable(value):
+        raise TypeError(f"{field} is {shown(value)}; it must be a function")
+    return value
+
+
 def describe(model: type, motion: Motion) -> None:
     """Say how robots move whose constants are of this type, a NamedTuple class.
 
@@ -128,17 +134,11 @@ def describe(model: type, motion: Motion) -> None:
     if not isinstance(motion, Motion):
         raise TypeError(f"motion is {shown(motion)}; it must be a Motion")
     if not (isinstance(model, type) and issubclass(model, tuple) and hasattr(model, "_fields")):
-        raise ValueError(
-            f"model is {shown(model)}; it must be a NamedTuple class, of its constants"
-        )
+        refuse("model", model, "a NamedTuple class, of its constants")
     if _MOTIONS.get(model, motion) != motion:
         raise ValueError(f"how a {model.__name__} moves has been described before")
-    equations = tuple(motion._asdict()[name] for name in Motion._fields[:-1])
-    for name, equation in zip(Motion._fields, equations, strict=False):
-        if not callable(equation):
-            raise TypeError(
-                f"{name} of a {model.__name__} is {shown(equation)}; it must be a function"
-            )
+    for name, equation in zip(Motion._fields[:-1], motion, strict=False):
+        check_function(f"{name} of a {model.__name__}", equation)
     depends_on(model, motion)
     _MOTIONS[model] = motion
 
@@ -149,7 +149,7 @@ def motion_of(model: type) -> Motion | None:
 
 
 def drifts(model):
-    """Whether a robot may move while its action is zero, ‖Δ‖ > 0 m: ``Motion.drifts``."""
+    """Whether a robot may move while its action is zero: ``Motion.drifts``."""
     return _MOTIONS[type(model)].drifts
 
 
@@ -159,25 +159,17 @@ def _compiled_drifts(model):
     return lambda model: known
 
 
+# ---- equations of the model that the constants are of, as ``Motion`` says of each ----------------
+
+
 def _equation(name: str) -> Any:
-    """Of the model that the constants are of."""
     return by_type("model", lambda kind: getattr(_MOTIONS[kind], name))
 
 
 @_equation("propose")
 def propose(model, action, frame, memory):
-    """What a robot would do in a step with nothing in its way, as ``Motion`` says of each equation.
-
-        Δ = ∫₀^τ ṗ dt,   way = ∫₀^τ ‖ṗ‖ dt
-
-    Args:
-        model: constants of a robot model, a NamedTuple.
-        action: a tuple of numbers in the robot's own frame, in the units of the model.
-        frame: R, local → global, row by row, 4 or 9 numbers.
-        memory: what the model keeps, a tuple of numbers, in rad or m/s.
-
-    Returns:
-        Δ in the global frame, a pair or triple, m, and the length of the way, m.
+    """What a robot would do in a step with nothing in its way: Δ = ∫₀^τ ṗ dt in the global frame, a
+    pair or triple, m, and the length of the way ∫₀^τ ‖ṗ‖ dt, m.
     """
 
 
@@ -198,9 +190,7 @@ def closes(model, action, memory):
 
 @_equation("update")
 def update_memory(model, action, frame, memory, displacement, contact):
-    """What a model keeps after a step: angles, α(t + τ) = α(t) + ω τ, rad, or a velocity, m/s; from
-    the displacement executed, m, in the global frame, and FREE, SLID or STOPPED.
-    """
+    """What a model keeps after a step, from the displacement executed, m, in the global frame."""
 
 
 @_equation("frame")
@@ -210,15 +200,9 @@ def frame_of(model, frame, memory):
 
 @_equation("sense")
 def proprioception(model, frame, memory):
-    """What a robot observes of itself in its own frame: Rᵀv, m/s, or the direction of gravity; a
-    pair or triple, or () for nothing.
-    """
+    """What a robot observes of itself in its own frame, a pair or triple, or () for nothing."""
 
 
 @_equation("init")
 def init_memory(model, key, counter):
-    """What a model keeps at the start of an episode, a tuple of numbers, rad or m/s, drawn from at
-    most three uniform numbers u of a stream.
-
-        α = π (2u − 1) for a yaw, a pitch within ± π/4, a zero velocity
-    """
+    """What a model keeps at the start of an episode, a tuple of numbers, rad or m/s."""

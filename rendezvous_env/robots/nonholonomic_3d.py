@@ -20,14 +20,10 @@ _LARGEST_START_PITCH = math.pi / 4
 class Nonholonomic3D(NamedTuple):
     """Eq. (9): the action is (v, ω_α, ω_β), the memory (α, β)."""
 
-    duration: float
-    """τ, s."""
-    speed_limit: float
-    """Of v, m/s."""
-    yaw_limit: float
-    """Of ω_α, rad/s."""
-    pitch_limit: float
-    """Of ω_β, rad/s."""
+    duration: float  # τ, s
+    speed_limit: float  # of v, m/s
+    yaw_limit: float  # of ω_α, rad/s
+    pitch_limit: float  # of ω_β, rad/s
 
 
 @kernel
@@ -52,10 +48,8 @@ def arc_3d(speed, yaw, pitch, yaw_rate, pitch_rate, duration):
 
 @kernel
 def body_frame_3d(yaw, pitch):
-    """R = R_z(α) R_y(−β), row by row, from the body frame of a robot in 3-D to the global one;
-    yaw α and pitch β in rad.
-
-    The body frame has x = heading h of eq. (9), y = horizontal left, z = up-ish.
+    """R = R_z(α) R_y(−β), row by row, from the body frame (x = heading h of eq. (9), y = horizontal
+    left, z = up-ish) to the global one; yaw α and pitch β in rad.
     """
     ca, sa = math.cos(yaw), math.sin(yaw)
     cb, sb = math.cos(pitch), math.sin(pitch)
@@ -113,6 +107,11 @@ def _init(model, key, counter):
     return yaw, _LARGEST_START_PITCH * (2.0 * uniform(key, counter + 1) - 1.0)
 
 
+def _bounds(scenario):
+    # law (17) divides ω_α by cos β; at its bound it saturates
+    return [scenario.speed_limit, 10 * scenario.turn_limit, scenario.turn_limit]
+
+
 describe(
     Nonholonomic3D,
     Motion(
@@ -130,15 +129,8 @@ register_robot_model(
     RobotModel(
         "nonholonomic_3d",
         dims=(3,),
-        constants=lambda scenario: Nonholonomic3D(
-            scenario.tau, scenario.speed_limit, 10 * scenario.turn_limit, scenario.turn_limit
-        ),
-        # law (17) divides ω_α by cos β; at its bound it saturates
-        bounds=lambda scenario: [
-            scenario.speed_limit,
-            10 * scenario.turn_limit,
-            scenario.turn_limit,
-        ],
+        constants=lambda given: Nonholonomic3D(given.tau, *_bounds(given)),
+        bounds=_bounds,
         n_angles=2,
         senses="gravity",
         action="v, ω_α, ω_β: m/s, rad/s, rad/s",

@@ -9,41 +9,56 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from functools import partial
+from typing import Annotated, Any, Literal, NamedTuple, NoReturn
 
 import numpy as np
+from numpy.typing import NDArray
 
-from ..checks import is_whole, real, shown
-from .motion import FREE, STOPPED, Motion, motion_of
+from ..checks import check_fields, floats, is_whole, real, refuse, shown, whole
+from .motion import FREE, STOPPED, Motion, check_function, motion_of
 
-MOST_KEPT = 4
-"""Numbers that a robot model may keep from step to step."""
-_SENSES = (None, "gravity", "velocity")
+MOST_KEPT = 4  # numbers that a robot model may keep from step to step
 _SAMPLES = 12
 _ROUNDING = 1e-9
 
 
+def _check_dims(field: str, value: Any) -> tuple[int, ...]:
+    if (
+        not isinstance(value, tuple)
+        or not value
+        or not all(is_whole(dim) and dim in (2, 3) for dim in value)
+    ):
+        refuse(field, value, "a tuple of 2 and 3, or of one of them")
+    return value
+
+
 @dataclass(frozen=True)
 class RobotModel:
-    """One robot model."""
+    """One robot model.
+
+    Raises:
+        ValueError: naming the field, its value and what would be right.
+        TypeError: if what must be a function is none.
+    """
 
     name: str
-    dims: tuple[int, ...]
+    dims: Annotated[tuple[int, ...], _check_dims]
     """Dimensions of space it exists in."""
-    constants: Callable[[Any], Any]
+    constants: Annotated[Callable[[Any], Any], check_function]
     """Scenario → the NamedTuple of constants that its equations take; it must have the fields
     ``duration``, s, and ``speed_limit``, m/s, which no motion exceeds."""
-    bounds: Callable[[Any], list[float]]
+    bounds: Annotated[Callable[[Any], list[float]], check_function]
     """Scenario → symmetric bound on each number of an action."""
-    n_angles: int = 0
+    n_angles: Annotated[int, partial(whole, least=0, most=MOST_KEPT)] = 0
     """Angles that make up its attitude, the first numbers that it keeps; without any its frame is
     fixed."""
-    n_kept: Callable[[int], int] | None = None
+    n_kept: Annotated[Callable[[int], int], check_function] | None = None
     """Dimension → numbers kept from step to step; None is ``n_angles``."""
     keeps_velocity: bool = False
     """Whether the numbers that it keeps after its angles are its velocity in the global frame, m/s,
     never longer than the speed limit."""
-    senses: str | None = None
+    senses: Literal["gravity", "velocity"] | None = None
     """What the last row of an observation is: "gravity", "velocity", or nothing."""
     action: str = "velocity, m/s"
     """What an action is, in words."""
@@ -53,6 +68,24 @@ class RobotModel:
     bounded: bool = False
     """Whether theorems 1, 2, A and C with the time bounds of theory 3 hold for it: its action is
     its velocity."""
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.name, str) or not self.name.isidentifier():
+            refuse("name of a robot model", self.name, "a word of letters, digits and _")
+        check_fields(self, f"{{}} of robot model {self.name!r}")
+        for dim in self.dims:
+            size, wanted = (
+                self.memory_size(dim),
+                f"from {self.n_angles}, its angles, to {MOST_KEPT}",
+            )
+            right = is_whole(size) and self.n_angles <= size <= MOST_KEPT
+            if right and self.keeps_velocity:
+                right, wanted = size == self.n_angles + dim, f"{self.n_angles + dim} with velocity"
+            if not right:
+                raise ValueError(
+                    f"robot model {self.name!r} keeps {shown(size)} numbers in {dim}-D; it must be "
+                    f"{wanted}"
+                )
 
     def memory_size(self, dim: int) -> int:
         """Numbers that a robot keeps from step to step."""
@@ -89,14 +122,11 @@ def register_robot_model(model: RobotModel, *, replace: bool = False) -> None:
     Its equations must have been described by ``motion.describe``; a few sampled calls try them.
 
     Raises:
-        ValueError: if it is no RobotModel, its name is taken or no word, it exists in no space,
-            keeps too many numbers or senses what no robot can; or if its equations give what is not
-            finite, go faster than its speed limit, or contradict one another.
-        TypeError: if what must be a function is none.
+        ValueError: if it is no RobotModel or its name is taken; or if its equations give what is
+            not finite, go faster than its speed limit, or contradict one another.
     """
     if not isinstance(model, RobotModel):
-        raise ValueError(f"model is {shown(model)}; it must be a RobotModel")
-    _check_fields(model)
+        refuse("model", model, "a RobotModel")
     known = ROBOT_MODELS.get(model.name)
     if known is not None and replace is not True:
         raise ValueError(
@@ -115,68 +145,6 @@ def register_robot_model(model: RobotModel, *, replace: bool = False) -> None:
         raise
 
 
-_FIELDS: dict[str, tuple[Callable[[Any], bool], str]] = {
-    "dims": (
-        lambda dims: (
-            isinstance(dims, tuple)
-            and len(dims) > 0
-            and all(is_whole(dim) and dim in (2, 3) for dim in dims)
-        ),
-        "has dims {}; they must be of 2 and 3",
-    ),
-    "constants": (callable, "has constants {}; it must be a function of the scenario"),
-    "bounds": (callable, "has bounds {}; it must be a function of the scenario"),
-    "n_angles": (
-        lambda count: is_whole(count) and 0 <= count <= MOST_KEPT,
-        f"has n_angles {{}}; it must be a whole number from 0 to {MOST_KEPT}",
-    ),
-    "n_kept": (
-        lambda kept: kept is None or callable(kept),
-        "has n_kept {}; it must be a function of the dimension, or None",
-    ),
-    "keeps_velocity": (
-        lambda flag: isinstance(flag, bool),
-        "has keeps_velocity {}; it must be True or False",
-    ),
-    "bounded": (lambda flag: isinstance(flag, bool), "has bounded {}; it must be True or False"),
-    "senses": (
-        lambda seen: seen is None or (isinstance(seen, str) and seen in _SENSES),
-        f"senses {{}}; it must be one of {_SENSES}",
-    ),
-    "action": (lambda text: isinstance(text, str), "has action {}; it must be a text"),
-    "theorem": (
-        lambda text: text is None or isinstance(text, str),
-        "has theorem {}; it must be a text, or None",
-    ),
-}
-"""What makes a field of a RobotModel right, and what is said if it is not."""
-
-
-def _check_fields(model: RobotModel) -> None:
-    name = model.name
-    if not isinstance(name, str) or not name.isidentifier():
-        raise ValueError(
-            f"name of a robot model is {shown(name)}; it must be a word of letters, digits and _"
-        )
-    who = f"robot model {name!r}"
-    for field, (is_right, message) in _FIELDS.items():
-        if not is_right(value := getattr(model, field)):
-            wrong = TypeError if "function" in message else ValueError
-            raise wrong(f"{who} {message.format(shown(value))}")
-    for dim in model.dims:
-        size = model.memory_size(dim)
-        if not is_whole(size) or not model.n_angles <= size <= MOST_KEPT:
-            raise ValueError(
-                f"{who} keeps {shown(size)} numbers; it must be from {model.n_angles}, its angles, "
-                f"to {MOST_KEPT}"
-            )
-        if model.keeps_velocity and size != model.n_angles + dim:
-            raise ValueError(
-                f"{who} keeps {size} numbers; with its velocity in {dim}-D it must be "
-                f"{model.n_angles + dim}"
-            )
-
-
 # ---- a few questions ----------------------------------------------------------------------------
 
 
@@ -186,17 +154,14 @@ def is_custom(model: RobotModel) -> bool:
 
 
 def constants_of(scenario: Any, early: bool = False) -> Any:
-    """The constants that the equations of a scenario's robot model take; ``early`` at registration,
-    when a model need not be described yet, nor fit a scenario's step.
-
-    Raises:
-        ValueError: if they are not what a step needs, or a few sampled calls of the equations give
-            what no step can bear.
+    """The constants that the equations of a scenario's robot model take, refused if they, or a few
+    sampled calls of the equations, are not what a step needs; ``early`` at registration, when a
+    model need not be described yet, nor fit a scenario's step.
     """
     model, tau = scenario.model, scenario.tau
     who = f"robot model {model.name!r}"
     constants = _called(f"constants of {who}", model.constants, scenario)
-    bounds = _called(f"bounds of {who}", model.bounds, scenario)
+    given = _called(f"bounds of {who}", model.bounds, scenario)
     kind = type(constants)
     motion = motion_of(kind)
     if motion is None:
@@ -212,25 +177,20 @@ def constants_of(scenario: Any, early: bool = False) -> Any:
             if early and field == "duration":
                 return constants
             wanted = f"the step, {least:g} s" if field == "duration" else "a float of 0 m/s or more"
-            raise ValueError(
-                f"the constants of {who} have {field} = {shown(value)}; it must be {wanted}"
-            )
-    sequence = isinstance(bounds, list | tuple) or (
-        isinstance(bounds, np.ndarray) and bounds.ndim == 1
-    )
-    if not sequence or not len(bounds):
-        raise ValueError(f"bounds of {who} are {shown(bounds)}; they must be a list of numbers")
-    for k, bound in enumerate(bounds):
-        if not 0.0 <= real(bound) < math.inf:  # 0: robots without links that have no speed given
-            raise ValueError(
-                f"bounds[{k}] of {who} is {shown(bound)}; it must be finite, and 0 or more"
-            )
+            refuse(f"{field} in the constants of {who}", value, wanted)
+    bounds = floats(f"bounds of {who}", given)
+    if bounds.ndim != 1 or not bounds.size:
+        refuse(f"bounds of {who}", given, "a list of numbers")
+    for k, bound in enumerate(bounds.tolist()):
+        if not 0.0 <= bound < math.inf:  # 0: robots without links that have no speed given
+            refuse(f"bounds[{k}] of {who}", bound, "finite, and 0 or more")
     if not kind.__module__.startswith(f"{__package__}."):  # the package's own are tested
-        _try(model, motion, constants, tuple(map(real, bounds)), scenario.dim)
+        try_equations(model, motion, constants, bounds, scenario.dim)
     return constants
 
 
 def _called(what: str, function: Any, *arguments: Any) -> Any:
+    """What a function of the user's gives, as plain Python."""
     try:
         return getattr(function, "py_func", function)(*arguments)
     except ZeroDivisionError:
@@ -241,115 +201,113 @@ def _called(what: str, function: Any, *arguments: Any) -> Any:
         raise ValueError(f"{what} fails: {type(error).__name__}: {error}") from error
 
 
-def _try(
-    model: RobotModel, motion: Motion, constants: Any, bounds: tuple[float, ...], dim: int
+def try_equations(
+    model: RobotModel, motion: Motion, constants: Any, bounds: NDArray[np.float64], dim: int
 ) -> None:
-    """A few calls of all equations, as plain Python; the first that is wrong is refused."""
+    """Ask all equations a few times; the first that is wrong is refused."""
     random, used = np.random.default_rng(0), np.zeros(len(bounds), bool)
     for sample in range(_SAMPLES):
-        action = tuple((random.uniform(-1.0, 1.0, len(bounds)) * bounds).tolist())
-        if sample < 2:  # at its limits, where models go fastest
-            action = bounds if sample else tuple(-bound for bound in bounds)
+        drawn = random.uniform(-1.0, 1.0, len(bounds)) * bounds
+        action = (-bounds, bounds)[sample] if sample < 2 else drawn  # models go fastest at limits
+        asked = _Asked(model, motion, constants, tuple(action.tolist()), dim)
         try:
             # what overflows is refused as not finite; random streams are meant to
             with np.errstate(over="ignore", invalid="ignore"):
-                used |= _tried(model, motion, constants, action, dim, sample)
+                used |= asked.step(sample)
         except ZeroDivisionError:  # which compiled code takes as infinite
             continue
     if not used.all():
-        k = int(np.argmin(used))
         raise ValueError(
             f"bounds of robot model {model.name!r} are {len(bounds)} numbers, but its equations do "
-            f"not look at action[{k}]; they must be as many as an action has"
+            f"not look at action[{int(np.argmin(used))}]; they must be as many as an action has"
         )
 
 
-def _tried(
-    model: RobotModel, motion: Motion, constants: Any, action: Any, dim: int, seed: int
-) -> np.ndarray[Any, Any]:
-    """One sample of all equations; which numbers of the action they look at."""
-    who, tau, limit = f"robot model {model.name!r}", constants.duration, constants.speed_limit
-    size = model.memory_size(dim)
+class _Asked(NamedTuple):
+    """The equations of a robot model, asked about one action."""
 
-    def asked(name: str, *arguments: Any) -> Any:
-        return _called(f"{name} of {who}", getattr(motion, name), constants, *arguments)
+    model: RobotModel
+    motion: Motion
+    constants: Any
+    action: tuple[float, ...]
+    dim: int
 
-    def numbers(name: str, found: Any, count: int) -> np.ndarray[Any, Any]:
-        if not isinstance(found, tuple) or len(found) != count or not _finite(found):
-            _refuse(name, found, f"a tuple of {count} finite numbers")
-        return np.array(found, dtype=np.float64)
+    def ask(self, name: str, *arguments: Any) -> Any:
+        """What an equation gives."""
+        what = f"{name} of robot model {self.model.name!r}"
+        return _called(what, getattr(self.motion, name), self.constants, *arguments)
 
-    def _refuse(name: str, found: Any, wanted: str) -> None:
+    def numbers(self, name: str, count: int, *arguments: Any) -> tuple[float, ...]:
+        """What it gives if that must be so many finite numbers."""
+        return self.check(name, count, self.ask(name, *arguments))
+
+    def check(self, name: str, count: int, found: Any) -> tuple[float, ...]:
+        """Refuse what are not so many finite numbers."""
+        finite = isinstance(found, tuple) and all(math.isfinite(real(number)) for number in found)
+        if not finite or len(found) != count:
+            self.refuse(name, found, f"a tuple of {count} finite numbers")
+        return found
+
+    def refuse(self, name: str, found: Any, wanted: str) -> NoReturn:
+        """Say what would have been right."""
         raise ValueError(
-            f"{name} of {who} gives {shown(found)} for the action {shown(action)}; it must be "
-            f"{wanted}"
+            f"{name} of robot model {self.model.name!r} gives {shown(found)} for the action "
+            f"{shown(self.action)}; it must be {wanted}"
         )
 
-    memory = asked("init", np.uint64(seed), 0)
-    numbers("init", memory, size)
-    turn = 0.5 * seed
-    c, s = math.cos(turn), math.sin(turn)
-    frame: Any = (c, -s, s, c) if dim == 2 else (c, -s, 0.0, s, c, 0.0, 0.0, 0.0, 1.0)
-    frame = asked("frame", frame, memory)
-    rotation = numbers("frame", frame, dim * dim).reshape(dim, dim)
-    if not np.allclose(rotation @ rotation.T, np.eye(dim), atol=1e-6):
-        _refuse("frame", frame, "a rotation, row by row")
-    proposed = asked("propose", action, frame, memory)
-    if not isinstance(proposed, tuple) or len(proposed) != 2:
-        _refuse("propose", proposed, "a displacement and the length of the way")
-    displacement, way = numbers("propose", proposed[0], dim), real(proposed[1])
-    far = float(np.linalg.norm(displacement))
-    slack = _ROUNDING * (1.0 + limit * tau)
-    if not far - slack <= way < math.inf:
-        _refuse("propose", proposed, f"a way of {far:g} m, its displacement, or longer")
-    if far > limit * tau + slack:
-        _refuse("propose", proposed, f"a displacement of speed_limit times {tau:g} s at most")
-    for contact, moved in ((FREE, proposed[0]), (STOPPED, (0.0,) * dim)):
-        after = asked("update", action, frame, memory, moved, contact)
-        numbers("update", after, size)
-    if size:
-        _check_curve(asked, numbers, _refuse, (action, frame, memory), displacement, tau)
-    seen = asked("sense", frame, memory)
-    numbers("sense", seen, dim if model.senses else 0)
-    looks = np.zeros(len(action), bool)
-    remembered = asked("update", action, frame, memory, proposed[0], FREE)
-    for k in range(len(action)):
-        other = (*action[:k], 0.5 * action[k], *action[k + 1 :])
-        changed = asked("propose", other, frame, memory)
-        kept = asked("update", other, frame, memory, proposed[0], FREE)
-        looks[k] = changed != proposed or kept != remembered
-    return looks
-
-
-def _check_curve(
-    asked: Any, numbers: Any, refuse: Any, given: Any, displacement: Any, tau: float
-) -> None:
-    """``displacement_at`` ends where ``propose`` does, its chord within β τ² of it."""
-    action, _, memory = given
-    dim = len(displacement)
-    bent = real(asked("chord_error_bound", action, memory))
-    if not 0.0 <= bent < math.inf:
-        refuse("chord_error_bound", bent, "a finite number, 0 or more")
-    closes = asked("closes", action, memory)
-    if not real(closes) > 0.0:
-        refuse("closes", closes, "a positive number, inf for never")
-    slack = 1e-6 * (1.0 + float(np.linalg.norm(displacement)))
-    for share in (0.0, 0.3, 0.5, 1.0):
-        found = asked("displacement_at", *given, share * tau)
-        aside = np.linalg.norm(numbers("displacement_at", found, dim) - share * displacement)
-        if share in (0.0, 1.0) and aside > slack:
-            refuse(
-                "displacement_at",
-                found,
-                f"{share:g} of what propose gives after {share:g} of the step",
+    def step(self, seed: int) -> NDArray[np.bool_]:
+        """All equations of a step, in order; which numbers of the action they look at."""
+        action, dim, size = self.action, self.dim, self.model.memory_size(self.dim)
+        tau, limit = self.constants.duration, self.constants.speed_limit
+        memory = self.numbers("init", size, np.uint64(seed), 0)
+        c, s = math.cos(0.5 * seed), math.sin(0.5 * seed)
+        start = (c, -s, s, c) if dim == 2 else (c, -s, 0.0, s, c, 0.0, 0.0, 0.0, 1.0)
+        frame = self.numbers("frame", dim * dim, start, memory)
+        rotation = np.reshape(frame, (dim, dim))
+        if not np.allclose(rotation @ rotation.T, np.eye(dim), atol=1e-6):
+            self.refuse("frame", frame, "a rotation, row by row")
+        proposed = self.ask("propose", action, frame, memory)
+        if not isinstance(proposed, tuple) or len(proposed) != 2:
+            self.refuse("propose", proposed, "a displacement and the length of the way")
+        displacement = np.array(self.check("propose", dim, proposed[0]))
+        way, far = real(proposed[1]), float(np.linalg.norm(displacement))
+        slack = _ROUNDING * (1.0 + limit * tau)
+        if not far - slack <= way < math.inf:
+            self.refuse("propose", proposed, f"a way of {far:g} m, its displacement, or longer")
+        if far > limit * tau + slack:
+            wanted = f"a displacement of speed_limit times {tau:g} s at most"
+            self.refuse("propose", proposed, wanted)
+        self.numbers("update", size, action, frame, memory, (0.0,) * dim, STOPPED)
+        kept = self.numbers("update", size, action, frame, memory, proposed[0], FREE)
+        if size:
+            self._check_curve(frame, memory, displacement)
+        self.numbers("sense", dim if self.model.senses else 0, frame, memory)
+        looks = np.zeros(len(action), bool)
+        for k in range(len(action)):
+            other = (*action[:k], 0.5 * action[k], *action[k + 1 :])
+            looks[k] = (
+                self.ask("propose", other, frame, memory) != proposed
+                or self.ask("update", other, frame, memory, proposed[0], FREE) != kept
             )
-        if aside > bent * tau * tau * (1.0 + 1e-6) + slack:
-            refuse(
-                "chord_error_bound",
-                bent,
-                f"as large as the way is bent, {aside / tau**2:g} m/s² or more",
-            )
+        return looks
 
-
-def _finite(found: tuple[Any, ...]) -> bool:
-    return all(math.isfinite(real(number)) for number in found)
+    def _check_curve(self, frame: Any, memory: Any, displacement: NDArray[np.float64]) -> None:
+        """``displacement_at`` ends where ``propose`` does, its chord within β τ² of it."""
+        tau = self.constants.duration
+        bent = real(self.ask("chord_error_bound", self.action, memory))
+        if not 0.0 <= bent < math.inf:
+            self.refuse("chord_error_bound", bent, "a finite number, 0 or more")
+        closes = self.ask("closes", self.action, memory)
+        if not real(closes) > 0.0:
+            self.refuse("closes", closes, "a positive number, inf for never")
+        slack = 1e-6 * (1.0 + float(np.linalg.norm(displacement)))
+        for share in (0.0, 0.3, 0.5, 1.0):
+            given = self.action, frame, memory, share * tau
+            found = self.numbers("displacement_at", self.dim, *given)
+            aside = float(np.linalg.norm(found - share * displacement))
+            if share in (0.0, 1.0) and aside > slack:
+                wanted = f"{share:g} of what propose gives after {share:g} of the step"
+                self.refuse("displacement_at", found, wanted)
+            if aside > bent * tau * tau * (1.0 + 1e-6) + slack:
+                wanted = f"as large as the way is bent, {aside / tau**2:g} m/s² or more"
+                self.refuse("chord_error_bound", bent, wanted)

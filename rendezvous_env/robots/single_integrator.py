@@ -15,10 +15,8 @@ from .robot_models import RobotModel, register_robot_model
 class SingleIntegrator(NamedTuple):
     """ṗ = v: the action is a velocity, m/s."""
 
-    duration: float
-    """τ, s."""
-    speed_limit: float
-    """v_max, m/s."""
+    duration: float  # τ, s
+    speed_limit: float  # v_max, m/s
 
 
 @kernel(inline="code")

@@ -17,12 +17,9 @@ from .robot_models import RobotModel, register_robot_model
 class Unicycle(NamedTuple):
     """ṗ = v (cos θ, sin θ), θ̇ = ω (eq. 5): the action is (v, ω), the memory (θ,)."""
 
-    duration: float
-    """τ, s."""
-    speed_limit: float
-    """Of v, m/s."""
-    turn_limit: float
-    """Of ω, rad/s."""
+    duration: float  # τ, s
+    speed_limit: float  # of v, m/s
+    turn_limit: float  # of ω, rad/s
 
 
 @kernel
@@ -58,24 +55,21 @@ def arc_2d(speed, yaw, yaw_rate, duration):
 
 @kernel
 def body_frame_2d(yaw):
-    """R = (cos θ, −sin θ; sin θ, cos θ), row by row, from the body frame (x = heading, y = left)
-    to the global one; θ is the yaw, rad.
-    """
+    """R(θ), row by row, from the body frame (x = heading, y = left) to the global one; θ in rad."""
     c, s = math.cos(yaw), math.sin(yaw)
     return c, -s, s, c
 
 
 @kernel
 def clip(value, bound):
-    """min(max(value, −bound), bound), a number in their unit; they are of the same unit."""
+    """min(max(value, −bound), bound)."""
     return min(max(value, -bound), bound)
 
 
 @kernel
 def _propose(model, action, frame, memory):
-    speed = clip(action[0], model.speed_limit)
-    yaw_rate = clip(action[1], model.turn_limit)
-    return arc_2d(speed, memory[0], yaw_rate, model.duration), abs(speed) * model.duration
+    way = abs(clip(action[0], model.speed_limit)) * model.duration
+    return _displacement_at(model, action, frame, memory, model.duration), way
 
 
 @kernel
@@ -129,10 +123,8 @@ register_robot_model(
     RobotModel(
         "unicycle",
         dims=(2,),
-        constants=lambda scenario: Unicycle(
-            scenario.tau, scenario.speed_limit, scenario.turn_limit
-        ),
-        bounds=lambda scenario: [scenario.speed_limit, scenario.turn_limit],
+        constants=lambda given: Unicycle(given.tau, given.speed_limit, given.turn_limit),
+        bounds=lambda given: [given.speed_limit, given.turn_limit],
         n_angles=1,
         action="v, ω: m/s, rad/s",
         theorem="theorem 3",

@@ -6,15 +6,9 @@ from typing import Any
 
 from .. import checks
 
-MEETINGS = ("merge", "pack")
-
 
 def check_bodies(scenario: Any) -> None:
-    """Bodies do not overlap: they dock at r, where every pair does, or stop (guarantees 13).
-
-    Raises:
-        ValueError: naming the field of the Scenario, its value and what would be right.
-    """
+    """Bodies do not overlap: they dock at r, where every pair does, or stop (guarantees 13)."""
     packs, n, radius = scenario.meeting == "pack", scenario.n_robots, scenario.body_radius
     if radius is None:
         if packs:

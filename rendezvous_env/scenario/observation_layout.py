@@ -13,10 +13,7 @@ from ..checks import floats
 SILHOUETTE_POINTS = {2: 2, 3: 8}
 """Points seen of one obstacle: both edges in the plane, eight boundary rays of its cone in
 space."""
-
-
-_TYPES = (np.dtype(np.float32), np.dtype(np.float64))
-"""Of numbers that compiled policies take."""
+_TYPES = (np.dtype(np.float32), np.dtype(np.float64))  # of numbers that compiled policies take
 
 
 class ObservedRows(NamedTuple):
@@ -35,9 +32,7 @@ class ObservedRows(NamedTuple):
 @dataclass(frozen=True)
 class ObservationLayout:
     """The rows of an observation ``(..., rows, d)``: neighbours, obstacles, and then what the robot
-    senses of itself, gravity or its velocity.
-
-    An absent row is zero.
+    senses of itself, gravity or its velocity. An absent row is zero.
     """
 
     dim: int
@@ -92,10 +87,7 @@ class ObservationLayout:
 
     def split(self, observations: NDArray[Any]) -> ObservedRows:
         """Take observations, (..., rows, d) or flat, (..., rows·d), apart; where there is one row
-        only, (..., 1, d) is a table.
-
-        Raises:
-            ValueError: for another shape.
+        only, (..., 1, d) is a table. Other shapes are refused.
         """
         observations = self.checked(self.unflattened(observations))
         leading = observations.shape[:-2]

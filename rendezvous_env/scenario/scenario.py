@@ -10,26 +10,26 @@ import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import Any, cast
+from pathlib import Path
+from typing import Annotated, Any, Literal, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .. import checks, graphs
-from ..checks import known_fields
+from ..checks import Metres, Seconds, positive, whole
 from ..graphs import Graph, GraphLike
 from ..limits import LONGEST_NAME, MOST_OBSTACLES, MOST_ROBOTS, MOST_STEPS
-from ..obstacles import obstacle_set
 from ..obstacles import parsing as obstacles
-from ..obstacles.fields import Field
 from ..obstacles.parsing import Obstacles
 from ..rewards.costs import as_costs
 from ..rewards.terms import RewardWeights
 from ..robots.robot_models import ROBOT_MODELS, RobotModel, try_with
 from ..sensors.sensing import Sensing
 from . import scenario_files
-from .bodies import MEETINGS, check_bodies
+from .bodies import check_bodies
 from .observation_layout import ObservationLayout
+from .start_options import check_apart, check_positions, check_table
 
 CONTACT_MODES = ("slide", "stop", "ignore")
 Table = tuple[tuple[float, ...], ...]
@@ -51,46 +51,21 @@ def _check_dim(field: str, value: Any) -> int:
     return int(value)
 
 
-def _check_sensing(field: str, value: Any) -> Sensing:
-    if isinstance(value, Mapping):
-        return Sensing.from_plain(value)
-    if not isinstance(value, Sensing):
-        checks.refuse(field, value, "a Sensing, or a table of its fields")
-    return value
+def _check_model(field: str, value: Any) -> str:
+    return checks.choice(field, value, ROBOT_MODELS)
 
 
-def _check_reward(field: str, value: Any) -> RewardWeights:
-    if not isinstance(value, RewardWeights):
-        checks.refuse(field, value, "a RewardWeights, such as rv.RewardWeights(time_penalty=0.2)")
-    return value
+def _of_class(made: Any) -> Callable[[str, Any], Any]:
+    """A check for an instance of a class, or a table of its fields."""
 
+    def check(field: str, value: Any) -> Any:
+        if isinstance(value, Mapping):
+            return made.from_plain(value)
+        if not isinstance(value, made):
+            checks.refuse(field, value, f"a {made.__name__}, or a table of its fields")
+        return value
 
-_LENGTH = partial(checks.positive, unit="m")
-_CHECKS: dict[str, Callable[[str, Any], Any]] = {
-    "name": _check_name,
-    "n_robots": partial(checks.whole, least=2, most=MOST_ROBOTS),
-    "dim": _check_dim,
-    "robot_model": lambda field, value: checks.choice(field, value, ROBOT_MODELS),
-    "require_connected": checks.flag,
-    "merge_radius": _LENGTH,
-    "body_radius": _LENGTH,
-    "meeting": partial(checks.choice, choices=MEETINGS),
-    "time_step": partial(checks.positive, unit="s"),
-    "allow_long_step": checks.flag,
-    "time_limit": partial(checks.positive, unit="s"),
-    "max_speed": partial(checks.positive, unit="m/s"),
-    "max_turn_rate": partial(checks.positive, unit="rad/s"),
-    "max_acceleration": partial(checks.positive, unit="m/s²"),
-    "obstacle_range": _LENGTH,
-    "obstacle_contact": partial(checks.choice, choices=CONTACT_MODES),
-    "spawn_size": _LENGTH,
-    "local_frames": partial(checks.choice, choices=("random", "global")),
-    "on_merge": partial(checks.choice, choices=("remove", "follow")),
-    "sensing": _check_sensing,
-    "reward": _check_reward,
-    "costs": as_costs,
-}
-"""Of the fields that can be checked by themselves."""
+    return check
 
 
 @checks.names_unknown_fields("scenario")
@@ -108,13 +83,13 @@ class Scenario:
             a TypeError.
     """
 
-    name: str = "custom"
+    name: Annotated[str, _check_name] = "custom"
     """What tables and files call it."""
-    n_robots: int = 5
+    n_robots: Annotated[int, partial(whole, least=2, most=MOST_ROBOTS)] = 5
     """Number of robots n, at least 2."""
-    dim: int = 2
+    dim: Annotated[int, _check_dim] = 2
     """Dimension d of the space, 2 or 3."""
-    robot_model: str = "single_integrator"
+    robot_model: Annotated[str, _check_model] = "single_integrator"
     """single_integrator or double_integrator (2-D or 3-D), unicycle (2-D), nonholonomic_3d (3-D),
     or one that has been registered."""
     graph: GraphLike = dataclasses.field(default_factory=graphs.complete)
@@ -124,59 +99,60 @@ class Scenario:
     """Refuse a graph that is not connected: its robots can never all meet (theorem 1). A directed
     one must have a robot that is reached from all, a switching one taken together; with a proximity
     graph starts are drawn connected."""
-    merge_radius: float = 0.2
+    merge_radius: Metres = 0.2
     """r in m: neighbours that come this close become one robot."""
-    body_radius: float | None = None
+    body_radius: Metres | None = None
     """Of the disc or sphere that a robot is, m, at most r/2; everyone has to see everyone then.
     None is a point, which hides others as a disc of r/2 where ``sensing`` lets robots hide."""
-    meeting: str = "merge"
+    meeting: Literal["merge", "pack"] = "merge"
     """merge, or pack: bodies stop where they would touch, and have met when they lie in one cluster
     in which each is within r of two others; whom they touch they do not see, unless they touch all.
     In the plane, without obstacles."""
-    time_step: float | None = None
+    time_step: Seconds | None = None
     """τ in s; None is the certified step r/(2D̄), with which V cannot rise between merges."""
     allow_long_step: bool = False
     """Do not warn about a time step longer than the certified one: it is meant."""
-    time_limit: float = 30.0
+    time_limit: Seconds = 30.0
     """Length of an episode in s; rounded up to whole steps."""
-    max_speed: float | None = None
+    max_speed: Annotated[float, partial(positive, unit="m/s")] | None = None
     """v_max in m/s, direction kept; None is D̄, which law (1) never exceeds."""
-    max_turn_rate: float | None = None
+    max_turn_rate: Annotated[float, partial(positive, unit="rad/s")] | None = None
     """Largest ω, ω_β in rad/s (ω_α may be ten times larger, see nonholonomic_3d); None is D̄."""
-    max_acceleration: float | None = None
+    max_acceleration: Annotated[float, partial(positive, unit="m/s²")] | None = None
     """a_max in m/s² of a double integrator, direction kept; None is v_max per 0.25 s."""
     obstacles: Obstacles = ()
     """Discs, convex polygons, capsules or spheres, or a random field drawn for every episode."""
-    obstacle_range: float = 2.0
+    obstacle_range: Metres = 2.0
     """An obstacle is seen while its nearest point is within this distance, m."""
     obstacle_slots: int | None = None
     """M, obstacles that an observation has room for; None is as many as there can be."""
-    obstacle_contact: str = "slide"
+    obstacle_contact: Literal["slide", "stop", "ignore"] = "slide"
     """At an obstacle: slide along it, stop at it, or ignore it."""
     neighbour_slots: int | None = None
     """K, neighbour rows of an observation; None is the most neighbours that a robot can have in any
     episode, merges included. With fewer, a robot that comes to have more is an error."""
-    spawn_size: float = 10.0
+    spawn_size: Metres = 10.0
     """Starts are drawn from a square or cube of this edge length about the origin, m."""
     start_positions: Table | None = None
     """(n, d) in m, if the start is given rather than drawn."""
     start_headings: Table | None = None
     """(n, 1) yaw or (n, 2) yaw and pitch in rad, if they are given rather than drawn."""
-    local_frames: str = "random"
+    local_frames: Literal["random", "global"] = "random"
     """Frames of single integrators: a random fixed rotation for each robot, or the global frame."""
-    on_merge: str = "remove"
+    on_merge: Literal["remove", "follow"] = "remove"
     """A merged-away robot ends (remove), or stays with zero observations (follow)."""
-    sensing: Sensing = dataclasses.field(default_factory=Sensing)
+    sensing: Annotated[Sensing, _of_class(Sensing)] = dataclasses.field(default_factory=Sensing)
     """What the robots' sensors get wrong; by default nothing."""
-    reward: RewardWeights = dataclasses.field(default_factory=RewardWeights)
+    reward: Annotated[RewardWeights, _of_class(RewardWeights)] = dataclasses.field(
+        default_factory=RewardWeights
+    )
     """Weights of the reward terms."""
-    costs: tuple[str, ...] = ()
+    costs: Annotated[tuple[str, ...], as_costs] = ()
     """What is told beside rewards for learners with constraints: "contact", "rise", "link_lost", or
     registered reward terms; see ``rewards.costs``."""
 
     def __post_init__(self) -> None:
-        """Convert and check every field; see the class for what is raised."""
-        checks.check_fields(self, _CHECKS)
+        checks.check_fields(self)
         if self.dim not in self.model.dims:
             fitting = [repr(m.name) for m in ROBOT_MODELS.values() if self.dim in m.dims]
             wanted = f"one of {', '.join(fitting)} where dim is {self.dim}"
@@ -202,12 +178,12 @@ class Scenario:
     @cached_property
     def max_degree(self) -> float:
         """D̄, m/s: the largest D_i = Σ_j a_ij that an episode can produce (theory 4)."""
-        return self.sensing_graph.max_degree(self.n_robots)
+        return float(self.sensing_graph.max_degree(self.n_robots))
 
     @cached_property
     def bottleneck_weight(self) -> float:
-        """a*, m/s, in the worst case, see ``Graph.bottleneck_weight`` (theory 3)."""
-        return self.sensing_graph.bottleneck_weight(self.n_robots)
+        """a*, m/s, in the worst case, see ``GraphNumbers.bottleneck_weight`` (theory 3)."""
+        return float(self.sensing_graph.bottleneck_weight(self.n_robots))
 
     @property
     def start_reach(self) -> float:
@@ -229,10 +205,10 @@ class Scenario:
     @cached_property
     def step_degree(self) -> float:
         """The D_i, m/s, that default step and speed are made for: D̄, or less in large sparse graphs
-        of single integrators (``Graph.step_degree``).
+        of single integrators (``GraphNumbers.step_degree``).
         """
         graph = self.sensing_graph
-        return graph.step_degree(self.n_robots) if self.model.bounded else self.max_degree
+        return float(graph.step_degree(self.n_robots)) if self.model.bounded else self.max_degree
 
     @property
     def scales_velocity(self) -> bool:
@@ -282,11 +258,10 @@ class Scenario:
     @cached_property
     def observation_layout(self) -> ObservationLayout:
         """Which row of an observation is what."""
-        slots = self.obstacle_slots
+        slots, most = self.obstacle_slots, self.sensing_graph.most_neighbours(self.n_robots)
         return ObservationLayout(
             dim=self.dim,
-            neighbour_slots=self.neighbour_slots
-            or self.sensing_graph.most_neighbours(self.n_robots),
+            neighbour_slots=self.neighbour_slots or most,
             obstacle_slots=obstacles.max_count(self.obstacles) if slots is None else slots,
             senses_gravity=self.model.senses_gravity,
             senses_velocity=self.model.senses_velocity,
@@ -295,9 +270,7 @@ class Scenario:
     # ---- construction -------------------------------------------------------------------------
 
     def replace(self, **changes: Any) -> Scenario:
-        """A copy with some fields changed, checked as ever; starts of another shape have to be
-        given anew.
-        """
+        """A copy with some fields changed; starts of another shape have to be given anew."""
         return dataclasses.replace(self, **changes)
 
     @classmethod
@@ -309,31 +282,25 @@ class Scenario:
             ValueError: for text that is not TOML, an unknown key or an impossible value.
         """
         plain = scenario_files.read(path)
-        return cls.from_plain({"name": scenario_files.stem(path), **plain})
+        return cls.from_plain({"name": Path(path).stem, **plain})
 
     @classmethod
     def from_plain(cls, plain: Mapping[str, Any]) -> Scenario:
         """A scenario from plain data, as TOML or JSON hold it; checked as ever."""
         checks.mapping("a scenario's plain data", plain, "a mapping of fields to values")
-        known_fields(plain, [field.name for field in dataclasses.fields(cls)], "scenario")
-        reward = RewardWeights.from_plain(plain.get("reward", {}))
-        sensing = Sensing.from_plain(plain.get("sensing", {}))
-        return cls(**{**plain, "reward": reward, "sensing": sensing})
+        checks.known_fields(plain, [field.name for field in dataclasses.fields(cls)], "scenario")
+        return cls(**plain)
 
     def to_plain(self) -> dict[str, Any]:
         """Plain data, of which ``from_plain`` makes an equal scenario; None is an absent key."""
         plain = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
         plain["graph"] = self.sensing_graph.to_plain()
-        plain["obstacles"] = obstacles.to_plain(self.obstacles)
+        plain["obstacles"] = obstacles.to_plain(self.obstacles) or None
         plain["reward"] = self.reward.to_plain()
         plain["sensing"] = None if self.sensing.exact else self.sensing.to_plain()
+        plain["costs"] = list(self.costs) or None
         for key in ("start_positions", "start_headings"):
-            if plain[key] is not None:
-                plain[key] = [list(row) for row in plain[key]]
-        plain["costs"] = list(self.costs)
-        for key in ("obstacles", "costs"):
-            if not plain[key]:
-                del plain[key]
+            plain[key] = plain[key] and [list(row) for row in plain[key]]
         return {key: value for key, value in plain.items() if value is not None}
 
     def to_toml(self, path: str | os.PathLike[str]) -> None:
@@ -367,19 +334,18 @@ class Scenario:
         self._check_slots("obstacle_slots", count, MOST_OBSTACLES, wanted)
 
     def _check_starts(self) -> None:
-        shapes = {"start_positions": self.dim, "start_headings": self.model.n_angles}
-        for field, width in shapes.items():
-            if getattr(self, field) is None:
-                continue
-            table = checks.check_table(field, getattr(self, field), (self.n_robots, width))
-            object.__setattr__(self, field, tuple(tuple(row) for row in table.tolist()))
+        for field, width in (
+            ("start_positions", self.dim),
+            ("start_headings", self.model.n_angles),
+        ):
+            if getattr(self, field) is not None:
+                table = check_table(field, getattr(self, field), (self.n_robots, width))
+                object.__setattr__(self, field, tuple(map(tuple, table.tolist())))
         if self.start_positions is not None:
-            positions = np.array(self.start_positions)
-            checks.check_distinct("start_positions", positions, self.sensing_graph.sparse_weights)
+            positions, weights = np.array(self.start_positions), self.sensing_graph.sparse_weights
+            check_positions("start_positions", self, positions, weights, self.obstacles)
             if self.body_radius is not None:
-                checks.check_apart("start_positions", positions, 2.0 * self.body_radius)
-            if not isinstance(self.obstacles, Field) and self.obstacle_contact != "ignore":
-                obstacle_set.check_outside("start_positions", positions, self.obstacles)
+                check_apart("start_positions", positions, 2.0 * self.body_radius)
 
     def _check_time_step(self) -> None:
         if self.time_step is None and not math.isfinite(self.certified_step):

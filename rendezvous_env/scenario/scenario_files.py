@@ -17,21 +17,16 @@ _PathLike = str | os.PathLike[str]
 
 def read(path: _PathLike) -> dict[str, Any]:
     """The plain data of a TOML file; ValueError for text that is none."""
-    file = _file(path)
-    with _possible(path):
+    with _possible(path) as file:
         content = file.read_bytes()
     try:
         return tomllib.loads(content.decode("utf-8"))
     except RecursionError as error:
-        raise ValueError(f"{_name(path)}: its tables and lists are nested too deep") from error
+        reason = "its tables and lists are nested too deep"
+        raise ValueError(f"{shown(str(path))[1:-1]}: {reason}") from error
     except ValueError as error:
-        reason = shown(str(error))[1:-1]
-        raise ValueError(f"{_name(path)}: not a TOML file: {reason}") from error
-
-
-def stem(path: _PathLike) -> str:
-    """Name of the file without its ending."""
-    return _file(path).stem
+        reason = f"not a TOML file: {shown(str(error))[1:-1]}"
+        raise ValueError(f"{shown(str(path))[1:-1]}: {reason}") from error
 
 
 def write(path: _PathLike, plain: dict[str, Any]) -> None:
@@ -39,9 +34,8 @@ def write(path: _PathLike, plain: dict[str, Any]) -> None:
     import tomli_w
 
     text = tomli_w.dumps(plain)
-    target = _file(path)
-    temporary = Path(f"{target}.part")
-    with _possible(path):
+    with _possible(path) as target:
+        temporary = Path(f"{target}.part")
         temporary.write_text(text, encoding="utf-8")
         try:
             temporary.replace(target)
@@ -50,21 +44,13 @@ def write(path: _PathLike, plain: dict[str, Any]) -> None:
             raise
 
 
-def _name(path: _PathLike) -> str:
-    return shown(str(path))[1:-1]
-
-
-def _file(path: _PathLike) -> Path:
+@contextmanager
+def _possible(path: _PathLike) -> Iterator[Path]:
+    """The path of a file; one that no file can have is refused."""
     if not isinstance(path, str | os.PathLike):
         refuse("path", path, "the path of a TOML file")
-    return Path(path)
-
-
-@contextmanager
-def _possible(path: _PathLike) -> Iterator[None]:
-    """Tell a path that no file can have."""
     try:
-        yield
+        yield Path(path)
     except OSError as error:
         if error.errno != errno.ENAMETOOLONG:
             raise

@@ -9,20 +9,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import graphs
-from ..checks import check_distinct, check_table, floats, is_whole, mapping, nearest_word, shown
+from ..checks import floats, is_whole, mapping, nearest_word, shown
 from ..graphs.weights import check_weights
-from ..limits import LARGEST_SEED
-from ..obstacles import obstacle_set
+from ..limits import LARGEST, LARGEST_SEED
 from ..obstacles import parsing as obstacles
-from .scenario import Scenario
+from ..obstacles.obstacle_set import check_outside, pack
 
 _ROUNDING = 1e-9
 
 
 class StartOptions(NamedTuple):
-    """The given parts of a start, checked; each has a leading axis of 1 or B. None is to be
-    drawn.
-    """
+    """The given parts of a start, with a leading axis of 1 or B; None is to be drawn."""
 
     positions: NDArray[np.float64] | None = None
     angles: NDArray[np.float64] | None = None
@@ -31,9 +28,7 @@ class StartOptions(NamedTuple):
     obstacles: NDArray[np.float64] | None = None
 
 
-def parse_options(
-    scenario: Scenario, num_envs: int, options: Mapping[str, Any] | None
-) -> StartOptions:
+def parse_options(scenario: Any, num_envs: int, options: Mapping[str, Any] | None) -> StartOptions:
     """Check the options of a reset of B teams, see ``Simulator.reset``.
 
     An unknown key is ignored, as Gymnasium has it, unless it is nearly one of ours.
@@ -50,7 +45,15 @@ def parse_options(
     given = StartOptions(
         *(None if value is None else read(scenario, num_envs, value) for value, read in values)
     )
-    _check_together(scenario, given, options)
+    if (positions := given.positions) is not None:
+        graph = scenario.sensing_graph
+        weights = [graph.sparse_weights] if given.weights is None else given.weights
+        standing = obstacles.parse(options.get("obstacles", scenario.obstacles), scenario.dim)
+        for k in range(max(len(positions), len(weights))):
+            team, of_team = positions[k % len(positions)], weights[k % len(weights)]
+            check_positions(
+                "positions", scenario, team, of_team, standing if k < len(positions) else ()
+            )
     return given
 
 
@@ -69,11 +72,11 @@ def _table(field: str, value: Any, shape: tuple[int, ...], num_envs: int) -> NDA
     return checked if batched else checked[None]
 
 
-def _positions(scenario: Scenario, num_envs: int, value: Any) -> NDArray[np.float64]:
+def _positions(scenario: Any, num_envs: int, value: Any) -> NDArray[np.float64]:
     return _table("positions", value, (scenario.n_robots, scenario.dim), num_envs)
 
 
-def _angles(scenario: Scenario, num_envs: int, value: Any) -> NDArray[np.float64]:
+def _angles(scenario: Any, num_envs: int, value: Any) -> NDArray[np.float64]:
     n, width = scenario.n_robots, scenario.model.n_angles
     if width == 0:
         raise ValueError(
@@ -85,7 +88,7 @@ def _angles(scenario: Scenario, num_envs: int, value: Any) -> NDArray[np.float64
     return _table("headings", array, (n, width), num_envs)
 
 
-def _frames(scenario: Scenario, num_envs: int, value: Any) -> NDArray[np.float64]:
+def _frames(scenario: Any, num_envs: int, value: Any) -> NDArray[np.float64]:
     if scenario.model.nonholonomic:
         raise ValueError(
             'frames: the body axes are the frame of this model; give "headings" instead'
@@ -100,13 +103,12 @@ def _frames(scenario: Scenario, num_envs: int, value: Any) -> NDArray[np.float64
     return frames
 
 
-def _weights(scenario: Scenario, num_envs: int, value: Any) -> NDArray[np.float64]:
-    n = scenario.n_robots
+def _weights(scenario: Any, num_envs: int, value: Any) -> NDArray[np.float64]:
+    n, graph = scenario.n_robots, scenario.sensing_graph
     given = floats("weights", value)
     weights = given[None] if given.ndim == 2 else given
     if weights.shape not in ((1, n, n), (num_envs, n, n)):
         raise ValueError(f"weights have shape {given.shape}; they must be {(n, n)}")
-    graph = scenario.sensing_graph
     if graph.changes:
         raise ValueError(
             f"weights: none can be given where the graph changes: those of a {graph.kind} graph "
@@ -115,18 +117,11 @@ def _weights(scenario: Scenario, num_envs: int, value: Any) -> NDArray[np.float6
     for matrix in weights:
         check_weights(matrix, n, "weights", directed=graph.directed)
         _check_within(scenario, matrix)
-        counts = (matrix > 0).sum(axis=1)
-        if counts.max() > (slots := scenario.observation_layout.neighbour_slots):
-            robot = int(np.argmax(counts))
-            raise ValueError(
-                f"weights give robot_{robot} {counts[robot]} neighbours; there are rows for "
-                f"neighbour_slots = {slots}; give the scenario more neighbour_slots"
-            )
     return weights
 
 
-def _check_within(scenario: Scenario, weights: NDArray[np.float64]) -> None:
-    """The constants D̄ and a* of the mission must hold for the given weights too."""
+def _check_within(scenario: Any, weights: NDArray[np.float64]) -> None:
+    """The constants D̄ and a* of the mission and the rows must hold for the given weights too."""
     n, directed = scenario.n_robots, scenario.sensing_graph.directed
     given = graphs.directed(weights) if directed else graphs.from_matrix(weights)
     if scenario.require_connected and (why := given.why_not_joined(n)) is not None:
@@ -143,34 +138,30 @@ def _check_within(scenario: Scenario, weights: NDArray[np.float64]) -> None:
             f"weights have the bottleneck a* = {bottleneck:.6g} m/s; the scenario's guarantee "
             f"stands on at least {scenario.bottleneck_weight:.6g}"
         )
+    counts, slots = (weights > 0).sum(axis=1), scenario.observation_layout.neighbour_slots
+    if counts.max() > slots:
+        robot = int(np.argmax(counts))
+        raise ValueError(
+            f"weights give robot_{robot} {counts[robot]} neighbours; there are rows for "
+            f"neighbour_slots = {slots}; give the scenario more neighbour_slots"
+        )
 
 
-def _obstacles(scenario: Scenario, num_envs: int, value: Any) -> NDArray[np.float64]:
+def _obstacles(scenario: Any, num_envs: int, value: Any) -> NDArray[np.float64]:
     parsed = obstacles.parse(value, scenario.dim)
     if not isinstance(parsed, tuple):
         raise ValueError(
             "obstacles: give them one by one; a random field belongs into the scenario"
         )
-    slots = scenario.observation_layout.obstacle_slots
-    if len(parsed) > slots:
-        raise ValueError(
-            f"obstacles: {len(parsed)} given, but the scenario has room for {slots}; "
-            "set its obstacle_slots"
-        )
-    width = obstacles.row_width(scenario.obstacles)
-    if obstacles.row_width(parsed) > width:
-        raise ValueError(
-            "obstacles: one has more corners than any of the scenario's own obstacles, or is a "
-            "capsule where the scenario has none"
-        )
     if obstacles.only_balls(scenario.obstacles) and not obstacles.only_balls(parsed):
         raise ValueError(
             "obstacles: the scenario's own are all round, so only round ones can be given"
         )
-    return obstacle_set.pack(parsed, slots, width)[None]
+    slots = scenario.observation_layout.obstacle_slots
+    return pack(parsed, slots, obstacles.row_width(scenario.obstacles))[None]
 
 
-_READERS: dict[str, Callable[[Scenario, int, Any], NDArray[np.float64]]] = {
+_READERS: dict[str, Callable[[Any, int, Any], NDArray[np.float64]]] = {
     "positions": _positions,
     "headings": _angles,
     "frames": _frames,
@@ -180,20 +171,54 @@ _READERS: dict[str, Callable[[Scenario, int, Any], NDArray[np.float64]]] = {
 """In the order of ``StartOptions``."""
 OPTIONS = tuple(_READERS)
 
+# ---- positions, of a scenario too ----------------------------------------------------------------
 
-def _check_together(scenario: Scenario, given: StartOptions, options: Mapping[str, Any]) -> None:
-    """Given positions must neither coincide nor lie in a given obstacle."""
-    positions = given.positions
-    if positions is None:
-        return
-    weights = [scenario.sensing_graph.sparse_weights] if given.weights is None else given.weights
-    for k in range(max(len(positions), len(weights))):
-        check_distinct("positions", positions[k % len(positions)], weights[k % len(weights)])
-    standing = options.get("obstacles", scenario.obstacles)
-    standing = obstacles.parse(standing, scenario.dim)
+
+def check_table(field: str, value: Any, shape: tuple[int, ...]) -> NDArray[np.float64]:
+    """A float64 array of a shape, of numbers within the limits; a wrong robot is named."""
+    table = np.array(floats(field, value))
+    if table.shape != shape:
+        raise ValueError(f"{field} has shape {table.shape}; it must be {shape}")
+    if not (wanted := np.abs(table) <= LARGEST).all():
+        at = tuple(int(k) for k in np.argwhere(~wanted)[0])
+        raise ValueError(
+            f"{field} of robot_{at[0]} is {shown(table[at[0]].tolist())}; it must be finite, and "
+            f"from {-LARGEST:g} to {LARGEST:g}"
+        )
+    return table
+
+
+def check_positions(
+    field: str, scenario: Any, positions: NDArray[np.float64], weights: Any, standing: Any
+) -> None:
+    """Refuse positions, (n, d), m, inside obstacles or of neighbours in one place, between whom no
+    bearing exists: of robots with a weight in an (n, n) matrix, or in what gives one for n.
+    """
+    _, place, counts = np.unique(positions + 0.0, axis=0, return_inverse=True, return_counts=True)
+    if counts.max() > 1:
+        matrix = weights(len(positions)) if callable(weights) else weights
+        ends = np.sort(np.array(matrix.nonzero()), axis=0)
+        coincident = ends[:, place[ends[0]] == place[ends[1]]]
+        if coincident.size:
+            i, j = min(coincident.T.tolist())
+            raise ValueError(
+                f"{field}: neighbours robot_{i} and robot_{j} both stand at "
+                f"{positions[i].tolist()}; they must not coincide"
+            )
     if isinstance(standing, tuple) and scenario.obstacle_contact != "ignore":
-        for team in positions:
-            obstacle_set.check_outside("positions", team, standing)
+        check_outside(field, positions, standing)
+
+
+def check_apart(field: str, positions: NDArray[np.float64], least: float) -> None:
+    """Refuse robots that stand nearer to each other than a length, m: their bodies overlap."""
+    offsets = positions[:, np.newaxis] - positions
+    distances = np.linalg.norm(offsets, axis=-1) + np.diag(np.full(len(positions), np.inf))
+    if distances.min() < least:
+        i, j = divmod(int(distances.argmin()), len(positions))
+        raise ValueError(
+            f"{field}: robot_{i} and robot_{j} stand {distances[i, j]:.4g} m apart; it must be at "
+            f"least {least:g} m, two body_radius"
+        )
 
 
 # ---- seeds -------------------------------------------------------------------------------------
@@ -203,9 +228,6 @@ def seeds_of_teams(seed: Any, num_envs: int) -> list[int | None] | None:
     """A seed for each of B teams, None where it keeps its own; None if all do.
 
     One number s gives team i the seed s + i; a sequence or array gives each team its own.
-
-    Raises:
-        ValueError: naming what is no seed.
     """
     if seed is None:
         return None

@@ -14,15 +14,12 @@ from ..physics.random_streams import mix
 from ..physics.vectors import combine, square
 
 _STEP = np.uint64(0xD1B54A32D192ED03)
-
 _HALF, _ONE, _TWO = np.float32(0.5), np.float32(1.0), np.float32(2.0)
 _ONE_BIT = np.uint32(1)
 _PER_MAGNITUDE = np.float32(2.0**-31)
 _TURN_PER_WORD = np.float32(2.0 * math.pi * 2.0**-32)
-
 _MANTISSA = np.int32(23)
-_TWO_THIRDS = np.int32(0x3F2AAAAB)
-"""The bits of 2/3, from which on a mantissa m ∈ [2/3, 4/3) is counted."""
+_TWO_THIRDS = np.int32(0x3F2AAAAB)  # its bits; a mantissa m ∈ [2/3, 4/3) is counted from there
 _LOG_2 = np.float32(math.log(2.0))
 _LOG = tuple(
     np.float32(factor)
@@ -50,13 +47,11 @@ _LOWER = tuple(
 """Of Φ⁻¹((1 + x)/2)/x, in ascending powers of w = −log(1 − x²) ∈ [0, 21.5]: a rational of least
 largest relative error, 1.2·10⁻⁷."""
 
-_ROUNDS = np.float32(1.5 * 2.0**23)
-"""A float32 so large that to add it leaves the nearest whole number, in its last bits."""
+_ROUNDS = np.float32(1.5 * 2.0**23)  # to add it leaves the nearest whole number, in the last bits
 _QUARTERS = np.float32(2.0 / math.pi)
+# π/2 as a short number, of which multiples are exact, and the rest
 _QUARTER = (np.float32(1.5703125), np.float32(0.5 * math.pi - 1.5703125))
-"""π/2 as a short number, of which multiples are exact, and the rest."""
-_SMALL = np.float32(0.123)
-"""rad: 6.34 times as much is still below π/4."""
+_SMALL = np.float32(0.123)  # rad; 6.34 times as much is still below π/4
 _SINE = tuple(np.float32(c) for c in (-1.6666654611e-1, 8.3321608736e-3, -1.9515295891e-4))
 _COSINE = tuple(
     np.float32(c) for c in (4.166664568298827e-2, -1.388731625493765e-3, 2.443315711809948e-5)
@@ -71,14 +66,12 @@ def step_key(key, step):
 
 @kernel(inline="code")
 def gaussian(word):
-    """A standard normal number, float32: the inverse of the distribution function at a word.
+    """A standard normal number, float32: the inverse of the distribution function at a word, a
+    uniform uint32.
 
         z = Φ⁻¹((1 + x)/2) = ± |x| R(w),   w = −log(1 − x²)   (the variable of Giles, 2010)
 
     Its lowest bit is the sign, the others are |x|, so that |z| ≤ 6.34 with 1,200 values beyond 5.
-
-    Args:
-        word: uint32, uniform.
     """
     y = (np.float32(np.int32(word >> _ONE_BIT)) + _HALF) * _PER_MAGNITUDE  # 1 − |x|
     v = y * (_TWO - y)  # 1 − x², as precise in the tails
@@ -138,12 +131,8 @@ def turned_by_chance(row, deviation, small, word, other):
 
         R(α) g,   or   cos α g + sin α ‖g‖ t,   t = cos φ b + sin φ c,   b, c, g orthogonal
 
-    Args:
-        row: float32, a pair or triple.
-        deviation: rad, float32.
-        small: whether that ``is_small``, if it shall save the time for larger angles.
-        word: uint32, of which α is made.
-        other: uint32, of which φ is; not used in the plane.
+    The row and the deviation, rad, are float32; α is made of ``word`` and φ of ``other``, uint32.
+    Larger angles take time unless the deviation ``is_small``.
     """
     c, s = cosine_and_sine(deviation * gaussian(word), small)
     if len(row) == 2:
@@ -155,10 +144,8 @@ def turned_by_chance(row, deviation, small, word, other):
 
 @kernel(inline="code")
 def _across(row, turn):
-    """A triple across a row and as long, at an angle about it.
-
-    From a basis without a branch (after Duff et al., "Building an orthonormal basis, revisited",
-    2017).
+    """A triple across a row and as long, at an angle about it: from a basis without a branch (after
+    Duff et al., "Building an orthonormal basis, revisited", 2017).
     """
     (x, y, z), (c, s) = row, cosine_and_sine(turn, False)
     length = np.float32(math.sqrt(square(row)))

@@ -16,16 +16,7 @@ from .chance import step_key
 
 
 class Seen:
-    """What B teams see at one moment, to be changed in place.
-
-    Args:
-        scenario: the Scenario.
-        observations: (B, n, rows, d), float32.
-        steps: (B,), steps done in the episode.
-        seeds: (B,), of the teams, uint64.
-        episodes: (B,), their numbers.
-        positions: (B, n, d), m.
-    """
+    """What B teams see at one moment, to be changed in place."""
 
     neighbours: NDArray[np.float32]
     """(B, n, K, d): a_ij g_ij in the robots' own frames, m/s; zero where nobody is seen."""
@@ -45,9 +36,8 @@ class Seen:
         episodes: NDArray[np.int64],
         positions: NDArray[np.float64],
     ) -> None:
-        rows = scenario.observation_layout.split(observations)
         self.scenario, self.positions, self.time = scenario, positions, steps * scenario.tau
-        self.neighbours, self.obstacles = rows.neighbours, rows.obstacles
+        self.neighbours, self.obstacles = scenario.observation_layout.split(observations)[:2]
         self._name, self._keys = "", (seeds, episodes, steps)
 
     def uniform(self, *shape: int) -> NDArray[np.float64]:
@@ -78,14 +68,10 @@ _IMPERFECTIONS = Registry("imperfection", "rv.sensor_imperfection")
 def sensor_imperfection(name: str, change: Imperfection | None = None) -> Any:
     """Register an imperfection: a function that changes what is ``Seen`` in place.
 
-    ``Sensing(custom=(name,))`` then applies it after all others. It may drop rows (zero) and turn
-    them; rows that are absent stay so, and robots that are gone see nothing. Where there are fewer
-    rows than other robots, those left stand first.
-
-    Args:
-        name: a word; an imperfection of that name is replaced.
-        change: treats every team by itself and remembers nothing. Without it a decorator is
-            returned.
+    ``Sensing(custom=(name,))`` then applies it after all others. It treats every team by itself and
+    remembers nothing. It may drop rows (zero) and turn them; rows that are absent stay so, and
+    robots that are gone see nothing. Where there are fewer rows than other robots, those left stand
+    first. An imperfection of the same name is replaced; without ``change`` a decorator is returned.
 
     Raises:
         ValueError: for what is no name or cannot be called.
@@ -94,11 +80,7 @@ def sensor_imperfection(name: str, change: Imperfection | None = None) -> Any:
 
 
 def as_custom(field: str, value: Any) -> tuple[str, ...]:
-    """Names of registered imperfections.
-
-    Raises:
-        ValueError: for an unregistered name, or what is no list of names.
-    """
+    """Names of registered imperfections."""
     if not isinstance(value, list | tuple):
         refuse(field, value, "a list of names")
     for name in value:
@@ -107,16 +89,13 @@ def as_custom(field: str, value: Any) -> tuple[str, ...]:
 
 
 def apply_custom(seen: Seen) -> None:
-    """Let the custom imperfections of a scenario change what is seen.
-
-    Raises:
-        ValueError: naming one that made a number that is not finite.
-    """
-    absent = [~table.any(axis=-1) for table in (seen.neighbours, seen.obstacles)]
+    """Let the custom imperfections of a scenario change what is seen."""
+    tables = seen.neighbours, seen.obstacles
+    absent = [~table.any(axis=-1) for table in tables]
     for name in seen.scenario.sensing.custom:
         seen._name = name
         _IMPERFECTIONS[name](seen)
-        for table, gone in zip((seen.neighbours, seen.obstacles), absent, strict=True):
+        for table, gone in zip(tables, absent, strict=True):
             table[gone] = 0.0
             if not np.isfinite(table).all():
                 raise ValueError(f"sensing.custom: {name!r} made a number that is not finite")

@@ -1,35 +1,52 @@
 """What a sensor gets wrong, and what that makes of one row at a time.
 
-An imperfection is a setting in ``sensing.py`` and, here, a constant of ``Imperfections`` and its
-value in ``imperfections_of``. What a robot makes of one neighbour is in ``neighbour_seen``; range,
-view and chance, that are over lanes, in ``engine/stages/sense_by_chance.py``.
+An imperfection is a setting in ``sensing.py`` and, here, a constant of ``Imperfections``, its value
+in ``imperfections_of`` and its equation. What a robot makes of one neighbour is in
+``neighbour_seen``; range, view and chance, that are over lanes, in
+``engine/stages/sense_by_chance.py``.
+
+Rows are a_ij g_ij or unit bearings in the robot's own frame, pairs of the plane or triples of
+space; what turns them keeps their length.
 """
 
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import NamedTuple
 
-from ..compilation import inner_kernel
-from ..physics.vectors import ORIGIN, load, subtract, to_local
-from .line_of_sight import is_hidden_by_obstacles, is_hidden_by_robot
+from ..compilation import inner_kernel, kernel
+from ..obstacles.contact import CONTACT_DEPTH
+from ..obstacles.obstacle_set import entry
+from ..obstacles.shape import ABSENT
+from ..physics.vectors import (
+    ORIGIN,
+    X_AXIS,
+    combine,
+    cross,
+    dot,
+    load,
+    norm,
+    square,
+    subtract,
+    to_local,
+    triple,
+)
 from .sensing import Sensing
-from .sensor_equations import in_sectors, turned_towards
+
+_NEARLY_PARALLEL = 1e-9  # sine of an angle between two directions that span no plane
 
 
 class Imperfections(NamedTuple):
     """Those of a team's sensors, as kernels take them; see ``Sensing`` for what they are."""
 
-    reach: float
-    """Range, m; inf without a limit."""
-    half_field: float
-    """Half the field of view, rad."""
+    reach: float  # range, m; inf without a limit
+    half_field: float  # half the field of view, rad
     noise: float
     bias: float
     error: float
     dropout: float
-    sectors: int
-    """0 leaves bearings as they are."""
+    sectors: int  # 0 leaves bearings as they are
     obstacles_hide: bool
     robots_hide: bool
 
@@ -47,7 +64,7 @@ class Imperfections(NamedTuple):
 
 def imperfections_of(sensing: Sensing) -> Imperfections | None:
     """What kernels need to know of a sensor; None if it is exact but for custom imperfections."""
-    if sensing.built_in_exact:
+    if replace(sensing, custom=()).exact:
         return None
     return Imperfections(
         reach=math.inf if sensing.range is None else sensing.range,
@@ -69,7 +86,7 @@ def neighbour_seen(pair, row, frame, sensor, places, scene):
 
     Args:
         pair: i and j.
-        row: about a_ij g_ij in the frame of robot i, a pair or triple, m/s; zero if it is missing.
+        row: about a_ij g_ij in the frame of robot i, m/s; zero if it is missing.
         frame: of robot i, row by row.
         sensor: Imperfections.
         places: positions (n, d), m, and where each robot raises the hull's perimeter most (n, d).
@@ -110,3 +127,104 @@ def _like(row, v):
     if len(row) == 2:
         return v[0], v[1]
     return v
+
+
+# ---- range, field of view, and what stands between -----------------------------------------------
+
+
+@kernel(inline="code")
+def is_seen(offset, reach, half_field):
+    """Whether a place at an offset, m, from the robot in its own frame is in range and in view.
+
+    ‖offset‖ ≤ range (inf without a limit)   and   ∠(offset, x) ≤ field of view/2 (π: all round)
+    """
+    x, y, z = triple(offset)
+    if square(offset) > reach * reach:
+        return False
+    # to find the angle takes as long as a step of a robot with an exact sensor
+    return half_field >= math.pi or math.atan2(math.sqrt(y * y + z * z), x) <= half_field
+
+
+@kernel
+def is_hidden_by_obstacles(world, point, way):
+    """Whether the straight way from a point to another place, triples, m, goes into an obstacle,
+    deeper than a contact does.
+    """
+    for m in range(world.kinds.shape[0]):
+        if world.kinds[m] != ABSENT and entry(world, m, point, way, CONTACT_DEPTH) <= 1.0:
+            return True
+    return False
+
+
+@kernel
+def is_hidden_by_robot(offset, other, radius):
+    """Whether a nearer robot, a disc or sphere of a radius (m) at an offset ``other``, hides the
+    one at ``offset``, triples, m.
+
+    The nearest robot is always seen. A robot within the disc of another sees its far side only.
+    """
+    distance_squared, other_squared = dot(offset, offset), dot(other, other)
+    along = dot(offset, other)
+    if along <= 0.0 or other_squared >= distance_squared:
+        return False
+    return other_squared - along * along / distance_squared < radius * radius
+
+
+# ---- what is turned ------------------------------------------------------------------------------
+
+
+@kernel(inline="code")
+def turned(row, angle, axis):
+    """A row turned by an angle α, rad: in the plane counter-clockwise, in 3-D about the part of an
+    axis (a triple) that is perpendicular to it.
+
+        R(α) g,   or   cos α g + sin α (e × g),  e ∥ axis − (axis·g) g
+
+    An axis nearly along the row counts as the x axis, and then as the y axis.
+    """
+    c, s = math.cos(angle), math.sin(angle)
+    if len(row) == 2:
+        return c * row[0] - s * row[1], s * row[0] + c * row[1]
+    return combine(c, row, s, cross(_across(axis, row), row))
+
+
+@kernel
+def _across(axis, row):
+    """Unit vector along the part of an axis that is perpendicular to a row, triples."""
+    for candidate in (axis, X_AXIS, (0.0, 1.0, 0.0)):
+        part = cross(row, cross(candidate, row))
+        length = norm(part)
+        if length > _NEARLY_PARALLEL * norm(candidate) * dot(row, row):
+            return part[0] / length, part[1] / length, part[2] / length
+    return 0.0, 0.0, 1.0  # the row is zero: nothing is turned
+
+
+@kernel(inline="code")
+def turned_towards(row, angle, target):
+    """A row turned by exactly an angle, rad, so that it points as far along ``target`` as it then
+    can: counter-clockwise in the plane if both senses are equally good.
+    """
+    if len(row) == 2:
+        to_the_left = row[0] * target[1] - row[1] * target[0] >= 0.0
+        return turned(row, angle if to_the_left else -angle, X_AXIS)
+    return turned(row, angle, cross(row, target))
+
+
+@kernel(inline="code")
+def in_sectors(row, sectors):
+    """A row turned into the middle of its sector: the nearest of so many directions, evenly spaced.
+
+    In the plane the directions are the multiples of 2π/sectors from the x axis. In space the yaw
+    is rounded to them, and so is the elevation, as far as ± π/2.
+    """
+    width = 2.0 * math.pi / sectors
+    yaw = width * math.floor(math.atan2(row[1], row[0]) / width + 0.5)
+    if len(row) == 2:
+        length = math.sqrt(square(row))
+        return length * math.cos(yaw), length * math.sin(yaw)
+    length, level = norm(row), math.sqrt(row[0] * row[0] + row[1] * row[1])
+    highest = math.floor(0.5 * math.pi / width + 1e-9)
+    steps = math.floor(math.atan2(row[2], level) / width + 0.5)
+    pitch = width * min(max(steps, -highest), highest)
+    level = length * math.cos(pitch)
+    return level * math.cos(yaw), level * math.sin(yaw), length * math.sin(pitch)

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable
 from functools import partial
-from typing import Any
+from typing import Annotated, Any, Literal
 
 from .. import checks
 from ..limits import MOST_DELAY, MOST_SECTORS
 from .custom_sensors import as_custom
 
-OCCLUSION = ("none", "obstacles", "robots", "both")
 _FULL_CIRCLE = 2.0 * math.pi
 
 
@@ -22,22 +20,7 @@ def _check_view(field: str, value: Any) -> float:
     return checks.real(value)
 
 
-def _check_amount(most: float, unit: str = "rad") -> Callable[[str, Any], float]:
-    return lambda field, value: checks.number(field, value, 0.0, most, unit) + 0.0
-
-
-_CHECKS: dict[str, Callable[[str, Any], Any]] = {
-    "range": partial(checks.positive, unit="m"),
-    "field_of_view": _check_view,
-    "noise": _check_amount(_FULL_CIRCLE),
-    "bias": _check_amount(_FULL_CIRCLE),
-    "error": _check_amount(math.pi),
-    "dropout": _check_amount(1.0, ""),
-    "delay": partial(checks.whole, least=0, most=MOST_DELAY),
-    "sectors": partial(checks.whole, least=2, most=MOST_SECTORS),
-    "occlusion": partial(checks.choice, choices=OCCLUSION),
-    "custom": as_custom,
-}
+_Deviation = Annotated[float, partial(checks.number, least=0.0, most=_FULL_CIRCLE, unit="rad")]
 
 
 @checks.names_unknown_fields("sensing")
@@ -54,37 +37,35 @@ class Sensing:
         UnknownFieldError: for an unknown field, naming the nearest one.
     """
 
-    range: float | None = None
+    range: checks.Metres | None = None
     """Neighbours farther away have no row, m; None is without a limit."""
-    field_of_view: float = _FULL_CIRCLE
+    field_of_view: Annotated[float, _check_view] = _FULL_CIRCLE
     """Angle of the cone about the body's or local x axis in which neighbours have a row, rad. An
     obstacle is seen while one of its silhouette points is in it."""
-    noise: float = 0.0
+    noise: _Deviation = 0.0
     """Standard deviation of the angle by which each bearing is turned, drawn anew for every ordered
     pair and step, rad; in 3-D about a random axis perpendicular to the bearing."""
-    bias: float = 0.0
+    bias: _Deviation = 0.0
     """The same, drawn once for every ordered pair and episode."""
-    error: float = 0.0
+    error: Annotated[float, partial(checks.number, least=0.0, most=math.pi, unit="rad")] = 0.0
     """The bearings of neighbours are turned by exactly this much in the direction that raises L
     most, rad: the adversary of theorem N (guarantees, section 11)."""
-    dropout: float = 0.0
+    dropout: Annotated[float, partial(checks.number, least=0.0, most=1.0)] = 0.0
     """Chance that the row of a neighbour is missing in a step."""
-    delay: int = 0
+    delay: Annotated[int, partial(checks.whole, least=0, most=MOST_DELAY)] = 0
     """Steps by which what is seen is late; until then what is seen first is held."""
-    sectors: int | None = None
+    sectors: Annotated[int, partial(checks.whole, least=2, most=MOST_SECTORS)] | None = None
     """Bearings are rounded to so many directions from the x axis on, in 3-D in yaw and, as far as
     ± π/2, in elevation; None does not round."""
-    occlusion: str = "none"
+    occlusion: Literal["none", "obstacles", "robots", "both"] = "none"
     """What hides neighbours that are behind it: none, obstacles, robots (as discs or spheres of
     radius r/2) or both."""
-
-    custom: tuple[str, ...] = ()
+    custom: Annotated[tuple[str, ...], as_custom] = ()
     """Imperfections of your own, by the names under which ``sensor_imperfection`` registered them,
     in the order in which they are applied, after all others."""
 
     def __post_init__(self) -> None:
-        """Convert and check every field; see the class for what is raised."""
-        checks.check_fields(self, _CHECKS, "sensing.")
+        checks.check_fields(self, "sensing.{}")
 
     @classmethod
     def camera(cls) -> Sensing:
@@ -99,17 +80,10 @@ class Sensing:
         """Whether nothing is missed and no bearing is wrong."""
         return self == Sensing()
 
-    @property
-    def built_in_exact(self) -> bool:
-        """Whether nothing but a custom imperfection makes it wrong."""
-        return dataclasses.replace(self, custom=()).exact
-
     def departures(self) -> str:
         """The fields that are not those of an exact sensor, in words."""
         own, ideal = dataclasses.asdict(self), dataclasses.asdict(Sensing())
-        return ", ".join(
-            f"{field} = {value}" for field, value in own.items() if value != ideal[field]
-        )
+        return ", ".join(f"{field} = {own[field]}" for field in own if own[field] != ideal[field])
 
     def to_plain(self) -> dict[str, Any]:
         """The fields as plain data, as TOML or JSON hold it; None is an absent key."""
@@ -118,9 +92,5 @@ class Sensing:
 
     @classmethod
     def from_plain(cls, plain: Any) -> Sensing:
-        """A sensor from the plain data of ``to_plain``.
-
-        Raises:
-            ValueError: for what is no table, an unknown key or an impossible value.
-        """
+        """A sensor from the plain data of ``to_plain``, some keys left out."""
         return cls(**checks.mapping("sensing", plain, "a table of its fields"))

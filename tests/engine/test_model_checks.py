@@ -23,10 +23,16 @@ def test_what_is_wrong_with_a_model_is_said(registry):
     good = {"constants": lambda s: Still(s.tau, 1.0), "bounds": lambda s: [1.0] * 2}
     for changes, message in [
         ({"name": "unicycle", "dims": (2,)}, "is already registered; replace=True"),
-        ({"name": "still", "dims": ()}, r"dims \(\); they must be of 2 and 3"),
+        (
+            {"name": "still", "dims": ()},
+            r"dims of .*'still' is \(\); it must be a tuple of 2 and 3",
+        ),
         ({"name": "still", "dims": (2,), "n_kept": lambda d: 5}, "keeps 5 numbers.* from 0.* to 4"),
         ({"name": "still", "dims": (2,), "n_angles": 2, "n_kept": lambda d: 1}, "from 2"),
-        ({"name": "still", "dims": (2,), "senses": "smell"}, "senses 'smell'; it must be one of"),
+        (
+            {"name": "still", "dims": (2,), "senses": "smell"},
+            "senses of .* is 'smell'; it must be one",
+        ),
         ({"name": "still", "dims": (2,), "n_kept": lambda d: 3, "keeps_velocity": True}, "be 2"),
     ]:
         with pytest.raises(ValueError, match=message):
@@ -46,7 +52,7 @@ def test_what_is_wrong_with_a_model_is_said(registry):
         rv.describe_motion(Still, hover._replace(drifts=True))
     short = rv.RobotModel("still", **good | {"dims": (2,), "constants": lambda s: Still(0.0, 1.0)})
     rv.register_robot_model(short, replace=True)
-    with pytest.raises(ValueError, match=r"have duration = 0\.0; it must be the step, 0\.05 s"):
+    with pytest.raises(ValueError, match=r"duration in .* is 0\.0; it must be the step, 0\.05 s"):
         rv.Simulator(rv.Scenario(robot_model="still", time_step=0.05, allow_long_step=True))
 
 
@@ -138,24 +144,24 @@ BAD_FIELDS = {
     "bounds too few": ({"bounds": lambda s: [1.0]}, "propose of .* fails: IndexError"),
     "bounds too many": ({"bounds": lambda s: [1.0] * 3}, r"do not look at action\[2\]"),
     "bounds raise": ({"bounds": lambda s: s.nothing}, "bounds of .* fails: AttributeError"),
-    "bounds no function": ({"bounds": [1.0, 1.0]}, "must be a function of the scenario"),
-    "constants none": ({"constants": None}, "constants None; it must be a function"),
+    "bounds no function": ({"bounds": [1.0, 1.0]}, "bounds of .* must be a function"),
+    "constants none": ({"constants": None}, "constants of .* is None; it must be a function"),
     "constants raise": ({"constants": lambda s: 1 / "a"}, "constants of .* fails: TypeError"),
     "constants a dict": ({"constants": lambda s: {}}, "are a dict; describe_motion must have"),
-    "angles": ({"n_angles": -1}, "n_angles -1; it must be a whole number from 0 to 4"),
-    "angles half": ({"n_angles": 0.5}, "n_angles 0.5"),
-    "kept": ({"n_kept": 2}, "n_kept 2; it must be a function of the dimension"),
+    "angles": ({"n_angles": -1}, "n_angles of .* is -1; it must be a whole number, 0 or .* 4"),
+    "angles half": ({"n_angles": 0.5}, "n_angles of .* is 0.5"),
+    "kept": ({"n_kept": 2}, "n_kept of .* is 2; it must be a function"),
     "kept what": ({"n_kept": lambda dim: "a"}, "keeps 'a' numbers"),
-    "flag": ({"keeps_velocity": 1}, "must be True or False"),
+    "flag": ({"keeps_velocity": 1}, "keeps_velocity of .* is 1; it must be one of True, False"),
     "senses": ({"senses": ["velocity"]}, "must be one of"),
-    "dims": ({"dims": None}, "must be of 2 and 3"),
-    "dims of lists": ({"dims": ([2],)}, "must be of 2 and 3"),
+    "dims": ({"dims": None}, "must be a tuple of 2 and 3"),
+    "dims of lists": ({"dims": ([2],)}, "must be a tuple of 2 and 3"),
     "no name": ({"name": ""}, "must be a word"),
     "name with a gap": ({"name": "a b"}, "must be a word"),
     "name of lines": ({"name": "a\nb"}, "must be a word"),
     "name a number": ({"name": 3}, "must be a word"),
-    "action": ({"action": None}, "action None; it must be a text"),
-    "theorem": ({"theorem": 3}, "theorem 3; it must be a text"),
+    "action": ({"action": None}, "action of .* is None; it must be a text"),
+    "theorem": ({"theorem": 3}, "theorem of .* is 3; it must be a text"),
 }
 
 
@@ -208,7 +214,8 @@ def test_the_packages_own_models_answer_the_same_questions(name):
         scenario = rv.Scenario(robot_model=name, dim=dim)
         constants = model.constants(scenario)
         motion_of = motion.motion_of(type(constants))
-        robot_models._try(model, motion_of, constants, tuple(model.bounds(scenario)), dim)
+        bounds = np.array(model.bounds(scenario))
+        robot_models.try_equations(model, motion_of, constants, bounds, dim)
 
 
 def test_old_names_of_equations_are_taken_with_a_warning():

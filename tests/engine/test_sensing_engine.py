@@ -12,8 +12,11 @@ from tuples import triple, world
 
 import rendezvous_env as rv
 from rendezvous_env.physics.worst_bias import outward_directions
-from rendezvous_env.sensors.line_of_sight import is_hidden_by_obstacles, is_hidden_by_robot
-from rendezvous_env.sensors.sensor_equations import turned_towards
+from rendezvous_env.sensors.imperfections import (
+    is_hidden_by_obstacles,
+    is_hidden_by_robot,
+    turned_towards,
+)
 
 SHAPES = (
     rv.Disc((0.3, 0.2), 0.5),

@@ -10,12 +10,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from rendezvous_env.obstacles.capsule import (
-    capsule_entry,
-    capsule_ray,
-    capsule_silhouette,
-    capsule_surface,
-)
+from rendezvous_env.obstacles.capsule import CAPSULES
 from rendezvous_env.obstacles.shape import azimuth_axes, centre_direction
 
 ZERO = (0.0, 0.0, 0.0)
@@ -24,6 +19,15 @@ HALF = (2.0, 0.0, 0.0)
 numbers = st.floats(-4, 4).map(lambda x: round(x, 3))
 points = arrays(np.float64, 3, elements=numbers)
 radii = st.floats(0.05, 1.5)
+
+
+def row(half, radius) -> np.ndarray:
+    """Of a capsule about the origin, as kernels take it."""
+    return np.array([np.linalg.norm(half) + radius, *ZERO, *half, radius])
+
+
+def surface(point, half, radius):
+    return CAPSULES.surface(row(half, radius), 0, tuple(point))
 
 
 def distance_to_segment(point, half) -> float:
@@ -44,50 +48,45 @@ def distance_to_segment(point, half) -> float:
     ],
 )
 def test_distance_and_normal_by_hand(point, distance, normal):
-    found, out = capsule_surface(point, ZERO, HALF, 0.5)
+    found, out = surface(point, HALF, 0.5)
     assert found == pytest.approx(distance)
     np.testing.assert_allclose(out, normal, atol=1e-12)
 
 
 def test_a_segment_along_z_has_a_normal_too():
-    found, normal = capsule_surface((0.0, 0.0, 0.4), ZERO, (0.0, 0.0, 1.0), 0.5)
+    found, normal = surface((0.0, 0.0, 0.4), (0.0, 0.0, 1.0), 0.5)
     assert found == -0.5 and np.dot(normal, (0, 0, 1)) == 0 and np.linalg.norm(normal) == 1
 
 
 @given(points, points, radii)
 def test_distance_against_sampling(point, half, radius):
-    found, normal = capsule_surface(tuple(point), ZERO, tuple(half), radius)
+    found, normal = surface(point, half, radius)
     wanted = distance_to_segment(point, half) - radius
     assert wanted - 1e-3 * (1 + np.linalg.norm(half)) <= found <= wanted + 1e-12
     assert np.linalg.norm(normal) == pytest.approx(1)
     if found > 1e-6:  # a step along the normal leads away, one against it to the surface
-        on, _ = capsule_surface(tuple(point - found * np.array(normal)), ZERO, tuple(half), radius)
+        on, _ = surface(point - found * np.array(normal), half, radius)
         assert abs(on) < 1e-12
 
 
 @given(points, points, points, radii)
 def test_way_in_against_sampling(point, way, half, radius):
-    distance, _ = capsule_surface(tuple(point), ZERO, tuple(half), radius)
+    distance, _ = surface(point, half, radius)
     assume(distance > 0 and np.linalg.norm(way) > 0.01)
     shares = np.linspace(0, 1, 2001)
-    along = [
-        capsule_surface(tuple(point + s * way), ZERO, tuple(half), radius)[0] for s in shares[::20]
-    ]
-    found = capsule_entry(tuple(point), tuple(way), ZERO, tuple(half), radius, 1e-6)
+    along = [surface(point + s * way, half, radius)[0] for s in shares[::20]]
+    found = CAPSULES.entry(row(half, radius), 0, tuple(point), tuple(way), 1e-6)
     if found > 1:
         assert found == math.inf and min(along) > -2e-6
         return
-    there, _ = capsule_surface(tuple(point + found * way), ZERO, tuple(half), radius)
+    there, _ = surface(point + found * way, half, radius)
     assert abs(there) < 1e-9
-    before = [
-        capsule_surface(tuple(point + s * way), ZERO, tuple(half), radius)[0]
-        for s in np.linspace(0, found, 50)[:-1]
-    ]
+    before = [surface(point + s * way, half, radius)[0] for s in np.linspace(0, found, 50)[:-1]]
     assert min(before) > -1e-9
 
 
 def test_way_in_by_hand():
-    enter = lambda point, way, depth=1e-6: capsule_entry(point, way, ZERO, HALF, 0.5, depth)  # noqa: E731
+    enter = lambda point, way, depth=1e-6: CAPSULES.entry(row(HALF, 0.5), 0, point, way, depth)  # noqa: E731
     assert enter((0.0, 2.5, 0.0), (0.0, -4.0, 0.0)) == pytest.approx(0.5)
     assert enter((5.5, 0.0, 0.0), (-6.0, 0.0, 0.0)) == pytest.approx(0.5)
     assert enter((0.0, 2.5, 0.0), (4.0, 0.0, 0.0)) == math.inf
@@ -106,9 +105,9 @@ def stadium(half, radius, count=20_000) -> np.ndarray:
 @given(points, points, radii)
 def test_silhouette_against_a_fine_polygon(point, half, radius):
     point[2] = half[2] = 0.0
-    distance, _ = capsule_surface(tuple(point), ZERO, tuple(half), radius)
+    distance, _ = surface(point, half, radius)
     assume(distance > 0.05)
-    left, right = capsule_silhouette(tuple(point), ZERO, tuple(half), radius)
+    left, right = CAPSULES.edges(row(half, radius), 0, tuple(point))
     rays = stadium(half, radius) - point[:2]
     middle = math.atan2(-point[1], -point[0])
     turned = np.angle(np.exp(1j * (np.arctan2(rays[:, 1], rays[:, 0]) - middle)))
@@ -122,12 +121,13 @@ def test_silhouette_against_a_fine_polygon(point, half, radius):
 @given(points, points, points, radii)
 def test_every_ray_in_space_grazes(point, half, net_bearing, radius):
     point, half = tuple(point), tuple(half)
-    distance, _ = capsule_surface(point, ZERO, half, radius)
+    distance, _ = surface(point, half, radius)
     assume(distance > 0.02)
     towards, _ = centre_direction(point, ZERO)
     e, w = azimuth_axes(towards, tuple(net_bearing), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
-    for k in range(8):
-        ray = np.array(capsule_ray(point, ZERO, half, radius, towards, e, w, k))
+    rays = np.empty((8, 3))
+    CAPSULES.cone(row(half, radius), 0, point, (towards, e, w), rays)
+    for k, ray in enumerate(rays):
         assert np.linalg.norm(ray) == pytest.approx(1)
         nearest = nearest_along(np.array(point), ray, np.array(half))
         assert nearest == pytest.approx(radius, abs=1e-6)
@@ -140,7 +140,7 @@ def test_every_ray_in_space_grazes(point, half, net_bearing, radius):
 def nearest_along(point, ray, half) -> float:
     """Least distance of a half-line to the segment from −half to half: convex, so by bisection."""
     low, high = 0.0, 40.0
-    inside = lambda t: capsule_surface(tuple(point + t * ray), ZERO, tuple(half), 0.0)[0]  # noqa: E731
+    inside = lambda t: surface(point + t * ray, half, 0.0)[0]  # noqa: E731
     for _ in range(200):
         a, b = low + (high - low) / 3, high - (high - low) / 3
         low, high = (low, b) if inside(a) < inside(b) else (a, high)

@@ -12,9 +12,11 @@ from tuples import triple, world
 import rendezvous_env as rv
 from rendezvous_env.physics.hull_perimeter import size
 from rendezvous_env.physics.worst_bias import outward_directions
-from rendezvous_env.sensors.line_of_sight import is_hidden_by_obstacles, is_hidden_by_robot, is_seen
-from rendezvous_env.sensors.sensor_equations import (
+from rendezvous_env.sensors.imperfections import (
     in_sectors,
+    is_hidden_by_obstacles,
+    is_hidden_by_robot,
+    is_seen,
     turned,
     turned_towards,
 )

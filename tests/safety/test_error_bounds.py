@@ -20,7 +20,7 @@ from rendezvous_env.safety.theorems.noise import (
     tolerated_error,
 )
 from rendezvous_env.safety.theorems.theorem import LAW
-from rendezvous_env.sensors.sensor_equations import in_sectors
+from rendezvous_env.sensors.imperfections import in_sectors
 
 # ---- theorem N: equal gains ----------------------------------------------------------------------
 

@@ -121,7 +121,7 @@ def test_groups_that_see_nobody_outside():
         (lambda: graphs.directed([(0, 1)], 1), r"robots of 0\.\.0"),
         (lambda: graphs.directed(np.eye(2)), r"a\[0, 0\] = 1\.0 must be 0"),
         (lambda: graphs.directed(np.array([[0, -1], [0, 0]])), r"a\[0, 1\] = -1\.0 must not be"),
-        (lambda: graphs.directed_cycle((2.0, 1.0)), r"weight_range \(2\.0, 1\.0\)"),
+        (lambda: graphs.directed_cycle((2.0, 1.0)), r"weight_range is \(2\.0, 1\.0\)"),
         (lambda: graphs.switching([]), r"graphs is \(\); it must be a list of at least one"),
         (lambda: graphs.switching("path"), "graphs is 'path'; it must be a list of graphs"),
         (lambda: graphs.switching(["path", "proximity"]), r"graphs\[1\] is 'proximity'; switch"),

@@ -1,4 +1,4 @@
-"""What scenarios, graphs and obstacles say to values of the wrong kind: field, value and remedy."""
+"""What scenarios, graphs and obstacles say to what they refuse: field, value and remedy."""
 
 from __future__ import annotations
 
@@ -7,84 +7,153 @@ import re
 
 import numpy as np
 import pytest
+from conftest import UNEQUAL
 from soup import DEEP, HUGE, UNWRITABLE, in_numpy, refusal
 
 import rendezvous_env as rv
-from rendezvous_env import Disc, ObstacleField, Polygon, RewardWeights, Scenario, graphs
+from rendezvous_env import Capsule, Disc, ObstacleField, Polygon, RewardWeights, Scenario, Sphere
+from rendezvous_env import graphs as g
 from rendezvous_env.checks import UnknownFieldError
 from rendezvous_env.limits import MOST_OBSTACLES, MOST_ROBOTS
 from rendezvous_env.scenario import scenarios
 
 PAIR = Scenario(n_robots=2)
+TRIANGLE = Polygon(((0.0, 0.0), (1.0, 0.0), (0.0, 1.0)))
+ROW = [[k, 0.0] for k in range(5)]
+
+
+def matrix(**entries: float) -> np.ndarray:
+    """UNEQUAL with some entries a_ij changed, given as a01=…, on one side only."""
+    weights = UNEQUAL.copy()
+    for name, value in entries.items():
+        weights[int(name[1]), int(name[2])] = value
+    return weights
 
 
 # ---- scenarios ----------------------------------------------------------------------------------
 
-FIELDS = ("merge_radius", "time_step", "time_limit", "max_speed", "max_turn_rate", "spawn_size")
+FIELDS = (
+    "time_step", "time_limit", "max_speed", "max_turn_rate", "max_acceleration", "obstacle_range",
+    "spawn_size", "body_radius",
+)  # fmt: skip
 REFUSED = [
-    *[({field: HUGE}, f"{field} is a whole number of about 401 digits; it") for field in FIELDS],
-    *[({field: 1e300}, rf"{field} is 1e\+300; .* from 1e-09 to 1e\+09") for field in FIELDS],
-    *[({field: 1e-300}, rf"{field} is 1e-300; .* from 1e-09") for field in FIELDS],
-    *[({field: np.ones(2)}, rf"{field} is array\(\[1\., 1\.\]\)") for field in FIELDS],
-    ({"obstacle_range": 1e300}, r"obstacle_range is 1e\+300"),
+    ({"n_robots": 1}, r"n_robots is 1; it must be a whole number, 2 or more"),
+    ({"n_robots": 2.0}, r"n_robots is 2\.0; .* whole number"),
+    ({"n_robots": True}, r"n_robots is True"),
     ({"n_robots": HUGE}, "n_robots is a whole number of about 401 digits"),
     ({"n_robots": 10**9}, f"n_robots is 1000000000; .* at most {MOST_ROBOTS}"),
+    ({"dim": 4}, r"dim is 4; it must be 2 or 3"),
     ({"dim": UNWRITABLE}, "dim is a whole number of about 5001 digits; it must be 2 or 3"),
     ({"dim": [2]}, r"dim is \[2\]; it must be 2 or 3"),
     *[
-        ({field: ["a", "word"]}, rf"{field} is \['a', 'word'\]; it must be one of")
-        for field in ("robot_model", "obstacle_contact", "local_frames", "on_merge")
+        ({"merge_radius": value}, rf"merge_radius is .*{text}.*; it must be a positive, finite num")
+        for value, text in (
+            (0, "0"), (-1.5, "-1.5"), (math.inf, "inf"), (math.nan, "nan"), ("1", "'1'"),
+            (True, "True"), (None, "None"), (HUGE, "whole number of about 401 digits"),
+            (1e300, r"1e\+300"), (1e-300, "1e-300"), (np.ones(2), r"array\(\[1\., 1\.\]\)"),
+        )
     ],
+    *[({field: 0.0}, rf"{field} is 0\.0; .*positive, .* 1e-09 to 1e\+09 \w") for field in FIELDS],
+    ({"robot_model": "car"}, r"robot_model is 'car'; it must be one of 'single_integrator'"),
+    ({"robot_model": "unicycel"}, r"did you mean 'unicycle'\?"),
     ({"robot_model": np.array(["unicycle"])}, r"robot_model is array\(\['unicycle'\]"),
+    ({"robot_model": "unicycle", "dim": 3},
+        r"robot_model is 'unicycle'; .*'nonholonomic_3d'.*dim is 3"),
+    ({"robot_model": "nonholonomic_3d"},
+        r"robot_model is 'nonholonomic_3d'; .*'unicycle'.*dim is 2"),
+    ({"obstacle_contact": "bounce"}, r"obstacle_contact is 'bounce'; .*'slide', 'stop', 'ignore'"),
+    ({"obstacle_contact": ["a", "word"]}, r"obstacle_contact is \['a', 'word'\]; .* one of"),
+    ({"local_frames": "world"}, r"local_frames is 'world'; .*'random', 'global'"),
+    ({"on_merge": "stay"}, r"on_merge is 'stay'; .*'remove', 'follow'"),
     ({"require_connected": 1}, "require_connected is 1; it must be one of True, False"),
     ({"allow_long_step": np.ones(2, bool)}, r"allow_long_step is array\(\[ True, True\]\)"),
+    ({"name": ""}, r"name is ''; it must be a word"),
     ({"name": 5}, "name is 5; it must be a word"),
     ({"name": "x" * 300}, r"name is 'x+\.\.\.x+'; .* at most 255 printable"),
     ({"name": "a\0b"}, r"name is 'a\\x00b'; .* printable"),
     ({"name": "\ud800"}, r"name is '\\ud800'"),
-    ({"graph": 5}, r"graph: weights have shape \(\); they must be"),
-    ({"graph": None}, "graph is None; it must be numbers"),
-    ({"graph": DEEP}, r"graph is \[\[\[\[\[\[\.\.\.\]\]\]\]\]\]"),
-    ({"graph": [["a"]]}, r"graph is \[\['a'\]\]; it must be numbers"),
-    ({"graph": {"kind": ["path"]}}, r"graph: \['path'\] is not a graph; choose one of complete"),
-    ({"graph": {5: "path"}}, "graph has no key 5; known are"),
-    ({"graph": {"kind": "path", "weight_range": 5.0j}}, "graph: weight_range .* finite"),
-    ({"graph": {"kind": "path", "weight_range": [1, HUGE]}}, "graph: weight_range .* 1e-09 to 1e"),
-    ({"graph": {"kind": "erdos_renyi", "probability": "x"}}, "graph: probability 'x' must be"),
-    ({"graph": {"edges": 5}}, "graph: edges is 5; it must be a sequence"),
-    ({"graph": {"edges": [5]}}, r"graph: an edge is 5; it must be \(i, j\) or"),
-    ({"graph": {"edges": [[0, 1.5]]}}, r"graph: an edge is \[0, 1\.5\]; .* whole indices"),
-    ({"graph": {"edges": [[0, math.nan]]}}, r"graph: an edge is \[0, nan\]; .* whole indices"),
-    ({"graph": {"edges": [[0, 1]], "n_nodes": "x"}}, "graph: n_nodes is 'x'; .* whole number"),
-    ({"graph": {"edges": [[0, 1, 1e300]]}}, r"edge \(0, 1\) has weight 1e\+300; it must be pos"),
-    ({"graph": 1e-300 * (1 - np.eye(5))}, r"a\[0, 1\] = 1e-300 must be 0, or from 1e-09 to 1e\+09"),
-    ({"obstacles": 5}, "obstacles: 5 must be a sequence of obstacles"),
-    ({"obstacles": [5]}, r"obstacles\[0\]: 5 must be a Disc"),
-    ({"obstacles": [{"kind": ["disc"]}]}, r"obstacles: kind \['disc'\] must be one of disc"),
-    ({"obstacles": {5: 5}}, "obstacles: a disc has no key 5; known are"),
-    ({"obstacles": [{"centre": DEEP, "radius": 1}]}, r"obstacles: centre .* must be 2 finite"),
-    ({"obstacles": [{"centre": [0, HUGE], "radius": 1}]}, "centre .* of a Disc must be 2 finite"),
-    ({"obstacles": [{"centre": "12", "radius": 1}]}, "centre '12' of a Disc must be 2 finite"),
-    ({"obstacles": [{"centre": [0, 0], "radius": 1e300}]}, r"radius 1e\+300 of a Disc .* at most"),
-    ({"obstacles": [{"vertices": [1, 2, 3]}]}, r"vertices\[0\] 1 of a Polygon must be 2 finite"),
+    ({"reward": 5}, r"reward is 5; it must be a RewardWeights, or a table"),
+    ({"reward": {"progress": 1e300}}, r"reward\.progress is 1e\+300; it must be a finite"),
+    ({"sensing": 0.1}, "sensing is 0.1; it must be a Sensing, or a table"),
+    ({"neighbour_slots": 5}, r"neighbour_slots is 5; .* from 1 to n_robots - 1 = 4"),
+    ({"neighbour_slots": 0}, r"neighbour_slots is 0; .* from 1 to n_robots - 1 = 4"),
+    ({"neighbour_slots": True}, "neighbour_slots is True"),
+    ({"obstacle_slots": 1, "obstacles": [TRIANGLE, TRIANGLE]},
+        r"obstacle_slots is 1; .* obstacles, 2"),
     ({"obstacle_slots": True}, "obstacle_slots is True; it must be None or at least the number"),
     ({"obstacle_slots": 10**9}, f"obstacle_slots is 1000000000; .* at most {MOST_OBSTACLES}"),
     ({"obstacle_slots": 2.0}, r"obstacle_slots is 2\.0"),
-    ({"neighbour_slots": True}, "neighbour_slots is True"),
-    ({"neighbour_slots": 10**9}, "neighbour_slots is 1000000000; .* from 1 to n_robots - 1 = 4"),
+    ({"start_positions": ROW[:4]}, r"start_positions has shape \(4, 2\); it must be \(5, 2\)"),
+    ({"start_positions": [*ROW[:4], [math.inf, 0]]},
+        r"start_positions of robot_4 is \[inf, 0\.0\]; it must be finite"),
+    ({"start_positions": [[1.0, 2.0]] * 5}, r"robot_0 and robot_1 both stand at \[1\.0, 2\.0\]"),
+    ({"start_positions": ROW, "obstacles": [Disc((2.0, 0.3), 0.4)]},
+        r"start_positions: robot.2 at \[2\.0, 0\.0\].*inside Disc"),
     ({"start_positions": 5}, r"start_positions has shape \(\); it must be \(5, 2\)"),
     ({"start_positions": [[HUGE, 0]] * 5}, r"start_positions is \[\[.*; it must be numbers"),
     ({"start_positions": [[1, 2], [3]]}, r"start_positions is \[\[1, 2\], \[3\]\]; .*without gaps"),
     ({"start_positions": [[1e160 * k, 0] for k in range(5)]},
         r"start_positions of robot_1 is \[1e\+160, 0\.0\]; it must be finite, and from -1e\+09"),
     ({"start_positions": DEEP}, r"start_positions is \[\[\[\[\[\["),
+    ({"start_headings": [[0.0]] * 5}, r"start_headings has shape \(5, 1\); it must be \(5, 0\)"),
+    ({"robot_model": "unicycle", "start_headings": [0.0] * 5}, r"start_headings has shape \(5,\)"),
     ({"time_limit": 1e9, "time_step": 1e-9}, r"time_limit is 1e\+09 s: 1e\+18 steps of 1e-09 s"),
+    ({"graph": "ring"}, r"graph: 'ring' is not a graph; choose one of complete, path, .*'cycle'\?"),
+    ({"graph": matrix(a01=1.0)}, r"graph: weight a\[0, 1\] = 1\.0 must equal its mirror image"),
+    ({"graph": -UNEQUAL}, r"graph: weight a\[0, 1\] = -2\.0 must not be negative"),
+    ({"graph": matrix(a12=np.nan)}, r"a\[1, 2\] = nan must be finite"),
+    ({"graph": matrix(a33=1.0)}, r"a\[3, 3\] = 1\.0 must be 0: no robot is its own neighbour"),
+    ({"graph": UNEQUAL[:4]}, r"graph: weights have shape \(4, 5\); they must be \(4, 4\)"),
+    ({"graph": UNEQUAL, "n_robots": 4},
+        r"graph: its matrix or edge list is for 5 robots, not for 4"),
+    ({"graph": g.from_edges([(0, 3), (1, 2)], 5)},
+        r"not connected: it falls into \[0, 3\] and \[1, 2\] and \[4\].*require_connected"),
+    ({"graph": np.zeros((5, 5)), "require_connected": False}, r"time_step is None; .* no edge"),
+    ({"graph": 5}, r"graph: weights have shape \(\); they must be"),
+    ({"graph": None}, "graph is None; it must be numbers"),
+    ({"graph": DEEP}, r"graph is \[\[\[\[\[\[\.\.\.\]\]\]\]\]\]"),
+    ({"graph": [["a"]]}, r"graph is \[\['a'\]\]; it must be numbers"),
+    ({"graph": {"kind": ["path"]}}, r"graph: \['path'\] is not a graph; choose one of complete"),
+    ({"graph": {5: "path"}}, "graph has no key 5; known are"),
+    ({"graph": {"kind": "path", "weight_range": 5.0j}}, "graph: weight_range is 5j; .* finite num"),
+    ({"graph": {"kind": "path", "weight_range": [1, HUGE]}}, "graph: weight_range .* 1e-09 <= low"),
+    ({"graph": {"edges": 5}}, "graph: edges is 5; it must be a sequence"),
+    ({"graph": {"edges": np.array(3)}}, r"edges is array\(3\);"),
+    ({"graph": {"edges": [5]}}, r"graph: an edge is 5; it must be \(i, j\) or"),
+    ({"graph": {"edges": [[0, 1.5]]}}, r"graph: an edge is \[0, 1\.5\]; .* whole indices"),
+    ({"graph": {"edges": [[0, math.nan]]}}, r"graph: an edge is \[0, nan\]; .* whole indices"),
+    ({"graph": {"edges": [[0, 1]], "n_nodes": "x"}}, "graph: n_nodes is 'x'; .* whole number"),
+    ({"graph": {"edges": [[0, 1, 1e300]]}}, r"edge \(0, 1\) has weight 1e\+300; it must be pos"),
+    ({"graph": 1e-300 * (1 - np.eye(5))}, r"a\[0, 1\] = 1e-300 must be 0, or from 1e-09 to 1e\+09"),
+    ({"obstacles": 5}, "obstacles is 5; it must be a sequence of obstacles"),
+    ({"obstacles": "disc"}, "obstacles is 'disc'; it must be a sequence"),
+    ({"obstacles": [5]}, r"obstacles\[0\] is 5; it must be a Disc.*rv\.Disc\(\(0"),
+    ({"obstacles": [{"kind": ["disc"]}]}, r"obstacles: kind \['disc'\] must be one of disc"),
+    ({"obstacles": {5: 5}}, "obstacles: a disc has no key 5; known are"),
+    ({"obstacles": [{"center": [0, 0], "radius": 1}]}, "disc has no key 'center'; did .* 'centre'"),
+    ({"obstacles": {"count": 3, "radii": 1}}, "field has no key 'radii'; did you mean 'radius'"),
+    ({"obstacles": {"layout": "trap", "sise": 1}}, "walls has no key 'sise'.* 'size'"),
+    ({"obstacles": [{"ends": [[0, 0], [1, 0]], "radus": 1}]}, "capsule has no key 'radus'"),
+    ({"obstacles": [{"centre": [0, 0]}]}, "a disc needs radius"),
+    ({"obstacles": [{"kind": "capsule", "radius": 1}]}, "a capsule needs ends"),
+    ({"obstacles": [Sphere((0, 0, 0), 1)]}, r"obstacles\[0\].*in 2-D use Disc, Polygon or Capsule"),
+    ({"obstacles": [Disc((0, 0), 1)], "dim": 3}, r"obstacles\[0\].*in 3-D use Sphere or Capsule"),
+    ({"obstacles": [ObstacleField(1, 1, 9, 1)]}, r"obstacles\[0\]: .* stands alone, not in a list"),
+    ({"obstacles": [{"centre": DEEP, "radius": 1}]}, r"obstacles: Disc.centre .* must be 2 finite"),
+    ({"n_robot": 3}, r"no field 'n_robot'; did you mean 'n_robots'"),
+    ({"noise": 0.1}, r"no field 'noise'; known are name, n_robots, dim"),
+    ({"radius": 0.1}, r"no field 'radius'; did you mean 'body_radius'"),
+    ({"merge": 0.1}, r"no field 'merge'; did you mean 'on_merge'"),
+    ({"n_agents": 3}, "no field 'n_agents'; did you mean 'n_robots'"),
+    ({"dt": 0.1}, "no field 'dt'; did you mean 'time_step'"),
+    ({"max_steps": 9}, "'max_steps'; did you mean 'time_limit'.* not in steps"),
 ]  # fmt: skip
 
 
 @pytest.mark.parametrize(("fields", "message"), REFUSED)
-def test_scenarios_say_what_is_wrong_with_a_value_of_any_kind(fields, message):
-    assert re.search(message, refusal(Scenario, **fields)), refusal(Scenario, **fields)
+def test_a_scenario_says_what_is_wrong_with_a_value_of_any_kind(fields, message):
+    said = refusal(Scenario, **fields)
+    assert re.search(message, said), said
 
 
 def test_an_unknown_field_is_told_with_the_nearest_one_at_every_door():
@@ -95,29 +164,86 @@ def test_an_unknown_field_is_told_with_the_nearest_one_at_every_door():
             )
     assert "did you mean 'progress'" in refusal(RewardWeights, progres=1, kind=TypeError)
     assert "no field 'merge_radios'" in refusal(rv.parallel_env, "duo", merge_radios=1)
+    assert "did you mean 'n_robots'" in refusal(rv.make_vec, "duo", num_envs=1, num_agents=3)
+    assert "did you mean 'max_cycles'" in refusal(rv.parallel_env, "duo", max_steps=9)
     with pytest.raises(TypeError, match="positional"):
         RewardWeights(1, 2, 3, 4, 5, 6)
 
 
-@pytest.mark.parametrize(
-    ("call", "said"),
-    [
-        (lambda: Scenario(n_agents=3), "no field 'n_agents'; did you mean 'n_robots'"),
-        (lambda: rv.make_vec("duo", num_envs=1, num_agents=3), "did you mean 'n_robots'"),
-        (lambda: Scenario(dt=0.1), "no field 'dt'; did you mean 'time_step'"),
-        (lambda: Scenario(max_steps=9), "'max_steps'; did you mean 'time_limit'.* not in steps"),
-        (lambda: rv.parallel_env("duo", max_steps=9), "'max_steps'; did you mean 'max_cycles'"),
-        (lambda: Scenario(graph="ring"), "'ring' is not a graph; .* did you mean 'cycle'"),
-        (lambda: Scenario(graph="line"), "did you mean 'path'"),
-        (lambda: Scenario(obstacles=[(0, 0, 1)]), r"\(0, 0, 1\) must be a Disc.*rv\.Disc\(\(0"),
-        (lambda: Scenario(sensing={"nois": 0.1}), "sensing has no field 'nois'; .*'noise'"),
-        (lambda: Scenario(sensing=0.1), "sensing is 0.1; it must be a Sensing, or a table"),
-        (lambda: Scenario(graph={"kind": "directed", "edges": np.array(3)}), "edges is array.3.;"),
-    ],
-)
-def test_words_of_other_packages_lead_to_ours(call, said):
-    assert re.search(said, refusal(call)), refusal(call)
+# ---- obstacles and graphs -----------------------------------------------------------------------
 
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Disc((0, 0), 0), r"Disc\.radius is 0; it must be a finite number from 1e-05"),
+        (lambda: Disc((0, 0), math.nan), r"Disc\.radius is nan; it must be"),
+        (lambda: Disc((0, 0), "1"), r"Disc\.radius is '1'; it must be"),
+        (lambda: Disc((0, 0), 1e300), r"Disc\.radius is 1e\+300; .* to 1e\+09 m"),
+        (lambda: Disc((0, 0, 0), 1), r"Disc\.centre is .*; it must be 2 finite numbers"),
+        (lambda: Disc((0, math.inf), 1), r"Disc\.centre is .*; it must be 2 finite numbers"),
+        (lambda: Disc([0, HUGE], 1), r"Disc\.centre is .*401 digits\]; it must be 2 finite"),
+        (lambda: Disc("12", 1), r"Disc\.centre is '12'; it must be 2 finite"),
+        (lambda: Disc(3, 1), r"Disc\.centre is 3; it must be 2 finite numbers"),
+        (lambda: Disc(np.zeros(()), 1), r"Disc\.centre is array\(0\.\)"),
+        (lambda: Sphere((0, 0), 1), r"Sphere\.centre is .*; it must be 3 finite numbers"),
+        (lambda: Sphere((0, 0, 0), -1), r"Sphere\.radius is -1; it must be"),
+        (lambda: Capsule(((0, 0), (1, 0)), 0), r"Capsule\.radius is 0; it must be"),
+        (lambda: Capsule(((0, 0),), 1), r"Capsule\.ends is .*; it must be two points"),
+        (lambda: Capsule(((0, 0), (1, 0, 0)), 1), r"ends\[1\] is .*; it must be 2 finite numbers"),
+        (lambda: Capsule(((0, 0), (1, math.nan)), 1), r"ends\[1\] is .*must be 2 finite numbers"),
+        (lambda: Capsule(7, 1), r"Capsule\.ends is 7"),
+        (lambda: Polygon(((0, 0), (1, 0))), "must be at least 3 points"),
+        (lambda: Polygon(None), "must be at least 3 points"),
+        (lambda: Polygon(np.array(5)), r"Polygon\.vertices is array\(5\)"),
+        (lambda: Polygon([(0, 0)] * 2000), "at most 1000"),
+        (lambda: Polygon((1, 2, 3)), r"Polygon\.vertices\[0\] is 1; it must be 2 finite"),
+        (lambda: Polygon(((0, 0), (1, 0), (0, math.nan))), r"vertices\[2\] .* finite"),
+        (lambda: Polygon(((0, 0), (3, 0), (0, 3), (0, 0))), r"vertices\[3\] .* repeats another"),
+        (lambda: Polygon(((0, 0), (1, 1), (2, 2))), r"Polygon\.vertices: .* are degenerate"),
+        (lambda: Polygon(((0, 0), (1, 0), (2, 1e-7))), "degenerate"),
+        (lambda: Polygon(((0, 0), (1, 1), (1, 0), (0, 1))), "cross over; list them in order"),
+        (lambda: Polygon(((0, 0), (4, 0), (1, 1), (0, 4))), "not convex"),
+        (lambda: ObstacleField(-1, (1, 2), 9, 1), r"ObstacleField\.count is -1; it must be"),
+        (lambda: ObstacleField((5, 2), (1, 2), 9, 1), "count is .* low <= high"),
+        (lambda: ObstacleField(2.5, (1, 2), 9, 1), "count is 2.5; it must be a whole number"),
+        (lambda: ObstacleField(10**9, (1, 2), 1, 1), "count is 1000000000; .* <= 10000"),
+        (lambda: ObstacleField(2, (2, 1), 9, 1), "radius is .* low <= high"),
+        (lambda: ObstacleField(2, (0, 1), 9, 1), r"radius is \(0, 1\); .* 1e-05 <= low"),
+        (lambda: ObstacleField(1, (1, HUGE), 1, 1), "radius is .* low <= high"),
+        (lambda: ObstacleField(2, (1, 2), -9, 1), "region is -9; it must be .* from 0"),
+        (lambda: ObstacleField(1, (1, 2), HUGE, 1), "region is a whole number of about 401"),
+        (lambda: ObstacleField(2, (1, 2), 9, math.nan), "keep_out is nan; it must be"),
+        (lambda: ObstacleField(1, (1, 2), 1, 1e300), r"keep_out is 1e\+300; .* to 1e\+09"),
+        (lambda: ObstacleField(2, (1, 2), 9, 1, "no"), "overlap is 'no'; .* True, False"),
+        (lambda: g.path("a"), "weight_range is 'a'"),
+        (lambda: g.path((1, 2, 3)), r"weight_range is \(1, 2, 3\)"),
+        *[
+            (lambda weight=weight: g.path(weight), r"weight_range is .* finite.* 1e-09 <= low <=")
+            for weight in ((0.0, 1.0), (2.0, 1.0), (-1.0, 1.0), (0.5, np.inf), -1.0)
+        ],
+        *[
+            (lambda p=p: g.erdos_renyi(p), rf"probability is {p!r}; it must be in \(0, 1\]")
+            for p in (0.0, -0.1, 1.1, math.nan, "x")
+        ],
+        (lambda: g.from_edges([(0, 0)], 3), r"edge \(0, 0\) must join two different robots"),
+        (lambda: g.from_edges([(0, 1), (1, 0)], 3), r"edge \(1, 0\) must join .* once"),
+        (lambda: g.from_edges([(0, 5)], 3), r"edge \(0, 5\) must join two .* of 0\.\.2"),
+        (lambda: g.from_edges([(-1, 1)], 3), r"edge \(-1, 1\)"),
+        (lambda: g.from_edges([(0, 1, 0.0)], 3), r"edge \(0, 1\) has weight 0\.0; .*positive"),
+        (lambda: g.from_edges([(0, 1, np.inf)], 3), "weight inf"),
+        (lambda: g.from_edges([(0, HUGE)]), "n_nodes is a whole number of about 401"),
+        (lambda: g.Graph("edges", edges=((0, 9, 1.0),), n_nodes=3), r"edge \(0, 9\)"),
+        (lambda: g.Graph("edges"), "n_nodes is None"),
+        (lambda: g.Graph("path", edges=((0, 1, 1.0),)), "a path has neither edges"),
+    ],
+)  # fmt: skip
+def test_obstacles_and_graphs_say_what_is_wrong(make, message):
+    said = refusal(make)
+    assert re.search(message, said), said
+
+
+# ---- what is taken ------------------------------------------------------------------------------
 
 EVERY_FIELD = Scenario(
     n_robots=3,
@@ -133,18 +259,11 @@ EVERY_FIELD = Scenario(
     sensing=rv.Sensing(range=5.0, noise=0.1, delay=2, sectors=8),
     reward=RewardWeights(clearance_penalty=0.1),
 )
-FIELDS_OF_NUMPY = in_numpy(EVERY_FIELD.to_plain())
 
 
 def test_numpy_numbers_become_pythons_own_in_every_field(tmp_path):
-    assert Scenario(sensing={"noise": 0.1}) == Scenario(sensing=rv.Sensing(noise=0.1))
-    made = Scenario(
-        **FIELDS_OF_NUMPY
-        | {
-            "reward": RewardWeights(**FIELDS_OF_NUMPY["reward"]),
-            "require_connected": np.bool_(True),
-        }
-    )
+    given = in_numpy(EVERY_FIELD.to_plain())
+    made = Scenario(**given | {"require_connected": np.bool_(True)})
     assert made == EVERY_FIELD and hash(made) == hash(EVERY_FIELD)
     made.to_toml(tmp_path / "all.toml")
     assert Scenario.from_toml(tmp_path / "all.toml") == EVERY_FIELD
@@ -168,18 +287,7 @@ def test_numpy_numbers_become_pythons_own_in_fields_of_obstacles(drawn, tmp_path
     assert Scenario.from_toml(tmp_path / "drawn.toml").obstacles == drawn
 
 
-@pytest.mark.parametrize(
-    ("plain", "message"),
-    [
-        (5, "a scenario's plain data is 5; it must be a mapping"),
-        ({"reward": 5}, "reward is 5; it must be a table of its weights"),
-        ({"reward": {"progress": HUGE}}, "reward.progress is a whole number of about 401"),
-        ({"reward": {"progress": 1e300}}, r"reward.progress is 1e\+300; it must be a finite"),
-        ({5: 5}, "scenario has no field 5; known are name, n_robots"),
-    ],
-)
-def test_plain_data_of_the_wrong_kind(plain, message):
-    assert re.search(message, refusal(Scenario.from_plain, plain))
+# ---- files and names ----------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -189,13 +297,9 @@ def test_plain_data_of_the_wrong_kind(plain, message):
         ("n_robots = " + "9" * 5000, "mine.toml: not a TOML file"),
         ("graph = " + "[" * 5000 + "]" * 5000, "mine.toml: its tables and lists are nested too"),
         ("graph = " + "[" * 60 + "]" * 60, "graph"),
-        ("reward = 5", "reward is 5; it must be a table"),
-        ("obstacle_slots = true", "obstacle_slots is True"),
-        ("time_limit = 1e308", r"time_limit is 1e\+308"),
+        ("reward = 5", "reward is 5; it must be a .* table"),
         ("time_limit = 1979-05-27", "time_limit is datetime.date"),
-        ("robot_model = ['unicycle']", r"robot_model is \['unicycle'\]"),
         ("time_step = 1e-300\nallow_long_step = true", "time_step is 1e-300"),
-        ("n_robots = 1000000000", "n_robots is 1000000000"),
         ("name = '\\ud800'\nx", "not a TOML file"),
     ],
 )
@@ -205,6 +309,8 @@ def test_toml_of_the_wrong_kind(text, message, tmp_path):
     assert re.search(message, refusal(Scenario.from_toml, path))
     path.write_bytes(b"name = '\xff\xfe'")
     assert "mine.toml: not a TOML file" in refusal(Scenario.from_toml, path)
+    assert "plain data is 5; it must be a mapping" in refusal(Scenario.from_plain, 5)
+    assert "scenario has no field 5; known are name" in refusal(Scenario.from_plain, {5: 5})
 
 
 def test_names_and_paths_that_no_file_can_have(tmp_path):
@@ -229,29 +335,6 @@ def test_a_file_that_cannot_be_replaced_leaves_nothing_behind(tmp_path):
     with pytest.raises(OSError, match="taken"):
         Scenario().to_toml(tmp_path / "taken.toml")
     assert [path.name for path in tmp_path.iterdir()] == ["taken.toml"]
-
-
-@pytest.mark.parametrize(
-    ("make", "message"),
-    [
-        (lambda: Disc(np.zeros(()), 1), r"centre array\(0\.\) of a Disc"),
-        (lambda: Polygon(np.array(5)), r"vertices array\(5\) of a Polygon"),
-        (lambda: Polygon([(0, 0)] * 2000), "at most 1000"),
-        (lambda: ObstacleField(10**9, (1, 2), 1, 1), "count 1000000000 .* <= 10000"),
-        (lambda: ObstacleField(1, (1, HUGE), 1, 1), "radius .* low <= high"),
-        (lambda: ObstacleField(1, (1, 2), HUGE, 1), "region a whole number of about 401"),
-        (lambda: ObstacleField(1, (1, 2), 1, 1e300), r"keep_out 1e\+300 .* at most 1e\+09"),
-        (lambda: graphs.path("a"), "weight_range .*'a'"),
-        (lambda: graphs.path((1, 2, 3)), r"weight_range \(1, 2, 3\)"),
-        (lambda: graphs.erdos_renyi(math.nan), r"probability nan must be in \(0, 1\]"),
-        (lambda: graphs.Graph("edges", edges=((0, 9, 1.0),), n_nodes=3), r"edge \(0, 9\)"),
-        (lambda: graphs.Graph("edges"), "n_nodes is None"),
-        (lambda: graphs.Graph("path", edges=((0, 1, 1.0),)), "a path has neither edges"),
-        (lambda: graphs.from_edges([(0, HUGE)]), "n_nodes is a whole number of about 401"),
-    ],
-)
-def test_obstacles_and_graphs_of_the_wrong_kind(make, message):
-    assert re.search(message, refusal(make)), refusal(make)
 
 
 def test_simulators_and_certificates_take_names_and_files(tmp_path):

@@ -77,7 +77,7 @@ def test_an_unknown_field_is_refused_with_the_nearest():
     with pytest.raises(ValueError, match=r"sensing has no field 'nois'.*'noise'"):
         rv.Scenario.from_plain({"sensing": {"nois": 0.1}})
     with pytest.raises(ValueError, match="sensing is 3; it must be a table"):
-        rv.Scenario.from_plain({"sensing": 3})
+        rv.Sensing.from_plain(3)
     with pytest.raises(ValueError, match="sensing is 'exact'; it must be a Sensing"):
         rv.Scenario(sensing="exact")
 

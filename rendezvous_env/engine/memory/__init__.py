@@ -234,9 +234,9 @@ class BatchState(NamedTuple):
 
     teams: Teams
     links: Any
-    """Of a kind of ``edge_kinds``."""
+    """Of a kind of ``graphs.edges``."""
     changes: Any
-    """How arcs follow the moment, ``edge_kinds.Changes``; None where only merges change links."""
+    """How arcs follow the moment, ``edges.Changes``; None where only merges change links."""
     obstacles: Any
     """ObstacleSet with a leading axis B; None without obstacles."""
 
@@ -322,7 +322,7 @@ class TeamScratch(NamedTuple):
     resting: NDArray[np.bool_]
     """(n,)."""
     first: NDArray[np.int64]
-    """(E,), its links, see ``edge_kinds.EdgeList``."""
+    """(E,), its links, see ``edges.EdgeList``."""
     second: NDArray[np.int64]
     """(E,)."""
     weights: NDArray[np.float64]

@@ -7,7 +7,7 @@ from ...graphs.edges import load_links, pair_index
 from ...physics.potential import lyapunov_of_links
 from ...physics.random_streams import GRAPH, SWITCHING, stream_key, uniform
 from ...physics.vectors import difference, to_local
-from ...sensors.line_of_sight import is_seen
+from ...sensors.imperfections import is_seen
 from . import RUNNING, read, statistics_of
 
 _ROUNDING = 1e-9

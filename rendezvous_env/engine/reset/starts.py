@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...compilation import inner_kernel, kernel
-from ...graphs.edge_kinds import arcs_of
-from ...graphs.edges import copy_links, load_links, store_links
+from ...graphs.edges import arcs_of, copy_links, load_links, store_links
 from ...graphs.random_graphs import GraphRules, draw_links
 from ...obstacles.fields import Rules, draw_obstacles, is_possible
 from ...physics.potential import lyapunov_of_links

@@ -7,8 +7,7 @@ an obstacle, are moved one by one by exact geometry.
 import math
 
 from ...compilation import inner_kernel
-from ...graphs.edge_kinds import arcs_of
-from ...graphs.edges import load_links, store_links
+from ...graphs.edges import arcs_of, load_links, store_links
 from ...graphs.merging import merge_swept
 from ...obstacles.contact import IGNORE, move_curved, move_straight
 from ...physics.packing import is_packed, move_apart

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from ...compilation import by_type, inner_kernel
-from ...graphs.edge_kinds import DenseEdges, DirectedEdges, EdgeList
+from ...graphs.edges import DenseEdges, DirectedEdges, EdgeList
 from ...physics.bearings import observed, sighting
 from ...robots.motion import proprioception
 from ..memory import in_lanes, lane_count, pair_of, read, statistics_of, write, write_row

@@ -9,13 +9,11 @@ import math
 import numpy as np
 
 from ...compilation import by_type, inner_kernel
-from ...graphs.edge_kinds import DenseEdges, DirectedEdges, EdgeList, arcs_of
-from ...graphs.edges import load_links, pair_index
+from ...graphs.edges import DenseEdges, DirectedEdges, EdgeList, arcs_of, load_links, pair_index
 from ...physics.random_streams import SENSING, stream_key, word_of
 from ...physics.vectors import difference, square, to_local
 from ...sensors.chance import is_small, step_key, turned_by_chance
-from ...sensors.line_of_sight import is_seen
-from ...sensors.sensor_equations import in_sectors
+from ...sensors.imperfections import in_sectors, is_seen
 from ..memory import RUNNING, lane_count, read, statistics_of, write_row
 
 _EPISODE, _STEP = range(2)

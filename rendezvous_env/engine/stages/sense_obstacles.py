@@ -5,8 +5,7 @@ from typing import Any
 import numpy as np
 
 from ...compilation import chosen_by_type, inner_kernel
-from ...graphs.edge_kinds import arcs_of
-from ...graphs.edges import load_links
+from ...graphs.edges import arcs_of, load_links
 from ...obstacles.disc import BALL, disc_edges
 from ...obstacles.obstacle_set import (
     CENTRE,

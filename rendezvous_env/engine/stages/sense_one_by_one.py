@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...compilation import inner_kernel
-from ...graphs.edge_kinds import arcs_of
-from ...graphs.edges import load_links
+from ...graphs.edges import arcs_of, load_links
 from ...physics.worst_bias import outward_directions
 from ...sensors.imperfections import Imperfections, neighbour_seen
 from ..memory import RUNNING, Place, read, statistics_of
