@@ -5,9 +5,10 @@ from __future__ import annotations
 import ast
 import dataclasses
 import inspect
+import sys
 import textwrap
 from collections.abc import Iterable, Mapping
-from typing import Any
+from typing import Annotated, Any, get_origin
 
 
 def docstrings(kind: type[Any]) -> dict[str, tuple[str, str]]:
@@ -23,13 +24,31 @@ def _own_docstrings(kind: type[Any]) -> dict[str, tuple[str, str]]:
     """Those that the class itself writes down."""
     (body,) = ast.parse(textwrap.dedent(inspect.getsource(kind))).body
     assert isinstance(body, ast.ClassDef)
-    found = {}
+    found, plain = {}, _WithoutChecks(vars(sys.modules[kind.__module__]))
     for node, after in zip(body.body, [*body.body[1:], None], strict=True):
         if isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name):
             told = isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant)
             text = inspect.cleandoc(str(after.value.value)) if told else ""
-            found[node.target.id] = ast.unparse(node.annotation), text
+            found[node.target.id] = ast.unparse(plain.visit(node.annotation)), text
     return found
+
+
+class _WithoutChecks(ast.NodeTransformer):
+    """Annotations in which ``Annotated``, and what names it, is the type alone."""
+
+    def __init__(self, names: Mapping[str, Any]) -> None:
+        self._names = names
+
+    def visit_Subscript(self, node: ast.Subscript) -> ast.AST:
+        if isinstance(node.slice, ast.Tuple) and ast.unparse(node.value) == "Annotated":
+            return self.visit(node.slice.elts[0])
+        return self.generic_visit(node)
+
+    def visit_Name(self, node: ast.Name) -> ast.AST:
+        meant = self._names.get(node.id)
+        if get_origin(meant) is not Annotated:
+            return node
+        return ast.parse(inspect.formatannotation(meant.__origin__), mode="eval").body
 
 
 def default_of(field: dataclasses.Field[Any]) -> str:

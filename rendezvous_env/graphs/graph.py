@@ -241,6 +241,11 @@ class Graph:
             plain["probability"] = self.probability
         return plain
 
+    @classmethod
+    def from_plain(cls, plain: Mapping[str, Any]) -> Graph:
+        """A graph from the plain data of ``to_plain``, some keys left out."""
+        return parse(plain)
+
 
 @lru_cache(maxsize=8)  # as long as the team: of the last ones a certificate asks again and again
 def _components(graph: Graph, n: int) -> list[list[int]]:

@@ -17,7 +17,7 @@ from ..physics.crossings import capsule_crossing
 from ..physics.vectors import ORIGIN, X_AXIS, add, combine, dot, norm, store, subtract, without
 from . import shape
 from .disc import disc_edges
-from .shape import BOUND, COS_AZIMUTH, DETAILS, MIDDLE, OWN, SIN_AZIMUTH, centre_of_row
+from .shape import BOUND, COS_AZIMUTH, DETAILS, MIDDLE, OWN, SIN_AZIMUTH, Thickness, centre_of_row
 
 CAPSULE = 3
 """Kind of a capsule; its row goes on with the half axis x, y, z and its own radius."""
@@ -39,7 +39,7 @@ class Capsule(shape.Shape):
 
     ends: Annotated[tuple[tuple[float, ...], tuple[float, ...]], _check_ends]
     """Both ends of the segment, m."""
-    radius: shape.Thickness
+    radius: Thickness
     """m."""
 
     @property

@@ -13,7 +13,7 @@ from ..compilation import kernel
 from ..physics.crossings import first_crossing
 from ..physics.vectors import X_AXIS, combine, norm, store, subtract
 from . import shape
-from .shape import BOUND, COS_AZIMUTH, MIDDLE, SIN_AZIMUTH, centre_of_row, check_point
+from .shape import BOUND, COS_AZIMUTH, MIDDLE, SIN_AZIMUTH, Thickness, centre_of_row, check_point
 
 BALL = 1
 """Kind of a disc or sphere; its row needs no more than the bounding ball."""
@@ -24,7 +24,7 @@ class _Round(shape.Shape):
     """What discs and spheres have in common."""
 
     centre: tuple[float, ...]
-    radius: shape.Thickness
+    radius: Thickness
     """m."""
 
     def packed(self) -> shape.Packed:

@@ -76,6 +76,8 @@ class WallField(Drawn):
         """Number of obstacles."""
         return LAYOUTS[self.layout]
 
+    boxes = most
+
     @property
     def rules(self) -> WallRules:
         """How the walls of an episode are drawn."""

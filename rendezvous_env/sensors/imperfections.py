@@ -12,7 +12,6 @@ space; what turns them keeps their length.
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from typing import NamedTuple
 
 from ..compilation import inner_kernel, kernel
@@ -64,7 +63,7 @@ class Imperfections(NamedTuple):
 
 def imperfections_of(sensing: Sensing) -> Imperfections | None:
     """What kernels need to know of a sensor; None if it is exact but for custom imperfections."""
-    if replace(sensing, custom=()).exact:
+    if sensing.built_in_exact:
         return None
     return Imperfections(
         reach=math.inf if sensing.range is None else sensing.range,

@@ -8,6 +8,7 @@ from functools import partial
 from typing import Annotated, Any, Literal
 
 from .. import checks
+from ..checks import Metres
 from ..limits import MOST_DELAY, MOST_SECTORS
 from .custom_sensors import as_custom
 
@@ -37,7 +38,7 @@ class Sensing:
         UnknownFieldError: for an unknown field, naming the nearest one.
     """
 
-    range: checks.Metres | None = None
+    range: Metres | None = None
     """Neighbours farther away have no row, m; None is without a limit."""
     field_of_view: Annotated[float, _check_view] = _FULL_CIRCLE
     """Angle of the cone about the body's or local x axis in which neighbours have a row, rad. An
@@ -79,6 +80,11 @@ class Sensing:
     def exact(self) -> bool:
         """Whether nothing is missed and no bearing is wrong."""
         return self == Sensing()
+
+    @property
+    def built_in_exact(self) -> bool:
+        """Whether nothing but a custom imperfection makes it wrong."""
+        return dataclasses.replace(self, custom=()).exact
 
     def departures(self) -> str:
         """The fields that are not those of an exact sensor, in words."""

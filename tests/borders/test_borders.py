@@ -18,7 +18,6 @@ from rendezvous_env import Scenario, Simulator
 from rendezvous_env.engine.memory import TIME_OUT
 from rendezvous_env.engine.memory_layout import available_bytes, needed_bytes
 from rendezvous_env.limits import MOST_OBSTACLES
-from rendezvous_env.obstacles.obstacle_set import check_outside
 from rendezvous_env.safety.heading import HeadingFilter
 from rendezvous_env.trajectory import Step
 from train.compare.evaluation import alignments
@@ -179,14 +178,6 @@ def test_alignments_refuse_a_step_of_other_robots(kind):
     ):
         with pytest.raises(ValueError, match="must be"):
             alignments(sim.scenario, wrong)
-
-
-def test_positions_beside_obstacles_of_another_dimension_are_refused():
-    sphere = (rv.Sphere((0.0, 0.0, 0.0), 1.0),)
-    with pytest.raises(ValueError, match=r"positions have shape \(3, 2\)"):
-        check_outside("positions", np.zeros((3, 2)), sphere)
-    with pytest.raises(ValueError, match=r"positions have shape \(3, 1\)"):
-        check_outside("positions", np.zeros((3, 1)), (SQUARE,))
 
 
 def test_a_choice_that_there_is_not_is_refused():

@@ -1,4 +1,4 @@
-"""Sensing graphs: their weights, their worst cases, and the families that episodes draw from."""
+"""Sensing graphs: weights, worst cases and families; graphs that are directed or change."""
 
 from __future__ import annotations
 
@@ -12,8 +12,34 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from rendezvous_env import Scenario, Simulator, graphs
-from rendezvous_env.graphs.weights import bottleneck_weight, components, max_degree
+from rendezvous_env import Scenario, Sensing, Simulator, graphs
+from rendezvous_env.graphs.weights import bottleneck_weight, closed_groups, components, max_degree
+from rendezvous_env.scenario.start_options import parse_options
+
+ARCS = [(0, 1, 0.5), (1, 2, 2.0), (2, 1, 1.5), (2, 0, 1.0)]
+MATRIX = [[0, 0.5, 0], [0, 0, 2.0], [1.0, 1.5, 0]]
+PLAIN = ["path", graphs.directed_cycle((0.5, 1.0)), graphs.from_edges([(0, 2)])]
+ONE_WAY = [
+    graphs.directed(ARCS),
+    graphs.directed_cycle(),
+    graphs.directed_cycle((0.5, 2.0)),
+    graphs.switching(PLAIN, 0.5, "random"),
+    graphs.proximity(),
+    graphs.proximity((0.5, 1.0)),
+]
+MUTUAL = [
+    graphs.complete(),
+    graphs.Graph("complete", probability=1.0),
+    graphs.path((0.5, 1.0)),
+    graphs.random_tree(2.0),
+    graphs.erdos_renyi(0.125, (0.1, 0.7)),
+    graphs.from_edges([(0, 1), (2, 1, 0.3)]),
+]
+
+
+def scenario(graph, **fields):
+    sensing = Sensing(range=5.0) if graph.kind == "proximity" else Sensing()
+    return Scenario(**({"n_robots": 3, "graph": graph, "sensing": sensing} | fields))
 
 
 def drawn(graph: graphs.Graph, n: int, count: int) -> np.ndarray:
@@ -21,6 +47,9 @@ def drawn(graph: graphs.Graph, n: int, count: int) -> np.ndarray:
     sim = Simulator(Scenario(n_robots=n, graph=graph), count)
     sim.reset(0)
     return sim.weights
+
+
+# ---- how they are given -------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -49,37 +78,145 @@ def test_a_matrix_is_taken_as_it_is():
     )
 
 
+def test_arcs_by_hand():
+    graph = graphs.directed(ARCS)
+    np.testing.assert_array_equal(graph.base_weights(3), MATRIX)
+    assert graph == graphs.directed(np.array(MATRIX)) == graphs.directed(MATRIX)
+    assert graph == graphs.directed([list(arc) for arc in ARCS])
+    # a square table of lists is a matrix, tuples are arcs
+    assert graphs.directed([[0, 1], [1, 0]]).edges == ((0, 1, 1.0), (1, 0, 1.0))
+    assert graphs.directed([(0, 1), (1, 0)]).edges == ((0, 1, 1.0), (1, 0, 1.0))
+    cycle = graphs.directed_cycle(2.0)
+    sees, seen, _ = cycle.links(4)
+    assert list(zip(sees, seen, strict=True)) == [(0, 1), (1, 2), (2, 3), (3, 0)]
+    assert cycle.bottleneck_weight(4) == cycle.max_degree(4) == 2.0
+    assert cycle.most_neighbours(4) == 1 and cycle.weight_sum(4) == 4.0
+
+
+@pytest.mark.parametrize("graph", ONE_WAY + MUTUAL)
+def test_toml_and_plain_data_give_an_equal_graph(graph, tmp_path):
+    again = graphs.parse(graph.to_plain())
+    assert again == graph and hash(again) == hash(graph) and graphs.parse(graph) is graph
+    scenario(graph).to_toml(tmp_path / "one.toml")
+    assert Scenario.from_toml(tmp_path / "one.toml") == scenario(graph).replace(name="custom")
+
+
+def test_what_it_is_can_be_asked():
+    found = {graph.kind: (graph.directed, graph.changes, graph.undirected) for graph in ONE_WAY}
+    assert found == {
+        "directed": (True, False, False),
+        "directed_cycle": (True, False, False),
+        "switching": (True, True, False),
+        "proximity": (False, True, False),
+    }
+    both_ways = graphs.switching(["path", "star"])
+    assert (both_ways.directed, both_ways.undirected) == (False, False)
+    assert both_ways.most_links(4) == 5  # 0 and 1 are linked in both
+    for graph in MUTUAL:
+        assert graph.undirected and not graph.directed and not graph.changes
+
+
 @pytest.mark.parametrize(
-    "graph",
+    ("make", "said"),
     [
-        graphs.complete(),
-        graphs.path((0.5, 1.0)),
-        graphs.random_tree(2.0),
-        graphs.erdos_renyi(0.125, (0.1, 0.7)),
-        graphs.from_matrix(UNEQUAL),
-        graphs.Graph("complete", probability=1.0),
+        (lambda: graphs.directed([(0, 0)]), r"edge \(0, 0\) must join two different robots"),
+        (lambda: graphs.directed([(0, 1), (0, 1)]), r"edge \(0, 1\) must join .* once"),
+        (lambda: graphs.directed([(0, 1)], 1), r"robots of 0\.\.0"),
+        (lambda: graphs.directed(np.eye(2)), r"a\[0, 0\] = 1\.0 must be 0"),
+        (lambda: graphs.directed(np.array([[0, -1], [0, 0]])), r"a\[0, 1\] = -1\.0 must not be"),
+        (lambda: graphs.directed_cycle((2.0, 1.0)), r"weight_range is \(2\.0, 1\.0\)"),
+        (lambda: graphs.switching([]), r"graphs is \(\); it must be a list of at least one"),
+        (lambda: graphs.switching("path"), "graphs is 'path'; it must be a list of graphs"),
+        (lambda: graphs.switching(["path", "proximity"]), r"graphs\[1\] is 'proximity'; switch"),
+        (lambda: graphs.switching([graphs.random_tree()]), r"graphs\[0\] is 'random_tree'"),
+        (lambda: graphs.switching([ONE_WAY[3]]), r"graphs\[0\] is 'switching'"),
+        (lambda: graphs.switching(["path"], 0.0), "dwell is 0.0; it must be a positive"),
+        (lambda: graphs.switching(["path"], order="back"), "order is 'back'; .*'cyclic', 'random'"),
+        (lambda: graphs.Graph("switching", 2.0, graphs=["path"]), "has the weights of its list"),
+        (lambda: graphs.parse({"kind": "switching", "weight_range": 1}), "no key 'weight_range'"),
+        (
+            lambda: graphs.parse({"kind": "switching", "graphs": [{"kind": "switching"}]}),
+            r"graphs\[0\] is itself a switching graph",
+        ),
+        (lambda: graphs.parse({"kind": "proximity", "dwell": 1.0}), "graph has no key 'dwell'"),
+        (lambda: graphs.parse("switching"), r"graphs is \(\); it must be a list of at least one"),
+        (lambda: graphs.from_matrix([[0, 1], [2, 0]]), "graphs.directed takes others"),
     ],
 )
-def test_plain_data_gives_an_equal_graph(graph):
-    assert graphs.parse(graph.to_plain()) == graph
-    assert graphs.parse(graph) is graph
+def test_what_is_no_graph_is_refused(make, said):
+    with pytest.raises(ValueError, match=said):
+        make()
+
+
+@pytest.mark.parametrize(
+    ("fields", "said"),
+    [
+        (
+            {"graph": graphs.directed([(0, 1), (0, 2)])},
+            r"\[\d\] and \[\d\] each see nobody outside their own group",
+        ),
+        ({"graph": graphs.switching([graphs.from_edges([(0, 1)], 3)])}, "not connected"),
+        ({"graph": graphs.switching(["path"], 0.01)}, r"dwell is 0\.01 s, shorter than the time"),
+        ({"graph": "proximity"}, "give sensing a range or a field_of_view"),
+        (
+            {"graph": "proximity", "sensing": Sensing(range=0.6)},
+            r"sensing\.range is 0\.6; .* range − \(n − 1\) merge_radius/2 = 0\.4 m",
+        ),
+        ({"graph": graphs.directed(ARCS), "n_robots": 4}, "is for 3 robots, not for 4"),
+        ({"graph": graphs.switching([np.ones((2, 2)) - np.eye(2)])}, "is for 2 robots, not for 3"),
+        (
+            {
+                "graph": graphs.directed([(1, 0), (2, 1)]),
+                "start_positions": ((0, 0), (0, 0), (1, 1)),
+            },
+            "neighbours robot_0 and robot_1 both stand at",
+        ),
+    ],
+)
+def test_what_does_not_fit_a_scenario_is_refused(fields, said):
+    with pytest.raises(ValueError, match=said):
+        Scenario(**({"n_robots": 3} | fields))
+
+
+def test_what_is_connected_by_turns_or_need_not_be_is_taken():
+    halves = [graphs.from_edges([(0, 1)], 3), graphs.directed([(2, 1)], 3)]
+    assert scenario(graphs.switching(halves)).max_degree == 1.0
+    for graph in (graphs.directed([(0, 1), (0, 2)]), graphs.switching(halves[:1])):
+        assert not scenario(graph, require_connected=False).require_connected
+    near = scenario(graphs.proximity(), sensing=Sensing(range=0.6), require_connected=False)
+    assert near.start_reach == np.inf
+    assert scenario(graphs.proximity()).start_reach == pytest.approx(5.0 - 2 * 0.1)
+
+
+@pytest.mark.parametrize(
+    ("graph", "weights", "said"),
+    [
+        (graphs.switching(["path"]), np.zeros((3, 3)), "where the graph changes"),
+        (graphs.proximity(), np.zeros((3, 3)), "where the graph changes"),
+        (graphs.directed(ARCS), np.eye(3), "no robot is its own neighbour"),
+        (graphs.directed(ARCS), [[0, 0.5, 0.5], [0, 0, 0], [0, 0, 0]], "weights are not connected"),
+        (graphs.directed(ARCS), 9 * np.array(MATRIX), r"weights reach D = .*at most 4"),
+        (graphs.directed(ARCS), 0.5 * np.array(MATRIX), r"a\* = 0\.25 m/s; .*at least 0\.5"),
+    ],
+)
+def test_weights_that_a_start_cannot_have(graph, weights, said):
+    with pytest.raises(ValueError, match=said):
+        parse_options(scenario(graph), 1, {"weights": np.array(weights, dtype=float)})
 
 
 # ---- worst cases --------------------------------------------------------------------------------
 
 
 def contractions(weights: np.ndarray):
-    """Every matrix that merging can make of this one, by brute force."""
+    """Every matrix that merges along edges in either way can make of this one, by brute force."""
     yield weights
-    n = len(weights)
-    for i in range(n):
-        for j in range(i + 1, n):
-            if weights[i, j] > 0:
-                merged = weights.copy()
-                merged[i] = merged[:, i] = np.maximum(merged[i], merged[j])
-                merged[i, i] = 0
-                keep = np.arange(n) != j
-                yield from contractions(merged[np.ix_(keep, keep)])
+    for i, j in zip(*np.nonzero(np.triu(weights + weights.T)), strict=True):
+        merged = weights.copy()
+        merged[i] = np.maximum(merged[i], merged[j])
+        merged[:, i] = np.maximum(merged[:, i], merged[:, j])
+        merged[i, i] = 0
+        keep = np.arange(len(weights)) != j
+        yield from contractions(merged[np.ix_(keep, keep)])
 
 
 @settings(max_examples=40)
@@ -95,12 +232,53 @@ def test_no_sequence_of_merges_leaves_the_worst_cases(n, seed):
             assert len(components(contracted)) == 1
 
 
+@settings(max_examples=40, deadline=None)
+@given(st.integers(2, 5), st.integers(0, 10**6), st.sampled_from([1, 2, 4]))
+def test_no_sequence_of_merges_leaves_the_worst_cases_of_arcs(n, seed, most):
+    random = np.random.default_rng(seed)
+    weights = random.uniform(0.5, 2.0, (n, n)) * (
+        random.permuted(np.tile(np.arange(n) < min(most, n - 1), (n, 1)), axis=1)
+    )
+    np.fill_diagonal(weights, 0.0)
+    degree, least = max_degree(weights, directed=True), weights[weights > 0].min(initial=np.inf)
+    for contracted in contractions(weights):
+        degrees = contracted.sum(axis=1)
+        assert degrees.max() <= degree * (1 + 1e-12)
+        assert degrees[degrees > 0].min(initial=np.inf) >= least
+        assert (contracted > 0).sum(axis=1).max() <= graphs.directed(weights).most_neighbours(n)
+
+
 def test_the_heaviest_edge_can_vanish_but_not_the_bottleneck():
     path = np.array([[0, 2, 0], [2, 0, 0.5], [0, 0.5, 0]])
     assert bottleneck_weight(path) == 0.5
     assert max_degree(path) == 2.5
     assert components(path) == [[0, 1, 2]]
     assert components(np.zeros((2, 2))) == [[0], [1]] and max_degree(np.zeros((2, 2))) == 0
+
+
+def test_a_list_has_the_worst_of_its_graphs_and_of_any_merges():
+    graph = graphs.switching(["path", graphs.directed_cycle(1.5), graphs.from_edges([(0, 3)], 4)])
+    # robots 0 and 3 may merge in one graph, and then have all edges of the path
+    assert graph.max_degree(4) == max(3 * 1.0, 3 * 1.5)
+    assert graph.bottleneck_weight(4) == 1.0 and graph.most_neighbours(4) == 3
+    assert graph.weight_sum(4) == 3.0 and graph.step_degree(4) == graph.max_degree(4)
+    union = graph.base_weights(4)
+    assert union[0, 1] == 1.5 and union[1, 0] == 1.0 and union[0, 3] == 1.0 and union[0, 2] == 0
+    # a graph without edges makes nobody's D_i small: nobody sees anyone in it
+    assert graphs.switching([np.zeros((4, 4)), "cycle"]).bottleneck_weight(4) == 1.0
+
+
+def test_groups_that_see_nobody_outside():
+    chain = graphs.directed([(0, 1), (1, 2)]).base_weights(3)
+    assert closed_groups(chain) == [[2]]
+    assert closed_groups(graphs.directed_cycle().base_weights(3)) == [[0, 1, 2]]
+    apart = graphs.directed([(0, 1), (0, 2), (2, 3), (3, 2)]).base_weights(4)
+    assert sorted(closed_groups(apart)) == [[1], [2, 3]]
+
+
+@pytest.mark.parametrize("weight", [1e-9, 1e-8, 3e-8, 1e9])
+def test_the_bottleneck_of_weak_links_is_not_lost(weight):
+    assert graphs.bottleneck_weight(weight * UNEQUAL) == weight * 0.9
 
 
 # ---- families -----------------------------------------------------------------------------------
@@ -151,11 +329,6 @@ def test_a_range_of_weights_on_a_fixed_graph_is_drawn_for_every_episode():
     assert not np.any((first == sim.weights) & (first > 0))
 
 
-@pytest.mark.parametrize("weight", [1e-9, 1e-8, 3e-8, 1e9])
-def test_the_bottleneck_of_weak_links_is_not_lost(weight):
-    assert graphs.bottleneck_weight(weight * UNEQUAL) == weight * 0.9
-
-
 # ---- large teams --------------------------------------------------------------------------------
 
 
@@ -163,8 +336,8 @@ def test_the_bottleneck_of_weak_links_is_not_lost(weight):
 def test_a_large_team_takes_no_memory_of_pairs(graph):
     Scenario(n_robots=9, graph=graph)  # imports what it needs
     tracemalloc.start()
-    scenario = Scenario(n_robots=10_000, graph=graph)
-    assert scenario.certified_step > 0.0 and scenario.bottleneck_weight == 1.0
+    made = Scenario(n_robots=10_000, graph=graph)
+    assert made.certified_step > 0.0 and made.bottleneck_weight == 1.0
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert peak < 20e6  # a matrix of 10,000 robots has 800 MB

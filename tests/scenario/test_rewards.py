@@ -91,23 +91,22 @@ def team(**changes: object) -> Scenario:
     return Scenario(**given | {"local_frames": "global", "time_limit": 5.0} | changes)
 
 
-@pytest.mark.parametrize("num_envs", [1, 6])
-def test_each_robot_pays_by_how_near_it_is(num_envs):
-    sim = Simulator(team(), num_envs)
+def test_each_robot_pays_by_how_near_it_is():
+    sim = Simulator(team(), 6)
     sim.reset(0, {"positions": PLACES})
-    out = sim.step(np.zeros((num_envs, 3, 2)))
+    out = sim.step(np.zeros((6, 3, 2)))
     np.testing.assert_allclose(out.clearance[0, :2], [0.5, 1.0])
     np.testing.assert_allclose(out.rewards, -0.5 * ((1 - 0.25) + (1 - 0.5)))
     np.testing.assert_array_equal(out.robot_rewards, np.repeat(out.rewards[:, None], 3, axis=1))
 
 
 def test_it_follows_the_clearances_of_every_step():
-    sim, random = Simulator(team(), 4), np.random.default_rng(0)
+    sim, random = Simulator(team(), 6), np.random.default_rng(0)
     sim.reset(1)
-    paid = np.zeros(4)
+    paid = np.zeros(6)
     for _ in range(80):
         running = ~sim.ended
-        out = sim.step(random.uniform(-2, 2, (4, 3, 2)))
+        out = sim.step(random.uniform(-2, 2, (6, 3, 2)))
         closeness = np.maximum(0.0, 1.0 - out.clearance / 2.0).sum(axis=1)
         np.testing.assert_allclose(out.rewards, -0.5 * closeness * running, atol=1e-12)
         paid += out.rewards
@@ -115,20 +114,17 @@ def test_it_follows_the_clearances_of_every_step():
 
 
 def test_who_has_merged_pays_nothing_and_the_survivor_once():
-    sim = Simulator(team())
+    sim = Simulator(team(), 6)
     sim.reset(0, {"positions": [[1.5, 0.0], [1.5, 0.1], [8.0, 0.0]]})
-    sim.step(np.zeros((1, 3, 2)))
+    sim.step(np.zeros((6, 3, 2)))
     assert sim.active[0].tolist() == [True, False, True]
-    out = sim.step(np.zeros((1, 3, 2)))
+    out = sim.step(np.zeros((6, 3, 2)))
     assert np.isinf(out.clearance[0, 1])
     assert out.rewards[0] == pytest.approx(-0.5 * (1 - out.clearance[0, 0] / 2.0))
 
 
-def test_without_weight_or_obstacles_it_is_nothing():
-    free = Simulator(team(obstacles=()))
-    free.reset(0, {"positions": PLACES})
-    assert free.step(np.zeros((1, 3, 2))).rewards[0] == 0
-    assert RewardWeights().clearance_penalty == 0
-    plain = Simulator(team(reward=RewardWeights(0.0, 0.0, 0.0, 0.0)))
-    plain.reset(0, {"positions": PLACES})
-    assert plain.step(np.zeros((1, 3, 2))).rewards[0] == 0
+@pytest.mark.parametrize("changes", [{"obstacles": ()}, {"reward": RewardWeights(0, 0, 0, 0)}])
+def test_without_weight_or_obstacles_it_is_nothing(changes):
+    sim = Simulator(team(**changes), 6)
+    sim.reset(0, {"positions": PLACES})
+    assert sim.step(np.zeros((6, 3, 2))).rewards[0] == 0
