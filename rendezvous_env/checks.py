@@ -330,10 +330,8 @@ class Registry(dict[str, Callable[..., Any]]):
         self.what, self._register = what, register
 
     def __missing__(self, name: str) -> Any:
-        raise ValueError(
-            f"{self.what} {name!r} is not registered here; import the file that calls "
-            f"{self._register}"
-        )
+        remedy = f"import the file that calls {self._register}"
+        raise ValueError(f"{self.what} {name!r} is not registered here; {remedy}")
 
     def add(self, name: Any, function: Any) -> Any:
         """Register a function, which is returned; without one a decorator is."""

@@ -148,9 +148,8 @@ class Graph:
     def links(self, n: int) -> LinkArrays:
         """The edges before drawing, sorted; refused if they are for another number of robots."""
         if not isinstance(self.edges, Edges) or n != self.n_nodes:
-            raise ValueError(
-                f"graph: its matrix or edge list is for {self.n_nodes} robots, not for {n}"
-            )
+            given = f"its matrix or edge list is for {self.n_nodes} robots"
+            raise ValueError(f"graph: {given}, not for {n}")
         return self.edges.first, self.edges.second, self.edges.weight
 
     def sparse_weights(self, n: int) -> Any:
@@ -262,10 +261,8 @@ def class_of(kind: Any) -> type[Graph]:
     if isinstance(kind, str) and kind in KINDS:
         return KINDS[kind]
     near = checks.nearest_word(kind, KINDS)
-    raise ValueError(
-        f"graph: {shown(kind)} is not a graph; choose one of {', '.join(KINDS)}"
-        + (f"; did you mean {near!r}?" if near else "")
-    )
+    hint = f"; did you mean {near!r}?" if near else ""
+    raise ValueError(f"graph: {shown(kind)} is not a graph; choose one of {', '.join(KINDS)}{hint}")
 
 
 def parse(value: Any) -> Graph:

@@ -118,9 +118,8 @@ def check_weights(
     """
     size = n if n is not None else (weights.shape[0] if weights.ndim else 0)
     if weights.shape != (size, size):
-        raise ValueError(
-            f"{field}: weights have shape {weights.shape}; they must be ({size}, {size})"
-        )
+        wanted = f"they must be ({size}, {size})"
+        raise ValueError(f"{field}: weights have shape {weights.shape}; {wanted}")
     out_of_limits = (weights != 0) & ((weights < SMALLEST) | (weights > LARGEST))
     reasons = (
         (~np.isfinite(weights), "must be finite"),

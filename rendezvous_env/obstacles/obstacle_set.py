@@ -174,10 +174,8 @@ def pack(
     needed = max((len(row.details) for row in rows), default=0)
     room = needed if width is None else width - shape.DETAILS
     if len(rows) > slots:
-        raise ValueError(
-            f"obstacles: {len(rows)} given, but the scenario has room for {slots}; set its "
-            "obstacle_slots"
-        )
+        there = f"the scenario has room for {slots}; set its obstacle_slots"
+        raise ValueError(f"obstacles: {len(rows)} given, but {there}")
     if needed > room:
         raise ValueError(
             "obstacles: one has more corners than any of the scenario's own obstacles, or is a "
@@ -234,10 +232,8 @@ def check_outside(field: str, positions: NDArray[np.float64], value: Sequence[Ob
         point = (*position.tolist(), 0.0)[:3]
         for m, obstacle in enumerate(value):
             if (distance := distance_to(world, m, point)) < 0:
-                raise ValueError(
-                    f"{field}: robot_{i} at {position.tolist()} is {-distance:.6g} m inside "
-                    f"{shown(obstacle)}; it must be outside"
-                )
+                depth = f"{-distance:.6g} m inside {shown(obstacle)}; it must be outside"
+                raise ValueError(f"{field}: robot_{i} at {position.tolist()} is {depth}")
 
 
 def outlines(table: NDArray[np.float64]) -> Iterator[shape.Outline]:

@@ -82,10 +82,8 @@ class RobotModel:
             if right and self.keeps_velocity:
                 right, wanted = size == self.n_angles + dim, f"{self.n_angles + dim} with velocity"
             if not right:
-                raise ValueError(
-                    f"robot model {self.name!r} keeps {shown(size)} numbers in {dim}-D; it must be "
-                    f"{wanted}"
-                )
+                kept = f"{shown(size)} numbers in {dim}-D; it must be {wanted}"
+                raise ValueError(f"robot model {self.name!r} keeps {kept}")
 
     def memory_size(self, dim: int) -> int:
         """Numbers that a robot keeps from step to step."""
@@ -129,10 +127,8 @@ def register_robot_model(model: RobotModel, *, replace: bool = False) -> None:
         refuse("model", model, "a RobotModel")
     known = ROBOT_MODELS.get(model.name)
     if known is not None and replace is not True:
-        raise ValueError(
-            f"robot model {model.name!r} is already registered; replace=True puts this one in its "
-            "place"
-        )
+        remedy = "replace=True puts this one in its place"
+        raise ValueError(f"robot model {model.name!r} is already registered; {remedy}")
     ROBOT_MODELS[model.name] = model
     try:
         for make in _EXAMPLES:
@@ -167,10 +163,8 @@ def constants_of(scenario: Any, early: bool = False) -> Any:
     if motion is None:
         if early and hasattr(kind, "_fields"):
             return constants
-        raise ValueError(
-            f"the constants of {who} are a {kind.__name__}; describe_motion must have said how "
-            "that moves"
-        )
+        remedy = "describe_motion must have said how that moves"
+        raise ValueError(f"the constants of {who} are a {kind.__name__}; {remedy}")
     for field, least in (("duration", tau), ("speed_limit", 0.0)):
         value = getattr(constants, field, None)
         if not isinstance(value, float) or not least <= value < math.inf:

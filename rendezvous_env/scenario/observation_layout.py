@@ -111,9 +111,9 @@ class ObservationLayout:
         if not isinstance(observations, np.ndarray) or observations.dtype not in _TYPES:
             observations = floats("observations", observations)
         if observations.shape[-2:] != self.shape:
+            wanted = f"(..., {self.rows}, {self.dim}); ``unflattened`` makes these of flat ones"
             raise ValueError(
-                f"observations have shape {observations.shape}; this layout needs "
-                f"(..., {self.rows}, {self.dim}); ``unflattened`` makes these of flat ones"
+                f"observations have shape {observations.shape}; this layout needs {wanted}"
             )
         return observations
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import graphs
-from ..checks import floats, is_whole, mapping, nearest_word, shown
+from ..checks import floats, is_whole, mapping, nearest_word, refuse, shown
 from ..graphs.weights import check_weights
 from ..limits import LARGEST, LARGEST_SEED
 from ..obstacles import parsing as obstacles
@@ -79,9 +79,8 @@ def _positions(scenario: Any, num_envs: int, value: Any) -> NDArray[np.float64]:
 def _angles(scenario: Any, num_envs: int, value: Any) -> NDArray[np.float64]:
     n, width = scenario.n_robots, scenario.model.n_angles
     if width == 0:
-        raise ValueError(
-            f'headings: {scenario.robot_model} robots have none; give "frames" instead'
-        )
+        none = f"{scenario.robot_model} robots have none"
+        raise ValueError(f'headings: {none}; give "frames" instead')
     array = floats("headings", value)
     if width == 1 and array.shape in ((n,), (num_envs, n)):
         array = array[..., None]
@@ -90,9 +89,7 @@ def _angles(scenario: Any, num_envs: int, value: Any) -> NDArray[np.float64]:
 
 def _frames(scenario: Any, num_envs: int, value: Any) -> NDArray[np.float64]:
     if scenario.model.nonholonomic:
-        raise ValueError(
-            'frames: the body axes are the frame of this model; give "headings" instead'
-        )
+        raise ValueError('frames: those of this model are the body axes; give "headings" instead')
     d = scenario.dim
     frames = _table("frames", value, (scenario.n_robots, d, d), num_envs)
     gram = np.swapaxes(frames, -1, -2) @ frames
@@ -110,10 +107,8 @@ def _weights(scenario: Any, num_envs: int, value: Any) -> NDArray[np.float64]:
     if weights.shape not in ((1, n, n), (num_envs, n, n)):
         raise ValueError(f"weights have shape {given.shape}; they must be {(n, n)}")
     if graph.changes:
-        raise ValueError(
-            f"weights: none can be given where the graph changes: those of a {graph.kind} graph "
-            "are of the moment"
-        )
+        moment = f"those of a {graph.kind} graph are of the moment"
+        raise ValueError(f"weights: none can be given where the graph changes: {moment}")
     for matrix in weights:
         check_weights(matrix, n, "weights", directed=graph.directed)
         _check_within(scenario, matrix)
@@ -140,25 +135,20 @@ def _check_within(scenario: Any, weights: NDArray[np.float64]) -> None:
         )
     counts, slots = (weights > 0).sum(axis=1), scenario.observation_layout.neighbour_slots
     if counts.max() > slots:
-        robot = int(np.argmax(counts))
-        raise ValueError(
-            f"weights give robot_{robot} {counts[robot]} neighbours; there are rows for "
-            f"neighbour_slots = {slots}; give the scenario more neighbour_slots"
-        )
+        found = f"robot_{int(np.argmax(counts))} {counts.max()} neighbours"
+        rows = f"there are rows for neighbour_slots = {slots}"
+        raise ValueError(f"weights give {found}; {rows}; give the scenario more neighbour_slots")
 
 
 def _obstacles(scenario: Any, num_envs: int, value: Any) -> NDArray[np.float64]:
     parsed = obstacles.parse(value, scenario.dim)
     if not isinstance(parsed, tuple):
-        raise ValueError(
-            "obstacles: give them one by one; a random field belongs into the scenario"
-        )
-    if obstacles.only_balls(scenario.obstacles) and not obstacles.only_balls(parsed):
-        raise ValueError(
-            "obstacles: the scenario's own are all round, so only round ones can be given"
-        )
+        raise ValueError("obstacles: give them one by one; a field belongs into the scenario")
     slots = scenario.observation_layout.obstacle_slots
-    return pack(parsed, slots, obstacles.row_width(scenario.obstacles))[None]
+    table = pack(parsed, slots, obstacles.row_width(scenario.obstacles))
+    if obstacles.only_balls(scenario.obstacles) and not obstacles.only_balls(parsed):
+        raise ValueError("obstacles: the scenario's own are all round; give only round ones")
+    return table[None]
 
 
 _READERS: dict[str, Callable[[Any, int, Any], NDArray[np.float64]]] = {
@@ -181,10 +171,8 @@ def check_table(field: str, value: Any, shape: tuple[int, ...]) -> NDArray[np.fl
         raise ValueError(f"{field} has shape {table.shape}; it must be {shape}")
     if not (wanted := np.abs(table) <= LARGEST).all():
         at = tuple(int(k) for k in np.argwhere(~wanted)[0])
-        raise ValueError(
-            f"{field} of robot_{at[0]} is {shown(table[at[0]].tolist())}; it must be finite, and "
-            f"from {-LARGEST:g} to {LARGEST:g}"
-        )
+        bounds = f"finite, and from {-LARGEST:g} to {LARGEST:g}"
+        refuse(f"{field} of robot_{at[0]}", table[at[0]].tolist(), bounds)
     return table
 
 
@@ -201,9 +189,9 @@ def check_positions(
         coincident = ends[:, place[ends[0]] == place[ends[1]]]
         if coincident.size:
             i, j = min(coincident.T.tolist())
+            place_of_both = f"{positions[i].tolist()}; they must not coincide"
             raise ValueError(
-                f"{field}: neighbours robot_{i} and robot_{j} both stand at "
-                f"{positions[i].tolist()}; they must not coincide"
+                f"{field}: neighbours robot_{i} and robot_{j} both stand at {place_of_both}"
             )
     if isinstance(standing, tuple) and scenario.obstacle_contact != "ignore":
         check_outside(field, positions, standing)
@@ -215,10 +203,8 @@ def check_apart(field: str, positions: NDArray[np.float64], least: float) -> Non
     distances = np.linalg.norm(offsets, axis=-1) + np.diag(np.full(len(positions), np.inf))
     if distances.min() < least:
         i, j = divmod(int(distances.argmin()), len(positions))
-        raise ValueError(
-            f"{field}: robot_{i} and robot_{j} stand {distances[i, j]:.4g} m apart; it must be at "
-            f"least {least:g} m, two body_radius"
-        )
+        apart = f"{distances[i, j]:.4g} m apart; it must be at least {least:g} m, two body_radius"
+        raise ValueError(f"{field}: robot_{i} and robot_{j} stand {apart}")
 
 
 # ---- seeds -------------------------------------------------------------------------------------
@@ -236,10 +222,9 @@ def seeds_of_teams(seed: Any, num_envs: int) -> list[int | None] | None:
     if not isinstance(seed, Sequence) or isinstance(seed, str | bytes):
         first = _checked_seed(seed)
         if first + num_envs - 1 > LARGEST_SEED:
-            raise ValueError(
-                f"seed {first} must leave room for {num_envs} teams, whose seeds follow on it: "
-                f"at most {LARGEST_SEED - num_envs + 1}"
-            )
+            room = f"room for {num_envs} teams, whose seeds follow on it"
+            most = LARGEST_SEED - num_envs + 1
+            raise ValueError(f"seed {first} must leave {room}: at most {most}")
         return [first + team for team in range(num_envs)]
     if len(seed) != num_envs:
         raise ValueError(f"seed has {len(seed)} entries; it must be one number, or {num_envs}")
