@@ -63,7 +63,7 @@ def smallest_sector_law(bearings: Rows) -> Array:
 
 
 def rounded_bearings(bearings: Rows, sectors: int) -> Array:
-    """Bearings (..., 2) turned into the middles of equal sectors, see ``imperfections.in_sectors``."""
+    """Bearings (..., 2) turned into the middles of their sectors, see ``in_sectors``."""
     rows = np.ascontiguousarray(bearings, np.float64).reshape(-1, 2)
     rounded = np.empty_like(rows)
     _round_rows(rows, sectors, rounded)

@@ -72,7 +72,7 @@ def draw_team(
         graph=_graph(random, family, n),
         merge_radius=random.uniform(0.1, 0.3),
         spawn_size=random.uniform(2.0, 4.0),
-        local_frames=str(random.choice(["random", "random", "global"])),
+        local_frames=random.choice(["random", "random", "global"]).item(),
         require_connected=family != "two trees",
         **fields,
     )
